@@ -1,0 +1,1 @@
+"""Software of an instrumented prosthetic-socket testbed."""

@@ -1,0 +1,1 @@
+"""Where things are: the socket's tiles, the marker triads, and poses."""

@@ -1,0 +1,63 @@
+"""Rigid poses, singly or in batches."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from socket_testbed.arrays import FloatArray
+
+
+@dataclass(frozen=True)
+class Pose:
+    """Pose of a body in a frame, or of N bodies at once: ``p_frame = R p_body + t``.
+
+    Attributes:
+        rotation: Rotation matrices, shape (3, 3) or (N, 3, 3) [-].
+        translation: Positions of the body's origin, shape (3,) or (N, 3) [m].
+    """
+
+    rotation: FloatArray
+    translation: FloatArray
+
+    @classmethod
+    def from_quaternion(cls, translation: FloatArray, quaternion: FloatArray) -> Pose:
+        """Poses from quaternions (x, y, z, w) of any length; NaN or zero gives NaN.
+
+        Args:
+            translation: Positions, shape (N, 3) [m].
+            quaternion: Quaternions, shape (N, 4) [-].
+        """
+        norm = np.linalg.norm(quaternion, axis=-1)
+        usable = np.isfinite(norm) & (norm > 0.0)
+        rotation = np.full((*quaternion.shape[:-1], 3, 3), np.nan)
+        if usable.any():
+            rotation[usable] = Rotation.from_quat(quaternion[usable]).as_matrix()
+        return cls(rotation, translation)
+
+    def quaternion(self) -> FloatArray:
+        """Quaternions (x, y, z, w), shape (4,) or (N, 4) [-]; NaN where the pose is NaN."""
+        usable = np.isfinite(self.rotation).all(axis=(-2, -1))
+        quaternion = np.full((*self.rotation.shape[:-2], 4), np.nan)
+        if usable.any():
+            quaternion[usable] = Rotation.from_matrix(self.rotation[usable]).as_quat()
+        return quaternion
+
+    def inverse(self) -> Pose:
+        """Pose of the frame in the body."""
+        rotation = np.swapaxes(self.rotation, -1, -2)
+        return Pose(rotation, -_rotate(rotation, self.translation))
+
+    def __matmul__(self, other: Pose) -> Pose:
+        """Pose of `other`'s body in this pose's frame."""
+        return Pose(self.rotation @ other.rotation, self.apply(other.translation))
+
+    def apply(self, points: FloatArray) -> FloatArray:
+        """Points of the body in the frame, shape (3,) or (N, 3) [m]."""
+        return _rotate(self.rotation, points) + self.translation
+
+
+def _rotate(rotation: FloatArray, vectors: FloatArray) -> FloatArray:
+    return np.einsum("...ij,...j->...i", rotation, vectors)

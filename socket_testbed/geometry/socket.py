@@ -1,0 +1,224 @@
+"""The socket: points of interest, their frames and neighbours, clusters and marker triads."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from socket_testbed.arrays import FloatArray, IntArray
+from socket_testbed.documents import Section, closest, read_document
+from socket_testbed.errors import ConfigurationError
+from socket_testbed.geometry.pose import Pose
+from socket_testbed.geometry.triad import edge_lengths
+
+_ORTHONORMAL = 1e-6  # [-]; a file holds at least seven digits
+_SMALLEST_TRIAD = 0.01  # [m]
+
+
+@dataclass(frozen=True)
+class SocketGeometry:
+    """Geometry of a socket in the frame of the load cell, {S}.
+
+    Attributes:
+        names: Names of the n points of interest (tiles).
+        anchors: Centres of the tiles a_i, shape (n, 3) [m].
+        rotations: Frames of the tiles, columns x (towards the proximal end), y, z (inward
+            normal); R_i maps {L_i} to {S}, shape (n, 3, 3) [-].
+        areas: Areas of the tiles, shape (n,) [m^2].
+        neighbours: Pairs of neighbouring tiles, shape (e, 2).
+        clusters: Index of the tile that each cluster covers, by the cluster's name.
+        socket_markers: Marker triad of the socket in its body frame, shape (3, 3) [m].
+        pylon_markers: Marker triad of the pylon in its body frame, shape (3, 3) [m].
+        socket_body: Pose of the socket's marker body in {S}.
+        limb: Pose of the limb in the pylon's marker body; its origin is the lumped mass.
+    """
+
+    names: tuple[str, ...]
+    anchors: FloatArray
+    rotations: FloatArray
+    areas: FloatArray
+    neighbours: IntArray
+    clusters: dict[str, int]
+    socket_markers: FloatArray
+    pylon_markers: FloatArray
+    socket_body: Pose
+    limb: Pose
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+    def limb_position(self, socket_in_world: Pose, pylon_in_world: Pose) -> FloatArray:
+        """Limb position q in {S} from the poses of the two marker bodies.
+
+        Args:
+            socket_in_world: Poses of the socket's marker body, N of them.
+            pylon_in_world: Poses of the pylon's marker body, N of them.
+
+        Returns:
+            Positions, shape (N, 3) [m]; NaN where a pose is NaN.
+        """
+        limb_in_world = pylon_in_world.apply(self.limb.translation)
+        return self.socket_body.apply(socket_in_world.inverse().apply(limb_in_world))
+
+    def cluster_force(self, cluster: str, stress: FloatArray) -> FloatArray:
+        """Force on a cluster in its frame from its stresses, ``A [tau_x, tau_y, -sigma]``.
+
+        Args:
+            cluster: Name of the cluster.
+            stress: Normal stress (positive in compression), shear x, shear y, shape
+                (..., 3) [Pa].
+
+        Returns:
+            Forces, shape (..., 3) [N].
+        """
+        signed = np.stack([stress[..., 1], stress[..., 2], -stress[..., 0]], axis=-1)
+        return signed * self.areas[self.clusters[cluster]]
+
+    def to_document(self) -> dict[str, Any]:
+        """The content of `socket.yaml`."""
+        return {
+            "tiles": {
+                name: {
+                    "anchor": _plain(self.anchors[i]),
+                    "frame": _plain(self.rotations[i]),
+                    "area": float(self.areas[i]),
+                }
+                for i, name in enumerate(self.names)
+            },
+            "neighbours": [[self.names[a], self.names[b]] for a, b in self.neighbours],
+            "clusters": {name: self.names[tile] for name, tile in self.clusters.items()},
+            "bodies": {
+                "socket": {
+                    "markers": _plain(self.socket_markers),
+                    "in_load_cell": _pose_document(self.socket_body),
+                },
+                "pylon": {
+                    "markers": _plain(self.pylon_markers),
+                    "limb_in_body": _pose_document(self.limb),
+                },
+            },
+        }
+
+
+_HEADER = """\
+# Geometry of the socket in the frame of the load cell, {S}. Lengths in m, areas in m^2.
+# frame: rows of R = [x y z], which maps the tile's frame to {S}; z is the inward normal of the
+# surface, x the tangent towards the proximal end, y = z x x.
+# bodies: the marker triads in their bodies' frames; in_load_cell: the socket body's pose in {S};
+# limb_in_body: the limb's pose in the pylon's body, its origin being the lumped mass.
+"""
+
+
+def write_socket(geometry: SocketGeometry, path: Path) -> None:
+    """Write `socket.yaml`."""
+    text = yaml.safe_dump(geometry.to_document(), sort_keys=False, default_flow_style=None)
+    path.write_text(_HEADER + text, encoding="utf-8")
+
+
+def read_socket(path: Path) -> SocketGeometry:
+    """Read `socket.yaml`.
+
+    Raises:
+        ConfigurationError: If the file is missing or anything in it is not as it must be.
+    """
+    return socket_from_section(read_document(path))
+
+
+def socket_from_section(document: Section) -> SocketGeometry:
+    """Build the geometry from the content of `socket.yaml`, with every check."""
+    document.expect(("tiles", "neighbours", "clusters", "bodies"))
+    tiles = dict(document.sections("tiles"))
+    if not tiles:
+        raise ConfigurationError(f"{document.where}: tiles is empty", "give at least one tile")
+    for tile in tiles.values():
+        tile.expect(("anchor", "frame", "area"))
+    index = {name: i for i, name in enumerate(tiles)}
+    bodies = document.section("bodies").expect(("socket", "pylon"))
+    socket = bodies.section("socket").expect(("markers", "in_load_cell"))
+    pylon = bodies.section("pylon").expect(("markers", "limb_in_body"))
+    return SocketGeometry(
+        names=tuple(tiles),
+        anchors=np.array([tile.array("anchor", (3,)) for tile in tiles.values()]),
+        rotations=np.array([_rotation(tile, "frame") for tile in tiles.values()]),
+        areas=np.array([tile.number("area", 1e-8, 1.0) for tile in tiles.values()]),
+        neighbours=_neighbours(document, index),
+        clusters=_clusters(document.section("clusters"), index),
+        socket_markers=_triad(socket),
+        pylon_markers=_triad(pylon),
+        socket_body=_pose(socket.section("in_load_cell")),
+        limb=_pose(pylon.section("limb_in_body")),
+    )
+
+
+def _neighbours(document: Section, index: dict[str, int]) -> IntArray:
+    where = f"{document.where}: neighbours"
+    pairs = document.take("neighbours")
+    if not isinstance(pairs, list):
+        raise ConfigurationError(f"{where} is no list", "give pairs of tile names")
+    found = set()
+    for pair in pairs:
+        if not isinstance(pair, list) or len(pair) != 2 or pair[0] == pair[1]:
+            raise ConfigurationError(f"{where}: {pair} is no pair", "give two different tiles")
+        for name in pair:
+            if name not in index:
+                raise ConfigurationError(f"{where}: no tile '{name}'", closest(str(name), index))
+        a, b = sorted(index[name] for name in pair)
+        found.add((a, b))
+    return np.array(sorted(found), dtype=np.int64).reshape(-1, 2)
+
+
+def _clusters(section: Section, index: dict[str, int]) -> dict[str, int]:
+    clusters: dict[str, int] = {}
+    for name in section.names():
+        tile = section.text(name)
+        if tile not in index:
+            raise ConfigurationError(
+                f"{section.where}: {name} is on '{tile}', which is no tile", closest(tile, index)
+            )
+        if index[tile] in clusters.values():
+            raise ConfigurationError(
+                f"{section.where}: two clusters are on '{tile}'", "give each its own tile"
+            )
+        clusters[name] = index[tile]
+    return clusters
+
+
+def _rotation(section: Section, key: str) -> FloatArray:
+    rotation = section.array(key, (3, 3))
+    error = np.abs(rotation.T @ rotation - np.eye(3)).max()
+    if error > _ORTHONORMAL or np.linalg.det(rotation) < 0.0:
+        raise ConfigurationError(
+            f"{section.where}: {key} is no right-handed orthonormal frame (off by {error:.1g})",
+            "give columns x, y, z of unit length with y = z x x",
+        )
+    return rotation
+
+
+def _triad(section: Section) -> FloatArray:
+    markers = section.array("markers", (3, 3))
+    edges = edge_lengths(markers)
+    area = 0.5 * np.linalg.norm(np.cross(markers[1] - markers[0], markers[2] - markers[0]))
+    if edges.min() < _SMALLEST_TRIAD or area < 0.1 * _SMALLEST_TRIAD * edges.max():
+        raise ConfigurationError(
+            f"{section.where}: markers are on one line or closer than {_SMALLEST_TRIAD} m",
+            "give three markers of a triangle, in m",
+        )
+    return markers
+
+
+def _pose(section: Section) -> Pose:
+    section.expect(("rotation", "translation"))
+    return Pose(_rotation(section, "rotation"), section.array("translation", (3,)))
+
+
+def _pose_document(pose: Pose) -> dict[str, Any]:
+    return {"rotation": _plain(pose.rotation), "translation": _plain(pose.translation)}
+
+
+def _plain(array: FloatArray) -> Any:
+    """Nested lists, with digits enough for 10 nm and 1e-9 rad."""
+    return (np.round(array, 9) + 0.0).tolist()

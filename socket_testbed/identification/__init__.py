@@ -1,0 +1,1 @@
+"""Identification of the contact model by convex least squares, in two stages."""

@@ -1,0 +1,294 @@
+"""Settings: frozen, checked on construction, and the only home of their defaults.
+
+A node declares its parameters from these classes, with the same dotted names; the command
+line reads the same names from `testbed.yaml`.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, TypeVar, get_args, get_origin, get_type_hints
+
+from socket_testbed.contact import VARIANTS
+from socket_testbed.documents import Section, check_number, closest, read_document
+from socket_testbed.errors import ConfigurationError
+
+S = TypeVar("S", bound="Settings")
+
+
+def setting(
+    default: Any,
+    description: str,
+    low: float = -math.inf,
+    high: float = math.inf,
+    choices: tuple[str, ...] = (),
+) -> Any:
+    """A field of a settings class.
+
+    Args:
+        default: Default value.
+        description: What it is, with its unit in brackets.
+        low: Smallest value allowed.
+        high: Largest value allowed.
+        choices: The values allowed, for a text.
+    """
+    metadata = {"description": description, "low": low, "high": high, "choices": choices}
+    return field(default=default, metadata=metadata)
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Base of the settings: every field is checked for type and range on construction."""
+
+    def __post_init__(self) -> None:
+        hints = get_type_hints(type(self))
+        for item in dataclasses.fields(self):
+            if item.metadata:
+                checked = _check(getattr(self, item.name), hints[item.name], item)
+                object.__setattr__(self, item.name, checked)
+
+    @classmethod
+    def flat(cls, prefix: str = "") -> dict[str, dataclasses.Field[Any]]:
+        """All fields by their dotted names, those of the settings below included."""
+        names: dict[str, dataclasses.Field[Any]] = {}
+        hints = get_type_hints(cls)
+        for item in dataclasses.fields(cls):
+            kind = hints[item.name]
+            if issubclass(get_origin(kind) or kind, Settings):
+                names |= kind.flat(f"{prefix}{item.name}.")
+            else:
+                names[prefix + item.name] = item
+        return names
+
+    @classmethod
+    def from_flat(cls: type[S], values: dict[str, Any], where: str, prefix: str = "") -> S:
+        """Build the settings from dotted names.
+
+        Args:
+            values: Values by their dotted names; what is not named keeps its default.
+            where: What names the source in an error.
+            prefix: Prefix of the names, for settings below others.
+
+        Raises:
+            ConfigurationError: For an unknown name, or a wrong type or range.
+        """
+        if not prefix:
+            known = cls.flat()
+            for name in values:
+                if name not in known:
+                    raise ConfigurationError(f"{where}: unknown key '{name}'", closest(name, known))
+        hints = get_type_hints(cls)
+        arguments: dict[str, Any] = {}
+        for item in dataclasses.fields(cls):
+            kind = hints[item.name]
+            if issubclass(get_origin(kind) or kind, Settings):
+                arguments[item.name] = kind.from_flat(values, where, f"{prefix}{item.name}.")
+            elif prefix + item.name in values:
+                arguments[item.name] = values[prefix + item.name]
+        try:
+            return cls(**arguments)
+        except ConfigurationError as error:
+            raise ConfigurationError(f"{where}: {prefix}{error.fact}", error.mend) from None
+
+    def to_flat(self, prefix: str = "") -> dict[str, Any]:
+        """All values by their dotted names; a tuple becomes a list."""
+        values: dict[str, Any] = {}
+        for item in dataclasses.fields(self):
+            value = getattr(self, item.name)
+            if isinstance(value, Settings):
+                values |= value.to_flat(f"{prefix}{item.name}.")
+            else:
+                values[prefix + item.name] = list(value) if isinstance(value, tuple) else value
+        return values
+
+
+def _check(value: Any, kind: Any, item: dataclasses.Field[Any]) -> Any:
+    limits = item.metadata
+    if get_origin(kind) is tuple:
+        element = get_args(kind)[0]
+        if not isinstance(value, list | tuple):
+            raise ConfigurationError(f"{item.name} is '{value}'", "give a list instead")
+        return tuple(_check_scalar(entry, element, item.name, limits) for entry in value)
+    return _check_scalar(value, kind, item.name, limits)
+
+
+def _check_scalar(value: Any, kind: Any, name: str, limits: Any) -> Any:
+    if kind is float:
+        return check_number(value, name, limits["low"], limits["high"])
+    if kind is int:
+        number = check_number(value, name, limits["low"], limits["high"])
+        if number != int(number):
+            raise ConfigurationError(f"{name} is {value}", "give a whole number instead")
+        return int(number)
+    if not isinstance(value, kind):
+        raise ConfigurationError(f"{name} is '{value}'", f"give a {kind.__name__} instead")
+    if limits["choices"] and value not in limits["choices"]:
+        raise ConfigurationError(f"{name} is '{value}'", closest(value, limits["choices"]))
+    return value
+
+
+@dataclass(frozen=True)
+class IdentificationSettings(Settings):
+    """How the contact model is identified (the two stages)."""
+
+    variant: str = setting(
+        "stiffness_bias",
+        "which offsets the model carries: stiffness has none, stiffness_bias one a channel [-]",
+        choices=VARIANTS,
+    )
+    theta: float = setting(
+        0.5, "weight of the wrench against the clusters, on normalised errors [-]", 0.0, 1.0
+    )
+    gate_sharpness: float = setting(
+        2000.0, "sharpness alpha of the unilateral gate [1/m]", 1.0, 1e6
+    )
+    initial_stiffness: float = setting(
+        3000.0, "stiffness k0 of every spring in Stage 1 [N/m]", 1.0, 1e7
+    )
+    rest_position_limit: float = setting(
+        0.008, "largest distance of a rest position from the mean limb position, an axis [m]",
+        1e-5, 0.1,
+    )  # fmt: skip
+    smoothness: float = setting(
+        1e-3, "weight of the smoothness over neighbouring tiles against the errors [-]", 0.0, 1e6
+    )
+    stiffness_difference: float = setting(
+        1000.0, "expected difference of stiffness between neighbours [N/m]", 1e-3, 1e7
+    )
+    rest_position_difference: float = setting(
+        0.002, "expected difference of rest position between neighbours [m]", 1e-6, 0.1
+    )
+    leave_out: tuple[str, ...] = setting(
+        (), "channels left out of the objective, such as distal.Fx or Mz [-]"
+    )
+    solver: str = setting("osqp", "any solver that qpsolvers knows and finds [-]")
+    solver_tolerance: float = setting(
+        1e-6, "largest KKT residual that a solution may have, in scaled units [-]", 1e-12, 1e-2
+    )
+
+
+@dataclass(frozen=True)
+class PlateauSettings(Settings):
+    """What counts as a steady stretch of a trial."""
+
+    smoothing: float = setting(2.0, "window of the moving mean of the wrench [s]", 0.05, 60.0)
+    force_change: float = setting(
+        8.0, "difference of the mean force that counts as an intended change of load [N]", 0.1, 1e4
+    )
+    moment_change: float = setting(
+        0.8, "difference of the mean moment that counts as a change of load [N m]", 0.01, 1e3
+    )
+    force_drift: float = setting(
+        10.0, "largest spread of the mean force within a plateau [N]", 0.1, 1e4
+    )
+    moment_drift: float = setting(
+        1.0, "largest spread of the mean moment within a plateau [N m]", 0.01, 1e3
+    )
+    missing_fraction: float = setting(
+        0.2, "largest fraction of missing channels within the moving window [-]", 0.0, 1.0
+    )
+    least_force: float = setting(
+        20.0, "smallest mean force: an unloaded stretch says nothing about contact [N]", 0.0, 1e4
+    )
+    least_duration: float = setting(5.0, "shortest plateau [s]", 0.1, 1e5)
+
+
+@dataclass(frozen=True)
+class WindowSettings(Settings):
+    """The samples from which the estimator fits while a trial runs."""
+
+    duration: float = setting(60.0, "length of the window of newest samples [s]", 1.0, 3600.0)
+    least_samples: int = setting(80, "steady samples before a fit by itself [1]", 10, 1000000)
+    refit_after: int = setting(
+        80, "new samples after which it fits again; 0: it never does by itself [1]", 0, 1000000
+    )
+    pending: int = setting(200, "stamps kept while their measurements come in [1]", 2, 100000)
+
+
+@dataclass(frozen=True)
+class EstimatorSettings(Settings):
+    """Parameters of the estimator node."""
+
+    geometry: str = setting("", "path of socket.yaml; empty: the package's own [-]")
+    model: str = setting("", "path of a fitted model to start from; empty: none [-]")
+    fit_by_itself: bool = setting(True, "fit when enough steady data is in [-]")
+    identification: IdentificationSettings = IdentificationSettings()
+    plateau: PlateauSettings = PlateauSettings()
+    window: WindowSettings = WindowSettings()
+
+
+@dataclass(frozen=True)
+class CalibrationNodeSettings(Settings):
+    """Parameters of the calibration node."""
+
+    calibration: str = setting("", "path of calibration.yaml; empty: the package's own [-]")
+
+
+@dataclass(frozen=True)
+class RecorderSettings(Settings):
+    """Parameters of the recorder node."""
+
+    directory: str = setting("trials", "folder of the trials, or of the one trial [-]")
+    record: bool = setting(False, "record from the start, into `directory` itself [-]")
+    geometry: str = setting("", "path of the socket.yaml to store; empty: the package's own [-]")
+    calibration: str = setting("", "path of the calibration.yaml to store; empty: own [-]")
+    parameters: str = setting("", "path of the testbed.yaml to store; empty: none [-]")
+    flush_period: float = setting(1.0, "longest time before data is on the disk [s]", 0.05, 60.0)
+
+
+@dataclass(frozen=True)
+class ReplaySettings(Settings):
+    """Parameters of the replay node."""
+
+    trial: str = setting("", "path of the trial [-]")
+    rate: float = setting(1.0, "speed of the replay against the recording [-]", 1e-3, 1e4)
+    loop: bool = setting(False, "start again at the end [-]")
+    paused: bool = setting(False, "start paused; see the service replay/pause [-]")
+    measured_only: bool = setting(
+        False, "leave out what was computed: other nodes compute it anew [-]"
+    )
+    wait_for: tuple[str, ...] = setting((), "nodes that must be ready before the first message [-]")
+
+
+NODE_SETTINGS: dict[str, type[Settings]] = {
+    "estimator_node": EstimatorSettings,
+    "calibration_node": CalibrationNodeSettings,
+    "recorder_node": RecorderSettings,
+    "replay_node": ReplaySettings,
+}
+
+
+def read_parameters(path: Path) -> dict[str, Settings]:
+    """Read `testbed.yaml`: node parameters in the ROS format, one section a node.
+
+    ROS itself ignores a key that no node declares; here it is an error.
+
+    Returns:
+        The settings of the nodes that the file names, by the name of the node.
+
+    Raises:
+        ConfigurationError: For an unknown node or key, or a wrong type or range.
+    """
+    document = read_document(path).expect(NODE_SETTINGS)
+    settings: dict[str, Settings] = {}
+    for node in document.names():
+        parameters = document.section(node).expect(("ros__parameters",)).section("ros__parameters")
+        values = _flatten(parameters)
+        values.pop("use_sim_time", None)
+        settings[node] = NODE_SETTINGS[node].from_flat(values, f"{path}: {node}")
+    return settings
+
+
+def _flatten(section: Section) -> dict[str, Any]:
+    flat: dict[str, Any] = {}
+    for key in section.names():
+        value = section.take(key)
+        if isinstance(value, dict):
+            nested = _flatten(section.section(key))
+            flat |= {f"{key}.{name}": entry for name, entry in nested.items()}
+        else:
+            flat[key] = value
+    return flat
