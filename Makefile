@@ -1,0 +1,67 @@
+# Two commands: `make demo` and `make test`. Each sets up what it needs, inside the checkout.
+
+VENV := .venv
+BIN := $(VENV)/bin
+# The ROS wheels exist for Python 3.11 to 3.13.
+PYTHON ?= $(shell for v in 3.12 3.11 3.13; do \
+	p=$$(command -v python$$v) && $$p -c "import venv, ensurepip" 2>/dev/null && echo $$p && break; \
+	done)
+PIP := $(BIN)/pip --disable-pip-version-check --quiet
+
+# Another ROS environment, sourced or of wheels, must not leak into this one.
+unexport PYTHONPATH AMENT_PREFIX_PATH CMAKE_PREFIX_PATH COLCON_PREFIX_PATH LD_LIBRARY_PATH
+unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE
+
+.DELETE_ON_ERROR:
+.PHONY: demo test setup lint benchmark colcon clean
+
+demo: setup
+	$(BIN)/socket-testbed demo
+
+test: lint
+	$(BIN)/python -m pytest
+
+lint: setup
+	$(BIN)/ruff check
+	$(BIN)/ruff format --check
+	$(BIN)/mypy
+
+setup: $(VENV)/.messages $(VENV)/.package
+
+benchmark: setup
+	$(PIP) install -r requirements/benchmarks.txt
+	$(BIN)/python benchmarks/benchmark_fit.py
+
+# The same sources as an ordinary colcon workspace, here with the ROS wheels.
+colcon: $(VENV)/.packages
+	AMENT_PREFIX_PATH=$(CURDIR)/$(VENV) CMAKE_PREFIX_PATH=$(CURDIR)/$(VENV) \
+		PATH="$(CURDIR)/$(BIN):$$PATH" $(BIN)/colcon build
+
+$(VENV)/.packages: requirements/ros.txt requirements/runtime.txt requirements/dev.txt scripts/mend_ros_wheels.py
+	@test -n "$(PYTHON)" || { echo "error: no Python 3.11, 3.12 or 3.13 with venv: install one, or give PYTHON=..."; exit 1; }
+	@test "$$(uname -m)" = x86_64 || { echo "error: the ROS wheels are for x86-64: on $$(uname -m) use a ROS installation (README)"; exit 1; }
+	@echo "setting up $(VENV) with $(PYTHON) (about a minute, once)"
+	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
+	$(PIP) install "setuptools>=65,<80" wheel
+	$(PIP) install -r requirements/ros.txt -r requirements/runtime.txt -r requirements/dev.txt
+	$(BIN)/python scripts/mend_ros_wheels.py
+	touch $@
+
+# The message package, built by CMake as colcon would, into the environment as a ROS prefix.
+$(VENV)/.messages: $(VENV)/.packages msg_defs/CMakeLists.txt msg_defs/package.xml $(wildcard msg_defs/msg/*.msg)
+	@echo "building the messages"
+	@rm -rf $(VENV)/messages
+	@{ AMENT_PREFIX_PATH=$(CURDIR)/$(VENV) CMAKE_PREFIX_PATH=$(CURDIR)/$(VENV) \
+		PATH="$(CURDIR)/$(BIN):$$PATH" \
+		cmake -S msg_defs -B $(VENV)/messages -DBUILD_TESTING=OFF \
+			-DCMAKE_INSTALL_PREFIX=$(CURDIR)/$(VENV) -DPython3_EXECUTABLE=$(CURDIR)/$(BIN)/python \
+		&& cmake --build $(VENV)/messages -j 2 && cmake --install $(VENV)/messages; } \
+		> $(VENV)/messages.log 2>&1 || { tail -n 30 $(VENV)/messages.log; exit 1; }
+	touch $@
+
+$(VENV)/.package: $(VENV)/.packages setup.py setup.cfg
+	$(PIP) install --no-build-isolation --no-deps --editable .
+	touch $@
+
+clean:
+	rm -rf $(VENV) build install log demo

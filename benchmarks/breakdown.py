@@ -1,0 +1,48 @@
+"""The parts of the package's own fit, each to be timed by itself."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from problems import StageTwoInput
+
+from socket_testbed.contact import gated_displacement
+from socket_testbed.identification.box_qp import solve_box_qp
+from socket_testbed.identification.fit import fit_contact_model
+from socket_testbed.identification.moments import gate_moments
+from socket_testbed.identification.objective import build_objective
+from socket_testbed.identification.stages import (
+    KILONEWTON_PER_METRE,
+    build_stage_one,
+    build_stage_two,
+    recover_offsets,
+)
+
+
+def parts_of_fit(stage: StageTwoInput) -> dict[str, Callable[[], object]]:
+    """What the parts are called, and what runs each of them."""
+    settings, objective, rest = stage.settings, stage.objective, stage.rest_positions
+    arguments = (objective, stage.geometry, settings)
+    gate = (objective.position, rest, settings.gate_sharpness)
+    solver = (settings.solver, settings.solver_tolerance)
+    stage_one = build_stage_one(*arguments)
+    built = build_stage_two(*arguments, rest)
+    stiffness = KILONEWTON_PER_METRE * np.reshape(solve_box_qp(built.program, *solver).x, (-1, 3))
+    return {
+        "build_objective": lambda: build_objective(stage.samples, stage.geometry, settings),
+        "stage 1: build": lambda: build_stage_one(*arguments),
+        "stage 1: solve_box_qp": lambda: solve_box_qp(stage_one, *solver),
+        "stage 2: build": lambda: build_stage_two(*arguments, rest),
+        "  of it the moments (auto)": lambda: gate_moments(*gate, objective.wrench),
+        "stage 2: solve_box_qp": lambda: solve_box_qp(built.program, *solver),
+        "stage 2: recover_offsets": lambda: recover_offsets(
+            *arguments, stiffness, rest, built.moments
+        ),
+        "fit_contact_model, whole": lambda: fit_contact_model(
+            stage.samples, stage.geometry, settings
+        ),
+        "moments, chebyshev": lambda: gate_moments(*gate, objective.wrench, "chebyshev"),
+        "moments, direct": lambda: gate_moments(*gate, objective.wrench, "direct"),
+        "gate pass alone (S)": lambda: gated_displacement(*gate),
+    }

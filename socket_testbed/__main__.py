@@ -1,0 +1,61 @@
+"""The command line: `socket-testbed VERB`, also `python -m socket_testbed VERB`."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import signal
+import sys
+from importlib import import_module
+
+from socket_testbed.errors import TestbedError
+
+VERBS = {
+    "demo": "simulated trial -> replay through the live graph -> errors and a figure",
+    "simulate": "write a simulated trial with its ground truth",
+    "replay": "publish a trial with /clock; with --estimate the estimator runs too",
+    "record": "record the graph as a trial",
+    "info": "what a trial holds: topics, rates, gaps, plateau",
+    "fit": "identify the contact model on a trial",
+    "evaluate": "errors of a model on a trial, channel by channel",
+}
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Run a verb and exit: 0 when it succeeded, 1 on an error, 2 on a wrong call."""
+    sys.exit(run(arguments))
+
+
+def run(arguments: list[str] | None = None) -> int:
+    """Run a verb; returns the exit code."""
+    words = sys.argv[1:] if arguments is None else arguments
+    parser = argparse.ArgumentParser(
+        prog="socket-testbed", description="Software of an instrumented prosthetic-socket testbed."
+    )
+    verbs = parser.add_subparsers(dest="verb", required=True, metavar="VERB")
+    for verb, summary in VERBS.items():
+        subparser = verbs.add_parser(verb, help=summary, description=summary)
+        # Only the verb that is called is imported: the others' libraries take their time.
+        if words[:1] == [verb]:
+            import_module(f"socket_testbed.commands.{verb}").configure(subparser)
+    options = parser.parse_args(words)
+    # Ended by another process, a verb ends its nodes as after Ctrl-C.
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        options.run(options)
+        sys.stdout.flush()
+    except TestbedError as error:
+        print(f"socket-testbed {options.verb}: error: {error}", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        print(f"socket-testbed {options.verb}: interrupted", file=sys.stderr)
+        return 130
+    except BrokenPipeError:
+        # The reader of a pipe, such as head, has what it wanted.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+    return 0
+
+
+if __name__ == "__main__":
+    main()

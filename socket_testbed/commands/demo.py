@@ -1,0 +1,177 @@
+"""`demo`: a simulated trial through the live graph, with its errors beside the truth."""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import shutil
+import time
+from pathlib import Path
+
+import numpy as np
+
+from socket_testbed.arrays import BoolArray, FloatArray
+from socket_testbed.calibration import read_calibration
+from socket_testbed.commands.replay import replay_with_estimator
+from socket_testbed.commands.text import Progress, number, table
+from socket_testbed.contact import VARIANTS
+from socket_testbed.errors import ConfigurationError, TrialError
+from socket_testbed.evaluation import channel_errors, channel_unit
+from socket_testbed.figures import wrench_figure
+from socket_testbed.files import packaged
+from socket_testbed.geometry.socket import SocketGeometry, read_socket
+from socket_testbed.samples import LOCAL_CHANNELS, WRENCH_CHANNELS, Samples
+from socket_testbed.settings import EstimatorSettings, ReplaySettings
+from socket_testbed.simulation.testbed import GroundTruth, simulate
+from socket_testbed.simulation.trial import TRUTH_FILE, read_truth, write_simulated_trial
+from socket_testbed.trials.segment import select_segment
+from socket_testbed.trials.synchronise import read_samples
+from socket_testbed.trials.trial import Trial
+
+_RATE = 20.0  # speed of the replay against the recording
+
+Estimate = tuple[FloatArray, FloatArray]  # wrench (N, 6), forces (N, n, 3)
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of the verb."""
+    parser.add_argument(
+        "-o", "--output", type=Path, default=Path("demo"), metavar="DIR", help="default: demo"
+    )
+    parser.add_argument("--seed", type=int, default=0, help="seed of the simulated trial")
+    parser.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace) -> None:
+    """Simulate, replay through the graph with each variant, compare."""
+    started = time.monotonic()
+    folder: Path = options.output
+    _make_room(folder)
+    geometry = read_socket(packaged("config", "socket.yaml"))
+    calibration = read_calibration(packaged("config", "calibration.yaml"))
+    print("1. a simulated static hold: 9.3 kg pylon, 19 kg placed, held, removed (4 Hz, 120 s)")
+    simulated = simulate(
+        geometry, calibration, "static_hold", 120.0, 4.0, options.seed,
+        progress=Progress("   simulating"),
+    )  # fmt: skip
+    write_simulated_trial(simulated, geometry, folder / "trial")
+    trial = Trial(folder / "trial")
+    samples = read_samples(trial)
+
+    print(f"2. replayed through replay, calibration and estimator nodes at {_RATE:g} times speed")
+    estimates = {}
+    for variant in VARIANTS:
+        estimates[variant] = _estimate(trial, samples, variant, folder / f"{variant}.log")
+
+    plateau = select_segment(samples, "plateau", EstimatorSettings().plateau)
+    rows = np.zeros(len(samples), dtype=bool)
+    rows[plateau.rows] = True
+    for wrench, _ in estimates.values():
+        rows &= np.isfinite(wrench).all(axis=1)
+    if not rows.any():
+        raise TrialError("the graph predicted nothing on the plateau", f"read {folder}/*.log")
+    truth = read_truth(trial.path)
+    print(
+        f"3. errors on the {int(rows.sum())} samples of the hold that both variants predicted"
+        " live,\n   against the measurement and against the simulated truth\n"
+    )
+    print(_errors(samples, geometry, truth, estimates, rows))
+    print("\n" + _everywhere(geometry, truth, estimates, rows))
+    figure = folder / "wrench.png"
+    wrench_figure(
+        samples.time,
+        samples.wrench,
+        {variant: wrench for variant, (wrench, _) in estimates.items()},
+        "Simulated static hold: wrench measured and predicted live",
+        figure,
+    )
+    print(f"\ntrial {trial.path}, figure {figure} ({time.monotonic() - started:.0f} s)")
+
+
+def _make_room(folder: Path) -> None:
+    """Remove what an earlier demo left, and nothing else."""
+    trial = folder / "trial"
+    if trial.exists():
+        if not (trial / TRUTH_FILE).is_file():
+            raise ConfigurationError(
+                f"{trial} is no trial of the demo", "name another folder with -o"
+            )
+        shutil.rmtree(trial)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ConfigurationError(
+            f"{folder}: cannot be made ({error.strerror})", "name another folder with -o"
+        ) from None
+
+
+def _estimate(trial: Trial, samples: Samples, variant: str, log: Path) -> Estimate:
+    """What a subscriber receives while the trial is replayed with a variant."""
+    # ROS is imported only where a graph runs: the rest works without it.
+    from socket_testbed.nodes.estimate_listener import EstimateListener
+
+    settings = EstimatorSettings()
+    settings = dataclasses.replace(
+        settings, identification=dataclasses.replace(settings.identification, variant=variant)
+    )
+    replay = ReplaySettings(trial=str(trial.path.resolve()), rate=_RATE)
+    with log.open("w", encoding="utf-8") as output, EstimateListener() as listener:
+        replay_with_estimator(trial, replay, settings, output)
+        print(
+            f"   {variant}: {len(listener.wrench)} of {len(samples)} samples predicted,"
+            f" {listener.models} models fitted on the way"
+        )
+        return listener.series(samples.stamps.tolist(), len(trial.geometry))
+
+
+def _errors(
+    samples: Samples,
+    geometry: SocketGeometry,
+    truth: GroundTruth,
+    estimates: dict[str, Estimate],
+    rows: BoolArray,
+) -> str:
+    header = ["RMSE", "unit"]
+    for variant in estimates:
+        header += [f"{variant}", "to truth", "skill"]
+    lines = []
+    for i, name in enumerate(WRENCH_CHANNELS):
+        cells = [name, channel_unit(name)]
+        for wrench, _ in estimates.values():
+            cells += _cells(name, samples.wrench[rows, i], truth.wrench[rows, i], wrench[rows, i])
+        lines.append(cells)
+    for column, cluster in enumerate(samples.clusters):
+        tile = geometry.clusters[cluster]
+        in_cluster = truth.forces[:, tile] @ geometry.rotations[tile]
+        for axis, channel in enumerate(LOCAL_CHANNELS):
+            name = f"{cluster}.{channel}"
+            cells = [name, "N"]
+            for _, forces in estimates.values():
+                predicted = (forces[:, tile] @ geometry.rotations[tile])[rows, axis]
+                measured = samples.local_forces[rows, column, axis]
+                cells += _cells(name, measured, in_cluster[rows, axis], predicted)
+            lines.append(cells)
+    return table(header, lines)
+
+
+def _cells(name: str, measured: FloatArray, truth: FloatArray, predicted: FloatArray) -> list[str]:
+    to_measured = channel_errors(name, measured, predicted)
+    to_truth = channel_errors(name, truth, predicted)
+    return [number(to_measured.rmse), number(to_truth.rmse), number(to_measured.skill, 2)]
+
+
+def _everywhere(
+    geometry: SocketGeometry,
+    truth: GroundTruth,
+    estimates: dict[str, Estimate],
+    rows: BoolArray,
+) -> str:
+    """How far the forces are off on the tiles without a sensor, against predicting zero."""
+    bare = np.setdiff1d(np.arange(len(geometry)), list(geometry.clusters.values()))
+    actual = truth.forces[rows][:, bare]
+    size = np.sqrt((actual**2).sum(axis=2).mean())
+    parts = []
+    for variant, (_, forces) in estimates.items():
+        error = np.sqrt(((forces[rows][:, bare] - actual) ** 2).sum(axis=2).mean())
+        parts.append(f"{variant} {error:.2f} N ({error / size:.2f} of predicting zero)")
+    return f"force on the {len(bare)} tiles without a sensor, RMSE to truth: " + ", ".join(parts)

@@ -1,0 +1,45 @@
+"""`record`: record the graph as a trial until Ctrl-C."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+from socket_testbed.files import refuse_existing
+from socket_testbed.processes import Graph
+from socket_testbed.settings import RecorderSettings
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of the verb."""
+    parser.add_argument("directory", type=Path, metavar="DIR", help="folder of the new trial")
+    for name in ("geometry", "calibration", "params"):
+        parser.add_argument(
+            f"--{name}", type=Path, metavar="FILE.yaml", help=f"{name} to store in the trial"
+        )
+    parser.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace) -> None:
+    """Record until interrupted."""
+    refuse_existing(options.directory)
+    settings = RecorderSettings(
+        directory=str(options.directory.resolve()),
+        record=True,
+        geometry=_resolved(options.geometry),
+        calibration=_resolved(options.calibration),
+        parameters=_resolved(options.params),
+    )
+    with Graph() as graph:
+        graph.start("recorder_node", settings)
+        print(f"recording {options.directory}; Ctrl-C ends it", file=sys.stderr)
+        try:
+            graph.wait("recorder_node")
+        except KeyboardInterrupt:
+            graph.stop()
+    print(f"{options.directory}")
+
+
+def _resolved(path: Path | None) -> str:
+    return str(path.resolve()) if path else ""

@@ -1,0 +1,102 @@
+"""`replay`: publish a trial with /clock, with the estimator if wanted."""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+from pathlib import Path
+from typing import IO
+
+from socket_testbed.commands.options import (
+    add_identification,
+    add_trial,
+    estimator_settings,
+    trial_of,
+)
+from socket_testbed.documents import check_number
+from socket_testbed.identification.model_file import read_model
+from socket_testbed.processes import Graph
+from socket_testbed.settings import CalibrationNodeSettings, EstimatorSettings, ReplaySettings
+from socket_testbed.trials.trial import (
+    CALIBRATION_FILE,
+    SOCKET_FILE,
+    Trial,
+    required_topics,
+)
+
+_ESTIMATING = ("calibration_node", "estimator_node")
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of the verb."""
+    add_trial(parser)
+    add_identification(parser)
+    parser.add_argument(
+        "--rate", type=float, default=1.0, metavar="X", help="speed against the recording"
+    )
+    parser.add_argument("--loop", action="store_true", help="start again at the end")
+    parser.add_argument("--paused", action="store_true", help="start paused (replay/pause)")
+    parser.add_argument(
+        "--estimate", action="store_true", help="run the calibration and estimator nodes too"
+    )
+    parser.add_argument(
+        "--model", type=Path, metavar="MODEL", help="start with this model (with --estimate)"
+    )
+    parser.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace) -> None:
+    """Replay until the end of the trial."""
+    check_number(options.rate, "--rate", 1e-3, 1e4)
+    trial = trial_of(options)
+    replay = ReplaySettings(
+        trial=str(trial.path.resolve()),
+        rate=options.rate,
+        loop=options.loop,
+        paused=options.paused,
+    )
+    if not options.estimate:
+        with trial.open():
+            pass  # a trial that cannot be read is named before any node starts
+        with Graph() as graph:
+            graph.start("replay_node", replay)
+            graph.wait("replay_node")
+        return
+    settings = estimator_settings(options, trial)
+    if options.model is not None:
+        read_model(options.model)
+        settings = dataclasses.replace(settings, model=str(options.model.resolve()))
+    replay_with_estimator(trial, replay, settings)
+
+
+def replay_with_estimator(
+    trial: Trial,
+    replay: ReplaySettings,
+    estimator: EstimatorSettings,
+    output: IO[str] | None = None,
+) -> None:
+    """Replay a trial through the calibration and estimator nodes.
+
+    Args:
+        trial: The trial; its geometry and calibration are used.
+        replay: How it is replayed.
+        estimator: Settings of the estimator.
+        output: Where the nodes print to; None for this process's own output.
+
+    Raises:
+        TestbedError: If the trial or its configuration is wrong, or a node fails.
+    """
+    # What is wrong with the files is named here, in one line, before any node starts.
+    with trial.open() as bag:
+        required_topics(bag)
+    trial.calibration.require(trial.geometry.clusters, f"the trial {trial.path}")
+    socket_file = trial.configuration(SOCKET_FILE, trial.socket_file)
+    calibration_file = trial.configuration(CALIBRATION_FILE, trial.calibration_file)
+    calibration = CalibrationNodeSettings(calibration=str(calibration_file.resolve()))
+    estimator = dataclasses.replace(estimator, geometry=str(socket_file.resolve()))
+    replay = dataclasses.replace(replay, measured_only=True, wait_for=_ESTIMATING)
+    with Graph(output) as graph:
+        graph.start("calibration_node", calibration, use_sim_time=True)
+        graph.start("estimator_node", estimator, use_sim_time=True)
+        graph.start("replay_node", replay)
+        graph.wait("replay_node")

@@ -1,0 +1,171 @@
+"""Models on the disk: parameters, geometry, settings, certificates and the trial's identity."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from socket_testbed.arrays import FloatArray
+from socket_testbed.contact import VARIANTS, ContactModel
+from socket_testbed.documents import Section, closest
+from socket_testbed.errors import ConfigurationError
+from socket_testbed.files import whole_output
+from socket_testbed.geometry.socket import SocketGeometry, socket_from_section
+from socket_testbed.identification.fit import Fit
+from socket_testbed.settings import IdentificationSettings
+
+_FORMAT = "socket_testbed model 1"
+_KEYS = ("format", "trial", "segment", "settings", "geometry", "parameters", "quality")
+_PARAMETERS = (
+    "variant",
+    "sharpness",
+    "stiffness",
+    "rest_positions",
+    "wrench_bias",
+    "force_bias",
+    "clusters",
+)
+
+
+@dataclass(frozen=True)
+class StoredModel:
+    """A model read from its file.
+
+    Attributes:
+        model: The contact model.
+        geometry: Geometry of the socket it was fitted on.
+        settings: Settings of its identification.
+        samples: Number of samples of its fit.
+        last_stamp: Stamp of the newest of them [ns].
+        wrench_rmse: Errors of its fit, shape (6,) [N m, N].
+        status: The solver's verdict, in words.
+        trial: Name of the trial it was fitted on.
+    """
+
+    model: ContactModel
+    geometry: SocketGeometry
+    settings: IdentificationSettings
+    samples: int
+    last_stamp: int
+    wrench_rmse: FloatArray
+    status: str
+    trial: str
+
+
+def write_model(
+    fit: Fit, geometry: SocketGeometry, trial: dict[str, Any], segment: str, path: Path
+) -> None:
+    """Write a fitted model as JSON.
+
+    Args:
+        fit: The fit.
+        geometry: Geometry of the socket.
+        trial: What identifies the trial; its `name` at least.
+        segment: The segment of the trial.
+        path: The file; an older one is replaced.
+
+    Raises:
+        ConfigurationError: If the file cannot be written.
+    """
+    model = fit.model
+    document = {
+        "format": _FORMAT,
+        "trial": trial,
+        "segment": segment,
+        "settings": fit.settings.to_flat(),
+        "geometry": geometry.to_document(),
+        "parameters": {
+            "variant": model.variant,
+            "sharpness": model.sharpness,
+            "stiffness": model.stiffness.tolist(),
+            "rest_positions": model.rest_positions.tolist(),
+            "wrench_bias": model.wrench_bias.tolist(),
+            "force_bias": {name: bias.tolist() for name, bias in model.force_bias.items()},
+            "clusters": list(model.cluster_points),
+        },
+        "quality": {
+            "samples": fit.samples,
+            "last_stamp": fit.last_stamp,
+            "determined_directions": fit.determined,
+            "status": fit.status,
+            "stage_1": dataclasses.asdict(fit.stage_one.certificate),
+            "stage_2": dataclasses.asdict(fit.stage_two.certificate),
+            "errors": [finite_or_null(dataclasses.asdict(error)) for error in fit.errors],
+        },
+    }
+    with whole_output(path) as staging:
+        staging.write_text(json.dumps(document, indent=1, allow_nan=False), encoding="utf-8")
+
+
+def finite_or_null(record: dict[str, Any]) -> dict[str, Any]:
+    """A record for JSON, which has no NaN: None stands for it."""
+    return {
+        key: None if isinstance(value, float) and not math.isfinite(value) else value
+        for key, value in record.items()
+    }
+
+
+def read_model(path: Path) -> StoredModel:
+    """Read a model.
+
+    Raises:
+        ConfigurationError: If the file is missing or is no model.
+    """
+    try:
+        data = json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise ConfigurationError(f"{path}: no such model", "check the path") from None
+    except (OSError, ValueError) as error:
+        raise ConfigurationError(
+            f"{path}: is no model ({error})", "give a file that 'fit' wrote"
+        ) from None
+    document = Section(data, str(path)).expect(_KEYS)
+    if document.text("format") != _FORMAT:
+        raise ConfigurationError(
+            f"{path}: is of the format '{document.text('format')}'", "fit the trial again"
+        )
+    geometry = socket_from_section(document.section("geometry"))
+    settings_section = document.section("settings")
+    values = {name: settings_section.take(name) for name in settings_section.names()}
+    parameters = document.section("parameters").expect(_PARAMETERS)
+    quality = document.section("quality")
+    errors = quality.take("errors")[:6]
+    return StoredModel(
+        model=_model(parameters, geometry),
+        geometry=geometry,
+        settings=IdentificationSettings.from_flat(values, f"{path}: settings"),
+        samples=int(quality.number("samples", 0)),
+        last_stamp=int(quality.take("last_stamp")),
+        wrench_rmse=np.array([float(error["rmse"]) for error in errors]),
+        status=quality.text("status"),
+        trial=document.section("trial").text("name"),
+    )
+
+
+def _model(parameters: Section, geometry: SocketGeometry) -> ContactModel:
+    variant = parameters.text("variant")
+    if variant not in VARIANTS:
+        raise ConfigurationError(
+            f"{parameters.where}: variant is '{variant}'", closest(variant, VARIANTS)
+        )
+    bias = parameters.section("force_bias").expect(geometry.clusters)
+    clusters = parameters.take("clusters")
+    points = len(geometry)
+    return ContactModel(
+        variant=variant,
+        names=geometry.names,
+        anchors=geometry.anchors,
+        rotations=geometry.rotations,
+        stiffness=parameters.array("stiffness", (points, 3)),
+        rest_positions=parameters.array("rest_positions", (points, 3)),
+        sharpness=parameters.number("sharpness", 1.0),
+        wrench_bias=parameters.array("wrench_bias", (6,)),
+        force_bias={name: bias.array(name, (3,)) for name in bias.names()},
+        cluster_points={name: geometry.clusters[name] for name in clusters},
+    )

@@ -1,0 +1,188 @@
+"""Conversions between the core's records and ROS messages, in pairs where both are needed."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from builtin_interfaces.msg import Time
+from geometry_msgs.msg import Point, Pose, Vector3, Wrench
+from scipy.spatial.transform import Rotation
+from socket_testbed_msgs.msg import (
+    ClusterStress,
+    ClusterStressArray,
+    LocalForceArray,
+)
+from socket_testbed_msgs.msg import ContactModel as ContactModelMessage
+from std_msgs.msg import Header
+from visualization_msgs.msg import Marker, MarkerArray
+
+from socket_testbed.arrays import FloatArray, StatusArray
+from socket_testbed.contact import ContactModel
+from socket_testbed.identification.fit import Fit
+from socket_testbed.identification.model_file import StoredModel
+
+LOAD_CELL_FRAME = "load_cell"
+
+_ARROW_SCALE = 0.002  # [m/N]
+_FULL_COLOUR_FORCE = 25.0  # [N]
+
+
+def stamp_from_ros(stamp: Time) -> int:
+    """Nanoseconds since the epoch."""
+    return int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
+
+
+def stamp_to_ros(stamp: int) -> Time:
+    """Stamp from nanoseconds since the epoch."""
+    seconds, nanoseconds = divmod(stamp, 1_000_000_000)
+    return Time(sec=seconds, nanosec=nanoseconds)
+
+
+def header_to_ros(stamp: int, frame: str = "") -> Header:
+    """Header from nanoseconds since the epoch and a frame."""
+    return Header(stamp=stamp_to_ros(stamp), frame_id=frame)
+
+
+def wrench_from_ros(wrench: Wrench) -> FloatArray:
+    """[M; F], shape (6,) [N m, N]."""
+    t, f = wrench.torque, wrench.force
+    return np.array([t.x, t.y, t.z, f.x, f.y, f.z])
+
+
+def wrench_to_ros(wrench: FloatArray) -> Wrench:
+    """Wrench from [M; F], shape (6,) [N m, N]."""
+    return Wrench(torque=vector_to_ros(wrench[:3]), force=vector_to_ros(wrench[3:]))
+
+
+def vector_to_ros(vector: FloatArray) -> Vector3:
+    """Vector3 from an array of shape (3,)."""
+    x, y, z = vector.tolist()
+    return Vector3(x=x, y=y, z=z)
+
+
+def vectors_from_ros(vectors: list[Vector3]) -> FloatArray:
+    """Array of shape (n, 3) from n Vector3."""
+    return np.array([(v.x, v.y, v.z) for v in vectors]).reshape(-1, 3)
+
+
+def pose_from_ros(pose: Pose) -> FloatArray:
+    """Position [m] and quaternion (x, y, z, w), shape (7,)."""
+    p, q = pose.position, pose.orientation
+    return np.array([p.x, p.y, p.z, q.x, q.y, q.z, q.w])
+
+
+def stress_from_ros(message: ClusterStressArray) -> dict[str, tuple[FloatArray, int]]:
+    """Normal stress, shear x, shear y [Pa] and status by cluster."""
+    return {
+        c.name: (np.array([c.normal, c.shear_x, c.shear_y]), int(c.status))
+        for c in message.clusters
+    }
+
+
+def stress_to_ros(
+    stamp: int, names: list[str], stress: FloatArray, status: StatusArray
+) -> ClusterStressArray:
+    """Message from stresses, shape (c, 3) [Pa], and statuses, shape (c,)."""
+    clusters = [
+        ClusterStress(
+            name=name,
+            normal=float(values[0]),
+            shear_x=float(values[1]),
+            shear_y=float(values[2]),
+            status=int(state),
+        )
+        for name, values, state in zip(names, stress, status, strict=True)
+    ]
+    return ClusterStressArray(header=header_to_ros(stamp), clusters=clusters)
+
+
+def local_forces_to_ros(stamp: int, names: tuple[str, ...], forces: FloatArray) -> LocalForceArray:
+    """Message from forces in {S}, shape (n, 3) [N]."""
+    return LocalForceArray(
+        header=header_to_ros(stamp, LOAD_CELL_FRAME),
+        names=list(names),
+        forces=[Vector3(x=x, y=y, z=z) for x, y, z in forces.tolist()],
+    )
+
+
+def fit_to_ros(fit: Fit) -> ContactModelMessage:
+    """Message from a fit."""
+    rmse = np.array([error.rmse for error in fit.errors[:6]])
+    return _model_to_ros(fit.model, fit.last_stamp, rmse, fit.samples, fit.status)
+
+
+def stored_model_to_ros(stored: StoredModel) -> ContactModelMessage:
+    """Message from a model read from its file."""
+    return _model_to_ros(
+        stored.model, stored.last_stamp, stored.wrench_rmse, stored.samples, stored.status
+    )
+
+
+def _model_to_ros(
+    model: ContactModel, stamp: int, wrench_rmse: FloatArray, samples: int, status: str
+) -> ContactModelMessage:
+    return ContactModelMessage(
+        header=header_to_ros(stamp, LOAD_CELL_FRAME),
+        variant=model.variant,
+        names=list(model.names),
+        stiffness=[vector_to_ros(row) for row in model.stiffness],
+        rest_positions=[vector_to_ros(row) for row in model.rest_positions],
+        wrench_bias=wrench_to_ros(model.wrench_bias),
+        bias_names=list(model.force_bias),
+        force_bias=[vector_to_ros(row) for row in model.force_bias.values()],
+        wrench_rmse=wrench_to_ros(wrench_rmse),
+        samples=samples,
+        solver_status=status,
+    )
+
+
+def pressure_map_to_ros(
+    stamp: int, model: ContactModel, areas: FloatArray, forces: FloatArray
+) -> MarkerArray:
+    """One tile and one arrow a point of interest, for RViz.
+
+    Args:
+        stamp: Stamp since the epoch [ns].
+        model: The model, for the anchors and frames of the points.
+        areas: Areas of the tiles, shape (n,) [m^2].
+        forces: Forces on the socket in {S}, shape (n, 3) [N].
+    """
+    header = header_to_ros(stamp, LOAD_CELL_FRAME)
+    normal_forces = -np.einsum("ni,ni->n", forces, model.rotations[:, :, 2])
+    markers: list[Any] = []
+    for i, anchor in enumerate(model.anchors):
+        position = Point(**dict(zip("xyz", anchor.tolist(), strict=True)))
+        tile = Marker(header=header, ns="tiles", id=i, type=Marker.CUBE, action=Marker.ADD)
+        tile.pose.position = position
+        x, y, z, w = quaternion_from_matrix(model.rotations[i])
+        tile.pose.orientation.x, tile.pose.orientation.y = x, y
+        tile.pose.orientation.z, tile.pose.orientation.w = z, w
+        tile.scale.x = tile.scale.y = math.sqrt(areas[i])
+        tile.scale.z = 0.001
+        _paint(tile, float(normal_forces[i]))
+        arrow = Marker(header=header, ns="forces", id=i, type=Marker.ARROW, action=Marker.ADD)
+        tip = anchor + _ARROW_SCALE * np.nan_to_num(forces[i])
+        arrow.points = [position, Point(**dict(zip("xyz", tip.tolist(), strict=True)))]
+        arrow.scale.x, arrow.scale.y = 0.002, 0.004
+        _paint(arrow, float(normal_forces[i]))
+        markers += [tile, arrow]
+    return MarkerArray(markers=markers)
+
+
+def quaternion_from_matrix(rotation: FloatArray) -> tuple[float, float, float, float]:
+    """Quaternion (x, y, z, w) of a rotation matrix, shape (3, 3)."""
+    x, y, z, w = Rotation.from_matrix(rotation).as_quat().tolist()
+    return x, y, z, w
+
+
+def _paint(marker: Marker, normal_force: float) -> None:
+    """From pale to dark red with the normal force; grey where it is not known."""
+    if not math.isfinite(normal_force):
+        marker.color.r = marker.color.g = marker.color.b = 0.6
+    else:
+        share = min(max(normal_force / _FULL_COLOUR_FORCE, 0.0), 1.0)
+        marker.color.r = 1.0 - 0.4 * share
+        marker.color.g = marker.color.b = 0.9 * (1.0 - share)
+    marker.color.a = 0.9

@@ -1,0 +1,106 @@
+"""What a node reports of itself on /diagnostics: 1 Hz, and at once on a change of level."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+from rclpy.subscription import Subscription
+
+from socket_testbed.nodes.runtime import publisher_qos
+from socket_testbed.trials.topics import DIAGNOSTICS
+
+OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
+
+WAITING_FOR = "waiting_for"
+NEWEST_STAMP = "newest_stamp"
+
+_PERIOD = 1.0  # [s]
+_LOOK = 0.1  # [s]; how often the links are looked at
+
+
+class Diagnostics:
+    """The diagnostics of one node.
+
+    Args:
+        node: The node.
+        values: Called for the figures to report, by name.
+        inputs: Subscriptions that want a publisher.
+        outputs: Publishers that other nodes of the testbed want to be matched.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        values: Callable[[], dict[str, object]],
+        inputs: tuple[Subscription, ...] = (),
+        outputs: tuple[Publisher, ...] = (),
+    ) -> None:
+        self._node = node
+        self._values = values
+        self._inputs = inputs
+        self._outputs = outputs
+        self._publisher = node.create_publisher(
+            DiagnosticArray, DIAGNOSTICS.name, publisher_qos(DIAGNOSTICS)
+        )
+        self._level, self._message = OK, "started"
+        self._waiting: list[str] | None = None
+        self._ticks = 0
+        # A steady clock: diagnostics go on when the system clock jumps or the replay pauses.
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self._timer = node.create_timer(_LOOK, self._look, clock=steady)
+
+    def report(self, level: bytes, message: str) -> None:
+        """Say how the node is; a new level or message goes out at once.
+
+        Args:
+            level: OK, WARN or ERROR.
+            message: The fact and the mend in one line.
+        """
+        if (level, message) == (self._level, self._message):
+            return
+        changed = level != self._level
+        self._level, self._message = level, message
+        logger = self._node.get_logger()
+        if level == ERROR:
+            logger.error(message)
+        elif level == WARN:
+            logger.warning(message)
+        else:
+            logger.info(message)
+        if changed:
+            self._publish()
+
+    def _look(self) -> None:
+        waiting = self._unlinked()
+        self._ticks += 1
+        if waiting != self._waiting or self._ticks * _LOOK >= _PERIOD:
+            self._waiting = waiting
+            self._publish()
+
+    def _unlinked(self) -> list[str]:
+        """Topics without a counterpart in the graph."""
+        waiting = [
+            s.topic_name for s in self._inputs if self._node.count_publishers(s.topic_name) == 0
+        ]
+        waiting += [p.topic_name for p in self._outputs if p.get_subscription_count() == 0]
+        return waiting
+
+    def _publish(self) -> None:
+        self._ticks = 0
+        values = {WAITING_FOR: ", ".join(self._waiting or []), **self._values()}
+        if self._waiting is None:
+            values[WAITING_FOR] = "(not looked yet)"
+        status = DiagnosticStatus(
+            level=self._level,
+            name=self._node.get_name(),
+            message=self._message,
+            hardware_id="",
+            values=[KeyValue(key=key, value=str(value)) for key, value in values.items()],
+        )
+        message = DiagnosticArray(status=[status])
+        message.header.stamp = self._node.get_clock().now().to_msg()
+        self._publisher.publish(message)

@@ -1,0 +1,141 @@
+"""Recorder node: all topics of the testbed as raw bytes into a trial (MCAP).
+
+Subscribes: every topic of the testbed. Publishes: /diagnostics. Service: recorder/record.
+"""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from datetime import datetime
+from functools import partial
+from pathlib import Path
+
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
+from rclpy.task import Future
+from std_srvs.srv import SetBool
+
+from socket_testbed.errors import ConfigurationError
+from socket_testbed.files import refuse_existing
+from socket_testbed.nodes.diagnostics import ERROR, OK, Diagnostics
+from socket_testbed.nodes.parameters import Parameters
+from socket_testbed.nodes.runtime import message_type, run_node, subscriber_qos
+from socket_testbed.settings import RecorderSettings
+from socket_testbed.trials.bag import BagWriter
+from socket_testbed.trials.topics import TOPICS
+from socket_testbed.trials.trial import store_configuration
+
+
+class RecorderNode(Node):
+    """Records while it is told to, one trial a recording."""
+
+    def __init__(self) -> None:
+        super().__init__("recorder_node")
+        self.finished = Future()
+        self._settings = Parameters(self, RecorderSettings).settings
+        self._bag: BagWriter | None = None
+        self._path: Path | None = None
+        self._messages = 0
+        self._topics = {self.resolve_topic_name(topic.name): topic for topic in TOPICS}
+        self._subscriptions = [
+            self.create_subscription(
+                message_type(topic),
+                name,
+                partial(self._on_message, name),
+                subscriber_qos(topic),
+                raw=True,
+            )
+            for name, topic in self._topics.items()
+        ]
+        self._service = self.create_service(SetBool, "recorder/record", self._on_record)
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self._timer = self.create_timer(self._settings.flush_period, self._flush, clock=steady)
+        self._diagnostics = Diagnostics(
+            self, lambda: {"messages": self._messages, "trial": self._path or ""}
+        )
+        if self._settings.record:
+            self._start(Path(self._settings.directory))
+
+    def close(self) -> None:
+        """Close the trial."""
+        self._finish()
+
+    def _on_record(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
+        try:
+            if request.data and self._bag is None:
+                name = datetime.now().strftime("trial_%Y%m%d_%H%M%S")
+                self._start(Path(self._settings.directory) / name)
+            elif not request.data:
+                self._finish()
+        except ConfigurationError as error:
+            response.message = str(error)
+            return response
+        response.success = True
+        response.message = f"{'recording' if self._bag else 'recorded'} {self._path}"
+        return response
+
+    def _start(self, path: Path) -> None:
+        refuse_existing(path)
+        settings = self._settings
+        try:
+            bag = BagWriter(path)
+            bag.__enter__()
+            for name, topic in self._topics.items():
+                bag.add_topic(name, topic)
+            store_configuration(
+                path,
+                *(
+                    Path(file) if file else None
+                    for file in (settings.geometry, settings.calibration, settings.parameters)
+                ),
+            )
+        except OSError as error:
+            raise ConfigurationError(
+                f"{path}: cannot be written ({error.strerror})", "check the folder and the space"
+            ) from None
+        self._bag, self._path, self._messages = bag, path, 0
+        self._diagnostics.report(OK, f"recording {path}")
+
+    def _finish(self) -> None:
+        if self._bag is None:
+            return
+        bag, self._bag = self._bag, None
+        bag.__exit__(None, None, None)
+        self._diagnostics.report(OK, f"recorded {self._messages} messages in {self._path}")
+
+    def _on_message(self, name: str, data: bytes) -> None:
+        if self._bag is None:
+            return
+        try:
+            self._bag.write(name, self.get_clock().now().nanoseconds, data)
+            self._messages += 1
+        except OSError as error:
+            self._give_up(error)
+
+    def _flush(self) -> None:
+        if self._bag is None:
+            return
+        try:
+            self._bag.flush()
+        except OSError as error:
+            self._give_up(error)
+
+    def _give_up(self, error: OSError) -> None:
+        """The disk takes no more: keep what is on it and say so."""
+        bag, self._bag = self._bag, None
+        if bag is not None:
+            with suppress(OSError):
+                bag.__exit__(None, None, None)
+        self._diagnostics.report(
+            ERROR,
+            f"recording stopped, {self._path} keeps what it has ({error.strerror}): make space",
+        )
+
+
+def main() -> None:
+    """Run the node."""
+    run_node(RecorderNode)
+
+
+if __name__ == "__main__":
+    main()

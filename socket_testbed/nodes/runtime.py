@@ -1,0 +1,95 @@
+"""How every node is run: one executor, clean ends, errors in one line."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from contextlib import suppress
+from importlib import import_module
+from typing import Any, Protocol
+
+import rclpy
+from rclpy.executors import ExternalShutdownException
+from rclpy.experimental.events_executor import EventsExecutor
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.task import Future
+
+from socket_testbed.errors import TestbedError
+from socket_testbed.lifeline import follow_starter
+from socket_testbed.trials.topics import PUBLISHER_DEPTH, Topic
+
+_TURN = 0.2  # [s]; how often the executor looks whether it is to end
+_SUBSCRIBER_DEPTH = 2000  # [messages]; a fast replay or a busy moment loses nothing
+
+
+class RunnableNode(Protocol):
+    """What `run_node` needs of a node, besides being one.
+
+    Attributes:
+        finished: Set when the node has done its work.
+    """
+
+    finished: Future
+
+    def close(self) -> None:
+        """End what the node has begun: called once, before it is destroyed."""
+
+    def destroy_node(self) -> None:
+        """Leave the graph."""
+
+
+def publisher_qos(topic: Topic) -> QoSProfile:
+    """Quality of service of a publisher: reliable, keep last 100, volatile, unless latched."""
+    durability = DurabilityPolicy.TRANSIENT_LOCAL if topic.latched else DurabilityPolicy.VOLATILE
+    return QoSProfile(
+        depth=1 if topic.latched else PUBLISHER_DEPTH,
+        reliability=ReliabilityPolicy.RELIABLE,
+        durability=durability,
+    )
+
+
+def subscriber_qos(topic: Topic) -> QoSProfile:
+    """Quality of service of the testbed's own subscribers: as offered, with a deep queue."""
+    qos = publisher_qos(topic)
+    qos.depth = _SUBSCRIBER_DEPTH
+    return qos
+
+
+def message_type(topic: Topic) -> Any:
+    """Class of a topic's message type."""
+    package, kind, name = topic.type.split("/")
+    return getattr(import_module(f"{package}.{kind}"), name)
+
+
+def run_node(make: Callable[[], RunnableNode]) -> None:
+    """Run a node until it has finished or is told to end, then exit.
+
+    Args:
+        make: Makes the node.
+    """
+    sys.exit(_run(make))
+
+
+def _run(make: Callable[[], RunnableNode]) -> int:
+    rclpy.init()
+    follow_starter()
+    node: RunnableNode | None = None
+    try:
+        node = make()
+        executor = EventsExecutor()
+        executor.add_node(node)
+        # spin() of this executor overflows its wait in Jazzy's release; turns do not.
+        while rclpy.ok() and not node.finished.done():
+            executor.spin_until_future_complete(node.finished, timeout_sec=_TURN)
+        return 0
+    except (KeyboardInterrupt, ExternalShutdownException):
+        return 0
+    except TestbedError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 1
+    finally:
+        if node is not None:
+            with suppress(KeyboardInterrupt):
+                node.close()
+            node.destroy_node()
+        rclpy.try_shutdown()

@@ -1,0 +1,1 @@
+"""Simulated trials, from a physics that is not the estimator's law."""

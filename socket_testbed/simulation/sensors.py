@@ -1,0 +1,159 @@
+"""Sensor models: what the clusters, the load cell and the cameras make of the truth."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import root
+from scipy.spatial.transform import Rotation
+
+from socket_testbed.arrays import FloatArray
+from socket_testbed.calibration import ClusterCalibration, shear_terms
+from socket_testbed.geometry.pose import Pose
+
+_CONVERTER_STEP = 2.0**-19  # [pF]; of the FDC1004
+_DIFFERENCES = 0.5 * np.array([[-1.0, 1.0, -1.0, 1.0], [1.0, 1.0, -1.0, -1.0]])
+
+
+@dataclass(frozen=True)
+class SensorErrors:
+    """Sizes of the errors of all sensors.
+
+    Attributes:
+        gain_mismatch: Spread of the gains of a cluster's channels [-].
+        offset: Spread of the offsets of a cluster's channels [pF].
+        cross_talk: Part of a neighbouring channel's change that a channel picks up [-].
+        capacitance_drift: Spread of the drift of a channel [pF/s].
+        capacitance_noise: Noise of a channel [pF].
+        placement: Spread of a cluster's rotation about its normal [rad].
+        force_noise: Noise of the load cell's forces [N].
+        moment_noise: Noise of the load cell's moments [N m].
+        force_offset: Spread of the forces' offsets after taring [N].
+        moment_offset: Spread of the moments' offsets after taring [N m].
+        marker_noise: Noise of a marker's coordinate [m].
+        drop_out: Chance that a marker is occluded in a frame [-].
+        label_swap: Chance that two labels of a body are swapped in a frame [-].
+        registration: Spread of the error of a body's registration [m].
+        registration_angle: The same for its rotation [rad].
+    """
+
+    gain_mismatch: float = 0.02
+    offset: float = 0.03
+    cross_talk: float = 0.03
+    capacitance_drift: float = 1.0e-4
+    capacitance_noise: float = 0.002
+    placement: float = 0.05
+    force_noise: float = 0.15
+    moment_noise: float = 0.01
+    force_offset: float = 0.8
+    moment_offset: float = 0.05
+    marker_noise: float = 5.0e-5
+    drop_out: float = 0.002
+    label_swap: float = 0.002
+    registration: float = 5.0e-4
+    registration_angle: float = 0.003
+
+
+def invert_calibration(calibration: ClusterCalibration, stress: FloatArray) -> FloatArray:
+    """Capacitances by input that a calibration turns into given stresses.
+
+    Args:
+        calibration: Calibration of the cluster.
+        stress: Normal stress, shear x, shear y, shape (N, 3) [Pa].
+
+    Returns:
+        Capacitances, shape (N, 4) [pF].
+    """
+    mean = (stress[:, 0] - calibration.normal[0]) / calibration.normal[1]
+    differences = np.empty((len(stress), 2))
+    guess = np.zeros(2)
+    for k, shear in enumerate(stress[:, 1:]):
+
+        def miss(d: FloatArray, shear: FloatArray = shear) -> FloatArray:
+            terms = shear_terms(np.array(d[0]), np.array(d[1]))
+            return calibration.shear @ terms - shear
+
+        guess = root(miss, guess, tol=1e-9).x
+        differences[k] = guess
+    # mean and differences from four channels; the fourth combination, a twist, is zero.
+    channels = mean[:, None] + 0.5 * differences @ np.sign(_DIFFERENCES)
+    inputs = np.empty_like(channels)
+    inputs[:, calibration.wiring] = channels
+    return inputs
+
+
+def measure_capacitance(
+    calibration: ClusterCalibration,
+    stress: FloatArray,
+    time: FloatArray,
+    errors: SensorErrors,
+    rng: np.random.Generator,
+) -> FloatArray:
+    """What a cluster's converter reads under a stress.
+
+    Args:
+        calibration: What the cluster was calibrated to be.
+        stress: Normal stress, shear x, shear y in the cluster's nominal frame, (N, 3) [Pa].
+        time: Times, shape (N,) [s].
+        errors: Sizes of the errors.
+        rng: Their source.
+
+    Returns:
+        Capacitances by input, shape (N, 4) [pF].
+    """
+    turn = rng.normal(0.0, errors.placement)
+    c, s = np.cos(turn), np.sin(turn)
+    turned = stress.copy()
+    turned[:, 1:] = stress[:, 1:] @ np.array([[c, -s], [s, c]])
+    ideal = invert_calibration(calibration, turned)
+    rest = invert_calibration(calibration, np.zeros((1, 3)))
+    change = ideal - rest
+    mixing = (1.0 - errors.cross_talk) * np.eye(4) + errors.cross_talk / 4.0
+    gains = 1.0 + rng.normal(0.0, errors.gain_mismatch, 4)
+    offsets = rng.normal(0.0, errors.offset, 4)
+    drift = np.outer(time, rng.normal(0.0, errors.capacitance_drift, 4))
+    noise = rng.normal(0.0, errors.capacitance_noise, ideal.shape)
+    read = rest + change @ mixing.T * gains + offsets + drift + noise
+    return np.round(read / _CONVERTER_STEP) * _CONVERTER_STEP
+
+
+def measure_wrench(
+    wrench: FloatArray, errors: SensorErrors, rng: np.random.Generator
+) -> FloatArray:
+    """What the load cell reads under wrenches [M; F], shape (N, 6) [N m, N]."""
+    noise = np.repeat([errors.moment_noise, errors.force_noise], 3)
+    offset = np.repeat([errors.moment_offset, errors.force_offset], 3)
+    return wrench + rng.normal(0.0, 1.0, 6) * offset + rng.normal(0.0, 1.0, wrench.shape) * noise
+
+
+def misregister(pose: Pose, errors: SensorErrors, rng: np.random.Generator) -> Pose:
+    """The pose that is true where another was registered."""
+    turn = Rotation.from_rotvec(rng.normal(0.0, errors.registration_angle, 3)).as_matrix()
+    shift = rng.normal(0.0, errors.registration, 3)
+    return Pose(pose.rotation @ turn, pose.translation + shift)
+
+
+def observe_markers(
+    pose: Pose, markers: FloatArray, errors: SensorErrors, rng: np.random.Generator
+) -> FloatArray:
+    """What the cameras see of a body's triad.
+
+    Args:
+        pose: Poses of the body in the world, N of them.
+        markers: The triad in the body's frame, shape (3, 3) [m].
+        errors: Sizes of the errors.
+        rng: Their source.
+
+    Returns:
+        Labelled positions in the world, shape (N, 3, 3) [m]; NaN where occluded.
+    """
+    seen = markers @ np.swapaxes(pose.rotation, 1, 2) + pose.translation[:, None]
+    seen += rng.normal(0.0, errors.marker_noise, seen.shape)
+    count = len(seen)
+    swapped = np.flatnonzero(rng.uniform(size=count) < errors.label_swap)
+    for k in swapped:
+        pair = rng.choice(3, 2, replace=False)
+        seen[k, pair] = seen[k, pair[::-1]]
+    seen[rng.uniform(size=(count, 3)) < errors.drop_out] = np.nan
+    return seen

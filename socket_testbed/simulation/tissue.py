@@ -1,0 +1,195 @@
+"""Physics of a limb in a socket: tissue that stiffens, friction, creep.
+
+Nothing here knows the estimator's law: the normal pressure grows exponentially with the
+compression along the surface's own normal, the shear sticks and slips after Coulomb, the
+compliance varies over the surface, and a part of the compression relaxes with time. The
+surface is finer than the tiles and reaches between them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import root
+
+from socket_testbed.arrays import FloatArray, IntArray
+from socket_testbed.errors import TestbedError
+from socket_testbed.geometry.socket import SocketGeometry
+
+_GRID = 3  # points along the edge of a tile
+_GAP_AREA = 0.25  # [-]; area between the tiles, against the tiles' own
+_LENGTH = 0.1  # [m]; turns rotations into lengths for the solver
+_BALANCE = 1e-4  # [N]; largest imbalance of the forces
+
+
+class EquilibriumError(TestbedError):
+    """The limb finds no equilibrium under a load."""
+
+
+@dataclass(frozen=True)
+class Tissue:
+    """Mechanical properties of the surface points.
+
+    Attributes:
+        points: Positions in {S}, shape (p, 3) [m].
+        normals: Inward normals, shape (p, 3) [-].
+        areas: Areas, shape (p,) [m^2].
+        tile: Index of the tile that each point is on, -1 between the tiles, shape (p,).
+        modulus: Pressure per compression at first contact, shape (p,) [Pa/m].
+        stiffening: Compression over which the modulus grows by e [m].
+        shear_modulus: Shear stress per sliding while it sticks, shape (p,) [Pa/m].
+        friction: Coefficient of friction [-].
+        fit: Compression when the limb is donned, negative for a gap, shape (p,) [m].
+        creep: Part of the compression that relaxes [-].
+        creep_time: Time constant of the relaxation [s].
+    """
+
+    points: FloatArray
+    normals: FloatArray
+    areas: FloatArray
+    tile: IntArray
+    modulus: FloatArray
+    stiffening: float
+    shear_modulus: FloatArray
+    friction: float
+    fit: FloatArray
+    creep: float
+    creep_time: float
+
+
+def make_tissue(geometry: SocketGeometry, rng: np.random.Generator) -> Tissue:
+    """Tissue with properties that vary smoothly over a socket's surface.
+
+    Args:
+        geometry: Geometry of the socket.
+        rng: Source of the variation.
+    """
+    edges = np.sqrt(geometry.areas)
+    offsets = (np.arange(_GRID) + 0.5) / _GRID - 0.5
+    grid = np.array([[x, y, 0.0] for x in offsets for y in offsets])
+    on_tiles = geometry.anchors[:, None] + np.einsum(
+        "nij,gj->ngi", geometry.rotations, grid
+    ) * edges.reshape(-1, 1, 1)
+    normals = geometry.rotations[:, :, 2]
+    a, b = geometry.neighbours.T
+    between = 0.5 * (geometry.anchors[a] + geometry.anchors[b])
+    between_normals = normals[a] + normals[b]
+    between_normals /= np.linalg.norm(between_normals, axis=1, keepdims=True)
+    gap_area = _GAP_AREA * geometry.areas.sum() / max(len(a), 1)
+
+    count = len(geometry) * _GRID**2
+    points = np.vstack([on_tiles.reshape(-1, 3), between])
+    tile = np.full(len(points), -1)
+    tile[:count] = np.repeat(np.arange(len(geometry)), _GRID**2)
+    modulus = 6.0e6 * np.exp(0.45 * _smooth_field(points, rng))
+    return Tissue(
+        points=points,
+        normals=np.vstack([np.repeat(normals, _GRID**2, axis=0), between_normals]),
+        areas=np.concatenate(
+            [np.repeat(geometry.areas / _GRID**2, _GRID**2), np.full(len(a), gap_area)]
+        ),
+        tile=tile,
+        modulus=modulus,
+        stiffening=0.004,
+        shear_modulus=0.45 * modulus,
+        friction=0.5,
+        fit=0.0008 + 0.0006 * _smooth_field(points, rng),
+        creep=0.18,
+        creep_time=35.0,
+    )
+
+
+def _smooth_field(points: FloatArray, rng: np.random.Generator) -> FloatArray:
+    """A random field of about unit variance that varies over some 0.1 m, shape (p,)."""
+    waves = rng.normal(0.0, 1.0 / 0.06, (12, 3))
+    phases = rng.uniform(0.0, 2.0 * np.pi, 12)
+    return np.sqrt(2.0 / 12.0) * np.cos(points @ waves.T + phases).sum(axis=1)
+
+
+class LimbInSocket:
+    """A limb as a rigid bone in tissue, moved from equilibrium to equilibrium.
+
+    Args:
+        tissue: The tissue.
+        centre: Point of the bone about which it turns, shape (3,) [m].
+
+    Attributes:
+        displacement: Displacement of the centre [m] and rotation vector [rad] of the bone
+            since donning, shape (6,).
+    """
+
+    def __init__(self, tissue: Tissue, centre: FloatArray) -> None:
+        self._tissue = tissue
+        self._centre = centre
+        self._arms = tissue.points - centre
+        self.displacement = np.zeros(6)
+        self._crept = tissue.creep * np.maximum(tissue.fit, 0.0)
+        self._traction = np.zeros_like(tissue.points)
+        self._tangential = np.zeros_like(tissue.points)
+
+    def step(self, wrench: FloatArray, duration: float) -> FloatArray:
+        """Move to the equilibrium under a load.
+
+        Args:
+            wrench: Load on the limb about the origin of {S}, [M; F], shape (6,) [N m, N].
+            duration: Time since the step before [s].
+
+        Returns:
+            Forces of the limb on the socket at every surface point, shape (p, 3) [N].
+
+        Raises:
+            EquilibriumError: If the load pushes the limb out of the socket.
+        """
+        scale = np.array([1.0, 1.0, 1.0, 1.0 / _LENGTH, 1.0 / _LENGTH, 1.0 / _LENGTH]) * 1e-3
+
+        def imbalance(x: FloatArray) -> FloatArray:
+            forces = self._respond(x * scale, duration)[0]
+            total = np.concatenate(
+                [np.cross(self._tissue.points, forces).sum(axis=0), forces.sum(axis=0)]
+            )
+            difference = total - wrench
+            # About the limb's centre the moments do not repeat the forces.
+            difference[:3] -= np.cross(self._centre, difference[3:])
+            difference[:3] /= _LENGTH
+            return difference
+
+        start = self.displacement / scale
+        answer = root(imbalance, start, method="hybr", options={"xtol": 1e-10})
+        if np.abs(answer.fun).max() > _BALANCE:
+            # Where the surface begins to slip Powell's steps may stall: start from rest.
+            answer = root(imbalance, start, method="lm", options={"xtol": 1e-12, "ftol": 1e-14})
+        if np.abs(answer.fun).max() > 0.05:
+            raise EquilibriumError(
+                f"no equilibrium under the load {np.round(wrench, 2).tolist()} [N m, N]",
+                "give a smaller load or a socket that holds the limb",
+            )
+        self.displacement = answer.x * scale
+        forces, self._crept, self._traction, self._tangential = self._respond(
+            self.displacement, duration
+        )
+        return forces
+
+    def _respond(
+        self, displacement: FloatArray, duration: float
+    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Forces on the socket, crept compression, shear traction, tangential displacement."""
+        tissue = self._tissue
+        moved = displacement[:3] + np.cross(displacement[3:], self._arms)
+        along_normal = np.einsum("pi,pi->p", moved, tissue.normals)
+        compression = tissue.fit - along_normal
+
+        rate = duration / tissue.creep_time
+        target = tissue.creep * np.maximum(compression, 0.0)
+        crept = (self._crept + rate * target) / (1.0 + rate)
+        elastic = np.maximum(compression - crept, 0.0)
+        pressure = tissue.modulus * tissue.stiffening * np.expm1(elastic / tissue.stiffening)
+
+        tangential = moved - along_normal[:, None] * tissue.normals
+        traction = self._traction + tissue.shear_modulus[:, None] * (tangential - self._tangential)
+        size = np.linalg.norm(traction, axis=1)
+        limit = tissue.friction * pressure
+        traction *= np.minimum(1.0, limit / np.maximum(size, 1e-12))[:, None]
+
+        forces = tissue.areas[:, None] * (traction - pressure[:, None] * tissue.normals)
+        return forces, crept, traction, tangential

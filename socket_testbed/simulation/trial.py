@@ -1,0 +1,147 @@
+"""Simulated trials on the disk: a bag like a recorded one, with the ground truth beside it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from socket_testbed.arrays import FloatArray
+from socket_testbed.calibration import Status
+from socket_testbed.files import refuse_existing, whole_output
+from socket_testbed.geometry.pose import Pose
+from socket_testbed.geometry.socket import SocketGeometry
+from socket_testbed.simulation.testbed import GroundTruth, SimulatedTrial
+from socket_testbed.trials.bag import BagWriter
+from socket_testbed.trials.messages import encode, message_class
+from socket_testbed.trials.topics import (
+    CAPACITANCE,
+    MARKERS,
+    PYLON_POSE,
+    SOCKET_POSE,
+    TRIGGER,
+    WRENCH,
+    Topic,
+)
+from socket_testbed.trials.trial import store_configuration
+
+TRUTH_FILE = "ground_truth.npz"
+
+# When each measurement is recorded after its trigger [ns].
+_DELAYS = {
+    TRIGGER: 0,
+    WRENCH: 3_000_000,
+    SOCKET_POSE: 8_000_000,
+    PYLON_POSE: 8_100_000,
+    MARKERS: 8_200_000,
+    CAPACITANCE: 17_000_000,
+}
+
+
+def write_simulated_trial(
+    trial: SimulatedTrial,
+    geometry: SocketGeometry,
+    path: Path,
+    geometry_file: Path | None = None,
+    calibration_file: Path | None = None,
+) -> None:
+    """Write a simulated trial as a rosbag2 folder with its ground truth.
+
+    Args:
+        trial: The trial.
+        geometry: The geometry it was simulated with.
+        path: Folder of the trial; it must not exist.
+        geometry_file: The `socket.yaml` to store; None for the package's own.
+        calibration_file: The `calibration.yaml` to store; None for the package's own.
+
+    Raises:
+        ConfigurationError: If the folder exists or cannot be written.
+    """
+    refuse_existing(path)
+    with whole_output(path) as staging:
+        with BagWriter(staging) as bag:
+            for topic in _DELAYS:
+                bag.add_topic("/" + topic.name, topic)
+            for k, stamp in enumerate(trial.stamps.tolist()):
+                for topic, message in _messages(trial, k):
+                    time = stamp + _DELAYS[topic]
+                    bag.write("/" + topic.name, time, encode(message, topic.type))
+        store_configuration(staging, geometry_file, calibration_file)
+        np.savez_compressed(
+            staging / TRUTH_FILE,
+            stamps=trial.stamps,
+            names=np.array(geometry.names),
+            forces=trial.truth.forces,
+            wrench=trial.truth.wrench,
+            position=trial.truth.position,
+            rotation=trial.truth.rotation,
+        )
+
+
+def read_truth(path: Path) -> GroundTruth:
+    """Read the ground truth beside a simulated trial."""
+    with np.load(path / TRUTH_FILE) as data:
+        return GroundTruth(*(data[name] for name in ("forces", "wrench", "position", "rotation")))
+
+
+def _messages(trial: SimulatedTrial, k: int) -> Iterator[tuple[Topic, Any]]:
+    """The messages of one trigger, in the order of their recording."""
+    stamp = int(trial.stamps[k])
+    yield TRIGGER, _make(TRIGGER.type, header=_header(stamp), sequence=k)
+    yield (
+        WRENCH,
+        _make(WRENCH.type, header=_header(stamp, "load_cell"), wrench=_wrench(trial.wrench[k])),
+    )
+    for topic, pose in ((SOCKET_POSE, trial.socket_pose), (PYLON_POSE, trial.pylon_pose)):
+        yield topic, _make(topic.type, header=_header(stamp, "world"), pose=_pose(pose, k))
+    bodies = [
+        _make("socket_testbed_msgs/msg/RigidBodyMarkers", name=name, markers=_points(markers[k]))
+        for name, markers in (("socket", trial.socket_markers), ("pylon", trial.pylon_markers))
+    ]
+    yield MARKERS, _make(MARKERS.type, header=_header(stamp, "world"), bodies=bodies)
+    clusters = [
+        _make(
+            "socket_testbed_msgs/msg/ClusterCapacitance",
+            name=name,
+            capacitance=capacitance[k],
+            status=np.where(np.isfinite(capacitance[k]), Status.OK, Status.MISSING).astype(
+                np.uint8
+            ),
+        )
+        for name, capacitance in trial.capacitance.items()
+    ]
+    yield CAPACITANCE, _make(CAPACITANCE.type, header=_header(stamp), clusters=clusters)
+
+
+def _make(message_type: str, **fields: Any) -> Any:
+    return message_class(message_type)(**fields)
+
+
+def _header(stamp: int, frame: str = "") -> Any:
+    seconds, nanoseconds = divmod(stamp, 1_000_000_000)
+    time = _make("builtin_interfaces/msg/Time", sec=seconds, nanosec=nanoseconds)
+    return _make("std_msgs/msg/Header", stamp=time, frame_id=frame)
+
+
+def _vector(values: FloatArray) -> Any:
+    x, y, z = values.tolist()
+    return _make("geometry_msgs/msg/Vector3", x=x, y=y, z=z)
+
+
+def _wrench(wrench: FloatArray) -> Any:
+    return _make("geometry_msgs/msg/Wrench", force=_vector(wrench[3:]), torque=_vector(wrench[:3]))
+
+
+def _points(markers: FloatArray) -> list[Any]:
+    return [_make("geometry_msgs/msg/Point", x=x, y=y, z=z) for x, y, z in markers.tolist()]
+
+
+def _pose(pose: Pose, k: int) -> Any:
+    x, y, z, w = Pose(pose.rotation[k], pose.translation[k]).quaternion().tolist()
+    return _make(
+        "geometry_msgs/msg/Pose",
+        position=_points(pose.translation[k][None])[0],
+        orientation=_make("geometry_msgs/msg/Quaternion", x=x, y=y, z=z, w=w),
+    )

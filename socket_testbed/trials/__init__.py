@@ -1,0 +1,1 @@
+"""Trials: recorded bags that explain themselves, read as synchronised samples."""

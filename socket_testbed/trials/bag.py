@@ -1,0 +1,268 @@
+"""Bags: rosbag2 folders (MCAP or SQLite) read and written without ROS.
+
+A folder's storage files are read directly, because a reader that trusts `metadata.yaml`
+yields nothing, without an error, where the two disagree on a topic's quality of service.
+The counts of both are compared instead.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+import yaml
+from rosbags.interfaces import (
+    Connection,
+    ConnectionExtRosbag2,
+    Qos,
+    QosDurability,
+    QosHistory,
+    QosLiveliness,
+    QosReliability,
+    QosTime,
+)
+from rosbags.rosbag2 import Reader, ReaderError, StoragePlugin, Writer
+from rosbags.rosbag2.metadata import parse_qos
+
+from socket_testbed.errors import TrialError
+from socket_testbed.trials.messages import typestore
+from socket_testbed.trials.topics import PUBLISHER_DEPTH, Topic
+
+_SUFFIXES = (".mcap", ".db3")
+_FOREVER = QosTime(2147483647, 4294967295)
+_TRUNCATED = ("end magic", "truncated", "footer", "empty")
+
+
+@dataclass(frozen=True)
+class RawMessage:
+    """A message as it was recorded.
+
+    Attributes:
+        topic: Name of the topic.
+        type: Message type, as `package/msg/Type`.
+        time: Time of the recording since the epoch [ns].
+        data: Serialised message (CDR).
+    """
+
+    topic: str
+    type: str
+    time: int
+    data: bytes
+
+
+class BagReader:
+    """A bag, read message by message in the order of the recording; a context manager.
+
+    Args:
+        path: Folder of the bag, or one storage file.
+
+    Raises:
+        TrialError: On entry, if the bag is missing, truncated, unreadable, or holds other
+            counts than its metadata says.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self._stack = ExitStack()
+        self._readers: list[Reader] = []
+        self.notes: list[str] = []
+
+    def __enter__(self) -> Self:
+        metadata = self._metadata()
+        try:
+            for file in self._storage_files(metadata):
+                self._readers.append(self._open(file))
+            if metadata is not None:
+                self._compare(metadata)
+        except BaseException:
+            self._stack.close()
+            raise
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        self._stack.close()
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """Number of messages by topic, as the storage files hold them."""
+        counts: dict[str, int] = {}
+        for reader in self._readers:
+            for connection in reader.connections:
+                counts[connection.topic] = counts.get(connection.topic, 0) + connection.msgcount
+        return counts
+
+    @property
+    def types(self) -> dict[str, str]:
+        """Message type by topic."""
+        return {c.topic: c.msgtype for reader in self._readers for c in reader.connections}
+
+    @property
+    def duration(self) -> float:
+        """Time from the first to the last message [s]; 0 for an empty bag."""
+        spans = [(r.start_time, r.end_time) for r in self._readers if r.message_count]
+        if not spans:
+            return 0.0
+        return (max(end for _, end in spans) - min(start for start, _ in spans) - 1) * 1e-9
+
+    def messages(self, topics: Collection[str] | None = None) -> Iterator[RawMessage]:
+        """The messages of some topics, or of all, in the order of the recording."""
+        for reader in self._readers:
+            connections = [c for c in reader.connections if topics is None or c.topic in topics]
+            if not connections:
+                continue
+            try:
+                for connection, time, data in reader.messages(connections):
+                    yield RawMessage(connection.topic, connection.msgtype, time, bytes(data))
+            except (ReaderError, EOFError, ValueError) as error:
+                raise _damaged(reader.path, error) from None
+
+    def _metadata(self) -> dict[str, object] | None:
+        if not self.path.exists():
+            raise TrialError(f"{self.path}: no such trial", "check the path")
+        file = self.path / "metadata.yaml"
+        if self.path.is_file() or not file.exists():
+            return None
+        try:
+            content = yaml.safe_load(file.read_text(encoding="utf-8"))
+            information = content["rosbag2_bagfile_information"]
+            assert isinstance(information, dict)
+        except (OSError, UnicodeDecodeError, yaml.YAMLError, KeyError, TypeError, AssertionError):
+            raise TrialError(
+                f"{file}: is no rosbag2 metadata", "make it anew with 'ros2 bag reindex'"
+            ) from None
+        return information
+
+    def _storage_files(self, metadata: dict[str, object] | None) -> list[Path]:
+        if self.path.is_file():
+            return [self.path]
+        if metadata is None:
+            files = sorted(p for p in self.path.iterdir() if p.suffix in _SUFFIXES)
+            self.notes.append("no metadata.yaml: the storage files were read as they are")
+        else:
+            named = metadata.get("relative_file_paths")
+            named = named if isinstance(named, list) else []
+            files = [self.path / Path(str(name)).name for name in named]
+        if not files:
+            raise TrialError(
+                f"{self.path}: holds no .mcap or .db3 file", "give the folder of a trial"
+            )
+        for file in files:
+            if not file.is_file():
+                raise TrialError(
+                    f"{file}: is named in metadata.yaml but is not there",
+                    "copy the whole folder, or make metadata.yaml anew with 'ros2 bag reindex'",
+                )
+        return files
+
+    def _open(self, file: Path) -> Reader:
+        try:
+            return self._stack.enter_context(Reader(file))
+        except (ReaderError, EOFError, OSError, ValueError, KeyError, TypeError) as error:
+            raise _damaged(file, error) from None
+
+    def _compare(self, metadata: dict[str, object]) -> None:
+        counts = self.counts
+        entries = metadata.get("topics_with_message_count")
+        for entry in entries if isinstance(entries, list) else []:
+            name = entry["topic_metadata"]["name"]
+            if entry["message_count"] != counts.get(name, 0):
+                raise TrialError(
+                    f"{self.path}: metadata.yaml says {entry['message_count']} messages on {name},"
+                    f" the storage file holds {counts.get(name, 0)}",
+                    "copy the trial again, or make metadata.yaml anew with 'ros2 bag reindex'",
+                )
+            written = parse_qos(entry["topic_metadata"].get("offered_qos_profiles", []))
+            stored = [
+                profile
+                for reader in self._readers
+                for connection in reader.connections
+                if connection.topic == name and isinstance(connection.ext, ConnectionExtRosbag2)
+                for profile in connection.ext.offered_qos_profiles
+            ]
+            if any(profile not in written for profile in stored):
+                self.notes.append(
+                    f"metadata.yaml and the storage file disagree on the QoS of {name}:"
+                    " the file's messages are read"
+                )
+
+
+def _damaged(file: Path | object, error: Exception) -> TrialError:
+    reason = " ".join(str(error).split()).rstrip(".")
+    if any(word in reason.lower() for word in _TRUNCATED):
+        return TrialError(
+            f"{file}: is truncated ({reason})",
+            "the recording was cut short: save what is there with 'mcap recover'",
+        )
+    return TrialError(f"{file}: cannot be read ({reason})", "give an MCAP or SQLite bag of ROS 2")
+
+
+def qos_profile(topic: Topic) -> Qos:
+    """The quality of service with which the testbed offers a topic."""
+    return Qos(
+        QosHistory.KEEP_LAST,
+        1 if topic.latched else PUBLISHER_DEPTH,
+        QosReliability.RELIABLE,
+        QosDurability.TRANSIENT_LOCAL if topic.latched else QosDurability.VOLATILE,
+        _FOREVER,
+        _FOREVER,
+        QosLiveliness.AUTOMATIC,
+        _FOREVER,
+        False,
+    )
+
+
+class BagWriter:
+    """A new MCAP bag, written message by message; a context manager.
+
+    Args:
+        path: Folder of the bag; it must not exist.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self._writer = Writer(path, version=9, storage_plugin=StoragePlugin.MCAP)
+        self._connections: dict[str, Connection] = {}
+
+    def __enter__(self) -> Self:
+        self._writer.open()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        # Also after an error: what was recorded so far makes a whole bag.
+        self._writer.close()
+
+    def add_topic(self, name: str, topic: Topic) -> None:
+        """Declare a topic under the name it has in the graph."""
+        self._connections[name] = self._writer.add_connection(
+            name, topic.type, typestore=typestore(), offered_qos_profiles=[qos_profile(topic)]
+        )
+
+    def write(self, name: str, time: int, data: bytes) -> None:
+        """Append a serialised message, recorded at a time since the epoch [ns]."""
+        self._writer.write(self._connections[name], time, data)
+
+    def flush(self) -> None:
+        """Bring everything written so far to the file, as a chunk of its own.
+
+        The library keeps up to 1 MiB in memory, minutes of a trial at 4 Hz; it is pinned,
+        because this reaches into its storage.
+        """
+        storage = self._writer.storage
+        assert storage is not None
+        if storage.chunk.msgs:  # type: ignore[attr-defined]
+            storage.close_chunk()  # type: ignore[attr-defined]
+            storage.bio.flush()  # type: ignore[attr-defined]

@@ -1,0 +1,177 @@
+"""Which part of a trial is used: its plateau, all of it, or a span of seconds."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+
+from socket_testbed.arrays import BoolArray, FloatArray
+from socket_testbed.errors import ConfigurationError, TrialError
+from socket_testbed.samples import Samples
+from socket_testbed.settings import PlateauSettings
+
+
+@dataclass(frozen=True)
+class Segment:
+    """A part of a trial.
+
+    Attributes:
+        kind: plateau, all or span.
+        start: Start since the first sample [s].
+        end: End since the first sample [s].
+        rows: The samples.
+    """
+
+    kind: str
+    start: float
+    end: float
+    rows: slice
+
+    def __str__(self) -> str:
+        return f"{self.kind} {self.start:.2f} s to {self.end:.2f} s"
+
+
+def select_segment(samples: Samples, specification: str, settings: PlateauSettings) -> Segment:
+    """Select a part of a trial.
+
+    Args:
+        samples: The samples of the trial.
+        specification: `plateau`, `all`, or `T0:T1` in seconds since the first sample.
+        settings: What counts as a plateau.
+
+    Raises:
+        ConfigurationError: If the specification cannot be read.
+        TrialError: If there is no such part.
+    """
+    if len(samples) == 0:
+        raise TrialError("the trial holds no sample", "record it again")
+    if specification == "all":
+        return _segment("all", samples, 0, len(samples))
+    if specification == "plateau":
+        plateaus = find_plateaus(samples, settings)
+        if not plateaus:
+            raise TrialError(
+                f"no plateau of {settings.least_duration:g} s or more in the"
+                f" {samples.time[-1]:.1f} s of the trial",
+                "give --segment all or --segment T0:T1, or other limits (plateau.*)",
+            )
+        return plateaus[0]
+    return _span(samples, specification)
+
+
+def _span(samples: Samples, specification: str) -> Segment:
+    try:
+        start, end = (float(part) for part in specification.split(":"))
+    except ValueError:
+        raise ConfigurationError(
+            f"the segment '{specification}' is none", "give plateau, all, or T0:T1 in seconds"
+        ) from None
+    rows = np.flatnonzero((samples.time >= start) & (samples.time <= end))
+    if len(rows) < 2:
+        raise TrialError(
+            f"the segment {specification} s holds {len(rows)} samples",
+            f"give seconds within 0:{samples.time[-1]:.1f}",
+        )
+    return _segment("span", samples, int(rows[0]), int(rows[-1]) + 1)
+
+
+def find_plateaus(samples: Samples, settings: PlateauSettings) -> list[Segment]:
+    """Find the steady stretches of a trial, the longest first.
+
+    The paper's three criteria: no intended change of load (the means before and after a
+    sample agree), a steady mean wrench (its spread over the stretch is small) and few
+    missing channels. An unloaded stretch is none, because it says nothing about contact.
+    """
+    if len(samples) < 3:
+        return []
+    width = _width(samples, settings.smoothing)
+    if 2 * width > len(samples):
+        return []
+    mean = moving_mean(samples.wrench, width)
+    steady = ~_load_changes(mean, width, settings)
+    channels = np.hstack([samples.position, samples.values])
+    missing = np.isnan(channels).mean(axis=1, keepdims=True)
+    steady &= moving_mean(missing, width)[:, 0] <= settings.missing_fraction
+    steady &= np.linalg.norm(mean[:, 3:], axis=1) >= settings.least_force
+
+    limits = np.repeat([settings.moment_drift, settings.force_drift], 3)
+    found = []
+    for start, end in _runs(steady):
+        first, last = _longest_within(mean[start:end], limits)
+        segment = _segment("plateau", samples, start + first, start + last)
+        if segment.end - segment.start >= settings.least_duration:
+            found.append(segment)
+    return sorted(found, key=lambda segment: segment.start - segment.end)
+
+
+def moving_mean(values: FloatArray, width: int) -> FloatArray:
+    """Centred moving mean over the finite values of each column, shape (N, m).
+
+    Args:
+        values: Values, shape (N, m).
+        width: Number of samples of the window; it is cut at the ends.
+    """
+    finite = np.isfinite(values)
+    zero = np.zeros((1, values.shape[1]))
+    total = np.vstack([zero, np.cumsum(np.where(finite, values, 0.0), axis=0)])
+    count = np.vstack([zero, np.cumsum(finite, axis=0)])
+    index = np.arange(len(values))
+    low = np.maximum(index - width // 2, 0)
+    high = np.minimum(index + (width + 1) // 2, len(values))
+    number = count[high] - count[low]
+    with np.errstate(invalid="ignore"):
+        return np.where(number > 0, (total[high] - total[low]) / np.maximum(number, 1), np.nan)
+
+
+def _width(samples: Samples, duration: float) -> int:
+    period = float(np.median(np.diff(samples.stamps))) * 1e-9
+    return max(3, round(duration / period))
+
+
+def _load_changes(mean: FloatArray, width: int, settings: PlateauSettings) -> BoolArray:
+    """Samples whose wrench before and after differ, shape (N,); so do samples without one."""
+    before = mean[np.maximum(np.arange(len(mean)) - (width + 1) // 2, 0)]
+    after = mean[np.minimum(np.arange(len(mean)) + (width + 1) // 2, len(mean) - 1)]
+    change = after - before
+    moment = np.linalg.norm(change[:, :3], axis=1)
+    force = np.linalg.norm(change[:, 3:], axis=1)
+    return ~((moment <= settings.moment_change) & (force <= settings.force_change))
+
+
+def _runs(flags: BoolArray) -> list[tuple[int, int]]:
+    """Half-open index ranges in which the flags are set."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(np.int8)))
+    return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
+
+
+def _longest_within(values: FloatArray, limits: FloatArray) -> tuple[int, int]:
+    """Longest half-open range over which every column spreads no more than its limit."""
+    columns = [column.tolist() for column in values.T]
+    lowest: list[deque[int]] = [deque() for _ in columns]
+    highest: list[deque[int]] = [deque() for _ in columns]
+    best, start = (0, 0), 0
+    for end in range(len(values)):
+        for column, low, high, limit in zip(columns, lowest, highest, limits, strict=True):
+            value = column[end]
+            while low and column[low[-1]] >= value:
+                low.pop()
+            while high and column[high[-1]] <= value:
+                high.pop()
+            low.append(end)
+            high.append(end)
+            while column[high[0]] - column[low[0]] > limit:
+                start = max(start, min(low[0], high[0]) + 1)
+                (low if low[0] < high[0] else high).popleft()
+        for queue in (*lowest, *highest):
+            while queue[0] < start:
+                queue.popleft()
+        if end + 1 - start > best[1] - best[0]:
+            best = (start, end + 1)
+    return best
+
+
+def _segment(kind: str, samples: Samples, start: int, end: int) -> Segment:
+    time = samples.time
+    return Segment(kind, float(time[start]), float(time[end - 1]), slice(start, end))

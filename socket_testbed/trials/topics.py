@@ -1,0 +1,91 @@
+"""The topics of the testbed: their names, types and whether a trial needs them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+from socket_testbed.errors import TrialError
+
+
+@dataclass(frozen=True)
+class Topic:
+    """A topic of the testbed.
+
+    Attributes:
+        name: Name, relative to the namespace of the testbed.
+        type: Message type, as `package/msg/Type`.
+        required: Whether offline work on a trial needs it.
+        computed: Whether a node computes it from measured topics.
+        latched: Whether late subscribers get the last message (transient local, depth 1).
+    """
+
+    name: str
+    type: str
+    required: bool = False
+    computed: bool = False
+    latched: bool = False
+
+
+TRIGGER = Topic("trigger", "socket_testbed_msgs/msg/Trigger", required=True)
+CAPACITANCE = Topic(
+    "clusters/capacitance", "socket_testbed_msgs/msg/ClusterCapacitanceArray", required=True
+)
+WRENCH = Topic("load_cell/wrench", "geometry_msgs/msg/WrenchStamped", required=True)
+SOCKET_POSE = Topic("mocap/socket/pose", "geometry_msgs/msg/PoseStamped", required=True)
+PYLON_POSE = Topic("mocap/pylon/pose", "geometry_msgs/msg/PoseStamped", required=True)
+MARKERS = Topic("mocap/markers", "socket_testbed_msgs/msg/RigidBodyMarkersArray")
+STRESS = Topic("clusters/stress", "socket_testbed_msgs/msg/ClusterStressArray", computed=True)
+ESTIMATED_WRENCH = Topic("estimate/wrench", "geometry_msgs/msg/WrenchStamped", computed=True)
+LOCAL_FORCES = Topic(
+    "estimate/local_forces", "socket_testbed_msgs/msg/LocalForceArray", computed=True
+)
+PARAMETERS = Topic(
+    "estimate/parameters", "socket_testbed_msgs/msg/ContactModel", computed=True, latched=True
+)
+PRESSURE_MAP = Topic("estimate/pressure_map", "visualization_msgs/msg/MarkerArray", computed=True)
+DIAGNOSTICS = Topic("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray", computed=True)
+
+TOPICS = (
+    TRIGGER,
+    CAPACITANCE,
+    WRENCH,
+    SOCKET_POSE,
+    PYLON_POSE,
+    MARKERS,
+    STRESS,
+    ESTIMATED_WRENCH,
+    LOCAL_FORCES,
+    PARAMETERS,
+    PRESSURE_MAP,
+    DIAGNOSTICS,
+)
+REQUIRED = tuple(topic for topic in TOPICS if topic.required)
+
+PUBLISHER_DEPTH = 100  # [messages]; of every publisher but the latched
+
+
+def match_topics(names: Iterable[str], where: str) -> dict[Topic, str]:
+    """Find the testbed's topics among a bag's, in whatever namespace they were recorded.
+
+    Args:
+        names: Names of the topics in the bag.
+        where: What names the bag in an error.
+
+    Returns:
+        The bag's name of each topic of the testbed that it holds.
+
+    Raises:
+        TrialError: If a topic is there in two namespaces.
+    """
+    found: dict[Topic, str] = {}
+    for name in names:
+        for topic in TOPICS:
+            if name == topic.name or name.endswith("/" + topic.name.lstrip("/")):
+                if topic in found:
+                    raise TrialError(
+                        f"{where}: two topics are a '{topic.name}': {found[topic]} and {name}",
+                        "record one testbed a trial",
+                    )
+                found[topic] = name
+    return found

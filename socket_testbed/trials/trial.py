@@ -1,0 +1,127 @@
+"""A trial: a bag with the geometry, calibration and parameters it was recorded with."""
+
+from __future__ import annotations
+
+import shutil
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+from socket_testbed.calibration import Calibration, read_calibration
+from socket_testbed.errors import TrialError
+from socket_testbed.files import packaged
+from socket_testbed.geometry.socket import SocketGeometry, read_socket
+from socket_testbed.settings import EstimatorSettings, Settings, read_parameters
+from socket_testbed.trials.bag import BagReader
+from socket_testbed.trials.topics import REQUIRED, TOPICS, Topic, match_topics
+
+SOCKET_FILE = "socket.yaml"
+CALIBRATION_FILE = "calibration.yaml"
+PARAMETERS_FILE = "testbed.yaml"
+CONFIGURATION_FILES = (SOCKET_FILE, CALIBRATION_FILE, PARAMETERS_FILE)
+
+
+@dataclass(frozen=True)
+class Trial:
+    """A recorded trial.
+
+    Attributes:
+        path: Folder of the trial.
+        socket_file: A `socket.yaml` to use instead of the trial's own.
+        calibration_file: A `calibration.yaml` to use instead of the trial's own.
+    """
+
+    path: Path
+    socket_file: Path | None = None
+    calibration_file: Path | None = None
+
+    @property
+    def name(self) -> str:
+        """Name of the trial: that of its folder."""
+        return self.path.resolve().name
+
+    def open(self) -> BagReader:
+        """The trial's bag, to be entered."""
+        return BagReader(self.path)
+
+    def configuration(self, name: str, instead: Path | None = None) -> Path:
+        """Path of a configuration file: the one given instead, or the one stored in the trial.
+
+        Raises:
+            TrialError: If it is not stored in the trial and none is given.
+        """
+        if instead is not None:
+            return instead
+        stored = self.path / name
+        if not stored.is_file():
+            option = name.removesuffix(".yaml")
+            raise TrialError(
+                f"{self.path}: no {name} is stored in this trial",
+                f"give one with --{'geometry' if option == 'socket' else option}",
+            )
+        return stored
+
+    @cached_property
+    def geometry(self) -> SocketGeometry:
+        """Geometry of the socket."""
+        return read_socket(self.configuration(SOCKET_FILE, self.socket_file))
+
+    @cached_property
+    def calibration(self) -> Calibration:
+        """Calibration of the clusters."""
+        return read_calibration(self.configuration(CALIBRATION_FILE, self.calibration_file))
+
+    @cached_property
+    def estimator(self) -> EstimatorSettings:
+        """Settings of the estimator with which the trial was recorded, or the defaults."""
+        stored = self.path / PARAMETERS_FILE
+        nodes: dict[str, Settings] = read_parameters(stored) if stored.is_file() else {}
+        settings = nodes.get("estimator_node", EstimatorSettings())
+        assert isinstance(settings, EstimatorSettings)
+        return settings
+
+
+def required_topics(bag: BagReader) -> dict[Topic, str]:
+    """Names in the bag of the topics that offline work needs, each with messages.
+
+    Raises:
+        TrialError: For an empty bag, a topic that is missing or empty, or one of another
+            type than the testbed's.
+    """
+    topics = match_topics(bag.counts, str(bag.path))
+    if not any(bag.counts.values()):
+        raise TrialError(f"{bag.path}: holds no message", "record the trial again")
+    for topic in REQUIRED:
+        if topic not in topics:
+            raise TrialError(
+                f"{bag.path}: has no topic '{topic.name}'",
+                "record all topics of the testbed with 'record'",
+            )
+        name = topics[topic]
+        if bag.counts[name] == 0:
+            raise TrialError(
+                f"{bag.path}: '{name}' holds no message", "check that its node ran and record again"
+            )
+        if bag.types[name] != topic.type:
+            raise TrialError(
+                f"{bag.path}: '{name}' is a {bag.types[name]}", f"record it as {topic.type}"
+            )
+    return {topic: topics[topic] for topic in TOPICS if topic in topics}
+
+
+def store_configuration(
+    folder: Path,
+    geometry: Path | None = None,
+    calibration: Path | None = None,
+    parameters: Path | None = None,
+) -> None:
+    """Copy the configuration a trial is recorded with into its folder.
+
+    Args:
+        folder: Folder of the trial.
+        geometry: A `socket.yaml`; None for the package's own.
+        calibration: A `calibration.yaml`; None for the package's own.
+        parameters: A `testbed.yaml`; None for the package's own.
+    """
+    for source, name in zip((geometry, calibration, parameters), CONFIGURATION_FILES, strict=True):
+        shutil.copyfile(source or packaged("config", name), folder / name)
