@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Collection
 from dataclasses import dataclass
+from datetime import date
 from enum import IntEnum
 from pathlib import Path
 from typing import Any
@@ -86,7 +87,8 @@ class ClusterCalibration:
         """
         capacitance = capacitance[..., self.wiring]
         status = status[..., self.wiring]
-        missing = ((status == Status.MISSING) | ~np.isfinite(capacitance)).any(axis=-1)
+        capacitance = np.where(np.isfinite(capacitance), capacitance, np.nan)
+        missing = ((status >= Status.MISSING) | np.isnan(capacitance)).any(axis=-1)
         saturated = (status == Status.SATURATED).any(axis=-1)
 
         mean, along_x, along_y = channel_features(capacitance)
@@ -102,7 +104,7 @@ class ClusterCalibration:
         # A saturated input is reported as such even though its value is NaN, too.
         result = np.where(missing, Status.MISSING, result)
         result = np.where(
-            saturated & ~(status == Status.MISSING).any(axis=-1), Status.SATURATED, result
+            saturated & ~(status >= Status.MISSING).any(axis=-1), Status.SATURATED, result
         ).astype(np.uint8)
         unusable = (result == Status.MISSING) | (result == Status.SATURATED)
         return np.where(unusable[..., None], np.nan, stress), result
@@ -181,12 +183,17 @@ def read_calibration(path: Path) -> Calibration:
     clusters = {
         name: _cluster_from_section(section) for name, section in document.sections("clusters")
     }
-    return Calibration(clusters, str(document.take("date")), document.text("source"))
+    return Calibration(clusters, _date(document), document.text("source"))
+
+
+def _date(document: Section) -> str:
+    value = document.take("date")
+    return value.isoformat() if isinstance(value, date) else document.text("date")
 
 
 def _cluster_from_section(section: Section) -> ClusterCalibration:
     section.expect(("normal", "shear_x", "shear_y", "mean_range", "difference_range", "wiring"))
-    wiring = section.array("wiring", (4,)).astype(np.int64)
+    wiring = section.array("wiring", (4,))
     if sorted(wiring.tolist()) != [0, 1, 2, 3]:
         raise ConfigurationError(
             f"{section.where}: wiring is {wiring.tolist()}", "give each of 0, 1, 2, 3 once"
@@ -203,5 +210,5 @@ def _cluster_from_section(section: Section) -> ClusterCalibration:
         shear=np.array([section.array("shear_x", (6,)), section.array("shear_y", (6,))]),
         mean_range=ranges["mean_range"],
         difference_range=ranges["difference_range"],
-        wiring=wiring,
+        wiring=wiring.astype(np.int64),
     )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import math
+import re
 from collections.abc import Collection, Iterator
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,26 @@ import yaml
 from socket_testbed.arrays import FloatArray
 from socket_testbed.errors import ConfigurationError
 
-_LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+_FLOAT = re.compile(r"[-+]?(\.\d+|\d+(\.\d*)?)[eE][-+]?\d+$")
+
+
+class _Loader(getattr(yaml, "CSafeLoader", yaml.SafeLoader)):  # type: ignore[misc]
+    """YAML as ROS reads it: 1e-3 is a number; and a key that stands twice is an error."""
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
+        """A mapping, with every key once."""
+        seen: set[str] = set()
+        for key, _ in node.value:
+            if key.value in seen:
+                raise yaml.constructor.ConstructorError(
+                    None, None, f"the key '{key.value}' stands twice", key.start_mark
+                )
+            seen.add(key.value)
+        mapping: dict[Any, Any] = super().construct_mapping(node, deep)
+        return mapping
+
+
+_Loader.add_implicit_resolver("tag:yaml.org,2002:float", _FLOAT, list("-+.0123456789"))
 
 
 def closest(word: str, known: Collection[str]) -> str:
@@ -133,7 +153,7 @@ def read_document(path: Path) -> Section:
     """
     try:
         with path.open(encoding="utf-8") as stream:
-            data = yaml.load(stream, Loader=_LOADER)
+            data = yaml.load(stream, Loader=_Loader)
             return Section({} if data is None else data, str(path))
     except FileNotFoundError:
         raise ConfigurationError(f"{path}: no such file", "check the path") from None

@@ -8,7 +8,10 @@ import numpy as np
 
 from socket_testbed.arrays import FloatArray
 from socket_testbed.contact import ContactModel
+from socket_testbed.errors import ConfigurationError
 from socket_testbed.samples import LOCAL_CHANNELS, WRENCH_CHANNELS, Samples
+
+_ROUNDING = 1e-12  # [-]; spread of a channel that is constant, against its size
 
 
 @dataclass(frozen=True)
@@ -39,7 +42,7 @@ class ChannelErrors:
 
 def channel_unit(name: str) -> str:
     """Unit of a channel by its name."""
-    return "N m" if name.startswith("M") else "N"
+    return "N m" if name.rpartition(".")[2].startswith("M") else "N"
 
 
 def channel_errors(
@@ -60,6 +63,7 @@ def channel_errors(
         return ChannelErrors(name, unit, in_objective, 0, *([float("nan")] * 4))
     rmse = float(np.sqrt(np.mean(residual**2)))
     constant = float(np.std(measured[rows]))
+    rounding = _ROUNDING * float(np.abs(measured[rows]).max())
     return ChannelErrors(
         name=name,
         unit=unit,
@@ -68,7 +72,7 @@ def channel_errors(
         rmse=rmse,
         mae=float(np.mean(np.abs(residual))),
         sigma=float(np.std(residual)),
-        skill=1.0 - rmse / constant if constant > 0.0 else float("nan"),
+        skill=1.0 - rmse / constant if constant > rounding else float("nan"),
     )
 
 
@@ -84,8 +88,17 @@ def evaluate(
 
     Returns:
         Errors of the wrench's six channels, then three a cluster in its frame.
+
+    Raises:
+        ConfigurationError: If the model lacks a cluster of the samples.
     """
+    lacking = [name for name in samples.clusters if name not in model.cluster_points]
+    if lacking:
+        raise ConfigurationError(
+            f"the model knows no cluster {', '.join(lacking)}", "fit one on a trial with it"
+        )
     wrench = model.wrench(samples.position)
+    trusted = samples.trusted_forces
     local = model.cluster_forces(samples.position)
     errors = [
         channel_errors(name, samples.wrench[:, i], wrench[:, i], name not in leave_out)
@@ -94,7 +107,7 @@ def evaluate(
     for column, cluster in enumerate(samples.clusters):
         for axis, channel in enumerate(LOCAL_CHANNELS):
             name = f"{cluster}.{channel}"
-            measured = samples.local_forces[:, column, axis]
+            measured = trusted[:, column, axis]
             predicted = local[cluster][:, axis]
             errors.append(channel_errors(name, measured, predicted, name not in leave_out))
     return tuple(errors)

@@ -8,7 +8,7 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
 
-from socket_testbed.arrays import FloatArray
+from socket_testbed.arrays import BoolArray, FloatArray
 from socket_testbed.evaluation import channel_errors, channel_unit
 from socket_testbed.samples import WRENCH_CHANNELS
 
@@ -24,6 +24,7 @@ def wrench_figure(
     time: FloatArray,
     measured: FloatArray,
     predicted: dict[str, FloatArray],
+    rows: BoolArray,
     title: str,
     path: Path,
 ) -> None:
@@ -33,12 +34,13 @@ def wrench_figure(
         time: Times, shape (N,) [s].
         measured: Measured wrenches [M; F], shape (N, 6) [N m, N].
         predicted: Predicted wrenches by variant, shape (N, 6) each; NaN before a model.
+        rows: Samples that the errors are taken over, shaded, shape (N,).
         title: What is shown.
         path: File to write; its suffix says the format.
     """
     figure = Figure(figsize=(10.0, 6.2), layout="constrained")
     axes = figure.subplots(2, 3, sharex=True)
-    figure.suptitle(title, fontsize=11)
+    figure.suptitle(f"{title}; errors over the shaded span", fontsize=11)
     order = [3, 4, 5, 0, 1, 2]  # the forces above, the moments below
     for axis, channel in zip(axes.flat, order, strict=True):
         name = WRENCH_CHANNELS[channel]
@@ -47,10 +49,11 @@ def wrench_figure(
         for (variant, wrench), style in zip(predicted.items(), _STYLES, strict=False):
             label = f"predicted, {variant}"
             axis.plot(time, wrench[:, channel], label=label, **style)
-            errors = channel_errors(name, measured[:, channel], wrench[:, channel])
+            errors = channel_errors(name, measured[rows, channel], wrench[rows, channel])
             lines.append(f"{variant}: RMSE {errors.rmse:.2f}")
         axis.set_ylabel(f"${name[0]}_{name[1]}$ [{channel_unit(name)}]")
-        axis.grid(color="0.92")
+        axis.axvspan(time[rows][0], time[rows][-1], color="0.95", linewidth=0.0)
+        axis.grid(color="0.9")
         axis.set_axisbelow(True)
         axis.spines[["top", "right"]].set_visible(False)
         _leave_room(axis)

@@ -25,7 +25,12 @@ class FitWorker:
             max_workers=1, mp_context=multiprocessing.get_context("spawn"), initializer=_step_back
         )
         # The libraries load now rather than within the first fit.
-        self._pool.submit(os.getpid)
+        self._loaded = self._pool.submit(os.getpid)
+
+    @property
+    def ready(self) -> bool:
+        """Whether the process runs, with its libraries loaded."""
+        return self._loaded.done()
 
     def submit(
         self,

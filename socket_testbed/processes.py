@@ -18,7 +18,7 @@ import yaml
 
 from socket_testbed.errors import ConfigurationError, TestbedError
 from socket_testbed.lifeline import PARENT
-from socket_testbed.settings import Settings
+from socket_testbed.settings import Settings, parameter_values
 
 _GRACE = 8.0  # [s]; for a node to end by itself
 _LOOK = 0.05  # [s]
@@ -61,20 +61,23 @@ class Graph:
         self.stop()
         self._folder.cleanup()
 
-    def start(self, node: str, settings: Settings, use_sim_time: bool = False) -> None:
+    def start(
+        self, node: str, settings: Settings, namespace: str = "/", use_sim_time: bool = False
+    ) -> None:
         """Start a node.
 
         Args:
             node: Its name, such as estimator_node.
             settings: Its settings.
+            namespace: Its namespace.
             use_sim_time: Whether it takes its time from /clock.
         """
         file = Path(self._folder.name) / f"{node}.yaml"
-        file.write_text(yaml.safe_dump(parameter_file(node, settings, use_sim_time)))
+        file.write_text(yaml.safe_dump(parameter_file(settings, use_sim_time)))
         command = [sys.executable, "-m", f"socket_testbed.nodes.{node}"]
         # In a session of its own, Ctrl-C reaches a node once: from this process.
         self._processes[node] = subprocess.Popen(
-            [*command, "--ros-args", "--params-file", str(file)],
+            [*command, "--ros-args", "-r", f"__ns:={namespace}", "--params-file", str(file)],
             stdout=self._output,
             stderr=self._output,
             start_new_session=True,
@@ -111,8 +114,7 @@ class Graph:
                     process.wait(max(0.0, deadline - time.monotonic()))
 
 
-def parameter_file(node: str, settings: Settings, use_sim_time: bool) -> dict[str, Any]:
-    """Content of a ROS parameter file that starts a node with these settings."""
-    # An empty list has no type in ROS: a list of one empty text stands for it.
-    values = {name: [""] if v == [] else v for name, v in settings.to_flat().items()}
-    return {node: {"ros__parameters": {"use_sim_time": use_sim_time, **values}}}
+def parameter_file(settings: Settings, use_sim_time: bool) -> dict[str, Any]:
+    """Content of a ROS parameter file that starts a node, of any name, with these settings."""
+    values = {"use_sim_time": use_sim_time, **parameter_values(settings)}
+    return {"/**": {"ros__parameters": values}}

@@ -64,6 +64,15 @@ class Samples:
         )
 
     @property
+    def trusted_forces(self) -> FloatArray:
+        """Local forces whose status is OK, shape (N, c, 3) [N]; the others are NaN.
+
+        A force out of the calibrated range is an extrapolation: nothing is fitted to it or
+        judged by it.
+        """
+        return np.where((self.status == 0)[:, :, None], self.local_forces, np.nan)
+
+    @property
     def channels(self) -> tuple[str, ...]:
         """Names of all channels: the wrench's, then three a cluster."""
         return WRENCH_CHANNELS + tuple(

@@ -105,6 +105,14 @@ class Settings:
         return values
 
 
+def parameter_values(settings: Settings) -> dict[str, Any]:
+    """Values by their dotted names, as ROS parameters can hold them.
+
+    An empty list has no type in ROS: a list of one empty text stands for it.
+    """
+    return {name: [""] if v == [] else v for name, v in settings.to_flat().items()}
+
+
 def _check(value: Any, kind: Any, item: dataclasses.Field[Any]) -> Any:
     limits = item.metadata
     if get_origin(kind) is tuple:

@@ -134,7 +134,7 @@ def test_an_infinite_capacitance_is_missing(value, channels):
     assert np.isnan(stress).all()
 
 
-def test_status_follows_the_wiring():
+def test_one_missing_input_is_missing_whatever_the_wiring():
     cluster = make_cluster(wiring=np.array([3, 2, 1, 0]))
     for channel in range(4):
         status = ALL_OK.copy()

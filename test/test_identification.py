@@ -447,6 +447,30 @@ def test_a_channel_without_any_value_is_named_with_the_mend(how):
     assert "\n" not in str(caught.value)
 
 
+def test_a_wrench_channel_without_any_value_is_named_with_the_mend():
+    geometry, _, samples, settings = make_case(71)
+    samples.wrench[:, 2] = np.nan
+    with pytest.raises(IdentificationError) as caught:
+        fit_contact_model(samples, geometry, settings)
+    assert "Mz" in caught.value.fact
+    assert "--leave-out Mz" in caught.value.mend
+
+
+@pytest.mark.parametrize("variant", VARIANTS)
+@pytest.mark.parametrize("lost", [("Mz",), ("Mx", "My", "Mz", "Fx", "Fy", "Fz")])
+def test_what_a_left_out_wrench_channel_measured_does_not_matter(variant, lost):
+    geometry, _, samples, settings = make_case(77, variant, leave_out=lost)
+    expected = fit_contact_model(samples, geometry, settings)
+    samples.wrench[:, [samples.channels.index(name) for name in lost]] = np.nan
+    found = fit_contact_model(samples, geometry, settings)
+    assert found.samples == expected.samples
+    np.testing.assert_allclose(
+        found.model.stiffness, expected.model.stiffness, rtol=1e-8, atol=1e-6
+    )
+    np.testing.assert_allclose(found.model.wrench_bias, expected.model.wrench_bias, atol=1e-8)
+    assert {e.samples for e in found.errors if e.name in lost} == {0}
+
+
 def test_a_channel_without_any_value_may_be_left_out():
     geometry, _, samples, settings = make_case(71, leave_out=("cluster_1.Fz",))
     samples.local_forces[:, 1, 2] = np.nan
@@ -691,6 +715,7 @@ def test_the_fit_says_what_it_rests_on(variant):
     assert fit.settings == settings
     assert 0.0 < fit.determined <= 3 * len(geometry)
     assert tuple(e.name for e in fit.errors) == samples.channels
+    assert {e.samples for e in fit.errors} == {fit.samples}
     assert [e.name for e in fit.errors if not e.in_objective] == ["Mz"]
     for solution in (fit.stage_one, fit.stage_two):
         assert solution.certificate.worst <= settings.solver_tolerance

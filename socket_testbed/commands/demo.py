@@ -28,7 +28,7 @@ from socket_testbed.trials.segment import select_segment
 from socket_testbed.trials.synchronise import read_samples
 from socket_testbed.trials.trial import Trial
 
-_RATE = 20.0  # speed of the replay against the recording
+_RATE = 10.0  # speed of the replay against the recording
 
 Estimate = tuple[FloatArray, FloatArray]  # wrench (N, 6), forces (N, n, 3)
 
@@ -59,7 +59,7 @@ def run(options: argparse.Namespace) -> None:
     samples = read_samples(trial)
 
     print(f"2. replayed through replay, calibration and estimator nodes at {_RATE:g} times speed")
-    estimates = {}
+    estimates: dict[str, Estimate] = {}
     for variant in VARIANTS:
         estimates[variant] = _estimate(trial, samples, variant, folder / f"{variant}.log")
 
@@ -82,6 +82,7 @@ def run(options: argparse.Namespace) -> None:
         samples.time,
         samples.wrench,
         {variant: wrench for variant, (wrench, _) in estimates.items()},
+        rows,
         "Simulated static hold: wrench measured and predicted live",
         figure,
     )

@@ -17,11 +17,12 @@ from socket_testbed.documents import check_number
 from socket_testbed.identification.model_file import read_model
 from socket_testbed.processes import Graph
 from socket_testbed.settings import CalibrationNodeSettings, EstimatorSettings, ReplaySettings
+from socket_testbed.trials.synchronise import check_trial
 from socket_testbed.trials.trial import (
     CALIBRATION_FILE,
     SOCKET_FILE,
     Trial,
-    required_topics,
+    recorded_namespace,
 )
 
 _ESTIMATING = ("calibration_node", "estimator_node")
@@ -87,16 +88,15 @@ def replay_with_estimator(
         TestbedError: If the trial or its configuration is wrong, or a node fails.
     """
     # What is wrong with the files is named here, in one line, before any node starts.
-    with trial.open() as bag:
-        required_topics(bag)
-    trial.calibration.require(trial.geometry.clusters, f"the trial {trial.path}")
+    check_trial(trial)
+    namespace = recorded_namespace(trial)
     socket_file = trial.configuration(SOCKET_FILE, trial.socket_file)
     calibration_file = trial.configuration(CALIBRATION_FILE, trial.calibration_file)
     calibration = CalibrationNodeSettings(calibration=str(calibration_file.resolve()))
     estimator = dataclasses.replace(estimator, geometry=str(socket_file.resolve()))
     replay = dataclasses.replace(replay, measured_only=True, wait_for=_ESTIMATING)
     with Graph(output) as graph:
-        graph.start("calibration_node", calibration, use_sim_time=True)
-        graph.start("estimator_node", estimator, use_sim_time=True)
+        graph.start("calibration_node", calibration, namespace, use_sim_time=True)
+        graph.start("estimator_node", estimator, namespace, use_sim_time=True)
         graph.start("replay_node", replay)
         graph.wait("replay_node")

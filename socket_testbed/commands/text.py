@@ -11,19 +11,24 @@ _PROGRESS_PERIOD = 0.5  # [s]
 
 
 def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """A table with the first column to the left and the others to the right."""
-    widths = [max(len(str(row[i])) for row in (header, *rows)) for i in range(len(header))]
+    """A table with numbers to the right and texts to the left."""
+    columns = list(zip(*(header, *rows), strict=True))
+    widths = [max(len(cell) for cell in column) for column in columns]
+    numeric = [any(cell[-1:].isdigit() for cell in column[1:]) for column in columns]
+    numeric[0] = False
     lines = []
     for row in (header, ["-" * width for width in widths], *rows):
-        first, *others = (str(cell) for cell in row)
-        cells = [cell.rjust(width) for cell, width in zip(others, widths[1:], strict=True)]
-        lines.append("  ".join([first.ljust(widths[0]), *cells]).rstrip())
+        cells = [
+            cell.rjust(width) if right else cell.ljust(width)
+            for cell, width, right in zip(row, widths, numeric, strict=True)
+        ]
+        lines.append("  ".join(cells).rstrip())
     return "\n".join(lines)
 
 
 def number(value: float, digits: int = 3) -> str:
     """A number for a table; a dash where there is none."""
-    return f"{value:.{digits}f}" if math.isfinite(value) else "-"
+    return f"{round(value, digits) + 0.0:.{digits}f}" if math.isfinite(value) else "-"
 
 
 class Progress:

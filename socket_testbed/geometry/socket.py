@@ -13,7 +13,7 @@ from socket_testbed.arrays import FloatArray, IntArray
 from socket_testbed.documents import Section, closest, read_document
 from socket_testbed.errors import ConfigurationError
 from socket_testbed.geometry.pose import Pose
-from socket_testbed.geometry.triad import edge_lengths
+from socket_testbed.geometry.triad import EDGE_TOLERANCE, edge_lengths
 
 _ORTHONORMAL = 1e-6  # [-]; a file holds at least seven digits
 _SMALLEST_TRIAD = 0.01  # [m]
@@ -161,12 +161,13 @@ def _neighbours(document: Section, index: dict[str, int]) -> IntArray:
         raise ConfigurationError(f"{where} is no list", "give pairs of tile names")
     found = set()
     for pair in pairs:
-        if not isinstance(pair, list) or len(pair) != 2 or pair[0] == pair[1]:
+        names = [str(name) for name in pair] if isinstance(pair, list) else []
+        if len(names) != 2 or names[0] == names[1]:
             raise ConfigurationError(f"{where}: {pair} is no pair", "give two different tiles")
-        for name in pair:
+        for name in names:
             if name not in index:
-                raise ConfigurationError(f"{where}: no tile '{name}'", closest(str(name), index))
-        a, b = sorted(index[name] for name in pair)
+                raise ConfigurationError(f"{where}: no tile '{name}'", closest(name, index))
+        a, b = sorted(index[name] for name in names)
         found.add((a, b))
     return np.array(sorted(found), dtype=np.int64).reshape(-1, 2)
 
@@ -206,6 +207,13 @@ def _triad(section: Section) -> FloatArray:
         raise ConfigurationError(
             f"{section.where}: markers are on one line or closer than {_SMALLEST_TRIAD} m",
             "give three markers of a triangle, in m",
+        )
+    closest_edges = np.abs(edges - np.roll(edges, 1)).min()
+    if closest_edges < 2.0 * EDGE_TOLERANCE:
+        raise ConfigurationError(
+            f"{section.where}: two edges of the triad differ by {1e3 * closest_edges:.1f} mm only,"
+            " so swapped labels cannot be found",
+            f"move a marker until all edges differ by {2e3 * EDGE_TOLERANCE:g} mm or more",
         )
     return markers
 

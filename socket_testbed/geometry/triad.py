@@ -10,6 +10,8 @@ import numpy as np
 from socket_testbed.arrays import FloatArray, IntArray
 from socket_testbed.geometry.pose import Pose
 
+EDGE_TOLERANCE = 0.002  # [m]; well above the noise of a marker
+
 _ORDERS = np.array(list(permutations(range(3))))
 _EDGES = ((0, 1), (1, 2), (2, 0))
 
@@ -42,13 +44,15 @@ def edge_lengths(markers: FloatArray) -> FloatArray:
     )
 
 
-def fit_triad(reference: FloatArray, observed: FloatArray, tolerance: float = 0.003) -> TriadFit:
+def fit_triad(
+    reference: FloatArray, observed: FloatArray, tolerance: float = EDGE_TOLERANCE
+) -> TriadFit:
     """Fit a body's triad to observed ones, whatever the order of their labels.
 
-    The order is the one whose edge lengths agree best with the body's, which also finds a
-    swap of labels that lasts a single frame. The rotation is the least-squares one (Kabsch
-    1976, doi:10.1107/S0567739476001873). A frame has no pose if a marker is occluded (NaN)
-    or if no order agrees within the tolerance.
+    The labels stand if the edge lengths agree with the body's; otherwise the order whose
+    edges agree best is taken, which finds a swap of labels that lasts a single frame. The
+    rotation is the least-squares one (Kabsch 1976, doi:10.1107/S0567739476001873). A frame
+    has no pose if a marker is occluded (NaN) or if no order agrees within the tolerance.
 
     Args:
         reference: Markers in the body's frame, shape (3, 3) [m].
@@ -63,7 +67,9 @@ def fit_triad(reference: FloatArray, observed: FloatArray, tolerance: float = 0.
         axis=-1,
     )
     mismatch = np.where(np.isfinite(mismatch), mismatch, np.inf)
-    best = mismatch.argmin(axis=-1)
+    # The first order is the labels' own. Where it fits, noise must not flip a triad that is
+    # nearly symmetric.
+    best = np.where(mismatch[:, 0] <= tolerance, 0, mismatch.argmin(axis=-1))
     usable = mismatch.min(axis=-1) <= tolerance
 
     count = len(observed)

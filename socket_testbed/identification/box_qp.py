@@ -62,7 +62,7 @@ class Certificate:
     @property
     def worst(self) -> float:
         """The largest of the three."""
-        return max(self.primal, self.stationarity, self.gap)
+        return float(np.max([self.primal, self.stationarity, self.gap]))  # NaN is the worst
 
 
 @dataclass(frozen=True)
@@ -103,7 +103,7 @@ class BoxQP:
         gap = np.abs(gradient[bounded] * (x - towards)[bounded]).sum()
         gap += np.abs(gradient[~bounded] * x[~bounded]).sum()
         return Certificate(
-            primal=float(max(violation.max(initial=0.0), 0.0)),
+            primal=float(violation.max(initial=0.0)),
             stationarity=float(np.abs(natural).max(initial=0.0)),
             gap=float(gap / (1.0 + abs(self.objective(x)))),
         )
@@ -214,6 +214,10 @@ def solve_box_qp(problem: BoxQP, solver: str, tolerance: float) -> BoxSolution:
         raise ConfigurationError(
             f"solver '{solver}' is not installed", closest(solver, qpsolvers.available_solvers)
         )
+    if not (np.isfinite(problem.P).all() and np.isfinite(problem.q).all()):
+        raise UncertifiedSolutionError(
+            f"{problem.name}: holds values that are not finite", "check the samples", problem, None
+        )
     best: tuple[FloatArray, Certificate] | None = None
     for options in _ATTEMPTS.get(solver, ({},)):
         x = _ask(problem, solver, options)
@@ -242,11 +246,11 @@ def _ask(problem: BoxQP, solver: str, options: dict[str, Any]) -> FloatArray:
     try:
         with warnings.catch_warnings():
             # The certificate judges the answer; the solver's own doubts are not printed.
-            warnings.simplefilter("ignore", UserWarning)
+            warnings.simplefilter("ignore")
             answer = qpsolvers.solve_problem(
                 problem.to_qpsolvers(sparse=solver in _SPARSE_ONLY), solver, **options
             )
-    except (qpsolvers.exceptions.QPError, ValueError, ArithmeticError) as error:
+    except Exception as error:  # each backend has errors of its own
         raise UncertifiedSolutionError(
             f"{problem.name}: {solver} failed ({error})", "name another solver", problem, None
         ) from error

@@ -69,8 +69,8 @@ def fit_contact_model(
         IdentificationError: If the samples do not allow a fit, or a solution misses the
             KKT tolerance.
     """
-    samples = samples[samples.complete]
     objective = build_objective(samples, geometry, settings)
+    samples = samples[objective.rows]
 
     rest_program = build_stage_one(objective, geometry, settings)
     rest = solve_box_qp(rest_program, settings.solver, settings.solver_tolerance)

@@ -20,7 +20,7 @@ from socket_testbed.arrays import BoolArray, FloatArray, IntArray
 from socket_testbed.documents import closest
 from socket_testbed.errors import ConfigurationError, IdentificationError
 from socket_testbed.geometry.socket import SocketGeometry
-from socket_testbed.samples import Samples
+from socket_testbed.samples import LOCAL_CHANNELS, WRENCH_CHANNELS, Samples
 from socket_testbed.settings import IdentificationSettings
 
 _LEAST_MOMENT = 0.1  # [N m]; a channel group smaller than this is normalised by it
@@ -53,8 +53,10 @@ class Objective:
     """The samples of a fit, with the weight of each channel.
 
     Attributes:
+        rows: Which of the samples given are used.
         position: Limb positions q, shape (N, 3) [m].
-        wrench: Measured wrenches, shape (N, 6) [N m, N].
+        wrench: Measured wrenches, zero where a channel does not count, shape (N, 6)
+            [N m, N].
         wrench_counts: Channels of the wrench that are in the objective, shape (6,).
         wrench_weights: Weight of each squared wrench error, zero where it does not count,
             shape (6,) [1/(N m)^2, 1/N^2].
@@ -63,6 +65,7 @@ class Objective:
         smoothness: Weight lambda of J_s [-].
     """
 
+    rows: BoolArray
     position: FloatArray
     wrench: FloatArray
     wrench_counts: BoolArray
@@ -88,6 +91,30 @@ def channels_in_objective(
     return counted[:6], counted[6:].reshape(-1, 3)
 
 
+def usable_rows(samples: Samples, wrench_counts: BoolArray) -> BoolArray:
+    """Samples with a limb position and every wrench channel that counts, shape (N,).
+
+    Raises:
+        IdentificationError: If fewer than two are left, naming what is missing.
+    """
+    position = np.isfinite(samples.position).all(axis=1)
+    measured = np.isfinite(samples.wrench)
+    for channel in np.flatnonzero(wrench_counts & ~measured.any(axis=0)).tolist():
+        name = WRENCH_CHANNELS[channel]
+        raise IdentificationError(
+            f"{name} of the load cell has no value in any of the {len(samples)} samples",
+            f"leave it out of the objective (--leave-out {name}) or check the load cell",
+        )
+    rows = np.asarray(position & (measured | ~wrench_counts).all(axis=1))
+    if rows.sum() < 2:
+        raise IdentificationError(
+            f"only {int(rows.sum())} of {len(samples)} samples have a limb position"
+            f" ({int(position.sum())}) and a wrench",
+            "check the markers and the load cell with 'info', or give another segment",
+        )
+    return rows
+
+
 def build_objective(
     samples: Samples, geometry: SocketGeometry, settings: IdentificationSettings
 ) -> Objective:
@@ -102,24 +129,22 @@ def build_objective(
         ConfigurationError: For an unknown channel or cluster.
         IdentificationError: If there are no samples, or no value in a channel that counts.
     """
-    samples = samples[samples.complete]
-    if len(samples) < 2:
-        raise IdentificationError(
-            f"{len(samples)} samples have both a wrench and a limb position",
-            "check the load cell and the motion capture with 'info', or give another segment",
-        )
     wrench_counts, cluster_counts = channels_in_objective(samples, settings.leave_out)
+    rows = usable_rows(samples, wrench_counts)
+    samples = samples[rows]
+    wrench = np.where(wrench_counts, samples.wrench, 0.0)
     channels = _cluster_channels(samples, geometry, cluster_counts)
     if not wrench_counts.any() and not channels:
         raise IdentificationError("every channel is left out", "leave fewer channels out")
 
-    moment = max(_rms(samples.wrench[:, :3][:, wrench_counts[:3]]), _LEAST_MOMENT)
-    force = max(_rms(samples.wrench[:, 3:][:, wrench_counts[3:]]), _LEAST_FORCE)
+    moment = max(_rms(wrench[:, :3][:, wrench_counts[:3]]), _LEAST_MOMENT)
+    force = max(_rms(wrench[:, 3:][:, wrench_counts[3:]]), _LEAST_FORCE)
     weights = wrench_counts / np.repeat([moment, force], 3) ** 2
     local = max(_rms(np.concatenate([c.force for c in channels] or [np.zeros(1)])), _LEAST_FORCE)
     return Objective(
+        rows=rows,
         position=samples.position,
-        wrench=samples.wrench,
+        wrench=wrench,
         wrench_counts=wrench_counts,
         wrench_weights=settings.theta * weights / max(int(wrench_counts.sum()), 1),
         channels=channels,
@@ -140,13 +165,14 @@ def _cluster_channels(
             )
         point = geometry.clusters[cluster]
         for axis in np.flatnonzero(counts[column]).tolist():
-            force = samples.local_forces[:, column, axis]
-            rows = np.isfinite(force) & (samples.status[:, column] == 0)
-            name = f"{cluster}.F{'xyz'[axis]}"
+            force = samples.trusted_forces[:, column, axis]
+            rows = np.isfinite(force)
             if rows.sum() < 2:
+                names = [f"{cluster}.{LOCAL_CHANNELS[a]}" for a in np.flatnonzero(counts[column])]
                 raise IdentificationError(
-                    f"{name} has no usable value in any of the {len(samples)} samples",
-                    f"leave it out of the objective (--leave-out {name}) or check the cluster",
+                    f"{cluster}.{LOCAL_CHANNELS[axis]} has no usable value in any of the"
+                    f" {len(samples)} samples",
+                    f"check the cluster or leave it out (--leave-out {' '.join(names)})",
                 )
             direction = geometry.rotations[point][:, axis]
             channels.append(ClusterChannel(cluster, point, axis, direction, rows, force[rows]))

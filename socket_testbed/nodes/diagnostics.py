@@ -30,6 +30,7 @@ class Diagnostics:
         values: Called for the figures to report, by name.
         inputs: Subscriptions that want a publisher.
         outputs: Publishers that other nodes of the testbed want to be matched.
+        ready: Called to know whether the node itself is ready to work.
     """
 
     def __init__(
@@ -38,11 +39,13 @@ class Diagnostics:
         values: Callable[[], dict[str, object]],
         inputs: tuple[Subscription, ...] = (),
         outputs: tuple[Publisher, ...] = (),
+        ready: Callable[[], bool] = lambda: True,
     ) -> None:
         self._node = node
         self._values = values
         self._inputs = inputs
         self._outputs = outputs
+        self._ready = ready
         self._publisher = node.create_publisher(
             DiagnosticArray, DIAGNOSTICS.name, publisher_qos(DIAGNOSTICS)
         )
@@ -82,12 +85,12 @@ class Diagnostics:
             self._publish()
 
     def _unlinked(self) -> list[str]:
-        """Topics without a counterpart in the graph."""
+        """Topics without a counterpart in the graph, and the node while it starts."""
         waiting = [
             s.topic_name for s in self._inputs if self._node.count_publishers(s.topic_name) == 0
         ]
         waiting += [p.topic_name for p in self._outputs if p.get_subscription_count() == 0]
-        return waiting
+        return waiting if self._ready() else [*waiting, "itself"]
 
     def _publish(self) -> None:
         self._ticks = 0

@@ -99,7 +99,9 @@ class EstimatorNode(Node):
         inputs = [self._subscribe(topic, partial(self._on_measured, topic)) for topic in _MEASURED]
         inputs.append(self._subscribe(TRIGGER, self._on_trigger))
         self._service = self.create_service(TriggerService, "estimator/fit", self._on_fit)
-        self._diagnostics = Diagnostics(self, self._values, inputs=tuple(inputs))
+        self._diagnostics = Diagnostics(
+            self, self._values, inputs=tuple(inputs), ready=lambda: self._worker.ready
+        )
         self._diagnostics.report(WARN, "no model yet: waiting for steady data or estimator/fit")
         if settings.model:
             self._load(Path(settings.model))

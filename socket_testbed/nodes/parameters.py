@@ -16,7 +16,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from socket_testbed.errors import ConfigurationError
-from socket_testbed.settings import Settings
+from socket_testbed.settings import Settings, parameter_values
 
 S = TypeVar("S", bound=Settings)
 
@@ -43,9 +43,8 @@ class Parameters(Generic[S]):
         self._kind = kind
         self._changed = changed
         self._names = kind.flat()
-        defaults = kind().to_flat()
-        for name, value in defaults.items():
-            node.declare_parameter(name, _to_ros(value), self._descriptor(name))
+        for name, value in parameter_values(kind()).items():
+            node.declare_parameter(name, value, self._descriptor(name))
         self.settings = self._build({})
         node.add_on_set_parameters_callback(self._validate)
         node.add_post_set_parameters_callback(self._apply)
@@ -87,11 +86,6 @@ class Parameters(Generic[S]):
         self.settings = self._build({})
         if self._changed is not None and any(p.name in self._names for p in parameters):
             self._changed(self.settings)
-
-
-def _to_ros(value: Any) -> Any:
-    """An empty list has no type in ROS: a list of one empty text stands for it."""
-    return [""] if value == [] else value
 
 
 def _from_ros(value: Any) -> Any:

@@ -40,6 +40,7 @@ _READY_WITHIN = 15.0  # [s]; for the nodes waited for to find each other
 _DONE_WITHIN = 10.0  # [s]; for them to work off the last message
 _IN_FLIGHT = 500  # triggers ahead of the nodes waited for, well below their queues
 _BURST = 50  # messages sent at once, half of what a writer keeps to send again
+_PROGRESS_PERIOD = 10.0  # [s]
 _BREATH = 0.002  # [s]; after a burst
 
 
@@ -63,6 +64,7 @@ class ReplayNode(Node):
         self._heard = threading.Condition()
         self._published = 0
         self._last_trigger = 0
+        self._said = time.monotonic()
         self._ahead: deque[int] = deque()
 
         self._bag = BagReader(Path(settings.trial))
@@ -155,6 +157,13 @@ class ReplayNode(Node):
             if self._stop.is_set():
                 return
             self._publish(raw)
+            self._say_how_far((raw.time - first) * 1e-9)
+
+    def _say_how_far(self, position: float) -> None:
+        """Log how far the replay is [s] now and then."""
+        if time.monotonic() - self._said > _PROGRESS_PERIOD:
+            self._said = time.monotonic()
+            self.get_logger().info(f"{position:.1f} of {self._bag.duration:.1f} s")
 
     def _pause(self) -> float:
         """Wait while paused; returns for how long [s]."""

@@ -60,7 +60,7 @@ def conical_socket() -> SocketGeometry:
         areas=np.full(len(names), _TILE**2),
         neighbours=_neighbours(points, rotations),
         clusters=clusters,
-        socket_markers=np.array([[0.0, 0.0, 0.0], [0.090, 0.0, 0.0], [0.025, 0.060, 0.0]]),
+        socket_markers=np.array([[0.0, 0.0, 0.0], [0.090, 0.0, 0.0], [0.025, 0.050, 0.0]]),
         pylon_markers=np.array([[0.0, 0.0, 0.0], [0.110, 0.0, 0.010], [0.040, 0.075, 0.0]]),
         socket_body=Pose(_about_z(90.0), np.array([0.080, -0.030, 0.150])),
         limb=Pose(_about_z(-30.0), np.array([-0.045, -0.030, -0.220])),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -12,6 +13,7 @@ from socket_testbed.calibration import Status
 from socket_testbed.errors import TrialError
 from socket_testbed.geometry.pose import Pose
 from socket_testbed.samples import Samples
+from socket_testbed.trials.bag import RawMessage
 from socket_testbed.trials.messages import decode, stamp_of
 from socket_testbed.trials.topics import CAPACITANCE, PYLON_POSE, SOCKET_POSE, TRIGGER, WRENCH
 from socket_testbed.trials.trial import Trial, required_topics
@@ -26,6 +28,20 @@ class _Columns:
     socket_pose: dict[int, tuple[float, ...]] = field(default_factory=dict)
     pylon_pose: dict[int, tuple[float, ...]] = field(default_factory=dict)
     capacitance: dict[int, dict[str, tuple[Any, Any]]] = field(default_factory=dict)
+
+
+def check_trial(trial: Trial) -> None:
+    """Refuse a trial that cannot be worked on, before long work or a graph is started.
+
+    Raises:
+        TrialError: If the trial cannot be read or lacks a topic.
+        CalibrationError: If the calibration lacks a cluster of the trial.
+        ConfigurationError: If the stored configuration is wrong.
+    """
+    with trial.open() as bag:
+        name = required_topics(bag)[CAPACITANCE]
+        first = next(bag.messages([name]))
+    _require_clusters([cluster.name for cluster in _decode(trial, first).clusters], trial)
 
 
 def read_samples(trial: Trial) -> Samples:
@@ -75,13 +91,7 @@ def _read_columns(trial: Trial) -> _Columns:
         names = {topics[topic]: topic for topic in topics if topic.required}
         for raw in bag.messages(names):
             topic = names[raw.topic]
-            try:
-                message = decode(raw.data, raw.type)
-            except Exception as error:
-                raise TrialError(
-                    f"{trial.path}: a message on {raw.topic} cannot be decoded ({error})",
-                    "check that the trial was recorded with this version's messages",
-                ) from None
+            message = _decode(trial, raw)
             stamp = stamp_of(message)
             if topic is TRIGGER:
                 columns.triggers[stamp] = None
@@ -97,6 +107,16 @@ def _read_columns(trial: Trial) -> _Columns:
                     for cluster in message.clusters
                 }
     return columns
+
+
+def _decode(trial: Trial, raw: RawMessage) -> Any:
+    try:
+        return decode(raw.data, raw.type)
+    except Exception as error:  # the library raises whatever the bytes lead it to
+        raise TrialError(
+            f"{trial.path}: a message on {raw.topic} cannot be decoded ({error})",
+            "check that the trial was recorded with this version's messages",
+        ) from None
 
 
 def wrench_vector(wrench: Any) -> tuple[float, ...]:
@@ -127,8 +147,7 @@ def _local_forces(
     clusters = tuple(
         dict.fromkeys(name for entry in columns.capacitance.values() for name in entry)
     )
-    trial.calibration.require(clusters, f"the trial {trial.path}")
-    _require_tiles(clusters, trial)
+    _require_clusters(clusters, trial)
     forces = np.full((len(stamps), len(clusters), 3), np.nan)
     status = np.full((len(stamps), len(clusters)), Status.MISSING, dtype=np.uint8)
     unread = (np.full(4, np.nan), np.full(4, Status.MISSING, dtype=np.uint8))
@@ -144,7 +163,8 @@ def _local_forces(
     return clusters, forces, status
 
 
-def _require_tiles(clusters: tuple[str, ...], trial: Trial) -> None:
+def _require_clusters(clusters: Collection[str], trial: Trial) -> None:
+    trial.calibration.require(clusters, f"the trial {trial.path}")
     for name in clusters:
         if name not in trial.geometry.clusters:
             raise TrialError(

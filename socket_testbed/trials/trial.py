@@ -13,7 +13,7 @@ from socket_testbed.files import packaged
 from socket_testbed.geometry.socket import SocketGeometry, read_socket
 from socket_testbed.settings import EstimatorSettings, Settings, read_parameters
 from socket_testbed.trials.bag import BagReader
-from socket_testbed.trials.topics import REQUIRED, TOPICS, Topic, match_topics
+from socket_testbed.trials.topics import REQUIRED, TOPICS, TRIGGER, Topic, match_topics
 
 SOCKET_FILE = "socket.yaml"
 CALIBRATION_FILE = "calibration.yaml"
@@ -107,6 +107,13 @@ def required_topics(bag: BagReader) -> dict[Topic, str]:
                 f"{bag.path}: '{name}' is a {bag.types[name]}", f"record it as {topic.type}"
             )
     return {topic: topics[topic] for topic in TOPICS if topic in topics}
+
+
+def recorded_namespace(trial: Trial) -> str:
+    """Namespace of the testbed in the graph that was recorded, such as / or /lab."""
+    with trial.open() as bag:
+        name = required_topics(bag)[TRIGGER]
+    return name.removesuffix(TRIGGER.name).rstrip("/") or "/"
 
 
 def store_configuration(

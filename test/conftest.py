@@ -1,0 +1,38 @@
+import os
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+# Every run has a ROS domain of its own, and no graph leaves this machine. This must stand
+# before rclpy is imported anywhere; child processes inherit it.
+os.environ["ROS_DOMAIN_ID"] = str(1 + os.getpid() % 100)
+os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "2")
+
+from socket_testbed.__main__ import run
+
+
+@pytest.fixture(scope="session")
+def hold(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A simulated static hold of 60 s at 4 Hz; tests that change it work on a copy."""
+    path = tmp_path_factory.mktemp("trials") / "hold"
+    assert run(["simulate", "-o", str(path), "--duration", "60", "--seed", "3"]) == 0
+    return path
+
+
+@pytest.fixture(scope="session")
+def hold_model(hold: Path) -> Path:
+    """A model with offsets, fitted on the plateau of the hold."""
+    path = hold.parent / "model.json"
+    assert run(["fit", str(hold), "-o", str(path)]) == 0
+    return path
+
+
+@pytest.fixture(scope="session")
+def shared_data() -> Iterator[Path]:
+    """Real data that nobody here wrote, where it lies beside the checkout."""
+    path = Path(__file__).resolve().parents[2] / "shared" / "data"
+    if not path.is_dir():
+        pytest.skip("no shared data beside the checkout")
+    yield path
