@@ -103,22 +103,19 @@ class Section:
         """A finite number within [low, high]."""
         return check_number(self.take(key), f"{self.where}: {key}", low, high)
 
-    def array(self, key: str, shape: tuple[int, ...]) -> FloatArray:
-        """An array of finite numbers of a given shape; -1 stands for any length."""
+    def array(self, key: str, shape: tuple[int, ...], finite: bool = True) -> FloatArray:
+        """An array of numbers of a given shape; null is NaN, where that is allowed."""
         value = self.take(key)
         try:
             array = np.array(value, dtype=float)
         except (TypeError, ValueError):
             raise self._wrong(key, value, f"numbers of shape {_shape(shape)}") from None
-        fits = array.ndim == len(shape) and all(
-            want in (-1, have) for want, have in zip(shape, array.shape, strict=True)
-        )
-        if not fits:
+        if array.shape != shape:
             raise ConfigurationError(
                 f"{self.where}: {key} has the shape {_shape(array.shape)}",
                 f"give numbers of shape {_shape(shape)}",
             )
-        if not np.isfinite(array).all():
+        if finite and not np.isfinite(array).all():
             raise ConfigurationError(
                 f"{self.where}: {key} holds a value that is not finite", "give finite numbers"
             )
@@ -177,4 +174,4 @@ def _kind(value: Any) -> str:
 
 
 def _shape(shape: tuple[int, ...]) -> str:
-    return "x".join("n" if size == -1 else str(size) for size in shape) or "one number"
+    return "x".join(str(size) for size in shape) or "one number"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import dataclasses
 import json
 from pathlib import Path
 
@@ -11,7 +10,7 @@ from socket_testbed.commands.errors_table import errors_table
 from socket_testbed.commands.options import add_segment, add_trial, trial_of
 from socket_testbed.errors import TrialError
 from socket_testbed.evaluation import evaluate
-from socket_testbed.identification.model_file import StoredModel, finite_or_null, read_model
+from socket_testbed.identification.model_file import StoredModel, errors_document, read_model
 from socket_testbed.trials.segment import select_segment
 from socket_testbed.trials.synchronise import read_samples
 from socket_testbed.trials.trial import Trial
@@ -43,7 +42,7 @@ def run(options: argparse.Namespace) -> None:
             "model": {"trial": stored.trial, "variant": stored.model.variant},
             "segment": {"kind": segment.kind, "start": segment.start, "end": segment.end},
             "samples": int(chosen.complete.sum()),
-            "channels": [finite_or_null(dataclasses.asdict(error)) for error in errors],
+            "channels": [errors_document(error) for error in errors],
         }
         print(json.dumps(report, indent=1, allow_nan=False))
         return

@@ -9,12 +9,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from socket_testbed.arrays import FloatArray
 from socket_testbed.contact import VARIANTS, ContactModel
 from socket_testbed.documents import Section, closest
 from socket_testbed.errors import ConfigurationError
+from socket_testbed.evaluation import ChannelErrors
 from socket_testbed.files import whole_output
 from socket_testbed.geometry.socket import SocketGeometry, socket_from_section
 from socket_testbed.identification.fit import Fit
@@ -94,21 +93,24 @@ def write_model(
             "last_stamp": fit.last_stamp,
             "determined_directions": fit.determined,
             "status": fit.status,
+            "wrench_rmse": [finite_or_null(error.rmse) for error in fit.errors[:6]],
             "stage_1": dataclasses.asdict(fit.stage_one.certificate),
             "stage_2": dataclasses.asdict(fit.stage_two.certificate),
-            "errors": [finite_or_null(dataclasses.asdict(error)) for error in fit.errors],
+            "errors": [errors_document(error) for error in fit.errors],
         },
     }
     with whole_output(path) as staging:
         staging.write_text(json.dumps(document, indent=1, allow_nan=False), encoding="utf-8")
 
 
-def finite_or_null(record: dict[str, Any]) -> dict[str, Any]:
-    """A record for JSON, which has no NaN: None stands for it."""
-    return {
-        key: None if isinstance(value, float) and not math.isfinite(value) else value
-        for key, value in record.items()
-    }
+def errors_document(errors: ChannelErrors) -> dict[str, Any]:
+    """The errors of a channel for JSON."""
+    return {key: finite_or_null(value) for key, value in dataclasses.asdict(errors).items()}
+
+
+def finite_or_null(value: Any) -> Any:
+    """A value for JSON, which has no NaN: None stands for it."""
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def read_model(path: Path) -> StoredModel:
@@ -135,14 +137,13 @@ def read_model(path: Path) -> StoredModel:
     values = {name: settings_section.take(name) for name in settings_section.names()}
     parameters = document.section("parameters").expect(_PARAMETERS)
     quality = document.section("quality")
-    errors = quality.take("errors")[:6]
     return StoredModel(
         model=_model(parameters, geometry),
         geometry=geometry,
         settings=IdentificationSettings.from_flat(values, f"{path}: settings"),
         samples=int(quality.number("samples", 0)),
         last_stamp=int(quality.take("last_stamp")),
-        wrench_rmse=np.array([float(error["rmse"]) for error in errors]),
+        wrench_rmse=quality.array("wrench_rmse", (6,), finite=False),
         status=quality.text("status"),
         trial=document.section("trial").text("name"),
     )
@@ -155,7 +156,12 @@ def _model(parameters: Section, geometry: SocketGeometry) -> ContactModel:
             f"{parameters.where}: variant is '{variant}'", closest(variant, VARIANTS)
         )
     bias = parameters.section("force_bias").expect(geometry.clusters)
-    clusters = parameters.take("clusters")
+    clusters = [str(name) for name in parameters.take("clusters")]
+    for name in clusters:
+        if name not in geometry.clusters:
+            raise ConfigurationError(
+                f"{parameters.where}: no cluster '{name}'", closest(name, geometry.clusters)
+            )
     points = len(geometry)
     return ContactModel(
         variant=variant,

@@ -89,7 +89,9 @@ def find_plateaus(samples: Samples, settings: PlateauSettings) -> list[Segment]:
     width = _width(samples, settings.smoothing)
     if 2 * width > len(samples):
         return []
-    mean = moving_mean(samples.wrench, width)
+    # A channel that never had a value cannot say that the load changes; it counts as missing.
+    dead = np.isnan(samples.wrench).all(axis=0)
+    mean = moving_mean(np.where(dead, 0.0, samples.wrench), width)
     steady = ~_load_changes(mean, width, settings)
     channels = np.hstack([samples.position, samples.values])
     missing = np.isnan(channels).mean(axis=1, keepdims=True)
