@@ -36,9 +36,7 @@ def parts_of_fit(stage: StageTwoInput) -> dict[str, Callable[[], object]]:
         "stage 2: build": lambda: build_stage_two(*arguments, rest),
         "  of it the moments (auto)": lambda: gate_moments(*gate, objective.wrench),
         "stage 2: solve_box_qp": lambda: solve_box_qp(built.program, *solver),
-        "stage 2: recover_offsets": lambda: recover_offsets(
-            *arguments, stiffness, rest, built.moments
-        ),
+        "stage 2: recover_offsets": lambda: recover_offsets(*arguments, built, stiffness),
         "fit_contact_model, whole": lambda: fit_contact_model(
             stage.samples, stage.geometry, settings
         ),

@@ -59,9 +59,7 @@ def prepare_ours(stage: StageTwoInput) -> Run:
         built = build_stage_two(*arguments, stage.rest_positions)
         found = solve_box_qp(built.program, stage.settings.solver, stage.settings.solver_tolerance)
         stiffness = KILONEWTON_PER_METRE * found.x.reshape(-1, 3)
-        wrench_bias, force_bias = recover_offsets(
-            *arguments, stiffness, stage.rest_positions, built.moments
-        )
+        wrench_bias, force_bias = recover_offsets(*arguments, built, stiffness)
         channels = stage.objective.channels
         channel_bias = np.array([force_bias[c.cluster][c.axis] for c in channels])
         return Solution(stiffness.ravel(), wrench_bias, channel_bias, found.status)

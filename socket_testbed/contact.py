@@ -141,10 +141,14 @@ class ContactModel:
 
     def cluster_forces(self, position: FloatArray) -> dict[str, FloatArray]:
         """Forces on the clusters, each in its cluster's frame, shape (N, 3) each [N]."""
-        forces = self.forces(position)
+        points = list(self.cluster_points.values())
+        springs = self.stiffness[points] * gated_displacement(
+            position, self.rest_positions[points], self.sharpness
+        )
+        no_bias = np.zeros(3)
         return {
-            name: forces[:, point] @ self.rotations[point]
-            for name, point in self.cluster_points.items()
+            name: springs[:, column] @ self.rotations[point] + self.force_bias.get(name, no_bias)
+            for column, (name, point) in enumerate(self.cluster_points.items())
         }
 
     def _spring_forces(self, position: FloatArray) -> FloatArray:

@@ -1,5 +1,9 @@
 """The family of errors that users see: each states the fact and the mend in one line."""
 
+from __future__ import annotations
+
+from typing import Any
+
 
 class TestbedError(Exception):
     """Base of every error of this package that is meant for a person.
@@ -15,6 +19,18 @@ class TestbedError(Exception):
         self.fact = " ".join(fact.split())
         self.mend = " ".join(mend.split())
         super().__init__(f"{self.fact}: {self.mend}")
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        # Errors come back from worker processes whatever their constructors take.
+        return _restore, (type(self), self.args, self.__dict__)
+
+
+def _restore(
+    kind: type[TestbedError], arguments: tuple[Any, ...], state: dict[str, Any]
+) -> TestbedError:
+    error = kind.__new__(kind, *arguments)
+    error.__dict__.update(state)
+    return error
 
 
 class ConfigurationError(TestbedError):

@@ -174,7 +174,7 @@ class IdentificationSettings(Settings):
     )
     solver: str = setting("osqp", "any solver that qpsolvers knows and finds [-]")
     solver_tolerance: float = setting(
-        1e-6, "largest KKT residual that a solution may have, in scaled units [-]", 1e-12, 1e-2
+        1e-8, "largest KKT residual that a solution may have, in scaled units [-]", 1e-12, 1e-2
     )
 
 

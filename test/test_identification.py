@@ -76,9 +76,7 @@ def solve_stage_two(geometry, samples, settings, rest_positions):
     stage = build_stage_two(objective, geometry, settings, rest_positions)
     x = solve_box_qp(stage.program, settings.solver, settings.solver_tolerance).x
     stiffness = KILONEWTON_PER_METRE * x.reshape(-1, 3)
-    offsets = recover_offsets(
-        objective, geometry, settings, stiffness, rest_positions, stage.moments
-    )
+    offsets = recover_offsets(objective, geometry, settings, stage, stiffness)
     return x, offsets
 
 

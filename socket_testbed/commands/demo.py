@@ -115,7 +115,9 @@ def _estimate(trial: Trial, samples: Samples, variant: str, log: Path) -> Estima
     settings = dataclasses.replace(
         settings, identification=dataclasses.replace(settings.identification, variant=variant)
     )
-    replay = ReplaySettings(trial=str(trial.path.resolve()), rate=_RATE)
+    replay = ReplaySettings(
+        trial=str(trial.path.resolve()), rate=_RATE, wait_for=(EstimateListener.NAME,)
+    )
     with log.open("w", encoding="utf-8") as output, EstimateListener() as listener:
         replay_with_estimator(trial, replay, settings, output)
         print(

@@ -94,7 +94,8 @@ def replay_with_estimator(
     calibration_file = trial.configuration(CALIBRATION_FILE, trial.calibration_file)
     calibration = CalibrationNodeSettings(calibration=str(calibration_file.resolve()))
     estimator = dataclasses.replace(estimator, geometry=str(socket_file.resolve()))
-    replay = dataclasses.replace(replay, measured_only=True, wait_for=_ESTIMATING)
+    wait_for = (*_ESTIMATING, *replay.wait_for)
+    replay = dataclasses.replace(replay, measured_only=True, wait_for=wait_for)
     with Graph(output) as graph:
         graph.start("calibration_node", calibration, namespace, use_sim_time=True)
         graph.start("estimator_node", estimator, namespace, use_sim_time=True)

@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 import qpsolvers
-from scipy.linalg import LinAlgError, cho_factor, cho_solve
 from scipy.sparse import csc_matrix
 
 from socket_testbed.arrays import FloatArray, IntArray
@@ -19,8 +18,8 @@ from socket_testbed.documents import closest
 from socket_testbed.errors import ConfigurationError, IdentificationError
 
 # A first-order solver stops early at its defaults (4 to 49 % off in stiffness behind a
-# good-looking objective). Here it has to find the active set, which is then refined; where
-# a coarse attempt does not find it, the next one does. OSQP's own interval for
+# good-looking objective). Here it has to come near the active set, which is then refined;
+# where a coarse attempt is not near enough, the next one is. OSQP's own interval for
 # adapting rho comes from a timer: a fixed one makes the answer reproducible.
 _OSQP = {
     "eps_rel": 0.0,
@@ -30,7 +29,7 @@ _OSQP = {
 }
 _ATTEMPTS: dict[str, tuple[dict[str, Any], ...]] = {
     "osqp": (
-        {**_OSQP, "eps_abs": 1e-5, "max_iter": 300},
+        {**_OSQP, "eps_abs": 1e-5, "max_iter": 25},
         {**_OSQP, "eps_abs": 1e-5, "max_iter": 10_000},
         {**_OSQP, "eps_abs": 1e-9, "max_iter": 200_000},
     ),
@@ -158,7 +157,7 @@ def refine(problem: BoxQP, x: FloatArray) -> tuple[FloatArray, Certificate]:
     for _ in range(_REFINEMENTS):
         try:
             candidate, gradient = _solve_on_sides(problem, side)
-        except LinAlgError:  # flat directions: the solver's answer stands
+        except np.linalg.LinAlgError:  # flat directions: the solver's answer stands
             break
         inside = np.clip(candidate, problem.lower, problem.upper)
         residuals = problem.certificate(inside)
@@ -184,7 +183,10 @@ def _solve_on_sides(problem: BoxQP, side: IntArray) -> tuple[FloatArray, FloatAr
     free = np.flatnonzero(side == 0)
     fixed = np.flatnonzero(side != 0)
     rest = problem.q[free] + problem.P[np.ix_(free, fixed)] @ x[fixed]
-    x[free] = -cho_solve(cho_factor(problem.P[np.ix_(free, free)]), rest)
+    block = problem.P[np.ix_(free, free)]
+    # numpy alone: where scipy brings a thread pool of its own, the two stall each other.
+    np.linalg.cholesky(block)  # raises unless positive definite
+    x[free] = -np.linalg.solve(block, rest)
     return x, problem.P @ x + problem.q
 
 

@@ -81,9 +81,7 @@ def fit_contact_model(
     springs = solve_box_qp(stage_two.program, settings.solver, settings.solver_tolerance)
     stiffness = KILONEWTON_PER_METRE * springs.x.reshape(-1, 3)
 
-    wrench_bias, force_bias = recover_offsets(
-        objective, geometry, settings, stiffness, rest_positions, stage_two.moments
-    )
+    wrench_bias, force_bias = recover_offsets(objective, geometry, settings, stage_two, stiffness)
     model = ContactModel(
         variant=cast(Variant, settings.variant),
         names=geometry.names,

@@ -19,7 +19,7 @@ from socket_testbed.contact import gated_displacement
 
 Method = Literal["auto", "direct", "chebyshev"]
 
-_BLOCK = 4096  # rows; bounds the memory of the direct product at any N
+_BLOCK = 512  # rows; keeps the direct product within the cache at any N
 _PRECISION = 1e-14  # [-]; of the Chebyshev series
 _LARGEST_DEGREE = 400
 
@@ -143,14 +143,14 @@ def _chebyshev_moments(
     middle, half_width = 0.5 * (low + high), 0.5 * (high - low)
     scaled = (position - middle) / np.where(half_width > 0.0, half_width, 1.0)
 
-    basis = _chebyshev_basis(scaled, length)  # (N, 3, length - 1), without the constant
-    basis_mean = basis.mean(axis=0)
-    basis -= basis_mean
-    flat = basis.reshape(len(position), -1)
+    basis = _chebyshev_basis(scaled, length)  # (3, length - 1, N), without the constant
+    basis_mean = basis.mean(axis=2)
+    basis -= basis_mean[:, :, None]
+    flat = basis.reshape(-1, len(position))
     target_mean = targets.mean(axis=0)
     centred = targets - target_mean
-    products = (flat.T @ flat).reshape(3, length - 1, 3, length - 1)
-    target_products = (flat.T @ centred).reshape(3, length - 1, -1)
+    products = (flat @ flat.T).reshape(3, length - 1, 3, length - 1)
+    target_products = (flat @ centred).reshape(3, length - 1, -1)
 
     angles = np.pi * (np.arange(length) + 0.5) / length
     nodes = middle + half_width * np.cos(angles)[:, None]
@@ -179,10 +179,10 @@ def _chebyshev_moments(
 
 
 def _chebyshev_basis(scaled: FloatArray, length: int) -> FloatArray:
-    """Polynomials T_1 .. T_(length - 1) of coordinates in [-1, 1], shape (N, 3, length - 1)."""
-    basis = np.empty((*scaled.shape, length))
-    basis[..., 0] = 1.0
-    basis[..., 1] = scaled
+    """Polynomials T_1 .. T_(length - 1) of coordinates in [-1, 1], shape (3, length - 1, N)."""
+    basis = np.empty((length, *scaled.T.shape))
+    basis[0] = 1.0
+    basis[1] = scaled.T
     for k in range(2, length):
-        basis[..., k] = 2.0 * scaled * basis[..., k - 1] - basis[..., k - 2]
-    return np.ascontiguousarray(basis[..., 1:])
+        basis[k] = 2.0 * scaled.T * basis[k - 1] - basis[k - 2]
+    return np.ascontiguousarray(basis[1:].swapaxes(0, 1))

@@ -99,7 +99,8 @@ def usable_rows(samples: Samples, wrench_counts: BoolArray) -> BoolArray:
     """
     position = np.isfinite(samples.position).all(axis=1)
     measured = np.isfinite(samples.wrench)
-    for channel in np.flatnonzero(wrench_counts & ~measured.any(axis=0)).tolist():
+    dead = wrench_counts & ~measured.any(axis=0) & (len(samples) > 0)
+    for channel in np.flatnonzero(dead).tolist():
         name = WRENCH_CHANNELS[channel]
         raise IdentificationError(
             f"{name} of the load cell has no value in any of the {len(samples)} samples",

@@ -10,7 +10,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
 
 from socket_testbed.arrays import FloatArray
 from socket_testbed.contact import gated_displacement, wrench_map
@@ -33,11 +32,14 @@ class StageTwo:
     Attributes:
         program: The program in the stiffnesses [kN/m], shape (3n,).
         moments: Moments of the gated displacements and the wrench about their means.
+        channel_means: Mean gated displacement of its point, shape (3,) [m], and mean
+            measured force [N], a channel of the clusters.
         smoothness: Part of the program's P that is the smoothness, shape (3n, 3n) [-].
     """
 
     program: BoxQP
     moments: Moments
+    channel_means: tuple[tuple[FloatArray, float], ...]
     smoothness: FloatArray
 
     def determined_directions(self, x: FloatArray) -> float:
@@ -51,8 +53,7 @@ class StageTwo:
             return 0.0
         P = self.program.P[np.ix_(free, free)]
         data = P - self.smoothness[np.ix_(free, free)]
-        factor = cho_factor(P + _JITTER * np.eye(len(free)))
-        return float(np.trace(cho_solve(factor, data)))
+        return float(np.trace(np.linalg.solve(P + _JITTER * np.eye(len(free)), data)))
 
 
 def stage_one_reference(objective: Objective) -> FloatArray:
@@ -128,14 +129,16 @@ def build_stage_two(
     P = (mapping.T @ weighted) * moments.gram
     P *= scale**2 / moments.count
     q = -scale / moments.count * np.einsum("jc,cj->j", moments.cross, weighted)
+    points = sorted({channel.point for channel in objective.channels})
+    on_tiles = gated_displacement(
+        objective.position, rest_positions[points], settings.gate_sharpness
+    )
+    means = []
     for channel in objective.channels:
-        point = rest_positions[channel.point][None]
-        s = gated_displacement(objective.position[channel.rows], point, settings.gate_sharpness)[
-            :, 0
-        ]
-        force = channel.force
+        s, force = on_tiles[channel.rows, points.index(channel.point)], channel.force
+        means.append((s.mean(axis=0), float(force.mean())))
         if with_bias:
-            s, force = s - s.mean(axis=0), force - force.mean()
+            s, force = s - means[-1][0], force - means[-1][1]
         rows = s * channel.direction * scale
         block = slice(3 * channel.point, 3 * channel.point + 3)
         P[block, block] += objective.channel_weight / len(rows) * (rows.T @ rows)
@@ -144,16 +147,15 @@ def build_stage_two(
     lower, upper = np.zeros(len(q)), np.full(len(q), np.inf)
     factor = _normalisation(P + smoothness)
     program = BoxQP(factor * (P + smoothness), factor * q, lower, upper, "Stage 2 (stiffnesses)")
-    return StageTwo(program, centred, factor * smoothness)
+    return StageTwo(program, centred, tuple(means), factor * smoothness)
 
 
 def recover_offsets(
     objective: Objective,
     geometry: SocketGeometry,
     settings: IdentificationSettings,
+    stage: StageTwo,
     stiffness: FloatArray,
-    rest_positions: FloatArray,
-    moments: Moments,
 ) -> tuple[FloatArray, dict[str, FloatArray]]:
     """Offsets that are optimal for given stiffnesses: the mean residuals.
 
@@ -165,18 +167,12 @@ def recover_offsets(
     force_bias: dict[str, FloatArray] = {}
     if settings.variant != "stiffness_bias":
         return wrench_bias, force_bias
-    springs = stiffness.reshape(-1) * moments.mean
-    residual = moments.target_mean - wrench_map(geometry.anchors) @ springs
+    springs = stiffness.reshape(-1) * stage.moments.mean
+    residual = stage.moments.target_mean - wrench_map(geometry.anchors) @ springs
     wrench_bias[objective.wrench_counts] = residual[objective.wrench_counts]
-    for channel in objective.channels:
-        s = gated_displacement(
-            objective.position[channel.rows],
-            rest_positions[channel.point][None],
-            settings.gate_sharpness,
-        )[:, 0]
-        model = (s * stiffness[channel.point]) @ channel.direction
+    for channel, (s, force) in zip(objective.channels, stage.channel_means, strict=True):
         bias = force_bias.setdefault(channel.cluster, np.zeros(3))
-        bias[channel.axis] = (channel.force - model).mean()
+        bias[channel.axis] = force - (s * stiffness[channel.point]) @ channel.direction
     return wrench_bias, force_bias
 
 

@@ -29,7 +29,8 @@ class Diagnostics:
         node: The node.
         values: Called for the figures to report, by name.
         inputs: Subscriptions that want a publisher.
-        outputs: Publishers that other nodes of the testbed want to be matched.
+        outputs: Publishers that want a subscriber.
+        offered: Publishers that have subscribers or not, as users like.
         ready: Called to know whether the node itself is ready to work.
     """
 
@@ -39,12 +40,14 @@ class Diagnostics:
         values: Callable[[], dict[str, object]],
         inputs: tuple[Subscription, ...] = (),
         outputs: tuple[Publisher, ...] = (),
+        offered: tuple[Publisher, ...] = (),
         ready: Callable[[], bool] = lambda: True,
     ) -> None:
         self._node = node
         self._values = values
         self._inputs = inputs
         self._outputs = outputs
+        self._offered = offered
         self._ready = ready
         self._publisher = node.create_publisher(
             DiagnosticArray, DIAGNOSTICS.name, publisher_qos(DIAGNOSTICS)
@@ -90,6 +93,11 @@ class Diagnostics:
             s.topic_name for s in self._inputs if self._node.count_publishers(s.topic_name) == 0
         ]
         waiting += [p.topic_name for p in self._outputs if p.get_subscription_count() == 0]
+        waiting += [
+            p.topic_name
+            for p in self._offered
+            if p.get_subscription_count() < self._node.count_subscribers(p.topic_name)
+        ]
         return waiting if self._ready() else [*waiting, "itself"]
 
     def _publish(self) -> None:

@@ -15,6 +15,7 @@ from socket_testbed_msgs.msg import ContactModel, LocalForceArray
 
 from socket_testbed.arrays import FloatArray
 from socket_testbed.nodes.conversions import stamp_from_ros, vectors_from_ros, wrench_from_ros
+from socket_testbed.nodes.diagnostics import Diagnostics
 from socket_testbed.nodes.runtime import message_type, subscriber_qos
 from socket_testbed.trials.topics import ESTIMATED_WRENCH, LOCAL_FORCES, PARAMETERS
 
@@ -28,6 +29,8 @@ class EstimateListener:
         models: Number of models published.
     """
 
+    NAME = "estimate_listener"
+
     def __init__(self) -> None:
         self.wrench: dict[int, FloatArray] = {}
         self.forces: dict[int, FloatArray] = {}
@@ -35,15 +38,22 @@ class EstimateListener:
 
     def __enter__(self) -> Self:
         rclpy.init()
-        self._node = rclpy.create_node("estimate_listener")
+        self._node = rclpy.create_node(self.NAME)
+        subscriptions = []
         for topic, callback in (
             (ESTIMATED_WRENCH, self._on_wrench),
             (LOCAL_FORCES, self._on_forces),
             (PARAMETERS, self._on_model),
         ):
-            self._node.create_subscription(
-                message_type(topic), topic.name, callback, subscriber_qos(topic)
+            subscriptions.append(
+                self._node.create_subscription(
+                    message_type(topic), topic.name, callback, subscriber_qos(topic)
+                )
             )
+        # Its diagnostics tell a replay that waits for it that it is linked.
+        self._diagnostics = Diagnostics(
+            self._node, lambda: {"received": len(self.wrench)}, inputs=tuple(subscriptions)
+        )
         self._executor = EventsExecutor()
         self._executor.add_node(self._node)
         self._done = Future()

@@ -10,6 +10,7 @@ when enough steady data is in, or when it is asked to; a fit runs in a process o
 
 from __future__ import annotations
 
+from concurrent.futures import CancelledError
 from concurrent.futures import Future as WorkerFuture
 from functools import partial
 from pathlib import Path
@@ -29,6 +30,7 @@ from socket_testbed.geometry.pose import Pose
 from socket_testbed.geometry.socket import read_socket
 from socket_testbed.identification.fit import Fit
 from socket_testbed.identification.model_file import read_model
+from socket_testbed.nodes.blocking_service import BlockingService
 from socket_testbed.nodes.conversions import (
     LOAD_CELL_FRAME,
     fit_to_ros,
@@ -75,8 +77,8 @@ class EstimatorNode(Node):
     def __init__(self) -> None:
         super().__init__("estimator_node")
         self.finished = Future()
-        self._parameters = Parameters(self, EstimatorSettings)
-        settings = self._parameters.settings
+        self._adjustable = Parameters(self, EstimatorSettings)
+        settings = self._adjustable.settings
         path = settings.geometry
         self._geometry = read_socket(Path(path) if path else packaged("config", "socket.yaml"))
         self._clusters = tuple(self._geometry.clusters)
@@ -98,17 +100,22 @@ class EstimatorNode(Node):
         self._map = self._publisher(PRESSURE_MAP)
         inputs = [self._subscribe(topic, partial(self._on_measured, topic)) for topic in _MEASURED]
         inputs.append(self._subscribe(TRIGGER, self._on_trigger))
-        self._service = self.create_service(TriggerService, "estimator/fit", self._on_fit)
+        self._service = BlockingService(self, TriggerService, "estimator/fit", self._on_fit)
         self._diagnostics = Diagnostics(
-            self, self._values, inputs=tuple(inputs), ready=lambda: self._worker.ready
+            self,
+            self._values,
+            inputs=tuple(inputs),
+            offered=(self._wrench, self._forces, self._model_publisher, self._map),
+            ready=lambda: self._worker.ready,
         )
         self._diagnostics.report(WARN, "no model yet: waiting for steady data or estimator/fit")
         if settings.model:
             self._load(Path(settings.model))
 
     def close(self) -> None:
-        """End the process of the fits."""
+        """End the process of the fits and the service that waits for them."""
         self._worker.close()
+        self._service.close()
 
     def _publisher(self, topic: Topic) -> Any:
         return self.create_publisher(message_type(topic), topic.name, publisher_qos(topic))
@@ -192,7 +199,7 @@ class EstimatorNode(Node):
             )
 
     def _fit_by_itself(self) -> None:
-        settings = self._parameters.settings
+        settings = self._adjustable.settings
         self._since_attempt += 1
         due = settings.window.refit_after if self._model is not None else 10
         if (
@@ -205,7 +212,7 @@ class EstimatorNode(Node):
             self._start_fit(on_plateau=True)
 
     def _start_fit(self, on_plateau: bool) -> WorkerFuture[Fit | None]:
-        settings = self._parameters.settings
+        settings = self._adjustable.settings
         self._since_attempt = 0
         self._running = self._worker.submit(
             self._window.samples(),
@@ -238,21 +245,21 @@ class EstimatorNode(Node):
             f"{fit.determined:.0f} of {fit.model.stiffness.size} directions determined",
         )
 
-    async def _on_fit(
+    def _on_fit(
         self, request: TriggerService.Request, response: TriggerService.Response
     ) -> TriggerService.Response:
-        """Fit on the whole window, and answer when it is done; predictions go on."""
+        """Fit on the whole window, and answer when it is done, in the service's thread."""
         del request
         if self._running is not None:
             response.message = "a fit is running already: ask again when it is done"
             return response
-        done = Future()
-        worker = self._start_fit(on_plateau=False)
-        worker.add_done_callback(lambda _: done.set_result(None))
-        await done
-        error = worker.exception()
-        response.success = error is None
-        response.message = str(error) if error else f"fitted {len(self._window)} samples"
+        try:
+            fit = self._start_fit(on_plateau=False).result()
+        except (TestbedError, CancelledError) as error:
+            response.message = str(error) or "the node ends"
+            return response
+        response.success = fit is not None
+        response.message = f"fitted {fit.samples} samples; {fit.status}" if fit else "no fit"
         return response
 
 

@@ -35,9 +35,9 @@ class RecorderNode(Node):
         self._settings = Parameters(self, RecorderSettings).settings
         self._bag: BagWriter | None = None
         self._path: Path | None = None
-        self._messages = 0
+        self._counts: dict[str, int] = {}
         self._topics = {self.resolve_topic_name(topic.name): topic for topic in TOPICS}
-        self._subscriptions = [
+        self._inputs = [
             self.create_subscription(
                 message_type(topic),
                 name,
@@ -50,9 +50,7 @@ class RecorderNode(Node):
         self._service = self.create_service(SetBool, "recorder/record", self._on_record)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._timer = self.create_timer(self._settings.flush_period, self._flush, clock=steady)
-        self._diagnostics = Diagnostics(
-            self, lambda: {"messages": self._messages, "trial": self._path or ""}
-        )
+        self._diagnostics = Diagnostics(self, lambda: {"trial": self._path or "", **self._counts})
         if self._settings.record:
             self._start(Path(self._settings.directory))
 
@@ -93,7 +91,8 @@ class RecorderNode(Node):
             raise ConfigurationError(
                 f"{path}: cannot be written ({error.strerror})", "check the folder and the space"
             ) from None
-        self._bag, self._path, self._messages = bag, path, 0
+        self._bag, self._path = bag, path
+        self._counts = dict.fromkeys(self._topics, 0)
         self._diagnostics.report(OK, f"recording {path}")
 
     def _finish(self) -> None:
@@ -101,14 +100,16 @@ class RecorderNode(Node):
             return
         bag, self._bag = self._bag, None
         bag.__exit__(None, None, None)
-        self._diagnostics.report(OK, f"recorded {self._messages} messages in {self._path}")
+        self._diagnostics.report(
+            OK, f"recorded {sum(self._counts.values())} messages in {self._path}"
+        )
 
     def _on_message(self, name: str, data: bytes) -> None:
         if self._bag is None:
             return
         try:
             self._bag.write(name, self.get_clock().now().nanoseconds, data)
-            self._messages += 1
+            self._counts[name] += 1
         except OSError as error:
             self._give_up(error)
 

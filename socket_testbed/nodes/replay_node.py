@@ -37,6 +37,7 @@ from socket_testbed.trials.topics import DIAGNOSTICS, TRIGGER, Topic, match_topi
 
 _CLOCK_PERIOD = 0.02  # [s]; of /clock between messages
 _READY_WITHIN = 15.0  # [s]; for the nodes waited for to find each other
+_DISCOVERY = 3.0  # [s]; DDS takes 5 ms or more than 2 s, at random
 _DONE_WITHIN = 10.0  # [s]; for them to work off the last message
 _IN_FLIGHT = 500  # triggers ahead of the nodes waited for, well below their queues
 _BURST = 50  # messages sent at once, half of what a writer keeps to send again
@@ -60,7 +61,7 @@ class ReplayNode(Node):
         if not settings.paused:
             self._going.set()
         self._waiting = dict.fromkeys(settings.wait_for, "not seen")
-        self._newest = dict.fromkeys(settings.wait_for, 0)
+        self._newest: dict[str, int] = {}
         self._heard = threading.Condition()
         self._published = 0
         self._last_trigger = 0
@@ -124,7 +125,8 @@ class ReplayNode(Node):
                 values = {entry.key: entry.value for entry in status.values}
                 with self._heard:
                     self._waiting[status.name] = values.get(WAITING_FOR, "")
-                    self._newest[status.name] = int(values.get(NEWEST_STAMP, "0"))
+                    if NEWEST_STAMP in values:
+                        self._newest[status.name] = int(values[NEWEST_STAMP])
                     self._heard.notify_all()
 
     def _replay(self) -> None:
@@ -198,15 +200,20 @@ class ReplayNode(Node):
             self._stop.wait(_BREATH)
 
     def _await_ready(self) -> None:
-        """Wait until the nodes waited for are linked, so that they miss no message."""
-        if not self._waiting:
-            return
+        """Wait until the subscribers are linked, so that they miss no message."""
         deadline = time.monotonic() + _READY_WITHIN
-        outputs = [self._outputs[n] for n, topic in self._topics.items() if topic.required]
+
+        # Without nodes to wait for, whoever listens is found within the time of a discovery.
+        settled = time.monotonic() + (0.0 if self._waiting else _DISCOVERY)
+
+        def linked(name: str) -> bool:
+            needed = bool(self._waiting) and self._topics[name].required
+            wanted = max(self.count_subscribers(name), int(needed))
+            return self._outputs[name].get_subscription_count() >= wanted
 
         def ready() -> bool:
-            linked = all(publisher.get_subscription_count() > 0 for publisher in outputs)
-            return linked and not any(self._waiting.values())
+            everyone = all(map(linked, self._topics)) and not any(self._waiting.values())
+            return everyone and time.monotonic() >= settled
 
         with self._heard:
             while not ready():

@@ -1,0 +1,89 @@
+"""A node of the tests' own, spinning in a thread, that waits on conditions with a deadline."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import defaultdict
+from collections.abc import Callable
+from typing import Any, Self
+
+import rclpy
+from rclpy.context import Context
+from rclpy.experimental.events_executor import EventsExecutor
+from rclpy.task import Future
+
+from socket_testbed.nodes.runtime import message_type, publisher_qos, subscriber_qos
+from socket_testbed.trials.topics import Topic
+
+DEADLINE = 20.0  # [s]
+
+
+class Probe:
+    """Subscribes, publishes and calls services as another program would."""
+
+    def __enter__(self) -> Self:
+        self.context = Context()
+        rclpy.init(context=self.context)
+        self.node = rclpy.create_node("probe", context=self.context)
+        self.received: dict[str, list[Any]] = defaultdict(list)
+        self._news = threading.Condition()
+        self._done = Future()
+        self._executor = EventsExecutor(context=self.context)
+        self._executor.add_node(self.node)
+        self._thread = threading.Thread(target=self._spin)
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._done.set_result(None)
+        self._thread.join()
+        self.node.destroy_node()
+        rclpy.shutdown(context=self.context)
+
+    def _spin(self) -> None:
+        while not self._done.done():
+            self._executor.spin_until_future_complete(self._done, timeout_sec=0.1)
+
+    def listen(self, topic: Topic, name: str | None = None) -> list[Any]:
+        """Subscribe to a topic; returns the list that its messages go to."""
+        received = self.received[name or topic.name]
+
+        def on_message(message: Any) -> None:
+            with self._news:
+                received.append(message)
+                self._news.notify_all()
+
+        self.node.create_subscription(
+            message_type(topic), name or topic.name, on_message, subscriber_qos(topic)
+        )
+        return received
+
+    def publisher(self, topic: Topic, subscribers: int = 1) -> Any:
+        """A publisher, once so many subscribers are matched."""
+        publisher = self.node.create_publisher(
+            message_type(topic), topic.name, publisher_qos(topic)
+        )
+        self.wait(lambda: publisher.get_subscription_count() >= subscribers, topic.name)
+        return publisher
+
+    def wait(self, condition: Callable[[], bool], what: str) -> None:
+        """Wait until a condition holds.
+
+        Raises:
+            AssertionError: If it does not within the deadline.
+        """
+        deadline = time.monotonic() + DEADLINE
+        with self._news:
+            while not condition():
+                left = deadline - time.monotonic()
+                assert left > 0.0, f"not within {DEADLINE:g} s: {what}"
+                self._news.wait(min(left, 0.02))
+
+    def call(self, kind: Any, name: str, request: Any) -> Any:
+        """Call a service and return its answer."""
+        client = self.node.create_client(kind, name)
+        self.wait(client.service_is_ready, f"service {name}")
+        future = client.call_async(request)
+        self.wait(future.done, f"answer of {name}")
+        return future.result()
