@@ -1,0 +1,108 @@
+"""The same sources as a colcon workspace, and as an installed package."""
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+BIN = Path(sys.executable).parent
+PACKAGES = ("socket_testbed", "socket_testbed_msgs")
+SOURCES = (
+    "config",
+    "launch",
+    "msg_defs",
+    "resource",
+    "socket_testbed",
+    "test",
+    "LICENSE",
+    "colcon_defaults.yaml",
+    "package.xml",
+    "pyproject.toml",
+    "setup.cfg",
+    "setup.py",
+)
+
+needs_colcon = pytest.mark.skipif(
+    shutil.which("colcon") is None and not (BIN / "colcon").exists(), reason="colcon is missing"
+)
+
+
+@pytest.fixture(scope="module")
+def workspace(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The sources alone, as a clone has them."""
+    folder = tmp_path_factory.mktemp("workspace")
+    for name in SOURCES:
+        source = ROOT / name
+        if source.is_dir():
+            shutil.copytree(source, folder / name, ignore=shutil.ignore_patterns("__pycache__"))
+        else:
+            shutil.copy(source, folder / name)
+    return folder
+
+
+def call(workspace: Path, *words: str, **environment: str) -> str:
+    prefix = os.environ.get("AMENT_PREFIX_PATH", sys.prefix)
+    variables = {
+        **os.environ,
+        "AMENT_PREFIX_PATH": prefix,
+        "CMAKE_PREFIX_PATH": os.environ.get("CMAKE_PREFIX_PATH", sys.prefix),
+        "PATH": f"{BIN}:{os.environ['PATH']}",
+        **environment,
+    }
+    done = subprocess.run(
+        words, check=False, cwd=workspace, env=variables, capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout
+
+
+@needs_colcon
+def test_colcon_finds_both_packages_as_what_they_are(workspace: Path) -> None:
+    lines = call(workspace, "colcon", "list").splitlines()
+    assert {line.split("\t")[0]: line.split("\t")[-1] for line in lines} == {
+        "socket_testbed": "(ros.ament_python)",
+        "socket_testbed_msgs": "(ros.ament_cmake)",
+    }
+
+
+@needs_colcon
+def test_a_plain_colcon_build_gives_a_package_that_works_anywhere(
+    workspace: Path, tmp_path: Path
+) -> None:
+    call(workspace, "colcon", "build")
+    prefix = workspace / "install" / "socket_testbed"
+    programs = {path.name for path in (prefix / "lib" / "socket_testbed").iterdir()}
+    assert {"estimator_node", "calibration_node", "replay_node", "recorder_node"} <= programs
+    share = prefix / "share" / "socket_testbed"
+    assert {p.name for p in (share / "config").iterdir()} >= {"socket.yaml", "calibration.yaml"}
+    assert (share / "launch" / "replay.launch.py").is_file()
+
+    # Away from the sources, the installed package finds its own files and messages.
+    paths = [next((workspace / "install" / name).rglob("site-packages")) for name in PACKAGES]
+    script = (
+        "import sys, socket_testbed, socket_testbed_msgs.msg as m;"
+        "print(socket_testbed.__file__, m.__file__);"
+        "from socket_testbed.__main__ import run;"
+        "sys.exit(run(['simulate', '-o', 'trial', '--duration', '10']))"
+    )
+    out = call(
+        tmp_path,
+        sys.executable,
+        "-c",
+        script,
+        PYTHONPATH=":".join(map(str, paths)),
+    )
+    assert all(str(path) in out for path in paths)
+    assert (tmp_path / "trial" / "trial.mcap").is_file()
+
+
+def test_the_launch_file_is_python_and_names_real_nodes() -> None:
+    text = (ROOT / "launch" / "replay.launch.py").read_text()
+    compile(text, "replay.launch.py", "exec")
+    for node in ("estimator_node", "calibration_node", "replay_node"):
+        assert f'"{node}"' in text
+        assert (ROOT / "socket_testbed" / "nodes" / f"{node}.py").is_file()

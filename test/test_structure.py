@@ -1,0 +1,97 @@
+"""The structure that CONTRIBUTING promises, read from the imports."""
+
+import ast
+from pathlib import Path
+
+import pytest
+from rclpy.node import Node
+
+from socket_testbed.nodes.calibration_node import CalibrationNode
+from socket_testbed.nodes.estimator_node import EstimatorNode
+from socket_testbed.nodes.recorder_node import RecorderNode
+from socket_testbed.nodes.replay_node import ReplayNode
+
+PACKAGE = Path(__file__).resolve().parents[1] / "socket_testbed"
+FILES = sorted(PACKAGE.rglob("*.py"))
+
+# From the ground up: a room imports from its own floor or from those below it.
+FLOORS = (
+    ("arrays", "errors", "lifeline"),
+    ("contact", "documents", "files", "samples"),
+    ("geometry", "settings"),
+    ("calibration", "evaluation"),
+    ("identification", "trials"),
+    ("simulation", "online", "fit_worker", "figures", "processes"),
+    ("nodes",),
+    ("commands",),
+    ("__main__",),
+)
+FLOOR_OF = {room: level for level, rooms in enumerate(FLOORS) for room in rooms}
+ROS = ("rclpy", "rcl_interfaces", "builtin_interfaces", "launch", "tf2_ros")
+
+
+def room(module: str) -> str:
+    """The file or folder of the package that a module is in."""
+    return module.split(".")[1]
+
+
+def imports(path: Path) -> set[str]:
+    """Absolute names of the modules that a file imports."""
+    found = set()
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{path}: a relative import"
+            found.add(node.module or "")
+    return found
+
+
+def module_of(path: Path) -> str:
+    return ".".join(["socket_testbed", *path.relative_to(PACKAGE).with_suffix("").parts])
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda p: str(p.relative_to(PACKAGE)))
+def test_imports_point_one_way(path: Path) -> None:
+    own = module_of(path)
+    if own == "socket_testbed.__init__":
+        return
+    for name in imports(path):
+        if name.startswith("socket_testbed."):
+            assert FLOOR_OF[room(name)] <= FLOOR_OF[room(own)], f"{own} imports {name}"
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda p: str(p.relative_to(PACKAGE)))
+def test_only_nodes_import_ros(path: Path) -> None:
+    if path.parent.name == "nodes":
+        return
+    for name in imports(path):
+        top = name.split(".")[0]
+        assert top not in ROS and not top.endswith(("_msgs", "_srvs")), f"{path} imports {name}"
+
+
+def test_a_file_stays_one_idea() -> None:
+    for path in FILES:
+        assert len(path.read_text().splitlines()) <= 340, f"{path} has outgrown its idea"
+
+
+@pytest.mark.parametrize("node", [CalibrationNode, EstimatorNode, RecorderNode, ReplayNode])
+def test_a_node_hides_nothing_of_ros(node: type[Node]) -> None:
+    """rclpy keeps names such as _parameters on the node: one of ours would break it."""
+    path = PACKAGE / "nodes" / f"{node.__module__.rpartition('.')[2]}.py"
+    own = {
+        target.attr
+        for statement in ast.walk(ast.parse(path.read_text()))
+        if isinstance(statement, ast.Assign | ast.AnnAssign)
+        for target in (
+            statement.targets if isinstance(statement, ast.Assign) else [statement.target]
+        )
+        if isinstance(target, ast.Attribute)
+    }
+    source = Path(Node.__init__.__code__.co_filename).read_text()
+    theirs = {
+        n.attr
+        for n in ast.walk(ast.parse(source))
+        if isinstance(n, ast.Attribute) and isinstance(n.ctx, ast.Store)
+    }
+    assert not own & (theirs | set(dir(Node))), own & (theirs | set(dir(Node)))
