@@ -2,10 +2,10 @@
 
 VENV := .venv
 BIN := $(VENV)/bin
-# The ROS wheels exist for Python 3.11 to 3.13.
-PYTHON ?= $(shell for v in 3.12 3.11 3.13; do \
-	p=$$(command -v python$$v) && $$p -c "import venv, ensurepip" 2>/dev/null && echo $$p && break; \
-	done)
+# The ROS wheels exist for Python 3.11 to 3.13: the first of these that is one of them.
+FITS := "import sys, venv, ensurepip; assert (3, 11) <= sys.version_info[:2] <= (3, 13)"
+PYTHON ?= $(shell for p in python3.11 python3.12 python3.13 python3; do \
+	$$p -c $(FITS) 2>/dev/null && command -v $$p && break; done)
 PIP := $(BIN)/pip --disable-pip-version-check --quiet
 
 # Another ROS environment, sourced or of wheels, must not leak into this one.

@@ -6,6 +6,8 @@ import multiprocessing
 import os
 import signal
 from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from functools import partial
 
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification.fit import Fit, fit_contact_model
@@ -21,6 +23,9 @@ class FitWorker:
     """One process that fits one model at a time."""
 
     def __init__(self) -> None:
+        self._open()
+
+    def _open(self) -> None:
         self._pool = ProcessPoolExecutor(
             max_workers=1, mp_context=multiprocessing.get_context("spawn"), initializer=_step_back
         )
@@ -52,7 +57,12 @@ class FitWorker:
         Returns:
             The fit to come; None where there is no plateau large enough.
         """
-        return self._pool.submit(_fit, samples, geometry, settings, plateau, least_samples)
+        work = partial(_fit, samples, geometry, settings, plateau, least_samples)
+        try:
+            return self._pool.submit(work)
+        except BrokenProcessPool:  # it was killed: the next one takes its place
+            self._open()
+            return self._pool.submit(work)
 
     def close(self) -> None:
         """End the process, whatever it is doing."""

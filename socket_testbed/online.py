@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections import OrderedDict, deque
+from collections import OrderedDict
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,6 +10,8 @@ import numpy as np
 
 from socket_testbed.arrays import FloatArray, StatusArray
 from socket_testbed.samples import Samples
+
+_SMALLEST_BUFFER = 256  # samples
 
 
 class StampSynchroniser:
@@ -67,7 +69,7 @@ class Sample:
 
 
 class SampleWindow:
-    """The newest samples, up to a duration.
+    """The newest samples, up to a duration, kept so that handing them out takes no time.
 
     Args:
         clusters: Names of the clusters, in the order of the samples' local forces.
@@ -77,31 +79,58 @@ class SampleWindow:
     def __init__(self, clusters: tuple[str, ...], duration: float) -> None:
         self._clusters = clusters
         self._duration = round(duration * 1e9)
-        self._samples: deque[Sample] = deque()
+        width = len(clusters)
+        self._buffer = np.empty(
+            _SMALLEST_BUFFER,
+            dtype=[
+                ("stamp", np.int64),
+                ("position", np.float64, (3,)),
+                ("wrench", np.float64, (6,)),
+                ("local_forces", np.float64, (width, 3)),
+                ("status", np.uint8, (width,)),
+            ],
+        )
+        self._start = self._end = 0
 
     def __len__(self) -> int:
-        return len(self._samples)
+        return self._end - self._start
 
     def add(self, sample: Sample) -> None:
         """Add the newest sample; those older than the window go."""
-        self._samples.append(sample)
-        while self._samples[0].stamp < sample.stamp - self._duration:
-            self._samples.popleft()
+        if self._end == len(self._buffer):
+            self._make_room()
+        self._buffer[self._end] = (
+            sample.stamp,
+            sample.position,
+            sample.wrench,
+            sample.local_forces,
+            sample.status,
+        )
+        self._end += 1
+        while self._buffer["stamp"][self._start] < sample.stamp - self._duration:
+            self._start += 1
 
     def clear(self) -> None:
         """Forget all samples."""
-        self._samples.clear()
+        self._start = self._end = 0
 
     def samples(self) -> Samples:
         """The samples of the window in the order of their stamps."""
-        ordered = sorted(self._samples, key=lambda sample: sample.stamp)
-        count = len(ordered)
-        width = len(self._clusters)
+        rows = self._buffer[self._start : self._end]
+        rows = rows[np.argsort(rows["stamp"], kind="stable")]
         return Samples(
-            stamps=np.array([s.stamp for s in ordered], dtype=np.int64),
-            position=np.array([s.position for s in ordered]).reshape(count, 3),
-            wrench=np.array([s.wrench for s in ordered]).reshape(count, 6),
+            stamps=rows["stamp"],
+            position=rows["position"],
+            wrench=rows["wrench"],
             clusters=self._clusters,
-            local_forces=np.array([s.local_forces for s in ordered]).reshape(count, width, 3),
-            status=np.array([s.status for s in ordered], dtype=np.uint8).reshape(count, width),
+            local_forces=rows["local_forces"],
+            status=rows["status"],
         )
+
+    def _make_room(self) -> None:
+        """Move the samples to the front, into a larger buffer where they fill half of it."""
+        kept = self._buffer[self._start : self._end]
+        if 2 * len(kept) > len(self._buffer):
+            self._buffer = np.empty(2 * len(self._buffer), dtype=self._buffer.dtype)
+        self._buffer[: len(kept)] = kept.copy()
+        self._start, self._end = 0, len(kept)

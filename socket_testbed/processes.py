@@ -11,14 +11,13 @@ import tempfile
 import time
 from contextlib import suppress
 from pathlib import Path
-from types import TracebackType
 from typing import IO, Any, Self
 
 import yaml
 
+from socket_testbed.checked import Settings, parameter_values
 from socket_testbed.errors import ConfigurationError, TestbedError
 from socket_testbed.lifeline import PARENT
-from socket_testbed.settings import Settings, parameter_values
 
 _GRACE = 8.0  # [s]; for a node to end by itself
 _LOOK = 0.05  # [s]
@@ -52,12 +51,7 @@ class Graph:
                 )
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         self.stop()
         self._folder.cleanup()
 

@@ -1,4 +1,4 @@
-"""Settings: frozen, checked on construction, and the only home of their defaults.
+"""Settings of the package: the only home of their defaults.
 
 A node declares its parameters from these classes, with the same dotted names; the command
 line reads the same names from `testbed.yaml`.
@@ -6,136 +6,13 @@ line reads the same names from `testbed.yaml`.
 
 from __future__ import annotations
 
-import dataclasses
-import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar, get_args, get_origin, get_type_hints
+from typing import Any
 
+from socket_testbed.checked import Settings, setting
 from socket_testbed.contact import VARIANTS
-from socket_testbed.documents import Section, check_number, closest, read_document
-from socket_testbed.errors import ConfigurationError
-
-S = TypeVar("S", bound="Settings")
-
-
-def setting(
-    default: Any,
-    description: str,
-    low: float = -math.inf,
-    high: float = math.inf,
-    choices: tuple[str, ...] = (),
-) -> Any:
-    """A field of a settings class.
-
-    Args:
-        default: Default value.
-        description: What it is, with its unit in brackets.
-        low: Smallest value allowed.
-        high: Largest value allowed.
-        choices: The values allowed, for a text.
-    """
-    metadata = {"description": description, "low": low, "high": high, "choices": choices}
-    return field(default=default, metadata=metadata)
-
-
-@dataclass(frozen=True)
-class Settings:
-    """Base of the settings: every field is checked for type and range on construction."""
-
-    def __post_init__(self) -> None:
-        hints = get_type_hints(type(self))
-        for item in dataclasses.fields(self):
-            if item.metadata:
-                checked = _check(getattr(self, item.name), hints[item.name], item)
-                object.__setattr__(self, item.name, checked)
-
-    @classmethod
-    def flat(cls, prefix: str = "") -> dict[str, dataclasses.Field[Any]]:
-        """All fields by their dotted names, those of the settings below included."""
-        names: dict[str, dataclasses.Field[Any]] = {}
-        hints = get_type_hints(cls)
-        for item in dataclasses.fields(cls):
-            kind = hints[item.name]
-            if issubclass(get_origin(kind) or kind, Settings):
-                names |= kind.flat(f"{prefix}{item.name}.")
-            else:
-                names[prefix + item.name] = item
-        return names
-
-    @classmethod
-    def from_flat(cls: type[S], values: dict[str, Any], where: str, prefix: str = "") -> S:
-        """Build the settings from dotted names.
-
-        Args:
-            values: Values by their dotted names; what is not named keeps its default.
-            where: What names the source in an error.
-            prefix: Prefix of the names, for settings below others.
-
-        Raises:
-            ConfigurationError: For an unknown name, or a wrong type or range.
-        """
-        if not prefix:
-            known = cls.flat()
-            for name in values:
-                if name not in known:
-                    raise ConfigurationError(f"{where}: unknown key '{name}'", closest(name, known))
-        hints = get_type_hints(cls)
-        arguments: dict[str, Any] = {}
-        for item in dataclasses.fields(cls):
-            kind = hints[item.name]
-            if issubclass(get_origin(kind) or kind, Settings):
-                arguments[item.name] = kind.from_flat(values, where, f"{prefix}{item.name}.")
-            elif prefix + item.name in values:
-                arguments[item.name] = values[prefix + item.name]
-        try:
-            return cls(**arguments)
-        except ConfigurationError as error:
-            raise ConfigurationError(f"{where}: {prefix}{error.fact}", error.mend) from None
-
-    def to_flat(self, prefix: str = "") -> dict[str, Any]:
-        """All values by their dotted names; a tuple becomes a list."""
-        values: dict[str, Any] = {}
-        for item in dataclasses.fields(self):
-            value = getattr(self, item.name)
-            if isinstance(value, Settings):
-                values |= value.to_flat(f"{prefix}{item.name}.")
-            else:
-                values[prefix + item.name] = list(value) if isinstance(value, tuple) else value
-        return values
-
-
-def parameter_values(settings: Settings) -> dict[str, Any]:
-    """Values by their dotted names, as ROS parameters can hold them.
-
-    An empty list has no type in ROS: a list of one empty text stands for it.
-    """
-    return {name: [""] if v == [] else v for name, v in settings.to_flat().items()}
-
-
-def _check(value: Any, kind: Any, item: dataclasses.Field[Any]) -> Any:
-    limits = item.metadata
-    if get_origin(kind) is tuple:
-        element = get_args(kind)[0]
-        if not isinstance(value, list | tuple):
-            raise ConfigurationError(f"{item.name} is '{value}'", "give a list instead")
-        return tuple(_check_scalar(entry, element, item.name, limits) for entry in value)
-    return _check_scalar(value, kind, item.name, limits)
-
-
-def _check_scalar(value: Any, kind: Any, name: str, limits: Any) -> Any:
-    if kind is float:
-        return check_number(value, name, limits["low"], limits["high"])
-    if kind is int:
-        number = check_number(value, name, limits["low"], limits["high"])
-        if number != int(number):
-            raise ConfigurationError(f"{name} is {value}", "give a whole number instead")
-        return int(number)
-    if not isinstance(value, kind):
-        raise ConfigurationError(f"{name} is '{value}'", f"give a {kind.__name__} instead")
-    if limits["choices"] and value not in limits["choices"]:
-        raise ConfigurationError(f"{name} is '{value}'", closest(value, limits["choices"]))
-    return value
+from socket_testbed.documents import Section, read_document
 
 
 @dataclass(frozen=True)
@@ -208,20 +85,24 @@ class PlateauSettings(Settings):
 class WindowSettings(Settings):
     """The samples from which the estimator fits while a trial runs."""
 
-    duration: float = setting(60.0, "length of the window of newest samples [s]", 1.0, 3600.0)
+    duration: float = setting(
+        60.0, "length of the window of newest samples [s]", 1.0, 3600.0, fixed=True
+    )
     least_samples: int = setting(80, "steady samples before a fit by itself [1]", 10, 1000000)
     refit_after: int = setting(
         80, "new samples after which it fits again; 0: it never does by itself [1]", 0, 1000000
     )
-    pending: int = setting(200, "stamps kept while their measurements come in [1]", 2, 100000)
+    pending: int = setting(
+        200, "stamps kept while their measurements come in [1]", 2, 100000, fixed=True
+    )
 
 
 @dataclass(frozen=True)
 class EstimatorSettings(Settings):
     """Parameters of the estimator node."""
 
-    geometry: str = setting("", "path of socket.yaml; empty: the package's own [-]")
-    model: str = setting("", "path of a fitted model to start from; empty: none [-]")
+    geometry: str = setting("", "path of socket.yaml; empty: the package's own [-]", fixed=True)
+    model: str = setting("", "path of a fitted model to start from; empty: none [-]", fixed=True)
     fit_by_itself: bool = setting(True, "fit when enough steady data is in [-]")
     identification: IdentificationSettings = IdentificationSettings()
     plateau: PlateauSettings = PlateauSettings()
@@ -232,7 +113,9 @@ class EstimatorSettings(Settings):
 class CalibrationNodeSettings(Settings):
     """Parameters of the calibration node."""
 
-    calibration: str = setting("", "path of calibration.yaml; empty: the package's own [-]")
+    calibration: str = setting(
+        "", "path of calibration.yaml; empty: the package's own [-]", fixed=True
+    )
 
 
 @dataclass(frozen=True)
@@ -240,25 +123,31 @@ class RecorderSettings(Settings):
     """Parameters of the recorder node."""
 
     directory: str = setting("trials", "folder of the trials, or of the one trial [-]")
-    record: bool = setting(False, "record from the start, into `directory` itself [-]")
+    record: bool = setting(False, "record from the start, into `directory` itself [-]", fixed=True)
     geometry: str = setting("", "path of the socket.yaml to store; empty: the package's own [-]")
     calibration: str = setting("", "path of the calibration.yaml to store; empty: own [-]")
     parameters: str = setting("", "path of the testbed.yaml to store; empty: none [-]")
-    flush_period: float = setting(1.0, "longest time before data is on the disk [s]", 0.05, 60.0)
+    flush_period: float = setting(
+        1.0, "longest time before data is on the disk [s]", 0.05, 60.0, fixed=True
+    )
 
 
 @dataclass(frozen=True)
 class ReplaySettings(Settings):
     """Parameters of the replay node."""
 
-    trial: str = setting("", "path of the trial [-]")
-    rate: float = setting(1.0, "speed of the replay against the recording [-]", 1e-3, 1e4)
-    loop: bool = setting(False, "start again at the end [-]")
-    paused: bool = setting(False, "start paused; see the service replay/pause [-]")
-    measured_only: bool = setting(
-        False, "leave out what was computed: other nodes compute it anew [-]"
+    trial: str = setting("", "path of the trial [-]", fixed=True)
+    rate: float = setting(
+        1.0, "speed of the replay against the recording [-]", 1e-3, 1e4, fixed=True
     )
-    wait_for: tuple[str, ...] = setting((), "nodes that must be ready before the first message [-]")
+    loop: bool = setting(False, "start again at the end [-]", fixed=True)
+    paused: bool = setting(False, "start paused; see the service replay/pause [-]", fixed=True)
+    measured_only: bool = setting(
+        False, "leave out what was computed: other nodes compute it anew [-]", fixed=True
+    )
+    wait_for: tuple[str, ...] = setting(
+        (), "nodes that must be ready before the first message [-]", fixed=True
+    )
 
 
 NODE_SETTINGS: dict[str, type[Settings]] = {

@@ -1,3 +1,22 @@
+"""The problems of both stages written out row by row, and what compares them with a fit."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from problems import naive_gated
+from scipy.optimize import lsq_linear
+
+from socket_testbed.geometry.socket import SocketGeometry
+from socket_testbed.samples import Samples
+from socket_testbed.settings import IdentificationSettings
+
+KILONEWTON_PER_METRE = 1e3  # [N/m]
+MILLIMETRE = 1e-3  # [m]
+OPTIMUM = 1e-6  # [-]; what two solvers of one convex problem may differ by
+
+
 @dataclass(frozen=True)
 class StackedRows:
     """A least-squares problem ``min |A x - b|^2`` in bounds, every sample a block of rows.
@@ -66,6 +85,29 @@ def stack_stage_two(
     bounds = (np.zeros(3 * len(geometry)), np.full(3 * len(geometry), np.inf))
     with_bias = settings.variant == "stiffness_bias"
     return _stack(samples, geometry, settings, springs, difference, bounds, with_bias)
+
+
+def stacked_offsets(
+    x: np.ndarray, samples: Samples, settings: IdentificationSettings
+) -> dict[str, float]:
+    """The offsets in a solution of the stacked Stage 2 by the channel's name, zero elsewhere."""
+    with_bias = settings.variant == "stiffness_bias"
+    kept = [name for name in samples.channels if with_bias and name not in settings.leave_out]
+    explicit = dict(zip(kept, x[len(x) - len(kept) :], strict=True))
+    return dict.fromkeys(samples.channels, 0.0) | explicit
+
+
+def named_offsets(
+    wrench: np.ndarray, clusters: dict[str, np.ndarray], samples: Samples
+) -> dict[str, float]:
+    """The package's offsets by the channel's name; zero where it gives none."""
+    local = [clusters.get(cluster, np.zeros(3)) for cluster in samples.clusters]
+    return dict(zip(samples.channels, np.concatenate([wrench, *local]), strict=True))
+
+
+def relative(found: np.ndarray, expected: np.ndarray) -> float:
+    """Distance of two solutions [-]."""
+    return float(np.linalg.norm(found - expected) / np.linalg.norm(expected))
 
 
 def _stack(samples, geometry, settings, springs, difference, bounds, with_bias) -> StackedRows:

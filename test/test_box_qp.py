@@ -1,3 +1,16 @@
+"""The certificate of a box QP, its refinement, and solvers that are not believed."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+import qpsolvers
+from problems import installed
+
+from socket_testbed.identification import box_qp
+from socket_testbed.identification.box_qp import BoxQP, UncertifiedSolutionError, solve_box_qp
+
+
 def known_problem(rng, size=12):
     """A box QP made around its solution, with its solution."""
     root = rng.normal(size=(size, size))
@@ -86,11 +99,9 @@ def test_refining_never_makes_an_answer_worse(seed):
         assert (found <= program.upper).all()
 
 
-@pytest.mark.parametrize("solver", ["osqp", "daqp", "clarabel"])
+@pytest.mark.parametrize("solver", installed("osqp", "daqp", "clarabel"))
 @pytest.mark.parametrize("seed", range(3))
 def test_solvers_find_known_optima_and_say_how_well(seed, solver):
-    if solver not in qpsolvers.available_solvers:
-        pytest.skip(f"{solver} is not installed")
     problem, optimum = known_problem(np.random.default_rng(seed))
     solution = solve_box_qp(problem, solver, 1e-9)
     np.testing.assert_allclose(solution.x, optimum, atol=1e-8)
@@ -107,20 +118,26 @@ def test_a_flat_direction_is_solved_all_the_same():
     assert solution.certificate.worst <= 1e-6
 
 
-def patch_answer(monkeypatch, x):
-    """Make every solver answer x and nobody correct it."""
+def answering(x):
+    """A solver that answers x to every problem and claims success."""
+    return lambda problem, *_, **__: qpsolvers.Solution(problem, found=True, x=x)
 
-    def answer(problem, *_, **__):
-        return qpsolvers.Solution(problem, found=True, x=x)
 
-    monkeypatch.setattr(qpsolvers, "solve_problem", answer)
+def failing(*_, **__):
+    """A solver that gives up with an error of its own."""
+    raise qpsolvers.exceptions.SolverError("out of luck")
+
+
+def patch_solver(monkeypatch, solver):
+    """Put a solver in the place of every other one, and nobody to correct its answer."""
+    monkeypatch.setattr(qpsolvers, "solve_problem", solver)
     monkeypatch.setattr(box_qp, "refine", lambda problem, x: (x, problem.certificate(x)))
 
 
 def test_a_wrong_answer_is_refused_whatever_the_solver_says(monkeypatch):
     problem, optimum = known_problem(np.random.default_rng(85))
     wrong = np.clip(optimum + 0.05, problem.lower, problem.upper)
-    patch_answer(monkeypatch, wrong)
+    patch_solver(monkeypatch, answering(wrong))
     with pytest.raises(UncertifiedSolutionError) as caught:
         solve_box_qp(problem, "osqp", 1e-6)
     assert caught.value.problem is problem
@@ -132,23 +149,18 @@ def test_a_wrong_answer_is_refused_whatever_the_solver_says(monkeypatch):
     np.testing.assert_allclose(again.x, optimum, atol=1e-8)
 
 
-@pytest.mark.parametrize("x", [None, np.full(12, np.nan)])
-def test_no_answer_is_an_error_that_carries_the_problem(monkeypatch, x):
+@pytest.mark.parametrize(
+    ("solver", "said"),
+    [
+        pytest.param(answering(None), "gave no answer", id="nothing"),
+        pytest.param(answering(np.full(12, np.nan)), "gave no answer", id="not a number"),
+        pytest.param(failing, "out of luck", id="an error"),
+    ],
+)
+def test_no_answer_is_an_error_that_carries_the_problem(monkeypatch, solver, said):
     problem, _ = known_problem(np.random.default_rng(86))
-    patch_answer(monkeypatch, x)
-    with pytest.raises(UncertifiedSolutionError) as caught:
+    patch_solver(monkeypatch, solver)
+    with pytest.raises(UncertifiedSolutionError, match=said) as caught:
         solve_box_qp(problem, "osqp", 1e-6)
     assert caught.value.problem is problem
     assert caught.value.x is None
-
-
-def test_a_failing_solver_is_an_error_that_carries_the_problem(monkeypatch):
-    problem, _ = known_problem(np.random.default_rng(87))
-
-    def fail(*_, **__):
-        raise qpsolvers.exceptions.SolverError("out of luck")
-
-    monkeypatch.setattr(qpsolvers, "solve_problem", fail)
-    with pytest.raises(UncertifiedSolutionError, match="out of luck") as caught:
-        solve_box_qp(problem, "osqp", 1e-6)
-    assert caught.value.problem is problem

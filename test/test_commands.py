@@ -2,12 +2,14 @@
 
 import json
 import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 import yaml
-from test_trials import rewrite
+from bags import rewrite
 
 from socket_testbed.__main__ import VERBS, run
 from socket_testbed.simulation.trial import read_truth
@@ -123,6 +125,25 @@ def test_a_model_predicts_another_load_in_the_truth_s_units(hold, tmp_path, caps
     channels = {c["name"]: c for c in json.loads(out)["channels"]}
     assert channels["Fz"]["skill"] > 0.5
     assert np.ptp(read_truth(trial).wrench[:, 5]) > 150.0
+
+
+def test_all_but_the_graph_works_without_ros(tmp_path: Path) -> None:
+    script = (
+        "import sys\n"
+        "for name in ('rclpy', 'socket_testbed_msgs', 'geometry_msgs', 'std_msgs'):\n"
+        "    sys.modules[name] = None\n"
+        "from socket_testbed.__main__ import run\n"
+        "assert run(['simulate', '-o', 'hold', '--duration', '40']) == 0\n"
+        "assert run(['info', 'hold']) == 0\n"
+        "assert run(['fit', 'hold', '-o', 'model.json']) == 0\n"
+        "assert run(['evaluate', 'hold', '--model', 'model.json']) == 0\n"
+        "assert run(['replay', 'hold']) == 1\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", script], check=False, cwd=tmp_path, capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stderr
+    assert "rclpy cannot be imported: run 'make setup'" in done.stderr
 
 
 def test_ground_truth_lies_beside_the_trial(hold: Path) -> None:

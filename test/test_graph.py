@@ -2,13 +2,13 @@
 
 import dataclasses
 import json
-import shutil
 import subprocess
 import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
+from bags import move_to_namespace
 from diagnostic_msgs.msg import DiagnosticStatus
 from graph import Probe
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
@@ -37,7 +37,7 @@ from socket_testbed.settings import (
     ReplaySettings,
     WindowSettings,
 )
-from socket_testbed.trials.bag import BagReader, BagWriter
+from socket_testbed.trials.bag import BagReader
 from socket_testbed.trials.synchronise import read_samples
 from socket_testbed.trials.topics import (
     CAPACITANCE,
@@ -301,14 +301,7 @@ def test_a_node_that_cannot_start_says_why_in_one_line(node, parameters, names) 
 def test_a_trial_recorded_in_a_namespace_is_estimated_there(
     hold: Path, hold_model: Path, tmp_path: Path
 ) -> None:
-    target = tmp_path / "lab"
-    with BagReader(hold) as old, BagWriter(target) as new:
-        for topic, name in match_topics(old.counts, "hold").items():
-            new.add_topic("/lab" + name, topic)
-        for raw in old.messages():
-            new.write("/lab" + raw.topic, raw.time, raw.data)
-    for file in ("socket.yaml", "calibration.yaml"):
-        shutil.copy(hold / file, target)
+    target = move_to_namespace(hold, tmp_path / "lab", "/lab")
     with Probe() as probe:
         forces = probe.listen(LOCAL_FORCES, "/lab/estimate/local_forces")
         settings = dataclasses.replace(NO_FIT, model=str(hold_model))

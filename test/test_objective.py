@@ -1,3 +1,18 @@
+"""Which channels and samples a fit rests on, and what it says where there are none."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from problems import make_case, random_socket
+
+from socket_testbed.contact import VARIANTS
+from socket_testbed.errors import ConfigurationError, IdentificationError
+from socket_testbed.identification.fit import fit_contact_model
+from socket_testbed.identification.objective import smoothness_matrix
+from socket_testbed.settings import IdentificationSettings
+
+
 def test_smoothness_is_the_mean_square_difference_between_neighbours():
     rng = np.random.default_rng(14)
     geometry = random_socket(rng, rings=3, columns=5)
@@ -49,29 +64,24 @@ def test_a_channel_without_any_value_may_be_left_out():
     assert np.isfinite(fit.model.stiffness).all()
 
 
-@pytest.mark.parametrize("how", ["value", "status"])
-def test_a_channel_without_any_value_is_named_with_the_mend(how):
+@pytest.mark.parametrize(
+    ("array", "place", "value", "channel", "advice"),
+    [
+        ("local_forces", np.s_[:, 1, 2], np.nan, "cluster_1.Fz", "cluster_1.Fz"),
+        ("status", np.s_[:, 1], 2, "cluster_1.Fx", "cluster_1.Fx"),
+        ("wrench", np.s_[:, 2], np.nan, "Mz", "--leave-out Mz"),
+    ],
+    ids=["value", "status", "wrench"],
+)
+def test_a_channel_without_any_value_is_named_with_the_mend(array, place, value, channel, advice):
     geometry, _, samples, settings = make_case(71)
-    if how == "value":
-        samples.local_forces[:, 1, 2] = np.nan
-    else:
-        samples.status[:, 1] = 2
+    getattr(samples, array)[place] = value
     with pytest.raises(IdentificationError) as caught:
         fit_contact_model(samples, geometry, settings)
-    channel = "cluster_1.Fz" if how == "value" else "cluster_1.Fx"
     assert channel in caught.value.fact
     assert "leave it out" in caught.value.mend
-    assert channel in caught.value.mend
+    assert advice in caught.value.mend
     assert "\n" not in str(caught.value)
-
-
-def test_a_wrench_channel_without_any_value_is_named_with_the_mend():
-    geometry, _, samples, settings = make_case(71)
-    samples.wrench[:, 2] = np.nan
-    with pytest.raises(IdentificationError) as caught:
-        fit_contact_model(samples, geometry, settings)
-    assert "Mz" in caught.value.fact
-    assert "--leave-out Mz" in caught.value.mend
 
 
 def test_a_fit_without_any_channel_is_refused():
@@ -98,20 +108,18 @@ def test_a_cluster_of_another_socket_is_named():
 
 
 @pytest.mark.parametrize(
-    ("leave_out", "meant"), [("cluster_1.Fq", "cluster_1.F"), ("mz", "Mz"), ("Fw", "F")]
+    ("setting", "value", "unknown", "meant"),
+    [
+        ("leave_out", ("cluster_1.Fq",), "cluster_1.Fq", "cluster_1.F"),
+        ("leave_out", ("mz",), "mz", "Mz"),
+        ("leave_out", ("Fw",), "Fw", "F"),
+        ("solver", "osqq", "osqq", "osqp"),
+    ],
 )
-def test_an_unknown_channel_to_leave_out_is_named_with_a_likely_one(leave_out, meant):
-    geometry, _, samples, settings = make_case(72, leave_out=(leave_out,))
+def test_an_unknown_name_in_the_settings_is_named_with_a_likely_one(setting, value, unknown, meant):
+    geometry, _, samples, settings = make_case(72, **{setting: value})
     with pytest.raises(ConfigurationError) as caught:
         fit_contact_model(samples, geometry, settings)
-    assert f"'{leave_out}'" in caught.value.fact
-    assert "leave_out" in caught.value.fact
+    assert f"'{unknown}'" in caught.value.fact
+    assert setting in caught.value.fact
     assert meant in caught.value.mend
-
-
-def test_an_unknown_solver_is_named_with_a_likely_one():
-    geometry, _, samples, settings = make_case(76, solver="osqq")
-    with pytest.raises(ConfigurationError) as caught:
-        fit_contact_model(samples, geometry, settings)
-    assert "osqq" in caught.value.fact
-    assert "osqp" in caught.value.mend

@@ -51,6 +51,29 @@ def test_the_window_keeps_its_duration_in_the_order_of_stamps() -> None:
     assert (window.samples().stamps * 1e-9).tolist() == [1.0, 2.5, 3.0]
 
 
+def test_a_long_window_holds_what_a_list_would() -> None:
+    rng = np.random.default_rng(0)
+    window, stamps = SampleWindow(("p", "q"), duration=3.0), []
+    for k in range(2000):
+        stamp = round(k * 1e7 * (1.0 + (k > 700)))  # at 100 Hz, then at 50 Hz
+        entry = Sample(
+            stamp,
+            rng.normal(size=3),
+            np.full(6, float(stamp)),
+            rng.normal(size=(2, 3)),
+            np.array([k % 4, 0], dtype=np.uint8),
+        )
+        window.add(entry)
+        stamps = [s for s in [*stamps, stamp] if s >= stamp - 3_000_000_000]
+        assert len(window) == len(stamps)
+    samples = window.samples()
+    assert samples.stamps.tolist() == stamps
+    assert samples.wrench[:, 0].tolist() == stamps
+    assert samples.status[-1].tolist() == [1999 % 4, 0]
+    window.clear()
+    assert len(window) == len(window.samples()) == 0
+
+
 @pytest.mark.parametrize("count", [0, 1, 5])
 def test_the_shapes_of_a_window_hold_for_any_number(count: int) -> None:
     window = SampleWindow(("p", "q"), duration=2.0)

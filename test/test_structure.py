@@ -18,7 +18,8 @@ FILES = sorted(PACKAGE.rglob("*.py"))
 FLOORS = (
     ("arrays", "errors", "lifeline"),
     ("contact", "documents", "files", "samples"),
-    ("geometry", "settings"),
+    ("checked", "geometry"),
+    ("settings",),
     ("calibration", "evaluation"),
     ("identification", "trials"),
     ("simulation", "online", "fit_worker", "figures", "processes"),

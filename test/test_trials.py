@@ -4,6 +4,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+from bags import move_to_namespace, rewrite
 
 from socket_testbed.calibration import Status
 from socket_testbed.errors import CalibrationError, ConfigurationError, TrialError
@@ -12,24 +13,8 @@ from socket_testbed.simulation.trial import read_truth
 from socket_testbed.trials.bag import BagReader, BagWriter
 from socket_testbed.trials.messages import decode, encode, stamp_of
 from socket_testbed.trials.synchronise import read_samples
-from socket_testbed.trials.topics import REQUIRED, TOPICS, WRENCH, match_topics
+from socket_testbed.trials.topics import REQUIRED, WRENCH, match_topics
 from socket_testbed.trials.trial import Trial, recorded_namespace, required_topics
-
-
-def rewrite(source: Path, target: Path, change) -> Path:
-    """Copy a trial message by message; `change` maps (topic, message) to a message or None."""
-    types = {"/" + topic.name.lstrip("/"): topic for topic in TOPICS}
-    with BagReader(source) as old, BagWriter(target) as new:
-        for name in old.counts:
-            new.add_topic(name, types[name])
-        for raw in old.messages():
-            message = change(raw.topic, decode(raw.data, raw.type))
-            if message is not None:
-                new.write(raw.topic, raw.time, encode(message, raw.type))
-    for file in source.glob("*.yaml"):
-        if file.name != "metadata.yaml":
-            shutil.copy(file, target)
-    return target
 
 
 def test_samples_agree_with_the_truth_within_the_sensors_errors(hold: Path) -> None:
@@ -171,14 +156,7 @@ def test_a_disagreement_on_qos_hides_no_message(shared_data: Path) -> None:
 def test_topics_are_found_in_the_namespace_they_were_recorded_in(
     hold: Path, tmp_path: Path
 ) -> None:
-    target = tmp_path / "lab"
-    with BagReader(hold) as old, BagWriter(target) as new:
-        for topic, name in match_topics(old.counts, "hold").items():
-            new.add_topic("/lab" + name, topic)
-        for raw in old.messages():
-            new.write("/lab" + raw.topic, raw.time, raw.data)
-    for file in ("socket.yaml", "calibration.yaml"):
-        shutil.copy(hold / file, target)
+    target = move_to_namespace(hold, tmp_path / "lab", "/lab")
     assert recorded_namespace(Trial(target)) == "/lab"
     assert recorded_namespace(Trial(hold)) == "/"
     np.testing.assert_array_equal(

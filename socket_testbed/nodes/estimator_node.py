@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from concurrent.futures import CancelledError
 from concurrent.futures import Future as WorkerFuture
+from concurrent.futures.process import BrokenProcessPool
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -23,7 +24,7 @@ from rclpy.task import Future
 from std_srvs.srv import Trigger as TriggerService
 
 from socket_testbed.contact import ContactModel
-from socket_testbed.errors import TestbedError
+from socket_testbed.errors import ConfigurationError, TestbedError
 from socket_testbed.files import packaged
 from socket_testbed.fit_worker import FitWorker
 from socket_testbed.geometry.pose import Pose
@@ -135,6 +136,11 @@ class EstimatorNode(Node):
 
     def _load(self, path: Path) -> None:
         stored = read_model(path)
+        if stored.geometry.names != self._geometry.names:
+            raise ConfigurationError(
+                f"{path}: was fitted on another socket than this geometry",
+                "give the socket.yaml of its trial, or a model of this socket",
+            )
         self._model = stored.model
         self._model_publisher.publish(stored_model_to_ros(stored))
         self._diagnostics.report(OK, f"predicting with the model of {stored.trial}")
@@ -231,8 +237,8 @@ class EstimatorNode(Node):
             return
         try:
             fit = future.result()
-        except TestbedError as error:
-            self._diagnostics.report(ERROR, str(error))
+        except (TestbedError, BrokenProcessPool) as error:
+            self._diagnostics.report(ERROR, f"no fit: {error}")
             return
         if fit is None:
             return
@@ -255,7 +261,7 @@ class EstimatorNode(Node):
             return response
         try:
             fit = self._start_fit(on_plateau=False).result()
-        except (TestbedError, CancelledError) as error:
+        except (TestbedError, CancelledError, BrokenProcessPool) as error:
             response.message = str(error) or "the node ends"
             return response
         response.success = fit is not None

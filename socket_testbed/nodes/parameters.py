@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from typing import Any, Generic, TypeVar
 
 from rcl_interfaces.msg import (
@@ -15,8 +14,8 @@ from rcl_interfaces.msg import (
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
+from socket_testbed.checked import Settings, parameter_values
 from socket_testbed.errors import ConfigurationError
-from socket_testbed.settings import Settings, parameter_values
 
 S = TypeVar("S", bound=Settings)
 
@@ -24,24 +23,22 @@ S = TypeVar("S", bound=Settings)
 class Parameters(Generic[S]):
     """The settings of a node, kept in step with its parameters.
 
-    A change that the settings refuse is refused by the node, with the reason; one that they
-    accept is acted on by `changed`.
+    A change that the settings refuse is refused by the node, with the reason.
 
     Args:
         node: The node.
         kind: The class of its settings.
-        changed: Called with the new settings after a change.
+
+    Attributes:
+        settings: The settings as they are now.
 
     Raises:
         ConfigurationError: If a parameter given at the start is wrong.
     """
 
-    def __init__(
-        self, node: Node, kind: type[S], changed: Callable[[S], None] | None = None
-    ) -> None:
+    def __init__(self, node: Node, kind: type[S]) -> None:
         self._node = node
         self._kind = kind
-        self._changed = changed
         self._names = kind.flat()
         for name, value in parameter_values(kind()).items():
             node.declare_parameter(name, value, self._descriptor(name))
@@ -56,7 +53,9 @@ class Parameters(Generic[S]):
         if limits["choices"]:
             text += "; one of " + ", ".join(limits["choices"])
         # Dynamic typing lets a whole number stand for a double; the settings check the rest.
-        descriptor = ParameterDescriptor(name=name, description=text, dynamic_typing=True)
+        descriptor = ParameterDescriptor(
+            name=name, description=text, dynamic_typing=True, read_only=limits["fixed"]
+        )
         low, high = limits["low"], limits["high"]
         if isinstance(item.default, bool) or not isinstance(item.default, int | float):
             return descriptor
@@ -83,9 +82,8 @@ class Parameters(Generic[S]):
         return SetParametersResult(successful=True)
 
     def _apply(self, parameters: list[Parameter]) -> None:
+        del parameters
         self.settings = self._build({})
-        if self._changed is not None and any(p.name in self._names for p in parameters):
-            self._changed(self.settings)
 
 
 def _from_ros(value: Any) -> Any:

@@ -32,7 +32,8 @@ class RecorderNode(Node):
     def __init__(self) -> None:
         super().__init__("recorder_node")
         self.finished = Future()
-        self._settings = Parameters(self, RecorderSettings).settings
+        self._adjustable = Parameters(self, RecorderSettings)
+        settings = self._adjustable.settings
         self._bag: BagWriter | None = None
         self._path: Path | None = None
         self._counts: dict[str, int] = {}
@@ -49,10 +50,10 @@ class RecorderNode(Node):
         ]
         self._service = self.create_service(SetBool, "recorder/record", self._on_record)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self._timer = self.create_timer(self._settings.flush_period, self._flush, clock=steady)
+        self._timer = self.create_timer(settings.flush_period, self._flush, clock=steady)
         self._diagnostics = Diagnostics(self, lambda: {"trial": self._path or "", **self._counts})
-        if self._settings.record:
-            self._start(Path(self._settings.directory))
+        if settings.record:
+            self._start(Path(settings.directory))
 
     def close(self) -> None:
         """Close the trial."""
@@ -62,7 +63,7 @@ class RecorderNode(Node):
         try:
             if request.data and self._bag is None:
                 name = datetime.now().strftime("trial_%Y%m%d_%H%M%S")
-                self._start(Path(self._settings.directory) / name)
+                self._start(Path(self._adjustable.settings.directory) / name)
             elif not request.data:
                 self._finish()
         except ConfigurationError as error:
@@ -74,7 +75,7 @@ class RecorderNode(Node):
 
     def _start(self, path: Path) -> None:
         refuse_existing(path)
-        settings = self._settings
+        settings = self._adjustable.settings
         try:
             bag = BagWriter(path)
             bag.__enter__()
@@ -99,7 +100,13 @@ class RecorderNode(Node):
         if self._bag is None:
             return
         bag, self._bag = self._bag, None
-        bag.__exit__(None, None, None)
+        try:
+            bag.__exit__(None, None, None)
+        except OSError as error:
+            self._diagnostics.report(
+                ERROR, f"{self._path} was not closed ({error.strerror}): make space, see its .mcap"
+            )
+            return
         self._diagnostics.report(
             OK, f"recorded {sum(self._counts.values())} messages in {self._path}"
         )
