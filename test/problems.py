@@ -31,7 +31,8 @@ LEFT_OUT = [
 def random_pose(rng: np.random.Generator, reach: float = 0.3, count: int | None = None) -> Pose:
     """A random pose, or `count` of them, within `reach` [m]."""
     shape = (3,) if count is None else (count, 3)
-    return Pose(Rotation.random(count, rng=rng).as_matrix(), rng.uniform(-reach, reach, shape))
+    quaternion = rng.normal(size=(*shape[:-1], 4))  # normalised, it is uniform over rotations
+    return Pose(Rotation.from_quat(quaternion).as_matrix(), rng.uniform(-reach, reach, shape))
 
 
 def random_socket(
