@@ -16,7 +16,7 @@ FILES = sorted(PACKAGE.rglob("*.py"))
 
 # From the ground up: a room imports from its own floor or from those below it.
 FLOORS = (
-    ("arrays", "errors", "lifeline"),
+    ("arrays", "errors", "lifeline", "pacing"),
     ("contact", "documents", "files", "samples"),
     ("checked", "geometry"),
     ("settings",),

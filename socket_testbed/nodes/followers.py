@@ -1,0 +1,100 @@
+"""The nodes that a replay waits for: linked before it starts, and never left far behind."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from functools import partial
+
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.node import Node
+
+from socket_testbed.nodes.diagnostics import NEWEST_STAMP, WAITING_FOR
+from socket_testbed.nodes.runtime import subscriber_qos
+from socket_testbed.trials.topics import DIAGNOSTICS
+
+_LOOK = 0.02  # [s]
+
+
+class Followers:
+    """What nodes say of themselves in their diagnostics.
+
+    Args:
+        node: The node that waits for them.
+        names: Their names.
+        stopped: Called to know whether waiting has become pointless.
+    """
+
+    def __init__(self, node: Node, names: tuple[str, ...], stopped: Callable[[], bool]) -> None:
+        self._waiting = dict.fromkeys(names, "not seen")
+        self._newest: dict[str, int] = {}
+        self._sent: deque[int] = deque()
+        self._stopped = stopped
+        self._news = threading.Condition()
+        self._subscription = node.create_subscription(
+            DiagnosticArray, DIAGNOSTICS.name, self._on_diagnostics, subscriber_qos(DIAGNOSTICS)
+        )
+
+    def __len__(self) -> int:
+        return len(self._waiting)
+
+    @property
+    def unlinked(self) -> dict[str, str]:
+        """The nodes that are not ready, with what they wait for."""
+        return {name: waiting for name, waiting in self._waiting.items() if waiting}
+
+    def sent(self, stamp: int) -> None:
+        """A sample with this stamp [ns] was sent to them."""
+        self._sent.append(stamp)
+
+    def start_over(self) -> None:
+        """Time jumps back: what they had worked off says nothing any more."""
+        with self._news:
+            self._newest = dict.fromkeys(self._newest, 0)
+            self._sent.clear()
+
+    def wait(self, condition: Callable[[], bool], duration: float) -> bool:
+        """Wait until a condition holds; returns whether it does after a duration [s]."""
+        deadline = time.monotonic() + duration
+        with self._news:
+            while not condition():
+                left = deadline - time.monotonic()
+                if left <= 0.0 or self._stopped():
+                    return False
+                self._news.wait(min(left, _LOOK))
+        return True
+
+    def catch_up(self, behind: int, patience: float) -> int:
+        """Wait until they are at most so many samples behind.
+
+        Args:
+            behind: Number of samples.
+            patience: Longest time without any progress [s].
+
+        Returns:
+            How many samples they are behind still, 0 if they caught up.
+        """
+        while self._newest and len(self._sent) > behind:
+            before = len(self._sent)
+            if not self.wait(partial(self._fewer_left_than, before), patience):
+                self._sent.clear()
+                return 0 if self._stopped() else before
+        return 0
+
+    def _fewer_left_than(self, count: int) -> bool:
+        slowest = min(self._newest.values())
+        while self._sent and self._sent[0] <= slowest:
+            self._sent.popleft()
+        return len(self._sent) < count
+
+    def _on_diagnostics(self, message: DiagnosticArray) -> None:
+        for status in message.status:
+            if status.name in self._waiting:
+                values = {entry.key: entry.value for entry in status.values}
+                with self._news:
+                    self._waiting[status.name] = values.get(WAITING_FOR, "")
+                    if NEWEST_STAMP in values:
+                        self._newest[status.name] = int(values[NEWEST_STAMP])
+                    self._news.notify_all()
