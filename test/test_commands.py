@@ -146,6 +146,17 @@ def test_all_but_the_graph_works_without_ros(tmp_path: Path) -> None:
     assert "rclpy cannot be imported: run 'make setup'" in done.stderr
 
 
+def test_a_full_disk_leaves_nothing_that_looks_whole(tmp_path: Path) -> None:
+    # A limit on the size of a file stands for the disk: writing fails in the middle.
+    command = f"ulimit -f 64; {sys.executable} -m socket_testbed simulate -o hold --duration 60"
+    done = subprocess.run(
+        ["bash", "-c", command], check=False, cwd=tmp_path, capture_output=True, text=True
+    )
+    assert done.returncode == 1
+    assert "hold: cannot be written" in done.stderr and "Traceback" not in done.stderr
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_ground_truth_lies_beside_the_trial(hold: Path) -> None:
     with np.load(hold / "ground_truth.npz") as truth:
         assert truth["forces"].shape == (240, len(truth["names"]), 3)

@@ -187,6 +187,9 @@ def test_a_fit_when_asked_answers_and_predicts(hold: Path) -> None:
         assert answer.success, answer.message
         probe.wait(lambda: len(models) == 1 and len(wrenches) > 50, "predictions")
         assert models[0].samples > 50
+        probe.listen(PARAMETERS)
+        probe.wait(lambda: len(models) == 2, "the model for a late subscriber")
+        assert models[1] == models[0]
 
 
 def test_the_calibration_node_says_what_it_could_not_read() -> None:
