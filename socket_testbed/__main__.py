@@ -34,13 +34,15 @@ def run(arguments: list[str] | None = None) -> int:
     )
     verbs = parser.add_subparsers(dest="verb", required=True, metavar="VERB")
     for verb, summary in VERBS.items():
-        subparser = verbs.add_parser(verb, help=summary, description=summary)
+        subparser = verbs.add_parser(verb, help=summary, description=summary, allow_abbrev=False)
         # Only the verb that is called is imported: the others' libraries take their time.
         if words[:1] == [verb]:
             import_module(f"socket_testbed.commands.{verb}").configure(subparser)
     options = parser.parse_args(words)
-    # Ended by another process, a verb ends its nodes as after Ctrl-C.
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    # Ended by another process, or started in the background of a script where the shell has it
+    # ignore Ctrl-C, a verb ends its nodes all the same.
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.default_int_handler)
     try:
         options.run(options)
         sys.stdout.flush()
@@ -54,6 +56,10 @@ def run(arguments: list[str] | None = None) -> int:
         # The reader of a pipe, such as head, has what it wanted.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
+    except OSError as error:
+        print(f"socket-testbed {options.verb}: error: {error}: check the output", file=sys.stderr)
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 1
     return 0
 
 

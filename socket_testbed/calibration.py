@@ -21,6 +21,8 @@ from socket_testbed.arrays import FloatArray, IntArray, StatusArray
 from socket_testbed.documents import Section, read_document
 from socket_testbed.errors import CalibrationError, ConfigurationError
 
+_SMALLEST_GAIN = 100.0  # [Pa/pF]; a smaller one is in another unit
+
 SHEAR_TERMS = ("1", "dx", "dy", "dx^2", "dx dy", "dy^2")
 
 
@@ -205,8 +207,14 @@ def _cluster_from_section(section: Section) -> ClusterCalibration:
             raise ConfigurationError(
                 f"{section.where}: {key} is {ranges[key].tolist()}", "give [low, high] in pF"
             )
+    normal = section.array("normal", (2,))
+    if normal[1] < _SMALLEST_GAIN:
+        raise ConfigurationError(
+            f"{section.where}: the gain of normal is {normal[1]:g} Pa/pF",
+            "give [offset in Pa, gain in Pa/pF], compression positive",
+        )
     return ClusterCalibration(
-        normal=section.array("normal", (2,)),
+        normal=normal,
         shear=np.array([section.array("shear_x", (6,)), section.array("shear_y", (6,))]),
         mean_range=ranges["mean_range"],
         difference_range=ranges["difference_range"],

@@ -103,7 +103,13 @@ class Section:
         """A finite number within [low, high]."""
         return check_number(self.take(key), f"{self.where}: {key}", low, high)
 
-    def array(self, key: str, shape: tuple[int, ...], finite: bool = True) -> FloatArray:
+    def array(
+        self,
+        key: str,
+        shape: tuple[int, ...],
+        finite: bool = True,
+        limit: float = math.inf,
+    ) -> FloatArray:
         """An array of numbers of a given shape; null is NaN, where that is allowed."""
         value = self.take(key)
         try:
@@ -118,6 +124,11 @@ class Section:
         if finite and not np.isfinite(array).all():
             raise ConfigurationError(
                 f"{self.where}: {key} holds a value that is not finite", "give finite numbers"
+            )
+        if np.abs(array).max(initial=0.0) > limit:
+            raise ConfigurationError(
+                f"{self.where}: {key} holds {np.abs(array).max():g}, more than {limit:g}",
+                "check the value and its unit",
             )
         return array
 

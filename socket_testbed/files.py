@@ -54,6 +54,9 @@ def whole_output(path: Path) -> Iterator[Path]:
     Raises:
         ConfigurationError: If the output cannot be written.
     """
+    path = path.resolve()  # a link stays a link
+    if path.exists() and not (path.is_file() or path.is_dir()):
+        raise ConfigurationError(f"{path} is no ordinary file", "name a file for the output")
     staging = path.parent / f".{path.name}.partial"
     try:
         shutil.rmtree(staging, ignore_errors=True)

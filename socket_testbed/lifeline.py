@@ -17,10 +17,10 @@ def end_with_parent(number: signal.Signals) -> None:
 
 
 def follow_starter() -> None:
-    """End like after Ctrl-C with the command that started this node, if one did."""
+    """End cleanly with the command that started this node, if one did."""
     starter = os.environ.get(PARENT)
     if starter is None:
         return
-    end_with_parent(signal.SIGINT)
+    end_with_parent(signal.SIGTERM)
     if os.getppid() != int(starter):  # it ended before the kernel was asked
-        os.kill(os.getpid(), signal.SIGINT)
+        os.kill(os.getpid(), signal.SIGTERM)

@@ -97,7 +97,8 @@ class Graph:
 
     def stop(self) -> None:
         """End all nodes: ask, then insist."""
-        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGKILL):
+        # Before ROS has taken over, SIGTERM ends a node without a word; afterwards cleanly.
+        for number in (signal.SIGTERM, signal.SIGKILL):
             running = [p for p in self._processes.values() if p.poll() is None]
             for process in running:
                 with suppress(ProcessLookupError):

@@ -12,6 +12,11 @@ WRENCH_CHANNELS = ("Mx", "My", "Mz", "Fx", "Fy", "Fz")
 LOCAL_CHANNELS = ("Fx", "Fy", "Fz")
 
 
+def channel_names(clusters: tuple[str, ...]) -> tuple[str, ...]:
+    """Names of all channels: the wrench's, then three a cluster."""
+    return WRENCH_CHANNELS + tuple(f"{c}.{channel}" for c in clusters for channel in LOCAL_CHANNELS)
+
+
 @dataclass(frozen=True)
 class Samples:
     """Measurements that belong to the same triggers, one row a trigger.
@@ -75,9 +80,7 @@ class Samples:
     @property
     def channels(self) -> tuple[str, ...]:
         """Names of all channels: the wrench's, then three a cluster."""
-        return WRENCH_CHANNELS + tuple(
-            f"{cluster}.{channel}" for cluster in self.clusters for channel in LOCAL_CHANNELS
-        )
+        return channel_names(self.clusters)
 
     @property
     def values(self) -> FloatArray:

@@ -2,6 +2,8 @@
 
 import dataclasses
 import json
+import shutil
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -299,6 +301,53 @@ def test_a_node_that_cannot_start_says_why_in_one_line(node, parameters, names) 
     assert "Traceback" not in done.stderr and done.stderr.count("error: ") == 1, done.stderr
     for name in names:
         assert name in done.stderr
+
+
+def test_a_trial_that_breaks_off_ends_its_replay_with_one_line(hold, tmp_path: Path) -> None:
+    broken = Path(shutil.copytree(hold, tmp_path / "hold"))
+    data = bytearray((broken / "hold.mcap").read_bytes())
+    middle = len(data) // 3
+    data[middle : middle + 4000] = b"\xff" * 4000
+    (broken / "hold.mcap").write_bytes(data)
+    done = subprocess.run(
+        [sys.executable, "-m", "socket_testbed", "replay", str(broken), "--rate", "100"],
+        check=False,
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
+    assert done.returncode == 1
+    assert "hold.mcap: " in done.stderr and "Traceback" not in done.stderr
+    assert "replay_node ended with exit code 1" in done.stderr
+
+
+def test_ctrl_c_ends_a_recording_whole(tmp_path: Path) -> None:
+    with Probe() as probe:
+        diagnostics = probe.listen(DIAGNOSTICS)
+        recording = subprocess.Popen(
+            [sys.executable, "-m", "socket_testbed", "record", str(tmp_path / "trial")],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        probe.wait(lambda: len(last(diagnostics, "recorder_node")) > 0, "the recorder")
+        recording.send_signal(signal.SIGINT)
+        _, err = recording.communicate(timeout=30)
+    assert recording.returncode == 0 and "Traceback" not in err
+    assert (tmp_path / "trial" / "metadata.yaml").is_file()
+    assert "/load_cell/wrench" in counts(tmp_path / "trial")
+
+
+def test_a_killed_command_leaves_no_node(hold: Path) -> None:
+    with Probe() as probe:
+        diagnostics = probe.listen(DIAGNOSTICS)
+        command = [sys.executable, "-m", "socket_testbed", "replay", str(hold), "--estimate"]
+        replay = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT)
+        probe.wait(lambda: len(last(diagnostics, "estimator_node")) > 0, "the estimator")
+        replay.kill()
+        # The pipe closes when the last process that holds it has ended.
+        out, _ = replay.communicate(timeout=30)
+    assert b"Traceback" not in out and b"Fatal" not in out, out.decode()
 
 
 def test_a_trial_recorded_in_a_namespace_is_estimated_there(

@@ -52,7 +52,7 @@ def run(options: argparse.Namespace) -> None:
 
 
 def _require_same_socket(trial: Trial, stored: StoredModel) -> None:
-    if trial.geometry.names != stored.geometry.names:
+    if not trial.geometry.same_tiles(stored.geometry):
         raise TrialError(
             f"the model was fitted on another socket ({len(stored.geometry)} tiles) than that of"
             f" {trial.path} ({len(trial.geometry)} tiles)",

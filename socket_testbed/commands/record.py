@@ -6,9 +6,11 @@ import argparse
 import sys
 from pathlib import Path
 
+from socket_testbed.calibration import read_calibration
 from socket_testbed.files import refuse_existing
+from socket_testbed.geometry.socket import read_socket
 from socket_testbed.processes import Graph
-from socket_testbed.settings import RecorderSettings
+from socket_testbed.settings import RecorderSettings, read_parameters
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -24,6 +26,14 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> None:
     """Record until interrupted."""
     refuse_existing(options.directory)
+    # What a trial is recorded with must be readable when it is worked on.
+    for file, read in (
+        (options.geometry, read_socket),
+        (options.calibration, read_calibration),
+        (options.params, read_parameters),
+    ):
+        if file is not None:
+            read(file)
     settings = RecorderSettings(
         directory=str(options.directory.resolve()),
         record=True,

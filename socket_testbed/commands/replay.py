@@ -14,6 +14,8 @@ from socket_testbed.commands.options import (
     trial_of,
 )
 from socket_testbed.documents import check_number
+from socket_testbed.errors import ConfigurationError
+from socket_testbed.identification.fit import check_names
 from socket_testbed.identification.model_file import read_model
 from socket_testbed.processes import Graph
 from socket_testbed.settings import CalibrationNodeSettings, EstimatorSettings, ReplaySettings
@@ -41,7 +43,10 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--estimate", action="store_true", help="run the calibration and estimator nodes too"
     )
     parser.add_argument(
-        "--model", type=Path, metavar="MODEL", help="start with this model (with --estimate)"
+        "--model",
+        type=Path,
+        metavar="MODEL",
+        help="predict with this model and fit none",
     )
     parser.set_defaults(run=run)
 
@@ -57,6 +62,8 @@ def run(options: argparse.Namespace) -> None:
         paused=options.paused,
     )
     if not options.estimate:
+        if options.model is not None:
+            raise ConfigurationError("--model is for the estimator", "add --estimate")
         with trial.open():
             pass  # a trial that cannot be read is named before any node starts
         with Graph() as graph:
@@ -66,7 +73,8 @@ def run(options: argparse.Namespace) -> None:
     settings = estimator_settings(options, trial)
     if options.model is not None:
         read_model(options.model)
-        settings = dataclasses.replace(settings, model=str(options.model.resolve()))
+        model = str(options.model.resolve())
+        settings = dataclasses.replace(settings, model=model, fit_by_itself=False)
     replay_with_estimator(trial, replay, settings)
 
 
@@ -88,7 +96,8 @@ def replay_with_estimator(
         TestbedError: If the trial or its configuration is wrong, or a node fails.
     """
     # What is wrong with the files is named here, in one line, before any node starts.
-    check_trial(trial)
+    clusters = check_trial(trial)
+    check_names(estimator.identification, clusters)
     namespace = recorded_namespace(trial)
     socket_file = trial.configuration(SOCKET_FILE, trial.socket_file)
     calibration_file = trial.configuration(CALIBRATION_FILE, trial.calibration_file)

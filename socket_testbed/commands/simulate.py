@@ -14,6 +14,8 @@ from socket_testbed.simulation.loading import SCENARIOS
 from socket_testbed.simulation.testbed import simulate
 from socket_testbed.simulation.trial import TRUTH_FILE, write_simulated_trial
 
+_MOST_TRIGGERS = 1_000_000
+
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of the verb."""
@@ -45,6 +47,7 @@ def run(options: argparse.Namespace) -> None:
     check_number(options.duration, "--duration", 1.0, 36000.0)
     check_number(options.rate, "--rate", 0.1, 1000.0)
     check_number(options.seed, "--seed", 0)
+    check_number(options.duration * options.rate, "--duration times --rate", 2, _MOST_TRIGGERS)
     refuse_existing(options.output)
     geometry = read_socket(options.geometry or packaged("config", "socket.yaml"))
     calibration = read_calibration(options.calibration or packaged("config", "calibration.yaml"))

@@ -17,6 +17,10 @@ from socket_testbed.geometry.triad import EDGE_TOLERANCE, edge_lengths
 
 _ORTHONORMAL = 1e-6  # [-]; a file holds at least seven digits
 _SMALLEST_TRIAD = 0.01  # [m]
+_SAME_PLACE = 1e-4  # [m]
+_LARGEST_SOCKET = 2.0  # [m]; what is farther from the load cell is in another unit
+_LARGEST_BODY = 1.0  # [m]; likewise for a marker in its body
+_LARGEST_TILE = 0.05  # [m^2]
 
 
 @dataclass(frozen=True)
@@ -50,6 +54,14 @@ class SocketGeometry:
 
     def __len__(self) -> int:
         return len(self.names)
+
+    def same_tiles(self, other: SocketGeometry) -> bool:
+        """Whether another geometry has the same tiles at the same places."""
+        return (
+            self.names == other.names
+            and np.allclose(self.anchors, other.anchors, rtol=0.0, atol=_SAME_PLACE)
+            and np.allclose(self.rotations, other.rotations, rtol=0.0, atol=1e-3)
+        )
 
     def limb_position(self, socket_in_world: Pose, pylon_in_world: Pose) -> FloatArray:
         """Limb position q in {S} from the poses of the two marker bodies.
@@ -142,9 +154,9 @@ def socket_from_section(document: Section) -> SocketGeometry:
     pylon = bodies.section("pylon").expect(("markers", "limb_in_body"))
     return SocketGeometry(
         names=tuple(tiles),
-        anchors=np.array([tile.array("anchor", (3,)) for tile in tiles.values()]),
+        anchors=_anchors(tiles),
         rotations=np.array([_rotation(tile, "frame") for tile in tiles.values()]),
-        areas=np.array([tile.number("area", 1e-8, 1.0) for tile in tiles.values()]),
+        areas=np.array([tile.number("area", 1e-8, _LARGEST_TILE) for tile in tiles.values()]),
         neighbours=_neighbours(document, index),
         clusters=_clusters(document.section("clusters"), index),
         socket_markers=_triad(socket),
@@ -152,6 +164,19 @@ def socket_from_section(document: Section) -> SocketGeometry:
         socket_body=_pose(socket.section("in_load_cell")),
         limb=_pose(pylon.section("limb_in_body")),
     )
+
+
+def _anchors(tiles: dict[str, Section]) -> FloatArray:
+    anchors = np.array([t.array("anchor", (3,), limit=_LARGEST_SOCKET) for t in tiles.values()])
+    apart = np.linalg.norm(anchors[:, None] - anchors[None], axis=2)
+    np.fill_diagonal(apart, np.inf)
+    if apart.min() < _SAME_PLACE:
+        a, b = np.unravel_index(apart.argmin(), apart.shape)
+        names = list(tiles)
+        raise ConfigurationError(
+            f"{tiles[names[a]].where}: is at the same place as {names[b]}", "remove one of them"
+        )
+    return anchors
 
 
 def _neighbours(document: Section, index: dict[str, int]) -> IntArray:
@@ -200,7 +225,7 @@ def _rotation(section: Section, key: str) -> FloatArray:
 
 
 def _triad(section: Section) -> FloatArray:
-    markers = section.array("markers", (3, 3))
+    markers = section.array("markers", (3, 3), limit=_LARGEST_BODY)
     edges = edge_lengths(markers)
     area = 0.5 * np.linalg.norm(np.cross(markers[1] - markers[0], markers[2] - markers[0]))
     if edges.min() < _SMALLEST_TRIAD or area < 0.1 * _SMALLEST_TRIAD * edges.max():
@@ -220,7 +245,9 @@ def _triad(section: Section) -> FloatArray:
 
 def _pose(section: Section) -> Pose:
     section.expect(("rotation", "translation"))
-    return Pose(_rotation(section, "rotation"), section.array("translation", (3,)))
+    return Pose(
+        _rotation(section, "rotation"), section.array("translation", (3,), limit=_LARGEST_SOCKET)
+    )
 
 
 def _pose_document(pose: Pose) -> dict[str, Any]:

@@ -200,6 +200,18 @@ def _wrong_side(problem: BoxQP, side: IntArray, x: FloatArray, gradient: FloatAr
     return change
 
 
+def check_solver(solver: str) -> None:
+    """Refuse a solver that qpsolvers does not find.
+
+    Raises:
+        ConfigurationError: Naming the likely one.
+    """
+    if solver not in qpsolvers.available_solvers:
+        raise ConfigurationError(
+            f"solver '{solver}' is not installed", closest(solver, qpsolvers.available_solvers)
+        )
+
+
 def solve_box_qp(problem: BoxQP, solver: str, tolerance: float) -> BoxSolution:
     """Solve a box QP and certify the answer, whatever the solver says of it.
 
@@ -212,10 +224,7 @@ def solve_box_qp(problem: BoxQP, solver: str, tolerance: float) -> BoxSolution:
         ConfigurationError: If there is no such solver.
         UncertifiedSolutionError: If the answer misses the tolerance; it carries the problem.
     """
-    if solver not in qpsolvers.available_solvers:
-        raise ConfigurationError(
-            f"solver '{solver}' is not installed", closest(solver, qpsolvers.available_solvers)
-        )
+    check_solver(solver)
     if not (np.isfinite(problem.P).all() and np.isfinite(problem.q).all()):
         raise UncertifiedSolutionError(
             f"{problem.name}: holds values that are not finite", "check the samples", problem, None

@@ -8,8 +8,8 @@ from typing import cast
 from socket_testbed.contact import ContactModel, Variant
 from socket_testbed.evaluation import ChannelErrors, evaluate
 from socket_testbed.geometry.socket import SocketGeometry
-from socket_testbed.identification.box_qp import BoxSolution, solve_box_qp
-from socket_testbed.identification.objective import build_objective
+from socket_testbed.identification.box_qp import BoxSolution, check_solver, solve_box_qp
+from socket_testbed.identification.objective import build_objective, check_channels
 from socket_testbed.identification.stages import (
     KILONEWTON_PER_METRE,
     MILLIMETRE,
@@ -18,7 +18,7 @@ from socket_testbed.identification.stages import (
     recover_offsets,
     stage_one_reference,
 )
-from socket_testbed.samples import Samples
+from socket_testbed.samples import Samples, channel_names
 from socket_testbed.settings import IdentificationSettings
 
 
@@ -51,6 +51,16 @@ class Fit:
     def status(self) -> str:
         """The solver's verdict with the certificate of both stages, in words."""
         return f"stage 1 {self.stage_one.status}; stage 2 {self.stage_two.status}"
+
+
+def check_names(settings: IdentificationSettings, clusters: tuple[str, ...]) -> None:
+    """Refuse settings that name no channel of these clusters, or no solver.
+
+    Raises:
+        ConfigurationError: Naming the likely one.
+    """
+    check_solver(settings.solver)
+    check_channels(settings.leave_out, channel_names(clusters))
 
 
 def fit_contact_model(

@@ -75,6 +75,17 @@ class Objective:
     smoothness: float
 
 
+def check_channels(leave_out: tuple[str, ...], names: tuple[str, ...]) -> None:
+    """Refuse a name that is no channel.
+
+    Raises:
+        ConfigurationError: Naming the likely one.
+    """
+    for name in leave_out:
+        if name not in names:
+            raise ConfigurationError(f"leave_out: no channel '{name}'", closest(name, names))
+
+
 def channels_in_objective(
     samples: Samples, leave_out: tuple[str, ...]
 ) -> tuple[BoolArray, BoolArray]:
@@ -84,9 +95,7 @@ def channels_in_objective(
         ConfigurationError: For a name that is no channel.
     """
     names = samples.channels
-    for name in leave_out:
-        if name not in names:
-            raise ConfigurationError(f"leave_out: no channel '{name}'", closest(name, names))
+    check_channels(leave_out, names)
     counted = np.array([name not in leave_out for name in names])
     return counted[:6], counted[6:].reshape(-1, 3)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
@@ -71,6 +72,9 @@ class Diagnostics:
         changed = level != self._level
         self._level, self._message = level, message
         logger = self._node.get_logger()
+        if not self._node.context.ok():  # ROS has ended: only the terminal is left
+            print(f"[{logger.name}]: {message}", file=sys.stderr)
+            return
         if level == ERROR:
             logger.error(message)
         elif level == WARN:

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import threading
+from contextlib import suppress
 from typing import Self
 
 import numpy as np
 import rclpy
 from geometry_msgs.msg import WrenchStamped
+from rclpy.executors import ExternalShutdownException
 from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.task import Future
 from socket_testbed_msgs.msg import ContactModel, LocalForceArray
@@ -67,8 +69,9 @@ class EstimateListener:
         rclpy.try_shutdown()
 
     def _spin(self) -> None:
-        while rclpy.ok() and not self._done.done():
-            self._executor.spin_until_future_complete(self._done, timeout_sec=0.2)
+        with suppress(ExternalShutdownException):
+            while rclpy.ok() and not self._done.done():
+                self._executor.spin_until_future_complete(self._done, timeout_sec=0.2)
 
     def _on_wrench(self, message: WrenchStamped) -> None:
         self.wrench[stamp_from_ros(message.header.stamp)] = wrench_from_ros(message.wrench)

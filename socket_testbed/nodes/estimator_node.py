@@ -136,7 +136,7 @@ class EstimatorNode(Node):
 
     def _load(self, path: Path) -> None:
         stored = read_model(path)
-        if stored.geometry.names != self._geometry.names:
+        if not stored.geometry.same_tiles(self._geometry):
             raise ConfigurationError(
                 f"{path}: was fitted on another socket than this geometry",
                 "give the socket.yaml of its trial, or a model of this socket",

@@ -164,7 +164,14 @@ class ReplayNode(Node):
         def ready() -> bool:
             return all(map(linked, self._topics)) and not self._followers.unlinked
 
-        if not self._followers.wait(ready, _READY_WITHIN) and not self._pacer.stopped:
+        is_ready = self._followers.wait(ready, _READY_WITHIN)
+        for name, topic in self._topics.items():
+            if topic.required and self.count_publishers(name) > 1:
+                raise TrialError(
+                    f"another program publishes {name} on this ROS_DOMAIN_ID",
+                    "end it, or set another ROS_DOMAIN_ID: two trials must not mix",
+                )
+        if not is_ready and not self._pacer.stopped:
             lacking = ", ".join(f"{n} ({w})" for n, w in self._followers.unlinked.items())
             raise TrialError(
                 f"after {_READY_WITHIN:g} s not ready: {lacking or 'subscribers'}",

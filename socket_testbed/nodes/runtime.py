@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 import sys
 from collections.abc import Callable
 from contextlib import suppress
@@ -71,25 +72,34 @@ def run_node(make: Callable[[], RunnableNode]) -> None:
 
 
 def _run(make: Callable[[], RunnableNode]) -> int:
+    # ROS ends its context on SIGINT. Python's KeyboardInterrupt on top of it could strike in the
+    # middle of a callback, where nothing can catch it.
+    signal.signal(signal.SIGINT, lambda number, frame: None)
     rclpy.init()
     follow_starter()
-    node: RunnableNode | None = None
     try:
         node = make()
-        executor = EventsExecutor()
-        executor.add_node(node)
-        # spin() of this executor overflows its wait in Jazzy's release; turns do not.
-        while rclpy.ok() and not node.finished.done():
-            executor.spin_until_future_complete(node.finished, timeout_sec=_TURN)
-        return 0
-    except (KeyboardInterrupt, ExternalShutdownException):
-        return 0
+        try:
+            _spin(node)
+        finally:
+            node.close()
+            node.destroy_node()
     except TestbedError as error:
         print(f"error: {error}", file=sys.stderr)
         return 1
+    except Exception:
+        # Told to end while it starts or ends, a node finds ROS gone at any of its calls.
+        if rclpy.ok():
+            raise
     finally:
-        if node is not None:
-            with suppress(KeyboardInterrupt):
-                node.close()
-            node.destroy_node()
         rclpy.try_shutdown()
+    return 0
+
+
+def _spin(node: RunnableNode) -> None:
+    executor = EventsExecutor()
+    executor.add_node(node)
+    with suppress(ExternalShutdownException):
+        # spin() of this executor overflows its wait in Jazzy's release; turns do not.
+        while rclpy.ok() and not node.finished.done():
+            executor.spin_until_future_complete(node.finished, timeout_sec=_TURN)

@@ -113,11 +113,18 @@ class BagReader:
             connections = [c for c in reader.connections if topics is None or c.topic in topics]
             if not connections:
                 continue
-            try:
-                for connection, time, data in reader.messages(connections):
-                    yield RawMessage(connection.topic, connection.msgtype, time, bytes(data))
-            except (ReaderError, EOFError, ValueError) as error:
-                raise _damaged(reader.path, error) from None
+            left = {connection.id: connection.msgcount for connection in connections}
+            messages = reader.messages(connections)
+            while (entry := _next(messages, reader.path)) is not None:
+                connection, time, data = entry
+                left[connection.id] -= 1
+                yield RawMessage(connection.topic, connection.msgtype, time, bytes(data))
+            if any(left.values()):
+                raise TrialError(
+                    f"{reader.path}: is damaged, its index says {sum(left.values())} messages more"
+                    " than can be read",
+                    "copy the trial again, or save what is there with 'mcap recover'",
+                )
 
     def _metadata(self) -> dict[str, object] | None:
         if not self.path.exists():
@@ -187,6 +194,16 @@ class BagReader:
                     f"metadata.yaml and the storage file disagree on the QoS of {name}:"
                     " the file's messages are read"
                 )
+
+
+def _next(
+    messages: Iterator[tuple[Connection, int, bytes]], path: object
+) -> tuple[Connection, int, bytes] | None:
+    """The next message, or None at the end."""
+    try:
+        return next(messages, None)
+    except Exception as error:  # the library raises whatever the bytes lead it to
+        raise _damaged(path, error) from None
 
 
 def _damaged(file: Path | object, error: Exception) -> TrialError:

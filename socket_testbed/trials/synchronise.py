@@ -30,8 +30,11 @@ class _Columns:
     capacitance: dict[int, dict[str, tuple[Any, Any]]] = field(default_factory=dict)
 
 
-def check_trial(trial: Trial) -> None:
+def check_trial(trial: Trial) -> tuple[str, ...]:
     """Refuse a trial that cannot be worked on, before long work or a graph is started.
+
+    Returns:
+        Names of the trial's clusters.
 
     Raises:
         TrialError: If the trial cannot be read or lacks a topic.
@@ -41,7 +44,9 @@ def check_trial(trial: Trial) -> None:
     with trial.open() as bag:
         name = required_topics(bag)[CAPACITANCE]
         first = next(bag.messages([name]))
-    _require_clusters([cluster.name for cluster in _decode(trial, first).clusters], trial)
+    clusters = tuple(cluster.name for cluster in _decode(trial, first).clusters)
+    _require_clusters(clusters, trial)
+    return clusters
 
 
 def read_samples(trial: Trial) -> Samples:
