@@ -38,6 +38,8 @@ class Probe:
     def __exit__(self, *_: object) -> None:
         self._done.set_result(None)
         self._thread.join()
+        self._executor.remove_node(self.node)  # it holds on to the node's entities
+        self._executor.shutdown()
         self.node.destroy_node()
         rclpy.shutdown(context=self.context)
 

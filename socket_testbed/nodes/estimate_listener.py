@@ -65,6 +65,8 @@ class EstimateListener:
     def __exit__(self, *error: object) -> None:
         self._done.set_result(None)
         self._thread.join()
+        self._executor.remove_node(self._node)  # it holds on to the node's entities
+        self._executor.shutdown()
         self._node.destroy_node()
         rclpy.try_shutdown()
 
