@@ -66,10 +66,10 @@ class FitWorker:
 
     def close(self) -> None:
         """End the process, whatever it is doing."""
-        processes = list((self._pool._processes or {}).values())
-        self._pool.shutdown(wait=False, cancel_futures=True)
-        for process in processes:
+        for process in list((self._pool._processes or {}).values()):
             process.terminate()
+        # Joined here, the pool's thread is gone before the interpreter ends.
+        self._pool.shutdown(wait=True, cancel_futures=True)
 
 
 def _step_back() -> None:

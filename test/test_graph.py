@@ -346,8 +346,7 @@ def test_a_killed_command_leaves_no_node(hold: Path) -> None:
         probe.wait(lambda: len(last(diagnostics, "estimator_node")) > 0, "the estimator")
         replay.kill()
         # The pipe closes when the last process that holds it has ended.
-        out, _ = replay.communicate(timeout=30)
-    assert b"Traceback" not in out and b"Fatal" not in out, out.decode()
+        replay.communicate(timeout=30)
 
 
 def test_a_trial_recorded_in_a_namespace_is_estimated_there(
