@@ -21,8 +21,6 @@ from socket_testbed.processes import Graph
 from socket_testbed.settings import CalibrationNodeSettings, EstimatorSettings, ReplaySettings
 from socket_testbed.trials.synchronise import check_trial
 from socket_testbed.trials.trial import (
-    CALIBRATION_FILE,
-    SOCKET_FILE,
     Trial,
     recorded_namespace,
 )
@@ -99,10 +97,8 @@ def replay_with_estimator(
     clusters = check_trial(trial)
     check_names(estimator.identification, clusters)
     namespace = recorded_namespace(trial)
-    socket_file = trial.configuration(SOCKET_FILE, trial.socket_file)
-    calibration_file = trial.configuration(CALIBRATION_FILE, trial.calibration_file)
-    calibration = CalibrationNodeSettings(calibration=str(calibration_file.resolve()))
-    estimator = dataclasses.replace(estimator, geometry=str(socket_file.resolve()))
+    calibration = CalibrationNodeSettings(calibration=str(trial.calibration_path.resolve()))
+    estimator = dataclasses.replace(estimator, geometry=str(trial.geometry_path.resolve()))
     wait_for = (*_ESTIMATING, *replay.wait_for)
     replay = dataclasses.replace(replay, measured_only=True, wait_for=wait_for)
     with Graph(output) as graph:

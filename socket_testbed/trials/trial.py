@@ -45,32 +45,33 @@ class Trial:
         """The trial's bag, to be entered."""
         return BagReader(self.path)
 
-    def configuration(self, name: str, instead: Path | None = None) -> Path:
-        """Path of a configuration file: the one given instead, or the one stored in the trial.
+    @property
+    def geometry_path(self) -> Path:
+        """Path of the `socket.yaml` in use; a TrialError if there is none."""
+        return self.socket_file or self._stored(SOCKET_FILE, "--geometry")
 
-        Raises:
-            TrialError: If it is not stored in the trial and none is given.
-        """
-        if instead is not None:
-            return instead
+    @property
+    def calibration_path(self) -> Path:
+        """Path of the `calibration.yaml` in use; a TrialError if there is none."""
+        return self.calibration_file or self._stored(CALIBRATION_FILE, "--calibration")
+
+    def _stored(self, name: str, option: str) -> Path:
         stored = self.path / name
         if not stored.is_file():
-            option = name.removesuffix(".yaml")
             raise TrialError(
-                f"{self.path}: no {name} is stored in this trial",
-                f"give one with --{'geometry' if option == 'socket' else option}",
+                f"{self.path}: no {name} is stored in this trial", f"give one with {option}"
             )
         return stored
 
     @cached_property
     def geometry(self) -> SocketGeometry:
         """Geometry of the socket."""
-        return read_socket(self.configuration(SOCKET_FILE, self.socket_file))
+        return read_socket(self.geometry_path)
 
     @cached_property
     def calibration(self) -> Calibration:
         """Calibration of the clusters."""
-        return read_calibration(self.configuration(CALIBRATION_FILE, self.calibration_file))
+        return read_calibration(self.calibration_path)
 
     @cached_property
     def estimator(self) -> EstimatorSettings:
