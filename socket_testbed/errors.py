@@ -47,3 +47,7 @@ class TrialError(TestbedError):
 
 class IdentificationError(TestbedError):
     """The contact model cannot be identified from these samples."""
+
+
+class DeviceError(TestbedError):
+    """A device or its bus does not do what it should."""
