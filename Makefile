@@ -6,6 +6,7 @@ BIN := $(VENV)/bin
 FITS := "import sys, venv, ensurepip; assert (3, 11) <= sys.version_info[:2] <= (3, 13)"
 PYTHON ?= $(shell for p in python3.11 python3.12 python3.13 python3; do \
 	$$p -c $(FITS) 2>/dev/null && command -v $$p && break; done)
+REQUIREMENTS := $(addprefix requirements/,ros.txt runtime.txt hardware.txt dev.txt)
 PIP := $(BIN)/pip --disable-pip-version-check --quiet
 
 # Another ROS environment, sourced or of wheels, must not leak into this one.
@@ -37,13 +38,13 @@ colcon: $(VENV)/.packages
 	AMENT_PREFIX_PATH=$(CURDIR)/$(VENV) CMAKE_PREFIX_PATH=$(CURDIR)/$(VENV) \
 		PATH="$(CURDIR)/$(BIN):$$PATH" $(BIN)/colcon build
 
-$(VENV)/.packages: requirements/ros.txt requirements/runtime.txt requirements/dev.txt scripts/mend_ros_wheels.py
+$(VENV)/.packages: $(REQUIREMENTS) scripts/mend_ros_wheels.py
 	@test -n "$(PYTHON)" || { echo "error: no Python 3.11, 3.12 or 3.13 with venv: install one, or give PYTHON=..."; exit 1; }
 	@test "$$(uname -m)" = x86_64 || { echo "error: the ROS wheels are for x86-64: on $$(uname -m) use a ROS installation (README)"; exit 1; }
 	@echo "setting up $(VENV) with $(PYTHON) (about a minute, once)"
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
 	$(PIP) install "setuptools>=65,<80" wheel
-	$(PIP) install -r requirements/ros.txt -r requirements/runtime.txt -r requirements/dev.txt
+	$(PIP) install $(addprefix -r ,$(REQUIREMENTS))
 	$(BIN)/python scripts/mend_ros_wheels.py
 	touch $@
 

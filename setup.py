@@ -4,7 +4,16 @@ from setuptools import find_packages, setup
 
 NAME = "socket_testbed"
 
-NODES = ("replay", "recorder", "calibration", "estimator")
+NODES = (
+    "trigger",
+    "cluster",
+    "load_cell",
+    "mocap",
+    "calibration",
+    "estimator",
+    "recorder",
+    "replay",
+)
 
 setup(
     name=NAME,

@@ -11,10 +11,12 @@ from importlib import import_module
 from socket_testbed.errors import TestbedError
 
 VERBS = {
-    "demo": "simulated trial -> replay through the live graph -> errors and a figure",
+    "demo": "the simulated testbed live, its trial replayed: errors and a figure",
+    "run": "bring the whole testbed up, on hardware or simulated, and record it",
+    "doctor": "what is wired and what is not, as a table",
     "simulate": "write a simulated trial with its ground truth",
-    "replay": "publish a trial with /clock; with --estimate the estimator runs too",
     "record": "record the graph as a trial",
+    "replay": "publish a trial with /clock; with --estimate the estimator runs too",
     "info": "what a trial holds: topics, rates, gaps, plateau",
     "fit": "identify the contact model on a trial",
     "evaluate": "errors of a model on a trial, channel by channel",

@@ -17,12 +17,18 @@ class TriggerSettings(Settings):
     )  # fmt: skip
     rate: float = setting(4.0, "rate of the trigger [Hz]", 0.1, 500.0)
     enabled: bool = setting(True, "trigger from the start; see trigger/enable [-]", fixed=True)
+    wait_for: tuple[str, ...] = setting(
+        (), "nodes that must be ready before the first trigger [-]", fixed=True
+    )
     chip: str = setting("pinctrl-rp1", "label of the GPIO chip; its number moves [-]", fixed=True)
     output_line: int = setting(17, "line that makes the pulse [1]", 0, 1023, fixed=True)
     input_line: int = setting(
         27, "line wired to it, whose edge is stamped [1]", 0, 1023, fixed=True
     )
     pulse: float = setting(5e-4, "length of the pulse [s]", 1e-5, 0.1, fixed=True)
+    simulation: str = setting(
+        "", "folder of a simulated world; empty: the hardware [-]", fixed=True
+    )
     edge_within: float = setting(
         1e-3, "latest time of the edge after the pulse was asked for [s]", 1e-5, 0.1, fixed=True
     )
@@ -50,6 +56,9 @@ class ClusterSettings(Settings):
         400, "conversions of a chip, shared by its four inputs: 100, 200 or 400 [1/s]", 100, 400,
         fixed=True,
     )  # fmt: skip
+    simulation: str = setting(
+        "", "folder of a simulated world; empty: the hardware [-]", fixed=True
+    )
     bus_timeout: float = setting(
         0.05, "time after which a bus that hangs is given up [s]", 0.01, 1.0, fixed=True
     )
@@ -93,6 +102,9 @@ class LoadCellSettings(Settings):
     )  # fmt: skip
     full_scale: tuple[float, ...] = setting(
         (), "full scale of Fx Fy Fz Mx My Mz [N, N m]", 1e-3, 1e5, fixed=True
+    )
+    simulation: str = setting(
+        "", "folder of a simulated world; empty: the hardware [-]", fixed=True
     )
     window: float = setting(
         0.01, "span of conversions, centred on a trigger, that makes its wrench [s]", 1e-3, 1.0

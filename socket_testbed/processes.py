@@ -9,13 +9,16 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Callable
 from contextlib import suppress
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import IO, Any, Self
 
 import yaml
 
 from socket_testbed.checked import Settings, parameter_values
+from socket_testbed.drivers.backoff import Backoff
 from socket_testbed.errors import ConfigurationError, TestbedError
 from socket_testbed.lifeline import PARENT
 
@@ -27,11 +30,24 @@ class NodeFailedError(TestbedError):
     """A node ended by itself with an error."""
 
 
+@dataclass
+class _Member:
+    """A process of the graph, and when it was started [s]."""
+
+    command: list[str]
+    process: subprocess.Popen[bytes]
+    started: float
+    backoff: Backoff = field(default_factory=Backoff)
+
+
 class Graph:
     """Node processes that live and end together; a context manager.
 
     Args:
         output: Where the nodes print to; None for this process's own output.
+
+    Attributes:
+        folder: A folder that exists as long as the graph.
 
     Raises:
         ConfigurationError: On entry, if ROS 2 cannot be imported.
@@ -39,8 +55,9 @@ class Graph:
 
     def __init__(self, output: IO[str] | None = None) -> None:
         self._output = output
-        self._processes: dict[str, subprocess.Popen[bytes]] = {}
-        self._folder = tempfile.TemporaryDirectory(prefix="socket_testbed_")
+        self._members: dict[str, _Member] = {}
+        self._temporary = tempfile.TemporaryDirectory(prefix="socket_testbed_")
+        self.folder = Path(self._temporary.name)
 
     def __enter__(self) -> Self:
         for package in ("rclpy", "socket_testbed_msgs"):
@@ -53,7 +70,7 @@ class Graph:
 
     def __exit__(self, *error: object) -> None:
         self.stop()
-        self._folder.cleanup()
+        self._temporary.cleanup()
 
     def start(
         self, node: str, settings: Settings, namespace: str = "/", use_sim_time: bool = False
@@ -66,12 +83,39 @@ class Graph:
             namespace: Its namespace.
             use_sim_time: Whether it takes its time from /clock.
         """
-        file = Path(self._folder.name) / f"{node}.yaml"
-        file.write_text(yaml.safe_dump(parameter_file(settings, use_sim_time)))
-        command = [sys.executable, "-m", f"socket_testbed.nodes.{node}"]
+        self.start_together(node, {node: settings}, namespace, use_sim_time)
+
+    def start_together(
+        self,
+        name: str,
+        nodes: dict[str, Settings],
+        namespace: str = "/",
+        use_sim_time: bool = False,
+    ) -> None:
+        """Start nodes in one process.
+
+        Args:
+            name: Name of the process.
+            nodes: Settings of the nodes by their names; for one node alone the process is its.
+            namespace: Their namespace.
+            use_sim_time: Whether they take their time from /clock.
+        """
+        file = self.folder / f"{name}.yaml"
+        file.write_text(yaml.safe_dump(parameter_file(nodes, use_sim_time)))
+        module = "composed" if len(nodes) > 1 else next(iter(nodes))
+        arguments = list(nodes) if len(nodes) > 1 else []
+        ros = ["--ros-args", "-r", f"__ns:={namespace}", "--params-file", str(file)]
+        self.start_program(name, f"socket_testbed.nodes.{module}", [*arguments, *ros])
+
+    def start_program(self, name: str, module: str, arguments: list[str]) -> None:
+        """Start a module of this package as a process."""
+        command = [sys.executable, "-m", module, *arguments]
+        self._members[name] = _Member(command, self._spawn(command), time.monotonic())
+
+    def _spawn(self, command: list[str]) -> subprocess.Popen[bytes]:
         # In a session of its own, Ctrl-C reaches a node once: from this process.
-        self._processes[node] = subprocess.Popen(
-            [*command, "--ros-args", "-r", f"__ns:={namespace}", "--params-file", str(file)],
+        return subprocess.Popen(
+            command,
             stdout=self._output,
             stderr=self._output,
             start_new_session=True,
@@ -84,22 +128,58 @@ class Graph:
         Raises:
             NodeFailedError: If it, or another meanwhile, ended with an error.
         """
-        while self._processes[node].poll() is None:
-            for name, process in self._processes.items():
-                if name != node and process.poll() is not None:
-                    raise NodeFailedError(
-                        f"{name} ended with exit code {process.returncode}", "see what it printed"
-                    )
+        while self._members[node].process.poll() is None:
+            for name, member in self._members.items():
+                if name != node and member.process.poll() is not None:
+                    raise _failure(name, member)
             time.sleep(_LOOK)
-        code = self._processes[node].returncode
-        if code != 0:
-            raise NodeFailedError(f"{node} ended with exit code {code}", "see what it printed")
+        if self._members[node].process.returncode != 0:
+            raise _failure(node, self._members[node])
 
-    def stop(self) -> None:
-        """End all nodes: ask, then insist."""
+    def check(self) -> None:
+        """Raise a NodeFailedError if a process has ended."""
+        for name, member in self._members.items():
+            if member.process.poll() is not None:
+                raise _failure(name, member)
+
+    def watch(
+        self, done: Callable[[], bool], say: Callable[[str], None], patience: float = 10.0
+    ) -> None:
+        """Keep the processes running until something is done: what is killed is started again.
+
+        Args:
+            done: Called to know whether it is.
+            say: Called with a line about what was restarted.
+            patience: A process that ends by itself within this time of the graph's start was
+                given something wrong [s].
+
+        Raises:
+            NodeFailedError: If a process ends with an error soon after it was started first.
+        """
+        began = time.monotonic()
+        while not done():
+            now = time.monotonic()
+            for name, member in self._members.items():
+                code = member.process.poll()
+                if code is None:
+                    if now - member.started > patience:
+                        member.backoff.succeeded()
+                    continue
+                if code > 0 and now - began < patience:
+                    raise _failure(name, member)
+                if member.backoff.due(now):
+                    say(f"{name} {_ending(code)}: started again")
+                    member.backoff.failed(now)
+                    member.process = self._spawn(member.command)
+                    member.started = now
+            time.sleep(_LOOK)
+
+    def stop(self, *names: str) -> None:
+        """End some processes, or all of them: ask, then insist."""
+        members = [self._members[name] for name in names] or self._members.values()
         # Before ROS has taken over, SIGTERM ends a node without a word; afterwards cleanly.
         for number in (signal.SIGTERM, signal.SIGKILL):
-            running = [p for p in self._processes.values() if p.poll() is None]
+            running = [m.process for m in members if m.process.poll() is None]
             for process in running:
                 with suppress(ProcessLookupError):
                     process.send_signal(number)
@@ -109,7 +189,21 @@ class Graph:
                     process.wait(max(0.0, deadline - time.monotonic()))
 
 
-def parameter_file(settings: Settings, use_sim_time: bool) -> dict[str, Any]:
-    """Content of a ROS parameter file that starts a node, of any name, with these settings."""
-    values = {"use_sim_time": use_sim_time, **parameter_values(settings)}
-    return {"/**": {"ros__parameters": values}}
+def _failure(name: str, member: _Member) -> NodeFailedError:
+    return NodeFailedError(f"{name} {_ending(member.process.returncode)}", "see what it printed")
+
+
+def _ending(code: int) -> str:
+    if code < 0:
+        return f"was ended by {signal.Signals(-code).name}"
+    return f"ended with exit code {code}"
+
+
+def parameter_file(nodes: dict[str, Settings], use_sim_time: bool) -> dict[str, Any]:
+    """Content of a ROS parameter file that starts nodes, in any namespace, with settings."""
+    return {
+        f"/**/{name}": {
+            "ros__parameters": {"use_sim_time": use_sim_time, **parameter_values(settings)}
+        }
+        for name, settings in nodes.items()
+    }

@@ -10,6 +10,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import yaml
+
+from socket_testbed.acquisition_settings import (
+    ClusterSettings,
+    LoadCellSettings,
+    MocapSettings,
+    TriggerSettings,
+)
 from socket_testbed.checked import Settings, setting
 from socket_testbed.contact import VARIANTS
 from socket_testbed.documents import Section, read_document
@@ -151,11 +159,20 @@ class ReplaySettings(Settings):
 
 
 NODE_SETTINGS: dict[str, type[Settings]] = {
+    "trigger_node": TriggerSettings,
+    "cluster_node": ClusterSettings,
+    "load_cell_node": LoadCellSettings,
+    "mocap_node": MocapSettings,
     "estimator_node": EstimatorSettings,
     "calibration_node": CalibrationNodeSettings,
     "recorder_node": RecorderSettings,
     "replay_node": ReplaySettings,
 }
+
+_OF_A_RUN = (
+    *("geometry", "calibration", "parameters", "model", "simulation", "tare_file"),
+    *("directory", "record", "wait_for"),
+)
 
 
 def read_parameters(path: Path) -> dict[str, Settings]:
@@ -177,6 +194,21 @@ def read_parameters(path: Path) -> dict[str, Settings]:
         values.pop("use_sim_time", None)
         settings[node] = NODE_SETTINGS[node].from_flat(values, f"{path}: {node}")
     return settings
+
+
+def write_parameters(nodes: dict[str, Settings], path: Path) -> None:
+    """Write settings of nodes as a `testbed.yaml`, without what belongs to one machine."""
+    document = {
+        node: {
+            "ros__parameters": {
+                name: value
+                for name, value in settings.to_flat().items()
+                if name not in _OF_A_RUN and value != []
+            }
+        }
+        for node, settings in nodes.items()
+    }
+    path.write_text(yaml.safe_dump(document, sort_keys=False), encoding="utf-8")
 
 
 def _flatten(section: Section) -> dict[str, Any]:

@@ -3,7 +3,6 @@
 import dataclasses
 import json
 import shutil
-import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -15,9 +14,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from graph import Probe
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import DescribeParameters, SetParameters
-from rosgraph_msgs.msg import Clock
 from socket_testbed_msgs.msg import ClusterCapacitance, ClusterCapacitanceArray
-from std_srvs.srv import SetBool
 from std_srvs.srv import Trigger as TriggerService
 
 from socket_testbed.calibration import read_calibration
@@ -35,11 +32,9 @@ from socket_testbed.processes import Graph
 from socket_testbed.settings import (
     CalibrationNodeSettings,
     EstimatorSettings,
-    RecorderSettings,
     ReplaySettings,
     WindowSettings,
 )
-from socket_testbed.trials.bag import BagReader
 from socket_testbed.trials.synchronise import read_samples
 from socket_testbed.trials.topics import (
     CAPACITANCE,
@@ -49,16 +44,10 @@ from socket_testbed.trials.topics import (
     PARAMETERS,
     PRESSURE_MAP,
     STRESS,
-    match_topics,
 )
 from socket_testbed.trials.trial import Trial
 
 NO_FIT = EstimatorSettings(fit_by_itself=False)
-
-
-def counts(trial: Path) -> dict[str, int]:
-    with BagReader(trial) as bag:
-        return bag.counts
 
 
 def last(diagnostics: list, node: str) -> list:
@@ -126,47 +115,6 @@ def test_another_process_subscribes_while_the_command_replays_and_estimates(hold
         if measured[s][5] < -250.0
     ]
     assert np.sqrt(np.nanmean(np.square(errors), axis=0))[3:].max() < 5.0
-
-
-def test_a_replay_is_the_recording_in_its_order(hold: Path, tmp_path: Path) -> None:
-    recorded = tmp_path / "again"
-    with Graph() as graph, Probe() as probe:
-        clocks: list[int] = []
-        probe.node.create_subscription(
-            Clock, "/clock", lambda m: clocks.append(stamp_from_ros(m.clock)), 1000
-        )
-        diagnostics = probe.listen(DIAGNOSTICS)
-        graph.start("recorder_node", RecorderSettings(directory=str(recorded), record=True))
-        probe.wait(
-            lambda: any(s.name == "recorder_node" for m in diagnostics for s in m.status),
-            "the recorder's diagnostics",
-        )
-        replay = ReplaySettings(
-            trial=str(hold), rate=30.0, paused=True, wait_for=("recorder_node",)
-        )
-        graph.start("replay_node", replay)
-        probe.wait(lambda: len(last(diagnostics, "replay_node")) > 0, "the replay")
-        assert not last_count(diagnostics, "replay_node", "published")
-        answer = probe.call(SetBool, "replay/pause", SetBool.Request(data=False))
-        assert answer.success
-        graph.wait("replay_node")
-        names = list(match_topics(counts(hold), "hold").values())
-
-        probe.wait(
-            lambda: all(last_count(diagnostics, "recorder_node", name) == 240 for name in names),
-            "all messages recorded",
-        )
-    with BagReader(hold) as before, BagReader(recorded) as after:
-        for name in names:
-            sent = [raw.data for raw in before.messages([name])]
-            received = [raw.data for raw in after.messages([name])]
-            assert received == sent, name
-        assert after.counts["/diagnostics"] > 0
-    assert clocks == sorted(clocks) and len(clocks) >= 240
-    assert (recorded / "metadata.yaml").is_file() and (recorded / "socket.yaml").is_file()
-    np.testing.assert_array_equal(
-        read_samples(Trial(recorded)).values, read_samples(Trial(hold)).values
-    )
 
 
 def test_a_fit_when_asked_answers_and_predicts(hold: Path) -> None:
@@ -319,23 +267,6 @@ def test_a_trial_that_breaks_off_ends_its_replay_with_one_line(hold, tmp_path: P
     assert done.returncode == 1
     assert "hold.mcap: " in done.stderr and "Traceback" not in done.stderr
     assert "replay_node ended with exit code 1" in done.stderr
-
-
-def test_ctrl_c_ends_a_recording_whole(tmp_path: Path) -> None:
-    with Probe() as probe:
-        diagnostics = probe.listen(DIAGNOSTICS)
-        recording = subprocess.Popen(
-            [sys.executable, "-m", "socket_testbed", "record", str(tmp_path / "trial")],
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-        )
-        probe.wait(lambda: len(last(diagnostics, "recorder_node")) > 0, "the recorder")
-        recording.send_signal(signal.SIGINT)
-        _, err = recording.communicate(timeout=30)
-    assert recording.returncode == 0 and "Traceback" not in err
-    assert (tmp_path / "trial" / "metadata.yaml").is_file()
-    assert "/load_cell/wrench" in counts(tmp_path / "trial")
 
 
 def test_a_killed_command_leaves_no_node(hold: Path) -> None:

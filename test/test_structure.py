@@ -7,9 +7,13 @@ import pytest
 from rclpy.node import Node
 
 from socket_testbed.nodes.calibration_node import CalibrationNode
+from socket_testbed.nodes.cluster_node import ClusterNode
 from socket_testbed.nodes.estimator_node import EstimatorNode
+from socket_testbed.nodes.load_cell_node import LoadCellNode
+from socket_testbed.nodes.mocap_node import MocapNode
 from socket_testbed.nodes.recorder_node import RecorderNode
 from socket_testbed.nodes.replay_node import ReplayNode
+from socket_testbed.nodes.trigger_node import TriggerNode
 
 PACKAGE = Path(__file__).resolve().parents[1] / "socket_testbed"
 FILES = sorted(PACKAGE.rglob("*.py"))
@@ -17,12 +21,13 @@ FILES = sorted(PACKAGE.rglob("*.py"))
 # From the ground up: a room imports from its own floor or from those below it.
 FLOORS = (
     ("arrays", "errors", "lifeline", "pacing"),
-    ("contact", "documents", "files", "samples"),
+    ("contact", "documents", "files", "samples", "steady_clock", "trigger_time"),
     ("checked", "geometry"),
-    ("settings",),
-    ("calibration", "evaluation"),
+    ("settings", "acquisition_settings"),
+    ("calibration", "evaluation", "drivers"),
     ("identification", "trials"),
-    ("simulation", "online", "fit_worker", "figures", "processes"),
+    ("simulation", "online", "fit_worker", "figures", "processes", "hardware"),
+    ("bringup",),
     ("nodes",),
     ("commands",),
     ("__main__",),
@@ -76,7 +81,13 @@ def test_a_file_stays_one_idea() -> None:
         assert len(path.read_text().splitlines()) <= 340, f"{path} has outgrown its idea"
 
 
-@pytest.mark.parametrize("node", [CalibrationNode, EstimatorNode, RecorderNode, ReplayNode])
+NODES = (
+    *(TriggerNode, ClusterNode, LoadCellNode, MocapNode),
+    *(CalibrationNode, EstimatorNode, RecorderNode, ReplayNode),
+)
+
+
+@pytest.mark.parametrize("node", NODES)
 def test_a_node_hides_nothing_of_ros(node: type[Node]) -> None:
     """rclpy keeps names such as _parameters on the node: one of ours would break it."""
     path = PACKAGE / "nodes" / f"{node.__module__.rpartition('.')[2]}.py"

@@ -1,4 +1,4 @@
-"""`demo`: a simulated trial through the live graph, with its errors beside the truth."""
+"""`demo`: the simulated testbed live, its trial replayed, and the errors beside the truth."""
 
 from __future__ import annotations
 
@@ -11,24 +11,26 @@ from pathlib import Path
 import numpy as np
 
 from socket_testbed.arrays import BoolArray, FloatArray
-from socket_testbed.calibration import read_calibration
+from socket_testbed.bringup import Simulation, end, simulated_testbed, start, summary
 from socket_testbed.commands.replay import replay_with_estimator
 from socket_testbed.commands.text import Progress, number, table
 from socket_testbed.contact import VARIANTS
 from socket_testbed.errors import ConfigurationError, TrialError
 from socket_testbed.evaluation import channel_errors, channel_unit
 from socket_testbed.figures import wrench_figure
-from socket_testbed.files import packaged
-from socket_testbed.geometry.socket import SocketGeometry, read_socket
+from socket_testbed.geometry.socket import SocketGeometry
+from socket_testbed.processes import Graph
 from socket_testbed.samples import LOCAL_CHANNELS, WRENCH_CHANNELS, Samples
 from socket_testbed.settings import EstimatorSettings, ReplaySettings
-from socket_testbed.simulation.testbed import GroundTruth, simulate
-from socket_testbed.simulation.trial import TRUTH_FILE, read_truth, write_simulated_trial
+from socket_testbed.simulation.testbed import GroundTruth
+from socket_testbed.simulation.trial import TRUTH_FILE, read_truth
 from socket_testbed.trials.segment import select_segment
 from socket_testbed.trials.synchronise import read_samples
 from socket_testbed.trials.trial import Trial
 
-_RATE = 10.0  # speed of the replay against the recording
+_DURATION = 45.0  # [s]; of the trial
+_TRIGGER_RATE = 10.0  # [Hz]
+_SPEED = 5.0  # of the replay against the recording
 
 Estimate = tuple[FloatArray, FloatArray]  # wrench (N, 6), forces (N, n, 3)
 
@@ -38,27 +40,24 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "-o", "--output", type=Path, default=Path("demo"), metavar="DIR", help="default: demo"
     )
-    parser.add_argument("--seed", type=int, default=0, help="seed of the simulated trial")
+    parser.add_argument("--seed", type=int, default=0, help="seed of the simulated testbed")
     parser.set_defaults(run=run)
 
 
 def run(options: argparse.Namespace) -> None:
-    """Simulate, replay through the graph with each variant, compare."""
+    """Run the simulated testbed, replay its trial with each variant, compare."""
     started = time.monotonic()
     folder: Path = options.output
     _make_room(folder)
-    geometry = read_socket(packaged("config", "socket.yaml"))
-    calibration = read_calibration(packaged("config", "calibration.yaml"))
-    print("1. a simulated static hold: 9.3 kg pylon, 19 kg placed, held, removed (4 Hz, 120 s)")
-    simulated = simulate(
-        geometry, calibration, "static_hold", 120.0, 4.0, options.seed,
-        progress=Progress("   simulating"),
-    )  # fmt: skip
-    write_simulated_trial(simulated, geometry, folder / "trial")
+    print(
+        f"1. the testbed live for {_DURATION:g} s: simulated chips, their real drivers, the graph,"
+        f"\n   a recorder. A static hold: 9.3 kg pylon, 19 kg placed, held ({_TRIGGER_RATE:g} Hz)"
+    )
     trial = Trial(folder / "trial")
+    print("   " + _run_live(trial.path, options.seed, folder / "live.log"))
     samples = read_samples(trial)
 
-    print(f"2. replayed through replay, calibration and estimator nodes at {_RATE:g} times speed")
+    print(f"2. the trial replayed through calibration and estimator at {_SPEED:g} times speed")
     estimates: dict[str, Estimate] = {}
     for variant in VARIANTS:
         estimates[variant] = _estimate(trial, samples, variant, folder / f"{variant}.log")
@@ -70,13 +69,13 @@ def run(options: argparse.Namespace) -> None:
         rows &= np.isfinite(wrench).all(axis=1)
     if not rows.any():
         raise TrialError("the graph predicted nothing on the plateau", f"read {folder}/*.log")
-    truth = read_truth(trial.path)
+    truth = read_truth(trial.path, samples.stamps)
     print(
         f"3. errors on the {int(rows.sum())} samples of the hold that both variants predicted"
         " live,\n   against the measurement and against the simulated truth\n"
     )
-    print(_errors(samples, geometry, truth, estimates, rows))
-    print("\n" + _everywhere(geometry, truth, estimates, rows))
+    print(_errors(samples, trial.geometry, truth, estimates, rows))
+    print("\n" + _everywhere(trial.geometry, truth, estimates, rows))
     figure = folder / "wrench.png"
     wrench_figure(
         samples.time,
@@ -87,6 +86,25 @@ def run(options: argparse.Namespace) -> None:
         figure,
     )
     print(f"\ntrial {trial.path}, figure {figure} ({time.monotonic() - started:.0f} s)")
+
+
+def _run_live(path: Path, seed: int, log: Path) -> str:
+    """Record a trial of the simulated testbed; returns what was recorded."""
+    hold = Simulation("static_hold", _DURATION, seed)
+    testbed = simulated_testbed(record=path, rate=_TRIGGER_RATE, simulation=hold)
+    progress = Progress("   running")
+    with log.open("w", encoding="utf-8") as output, Graph(output) as graph:
+        start(graph, testbed)
+        began = time.monotonic()
+
+        def done() -> bool:
+            elapsed = time.monotonic() - began
+            progress(min(int(elapsed), int(_DURATION)), int(_DURATION))
+            return elapsed >= _DURATION
+
+        graph.watch(done, lambda line: print(line, file=output))
+        end(graph, testbed)
+    return summary(path)
 
 
 def _make_room(folder: Path) -> None:
@@ -116,7 +134,7 @@ def _estimate(trial: Trial, samples: Samples, variant: str, log: Path) -> Estima
         settings, identification=dataclasses.replace(settings.identification, variant=variant)
     )
     replay = ReplaySettings(
-        trial=str(trial.path.resolve()), rate=_RATE, wait_for=(EstimateListener.NAME,)
+        trial=str(trial.path.resolve()), rate=_SPEED, wait_for=(EstimateListener.NAME,)
     )
     with log.open("w", encoding="utf-8") as output, EstimateListener() as listener:
         replay_with_estimator(trial, replay, settings, output)

@@ -33,7 +33,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> None:
     """Fit and write."""
     trial = trial_of(options)
-    settings = estimator_settings(options, trial)
+    settings = estimator_settings(options, trial.estimator)
     samples = read_samples(trial)
     segment = select_segment(samples, options.segment, settings.plateau)
     fit = fit_contact_model(samples[segment.rows], trial.geometry, settings.identification)

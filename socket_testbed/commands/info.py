@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import dataclasses
 
 import numpy as np
 
@@ -23,7 +24,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> None:
     """Print topics, rates, gaps, missing data, plateaus and configuration."""
-    trial = trial_of(options)
+    trial = dataclasses.replace(trial_of(options), tell=None)  # the notes are part of the report
     print(_topics(trial))
     samples = read_samples(trial)
     print()

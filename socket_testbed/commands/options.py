@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
+import sys
+from functools import cache
 from pathlib import Path
 
 from socket_testbed.contact import VARIANTS
@@ -26,8 +28,12 @@ def add_trial(parser: argparse.ArgumentParser) -> None:
 
 
 def trial_of(options: argparse.Namespace) -> Trial:
-    """The trial that is meant."""
-    return Trial(options.trial, options.geometry, options.calibration)
+    """The trial that is meant; each note on it goes to standard error once."""
+    return Trial(options.trial, options.geometry, options.calibration, cache(_tell))
+
+
+def _tell(note: str) -> None:
+    print(f"note: {note}", file=sys.stderr)
 
 
 def add_segment(parser: argparse.ArgumentParser) -> None:
@@ -42,6 +48,14 @@ def add_segment(parser: argparse.ArgumentParser) -> None:
 
 def add_identification(parser: argparse.ArgumentParser) -> None:
     """Settings of the identification; what is not given comes from the trial's testbed.yaml."""
+    add_model_choice(parser)
+    parser.add_argument(
+        "--params", type=Path, metavar="TESTBED.yaml", help="instead of the trial's testbed.yaml"
+    )
+
+
+def add_model_choice(parser: argparse.ArgumentParser) -> None:
+    """Settings of the identification that are often chosen for one run."""
     parser.add_argument("--variant", choices=VARIANTS, help="which offsets the model carries")
     parser.add_argument(
         "--theta", type=float, help="weight of the wrench against the clusters, 0 to 1"
@@ -56,14 +70,11 @@ def add_identification(parser: argparse.ArgumentParser) -> None:
         help="channels to leave out of the objective, such as distal.Fx or Mz",
     )
     parser.add_argument("--solver", help="any solver that qpsolvers finds (default: osqp)")
-    parser.add_argument(
-        "--params", type=Path, metavar="TESTBED.yaml", help="instead of the trial's testbed.yaml"
-    )
 
 
-def estimator_settings(options: argparse.Namespace, trial: Trial) -> EstimatorSettings:
-    """The estimator's settings: the command line's over the file's over the defaults."""
-    settings = trial.estimator
+def estimator_settings(options: argparse.Namespace, stored: EstimatorSettings) -> EstimatorSettings:
+    """The estimator's settings: the command line's over the file's over the stored ones."""
+    settings = stored
     if options.params is not None:
         read = read_parameters(options.params).get("estimator_node", EstimatorSettings())
         assert isinstance(read, EstimatorSettings)

@@ -68,7 +68,7 @@ def run(options: argparse.Namespace) -> None:
             graph.start("replay_node", replay)
             graph.wait("replay_node")
         return
-    settings = estimator_settings(options, trial)
+    settings = estimator_settings(options, trial.estimator)
     if options.model is not None:
         read_model(options.model)
         model = str(options.model.resolve())

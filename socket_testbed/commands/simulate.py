@@ -60,7 +60,7 @@ def run(options: argparse.Namespace) -> None:
         options.seed,
         progress=Progress("simulating"),
     )
-    write_simulated_trial(trial, geometry, options.output, options.geometry, options.calibration)
+    write_simulated_trial(trial, options.output, options.geometry, options.calibration)
     print(
         f"{options.output}: {options.scenario}, {len(trial.stamps)} triggers at"
         f" {options.rate:g} Hz, {len(geometry)} tiles, {len(geometry.clusters)} clusters,"

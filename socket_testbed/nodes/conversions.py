@@ -7,12 +7,16 @@ from typing import Any
 
 import numpy as np
 from builtin_interfaces.msg import Time
-from geometry_msgs.msg import Point, Pose, Vector3, Wrench
+from geometry_msgs.msg import Point, Pose, Quaternion, Vector3, Wrench
 from scipy.spatial.transform import Rotation
 from socket_testbed_msgs.msg import (
+    ClusterCapacitance,
+    ClusterCapacitanceArray,
     ClusterStress,
     ClusterStressArray,
     LocalForceArray,
+    RigidBodyMarkers,
+    RigidBodyMarkersArray,
 )
 from socket_testbed_msgs.msg import ContactModel as ContactModelMessage
 from std_msgs.msg import Header
@@ -71,6 +75,40 @@ def pose_from_ros(pose: Pose) -> FloatArray:
     """Position [m] and quaternion (x, y, z, w), shape (7,)."""
     p, q = pose.position, pose.orientation
     return np.array([p.x, p.y, p.z, q.x, q.y, q.z, q.w])
+
+
+def pose_to_ros(position: FloatArray, quaternion: FloatArray) -> Pose:
+    """Pose from a position, shape (3,) [m], and a quaternion (x, y, z, w), shape (4,)."""
+    x, y, z, w = quaternion.tolist()
+    return Pose(position=point_to_ros(position), orientation=Quaternion(x=x, y=y, z=z, w=w))
+
+
+def point_to_ros(position: FloatArray) -> Point:
+    """Point from a position, shape (3,) [m]."""
+    x, y, z = position.tolist()
+    return Point(x=x, y=y, z=z)
+
+
+def markers_to_ros(
+    stamp: int, frame: str, bodies: tuple[str, ...], markers: FloatArray
+) -> RigidBodyMarkersArray:
+    """Message from the markers of b bodies, shape (b, m, 3) [m]; NaN where occluded."""
+    triads = [
+        RigidBodyMarkers(name=name, markers=[point_to_ros(marker) for marker in triad])
+        for name, triad in zip(bodies, markers, strict=True)
+    ]
+    return RigidBodyMarkersArray(header=header_to_ros(stamp, frame), bodies=triads)
+
+
+def capacitance_to_ros(
+    stamp: int, names: tuple[str, ...], capacitance: FloatArray, status: StatusArray
+) -> ClusterCapacitanceArray:
+    """Message from capacitances, shape (c, 4) [pF], and statuses, shape (c, 4)."""
+    clusters = [
+        ClusterCapacitance(name=name, capacitance=capacitance[i], status=status[i])
+        for i, name in enumerate(names)
+    ]
+    return ClusterCapacitanceArray(header=header_to_ros(stamp), clusters=clusters)
 
 
 def stress_from_ros(message: ClusterStressArray) -> dict[str, tuple[FloatArray, int]]:
@@ -153,7 +191,7 @@ def pressure_map_to_ros(
     normal_forces = -np.einsum("ni,ni->n", forces, model.rotations[:, :, 2])
     markers: list[Any] = []
     for i, anchor in enumerate(model.anchors):
-        position = Point(**dict(zip("xyz", anchor.tolist(), strict=True)))
+        position = point_to_ros(anchor)
         tile = Marker(header=header, ns="tiles", id=i, type=Marker.CUBE, action=Marker.ADD)
         tile.pose.position = position
         x, y, z, w = quaternion_from_matrix(model.rotations[i])
@@ -164,7 +202,7 @@ def pressure_map_to_ros(
         _paint(tile, float(normal_forces[i]))
         arrow = Marker(header=header, ns="forces", id=i, type=Marker.ARROW, action=Marker.ADD)
         tip = anchor + _ARROW_SCALE * np.nan_to_num(forces[i])
-        arrow.points = [position, Point(**dict(zip("xyz", tip.tolist(), strict=True)))]
+        arrow.points = [position, point_to_ros(tip)]
         arrow.scale.x, arrow.scale.y = 0.002, 0.004
         _paint(arrow, float(normal_forces[i]))
         markers += [tile, arrow]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import time
 from collections.abc import Callable
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
@@ -19,6 +20,8 @@ OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.E
 WAITING_FOR = "waiting_for"
 NEWEST_STAMP = "newest_stamp"
 
+SETTLE = 5.0  # [s]; for a device to answer before the testbed starts without it
+
 _PERIOD = 1.0  # [s]
 _LOOK = 0.1  # [s]; how often the links are looked at
 
@@ -33,6 +36,8 @@ class Diagnostics:
         outputs: Publishers that want a subscriber.
         offered: Publishers that have subscribers or not, as users like.
         ready: Called to know whether the node itself is ready to work.
+        look: Called ten times a second, for the node to look at itself and `report`.
+        settle: How long the node counts as starting while it has not reported OK [s].
     """
 
     def __init__(
@@ -43,6 +48,8 @@ class Diagnostics:
         outputs: tuple[Publisher, ...] = (),
         offered: tuple[Publisher, ...] = (),
         ready: Callable[[], bool] = lambda: True,
+        look: Callable[[], None] = lambda: None,
+        settle: float = 0.0,
     ) -> None:
         self._node = node
         self._values = values
@@ -50,6 +57,8 @@ class Diagnostics:
         self._outputs = outputs
         self._offered = offered
         self._ready = ready
+        self._look_at_node = look
+        self._settled_at = time.monotonic() + settle
         self._publisher = node.create_publisher(
             DiagnosticArray, DIAGNOSTICS.name, publisher_qos(DIAGNOSTICS)
         )
@@ -69,6 +78,8 @@ class Diagnostics:
         """
         if (level, message) == (self._level, self._message):
             return
+        if level == OK:
+            self._settled_at = 0.0
         changed = level != self._level
         self._level, self._message = level, message
         logger = self._node.get_logger()
@@ -85,6 +96,7 @@ class Diagnostics:
             self._publish()
 
     def _look(self) -> None:
+        self._look_at_node()
         waiting = self._unlinked()
         self._ticks += 1
         if waiting != self._waiting or self._ticks * _LOOK >= _PERIOD:
@@ -102,7 +114,8 @@ class Diagnostics:
             for p in self._offered
             if p.get_subscription_count() < self._node.count_subscribers(p.topic_name)
         ]
-        return waiting if self._ready() else [*waiting, "itself"]
+        settled = time.monotonic() >= self._settled_at
+        return waiting if settled and self._ready() else [*waiting, "itself"]
 
     def _publish(self) -> None:
         self._ticks = 0

@@ -1,11 +1,20 @@
 """Recorder node: all topics of the testbed as raw bytes into a trial (MCAP).
 
-Subscribes: every topic of the testbed. Publishes: /diagnostics. Service: recorder/record.
+Subscribes: every topic of the testbed. Service: recorder/record. Publishes: /diagnostics, and
+recorder/trial (std_msgs/String, latched): the name, that is the last part of the path, of the
+trial being recorded, empty while there is none.
+
+The recording times are the system clock's at the start of the recording, advanced steadily: a step
+of the system clock reorders no messages. With use_sim_time they are those of /clock.
+
+A recorder that is started again after it was killed leaves the trial that was cut short as it is,
+and records beside it into DIRECTORY_2, DIRECTORY_3, ...
 """
 
 from __future__ import annotations
 
-from contextlib import suppress
+import shutil
+from collections.abc import Callable
 from datetime import datetime
 from functools import partial
 from pathlib import Path
@@ -13,17 +22,21 @@ from pathlib import Path
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.task import Future
+from std_msgs.msg import String
 from std_srvs.srv import SetBool
 
 from socket_testbed.errors import ConfigurationError
 from socket_testbed.files import refuse_existing
-from socket_testbed.nodes.diagnostics import ERROR, OK, Diagnostics
+from socket_testbed.nodes.diagnostics import ERROR, OK, WARN, Diagnostics
 from socket_testbed.nodes.parameters import Parameters
-from socket_testbed.nodes.runtime import message_type, run_node, subscriber_qos
+from socket_testbed.nodes.runtime import message_type, publisher_qos, run_node, subscriber_qos
 from socket_testbed.settings import RecorderSettings
+from socket_testbed.steady_clock import SteadyClock
 from socket_testbed.trials.bag import BagWriter
-from socket_testbed.trials.topics import TOPICS
-from socket_testbed.trials.trial import store_configuration
+from socket_testbed.trials.topics import RECORDED_TRIAL, TOPICS, Topic
+from socket_testbed.trials.trial import beside_cut_short, store_configuration
+
+_ANNOUNCED = Topic(RECORDED_TRIAL, "std_msgs/msg/String", latched=True)
 
 
 class RecorderNode(Node):
@@ -37,6 +50,8 @@ class RecorderNode(Node):
         self._bag: BagWriter | None = None
         self._path: Path | None = None
         self._counts: dict[str, int] = {}
+        self._now: Callable[[], int] = SteadyClock().now
+        self._announcer = self.create_publisher(String, RECORDED_TRIAL, publisher_qos(_ANNOUNCED))
         self._topics = {self.resolve_topic_name(topic.name): topic for topic in TOPICS}
         self._inputs = [
             self.create_subscription(
@@ -52,8 +67,9 @@ class RecorderNode(Node):
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._timer = self.create_timer(settings.flush_period, self._flush, clock=steady)
         self._diagnostics = Diagnostics(self, lambda: {"trial": self._path or "", **self._counts})
+        self._announce()
         if settings.record:
-            self._start(Path(settings.directory))
+            self._start_over(Path(settings.directory))
 
     def close(self) -> None:
         """Close the trial."""
@@ -73,11 +89,20 @@ class RecorderNode(Node):
         response.message = f"{'recording' if self._bag else 'recorded'} {self._path}"
         return response
 
+    def _start_over(self, directory: Path) -> None:
+        """Record into a folder, or beside it where an earlier recorder was cut short."""
+        path = beside_cut_short(directory)
+        self._start(path)
+        if path != directory:
+            self._diagnostics.report(
+                WARN, f"recording {path}: {directory} was cut short and stays as it is"
+            )
+
     def _start(self, path: Path) -> None:
         refuse_existing(path)
         settings = self._adjustable.settings
+        bag = BagWriter(path)
         try:
-            bag = BagWriter(path)
             bag.__enter__()
             for name, topic in self._topics.items():
                 bag.add_topic(name, topic)
@@ -89,22 +114,32 @@ class RecorderNode(Node):
                 ),
             )
         except OSError as error:
+            bag.abandon()
+            shutil.rmtree(path, ignore_errors=True)  # made here: nothing was recorded into it
             raise ConfigurationError(
                 f"{path}: cannot be written ({error.strerror})", "check the folder and the space"
             ) from None
+        clock = self.get_clock()
+        self._now = (
+            (lambda: clock.now().nanoseconds) if clock.ros_time_is_active else SteadyClock().now
+        )
         self._bag, self._path = bag, path
         self._counts = dict.fromkeys(self._topics, 0)
+        self._announce()
         self._diagnostics.report(OK, f"recording {path}")
 
     def _finish(self) -> None:
         if self._bag is None:
             return
         bag, self._bag = self._bag, None
+        self._announce()
         try:
             bag.__exit__(None, None, None)
         except OSError as error:
+            bag.abandon()
             self._diagnostics.report(
-                ERROR, f"{self._path} was not closed ({error.strerror}): make space, see its .mcap"
+                ERROR,
+                f"{self._path} was not closed, it keeps what it has ({error.strerror}): make space",
             )
             return
         self._diagnostics.report(
@@ -115,7 +150,7 @@ class RecorderNode(Node):
         if self._bag is None:
             return
         try:
-            self._bag.write(name, self.get_clock().now().nanoseconds, data)
+            self._bag.write(name, self._now(), data)
             self._counts[name] += 1
         except OSError as error:
             self._give_up(error)
@@ -132,12 +167,18 @@ class RecorderNode(Node):
         """The disk takes no more: keep what is on it and say so."""
         bag, self._bag = self._bag, None
         if bag is not None:
-            with suppress(OSError):
-                bag.__exit__(None, None, None)
+            bag.abandon()
+        self._announce()
         self._diagnostics.report(
             ERROR,
             f"recording stopped, {self._path} keeps what it has ({error.strerror}): make space",
         )
+
+    def _announce(self) -> None:
+        """Say which trial is being recorded."""
+        if self.context.ok():
+            name = self._path.name if self._bag is not None and self._path is not None else ""
+            self._announcer.publish(String(data=name))
 
 
 def main() -> None:

@@ -41,11 +41,12 @@ class RunnableNode(Protocol):
 
 def publisher_qos(topic: Topic) -> QoSProfile:
     """Quality of service of a publisher: reliable, keep last 100, volatile, unless latched."""
-    durability = DurabilityPolicy.TRANSIENT_LOCAL if topic.latched else DurabilityPolicy.VOLATILE
+    if topic.latched:
+        return latched_qos()
     return QoSProfile(
-        depth=1 if topic.latched else PUBLISHER_DEPTH,
+        depth=PUBLISHER_DEPTH,
         reliability=ReliabilityPolicy.RELIABLE,
-        durability=durability,
+        durability=DurabilityPolicy.VOLATILE,
     )
 
 
@@ -56,34 +57,47 @@ def subscriber_qos(topic: Topic) -> QoSProfile:
     return qos
 
 
+def latched_qos() -> QoSProfile:
+    """Quality of service of what late subscribers get at once: transient local, depth 1."""
+    return QoSProfile(
+        depth=1,
+        reliability=ReliabilityPolicy.RELIABLE,
+        durability=DurabilityPolicy.TRANSIENT_LOCAL,
+    )
+
+
 def message_type(topic: Topic) -> Any:
     """Class of a topic's message type."""
     package, kind, name = topic.type.split("/")
     return getattr(import_module(f"{package}.{kind}"), name)
 
 
-def run_node(make: Callable[[], RunnableNode]) -> None:
-    """Run a node until it has finished or is told to end, then exit.
+def run_node(*makes: Callable[[], RunnableNode]) -> None:
+    """Run a node, or several in one process, until one has finished or is told to end; exit.
 
     Args:
-        make: Makes the node.
+        makes: Each makes a node.
     """
-    sys.exit(_run(make))
+    sys.exit(_run(makes))
 
 
-def _run(make: Callable[[], RunnableNode]) -> int:
+def _run(makes: tuple[Callable[[], RunnableNode], ...]) -> int:
     # ROS ends its context on SIGINT. Python's KeyboardInterrupt on top of it could strike in the
     # middle of a callback, where nothing can catch it.
     signal.signal(signal.SIGINT, lambda number, frame: None)
     rclpy.init()
     follow_starter()
+    nodes: list[RunnableNode] = []
     try:
-        node = make()
         try:
-            _spin(node)
+            for make in makes:
+                nodes.append(make())  # noqa: PERF401 - those made are closed if the next fails
+            _spin(nodes)
         finally:
-            node.close()
-            node.destroy_node()
+            for node in nodes:
+                node.close()
+            for node in nodes:
+                node.destroy_node()
     except TestbedError as error:
         print(f"error: {error}", file=sys.stderr)
         return 1
@@ -96,10 +110,11 @@ def _run(make: Callable[[], RunnableNode]) -> int:
     return 0
 
 
-def _spin(node: RunnableNode) -> None:
+def _spin(nodes: list[RunnableNode]) -> None:
     executor = EventsExecutor()
-    executor.add_node(node)
+    for node in nodes:
+        executor.add_node(node)
     with suppress(ExternalShutdownException):
         # spin() of this executor overflows its wait in Jazzy's release; turns do not.
-        while rclpy.ok() and not node.finished.done():
-            executor.spin_until_future_complete(node.finished, timeout_sec=_TURN)
+        while rclpy.ok() and not any(node.finished.done() for node in nodes):
+            executor.spin_until_future_complete(nodes[0].finished, timeout_sec=_TURN)

@@ -11,7 +11,7 @@ FAULTS = {
     "clusters.stuck_done": "1 + the channel whose chip converts no more, until it is reset",
     "clusters.rail": "1 + the channel whose chip reads full scale on all inputs",
     "clusters.shifted": "1 + the channel whose chip shifts its inputs by one, until it is reset",
-    "clusters.brown_out": "1 + the channel whose chip falls back to its reset state, again and again",
+    "clusters.brown_out": "1 + the channel whose chip resets itself, again and again",
     "load_cell.unplugged": "the chip is gone: every byte reads 0x00",
     "load_cell.flipped_bits": "probability that a frame has a flipped bit [-]",
     "load_cell.rail": "1 + the input that is at a rail: a broken wire",

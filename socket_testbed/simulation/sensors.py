@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 from socket_testbed.arrays import FloatArray
 from socket_testbed.calibration import ClusterCalibration, shear_terms
 from socket_testbed.geometry.pose import Pose
+from socket_testbed.geometry.socket import SocketGeometry
 
 _CONVERTER_STEP = 2.0**-19  # [pF]; of the FDC1004
 _DIFFERENCES = 0.5 * np.array([[-1.0, 1.0, -1.0, 1.0], [1.0, 1.0, -1.0, -1.0]])
@@ -83,48 +84,78 @@ def invert_calibration(calibration: ClusterCalibration, stress: FloatArray) -> F
     return inputs
 
 
+class ClusterSensor:
+    """One cluster as it was made and placed: what its converter reads without noise.
+
+    Args:
+        calibration: What the cluster was calibrated to be.
+        errors: Sizes of the errors.
+        rng: Their source.
+    """
+
+    def __init__(
+        self, calibration: ClusterCalibration, errors: SensorErrors, rng: np.random.Generator
+    ) -> None:
+        self._calibration = calibration
+        turn = rng.normal(0.0, errors.placement)
+        c, s = np.cos(turn), np.sin(turn)
+        self._turn = np.array([[c, -s], [s, c]])
+        self._mixing = (1.0 - errors.cross_talk) * np.eye(4) + errors.cross_talk / 4.0
+        self._gains = 1.0 + rng.normal(0.0, errors.gain_mismatch, 4)
+        self._offsets = rng.normal(0.0, errors.offset, 4)
+        self._drift = rng.normal(0.0, errors.capacitance_drift, 4)
+        self._rest = invert_calibration(calibration, np.zeros((1, 3)))
+
+    def respond(self, stress: FloatArray, time: FloatArray) -> FloatArray:
+        """Capacitances by input under a stress, shape (N, 4) [pF].
+
+        Args:
+            stress: Normal stress, shear x, shear y in the cluster's nominal frame, (N, 3) [Pa].
+            time: Times, shape (N,) [s].
+        """
+        turned = stress.copy()
+        turned[:, 1:] = stress[:, 1:] @ self._turn
+        change = invert_calibration(self._calibration, turned) - self._rest
+        drift = np.outer(time, self._drift)
+        return self._rest + change @ self._mixing.T * self._gains + self._offsets + drift
+
+
+def cluster_stress(geometry: SocketGeometry, cluster: str, forces: FloatArray) -> FloatArray:
+    """Normal stress, shear x, shear y on a cluster in its frame, shape (N, 3) [Pa].
+
+    Args:
+        geometry: Geometry of the socket.
+        cluster: Name of the cluster.
+        forces: Forces on the socket at all tiles in {S}, shape (N, n, 3) [N].
+    """
+    tile = geometry.clusters[cluster]
+    local = forces[:, tile] @ geometry.rotations[tile] / geometry.areas[tile]
+    return np.column_stack([-local[:, 2], local[:, 0], local[:, 1]])
+
+
 def measure_capacitance(
-    calibration: ClusterCalibration,
+    sensor: ClusterSensor,
     stress: FloatArray,
     time: FloatArray,
     errors: SensorErrors,
     rng: np.random.Generator,
 ) -> FloatArray:
-    """What a cluster's converter reads under a stress.
-
-    Args:
-        calibration: What the cluster was calibrated to be.
-        stress: Normal stress, shear x, shear y in the cluster's nominal frame, (N, 3) [Pa].
-        time: Times, shape (N,) [s].
-        errors: Sizes of the errors.
-        rng: Their source.
-
-    Returns:
-        Capacitances by input, shape (N, 4) [pF].
-    """
-    turn = rng.normal(0.0, errors.placement)
-    c, s = np.cos(turn), np.sin(turn)
-    turned = stress.copy()
-    turned[:, 1:] = stress[:, 1:] @ np.array([[c, -s], [s, c]])
-    ideal = invert_calibration(calibration, turned)
-    rest = invert_calibration(calibration, np.zeros((1, 3)))
-    change = ideal - rest
-    mixing = (1.0 - errors.cross_talk) * np.eye(4) + errors.cross_talk / 4.0
-    gains = 1.0 + rng.normal(0.0, errors.gain_mismatch, 4)
-    offsets = rng.normal(0.0, errors.offset, 4)
-    drift = np.outer(time, rng.normal(0.0, errors.capacitance_drift, 4))
-    noise = rng.normal(0.0, errors.capacitance_noise, ideal.shape)
-    read = rest + change @ mixing.T * gains + offsets + drift + noise
+    """What a cluster's converter reads under a stress; see `ClusterSensor.respond`."""
+    ideal = sensor.respond(stress, time)
+    read = ideal + rng.normal(0.0, errors.capacitance_noise, ideal.shape)
     return np.round(read / _CONVERTER_STEP) * _CONVERTER_STEP
 
 
-def measure_wrench(
-    wrench: FloatArray, errors: SensorErrors, rng: np.random.Generator
-) -> FloatArray:
-    """What the load cell reads under wrenches [M; F], shape (N, 6) [N m, N]."""
-    noise = np.repeat([errors.moment_noise, errors.force_noise], 3)
-    offset = np.repeat([errors.moment_offset, errors.force_offset], 3)
-    return wrench + rng.normal(0.0, 1.0, 6) * offset + rng.normal(0.0, 1.0, wrench.shape) * noise
+def wrench_offset(errors: SensorErrors, rng: np.random.Generator) -> FloatArray:
+    """What is left of the load cell's offset after taring, [M; F], shape (6,) [N m, N]."""
+    return rng.normal(0.0, 1.0, 6) * np.repeat([errors.moment_offset, errors.force_offset], 3)
+
+
+def wrench_noise(errors: SensorErrors, count: int, rng: np.random.Generator) -> FloatArray:
+    """Noise of the load cell, [M; F], shape (count, 6) [N m, N]."""
+    return rng.normal(0.0, 1.0, (count, 6)) * np.repeat(
+        [errors.moment_noise, errors.force_noise], 3
+    )
 
 
 def misregister(pose: Pose, errors: SensorErrors, rng: np.random.Generator) -> Pose:
@@ -132,6 +163,11 @@ def misregister(pose: Pose, errors: SensorErrors, rng: np.random.Generator) -> P
     turn = Rotation.from_rotvec(rng.normal(0.0, errors.registration_angle, 3)).as_matrix()
     shift = rng.normal(0.0, errors.registration, 3)
     return Pose(pose.rotation @ turn, pose.translation + shift)
+
+
+def place_markers(pose: Pose, markers: FloatArray) -> FloatArray:
+    """Markers of N bodies in the world, shape (N, 3, 3) [m], from theirs in the body's frame."""
+    return np.asarray(markers @ np.swapaxes(pose.rotation, 1, 2) + pose.translation[:, None])
 
 
 def observe_markers(
@@ -148,7 +184,7 @@ def observe_markers(
     Returns:
         Labelled positions in the world, shape (N, 3, 3) [m]; NaN where occluded.
     """
-    seen = markers @ np.swapaxes(pose.rotation, 1, 2) + pose.translation[:, None]
+    seen = place_markers(pose, markers)
     seen += rng.normal(0.0, errors.marker_noise, seen.shape)
     count = len(seen)
     swapped = np.flatnonzero(rng.uniform(size=count) < errors.label_swap)

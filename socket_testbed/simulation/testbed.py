@@ -6,7 +6,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from socket_testbed.arrays import FloatArray, IntArray
 from socket_testbed.calibration import Calibration
@@ -14,21 +13,18 @@ from socket_testbed.geometry.pose import Pose
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.geometry.triad import fit_triad
 from socket_testbed.simulation.loading import Scenario, load_history
+from socket_testbed.simulation.motion import LoadedLimb, MarkerBodies
 from socket_testbed.simulation.sensors import (
+    ClusterSensor,
     SensorErrors,
+    cluster_stress,
     measure_capacitance,
-    measure_wrench,
-    misregister,
     observe_markers,
+    wrench_noise,
+    wrench_offset,
 )
-from socket_testbed.simulation.tissue import LimbInSocket, make_tissue
 
 _START = 1_767_258_000_000_000_000  # [ns]; 2026-01-01 09:00 UTC
-_SOCKET_IN_WORLD = Pose(
-    Rotation.from_euler("zyx", [35.0, 4.0, -3.0], degrees=True).as_matrix(),
-    np.array([0.42, -0.31, 0.74]),
-)
-
 Progress = Callable[[int, int], None]
 
 
@@ -111,20 +107,20 @@ def simulate(
     truth = _move(geometry, load, 1.0 / rate, tissue_rng, progress)
 
     capacitance = {}
-    for cluster, tile in geometry.clusters.items():
-        local = truth.forces[:, tile] @ geometry.rotations[tile] / geometry.areas[tile]
-        stress = np.column_stack([-local[:, 2], local[:, 0], local[:, 1]])
-        capacitance[cluster] = measure_capacitance(
-            calibration.clusters[cluster], stress, time, errors, cluster_rng
-        )
+    for cluster in geometry.clusters:
+        sensor = ClusterSensor(calibration.clusters[cluster], errors, cluster_rng)
+        stress = cluster_stress(geometry, cluster, truth.forces)
+        capacitance[cluster] = measure_capacitance(sensor, stress, time, errors, cluster_rng)
+    offset = wrench_offset(errors, cell_rng)
 
-    socket_in_world, pylon_in_world = _bodies(geometry, truth, errors, marker_rng)
+    bodies = MarkerBodies(geometry, errors, marker_rng)
+    socket_in_world, pylon_in_world = bodies.poses(truth.position, truth.rotation, load)
     socket_seen = observe_markers(socket_in_world, geometry.socket_markers, errors, marker_rng)
     pylon_seen = observe_markers(pylon_in_world, geometry.pylon_markers, errors, marker_rng)
     return SimulatedTrial(
         stamps=_START + np.round(time * 1e9).astype(np.int64),
         capacitance=capacitance,
-        wrench=measure_wrench(truth.wrench, errors, cell_rng),
+        wrench=truth.wrench + offset + wrench_noise(errors, count, cell_rng),
         socket_markers=socket_seen,
         pylon_markers=pylon_seen,
         socket_pose=fit_triad(geometry.socket_markers, socket_seen).pose,
@@ -141,35 +137,12 @@ def _move(
     progress: Progress | None,
 ) -> GroundTruth:
     """Take the limb through a load history, from equilibrium to equilibrium."""
-    tissue = make_tissue(geometry, rng)
-    centre = geometry.anchors.mean(axis=0)
-    limb = LimbInSocket(tissue, centre)
-    covered = tissue.tile >= 0
+    limb = LoadedLimb(geometry, load[0], rng)
     forces = np.zeros((len(load), len(geometry), 3))
-    moved = np.zeros((len(load), 6))
-    for share in (0.25, 0.5, 0.75):  # donning: the first load comes in steps
-        limb.step(share * load[0], 1.0)
+    position, rotation = np.zeros((2, len(load), 3))
     for k, wrench in enumerate(load):
-        response = limb.step(wrench, period)
-        np.add.at(forces[k], tissue.tile[covered], response[covered])
-        moved[k] = limb.displacement
+        forces[k] = limb.step(wrench, period)
+        position[k], rotation[k] = limb.position, limb.rotation
         if progress is not None:
             progress(k + 1, len(load))
-    return GroundTruth(forces, load, centre + moved[:, :3], moved[:, 3:])
-
-
-def _bodies(
-    geometry: SocketGeometry, truth: GroundTruth, errors: SensorErrors, rng: np.random.Generator
-) -> tuple[Pose, Pose]:
-    """True poses of the marker bodies of socket and pylon in the world, N of each."""
-    count = len(truth.position)
-    # The stand gives a little under the load.
-    shift = rng.normal(0.0, 2e-5, (count, 3)) - 1e-6 * truth.wrench[:, 3:]
-    world = Pose(
-        np.tile(_SOCKET_IN_WORLD.rotation, (count, 1, 1)), _SOCKET_IN_WORLD.translation + shift
-    )
-    limb = Pose(Rotation.from_rotvec(truth.rotation).as_matrix(), truth.position)
-    socket_body = misregister(geometry.socket_body, errors, rng)
-    limb_in_body = misregister(geometry.limb, errors, rng)
-    # socket_body maps the body to {S}; world maps {S} to the world.
-    return world @ socket_body, world @ limb @ limb_in_body.inverse()
+    return GroundTruth(forces, load, position, rotation)

@@ -8,11 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from socket_testbed.arrays import FloatArray
+from socket_testbed.arrays import FloatArray, IntArray
 from socket_testbed.calibration import Status
 from socket_testbed.files import refuse_existing, whole_output
 from socket_testbed.geometry.pose import Pose
-from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.simulation.testbed import GroundTruth, SimulatedTrial
 from socket_testbed.trials.bag import BagWriter
 from socket_testbed.trials.messages import encode, message_class
@@ -28,6 +27,7 @@ from socket_testbed.trials.topics import (
 from socket_testbed.trials.trial import store_configuration
 
 TRUTH_FILE = "ground_truth.npz"
+_TRUTH = ("forces", "wrench", "position", "rotation")
 
 # When each measurement is recorded after its trigger [ns].
 _DELAYS = {
@@ -42,7 +42,6 @@ _DELAYS = {
 
 def write_simulated_trial(
     trial: SimulatedTrial,
-    geometry: SocketGeometry,
     path: Path,
     geometry_file: Path | None = None,
     calibration_file: Path | None = None,
@@ -51,7 +50,6 @@ def write_simulated_trial(
 
     Args:
         trial: The trial.
-        geometry: The geometry it was simulated with.
         path: Folder of the trial; it must not exist.
         geometry_file: The `socket.yaml` to store; None for the package's own.
         calibration_file: The `calibration.yaml` to store; None for the package's own.
@@ -69,21 +67,35 @@ def write_simulated_trial(
                     time = stamp + _DELAYS[topic]
                     bag.write("/" + topic.name, time, encode(message, topic.type))
         store_configuration(staging, geometry_file, calibration_file)
-        np.savez_compressed(
-            staging / TRUTH_FILE,
-            stamps=trial.stamps,
-            names=np.array(geometry.names),
-            forces=trial.truth.forces,
-            wrench=trial.truth.wrench,
-            position=trial.truth.position,
-            rotation=trial.truth.rotation,
-        )
+        save_truth(staging / TRUTH_FILE, trial.stamps, trial.truth)
 
 
-def read_truth(path: Path) -> GroundTruth:
-    """Read the ground truth beside a simulated trial."""
+def save_truth(path: Path, stamps: IntArray, truth: GroundTruth, **more: FloatArray) -> None:
+    """Write a ground truth with the times [ns] that it is from, shape (N,), and more."""
+    arrays: dict[str, Any] = {name: getattr(truth, name) for name in _TRUTH}
+    np.savez_compressed(path, stamps=stamps, **arrays, **dict[str, Any](more))
+
+
+def read_truth(path: Path, stamps: IntArray | None = None) -> GroundTruth:
+    """Read the ground truth beside a simulated trial.
+
+    Args:
+        path: Folder of the trial.
+        stamps: Times since the epoch for which it is wanted, shape (N,) [ns]; between the
+            times of the simulation it is linear. None for the simulation's own.
+    """
     with np.load(path / TRUTH_FILE) as data:
-        return GroundTruth(*(data[name] for name in ("forces", "wrench", "position", "rotation")))
+        times = data["stamps"]
+        stamps = times if stamps is None else stamps
+        after = np.clip(np.searchsorted(times, stamps), 1, len(times) - 1)
+        span = times[after] - times[after - 1]
+        share = np.clip((stamps - times[after - 1]) / span, 0.0, 1.0)
+        return GroundTruth(*(_between(data[name], after, share) for name in _TRUTH))
+
+
+def _between(values: FloatArray, after: IntArray, share: FloatArray) -> FloatArray:
+    share = share.reshape(-1, *[1] * (values.ndim - 1))
+    return np.asarray((1.0 - share) * values[after - 1] + share * values[after])
 
 
 def _messages(trial: SimulatedTrial, k: int) -> Iterator[tuple[Topic, Any]]:

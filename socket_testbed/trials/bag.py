@@ -7,11 +7,12 @@ The counts of both are compared instead.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Collection, Iterator
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Self
+from typing import TYPE_CHECKING, Self, cast
 
 import yaml
 from rosbags.interfaces import (
@@ -24,12 +25,16 @@ from rosbags.interfaces import (
     QosReliability,
     QosTime,
 )
-from rosbags.rosbag2 import Reader, ReaderError, StoragePlugin, Writer
+from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 from rosbags.rosbag2.metadata import parse_qos
 
 from socket_testbed.errors import TrialError
 from socket_testbed.trials.messages import typestore
+from socket_testbed.trials.salvage import salvage
 from socket_testbed.trials.topics import PUBLISHER_DEPTH, Topic
+
+if TYPE_CHECKING:
+    from rosbags.interfaces.typing import RPath
 
 _SUFFIXES = (".mcap", ".db3")
 _FOREVER = QosTime(2147483647, 4294967295)
@@ -56,18 +61,25 @@ class RawMessage:
 class BagReader:
     """A bag, read message by message in the order of the recording; a context manager.
 
+    A recording that was cut short is read up to its last whole chunk, and a note says so.
+
     Args:
         path: Folder of the bag, or one storage file.
 
+    Attributes:
+        path: Folder of the bag, or one storage file.
+        notes: What the user should know of the bag, a line each; complete after entry.
+
     Raises:
-        TrialError: On entry, if the bag is missing, truncated, unreadable, or holds other
-            counts than its metadata says.
+        TrialError: On entry, if the bag is missing, unreadable, holds other counts than its
+            metadata says, or was cut short before its first whole chunk.
     """
 
     def __init__(self, path: Path) -> None:
         self.path = path
         self._stack = ExitStack()
         self._readers: list[Reader] = []
+        self._cut_short = False
         self.notes: list[str] = []
 
     def __enter__(self) -> Self:
@@ -120,11 +132,7 @@ class BagReader:
                 left[connection.id] -= 1
                 yield RawMessage(connection.topic, connection.msgtype, time, bytes(data))
             if any(left.values()):
-                raise TrialError(
-                    f"{reader.path}: is damaged, its index says {sum(left.values())} messages more"
-                    " than can be read",
-                    "copy the trial again, or save what is there with 'mcap recover'",
-                )
+                raise _lacking(reader.path, sum(left.values()))
 
     def _metadata(self) -> dict[str, object] | None:
         if not self.path.exists():
@@ -166,19 +174,34 @@ class BagReader:
 
     def _open(self, file: Path) -> Reader:
         try:
-            return self._stack.enter_context(Reader(file))
-        except (ReaderError, EOFError, OSError, ValueError, KeyError, TypeError) as error:
+            salvaged = salvage(file) if file.suffix == ".mcap" else None
+            # Of a path, the library asks no more than a salvaged file has.
+            source = file if salvaged is None else cast("RPath", salvaged)
+            reader = self._stack.enter_context(Reader(source))
+        except TrialError:
+            raise
+        except Exception as error:  # the library raises whatever the bytes lead it to
             raise _damaged(file, error) from None
+        if salvaged is not None:
+            if reader.message_count != salvaged.messages:
+                raise _lacking(file, salvaged.messages - reader.message_count)
+            self._cut_short = True
+            self.notes.append(salvaged.note)
+        return reader
 
     def _compare(self, metadata: dict[str, object]) -> None:
         counts = self.counts
         entries = metadata.get("topics_with_message_count")
+        promised = 0
         for entry in entries if isinstance(entries, list) else []:
             name = entry["topic_metadata"]["name"]
-            if entry["message_count"] != counts.get(name, 0):
+            held, written_count = counts.get(name, 0), entry["message_count"]
+            promised += written_count
+            # Of what was cut short, fewer are there: a note says so.
+            if held != written_count and not (self._cut_short and held < written_count):
                 raise TrialError(
-                    f"{self.path}: metadata.yaml says {entry['message_count']} messages on {name},"
-                    f" the storage file holds {counts.get(name, 0)}",
+                    f"{self.path}: metadata.yaml says {written_count} messages on {name},"
+                    f" the storage file holds {held}",
                     "copy the trial again, or make metadata.yaml anew with 'ros2 bag reindex'",
                 )
             written = parse_qos(entry["topic_metadata"].get("offered_qos_profiles", []))
@@ -194,6 +217,11 @@ class BagReader:
                     f"metadata.yaml and the storage file disagree on the QoS of {name}:"
                     " the file's messages are read"
                 )
+        if promised > sum(counts.values()):
+            self.notes.append(
+                f"metadata.yaml says {promised} messages: copy the trial again if it is whole"
+                " elsewhere"
+            )
 
 
 def _next(
@@ -211,9 +239,16 @@ def _damaged(file: Path | object, error: Exception) -> TrialError:
     if any(word in reason.lower() for word in _TRUNCATED):
         return TrialError(
             f"{file}: is truncated ({reason})",
-            "the recording was cut short: save what is there with 'mcap recover'",
+            "copy the trial again, or save what is there with 'mcap recover'",
         )
     return TrialError(f"{file}: cannot be read ({reason})", "give an MCAP or SQLite bag of ROS 2")
+
+
+def _lacking(file: Path | object, messages: int) -> TrialError:
+    return TrialError(
+        f"{file}: is damaged, its index says {messages} messages more than can be read",
+        "copy the trial again, or save what is there with 'mcap recover'",
+    )
 
 
 def qos_profile(topic: Topic) -> Qos:
@@ -245,11 +280,21 @@ class BagWriter:
 
     def __enter__(self) -> Self:
         self._writer.open()
+        for folder in (self.path, self.path.parent):
+            with suppress(OSError):  # network drives cannot
+                sync(folder)
         return self
 
     def __exit__(self, *error: object) -> None:
         # Also after an error: what was recorded so far makes a whole bag.
         self._writer.close()
+        for file in (self.path / f"{self.path.name}.mcap", self._writer.metapath):
+            sync(file)
+
+    def abandon(self) -> None:
+        """Leave the bag without an end, after its storage failed: a reader saves what it holds."""
+        with suppress(OSError):
+            self._writer.abort()
 
     def add_topic(self, name: str, topic: Topic) -> None:
         """Declare a topic under the name it has in the graph."""
@@ -262,13 +307,23 @@ class BagWriter:
         self._writer.write(self._connections[name], time, data)
 
     def flush(self) -> None:
-        """Bring everything written so far to the file, as a chunk of its own.
+        """Bring everything written so far to the disk, as a chunk of its own.
 
-        The library keeps up to 1 MiB in memory, minutes of a trial at 4 Hz; it is pinned,
-        because this reaches into its storage.
+        A power cut after it takes nothing of that. The library keeps up to 1 MiB in memory,
+        minutes of a trial at 4 Hz; it is pinned, because this reaches into its storage.
         """
         storage = self._writer.storage
         assert storage is not None
         if storage.chunk.msgs:  # type: ignore[attr-defined]
             storage.close_chunk()  # type: ignore[attr-defined]
-            storage.bio.flush()  # type: ignore[attr-defined]
+        storage.bio.flush()  # type: ignore[attr-defined]
+        os.fsync(storage.bio.fileno())  # type: ignore[attr-defined]
+
+
+def sync(path: Path) -> None:
+    """Bring a file or the entries of a folder to the disk."""
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)

@@ -64,6 +64,10 @@ REQUIRED = tuple(topic for topic in TOPICS if topic.required)
 
 PUBLISHER_DEPTH = 100  # [messages]; of every publisher but the latched
 
+# Name of the trial being recorded, empty when there is none (std_msgs/String, latched). It is no
+# measurement: it is not recorded.
+RECORDED_TRIAL = "recorder/trial"
+
 
 def match_topics(names: Iterable[str], where: str) -> dict[Topic, str]:
     """Find the testbed's topics among a bag's, in whatever namespace they were recorded.

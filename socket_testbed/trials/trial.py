@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import shutil
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import count
 from pathlib import Path
 
 from socket_testbed.calibration import Calibration, read_calibration
@@ -13,7 +16,7 @@ from socket_testbed.errors import TrialError
 from socket_testbed.files import packaged
 from socket_testbed.geometry.socket import SocketGeometry, read_socket
 from socket_testbed.settings import EstimatorSettings, read_parameters
-from socket_testbed.trials.bag import BagReader
+from socket_testbed.trials.bag import BagReader, sync
 from socket_testbed.trials.topics import REQUIRED, TOPICS, TRIGGER, Topic, match_topics
 
 SOCKET_FILE = "socket.yaml"
@@ -30,20 +33,27 @@ class Trial:
         path: Folder of the trial.
         socket_file: A `socket.yaml` to use instead of the trial's own.
         calibration_file: A `calibration.yaml` to use instead of the trial's own.
+        tell: Called with each note on the bag, whenever it is opened.
     """
 
     path: Path
     socket_file: Path | None = None
     calibration_file: Path | None = None
+    tell: Callable[[str], None] | None = None
 
     @property
     def name(self) -> str:
         """Name of the trial: that of its folder."""
         return self.path.resolve().name
 
-    def open(self) -> BagReader:
-        """The trial's bag, to be entered."""
-        return BagReader(self.path)
+    @contextmanager
+    def open(self) -> Iterator[BagReader]:
+        """The trial's bag, open; what is to be known of it is told."""
+        with BagReader(self.path) as bag:
+            if self.tell is not None:
+                for note in bag.notes:
+                    self.tell(note)
+            yield bag
 
     @property
     def geometry_path(self) -> Path:
@@ -118,6 +128,22 @@ def recorded_namespace(trial: Trial) -> str:
     return name.removesuffix(TRIGGER.name).rstrip("/") or "/"
 
 
+def beside_cut_short(path: Path) -> Path:
+    """Where to go on when a recording into this folder was cut short: `path`_2, `path`_3, ...
+
+    Args:
+        path: Folder of a trial.
+
+    Returns:
+        The first of these names that is free; the path itself if it holds no such recording.
+    """
+    cut_short = any(path.glob("*.mcap")) and not (path / "metadata.yaml").exists()
+    if not cut_short:
+        return path
+    names = (path.parent / f"{path.name}_{number}" for number in count(2))
+    return next(name for name in names if not name.exists())
+
+
 def store_configuration(
     folder: Path,
     geometry: Path | None = None,
@@ -134,3 +160,4 @@ def store_configuration(
     """
     for source, name in zip((geometry, calibration, parameters), CONFIGURATION_FILES, strict=True):
         shutil.copyfile(source or packaged("config", name), folder / name)
+        sync(folder / name)

@@ -1,0 +1,160 @@
+"""`doctor`: what is wired and what is not, as a table, with the mend of what is not."""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from dataclasses import dataclass
+
+from socket_testbed.bringup import Testbed, simulate_hardware
+from socket_testbed.commands.simulated import add_simulation, simulation_of
+from socket_testbed.commands.testbed import add_testbed, testbed_of
+from socket_testbed.commands.text import table
+from socket_testbed.drivers.clusters import ClusterReader
+from socket_testbed.drivers.load_cell import LoadCell
+from socket_testbed.drivers.natnet_client import NatNetClient
+from socket_testbed.errors import DeviceError, TestbedError
+from socket_testbed.hardware import i2c_opener, make_trigger, spi_opener
+from socket_testbed.processes import Graph
+
+_FRAMES = 1000
+_PULSES = 5
+_SERVER_WITHIN = 3.0  # [s]
+_LOOK = 0.05  # [s]
+
+
+@dataclass(frozen=True)
+class Finding:
+    """A row of the table.
+
+    Attributes:
+        what: What was looked at.
+        found: What was found there.
+        mend: What to do; empty if all is well.
+    """
+
+    what: str
+    found: str
+    mend: str = ""
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of the verb."""
+    add_testbed(parser)
+    add_simulation(parser)
+    parser.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace) -> None:
+    """Look at everything that is configured."""
+    simulation, faults = simulation_of(options)
+    testbed = testbed_of(options, simulation)
+    with ExitStack() as stack:
+        if simulation is not None:
+            graph = stack.enter_context(Graph())
+            testbed, world = simulate_hardware(graph, testbed, simulation)
+            for name, value in faults.items():
+                world.faults.switch(name, value)
+        findings = [finding for check in CHECKS for finding in _guarded(check, testbed)]
+    rows = [[f.what, "failed" if f.mend else "ok", f.found, f.mend] for f in findings]
+    print(table(["what", "", "found", "mend"], rows))
+    failing = sum(bool(finding.mend) for finding in findings)
+    if failing:
+        raise DeviceError(f"{failing} of {len(findings)} checks failed", "see the table's mends")
+
+
+Check = Callable[[Testbed], Iterator[Finding]]
+
+
+def _guarded(check: Check, testbed: Testbed) -> Iterator[Finding]:
+    try:
+        yield from check(testbed)
+    except TestbedError as error:
+        yield Finding(
+            check.__name__.removeprefix("check_").replace("_", " "), error.fact, error.mend
+        )
+
+
+def check_trigger(testbed: Testbed) -> Iterator[Finding]:
+    """Make pulses and see their edges."""
+    settings = testbed.trigger
+    trigger = make_trigger(settings)
+    try:
+        delays = []
+        for _ in range(_PULSES):
+            before = time.monotonic()
+            delays.append(trigger.fire() - before)
+            trigger.rest()
+    finally:
+        trigger.close()
+    found = "the steady clock; no wire"
+    if settings.source == "gpio":
+        found = (
+            f"{settings.chip}, line {settings.output_line} to {settings.input_line},"
+            f" edge within {max(delays) * 1e6:.0f} us"
+        )
+    yield Finding("trigger", found)
+
+
+def check_clusters(testbed: Testbed) -> Iterator[Finding]:
+    """See which chip answers at each cluster's place."""
+    reader = ClusterReader(testbed.clusters, i2c_opener(testbed.clusters))
+    try:
+        for name, found in reader.identify().items():
+            if isinstance(found, DeviceError):
+                yield Finding(f"cluster {name}", found.fact, found.mend)
+            else:
+                yield Finding(f"cluster {name}", found)
+    finally:
+        reader.close()
+
+
+def check_load_cell(testbed: Testbed) -> Iterator[Finding]:
+    """See which converter answers, and whether its frames are whole."""
+    cell = LoadCell(testbed.load_cell, spi_opener(testbed.load_cell))
+    try:
+        yield Finding("load cell", cell.identify())
+        corrupted = cell.check_frames(_FRAMES)
+        mend = "check the wiring, or lower load_cell_node's spi_clock" if corrupted else ""
+        yield Finding("load cell CRC", f"{corrupted} of {_FRAMES} frames corrupted", mend)
+    finally:
+        cell.close()
+
+
+def check_motion_capture(testbed: Testbed) -> Iterator[Finding]:
+    """See which server answers, how well its clock is known, and whether it has the bodies."""
+    settings = dataclasses.replace(testbed.mocap, record_takes=False)
+    client = NatNetClient(settings, lambda *_: None)
+    client.start()
+    try:
+        deadline = time.monotonic() + _SERVER_WITHIN
+        while (health := client.health(time.monotonic()))[0] and time.monotonic() < deadline:
+            time.sleep(_LOOK)
+        link = client.describe()
+        models = client.models
+    finally:
+        client.close()
+    level, message = health
+    fact, _, mend = message.partition(": ")
+    if level > 1:
+        yield Finding("motion capture", fact, mend or "see that Motive streams")
+        return
+    server = f"{link['server']} {link['application']}, NatNet {link['NatNet']}, {link['rate']}"
+    yield Finding("motion capture", f"{server}, at {link['address']}", mend if level else "")
+    clock = f"known within {link['clock uncertainty']}, jitter {link['clock jitter']}"
+    yield Finding("motion capture clock", clock)
+    bodies = sorted(models.bodies) if models is not None else []
+    for body in (settings.socket_body, settings.pylon_body):
+        mend = "" if body in bodies else f"name it so in Motive, which has {', '.join(bodies)}"
+        yield Finding(f"rigid body {body}", "streamed" if not mend else "not streamed", mend)
+
+
+CHECKS: tuple[Check, ...] = (
+    check_trigger,
+    check_clusters,
+    check_load_cell,
+    check_motion_capture,
+)

@@ -1,0 +1,83 @@
+"""`run`: the whole testbed in one command, on hardware or simulated, until Ctrl-C."""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import sys
+import time
+from pathlib import Path
+
+from socket_testbed.bringup import Simulation, Testbed, end, start, summary
+from socket_testbed.commands.options import add_model_choice, estimator_settings
+from socket_testbed.commands.simulated import add_simulation, simulation_of
+from socket_testbed.commands.testbed import add_testbed, testbed_of
+from socket_testbed.documents import check_number
+from socket_testbed.files import refuse_existing
+from socket_testbed.identification.fit import check_names
+from socket_testbed.identification.model_file import read_model
+from socket_testbed.processes import Graph
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of the verb."""
+    add_testbed(parser)
+    add_model_choice(parser)
+    parser.add_argument("--record", type=Path, metavar="DIR", help="record a trial into DIR")
+    parser.add_argument("--model", type=Path, metavar="MODEL", help="predict with it, fit none")
+    parser.add_argument("--rate", type=float, metavar="HZ", help="rate of the trigger [Hz]")
+    parser.add_argument("--duration", type=float, metavar="S", help="end by itself after S [s]")
+    parser.add_argument(
+        "--one-process", action="store_true", help="all nodes but the recorder in one process"
+    )
+    add_simulation(parser)
+    parser.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace) -> None:
+    """Run until interrupted."""
+    if options.duration is not None:
+        check_number(options.duration, "--duration", 0.1, 1e6)
+    if options.record is not None:
+        refuse_existing(options.record)
+    simulation, faults = simulation_of(options)
+    testbed = _testbed(options, simulation)
+    with Graph() as graph:
+        world = start(graph, testbed)
+        for name, value in faults.items():
+            assert world is not None
+            world.faults.switch(name, value)
+        _say("the testbed runs; Ctrl-C ends it")
+        ends = time.monotonic() + (options.duration or float("inf"))
+        try:
+            graph.watch(lambda: time.monotonic() >= ends, _say)
+        except KeyboardInterrupt:
+            _say("ending")
+        end(graph, testbed)
+    if testbed.record is not None:
+        print(summary(testbed.record))
+
+
+def _say(line: str) -> None:
+    print(line, file=sys.stderr, flush=True)
+
+
+def _testbed(options: argparse.Namespace, simulation: Simulation | None) -> Testbed:
+    """What the options mean."""
+    testbed = testbed_of(options, simulation)
+    trigger = testbed.trigger
+    if options.rate is not None:
+        trigger = dataclasses.replace(trigger, rate=options.rate)
+    estimator = estimator_settings(options, testbed.estimator)
+    check_names(estimator.identification, testbed.clusters.names)
+    if options.model is not None:
+        read_model(options.model)
+        model = str(options.model.resolve())
+        estimator = dataclasses.replace(estimator, model=model, fit_by_itself=False)
+    return dataclasses.replace(
+        testbed,
+        trigger=trigger,
+        estimator=estimator,
+        record=options.record,
+        one_process=options.one_process,
+    )

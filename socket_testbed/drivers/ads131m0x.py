@@ -1,0 +1,242 @@
+"""The converter ADS131M06 or ADS131M08, frame by frame."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from socket_testbed.arrays import BoolArray, FloatArray, IntArray
+from socket_testbed.drivers.conversions import conversion_period
+from socket_testbed.drivers.crc16 import checksum
+from socket_testbed.drivers.spi import SpiDevice
+from socket_testbed.errors import DeviceError
+
+HIGHEST, LOWEST = 0x7FFFFF, -0x800000  # codes of the rails
+_REFERENCE = 1.2  # [V]
+_WORD = 3  # [bytes]
+_START_UP = 300  # modulator clocks from a reset to the first sample
+_RESET_TIME = 1e-3  # [s]; the registers have their values after 5 us
+
+_NULL, _RESET, _UNLOCK = 0x0000, 0x0011, 0x0655
+_READ, _WRITE, _WRITTEN = 0xA000, 0x6000, 0x4000
+_ID, _MODE = 0x00, 0x02  # CLOCK, GAIN1 and GAIN2 follow MODE
+_RESET_BIT = 0x0400
+_WORDS_OF_24_BITS, _TIMEOUT, _ANSI = 0x0100, 0x0010, 0x0800
+_HIGH_RESOLUTION = 0x0002
+
+
+class ChecksumError(DeviceError):
+    """A frame does not match its checksum: nothing in it can be used."""
+
+
+class NoAnswerError(DeviceError):
+    """The converter or its bus does not answer."""
+
+
+class ConverterResetError(DeviceError):
+    """The converter fell back to its reset state, with another gain and rate."""
+
+
+@dataclass(frozen=True)
+class Frame:
+    """What one frame says.
+
+    Attributes:
+        status: The STATUS register.
+        codes: Codes by channel, shape (channels,).
+        new: Whether all channels hold a conversion that was not read before; the codes of
+            any other frame are old.
+    """
+
+    status: int
+    codes: IntArray
+    new: bool
+
+
+def volts(codes: IntArray, gain: int) -> FloatArray:
+    """Voltages at the converter's inputs [V], ahead of its own amplifier."""
+    return codes.astype(np.float64) * (_REFERENCE / (gain * 2.0**23))
+
+
+def at_rail(codes: IntArray) -> BoolArray:
+    """Whether codes are clipped: what was measured is beyond them."""
+    return (codes >= HIGHEST) | (codes <= LOWEST)
+
+
+class Ads131m0x:
+    """One converter.
+
+    Args:
+        spi: Its bus, in SPI mode 1.
+        channels: 6 (M06) or 8 (M08).
+        crc: Checksum that it shall use, 'ccitt' or 'ansi'.
+        name: What names it in an error.
+        sleep: Waits for a time [s].
+
+    Attributes:
+        identity: Its ID register; 0 before it is configured.
+    """
+
+    def __init__(
+        self,
+        spi: SpiDevice,
+        channels: int,
+        crc: str = "ccitt",
+        name: str = "spidev0.0",
+        sleep: Callable[[float], None] = time.sleep,
+    ) -> None:
+        self.identity = 0
+        self._spi = spi
+        self._channels = channels
+        self._wanted_crc = crc
+        self._crc = crc
+        self._name = name
+        self._sleep = sleep
+
+    def reset_and_configure(self, oversampling: int, gain: int, clock_in: float = 8.192e6) -> None:
+        """Reset it, write its registers, read them back and drop what has not settled.
+
+        Args:
+            oversampling: Oversampling ratio, a power of two, 128 to 16384.
+            gain: Gain of all channels, a power of two, 1 to 128.
+            clock_in: Its clock [Hz].
+
+        Raises:
+            DeviceError: If it does not answer, is another chip or does not keep its registers.
+        """
+        self._crc = "ccitt"
+        # Before the reset its checksum may be of either kind.
+        self._transfer(_UNLOCK)
+        self._transfer(_RESET)
+        self._sleep(_RESET_TIME)
+        acknowledged = self._transfer(_READ | _ID << 7)
+        self._check_identity(self._transfer(_NULL))
+        if _response(acknowledged) != 0xFF20 | self._channels:
+            raise DeviceError(
+                f"{self._name}: the converter did not reset (it says "
+                f"0x{_response(acknowledged):04X})",
+                "check DIN and SCLK, or lower load_cell_node's spi_clock",
+            )
+        self._configure(oversampling, gain)
+        # The first two conversions come from a faster, noisier filter; they are the two that
+        # wait by now, or older than those.
+        settled = conversion_period(clock_in, 3 * oversampling + _START_UP)
+        self._sleep(settled)
+        for _ in range(2):
+            self._transfer(_NULL)
+
+    def read(self) -> Frame:
+        """Read a frame.
+
+        Raises:
+            ChecksumError: If it is corrupted.
+            NoAnswerError: If nothing answers.
+            ConverterResetError: If the converter has been reset since it was configured.
+        """
+        answer = self._exchange(_NULL)
+        status = _response(answer)
+        if status & _RESET_BIT:
+            raise ConverterResetError(
+                f"{self._name}: the converter fell back to its reset state",
+                "check its supply and its SYNC/RESET pin",
+            )
+        words = np.frombuffer(answer[_WORD:-_WORD], dtype=np.uint8).reshape(-1, _WORD)
+        codes = words.astype(np.int64) @ np.array([1 << 16, 1 << 8, 1])
+        ready = (1 << self._channels) - 1
+        return Frame(status, codes - ((codes & 0x800000) << 1), status & ready == ready)
+
+    def check_frames(self, count: int) -> int:
+        """Number of frames, out of so many, that do not match their checksum.
+
+        Raises:
+            NoAnswerError: If nothing answers.
+        """
+        errors = 0
+        for _ in range(count):
+            try:
+                self._exchange(_NULL)
+            except ChecksumError:
+                errors += 1
+        return errors
+
+    def _configure(self, oversampling: int, gain: int) -> None:
+        step = gain.bit_length() - 1
+        gains = [sum(step << 4 * place for place in range(4))] * 2
+        existing = [0x7777, 0x7777 & (1 << 4 * (self._channels - 4)) - 1]
+        enabled = ((1 << self._channels) - 1) << 8
+        rate = (oversampling.bit_length() - 8) << 2
+        kind = _ANSI if self._wanted_crc == "ansi" else 0
+        values = [
+            _WORDS_OF_24_BITS | _TIMEOUT | kind,  # and the reset bit, cleared
+            enabled | rate | _HIGH_RESOLUTION,
+            *(value & mask for value, mask in zip(gains, existing, strict=True)),
+        ]
+        # Reserved bits read differently from one edition of the datasheet to the next.
+        masks = [0xFFFF, enabled | 0x1F, *existing]
+        # The checksum may change its kind within the frame that says so.
+        self._transfer(_WRITE | _MODE << 7 | len(values) - 1, *values)
+        self._crc = self._wanted_crc
+        written = _response(self._exchange(_READ | _MODE << 7))
+        for k, (value, mask) in enumerate(zip(values, masks, strict=True)):
+            last = k == len(values) - 1
+            answer = self._exchange(_NULL if last else _READ | (_MODE + k + 1) << 7)
+            if _response(answer) & mask != value:
+                raise DeviceError(
+                    f"{self._name}: register 0x{_MODE + k:02X} reads "
+                    f"0x{_response(answer):04X} after 0x{value:04X} was written",
+                    "check DIN, or lower load_cell_node's spi_clock",
+                )
+        if written != _WRITTEN | _MODE << 7 | len(values) - 1:
+            raise DeviceError(
+                f"{self._name}: the converter answers a write with 0x{written:04X}",
+                "check DIN, or lower load_cell_node's spi_clock",
+            )
+
+    def _check_identity(self, answer: bytes) -> None:
+        # Ahead of the checksum, whose place in the frame depends on the number of channels.
+        self.identity = _response(answer)
+        if self.identity >> 8 != 0x20 | self._channels:
+            raise DeviceError(
+                f"{self._name}: the converter says ID 0x{self.identity:04X}, not "
+                f"0x{0x20 | self._channels:02X}xx",
+                "check load_cell_node's channels, and that its device is this converter",
+            )
+        self._check(answer)
+
+    def _exchange(self, *words: int) -> bytes:
+        answer = self._transfer(*words)
+        self._check(answer)
+        return answer
+
+    def _check(self, answer: bytes) -> None:
+        if checksum(answer[:-_WORD], self._crc) != int.from_bytes(answer[-_WORD:-1], "big"):
+            raise ChecksumError(
+                f"{self._name}: a frame does not match its checksum",
+                "check the wiring, or lower load_cell_node's spi_clock",
+            )
+
+    def _transfer(self, *words: int) -> bytes:
+        """Send 16-bit words, each at the head of a word of the bus; the answer, unchecked."""
+        frame = bytearray(_WORD * (self._channels + 2))
+        for k, word in enumerate(words):
+            frame[_WORD * k : _WORD * k + 2] = word.to_bytes(2, "big")
+        try:
+            answer = bytes(self._spi.xfer2(list(frame)))
+        except OSError as error:
+            raise NoAnswerError(
+                f"{self._name}: the bus fails ({error.strerror or error})",
+                "check the device and restart the computer if it persists",
+            ) from None
+        if answer in (bytes(len(frame)), b"\xff" * len(frame)):
+            raise NoAnswerError(
+                f"{self._name}: no answer (every bit reads {answer[0] & 1})",
+                "check MISO, CS and the supply of the converter",
+            )
+        return answer
+
+
+def _response(answer: bytes) -> int:
+    return int.from_bytes(answer[:2], "big")

@@ -1,0 +1,159 @@
+"""TI FDC1004: four capacitances by one converter (datasheet SNOSCY5B)."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+from socket_testbed.drivers.i2c import I2cPort
+from socket_testbed.errors import DeviceError
+
+ADDRESS = 0x50  # fixed
+INPUTS = 4
+
+_MSB, _LSB, _CONF_MEAS, _FDC_CONF = 0x00, 0x01, 0x08, 0x0C
+_IDENTITY = {0xFE: ("maker", 0x5449), 0xFF: ("device", 0x1004)}
+_RESET = 0x8000
+_REPEAT_ALL = 0x01F0
+_DONE = 0x000F
+_RATES = {100: 1, 200: 2, 400: 3}  # [1/s] to the RATE bits
+_TO_CAPDAC = 4  # CHB; the offset acts with no other
+_LAST_CAPDAC = 31
+_RAILS = (0x7FFFFF, -0x800000)
+_PER_PICOFARAD = 2**19  # [1/pF]
+_CAPDAC_UNIT = 3.125  # [pF]
+_CAPDAC_STEP = 8  # 25 pF: two neighbouring ranges of 30 pF overlap
+_RESET_POLLS = 10
+_RESET_POLL = 1e-3  # [s]
+
+
+class ChipResetError(DeviceError):
+    """The chip fell back to its reset state."""
+
+
+class WrongChipError(DeviceError):
+    """Another chip answers."""
+
+
+class SetUpError(DeviceError):
+    """The chip does not take its settings."""
+
+
+class Fdc1004:
+    """The converter in repeat mode, four single-ended inputs.
+
+    Attributes:
+        where: Its place in words.
+        capdac: Offset of each input in steps of 3.125 pF, 0..31 [1]; a reset keeps them.
+    """
+
+    def __init__(self, port: I2cPort, sleep: Callable[[float], None] = time.sleep) -> None:
+        self._port = port
+        self._sleep = sleep
+        self._conf = 0
+        self.where = port.where
+        self.capdac = [0] * INPUTS
+
+    def check_identity(self) -> None:
+        """Check that this is an FDC1004.
+
+        Raises:
+            WrongChipError: If it says otherwise.
+            BusError: If a transfer failed.
+        """
+        for register, (what, expected) in _IDENTITY.items():
+            value = self._port.read(register)
+            if value != expected:
+                raise WrongChipError(
+                    f"{self.where} says {what} 0x{value:04X}, not 0x{expected:04X}",
+                    "check the address and the wiring: this is no FDC1004",
+                )
+
+    def reset_and_configure(self, sample_rate: int) -> None:
+        """Reset the chip, check what it is, and let it convert all inputs in turn.
+
+        Args:
+            sample_rate: Conversions, shared by the inputs: 100, 200 or 400 [1/s].
+
+        Raises:
+            DeviceError: If it does not answer or does not do what it is told.
+        """
+        self._port.write(_FDC_CONF, _RESET)
+        for _ in range(_RESET_POLLS):
+            self._sleep(_RESET_POLL)
+            if not self._port.read(_FDC_CONF) & _RESET:
+                break
+        else:
+            raise SetUpError(f"{self.where} does not leave its reset", "check its supply")
+        self.check_identity()
+        wanted = {_CONF_MEAS + n: self._conf_meas(n) for n in range(INPUTS)}
+        wanted[_FDC_CONF] = self._conf = _RATES[sample_rate] << 10 | _REPEAT_ALL
+        for register, value in wanted.items():
+            self._port.write(register, value)
+        for register, value in wanted.items():
+            kept = self._port.read(register) & ~(_DONE if register == _FDC_CONF else 0)
+            if kept != value:
+                raise SetUpError(
+                    f"{self.where} holds 0x{kept:04X} in register 0x{register:02X} where"
+                    f" 0x{value:04X} was written",
+                    "check the bus's wiring and its pull-ups",
+                )
+
+    def done(self) -> tuple[bool, ...]:
+        """Whether each input was converted since it was last read, shape (4,).
+
+        Raises:
+            ChipResetError: If the chip has lost its settings.
+            BusError: If the transfer failed.
+        """
+        value = self._port.read(_FDC_CONF)
+        if value & ~_DONE != self._conf:
+            raise ChipResetError(
+                f"{self.where} fell back to its reset state (FDC_CONF 0x{value:04X}, not"
+                f" 0x{self._conf:04X})",
+                "it is configured again; check its supply",
+            )
+        return tuple(bool(value & 8 >> n) for n in range(INPUTS))
+
+    def read(self, channel: int) -> int:
+        """Read the last conversion of an input, a signed code of 24 bits [1]; clears its DONE.
+
+        Raises:
+            BusError: If a transfer failed.
+        """
+        high = self._port.read(2 * channel + _MSB)  # first: it holds the other one still
+        low = self._port.read(2 * channel + _LSB)
+        code = high << 8 | low >> 8
+        return code - (1 << 24) if code & 0x800000 else code
+
+    def step_capdac(self, channel: int, code: int) -> bool:
+        """Shift the range of an input towards a code that is at a rail.
+
+        Conversions that began before still have the former offset.
+
+        Returns:
+            Whether there was room to shift it.
+
+        Raises:
+            BusError: If the transfer failed.
+        """
+        step = _CAPDAC_STEP if code > 0 else -_CAPDAC_STEP
+        former = self.capdac[channel]
+        self.capdac[channel] = min(max(former + step, 0), _LAST_CAPDAC)
+        if self.capdac[channel] == former:
+            return False
+        self._port.write(_CONF_MEAS + channel, self._conf_meas(channel))
+        return True
+
+    def _conf_meas(self, channel: int) -> int:
+        return channel << 13 | _TO_CAPDAC << 10 | self.capdac[channel] << 5
+
+
+def is_saturated(code: int) -> bool:
+    """Whether a code is at a rail, and so no measurement."""
+    return code in _RAILS
+
+
+def capacitance(code: int, capdac: int) -> float:
+    """Capacitance of a code and its offset: C = code / 2^19 + 3.125 capdac [pF]."""
+    return code / _PER_PICOFARAD + _CAPDAC_UNIT * capdac

@@ -1,0 +1,228 @@
+"""The load cell: wrenches around given times, its health, and its tare."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from socket_testbed.acquisition_settings import LoadCellSettings
+from socket_testbed.arrays import BoolArray, FloatArray
+from socket_testbed.drivers.bridges import AXES, UNITS, Bridges
+from socket_testbed.drivers.converter_reader import ConverterReader
+from socket_testbed.drivers.spi import SpiDevice
+from socket_testbed.drivers.tare import Tare
+from socket_testbed.errors import DeviceError
+
+_BROKEN_WIRE = 5  # conversions in a row at a rail
+_RECENT = 1.0  # [s]; what a report of health looks back at
+
+
+@dataclass(frozen=True)
+class WrenchReading:
+    """The wrench around a time.
+
+    Attributes:
+        wrench: Wrench [M; F], shape (6,) [N m, N]; all NaN if it was not measured.
+        conversions: Number of conversions around the time.
+        fault: What is wrong; empty if nothing is. An overload leaves the wrench as it is.
+    """
+
+    wrench: FloatArray
+    conversions: int
+    fault: str
+
+
+class LoadCell:
+    """A load cell behind an ADS131M06 or ADS131M08.
+
+    One thread polls it and closes it in the end; any other thread may ask for the rest.
+
+    Args:
+        settings: Its settings.
+        open_device: Opens its bus; called again after a failure.
+        clock: The steady clock that all times are of [s].
+        sleep: Waits for a time [s].
+
+    Attributes:
+        settings: Its settings; others may be assigned, of which the window and what concerns
+            the tare are followed.
+
+    Raises:
+        ConfigurationError: If a setting or the tare's file is wrong.
+    """
+
+    def __init__(
+        self,
+        settings: LoadCellSettings,
+        open_device: Callable[[], SpiDevice],
+        clock: Callable[[], float] = time.monotonic,
+        sleep: Callable[[float], None] = time.sleep,
+    ) -> None:
+        self.settings = settings
+        self._clock = clock
+        self._bridges = Bridges(settings)
+        self._tare = Tare(settings.tare_file)
+        self._reader = ConverterReader(settings, self._bridges, open_device, clock, sleep)
+
+    @property
+    def period(self) -> float:
+        """Time from one conversion to the next [s]: how often to poll."""
+        return self._reader.period
+
+    def poll(self) -> None:
+        """Read what waits in the converter, and connect to it again after a failure.
+
+        What the device does wrong is told by `health`, never raised. A pause of two periods or
+        more costs the conversions since, whose times nobody knows.
+        """
+        self._reader.poll()
+
+    def close(self) -> None:
+        """Give the bus back."""
+        self._reader.close()
+
+    def identify(self) -> str:
+        """Which converter this is; for a thread that does not poll at the same time.
+
+        Raises:
+            DeviceError: If it cannot be reached or is another one.
+        """
+        converter = self._reader.connect()
+        settings = self.settings
+        return (
+            f"ADS131M{settings.channels:02d} on spidev{settings.device}, "
+            f"ID 0x{converter.identity:04X}"
+        )
+
+    def check_frames(self, count: int) -> int:
+        """Number of corrupted frames out of so many; as `identify`, and loses conversions.
+
+        Raises:
+            DeviceError: If the converter cannot be reached.
+        """
+        return self._reader.connect().check_frames(count)
+
+    def figures(self) -> dict[str, object]:
+        """Numbers of conversions, of corrupted frames and of restarts."""
+        return dict(self._reader.counts())
+
+    def ready(self, moment: float) -> bool:
+        """Whether waiting adds nothing to the wrench at a time [s].
+
+        Either all conversions around it are in, or they are over and the converter fails.
+        """
+        end = moment + 0.5 * self.settings.window
+        if self._reader.has_all(end):
+            return True
+        now = self._clock()
+        return now >= end and self._reader.trouble(now)[0] > 1
+
+    def wrench_at(self, moment: float) -> WrenchReading:
+        """The wrench at a time of the steady clock [s].
+
+        It is the value there of the line through the conversions of the window around it: with
+        none missing their mean, and otherwise a mean that the missing ones do not shift.
+        Less than half of them, or one at a rail, make it NaN.
+        """
+        window = self.settings.window
+        times, ratios, rails = self._reader.between(moment - 0.5 * window, moment + 0.5 * window)
+        missing = np.full(6, np.nan)
+        if rails.any():
+            return WrenchReading(missing, len(times), self._saturated(rails))
+        expected = window / self.period
+        if len(times) < max(1.0, 0.5 * expected):
+            fault = f"{len(times)} of {expected:.0f} conversions around the trigger"
+            level, fact, mend = self._reader.trouble(self._clock())
+            return WrenchReading(
+                missing, len(times), f"{fault}; {fact}: {mend}" if level else fault
+            )
+        ratio = _line_weights(times - moment) @ ratios
+        wrench = self._bridges.wrenches(ratio - self._tare.offsets)
+        level, text = self._bridges.overload(np.abs(wrench))
+        return WrenchReading(wrench, len(times), text if level > 1 else "")
+
+    def health(self, now: float) -> tuple[int, str]:
+        """How it is at a time [s].
+
+        Returns:
+            0 (well), 1 (a warning) or 2 (an error), and the fact with the mend.
+        """
+        level, fact, mend = self._reader.trouble(now)
+        found = [(level, f"{fact}: {mend}")] if level else []
+        _, ratios, rails = self._reader.between(now - _RECENT, now)
+        broken = self._reader.rail_runs() >= _BROKEN_WIRE
+        if broken.any():
+            fact = f"{self._saturated(broken)} for {_BROKEN_WIRE} conversions or more"
+            found.append((2, f"{fact}: a broken wire? check the bridge and its wiring"))
+        elif rails.any():
+            fact = self._saturated(rails)
+            found.append((1, f"{fact} at times: unload the cell, or lower the gain"))
+        valid = ratios[~rails.any(axis=1)]
+        peak = np.abs(self._bridges.wrenches(valid - self._tare.offsets)).max(axis=0, initial=0.0)
+        found.append(self._bridges.overload(peak))
+        level, text = max(found, key=lambda entry: entry[0])
+        return level, text if level else f"spidev{self.settings.device} converts"
+
+    def tare(self, now: float | None = None) -> str:
+        """Let the load of the last `tare_duration` stand for no load.
+
+        Args:
+            now: End of that span [s]; None for the present.
+
+        Returns:
+            What was removed, to be read.
+
+        Raises:
+            DeviceError: If the cell is moving, saturated, or was not read all the time.
+            ConfigurationError: If the tare's file cannot be written.
+        """
+        settings = self.settings
+        now = self._clock() if now is None else now
+        level, fact, mend = self._reader.trouble(now)
+        if level > 1:
+            raise DeviceError(f"cannot tare: {fact}", mend)
+        _, ratios, rails = self._reader.between(now - settings.tare_duration, now)
+        expected = settings.tare_duration / self.period
+        if len(ratios) < 0.5 * expected:
+            raise DeviceError(
+                f"cannot tare: {len(ratios)} of {expected:.0f} conversions in the last "
+                f"{settings.tare_duration:g} s",
+                "wait that long, or set a shorter tare_duration",
+            )
+        if rails.any():
+            raise DeviceError(
+                f"cannot tare: {self._saturated(rails)}",
+                "unload the cell, or check the bridge and its wiring",
+            )
+        spread = self._bridges.wrenches(ratios).std(axis=0)
+        limits = np.repeat([settings.tare_moment, settings.tare_force], 3)
+        worst = int((spread / limits).argmax())
+        if spread[worst] > limits[worst]:
+            raise DeviceError(
+                f"cannot tare: {AXES[worst]} moves by {spread[worst]:.3g} {UNITS[worst]} "
+                f"(standard deviation), more than {limits[worst]:g} {UNITS[worst]}",
+                "hold the cell still and tare again",
+            )
+        offsets = ratios.mean(axis=0)
+        removed = self._bridges.wrenches(offsets - self._tare.offsets)
+        self._tare.set(offsets)
+        values = zip(AXES, removed, UNITS, strict=True)
+        return "tared: removed " + ", ".join(f"{a} {v:.4g} {unit}" for a, v, unit in values)
+
+    def _saturated(self, rails: BoolArray) -> str:
+        """Says which bridges are at a rail, shape (6,) or (n, 6)."""
+        which = np.flatnonzero(np.atleast_2d(rails).any(axis=0))
+        names = [f"bridge {k + 1} (input {self._bridges.inputs[k]})" for k in which]
+        return ", ".join(names) + (" is at its rail" if len(names) == 1 else " are at their rails")
+
+
+def _line_weights(offsets: FloatArray) -> FloatArray:
+    """Weights, shape (n,), that make of n values a least-squares line's value at offset 0."""
+    mean = offsets.mean()
+    centred = offsets - mean
+    spread = float(centred @ centred)
+    weights = np.full(len(offsets), 1.0 / len(offsets))
+    return weights - centred * (mean / spread) if spread > 0.0 else weights

@@ -1,0 +1,273 @@
+"""Markers and poses of the two bodies at a trigger's time, between the frames around it."""
+
+from __future__ import annotations
+
+import threading
+import time as steady
+from collections import deque
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import numpy as np
+
+from socket_testbed.acquisition_settings import MocapSettings
+from socket_testbed.arrays import FloatArray, IntArray
+from socket_testbed.drivers.natnet_frames import Frame
+from socket_testbed.drivers.natnet_models import ModelDefinitions
+from socket_testbed.geometry.triad import EDGE_TOLERANCE, TriadFit, edge_lengths, fit_triad
+
+_KEPT = 1.0  # [s]
+_LARGEST_STEP = 0.01  # [m]; of a marker between two frames, without a fit of its triad
+
+_Entry: TypeAlias = tuple[float, Frame, ModelDefinitions | None]
+
+
+@dataclass(frozen=True)
+class MocapSample:
+    """Socket and pylon, in this order, at the time of a trigger; NaN where they are not seen.
+
+    Attributes:
+        time: Time of the trigger on the steady clock [s].
+        positions: Origins of the bodies in the world, shape (2, 3) [m].
+        quaternions: Their orientations (x, y, z, w), shape (2, 4) [-].
+        markers: Their markers in the bodies' order, shape (2, 3, 3) [m].
+        faults: Why a body has no pose; empty if it has one.
+    """
+
+    time: float
+    positions: FloatArray
+    quaternions: FloatArray
+    markers: FloatArray
+    faults: tuple[str, str]
+
+
+class BodyTracker:
+    """Keeps the frames of the last second and interpolates between them.
+
+    Any thread may call any method.
+
+    Args:
+        settings: The settings.
+        socket_markers: The socket's triad in its body's frame, shape (3, 3) [m].
+        pylon_markers: The pylon's triad, likewise.
+        clock: The steady clock [s].
+    """
+
+    def __init__(
+        self,
+        settings: MocapSettings,
+        socket_markers: FloatArray,
+        pylon_markers: FloatArray,
+        clock: Callable[[], float] = steady.monotonic,
+    ) -> None:
+        self._stale = settings.stale
+        self._clock = clock
+        self._bodies = (
+            _Body(settings.socket_body, "socket_body", socket_markers),
+            _Body(settings.pylon_body, "pylon_body", pylon_markers),
+        )
+        self._frames: deque[_Entry] = deque()
+        self._changed = threading.Condition()
+
+    def add(self, frame: Frame, time: float, models: ModelDefinitions | None) -> None:
+        """Add a frame.
+
+        Args:
+            frame: The frame.
+            time: Middle of its exposure on the steady clock [s]; earlier ones are dropped.
+            models: The rigid bodies that its ids stand for; None: not known.
+        """
+        with self._changed:
+            if self._frames and time <= self._frames[-1][0]:
+                return
+            self._frames.append((time, frame, models))
+            while self._frames[0][0] < time - _KEPT:
+                self._frames.popleft()
+            self._changed.notify_all()
+
+    def ready(self, trigger: float) -> bool:
+        """Whether no later frame will make the sample of a trigger [s] better."""
+        with self._changed:
+            return self._is_ready(trigger)
+
+    def wait(self, trigger: float, deadline: float) -> bool:
+        """Wait until `ready`, or until a time of the steady clock [s]; whether it is ready."""
+        with self._changed:
+            while not self._is_ready(trigger):
+                left = deadline - self._clock()
+                if left <= 0.0:
+                    return False
+                self._changed.wait(left)
+            return True
+
+    def sample(self, trigger: float) -> MocapSample:
+        """The bodies at a time of the steady clock [s], from the frames there are."""
+        with self._changed:
+            before, after = self._around(trigger)
+            bodies = [body.between(before, after, trigger, self._stale) for body in self._bodies]
+        positions, quaternions, markers, faults = zip(*bodies, strict=True)
+        return MocapSample(
+            trigger,
+            np.array(positions),
+            np.array(quaternions),
+            np.array(markers),
+            (faults[0], faults[1]),
+        )
+
+    def _around(self, trigger: float) -> tuple[list[_Entry], list[_Entry]]:
+        """The two frames before and the two after a time, the nearest first."""
+        before: list[_Entry] = []
+        after: list[_Entry] = []
+        for entry in reversed(self._frames):
+            if entry[0] >= trigger:
+                after.insert(0, entry)
+            else:
+                before.append(entry)
+                if len(before) == 2:
+                    break
+        return before, after[:2]
+
+    def _is_ready(self, trigger: float) -> bool:
+        _, after = self._around(trigger)
+        if not after or len(after) == 2 or after[-1][0] >= trigger + self._stale:
+            return bool(after)
+        # One more frame is worth the wait where a marker is not seen in this one.
+        _, frame, models = after[0]
+        return all(body.is_seen(frame, models) for body in self._bodies)
+
+
+_Result: TypeAlias = tuple[FloatArray, FloatArray, FloatArray, str]
+
+
+class _Body:
+    """One of the two bodies: where its markers are in a frame, and in what order."""
+
+    def __init__(self, name: str, setting: str, reference: FloatArray) -> None:
+        self._name = name
+        self._setting = setting
+        self._reference = np.asarray(reference, dtype=float)
+        self._edges = edge_lengths(self._reference)
+        self._order: IntArray | None = None  # of the labels, as two frames agreed on it
+
+    def is_seen(self, frame: Frame, models: ModelDefinitions | None) -> bool:
+        """Whether all its markers are seen, or never will be."""
+        return bool(self._unknown(models) or np.isfinite(self._triad(frame, models)).all())
+
+    def between(
+        self, before: Sequence[_Entry], after: Sequence[_Entry], trigger: float, stale: float
+    ) -> _Result:
+        """Position [m], quaternion, markers [m] and fault at a time between frames [s]."""
+        nothing = (np.full(3, np.nan), np.full(4, np.nan), np.full((3, 3), np.nan))
+        if not before or not after or after[0][0] - before[0][0] > stale:
+            return *nothing, f"no two frames within {stale:g} s around the trigger"
+        for _, _, models in (before[0], after[0]):
+            if fault := self._unknown(models):
+                return *nothing, fault
+        entries = [*before, *after]
+        times = [time for time, _, _ in entries]
+        triads = np.array([self._triad(frame, models) for _, frame, models in entries])
+        fit = fit_triad(self._reference, triads)
+        first = len(before)
+        for a in range(first):
+            for b in range(first, len(entries)):
+                if fit.order[a, 0] >= 0 <= fit.order[b, 0] and times[b] - times[a] <= stale:
+                    weight = (trigger - times[a]) / (times[b] - times[a])
+                    return *self._interpolate(fit, triads, (a, b), weight), ""
+        weight = (trigger - times[0]) / (times[first] - times[0])
+        markers = self._by_label(fit, triads, (0, first), weight)
+        return *nothing[:2], markers, self._fault(triads[[0, first]])
+
+    def _unknown(self, models: ModelDefinitions | None) -> str:
+        """Why the server's rigid bodies do not tell which this is; empty: they do."""
+        if models is None:
+            return "Motive has not told its rigid bodies yet"
+        definition = models.bodies.get(self._name)
+        if definition is None:
+            there = ", ".join(sorted(models.bodies)) or "none"
+            return (
+                f"Motive has no rigid body '{self._name}' (there are: {there}):"
+                f" name it so there, or set {self._setting}"
+            )
+        if definition.markers and len(definition.markers) != 3:
+            return (
+                f"rigid body '{self._name}' has {len(definition.markers)} markers in Motive:"
+                " make it of the three of its triad"
+            )
+        return ""
+
+    def _triad(self, frame: Frame, models: ModelDefinitions | None) -> FloatArray:
+        """Its markers by their labels, shape (3, 3) [m]; NaN where one is not seen."""
+        triad = np.full((3, 3), np.nan)
+        definition = models.bodies.get(self._name) if models is not None else None
+        if definition is None:
+            return triad
+        own = sorted(marker for marker in frame.markers if marker.model == definition.id)
+        for rank, marker in enumerate(own):
+            slot = rank if len(own) == 3 else marker.member - 1
+            if not (marker.occluded or marker.model_filled) and 0 <= slot < 3:
+                triad[slot] = marker.position
+        return triad
+
+    def _interpolate(
+        self, fit: TriadFit, triads: FloatArray, pair: tuple[int, int], weight: float
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        a, b = pair
+        if (fit.order[a] == fit.order[b]).all():
+            self._order = fit.order[a]
+        start, end = fit.pose.translation[a], fit.pose.translation[b]
+        quaternions = fit.pose.quaternion()
+        markers = triads[a][fit.order[a]]
+        return (
+            start + weight * (end - start),
+            _slerp(quaternions[a], quaternions[b], weight),
+            markers + weight * (triads[b][fit.order[b]] - markers),
+        )
+
+    def _by_label(
+        self, fit: TriadFit, triads: FloatArray, pair: tuple[int, int], weight: float
+    ) -> FloatArray:
+        """Markers that are seen in both frames and moved little, though a triad has no fit."""
+        orders = [fit.order[row] for row in pair]
+        fitted = [order for order in orders if order[0] >= 0]
+        known = self._order if self._order is not None else fitted[0] if fitted else None
+        start, end = (
+            triads[row][order] if order[0] >= 0 else self._labelled(triads[row], known)
+            for row, order in zip(pair, orders, strict=True)
+        )
+        step = np.linalg.norm(end - start, axis=1)
+        near = np.where(np.isfinite(step), step, np.inf) < _LARGEST_STEP
+        return np.where(near[:, None], start + weight * (end - start), np.nan)
+
+    def _labelled(self, triad: FloatArray, order: IntArray | None) -> FloatArray:
+        """A triad in the body's order by its labels; NaN where its edges contradict them."""
+        markers = triad if order is None else triad[order]
+        mismatch = np.abs(edge_lengths(markers) - self._edges)
+        visible = np.isfinite(mismatch)
+        # Labels of an order that no fit has shown yet need an edge that agrees.
+        if (mismatch[visible] > EDGE_TOLERANCE).any() or (order is None and not visible.any()):
+            return np.full((3, 3), np.nan)
+        return markers
+
+    def _fault(self, triads: FloatArray) -> str:
+        hidden = np.isnan(triads).any(axis=(0, 2))
+        if hidden.any():
+            members = ", ".join(str(slot + 1) for slot in np.flatnonzero(hidden))
+            return f"marker {members} of rigid body '{self._name}' is occluded"
+        return (
+            f"the markers of rigid body '{self._name}' do not fit its triad: check the geometry"
+            " file, or that no other marker is taken for one of them"
+        )
+
+
+def _slerp(start: FloatArray, end: FloatArray, weight: float) -> FloatArray:
+    """Quaternion on the shorter arc between two (Shoemake 1985, doi:10.1145/325165.325242)."""
+    cosine = float(start @ end)
+    if cosine < 0.0:
+        end, cosine = -end, -cosine
+    angle = np.arccos(min(cosine, 1.0))
+    if angle < 1e-6:
+        mixed = start + weight * (end - start)
+    else:
+        mixed = np.sin((1.0 - weight) * angle) * start + np.sin(weight * angle) * end
+    return mixed / np.linalg.norm(mixed)

@@ -1,0 +1,295 @@
+"""The dialogue with a NatNet server: connected, lost, connected again."""
+
+from __future__ import annotations
+
+import re
+from collections import OrderedDict
+from collections.abc import Callable
+
+from socket_testbed.acquisition_settings import MocapSettings
+from socket_testbed.drivers.backoff import Backoff
+from socket_testbed.drivers.natnet_clock import EchoClock
+from socket_testbed.drivers.natnet_commands import Answer, CommandQueue
+from socket_testbed.drivers.natnet_frames import Frame, parse_frame
+from socket_testbed.drivers.natnet_gate import FrameGate
+from socket_testbed.drivers.natnet_models import ModelDefinitions, parse_model_definitions
+from socket_testbed.drivers.natnet_protocol import (
+    DISCONNECT,
+    ECHORESPONSE,
+    FRAME,
+    KEEPALIVE,
+    MODELDEF,
+    REQUEST_MODELDEF,
+    RESPONSE,
+    SERVERINFO,
+    UNRECOGNIZED,
+    ServerInfo,
+    Version,
+    encode_connect,
+    encode_echo,
+    encode_message,
+    parse_echo,
+    parse_server_info,
+    split_datagram,
+)
+from socket_testbed.drivers.natnet_sockets import NatNetSockets
+from socket_testbed.drivers.natnet_statistics import LinkStatistics
+from socket_testbed.drivers.natnet_takes import TakeKeeper
+from socket_testbed.errors import DeviceError
+
+SILENCE = 0.3  # [s]; after which the server, or its stream, is lost
+_KEEPALIVE = 1.0  # [s]
+_QUICK_ECHOES = 10
+_ECHO_QUICK, _ECHO_QUIET, _ECHO = 0.01, 0.1, 0.5  # [s]; at first, without frames, then
+_PENDING = 64  # echoes
+_MODELS_RETRY, _MODELS_AGAIN = 0.1, 1.0  # [s]
+_SUBSCRIPTIONS = ("SubscribeToData,RigidBody,All", "SubscribeToData,LabeledMarkers,All")
+
+CONNECTING, CONNECTED, LOST = "connecting", "connected", "lost"
+
+
+class Session:
+    """What one end of the link knows and does; all of it on one thread.
+
+    Attributes:
+        state: One of connecting, connected and lost.
+        server: What the server said of itself last.
+        models: Its rigid bodies; None: not known yet.
+        echoes: The map of its clock.
+        streaming: Whether the version of its frames is settled.
+        sessions: How often a session has begun.
+        last_frame: When a frame came last [s].
+        stranger: The host, not the server, that a datagram came from last.
+        network: Why the network takes nothing; empty: it does.
+    """
+
+    def __init__(
+        self,
+        settings: MocapSettings,
+        bitstream: Version,
+        sockets: NatNetSockets,
+        commands: CommandQueue,
+        on_frame: Callable[[Frame, float, ModelDefinitions | None], None],
+    ) -> None:
+        self.settings = settings
+        self.state = CONNECTING
+        self.server: ServerInfo | None = None
+        self.models: ModelDefinitions | None = None
+        self.echoes = EchoClock(0)
+        self.statistics = LinkStatistics()
+        self.takes = TakeKeeper(commands.submit)
+        self.streaming = False
+        self.sessions = 0
+        self.last_frame = 0.0
+        self.stranger = ""
+        self.network = ""
+        self._bitstream = bitstream
+        self._version: Version = bitstream
+        self._sockets = sockets
+        self._commands = commands
+        self._on_frame = on_frame
+        self._connecting = Backoff()
+        self._awaiting = False
+        self._heard = self._next_echo = self._next_keepalive = 0.0
+        self._pending: OrderedDict[int, float] = OrderedDict()
+        self._models_wanted = False
+        self._next_models = 0.0
+        self._models_changed = False
+        self._gate = FrameGate(self.statistics)
+        self._handlers: dict[int, Callable[[bytes, float], None]] = {
+            SERVERINFO: self._take_server_info,
+            FRAME: self._take_frame,
+            MODELDEF: self._take_models,
+            ECHORESPONSE: self._take_echo,
+            DISCONNECT: lambda payload, now: self._restart(now),
+            RESPONSE: lambda payload, now: commands.answer(RESPONSE, payload, now),
+            UNRECOGNIZED: lambda payload, now: commands.answer(UNRECOGNIZED, payload, now),
+        }
+
+    def step(self, now: float) -> None:
+        """Do what is due at a time of the steady clock [s]."""
+        if self.state == CONNECTED and now - self._heard > SILENCE:
+            self._lose(now)
+        silent = now - self.last_frame > SILENCE
+        # A server that answers but streams nothing may have forgotten this client.
+        if (self.state != CONNECTED or silent) and self._connecting.due(now):
+            self._connect(now)
+        if self.state == CONNECTED:
+            self._stay(now)
+        self._commands.step(now, lambda datagram: self.send(datagram, now))
+        self.takes.step(now, self.state == CONNECTED and self.streaming)
+
+    def take(self, datagram: bytes, now: float) -> None:
+        """Take a datagram of the server.
+
+        Raises:
+            MalformedDatagram: If it does not hold what it says.
+        """
+        self._heard = now
+        message, payload = split_datagram(datagram)
+        handler = self._handlers.get(message)
+        if handler is not None:
+            handler(payload, now)
+
+    def send(self, datagram: bytes, now: float) -> None:
+        """Send a datagram; a network that does not take it is a lost server."""
+        try:
+            self._sockets.send(datagram)
+            self.network = ""
+        except OSError as error:
+            self.network_failed(error, now)
+
+    def network_failed(self, error: OSError, now: float) -> None:
+        """The network is not there."""
+        self.network = error.strerror or str(error)
+        self._lose(now)
+        self._sockets.close()
+
+    def _lose(self, now: float) -> None:
+        if self.state == CONNECTED:
+            self.state = LOST
+        self._forget()
+        if self.settings.multicast:  # the membership may have gone with the network
+            self._sockets.close()
+
+    def _restart(self, now: float) -> None:
+        """The server is another one, or leaves."""
+        self.state = CONNECTING
+        self._forget()
+        self._connecting.succeeded()
+
+    def _forget(self) -> None:
+        self.streaming = False
+        self.models = None
+        self.echoes = EchoClock(0)
+        self._pending.clear()
+
+    def _connect(self, now: float) -> None:
+        self._connecting.failed(now)  # until it is answered
+        self._awaiting = True
+        if not self._sockets.opened:
+            try:
+                self._sockets.open()
+            except (OSError, DeviceError) as error:
+                self.network = str(error)
+                return
+        self.send(encode_connect("socket_testbed", self._bitstream), now)
+
+    def _stay(self, now: float) -> None:
+        """Keep the session alive and its knowledge fresh."""
+        if now >= self._next_keepalive:
+            self._next_keepalive = now + _KEEPALIVE
+            self.send(encode_message(KEEPALIVE), now)
+        if now >= self._next_echo:
+            quick = len(self.echoes) < _QUICK_ECHOES
+            quiet = now - self.last_frame > 0.5 * SILENCE
+            self._next_echo = now + (_ECHO_QUICK if quick else _ECHO_QUIET if quiet else _ECHO)
+            stamp = round(now * 1e9)
+            self._pending[stamp] = now
+            if len(self._pending) > _PENDING:
+                self._pending.popitem(last=False)
+            self.send(encode_echo(stamp), now)
+        if self._models_wanted and self.streaming and now >= self._next_models:
+            self._next_models = now + _MODELS_RETRY
+            self.send(encode_message(REQUEST_MODELDEF), now)
+
+    def _take_server_info(self, payload: bytes, now: float) -> None:
+        info = parse_server_info(payload)
+        if not self._awaiting:
+            if self.state == CONNECTED and info != self.server:
+                self._restart(now)
+            return
+        self._awaiting = False
+        if self.state != CONNECTED or info != self.server:
+            self._begin(info, now)
+        self._negotiate(info)
+
+    def _begin(self, info: ServerInfo, now: float) -> None:
+        self.state, self.server = CONNECTED, info
+        self.sessions += 1
+        self._forget()
+        self.echoes = EchoClock(info.clock)
+        self._gate.reset()
+        self._next_echo = self._next_keepalive = self._next_models = 0.0
+        self._models_wanted = True
+        self.last_frame = now
+        self._connecting.succeeded()
+        self.takes.restarted(now)
+
+    def _negotiate(self, info: ServerInfo) -> None:
+        """Settle the version of the stream; what Wi-Fi must carry is little."""
+        if self.settings.multicast or info.version < (4, 1):
+            self._version, self.streaming = info.version, True
+            return
+        session = self.sessions
+        wanted = min(self._bitstream, info.version)
+        self.streaming = False
+
+        def settle(answer: Answer) -> None:
+            if session != self.sessions or self.state != CONNECTED:
+                return
+            if answer.response is None:
+                self._negotiate(info)
+                return
+            told = re.search(r"(\d+)\.(\d+)", answer.response.text)
+            if not answer.accepted:
+                self._version = info.version
+            elif told:
+                self._version = (int(told[1]), int(told[2]))
+            else:
+                self._version = wanted
+            self.streaming = True
+            for text in _SUBSCRIPTIONS:
+                subscribe(text)
+
+        def subscribe(text: str) -> None:
+            def done(answer: Answer) -> None:
+                if answer.response is None and session == self.sessions:
+                    subscribe(text)
+
+            self._commands.submit(text, done)
+
+        self._commands.submit(f"Bitstream,{wanted[0]}.{wanted[1]}", settle)
+
+    def _take_models(self, payload: bytes, now: float) -> None:
+        if self.streaming:
+            self.models = parse_model_definitions(payload, self._version)
+            self._models_wanted = False
+            self._next_models = now + _MODELS_AGAIN
+
+    def _take_echo(self, payload: bytes, now: float) -> None:
+        stamp, ticks = parse_echo(payload)
+        request = self._pending.pop(stamp, None)
+        if request is not None and not self.echoes.add(request, ticks, now):
+            self._restart(now)
+
+    def _take_frame(self, payload: bytes, now: float) -> None:
+        if not self.streaming:
+            return
+        frame = parse_frame(payload, self._version)
+        self.last_frame = now
+        self._connecting.succeeded()
+        taken = self._gate.is_next(frame.number, now)
+        if taken:
+            self.takes.saw(frame.recording, now)
+            self._watch_models(frame)
+            moment = self.echoes.to_steady(frame.mid_exposure)
+            if moment is None:
+                return
+            taken = self._gate.is_plausible(moment, now)
+            if taken:
+                self._on_frame(frame, moment, self.models)
+                self.statistics.delivered(now)
+        if not taken and self._gate.suspects(now):
+            self._restart(now)
+
+    def _watch_models(self, frame: Frame) -> None:
+        changed = frame.models_changed and not self._models_changed
+        self._models_changed = frame.models_changed
+        if changed:
+            self._next_models = 0.0
+            self._models_wanted = True
+        elif self.models is not None and not self.models.ids().issuperset(
+            body.id for body in frame.bodies
+        ):
+            self._models_wanted = True  # at most once a second

@@ -1,0 +1,175 @@
+"""The UDP sockets towards a NatNet server."""
+
+from __future__ import annotations
+
+import errno
+import ipaddress
+import selectors
+import socket
+from collections.abc import Iterator
+from contextlib import suppress
+
+from socket_testbed.acquisition_settings import MocapSettings
+from socket_testbed.drivers.natnet_protocol import LARGEST_DATAGRAM, Version
+from socket_testbed.errors import ConfigurationError, DeviceError
+
+_BUFFER = 1 << 20  # [bytes]; the frames of a second
+_AT_ONCE = 64  # datagrams
+
+
+def server_address(settings: MocapSettings) -> tuple[str, int]:
+    """Address of the server's command port.
+
+    Raises:
+        ConfigurationError: If it is not given or not known, or another address is none.
+    """
+    if not settings.server.strip():
+        raise ConfigurationError(
+            "mocap_node: server is empty", "give the address of the computer that runs Motive"
+        )
+    for name, value in (("multicast", settings.multicast), ("interface", settings.interface)):
+        if value:
+            _check_address(name, value)
+    try:
+        found = socket.getaddrinfo(
+            settings.server.strip(), settings.command_port, socket.AF_INET, socket.SOCK_DGRAM
+        )
+    except (OSError, UnicodeError) as error:
+        raise ConfigurationError(
+            f"mocap_node: server '{settings.server}' is not known ({error})",
+            "give the address of the computer that runs Motive, such as 192.168.1.2",
+        ) from None
+    return str(found[0][4][0]), settings.command_port
+
+
+def bitstream_version(settings: MocapSettings) -> Version:
+    """The version of the stream to ask for.
+
+    Raises:
+        ConfigurationError: If it is none.
+    """
+    parts = settings.bitstream.split(".")
+    if len(parts) != 2 or not all(p.isascii() and p.isdigit() and int(p) < 256 for p in parts):
+        raise ConfigurationError(
+            f"mocap_node: bitstream is '{settings.bitstream}'", "give a version such as 4.1"
+        )
+    return int(parts[0]), int(parts[1])
+
+
+def _check_address(name: str, value: str) -> None:
+    try:
+        address = ipaddress.IPv4Address(value)
+    except ValueError:
+        raise ConfigurationError(
+            f"mocap_node: {name} is '{value}'", "give an IPv4 address, or nothing"
+        ) from None
+    if name == "multicast" and not address.is_multicast:
+        raise ConfigurationError(
+            f"mocap_node: multicast is '{value}', which is no group", "give 239.255.42.99, say"
+        )
+
+
+class NatNetSockets:
+    """One socket for commands and, in unicast, data; another for a group's data.
+
+    Args:
+        settings: The settings.
+        server: Address of the server's command port.
+    """
+
+    def __init__(self, settings: MocapSettings, server: tuple[str, int]) -> None:
+        self._settings = settings
+        self._server = server
+        self._selector: selectors.DefaultSelector | None = None
+        self._command: socket.socket | None = None
+        self._sockets: list[socket.socket] = []
+
+    @property
+    def opened(self) -> bool:
+        """Whether the sockets are open."""
+        return self._command is not None
+
+    def open(self) -> None:
+        """Open the sockets, or open them anew.
+
+        Raises:
+            DeviceError: If another program has the data port.
+            OSError: If the network is not there.
+        """
+        self.close()
+        interface = self._settings.interface
+        self._selector = selectors.DefaultSelector()
+        try:
+            command = self._add((interface, 0))
+            if self._settings.multicast:
+                self._join(self._settings.multicast, interface or "0.0.0.0")
+        except BaseException:
+            self.close()
+            raise
+        self._command = command
+
+    def _add(self, address: tuple[str, int]) -> socket.socket:
+        udp = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._sockets.append(udp)
+        udp.setblocking(False)
+        udp.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _BUFFER)
+        if address[1]:
+            udp.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        udp.bind(address)
+        assert self._selector is not None
+        self._selector.register(udp, selectors.EVENT_READ)
+        return udp
+
+    def _join(self, group: str, interface: str) -> None:
+        port = self._settings.data_port
+        try:
+            data = self._add((group, port))  # bound to the group, other groups stay out
+        except OSError as error:
+            if error.errno != errno.EADDRINUSE:
+                raise
+            raise DeviceError(
+                f"mocap_node: another program has the data port {port}",
+                "end the other NatNet client, or stream unicast",
+            ) from None
+        membership = socket.inet_aton(group) + socket.inet_aton(interface)
+        data.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, membership)
+
+    def send(self, datagram: bytes) -> None:
+        """Send a datagram to the server.
+
+        Raises:
+            OSError: If the network does not take it.
+        """
+        if self._command is None:
+            raise OSError(errno.ENOTCONN, "no socket")
+        with suppress(BlockingIOError):
+            self._command.sendto(datagram, self._server)
+
+    def receive(self, timeout: float) -> Iterator[tuple[bytes, str]]:
+        """Datagrams that came, and the host each is from; at most some at once.
+
+        Args:
+            timeout: How long to wait for the first [s].
+        """
+        if self._selector is None:
+            return
+        for key, _ in self._selector.select(timeout):
+            udp = key.fileobj
+            assert isinstance(udp, socket.socket)
+            for _ in range(_AT_ONCE):
+                try:
+                    datagram, sender = udp.recvfrom(LARGEST_DATAGRAM)
+                except BlockingIOError:
+                    break
+                except OSError:  # what a host on the way refused
+                    continue
+                yield datagram, sender[0]
+
+    def close(self) -> None:
+        """Close the sockets."""
+        for udp in self._sockets:
+            udp.close()
+        self._sockets.clear()
+        if self._selector is not None:
+            self._selector.close()
+        self._selector = self._command = None

@@ -1,0 +1,97 @@
+"""What went right and wrong on the link to a NatNet server, now and in all."""
+
+from __future__ import annotations
+
+import threading
+from collections import deque
+
+_RECENT = 0.8  # [s]; a fault that ended is not told any more within a second
+_SPAN = 1.0  # [s]; over which the rate is measured
+_MOST = 2000  # events
+_STEADY = 0.04  # [-]; change of the rate that is told
+
+KINDS = {
+    "bad": "bad datagrams",
+    "lost": "lost frames",
+    "late": "duplicate or late frames",
+    "implausible": "frames of implausible time",
+    "failed": "frames that could not be used",
+}
+
+
+class LinkStatistics:
+    """Counts frames and faults; any thread may ask, one counts."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._recent: dict[str, deque[tuple[float, int]]] = {
+            kind: deque(maxlen=_MOST) for kind in KINDS
+        }
+        self._totals = dict.fromkeys(KINDS, 0)
+        self._frames: deque[float] = deque(maxlen=_MOST)
+        self._delivered = 0
+        self._told = 0.0  # [Hz]
+        self._warning = ("", 0.0, frozenset[str]())
+        self.last_error = ""
+
+    def count(self, kind: str, now: float, number: int = 1, error: str = "") -> None:
+        """Count a fault."""
+        with self._lock:
+            self._totals[kind] += number
+            self._recent[kind].append((now, number))
+            if error:
+                self.last_error = error
+
+    def delivered(self, now: float) -> None:
+        """Count a frame that was delivered."""
+        with self._lock:
+            self._delivered += 1
+            self._frames.append(now)
+
+    def quiet(self, now: float) -> float:
+        """Time since the last frame that was delivered [s]."""
+        with self._lock:
+            return now - self._frames[-1] if self._frames else float("inf")
+
+    def rate(self, now: float) -> float:
+        """Frames delivered a second, over the last one [Hz]."""
+        with self._lock:
+            while self._frames and self._frames[0] < now - _SPAN:
+                self._frames.popleft()
+            if len(self._frames) < 2:
+                return 0.0
+            return (len(self._frames) - 1) / max(self._frames[-1] - self._frames[0], 1e-6)
+
+    def told_rate(self, now: float) -> float:
+        """The rate, the same until it has changed by some per cent [Hz]."""
+        rate = self.rate(now)
+        if abs(rate - self._told) > _STEADY * self._told:
+            self._told = rate
+        return self._told
+
+    def warning(self, now: float) -> str:
+        """The faults of the last second in one line; empty for none.
+
+        It is the same for half a second unless other kinds of faults come.
+        """
+        with self._lock:
+            counts = {
+                kind: sum(number for moment, number in events if moment > now - _RECENT)
+                for kind, events in self._recent.items()
+            }
+        kinds = frozenset(kind for kind, number in counts.items() if number)
+        text, since, told = self._warning
+        if kinds != told or now - since > 0.5:
+            text = ", ".join(f"{counts[kind]} {KINDS[kind]}" for kind in KINDS if kind in kinds)
+            if kinds & {"bad", "failed"}:
+                text += f" (the last: {self.last_error})"
+            self._warning = (text, now, kinds)
+        return text if kinds else ""
+
+    def figures(self) -> dict[str, object]:
+        """All counts since the begin, by name."""
+        with self._lock:
+            return {
+                "frames": self._delivered,
+                **{KINDS[kind].replace(" ", "_"): n for kind, n in self._totals.items()},
+            }

@@ -1,0 +1,219 @@
+"""The trigger: a pulse whose edge the kernel stamps, or the steady clock alone."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from datetime import timedelta
+from pathlib import Path
+from typing import Any, Protocol
+
+from socket_testbed.acquisition_settings import TriggerSettings
+from socket_testbed.errors import DeviceError
+
+_CONSUMER = "socket_testbed"
+
+
+class Lines(Protocol):
+    """The output and input line of a GPIO chip: what the trigger uses of gpiod."""
+
+    def set(self, active: bool) -> None:
+        """Set the output line."""
+
+    def edges(self, within: float) -> list[float]:
+        """Rising edges of the input line by their times on the steady clock [s].
+
+        Args:
+            within: How long to wait for the first [s].
+        """
+
+    def close(self) -> None:
+        """Give the lines back."""
+
+
+class Trigger(Protocol):
+    """What makes a trigger."""
+
+    def fire(self) -> float:
+        """Trigger; returns its time on the steady clock [s].
+
+        Raises:
+            DeviceError: If there was none.
+        """
+
+    def rest(self) -> None:
+        """End the pulse."""
+
+    def close(self) -> None:
+        """Give back what it holds."""
+
+
+class TimerTrigger:
+    """A trigger without a wire: its time is that of the call."""
+
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+        self.fire = clock
+
+    def rest(self) -> None:
+        """There is no pulse."""
+
+    def close(self) -> None:
+        """Nothing is held."""
+
+
+class GpioTrigger:
+    """A pulse on a line, stamped by the kernel at its edge on another line wired to it.
+
+    Args:
+        lines: The two lines.
+        settings: How long to wait for the edge, and the pulse.
+        clock: The steady clock [s].
+        sleep: Sleeps for a time [s].
+
+    Attributes:
+        stray: Number of edges that belonged to no pulse.
+    """
+
+    def __init__(
+        self,
+        lines: Lines,
+        settings: TriggerSettings,
+        clock: Callable[[], float] = time.monotonic,
+        sleep: Callable[[float], None] = time.sleep,
+    ) -> None:
+        self._lines = lines
+        self._settings = settings
+        self._clock = clock
+        self._sleep = sleep
+        self._begun = 0.0
+        self.stray = 0
+
+    def fire(self) -> float:
+        """Begin a pulse; returns the time of its edge on the steady clock [s].
+
+        Raises:
+            DeviceError: If no edge came in time. One that comes later is not taken for that
+                of another pulse.
+        """
+        try:
+            self.stray += len(self._lines.edges(0.0))
+            self._begun = self._clock()
+            self._lines.set(True)
+            deadline = self._begun + self._settings.edge_within
+            left = self._settings.edge_within
+            while left >= 0.0:
+                for edge in self._lines.edges(left):
+                    if self._begun <= edge <= deadline:
+                        return edge
+                    self.stray += 1
+                # Whenever this process gets to it, the kernel's stamp is what counts.
+                left = max(0.0, deadline - self._clock()) if left > 0.0 else -1.0
+        except OSError as error:
+            raise DeviceError(
+                f"the GPIO lines cannot be used ({error.strerror or error})",
+                "check that no other program holds them",
+            ) from None
+        settings = self._settings
+        raise DeviceError(
+            f"no edge on line {settings.input_line} within {settings.edge_within * 1e3:g} ms of"
+            f" the pulse on line {settings.output_line}",
+            "check the wire between the two lines",
+        )
+
+    def rest(self) -> None:
+        """End the pulse when it has lasted long enough."""
+        self._sleep(max(0.0, self._begun + self._settings.pulse - self._clock()))
+        try:
+            self._lines.set(False)
+        except OSError:
+            return  # the next pulse says so
+
+    def close(self) -> None:
+        """Give the lines back."""
+        self._lines.close()
+
+
+class GpiodLines:
+    """The lines of a GPIO chip, through gpiod.
+
+    Args:
+        settings: The chip's label and the numbers of the lines.
+
+    Raises:
+        DeviceError: If the chip is not there, or may not be used.
+    """
+
+    def __init__(self, settings: TriggerSettings) -> None:
+        try:
+            import gpiod
+            from gpiod.line import Clock, Direction, Edge, Value
+        except ImportError:
+            raise DeviceError(
+                "gpiod cannot be imported",
+                "pip install -r requirements/hardware.txt, or set trigger_node's source to timer",
+            ) from None
+        self._output, self._input = settings.output_line, settings.input_line
+        self._values = (Value.INACTIVE, Value.ACTIVE)
+        lines: dict[Any, Any] = {
+            self._output: gpiod.LineSettings(direction=Direction.OUTPUT),
+            self._input: gpiod.LineSettings(
+                direction=Direction.INPUT,
+                edge_detection=Edge.RISING,
+                # Not the system's clock: that one may be set while a trial runs.
+                event_clock=Clock.MONOTONIC,
+            ),
+        }
+        path = _chip(gpiod, settings.chip)
+        try:
+            self._request = gpiod.request_lines(path, consumer=_CONSUMER, config=lines)
+        except PermissionError:
+            raise _not_permitted(path) from None
+        except (OSError, ValueError) as error:
+            raise DeviceError(
+                f"{path}: lines {self._output} and {self._input} cannot be had ({error})",
+                "check that no other program or overlay uses them",
+            ) from None
+
+    def set(self, active: bool) -> None:
+        """Set the output line."""
+        self._request.set_value(self._output, self._values[active])
+
+    def edges(self, within: float) -> list[float]:
+        """Rising edges by their times on the steady clock [s]; waits for the first."""
+        if not self._request.wait_edge_events(timedelta(seconds=max(within, 0.0))):
+            return []
+        return [event.timestamp_ns * 1e-9 for event in self._request.read_edge_events()]
+
+    def close(self) -> None:
+        """Give the lines back."""
+        self._request.release()
+
+
+def _chip(gpiod: Any, label: str) -> str:
+    """Path of the chip with a label; its number differs from kernel to kernel."""
+    labels = []
+    refused: str | None = None
+    for path in sorted(Path("/dev").glob("gpiochip*")):
+        try:
+            with gpiod.Chip(str(path)) as chip:
+                labels.append(chip.get_info().label)
+        except PermissionError:
+            refused = str(path)
+            continue
+        except OSError:
+            continue
+        if labels[-1] == label:
+            return str(path)
+    if refused is not None:
+        raise _not_permitted(refused)
+    raise DeviceError(
+        f"there is no GPIO chip '{label}' (there is {', '.join(labels) or 'none'})",
+        "set trigger_node's chip, or its source to timer",
+    )
+
+
+def _not_permitted(path: str) -> DeviceError:
+    return DeviceError(
+        f"{path}: permission denied",
+        "add the user to the group of that file (gpio or dialout), then log in again",
+    )

@@ -1,0 +1,164 @@
+"""Trigger node: one trigger for all sensors, with the stamp that all measurements carry.
+
+Publishes: trigger, /diagnostics. Service: trigger/enable.
+
+The stamp is the system clock as it was when the node started, advanced by the steady clock: the
+system clock may be set while a trial runs. The sequence counts pulses: one that is not seen
+leaves a gap in it.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+
+from rclpy.node import Node
+from rclpy.task import Future
+from socket_testbed_msgs.msg import Trigger as TriggerMessage
+from std_srvs.srv import SetBool
+
+from socket_testbed.acquisition_settings import TriggerSettings
+from socket_testbed.drivers.trigger import Trigger
+from socket_testbed.errors import DeviceError
+from socket_testbed.hardware import make_trigger, wall_clock
+from socket_testbed.nodes.conversions import header_to_ros
+from socket_testbed.nodes.diagnostics import ERROR, OK, WARN, Diagnostics
+from socket_testbed.nodes.followers import Followers
+from socket_testbed.nodes.parameters import Parameters
+from socket_testbed.nodes.runtime import publisher_qos, run_node
+from socket_testbed.steady_clock import SteadyClock
+from socket_testbed.trials.topics import TRIGGER
+
+_READY_WITHIN = 15.0  # [s]; for the nodes waited for
+_RECENT = 0.5  # [s]; how long a fault is told after its last trigger
+_STEP = 0.01  # [s]; of the system clock that is worth a word
+_REOPEN = 0.3  # [s]
+
+
+class TriggerNode(Node):
+    """Triggers from a thread of its own, at an even pace on the steady clock."""
+
+    def __init__(self) -> None:
+        super().__init__("trigger_node")
+        self.finished = Future()
+        self._adjustable = Parameters(self, TriggerSettings)
+        settings = self._adjustable.settings
+        self._epoch = SteadyClock(wall_clock(settings))
+        self._trigger: Trigger | None = None
+        self._sequence = 0
+        self._unseen = 0
+        self._late = 0
+        self._fault = ("", 0.0)
+        self._enabled = threading.Event()
+        if settings.enabled:
+            self._enabled.set()
+        self._stopping = threading.Event()
+        self._waiting = ""
+        self._publisher = self.create_publisher(
+            TriggerMessage, TRIGGER.name, publisher_qos(TRIGGER)
+        )
+        self._followers = Followers(self, settings.wait_for, self._stopping.is_set)
+        self._service = self.create_service(SetBool, "trigger/enable", self._on_enable)
+        self._diagnostics = Diagnostics(
+            self,
+            lambda: {"pulses": self._sequence, "unseen": self._unseen, "late": self._late},
+            offered=(self._publisher,),
+            look=self._look,
+        )
+        self._thread = threading.Thread(target=self._run, name="trigger")
+        self._thread.start()
+
+    def close(self) -> None:
+        """Stop triggering."""
+        self._stopping.set()
+        self._enabled.set()
+        self._thread.join()
+
+    def _on_enable(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
+        if request.data:
+            self._enabled.set()
+        else:
+            self._enabled.clear()
+        response.success = True
+        response.message = "triggering" if request.data else "not triggering"
+        return response
+
+    def _run(self) -> None:
+        try:
+            self._await_followers()
+            due = time.monotonic()
+            while not self._stopping.is_set():
+                if not self._enabled.is_set():
+                    self._enabled.wait()
+                    due = time.monotonic()
+                    continue
+                period = 1.0 / self._adjustable.settings.rate
+                due += period
+                if (behind := time.monotonic() - due) > period:
+                    self._late += int(behind / period)
+                    due = time.monotonic()
+                if self._stopping.wait(max(0.0, due - time.monotonic())):
+                    break
+                self._fire()
+            if self._trigger is not None:
+                self._trigger.close()
+        except Exception:
+            # After Ctrl-C the publisher goes before this thread does.
+            if self.context.ok():
+                raise
+
+    def _fire(self) -> None:
+        try:
+            if self._trigger is None:
+                self._trigger = make_trigger(self._adjustable.settings)
+            self._sequence += 1
+            stamp = self._epoch.to_epoch(self._trigger.fire())
+        except DeviceError as error:
+            self._unseen += self._trigger is not None
+            self._fault = (str(error), time.monotonic())
+            if self._trigger is None:
+                self._stopping.wait(_REOPEN)
+        else:
+            header = header_to_ros(stamp)
+            self._publisher.publish(TriggerMessage(header=header, sequence=self._sequence))
+        if self._trigger is not None:
+            self._trigger.rest()
+
+    def _await_followers(self) -> None:
+        """Let the nodes that measure be linked before the first trigger."""
+
+        def ready() -> bool:
+            linked = self._publisher.get_subscription_count()
+            return not self._followers.unlinked and linked >= self.count_subscribers(TRIGGER.name)
+
+        if not self._followers.wait(ready, _READY_WITHIN) and not self._stopping.is_set():
+            lacking = ", ".join(f"{n} ({w})" for n, w in self._followers.unlinked.items())
+            self.get_logger().warning(
+                f"triggering without waiting any longer for {lacking or 'subscribers'}"
+            )
+
+    def _look(self) -> None:
+        fault, when = self._fault
+        step = self._epoch.step()
+        if fault and time.monotonic() - when < max(_RECENT, 1.5 / self._adjustable.settings.rate):
+            self._diagnostics.report(ERROR, fault)
+        elif not self._enabled.is_set():
+            self._diagnostics.report(WARN, "not enabled: call trigger/enable")
+        elif abs(step) > _STEP:
+            self._diagnostics.report(
+                WARN,
+                f"the system clock was set by {step:+.3f} s: stamps go on steadily;"
+                " restart after the trial to take the new time over",
+            )
+        elif self._sequence:
+            rate = self._adjustable.settings.rate
+            self._diagnostics.report(OK, f"triggering at {rate:g} Hz")
+
+
+def main() -> None:
+    """Run the node."""
+    run_node(TriggerNode)
+
+
+if __name__ == "__main__":
+    main()

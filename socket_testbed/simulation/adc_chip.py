@@ -1,0 +1,232 @@
+"""The converter ADS131M06 or ADS131M08 at the level of its registers, and a load cell on it."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Mapping
+
+import numpy as np
+
+from socket_testbed.acquisition_settings import LoadCellSettings
+from socket_testbed.arrays import FloatArray
+from socket_testbed.drivers.bridges import check_settings
+from socket_testbed.simulation.adc_registers import AdcRegisters
+
+_RESET, _STANDBY, _WAKEUP, _LOCK, _UNLOCK = 0x0011, 0x0022, 0x0033, 0x0555, 0x0655
+_RREG, _WREG = 0xA000, 0x6000
+_WORD = 3  # [bytes]
+_START_UP = 300  # modulator clocks
+_FAST = 2  # conversions after a start that come from the fast filter
+_FAST_ERROR = 0.01  # [V]; far more than the real one, so that nobody can take them for good
+_WAITING = 2  # conversions that the FIFO holds
+
+
+class SimulatedAds131m0x:
+    """One converter on its bus: what `drivers.spi.SpiDevice` describes.
+
+    Args:
+        volts: Called with a time of the steady clock [s] for the voltages at the inputs,
+            shape (channels,) [V].
+        channels: 6 (M06) or 8 (M08).
+        faults: The faults that are on; see `simulation.faults`.
+        clock: The steady clock [s].
+        clock_in: Clock of the converter [Hz].
+        seed: Seed of the flipped bits.
+    """
+
+    def __init__(
+        self,
+        volts: Callable[[float], FloatArray],
+        channels: int = 6,
+        faults: Mapping[str, float] | None = None,
+        clock: Callable[[], float] = time.monotonic,
+        clock_in: float = 8.192e6,
+        seed: int | None = None,
+    ) -> None:
+        self._volts = volts
+        self._channels = channels
+        self._faults = {} if faults is None else faults
+        self._clock = clock
+        self._modulator = clock_in / 2.0  # [Hz]
+        self._rng = np.random.default_rng(seed)
+        self._response: list[int] = []  # empty: STATUS, as it is when it is sent
+        self._unplugged = False
+        self._next_dip: float | None = None  # of the supply [s]
+        self._power_on(clock())
+
+    def close(self) -> None:
+        """Nothing: the chip stays where it is."""
+
+    def xfer2(self, data: list[int], /) -> list[int]:
+        """Exchange one frame."""
+        now = self._clock()
+        if self._fault("unplugged"):
+            self._unplugged = True
+            return [0] * len(data)
+        if self._unplugged:
+            self._unplugged = False
+            self._power_on(now)
+        self._dip(now)
+        self._convert(now)
+        words = [int.from_bytes(data[k : k + 2], "big") for k in range(0, len(data) - 2, _WORD)]
+        complete = len(words) >= self._channels + 2
+        answer = self._answer(len(data), complete)
+        if len(data) % _WORD or not words:
+            self._response = []
+        elif words[0] == _RESET and not complete:
+            self._response = [_RESET]  # which says that there was none
+        else:
+            self._execute(words, now)
+        if self._rng.random() < self._fault("flipped_bits"):
+            bit = int(self._rng.integers(8 * len(answer)))
+            answer[bit // 8] ^= 1 << bit % 8
+        return answer
+
+    def _fault(self, name: str) -> float:
+        return self._faults.get(f"load_cell.{name}", 0.0)
+
+    def _power_on(self, now: float) -> None:
+        self._registers = AdcRegisters(self._channels)
+        self._response = []
+        self._standby = False
+        self._latest = [0] * self._channels
+        self._start(now)
+
+    def _start(self, now: float) -> None:
+        """Begin to convert anew, at the rate and gain that are set."""
+        self._began = now
+        self._count = 0
+        self._fifo: list[list[int]] = []
+        self._period = self._registers.oversampling / self._modulator
+
+    def _dip(self, now: float) -> None:
+        every = self._fault("brown_out")
+        if every <= 0.0:
+            self._next_dip = None
+        elif self._next_dip is None:
+            self._next_dip = now + every
+        elif now >= self._next_dip:
+            self._next_dip = now + every
+            self._power_on(now)
+
+    def _convert(self, now: float) -> None:
+        if self._standby:
+            return
+        first = self._began + _START_UP / self._modulator
+        over = math.floor((now - first) / self._period + 1e-9)
+        if not self._fault("frozen"):
+            while self._count < over and len(self._fifo) < _WAITING:
+                self._count += 1
+                self._fifo.append(self._conversion(first + self._count * self._period))
+        self._count = max(self._count, over)  # what finds no room is lost
+
+    def _conversion(self, end: float) -> list[int]:
+        """Codes of the conversion that ends at a time [s]."""
+        if self._count <= _FAST:
+            volts = self._volts(end - 0.5 * self._period) + _FAST_ERROR
+        else:
+            # Two points with the mean and the variance of the filter's impulse response: that
+            # is exact for whatever bends no more than a cubic.
+            mean, deviation = self._filter()
+            volts = 0.5 * (
+                self._volts(end - mean - deviation) + self._volts(end - mean + deviation)
+            )
+        rail = int(self._fault("rail")) - 1
+        codes = []
+        for channel in range(self._channels):
+            code = round(volts[channel] * self._registers.gain(channel) * 2**23 / 1.2)
+            code = max(-0x800000, min(0x7FFFFF, code))
+            codes.append(0x7FFFFF if channel == rail else code & 0xFFFFFF)
+        return codes
+
+    def _filter(self) -> tuple[float, float]:
+        """Mean and deviation of the impulse response [s]: three boxes, then a mean of several."""
+        inner = min(self._registers.oversampling, 1024)
+        several = self._registers.oversampling // inner
+        samples = 3.0 * (inner - 1) / 2.0 + inner * (several - 1) / 2.0
+        variance = 3.0 * (inner**2 - 1) / 12.0 + inner**2 * (several**2 - 1) / 12.0
+        return samples / self._modulator, math.sqrt(variance) / self._modulator
+
+    def _answer(self, length: int, complete: bool) -> list[int]:
+        response = self._response or [self._registers.status(bool(self._fifo))]
+        words = [word << 8 for word in response]
+        if len(response) == 1:
+            if self._fifo:
+                self._latest = self._fifo.pop(0) if complete else self._fifo[0]
+            enabled = self._registers.enabled
+            words += [code if enabled >> k & 1 else 0 for k, code in enumerate(self._latest)]
+        answer = b"".join(word.to_bytes(_WORD, "big") for word in words)
+        answer += self._registers.checksum(answer).to_bytes(2, "big") + b"\0"
+        return list(answer[:length].ljust(length, b"\0"))
+
+    def _execute(self, words: list[int], now: float) -> None:
+        command, self._response = words[0], []
+        address, count = command >> 7 & 0x3F, (command & 0x7F) + 1
+        if command & 0xE000 == _RREG:
+            values = [self._registers.read(address + k, bool(self._fifo)) for k in range(count)]
+            head = 0xE000 | command & 0x1FFF
+            self._response = values if count == 1 else [head, *values]
+        elif command == _UNLOCK:
+            self._registers.locked, self._response = False, [command]
+        elif self._registers.locked:
+            return
+        elif command & 0xE000 == _WREG:
+            written, anew = self._registers.write(address, words[1 : 1 + count])
+            if anew:
+                self._start(now)
+            self._response = [0x4000 | address << 7 | written - 1 & 0x7F]
+        elif command == _RESET:
+            self._power_on(now)
+            self._response = [0xFF20 | self._channels]
+        elif command in (_STANDBY, _WAKEUP, _LOCK):
+            self._response = [command]
+            self._registers.locked = command == _LOCK
+            if self._standby and command == _WAKEUP:
+                self._start(now)
+            self._standby = command == _STANDBY or (self._standby and command == _LOCK)
+
+
+class SimulatedLoadCellHardware:
+    """A load cell whose bridges are on a simulated converter.
+
+    Args:
+        wrench: Called with a time of the steady clock [s] for what the cell feels, [M; F],
+            shape (6,) [N m, N].
+        settings: What its driver believes of it.
+        faults: The faults that are on; see `simulation.faults`.
+        clock: The steady clock [s].
+        seed: Seed of the flipped bits.
+
+    Raises:
+        ConfigurationError: If a setting is wrong.
+    """
+
+    def __init__(
+        self,
+        wrench: Callable[[float], FloatArray],
+        settings: LoadCellSettings,
+        faults: Mapping[str, float] | None = None,
+        clock: Callable[[], float] = time.monotonic,
+        seed: int | None = None,
+    ) -> None:
+        check_settings(settings)
+        self._wrench = wrench
+        self._inputs = list(settings.inputs)
+        self._channels = settings.channels
+        to_ratio = np.linalg.inv(np.array(settings.matrix).reshape(6, 6))
+        per_bridge = np.array(settings.sign) * settings.excitation * settings.amplifier_gain
+        self._to_volts = 1e-3 * per_bridge[:, None] * to_ratio
+        self._chip = SimulatedAds131m0x(
+            self._volts, settings.channels, faults, clock, settings.clock_in, seed
+        )
+
+    def open_device(self) -> SimulatedAds131m0x:
+        """The converter's bus."""
+        return self._chip
+
+    def _volts(self, moment: float) -> FloatArray:
+        wrench = self._wrench(moment)
+        volts = np.zeros(self._channels)
+        volts[self._inputs] = self._to_volts @ np.concatenate([wrench[3:], wrench[:3]])
+        return volts

@@ -1,0 +1,263 @@
+"""What a NatNet server sends, of versions 2.6 to 4.4, and how it comes to lie."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from struct import Struct, pack, pack_into
+
+import numpy as np
+
+from socket_testbed.arrays import FloatArray
+from socket_testbed.drivers.natnet_protocol import FRAME, MODELDEF, SERVERINFO, ServerInfo, Version
+
+OCCLUDED, SOLVED, MODEL_FILLED, HAS_MODEL, UNLABELLED = 1, 2, 4, 8, 16
+
+_HEADER = Struct("<HH")
+_BODY = Struct("<i8fh")
+_MARKER = Struct("<i4fh")
+_LIES = (-1, 0, 1, 2, 7, 1000, 0x7FFFFFFF, -0x80000000)
+
+
+@dataclass(frozen=True)
+class Body:
+    """A rigid body in a frame: id, position [m], quaternion (x, y, z, w), marker positions [m]."""
+
+    id: int
+    position: FloatArray
+    quaternion: FloatArray
+    markers: FloatArray
+    tracked: bool = True
+
+
+@dataclass(frozen=True)
+class Marker:
+    """A labelled marker in a frame: model, member, position [m], flags."""
+
+    model: int
+    member: int
+    position: FloatArray
+    flags: int = SOLVED | HAS_MODEL
+
+
+@dataclass(frozen=True)
+class Content:
+    """All that a frame can hold.
+
+    Attributes:
+        number: Frame number.
+        ticks: Server's clock at mid-exposure, at data received and at transmission [ticks].
+        timestamp: Time since the server's begin [s].
+        bodies: Rigid bodies.
+        markers: Labelled markers.
+        marker_sets: Marker positions by the set's name, shape (m, 3) each [m].
+        others: Unlabelled markers, shape (m, 3) [m].
+        skeletons: Ids of skeletons and their bodies.
+        assets: Ids of assets, their bodies and their markers; from 4.1 on.
+        plates: Ids of force plates and their channels' values.
+        devices: Ids of devices and their channels' values.
+        recording: Whether the server records.
+        models_changed: Whether its rigid bodies have changed.
+    """
+
+    number: int
+    ticks: tuple[int, int, int] = (0, 0, 0)
+    timestamp: float = 0.0
+    bodies: Sequence[Body] = ()
+    markers: Sequence[Marker] = ()
+    marker_sets: dict[str, FloatArray] = field(default_factory=dict)
+    others: FloatArray = field(default_factory=lambda: np.empty((0, 3)))
+    skeletons: Sequence[tuple[int, Sequence[Body]]] = ()
+    assets: Sequence[tuple[int, Sequence[Body], Sequence[Marker]]] = ()
+    plates: Sequence[tuple[int, Sequence[Sequence[float]]]] = ()
+    devices: Sequence[tuple[int, Sequence[Sequence[float]]]] = ()
+    recording: bool = False
+    models_changed: bool = False
+
+
+@dataclass(frozen=True)
+class Definition:
+    """A rigid body's definition: name, id, marker positions in the body, shape (m, 3) [m]."""
+
+    name: str
+    id: int
+    markers: FloatArray
+
+
+@dataclass
+class Message:
+    """A message as it is written: its bytes, and where in them counts stand."""
+
+    data: bytearray
+    counts: list[int] = field(default_factory=list)
+
+    @classmethod
+    def of(cls, message: int, payload: bytes = b"") -> Message:
+        """A message with a payload that holds no counts."""
+        return cls(bytearray(_HEADER.pack(message, len(payload)) + payload))
+
+    def finished(self) -> Message:
+        """The message, its header told its size."""
+        pack_into("<H", self.data, 2, len(self.data) - 4)
+        return self
+
+    def lying(self, rng: np.random.Generator) -> bytes:
+        """Its bytes with one count changed; its header's size if there is no other."""
+        data = bytearray(self.data)
+        if not self.counts:
+            pack_into("<H", data, 2, (len(data) - 4 + int(rng.integers(1, 60000))) % 65536)
+            return bytes(data)
+        at = int(rng.choice(self.counts))
+        true = int.from_bytes(data[at : at + 4], "little", signed=True)
+        lies = [lie for lie in (*_LIES, true - 1, true + 1) if lie != true]
+        pack_into("<i", data, at, int(rng.choice(lies)))
+        return bytes(data)
+
+    def add(self, data: bytes) -> None:
+        """Append bytes."""
+        self.data += data
+
+    def text(self, text: str) -> None:
+        """Append a text."""
+        self.data += text.encode() + b"\0"
+
+    def count(self, number: int) -> None:
+        """Append a count."""
+        self.counts.append(len(self.data))
+        self.data += pack("<i", number)
+
+    def section(self, number: int, sized: bool, content: Message) -> None:
+        """Append a section: its number of elements, its size if it tells that, its content."""
+        self.count(number)
+        if sized:
+            self.count(len(content.data))
+        self.counts += [len(self.data) + at for at in content.counts]
+        self.data += content.data
+
+
+def encode_server_info(info: ServerInfo) -> Message:
+    """SERVERINFO; before NatNet 3.0 it ends after the versions."""
+    data = info.name.encode()[:255].ljust(256, b"\0")
+    data += bytes(info.app_version) + bytes((*info.version, 0, 0))
+    if info.version >= (3, 0):
+        group = bytes(int(part) for part in (info.group or "0.0.0.0").split("."))
+        data += pack("<QHB", info.clock, info.data_port, info.multicast) + group
+    return Message.of(SERVERINFO, data)
+
+
+def encode_frame(content: Content, version: Version) -> Message:
+    """FRAME with all its sections."""
+    sized = version >= (4, 1)
+    frame = Message.of(FRAME, pack("<i", content.number))
+    part = Message(bytearray())
+    for name, positions in content.marker_sets.items():
+        part.text(name)
+        part.section(len(positions), False, Message(bytearray(_floats(positions))))
+    frame.section(len(content.marker_sets), sized, part)
+    frame.section(len(content.others), sized, Message(bytearray(_floats(content.others))))
+    frame.section(len(content.bodies), sized, _bodies(content.bodies, version))
+    part = Message(bytearray())
+    for identity, bodies in content.skeletons:
+        part.add(pack("<i", identity))
+        part.section(len(bodies), False, _bodies(bodies, version))
+    frame.section(len(content.skeletons), sized, part)
+    if version >= (4, 1):
+        part = Message(bytearray())
+        for identity, bodies, markers in content.assets:
+            part.add(pack("<i", identity))
+            part.section(len(bodies), False, _bodies(bodies, version))
+            part.section(len(markers), False, _markers(markers, version))
+        frame.section(len(content.assets), sized, part)
+    frame.section(len(content.markers), sized, _markers(content.markers, version))
+    if version >= (2, 9):
+        frame.section(len(content.plates), sized, _channels(content.plates))
+    if version >= (2, 11):
+        frame.section(len(content.devices), sized, _channels(content.devices))
+    frame.add(_suffix(content, version))
+    return frame.finished()
+
+
+def encode_model_definitions(definitions: Iterable[Definition], version: Version) -> Message:
+    """MODELDEF of rigid bodies, with the marker set that Motive makes of each."""
+    sized = version >= (4, 1)
+    message = Message.of(MODELDEF)
+    content = Message(bytearray())
+    number = 0
+    for definition in definitions:
+        members = [f"Marker {k + 1}" for k in range(len(definition.markers))]
+        marker_set = Message(bytearray())
+        marker_set.text(definition.name)
+        marker_set.count(len(members))
+        for member in members:
+            marker_set.text(member)
+        body = Message(bytearray())
+        body.text(definition.name)
+        body.add(pack("<ii3f", definition.id, -1, 0.0, 0.0, 0.0))
+        if version >= (4, 2):
+            body.add(pack("<4f", 0.0, 0.0, 0.0, 1.0))
+        if version >= (3, 0):
+            body.count(len(members))
+            body.add(_floats(definition.markers) + bytes(4 * len(members)))
+            if version >= (4, 0):
+                for member in members:
+                    body.text(member)
+        for kind, part in ((0, marker_set), (1, body)):
+            number += 1
+            content.add(pack("<i", kind))
+            if sized:
+                content.count(len(part.data))
+            content.counts += [len(content.data) + at for at in part.counts]
+            content.add(bytes(part.data))
+    message.section(number, False, content)
+    return message.finished()
+
+
+def _floats(values: FloatArray) -> bytes:
+    return np.asarray(values, dtype="<f4").tobytes()
+
+
+def _bodies(bodies: Iterable[Body], version: Version) -> Message:
+    part = Message(bytearray())
+    for body in bodies:
+        whole = _BODY.pack(body.id, *body.position, *body.quaternion, 1e-4, int(body.tracked))
+        if version >= (3, 0):
+            part.add(whole)
+            continue
+        part.add(whole[:32])
+        number = len(body.markers)
+        part.count(number)
+        part.add(_floats(body.markers) + pack(f"<{number}i", *range(1, number + 1)))
+        part.add(pack(f"<{number}f", *[0.014] * number) + whole[32:])
+    return part
+
+
+def _markers(markers: Iterable[Marker], version: Version) -> Message:
+    part = Message(bytearray())
+    for marker in markers:
+        identity = marker.model << 16 | marker.member
+        part.add(_MARKER.pack(identity, *marker.position, 0.014, marker.flags))
+        if version >= (3, 0):
+            part.add(pack("<f", 2e-4))
+    return part
+
+
+def _channels(plates: Iterable[tuple[int, Sequence[Sequence[float]]]]) -> Message:
+    part = Message(bytearray())
+    for identity, channels in plates:
+        part.add(pack("<i", identity))
+        part.count(len(channels))
+        for values in channels:
+            part.count(len(values))
+            part.add(pack(f"<{len(values)}f", *values))
+    return part
+
+
+def _suffix(content: Content, version: Version) -> bytes:
+    data = pack("<f", 0.004) if version < (3, 0) else b""
+    data += pack("<II", 0, 0) + pack("<d" if version >= (2, 7) else "<f", content.timestamp)
+    if version >= (3, 0):
+        data += pack("<QQQ", *content.ticks)
+    if version >= (4, 1):
+        data += pack("<II", 0, 0)
+    flags = int(content.recording) | 2 * int(content.models_changed)
+    return data + pack("<hi", flags, 0)

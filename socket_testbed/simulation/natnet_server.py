@@ -1,0 +1,286 @@
+"""A NatNet server on real sockets, as Motive would be on the network, with its faults."""
+
+from __future__ import annotations
+
+import select
+import socket
+import threading
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from struct import pack
+
+import numpy as np
+
+from socket_testbed.drivers.natnet_protocol import (
+    CONNECT,
+    DISCONNECT,
+    ECHOREQUEST,
+    ECHORESPONSE,
+    KEEPALIVE,
+    LARGEST_DATAGRAM,
+    REQUEST,
+    REQUEST_MODELDEF,
+    RESPONSE,
+    UNRECOGNIZED,
+    MalformedDatagram,
+    ServerInfo,
+    Version,
+    split_datagram,
+)
+from socket_testbed.simulation.natnet_encoding import (
+    Content,
+    Definition,
+    Message,
+    encode_frame,
+    encode_model_definitions,
+    encode_server_info,
+)
+from socket_testbed.simulation.natnet_network import FaultyNetwork
+from socket_testbed.simulation.natnet_scene import Bodies, Scene
+
+CLOCK = 10_000_000  # [Hz]
+_LATENCY = 0.004  # [s]; from mid-exposure to transmission
+_BEHIND = 0.05  # [s]; frames that are later than this are left out
+_SILENCE = 10.0  # [s]; after which a client is forgotten
+_VERSIONS = ((3, 0), (3, 1), (4, 0), (4, 1), (4, 2), (4, 3), (4, 4))  # a stream can be asked for
+
+Address = tuple[str, int]
+
+
+@dataclass
+class _Client:
+    heard: float
+    version: Version
+    subscribed: bool = False  # whether it gets only what it has subscribed to
+    subscriptions: set[str] = field(default_factory=set)
+
+
+class NatNetServer:
+    """Streams bodies to whom asks, from its construction on until it is closed.
+
+    Args:
+        bodies: The rigid bodies at a time of the steady clock [s]: each its name, its markers
+            in the world, shape (m, 3) [m], its position [m] and quaternion (x, y, z, w).
+        rate: Frame rate [Hz].
+        version: NatNet version.
+        address: Address of its command port; port 0 takes a free one.
+        multicast: Group and data port that it streams to; None: unicast.
+        faults: The faults `mocap.*` of `socket_testbed.simulation.faults`, looked up live.
+        noise: Standard deviation of a marker's coordinate [m].
+        seed: Seed of everything that is random.
+
+    Attributes:
+        takes: Names of the takes recorded, the one that is on included.
+        recording: Whether a take is on.
+        commands: All commands that came, as they came.
+    """
+
+    def __init__(
+        self,
+        bodies: Bodies,
+        rate: float = 240.0,
+        version: Version = (4, 1),
+        address: Address = ("127.0.0.1", 0),
+        multicast: Address | None = None,
+        faults: Mapping[str, float] | None = None,
+        noise: float = 0.0,
+        seed: int = 0,
+    ) -> None:
+        self.takes: list[str] = []
+        self.recording = False
+        self.commands: list[str] = []
+        self._take = ""
+        self._rate = rate
+        self._version = version
+        self._multicast = multicast
+        self._faults: Mapping[str, float] = {} if faults is None else faults
+        clock_rng, network_rng, scene_rng = (
+            np.random.default_rng(child) for child in np.random.SeedSequence(seed).spawn(3)
+        )
+        self._rng = clock_rng
+        self._scene = Scene(bodies, self._faults, noise, scene_rng)
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._socket.setblocking(False)
+        self._socket.bind(address)
+        if multicast is not None:
+            interface = socket.inet_aton(address[0])
+            self._socket.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, interface)
+            self._socket.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_LOOP, 1)
+        self._network = FaultyNetwork(self._socket, self._faults, network_rng)
+        self._answers: dict[int, Callable[[bytes, Address, float], None]] = {
+            CONNECT: self._connect,
+            REQUEST: self._request,
+            REQUEST_MODELDEF: self._tell_models,
+            KEEPALIVE: lambda payload, client, now: None,
+            ECHOREQUEST: self._echo,
+            DISCONNECT: lambda payload, client, now: self._forget(client),
+        }
+        self._restarts = self._faults.get("mocap.restart", 0.0)
+        self._start_anew(time.monotonic())
+        self._closing = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="natnet-server", daemon=True)
+        self._thread.start()
+
+    @property
+    def address(self) -> Address:
+        """Host and port of the command port."""
+        host, port = self._socket.getsockname()
+        return host, port
+
+    def close(self) -> None:
+        """End without a word."""
+        self._closing.set()
+        self._thread.join()
+        self._socket.close()
+
+    def _start_anew(self, now: float) -> None:
+        self._clients: dict[Address, _Client] = {}
+        self._origin = now
+        self._offset = int(self._rng.integers(10**9, 10**14))
+        self._number = 0
+        self.recording = False
+        self._scene.start_anew()
+
+    def _ticks(self, moment: float) -> int:
+        return self._offset + round((moment - self._origin) * CLOCK)
+
+    def _run(self) -> None:
+        while not self._closing.is_set():
+            due = self._origin + self._number / self._rate + _LATENCY
+            readable = select.select([self._socket], [], [], max(0.0, due - time.monotonic()))[0]
+            now = time.monotonic()
+            restarts = self._faults.get("mocap.restart", 0.0)
+            if restarts and restarts != self._restarts:
+                self._start_anew(now)
+            self._restarts = restarts
+            if readable:
+                self._listen()
+            if now >= due:
+                if now < due + _BEHIND:
+                    self._stream(now)
+                self._number += 1
+
+    def _listen(self) -> None:
+        for _ in range(64):
+            try:
+                datagram, client = self._socket.recvfrom(LARGEST_DATAGRAM)
+            except BlockingIOError:
+                return
+            except OSError:  # a client that is gone
+                continue
+            if self._faults.get("mocap.unplugged", 0.0):
+                continue
+            try:
+                message, payload = split_datagram(datagram)
+            except MalformedDatagram:
+                continue
+            now = time.monotonic()
+            if client in self._clients:
+                self._clients[client].heard = now
+            answer = self._answers.get(message)
+            if answer is None:
+                self._network.send(Message.of(UNRECOGNIZED), client)
+            else:
+                answer(payload, client, now)
+
+    def _connect(self, payload: bytes, client: Address, now: float) -> None:
+        """Either of the three forms: a sender with options, or "Ping" with or without more."""
+        known = _Client(now, self._version)
+        if len(payload) >= 269 and not payload.startswith(b"Ping"):
+            known.subscribed = bool(payload[264])
+        if self._multicast is None:
+            self._clients[client] = known
+        group, port = self._multicast or ("", 1511)
+        info = ServerInfo(
+            "simulated Motive", (3, 1, 0, 0), self._version, CLOCK, port, bool(group), group
+        )
+        self._network.send(encode_server_info(info), client)
+
+    def _forget(self, client: Address) -> None:
+        self._clients.pop(client, None)
+
+    def _echo(self, payload: bytes, client: Address, now: float) -> None:
+        if len(payload) >= 8:
+            reply = payload[:8] + pack("<Q", self._ticks(now))
+            self._network.send(Message.of(ECHORESPONSE, reply), client)
+
+    def _tell_models(self, payload: bytes, client: Address, now: float) -> None:
+        known = self._clients.get(client)
+        version = known.version if known else self._version
+        definitions: Sequence[Definition] = self._scene.definitions(now)
+        self._network.send(encode_model_definitions(definitions, version), client)
+
+    def _request(self, payload: bytes, client: Address, now: float) -> None:
+        text = payload.partition(b"\0")[0].decode("utf-8", "replace")
+        self.commands.append(text)
+        name, _, argument = text.partition(",")
+        reply = self._obey(name, argument, self._clients.get(client))
+        message = Message.of(UNRECOGNIZED) if reply is None else Message.of(RESPONSE, reply)
+        self._network.send(message, client)
+
+    def _obey(self, name: str, argument: str, client: _Client | None) -> bytes | None:
+        """The reply to a command; None: it is not known."""
+        done = bytes(4)
+        if name == "StartRecording":
+            if not self.recording:
+                self.recording = True
+                self.takes.append(self._take or f"Take {len(self.takes) + 1}")
+        elif name == "StopRecording":
+            self.recording = False
+        elif name == "SetRecordTakeName":
+            self._take = argument
+        elif name == "FrameRate":
+            return pack("<f", self._rate)
+        elif name == "UnitsToMillimeters":
+            return pack("<f", 1000.0)
+        elif name in ("Bitstream", "SubscribeToData"):
+            return self._configure(name, argument, client)
+        elif name != "LiveMode":
+            return None
+        return done
+
+    def _configure(self, name: str, argument: str, client: _Client | None) -> bytes | None:
+        if self._version < (4, 0) or client is None:
+            return None
+        if name == "Bitstream":
+            if not argument:
+                return "Bitstream,{}.{}.0.0\0".format(*client.version).encode()
+            wanted = [v for v in _VERSIONS if f"{v[0]}.{v[1]}" == argument and v <= self._version]
+            if not wanted:
+                return pack("<i", 1)
+            client.version = wanted[0]
+        else:
+            client.subscribed = True
+            client.subscriptions.add(argument.partition(",")[0])
+        return bytes(4)
+
+    def _stream(self, now: float) -> None:
+        moment = self._origin + self._number / self._rate
+        targets: list[tuple[Address, _Client]]
+        if self._multicast is not None:
+            targets = [(self._multicast, _Client(now, self._version))]
+        else:
+            for address in [a for a, c in self._clients.items() if now - c.heard > _SILENCE]:
+                self._forget(address)
+            targets = list(self._clients.items())
+        ticks = (self._ticks(moment), self._ticks(moment + 0.5 * _LATENCY), self._ticks(now))
+        content = self._scene.content(moment, self._number, ticks, self.recording)
+        for address, client in targets:
+            self._network.send(encode_frame(_subscribed(content, client), client.version), address)
+
+
+def _subscribed(content: Content, client: _Client) -> Content:
+    """What of a frame a client gets."""
+    if not client.subscribed:
+        return content
+    every = "AllTypes" in client.subscriptions
+    return Content(
+        number=content.number,
+        ticks=content.ticks,
+        timestamp=content.timestamp,
+        bodies=content.bodies if every or "RigidBody" in client.subscriptions else (),
+        markers=content.markers if every or "LabeledMarkers" in client.subscriptions else (),
+        recording=content.recording,
+        models_changed=content.models_changed,
+    )

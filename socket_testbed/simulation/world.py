@@ -1,0 +1,157 @@
+"""The world that simulated hardware is in, shared by processes through a file.
+
+One process moves it on (`simulation.live`); the simulated chips in the nodes' processes look
+at it through `World`, at any time of the steady clock, and see the faults that are on.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+
+import numpy as np
+
+from socket_testbed.arrays import FloatArray
+from socket_testbed.errors import ConfigurationError
+from socket_testbed.simulation.faults import FAULTS
+
+_FILE = "world"
+_KEPT = 32  # states; more than any chip looks back
+_INPUTS = 16  # capacitances
+_WIDTH = _INPUTS + 6 + 18 + 14
+_LAYOUT = np.dtype(
+    [
+        ("changes", np.uint64),
+        ("newest", np.int64),
+        ("port", np.int64),
+        ("time", np.float64, (_KEPT,)),
+        ("state", np.float64, (_KEPT, _WIDTH)),
+        ("faults", np.float64, (len(FAULTS),)),
+    ]
+)
+
+
+class FaultSwitches(Mapping[str, float]):
+    """The faults of a world by their names; 0 is off."""
+
+    def __init__(self, values: FloatArray) -> None:
+        self._values = values
+        self._index = {name: i for i, name in enumerate(FAULTS)}
+
+    def __getitem__(self, name: str) -> float:
+        return float(self._values[self._index[name]])
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(FAULTS)
+
+    def __len__(self) -> int:
+        return len(FAULTS)
+
+    def switch(self, name: str, value: float) -> None:
+        """Switch a fault on, or off with 0."""
+        self._values[self._index[name]] = value
+
+
+class World:
+    """A simulated world, seen from any process.
+
+    Args:
+        folder: Its folder.
+        create: Whether to make it there.
+
+    Attributes:
+        faults: The faults, to be looked at and switched.
+
+    Raises:
+        ConfigurationError: If there is none and none is to be made.
+    """
+
+    def __init__(self, folder: Path, create: bool = False) -> None:
+        path = folder / _FILE
+        if create:
+            np.zeros((), _LAYOUT).tofile(path)
+        try:
+            self._shared = np.memmap(path, _LAYOUT, "r+", shape=(1,))
+        except (OSError, ValueError):
+            raise ConfigurationError(
+                f"{folder}: there is no simulated world", "start one with 'run --simulated'"
+            ) from None
+        shared = self._shared
+        self._changes, self._newest = shared["changes"], shared["newest"]
+        self._time, self._state = shared["time"][0], shared["state"][0]
+        self.faults = FaultSwitches(shared["faults"][0])
+
+    @property
+    def port(self) -> int:
+        """Command port of the simulated motion-capture server; 0 until it is up."""
+        return int(self._shared["port"][0])
+
+    @port.setter
+    def port(self, port: int) -> None:
+        self._shared["port"][0] = port
+
+    def push(
+        self,
+        moment: float,
+        capacitance: FloatArray,
+        wrench: FloatArray,
+        markers: FloatArray,
+        poses: FloatArray,
+    ) -> None:
+        """Add the state at a time later than all before.
+
+        Args:
+            moment: Time of the steady clock [s].
+            capacitance: Capacitances by cluster and input, shape (4, 4) [pF].
+            wrench: What the load cell feels [M; F], shape (6,) [N m, N].
+            markers: Markers of socket and pylon in the world, shape (2, 3, 3) [m].
+            poses: Positions [m] and quaternions (x, y, z, w) of the two bodies, shape (2, 7).
+        """
+        state = np.concatenate([a.ravel() for a in (capacitance, wrench, markers, poses)])
+        # An odd count of changes tells the readers that a change is under way.
+        self._changes[0] += 1
+        if self._changes[0] == 1:  # before the first state it was as it is then
+            self._time[:] = moment - np.arange(_KEPT, 0, -1)
+            self._state[:] = state
+        place = (int(self._newest[0]) + 1) % _KEPT
+        self._time[place] = moment
+        self._state[place] = state
+        self._newest[0] = place
+        self._changes[0] += 1
+
+    def capacitance(self, cluster: int, channel: int, moment: float) -> float:
+        """Capacitance at an input of a cluster [pF]."""
+        return float(self._at(moment)[4 * cluster + channel])
+
+    def wrench(self, moment: float) -> FloatArray:
+        """What the load cell feels [M; F], shape (6,) [N m, N]."""
+        return self._at(moment)[_INPUTS : _INPUTS + 6]
+
+    def markers(self, moment: float) -> FloatArray:
+        """Markers of socket and pylon in the world, shape (2, 3, 3) [m]."""
+        return self._at(moment)[_INPUTS + 6 : _INPUTS + 24].reshape(2, 3, 3)
+
+    def poses(self, moment: float) -> FloatArray:
+        """Positions [m] and quaternions (x, y, z, w) of the two bodies, shape (2, 7)."""
+        poses = self._at(moment)[_INPUTS + 24 :].reshape(2, 7)
+        poses[:, 3:] /= np.linalg.norm(poses[:, 3:], axis=1, keepdims=True)
+        return poses
+
+    def wall_clock(self) -> int:
+        """The simulated system clock since the epoch [ns]."""
+        return time.time_ns() + round(self.faults["clock.step"] * 1e9)
+
+    def _at(self, moment: float) -> FloatArray:
+        """The state at a time of the steady clock, linear between the two around it."""
+        while True:
+            before = self._changes[0]
+            newest = int(self._newest[0])
+            later, after = newest, newest
+            while self._time[after] > moment and (after - 1) % _KEPT != newest:
+                later, after = after, (after - 1) % _KEPT
+            span = self._time[later] - self._time[after]
+            share = max((moment - self._time[after]) / span, 0.0) if span > 0.0 else 0.0
+            state = (1.0 - share) * self._state[after] + share * self._state[later]
+            if before % 2 == 0 and before == self._changes[0]:
+                return np.asarray(state)
