@@ -85,7 +85,7 @@ class LoadCellSettings(Settings):
     )
     clock_in: float = setting(8.192e6, "clock of the converter [Hz]", 3e5, 8.4e6, fixed=True)
     oversampling: int = setting(
-        4096, "oversampling ratio; rate = clock_in / 2 / oversampling [1]", 128, 16384, fixed=True
+        8192, "oversampling ratio; rate = clock_in / 2 / oversampling [1]", 128, 16384, fixed=True
     )
     gain: int = setting(1, "gain of the converter's own amplifier [1]", 1, 128, fixed=True)
     amplifier_gain: tuple[float, ...] = setting(
@@ -107,7 +107,7 @@ class LoadCellSettings(Settings):
         "", "folder of a simulated world; empty: the hardware [-]", fixed=True
     )
     window: float = setting(
-        0.01, "span of conversions, centred on a trigger, that makes its wrench [s]", 1e-3, 1.0
+        0.02, "span of conversions, a quarter after a trigger, that makes its wrench [s]", 1e-3, 1.0
     )
     tare_duration: float = setting(1.0, "span that a tare averages [s]", 0.1, 60.0)
     tare_force: float = setting(

@@ -68,7 +68,7 @@ class Testbed:
         calibration: Path of the `calibration.yaml` in use.
         simulation: What is simulated; None on hardware.
         record: Folder of the new trial; None to record nothing.
-        one_process: Whether all nodes but the recorder share a process.
+        one_process: Whether all nodes but the trigger's and the recorder's share a process.
 
     Raises:
         TestbedError: If these do not belong together.
@@ -158,6 +158,7 @@ def start(graph: Graph, testbed: Testbed) -> World | None:
             parameters=str(parameters),
         )
         graph.start("recorder_node", recorder)
+    graph.start("trigger_node", nodes.pop("trigger_node"))
     if testbed.one_process:
         graph.start_together("testbed", nodes)
     else:
@@ -168,7 +169,7 @@ def start(graph: Graph, testbed: Testbed) -> World | None:
 
 def end(graph: Graph, testbed: Testbed) -> None:
     """End a testbed so that the last trigger's sample is whole and the trial is closed."""
-    graph.stop("testbed" if testbed.one_process else "trigger_node")
+    graph.stop("trigger_node")
     time.sleep(_DRAIN)
     if testbed.record is not None:
         graph.stop("recorder_node")

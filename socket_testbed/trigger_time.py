@@ -2,19 +2,25 @@
 
 from __future__ import annotations
 
+import math
+from collections import deque
+
 from socket_testbed.steady_clock import SteadyClock
 
 _EARLY = 0.002  # [s]; how much two processes may differ about the time
 _LATE = 0.5  # [s]; how late a trigger may arrive
-_TRAVEL = 0.0005  # [s]; how long it usually takes
+_ALIKE = 0.005  # [s]; spread of the differences of triggers that arrive as they are sent
+_ENOUGH = 5  # triggers
+_TRAVEL = 0.0005  # [s]; how long a trigger usually takes
 
 
 class TriggerTime:
     """Puts triggers on the steady clock.
 
     Every process takes the system clock once, at its start. If that clock was set between the
-    starts of two of them, a stamp seems to come from the future or from long ago: then the time
-    of its arrival tells how far they differ.
+    starts of two of them, stamps seem to come from the future or from long ago, all by the same
+    difference: then their arrival tells it. Triggers that were held up come from long ago, too,
+    but each by another difference.
 
     Attributes:
         shift: How far the trigger's clock is from this process's [s]; 0 as a rule.
@@ -22,10 +28,11 @@ class TriggerTime:
 
     def __init__(self, clock: SteadyClock) -> None:
         self._clock = clock
+        self._differences: deque[float] = deque(maxlen=_ENOUGH)
         self.shift = 0.0
 
     def steady(self, stamp: int, arrival: float) -> float:
-        """Time of a trigger on the steady clock [s].
+        """Time of a trigger on the steady clock [s]; minus infinity while it cannot be told.
 
         Args:
             stamp: Its stamp since the epoch [ns].
@@ -35,6 +42,11 @@ class TriggerTime:
         for shift in (self.shift, 0.0):
             if -_EARLY <= arrival - (plain + shift) <= _LATE:
                 self.shift = shift
+                self._differences.clear()
                 return plain + shift
-        self.shift = arrival - _TRAVEL - plain
+        self._differences.append(arrival - plain)
+        spread = max(self._differences) - min(self._differences)
+        if len(self._differences) < _ENOUGH or spread > _ALIKE:
+            return -math.inf
+        self.shift = min(self._differences) - _TRAVEL
         return plain + self.shift

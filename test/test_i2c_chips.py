@@ -216,6 +216,18 @@ def test_transfers_take_nine_bits_a_byte() -> None:
     assert clock.now - start == pytest.approx((2 + 2 + 3) * 9 / 400e3)
 
 
+def test_transfers_take_their_time_on_average_where_sleeps_are_too_long() -> None:
+    clock = FakeClock()
+    hardware = SimulatedClusterHardware(
+        lambda c, n, t: 0.0, {}, 400e3, clock, lambda duration: clock.sleep(duration + 7e-5)
+    )
+    bus = hardware.open_bus(1)
+    start = clock.now
+    for _ in range(1000):
+        bus.i2c_rdwr(i2c_msg.write(MULTIPLEXER, [1]))
+    assert clock.now - start == pytest.approx(1000 * 2 * 9 / 400e3, rel=0.01)
+
+
 def test_an_unplugged_bus_comes_back_with_reset_chips() -> None:
     host = Host()
     host.repeat()

@@ -23,6 +23,7 @@ SETTINGS = LoadCellSettings(
     full_scale=FULL_SCALE,
     inputs=(3, 0, 5, 1, 4, 2),
     sign=(1.0, -1.0, 1.0, 1.0, -1.0, 1.0),
+    oversampling=4096,
 )
 AMPLITUDE = np.array([8.0, 6.0, 4.0, 120.0, 90.0, 400.0])
 FREQUENCY = np.array([1.1, 0.7, 1.7, 1.3, 0.9, 1.9])  # [Hz]

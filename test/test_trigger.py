@@ -1,6 +1,7 @@
 """The trigger's driver against simulated lines, and where a stamp is on the steady clock."""
 
 import builtins
+import math
 from pathlib import Path
 
 import pytest
@@ -143,11 +144,24 @@ def test_a_stamp_finds_its_time_whatever_the_travel() -> None:
 def test_a_clock_set_between_two_starts_is_found_by_the_arrival(step: float) -> None:
     wall, steady = [1_700_000_000_000_000_000], [50_000_000_000]
     time = TriggerTime(clock_of(wall, steady))
+    told = []
     for k in range(10):
         sent = 60.0 + k
         stamp = wall[0] + round((sent - 50.0 + step) * 1e9)
-        assert time.steady(stamp, sent + 0.0004) == pytest.approx(sent, abs=1.1e-3)
+        told.append(time.steady(stamp, sent + 0.0004 + 0.0003 * (k % 3)) - sent)
+    assert told[:4] == [-math.inf] * 4
+    assert told[4:] == pytest.approx([0.0] * 6, abs=1e-3)
     assert time.shift == pytest.approx(-step, abs=1e-3)
     # The trigger's node starts again, too: the clocks agree once more.
     assert time.steady(wall[0] + 30_000_000_000, 80.0004) == pytest.approx(80.0, abs=1e-6)
+    assert time.shift == 0.0
+
+
+def test_triggers_that_were_held_up_are_not_taken_for_another_clock() -> None:
+    wall, steady = [1_700_000_000_000_000_000], [50_000_000_000]
+    time = TriggerTime(clock_of(wall, steady))
+    stamps = [wall[0] + round((3.0 + 0.05 * k) * 1e9) for k in range(40)]
+    for k, stamp in enumerate(stamps):  # all at once, when the node begins to listen
+        told = time.steady(stamp, 55.0 + 1e-5 * k)
+        assert told in (-math.inf, pytest.approx(53.0 + 0.05 * k, abs=1e-6))
     assert time.shift == 0.0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import re
 import threading
 import time
@@ -40,9 +41,8 @@ class LiveTestbed:
     """The graph in processes of its own, kept running, with a probe beside it."""
 
     def __init__(self, record: Path | None = None, rate: float = 20.0, **changes: Any) -> None:
-        self.testbed: Testbed = simulated_testbed(record, rate, MOVING)
-        for name, value in changes.items():
-            object.__setattr__(self.testbed, name, value)
+        testbed = simulated_testbed(record, rate, MOVING)
+        self.testbed: Testbed = dataclasses.replace(testbed, **changes)
         self.restarts: list[str] = []
         self._ended = threading.Event()
 

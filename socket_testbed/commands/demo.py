@@ -82,7 +82,7 @@ def run(options: argparse.Namespace) -> None:
         samples.wrench,
         {variant: wrench for variant, (wrench, _) in estimates.items()},
         rows,
-        "Simulated static hold: wrench measured and predicted live",
+        "Simulated static hold: wrench measured live, predicted while replayed",
         figure,
     )
     print(f"\ntrial {trial.path}, figure {figure} ({time.monotonic() - started:.0f} s)")

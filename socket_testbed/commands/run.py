@@ -28,7 +28,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--rate", type=float, metavar="HZ", help="rate of the trigger [Hz]")
     parser.add_argument("--duration", type=float, metavar="S", help="end by itself after S [s]")
     parser.add_argument(
-        "--one-process", action="store_true", help="all nodes but the recorder in one process"
+        "--one-process", action="store_true", help="all nodes but trigger and recorder in one"
     )
     add_simulation(parser)
     parser.set_defaults(run=run)

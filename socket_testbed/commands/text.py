@@ -8,14 +8,14 @@ import time
 from collections.abc import Sequence
 
 _PROGRESS_PERIOD = 0.5  # [s]
+_LOGGED_PERIOD = 10.0  # [s]; where it is not overwritten
 
 
 def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     """A table with numbers to the right and texts to the left."""
     columns = list(zip(*(header, *rows), strict=True))
     widths = [max(len(cell) for cell in column) for column in columns]
-    numeric = [any(cell[-1:].isdigit() for cell in column[1:]) for column in columns]
-    numeric[0] = False
+    numeric = [all(map(_is_number, column[1:])) for column in columns]
     lines = []
     for row in (header, ["-" * width for width in widths], *rows):
         cells = [
@@ -24,6 +24,10 @@ def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
         ]
         lines.append("  ".join(cells).rstrip())
     return "\n".join(lines)
+
+
+def _is_number(cell: str) -> bool:
+    return cell in {"", "-"} or cell.lstrip("-").replace(".", "", 1).isdigit()
 
 
 def number(value: float, digits: int = 3) -> str:
@@ -47,8 +51,10 @@ class Progress:
         """Say how many steps are done."""
         now = time.monotonic()
         end = done == total
-        if (end and self._shown) or now - self._last > _PROGRESS_PERIOD:
-            self._last, self._shown = now, True
-            tail = "\n" if end or not sys.stderr.isatty() else ""
-            start = "\r" if sys.stderr.isatty() else ""
+        terminal = sys.stderr.isatty()
+        period = _PROGRESS_PERIOD if terminal else _LOGGED_PERIOD
+        if (end and self._shown) or now - self._last > period:
+            self._last, self._shown = now, not end
+            tail = "\n" if end or not terminal else ""
+            start = "\r" if terminal else ""
             print(f"{start}{self._what}: {100 * done // total} %", end=tail, file=sys.stderr)

@@ -98,9 +98,9 @@ class ClusterReader:
             self._sleep(_PAUSE * self._cycle)
         return self._reading()
 
-    def identify(self) -> dict[str, str]:
+    def identify(self) -> dict[str, str | DeviceError]:
         """What is found at each cluster's place, or what is wrong there, by its name."""
-        found = {}
+        found: dict[str, str | DeviceError] = {}
         for cluster in self._clusters:
             chip = cluster.inputs.chip
             try:
@@ -109,7 +109,7 @@ class ClusterReader:
                 chip.check_identity()
                 found[cluster.name] = f"FDC1004 at {chip.where}"
             except DeviceError as error:
-                found[cluster.name] = str(error)
+                found[cluster.name] = error
         return found
 
     def close(self) -> None:

@@ -20,7 +20,7 @@ from socket_testbed.errors import DeviceError
 
 # In cycles, each the time that a chip takes for its four inputs.
 _OLDEST = 2.0  # age at the trigger
-_SHARED = 0.5  # what was read so shortly before a trigger is the nearest to it, too
+_SHARED = 0.5  # what was read so shortly before a trigger is nearer than what comes so late
 _UNFINISHED = 2.5
 _SETTLING = 0.5  # two conversions: the one under way has the former CAPDAC
 
@@ -115,13 +115,17 @@ class FreshInputs:
         """What is wrong with inputs that were read; empty if nothing."""
         return "; ".join(entry.fault for entry in self._inputs if entry.fault)
 
+    @property
+    def _oldest(self) -> float:
+        return self._trigger - _OLDEST * self.cycle
+
     def _read(self, n: int) -> int | None:
         """The code of an input [1], or None if it may be too old; it is cleared either way."""
         entry = self._inputs[n]
         entry.since, entry.low = entry.low, self.clock()
         code = self.chip.read(n)
         entry.read = self.clock()
-        if entry.since < max(self._trigger - _OLDEST * self.cycle, entry.settled):
+        if entry.since < max(self._oldest, entry.settled):
             entry.since = -math.inf
             return None
         return code
@@ -131,8 +135,9 @@ class FreshInputs:
         entry.low = asked
         # At triggers as fast as the cycle, waiting for the next conversion each time would
         # make the readings fall behind; the last one may be nearer to this trigger.
-        near = entry.read >= self._trigger - _SHARED * self.cycle
-        if near and entry.since >= self._trigger - _OLDEST * self.cycle:
+        near = _SHARED * self.cycle
+        is_late = asked >= self._trigger + near
+        if is_late and entry.read >= self._trigger - near and entry.since >= self._oldest:
             self.pending.discard(n)
         elif asked - max(self._begun, entry.read) > _UNFINISHED * self.cycle:
             raise ConversionTimeoutError(

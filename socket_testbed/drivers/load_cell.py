@@ -17,6 +17,7 @@ from socket_testbed.drivers.tare import Tare
 from socket_testbed.errors import DeviceError
 
 _BROKEN_WIRE = 5  # conversions in a row at a rail
+_AFTER = 0.25  # part of the window that is after the trigger
 _RECENT = 1.0  # [s]; what a report of health looks back at
 
 
@@ -109,12 +110,16 @@ class LoadCell:
         """Numbers of conversions, of corrupted frames and of restarts."""
         return dict(self._reader.counts())
 
+    def over(self, moment: float) -> float:
+        """When the last conversion is made that makes the wrench at a time [s]."""
+        return moment + _AFTER * self.settings.window
+
     def ready(self, moment: float) -> bool:
         """Whether waiting adds nothing to the wrench at a time [s].
 
         Either all conversions around it are in, or they are over and the converter fails.
         """
-        end = moment + 0.5 * self.settings.window
+        end = self.over(moment)
         if self._reader.has_all(end):
             return True
         now = self._clock()
@@ -123,17 +128,20 @@ class LoadCell:
     def wrench_at(self, moment: float) -> WrenchReading:
         """The wrench at a time of the steady clock [s].
 
-        It is the value there of the line through the conversions of the window around it: with
-        none missing their mean, and otherwise a mean that the missing ones do not shift.
-        Less than half of them, or one at a rail, make it NaN.
+        It is the value there of the line through the conversions of the window, three quarters
+        of which are before it: that is as little late as a mean over half of the window around
+        it, and twice as many conversions may be missing. Less than half of them, none near the
+        time, or one at a rail make it NaN.
         """
         window = self.settings.window
-        times, ratios, rails = self._reader.between(moment - 0.5 * window, moment + 0.5 * window)
+        end = self.over(moment)
+        times, ratios, rails = self._reader.between(end - window, end)
         missing = np.full(6, np.nan)
         if rails.any():
             return WrenchReading(missing, len(times), self._saturated(rails))
         expected = window / self.period
-        if len(times) < max(1.0, 0.5 * expected):
+        near = len(times) > 0 and np.abs(times - moment).min() <= _AFTER * window
+        if len(times) < max(1.0, 0.5 * expected) or not near:
             fault = f"{len(times)} of {expected:.0f} conversions around the trigger"
             level, fact, mend = self._reader.trouble(self._clock())
             return WrenchReading(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 import time as steady
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TypeAlias
@@ -18,6 +18,7 @@ from socket_testbed.drivers.natnet_models import ModelDefinitions
 from socket_testbed.geometry.triad import EDGE_TOLERANCE, TriadFit, edge_lengths, fit_triad
 
 _KEPT = 1.0  # [s]
+_VOTES, _FEWEST = 20, 3  # fits that tell the usual order of the labels
 _LARGEST_STEP = 0.01  # [m]; of a marker between two frames, without a fit of its triad
 
 _Entry: TypeAlias = tuple[float, Frame, ModelDefinitions | None]
@@ -148,7 +149,7 @@ class _Body:
         self._setting = setting
         self._reference = np.asarray(reference, dtype=float)
         self._edges = edge_lengths(self._reference)
-        self._order: IntArray | None = None  # of the labels, as two frames agreed on it
+        self._orders: deque[tuple[int, ...]] = deque(maxlen=_VOTES)  # of the labels, lately
 
     def is_seen(self, frame: Frame, models: ModelDefinitions | None) -> bool:
         """Whether all its markers are seen, or never will be."""
@@ -213,8 +214,7 @@ class _Body:
         self, fit: TriadFit, triads: FloatArray, pair: tuple[int, int], weight: float
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         a, b = pair
-        if (fit.order[a] == fit.order[b]).all():
-            self._order = fit.order[a]
+        self._orders += [tuple(fit.order[row].tolist()) for row in pair]
         start, end = fit.pose.translation[a], fit.pose.translation[b]
         quaternions = fit.pose.quaternion()
         markers = triads[a][fit.order[a]]
@@ -228,26 +228,33 @@ class _Body:
         self, fit: TriadFit, triads: FloatArray, pair: tuple[int, int], weight: float
     ) -> FloatArray:
         """Markers that are seen in both frames and moved little, though a triad has no fit."""
-        orders = [fit.order[row] for row in pair]
-        fitted = [order for order in orders if order[0] >= 0]
-        known = self._order if self._order is not None else fitted[0] if fitted else None
+        known = self._usual_order()
         start, end = (
-            triads[row][order] if order[0] >= 0 else self._labelled(triads[row], known)
-            for row, order in zip(pair, orders, strict=True)
+            triads[row][fit.order[row]]
+            if fit.order[row, 0] >= 0
+            else self._labelled(triads[row], known)
+            for row in pair
         )
         step = np.linalg.norm(end - start, axis=1)
         near = np.where(np.isfinite(step), step, np.inf) < _LARGEST_STEP
         return np.where(near[:, None], start + weight * (end - start), np.nan)
 
+    def _usual_order(self) -> IntArray | None:
+        """The order of most fits lately: a swap of labels that lasts must not be learnt."""
+        if not self._orders:
+            return None
+        order, votes = Counter(self._orders).most_common(1)[0]
+        return np.array(order) if votes >= max(_FEWEST, 0.75 * len(self._orders)) else None
+
     def _labelled(self, triad: FloatArray, order: IntArray | None) -> FloatArray:
         """A triad in the body's order by its labels; NaN where its edges contradict them."""
-        markers = triad if order is None else triad[order]
-        mismatch = np.abs(edge_lengths(markers) - self._edges)
-        visible = np.isfinite(mismatch)
-        # Labels of an order that no fit has shown yet need an edge that agrees.
-        if (mismatch[visible] > EDGE_TOLERANCE).any() or (order is None and not visible.any()):
-            return np.full((3, 3), np.nan)
-        return markers
+        unknown = np.full((3, 3), np.nan)
+        if order is None:
+            return unknown
+        mismatch = np.abs(edge_lengths(triad[order]) - self._edges)
+        if (mismatch[np.isfinite(mismatch)] > EDGE_TOLERANCE).any():
+            return unknown
+        return triad[order]
 
     def _fault(self, triads: FloatArray) -> str:
         hidden = np.isnan(triads).any(axis=(0, 2))

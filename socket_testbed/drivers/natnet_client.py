@@ -166,7 +166,6 @@ class NatNetClient:
     def _turn(self, now: float) -> None:
         session = self._session
         try:
-            session.step(now)
             if not self._sockets.opened:
                 self._closing.wait(_TURN)
             for datagram, sender in self._sockets.receive(_TURN):
@@ -178,5 +177,7 @@ class NatNetClient:
                     session.take(datagram, arrival)
                 except MalformedDatagram as error:
                     session.statistics.count("bad", arrival, error=error.fact)
+            # After what has come: a thread that was held up has not lost the server.
+            session.step(self._clock())
         except Exception as error:  # whatever it was, the next datagram is another one
             session.statistics.count("failed", now, error=f"{type(error).__name__}: {error}")

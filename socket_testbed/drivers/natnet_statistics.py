@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import threading
 from collections import deque
+from math import floor, log10
 
 _RECENT = 0.8  # [s]; a fault that ended is not told any more within a second
 _SPAN = 1.0  # [s]; over which the rate is measured
 _MOST = 2000  # events
-_STEADY = 0.04  # [-]; change of the rate that is told
+_CLEARLY = 0.6  # of the last digit told
 
 KINDS = {
     "bad": "bad datagrams",
@@ -49,9 +50,9 @@ class LinkStatistics:
             self._frames.append(now)
 
     def quiet(self, now: float) -> float:
-        """Time since the last frame that was delivered [s]."""
+        """Time since the last frame that was delivered, of two at least [s]."""
         with self._lock:
-            return now - self._frames[-1] if self._frames else float("inf")
+            return now - self._frames[-1] if len(self._frames) > 1 else float("inf")
 
     def rate(self, now: float) -> float:
         """Frames delivered a second, over the last one [Hz]."""
@@ -63,10 +64,12 @@ class LinkStatistics:
             return (len(self._frames) - 1) / max(self._frames[-1] - self._frames[0], 1e-6)
 
     def told_rate(self, now: float) -> float:
-        """The rate, the same until it has changed by some per cent [Hz]."""
+        """The rate to two digits, the same until it is clearly another [Hz]."""
         rate = self.rate(now)
-        if abs(rate - self._told) > _STEADY * self._told:
-            self._told = rate
+        rounded = float(f"{rate:.1e}")
+        digit = 10.0 ** (floor(log10(rounded)) - 1) if rounded else 0.0
+        if abs(rate - self._told) > _CLEARLY * digit:
+            self._told = rounded
         return self._told
 
     def warning(self, now: float) -> str:

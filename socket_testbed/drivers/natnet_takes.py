@@ -7,7 +7,8 @@ from collections.abc import Callable
 from socket_testbed.drivers.natnet_commands import Answer, Done
 from socket_testbed.drivers.natnet_protocol import Response
 
-_RETRY = 0.25  # [s]
+_RETRY = 0.25  # [s]; from a command that failed to the next
+_IN_FLIGHT = 0.1  # [s]; after which no frame is from before a command
 _EVIDENCE = 0.3  # [s]; how long the frames of a new session are given to show a recording
 _CONTRADICTED = 1.0  # [s]
 
@@ -27,6 +28,7 @@ class TakeKeeper:
         self._started: str | None = None  # the take that may be on
         self._confirmed = False
         self._busy = False
+        self._now = 0.0
         self._next = 0.0
         self._moment = 0.0  # frames before it may be of an earlier take
         self._idle_since: float | None = None
@@ -67,7 +69,7 @@ class TakeKeeper:
         if self._busy or self.settled or not connected or now < self._next:
             return
         wanted = self._wanted
-        self._next = now + _RETRY
+        self._now = now
         if self._started is not None and self._started != wanted:
             self._issue("StopRecording", self._stopped)
         elif wanted is not None:
@@ -75,7 +77,7 @@ class TakeKeeper:
 
     def _start(self, name: str) -> None:
         if name == self._wanted:
-            self._started, self._moment = name, self._next
+            self._started, self._moment = name, self._now + _IN_FLIGHT
             self._issue("StartRecording", self._confirm)
 
     def _confirm(self, answer: Answer) -> None:
@@ -94,7 +96,9 @@ class TakeKeeper:
             if then == self._stopped and answer.response and self._idle_since is not None:
                 answer = Answer(Response(bytes(4)))
             self._trouble = answer.fault(command)
-            if not self._trouble and session == self._session:
+            if self._trouble:
+                self._next = self._now + _RETRY
+            elif session == self._session:
                 then(answer)
 
         self._busy = True

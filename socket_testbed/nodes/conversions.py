@@ -2,13 +2,9 @@
 
 from __future__ import annotations
 
-import math
-from typing import Any
-
 import numpy as np
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import Point, Pose, Quaternion, Vector3, Wrench
-from scipy.spatial.transform import Rotation
 from socket_testbed_msgs.msg import (
     ClusterCapacitance,
     ClusterCapacitanceArray,
@@ -20,7 +16,6 @@ from socket_testbed_msgs.msg import (
 )
 from socket_testbed_msgs.msg import ContactModel as ContactModelMessage
 from std_msgs.msg import Header
-from visualization_msgs.msg import Marker, MarkerArray
 
 from socket_testbed.arrays import FloatArray, StatusArray
 from socket_testbed.contact import ContactModel
@@ -28,9 +23,6 @@ from socket_testbed.identification.fit import Fit
 from socket_testbed.identification.model_file import StoredModel
 
 LOAD_CELL_FRAME = "load_cell"
-
-_ARROW_SCALE = 0.002  # [m/N]
-_FULL_COLOUR_FORCE = 25.0  # [N]
 
 
 def stamp_from_ros(stamp: Time) -> int:
@@ -174,53 +166,3 @@ def _model_to_ros(
         samples=samples,
         solver_status=status,
     )
-
-
-def pressure_map_to_ros(
-    stamp: int, model: ContactModel, areas: FloatArray, forces: FloatArray
-) -> MarkerArray:
-    """One tile and one arrow a point of interest, for RViz.
-
-    Args:
-        stamp: Stamp since the epoch [ns].
-        model: The model, for the anchors and frames of the points.
-        areas: Areas of the tiles, shape (n,) [m^2].
-        forces: Forces on the socket in {S}, shape (n, 3) [N].
-    """
-    header = header_to_ros(stamp, LOAD_CELL_FRAME)
-    normal_forces = -np.einsum("ni,ni->n", forces, model.rotations[:, :, 2])
-    markers: list[Any] = []
-    for i, anchor in enumerate(model.anchors):
-        position = point_to_ros(anchor)
-        tile = Marker(header=header, ns="tiles", id=i, type=Marker.CUBE, action=Marker.ADD)
-        tile.pose.position = position
-        x, y, z, w = quaternion_from_matrix(model.rotations[i])
-        tile.pose.orientation.x, tile.pose.orientation.y = x, y
-        tile.pose.orientation.z, tile.pose.orientation.w = z, w
-        tile.scale.x = tile.scale.y = math.sqrt(areas[i])
-        tile.scale.z = 0.001
-        _paint(tile, float(normal_forces[i]))
-        arrow = Marker(header=header, ns="forces", id=i, type=Marker.ARROW, action=Marker.ADD)
-        tip = anchor + _ARROW_SCALE * np.nan_to_num(forces[i])
-        arrow.points = [position, point_to_ros(tip)]
-        arrow.scale.x, arrow.scale.y = 0.002, 0.004
-        _paint(arrow, float(normal_forces[i]))
-        markers += [tile, arrow]
-    return MarkerArray(markers=markers)
-
-
-def quaternion_from_matrix(rotation: FloatArray) -> tuple[float, float, float, float]:
-    """Quaternion (x, y, z, w) of a rotation matrix, shape (3, 3)."""
-    x, y, z, w = Rotation.from_matrix(rotation).as_quat().tolist()
-    return x, y, z, w
-
-
-def _paint(marker: Marker, normal_force: float) -> None:
-    """From pale to dark red with the normal force; grey where it is not known."""
-    if not math.isfinite(normal_force):
-        marker.color.r = marker.color.g = marker.color.b = 0.6
-    else:
-        share = min(max(normal_force / _FULL_COLOUR_FORCE, 0.0), 1.0)
-        marker.color.r = 1.0 - 0.4 * share
-        marker.color.g = marker.color.b = 0.9 * (1.0 - share)
-    marker.color.a = 0.9

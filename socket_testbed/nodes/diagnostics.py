@@ -106,7 +106,9 @@ class Diagnostics:
     def _unlinked(self) -> list[str]:
         """Topics without a counterpart in the graph, and the node while it starts."""
         waiting = [
-            s.topic_name for s in self._inputs if self._node.count_publishers(s.topic_name) == 0
+            s.topic_name
+            for s in self._inputs
+            if s.get_publisher_count() < max(1, self._node.count_publishers(s.topic_name))
         ]
         waiting += [p.topic_name for p in self._outputs if p.get_subscription_count() == 0]
         waiting += [

@@ -38,7 +38,6 @@ from socket_testbed.nodes.conversions import (
     header_to_ros,
     local_forces_to_ros,
     pose_from_ros,
-    pressure_map_to_ros,
     stamp_from_ros,
     stored_model_to_ros,
     stress_from_ros,
@@ -47,6 +46,7 @@ from socket_testbed.nodes.conversions import (
 )
 from socket_testbed.nodes.diagnostics import ERROR, NEWEST_STAMP, OK, WARN, Diagnostics
 from socket_testbed.nodes.parameters import Parameters
+from socket_testbed.nodes.pressure_map import PressureMap
 from socket_testbed.nodes.runtime import message_type, publisher_qos, run_node, subscriber_qos
 from socket_testbed.online import Sample, SampleWindow, StampSynchroniser
 from socket_testbed.settings import EstimatorSettings
@@ -92,6 +92,7 @@ class EstimatorNode(Node):
         self._newest = 0
         self._last_trigger = 0
         self._map_stamp = 0
+        self._drawn: tuple[ContactModel, PressureMap] | None = None
         self._counts = {"triggers": 0, "samples": 0, "predictions": 0, "fits": 0}
         self._worker = FitWorker()
 
@@ -200,9 +201,9 @@ class EstimatorNode(Node):
         due = abs(sample.stamp - self._map_stamp) >= _MAP_PERIOD
         if due and self._map.get_subscription_count() > 0:
             self._map_stamp = sample.stamp
-            self._map.publish(
-                pressure_map_to_ros(sample.stamp, model, self._geometry.areas, forces[0])
-            )
+            if self._drawn is None or self._drawn[0] is not model:
+                self._drawn = (model, PressureMap(model, self._geometry.areas))
+            self._map.publish(self._drawn[1].markers(sample.stamp, forces[0]))
 
     def _fit_by_itself(self) -> None:
         settings = self._adjustable.settings

@@ -73,7 +73,7 @@ class LoadCellNode(Node):
             time.sleep(max(0.0, due - time.monotonic()))
 
     def _on_trigger(self, stamp: int, moment: float) -> None:
-        over = moment + 0.5 * self._cell.settings.window
+        over = self._cell.over(moment)
         time.sleep(max(0.0, over - time.monotonic()))
         while not self._cell.ready(moment) and time.monotonic() < over + _PATIENCE:
             time.sleep(_LOOK)

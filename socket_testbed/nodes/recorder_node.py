@@ -66,7 +66,15 @@ class RecorderNode(Node):
         self._service = self.create_service(SetBool, "recorder/record", self._on_record)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._timer = self.create_timer(settings.flush_period, self._flush, clock=steady)
-        self._diagnostics = Diagnostics(self, lambda: {"trial": self._path or "", **self._counts})
+        self._diagnostics = Diagnostics(
+            self,
+            lambda: {"trial": self._path or "", **self._counts},
+            inputs=tuple(
+                subscription
+                for subscription, topic in zip(self._inputs, TOPICS, strict=True)
+                if topic.required
+            ),
+        )
         self._announce()
         if settings.record:
             self._start_over(Path(settings.directory))

@@ -47,7 +47,6 @@ class SimulatedFdc1004:
         self._faults = faults
         self._channel = channel
         self._speed = speed
-        self._hangs = False
         self._stuck_before = False
         self._browned_out = -math.inf
         self._shift = 0
@@ -63,7 +62,6 @@ class SimulatedFdc1004:
         self._codes = [0] * 4
         self._low = [0] * 4  # the LSB registers, held since the MSB was read
         self._high_was_read = [False] * 4
-        self._hangs = False
         self._shift = 0
         self._sequence: list[int] = []
         self._next = 0  # index in the sequence of the conversion under way
@@ -147,13 +145,11 @@ class SimulatedFdc1004:
     def _live(self) -> None:
         """Catch up with the time and the faults since the last transfer."""
         now = self._clock()
+        self._convert(now)
         stuck = self._is_struck_by("stuck_done")
-        self._hangs |= stuck and not self._stuck_before
+        if stuck and not self._stuck_before:
+            self._sequence, self._end = [], math.inf  # with what is done left as it is
         self._stuck_before = stuck
-        if not self._hangs:
-            self._convert(now)
-        elif self._sequence:
-            self._sequence, self._end = [], math.inf
         if self._is_struck_by("brown_out") and now - self._browned_out >= _BROWN_OUT_PERIOD:
             self._browned_out = now
             self.power_up()

@@ -14,6 +14,7 @@ from socket_testbed.simulation.fdc1004_chip import SimulatedFdc1004
 
 _CHIP = 0x50
 _BITS_PER_BYTE = 9
+_LONGEST_CREDIT = 1e-3  # [s]
 _READ = 0x0001  # flag of linux/i2c.h
 
 
@@ -46,6 +47,7 @@ class SimulatedI2cBus:
         address: int = 0x70,
         faults: Mapping[str, float] | None = None,
         frequency: float | None = None,
+        clock: Callable[[], float] = time.monotonic,
         sleep: Callable[[float], None] = time.sleep,
     ) -> None:
         """Open the bus, which restarts the host as far as the chips can tell.
@@ -56,6 +58,7 @@ class SimulatedI2cBus:
             address: Address of the multiplexer [1].
             faults: The faults of `simulation.faults`, looked up at each transfer.
             frequency: Clock of the bus [Hz]; None: transfers take no time.
+            clock: The steady clock [s].
             sleep: Waits [s].
         """
         self._chips = chips
@@ -63,7 +66,9 @@ class SimulatedI2cBus:
         self._address = address
         self._faults = {} if faults is None else faults
         self._frequency = frequency
+        self._clock = clock
         self._sleep = sleep
+        self._owed = 0.0  # time of the transfers that was not slept yet [s]
         self._is_gone = False
         for chip in chips:
             chip.host_restarted()
@@ -83,8 +88,8 @@ class SimulatedI2cBus:
         if hangs_for:
             self._sleep(hangs_for)
             raise OSError(errno.ETIMEDOUT, "the bus hangs (simulated)")
+        self._take_time(sum(1 + message.len for message in messages))
         for message in messages:
-            self._take_time(1 + message.len)
             if message.flags & _READ:
                 # On open-drain wires whoever sends a zero wins.
                 answers = [part.read(message.len) for part in self._addressed(message.addr)]
@@ -110,8 +115,14 @@ class SimulatedI2cBus:
         return found
 
     def _take_time(self, transferred: int) -> None:
-        if self._frequency is not None:
-            self._sleep(transferred * _BITS_PER_BYTE / self._frequency)
+        if self._frequency is None:
+            return
+        self._owed += transferred * _BITS_PER_BYTE / self._frequency
+        if self._owed > 0.0:
+            # A sleep is always too long; the next ones are shorter, so that the rate is right.
+            before = self._clock()
+            self._sleep(self._owed)
+            self._owed = max(self._owed - (self._clock() - before), -_LONGEST_CREDIT)
 
 
 class SimulatedClusterHardware:
@@ -144,6 +155,7 @@ class SimulatedClusterHardware:
         ]
         self._faults = faults
         self._frequency = frequency
+        self._clock = clock
         self._sleep = sleep
 
     def open_bus(self, number: int) -> I2cBus:
@@ -162,6 +174,7 @@ class SimulatedClusterHardware:
             self.multiplexer,
             faults=self._faults,
             frequency=self._frequency,
+            clock=self._clock,
             sleep=self._sleep,
         )
 

@@ -33,7 +33,8 @@ from socket_testbed.simulation.trial import save_truth
 from socket_testbed.simulation.world import World
 from socket_testbed.steady_clock import SteadyClock
 
-_PERIOD = 0.02  # [s]; of the physics; between two states the world is linear
+_PERIOD = 0.04  # [s]; of the physics; between two states the world is linear
+_LEAD = 0.2  # [s]; of the physics ahead of time: a busy machine does not stop the world
 _BODIES = ("socket", "pylon")
 
 
@@ -161,10 +162,9 @@ def main() -> None:
     world.port = server.address[1]
     try:
         while not ended.is_set():
-            # One step ahead of time, so that the chips interpolate and never extrapolate.
-            moment = max(moment + _PERIOD, time.monotonic() + 0.5 * _PERIOD)
+            moment = max(moment + _PERIOD, time.monotonic())
             testbed.advance(moment)
-            ended.wait(max(0.0, moment - _PERIOD - time.monotonic()))
+            ended.wait(max(0.0, moment - _LEAD - time.monotonic()))
     finally:
         server.close()
     if options.truth is not None:

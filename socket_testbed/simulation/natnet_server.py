@@ -41,7 +41,7 @@ from socket_testbed.simulation.natnet_scene import Bodies, Scene
 
 CLOCK = 10_000_000  # [Hz]
 _LATENCY = 0.004  # [s]; from mid-exposure to transmission
-_BEHIND = 0.05  # [s]; frames that are later than this are left out
+_BEHIND = 0.25  # [s]; frames that are later than this are left out
 _SILENCE = 10.0  # [s]; after which a client is forgotten
 _VERSIONS = ((3, 0), (3, 1), (4, 0), (4, 1), (4, 2), (4, 3), (4, 4))  # a stream can be asked for
 
