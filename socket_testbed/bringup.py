@@ -16,6 +16,9 @@ from socket_testbed.acquisition_settings import (
 from socket_testbed.calibration import read_calibration
 from socket_testbed.checked import Settings
 from socket_testbed.documents import closest
+from socket_testbed.drivers.clusters import reader as clusters
+from socket_testbed.drivers.load_cell import bridges
+from socket_testbed.drivers.natnet_sockets import server_address
 from socket_testbed.errors import ConfigurationError, TestbedError
 from socket_testbed.files import packaged
 from socket_testbed.geometry.socket import read_socket
@@ -137,10 +140,14 @@ def start(graph: Graph, testbed: Testbed) -> World | None:
         The simulated world, or None on hardware.
 
     Raises:
-        TestbedError: If the simulation does not come up.
+        TestbedError: If a device's settings are wrong, or the simulation does not come up.
     """
+    clusters.check_settings(testbed.clusters)
+    bridges.check_settings(testbed.load_cell)
     world = None
-    if testbed.simulation is not None:
+    if testbed.simulation is None:
+        server_address(testbed.mocap)
+    else:
         testbed, world = simulate_hardware(graph, testbed, testbed.simulation)
     if not testbed.load_cell.tare_file:
         # A node that is started again must not forget the tare.

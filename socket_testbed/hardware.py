@@ -14,12 +14,12 @@ from socket_testbed.acquisition_settings import (
     TriggerSettings,
 )
 from socket_testbed.arrays import FloatArray
-from socket_testbed.drivers.i2c import I2cBus, open_i2c
-from socket_testbed.drivers.spi import SpiDevice, open_spi
+from socket_testbed.drivers.clusters.i2c import I2cBus, open_i2c
+from socket_testbed.drivers.load_cell.spi import SpiDevice, open_spi
 from socket_testbed.drivers.trigger import GpiodLines, GpioTrigger, TimerTrigger, Trigger
-from socket_testbed.simulation.adc_chip import SimulatedLoadCellHardware
-from socket_testbed.simulation.gpio_lines import SimulatedLines
-from socket_testbed.simulation.i2c_chips import SimulatedClusterHardware
+from socket_testbed.simulation.devices.ads131m0x import SimulatedLoadCellHardware
+from socket_testbed.simulation.devices.gpio_lines import SimulatedLines
+from socket_testbed.simulation.devices.i2c import SimulatedClusterHardware
 from socket_testbed.simulation.sensors import SensorErrors, wrench_noise
 from socket_testbed.simulation.world import World
 

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from socket_testbed.drivers.ads131m0x import (
+from socket_testbed.drivers.load_cell.ads131m0x import (
     Ads131m0x,
     ChecksumError,
     ConverterResetError,
@@ -15,16 +15,16 @@ from socket_testbed.drivers.ads131m0x import (
     at_rail,
     volts,
 )
-from socket_testbed.drivers.conversions import (
+from socket_testbed.drivers.load_cell.conversions import (
     ConversionClock,
     ConversionRing,
     conversion_period,
     group_delay,
 )
-from socket_testbed.drivers.crc16 import checksum
-from socket_testbed.drivers.spi import open_spi
+from socket_testbed.drivers.load_cell.crc16 import checksum
+from socket_testbed.drivers.load_cell.spi import open_spi
 from socket_testbed.errors import ConfigurationError, DeviceError
-from socket_testbed.simulation.adc_chip import SimulatedAds131m0x
+from socket_testbed.simulation.devices.ads131m0x import SimulatedAds131m0x
 
 PERIOD = 1e-3
 

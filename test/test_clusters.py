@@ -9,9 +9,8 @@ from smbus2 import i2c_msg
 
 from socket_testbed.acquisition_settings import ClusterSettings
 from socket_testbed.drivers import i2c
-from socket_testbed.drivers.clusters import MISSING, OK, SATURATED, ClusterReader, ClusterReading
-from socket_testbed.drivers.fdc1004 import ChipResetError, Fdc1004, WrongChipError
-from socket_testbed.drivers.i2c import (
+from socket_testbed.drivers.clusters.fdc1004 import ChipResetError, Fdc1004, WrongChipError
+from socket_testbed.drivers.clusters.i2c import (
     BusError,
     BusGoneError,
     BusTimeoutError,
@@ -19,11 +18,18 @@ from socket_testbed.drivers.i2c import (
     I2cPort,
     NoAnswerError,
 )
-from socket_testbed.drivers.tca9548a import Multiplexer
+from socket_testbed.drivers.clusters.reader import (
+    MISSING,
+    OK,
+    SATURATED,
+    ClusterReader,
+    ClusterReading,
+)
+from socket_testbed.drivers.clusters.tca9548a import Multiplexer
 from socket_testbed.errors import ConfigurationError, DeviceError
-from socket_testbed.simulation.faults import FAULTS
-from socket_testbed.simulation.fdc1004_chip import SimulatedFdc1004
-from socket_testbed.simulation.i2c_chips import SimulatedClusterHardware, SimulatedI2cBus
+from socket_testbed.simulation.devices.faults import FAULTS
+from socket_testbed.simulation.devices.fdc1004 import SimulatedFdc1004
+from socket_testbed.simulation.devices.i2c import SimulatedClusterHardware, SimulatedI2cBus
 
 SETTINGS = ClusterSettings()
 CYCLE = 0.01  # [s]

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from testbeds import MEASURED, LiveTestbed, Recorded
 
-from socket_testbed.simulation.faults import FAULTS
+from socket_testbed.simulation.devices.faults import FAULTS
 
 ROOT = Path(__file__).resolve().parents[1]
 

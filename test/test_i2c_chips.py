@@ -4,8 +4,8 @@ from collections.abc import Callable
 import pytest
 from smbus2 import i2c_msg
 
-from socket_testbed.simulation.fdc1004_chip import SimulatedFdc1004
-from socket_testbed.simulation.i2c_chips import (
+from socket_testbed.simulation.devices.fdc1004 import SimulatedFdc1004
+from socket_testbed.simulation.devices.i2c import (
     SimulatedClusterHardware,
     SimulatedI2cBus,
     SimulatedTca9548a,

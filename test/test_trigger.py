@@ -9,8 +9,8 @@ import pytest
 from socket_testbed.acquisition_settings import TriggerSettings
 from socket_testbed.drivers.trigger import GpiodLines, GpioTrigger, TimerTrigger
 from socket_testbed.errors import DeviceError
-from socket_testbed.simulation.faults import FAULTS
-from socket_testbed.simulation.gpio_lines import SimulatedLines
+from socket_testbed.simulation.devices.faults import FAULTS
+from socket_testbed.simulation.devices.gpio_lines import SimulatedLines
 from socket_testbed.steady_clock import SteadyClock
 from socket_testbed.trigger_time import TriggerTime
 

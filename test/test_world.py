@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from socket_testbed.errors import ConfigurationError
-from socket_testbed.simulation.faults import FAULTS
+from socket_testbed.simulation.devices.faults import FAULTS
 from socket_testbed.simulation.world import World
 
 

@@ -13,8 +13,8 @@ from socket_testbed.bringup import Testbed, simulate_hardware
 from socket_testbed.commands.simulated import add_simulation, simulation_of
 from socket_testbed.commands.testbed import add_testbed, testbed_of
 from socket_testbed.commands.text import table
-from socket_testbed.drivers.clusters import ClusterReader
-from socket_testbed.drivers.load_cell import LoadCell
+from socket_testbed.drivers.clusters.reader import ClusterReader
+from socket_testbed.drivers.load_cell.cell import LoadCell
 from socket_testbed.drivers.natnet_client import NatNetClient
 from socket_testbed.errors import DeviceError, TestbedError
 from socket_testbed.hardware import i2c_opener, make_trigger, spi_opener

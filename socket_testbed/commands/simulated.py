@@ -7,7 +7,7 @@ import argparse
 from socket_testbed.bringup import Simulation
 from socket_testbed.documents import check_number, closest
 from socket_testbed.errors import ConfigurationError
-from socket_testbed.simulation.faults import FAULTS
+from socket_testbed.simulation.devices.faults import FAULTS
 from socket_testbed.simulation.loading import SCENARIOS
 
 

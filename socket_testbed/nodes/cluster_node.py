@@ -12,7 +12,7 @@ from rclpy.task import Future
 from socket_testbed_msgs.msg import ClusterCapacitanceArray
 
 from socket_testbed.acquisition_settings import ClusterSettings
-from socket_testbed.drivers.clusters import ClusterReader, ClusterReading
+from socket_testbed.drivers.clusters.reader import ClusterReader, ClusterReading
 from socket_testbed.hardware import i2c_opener
 from socket_testbed.nodes.conversions import capacitance_to_ros
 from socket_testbed.nodes.diagnostics import ERROR, OK, SETTLE, WARN, Diagnostics

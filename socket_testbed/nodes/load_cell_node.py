@@ -14,7 +14,7 @@ from rclpy.task import Future
 from std_srvs.srv import Trigger as TriggerService
 
 from socket_testbed.acquisition_settings import LoadCellSettings
-from socket_testbed.drivers.load_cell import LoadCell
+from socket_testbed.drivers.load_cell.cell import LoadCell
 from socket_testbed.errors import TestbedError
 from socket_testbed.hardware import spi_opener
 from socket_testbed.nodes.blocking_service import BlockingService

@@ -66,7 +66,7 @@ class NatNetServer:
         version: NatNet version.
         address: Address of its command port; port 0 takes a free one.
         multicast: Group and data port that it streams to; None: unicast.
-        faults: The faults `mocap.*` of `socket_testbed.simulation.faults`, looked up live.
+        faults: The faults `mocap.*` of `socket_testbed.simulation.devices.faults`, looked up live.
         noise: Standard deviation of a marker's coordinate [m].
         seed: Seed of everything that is random.
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from socket_testbed.arrays import FloatArray
 from socket_testbed.errors import ConfigurationError
-from socket_testbed.simulation.faults import FAULTS
+from socket_testbed.simulation.devices.faults import FAULTS
 
 _FILE = "world"
 _KEPT = 32  # states; more than any chip looks back

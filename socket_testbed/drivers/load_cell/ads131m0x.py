@@ -9,9 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from socket_testbed.arrays import BoolArray, FloatArray, IntArray
-from socket_testbed.drivers.conversions import conversion_period
-from socket_testbed.drivers.crc16 import checksum
-from socket_testbed.drivers.spi import SpiDevice
+from socket_testbed.drivers.load_cell.conversions import conversion_period
+from socket_testbed.drivers.load_cell.crc16 import checksum
+from socket_testbed.drivers.load_cell.spi import SpiDevice
 from socket_testbed.errors import DeviceError
 
 HIGHEST, LOWEST = 0x7FFFFF, -0x800000  # codes of the rails

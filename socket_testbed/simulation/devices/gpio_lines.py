@@ -12,7 +12,7 @@ class SimulatedLines:
     """What `drivers.trigger.GpioTrigger` drives; the edge comes by the wire.
 
     Args:
-        faults: The faults that are on; see `simulation.faults`.
+        faults: The faults that are on; see `simulation.devices.faults`.
         clock: The steady clock [s].
         sleep: Sleeps for a time [s].
     """

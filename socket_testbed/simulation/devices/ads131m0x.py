@@ -10,8 +10,8 @@ import numpy as np
 
 from socket_testbed.acquisition_settings import LoadCellSettings
 from socket_testbed.arrays import FloatArray
-from socket_testbed.drivers.bridges import check_settings
-from socket_testbed.simulation.adc_registers import AdcRegisters
+from socket_testbed.drivers.load_cell.bridges import check_settings
+from socket_testbed.simulation.devices.ads131m0x_registers import AdcRegisters
 
 _RESET, _STANDBY, _WAKEUP, _LOCK, _UNLOCK = 0x0011, 0x0022, 0x0033, 0x0555, 0x0655
 _RREG, _WREG = 0xA000, 0x6000
@@ -29,7 +29,7 @@ class SimulatedAds131m0x:
         volts: Called with a time of the steady clock [s] for the voltages at the inputs,
             shape (channels,) [V].
         channels: 6 (M06) or 8 (M08).
-        faults: The faults that are on; see `simulation.faults`.
+        faults: The faults that are on; see `simulation.devices.faults`.
         clock: The steady clock [s].
         clock_in: Clock of the converter [Hz].
         seed: Seed of the flipped bits.
@@ -194,7 +194,7 @@ class SimulatedLoadCellHardware:
         wrench: Called with a time of the steady clock [s] for what the cell feels, [M; F],
             shape (6,) [N m, N].
         settings: What its driver believes of it.
-        faults: The faults that are on; see `simulation.faults`.
+        faults: The faults that are on; see `simulation.devices.faults`.
         clock: The steady clock [s].
         seed: Seed of the flipped bits.
 

@@ -12,9 +12,9 @@ import numpy as np
 from socket_testbed.acquisition_settings import ClusterSettings
 from socket_testbed.arrays import FloatArray, StatusArray
 from socket_testbed.drivers.backoff import Backoff
-from socket_testbed.drivers.fdc1004 import ADDRESS, INPUTS, Fdc1004
-from socket_testbed.drivers.freshness import FreshInputs
-from socket_testbed.drivers.i2c import (
+from socket_testbed.drivers.clusters.fdc1004 import ADDRESS, INPUTS, Fdc1004
+from socket_testbed.drivers.clusters.freshness import FreshInputs
+from socket_testbed.drivers.clusters.i2c import (
     BusError,
     BusGoneError,
     BusTimeoutError,
@@ -22,7 +22,7 @@ from socket_testbed.drivers.i2c import (
     I2cPort,
     ReopenedBus,
 )
-from socket_testbed.drivers.tca9548a import Multiplexer
+from socket_testbed.drivers.clusters.tca9548a import Multiplexer
 from socket_testbed.errors import ConfigurationError, DeviceError
 
 OK, SATURATED, MISSING = 0, 1, 2  # as in calibration.Status, which is on a higher floor
@@ -70,7 +70,7 @@ class ClusterReader:
         Raises:
             ConfigurationError: If the settings do not fit together.
         """
-        _check(settings)
+        check_settings(settings)
         self._settings = settings
         self._clock = clock
         self._sleep = sleep
@@ -225,7 +225,12 @@ class _Cluster:
             self.bus.multiplexer.select(self.channel)
 
 
-def _check(settings: ClusterSettings) -> None:
+def check_settings(settings: ClusterSettings) -> None:
+    """Check what the ranges of single settings cannot.
+
+    Raises:
+        ConfigurationError: If the settings do not fit together.
+    """
     names, buses, channels = settings.names, settings.buses, settings.channels
     if not names or not len(names) == len(buses) == len(channels):
         raise ConfigurationError(

@@ -8,9 +8,9 @@ import numpy as np
 
 from socket_testbed.acquisition_settings import LoadCellSettings
 from socket_testbed.arrays import FloatArray, IntArray
-from socket_testbed.drivers.ads131m0x import volts
-from socket_testbed.drivers.conversions import conversion_period
-from socket_testbed.drivers.spi import check_device
+from socket_testbed.drivers.load_cell.ads131m0x import volts
+from socket_testbed.drivers.load_cell.conversions import conversion_period
+from socket_testbed.drivers.load_cell.spi import check_device
 from socket_testbed.errors import ConfigurationError
 
 AXES = ("Mx", "My", "Mz", "Fx", "Fy", "Fz")

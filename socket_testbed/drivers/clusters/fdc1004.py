@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 
-from socket_testbed.drivers.i2c import I2cPort
+from socket_testbed.drivers.clusters.i2c import I2cPort
 from socket_testbed.errors import DeviceError
 
 ADDRESS = 0x50  # fixed

@@ -9,8 +9,8 @@ from functools import partial
 
 from smbus2 import i2c_msg
 
-from socket_testbed.drivers.i2c import I2cBus, opening_failed
-from socket_testbed.simulation.fdc1004_chip import SimulatedFdc1004
+from socket_testbed.drivers.clusters.i2c import I2cBus, opening_failed
+from socket_testbed.simulation.devices.fdc1004 import SimulatedFdc1004
 
 _CHIP = 0x50
 _BITS_PER_BYTE = 9
@@ -56,7 +56,7 @@ class SimulatedI2cBus:
             chips: The chip on each channel; without a multiplexer all are on the same wires.
             multiplexer: The multiplexer, or None.
             address: Address of the multiplexer [1].
-            faults: The faults of `simulation.faults`, looked up at each transfer.
+            faults: The faults of `simulation.devices.faults`, looked up at each transfer.
             frequency: Clock of the bus [Hz]; None: transfers take no time.
             clock: The steady clock [s].
             sleep: Waits [s].
@@ -142,7 +142,7 @@ class SimulatedClusterHardware:
         Args:
             capacitance: Capacitance by the chip's channel and its input, both 0..3, at a time
                 of the clock [pF].
-            faults: The faults of `simulation.faults`, looked up at each transfer.
+            faults: The faults of `simulation.devices.faults`, looked up at each transfer.
             frequency: Clock of the bus [Hz]; None: transfers take no time.
             clock: The steady clock [s].
             sleep: Waits [s].

@@ -10,7 +10,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from socket_testbed.drivers.fdc1004 import (
+from socket_testbed.drivers.clusters.fdc1004 import (
     INPUTS,
     Fdc1004,
     capacitance,

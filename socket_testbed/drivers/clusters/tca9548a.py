@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from socket_testbed.drivers.i2c import I2cPort
+from socket_testbed.drivers.clusters.i2c import I2cPort
 
 
 class Multiplexer:

@@ -10,10 +10,10 @@ import numpy as np
 
 from socket_testbed.acquisition_settings import LoadCellSettings
 from socket_testbed.arrays import BoolArray, FloatArray
-from socket_testbed.drivers.bridges import AXES, UNITS, Bridges
-from socket_testbed.drivers.converter_reader import ConverterReader
-from socket_testbed.drivers.spi import SpiDevice
-from socket_testbed.drivers.tare import Tare
+from socket_testbed.drivers.load_cell.bridges import AXES, UNITS, Bridges
+from socket_testbed.drivers.load_cell.converter_reader import ConverterReader
+from socket_testbed.drivers.load_cell.spi import SpiDevice
+from socket_testbed.drivers.load_cell.tare import Tare
 from socket_testbed.errors import DeviceError
 
 _BROKEN_WIRE = 5  # conversions in a row at a rail

@@ -38,7 +38,7 @@ class SimulatedFdc1004:
         Args:
             capacitance: Capacitance of an input, 0..3, at a time of the clock [pF].
             clock: The steady clock [s].
-            faults: The faults of `simulation.faults`, looked up at each transfer.
+            faults: The faults of `simulation.devices.faults`, looked up at each transfer.
             channel: Channel of the multiplexer, by which the faults name the chip [1].
             speed: Its oscillator's frequency over the nominal one [-].
         """

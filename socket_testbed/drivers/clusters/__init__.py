@@ -1,0 +1,1 @@
+"""The clusters: converters of capacitance behind a multiplexer, on I2C."""

@@ -1,0 +1,1 @@
+"""The load cell: six bridges into a converter on SPI."""
