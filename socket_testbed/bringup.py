@@ -18,7 +18,7 @@ from socket_testbed.checked import Settings
 from socket_testbed.documents import closest
 from socket_testbed.drivers.clusters import reader as clusters
 from socket_testbed.drivers.load_cell import bridges
-from socket_testbed.drivers.natnet_sockets import server_address
+from socket_testbed.drivers.natnet.sockets import server_address
 from socket_testbed.errors import ConfigurationError, TestbedError
 from socket_testbed.files import packaged
 from socket_testbed.geometry.socket import read_socket

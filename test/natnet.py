@@ -11,9 +11,9 @@ from problems import PYLON_TRIAD, SOCKET_TRIAD
 from scipy.spatial.transform import Rotation
 
 from socket_testbed.acquisition_settings import MocapSettings
-from socket_testbed.drivers.mocap import BodyTracker
-from socket_testbed.drivers.natnet_client import NatNetClient
-from socket_testbed.simulation.natnet_server import NatNetServer
+from socket_testbed.drivers.natnet.client import NatNetClient
+from socket_testbed.drivers.natnet.tracker import BodyTracker
+from socket_testbed.simulation.devices.natnet_server import NatNetServer
 
 TIMEOUT = 10.0  # [s]; of a machine under load
 _POLL = 0.005  # [s]

@@ -12,7 +12,7 @@ from socket_testbed.acquisition_settings import MocapSettings
 from socket_testbed.bringup import Simulation
 from socket_testbed.processes import Graph
 from socket_testbed.settings import RecorderSettings
-from socket_testbed.simulation.natnet_server import NatNetServer
+from socket_testbed.simulation.devices.natnet_server import NatNetServer
 
 
 def test_motive_records_while_the_recorder_does(tmp_path: Path) -> None:

@@ -12,10 +12,10 @@ import pytest
 from natnet import TIMEOUT, Link, markers_at, scene, until
 
 from socket_testbed.acquisition_settings import MocapSettings
-from socket_testbed.drivers.natnet_client import NatNetClient
-from socket_testbed.drivers.natnet_statistics import LinkStatistics
+from socket_testbed.drivers.natnet.client import NatNetClient
+from socket_testbed.drivers.natnet.statistics import LinkStatistics
 from socket_testbed.errors import ConfigurationError, DeviceError
-from socket_testbed.simulation.natnet_server import NatNetServer
+from socket_testbed.simulation.devices.natnet_server import NatNetServer
 
 VERSIONS = [(3, 0), (3, 1), (4, 0), (4, 1), (4, 2), (4, 3), (4, 4)]
 ACCURACY = 1e-3  # [m]; of a marker that moves at 0.3 m/s, with the loopback's delays

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from socket_testbed.drivers.natnet_clock import EchoClock
+from socket_testbed.drivers.natnet.clock import EchoClock
 
 FREQUENCY = 10_000_000  # [Hz]
 

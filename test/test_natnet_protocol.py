@@ -7,9 +7,9 @@ from struct import pack
 import numpy as np
 import pytest
 
-from socket_testbed.drivers.natnet_frames import parse_frame
-from socket_testbed.drivers.natnet_models import parse_model_definitions
-from socket_testbed.drivers.natnet_protocol import (
+from socket_testbed.drivers.natnet.frames import parse_frame
+from socket_testbed.drivers.natnet.models import parse_model_definitions
+from socket_testbed.drivers.natnet.protocol import (
     CONNECT,
     ECHOREQUEST,
     FRAME,
@@ -26,7 +26,7 @@ from socket_testbed.drivers.natnet_protocol import (
     parse_server_info,
     split_datagram,
 )
-from socket_testbed.simulation.natnet_encoding import (
+from socket_testbed.simulation.devices.natnet_encoding import (
     MODEL_FILLED,
     OCCLUDED,
     Body,

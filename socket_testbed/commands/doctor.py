@@ -15,7 +15,7 @@ from socket_testbed.commands.testbed import add_testbed, testbed_of
 from socket_testbed.commands.text import table
 from socket_testbed.drivers.clusters.reader import ClusterReader
 from socket_testbed.drivers.load_cell.cell import LoadCell
-from socket_testbed.drivers.natnet_client import NatNetClient
+from socket_testbed.drivers.natnet.client import NatNetClient
 from socket_testbed.errors import DeviceError, TestbedError
 from socket_testbed.hardware import i2c_opener, make_trigger, spi_opener
 from socket_testbed.processes import Graph

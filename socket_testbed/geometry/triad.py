@@ -14,6 +14,18 @@ EDGE_TOLERANCE = 0.002  # [m]; well above the noise of a marker
 
 _ORDERS = np.array(list(permutations(range(3))))
 _EDGES = ((0, 1), (1, 2), (2, 0))
+# Another order of the markers is another order of the same three edges.
+_EDGES_OF_ORDERS = np.array(
+    [
+        [
+            _EDGES.index(pair)
+            if (pair := (int(o[a]), int(o[b]))) in _EDGES
+            else _EDGES.index(pair[::-1])
+            for a, b in _EDGES
+        ]
+        for o in _ORDERS
+    ]
+)
 
 
 @dataclass(frozen=True)
@@ -59,13 +71,8 @@ def fit_triad(
         observed: Markers in another frame, shape (N, 3, 3) [m].
         tolerance: Largest difference of an edge length from the body's [m].
     """
-    mismatch = np.stack(
-        [
-            np.abs(edge_lengths(observed[:, order]) - edge_lengths(reference)).max(axis=-1)
-            for order in _ORDERS
-        ],
-        axis=-1,
-    )
+    lengths = edge_lengths(observed)[:, _EDGES_OF_ORDERS]
+    mismatch = np.abs(lengths - edge_lengths(reference)).max(axis=-1)
     mismatch = np.where(np.isfinite(mismatch), mismatch, np.inf)
     # The first order is the labels' own. Where it fits, noise must not flip a triad that is
     # nearly symmetric.

@@ -16,8 +16,8 @@ from socket_testbed_msgs.msg import RigidBodyMarkersArray
 from std_msgs.msg import String
 
 from socket_testbed.acquisition_settings import MocapSettings
-from socket_testbed.drivers.mocap import BodyTracker, MocapSample
-from socket_testbed.drivers.natnet_client import NatNetClient
+from socket_testbed.drivers.natnet.client import NatNetClient
+from socket_testbed.drivers.natnet.tracker import BodyTracker, MocapSample
 from socket_testbed.files import packaged
 from socket_testbed.geometry.socket import read_socket
 from socket_testbed.nodes.conversions import header_to_ros, markers_to_ros, pose_to_ros
@@ -98,8 +98,8 @@ class MocapNode(Node):
         fault, when = self._fault
         if level < 2 and fault and time.monotonic() - when < _RECENT:
             level, message = 1, fault
-        elif level == 0 and self._follower.note:
-            level, message = 1, self._follower.note
+        elif level == 0 and (note := self._client.recording_fault or self._follower.note):
+            level, message = 1, note
         self._diagnostics.report(_LEVELS[level], message)
 
 

@@ -18,9 +18,9 @@ from socket_testbed.arrays import FloatArray
 from socket_testbed.calibration import Calibration, read_calibration
 from socket_testbed.geometry.socket import SocketGeometry, read_socket
 from socket_testbed.lifeline import follow_starter
+from socket_testbed.simulation.devices.natnet_server import NatNetServer
 from socket_testbed.simulation.loading import SCENARIOS, Scenario, load_history
 from socket_testbed.simulation.motion import LoadedLimb, MarkerBodies
-from socket_testbed.simulation.natnet_server import NatNetServer
 from socket_testbed.simulation.sensors import (
     ClusterSensor,
     SensorErrors,

@@ -8,7 +8,7 @@ from contextlib import suppress
 
 import numpy as np
 
-from socket_testbed.simulation.natnet_encoding import Message
+from socket_testbed.simulation.devices.natnet_encoding import Message
 
 
 class FaultyNetwork:

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from struct import Struct
 
-from socket_testbed.drivers.natnet_protocol import Reader, Version
+from socket_testbed.drivers.natnet.protocol import Reader, Version
 
 
 @dataclass(frozen=True)

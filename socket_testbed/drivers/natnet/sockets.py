@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from contextlib import suppress
 
 from socket_testbed.acquisition_settings import MocapSettings
-from socket_testbed.drivers.natnet_protocol import LARGEST_DATAGRAM, Version
+from socket_testbed.drivers.natnet.protocol import LARGEST_DATAGRAM, Version
 from socket_testbed.errors import ConfigurationError, DeviceError
 
 _BUFFER = 1 << 20  # [bytes]; the frames of a second

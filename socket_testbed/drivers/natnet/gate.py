@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from socket_testbed.drivers.natnet_statistics import LinkStatistics
+from socket_testbed.drivers.natnet.statistics import LinkStatistics
 
 _EARLIEST, _LATEST = 1.0, 0.005  # [s]; before and after its arrival that a frame can be from
 _ODD = 10  # frames in a row; of another server, not of the network

@@ -6,7 +6,7 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from socket_testbed.drivers.natnet_protocol import (
+from socket_testbed.drivers.natnet.protocol import (
     UNRECOGNIZED,
     Response,
     encode_command,

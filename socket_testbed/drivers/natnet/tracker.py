@@ -13,8 +13,8 @@ import numpy as np
 
 from socket_testbed.acquisition_settings import MocapSettings
 from socket_testbed.arrays import FloatArray, IntArray
-from socket_testbed.drivers.natnet_frames import Frame
-from socket_testbed.drivers.natnet_models import ModelDefinitions
+from socket_testbed.drivers.natnet.frames import Frame
+from socket_testbed.drivers.natnet.models import ModelDefinitions
 from socket_testbed.geometry.triad import EDGE_TOLERANCE, TriadFit, edge_lengths, fit_triad
 
 _KEPT = 1.0  # [s]

@@ -12,7 +12,7 @@ from struct import pack
 
 import numpy as np
 
-from socket_testbed.drivers.natnet_protocol import (
+from socket_testbed.drivers.natnet.protocol import (
     CONNECT,
     DISCONNECT,
     ECHOREQUEST,
@@ -28,7 +28,7 @@ from socket_testbed.drivers.natnet_protocol import (
     Version,
     split_datagram,
 )
-from socket_testbed.simulation.natnet_encoding import (
+from socket_testbed.simulation.devices.natnet_encoding import (
     Content,
     Definition,
     Message,
@@ -36,8 +36,8 @@ from socket_testbed.simulation.natnet_encoding import (
     encode_model_definitions,
     encode_server_info,
 )
-from socket_testbed.simulation.natnet_network import FaultyNetwork
-from socket_testbed.simulation.natnet_scene import Bodies, Scene
+from socket_testbed.simulation.devices.natnet_network import FaultyNetwork
+from socket_testbed.simulation.devices.natnet_scene import Bodies, Scene
 
 CLOCK = 10_000_000  # [Hz]
 _LATENCY = 0.004  # [s]; from mid-exposure to transmission

@@ -8,12 +8,12 @@ from collections.abc import Callable
 
 from socket_testbed.acquisition_settings import MocapSettings
 from socket_testbed.drivers.backoff import Backoff
-from socket_testbed.drivers.natnet_clock import EchoClock
-from socket_testbed.drivers.natnet_commands import Answer, CommandQueue
-from socket_testbed.drivers.natnet_frames import Frame, parse_frame
-from socket_testbed.drivers.natnet_gate import FrameGate
-from socket_testbed.drivers.natnet_models import ModelDefinitions, parse_model_definitions
-from socket_testbed.drivers.natnet_protocol import (
+from socket_testbed.drivers.natnet.clock import EchoClock
+from socket_testbed.drivers.natnet.commands import Answer, CommandQueue
+from socket_testbed.drivers.natnet.frames import Frame, parse_frame
+from socket_testbed.drivers.natnet.gate import FrameGate
+from socket_testbed.drivers.natnet.models import ModelDefinitions, parse_model_definitions
+from socket_testbed.drivers.natnet.protocol import (
     DISCONNECT,
     ECHORESPONSE,
     FRAME,
@@ -32,9 +32,9 @@ from socket_testbed.drivers.natnet_protocol import (
     parse_server_info,
     split_datagram,
 )
-from socket_testbed.drivers.natnet_sockets import NatNetSockets
-from socket_testbed.drivers.natnet_statistics import LinkStatistics
-from socket_testbed.drivers.natnet_takes import TakeKeeper
+from socket_testbed.drivers.natnet.sockets import NatNetSockets
+from socket_testbed.drivers.natnet.statistics import LinkStatistics
+from socket_testbed.drivers.natnet.takes import TakeKeeper
 from socket_testbed.errors import DeviceError
 
 SILENCE = 0.3  # [s]; after which the server, or its stream, is lost

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from socket_testbed.drivers.natnet_protocol import ServerInfo
-from socket_testbed.drivers.natnet_session import CONNECTED, SILENCE, Session
+from socket_testbed.drivers.natnet.protocol import ServerInfo
+from socket_testbed.drivers.natnet.session import CONNECTED, SILENCE, Session
 
 OK, WARN, ERROR = 0, 1, 2
 

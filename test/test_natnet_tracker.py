@@ -9,9 +9,9 @@ from natnet import NAMES, TRIADS, markers_at, pose_at
 from scipy.spatial.transform import Rotation
 
 from socket_testbed.acquisition_settings import MocapSettings
-from socket_testbed.drivers.mocap import BodyTracker, MocapSample
-from socket_testbed.drivers.natnet_frames import Frame, LabelledMarker
-from socket_testbed.drivers.natnet_models import ModelDefinitions, RigidBodyDefinition
+from socket_testbed.drivers.natnet.frames import Frame, LabelledMarker
+from socket_testbed.drivers.natnet.models import ModelDefinitions, RigidBodyDefinition
+from socket_testbed.drivers.natnet.tracker import BodyTracker, MocapSample
 
 PERIOD = 1.0 / 240.0  # [s]
 SETTINGS = MocapSettings(stale=0.05)

@@ -9,13 +9,13 @@ from concurrent.futures import Future
 from concurrent.futures import TimeoutError as FutureTimeoutError
 
 from socket_testbed.acquisition_settings import MocapSettings
-from socket_testbed.drivers.natnet_commands import Answer, CommandQueue
-from socket_testbed.drivers.natnet_frames import Frame
-from socket_testbed.drivers.natnet_health import describe_link, judge_link
-from socket_testbed.drivers.natnet_models import ModelDefinitions
-from socket_testbed.drivers.natnet_protocol import DISCONNECT, MalformedDatagram, encode_message
-from socket_testbed.drivers.natnet_session import Session
-from socket_testbed.drivers.natnet_sockets import (
+from socket_testbed.drivers.natnet.commands import Answer, CommandQueue
+from socket_testbed.drivers.natnet.frames import Frame
+from socket_testbed.drivers.natnet.health import describe_link, judge_link
+from socket_testbed.drivers.natnet.models import ModelDefinitions
+from socket_testbed.drivers.natnet.protocol import DISCONNECT, MalformedDatagram, encode_message
+from socket_testbed.drivers.natnet.session import Session
+from socket_testbed.drivers.natnet.sockets import (
     NatNetSockets,
     bitstream_version,
     server_address,

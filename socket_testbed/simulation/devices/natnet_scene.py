@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from socket_testbed.arrays import FloatArray
-from socket_testbed.simulation.natnet_encoding import (
+from socket_testbed.simulation.devices.natnet_encoding import (
     HAS_MODEL,
     OCCLUDED,
     SOLVED,

@@ -7,7 +7,7 @@ from math import isfinite
 from struct import Struct
 from typing import NamedTuple, TypeAlias
 
-from socket_testbed.drivers.natnet_protocol import MalformedDatagram, Reader, Version
+from socket_testbed.drivers.natnet.protocol import MalformedDatagram, Reader, Version
 
 OLDEST = (2, 6)  # before it, markers do not say whether they are occluded
 

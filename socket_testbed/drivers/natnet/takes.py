@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from socket_testbed.drivers.natnet_commands import Answer, Done
-from socket_testbed.drivers.natnet_protocol import Response
+from socket_testbed.drivers.natnet.commands import Answer, Done
+from socket_testbed.drivers.natnet.protocol import Response
 
 _RETRY = 0.25  # [s]; from a command that failed to the next
 _IN_FLIGHT = 0.1  # [s]; after which no frame is from before a command

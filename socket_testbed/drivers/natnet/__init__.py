@@ -1,0 +1,1 @@
+"""Motion capture: a client of NatNet servers, and the bodies that it tracks."""
