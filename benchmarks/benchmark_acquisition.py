@@ -92,7 +92,6 @@ class Result:
     triggers: int
     lost: int
     incomplete: int
-    late: int
     estimates: int
     trigger: np.ndarray
     estimate: np.ndarray
@@ -125,8 +124,7 @@ def measure(folder: Path, model: Path, rate: float, duration: float, one_process
         triggers=counts[TRIGGER],
         lost=sum(counts[TRIGGER] - counts[topic] for topic in REQUIRED),
         incomplete=int((~fine).sum()),
-        late=round(duration * rate) - counts[TRIGGER],
-        estimates=len(estimates.by_stamp),
+        estimates=counts[ESTIMATED_WRENCH],
         trigger=triggers.latencies(),
         estimate=estimates.latencies(),
         cores=cores,

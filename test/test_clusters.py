@@ -8,7 +8,7 @@ import pytest
 from smbus2 import i2c_msg
 
 from socket_testbed.acquisition_settings import ClusterSettings
-from socket_testbed.drivers import i2c
+from socket_testbed.drivers.clusters import i2c
 from socket_testbed.drivers.clusters.fdc1004 import ChipResetError, Fdc1004, WrongChipError
 from socket_testbed.drivers.clusters.i2c import (
     BusError,

@@ -14,17 +14,10 @@ EDGE_TOLERANCE = 0.002  # [m]; well above the noise of a marker
 
 _ORDERS = np.array(list(permutations(range(3))))
 _EDGES = ((0, 1), (1, 2), (2, 0))
+_EDGE_OF = {frozenset(edge): i for i, edge in enumerate(_EDGES)}
 # Another order of the markers is another order of the same three edges.
 _EDGES_OF_ORDERS = np.array(
-    [
-        [
-            _EDGES.index(pair)
-            if (pair := (int(o[a]), int(o[b]))) in _EDGES
-            else _EDGES.index(pair[::-1])
-            for a, b in _EDGES
-        ]
-        for o in _ORDERS
-    ]
+    [[_EDGE_OF[frozenset((o[a], o[b]))] for a, b in _EDGES] for o in permutations(range(3))]
 )
 
 

@@ -120,7 +120,7 @@ class LiveTestbed:
         stamps = np.array([clock.to_epoch(moment) for moment in moments], dtype=np.int64)
         truth = GroundTruth(forces, load, position, rotation)
         names = ("felt_capacitance", "felt_wrench", "felt_markers")
-        save_truth(path, stamps, truth, **dict(zip(names, felt, strict=True)))
+        save_truth(path, self._geometry.names, stamps, truth, **dict(zip(names, felt, strict=True)))
 
 
 def main() -> None:

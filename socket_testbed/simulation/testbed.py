@@ -50,6 +50,7 @@ class SimulatedTrial:
     """What the testbed measures and what really happened, one row a trigger.
 
     Attributes:
+        tiles: Names of the n tiles.
         stamps: Times of the triggers since the epoch, shape (N,) [ns].
         capacitance: Capacitances by cluster and input, shape (N, 4) each [pF].
         wrench: Measured wrench [M; F], shape (N, 6) [N m, N].
@@ -60,6 +61,7 @@ class SimulatedTrial:
         truth: The ground truth.
     """
 
+    tiles: tuple[str, ...]
     stamps: IntArray
     capacitance: dict[str, FloatArray]
     wrench: FloatArray
@@ -118,6 +120,7 @@ def simulate(
     socket_seen = observe_markers(socket_in_world, geometry.socket_markers, errors, marker_rng)
     pylon_seen = observe_markers(pylon_in_world, geometry.pylon_markers, errors, marker_rng)
     return SimulatedTrial(
+        tiles=geometry.names,
         stamps=_START + np.round(time * 1e9).astype(np.int64),
         capacitance=capacitance,
         wrench=truth.wrench + offset + wrench_noise(errors, count, cell_rng),

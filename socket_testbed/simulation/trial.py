@@ -67,13 +67,20 @@ def write_simulated_trial(
                     time = stamp + _DELAYS[topic]
                     bag.write("/" + topic.name, time, encode(message, topic.type))
         store_configuration(staging, geometry_file, calibration_file)
-        save_truth(staging / TRUTH_FILE, trial.stamps, trial.truth)
+        save_truth(staging / TRUTH_FILE, trial.tiles, trial.stamps, trial.truth)
 
 
-def save_truth(path: Path, stamps: IntArray, truth: GroundTruth, **more: FloatArray) -> None:
-    """Write a ground truth with the times [ns] that it is from, shape (N,), and more."""
+def save_truth(
+    path: Path,
+    tiles: tuple[str, ...],
+    stamps: IntArray,
+    truth: GroundTruth,
+    **more: FloatArray,
+) -> None:
+    """Write a ground truth with the names of its tiles, its times [ns], shape (N,), and more."""
     arrays: dict[str, Any] = {name: getattr(truth, name) for name in _TRUTH}
-    np.savez_compressed(path, stamps=stamps, **arrays, **dict[str, Any](more))
+    arrays |= {"names": np.array(tiles), "stamps": stamps, **more}
+    np.savez_compressed(path, **arrays)
 
 
 def read_truth(path: Path, stamps: IntArray | None = None) -> GroundTruth:
