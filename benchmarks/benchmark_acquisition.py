@@ -142,6 +142,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--rates", type=float, nargs="+", default=[4.0, 50.0, 100.0])
     parser.add_argument("--duration", type=float, default=60.0, help="of each run [s]")
+    parser.add_argument("--separate", action="store_true", help="separate processes alone")
     options = parser.parse_args()
     print(describe_machine(1))
     print(
@@ -153,7 +154,7 @@ def main() -> None:
         verb(["simulate", "-o", str(folder / "hold"), "--duration", "60"])
         verb(["fit", str(folder / "hold"), "-o", str(folder / "model.json")])
         for rate in options.rates:
-            for one_process in (False, True):
+            for one_process in (False,) if options.separate else (False, True):
                 r = measure(folder, folder / "model.json", rate, options.duration, one_process)
                 t50, t99 = np.percentile(r.trigger, [50, 99])
                 e50, e99 = np.percentile(r.estimate, [50, 99])

@@ -99,7 +99,8 @@ class TriggerNode(Node):
                     due = time.monotonic()
                 if self._stopping.wait(max(0.0, due - time.monotonic())):
                     break
-                self._fire()
+                if self._enabled.is_set():
+                    self._fire()
             if self._trigger is not None:
                 self._trigger.close()
         except Exception:
