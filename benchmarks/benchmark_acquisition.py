@@ -32,7 +32,7 @@ from socket_testbed.__main__ import run as verb
 from socket_testbed.bringup import Simulation, end, simulated_testbed, start
 from socket_testbed.nodes.runtime import message_type, subscriber_qos
 from socket_testbed.processes import Graph
-from socket_testbed.steady_clock import SteadyClock
+from socket_testbed.steady_clock import BEGINNING, SteadyClock
 from socket_testbed.trials.bag import BagReader
 from socket_testbed.trials.synchronise import read_samples
 from socket_testbed.trials.topics import ESTIMATED_WRENCH, REQUIRED, TRIGGER, match_topics
@@ -144,6 +144,7 @@ def main() -> None:
     parser.add_argument("--duration", type=float, default=60.0, help="of each run [s]")
     parser.add_argument("--separate", action="store_true", help="separate processes alone")
     options = parser.parse_args()
+    os.environ[BEGINNING] = str(SteadyClock().beginning)
     print(describe_machine(1))
     print(
         "  rate  processes  triggers  lost  incomplete  estimates |"

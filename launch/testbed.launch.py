@@ -3,13 +3,14 @@
 ros2 launch socket_testbed testbed.launch.py params:=/path/of/testbed.yaml record:=/path/of/trial
 """
 
-from launch.actions import DeclareLaunchArgument
+from launch.actions import DeclareLaunchArgument, SetEnvironmentVariable
 from launch.conditions import IfCondition
 from launch.substitutions import LaunchConfiguration, PathJoinSubstitution, PythonExpression
 from launch_ros.actions import Node
 from launch_ros.substitutions import FindPackageShare
 
 from launch import LaunchDescription
+from socket_testbed.steady_clock import BEGINNING, SteadyClock
 
 SENSING = ["cluster_node", "load_cell_node", "mocap_node", "calibration_node", "estimator_node"]
 
@@ -37,8 +38,11 @@ def generate_launch_description() -> LaunchDescription:
             output="screen",
         )
 
+    # A node that is started again tells the same time as the others.
+    beginning = SetEnvironmentVariable(BEGINNING, str(SteadyClock().beginning))
     return LaunchDescription(
         [
+            beginning,
             DeclareLaunchArgument("params", description="node parameters, a testbed.yaml"),
             DeclareLaunchArgument("geometry", default_value=packaged("socket.yaml")),
             DeclareLaunchArgument("calibration", default_value=packaged("calibration.yaml")),

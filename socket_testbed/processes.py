@@ -21,6 +21,7 @@ from socket_testbed.checked import Settings, parameter_values
 from socket_testbed.drivers.backoff import Backoff
 from socket_testbed.errors import ConfigurationError, TestbedError
 from socket_testbed.lifeline import PARENT
+from socket_testbed.steady_clock import BEGINNING, SteadyClock
 
 _GRACE = 8.0  # [s]; for a node to end by itself
 _LOOK = 0.05  # [s]
@@ -58,6 +59,11 @@ class Graph:
         self._members: dict[str, _Member] = {}
         self._temporary = tempfile.TemporaryDirectory(prefix="socket_testbed_")
         self.folder = Path(self._temporary.name)
+        self._environment = {
+            **os.environ,
+            PARENT: str(os.getpid()),
+            BEGINNING: str(SteadyClock().beginning),
+        }
 
     def __enter__(self) -> Self:
         for package in ("rclpy", "socket_testbed_msgs"):
@@ -119,7 +125,7 @@ class Graph:
             stdout=self._output,
             stderr=self._output,
             start_new_session=True,
-            env={**os.environ, PARENT: str(os.getpid())},
+            env=self._environment,
         )
 
     def wait(self, node: str) -> None:

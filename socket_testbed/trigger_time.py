@@ -17,8 +17,8 @@ _TRAVEL = 0.0005  # [s]; how long a trigger usually takes
 class TriggerTime:
     """Puts triggers on the steady clock.
 
-    Every process takes the system clock once, at its start. If that clock was set between the
-    starts of two of them, stamps seem to come from the future or from long ago, all by the same
+    Processes that were not started together take the system clock each at its own start. If that
+    clock was set in between, stamps seem to come from the future or from long ago, all by the same
     difference: then their arrival tells it. Triggers that were held up come from long ago, too,
     but each by another difference.
 

@@ -3,7 +3,7 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
-from socket_testbed.steady_clock import SteadyClock
+from socket_testbed.steady_clock import BEGINNING, SteadyClock
 
 START = 1_760_000_000_123_456_789  # [ns]
 
@@ -70,3 +70,14 @@ def test_by_default_it_reads_this_machine_s_clocks() -> None:
     first = clock.now()
     assert clock.now() >= first
     assert abs(clock.step()) < 1.0
+
+
+def test_processes_of_one_graph_tell_the_same_time(
+    clocks: Clocks, clock: SteadyClock, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv(BEGINNING, str(clock.beginning))
+    clocks.pass_time(7_000_000_000)
+    clocks.wall += 3_600_000_000_000  # set before another process starts
+    later = SteadyClock(lambda: clocks.wall, lambda: clocks.steady)
+    assert later.now() == clock.now()
+    assert later.step() == clock.step() == 3600.0

@@ -2,7 +2,7 @@
 
 Publishes: trigger, /diagnostics. Service: trigger/enable.
 
-The stamp is the system clock as it was when the node started, advanced by the steady clock: the
+The stamp is the system clock as it was when the testbed started, advanced by the steady clock: the
 system clock may be set while a trial runs. The sequence counts pulses: one that is not seen
 leaves a gap in it.
 """
