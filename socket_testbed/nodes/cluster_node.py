@@ -73,7 +73,7 @@ class ClusterNode(Node):
         elif reading is None:
             return
         elif reading.faults:
-            self._diagnostics.report(ERROR, "; ".join(reading.faults.values()))
+            self._diagnostics.report(ERROR, "; ".join(dict.fromkeys(reading.faults.values())))
         elif self._follower.note:
             self._diagnostics.report(WARN, self._follower.note)
         else:

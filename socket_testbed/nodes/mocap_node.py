@@ -84,7 +84,7 @@ class MocapNode(Node):
         ):
             publisher.publish(PoseStamped(header=header, pose=pose_to_ros(position, quaternion)))
         self._markers.publish(markers_to_ros(stamp, _WORLD, ("socket", "pylon"), sample.markers))
-        faults = [fault for fault in sample.faults if fault]
+        faults = dict.fromkeys(fault for fault in sample.faults if fault)
         if faults:
             self._missing += 1
             self._fault = ("; ".join(faults), time.monotonic())
