@@ -39,7 +39,7 @@ from socket_testbed.trials.topics import REQUIRED, TRIGGER, match_topics
 ACQUIRING = ("cluster_node", "load_cell_node", "mocap_node", "calibration_node", "estimator_node")
 
 _UP_WITHIN = 30.0  # [s]; for the simulation
-_DRAIN = 0.3  # [s]; for the last trigger's sample to pass
+_DRAIN = 1.0  # [s]; for the last trigger's sample to pass
 
 
 @dataclass(frozen=True)
