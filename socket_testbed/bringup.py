@@ -50,11 +50,15 @@ class Simulation:
         scenario: The load history.
         period: Its duration, after which it starts anew [s].
         seed: Seed of all that is random.
+        pace: How much faster the load changes than in the scenario [-].
+        sway: How far the whole stand sways in the world [m].
     """
 
     scenario: Scenario = "static_hold"
     period: float = 120.0
     seed: int = 0
+    pace: float = 1.0
+    sway: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -211,6 +215,7 @@ def simulate_hardware(
     world = World(folder, create=True)
     arguments = [str(folder), "--scenario", simulation.scenario]
     arguments += ["--duration", str(simulation.period), "--seed", str(simulation.seed)]
+    arguments += ["--pace", str(simulation.pace), "--sway", str(simulation.sway)]
     arguments += ["--geometry", str(testbed.geometry), "--calibration", str(testbed.calibration)]
     if testbed.record is not None:
         arguments += ["--truth", str(testbed.record.resolve() / TRUTH_FILE)]

@@ -33,8 +33,8 @@ from socket_testbed.trials.trial import Trial
 
 MEASURED = (CAPACITANCE, WRENCH, SOCKET_POSE, PYLON_POSE, MARKERS)
 
-# Loads that change all the time: an old value is a wrong one.
-MOVING = Simulation("multi_direction", period=40.0, seed=2)
+# Everything changes fast, all the time: an old value is a wrong one.
+MOVING = Simulation("multi_direction", period=40.0, seed=2, pace=6.0, sway=0.05)
 
 
 class LiveTestbed:

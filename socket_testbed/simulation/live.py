@@ -48,6 +48,8 @@ class LiveTestbed:
         scenario: The load history; it starts anew when it is over.
         duration: Duration of the load history [s].
         seed: Seed of everything that is random.
+        pace: How much faster the load changes than in the scenario [-].
+        sway: How far the whole stand sways in the world [m].
         errors: Sizes of the sensors' errors.
     """
 
@@ -59,6 +61,8 @@ class LiveTestbed:
         scenario: Scenario,
         duration: float,
         seed: int,
+        pace: float,
+        sway: float,
         errors: SensorErrors,
     ) -> None:
         calibration.require(geometry.clusters, "the socket")
@@ -68,7 +72,8 @@ class LiveTestbed:
         self._world = world
         self._geometry = geometry
         self._times = np.arange(0.0, duration, _PERIOD)
-        self._loads = load_history(scenario, self._times, load_rng)
+        self._loads = load_history(scenario, pace * self._times, load_rng)
+        self._sway = sway
         self._limb = LoadedLimb(geometry, self._loads[0], tissue_rng)
         self._offset = wrench_offset(errors, cell_rng)
         self._sensors = {
@@ -94,7 +99,8 @@ class LiveTestbed:
                 for name, sensor in self._sensors.items()
             ]
         )
-        socket, pylon = self._bodies.poses(position[None], rotation[None], load[None])
+        swayed = self._sway * np.sin(2.0 * np.pi * elapsed / np.array([3.0, 4.1, 5.3]))
+        socket, pylon = self._bodies.poses(position[None], rotation[None], load[None], swayed)
         markers = np.vstack(
             [
                 place_markers(socket, self._geometry.socket_markers),
@@ -132,6 +138,8 @@ def main() -> None:
     parser.add_argument("--scenario", choices=SCENARIOS, required=True)
     parser.add_argument("--duration", type=float, required=True, help="of the scenario [s]")
     parser.add_argument("--seed", type=int, required=True)
+    parser.add_argument("--pace", type=float, required=True, help="of the load, relative [-]")
+    parser.add_argument("--sway", type=float, required=True, help="of the stand [m]")
     parser.add_argument("--truth", type=Path, help="where to write what really happened")
     options = parser.parse_args()
 
@@ -149,6 +157,8 @@ def main() -> None:
         options.scenario,
         options.duration,
         options.seed,
+        options.pace,
+        options.sway,
         errors,
     )
 

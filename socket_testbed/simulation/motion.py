@@ -79,7 +79,11 @@ class MarkerBodies:
         self._limb_in_body = misregister(geometry.limb, errors, rng)
 
     def poses(
-        self, position: FloatArray, rotation: FloatArray, load: FloatArray
+        self,
+        position: FloatArray,
+        rotation: FloatArray,
+        load: FloatArray,
+        swayed: FloatArray | None = None,
     ) -> tuple[Pose, Pose]:
         """True poses of the bodies of socket and pylon in the world, N of each.
 
@@ -87,9 +91,12 @@ class MarkerBodies:
             position: Limb positions in {S}, shape (N, 3) [m].
             rotation: Rotation vectors of the limb, shape (N, 3) [rad].
             load: Loads [M; F], shape (N, 6) [N m, N].
+            swayed: Displacement of the whole stand in the world, shape (3,) [m].
         """
         count = len(position)
         shift = self._rng.normal(0.0, _STAND_TREMOR, (count, 3)) - _STAND_COMPLIANCE * load[:, 3:]
+        if swayed is not None:
+            shift += swayed
         world = Pose(
             np.tile(_SOCKET_IN_WORLD.rotation, (count, 1, 1)),
             _SOCKET_IN_WORLD.translation + shift,
