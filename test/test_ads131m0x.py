@@ -6,6 +6,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from clocks import FakeClock
 
 from socket_testbed.drivers.load_cell.ads131m0x import (
     Ads131m0x,
@@ -27,19 +28,6 @@ from socket_testbed.errors import ConfigurationError, DeviceError
 from socket_testbed.simulation.devices.ads131m0x import SimulatedAds131m0x
 
 PERIOD = 1e-3
-
-
-class Clock:
-    """A clock that only sleeping moves."""
-
-    def __init__(self) -> None:
-        self.now = 100.0
-
-    def __call__(self) -> float:
-        return self.now
-
-    def sleep(self, duration: float) -> None:
-        self.now += duration
 
 
 class Wire:
@@ -64,7 +52,7 @@ def words(*values: int, length: int = 24) -> list[int]:
 
 
 def bench(channels=6, crc="ccitt", signal=None, faults=None, chip_channels=None, seed=1):
-    clock = Clock()
+    clock = FakeClock()
     count = chip_channels or channels
     constant = np.linspace(-0.5, 0.5, count)
     chip = SimulatedAds131m0x(

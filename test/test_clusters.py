@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from clocks import FakeClock
 from smbus2 import i2c_msg
 
 from socket_testbed.acquisition_settings import ClusterSettings
@@ -36,18 +37,6 @@ CYCLE = 0.01  # [s]
 FREQUENCY = 400e3  # [Hz]
 START = 1000.0  # [s]
 CLUSTER_FAULTS = [name for name in FAULTS if name.startswith("clusters.")]
-
-
-class FakeClock:
-    def __init__(self) -> None:
-        self.now = START
-
-    def __call__(self) -> float:
-        return self.now
-
-    def sleep(self, duration: float) -> None:
-        assert duration >= 0.0
-        self.now += duration
 
 
 class Schedule(Mapping[str, float]):
@@ -107,7 +96,7 @@ class Bench:
         speeds: tuple[float, ...] = (1.0, 1.0, 1.0, 1.0),
         overhead: float = 0.0,
     ) -> None:
-        self.clock = FakeClock()
+        self.clock = FakeClock(START)
         self.faults = Schedule(self.clock)
         self.slope = slope  # [pF/s]
         self.offsets: dict[tuple[int, int], float] = {}
@@ -322,7 +311,7 @@ def test_a_bus_that_cannot_be_opened_says_why(
         i2c.open_i2c(7, 0.05)
     assert Refused.closed
     settings = replace(SETTINGS, buses=(7, 7, 7, 7))
-    clock = FakeClock()
+    clock = FakeClock(START)
     reader = ClusterReader(settings, lambda n: i2c.open_i2c(n, 0.05), clock, clock.sleep)
     reading = reader.read(clock.now)
     assert (reading.status == MISSING).all()
@@ -407,7 +396,7 @@ def test_triggers_of_any_rate_lose_nothing(rate: float) -> None:
 
 
 def test_a_cluster_can_have_a_bus_of_its_own() -> None:
-    clock = FakeClock()
+    clock = FakeClock(START)
     hardware = SimulatedClusterHardware(
         lambda c, n, t: c + 0.1 * n, {}, FREQUENCY, clock, clock.sleep
     )
@@ -471,7 +460,7 @@ def test_closing_a_dead_bus_does_not_raise(fault: str) -> None:
 
 
 def test_a_bus_whose_close_fails_is_closed() -> None:
-    clock = FakeClock()
+    clock = FakeClock(START)
     reader = ClusterReader(SETTINGS, lambda n: FailingBus(errno.ENODEV), clock, clock.sleep)
     assert missing(reader.read(clock.now)) == [0, 1, 2, 3]
     reader.close()
@@ -502,7 +491,7 @@ def test_the_range_follows_an_input(picofarads: float, rate: float) -> None:
 @pytest.mark.parametrize("back", np.linspace(0.0, 0.03, 31))
 def test_a_conversion_with_the_former_range_is_not_used(back: float, pause: float) -> None:
     """An input that jumps out of the range and back has one of its two values, or none."""
-    clock = FakeClock()
+    clock = FakeClock(START)
 
     def jumping(n: int, moment: float) -> float:
         return 30.0 if START + 0.1 <= moment < START + 0.1 + back else 1.0

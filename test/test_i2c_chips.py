@@ -2,6 +2,7 @@ import errno
 from collections.abc import Callable
 
 import pytest
+from clocks import FakeClock
 from smbus2 import i2c_msg
 
 from socket_testbed.simulation.devices.fdc1004 import SimulatedFdc1004
@@ -14,17 +15,6 @@ from socket_testbed.simulation.devices.i2c import (
 CHIP, MULTIPLEXER = 0x50, 0x70
 FDC_CONF = 0x0C
 UNIT = 2.0**-19  # [pF]
-
-
-class FakeClock:
-    def __init__(self) -> None:
-        self.now = 100.0
-
-    def __call__(self) -> float:
-        return self.now
-
-    def sleep(self, duration: float) -> None:
-        self.now += duration
 
 
 class Host:

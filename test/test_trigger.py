@@ -5,6 +5,7 @@ import math
 from pathlib import Path
 
 import pytest
+from clocks import FakeClock
 
 from socket_testbed.acquisition_settings import TriggerSettings
 from socket_testbed.drivers.trigger import GpiodLines, GpioTrigger, TimerTrigger
@@ -17,23 +18,9 @@ from socket_testbed.trigger_time import TriggerTime
 SETTINGS = TriggerSettings()
 
 
-class Clock:
-    """A clock that only sleeping moves on."""
-
-    def __init__(self) -> None:
-        self.now = 100.0
-
-    def __call__(self) -> float:
-        self.now += 1e-6  # looking takes time, too
-        return self.now
-
-    def sleep(self, duration: float) -> None:
-        self.now += duration
-
-
 class Bench:
     def __init__(self) -> None:
-        self.clock = Clock()
+        self.clock = FakeClock(look=1e-6)
         self.faults = dict.fromkeys(FAULTS, 0.0)
         lines = SimulatedLines(self.faults, self.clock, self.clock.sleep)
         self.trigger = GpioTrigger(lines, SETTINGS, self.clock, self.clock.sleep)
@@ -87,7 +74,7 @@ def test_a_late_edge_is_never_another_pulse_s(late: float) -> None:
 
 
 def test_a_timer_needs_no_wire() -> None:
-    clock = Clock()
+    clock = FakeClock(look=1e-6)
     trigger = TimerTrigger(clock)
     first = trigger.fire()
     clock.sleep(0.25)

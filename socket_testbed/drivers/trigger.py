@@ -32,7 +32,13 @@ class Lines(Protocol):
 
 
 class Trigger(Protocol):
-    """What makes a trigger."""
+    """What makes a trigger.
+
+    Attributes:
+        stray: Number of edges that belonged to no pulse.
+    """
+
+    stray: int
 
     def fire(self) -> float:
         """Trigger; returns its time on the steady clock [s].
@@ -53,6 +59,7 @@ class TimerTrigger:
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self.fire = clock
+        self.stray = 0
 
     def rest(self) -> None:
         """There is no pulse."""

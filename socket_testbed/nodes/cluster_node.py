@@ -21,6 +21,7 @@ from socket_testbed.nodes.runtime import publisher_qos, run_node
 from socket_testbed.nodes.trigger_follower import TriggerFollower
 from socket_testbed.trials.topics import CAPACITANCE
 
+_RECENT = 0.5  # [s]; how long a fault is told after it was seen
 _STUCK = 0.5  # [s]; a reading that takes longer hangs
 
 
@@ -33,7 +34,8 @@ class ClusterNode(Node):
         self._adjustable = Parameters(self, ClusterSettings)
         settings = self._adjustable.settings
         self._reader = ClusterReader(settings, i2c_opener(settings))
-        self._reading: ClusterReading | None = None
+        self._answering = False
+        self._fault = ("", 0.0)
         self._samples = 0
         self._missing = 0
         self._publisher = self.create_publisher(
@@ -55,7 +57,7 @@ class ClusterNode(Node):
         self._reader.close()
 
     def _on_trigger(self, stamp: int, moment: float) -> None:
-        self._reading = reading = self._reader.read(moment)
+        reading = self._read(moment)
         self._samples += 1
         self._missing += int((reading.status != 0).sum())
         self._publisher.publish(
@@ -64,20 +66,27 @@ class ClusterNode(Node):
 
     def _watch(self) -> None:
         """While no trigger comes, see how the clusters are."""
-        self._reading = self._reader.read(time.monotonic())
+        self._read(time.monotonic())
+
+    def _read(self, moment: float) -> ClusterReading:
+        reading = self._reader.read(moment)
+        self._answering = True
+        if reading.faults:
+            self._fault = ("; ".join(dict.fromkeys(reading.faults.values())), time.monotonic())
+        return reading
 
     def _look(self) -> None:
-        reading, since = self._reading, self._follower.busy_since
-        if since is not None and time.monotonic() - since > _STUCK:
+        now, since = time.monotonic(), self._follower.busy_since
+        fault, when = self._fault
+        if since is not None and now - since > _STUCK:
             self._diagnostics.report(ERROR, "a bus hangs: check the clusters' wires and supply")
-        elif reading is None:
-            return
-        elif reading.faults:
-            self._diagnostics.report(ERROR, "; ".join(dict.fromkeys(reading.faults.values())))
+        elif fault and now - when < _RECENT:
+            self._diagnostics.report(ERROR, fault)
         elif self._follower.note:
             self._diagnostics.report(WARN, self._follower.note)
-        else:
-            self._diagnostics.report(OK, f"{len(reading.names)} clusters answer")
+        elif self._answering:
+            names = self._adjustable.settings.names
+            self._diagnostics.report(OK, f"{len(names)} clusters answer")
 
 
 def main() -> None:

@@ -47,7 +47,7 @@ class TriggerNode(Node):
         self._trigger: Trigger | None = None
         self._sequence = 0
         self._unseen = 0
-        self._late = 0
+        self._skipped = 0
         self._fault = ("", 0.0)
         self._enabled = threading.Event()
         if settings.enabled:
@@ -61,7 +61,7 @@ class TriggerNode(Node):
         self._service = self.create_service(SetBool, "trigger/enable", self._on_enable)
         self._diagnostics = Diagnostics(
             self,
-            lambda: {"pulses": self._sequence, "unseen": self._unseen, "late": self._late},
+            self._values,
             offered=(self._publisher,),
             look=self._look,
         )
@@ -73,6 +73,14 @@ class TriggerNode(Node):
         self._stopping.set()
         self._enabled.set()
         self._thread.join()
+
+    def _values(self) -> dict[str, object]:
+        return {
+            "pulses": self._sequence,
+            "unseen": self._unseen,
+            "skipped": self._skipped,
+            "stray_edges": self._trigger.stray if self._trigger is not None else 0,
+        }
 
     def _on_enable(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
         if request.data:
@@ -95,7 +103,7 @@ class TriggerNode(Node):
                 period = 1.0 / self._adjustable.settings.rate
                 due += period
                 if (behind := time.monotonic() - due) > period:
-                    self._late += int(behind / period)
+                    self._skipped += int(behind / period)
                     due = time.monotonic()
                 if self._stopping.wait(max(0.0, due - time.monotonic())):
                     break

@@ -18,7 +18,7 @@ from socket_testbed.errors import DeviceError
 
 _BROKEN_WIRE = 5  # conversions in a row at a rail
 _AFTER = 0.25  # part of the window that is after the trigger
-_RECENT = 1.0  # [s]; what a report of health looks back at
+_RECENT = 0.8  # [s]; what a report of health looks back at
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,7 @@ from socket_testbed.errors import DeviceError
 
 _FRAMES = 8  # read in a row at most; two conversions can wait, and frames can be corrupted
 _SILENCE = 0.1  # [s] without a conversion
-_RECENT = 1.0  # [s]; how long a trouble that is over is told
+_RECENT = 0.8  # [s]; how long a trouble that is over is told
 _KEPT = 61.0  # [s]; more than the longest tare
 
 
