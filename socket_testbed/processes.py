@@ -25,6 +25,7 @@ from socket_testbed.steady_clock import BEGINNING, SteadyClock
 
 _GRACE = 8.0  # [s]; for a node to end by itself
 _LOOK = 0.05  # [s]
+_LONGEST_WAIT = 10.0  # [s]; before a process that ends again and again is started again
 
 
 class NodeFailedError(TestbedError):
@@ -38,7 +39,7 @@ class _Member:
     command: list[str]
     process: subprocess.Popen[bytes]
     started: float
-    backoff: Backoff = field(default_factory=Backoff)
+    backoff: Backoff = field(default_factory=lambda: Backoff(_LONGEST_WAIT))
 
 
 class Graph:

@@ -7,9 +7,14 @@ _LONGEST = 0.4  # [s]; a recovery is seen within a second
 
 
 class Backoff:
-    """Spaces out attempts: each failure doubles the wait, a success ends it."""
+    """Spaces out attempts: each failure doubles the wait, a success ends it.
 
-    def __init__(self) -> None:
+    Args:
+        longest: Longest wait [s].
+    """
+
+    def __init__(self, longest: float = _LONGEST) -> None:
+        self._longest = longest
         self._wait = 0.0
         self._next = 0.0
 
@@ -19,7 +24,7 @@ class Backoff:
 
     def failed(self, now: float) -> None:
         """An attempt failed."""
-        self._wait = min(2.0 * self._wait, _LONGEST) if self._wait else _FIRST
+        self._wait = min(2.0 * self._wait, self._longest) if self._wait else _FIRST
         self._next = now + self._wait
 
     def succeeded(self) -> None:
