@@ -63,7 +63,7 @@ class ClusterSettings(Settings):
         0.05, "time after which a bus that hangs is given up [s]", 0.01, 1.0, fixed=True
     )
     latest: float = setting(
-        0.05, "latest begin of a reading after its trigger; a later one is missing [s]", 1e-3, 1.0
+        0.05, "latest reading after its trigger; a later one is missing [s]", 1e-3, 1.0
     )
 
 

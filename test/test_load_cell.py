@@ -192,7 +192,7 @@ def test_most_wrenches_outlive_flipped_bits_and_a_jittery_thread() -> None:
     bench = Bench(seed=5)
     bench.fault("flipped_bits", 0.01)
     bench.run(2.0, pause=0.005)
-    assert np.mean(bench.valid(start=50.1)) > 0.95
+    assert np.mean(bench.valid(start=50.1)) > 0.9
     level, text = bench.cell.health(bench.now)
     assert level == 1
     assert "spidev0.0" in text and "checksum" in text and "spi_clock" in text

@@ -145,8 +145,8 @@ class Recorded:
     def check_values(self) -> dict[str, int]:
         """Assert that no value is wrong; returns how many there are of each topic.
 
-        A value is wrong if it is not what the sensor felt at its trigger: the clusters within
-        two cycles of their converters, the others at the very time.
+        A value is wrong if it is not what the sensor felt at its trigger: the clusters from
+        two cycles of their converters before to 50 ms after, the others at the very time.
         """
         counts = dict.fromkeys((t.name for t in MEASURED), 0)
         for stamp, message in self.by_topic[WRENCH.name].items():
@@ -158,7 +158,7 @@ class Recorded:
             else:
                 assert np.isnan(wrench).all()
         for stamp, message in self.by_topic[CAPACITANCE.name].items():
-            moments = stamp + np.linspace(-0.03e9, 0.03e9, 7)
+            moments = stamp + np.linspace(-0.03e9, 0.055e9, 12)
             felt = np.array([self._felt("capacitance", moment) for moment in moments])
             for i, cluster in enumerate(message.clusters):
                 values = np.asarray(cluster.capacitance)

@@ -56,7 +56,7 @@ class MocapNode(Node):
             RigidBodyMarkersArray, MARKERS.name, publisher_qos(MARKERS)
         )
         self._client.start()
-        self._follower = TriggerFollower(self, self._on_trigger)
+        self._follower = TriggerFollower(self, self._on_trigger, self._watch)
         self._recorded = self.create_subscription(
             String, RECORDED_TRIAL, self._on_recorded, latched_qos()
         )
@@ -76,7 +76,7 @@ class MocapNode(Node):
 
     def _on_trigger(self, stamp: int, moment: float) -> None:
         self._tracker.wait(moment, moment + self._stale)
-        sample: MocapSample = self._tracker.sample(moment)
+        sample = self._sample(moment)
         self._samples += 1
         header = header_to_ros(stamp, _WORLD)
         for publisher, position, quaternion in zip(
@@ -84,10 +84,18 @@ class MocapNode(Node):
         ):
             publisher.publish(PoseStamped(header=header, pose=pose_to_ros(position, quaternion)))
         self._markers.publish(markers_to_ros(stamp, _WORLD, ("socket", "pylon"), sample.markers))
+        self._missing += any(sample.faults)
+
+    def _watch(self) -> None:
+        """While no trigger comes, see how the bodies are."""
+        self._sample(time.monotonic() - self._stale)
+
+    def _sample(self, moment: float) -> MocapSample:
+        sample = self._tracker.sample(moment)
         faults = dict.fromkeys(fault for fault in sample.faults if fault)
         if faults:
-            self._missing += 1
             self._fault = ("; ".join(faults), time.monotonic())
+        return sample
 
     def _on_recorded(self, message: String) -> None:
         if self._adjustable.settings.record_takes:

@@ -111,6 +111,11 @@ class FreshInputs:
         return self._inputs[n].saturated
 
     @property
+    def read(self) -> float:
+        """When the last of the inputs was read [s]."""
+        return max(entry.read for entry in self._inputs)
+
+    @property
     def faults(self) -> str:
         """What is wrong with inputs that were read; empty if nothing."""
         return "; ".join(entry.fault for entry in self._inputs if entry.fault)

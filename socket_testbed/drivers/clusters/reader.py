@@ -87,16 +87,19 @@ class ClusterReader:
             bus.given_up = ""
         for cluster in self._clusters:
             cluster.inputs.begin(trigger)
-        late = self._clock() - trigger
-        if late > self._settings.latest:
-            fact = f"read too late, {late:.3f} s after its trigger"
-            return self._reading(str(DeviceError(fact, "lower the trigger's rate")))
+        if self._clock() > trigger + self._settings.latest:
+            return self._reading(trigger, self._too_late)
 
         # Those to be set up come last: they would hold up the others.
         waiting = sorted(self._clusters, key=lambda cluster: not cluster.configured)
         while waiting := [cluster for cluster in waiting if self._advance(cluster)]:
             self._sleep(_PAUSE * self._cycle)
-        return self._reading()
+        return self._reading(trigger)
+
+    @property
+    def _too_late(self) -> str:
+        fact = f"read more than {self._settings.latest:g} s after the trigger"
+        return str(DeviceError(fact, "lower the trigger's rate, or relieve the computer"))
 
     def identify(self) -> dict[str, str | DeviceError]:
         """What is found at each cluster's place, or what is wrong there, by its name."""
@@ -173,7 +176,7 @@ class ClusterReader:
             if cluster.bus is bus:
                 cluster.configured = False
 
-    def _reading(self, fault: str = "") -> ClusterReading:
+    def _reading(self, trigger: float, fault: str = "") -> ClusterReading:
         shape = (len(self._clusters), INPUTS)
         reading = ClusterReading(
             self._settings.names,
@@ -184,7 +187,10 @@ class ClusterReader:
         )
         for row, cluster in enumerate(self._clusters):
             inputs, wrong = cluster.inputs, fault or cluster.fault
-            if not inputs.pending:
+            complete = not inputs.pending
+            if complete and inputs.read > trigger + self._settings.latest:
+                complete, wrong = False, self._too_late
+            if complete:
                 for n in range(INPUTS):
                     reading.capacitance[row, n] = inputs.value(n)
                     reading.status[row, n] = SATURATED if inputs.saturated(n) else OK

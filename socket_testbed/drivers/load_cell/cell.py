@@ -18,6 +18,7 @@ from socket_testbed.errors import DeviceError
 
 _BROKEN_WIRE = 5  # conversions in a row at a rail
 _AFTER = 0.25  # part of the window that is after the trigger
+_WORST = 3.0  # variance of a wrench from what is left of a window, against the whole one's
 _RECENT = 0.8  # [s]; what a report of health looks back at
 
 
@@ -130,8 +131,8 @@ class LoadCell:
 
         It is the value there of the line through the conversions of the window, three quarters
         of which are before it: that is as little late as a mean over half of the window around
-        it, and twice as many conversions may be missing. Less than half of them, none near the
-        time, or one at a rail make it NaN.
+        it, and twice as many conversions may be missing. Less than half of them, too few near
+        the time, or one at a rail make it NaN.
         """
         window = self.settings.window
         end = self.over(moment)
@@ -140,15 +141,16 @@ class LoadCell:
         if rails.any():
             return WrenchReading(missing, len(times), self._saturated(rails))
         expected = window / self.period
-        near = len(times) > 0 and np.abs(times - moment).min() <= _AFTER * window
-        if len(times) < max(1.0, 0.5 * expected) or not near:
+        weights = _line_weights(times - moment)
+        # The line of all conversions has a variance of 1.75 / expected of theirs: see _AFTER.
+        uncertain = weights @ weights > _WORST * 1.75 / expected
+        if len(times) < max(1.0, 0.5 * expected) or uncertain:
             fault = f"{len(times)} of {expected:.0f} conversions around the trigger"
             level, fact, mend = self._reader.trouble(self._clock())
             return WrenchReading(
                 missing, len(times), f"{fault}; {fact}: {mend}" if level else fault
             )
-        ratio = _line_weights(times - moment) @ ratios
-        wrench = self._bridges.wrenches(ratio - self._tare.offsets)
+        wrench = self._bridges.wrenches(weights @ ratios - self._tare.offsets)
         level, text = self._bridges.overload(np.abs(wrench))
         return WrenchReading(wrench, len(times), text if level > 1 else "")
 
@@ -229,6 +231,8 @@ class LoadCell:
 
 def _line_weights(offsets: FloatArray) -> FloatArray:
     """Weights, shape (n,), that make of n values a least-squares line's value at offset 0."""
+    if len(offsets) == 0:
+        return offsets
     mean = offsets.mean()
     centred = offsets - mean
     spread = float(centred @ centred)

@@ -23,6 +23,7 @@ from socket_testbed.drivers.load_cell.spi import SpiDevice
 from socket_testbed.errors import DeviceError
 
 _FRAMES = 8  # read in a row at most; two conversions can wait, and frames can be corrupted
+_HELD_UP = 0.25  # periods; a frame takes less
 _SILENCE = 0.1  # [s] without a conversion
 _RECENT = 0.8  # [s]; how long a trouble that is over is told
 _KEPT = 61.0  # [s]; more than the longest tare
@@ -179,7 +180,11 @@ class ConverterReader:
                 continue
             self._matched = read = self._clock()
             if not frame.new:
-                self._times.nothing_waits(begin)
+                # Held up in the middle of a frame, nobody knows when nothing waited.
+                if read - begin < _HELD_UP * self.period:
+                    self._times.nothing_waits(begin)
+                else:
+                    self._times.lose()
                 with self._lock:
                     self._emptied = begin
                 break
