@@ -114,7 +114,7 @@ class LiveTestbed:
         self._history.append(
             (
                 *(np.array(moment), forces.astype(np.float32), load, position, rotation),
-                *(capacitance, load + self._offset, markers),
+                *(capacitance, load + self._offset, markers, np.array(time.monotonic() - moment)),
             )
         )
 
@@ -125,7 +125,7 @@ class LiveTestbed:
         )
         stamps = np.array([clock.to_epoch(moment) for moment in moments], dtype=np.int64)
         truth = GroundTruth(forces, load, position, rotation)
-        names = ("felt_capacitance", "felt_wrench", "felt_markers")
+        names = ("felt_capacitance", "felt_wrench", "felt_markers", "lateness")
         save_truth(path, self._geometry.names, stamps, truth, **dict(zip(names, felt, strict=True)))
 
 

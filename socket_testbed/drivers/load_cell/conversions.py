@@ -69,7 +69,7 @@ class ConversionClock:
         """
         if self._empty is None:
             return None
-        if self._waiting == 0 and read - self._empty > _PAUSE * self._period:
+        if read - self._empty > (self._waiting + _PAUSE) * self._period:
             self.lose()
             return None
         low = self._empty + self._waiting * self._period
