@@ -7,13 +7,15 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from socket_testbed.acquisition_settings import (
     ClusterSettings,
     LoadCellSettings,
     MocapSettings,
     TriggerSettings,
 )
-from socket_testbed.calibration import read_calibration
+from socket_testbed.calibration import Status, read_calibration
 from socket_testbed.checked import Settings
 from socket_testbed.documents import closest
 from socket_testbed.drivers.clusters import reader as clusters
@@ -33,8 +35,8 @@ from socket_testbed.settings import (
 from socket_testbed.simulation.loading import Scenario
 from socket_testbed.simulation.trial import TRUTH_FILE
 from socket_testbed.simulation.world import World
-from socket_testbed.trials.bag import BagReader
-from socket_testbed.trials.topics import REQUIRED, TRIGGER, match_topics
+from socket_testbed.trials.synchronise import read_samples
+from socket_testbed.trials.trial import Trial
 
 ACQUIRING = ("cluster_node", "load_cell_node", "mocap_node", "calibration_node", "estimator_node")
 
@@ -159,7 +161,7 @@ def start(graph: Graph, testbed: Testbed) -> World | None:
         testbed = dataclasses.replace(testbed, load_cell=kept)
     nodes = testbed.nodes()
     if testbed.record is not None:
-        parameters = graph.folder / "testbed.yaml"
+        parameters = graph.folder / "stored.yaml"
         write_parameters(nodes, parameters)
         recorder = RecorderSettings(
             directory=str(testbed.record.resolve()),
@@ -188,16 +190,20 @@ def end(graph: Graph, testbed: Testbed) -> None:
 
 
 def summary(path: Path) -> str:
-    """What a trial holds, in a line."""
-    with BagReader(path) as bag:
-        counts = {topic: bag.counts[name] for topic, name in match_topics(bag.counts, "").items()}
-    triggers = counts.get(TRIGGER, 0)
-    lacking = [
-        f"{topic.name} lacks {triggers - counts.get(topic, 0)}"
-        for topic in REQUIRED
-        if counts.get(topic, 0) < triggers
-    ]
-    return f"{path}: {triggers} triggers, {', '.join(lacking) or 'every sensor answered each'}"
+    """What a trial holds, in a line.
+
+    Raises:
+        TrialError: If it holds no trigger or cannot be read.
+    """
+    samples = read_samples(Trial(path))
+    missing = {
+        "wrench": ~np.isfinite(samples.wrench).all(axis=1),
+        "limb position": ~np.isfinite(samples.position).all(axis=1),
+        **{name: samples.status[:, i] == Status.MISSING for i, name in enumerate(samples.clusters)},
+    }
+    lacking = [f"{name} missing {count}" for name, rows in missing.items() if (count := rows.sum())]
+    whole = f"all {len(samples)} complete" if not lacking else ", ".join(lacking)
+    return f"{path}: {len(samples)} triggers, {whole}"
 
 
 def simulate_hardware(

@@ -50,7 +50,7 @@ def wrench_figure(
             label = f"predicted, {variant}"
             axis.plot(time, wrench[:, channel], label=label, **style)
             errors = channel_errors(name, measured[rows, channel], wrench[rows, channel])
-            lines.append(f"{variant}: RMSE {errors.rmse:.2f}")
+            lines.append(f"{variant}: RMSE {errors.rmse:.2f} {channel_unit(name)}")
         axis.set_ylabel(f"${name[0]}_{name[1]}$ [{channel_unit(name)}]")
         axis.axvspan(time[rows][0], time[rows][-1], color="0.95", linewidth=0.0)
         axis.grid(color="0.9")

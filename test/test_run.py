@@ -31,7 +31,7 @@ def test_run_records_until_ctrl_c(tmp_path: Path) -> None:
         process.send_signal(signal.SIGINT)
         out, err = process.communicate(timeout=30)
     assert process.returncode == 0, err
-    assert re.search(r"\d+ triggers, every sensor answered each", out), out
+    assert re.search(r"\d+ triggers, (all \d+ complete|wrench missing)", out), out
     recorded = Recorded(path)
     assert not recorded.notes and not any(recorded.lacking().values())
     trial = Trial(path)
@@ -45,11 +45,13 @@ def test_run_ends_by_itself_and_a_fault_is_seen(
     tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     path = tmp_path / "trial"
-    words = ["run", "--simulated", "--rate", "20", "--duration", "4", "--record", str(path)]
+    words = ["run", "--simulated", "--rate", "20", "--duration", "10", "--record", str(path)]
     assert run([*words, "--fault", "clusters.nack=3", "--one-process"]) == 0
     out, err = capfd.readouterr()
     assert "no answer at 0x50 behind channel 2 of 0x70 on i2c-1: check" in err
-    assert "every sensor answered each" in out
+    assert "posterior_distal missing" in out
+    # It opens again, with the parameters that are stored in it.
+    assert run(["info", str(path)]) == 0
 
 
 def test_doctor_finds_all_that_is_simulated(capsys: pytest.CaptureFixture[str]) -> None:
@@ -62,6 +64,8 @@ def test_doctor_finds_all_that_is_simulated(capsys: pytest.CaptureFixture[str]) 
         "0 of 1000 frames corrupted",
         "NatNet 4.1",
         "jitter",
+        "spidev0.0 converts",
+        "its three markers are seen",
     ):
         assert found in table
     assert "failed" not in table
@@ -81,7 +85,7 @@ def test_doctor_names_what_fails_and_the_mend(capsys: pytest.CaptureFixture[str]
     }.items():
         assert "failed" in rows[what] and mend in rows[what]
     assert "failed" not in rows["cluster distal"]
-    assert "4 of 7 checks failed" in err
+    assert "checks failed" in err
 
 
 def test_doctor_without_hardware(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
@@ -110,6 +114,8 @@ def test_doctor_without_hardware(capsys: pytest.CaptureFixture[str], tmp_path: P
         (["--simulated", "--fault", "mocap.dorp=1"], "did you mean 'mocap.drop'?"),
         (["--simulated", "--fault", "mocap.drop=often"], "'often' is no number"),
         (["--simulated", "--record", "."], "exists already"),
+        (["--simulated", "--record", "/proc/trial"], "name another folder"),
+        (["--simulated", "--fault", "clusters.nack=nan"], "clusters.nack"),
         (["--simulated", "--period", "1"], "--period"),
         (["--simulated", "--rate", "1e6"], "rate"),
         (["--simulated", "--leave-out", "distal.Fq"], "distal.F"),

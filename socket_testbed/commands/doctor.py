@@ -16,13 +16,17 @@ from socket_testbed.commands.text import table
 from socket_testbed.drivers.clusters.reader import ClusterReader
 from socket_testbed.drivers.load_cell.cell import LoadCell
 from socket_testbed.drivers.natnet.client import NatNetClient
+from socket_testbed.drivers.natnet.tracker import BodyTracker
 from socket_testbed.errors import DeviceError, TestbedError
+from socket_testbed.geometry.socket import read_socket
 from socket_testbed.hardware import i2c_opener, make_trigger, spi_opener
 from socket_testbed.processes import Graph
 
 _FRAMES = 1000
 _PULSES = 5
 _SERVER_WITHIN = 3.0  # [s]
+_READINGS = 6
+_WATCHED = 1.0  # [s]; of the load cell's conversions
 _LOOK = 0.05  # [s]
 
 
@@ -78,6 +82,12 @@ def _guarded(check: Check, testbed: Testbed) -> Iterator[Finding]:
         )
 
 
+def _of_message(what: str, message: str) -> Finding:
+    """A failing row from a fact and its mend in one line."""
+    fact, _, mend = message.rpartition(": ")
+    return Finding(what, fact or message, mend if fact else "see docs/faults.md")
+
+
 def check_trigger(testbed: Testbed) -> Iterator[Finding]:
     """Make pulses and see their edges."""
     settings = testbed.trigger
@@ -103,9 +113,14 @@ def check_clusters(testbed: Testbed) -> Iterator[Finding]:
     """See which chip answers at each cluster's place."""
     reader = ClusterReader(testbed.clusters, i2c_opener(testbed.clusters))
     try:
-        for name, found in reader.identify().items():
+        chips = reader.identify()
+        for _ in range(_READINGS):  # the first ones may find the range of an input
+            faults = reader.read(time.monotonic()).faults
+        for name, found in chips.items():
             if isinstance(found, DeviceError):
                 yield Finding(f"cluster {name}", found.fact, found.mend)
+            elif name in faults:
+                yield _of_message(f"cluster {name}", faults[name].partition("; ")[0])
             else:
                 yield Finding(f"cluster {name}", found)
     finally:
@@ -120,6 +135,16 @@ def check_load_cell(testbed: Testbed) -> Iterator[Finding]:
         corrupted = cell.check_frames(_FRAMES)
         mend = "check the wiring, or lower load_cell_node's spi_clock" if corrupted else ""
         yield Finding("load cell CRC", f"{corrupted} of {_FRAMES} frames corrupted", mend)
+        ends = time.monotonic() + _WATCHED
+        while time.monotonic() < ends:
+            cell.poll()
+            time.sleep(0.5 * cell.period)
+        level, message = cell.health(time.monotonic())
+        yield (
+            _of_message("load cell bridges", message)
+            if level
+            else Finding("load cell bridges", message)
+        )
     finally:
         cell.close()
 
@@ -127,29 +152,32 @@ def check_load_cell(testbed: Testbed) -> Iterator[Finding]:
 def check_motion_capture(testbed: Testbed) -> Iterator[Finding]:
     """See which server answers, how well its clock is known, and whether it has the bodies."""
     settings = dataclasses.replace(testbed.mocap, record_takes=False)
-    client = NatNetClient(settings, lambda *_: None)
+    geometry = read_socket(testbed.geometry)
+    tracker = BodyTracker(settings, geometry.socket_markers, geometry.pylon_markers)
+    client = NatNetClient(settings, tracker.add)
     client.start()
     try:
         deadline = time.monotonic() + _SERVER_WITHIN
         while (health := client.health(time.monotonic()))[0] and time.monotonic() < deadline:
             time.sleep(_LOOK)
+        time.sleep(settings.stale)
+        seen = tracker.sample(time.monotonic() - 0.5 * settings.stale)
         link = client.describe()
-        models = client.models
     finally:
         client.close()
     level, message = health
-    fact, _, mend = message.partition(": ")
     if level > 1:
-        yield Finding("motion capture", fact, mend or "see that Motive streams")
+        yield _of_message("motion capture", message)
         return
     server = f"{link['server']} {link['application']}, NatNet {link['NatNet']}, {link['rate']}"
-    yield Finding("motion capture", f"{server}, at {link['address']}", mend if level else "")
+    yield Finding("motion capture", f"{server}, at {link['address']}")
+    if level:
+        yield _of_message("motion capture stream", message)
     clock = f"known within {link['clock uncertainty']}, jitter {link['clock jitter']}"
     yield Finding("motion capture clock", clock)
-    bodies = sorted(models.bodies) if models is not None else []
-    for body in (settings.socket_body, settings.pylon_body):
-        mend = "" if body in bodies else f"name it so in Motive, which has {', '.join(bodies)}"
-        yield Finding(f"rigid body {body}", "streamed" if not mend else "not streamed", mend)
+    for body, fault in zip((settings.socket_body, settings.pylon_body), seen.faults, strict=True):
+        what = f"rigid body {body}"
+        yield _of_message(what, fault) if fault else Finding(what, "its three markers are seen")
 
 
 CHECKS: tuple[Check, ...] = (

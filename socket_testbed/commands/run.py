@@ -13,6 +13,7 @@ from socket_testbed.commands.options import add_model_choice, estimator_settings
 from socket_testbed.commands.simulated import add_simulation, simulation_of
 from socket_testbed.commands.testbed import add_testbed, testbed_of
 from socket_testbed.documents import check_number
+from socket_testbed.errors import ConfigurationError
 from socket_testbed.files import refuse_existing
 from socket_testbed.identification.fit import check_names
 from socket_testbed.identification.model_file import read_model
@@ -26,7 +27,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--record", type=Path, metavar="DIR", help="record a trial into DIR")
     parser.add_argument("--model", type=Path, metavar="MODEL", help="predict with it, fit none")
     parser.add_argument("--rate", type=float, metavar="HZ", help="rate of the trigger [Hz]")
-    parser.add_argument("--duration", type=float, metavar="S", help="end by itself after S [s]")
+    parser.add_argument(
+        "--duration", type=float, metavar="S", help="end by itself after S, start included [s]"
+    )
     parser.add_argument(
         "--one-process", action="store_true", help="all nodes but trigger and recorder in one"
     )
@@ -39,7 +42,7 @@ def run(options: argparse.Namespace) -> None:
     if options.duration is not None:
         check_number(options.duration, "--duration", 0.1, 1e6)
     if options.record is not None:
-        refuse_existing(options.record)
+        _check_writable(options.record)
     simulation, faults = simulation_of(options)
     testbed = _testbed(options, simulation)
     with Graph() as graph:
@@ -47,7 +50,7 @@ def run(options: argparse.Namespace) -> None:
         for name, value in faults.items():
             assert world is not None
             world.faults.switch(name, value)
-        _say("the testbed runs; Ctrl-C ends it")
+        _say("the testbed starts; Ctrl-C ends it")
         ends = time.monotonic() + (options.duration or float("inf"))
         try:
             graph.watch(lambda: time.monotonic() >= ends, _say)
@@ -56,6 +59,18 @@ def run(options: argparse.Namespace) -> None:
         end(graph, testbed)
     if testbed.record is not None:
         print(summary(testbed.record))
+
+
+def _check_writable(path: Path) -> None:
+    """Refuse a folder that cannot be made, before anything is started."""
+    refuse_existing(path)
+    try:
+        path.mkdir(parents=True)
+        path.rmdir()
+    except OSError as error:
+        raise ConfigurationError(
+            f"{path}: cannot be written ({error.strerror})", "name another folder with --record"
+        ) from None
 
 
 def _say(line: str) -> None:

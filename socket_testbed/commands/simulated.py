@@ -45,7 +45,7 @@ def _fault(text: str) -> tuple[str, float]:
     if name not in FAULTS:
         raise ConfigurationError(f"--fault {text}: unknown fault '{name}'", closest(name, FAULTS))
     try:
-        return name, float(value)
+        return name, check_number(float(value), f"--fault {name}", -1e6, 1e6)
     except ValueError:
         raise ConfigurationError(
             f"--fault {text}: '{value}' is no number", f"{name} takes {FAULTS[name]}"

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
-from contextlib import suppress
 from typing import Any
 
 from rclpy.executors import ExternalShutdownException, ShutdownException, SingleThreadedExecutor
@@ -44,5 +43,11 @@ class BlockingService:
         self._node.destroy_node()
 
     def _spin(self) -> None:
-        with suppress(ExternalShutdownException, ShutdownException):
+        try:
             self._executor.spin()
+        except (ExternalShutdownException, ShutdownException):
+            return
+        except Exception:
+            # ROS may have ended in the middle of a wait.
+            if self._node.context.ok():
+                raise

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 import time
 from collections.abc import Callable
@@ -19,11 +20,16 @@ OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.E
 
 WAITING_FOR = "waiting_for"
 NEWEST_STAMP = "newest_stamp"
+LINKS = "links"  # topic=number of matched subscribers, separated by blanks
 
 SETTLE = 5.0  # [s]; for a device to answer before the testbed starts without it
 
 _PERIOD = 1.0  # [s]
 _LOOK = 0.1  # [s]; how often the links are looked at
+
+
+def _without_figures(message: str) -> str:
+    return re.sub(r"\d+(\.\d+)?", "#", message)
 
 
 class Diagnostics:
@@ -76,8 +82,12 @@ class Diagnostics:
             level: OK, WARN or ERROR.
             message: The fact and the mend in one line.
         """
+        if level != OK and time.monotonic() < self._settled_at:
+            level, message = WARN, f"starting: {message}"
         if (level, message) == (self._level, self._message):
             return
+        # Figures in a message change all the time: they are no news for the log.
+        known = _without_figures(message) == _without_figures(self._message)
         if level == OK:
             self._settled_at = 0.0
         changed = level != self._level
@@ -85,6 +95,8 @@ class Diagnostics:
         logger = self._node.get_logger()
         if not self._node.context.ok():  # ROS has ended: only the terminal is left
             print(f"[{logger.name}]: {message}", file=sys.stderr)
+            return
+        if known and not changed:
             return
         if level == ERROR:
             logger.error(message)
@@ -96,12 +108,17 @@ class Diagnostics:
             self._publish()
 
     def _look(self) -> None:
-        self._look_at_node()
-        waiting = self._unlinked()
-        self._ticks += 1
-        if waiting != self._waiting or self._ticks * _LOOK >= _PERIOD:
-            self._waiting = waiting
-            self._publish()
+        try:
+            self._look_at_node()
+            waiting = self._unlinked()
+            self._ticks += 1
+            if waiting != self._waiting or self._ticks * _LOOK >= _PERIOD:
+                self._waiting = waiting
+                self._publish()
+        except Exception:
+            # ROS may have ended meanwhile, at any of these calls.
+            if self._node.context.ok():
+                raise
 
     def _unlinked(self) -> list[str]:
         """Topics without a counterpart in the graph, and the node while it starts."""
@@ -121,7 +138,15 @@ class Diagnostics:
 
     def _publish(self) -> None:
         self._ticks = 0
-        values = {WAITING_FOR: ", ".join(self._waiting or []), **self._values()}
+        links = [
+            f"{publisher.topic_name}={publisher.get_subscription_count()}"
+            for publisher in (*self._outputs, *self._offered)
+        ]
+        values = {
+            WAITING_FOR: ", ".join(self._waiting or []),
+            LINKS: " ".join(links),
+            **self._values(),
+        }
         if self._waiting is None:
             values[WAITING_FOR] = "(not looked yet)"
         status = DiagnosticStatus(

@@ -11,7 +11,7 @@ from functools import partial
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
 
-from socket_testbed.nodes.diagnostics import NEWEST_STAMP, WAITING_FOR
+from socket_testbed.nodes.diagnostics import LINKS, NEWEST_STAMP, WAITING_FOR
 from socket_testbed.nodes.runtime import subscriber_qos
 from socket_testbed.trials.topics import DIAGNOSTICS
 
@@ -29,6 +29,7 @@ class Followers:
 
     def __init__(self, node: Node, names: tuple[str, ...], stopped: Callable[[], bool]) -> None:
         self._waiting = dict.fromkeys(names, "not seen")
+        self._links: dict[str, dict[str, int]] = {}
         self._newest: dict[str, int] = {}
         self._sent: deque[int] = deque()
         self._stopped = stopped
@@ -44,6 +45,20 @@ class Followers:
     def unlinked(self) -> dict[str, str]:
         """The nodes that are not ready, with what they wait for."""
         return {name: waiting for name, waiting in self._waiting.items() if waiting}
+
+    def linked_to_all(self, subscribers: Callable[[str], int]) -> bool:
+        """Whether each of their publishers is linked to as many subscribers as there are.
+
+        A node may not know yet of a subscriber that another knows of, and would publish past it.
+
+        Args:
+            subscribers: Tells how many subscribers a topic has.
+        """
+        return all(
+            count >= subscribers(topic)
+            for links in self._links.values()
+            for topic, count in links.items()
+        )
 
     def sent(self, stamp: int) -> None:
         """A sample with this stamp [ns] was sent to them."""
@@ -95,6 +110,8 @@ class Followers:
                 values = {entry.key: entry.value for entry in status.values}
                 with self._news:
                     self._waiting[status.name] = values.get(WAITING_FOR, "")
+                    links = (link.split("=") for link in values.get(LINKS, "").split())
+                    self._links[status.name] = {topic: int(count) for topic, count in links}
                     if NEWEST_STAMP in values:
                         self._newest[status.name] = int(values[NEWEST_STAMP])
                     self._news.notify_all()

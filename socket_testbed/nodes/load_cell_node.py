@@ -8,6 +8,7 @@ from __future__ import annotations
 import threading
 import time
 
+import numpy as np
 from geometry_msgs.msg import WrenchStamped
 from rclpy.node import Node
 from rclpy.task import Future
@@ -27,6 +28,7 @@ from socket_testbed.trials.topics import WRENCH
 
 _LEVELS = (OK, WARN, ERROR)
 _PATIENCE = 0.05  # [s]; for the conversions after a trigger
+_RECENT = 0.5  # [s]; how long a missing wrench is told
 _LOOK = 1e-3  # [s]
 
 
@@ -41,6 +43,7 @@ class LoadCellNode(Node):
         self._cell = LoadCell(settings, spi_opener(settings))
         self._samples = 0
         self._missing = 0
+        self._fault = ("", 0.0)
         self._publisher = self.create_publisher(WrenchStamped, WRENCH.name, publisher_qos(WRENCH))
         self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._poll, name="load_cell")
@@ -79,7 +82,9 @@ class LoadCellNode(Node):
             time.sleep(_LOOK)
         reading = self._cell.wrench_at(moment)
         self._samples += 1
-        self._missing += bool(reading.fault)
+        if reading.fault:
+            self._missing += bool(np.isnan(reading.wrench).any())
+            self._fault = (reading.fault, time.monotonic())
         header = header_to_ros(stamp, LOAD_CELL_FRAME)
         self._publisher.publish(WrenchStamped(header=header, wrench=wrench_to_ros(reading.wrench)))
 
@@ -97,7 +102,10 @@ class LoadCellNode(Node):
     def _look(self) -> None:
         self._cell.settings = self._adjustable.settings
         level, message = self._cell.health(time.monotonic())
-        if level == 0 and self._follower.note:
+        fault, when = self._fault
+        if level == 0 and fault and time.monotonic() - when < _RECENT:
+            level, message = 1, f"{fault}: missing; relieve the computer if this comes often"
+        elif level == 0 and self._follower.note:
             level, message = 1, self._follower.note
         self._diagnostics.report(_LEVELS[level], message)
 

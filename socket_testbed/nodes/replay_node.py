@@ -162,7 +162,11 @@ class ReplayNode(Node):
             return self._outputs[name].get_subscription_count() >= wanted
 
         def ready() -> bool:
-            return all(map(linked, self._topics)) and not self._followers.unlinked
+            return (
+                all(map(linked, self._topics))
+                and not self._followers.unlinked
+                and self._followers.linked_to_all(self.count_subscribers)
+            )
 
         is_ready = self._followers.wait(ready, _READY_WITHIN)
         for name, topic in self._topics.items():

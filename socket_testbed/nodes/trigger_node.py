@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import threading
 import time
+from collections import deque
 
 from rclpy.node import Node
 from rclpy.task import Future
@@ -21,16 +22,18 @@ from socket_testbed.acquisition_settings import TriggerSettings
 from socket_testbed.drivers.trigger import Trigger
 from socket_testbed.errors import DeviceError
 from socket_testbed.hardware import make_trigger, wall_clock
-from socket_testbed.nodes.conversions import header_to_ros
+from socket_testbed.nodes.conversions import header_to_ros, stamp_from_ros
 from socket_testbed.nodes.diagnostics import ERROR, OK, WARN, Diagnostics
 from socket_testbed.nodes.followers import Followers
 from socket_testbed.nodes.parameters import Parameters
-from socket_testbed.nodes.runtime import publisher_qos, run_node
+from socket_testbed.nodes.runtime import publisher_qos, run_node, subscriber_qos
 from socket_testbed.steady_clock import SteadyClock
 from socket_testbed.trials.topics import TRIGGER
 
 _READY_WITHIN = 15.0  # [s]; for the nodes waited for
 _RECENT = 0.5  # [s]; how long a fault is told after its last trigger
+_FOREIGN = 5.0  # [s]; how long another testbed is told
+_REMEMBERED = 200  # triggers, to know them again
 _STEP = 0.01  # [s]; of the system clock that is worth a word
 _REOPEN = 0.3  # [s]
 
@@ -57,6 +60,11 @@ class TriggerNode(Node):
         self._publisher = self.create_publisher(
             TriggerMessage, TRIGGER.name, publisher_qos(TRIGGER)
         )
+        self._own: deque[int] = deque(maxlen=_REMEMBERED)
+        self._foreign = 0.0
+        self._heard = self.create_subscription(
+            TriggerMessage, TRIGGER.name, self._on_trigger, subscriber_qos(TRIGGER)
+        )
         self._followers = Followers(self, settings.wait_for, self._stopping.is_set)
         self._service = self.create_service(SetBool, "trigger/enable", self._on_enable)
         self._diagnostics = Diagnostics(
@@ -81,6 +89,11 @@ class TriggerNode(Node):
             "skipped": self._skipped,
             "stray_edges": self._trigger.stray if self._trigger is not None else 0,
         }
+
+    def _on_trigger(self, message: TriggerMessage) -> None:
+        """Hear whether another testbed triggers the same nodes."""
+        if stamp_from_ros(message.header.stamp) not in self._own:
+            self._foreign = time.monotonic()
 
     def _on_enable(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
         if request.data:
@@ -129,6 +142,7 @@ class TriggerNode(Node):
                 self._stopping.wait(_REOPEN)
         else:
             header = header_to_ros(stamp)
+            self._own.append(stamp)
             self._publisher.publish(TriggerMessage(header=header, sequence=self._sequence))
         if self._trigger is not None:
             self._trigger.rest()
@@ -138,7 +152,11 @@ class TriggerNode(Node):
 
         def ready() -> bool:
             linked = self._publisher.get_subscription_count()
-            return not self._followers.unlinked and linked >= self.count_subscribers(TRIGGER.name)
+            return (
+                not self._followers.unlinked
+                and linked >= self.count_subscribers(TRIGGER.name)
+                and self._followers.linked_to_all(self.count_subscribers)
+            )
 
         if not self._followers.wait(ready, _READY_WITHIN) and not self._stopping.is_set():
             lacking = ", ".join(f"{n} ({w})" for n, w in self._followers.unlinked.items())
@@ -151,6 +169,12 @@ class TriggerNode(Node):
         step = self._epoch.step()
         if fault and time.monotonic() - when < max(_RECENT, 1.5 / self._adjustable.settings.rate):
             self._diagnostics.report(ERROR, fault)
+        elif self._foreign and time.monotonic() - self._foreign < _FOREIGN:
+            self._diagnostics.report(
+                ERROR,
+                "another trigger comes on this ROS_DOMAIN_ID: end the other testbed, or set"
+                " another ROS_DOMAIN_ID; two testbeds must not mix",
+            )
         elif not self._enabled.is_set():
             self._diagnostics.report(WARN, "not enabled: call trigger/enable")
         elif abs(step) > _STEP:

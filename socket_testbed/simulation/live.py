@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import argparse
 import signal
+import sys
 import threading
 import time
 from pathlib import Path
@@ -168,7 +169,11 @@ def main() -> None:
 
     moment = time.monotonic()
     testbed.advance(moment)
-    server = NatNetServer(bodies, faults=world.faults, noise=errors.marker_noise, seed=options.seed)
+    # Started again, it is where the clients look for it.
+    address = ("127.0.0.1", world.port)
+    server = NatNetServer(
+        bodies, address=address, faults=world.faults, noise=errors.marker_noise, seed=options.seed
+    )
     world.port = server.address[1]
     try:
         while not ended.is_set():
@@ -178,7 +183,10 @@ def main() -> None:
     finally:
         server.close()
     if options.truth is not None:
-        testbed.save(options.truth, clock)
+        try:
+            testbed.save(options.truth, clock)
+        except OSError as error:
+            print(f"error: {options.truth}: cannot be written ({error.strerror})", file=sys.stderr)
 
 
 if __name__ == "__main__":
