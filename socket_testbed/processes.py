@@ -41,6 +41,17 @@ class _Member:
     started: float
     backoff: Backoff = field(default_factory=lambda: Backoff(_LONGEST_WAIT))
 
+    def exit_code(self) -> int | None:
+        """Its exit code, minus the signal that ended it, or None while it runs.
+
+        Popen.poll keeps a lock for ever if Ctrl-C strikes within it; this keeps none.
+        """
+        found = os.waitid(os.P_PID, self.process.pid, os.WEXITED | os.WNOHANG | os.WNOWAIT)
+        if found is None:
+            return None
+        killed = found.si_code in {os.CLD_KILLED, os.CLD_DUMPED}
+        return -found.si_status if killed else found.si_status
+
 
 class Graph:
     """Node processes that live and end together; a context manager.
@@ -135,19 +146,19 @@ class Graph:
         Raises:
             NodeFailedError: If it, or another meanwhile, ended with an error.
         """
-        while self._members[node].process.poll() is None:
+        while (code := self._members[node].exit_code()) is None:
             for name, member in self._members.items():
-                if name != node and member.process.poll() is not None:
-                    raise _failure(name, member)
+                if name != node and (other := member.exit_code()) is not None:
+                    raise _failure(name, other)
             time.sleep(_LOOK)
-        if self._members[node].process.returncode != 0:
-            raise _failure(node, self._members[node])
+        if code != 0:
+            raise _failure(node, code)
 
     def check(self) -> None:
         """Raise a NodeFailedError if a process has ended."""
         for name, member in self._members.items():
-            if member.process.poll() is not None:
-                raise _failure(name, member)
+            if (code := member.exit_code()) is not None:
+                raise _failure(name, code)
 
     def watch(
         self, done: Callable[[], bool], say: Callable[[str], None], patience: float = 10.0
@@ -167,13 +178,13 @@ class Graph:
         while not done():
             now = time.monotonic()
             for name, member in self._members.items():
-                code = member.process.poll()
+                code = member.exit_code()
                 if code is None:
                     if now - member.started > patience:
                         member.backoff.succeeded()
                     continue
                 if code > 0 and now - began < patience:
-                    raise _failure(name, member)
+                    raise _failure(name, code)
                 if member.backoff.due(now):
                     say(f"{name} {_ending(code)}: started again")
                     member.backoff.failed(now)
@@ -186,18 +197,17 @@ class Graph:
         members = [self._members[name] for name in names] or self._members.values()
         # Before ROS has taken over, SIGTERM ends a node without a word; afterwards cleanly.
         for number in (signal.SIGTERM, signal.SIGKILL):
-            running = [m.process for m in members if m.process.poll() is None]
-            for process in running:
+            running = [member for member in members if member.exit_code() is None]
+            for member in running:
                 with suppress(ProcessLookupError):
-                    process.send_signal(number)
+                    os.kill(member.process.pid, number)
             deadline = time.monotonic() + _GRACE
-            for process in running:
-                with suppress(subprocess.TimeoutExpired):
-                    process.wait(max(0.0, deadline - time.monotonic()))
+            while time.monotonic() < deadline and any(m.exit_code() is None for m in running):
+                time.sleep(_LOOK)
 
 
-def _failure(name: str, member: _Member) -> NodeFailedError:
-    return NodeFailedError(f"{name} {_ending(member.process.returncode)}", "see what it printed")
+def _failure(name: str, code: int) -> NodeFailedError:
+    return NodeFailedError(f"{name} {_ending(code)}", "see what it printed")
 
 
 def _ending(code: int) -> str:
