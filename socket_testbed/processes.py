@@ -46,6 +46,8 @@ class _Member:
 
         Popen.poll keeps a lock for ever if Ctrl-C strikes within it; this keeps none.
         """
+        if self.process.returncode is not None:
+            return self.process.returncode
         found = os.waitid(os.P_PID, self.process.pid, os.WEXITED | os.WNOHANG | os.WNOWAIT)
         if found is None:
             return None
@@ -204,6 +206,8 @@ class Graph:
             deadline = time.monotonic() + _GRACE
             while time.monotonic() < deadline and any(m.exit_code() is None for m in running):
                 time.sleep(_LOOK)
+        for member in members:
+            member.process.poll()  # the system forgets it
 
 
 def _failure(name: str, code: int) -> NodeFailedError:
