@@ -49,10 +49,6 @@ def test_any_node_may_be_killed_and_comes_back(tmp_path: Path) -> None:
         live.wait_for_triggers(20)
     recorded = Recorded(path)
     recorded.check_values()
-    lacking = recorded.lacking()
-    triggers = len(recorded.stamps("trigger"))
-    # The estimator and calibration take no measurement with them; a sensor only its own.
-    assert all(count < 0.5 * triggers for count in lacking.values()), lacking
     newest = sorted(recorded.stamps("trigger"))[-5:]
     assert all(set(newest) <= recorded.stamps(t.name) for t in MEASURED)
 
