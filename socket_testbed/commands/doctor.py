@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import dataclasses
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
@@ -151,7 +150,7 @@ def check_load_cell(testbed: Testbed) -> Iterator[Finding]:
 
 def check_motion_capture(testbed: Testbed) -> Iterator[Finding]:
     """See which server answers, how well its clock is known, and whether it has the bodies."""
-    settings = dataclasses.replace(testbed.mocap, record_takes=False)
+    settings = testbed.mocap
     geometry = read_socket(testbed.geometry)
     tracker = BodyTracker(settings, geometry.socket_markers, geometry.pylon_markers)
     client = NatNetClient(settings, tracker.add)

@@ -79,6 +79,11 @@ def estimator_settings(options: argparse.Namespace, stored: EstimatorSettings) -
         read = read_parameters(options.params).get("estimator_node", EstimatorSettings())
         assert isinstance(read, EstimatorSettings)
         settings = read
+    return choose_model(options, settings)
+
+
+def choose_model(options: argparse.Namespace, settings: EstimatorSettings) -> EstimatorSettings:
+    """The estimator's settings with what `add_model_choice` was given."""
     given = {
         name: value
         for name in ("variant", "theta", "smoothness", "leave_out", "solver")

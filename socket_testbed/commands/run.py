@@ -9,7 +9,7 @@ import time
 from pathlib import Path
 
 from socket_testbed.bringup import Simulation, Testbed, end, start, summary
-from socket_testbed.commands.options import add_model_choice, estimator_settings
+from socket_testbed.commands.options import add_model_choice, choose_model
 from socket_testbed.commands.simulated import add_simulation, simulation_of
 from socket_testbed.commands.testbed import add_testbed, testbed_of
 from socket_testbed.documents import check_number
@@ -83,7 +83,7 @@ def _testbed(options: argparse.Namespace, simulation: Simulation | None) -> Test
     trigger = testbed.trigger
     if options.rate is not None:
         trigger = dataclasses.replace(trigger, rate=options.rate)
-    estimator = estimator_settings(options, testbed.estimator)
+    estimator = choose_model(options, testbed.estimator)
     check_names(estimator.identification, testbed.clusters.names)
     if options.model is not None:
         read_model(options.model)

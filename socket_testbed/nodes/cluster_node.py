@@ -17,11 +17,11 @@ from socket_testbed.hardware import i2c_opener
 from socket_testbed.nodes.conversions import capacitance_to_ros
 from socket_testbed.nodes.diagnostics import ERROR, OK, SETTLE, WARN, Diagnostics
 from socket_testbed.nodes.parameters import Parameters
+from socket_testbed.nodes.recent_fault import RecentFault
 from socket_testbed.nodes.runtime import publisher_qos, run_node
 from socket_testbed.nodes.trigger_follower import TriggerFollower
 from socket_testbed.trials.topics import CAPACITANCE
 
-_RECENT = 0.5  # [s]; how long a fault is told after it was seen
 _STUCK = 0.5  # [s]; a reading that takes longer hangs
 
 
@@ -35,7 +35,7 @@ class ClusterNode(Node):
         settings = self._adjustable.settings
         self._reader = ClusterReader(settings, i2c_opener(settings))
         self._answering = False
-        self._fault = ("", 0.0)
+        self._fault = RecentFault()
         self._samples = 0
         self._missing = 0
         self._publisher = self.create_publisher(
@@ -72,15 +72,14 @@ class ClusterNode(Node):
         reading = self._reader.read(moment)
         self._answering = True
         if reading.faults:
-            self._fault = ("; ".join(dict.fromkeys(reading.faults.values())), time.monotonic())
+            self._fault.saw("; ".join(dict.fromkeys(reading.faults.values())))
         return reading
 
     def _look(self) -> None:
-        now, since = time.monotonic(), self._follower.busy_since
-        fault, when = self._fault
-        if since is not None and now - since > _STUCK:
+        since = self._follower.busy_since
+        if since is not None and time.monotonic() - since > _STUCK:
             self._diagnostics.report(ERROR, "a bus hangs: check the clusters' wires and supply")
-        elif fault and now - when < _RECENT:
+        elif fault := self._fault.text():
             self._diagnostics.report(ERROR, fault)
         elif self._follower.note:
             self._diagnostics.report(WARN, self._follower.note)

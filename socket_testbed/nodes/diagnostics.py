@@ -16,7 +16,7 @@ from rclpy.subscription import Subscription
 from socket_testbed.nodes.runtime import publisher_qos
 from socket_testbed.trials.topics import DIAGNOSTICS
 
-OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
+LEVELS = OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 
 WAITING_FOR = "waiting_for"
 NEWEST_STAMP = "newest_stamp"

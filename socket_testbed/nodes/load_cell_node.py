@@ -20,15 +20,14 @@ from socket_testbed.errors import TestbedError
 from socket_testbed.hardware import spi_opener
 from socket_testbed.nodes.blocking_service import BlockingService
 from socket_testbed.nodes.conversions import LOAD_CELL_FRAME, header_to_ros, wrench_to_ros
-from socket_testbed.nodes.diagnostics import ERROR, OK, SETTLE, WARN, Diagnostics
+from socket_testbed.nodes.diagnostics import LEVELS, SETTLE, Diagnostics
 from socket_testbed.nodes.parameters import Parameters
+from socket_testbed.nodes.recent_fault import RecentFault
 from socket_testbed.nodes.runtime import publisher_qos, run_node
 from socket_testbed.nodes.trigger_follower import TriggerFollower
 from socket_testbed.trials.topics import WRENCH
 
-_LEVELS = (OK, WARN, ERROR)
 _PATIENCE = 0.05  # [s]; for the conversions after a trigger
-_RECENT = 0.5  # [s]; how long a missing wrench is told
 _LOOK = 1e-3  # [s]
 
 
@@ -43,7 +42,7 @@ class LoadCellNode(Node):
         self._cell = LoadCell(settings, spi_opener(settings))
         self._samples = 0
         self._missing = 0
-        self._fault = ("", 0.0)
+        self._fault = RecentFault()
         self._publisher = self.create_publisher(WrenchStamped, WRENCH.name, publisher_qos(WRENCH))
         self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._poll, name="load_cell")
@@ -84,7 +83,7 @@ class LoadCellNode(Node):
         self._samples += 1
         if reading.fault:
             self._missing += bool(np.isnan(reading.wrench).any())
-            self._fault = (reading.fault, time.monotonic())
+            self._fault.saw(reading.fault)
         header = header_to_ros(stamp, LOAD_CELL_FRAME)
         self._publisher.publish(WrenchStamped(header=header, wrench=wrench_to_ros(reading.wrench)))
 
@@ -102,12 +101,11 @@ class LoadCellNode(Node):
     def _look(self) -> None:
         self._cell.settings = self._adjustable.settings
         level, message = self._cell.health(time.monotonic())
-        fault, when = self._fault
-        if level == 0 and fault and time.monotonic() - when < _RECENT:
+        if level == 0 and (fault := self._fault.text()):
             level, message = 1, f"{fault}: missing; relieve the computer if this comes often"
         elif level == 0 and self._follower.note:
             level, message = 1, self._follower.note
-        self._diagnostics.report(_LEVELS[level], message)
+        self._diagnostics.report(LEVELS[level], message)
 
 
 def main() -> None:

@@ -21,15 +21,14 @@ from socket_testbed.drivers.natnet.tracker import BodyTracker, MocapSample
 from socket_testbed.files import packaged
 from socket_testbed.geometry.socket import read_socket
 from socket_testbed.nodes.conversions import header_to_ros, markers_to_ros, pose_to_ros
-from socket_testbed.nodes.diagnostics import ERROR, OK, SETTLE, WARN, Diagnostics
+from socket_testbed.nodes.diagnostics import LEVELS, SETTLE, Diagnostics
 from socket_testbed.nodes.parameters import Parameters
+from socket_testbed.nodes.recent_fault import RecentFault
 from socket_testbed.nodes.runtime import latched_qos, publisher_qos, run_node
 from socket_testbed.nodes.trigger_follower import TriggerFollower
 from socket_testbed.trials.topics import MARKERS, PYLON_POSE, RECORDED_TRIAL, SOCKET_POSE
 
 _WORLD = "world"
-_LEVELS = (OK, WARN, ERROR)
-_RECENT = 0.5  # [s]; how long a body's fault is told after it was seen
 
 
 class MocapNode(Node):
@@ -47,7 +46,7 @@ class MocapNode(Node):
         self._client = NatNetClient(settings, self._tracker.add)
         self._samples = 0
         self._missing = 0
-        self._fault = ("", 0.0)
+        self._fault = RecentFault()
         self._poses = [
             self.create_publisher(PoseStamped, topic.name, publisher_qos(topic))
             for topic in (SOCKET_POSE, PYLON_POSE)
@@ -94,7 +93,7 @@ class MocapNode(Node):
         sample = self._tracker.sample(moment)
         faults = dict.fromkeys(fault for fault in sample.faults if fault)
         if faults:
-            self._fault = ("; ".join(faults), time.monotonic())
+            self._fault.saw("; ".join(faults))
         return sample
 
     def _on_recorded(self, message: String) -> None:
@@ -103,12 +102,11 @@ class MocapNode(Node):
 
     def _look(self) -> None:
         level, message = self._client.health(time.monotonic())
-        fault, when = self._fault
-        if level < 2 and fault and time.monotonic() - when < _RECENT:
+        if level < 2 and (fault := self._fault.text()):
             level, message = 1, fault
         elif level == 0 and (note := self._client.recording_fault or self._follower.note):
             level, message = 1, note
-        self._diagnostics.report(_LEVELS[level], message)
+        self._diagnostics.report(LEVELS[level], message)
 
 
 def main() -> None:

@@ -29,14 +29,12 @@ from socket_testbed.errors import ConfigurationError
 from socket_testbed.files import refuse_existing
 from socket_testbed.nodes.diagnostics import ERROR, OK, WARN, Diagnostics
 from socket_testbed.nodes.parameters import Parameters
-from socket_testbed.nodes.runtime import message_type, publisher_qos, run_node, subscriber_qos
+from socket_testbed.nodes.runtime import latched_qos, message_type, run_node, subscriber_qos
 from socket_testbed.settings import RecorderSettings
 from socket_testbed.steady_clock import SteadyClock
 from socket_testbed.trials.bag import BagWriter
-from socket_testbed.trials.topics import RECORDED_TRIAL, TOPICS, Topic
+from socket_testbed.trials.topics import RECORDED_TRIAL, TOPICS
 from socket_testbed.trials.trial import beside_cut_short, store_configuration
-
-_ANNOUNCED = Topic(RECORDED_TRIAL, "std_msgs/msg/String", latched=True)
 
 
 class RecorderNode(Node):
@@ -51,7 +49,7 @@ class RecorderNode(Node):
         self._path: Path | None = None
         self._counts: dict[str, int] = {}
         self._now: Callable[[], int] = SteadyClock().now
-        self._announcer = self.create_publisher(String, RECORDED_TRIAL, publisher_qos(_ANNOUNCED))
+        self._announcer = self.create_publisher(String, RECORDED_TRIAL, latched_qos())
         self._topics = {self.resolve_topic_name(topic.name): topic for topic in TOPICS}
         self._inputs = [
             self.create_subscription(

@@ -26,12 +26,13 @@ from socket_testbed.nodes.conversions import header_to_ros, stamp_from_ros
 from socket_testbed.nodes.diagnostics import ERROR, OK, WARN, Diagnostics
 from socket_testbed.nodes.followers import Followers
 from socket_testbed.nodes.parameters import Parameters
+from socket_testbed.nodes.recent_fault import RecentFault
 from socket_testbed.nodes.runtime import publisher_qos, run_node, subscriber_qos
 from socket_testbed.steady_clock import SteadyClock
 from socket_testbed.trials.topics import TRIGGER
 
 _READY_WITHIN = 15.0  # [s]; for the nodes waited for
-_RECENT = 0.5  # [s]; how long a fault is told after its last trigger
+_RECENT = 0.5  # [s]; how long a fault is told after its last trigger, at least
 _FOREIGN = 5.0  # [s]; how long another testbed is told
 _REMEMBERED = 200  # triggers, to know them again
 _STEP = 0.01  # [s]; of the system clock that is worth a word
@@ -51,12 +52,11 @@ class TriggerNode(Node):
         self._sequence = 0
         self._unseen = 0
         self._skipped = 0
-        self._fault = ("", 0.0)
+        self._fault = RecentFault()
         self._enabled = threading.Event()
         if settings.enabled:
             self._enabled.set()
         self._stopping = threading.Event()
-        self._waiting = ""
         self._publisher = self.create_publisher(
             TriggerMessage, TRIGGER.name, publisher_qos(TRIGGER)
         )
@@ -137,7 +137,7 @@ class TriggerNode(Node):
             stamp = self._epoch.to_epoch(self._trigger.fire())
         except DeviceError as error:
             self._unseen += self._trigger is not None
-            self._fault = (str(error), time.monotonic())
+            self._fault.saw(str(error))
             if self._trigger is None:
                 self._stopping.wait(_REOPEN)
         else:
@@ -165,9 +165,9 @@ class TriggerNode(Node):
             )
 
     def _look(self) -> None:
-        fault, when = self._fault
         step = self._epoch.step()
-        if fault and time.monotonic() - when < max(_RECENT, 1.5 / self._adjustable.settings.rate):
+        rate = self._adjustable.settings.rate
+        if fault := self._fault.text(max(_RECENT, 1.5 / rate)):
             self._diagnostics.report(ERROR, fault)
         elif self._foreign and time.monotonic() - self._foreign < _FOREIGN:
             self._diagnostics.report(
@@ -184,7 +184,6 @@ class TriggerNode(Node):
                 " restart after the trial to take the new time over",
             )
         elif self._sequence:
-            rate = self._adjustable.settings.rate
             self._diagnostics.report(OK, f"triggering at {rate:g} Hz")
 
 
