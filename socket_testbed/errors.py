@@ -51,3 +51,11 @@ class IdentificationError(TestbedError):
 
 class DeviceError(TestbedError):
     """A device or its bus does not do what it should."""
+
+
+class ScanError(TestbedError):
+    """A scan of a socket cannot be read, or does not hold what is asked of it."""
+
+
+class RegistrationError(TestbedError):
+    """Frames cannot be registered with these markers and landmarks."""
