@@ -1,0 +1,1 @@
+"""The interior of a socket covered with square tiles that do not overlap."""
