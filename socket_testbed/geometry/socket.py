@@ -13,9 +13,9 @@ from socket_testbed.arrays import FloatArray, IntArray
 from socket_testbed.documents import Section, closest, read_document
 from socket_testbed.errors import ConfigurationError
 from socket_testbed.geometry.pose import Pose
+from socket_testbed.geometry.pose_document import plain, pose_document, read_pose, read_rotation
 from socket_testbed.geometry.triad import EDGE_TOLERANCE, edge_lengths
 
-_ORTHONORMAL = 1e-6  # [-]; a file holds at least seven digits
 _SMALLEST_TRIAD = 0.01  # [m]
 _SAME_PLACE = 1e-4  # [m]
 _LARGEST_SOCKET = 2.0  # [m]; what is farther from the load cell is in another unit
@@ -39,6 +39,8 @@ class SocketGeometry:
         pylon_markers: Marker triad of the pylon in its body frame, shape (3, 3) [m].
         socket_body: Pose of the socket's marker body in {S}.
         limb: Pose of the limb in the pylon's marker body; its origin is the lumped mass.
+        source: What the tiles were made from.
+        registration: What the bodies were registered with; empty if they are only nominal.
     """
 
     names: tuple[str, ...]
@@ -51,6 +53,8 @@ class SocketGeometry:
     pylon_markers: FloatArray
     socket_body: Pose
     limb: Pose
+    source: str = ""
+    registration: str = ""
 
     def __len__(self) -> int:
         return len(self.names)
@@ -92,25 +96,28 @@ class SocketGeometry:
 
     def to_document(self) -> dict[str, Any]:
         """The content of `socket.yaml`."""
-        return {
+        document: dict[str, Any] = {"source": self.source} if self.source else {}
+        registration = {"registration": self.registration} if self.registration else {}
+        return document | {
             "tiles": {
                 name: {
-                    "anchor": _plain(self.anchors[i]),
-                    "frame": _plain(self.rotations[i]),
+                    "anchor": plain(self.anchors[i]),
+                    "frame": plain(self.rotations[i]),
                     "area": float(self.areas[i]),
                 }
                 for i, name in enumerate(self.names)
             },
             "neighbours": [[self.names[a], self.names[b]] for a, b in self.neighbours],
             "clusters": {name: self.names[tile] for name, tile in self.clusters.items()},
-            "bodies": {
+            "bodies": registration
+            | {
                 "socket": {
-                    "markers": _plain(self.socket_markers),
-                    "in_load_cell": _pose_document(self.socket_body),
+                    "markers": plain(self.socket_markers),
+                    "in_load_cell": pose_document(self.socket_body),
                 },
                 "pylon": {
-                    "markers": _plain(self.pylon_markers),
-                    "limb_in_body": _pose_document(self.limb),
+                    "markers": plain(self.pylon_markers),
+                    "limb_in_body": pose_document(self.limb),
                 },
             },
         }
@@ -142,27 +149,29 @@ def read_socket(path: Path) -> SocketGeometry:
 
 def socket_from_section(document: Section) -> SocketGeometry:
     """Build the geometry from the content of `socket.yaml`, with every check."""
-    document.expect(("tiles", "neighbours", "clusters", "bodies"))
+    document.expect(("source", "tiles", "neighbours", "clusters", "bodies"))
     tiles = dict(document.sections("tiles"))
     if not tiles:
         raise ConfigurationError(f"{document.where}: tiles is empty", "give at least one tile")
     for tile in tiles.values():
         tile.expect(("anchor", "frame", "area"))
     index = {name: i for i, name in enumerate(tiles)}
-    bodies = document.section("bodies").expect(("socket", "pylon"))
+    bodies = document.section("bodies").expect(("registration", "socket", "pylon"))
     socket = bodies.section("socket").expect(("markers", "in_load_cell"))
     pylon = bodies.section("pylon").expect(("markers", "limb_in_body"))
     return SocketGeometry(
         names=tuple(tiles),
         anchors=_anchors(tiles),
-        rotations=np.array([_rotation(tile, "frame") for tile in tiles.values()]),
+        rotations=np.array([read_rotation(tile, "frame") for tile in tiles.values()]),
         areas=np.array([tile.number("area", 1e-8, _LARGEST_TILE) for tile in tiles.values()]),
         neighbours=_neighbours(document, index),
         clusters=_clusters(document.section("clusters"), index),
         socket_markers=_triad(socket),
         pylon_markers=_triad(pylon),
-        socket_body=_pose(socket.section("in_load_cell")),
-        limb=_pose(pylon.section("limb_in_body")),
+        socket_body=read_pose(socket.section("in_load_cell"), _LARGEST_SOCKET),
+        limb=read_pose(pylon.section("limb_in_body"), _LARGEST_SOCKET),
+        source=document.text("source") if "source" in document.names() else "",
+        registration=bodies.text("registration") if "registration" in bodies.names() else "",
     )
 
 
@@ -213,17 +222,6 @@ def _clusters(section: Section, index: dict[str, int]) -> dict[str, int]:
     return clusters
 
 
-def _rotation(section: Section, key: str) -> FloatArray:
-    rotation = section.array(key, (3, 3))
-    error = np.abs(rotation.T @ rotation - np.eye(3)).max()
-    if error > _ORTHONORMAL or np.linalg.det(rotation) < 0.0:
-        raise ConfigurationError(
-            f"{section.where}: {key} is no right-handed orthonormal frame (off by {error:.1g})",
-            "give columns x, y, z of unit length with y = z x x",
-        )
-    return rotation
-
-
 def _triad(section: Section) -> FloatArray:
     markers = section.array("markers", (3, 3), limit=_LARGEST_BODY)
     edges = edge_lengths(markers)
@@ -241,19 +239,3 @@ def _triad(section: Section) -> FloatArray:
             f"move a marker until all edges differ by {2e3 * EDGE_TOLERANCE:g} mm or more",
         )
     return markers
-
-
-def _pose(section: Section) -> Pose:
-    section.expect(("rotation", "translation"))
-    return Pose(
-        _rotation(section, "rotation"), section.array("translation", (3,), limit=_LARGEST_SOCKET)
-    )
-
-
-def _pose_document(pose: Pose) -> dict[str, Any]:
-    return {"rotation": _plain(pose.rotation), "translation": _plain(pose.translation)}
-
-
-def _plain(array: FloatArray) -> Any:
-    """Nested lists, with digits enough for 10 nm and 1e-9 rad."""
-    return (np.round(array, 9) + 0.0).tolist()

@@ -14,13 +14,12 @@ from socket_testbed.arrays import BoolArray, FloatArray, IntArray
 from socket_testbed.tiling.squares import Squares
 from socket_testbed.tiling.surface_points import SurfacePoints
 
-STEEPEST = 60.0  # [deg]; a surface that turns farther from the tile's plane is folded
+FACING_WALL = -0.5  # [-]; cosine below which a surface is the wall on the other side
+LEAST_FACING = 0.5  # [-]; cosine to a tile's normal below which a surface is folded away
 _END = 10.0  # [deg]; a normal this close to the proximal direction has no proximal tangent
 _SAME_SHEET = 0.3  # [-]; cosine between normals that are averaged
-_FACING_WALL = -0.5  # [-]; cosine from which on a surface is the wall on the other side
 _LEAST_COVER = 0.85  # [-]; coverage of a square, as far as the points' areas can tell
 _SAFE = 0.95  # [-]; the points miss the farthest corners
-_LEAST_FACING = np.cos(np.radians(STEEPEST))
 _BATCH = 2000
 
 
@@ -113,8 +112,8 @@ def _fits(squares: Squares, surroundings: Surroundings, flatness: float) -> Bool
         offset = points.positions[near] - squares.anchors[rows][owner]
         x, y, height = np.einsum("pi,pij->jp", offset, frames)
         facing = np.einsum("pi,pi->p", points.normals[near], frames[:, :, 2])
-        inside = (np.abs(x) < half) & (np.abs(y) < half) & (facing > _FACING_WALL)
-        unfit = inside & ((np.abs(height) > _SAFE * flatness) | (facing < _LEAST_FACING))
+        inside = (np.abs(x) < half) & (np.abs(y) < half) & (facing > FACING_WALL)
+        unfit = inside & ((np.abs(height) > _SAFE * flatness) | (facing < LEAST_FACING))
         count = rows.stop - rows.start
         cover = np.bincount(owner, points.areas[near] * facing * inside, minlength=count)
         fits[rows] = cover > _LEAST_COVER * squares.edge**2

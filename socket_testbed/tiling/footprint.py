@@ -9,7 +9,7 @@ import trimesh
 from trimesh.intersections import slice_faces_plane
 
 from socket_testbed.arrays import FloatArray, IntArray
-from socket_testbed.tiling.candidates import STEEPEST
+from socket_testbed.tiling.candidates import FACING_WALL, LEAST_FACING
 from socket_testbed.tiling.squares import Squares
 
 
@@ -22,6 +22,7 @@ class Footprint:
         faces: Triangles, shape (f, 3).
         area: Area of the surface [m^2].
         cover: Part of the square that it covers; 1 for a whole one, more where it is double [-].
+        fold: Area that is folded away from the square, in areas of the square [-].
         flatness: Largest distance from the square's plane [m].
     """
 
@@ -29,6 +30,7 @@ class Footprint:
     faces: IntArray
     area: float
     cover: float
+    fold: float
     flatness: float
 
 
@@ -57,18 +59,21 @@ class FootprintCutter:
         frame, anchor = squares.rotations[index], squares.anchors[index]
         reach = np.hypot(squares.edge / np.sqrt(2.0), self._flatness)
         near = np.linalg.norm(self._centres - anchor, axis=1) < self._radii + reach
-        facing = self._normals @ frame[:, 2] > np.cos(np.radians(STEEPEST))
+        facing = self._normals @ frame[:, 2] > FACING_WALL
         faces = self._faces[near & facing]
         height = (self._vertices[faces] - anchor) @ frame[:, 2]
         in_band = (height.min(axis=1) < self._flatness) & (height.max(axis=1) > -self._flatness)
         vertices, faces = self._cut(self._vertices, faces[in_band], index)
         height = (vertices - anchor) @ frame[:, 2]
         doubled = _doubled_areas(vertices, faces)
+        areas, projected = 0.5 * np.linalg.norm(doubled, axis=1), 0.5 * doubled @ frame[:, 2]
+        steep = projected < LEAST_FACING * areas
         return Footprint(
             vertices,
             faces,
-            area=0.5 * float(np.linalg.norm(doubled, axis=1).sum()),
-            cover=0.5 * float((doubled @ frame[:, 2]).sum()) / squares.edge**2,
+            area=float(areas.sum()),
+            cover=float(projected[~steep].sum()) / squares.edge**2,
+            fold=float(areas[steep].sum()) / squares.edge**2,
             flatness=float(np.abs(height[faces]).max(initial=0.0)),
         )
 

@@ -8,7 +8,7 @@ from socket_testbed.arrays import IntArray
 from socket_testbed.tiling.footprint import Footprint, FootprintCutter
 from socket_testbed.tiling.squares import Squares, gaps
 
-_COVER = 0.01  # [-]; a footprint that differs more from its square is cut or double
+_COVER = 0.003  # [-]; a footprint that differs more from its square is cut, folded or double
 _CLOSE = 0.1  # [edges]; gap from which on footprints cannot share anything
 _SHARED = 1e-8  # [m^2]; what rounding may make of two footprints that touch
 
@@ -36,11 +36,12 @@ class Verification:
         return self._footprints[tile]
 
     def unfit(self, tiles: IntArray) -> list[int]:
-        """Tiles that are cut, double or too far from flat."""
+        """Tiles that are cut, folded, double or too far from flat."""
         unfit = []
         for tile in map(int, tiles):
             footprint = self.footprint(tile)
-            if abs(footprint.cover - 1.0) > _COVER or footprint.flatness > self._flatness:
+            whole = abs(footprint.cover - 1.0) < _COVER and footprint.fold < _COVER
+            if not whole or footprint.flatness > self._flatness:
                 unfit.append(tile)
         return unfit
 

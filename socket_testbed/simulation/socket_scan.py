@@ -1,0 +1,93 @@
+"""A scan of a socket's interior as a scanner would give it, of a socket that nobody wears.
+
+    python -m socket_testbed.simulation.socket_scan SCAN.stl
+
+The shape is that of a transtibial socket for the left leg: narrower towards a domed end,
+flattened behind, with the shin's crest, the bar below the kneecap, and a brim that is cut lower
+behind the knee. Its axes are the scanner's, its unit is the millimetre, its vertices are noisy.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import trimesh
+from scipy.spatial import Delaunay
+from scipy.spatial.transform import Rotation
+
+from socket_testbed.arrays import FloatArray
+from socket_testbed.files import whole_output
+
+_END = 46.0  # [mm]; radius of the wall above the domed end
+_TAPER = 0.10  # [-]; growth of the radius along the wall
+_DOME = 38.0  # [mm]; height of the domed end
+_BRIM = 225.0  # [mm]; mean height of the brim
+_EDGE = 2.6  # [mm]; of a triangle
+_NOISE = 0.12  # [mm]; of a vertex
+_SCANNER = Rotation.from_euler("zyx", [25.0, -4.0, 7.0], degrees=True)
+_OFFSET = np.array([34.0, -18.0, 410.0])  # [mm]; where the scanner's origin was
+
+
+def make_socket_scan(seed: int = 0) -> trimesh.Trimesh:
+    """The interior of the socket as scanned, in mm, its normals outwards as many tools give them.
+
+    Args:
+        seed: Seed of the noise.
+    """
+    rng = np.random.default_rng(seed)
+    # A flat disc of points, its radius the way from the end's middle up the wall, meshed and
+    # then shaped: the triangles are irregular and there is no seam.
+    reach = _BRIM + _END
+    rings = np.arange(0.0, reach, _EDGE)
+    disc = [np.zeros((1, 2))]
+    for ring, way in enumerate(rings[1:]):
+        count = int(2.0 * np.pi * _END / _EDGE) if way > _END else int(2.0 * np.pi * way / _EDGE)
+        angle = 2.0 * np.pi * (np.arange(count) + 0.5 * (ring % 2)) / count
+        angle = angle + rng.uniform(-0.2, 0.2, count) * 2.0 * np.pi / count
+        disc.append(np.column_stack([way * np.cos(angle), way * np.sin(angle)]))
+    points = np.vstack(disc)
+    faces = Delaunay(points).simplices
+    vertices = _shape(np.linalg.norm(points, axis=1), np.arctan2(points[:, 1], points[:, 0]))
+    vertices += rng.normal(0.0, _NOISE, vertices.shape)
+    mesh = trimesh.Trimesh(_SCANNER.apply(vertices) + _OFFSET, faces, process=False)
+    mesh.fix_normals()
+    return mesh
+
+
+def _shape(way: FloatArray, angle: FloatArray) -> FloatArray:
+    """Vertices from the way along the surface and the angle from anterior, shape (v, 3) [mm]."""
+    along = np.maximum(way - _END, 0.0) / _BRIM  # 0 at the end of the wall, 1 at the brim
+    brim = _BRIM + 12.0 * np.cos(2.0 * angle) - 14.0 * np.cos(angle + np.pi) ** 4 * _behind(angle)
+    in_dome = np.minimum(way / _END, 1.0)
+    height = np.where(
+        way < _END, _DOME * (1.0 - np.sqrt(1.0 - 0.995 * in_dome**2)), _DOME + along * brim
+    )
+    radius = np.where(way < _END, _END * in_dome, _END + _TAPER * along * brim)
+    wall = np.clip(along * 6.0, 0.0, 1.0)
+    crest = 3.5 * np.exp(-(((angle - 0.2) / 0.22) ** 2)) * (1.0 - along)
+    flat = -4.0 * _behind(angle) * np.sin(np.pi * np.clip(along, 0.0, 1.0))
+    bar = -5.0 * np.exp(-((angle / 0.5) ** 2) - (((along - 0.72) / 0.07) ** 2))
+    flare = 9.0 * np.clip((along - 0.9) / 0.1, 0.0, 1.0) ** 2
+    radius = radius + wall * (crest + flat + bar + flare)
+    x, y = radius * np.cos(angle), 0.94 * radius * np.sin(angle)
+    return np.column_stack([x + 0.03 * height, y, height])
+
+
+def _behind(angle: FloatArray) -> FloatArray:
+    """1 straight behind, 0 from the sides on, shape (v,) [-]."""
+    return np.maximum(-np.cos(angle), 0.0) ** 2
+
+
+def main() -> None:
+    """Write the scan to the file named on the command line."""
+    path = Path(sys.argv[1] if len(sys.argv) > 1 else "scan.stl")
+    mesh = make_socket_scan()
+    with whole_output(path) as output:
+        mesh.export(output, file_type="stl")
+    print(f"{path}: {len(mesh.faces)} faces, in mm")
+
+
+if __name__ == "__main__":
+    main()
