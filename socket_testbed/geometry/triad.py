@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from itertools import permutations
 
@@ -9,6 +10,7 @@ import numpy as np
 
 from socket_testbed.arrays import FloatArray, IntArray
 from socket_testbed.geometry.pose import Pose
+from socket_testbed.geometry.rigid import fit_rigid, misfit, root_mean_square
 
 EDGE_TOLERANCE = 0.002  # [m]; well above the noise of a marker
 
@@ -36,6 +38,18 @@ class TriadFit:
     residual: FloatArray
     order: IntArray
 
+    @property
+    def noise(self) -> float:
+        """1-sigma noise of a marker's coordinate, pooled over the frames [m]; NaN without any.
+
+        Nine coordinates less the six of a pose leave 3 degrees of freedom a frame, so that the
+        squared residual, a third of the sum of squares, is sigma^2 on average. With it,
+        `pose_uncertainty(reference, noise)` is the uncertainty of the pose of one frame. An
+        error of the reference itself is in the residual and thus counts as noise.
+        """
+        seen = self.residual[np.isfinite(self.residual)]
+        return float(root_mean_square(seen)) if len(seen) else math.nan
+
 
 def edge_lengths(markers: FloatArray) -> FloatArray:
     """Lengths of the edges 0-1, 1-2 and 2-0 of triads, shape (..., 3) [m].
@@ -56,8 +70,8 @@ def fit_triad(
 
     The labels stand if the edge lengths agree with the body's; otherwise the order whose
     edges agree best is taken, which finds a swap of labels that lasts a single frame. The
-    rotation is the least-squares one (Kabsch 1976, doi:10.1107/S0567739476001873). A frame
-    has no pose if a marker is occluded (NaN) or if no order agrees within the tolerance.
+    rotation is the least-squares one (`fit_rigid`). A frame has no pose if a marker is occluded
+    (NaN) or if no order agrees within the tolerance.
 
     Args:
         reference: Markers in the body's frame, shape (3, 3) [m].
@@ -80,21 +94,7 @@ def fit_triad(
     if usable.any():
         order[usable] = _ORDERS[best[usable]]
         markers = np.take_along_axis(observed[usable], order[usable][:, :, None], axis=1)
-        rotation[usable], translation[usable] = _kabsch(reference, markers)
-        fitted = reference @ np.swapaxes(rotation[usable], 1, 2) + translation[usable][:, None]
-        residual[usable] = np.sqrt(((markers - fitted) ** 2).sum(axis=2).mean(axis=1))
+        pose = fit_rigid(reference, markers)
+        rotation[usable], translation[usable] = pose.rotation, pose.translation
+        residual[usable] = root_mean_square(misfit(reference, markers, pose))
     return TriadFit(Pose(rotation, translation), residual, order)
-
-
-def _kabsch(reference: FloatArray, markers: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Rotations (M, 3, 3) and translations (M, 3) of the reference onto the markers."""
-    centre_reference = reference.mean(axis=0)
-    centre_markers = markers.mean(axis=1)
-    covariance = np.swapaxes(markers - centre_markers[:, None], 1, 2) @ (
-        reference - centre_reference
-    )
-    left, _, right = np.linalg.svd(covariance)
-    # Three points leave the sign of the normal open: take the proper rotation.
-    left[:, :, 2] *= np.sign(np.linalg.det(left @ right))[:, None]
-    rotation = left @ right
-    return rotation, centre_markers - rotation @ centre_reference

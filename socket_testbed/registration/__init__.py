@@ -1,0 +1,1 @@
+"""Registration: from a static take of the motion capture to the frames of its bodies."""
