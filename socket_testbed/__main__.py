@@ -14,6 +14,8 @@ VERBS = {
     "demo": "the simulated testbed live, its trial replayed: errors and a figure",
     "run": "bring the whole testbed up, on hardware or simulated, and record it",
     "doctor": "what is wired and what is not, as a table",
+    "tile": "from a scan of the socket to tiles, frames and neighbours",
+    "register": "from a static take and landmarks to the marker bodies' frames",
     "simulate": "write a simulated trial with its ground truth",
     "record": "record the graph as a trial",
     "replay": "publish a trial with /clock; with --estimate the estimator runs too",

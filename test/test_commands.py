@@ -74,7 +74,7 @@ def test_the_offsets_vanish_with_the_bias_variant(hold: Path, tmp_path: Path, ca
     assert np.median([bias[n]["rmse"] for n in local]) < 0.3 * np.median(
         [plain[n]["rmse"] for n in local]
     )
-    assert np.median([plain[n]["sigma"] / plain[n]["rmse"] for n in local]) < 0.7
+    assert sum(plain[n]["sigma"] for n in local) < 0.4 * sum(plain[n]["rmse"] for n in local)
     for c in bias.values():
         assert c["sigma"] == pytest.approx(c["rmse"], rel=1e-3, abs=1e-6)
 
@@ -289,10 +289,10 @@ def test_a_ramp_has_no_plateau_to_fit_on(tmp_path: Path, capsys) -> None:
 
 def test_a_model_of_another_socket_is_refused(trial, hold_model, capsys) -> None:
     def rename(document) -> None:
-        document["tiles"]["renamed"] = document["tiles"].pop("ring3_05")
+        old = next(name for name in document["tiles"] if name.startswith("h"))
+        document["tiles"]["renamed"] = document["tiles"].pop(old)
         document["neighbours"] = [
-            ["renamed" if name == "ring3_05" else name for name in pair]
-            for pair in document["neighbours"]
+            ["renamed" if name == old else name for name in pair] for pair in document["neighbours"]
         ]
 
     edit(trial / "socket.yaml", rename)

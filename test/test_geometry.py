@@ -262,7 +262,7 @@ TILE = ("tiles", "tile_0_1")
         (("clusters", "cluster_0"), None, "clusters", "text"),
         (("bodies", "pilon"), {}, "pilon", "pylon"),
         (("bodies", "socket", "markers"), LINE, "markers", "triangle"),
-        (("bodies", "pylon", "markers"), IN_MILLIMETRES_OF_NOTHING, "markers", "in m"),
+        (("bodies", "pylon", "markers"), IN_MILLIMETRES_OF_NOTHING, "markers", "edges of 10 mm"),
         (("bodies", "pylon", "markers"), LINE[:2], "markers", "3x3"),
         (("bodies", "pylon", "limb_in_body", "rotation"), LEFT_HANDED, "rotation", "y = z x x"),
         (("bodies", "socket", "in_load_cell", "translation"), 0.1, "translation", "3"),

@@ -3,17 +3,20 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 
 from socket_testbed.calibration import ClusterCalibration, read_calibration
 from socket_testbed.files import packaged
 from socket_testbed.geometry.socket import read_socket, write_socket
-from socket_testbed.simulation.conical_socket import conical_socket
+from socket_testbed.registration.placement import place_by_directions
+from socket_testbed.scans.interior import find_interior
 from socket_testbed.simulation.loading import SCENARIOS, load_history
 from socket_testbed.simulation.sensors import (
     SensorErrors,
     invert_calibration,
     observe_markers,
 )
+from socket_testbed.simulation.socket_scan import make_socket_scan
 from socket_testbed.simulation.testbed import simulate
 from socket_testbed.simulation.tissue import EquilibriumError, LimbInSocket, make_tissue
 
@@ -22,7 +25,7 @@ PERFECT = SensorErrors(**{field.name: 0.0 for field in dataclasses.fields(Sensor
 
 @pytest.fixture(scope="module")
 def geometry():
-    return conical_socket()
+    return read_socket(packaged("config", "socket.yaml"))
 
 
 @pytest.fixture(scope="module")
@@ -40,15 +43,19 @@ def press(geometry, force: float, seed: int = 0) -> tuple[np.ndarray, LimbInSock
     return forces, limb
 
 
-def test_the_packaged_geometry_is_the_generator_s(geometry, tmp_path: Path) -> None:
-    write_socket(geometry, tmp_path / "socket.yaml")
-    assert (tmp_path / "socket.yaml").read_text() == packaged("config", "socket.yaml").read_text()
-
-
-def test_tiles_do_not_overlap_their_neighbours(geometry) -> None:
-    a, b = geometry.neighbours.T
-    apart = np.linalg.norm(geometry.anchors[a] - geometry.anchors[b], axis=1)
-    assert apart.min() > 0.029
+def test_the_packaged_tiles_lie_on_the_package_s_scan(geometry) -> None:
+    scan = make_socket_scan()
+    scan.apply_scale(1e-3)
+    placed = place_by_directions(
+        np.asarray(scan.vertices), find_interior(scan).proximal, np.array([0.0, 0.0, 1.0]), 0.08
+    )
+    surface = trimesh.Trimesh(
+        placed.scan_in_load_cell.apply(scan.vertices), scan.faces, process=False
+    )
+    _, distance, face = trimesh.proximity.closest_point(surface, geometry.anchors)
+    assert distance.max() < 1e-4
+    along = np.einsum("ti,ti->t", geometry.rotations[:, :, 2], surface.face_normals[face])
+    assert np.abs(along).min() > 0.9
 
 
 @pytest.mark.parametrize("force", [50.0, 150.0, 280.0])

@@ -17,11 +17,11 @@ from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.image import imread
 from problems import random_socket
+from ring_socket import ring_socket
 from scipy.spatial.transform import Rotation
 
 from socket_testbed.errors import ConfigurationError, ScanError, TestbedError
-from socket_testbed.files import packaged
-from socket_testbed.geometry.socket import SocketGeometry, read_socket
+from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.view.axes_of_s import place_axes
 from socket_testbed.view.colours import CLUSTER, TILE
 from socket_testbed.view.paint import add_colour_bar, paint_tiles
@@ -60,7 +60,7 @@ def rng():
 
 @pytest.fixture(scope="module")
 def geometry() -> SocketGeometry:
-    return read_socket(packaged("config", "socket.yaml"))
+    return ring_socket()
 
 
 @pytest.fixture(scope="module")

@@ -37,6 +37,9 @@ def run(options: argparse.Namespace) -> None:
         print(f"{segment}: mean force {np.linalg.norm(mean):.1f} N")
     stored = [name for name in CONFIGURATION_FILES if (trial.path / name).is_file()]
     print(f"recorded with: {', '.join(stored) or 'nothing stored'}")
+    geometry = trial.geometry
+    print(f"socket: {geometry.source or 'no source'}; {len(geometry)} tiles")
+    print(f"marker bodies: {geometry.registration or 'nominal, not registered'}")
     print(f"calibration: {trial.calibration.source} ({trial.calibration.date})")
 
 

@@ -11,13 +11,9 @@ from scipy.spatial.transform import Rotation
 
 from socket_testbed.arrays import FloatArray
 from socket_testbed.commands.text import number, table
-from socket_testbed.documents import Section
-from socket_testbed.files import whole_output
 from socket_testbed.geometry.pose import Pose
 from socket_testbed.geometry.socket import (
-    SocketGeometry,
     read_socket,
-    socket_from_section,
     write_socket,
 )
 from socket_testbed.registration import landmark_file
@@ -75,15 +71,8 @@ def run(options: argparse.Namespace) -> None:
         print(f"note: {note}", file=sys.stderr)
     print(_report(registration))
     output = options.output or options.socket
-    _write(registration.geometry, output)
+    write_socket(registration.geometry, output)
     print(f"\nregistered socket in {output}")
-
-
-def _write(geometry: SocketGeometry, path: Path) -> None:
-    # What nobody could read again is not written.
-    socket_from_section(Section(geometry.to_document(), str(path)))
-    with whole_output(path) as staging:
-        write_socket(geometry, staging)
 
 
 def _report(registration: Registration) -> str:

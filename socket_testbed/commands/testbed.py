@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import sys
 from pathlib import Path
 from typing import TypeVar
 
@@ -15,6 +16,7 @@ from socket_testbed.acquisition_settings import (
 from socket_testbed.bringup import Simulation, Testbed
 from socket_testbed.checked import Settings
 from socket_testbed.files import packaged
+from socket_testbed.geometry.socket import read_socket
 from socket_testbed.settings import EstimatorSettings, read_parameters
 
 S = TypeVar("S", bound=Settings)
@@ -45,13 +47,20 @@ def testbed_of(options: argparse.Namespace, simulation: Simulation | None) -> Te
         assert isinstance(settings, kind)
         return settings
 
+    geometry = (options.geometry or packaged("config", "socket.yaml")).resolve()
+    if simulation is None and not read_socket(geometry).registration:
+        print(
+            f"note: {geometry}: the marker bodies are nominal: register them before the limb's"
+            " position is trusted",
+            file=sys.stderr,
+        )
     return Testbed(
         trigger=of("trigger_node", TriggerSettings),
         clusters=of("cluster_node", ClusterSettings),
         load_cell=of("load_cell_node", LoadCellSettings),
         mocap=of("mocap_node", MocapSettings),
         estimator=of("estimator_node", EstimatorSettings),
-        geometry=(options.geometry or packaged("config", "socket.yaml")).resolve(),
+        geometry=geometry,
         calibration=(options.calibration or packaged("config", "calibration.yaml")).resolve(),
         simulation=simulation,
     )

@@ -26,7 +26,8 @@ from socket_testbed.registration.placement import (
     place_by_points,
 )
 from socket_testbed.scans.interior import find_interior
-from socket_testbed.scans.scan_file import UNITS, Scan, read_scan
+from socket_testbed.scans.scan_file import Scan, read_scan
+from socket_testbed.scans.units import METRES
 from socket_testbed.tiling.clusters import read_cluster_places
 from socket_testbed.tiling.socket import tiled_socket
 from socket_testbed.tiling.tiling import Tiling, TilingSettings, tile_interior
@@ -46,7 +47,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         help="the geometry; a picture (.png) and a page (.html) are written beside it",
     )
     scan = parser.add_argument_group("the scan")
-    scan.add_argument("--unit", choices=tuple(UNITS), help="unit of the scan (default: inferred)")
+    scan.add_argument("--unit", choices=tuple(METRES), help="unit of the scan (default: inferred)")
     scan.add_argument("--body", metavar="NAME|INDEX", help="which body, where there are several")
     scan.add_argument(
         "--proximal",
@@ -174,7 +175,7 @@ def _place(scan: Scan, options: argparse.Namespace) -> _Interior:
     """The interior of a scan, moved to {S}."""
     given = parse_direction(options.proximal, "--proximal") if options.proximal else None
     interior = find_interior(scan.mesh, given)
-    vertices, scale = np.asarray(interior.mesh.vertices), UNITS[scan.unit]
+    vertices, scale = np.asarray(interior.mesh.vertices), METRES[scan.unit]
     if options.landmarks:
         placement = place_by_landmarks(options.landmarks, scale)
     elif options.points:

@@ -12,11 +12,11 @@ import yaml
 from socket_testbed.arrays import FloatArray, IntArray
 from socket_testbed.documents import Section, closest, read_document
 from socket_testbed.errors import ConfigurationError
+from socket_testbed.files import whole_output
 from socket_testbed.geometry.pose import Pose
 from socket_testbed.geometry.pose_document import plain, pose_document, read_pose, read_rotation
-from socket_testbed.geometry.triad import EDGE_TOLERANCE, edge_lengths
+from socket_testbed.geometry.triad import edge_lengths, triad_fault
 
-_SMALLEST_TRIAD = 0.01  # [m]
 _SAME_PLACE = 1e-4  # [m]
 _LARGEST_SOCKET = 2.0  # [m]; what is farther from the load cell is in another unit
 _LARGEST_BODY = 1.0  # [m]; likewise for a marker in its body
@@ -127,15 +127,24 @@ _HEADER = """\
 # Geometry of the socket in the frame of the load cell, {S}. Lengths in m, areas in m^2.
 # frame: rows of R = [x y z], which maps the tile's frame to {S}; z is the inward normal of the
 # surface, x the tangent towards the proximal end, y = z x x.
+# source: what the tiles were made from.
 # bodies: the marker triads in their bodies' frames; in_load_cell: the socket body's pose in {S};
-# limb_in_body: the limb's pose in the pylon's body, its origin being the lumped mass.
+# limb_in_body: the limb's pose in the pylon's body, its origin being the lumped mass;
+# registration: what they were registered with; without it they are nominal.
 """
 
 
 def write_socket(geometry: SocketGeometry, path: Path) -> None:
-    """Write `socket.yaml`."""
-    text = yaml.safe_dump(geometry.to_document(), sort_keys=False, default_flow_style=None)
-    path.write_text(_HEADER + text, encoding="utf-8")
+    """Write `socket.yaml`, whole or not at all.
+
+    Raises:
+        ConfigurationError: If it could not be read again, or the file cannot be written.
+    """
+    document = geometry.to_document()
+    socket_from_section(Section(document, str(path)))
+    text = yaml.safe_dump(document, sort_keys=False, default_flow_style=None, width=100)
+    with whole_output(path) as output:
+        output.write_text(_HEADER + text, encoding="utf-8")
 
 
 def read_socket(path: Path) -> SocketGeometry:
@@ -224,18 +233,7 @@ def _clusters(section: Section, index: dict[str, int]) -> dict[str, int]:
 
 def _triad(section: Section) -> FloatArray:
     markers = section.array("markers", (3, 3), limit=_LARGEST_BODY)
-    edges = edge_lengths(markers)
-    area = 0.5 * np.linalg.norm(np.cross(markers[1] - markers[0], markers[2] - markers[0]))
-    if edges.min() < _SMALLEST_TRIAD or area < 0.1 * _SMALLEST_TRIAD * edges.max():
-        raise ConfigurationError(
-            f"{section.where}: markers are on one line or closer than {_SMALLEST_TRIAD} m",
-            "give three markers of a triangle, in m",
-        )
-    closest_edges = np.abs(edges - np.roll(edges, 1)).min()
-    if closest_edges < 2.0 * EDGE_TOLERANCE:
-        raise ConfigurationError(
-            f"{section.where}: two edges of the triad differ by {1e3 * closest_edges:.1f} mm only,"
-            " so swapped labels cannot be found",
-            f"move a marker until all edges differ by {2e3 * EDGE_TOLERANCE:g} mm or more",
-        )
+    fault = triad_fault(edge_lengths(markers))
+    if fault:
+        raise ConfigurationError(f"{section.where}: {fault[0]}", fault[1])
     return markers

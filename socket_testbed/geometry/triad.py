@@ -13,6 +13,7 @@ from socket_testbed.geometry.pose import Pose
 from socket_testbed.geometry.rigid import fit_rigid, misfit, root_mean_square
 
 EDGE_TOLERANCE = 0.002  # [m]; well above the noise of a marker
+_SMALLEST = 0.01  # [m]
 
 _ORDERS = np.array(list(permutations(range(3))))
 _EDGES = ((0, 1), (1, 2), (2, 0))
@@ -61,6 +62,31 @@ def edge_lengths(markers: FloatArray) -> FloatArray:
         [np.linalg.norm(markers[..., a, :] - markers[..., b, :], axis=-1) for a, b in _EDGES],
         axis=-1,
     )
+
+
+def triad_fault(edges: FloatArray) -> tuple[str, str] | None:
+    """What makes a triad useless, and the mend; None for a good one.
+
+    Args:
+        edges: Lengths of its edges, shape (3,) [m].
+    """
+    lengths = ", ".join(f"{1e3 * edge:.1f}" for edge in edges)
+    shortest, middle, longest = np.sort(edges)
+    half = 0.5 * edges.sum()
+    area = np.sqrt(max(half * (half - edges).prod(), 0.0))  # Heron
+    if shortest < _SMALLEST or area < 0.1 * _SMALLEST * longest:
+        return (
+            f"the markers are on one line or too close (edges {lengths} mm)",
+            f"make a triangle of them, with edges of {1e3 * _SMALLEST:g} mm or more",
+        )
+    closest = min(middle - shortest, longest - middle)
+    if closest < 2.0 * EDGE_TOLERANCE:
+        return (
+            f"two edges of the triad differ by {1e3 * closest:.1f} mm only (edges {lengths} mm),"
+            " so swapped labels cannot be found",
+            f"move a marker until all edges differ by {2e3 * EDGE_TOLERANCE:g} mm or more",
+        )
+    return None
 
 
 def fit_triad(

@@ -12,9 +12,7 @@ from socket_testbed.arrays import FloatArray, IntArray
 from socket_testbed.errors import RegistrationError
 from socket_testbed.geometry.pose import Pose
 from socket_testbed.geometry.rigid import fit_rigid
-from socket_testbed.geometry.triad import EDGE_TOLERANCE, TriadFit, edge_lengths, fit_triad
-
-_SMALLEST = 0.01  # [m]; for an edge of a triad, as `socket.yaml` has it
+from socket_testbed.geometry.triad import TriadFit, edge_lengths, fit_triad, triad_fault
 
 
 def own_frame(markers: FloatArray) -> Pose:
@@ -48,7 +46,9 @@ def fit_labels(observed: FloatArray, where: str) -> TriadFit:
             f"{where}: no frame shows all three markers", "check their labels in Motive"
         )
     usual = np.median(edges[seen], axis=0)
-    _require_telling_edges(usual, where)
+    fault = triad_fault(usual)
+    if fault:
+        raise RegistrationError(f"{where}: {fault[0]}", fault[1])
     return fit_triad(_triangle(usual), observed)
 
 
@@ -100,22 +100,3 @@ def _triangle(edges: FloatArray) -> FloatArray:
     x = (base**2 + side**2 - opposite**2) / (2.0 * base)
     y = np.sqrt(side**2 - x**2)
     return np.array([[0.0, 0.0, 0.0], [base, 0.0, 0.0], [x, y, 0.0]])
-
-
-def _require_telling_edges(edges: FloatArray, where: str) -> None:
-    lengths = ", ".join(f"{1e3 * edge:.1f}" for edge in edges)
-    shortest, middle, longest = np.sort(edges)
-    half = 0.5 * edges.sum()
-    area = np.sqrt(max(half * (half - edges).prod(), 0.0))  # Heron
-    if shortest < _SMALLEST or area < 0.1 * _SMALLEST * longest:
-        raise RegistrationError(
-            f"{where}: the markers are on one line or too close (edges {lengths} mm)",
-            f"make a triangle of them, with edges of {1e3 * _SMALLEST:g} mm or more",
-        )
-    closest = min(middle - shortest, longest - middle)
-    if closest < 2.0 * EDGE_TOLERANCE:
-        raise RegistrationError(
-            f"{where}: two edges of the triad differ by {1e3 * closest:.1f} mm only (edges"
-            f" {lengths} mm), so swapped labels cannot be found",
-            f"move a marker until all edges differ by {2e3 * EDGE_TOLERANCE:g} mm or more",
-        )

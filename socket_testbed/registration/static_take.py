@@ -152,6 +152,8 @@ def register_take(
             pylon_markers=pylon.markers,
             socket_body=socket.in_frame,
             limb=pylon.in_frame.inverse(),
+            registration=f"{take.path.name}, landmarks within {1e3 * socket.landmarks.rms:.2f} mm"
+            f" (load cell) and {1e3 * pylon.landmarks.rms:.2f} mm (limb)",
         ),
         socket=socket,
         pylon=pylon,

@@ -26,7 +26,10 @@ _DOME = 38.0  # [mm]; height of the domed end
 _BRIM = 225.0  # [mm]; mean height of the brim
 _EDGE = 2.6  # [mm]; of a triangle
 _NOISE = 0.12  # [mm]; of a vertex
-_SCANNER = Rotation.from_euler("zyx", [25.0, -4.0, 7.0], degrees=True)
+# The scanner's y is up the socket, its z about anterior; the socket does not stand quite straight.
+_SCANNER = Rotation.from_matrix([[0, 1, 0], [0, 0, 1], [1, 0, 0]]) * Rotation.from_euler(
+    "xy", [4.0, -3.0], degrees=True
+)
 _OFFSET = np.array([34.0, -18.0, 410.0])  # [mm]; where the scanner's origin was
 
 

@@ -21,7 +21,7 @@ from socket_testbed.tiling.squares import Squares, gaps
 from socket_testbed.tiling.surface_points import SurfacePoints
 from socket_testbed.tiling.verification import Verification
 
-_WASTE_SPACING = 0.0045  # [m]; of the squares by which waste is counted
+_WASTE_SPACING = 0.15  # [edges]; of the squares by which waste is counted
 _REACH = 1.45  # [edges]; squares that overlap have their centres within it
 _CHANCE = (0.0, 0.02, 0.1, 0.3)  # [-]; how far a recreation strays from least waste
 _FEWEST_RUINED, _MOST_RUINED = 3, 14
@@ -51,7 +51,7 @@ class Search:
         self._alive = np.ones(len(squares), dtype=bool)
         self._tree = KDTree(squares.anchors)
         self._overlaps_of_tile: dict[int, IntArray] = {}
-        cell = np.floor(squares.anchors / _WASTE_SPACING)
+        cell = np.floor(squares.anchors / (_WASTE_SPACING * squares.edge))
         self._witnesses = np.unique(cell, axis=0, return_index=True)[1]
         self._overlaps = self._overlaps_with_witnesses()
 
@@ -136,10 +136,13 @@ class Search:
     def _reach(self) -> float:
         return _REACH * self._squares.edge
 
+    def _near(self, index: int) -> IntArray:
+        return np.array(self._tree.query_ball_point(self._squares.anchors[index], self._reach))
+
     def _overlapping(self, index: int) -> IntArray:
         """Squares that overlap a given one, itself included."""
         if index not in self._overlaps_of_tile:
-            near = np.array(self._tree.query_ball_point(self._squares.anchors[index], self._reach))
+            near = self._near(index)
             gap = gaps(self._squares, index, near)
             close = np.abs(gap) < _PLANE
             gap[close] = border_gaps(self._squares, self._borders, index, near[close])
@@ -151,8 +154,9 @@ class Search:
         """Which squares overlap which witnesses, shape (m, w)."""
         overlapping = []
         for witness in self._witnesses:
-            overlapping.append(self._overlapping(int(witness)).astype(np.int32))
-            self._overlaps_of_tile.clear()
+            near = self._near(int(witness))
+            overlap = gaps(self._squares, int(witness), near) < _CLEARANCE
+            overlapping.append(near[overlap].astype(np.int32))
         ends = np.cumsum([0, *map(len, overlapping)])
         ones = np.ones(ends[-1], dtype=np.float32)
         shape = (len(self._squares), len(self._witnesses))

@@ -18,9 +18,9 @@ from socket_testbed.tiling.squares import Squares
 from socket_testbed.tiling.surface_points import SurfacePoints, spread_points
 from socket_testbed.tiling.verification import Verification
 
-_PLACES = 0.001  # [m]; spacing of the centres that are tried
-_POINTS = 0.0025  # [m]; spacing of the points that stand for the surface
-_RIM = 0.0005  # [m]
+_PLACES = 1 / 30  # [edges]; spacing of the centres that are tried
+_POINTS = 1 / 12  # [edges]; spacing of the points that stand for the surface
+_RIM = 1 / 60  # [edges]
 
 
 @dataclass(frozen=True)
@@ -89,9 +89,9 @@ def tile_interior(
         ScanError: If not a single tile fits.
     """
     rng = np.random.default_rng(settings.seed)
-    points = spread_points(mesh, _POINTS, rng)
-    surroundings = Surroundings(points, rim_points(mesh, _RIM), proximal, anterior)
-    places = spread_points(mesh, _PLACES, rng)
+    points = spread_points(mesh, _POINTS * settings.edge, rng)
+    surroundings = Surroundings(points, rim_points(mesh, _RIM * settings.edge), proximal, anterior)
+    places = spread_points(mesh, _PLACES * settings.edge, rng)
     fitting = fitting_squares(places, surroundings, settings.edge, settings.flatness)
     if not len(fitting):
         raise ScanError(

@@ -1,4 +1,4 @@
-"""A conical socket with tiles in rings and on its distal end: the package's own geometry."""
+"""A conical socket with tiles in rings and on its distal end: a geometry whose places are known."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _TAPER = math.radians(6.0)
 _REACH = 0.047  # [m]; largest distance between neighbours
 
 
-def conical_socket() -> SocketGeometry:
+def ring_socket() -> SocketGeometry:
     """A right circular cone, open at the top, standing on the load cell; x is anterior."""
     names: list[str] = []
     anchors: list[FloatArray] = []

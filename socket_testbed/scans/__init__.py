@@ -1,0 +1,1 @@
+"""From a scan file to the interior surface of the socket."""

@@ -1,0 +1,127 @@
+"""The inner wall of a cavity, without its rims, cut faces and the outer wall."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from socket_testbed.arrays import BoolArray, FloatArray, IntArray
+from socket_testbed.scans.sight import Samples, Sight
+from socket_testbed.scans.surface import Surface, dots, lengths
+from socket_testbed.scans.topology import label_pieces
+
+_FACE_ON = 0.4  # [-]; cosine from which on a seen face needs no other witness
+_OPPOSITE = -0.75  # [-]; cosine between the normals of the two sides of a wall
+_NEAR = 1.5  # [-]; of the thickness: here the outer wall bears witness
+_BAND = 3.0  # [-]; of the thickness: farther from the border nothing is rim
+_THICKEST = 2.5  # [-]; of the thickness
+_SPECK = 1e-3  # [-]; of the wall's area, for a piece that is only noise
+_POCKET = 0.2  # [-]; of the seen area, for a piece in the shadow of the wall itself
+_REAL_OUTSIDE = 0.01  # [-]; of the seen area, for an outer wall that is worth the name
+_PROBES = 2000  # of the thickness
+
+
+def inner_wall(surface: Surface, samples: Samples, sight: Sight) -> BoolArray:
+    """Faces of the inner wall, in one piece without holes of shadow, shape (F,).
+
+    Args:
+        surface: The surface.
+        samples: Points on all of its faces.
+        sight: What the spine sees of it.
+    """
+    seen_area = float(surface.areas @ sight.seen)
+    pockets = _pockets(surface, sight.seen, _POCKET * seen_area)
+    outside = sight.hidden & ~pockets
+    if surface.areas @ outside < _REAL_OUTSIDE * seen_area:
+        return main_piece(surface, np.ones(len(surface.faces), bool))
+    kept = _without_rims(surface, samples, sight, outside) | pockets
+    return _fill(surface, main_piece(surface, kept), outside)
+
+
+def main_piece(surface: Surface, chosen: BoolArray) -> BoolArray:
+    """The largest connected piece of the chosen faces, shape (F,)."""
+    labels = _pieces(surface, chosen)
+    areas = np.bincount(labels, surface.areas * chosen)
+    return chosen & (labels == np.argmax(areas))
+
+
+def _pockets(surface: Surface, seen: BoolArray, largest: float) -> BoolArray:
+    """Unseen faces that what is seen surrounds, in pieces up to an area [m^2], shape (F,)."""
+    labels = _pieces(surface, ~seen)
+    small = np.bincount(labels, surface.areas) < largest
+    return ~seen & (small & ~_reach_edge(surface, labels))[labels]
+
+
+def _fill(surface: Surface, wall: BoolArray, outside: BoolArray) -> BoolArray:
+    """The wall with the specks beside it and the pieces that it surrounds, shape (F,)."""
+    labels = _pieces(surface, ~wall)
+    speck = np.bincount(labels, surface.areas) < _SPECK * float(surface.areas @ wall)
+    within = (np.bincount(labels, outside) == 0) & ~_reach_edge(surface, labels)
+    return wall | (speck | within)[labels]
+
+
+def _reach_edge(surface: Surface, labels: IntArray) -> BoolArray:
+    """Whether each numbered piece has an edge of the surface, shape (pieces,)."""
+    reach = np.zeros(int(labels.max()) + 1, bool)
+    reach[labels[surface.edges.boundary // 3]] = True
+    return reach
+
+
+def _pieces(surface: Surface, chosen: BoolArray) -> IntArray:
+    """Numbers of the pieces; every face that is not chosen is a piece of its own."""
+    pairs = surface.edges.neighbours
+    return label_pieces(len(chosen), pairs[chosen[pairs].all(axis=1)])
+
+
+def _without_rims(
+    surface: Surface, samples: Samples, sight: Sight, outside: BoolArray
+) -> BoolArray:
+    """The seen faces that belong to a wall: not those of a brim's rim or of a cut, shape (F,).
+
+    A face of a rim has the outer wall beside it; a face of the inner wall has it behind, turned
+    the other way, or far off. Only what lies near the border of what is seen face-on can be rim.
+    """
+    face_on = sight.seen & (sight.facing > _FACE_ON)
+    back = np.flatnonzero(outside[samples.owners])
+    some = samples.points[back[:: max(1, len(back) // _PROBES)]]
+    front = cKDTree(samples.points[face_on[samples.owners]])
+    thickness = float(np.median(front.query(some)[0]))
+
+    band = np.flatnonzero(
+        sight.seen & _within(_BAND * thickness, _border(surface, face_on), surface.centres)
+    )
+    near = _within(_NEAR * thickness, samples.points[back], surface.centres[band])
+    opposite = _opposite(surface, samples, band, back, thickness)
+    kept = face_on.copy()
+    kept[band] = np.where(face_on[band], ~near | opposite, near & opposite)
+    return kept
+
+
+def _border(surface: Surface, chosen: BoolArray) -> FloatArray:
+    """Centres of the faces on both sides of the borders of the chosen ones, shape (B, 3) [m]."""
+    pairs = surface.edges.neighbours
+    differ = chosen[pairs[:, 0]] != chosen[pairs[:, 1]]
+    return surface.centres[np.unique(pairs[differ])]
+
+
+def _within(reach: float, places: FloatArray, points: FloatArray) -> BoolArray:
+    """Whether some place is within reach of each point, shape (N,)."""
+    return cKDTree(places).query(points, distance_upper_bound=reach)[0] < np.inf
+
+
+def _opposite(
+    surface: Surface, samples: Samples, faces: IntArray, back: IntArray, thickness: float
+) -> BoolArray:
+    """Whether the outer wall lies behind each of some faces, turned the other way, (M,)."""
+    points, normals = samples.points[back], surface.normals[samples.owners[back]]
+    centres, own = surface.centres[faces], surface.normals[faces]
+    turn = 2.0 * thickness  # a normal that is off counts as much as this distance
+    _, partner = cKDTree(np.hstack([points, turn * normals])).query(
+        np.hstack([centres - thickness * own, -turn * own])
+    )
+    way = points[partner] - centres
+    return (
+        (dots(normals[partner], own) < _OPPOSITE)
+        & (dots(way, own) < 0.0)
+        & (lengths(way) < _THICKEST * thickness)
+    )

@@ -1,0 +1,190 @@
+"""Socket-like meshes whose areas are known: cups, shells with two walls, C-sections.
+
+All lengths are in metres. The axis is z, +z is proximal, the wall's distal rim is at z = 0, and
+vertices are welded. Surfaces are wound with their normals into the cavity, shells with their
+normals out of the solid (so those of the inner wall point into the cavity, too).
+"""
+
+import math
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import trimesh
+
+UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254}
+FULL = 2.0 * math.pi
+FLARE = math.radians(60.0)
+
+
+def open_cone(
+    distal_radius: float,
+    proximal_radius: float,
+    height: float,
+    edge: float,
+    dome: bool = False,
+    *,
+    closed: bool = True,
+    hole: float = 0.0,
+    flare: float = 0.0,
+    arc: float = FULL,
+) -> trimesh.Trimesh:
+    """A wall with its distal end, open at the top: one surface.
+
+    Args:
+        distal_radius: Radius of the wall at z = 0.
+        proximal_radius: Radius of the wall at z = height.
+        height: Height of the wall.
+        edge: About the length of the triangles' edges.
+        dome: Whether the distal end is a half ball, down to z = -distal_radius, or flat.
+        closed: Whether there is a distal end at all.
+        hole: Radius of a hole in the distal end.
+        flare: Radius of an arc that turns the brim outwards, by `FLARE`.
+        arc: How much of the circumference is there, from the x axis [rad].
+    """
+    profile = _profile(distal_radius, proximal_radius, height, edge, dome, closed, hole, flare)
+    return _revolve([profile], edge, arc)
+
+
+def shell(
+    distal_radius: float,
+    proximal_radius: float,
+    height: float,
+    edge: float,
+    thickness: float,
+    dome: bool = False,
+    *,
+    closed: bool = True,
+    hole: float = 0.0,
+    flare: float = 0.0,
+    arc: float = FULL,
+) -> trimesh.Trimesh:
+    """A watertight shell whose inner wall is `open_cone` of the same arguments."""
+    inner = _profile(distal_radius, proximal_radius, height, edge, dome, closed, hole, flare)
+    return _revolve([inner, _offset(inner, thickness)], edge, arc)
+
+
+def cavity_area(
+    distal_radius: float,
+    proximal_radius: float,
+    height: float,
+    dome: bool = False,
+    *,
+    closed: bool = True,
+    arc: float = FULL,
+) -> float:
+    """Area of `open_cone` without a hole, from the formulas of solids [m^2]."""
+    slant = math.hypot(height, proximal_radius - distal_radius)
+    wall = math.pi * (distal_radius + proximal_radius) * slant
+    end = (2.0 if dome else 1.0) * math.pi * distal_radius**2 if closed else 0.0
+    return (wall + end) * arc / FULL
+
+
+def wavy(mesh: trimesh.Trimesh, amplitude: float) -> trimesh.Trimesh:
+    """The same mesh with a trim line that rises and falls by an amplitude, twice around."""
+    points = mesh.vertices.copy()
+    along = np.clip(points[:, 2] / points[:, 2].max(), 0.0, None)
+    points[:, 2] += amplitude * along * np.cos(2.0 * np.arctan2(points[:, 1], points[:, 0]))
+    return trimesh.Trimesh(points, mesh.faces, process=False)
+
+
+def write_stl(mesh: trimesh.Trimesh, path: Path, unit: str = "mm", header: bytes = b"") -> Path:
+    """Write a binary STL in a unit of `UNITS`."""
+    triangles = np.zeros(
+        len(mesh.faces),
+        np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("use", "<u2")]),
+    )
+    triangles["corners"] = mesh.vertices[mesh.faces] / UNITS[unit]
+    count = np.array([len(triangles)], "<u4").tobytes()
+    path.write_bytes(header.ljust(80, b"\0") + count + triangles.tobytes())
+    return path
+
+
+def _profile(
+    distal: float,
+    proximal: float,
+    height: float,
+    edge: float,
+    dome: bool,
+    closed: bool,
+    hole: float,
+    flare: float,
+) -> np.ndarray:
+    """Points (r, z) of the inner wall from the axis, or the hole, to the brim, (M, 2)."""
+    wall = _along([[distal, 0.0], [proximal, height]], edge)
+    if flare:
+        slope = math.atan2(proximal - distal, height)
+        turn = slope + np.linspace(0.0, FLARE, max(2, round(flare * FLARE / edge)) + 1)[1:]
+        across = np.cos(slope) - np.cos(turn), np.sin(turn) - np.sin(slope)
+        wall = np.vstack([wall, wall[-1] + flare * np.column_stack(across)])
+    if not closed:
+        return wall
+    if dome:
+        angles = np.arcsin(hole / distal), 0.5 * math.pi
+        steps = max(2, round(distal * (angles[1] - angles[0]) / edge))
+        angle = np.linspace(*angles, steps + 1)
+        end = distal * np.column_stack([np.sin(angle), -np.cos(angle)])
+    else:
+        end = _along([[hole, 0.0], [distal, 0.0]], edge)
+    return np.vstack([end[:-1], wall])
+
+
+def _along(ends: list[list[float]], edge: float) -> np.ndarray:
+    start, stop = np.array(ends)
+    return np.linspace(start, stop, max(1, round(float(np.linalg.norm(stop - start)) / edge)) + 1)
+
+
+def _offset(profile: np.ndarray, thickness: float) -> np.ndarray:
+    """The profile of the outer wall, point for point, mitred at the corners, (M, 2)."""
+    along = np.diff(profile, axis=0)
+    along /= np.linalg.norm(along, axis=1)[:, None]
+    outward = np.column_stack([along[:, 1], -along[:, 0]])
+    if profile[0, 0] == 0.0:
+        outward[0] = [0.0, -1.0]
+    before, after = np.vstack([outward[:1], outward]), np.vstack([outward, outward[-1:]])
+    both = before + after
+    return profile + thickness * both / (0.5 * (both**2).sum(axis=1))[:, None]
+
+
+def _revolve(profiles: list[np.ndarray], edge: float, arc: float) -> trimesh.Trimesh:
+    """A wall, or an inner and an outer wall joined at the brim, at a hole and at the cuts."""
+    order = np.vstack([profiles[0], *(p[::-1] for p in profiles[1:])])
+    rings, points = [], []
+    for r, z in order:
+        steps = max(3, round(arc * r / edge)) if r > 1e-9 else 0
+        angle = np.linspace(0.0, arc, steps + 1)[: -1 if arc == FULL and steps else None]
+        rings.append(np.arange(len(angle)) + sum(map(len, rings)))
+        points.append(np.column_stack([r * np.cos(angle), r * np.sin(angle), z + 0.0 * angle]))
+    closed = arc == FULL
+    faces = [_stitch(a, b, closed) for a, b in pairwise(rings)]
+    if len(profiles) == 2:
+        if len(rings[0]) > 1:
+            faces.append(_stitch(rings[-1], rings[0], closed))
+        if not closed:
+            faces += _cuts(rings[: len(profiles[0])], rings[len(profiles[0]) :][::-1])
+    return trimesh.Trimesh(np.vstack(points), np.vstack(faces), process=False)
+
+
+def _stitch(lower: np.ndarray, upper: np.ndarray, closed: bool) -> np.ndarray:
+    """Triangles between two rings, whatever their numbers of vertices, (F, 3)."""
+    edges_lower, edges_upper = (len(r) - (not closed or len(r) == 1) for r in (lower, upper))
+    i, j = np.arange(edges_lower), np.arange(edges_upper)
+    middle_i, middle_j = (i + 0.5) / max(edges_lower, 1), (j + 0.5) / max(edges_upper, 1)
+    apex_i = np.searchsorted(middle_j, middle_i, side="left")
+    apex_j = np.searchsorted(middle_i, middle_j, side="right")
+    a, b = len(lower), len(upper)
+    from_lower = np.column_stack([lower[(i + 1) % a], lower[i], upper[apex_i % b]])
+    from_upper = np.column_stack([upper[j], upper[(j + 1) % b], lower[apex_j % a]])
+    return np.vstack([from_lower, from_upper])
+
+
+def _cuts(inner: list[np.ndarray], outer: list[np.ndarray]) -> list[np.ndarray]:
+    """The two faces where a C-section is cut, as lists of triangles."""
+    faces = []
+    for end, turn in ((0, 1), (-1, -1)):
+        p, q = (np.array([ring[end] for ring in rings]) for rings in (inner, outer))
+        quads = np.vstack(
+            [np.column_stack([p[:-1], q[:-1], p[1:]]), np.column_stack([q[:-1], q[1:], p[1:]])]
+        )
+        faces.append(quads[:, ::turn])
+    return faces
