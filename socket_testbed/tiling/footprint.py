@@ -6,11 +6,14 @@ from dataclasses import dataclass
 
 import numpy as np
 import trimesh
+from scipy.spatial import KDTree
 from trimesh.intersections import slice_faces_plane
 
 from socket_testbed.arrays import FloatArray, IntArray
 from socket_testbed.tiling.candidates import FACING_WALL, LEAST_FACING
 from socket_testbed.tiling.squares import Squares
+
+_SMALL = 0.1  # [edges]; triangles larger than it are looked at for every square
 
 
 @dataclass(frozen=True)
@@ -47,9 +50,11 @@ class FootprintCutter:
         self._vertices = np.asarray(mesh.vertices)
         self._faces = np.asarray(mesh.faces)
         self._normals = np.asarray(mesh.face_normals)
-        self._centres = np.asarray(mesh.triangles_center)
-        spread = np.asarray(mesh.triangles) - self._centres[:, None]
-        self._radii = np.linalg.norm(spread, axis=2).max(axis=1)
+        centres = np.asarray(mesh.triangles_center)
+        spread = np.asarray(mesh.triangles) - centres[:, None]
+        radii = np.linalg.norm(spread, axis=2).max(axis=1)
+        self._large = np.flatnonzero(radii > _SMALL * squares.edge)
+        self._tree = KDTree(centres)
         self._squares = squares
         self._flatness = flatness
 
@@ -58,9 +63,9 @@ class FootprintCutter:
         squares = self._squares
         frame, anchor = squares.rotations[index], squares.anchors[index]
         reach = np.hypot(squares.edge / np.sqrt(2.0), self._flatness)
-        near = np.linalg.norm(self._centres - anchor, axis=1) < self._radii + reach
-        facing = self._normals @ frame[:, 2] > FACING_WALL
-        faces = self._faces[near & facing]
+        reach += _SMALL * squares.edge
+        near = np.union1d(self._tree.query_ball_point(anchor, reach), self._large).astype(np.int64)
+        faces = self._faces[near[self._normals[near] @ frame[:, 2] > FACING_WALL]]
         height = (self._vertices[faces] - anchor) @ frame[:, 2]
         in_band = (height.min(axis=1) < self._flatness) & (height.max(axis=1) > -self._flatness)
         vertices, faces = self._cut(self._vertices, faces[in_band], index)
