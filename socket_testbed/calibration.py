@@ -7,8 +7,8 @@ surface of total degree 2.
 
 from __future__ import annotations
 
-from collections.abc import Collection
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, field
 from datetime import date
 from enum import IntEnum
 from pathlib import Path
@@ -21,7 +21,7 @@ from socket_testbed.arrays import FloatArray, IntArray, StatusArray
 from socket_testbed.documents import Section, read_document
 from socket_testbed.errors import CalibrationError, ConfigurationError
 
-_SMALLEST_GAIN = 100.0  # [Pa/pF]; a smaller one is in another unit
+SMALLEST_GAIN = 100.0  # [Pa/pF]; a smaller one is in another unit
 
 SHEAR_TERMS = ("1", "dx", "dy", "dx^2", "dx dy", "dy^2")
 
@@ -67,6 +67,10 @@ class ClusterCalibration:
         mean_range: Calibrated range of the mean, shape (2,) [pF].
         difference_range: Calibrated range of both pair differences, shape (2,) [pF].
         wiring: Input of the converter that holds each channel, shape (4,).
+        baseline: Capacitances by input of the unloaded cluster on the bench, shape (4,) [pF];
+            None if they were not recorded.
+        bench: What the bench says of these coefficients: date, source, errors. It is kept for
+            people; nothing is computed from it. Empty if there is no such record.
     """
 
     normal: FloatArray
@@ -74,6 +78,8 @@ class ClusterCalibration:
     mean_range: FloatArray
     difference_range: FloatArray
     wiring: IntArray
+    baseline: FloatArray | None = None
+    bench: Mapping[str, Any] = field(default_factory=dict)
 
     def apply(self, capacitance: FloatArray, status: StatusArray) -> tuple[FloatArray, StatusArray]:
         """Stress on the cluster from the converter's four inputs.
@@ -111,6 +117,22 @@ class ClusterCalibration:
         unusable = (result == Status.MISSING) | (result == Status.SATURATED)
         return np.where(unusable[..., None], np.nan, stress), result
 
+    def to_document(self) -> dict[str, Any]:
+        """The cluster's section of `calibration.yaml`."""
+        document = {
+            "normal": self.normal.tolist(),
+            "shear_x": self.shear[0].tolist(),
+            "shear_y": self.shear[1].tolist(),
+            "mean_range": self.mean_range.tolist(),
+            "difference_range": self.difference_range.tolist(),
+            "wiring": self.wiring.tolist(),
+        }
+        if self.baseline is not None:
+            document["baseline"] = self.baseline.tolist()
+        if self.bench:
+            document["bench"] = dict(self.bench)
+        return document
+
 
 @dataclass(frozen=True)
 class Calibration:
@@ -118,8 +140,8 @@ class Calibration:
 
     Attributes:
         clusters: Coefficients by the cluster's name.
-        date: Date of the bench measurements.
-        source: Where the coefficients come from.
+        date: Date of the coefficients; a cluster with a `bench` record has its own there.
+        source: Where they come from; likewise.
     """
 
     clusters: dict[str, ClusterCalibration]
@@ -145,17 +167,7 @@ class Calibration:
         return {
             "date": self.date,
             "source": self.source,
-            "clusters": {
-                name: {
-                    "normal": cluster.normal.tolist(),
-                    "shear_x": cluster.shear[0].tolist(),
-                    "shear_y": cluster.shear[1].tolist(),
-                    "mean_range": cluster.mean_range.tolist(),
-                    "difference_range": cluster.difference_range.tolist(),
-                    "wiring": cluster.wiring.tolist(),
-                }
-                for name, cluster in self.clusters.items()
-            },
+            "clusters": {name: cluster.to_document() for name, cluster in self.clusters.items()},
         }
 
 
@@ -166,6 +178,8 @@ _HEADER = """\
 #   the differences of the channel pairs along x and y [pF].
 # mean_range, difference_range: the calibrated ranges [pF].
 # wiring: the converter's input of each channel (-x,+y), (+x,+y), (-x,-y), (+x,-y).
+# baseline: the inputs of the unloaded cluster on the bench [pF].
+# bench: where a cluster's coefficients come from, and how good they are.
 """
 
 
@@ -193,8 +207,12 @@ def _date(document: Section) -> str:
     return value.isoformat() if isinstance(value, date) else document.text("date")
 
 
+_REQUIRED = ("normal", "shear_x", "shear_y", "mean_range", "difference_range", "wiring")
+_OPTIONAL = ("baseline", "bench")
+
+
 def _cluster_from_section(section: Section) -> ClusterCalibration:
-    section.expect(("normal", "shear_x", "shear_y", "mean_range", "difference_range", "wiring"))
+    section.expect((*_REQUIRED, *_OPTIONAL))
     wiring = section.array("wiring", (4,))
     if sorted(wiring.tolist()) != [0, 1, 2, 3]:
         raise ConfigurationError(
@@ -208,7 +226,7 @@ def _cluster_from_section(section: Section) -> ClusterCalibration:
                 f"{section.where}: {key} is {ranges[key].tolist()}", "give [low, high] in pF"
             )
     normal = section.array("normal", (2,))
-    if normal[1] < _SMALLEST_GAIN:
+    if normal[1] < SMALLEST_GAIN:
         raise ConfigurationError(
             f"{section.where}: the gain of normal is {normal[1]:g} Pa/pF",
             "give [offset in Pa, gain in Pa/pF], compression positive",
@@ -219,4 +237,11 @@ def _cluster_from_section(section: Section) -> ClusterCalibration:
         mean_range=ranges["mean_range"],
         difference_range=ranges["difference_range"],
         wiring=wiring.astype(np.int64),
+        baseline=section.array("baseline", (4,)) if "baseline" in section.names() else None,
+        bench=_bench_record(section) if "bench" in section.names() else {},
     )
+
+
+def _bench_record(section: Section) -> Mapping[str, Any]:
+    record = section.section("bench")
+    return {name: record.take(name) for name in record.names()}

@@ -1,0 +1,222 @@
+"""`calibrate`: coefficients of a cluster from bench data, with the quality of their fit."""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+from collections.abc import Sequence
+from datetime import date
+from pathlib import Path
+
+import numpy as np
+
+from socket_testbed.arrays import IntArray
+from socket_testbed.bench.bench_data import BenchData, join_benches
+from socket_testbed.bench.bench_file import read_bench, read_unloaded
+from socket_testbed.bench.calibrate import BenchCalibration, calibrate_bench
+from socket_testbed.bench.columns import UNITS
+from socket_testbed.bench.drift import Baseline, average_baseline, correct_bench, measure_drift
+from socket_testbed.bench.record import bench_record
+from socket_testbed.calibration import (
+    Calibration,
+    ClusterCalibration,
+    read_calibration,
+    write_calibration,
+)
+from socket_testbed.commands.calibrate_tables import quality_report
+from socket_testbed.documents import check_number, closest
+from socket_testbed.errors import ConfigurationError
+from socket_testbed.files import refuse_existing, whole_output
+from socket_testbed.geometry.socket import read_socket
+
+_AREAS = (1e-6, 0.05)  # [m^2]
+_FIGURES = (".png", ".pdf")
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of the verb."""
+    parser.add_argument(
+        "bench", type=Path, nargs="+", metavar="BENCH.csv", help="bench data of one cluster"
+    )
+    parser.add_argument("-o", "--output", type=Path, required=True, metavar="CALIBRATION.yaml")
+    parser.add_argument("--cluster", required=True, metavar="NAME", help="name of the cluster")
+    parser.add_argument(
+        "--into",
+        type=Path,
+        metavar="EXISTING.yaml",
+        help="calibration whose other clusters are kept (default: the output, if it exists)",
+    )
+    _add_reading(parser)
+    parser.add_argument(
+        "--baseline",
+        type=Path,
+        nargs="+",
+        default=[],
+        metavar="FILE.csv",
+        help="unloaded readings before the bench run, and, to take its drift off, after it",
+    )
+    parser.add_argument(
+        "--limit",
+        type=float,
+        default=10.0,
+        metavar="PERCENT",
+        help="largest held-out RMSE in percent of the full scale (default: 10)",
+    )
+    parser.add_argument("--force", action="store_true", help="write above the limit, too")
+    parser.add_argument(
+        "--drop-outliers", action="store_true", help="leave the outliers out of the fit"
+    )
+    parser.add_argument("--figure", type=Path, metavar="FILE.png|pdf", help="draw the fit")
+    parser.set_defaults(run=run)
+
+
+def _add_reading(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--columns",
+        nargs="+",
+        default=[],
+        metavar="QUANTITY=HEADER",
+        help=f"what the header calls a quantity: {', '.join(UNITS)}",
+    )
+    parser.add_argument(
+        "--units",
+        nargs="+",
+        default=[],
+        metavar="QUANTITY=UNIT",
+        help="units instead of the header's: Pa, kPa, MPa, N; pF, fF, nF; s, ms",
+    )
+    area = parser.add_mutually_exclusive_group()
+    area.add_argument("--area", type=float, metavar="M2", help="area of stresses in N [m^2]")
+    area.add_argument(
+        "--geometry", type=Path, metavar="SOCKET.yaml", help="take the area of the cluster's tile"
+    )
+    parser.add_argument(
+        "--wiring",
+        type=int,
+        nargs=4,
+        metavar=("C", "C", "C", "C"),
+        help="input of each channel (-x,+y) (+x,+y) (-x,-y) (+x,-y) (default: the existing"
+        " cluster's, else 0 1 2 3)",
+    )
+
+
+def run(options: argparse.Namespace) -> None:
+    """Read, fit, judge, report and write."""
+    check_number(options.limit, "--limit", 0.0, 100.0)
+    if options.figure is not None and options.figure.suffix not in _FIGURES:
+        raise ConfigurationError(f"{options.figure}: is no figure", "name a .png or a .pdf")
+    existing = _existing(options)
+    bench, baselines = _read(options)
+    wiring = _wiring(options, existing)
+    stated = options.wiring is not None
+    calibrated = calibrate_bench(bench, wiring, stated, options.drop_outliers)
+    drift = measure_drift(calibrated.cluster, *baselines) if len(baselines) == 2 else None
+
+    print(quality_report(options.cluster, calibrated, drift))
+    if options.figure is not None:
+        _draw(calibrated, options.cluster, options.figure)
+    calibrated.require_gain()
+    forced = bool(calibrated.above(options.limit))
+    if not options.force:
+        calibrated.require_accuracy(options.limit)
+    today = date.today().isoformat()
+    cluster = dataclasses.replace(
+        calibrated.cluster,
+        baseline=baselines[0].capacitance if baselines else None,
+        bench=bench_record(calibrated, today, options.limit, forced, drift),
+    )
+    _write(options, existing, cluster)
+
+
+def _existing(options: argparse.Namespace) -> Calibration | None:
+    if options.into is None:
+        return read_calibration(options.output) if options.output.exists() else None
+    if options.into.resolve() != options.output.resolve():
+        refuse_existing(options.output)
+    return read_calibration(options.into)
+
+
+def _read(options: argparse.Namespace) -> tuple[BenchData, list[Baseline]]:
+    """The bench data, with the drift between two baselines taken off, and the baselines."""
+    columns = _assignments(options.columns, "--columns")
+    units = _assignments(options.units, "--units")
+    area = _area(options)
+    bench = join_benches([read_bench(path, columns, units, area) for path in options.bench])
+    if len(options.baseline) > 2:
+        raise ConfigurationError(
+            f"--baseline: {len(options.baseline)} files", "give one before and at most one after"
+        )
+    ends = (bench.time[0], bench.time[-1])
+    baselines = [
+        average_baseline(time, read_unloaded(path, columns, units), str(path))
+        for path, time in zip(options.baseline, ends, strict=False)
+    ]
+    return correct_bench(bench, *baselines) if len(baselines) == 2 else bench, baselines
+
+
+def _assignments(words: Sequence[str], option: str) -> dict[str, str]:
+    found: dict[str, str] = {}
+    for word in words:
+        name, equals, value = word.partition("=")
+        if not equals or not value:
+            raise ConfigurationError(
+                f"{option}: '{word}' is no QUANTITY=VALUE",
+                "write it such as normal=kPa, and the bench files before the options",
+            )
+        if name not in UNITS:
+            raise ConfigurationError(f"{option}: no quantity '{name}'", closest(name, UNITS))
+        if name in found:
+            raise ConfigurationError(f"{option}: {name} is given twice", "give it once")
+        found[name] = value
+    return found
+
+
+def _area(options: argparse.Namespace) -> float | None:
+    if options.area is not None:
+        return check_number(options.area, "--area", *_AREAS)
+    if options.geometry is None:
+        return None
+    geometry = read_socket(options.geometry)
+    if options.cluster not in geometry.clusters:
+        raise ConfigurationError(
+            f"{options.geometry}: has no cluster '{options.cluster}'",
+            closest(options.cluster, geometry.clusters),
+        )
+    return float(geometry.areas[geometry.clusters[options.cluster]])
+
+
+def _wiring(options: argparse.Namespace, existing: Calibration | None) -> IntArray:
+    if options.wiring is not None:
+        if sorted(options.wiring) != [0, 1, 2, 3]:
+            raise ConfigurationError(
+                f"--wiring is {options.wiring}", "give each of 0, 1, 2, 3 once"
+            )
+        return np.array(options.wiring)
+    known = existing.clusters.get(options.cluster) if existing else None
+    return known.wiring if known else np.arange(4)
+
+
+def _draw(calibrated: BenchCalibration, cluster: str, path: Path) -> None:
+    from socket_testbed.bench.figure import bench_figure  # matplotlib takes its time
+
+    with whole_output(path) as staging:
+        bench_figure(calibrated, cluster, staging)
+
+
+def _write(
+    options: argparse.Namespace, existing: Calibration | None, cluster: ClusterCalibration
+) -> None:
+    old = existing.clusters if existing else {}
+    clusters = {**old, options.cluster: cluster}
+    if existing is not None and not all(c.bench for c in clusters.values()):
+        # Date and source stay those of the clusters that have none of their own.
+        calibration = dataclasses.replace(existing, clusters=clusters)
+    else:
+        sources = [f"{name}: {c.bench.get('source')}" for name, c in clusters.items()]
+        calibration = Calibration(clusters, cluster.bench["date"], "; ".join(sources))
+    with whole_output(options.output) as staging:
+        write_calibration(calibration, staging)
+    others = [name for name in old if name != options.cluster]
+    kept = f"; kept: {', '.join(others)}" if others else ""
+    verb = "replaced" if options.cluster in old else "added"
+    print(f"\n{options.cluster} {verb} in {options.output}{kept}")
