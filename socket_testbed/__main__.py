@@ -16,12 +16,16 @@ VERBS = {
     "doctor": "what is wired and what is not, as a table",
     "tile": "from a scan of the socket to tiles, frames and neighbours",
     "register": "from a static take and landmarks to the marker bodies' frames",
+    "calibrate": "from bench data to a cluster's coefficients, with their quality",
     "simulate": "write a simulated trial with its ground truth",
     "record": "record the graph as a trial",
     "replay": "publish a trial with /clock; with --estimate the estimator runs too",
     "info": "what a trial holds: topics, rates, gaps, plateau",
-    "fit": "identify the contact model on a trial",
-    "evaluate": "errors of a model on a trial, channel by channel",
+    "fit": "identify the contact model on a trial, or on every trial of a folder",
+    "evaluate": "errors of a model on a trial, or on every trial of a folder",
+    "pareto": "the trade-off of wrench against clusters over theta, and its knee",
+    "report": "one page with the results of a trial: figures, errors, data quality",
+    "export": "synchronised samples of a trial as CSV, Parquet or MAT",
 }
 
 

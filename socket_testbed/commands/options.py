@@ -8,14 +8,17 @@ import sys
 from functools import cache
 from pathlib import Path
 
+from socket_testbed.batch.pool import Pool
 from socket_testbed.contact import VARIANTS
+from socket_testbed.documents import check_number
 from socket_testbed.settings import EstimatorSettings, read_parameters
 from socket_testbed.trials.trial import Trial
+from socket_testbed.trials.unloaded import parse_unloaded
 
 
-def add_trial(parser: argparse.ArgumentParser) -> None:
+def add_trial(parser: argparse.ArgumentParser, what: str = "folder of the trial") -> None:
     """A trial and what is used instead of the configuration stored in it."""
-    parser.add_argument("trial", type=Path, metavar="TRIAL", help="folder of the trial")
+    parser.add_argument("trial", type=Path, metavar="TRIAL", help=what)
     parser.add_argument(
         "--geometry", type=Path, metavar="SOCKET.yaml", help="instead of the trial's socket.yaml"
     )
@@ -27,22 +30,82 @@ def add_trial(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def add_trials(parser: argparse.ArgumentParser) -> None:
+    """A trial, or a folder of trials and how they are worked on."""
+    add_trial(parser, "folder of the trial, or a folder of trials")
+    many = parser.add_argument_group("for a folder of trials")
+    where = many.add_mutually_exclusive_group()
+    where.add_argument(
+        "--jobs", type=int, metavar="N", help="trials at a time (default: one a core)"
+    )
+    where.add_argument(
+        "--dask", metavar="ADDRESS", help="scheduler of a Dask cluster whose workers do it instead"
+    )
+    many.add_argument("--again", action="store_true", help="do again what is done already")
+
+
+def pool_of(options: argparse.Namespace) -> Pool:
+    """Where the trials of a folder are worked on."""
+    if options.jobs is not None:
+        check_number(options.jobs, "--jobs", 1)
+    return Pool(options.jobs, options.dask)
+
+
+def absolute_paths(options: argparse.Namespace) -> argparse.Namespace:
+    """The same options for a worker that has another working directory."""
+    return argparse.Namespace(
+        **{
+            name: value.absolute() if isinstance(value, Path) else value
+            for name, value in vars(options).items()
+        }
+    )
+
+
 def trial_of(options: argparse.Namespace) -> Trial:
     """The trial that is meant; each note on it goes to standard error once."""
-    return Trial(options.trial, options.geometry, options.calibration, cache(_tell))
+    spans = getattr(options, "unloaded", None) or []
+    return Trial(
+        options.trial,
+        options.geometry,
+        options.calibration,
+        cache(tell_note),
+        parse_unloaded(spans),
+    )
 
 
-def _tell(note: str) -> None:
-    print(f"note: {note}", file=sys.stderr)
+def tell_note(note: str) -> None:
+    """Print a note on standard error."""
+    warn(f"note: {note}")
 
 
-def add_segment(parser: argparse.ArgumentParser) -> None:
+def say(line: str) -> None:
+    """Print a line on standard output at once, however it is buffered."""
+    print(line, flush=True)
+
+
+def warn(line: str) -> None:
+    """Print a line on standard error."""
+    print(line, file=sys.stderr)
+
+
+def add_segment(parser: argparse.ArgumentParser, default: str = "plateau") -> None:
     """The segment of a trial."""
     parser.add_argument(
         "--segment",
-        default="plateau",
+        default=default,
         metavar="plateau|all|T0:T1",
-        help="the plateau (default), all of the trial, or seconds since its first sample",
+        help="the plateau, all of the trial, or seconds since its first sample"
+        f" (default: {default})",
+    )
+
+
+def add_unloaded(parser: argparse.ArgumentParser) -> None:
+    """Spans without load."""
+    parser.add_argument(
+        "--unloaded",
+        nargs="+",
+        metavar="T0:T1",
+        help="seconds without load before, and after: the clusters' drift is taken off by them",
     )
 
 

@@ -45,6 +45,7 @@ class StoredModel:
         wrench_rmse: Errors of its fit, shape (6,) [N m, N].
         status: The solver's verdict, in words.
         trial: Name of the trial it was fitted on.
+        unloaded: Spans of it by which the clusters' drift was taken off [s].
     """
 
     model: ContactModel
@@ -55,6 +56,7 @@ class StoredModel:
     wrench_rmse: FloatArray
     status: str
     trial: str
+    unloaded: tuple[tuple[float, float], ...]
 
 
 def write_model(
@@ -146,6 +148,7 @@ def read_model(path: Path) -> StoredModel:
         wrench_rmse=quality.array("wrench_rmse", (6,), finite=False),
         status=quality.text("status"),
         trial=document.section("trial").text("name"),
+        unloaded=_unloaded(document.section("trial")),
     )
 
 
@@ -175,3 +178,8 @@ def _model(parameters: Section, geometry: SocketGeometry) -> ContactModel:
         force_bias={name: bias.array(name, (3,)) for name in bias.names()},
         cluster_points={name: geometry.clusters[name] for name in clusters},
     )
+
+
+def _unloaded(trial: Section) -> tuple[tuple[float, float], ...]:
+    spans = trial.take("unloaded") if "unloaded" in trial.names() else []
+    return tuple((float(start), float(end)) for start, end in spans)

@@ -34,12 +34,15 @@ class Trial:
         socket_file: A `socket.yaml` to use instead of the trial's own.
         calibration_file: A `calibration.yaml` to use instead of the trial's own.
         tell: Called with each note on the bag, whenever it is opened.
+        unloaded: Spans without load, before and after, by which the clusters' drift is taken
+            off; seconds since the first sample.
     """
 
     path: Path
     socket_file: Path | None = None
     calibration_file: Path | None = None
     tell: Callable[[str], None] | None = None
+    unloaded: tuple[tuple[float, float], ...] = ()
 
     @property
     def name(self) -> str:

@@ -1,0 +1,233 @@
+"""`fit` and `evaluate` on a folder of trials, as users call them."""
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+import yaml
+from distributed import LocalCluster
+
+from socket_testbed.__main__ import run
+
+GOOD = ("s01/hold", "s02/hold", "walk")
+BROKEN = "s01/broken"
+
+
+def call(capsys: pytest.CaptureFixture[str], *words: object) -> tuple[int, str, str]:
+    """Exit code, standard output and standard error of a call."""
+    capsys.readouterr()
+    code = run([str(word) for word in words])
+    captured = capsys.readouterr()
+    return code, captured.out, captured.err
+
+
+@pytest.fixture(scope="session")
+def whole_study(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Three tiny simulated trials and one that is broken; tests that change it take a copy."""
+    folder = tmp_path_factory.mktemp("batch") / "study"
+    for seed, name in enumerate(GOOD):
+        words = ["simulate", "-o", folder / name, "--duration", 30, "--seed", seed]
+        assert run([str(word) for word in words]) == 0
+    shutil.copytree(folder / GOOD[0], folder / BROKEN)
+    os.truncate(folder / BROKEN / "hold.mcap", 10_000)
+    return folder
+
+
+@pytest.fixture
+def study(whole_study: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(whole_study, tmp_path / "study"))
+
+
+@pytest.fixture(scope="session")
+def one_by_one(whole_study: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Models fitted each by a call of its own."""
+    folder = tmp_path_factory.mktemp("batch") / "single"
+    for name in GOOD:
+        assert run(["fit", str(whole_study / name), "-o", str(folder / f"{name}.json")]) == 0
+    return folder
+
+
+def assert_models(folder: Path, expected: Path) -> None:
+    """Bit for bit the same models, one a trial."""
+    found = {p.relative_to(folder).as_posix() for p in folder.rglob("*.json")}
+    names = [f"{name}.json" for name in GOOD]
+    assert {name for name in found if not name.startswith(".")} == set(names)
+    for name in names:
+        assert (folder / name).read_bytes() == (expected / name).read_bytes(), name
+
+
+@pytest.fixture(scope="session")
+def models(whole_study: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The same trials in parallel, by the command itself; the broken one fails."""
+    folder = tmp_path_factory.mktemp("batch") / "models"
+    words = ["fit", whole_study, "-o", folder, "--jobs", 2]
+    done = subprocess.run(
+        [sys.executable, "-m", "socket_testbed", *map(str, words)],
+        check=False,
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 1, done.stderr
+    lines = done.stdout.splitlines()
+    assert len(lines) == 5 and all(f" {name}: " in done.stdout for name in (*GOOD, BROKEN))
+    assert sum(": ok, mean moment RMSE 0." in line for line in lines) == 3
+    assert "Traceback" not in done.stderr and "Warning" not in done.stderr
+    *_, named, last = done.stderr.splitlines()
+    assert named.startswith(f"{BROKEN}: ") and "hold.mcap" in named and "truncated" in named
+    assert last.startswith("socket-testbed fit: error: 1 of 4 trials failed")
+    return folder
+
+
+def test_in_parallel_the_models_are_those_of_single_calls(models: Path, one_by_one: Path) -> None:
+    assert_models(models, one_by_one)
+    assert not list(models.rglob("*.partial"))
+
+
+def test_the_summary_says_what_the_models_say(models: Path) -> None:
+    table = pd.read_csv(models / "summary.csv")
+    same = pd.read_parquet(models / "summary.parquet")
+    pd.testing.assert_frame_equal(table, same, check_dtype=False, check_exact=True)
+    assert table["trial"].tolist() == sorted((*GOOD, BROKEN))
+    table = table.set_index("trial")
+    assert table["status"].to_dict() == {BROKEN: "failed", **dict.fromkeys(GOOD, "ok")}
+    assert "truncated" in table["error"][BROKEN] and table["error"][list(GOOD)].isna().all()
+    assert table.loc[BROKEN].drop(["status", "error"]).isna().all()
+    for name in GOOD:
+        row = table.loc[name]
+        model = json.loads((models / f"{name}.json").read_text())
+        quality = model["quality"]
+        assert row["samples"] == quality["samples"]
+        assert row["variant"] == model["parameters"]["variant"]
+        assert row["theta [-]"] == model["settings"]["theta"]
+        assert f"{row['segment']} {row['segment_start [s]']:.2f} s" in model["segment"]
+        for error in quality["errors"]:
+            for figure in ("rmse", "mae", "sigma"):
+                title = f"{error['name']}_{figure} [{error['unit']}]"
+                assert row[title] == error[figure], title
+            skill = row[f"{error['name']}_skill [-]"]
+            assert skill == error["skill"] or (np.isnan(skill) and error["skill"] is None)
+        moments = [error["rmse"] for error in quality["errors"][:3]]
+        local = [error["rmse"] for error in quality["errors"][6:]]
+        assert row["mean_moment_rmse [N m]"] == pytest.approx(np.mean(moments))
+        assert row["median_local_rmse [N]"] == pytest.approx(np.median(local))
+        stages = quality["stage_1"], quality["stage_2"]
+        assert row["kkt_residual [-]"] == max(stage["stationarity"] for stage in stages) < 1e-8
+
+
+def test_a_changed_setting_or_calibration_is_never_passed_over(study, tmp_path, capsys) -> None:
+    shutil.rmtree(study / BROKEN)
+    shutil.rmtree(study / "s02")
+    fit = ["fit", study, "-o", tmp_path / "models", "--jobs", 1]
+    model = tmp_path / "models" / "walk.json"
+
+    def statuses(*more: object) -> list[str]:
+        code, out, _ = call(capsys, *fit, *more)
+        assert code == 0
+        return [line.split(": ", 1)[1].partition(", mean")[0] for line in out.splitlines()[:-1]]
+
+    assert statuses() == ["ok", "ok"]
+    first = model.read_bytes()
+    assert statuses() == ["skipped", "skipped"]
+    assert statuses("--theta", 0.9) == ["ok again (changed: setting theta)"] * 2
+    assert json.loads(model.read_text())["settings"]["theta"] == 0.9
+
+    document = yaml.safe_load((study / "walk" / "calibration.yaml").read_text())
+    document["clusters"]["distal"]["normal"][1] *= 1.1
+    (study / "walk" / "calibration.yaml").write_text(yaml.safe_dump(document))
+    other = statuses()
+    assert other[0] == "ok again (changed: setting theta)"
+    assert other[1] == "ok again (changed: setting theta, trial/calibration.yaml)"
+    assert model.read_bytes() != first
+
+
+def test_trials_are_judged_by_their_own_models_or_all_by_one(
+    whole_study, one_by_one, tmp_path, capsys
+) -> None:
+    words = ["evaluate", whole_study, "--jobs", 1]
+    own, crossed = tmp_path / "own", tmp_path / "crossed"
+    code, _, err = call(capsys, *words, "--model", one_by_one, "-o", own)
+    assert code == 1 and err.count("1 of 4 trials failed") == 1
+    assert call(capsys, *words, "--model", one_by_one / "walk.json", "-o", crossed)[0] == 1
+    for folder, model in ((own, "s02/hold"), (crossed, "walk")):
+        single = ["evaluate", whole_study / "s02/hold", "--model", one_by_one / f"{model}.json"]
+        code, out, _ = call(capsys, *single, "--json", "-o", tmp_path / "single.json")
+        assert code == 0
+        expected = json.loads(out)
+        assert json.loads((tmp_path / "single.json").read_text()) == expected
+        assert json.loads((folder / "s02/hold.errors.json").read_text()) == expected
+        row = pd.read_csv(folder / "summary.csv").set_index("trial").loc["s02/hold"]
+        assert row["model"] == model.rpartition("/")[2]
+        assert row["Fz_rmse [N]"] == expected["channels"][5]["rmse"]
+        assert row["samples"] == expected["samples"]
+
+
+@pytest.mark.parametrize(
+    ("words", "names"),
+    [
+        (["fit", "-o", "OUT", "--theta", 7], ["theta", "[0, 1]"]),
+        (["fit", "-o", "OUT", "--jobs", 0], ["--jobs", "0"]),
+        (["fit", "-o", "OUT", "--params", "no.yaml"], ["no.yaml", "no such file"]),
+        (["evaluate", "--model", "MODELS"], ["4 trials", "-o"]),
+        (["evaluate", "--model", "MODELS", "-o", "OUT", "--json"], ["4 trials", "--json"]),
+        (["evaluate", "--model", "no.json", "-o", "OUT"], ["no.json", "no such model"]),
+        (["evaluate", "--model", "MODELS", "-o", "MODELS"], ["holds what 'fit' wrote"]),
+    ],
+)
+def test_what_is_wrong_for_all_is_one_line(
+    words, names, whole_study, models, tmp_path, capsys
+) -> None:
+    places = {"OUT": tmp_path / "out", "MODELS": models}
+    verb, *rest = (places.get(word, word) for word in words)
+    code, out, err = call(capsys, verb, whole_study, *rest)
+    assert code == 1 and out == ""
+    assert err.startswith(f"socket-testbed {verb}: error: ") and err.count("\n") == 1, err
+    assert all(name in err for name in names), err
+    assert not (tmp_path / "out").exists()
+
+
+def test_ctrl_c_leaves_what_is_finished_and_a_re_run_goes_on(study, tmp_path, capsys) -> None:
+    shutil.rmtree(study / BROKEN)
+    for number in range(4):  # enough to be in their midst for sure
+        shutil.copytree(study / "walk", study / f"walk_{number}")
+    words = [sys.executable, "-m", "socket_testbed", "fit", study, "-o", tmp_path / "models"]
+    with subprocess.Popen(
+        [*map(str, words), "--jobs", "2"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,  # a terminal sends Ctrl-C to all processes of the group
+    ) as process:
+        assert process.stdout is not None and process.stderr is not None
+        assert ": ok" in process.stdout.readline()
+        os.killpg(process.pid, signal.SIGINT)
+        assert process.wait(30) == 130
+        assert process.stderr.read() == "socket-testbed fit: interrupted\n"
+    table = pd.read_csv(tmp_path / "models" / "summary.csv").set_index("trial")
+    finished = table.index[table["status"] == "ok"].tolist()
+    assert 1 <= len(finished) < 7
+    assert set(table["status"]) == {"ok", "not reached"}
+    code, out, _ = call(capsys, *words[3:], "--jobs", 1)
+    assert code == 0
+    # What a worker had finished but not yet told, is done as well.
+    assert len(finished) <= out.count(": skipped") < 7
+    assert out.count(": skipped") + out.count(": ok") == 7
+
+
+def test_a_dask_cluster_of_two_workers_takes_over(
+    whole_study, one_by_one, tmp_path, capsys
+) -> None:
+    folder = tmp_path / "models"
+    with LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster:
+        words = ["fit", whole_study, "-o", folder, "--dask", cluster.scheduler_address]
+        code, out, err = call(capsys, *words)
+        assert code == 1 and out.count(": ok") == 3 and "1 of 4 trials failed" in err
+        code, out, _ = call(capsys, *words)
+        assert code == 1 and out.count(": skipped") == 3
+    assert_models(folder, one_by_one)
