@@ -17,7 +17,6 @@ from socket_testbed.commands.text import Progress, number, table
 from socket_testbed.contact import VARIANTS
 from socket_testbed.errors import ConfigurationError, TrialError
 from socket_testbed.evaluation import channel_errors, channel_unit
-from socket_testbed.figures import wrench_figure
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.processes import Graph
 from socket_testbed.samples import LOCAL_CHANNELS, WRENCH_CHANNELS, Samples
@@ -27,6 +26,7 @@ from socket_testbed.simulation.trial import TRUTH_FILE, read_truth
 from socket_testbed.trials.segment import select_segment
 from socket_testbed.trials.synchronise import read_samples
 from socket_testbed.trials.trial import Trial
+from socket_testbed.view.wrench_figure import wrench_figure
 
 _DURATION = 45.0  # [s]; of the trial
 _TRIGGER_RATE = 10.0  # [Hz]

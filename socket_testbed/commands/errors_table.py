@@ -4,10 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import numpy as np
-
 from socket_testbed.commands.text import number, table
-from socket_testbed.evaluation import ChannelErrors
+from socket_testbed.evaluation import ChannelErrors, summarise_errors
 
 
 def errors_table(errors: Sequence[ChannelErrors]) -> str:
@@ -24,18 +22,12 @@ def errors_table(errors: Sequence[ChannelErrors]) -> str:
         ]
         for error in errors
     ]
-    wrench, local = errors[:6], errors[6:]
     lines = [table(["channel", "unit", "RMSE", "MAE", "sigma", "skill", ""], rows), ""]
+    summary = summarise_errors(errors)
     lines.append(
-        f"mean moment RMSE {_mean(wrench[:3]):.3f} N m, mean force RMSE {_mean(wrench[3:]):.3f} N,"
-        f" median local RMSE {_median(local):.3f} N"
+        f"mean moment RMSE {number(summary.moment_rmse)} N m, mean force RMSE"
+        f" {number(summary.force_rmse)} N, median local RMSE {number(summary.local_rmse)} N"
     )
+    if summary.without_value:
+        lines.append(f"without a value, in none of these: {', '.join(summary.without_value)}")
     return "\n".join(lines)
-
-
-def _mean(errors: Sequence[ChannelErrors]) -> float:
-    return float(np.mean([error.rmse for error in errors]))
-
-
-def _median(errors: Sequence[ChannelErrors]) -> float:
-    return float(np.median([error.rmse for error in errors])) if errors else float("nan")

@@ -6,7 +6,6 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
@@ -16,12 +15,8 @@ from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator
 
 from socket_testbed.files import whole_output
 from socket_testbed.identification.front import KNEE, SENSOR_ONLY, WRENCH_ONLY, Front
+from socket_testbed.view.paper import MODEL_STYLES, dress, save_figure
 
-# Okabe & Ito's colours differ in lightness, too, and every line has its own dashes.
-_STYLES: tuple[dict[str, Any], ...] = (
-    {"color": "#D55E00", "linestyle": (0, (4, 1.5))},
-    {"color": "#0072B2", "linestyle": "-"},
-)
 _MARKS: dict[str, dict[str, Any]] = {
     SENSOR_ONLY: {"marker": "s", "markersize": 8},
     KNEE: {"marker": "*", "markersize": 13},
@@ -35,6 +30,7 @@ _HOLLOW: dict[str, Any] = {
 }
 _FAINT = 0.3  # opacity
 _ROOM = 0.08  # [-]; around the solutions
+_LEAST_ERROR = 1e-8  # [-]; zero has no place on a logarithmic axis, and errors no more digits
 _WIDE = 5.0  # [-]; ratio of an axis' ends above which its numbers go by 1, 2, 5
 _WRENCH_LABEL = r"wrench error $e_w$ [-]: each RMSE over the RMS of the measured moments or forces"
 _LOCAL_LABEL = r"local error $e_f$ [-]: each RMSE over the RMS of the cluster forces"
@@ -56,23 +52,24 @@ def pareto_figure(fronts: Iterable[Front], title: str, path: Path) -> None:
     figure = Figure(figsize=(7.0, 5.6), layout="constrained")
     figure.suptitle(title, fontsize=11)
     axes = figure.subplots()
-    for front, style in zip(fronts, _STYLES, strict=False):
+    for front, style in zip(fronts, MODEL_STYLES, strict=False):
         _draw_front(axes, front, style)
-    _dress(axes)
+    _scale(axes)
+    dress(axes)
     handles = [*axes.get_legend_handles_labels()[0], *_mark_legend()]
     figure.legend(handles=handles, loc="outside lower center", ncols=2, frameon=False, fontsize=9)
-    with whole_output(path) as staging, mpl.rc_context({"pdf.fonttype": 42}):
-        figure.savefig(staging, dpi=150)
+    with whole_output(path) as staging:
+        save_figure(figure, staging)
 
 
 def _draw_front(axes: Axes, front: Front, style: dict[str, Any]) -> None:
     kept = np.flatnonzero(front.non_dominated)
     kept = kept[np.argsort(front.wrench_error[kept], kind="stable")]
     dominated = front.sound & ~front.non_dominated
-    errors = np.stack([front.wrench_error, front.local_error])
+    errors = np.maximum([front.wrench_error, front.local_error], _LEAST_ERROR)
     colour = style["color"]
     dots: dict[str, Any] = {"color": colour, "linestyle": "none", "marker": "o", "markersize": 3}
-    axes.plot(*errors[:, kept], linewidth=1.2, label=_describe(front), **style)
+    axes.plot(*errors[:, kept], label=_describe(front), **style)
     axes.plot(*errors[:, kept], **dots)
     axes.plot(*errors[:, dominated], alpha=_FAINT, markeredgewidth=0.0, **dots)
     for name, index in front.marks.items():
@@ -94,7 +91,7 @@ def _mark_legend() -> list[Line2D]:
     return [*marks, Line2D([], [], alpha=_FAINT, label="dominated", **dot)]
 
 
-def _dress(axes: Axes) -> None:
+def _scale(axes: Axes) -> None:
     axes.set_xscale("log")
     axes.set_yscale("log")
     axes.margins(_ROOM)
@@ -102,9 +99,6 @@ def _dress(axes: Axes) -> None:
     axes.set_ylabel(_LOCAL_LABEL, fontsize=9)
     _write_plain_numbers(axes.xaxis, axes.get_xlim())
     _write_plain_numbers(axes.yaxis, axes.get_ylim())
-    axes.grid(color="0.9")
-    axes.set_axisbelow(True)
-    axes.spines[["top", "right"]].set_visible(False)
 
 
 def _write_plain_numbers(axis: Axis, limits: tuple[float, float]) -> None:

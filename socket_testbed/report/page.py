@@ -1,0 +1,120 @@
+"""The page of a report: one file that opens offline and loads nothing."""
+
+from __future__ import annotations
+
+import html
+from collections.abc import Sequence
+from string import Template
+
+FONT = "system-ui, -apple-system, 'Segoe UI', Roboto, sans-serif"
+
+# The policy lets the browser load nothing at all; the 3D viewer compiles its shaders' code.
+_PAGE = Template("""\
+<!DOCTYPE html>
+<html lang="en">
+<head>
+<meta charset="utf-8">
+<meta name="viewport" content="width=device-width, initial-scale=1">
+<meta http-equiv="Content-Security-Policy" content="default-src 'none'; img-src data: blob:; \
+style-src 'unsafe-inline'; script-src 'unsafe-inline' 'unsafe-eval'">
+<title>$title</title>
+<style>
+* { box-sizing: border-box; }
+body { margin: 0 auto; padding: 1rem; max-width: 84rem; font: 1rem/1.5 $font;
+  color: #222; background: #fff; }
+h1 { margin: 0; font-size: 1.6rem; line-height: 1.25; overflow-wrap: anywhere; }
+h2 { margin: 2.5rem 0 0.75rem; padding-bottom: 0.25rem; border-bottom: 2px solid #0072B2;
+  font-size: 1.3rem; }
+h3 { margin: 1.5rem 0 0.5rem; font-size: 1.05rem; }
+p, li { max-width: 60rem; overflow-wrap: anywhere; }
+ul { padding-left: 1.25rem; }
+li { margin-bottom: 0.35rem; }
+a { color: #00588A; }
+.subtitle { margin: 0.25rem 0 1rem; color: #555; }
+nav ul { display: flex; flex-wrap: wrap; gap: 0.25rem 1.25rem; padding: 0; margin: 0;
+  list-style: none; }
+nav li { margin: 0; }
+.notes { padding: 0.75rem 1rem 0.5rem 2rem; border-left: 4px solid #D55E00; background: #FBF3EC; }
+.scroll { overflow-x: auto; margin: 0.5rem 0 1rem; }
+table { border-collapse: collapse; font-size: 0.9rem; }
+th, td { padding: 0.25rem 0.9rem 0.25rem 0; border-bottom: 1px solid #ddd; text-align: left;
+  vertical-align: top; font-variant-numeric: tabular-nums; }
+thead th { border-bottom: 2px solid #888; vertical-align: bottom; }
+.groups th, .groups td { border-bottom: none; }
+th { font-weight: 600; }
+.number { text-align: right; }
+tbody th { white-space: nowrap; font-weight: 500; }
+td { white-space: nowrap; }
+#provenance-table td, #settings td { white-space: normal; overflow-wrap: anywhere;
+  min-width: 14rem; }
+figure { margin: 1rem 0 1.5rem; }
+figure img { display: block; width: 100%; height: auto; }
+figcaption { max-width: 60rem; margin-top: 0.5rem; font-size: 0.9rem; color: #444; }
+.files { white-space: nowrap; }
+.panels { display: grid; gap: 1rem 1.5rem;
+  grid-template-columns: repeat(auto-fill, minmax(min(100%, 21rem), 1fr)); }
+.single { max-width: 46rem; }
+.wide { max-width: 52rem; overflow-x: auto; }
+.wide img { min-width: 34rem; }
+.switches { display: flex; flex-wrap: wrap; gap: 0.5rem 1.5rem; margin: 0.75rem 0; }
+select { font: inherit; padding: 0.2rem 0.4rem; max-width: 100%; }
+.scene { height: min(75vh, 40rem); min-height: 24rem; border: 1px solid #ddd; }
+summary { cursor: pointer; }
+@media (max-width: 40rem) { .single { overflow-x: auto; } .single img { min-width: 26rem; } }
+@media print {
+  body { max-width: none; padding: 0; font-size: 10pt; }
+  nav, .switches, .files { display: none; }
+  figure, tr { break-inside: avoid; }
+  h2, h3 { break-after: avoid; }
+  .scroll, .wide { overflow: visible; }
+  table { font-size: 7.5pt; }
+  th, td { padding-right: 0.4rem; }
+  .panels { display: block; }
+  .panels img { display: inline-block; width: 49%; break-inside: avoid; }
+}
+</style>
+</head>
+<body>
+<header>
+<h1>$title</h1>
+<p class="subtitle">$subtitle</p>
+<nav aria-label="Contents"><ul>
+$contents
+</ul></nav>
+</header>
+<main>
+$sections
+</main>
+</body>
+</html>
+""")
+
+CONTENTS = (
+    ("summary", "Summary"),
+    ("wrench", "Wrench"),
+    ("local", "Local forces"),
+    ("errors-section", "Errors"),
+    ("fronts", "Pareto fronts"),
+    ("surface", "Surface"),
+    ("quality", "Data quality"),
+    ("certificates", "Certificates"),
+    ("provenance", "Provenance"),
+)
+
+
+def compose_page(title: str, subtitle: str, sections: Sequence[str]) -> str:
+    """The page with its contents.
+
+    Args:
+        title: Heading, as text.
+        subtitle: What stands below it, as text.
+        sections: HTML of the sections that `CONTENTS` names.
+    """
+    contents = "\n".join(f'<li><a href="#{name}">{word}</a></li>' for name, word in CONTENTS)
+    return _PAGE.substitute(
+        title=html.escape(title),
+        subtitle=html.escape(subtitle),
+        font=FONT,
+        contents=contents,
+        sections="\n".join(sections),
+    )

@@ -1,0 +1,205 @@
+"""What was found in a trial and how far it can be trusted, in words with numbers."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from socket_testbed.contact import VARIANTS
+from socket_testbed.evaluation import summarise_errors
+from socket_testbed.identification.front import Front
+from socket_testbed.report.markup import counted, number, significant
+from socket_testbed.report.quality import describe_triggers, measure_steadiness
+from socket_testbed.report.results import Candidate, Results, effective_samples
+
+_LITTLE_SKILL = 0.1  # [-]; below it, a model says no more than a mean
+_STEADY = 0.5  # [-]; sigma over RMSE, below which residuals are mostly an offset
+_COLLAPSE = 2.0  # [-]; of the fronts' sizes
+_FEW = 0.5  # [-]; of the directions, below which the smoothness decides most
+_PLAIN, _BIAS = VARIANTS
+
+
+def summarise(results: Results) -> list[str]:
+    """Three to six statements: what was found, and how far to trust it."""
+    plain, bias = results.fitted[_PLAIN], results.fitted[_BIAS]
+    lines = [
+        _what(results, bias),
+        _offsets(results, plain, bias),
+        _skill(bias),
+        _trust(bias),
+    ]
+    if results.fronts:
+        lines.append(_fronts(results.fronts[_PLAIN], results.fronts[_BIAS]))
+    if bias.held_out:
+        lines.append(_held_out(plain, bias))
+    return lines
+
+
+def list_notes(results: Results) -> list[str]:
+    """What a reader must know of the trial before using the figures."""
+    return [*results.bag_notes, *_implausible(results), *_gaps(results), *_configuration(results)]
+
+
+def _what(results: Results, bias: Candidate) -> str:
+    assert bias.fit is not None
+    load = measure_steadiness(results.samples[results.segment.rows])
+    sizes = [(load.force, "force", "N"), (load.moment, "moment", "N m")]
+    under = " and ".join(
+        f"a mean {what} of {significant(size)} {unit}"
+        for size, what, unit in sizes
+        if math.isfinite(size)
+    )
+    return (
+        f"Both variants were fitted to {bias.fit.samples} of {len(results.samples)} samples:"
+        f" {results.segment}{', under ' if under else ''}{under}. Errors over this segment are"
+        " in-sample."
+    )
+
+
+def _offsets(results: Results, without: Candidate, with_offsets: Candidate) -> str:
+    plain, bias = summarise_errors(without.errors), summarise_errors(with_offsets.errors)
+    share = plain.local_unsteadiness
+    steady = "steady offsets" if share < _STEADY else "more than steady offsets"
+    return (
+        f"Without offsets the mean moment RMSE is {significant(plain.moment_rmse)} N m, the mean"
+        f" force RMSE {significant(plain.force_rmse)} N and the median local RMSE"
+        f" {significant(plain.local_rmse)} N; over all clusters sigma is {significant(share, 2)} of"
+        f" the RMSE, so their residuals are {steady}. With one constant a channel these RMSE are"
+        f" {significant(bias.moment_rmse)} N m, {significant(bias.force_rmse)} N and"
+        f" {significant(bias.local_rmse)} N." + _borne(results, with_offsets)
+    )
+
+
+def _skill(bias: Candidate) -> str:
+    skill = summarise_errors(bias.errors).skill
+    known = [error.skill for error in bias.errors if math.isfinite(error.skill)]
+    if not known:
+        return "No channel varies over the segment, so no model can show skill."
+    useful = sum(value >= _LITTLE_SKILL for value in known)
+    start = (
+        f"With offsets, the median skill is {number(skill, 2)} and {useful} of {len(known)}"
+        f" channels reach {_LITTLE_SKILL:g}"
+    )
+    if skill < _LITTLE_SKILL:
+        return (
+            f"{start}: over this segment the model says hardly more of most channels than their"
+            " mean. Where an RMSE is small, the constants make it so: it says nothing about forces"
+            " under another load."
+        )
+    return f"{start}: the springs explain variation that no constant could."
+
+
+def _borne(results: Results, bias: Candidate) -> str:
+    """How much of the load the constants bear, which no tile does."""
+    load = measure_steadiness(results.samples[results.segment.rows])
+    offset = float(np.linalg.norm(bias.model.wrench_bias[3:]))
+    beside = f", beside a mean force of {significant(load.force)} N" * math.isfinite(load.force)
+    return (
+        f" The constant of the wrench's force is {significant(offset)} N{beside}: what it stands"
+        " for is borne by no tile of the map."
+    )
+
+
+def _trust(bias: Candidate) -> str:
+    assert bias.fit is not None
+    directions = bias.model.stiffness.size
+    least, median = effective_samples(bias)
+    few = bias.fit.determined < _FEW * directions
+    reading = (
+        "the smoothness decides the others, so read the stiffness map as an assumption, not as a"
+        " measurement"
+        if few
+        else "the smoothness decides the others"
+    )
+    text = (
+        f"The data determine {bias.fit.determined:.0f} of {directions} stiffness directions;"
+        f" {reading}."
+    )
+    if math.isfinite(median):
+        text += (
+            f" By the autocorrelation of the residuals the {bias.fit.samples} samples are worth"
+            f" {median:.0f} independent ones in the median channel, {least:.0f} in the worst."
+        )
+    return text
+
+
+def _fronts(plain: Front, bias: Front) -> str:
+    text = (
+        "Trade-off between wrench and clusters, in normalised errors: without offsets,"
+        f" {_knee(plain)}; with offsets, {_knee(bias)}."
+    )
+    extents = [float(np.hypot(*front.knee.span)) for front in (plain, bias)]
+    if 0.0 < _COLLAPSE * extents[1] < extents[0]:
+        times = float(significant(extents[0] / extents[1], 2))
+        text += f" The offsets make the front {times:.0f} times smaller."
+    return text
+
+
+def _knee(front: Front) -> str:
+    index = front.knee.index
+    at = "" if index is None else f" (at theta {front.theta[index]:.3g})"
+    return front.knee.verdict + at
+
+
+def _held_out(plain: Candidate, bias: Candidate) -> str:
+    without, with_offsets = (summarise_errors(c.held_out) for c in (plain, bias))
+    samples = max(error.samples for error in bias.held_out)
+    return (
+        f"On the other {samples} samples of the trial, which the fit has not seen, the mean moment"
+        f" RMSE is {significant(without.moment_rmse)} N m without and"
+        f" {significant(with_offsets.moment_rmse)} N m with offsets, the median local RMSE"
+        f" {significant(without.local_rmse)} N and {significant(with_offsets.local_rmse)} N, the"
+        f" median skill {number(without.skill, 2)} and {number(with_offsets.skill, 2)}."
+    )
+
+
+def _implausible(results: Results) -> list[str]:
+    lines = []
+    for proposal in results.implausible:
+        name = proposal.channel
+        left_out = name in results.settings.identification.leave_out
+        state = (
+            "It was left out of the objective."
+            if left_out
+            else f"It is in the objective all the same; --leave-out {name} leaves it out."
+        )
+        lines.append(f"{name} looks implausible: {proposal.reason}. {state}")
+    return lines
+
+
+def _gaps(results: Results) -> list[str]:
+    triggers = describe_triggers(results.samples)
+    lines = []
+    if triggers.gaps:
+        longest = triggers.gaps[0]
+        lines.append(
+            f"The triggers have {counted(len(triggers.gaps), 'gap')}, the longest of"
+            f" {longest.duration:.2f} s after {longest.start:.2f} s."
+        )
+    fit = results.fitted[_BIAS].fit
+    assert fit is not None
+    inside = int(results.in_segment.sum())
+    if fit.samples < inside:
+        lines.append(
+            f"{inside - fit.samples} of the segment's {inside} samples are in no fit: they lack the"
+            " limb position or a channel of the wrench that is in the objective."
+        )
+    return lines
+
+
+def _configuration(results: Results) -> list[str]:
+    geometry = results.trial.geometry
+    lines = []
+    if not geometry.registration:
+        lines.append(
+            "The marker bodies are not registered with the socket: their placement in socket.yaml"
+            " is nominal, and every limb position rests on it."
+        )
+    bare = [name for name in geometry.clusters if name not in results.samples.clusters]
+    if bare:
+        lines.append(f"No reading of the clusters {', '.join(bare)} is in this trial.")
+    dead = summarise_errors(results.candidates[0].errors).without_value
+    if dead:
+        lines.append(f"Never measured over the segment: {', '.join(dead)}.")
+    return lines
