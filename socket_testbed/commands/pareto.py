@@ -1,0 +1,163 @@
+"""`pareto`: the trade-off between the wrench and the clusters over theta, for both variants."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from socket_testbed.commands.options import (
+    add_segment,
+    add_trial,
+    add_unloaded,
+    estimator_settings,
+    trial_of,
+)
+from socket_testbed.commands.text import Progress, number, table
+from socket_testbed.documents import check_number
+from socket_testbed.errors import ConfigurationError
+from socket_testbed.identification.front import KNEE, SENSOR_ONLY, WRENCH_ONLY, Front
+from socket_testbed.identification.front_file import front_document, write_fronts
+from socket_testbed.identification.pareto import pareto_front
+from socket_testbed.trials.segment import select_segment
+from socket_testbed.trials.synchronise import read_samples
+
+_MOST_THETAS = 10_001
+_FIGURES = (".png", ".pdf")
+_HEADER = (
+    *("variant", "solution", "theta", "wrench error", "local error"),
+    *("moment [N m]", "force [N]", "local [N]", ""),
+)
+_LEGEND = (
+    "wrench error, local error: every RMSE over the RMS of what was measured, as in the objective;"
+    "\nmoment, force, local: mean, mean and median RMSE of the channels in the objective"
+)
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of the verb."""
+    add_trial(parser)
+    add_segment(parser)
+    add_unloaded(parser)
+    _add_settings(parser)
+    parser.add_argument(
+        "--thetas", type=int, default=101, metavar="N", help="values from 0 to 1 (default: 101)"
+    )
+    parser.add_argument(
+        "-o", "--output", type=Path, metavar="FRONT.csv", help="table of every solution"
+    )
+    parser.add_argument("--figure", type=Path, metavar="FRONT.png|pdf", help="both fronts drawn")
+    parser.add_argument("--json", action="store_true", help="print JSON on standard output")
+    parser.set_defaults(run=run, theta=None, variant=None)
+
+
+def _add_settings(parser: argparse.ArgumentParser) -> None:
+    """Settings as for `fit`, but for what the fronts go through: theta and the variant."""
+    parser.add_argument(
+        "--params", type=Path, metavar="TESTBED.yaml", help="instead of the trial's testbed.yaml"
+    )
+    parser.add_argument(
+        "--smoothness", type=float, help="weight of the smoothness over neighbouring tiles"
+    )
+    parser.add_argument(
+        "--leave-out",
+        nargs="+",
+        metavar="CHANNEL",
+        help="channels to leave out of the objective, such as distal.Fx or Mz",
+    )
+    parser.add_argument("--solver", help="any solver that qpsolvers finds (default: osqp)")
+
+
+def run(options: argparse.Namespace) -> None:
+    """Identify along theta, write and print."""
+    check_number(options.thetas, "--thetas", 2, _MOST_THETAS)
+    _check_figure(options.figure)
+    trial = trial_of(options)
+    settings = estimator_settings(options, trial.estimator)
+    samples = read_samples(trial)
+    segment = select_segment(samples, options.segment, settings.plateau)
+    fronts = pareto_front(
+        samples[segment.rows],
+        trial.geometry,
+        settings.identification,
+        np.linspace(0.0, 1.0, options.thetas),
+        progress=Progress("solving for every theta"),
+    )
+    _write(options, f"{trial.name}, {segment}", [*fronts.values()])
+    if options.json:
+        report = {
+            "trial": trial.name,
+            "segment": {"kind": segment.kind, "start": segment.start, "end": segment.end},
+            "fronts": [front_document(front) for front in fronts.values()],
+        }
+        print(json.dumps(report, indent=1, allow_nan=False))
+        return
+    print(f"{trial.name}: {segment}, theta from 0 to 1 in {options.thetas} values\n")
+    _print_fronts([*fronts.values()])
+    for path in filter(None, (options.output, options.figure)):
+        print(f"written: {path}")
+
+
+def _write(options: argparse.Namespace, title: str, fronts: Sequence[Front]) -> None:
+    if options.output is not None:
+        write_fronts(fronts, options.output)
+    if options.figure is not None:
+        # matplotlib takes its time to import.
+        from socket_testbed.view.pareto_figure import pareto_figure
+
+        pareto_figure(fronts, f"{title}: trade-off between wrench and clusters", options.figure)
+
+
+def _check_figure(path: Path | None) -> None:
+    if path is not None and path.suffix.lower() not in _FIGURES:
+        raise ConfigurationError(
+            f"--figure {path}: no such format", f"let it end in {' or '.join(_FIGURES)}"
+        )
+
+
+def _print_fronts(fronts: Sequence[Front]) -> None:
+    print(_solutions_table(fronts))
+    print(f"\n{_LEGEND}\n")
+    for front in fronts:
+        print(_describe(front))
+
+
+def _solutions_table(fronts: Sequence[Front]) -> str:
+    rows = []
+    for front in fronts:
+        for name in (SENSOR_ONLY, KNEE, WRENCH_ONLY):
+            index = front.marks.get(name)
+            if index is None:
+                rows.append([front.variant, name, *["-"] * 6, _absence(front, name)])
+                continue
+            errors = (front.wrench_error, front.local_error)
+            sizes = (front.moment_rmse, front.force_rmse, front.local_rmse)
+            cells = [f"{front.theta[index]:.3g}", *(number(e[index], 4) for e in errors)]
+            cells += [number(size[index]) for size in sizes]
+            remark = "" if front.non_dominated[index] else "dominated"
+            rows.append([front.variant, name, *cells, remark])
+    return table(_HEADER, rows)
+
+
+def _absence(front: Front, name: str) -> str:
+    if name == KNEE:
+        return "none: see below"
+    return front.flaws[0 if name == SENSOR_ONLY else -1]
+
+
+def _describe(front: Front) -> str:
+    """Counts, certificate and flaws of a front, a line each."""
+    count = len(front.theta)
+    lines = [
+        f"{front.variant}: {front.knee.verdict}",
+        f"  {int(front.non_dominated.sum())} of {count} solutions not dominated, largest KKT"
+        f" residual or gap {front.worst_residual:.1e}",
+    ]
+    for flaw in dict.fromkeys(filter(None, front.flaws)):
+        thetas = front.theta[[text == flaw for text in front.flaws]]
+        span = f"{thetas[0]:.3g}" + (f" to {thetas[-1]:.3g}" if len(thetas) > 1 else "")
+        lines.append(f"  left out: {len(thetas)} at theta {span}: {flaw}")
+    return "\n".join(lines)
