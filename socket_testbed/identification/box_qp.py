@@ -16,6 +16,7 @@ from scipy.sparse import csc_matrix
 from socket_testbed.arrays import FloatArray, IntArray
 from socket_testbed.documents import closest
 from socket_testbed.errors import ConfigurationError, IdentificationError
+from socket_testbed.identification import cholesky
 
 # A first-order solver stops early at its defaults (4 to 49 % off in stiffness behind a
 # good-looking objective). Here it has to come near the active set, which is then refined;
@@ -40,6 +41,7 @@ _ATTEMPTS: dict[str, tuple[dict[str, Any], ...]] = {
 _REFINEMENTS = 300
 _PATIENCE = 5  # block exchanges that may fail to help before single ones
 _ROUNDING = 1e-11  # [-]; of a value that counts as zero
+_FLAT = 1e-12  # [-]; curvature that counts as none, against the mean of a scaled problem
 _SPARSE_ONLY = frozenset({"osqp", "clarabel", "scs", "highs", "qpalm", "kvxopt"})
 
 
@@ -107,6 +109,11 @@ class BoxQP:
             gap=float(gap / (1.0 + abs(self.objective(x)))),
         )
 
+    def is_determined_at(self, x: FloatArray) -> bool:
+        """Whether the optimum x is the only one: P is definite over what is off its bounds."""
+        free = np.flatnonzero((x > self.lower) & (x < self.upper))
+        return cholesky.is_definite(self.P[free][:, free], _FLAT)
+
     def to_qpsolvers(self, sparse: bool) -> qpsolvers.Problem:
         """The same problem for qpsolvers."""
         matrix = csc_matrix(self.P) if sparse else self.P
@@ -120,12 +127,20 @@ class BoxSolution:
     Attributes:
         x: The solution, shape (p,) [-].
         certificate: Its residuals.
-        status: The solver's name and verdict with the certificate, in words.
+        determined: Whether no other point is optimal.
+        found_by: The solver's name.
     """
 
     x: FloatArray
     certificate: Certificate
-    status: str
+    determined: bool
+    found_by: str
+
+    @property
+    def status(self) -> str:
+        """The solver's name with the certificate, in words."""
+        kkt, gap = self.certificate.stationarity, self.certificate.gap
+        return f"{self.found_by}: KKT {kkt:.1e}, gap {gap:.1e}"
 
 
 class UncertifiedSolutionError(IdentificationError):
@@ -150,15 +165,21 @@ def refine(problem: BoxQP, x: FloatArray) -> tuple[FloatArray, Certificate]:
     time, which cannot cycle. From a solver's answer a few steps reach the optimum to
     rounding. Returns the point with the smallest residuals, at worst x itself.
     """
-    best, certificate = x, problem.certificate(x)
+    best, certificate, _ = _exchange_sides(problem, x)
+    return best, certificate
+
+
+def _exchange_sides(problem: BoxQP, x: FloatArray) -> tuple[FloatArray, Certificate, bool]:
+    """See `refine`; the last says whether P was definite over the last free variables."""
+    best, certificate, pivot = x, problem.certificate(x), 0.0
     trial = x - (problem.P @ x + problem.q)
     side = np.where(trial <= problem.lower, -1, np.where(trial >= problem.upper, 1, 0))
     fewest, patience = len(x) + 1, _PATIENCE
     for _ in range(_REFINEMENTS):
         try:
-            candidate, gradient = _solve_on_sides(problem, side)
+            candidate, gradient, pivot = _solve_on_sides(problem, side)
         except np.linalg.LinAlgError:  # flat directions: the solver's answer stands
-            break
+            return best, certificate, False
         inside = np.clip(candidate, problem.lower, problem.upper)
         residuals = problem.certificate(inside)
         if residuals.worst < certificate.worst:
@@ -174,20 +195,17 @@ def refine(problem: BoxQP, x: FloatArray) -> tuple[FloatArray, Certificate]:
         else:
             wrong = wrong[-1:]
         side[wrong] = change[wrong]
-    return best, certificate
+    return best, certificate, pivot > _FLAT
 
 
-def _solve_on_sides(problem: BoxQP, side: IntArray) -> tuple[FloatArray, FloatArray]:
-    """Optimum over the free variables with the others at their bounds, and the gradient."""
+def _solve_on_sides(problem: BoxQP, side: IntArray) -> tuple[FloatArray, FloatArray, float]:
+    """Optimum over the free variables with the others at bounds, gradient, least pivot."""
     x = np.where(side < 0, problem.lower, np.where(side > 0, problem.upper, 0.0))
     free = np.flatnonzero(side == 0)
-    fixed = np.flatnonzero(side != 0)
-    rest = problem.q[free] + problem.P[np.ix_(free, fixed)] @ x[fixed]
-    block = problem.P[np.ix_(free, free)]
-    # numpy alone: where scipy brings a thread pool of its own, the two stall each other.
-    np.linalg.cholesky(block)  # raises unless positive definite
-    x[free] = -np.linalg.solve(block, rest)
-    return x, problem.P @ x + problem.q
+    rest = problem.q[free] + (problem.P @ x)[free]
+    factor = cholesky.factorise(problem.P[free][:, free])
+    x[free] = -cholesky.solve_factored(factor, rest)
+    return x, problem.P @ x + problem.q, cholesky.least_pivot(factor)
 
 
 def _wrong_side(problem: BoxQP, side: IntArray, x: FloatArray, gradient: FloatArray) -> IntArray:
@@ -212,13 +230,17 @@ def check_solver(solver: str) -> None:
         )
 
 
-def solve_box_qp(problem: BoxQP, solver: str, tolerance: float) -> BoxSolution:
+def solve_box_qp(
+    problem: BoxQP, solver: str, tolerance: float, near: FloatArray | None = None
+) -> BoxSolution:
     """Solve a box QP and certify the answer, whatever the solver says of it.
 
     Args:
         problem: The problem, in scaled units.
         solver: Any solver that qpsolvers finds.
         tolerance: Largest residual of the certificate [-].
+        near: Solution of a similar problem, shape (p,) [-]. Where the optimum is reached from
+            it, which takes a few steps, the solver is not asked.
 
     Raises:
         ConfigurationError: If there is no such solver.
@@ -229,6 +251,11 @@ def solve_box_qp(problem: BoxQP, solver: str, tolerance: float) -> BoxSolution:
         raise UncertifiedSolutionError(
             f"{problem.name}: holds values that are not finite", "check the samples", problem, None
         )
+    if near is not None:
+        near = np.clip(near, problem.lower, problem.upper)
+        x, certificate, determined = _exchange_sides(problem, near)
+        if certificate.worst <= tolerance:
+            return BoxSolution(x, certificate, determined, "warm start")
     best: tuple[FloatArray, Certificate] | None = None
     for options in _ATTEMPTS.get(solver, ({},)):
         x = _ask(problem, solver, options)
@@ -248,8 +275,7 @@ def solve_box_qp(problem: BoxQP, solver: str, tolerance: float) -> BoxSolution:
             problem,
             x,
         )
-    status = f"{solver}: KKT {certificate.stationarity:.1e}, gap {certificate.gap:.1e}"
-    return BoxSolution(x, certificate, status)
+    return BoxSolution(x, certificate, problem.is_determined_at(x), solver)
 
 
 def _ask(problem: BoxQP, solver: str, options: dict[str, Any]) -> FloatArray:

@@ -5,14 +5,16 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import cast
 
+from socket_testbed.arrays import FloatArray
 from socket_testbed.contact import ContactModel, Variant
 from socket_testbed.evaluation import ChannelErrors, evaluate
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification.box_qp import BoxSolution, check_solver, solve_box_qp
-from socket_testbed.identification.objective import build_objective, check_channels
+from socket_testbed.identification.objective import Objective, build_objective, check_channels
 from socket_testbed.identification.stages import (
     KILONEWTON_PER_METRE,
     MILLIMETRE,
+    StageTwo,
     build_stage_one,
     build_stage_two,
     recover_offsets,
@@ -84,25 +86,12 @@ def fit_contact_model(
 
     rest_program = build_stage_one(objective, geometry, settings)
     rest = solve_box_qp(rest_program, settings.solver, settings.solver_tolerance)
-    offsets = MILLIMETRE * rest.x.reshape(-1, 3)
-    rest_positions = stage_one_reference(objective) + offsets
+    rest_positions = rest_positions_of(rest, objective)
 
     stage_two = build_stage_two(objective, geometry, settings, rest_positions)
     springs = solve_box_qp(stage_two.program, settings.solver, settings.solver_tolerance)
-    stiffness = KILONEWTON_PER_METRE * springs.x.reshape(-1, 3)
-
-    wrench_bias, force_bias = recover_offsets(objective, geometry, settings, stage_two, stiffness)
-    model = ContactModel(
-        variant=cast(Variant, settings.variant),
-        names=geometry.names,
-        anchors=geometry.anchors,
-        rotations=geometry.rotations,
-        stiffness=stiffness,
-        rest_positions=rest_positions,
-        sharpness=settings.gate_sharpness,
-        wrench_bias=wrench_bias,
-        force_bias=force_bias,
-        cluster_points={name: geometry.clusters[name] for name in samples.clusters},
+    model = make_model(
+        objective, geometry, settings, samples.clusters, rest_positions, stage_two, springs
     )
     return Fit(
         model=model,
@@ -113,4 +102,45 @@ def fit_contact_model(
         errors=evaluate(samples, model, settings.leave_out),
         stage_one=rest,
         stage_two=springs,
+    )
+
+
+def rest_positions_of(solution: BoxSolution, objective: Objective) -> FloatArray:
+    """Rest positions q_r that a solution of Stage 1 stands for, shape (n, 3) [m]."""
+    return stage_one_reference(objective) + MILLIMETRE * solution.x.reshape(-1, 3)
+
+
+def make_model(
+    objective: Objective,
+    geometry: SocketGeometry,
+    settings: IdentificationSettings,
+    clusters: tuple[str, ...],
+    rest_positions: FloatArray,
+    stage_two: StageTwo,
+    springs: BoxSolution,
+) -> ContactModel:
+    """The contact model that the solutions of both stages stand for.
+
+    Args:
+        objective: The samples and weights.
+        geometry: Geometry of the socket.
+        settings: Settings of the identification.
+        clusters: Names of the clusters that the model is to know.
+        rest_positions: Rest positions q_r of Stage 1, shape (n, 3) [m].
+        stage_two: Stage 2 at these rest positions.
+        springs: Its solution.
+    """
+    stiffness = KILONEWTON_PER_METRE * springs.x.reshape(-1, 3)
+    wrench_bias, force_bias = recover_offsets(objective, geometry, settings, stage_two, stiffness)
+    return ContactModel(
+        variant=cast(Variant, settings.variant),
+        names=geometry.names,
+        anchors=geometry.anchors,
+        rotations=geometry.rotations,
+        stiffness=stiffness,
+        rest_positions=rest_positions,
+        sharpness=settings.gate_sharpness,
+        wrench_bias=wrench_bias,
+        force_bias=force_bias,
+        cluster_points={name: geometry.clusters[name] for name in clusters},
     )

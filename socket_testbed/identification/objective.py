@@ -38,6 +38,7 @@ class ClusterChannel:
         direction: That axis in {S}, shape (3,) [-].
         rows: Samples in which the channel was measured, shape (N,).
         force: The measured force in those samples [N].
+        mean_position: Mean limb position in those samples, shape (3,) [m].
     """
 
     cluster: str
@@ -46,6 +47,7 @@ class ClusterChannel:
     direction: FloatArray
     rows: BoolArray
     force: FloatArray
+    mean_position: FloatArray
 
 
 @dataclass(frozen=True)
@@ -58,10 +60,11 @@ class Objective:
         wrench: Measured wrenches, zero where a channel does not count, shape (N, 6)
             [N m, N].
         wrench_counts: Channels of the wrench that are in the objective, shape (6,).
-        wrench_weights: Weight of each squared wrench error, zero where it does not count,
-            shape (6,) [1/(N m)^2, 1/N^2].
+        wrench_shares: Weight of each squared wrench error in J_w, zero where it does not
+            count, shape (6,) [1/(N m)^2, 1/N^2].
         channels: Channels of the clusters in the objective.
-        channel_weight: Weight of each squared cluster error [1/N^2].
+        channel_share: Weight of each squared cluster error in J_f [1/N^2].
+        theta: Weight of J_w against J_f [-].
         smoothness: Weight lambda of J_s [-].
     """
 
@@ -69,10 +72,21 @@ class Objective:
     position: FloatArray
     wrench: FloatArray
     wrench_counts: BoolArray
-    wrench_weights: FloatArray
+    wrench_shares: FloatArray
     channels: tuple[ClusterChannel, ...]
-    channel_weight: float
+    channel_share: float
+    theta: float
     smoothness: float
+
+    @property
+    def wrench_weights(self) -> FloatArray:
+        """Weight of each squared wrench error, shape (6,) [1/(N m)^2, 1/N^2]."""
+        return self.theta * self.wrench_shares
+
+    @property
+    def channel_weight(self) -> float:
+        """Weight of each squared cluster error [1/N^2]."""
+        return (1.0 - self.theta) * self.channel_share
 
 
 def check_channels(leave_out: tuple[str, ...], names: tuple[str, ...]) -> None:
@@ -156,9 +170,10 @@ def build_objective(
         position=samples.position,
         wrench=wrench,
         wrench_counts=wrench_counts,
-        wrench_weights=settings.theta * weights / max(int(wrench_counts.sum()), 1),
+        wrench_shares=weights / max(int(wrench_counts.sum()), 1),
         channels=channels,
-        channel_weight=(1.0 - settings.theta) / (local**2 * max(len(channels), 1)),
+        channel_share=1.0 / (local**2 * max(len(channels), 1)),
+        theta=settings.theta,
         smoothness=settings.smoothness,
     )
 
@@ -185,7 +200,10 @@ def _cluster_channels(
                     f"check the cluster or leave it out (--leave-out {' '.join(names)})",
                 )
             direction = geometry.rotations[point][:, axis]
-            channels.append(ClusterChannel(cluster, point, axis, direction, rows, force[rows]))
+            mean = samples.position[rows].mean(axis=0)
+            channels.append(
+                ClusterChannel(cluster, point, axis, direction, rows, force[rows], mean)
+            )
     return tuple(channels)
 
 

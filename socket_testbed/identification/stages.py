@@ -26,20 +26,31 @@ KILONEWTON_PER_METRE = 1e3  # [N/m]; scale of the stiffnesses in Stage 2
 
 
 @dataclass(frozen=True)
+class StageTwoMoments:
+    """What Stage 2 needs of the data at given rest positions, whatever the weights.
+
+    Attributes:
+        wrench: Moments of the gated displacements of all points and the wrench.
+        channels: For each channel of the clusters, moments of the gated displacement of its
+            point, p = 3, and the measured force, m = 1.
+    """
+
+    wrench: Moments
+    channels: tuple[Moments, ...]
+
+
+@dataclass(frozen=True)
 class StageTwo:
     """Stage 2 as it is solved, with what explains it.
 
     Attributes:
         program: The program in the stiffnesses [kN/m], shape (3n,).
-        moments: Moments of the gated displacements and the wrench about their means.
-        channel_means: Mean gated displacement of its point, shape (3,) [m], and mean
-            measured force [N], a channel of the clusters.
+        moments: What it was made of.
         smoothness: Part of the program's P that is the smoothness, shape (3n, 3n) [-].
     """
 
     program: BoxQP
-    moments: Moments
-    channel_means: tuple[tuple[FloatArray, float], ...]
+    moments: StageTwoMoments
     smoothness: FloatArray
 
     def determined_directions(self, x: FloatArray) -> float:
@@ -85,8 +96,8 @@ def build_stage_one(
     P = (k0 * scale) ** 2 * (mapping.T @ weighted)
     q = -(k0 * scale) * (weighted.T @ target)
     for channel in objective.channels:
-        mean = objective.position[channel.rows].mean(axis=0)
-        local_target = k0 * channel.direction @ (mean - reference) - channel.force.mean()
+        offset = channel.mean_position - reference
+        local_target = k0 * channel.direction @ offset - channel.force.mean()
         block = slice(3 * channel.point, 3 * channel.point + 3)
         weight = objective.channel_weight * k0 * scale
         outer = np.outer(channel.direction, channel.direction)
@@ -99,55 +110,78 @@ def build_stage_one(
     return BoxQP(factor * P, factor * q, -limit, limit, "Stage 1 (rest positions)")
 
 
+def stage_two_moments(
+    objective: Objective, settings: IdentificationSettings, rest_positions: FloatArray
+) -> StageTwoMoments:
+    """Take the moments of the data, in one pass over the samples.
+
+    Args:
+        objective: The samples.
+        settings: Settings of the identification.
+        rest_positions: Rest positions q_r, shape (n, 3) [m].
+    """
+    sharpness = settings.gate_sharpness
+    wrench = gate_moments(objective.position, rest_positions, sharpness, objective.wrench)
+    points = sorted({channel.point for channel in objective.channels})
+    on_tiles = gated_displacement(objective.position, rest_positions[points], sharpness)
+    channels = tuple(
+        _moments_of(on_tiles[channel.rows, points.index(channel.point)], channel.force)
+        for channel in objective.channels
+    )
+    return StageTwoMoments(wrench, channels)
+
+
 def build_stage_two(
     objective: Objective,
     geometry: SocketGeometry,
     settings: IdentificationSettings,
     rest_positions: FloatArray,
 ) -> StageTwo:
+    """Stage 2 at given rest positions q_r, shape (n, 3) [m]: see `assemble_stage_two`."""
+    moments = stage_two_moments(objective, settings, rest_positions)
+    return assemble_stage_two(objective, geometry, settings, moments)
+
+
+def assemble_stage_two(
+    objective: Objective,
+    geometry: SocketGeometry,
+    settings: IdentificationSettings,
+    moments: StageTwoMoments,
+) -> StageTwo:
     r"""Stage 2: stiffnesses :math:`k \ge 0` of the gated springs, with or without offsets.
 
     With :math:`A_w[k] = C\,\mathrm{diag}(s[k])` the quadratic term of the wrench is
     :math:`(C^T W C) \circ (S^T S)`, that of a channel along d at point i is
-    :math:`(d d^T) \circ (S_i^T S_i)`.
+    :math:`(d d^T) \circ (S_i^T S_i)`. Offsets drop out where S is centred.
 
     Args:
-        objective: The samples and weights.
+        objective: The weights.
         geometry: Geometry of the socket.
         settings: Settings of the identification.
-        rest_positions: Rest positions q_r, shape (n, 3) [m].
+        moments: Moments of the data at the rest positions.
     """
-    centred = gate_moments(
-        objective.position, rest_positions, settings.gate_sharpness, objective.wrench
-    )
     with_bias = settings.variant == "stiffness_bias"
-    moments = centred if with_bias else centred.about_zero()
     scale = KILONEWTON_PER_METRE
     mapping = wrench_map(geometry.anchors)
     weighted = objective.wrench_weights[:, None] * mapping
 
-    P = (mapping.T @ weighted) * moments.gram
-    P *= scale**2 / moments.count
-    q = -scale / moments.count * np.einsum("jc,cj->j", moments.cross, weighted)
-    points = sorted({channel.point for channel in objective.channels})
-    on_tiles = gated_displacement(
-        objective.position, rest_positions[points], settings.gate_sharpness
-    )
-    means = []
-    for channel in objective.channels:
-        s, force = on_tiles[channel.rows, points.index(channel.point)], channel.force
-        means.append((s.mean(axis=0), float(force.mean())))
-        if with_bias:
-            s, force = s - means[-1][0], force - means[-1][1]
-        rows = s * channel.direction * scale
+    used = moments.wrench if with_bias else moments.wrench.about_zero()
+    P = (mapping.T @ weighted) * used.gram
+    P *= scale**2 / used.count
+    q = -scale / used.count * np.einsum("jc,cj->j", used.cross, weighted)
+    for channel, centred in zip(objective.channels, moments.channels, strict=True):
+        used = centred if with_bias else centred.about_zero()
+        along = scale * channel.direction
+        weight = objective.channel_weight / used.count
         block = slice(3 * channel.point, 3 * channel.point + 3)
-        P[block, block] += objective.channel_weight / len(rows) * (rows.T @ rows)
-        q[block] -= objective.channel_weight / len(rows) * (rows.T @ force)
+        P[block, block] += weight * np.outer(along, along) * used.gram
+        q[block] -= weight * along * used.cross[:, 0]
     smoothness = _smoothness(objective, geometry, settings.stiffness_difference / scale)
     lower, upper = np.zeros(len(q)), np.full(len(q), np.inf)
-    factor = _normalisation(P + smoothness)
-    program = BoxQP(factor * (P + smoothness), factor * q, lower, upper, "Stage 2 (stiffnesses)")
-    return StageTwo(program, centred, tuple(means), factor * smoothness)
+    P += smoothness
+    factor = _normalisation(P)
+    program = BoxQP(factor * P, factor * q, lower, upper, "Stage 2 (stiffnesses)")
+    return StageTwo(program, moments, factor * smoothness)
 
 
 def recover_offsets(
@@ -167,20 +201,40 @@ def recover_offsets(
     force_bias: dict[str, FloatArray] = {}
     if settings.variant != "stiffness_bias":
         return wrench_bias, force_bias
-    springs = stiffness.reshape(-1) * stage.moments.mean
-    residual = stage.moments.target_mean - wrench_map(geometry.anchors) @ springs
+    wrench = stage.moments.wrench
+    springs = stiffness.reshape(-1) * wrench.mean
+    residual = wrench.target_mean - wrench_map(geometry.anchors) @ springs
     wrench_bias[objective.wrench_counts] = residual[objective.wrench_counts]
-    for channel, (s, force) in zip(objective.channels, stage.channel_means, strict=True):
+    for channel, means in zip(objective.channels, stage.moments.channels, strict=True):
         bias = force_bias.setdefault(channel.cluster, np.zeros(3))
-        bias[channel.axis] = force - (s * stiffness[channel.point]) @ channel.direction
+        predicted = (means.mean * stiffness[channel.point]) @ channel.direction
+        bias[channel.axis] = means.target_mean[0] - predicted
     return wrench_bias, force_bias
+
+
+def _moments_of(s: FloatArray, force: FloatArray) -> Moments:
+    """Moments of gated displacements of one point, shape (N, 3), and a force, shape (N,)."""
+    mean, target_mean = s.mean(axis=0), force.mean()
+    s, force = s - mean, force - target_mean
+    return Moments(
+        count=len(s),
+        mean=mean,
+        gram=s.T @ s,
+        target_mean=np.array([target_mean]),
+        cross=(s.T @ force)[:, None],
+        target_power=np.array([force @ force]),
+    )
 
 
 def _smoothness(objective: Objective, geometry: SocketGeometry, difference: float) -> FloatArray:
     """Quadratic term of the smoothness, shape (3n, 3n), for an expected difference."""
     weight = objective.smoothness / (3.0 * difference**2)  # the mean over the three axes
-    laplacian: FloatArray = smoothness_matrix(len(geometry), geometry.neighbours)
-    return np.kron(weight * laplacian, np.eye(3)).astype(np.float64, copy=False)
+    points = len(geometry)
+    laplacian = weight * smoothness_matrix(points, geometry.neighbours)
+    P = np.zeros((points, 3, points, 3))
+    for axis in range(3):
+        P[:, axis, :, axis] = laplacian
+    return P.reshape(3 * points, 3 * points)
 
 
 def _normalisation(P: FloatArray) -> float:

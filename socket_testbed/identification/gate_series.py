@@ -1,0 +1,109 @@
+r"""Moments of the gated displacements for many sets of rest positions, after one pass.
+
+Every column of S, the gated displacements, is a function of one coordinate of q alone. With
+T the Chebyshev polynomials of the three coordinates and B the coefficients of the gate,
+:math:`S = T B`: the products :math:`T^T T` and :math:`T^T Y` of the data hold for any rest
+positions, and new ones cost nothing in the number of samples.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.polynomial.chebyshev import chebpts1, chebvander
+
+from socket_testbed.arrays import FloatArray
+from socket_testbed.contact import gated_displacement
+from socket_testbed.identification.moments import Moments, chebyshev_degree
+
+_BLOCK = 2048  # rows
+_EXPONENTIAL = 40  # multiplications that one takes the time of
+
+
+class GateSeries:
+    """Statistics of samples from which the moments follow for any rest positions.
+
+    Args:
+        position: Limb positions q, shape (N, 3) [m].
+        sharpness: Sharpness alpha of the gate [1/m].
+        targets: Targets Y, shape (N, m).
+    """
+
+    def __init__(self, position: FloatArray, sharpness: float, targets: FloatArray) -> None:
+        self._sharpness = sharpness
+        self._length = chebyshev_degree(position, sharpness)
+        low, high = position.min(axis=0), position.max(axis=0)
+        self._middle, self._half_width = 0.5 * (low + high), 0.5 * (high - low)
+        self._count = len(position)
+        self._target_mean = targets.mean(axis=0)
+        centred = targets - self._target_mean
+        self._target_power = (centred**2).sum(axis=0)
+        self._take_products(position, centred)
+
+    def _take_products(self, position: FloatArray, targets: FloatArray) -> None:
+        # Products about a row near the mean lose no digits when they are moved to the mean.
+        pivot = self._basis(position.mean(axis=0, keepdims=True))[0]
+        width = len(pivot)
+        total, products = np.zeros(width), np.zeros((width, width))
+        cross = np.zeros((width, targets.shape[1]))
+        for start in range(0, len(position), _BLOCK):
+            rows = slice(start, start + _BLOCK)
+            basis = self._basis(position[rows]) - pivot
+            total += basis.sum(axis=0)
+            products += basis.T @ basis
+            cross += basis.T @ targets[rows]
+        products -= np.outer(total, total) / self._count
+        self._basis_mean = (pivot + total / self._count).reshape(3, -1)
+        self._products = products.reshape(3, width // 3, 3, width // 3)
+        self._cross = cross.reshape(3, width // 3, -1)
+
+    def _basis(self, position: FloatArray) -> FloatArray:
+        """T_1, T_2, ... of each coordinate, without the constant, shape (N, 3 (length - 1))."""
+        scale = np.where(self._half_width > 0.0, self._half_width, 1.0)
+        basis = chebvander((position - self._middle) / scale, self._length - 1)[..., 1:]
+        return basis.reshape(len(position), -1)
+
+    def moments(self, rest_positions: FloatArray) -> Moments:
+        """Moments at rest positions q_r, shape (n, 3) [m], ordered point by point."""
+        points = len(rest_positions)
+        series = self._series(rest_positions)
+        mean = np.empty((points, 3))
+        gram = np.empty((points, 3, points, 3))
+        cross = np.empty((points, 3, len(self._target_mean)))
+        for a in range(3):
+            mean[:, a] = series[a, 0] + self._basis_mean[a] @ series[a, 1:]
+            cross[:, a] = series[a, 1:].T @ self._cross[a]
+            for b in range(a, 3):
+                block = series[a, 1:].T @ self._products[a, :, b] @ series[b, 1:]
+                gram[:, b, :, a], gram[:, a, :, b] = block.T, block
+        return Moments(
+            count=self._count,
+            mean=mean.reshape(-1),
+            gram=gram.reshape(3 * points, 3 * points),
+            target_mean=self._target_mean,
+            cross=cross.reshape(3 * points, -1),
+            target_power=self._target_power,
+        )
+
+    def _series(self, rest_positions: FloatArray) -> FloatArray:
+        """Coefficients of the gated displacements, shape (3, length, n) [m]."""
+        nodes = chebpts1(self._length)
+        positions = self._middle + self._half_width * nodes[:, None]
+        values = gated_displacement(positions, rest_positions, self._sharpness)
+        transform = 2.0 / self._length * chebvander(nodes, self._length - 1).T
+        transform[0] *= 0.5
+        series = transform @ values.reshape(self._length, -1)
+        return series.reshape(self._length, -1, 3).transpose(2, 0, 1)
+
+
+def series_is_cheaper(position: FloatArray, sharpness: float, points: int) -> bool:
+    """Whether a new set of rest positions costs less by the series than by the samples.
+
+    Args:
+        position: Limb positions q, shape (N, 3) [m].
+        sharpness: Sharpness alpha of the gate [1/m].
+        points: Number n of points of interest.
+    """
+    length = chebyshev_degree(position, sharpness)
+    by_series = 6 * points * length * (length + points)
+    by_samples = len(position) * points * (9 * points // 2 + 3 * _EXPONENTIAL)
+    return by_series < by_samples
