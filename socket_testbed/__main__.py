@@ -37,6 +37,9 @@ def main(arguments: list[str] | None = None) -> None:
 def run(arguments: list[str] | None = None) -> int:
     """Run a verb; returns the exit code."""
     words = sys.argv[1:] if arguments is None else arguments
+    # The programs are small: a second thread of linear algebra waits for the other cores' work
+    # much longer than it helps. It is read when numpy is first imported, by the verb below.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     parser = argparse.ArgumentParser(
         prog="socket-testbed", description="Software of an instrumented prosthetic-socket testbed."
     )

@@ -108,9 +108,9 @@ def _add_key(axis: Axes, panel: Panel) -> None:
         bbox_to_anchor=(-0.01, 1.0),
         borderaxespad=0.0,
         frameon=False,
-        fontsize=8,
+        fontsize=7.2,
         labelspacing=0.2,
-        handlelength=2.2,
+        handlelength=1.8,
         alignment="left",
         title_fontproperties={"size": 9.5, "weight": "bold"},
     )
@@ -122,7 +122,8 @@ def _describe(prediction: Prediction) -> str:
     e = prediction.errors
     if e.samples == 0:
         return f"{prediction.label}: no errors, no value in the span"
-    skill = f"{round(e.skill, 2) + 0.0:.2f}" if isfinite(e.skill) else "none"
+    digits = 2 if abs(e.skill) < 10.0 else 0
+    skill = f"{round(e.skill, digits) + 0.0:.{digits}f}" if isfinite(e.skill) else "none"
     skill = skill.replace("-", "\N{MINUS SIGN}")
     return (
         f"{prediction.label}: RMSE {e.rmse:.2f}, MAE {e.mae:.2f}, \N{GREEK SMALL LETTER SIGMA}"
