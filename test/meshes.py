@@ -10,6 +10,7 @@ from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
+import pytest
 import trimesh
 
 UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254}
@@ -86,6 +87,31 @@ def wavy(mesh: trimesh.Trimesh, amplitude: float) -> trimesh.Trimesh:
     along = np.clip(points[:, 2] / points[:, 2].max(), 0.0, None)
     points[:, 2] += amplitude * along * np.cos(2.0 * np.arctan2(points[:, 1], points[:, 0]))
     return trimesh.Trimesh(points, mesh.faces, process=False)
+
+
+def scaled(mesh: trimesh.Trimesh, factor: float) -> trimesh.Trimesh:
+    """The mesh in another size."""
+    return trimesh.Trimesh(mesh.vertices * factor, mesh.faces, process=False)
+
+
+def shifted(mesh: trimesh.Trimesh, x: float) -> trimesh.Trimesh:
+    """The mesh beside itself."""
+    return trimesh.Trimesh(mesh.vertices + np.array([x, 0.0, 0.0]), mesh.faces, process=False)
+
+
+def with_faces(mesh: trimesh.Trimesh, faces: np.ndarray) -> trimesh.Trimesh:
+    """Other faces, (F, 3), or some of its own, by a mask, on the same vertices."""
+    chosen = mesh.faces[faces] if faces.dtype == bool else faces
+    return trimesh.Trimesh(mesh.vertices, chosen, process=False)
+
+
+def assert_same_surface(mesh: trimesh.Trimesh, expected: trimesh.Trimesh) -> None:
+    """Assert that two welded meshes are the same but for the order of their parts."""
+    assert len(mesh.faces) == len(expected.faces)
+    assert len(mesh.vertices) == len(expected.vertices)
+    assert mesh.area == pytest.approx(expected.area, rel=1e-5)
+    np.testing.assert_allclose(mesh.bounds, expected.bounds, atol=1e-7)
+    assert mesh.is_winding_consistent
 
 
 def write_stl(mesh: trimesh.Trimesh, path: Path, unit: str = "mm", header: bytes = b"") -> Path:

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
-from meshes import FULL, cavity_area, open_cone, shell, wavy
+from meshes import FULL, cavity_area, open_cone, shell, wavy, with_faces
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
@@ -14,7 +14,7 @@ from socket_testbed.scans.interior import Interior, find_interior
 from socket_testbed.scans.scan_file import read_scan
 
 CONE = (0.04, 0.06, 0.2)  # distal radius, proximal radius, height [m]
-EDGE = 0.005
+EDGE = 0.008
 WALL = 0.005
 UP = np.array([0.0, 0.0, 1.0])
 
@@ -40,10 +40,6 @@ def rng():
 def moved(mesh: trimesh.Trimesh, change) -> trimesh.Trimesh:
     """The mesh with its vertices changed by a function."""
     return trimesh.Trimesh(change(mesh.vertices.copy()), mesh.faces, process=False)
-
-
-def part(mesh: trimesh.Trimesh, keep: np.ndarray) -> trimesh.Trimesh:
-    return trimesh.Trimesh(mesh.vertices, mesh.faces[keep], process=False)
 
 
 def unmatched_area(found: trimesh.Trimesh, expected: trimesh.Trimesh) -> float:
@@ -98,6 +94,18 @@ def test_walls_of_any_thickness(thickness):
     assert_is(interior, open_cone(*CONE, 0.004, dome=True))
 
 
+def test_a_long_solid_distal_end():
+    """As of a socket printed with its adapter: the middle of the body is within the material."""
+    cup = (0.05, 0.05, 0.15)
+
+    def lengthened(points):
+        return points - np.outer(0.12 * (points[:, 2] < -1e-6), UP)
+
+    interior = find_interior(moved(shell(*cup, EDGE, WALL), lengthened))
+    assert_is(interior, open_cone(*cup, EDGE))
+    assert angle_to(interior.proximal, UP) < 1.0
+
+
 def oval(points):
     return points * [1.35, 0.75, 1.0]
 
@@ -137,7 +145,7 @@ def test_shallow_oval_sockets(height):
     cone = (0.05, 0.06, height)
     interior = find_interior(moved(shell(*cone, EDGE, WALL, dome=True), oval))
     assert_is(interior, moved(open_cone(*cone, EDGE, dome=True), oval))
-    assert angle_to(interior.proximal, UP) < 1.0
+    assert angle_to(interior.proximal, UP) < 2.0
 
 
 @pytest.mark.parametrize("noise", [0.0002, 0.0005])
@@ -169,7 +177,7 @@ def test_neither_the_pose_nor_the_winding_nor_the_order_of_the_faces_matters(rng
 def test_a_scan_that_rolls_over_the_brim_ends_there():
     solid, inner = shell(*CONE, 0.004, WALL, dome=True), open_cone(*CONE, 0.004, dome=True)
     outer = solid.faces.max(axis=1) >= len(inner.vertices)
-    rolled = part(solid, ~outer | (solid.triangles_center[:, 2] > 0.18))
+    rolled = with_faces(solid, ~outer | (solid.triangles_center[:, 2] > 0.18))
     assert not rolled.is_watertight
     assert_is(find_interior(rolled), inner)
 
@@ -180,13 +188,13 @@ def test_holes_in_the_outer_wall_do_not_matter(rng):
     outer = solid.faces.max(axis=1) >= len(inner.vertices)
     places = centres[rng.choice(np.flatnonzero(outer & (centres[:, 2] < 0.15)), 6)]
     missing = outer & (cKDTree(places).query(centres)[0] < 0.02)
-    assert_is(find_interior(part(solid, ~missing)), inner)
+    assert_is(find_interior(with_faces(solid, ~missing)), inner)
 
 
 def test_a_window_is_an_opening_and_its_rim_is_no_wall():
     cone = open_cone(*CONE, 0.004, dome=True)
     place = cone.triangles_center - [0.05, 0.0, 0.1]
-    inner = part(cone, np.linalg.norm(place, axis=1) > 0.02)
+    inner = with_faces(cone, np.linalg.norm(place, axis=1) > 0.02)
     interior = find_interior(thickened(inner, WALL))
     assert_is(interior, inner)
     assert len(interior.openings) == 2
@@ -213,7 +221,8 @@ def test_a_ledge_that_shades_the_wall_makes_no_hole():
         return points * np.column_stack([inward, inward, np.ones(len(points))])
 
     cone = moved(open_cone(*CONE, 0.003, dome=True), ledge)
-    assert_is(find_interior(cone), cone)
+    for scan in (cone, thickened(cone, 0.002)):
+        assert_is(find_interior(scan), cone)
 
 
 def test_the_brim_comes_first_of_the_openings_and_lies_on_the_circle():
@@ -288,12 +297,12 @@ def limb_cast() -> trimesh.Trimesh:
 @pytest.mark.parametrize(
     ("solid", "words"),
     [
-        (ball(), "solid without a cavity"),
-        (inside_out(ball()), "solid without a cavity"),
-        (limb_cast(), "solid without a cavity"),
-        (trimesh.creation.box((0.1, 0.13, 0.02)).subdivide().subdivide(), "solid"),
+        (ball(), "has no cavity"),
+        (inside_out(ball()), "has no cavity"),
+        (limb_cast(), "has no cavity"),
+        (trimesh.creation.box((0.1, 0.13, 0.02)).subdivide().subdivide(), "has no cavity"),
         (trimesh.util.concatenate([ball(), inside_out(ball(0.07))]), "closed"),
-        (part(ball(), ball().triangles_center[:, 2] < 0.0795), "closed|equally open"),
+        (with_faces(ball(), ball().triangles_center[:, 2] < 0.0795), "closed|equally open"),
     ],
     ids=["ball", "ball inside out", "cast", "plate", "hollow ball", "ball with a small hole"],
 )
@@ -304,7 +313,7 @@ def test_what_has_no_cavity_or_no_opening_is_refused(solid, words):
 
 def test_a_nearly_closed_cavity_is_refused_even_with_a_direction():
     with pytest.raises(ScanError, match=r"closed.*cut the scan open"):
-        find_interior(part(ball(), ball().triangles_center[:, 2] < 0.0795), UP)
+        find_interior(with_faces(ball(), ball().triangles_center[:, 2] < 0.0795), UP)
 
 
 def test_the_inner_wall_of_a_real_shell(shared_data: Path):

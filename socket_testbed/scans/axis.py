@@ -60,7 +60,7 @@ class AxisFit:
         """
         best = int(np.abs(self.directions @ direction).argmax())
         ratio = np.fmax(self.misfits, _EXACT) / max(float(self.misfits[best]), _EXACT)
-        alike = self.directions[(ratio < _ALIKE) & (ratio > 1.0 / _ALIKE)]
+        alike = self.directions[np.abs(np.log(ratio)) < np.log(_ALIKE)]
         towards = alike.T @ (alike @ direction)
         return self._along(towards / np.linalg.norm(towards))
 

@@ -16,7 +16,8 @@ from socket_testbed.scans.wall import main_piece
 
 _SOLID = 0.5  # [-]; share of directions in which a cavity sees the front of something first
 _LEAST_WALL = 0.05  # [-]; area of the wall of a cavity, of that of the surface
-_CLEARLY_OPEN = 0.1  # [-]; openness
+_FLAT = 0.95  # [-]; area of the caps that close a wall, of its own
+_CLEARLY_OPEN = 0.1  # [-]; net opening, of a section of the cavity
 
 
 @dataclass(frozen=True)
@@ -41,20 +42,26 @@ class Cavity:
         return self.surface.subset(main_piece(self.surface, self.sight.seen))
 
     @cached_property
-    def openness(self) -> float:
-        """Area of the openings in the direction of the spine, of a section of the cavity [-].
+    def net_opening(self) -> float:
+        """Area of the openings in the direction of the spine [m^2].
 
         The area vectors of a closed surface add up to nothing, so those of the wall, which
         point inwards, add up to those of the caps that would close it, turned outwards. An
         opening at the spine's beginning counts against one at its end; one at its side not.
         """
-        caps = self.wall.area_vectors.sum(axis=0)
-        return float(caps @ self.spine.axis.direction) / (np.pi * self.spine.radius**2)
+        return float(self.wall.area_vectors.sum(axis=0) @ self.spine.axis.direction)
 
     @property
     def has_clear_end(self) -> bool:
         """Whether one of its ends is clearly more open than the other."""
-        return abs(self.openness) > _CLEARLY_OPEN
+        return abs(self.net_opening) > _CLEARLY_OPEN * np.pi * self.spine.radius**2
+
+    @property
+    def has_wall(self) -> bool:
+        """Whether what is seen from its front is large and not flat."""
+        area = float(self.wall.areas.sum())
+        caps = float(np.linalg.norm(self.wall.area_vectors.sum(axis=0)))
+        return area > _LEAST_WALL * float(self.surface.areas.sum()) and caps < _FLAT * area
 
     def along(self, axis: Axis, open_above: bool = False) -> Cavity:
         """The same cavity seen from another axis; see `lay_spine`."""
@@ -74,15 +81,14 @@ def find_cavity(name: str, surface: Surface) -> Cavity:
         surface: Wound alike; if it is watertight, with its normals out of the material.
 
     Raises:
-        ScanError: If the surface is a solid that has none.
+        ScanError: If it has none.
     """
     samples = spread_samples(surface)
     likeliest = None
     for axis in fit_axis(surface).likely():
         cavity = _see(surface, samples, axis)
-        walled = cavity.wall.areas.sum() > _LEAST_WALL * surface.areas.sum()
-        if walled and cavity.sight.front_share > _SOLID:
-            cavity = cavity.refined()
+        cavity = cavity.refined() if cavity.has_wall else cavity
+        if cavity.has_wall and cavity.sight.front_share > _SOLID:
             likeliest = likeliest or cavity
             # A shallow oval cup is nearly round about its long side, too; but both ends of that
             # axis are closed.
@@ -90,7 +96,7 @@ def find_cavity(name: str, surface: Surface) -> Cavity:
                 return cavity
     if likeliest is None:
         raise ScanError(
-            f"{name}: is a solid without a cavity",
+            f"{name}: has no cavity, it is solid or flat",
             "scan the inside of the socket, or cut a closed model open at the brim",
         )
     return likeliest

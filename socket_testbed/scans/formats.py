@@ -8,7 +8,7 @@ import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from trimesh.exchange.ply import load_ply
@@ -18,7 +18,10 @@ from socket_testbed.arrays import FloatArray, IntArray
 from socket_testbed.errors import ScanError
 from socket_testbed.scans.obj import ObjReader
 
+_Loaded = TypeVar("_Loaded")
+
 _AGAIN = "export the scan again"
+_CUT_OFF = "the file is cut off or damaged: copy or export it again"
 _STL_HEADER, _STL_FACE = 84, 50  # [bytes]
 
 
@@ -90,67 +93,62 @@ def _read_stl(path: Path, data: bytes) -> Triangles:
     said = int.from_bytes(data[_STL_HEADER - 4 : _STL_HEADER], "little")
     whole = _STL_HEADER + _STL_FACE * said
     if len(data) == whole:
-        found = _quietly(load_stl_binary, path, data)
+        corners = _quietly(path, data, lambda stream: _corners(load_stl_binary(stream)))
         comment = data[:80].decode("ascii", "replace")
-    elif _looks_ascii(data):
-        found, comment = _read_ascii_stl(path, data)
-    elif len(data) < _STL_HEADER or b"\0" not in data:
-        raise ScanError(f"{path}: is no STL file", _AGAIN + " as binary STL")
+    elif b"\0" not in data and data[:200].lstrip().lower().startswith(b"solid"):
+        text = data.decode("utf-8", "replace").replace("\r\n", "\n").replace("\r", "\n")
+        corners, comment = _text_corners(path, text), text.partition("\n")[0]
+    elif b"\0" in data and len(data) > _STL_HEADER:
+        raise ScanError(
+            f"{path}: has {len(data)} bytes, but its {said} faces take {whole}", _CUT_OFF
+        )
     else:
-        raise ScanError(
-            f"{path}: has {len(data)} bytes, but its {said} faces take {whole}",
-            "the file is cut off or damaged: copy or export it again",
-        )
-    pieces = list(found["geometry"].values()) if "geometry" in found else [found]
-    corners = [np.asarray(piece["vertices"], dtype=float) for piece in pieces]
-    vertices = np.concatenate(corners) if corners else np.empty((0, 3))
-    return Triangles(vertices, np.arange(len(vertices)).reshape(-1, 3), comment)
-
-
-def _looks_ascii(data: bytes) -> bool:
-    return data[:200].lstrip().lower().startswith(b"solid") and b"\0" not in data
-
-
-def _read_ascii_stl(path: Path, data: bytes) -> tuple[dict[str, Any], str]:
-    text = data.decode("utf-8", "replace").replace("\r\n", "\n").replace("\r", "\n").lower()
-    ends = len(re.findall(r"^\s*endfacet\b", text, re.MULTILINE))
-    last = text.rstrip().rpartition("\n")[2].split()
-    if not last or last[0] != "endsolid":
-        raise ScanError(
-            f"{path}: the text ends after {ends} faces, without 'endsolid'",
-            "the file is cut off or no STL: copy or export it again",
-        )
-    found = _quietly(load_stl_ascii, path, text.encode())
-    pieces = list(found["geometry"].values()) if "geometry" in found else [found]
-    if sum(len(piece["faces"]) for piece in pieces) != ends:
         raise _damaged(path)
-    return found, text.partition("\n")[0]
+    return Triangles(corners, np.arange(len(corners)).reshape(-1, 3), comment)
+
+
+def _text_corners(path: Path, text: str) -> FloatArray:
+    """The corners of all facets of an STL in words, whole or not at all, shape (3 F, 3)."""
+    facets = len(re.findall(r"^\s*endfacet\b", text, re.MULTILINE | re.IGNORECASE))
+    last = text.rstrip().rpartition("\n")[2].split()
+    if not last or last[0].lower() != "endsolid":
+        raise ScanError(f"{path}: ends after {facets} faces, without 'endsolid'", _CUT_OFF)
+    corners = _quietly(path, text.encode(), lambda stream: _corners(load_stl_ascii(stream)))
+    if len(corners) != 3 * facets:
+        raise _damaged(path)
+    return corners
+
+
+def _corners(found: dict[str, Any]) -> FloatArray:
+    """The corners of the facets of all solids of an STL, shape (3 F, 3)."""
+    solids = found["geometry"].values() if "geometry" in found else [found]
+    corners = [np.asarray(solid["vertices"], dtype=float) for solid in solids]
+    return np.concatenate([np.empty((0, 3)), *corners])
 
 
 def _read_ply(path: Path, data: bytes) -> Triangles:
-    found = _quietly(load_ply, path, data, skip_materials=True, fix_texture=False)
+    vertices, faces = _quietly(path, data, _load_ply)
     header = data.partition(b"end_header")[0].decode("ascii", "replace")
-    comment = "\n".join(re.findall(r"^\s*comment(.*)$", header, re.MULTILINE))
-    vertices = np.asarray(found.get("vertices", np.empty((0, 3))), dtype=float)
-    faces = _fans(found.get("faces"))
     # A text that is cut off is read up to there without a word.
     for name, have in ("vertex", len(vertices)), ("face", len(faces)):
         said = re.search(rf"^\s*element\s+{name}\s+(\d+)", header, re.MULTILINE)
         if said and have < int(said[1]):
             raise ScanError(
-                f"{path}: holds {have} of the {said[1]} elements '{name}' that it names",
-                "the file is cut off or damaged: copy or export it again",
+                f"{path}: holds {have} of the {said[1]} elements '{name}' that it names", _CUT_OFF
             )
+    comment = "\n".join(re.findall(r"^\s*comment(.*)$", header, re.MULTILINE))
     return Triangles(vertices, faces, comment)
 
 
-def _fans(polygons: Any) -> IntArray:
-    """Polygons of one size as fans of triangles, shape (F, 3)."""
+def _load_ply(stream: io.BytesIO) -> tuple[FloatArray, IntArray]:
+    found = load_ply(stream, skip_materials=True, fix_texture=False)
+    vertices = np.asarray(found.get("vertices", np.empty((0, 3))), dtype=float)
+    polygons = found.get("faces")
     if polygons is None or not np.size(polygons):
-        return np.empty((0, 3), np.int64)
+        return vertices, np.empty((0, 3), np.int64)
     corners = np.asarray(polygons, dtype=np.int64)
-    steps = range(1, corners.shape[1] - 1)
-    return np.concatenate([corners[:, [0, i, i + 1]] for i in steps])
+    fan = [corners[:, [0, i, i + 1]] for i in range(1, corners.shape[1] - 1)]
+    return vertices, np.concatenate(fan)
 
 
 def _read_obj(path: Path, data: bytes) -> Triangles:
@@ -163,16 +161,14 @@ def _read_obj(path: Path, data: bytes) -> Triangles:
     return Triangles(vertices, faces, comment, labels, tuple(reader.names))
 
 
-def _quietly(
-    load: Callable[..., dict[str, Any]], path: Path, data: bytes, **options: Any
-) -> dict[str, Any]:
+def _quietly(path: Path, data: bytes, load: Callable[[io.BytesIO], _Loaded]) -> _Loaded:
     """Load with a reader of trimesh, whatever it makes of a damaged file."""
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             # numpy stops at the first word that is no number, and only warns.
             warnings.filterwarnings("error", message=".*could not be read to its end")
-            return load(io.BytesIO(data), **options)
+            return load(io.BytesIO(data))
     except Exception:  # it raises whatever its parsing meets
         raise _damaged(path) from None
 
@@ -180,5 +176,5 @@ def _quietly(
 def _damaged(path: Path) -> ScanError:
     kind = path.suffix[1:].upper()
     return ScanError(
-        f"{path}: is no {kind} file that can be read", f"{_AGAIN} as binary STL, or as {kind}"
+        f"{path}: is no {kind} file that can be read", f"{_AGAIN}, as {kind} or as binary STL"
     )

@@ -16,7 +16,6 @@ from socket_testbed.scans.surface import Surface
 from socket_testbed.scans.topology import boundary_loops, match_edges, separate
 from socket_testbed.scans.wall import inner_wall
 
-_FLAT = 0.95  # [-]; area of the shadow of a surface, of its own
 _NARROWEST = 2.0  # [-]; around a brim, of the radius of the cavity
 _WORTH_A_NOTE = 0.05  # [-]; area left out, of the area kept
 _SKEW = 30.0  # [deg]; between a given direction and the axis, worth a note
@@ -108,15 +107,13 @@ def _outward(name: str, mesh: trimesh.Trimesh) -> Surface:
     surface = Surface(np.asarray(mesh.vertices, dtype=float), faces)
     if one_sided.any() or not surface.areas.any():
         raise ScanError(f"{name}: is no surface with two sides", "repair it in a mesh editor")
-    if np.linalg.norm(surface.area_vectors.sum(axis=0)) > _FLAT * surface.areas.sum():
-        raise ScanError(f"{name}: is nearly flat, no cavity", "scan the inside of the socket")
     inside_out = surface.is_watertight and surface.volume < 0.0
     return surface.flipped() if inside_out else surface
 
 
 def _aim(cavity: Cavity, given: FloatArray | None) -> Axis:
     """The cavity's axis, from its distal end to its proximal one."""
-    axis, towards = cavity.spine.axis, cavity.openness
+    axis, towards = cavity.spine.axis, cavity.net_opening
     if given is not None and not cavity.has_clear_end:
         towards = float(given @ axis.direction)
     return axis if towards > 0.0 else axis.turned()

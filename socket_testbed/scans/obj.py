@@ -73,7 +73,7 @@ class ObjReader:
                 self._faces.append((corners[0], b, c))
                 self._labels.append((self._object, self._group))
         elif word == "o":
-            self._object = self._number(rest.strip())
+            self._object, self._group = self._number(rest.strip()), -1
         elif word == "g":
             self._group = self._number(rest.strip())
 

@@ -34,7 +34,8 @@ def inner_wall(surface: Surface, samples: Samples, sight: Sight) -> BoolArray:
     outside = sight.hidden & ~pockets
     if surface.areas @ outside < _REAL_OUTSIDE * seen_area:
         return main_piece(surface, np.ones(len(surface.faces), bool))
-    kept = _without_rims(surface, samples, sight, outside) | pockets
+    face_on = sight.seen & (sight.facing > _FACE_ON)
+    kept = _without_rims(surface, samples, sight.seen, face_on | pockets, outside)
     return _fill(surface, main_piece(surface, kept), outside)
 
 
@@ -74,26 +75,25 @@ def _pieces(surface: Surface, chosen: BoolArray) -> IntArray:
 
 
 def _without_rims(
-    surface: Surface, samples: Samples, sight: Sight, outside: BoolArray
+    surface: Surface, samples: Samples, seen: BoolArray, sure: BoolArray, outside: BoolArray
 ) -> BoolArray:
-    """The seen faces that belong to a wall: not those of a brim's rim or of a cut, shape (F,).
+    """The faces that belong to a wall, not to the rim of its brim or to a cut, shape (F,).
 
     A face of a rim has the outer wall beside it; a face of the inner wall has it behind, turned
-    the other way, or far off. Only what lies near the border of what is seen face-on can be rim.
+    the other way, or far off. What is seen at a slant needs it behind. Only what lies near the
+    border of what is sure can be rim.
     """
-    face_on = sight.seen & (sight.facing > _FACE_ON)
     back = np.flatnonzero(outside[samples.owners])
     some = samples.points[back[:: max(1, len(back) // _PROBES)]]
-    front = cKDTree(samples.points[face_on[samples.owners]])
+    front = cKDTree(samples.points[sure[samples.owners]])
     thickness = float(np.median(front.query(some)[0]))
 
-    band = np.flatnonzero(
-        sight.seen & _within(_BAND * thickness, _border(surface, face_on), surface.centres)
-    )
+    near_border = _within(_BAND * thickness, _border(surface, sure), surface.centres)
+    band = np.flatnonzero((seen | sure) & near_border)
     near = _within(_NEAR * thickness, samples.points[back], surface.centres[band])
     opposite = _opposite(surface, samples, band, back, thickness)
-    kept = face_on.copy()
-    kept[band] = np.where(face_on[band], ~near | opposite, near & opposite)
+    kept = sure.copy()
+    kept[band] = np.where(sure[band], ~near | opposite, near & opposite)
     return kept
 
 
