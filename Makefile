@@ -32,6 +32,8 @@ setup: $(VENV)/.messages $(VENV)/.package
 benchmark: setup
 	$(PIP) install -r requirements/benchmarks.txt
 	$(BIN)/python benchmarks/benchmark_fit.py
+	$(BIN)/python benchmarks/benchmark_pareto.py
+	$(BIN)/python benchmarks/benchmark_long_trials.py
 
 # The same sources as an ordinary colcon workspace, here with the ROS wheels.
 colcon: $(VENV)/.packages

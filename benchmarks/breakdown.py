@@ -10,7 +10,7 @@ from problems import StageTwoInput
 from socket_testbed.contact import gated_displacement
 from socket_testbed.identification.box_qp import solve_box_qp
 from socket_testbed.identification.fit import fit_contact_model
-from socket_testbed.identification.moments import gate_moments
+from socket_testbed.identification.gate_moments import gate_moments
 from socket_testbed.identification.objective import build_objective
 from socket_testbed.identification.stages import (
     KILONEWTON_PER_METRE,

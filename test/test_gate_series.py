@@ -11,8 +11,9 @@ from socket_testbed.identification.cholesky import (
     least_pivot,
     solve_factored,
 )
+from socket_testbed.identification.gate_moments import gate_moments
 from socket_testbed.identification.gate_series import GateSeries, series_is_cheaper
-from socket_testbed.identification.moments import Moments, gate_moments
+from socket_testbed.identification.moments import Moments
 from socket_testbed.identification.objective import build_objective
 from socket_testbed.identification.residuals import channel_mean_squares, mean_square_residuals
 from socket_testbed.identification.shared_moments import SharedMoments

@@ -18,8 +18,8 @@ from socket_testbed.nodes.conversions import stamp_from_ros
 from socket_testbed.processes import Graph
 from socket_testbed.simulation.trial import TRUTH_FILE
 from socket_testbed.simulation.world import World
+from socket_testbed.trials.measurements import pose_vector, wrench_vector
 from socket_testbed.trials.messages import decode, stamp_of
-from socket_testbed.trials.synchronise import pose_vector, wrench_vector
 from socket_testbed.trials.topics import (
     CAPACITANCE,
     DIAGNOSTICS,

@@ -109,20 +109,32 @@ def add_unloaded(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def add_identification(parser: argparse.ArgumentParser) -> None:
+def add_identification(
+    parser: argparse.ArgumentParser, variant: bool = True, theta: bool = True
+) -> None:
     """Settings of the identification; what is not given comes from the trial's testbed.yaml."""
-    add_model_choice(parser)
+    add_model_choice(parser, variant, theta)
     parser.add_argument(
         "--params", type=Path, metavar="TESTBED.yaml", help="instead of the trial's testbed.yaml"
     )
 
 
-def add_model_choice(parser: argparse.ArgumentParser) -> None:
-    """Settings of the identification that are often chosen for one run."""
-    parser.add_argument("--variant", choices=VARIANTS, help="which offsets the model carries")
-    parser.add_argument(
-        "--theta", type=float, help="weight of the wrench against the clusters, 0 to 1"
-    )
+def add_model_choice(
+    parser: argparse.ArgumentParser, variant: bool = True, theta: bool = True
+) -> None:
+    """Settings of the identification that are often chosen for one run.
+
+    Args:
+        parser: The verb's parser.
+        variant: Whether the verb leaves the choice of the variant.
+        theta: Whether it leaves the choice of theta.
+    """
+    if variant:
+        parser.add_argument("--variant", choices=VARIANTS, help="which offsets the model carries")
+    if theta:
+        parser.add_argument(
+            "--theta", type=float, help="weight of the wrench against the clusters, 0 to 1"
+        )
     parser.add_argument(
         "--smoothness", type=float, help="weight of the smoothness over neighbouring tiles"
     )
@@ -150,7 +162,7 @@ def choose_model(options: argparse.Namespace, settings: EstimatorSettings) -> Es
     given = {
         name: value
         for name in ("variant", "theta", "smoothness", "leave_out", "solver")
-        if (value := getattr(options, name)) is not None
+        if (value := getattr(options, name, None)) is not None
     }
     identification = dataclasses.replace(settings.identification, **given)
     return dataclasses.replace(settings, identification=identification)

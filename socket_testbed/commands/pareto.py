@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from socket_testbed.commands.options import (
+    add_identification,
     add_segment,
     add_trial,
     add_unloaded,
@@ -42,7 +43,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     add_trial(parser)
     add_segment(parser)
     add_unloaded(parser)
-    _add_settings(parser)
+    add_identification(parser, variant=False, theta=False)  # the fronts go through both
     parser.add_argument(
         "--thetas", type=int, default=101, metavar="N", help="values from 0 to 1 (default: 101)"
     )
@@ -51,24 +52,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--figure", type=Path, metavar="FRONT.png|pdf", help="both fronts drawn")
     parser.add_argument("--json", action="store_true", help="print JSON on standard output")
-    parser.set_defaults(run=run, theta=None, variant=None)
-
-
-def _add_settings(parser: argparse.ArgumentParser) -> None:
-    """Settings as for `fit`, but for what the fronts go through: theta and the variant."""
-    parser.add_argument(
-        "--params", type=Path, metavar="TESTBED.yaml", help="instead of the trial's testbed.yaml"
-    )
-    parser.add_argument(
-        "--smoothness", type=float, help="weight of the smoothness over neighbouring tiles"
-    )
-    parser.add_argument(
-        "--leave-out",
-        nargs="+",
-        metavar="CHANNEL",
-        help="channels to leave out of the objective, such as distal.Fx or Mz",
-    )
-    parser.add_argument("--solver", help="any solver that qpsolvers finds (default: osqp)")
+    parser.set_defaults(run=run)
 
 
 def run(options: argparse.Namespace) -> None:

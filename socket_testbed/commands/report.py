@@ -22,6 +22,7 @@ from socket_testbed.batch.run import run_batch
 from socket_testbed.batch.summary import error_columns, segment_columns
 from socket_testbed.commands.options import (
     absolute_paths,
+    add_identification,
     add_segment,
     add_trials,
     add_unloaded,
@@ -51,7 +52,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     add_trials(parser)
     add_segment(parser)
     add_unloaded(parser)
-    _add_settings(parser)
+    add_identification(parser, variant=False)  # both are shown
     parser.add_argument(
         "--thetas", type=int, default=101, metavar="N", help="values from 0 to 1 (default: 101)"
     )
@@ -66,27 +67,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         metavar="REPORT.html",
         help="the page, or the folder of the pages of a folder of trials",
     )
-    parser.set_defaults(run=run, variant=None)
-
-
-def _add_settings(parser: argparse.ArgumentParser) -> None:
-    """Settings as for `fit`, but for the variant: both are shown."""
-    parser.add_argument(
-        "--params", type=Path, metavar="TESTBED.yaml", help="instead of the trial's testbed.yaml"
-    )
-    parser.add_argument(
-        "--theta", type=float, help="weight of the wrench against the clusters, 0 to 1"
-    )
-    parser.add_argument(
-        "--smoothness", type=float, help="weight of the smoothness over neighbouring tiles"
-    )
-    parser.add_argument(
-        "--leave-out",
-        nargs="+",
-        metavar="CHANNEL",
-        help="channels to leave out of the objective, such as distal.Fx or Mz",
-    )
-    parser.add_argument("--solver", help="any solver that qpsolvers finds (default: osqp)")
+    parser.set_defaults(run=run)
 
 
 def run(options: argparse.Namespace) -> None:

@@ -8,15 +8,38 @@ positions, and new ones cost nothing in the number of samples.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.polynomial.chebyshev import chebpts1, chebvander
 
 from socket_testbed.arrays import FloatArray
 from socket_testbed.contact import gated_displacement
-from socket_testbed.identification.moments import Moments, chebyshev_degree
+from socket_testbed.identification.moments import Moments
 
 _BLOCK = 2048  # rows
+_PRECISION = 1e-14  # [-]; of the series
 _EXPONENTIAL = 40  # multiplications that one takes the time of
+
+
+def chebyshev_degree(position: FloatArray, sharpness: float) -> int:
+    r"""Length of the Chebyshev series that gives the gate to double precision.
+
+    The gate has its poles at the distance :math:`\pi / (2 \alpha)` from the real axis: on
+    an interval of half-width h the series converges like :math:`\rho^{-m}` with
+    :math:`\rho = y + \sqrt{1 + y^2}`, :math:`y = \pi / (2 \alpha h)` (Trefethen,
+    Approximation Theory and Approximation Practice, ch. 8).
+
+    Args:
+        position: Limb positions q, shape (N, 3) [m].
+        sharpness: Sharpness alpha of the gate [1/m].
+    """
+    half_width = 0.5 * float(np.ptp(position, axis=0).max())
+    if half_width == 0.0:
+        return 2
+    ratio = math.pi / (2.0 * sharpness * half_width)
+    rate = math.asinh(ratio)  # log(ratio + sqrt(1 + ratio^2))
+    return min(3 + math.ceil(-math.log(_PRECISION) / rate), 10**6)
 
 
 class GateSeries:

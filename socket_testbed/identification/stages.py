@@ -15,7 +15,8 @@ from socket_testbed.arrays import FloatArray
 from socket_testbed.contact import gated_displacement, wrench_map
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification.box_qp import BoxQP
-from socket_testbed.identification.moments import Moments, gate_moments
+from socket_testbed.identification.gate_moments import gate_moments
+from socket_testbed.identification.moments import Moments
 from socket_testbed.identification.objective import Objective, smoothness_matrix
 from socket_testbed.settings import IdentificationSettings
 

@@ -6,17 +6,15 @@ import html
 from collections.abc import Sequence
 from string import Template
 
-FONT = "system-ui, -apple-system, 'Segoe UI', Roboto, sans-serif"
+from socket_testbed.view.scene import FONT, POLICY
 
-# The policy lets the browser load nothing at all; the 3D viewer compiles its shaders' code.
 _PAGE = Template("""\
 <!DOCTYPE html>
 <html lang="en">
 <head>
 <meta charset="utf-8">
 <meta name="viewport" content="width=device-width, initial-scale=1">
-<meta http-equiv="Content-Security-Policy" content="default-src 'none'; img-src data: blob:; \
-style-src 'unsafe-inline'; script-src 'unsafe-inline' 'unsafe-eval'">
+<meta http-equiv="Content-Security-Policy" content="$policy">
 <title>$title</title>
 <style>
 * { box-sizing: border-box; }
@@ -115,6 +113,7 @@ def compose_page(title: str, subtitle: str, sections: Sequence[str]) -> str:
         title=html.escape(title),
         subtitle=html.escape(subtitle),
         font=FONT,
+        policy=POLICY,
         contents=contents,
         sections="\n".join(sections),
     )

@@ -37,20 +37,19 @@ _SCRIPT = """\
 </script>"""
 
 
-def scene_section(results: Results, maps: str, font: str) -> str:
+def scene_section(results: Results, maps: str) -> str:
     """The scene, its switches and the figures of the same values for paper.
 
     Args:
         results: The results.
         maps: HTML of those figures.
-        font: Families of the letters, as in CSS.
     """
     values = {
         f"{candidate.label} {quantity}": of_tiles
         for candidate in results.candidates
         for quantity, of_tiles in _values(results, candidate).items()
     }
-    scene = value_scene(results.trial.geometry, values, font)
+    scene = value_scene(results.trial.geometry, values)
     models = [candidate.label for candidate in results.candidates]
     quantities = list(dict.fromkeys(key.partition(" ")[2] for key in values))
     return section(

@@ -14,7 +14,7 @@ from socket_testbed.report import figures
 from socket_testbed.report.data_files import write_errors, write_residuals
 from socket_testbed.report.figures import ReportFigure
 from socket_testbed.report.markup import section
-from socket_testbed.report.page import FONT, compose_page
+from socket_testbed.report.page import compose_page
 from socket_testbed.report.quality_section import quality_section
 from socket_testbed.report.results import Results
 from socket_testbed.report.scene_section import scene_section
@@ -120,7 +120,7 @@ def _compose(results: Results, drawn: _Figures, folder: str, command: str, made:
         section("local", "Local forces", [show(drawn.local)]),
         errors_section(results),
         fronts_section(results, show(*drawn.fronts)),
-        scene_section(results, show(*drawn.maps), FONT),
+        scene_section(results, show(*drawn.maps)),
         quality_section(results, show(drawn.overview)),
         certificates_section(results),
         provenance_section(results, command, made),

@@ -6,19 +6,15 @@ import html
 from collections.abc import Sequence
 from pathlib import Path
 from string import Template
-from typing import Any
-
-import numpy as np
-import plotly.graph_objects as go
 
 from socket_testbed.arrays import FloatArray, IntArray
 from socket_testbed.files import whole_output
 from socket_testbed.geometry.socket import SocketGeometry
-from socket_testbed.view.axes_of_s import AXIS_NAMES, drawn_bounds, place_axes
+from socket_testbed.view.axes_of_s import drawn_bounds, place_axes
+from socket_testbed.view.scene import FONT, POLICY, scene_html
 from socket_testbed.view.surface import Surface, drawable_surface
 from socket_testbed.view.traces import (
     axes_traces,
-    cluster_names,
     neighbour_trace,
     proximal_traces,
     surface_trace,
@@ -26,21 +22,14 @@ from socket_testbed.view.traces import (
 )
 
 _MOST_FACES = 60_000
-_EYE = np.array([1.0, 0.78, 0.27])  # of the diagonal: anterior, left and above
-_CENTRE = np.array([0.0, 0.0, -0.05])  # likewise: the nearest edge of the box hangs lowest
-# The viewer's own list holds a button that sends the chart away.
-_BUTTONS = ["toImage", "zoom3d", "pan3d", "orbitRotation", "resetCameraDefault3d"]
-_FONT = "system-ui, -apple-system, 'Segoe UI', Roboto, sans-serif"
 
-# The policy lets the browser load nothing at all; the viewer compiles its shaders' code.
 _PAGE = Template("""\
 <!DOCTYPE html>
 <html lang="en">
 <head>
 <meta charset="utf-8">
 <meta name="viewport" content="width=device-width, initial-scale=1">
-<meta http-equiv="Content-Security-Policy" content="default-src 'none'; img-src data: blob:; \
-style-src 'unsafe-inline'; script-src 'unsafe-inline' 'unsafe-eval'">
+<meta http-equiv="Content-Security-Policy" content="$policy">
 <title>$title</title>
 <style>
 body { margin: 0 auto; padding: 1rem; max-width: 100rem; font: 1rem/1.45 $font;
@@ -100,7 +89,8 @@ def socket_page(
     surface = drawable_surface(vertices, faces, _MOST_FACES)
     page = _PAGE.substitute(
         title=html.escape(title),
-        font=_FONT,
+        font=FONT,
+        policy=POLICY,
         facts="\n".join(
             f'<tr><th scope="row">{html.escape(name)}</th><td>{html.escape(value)}</td></tr>'
             for name, value in facts
@@ -122,48 +112,5 @@ def _scene(surface: Surface, geometry: SocketGeometry) -> str:
         *axes_traces(axes),
         *proximal_traces(geometry, axes.length),
     ]
-    figure = go.Figure(traces, _layout(traces, geometry))
-    return figure.to_html(
-        full_html=False,
-        include_plotlyjs=True,
-        div_id="socket",
-        config={"responsive": True, "displaylogo": False, "modeBarButtons": [_BUTTONS]},
-    )
-
-
-def _layout(traces: list[Any], geometry: SocketGeometry) -> dict[str, Any]:
-    scene: dict[str, Any] = {f"{name}axis": _axis(name) for name in AXIS_NAMES}
-    scene |= {
-        "aspectmode": "data",
-        "camera": _camera(traces),
-        "annotations": cluster_names(geometry),
-    }
-    return {
-        "scene": scene,
-        "margin": {"l": 0, "r": 0, "t": 0, "b": 0},
-        "legend": {"orientation": "h", "yref": "container", "y": 0, "yanchor": "bottom"},
-        "font": {"family": _FONT, "size": 13},
-        "paper_bgcolor": "white",
-    }
-
-
-def _camera(traces: list[Any]) -> dict[str, Any]:
-    """A camera that sees everything, in the viewer's unit: the geometric mean of the edges."""
-    drawn = np.hstack([[trace.x, trace.y, trace.z] for trace in traces])
-    edges = np.nanmax(drawn, axis=1) - np.nanmin(drawn, axis=1)
-    diagonal = np.linalg.norm(edges) / np.exp(np.log(edges).mean())
-    eye, centre = diagonal * _EYE, diagonal * _CENTRE
-    return {
-        "eye": dict(zip(AXIS_NAMES, eye.tolist(), strict=True)),
-        "center": dict(zip(AXIS_NAMES, centre.tolist(), strict=True)),
-    }
-
-
-def _axis(name: str) -> dict[str, Any]:
-    return {
-        "title": {"text": f"{name} [mm]"},
-        "backgroundcolor": "white",
-        "gridcolor": "#DDDDDD",
-        "zerolinecolor": "#999999",
-        "showspikes": False,
-    }
+    legend = {"orientation": "h", "yref": "container", "y": 0, "yanchor": "bottom"}
+    return scene_html(traces, geometry, "socket", legend=legend)

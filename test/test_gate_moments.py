@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from problems import moving_limb, naive_gated
 
-from socket_testbed.identification.moments import gate_moments
+from socket_testbed.identification.gate_moments import gate_moments
 
 MOTIONS = {
     "hold": lambda rng: np.array([0.001, -0.002, 0.0005]) + rng.normal(0.0, 1e-5, (300, 3)),
