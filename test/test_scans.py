@@ -1,5 +1,6 @@
 """The interior of sockets: against surfaces that are known by their making, and on real scans."""
 
+import contextlib
 from pathlib import Path
 
 import numpy as np
@@ -94,16 +95,24 @@ def test_walls_of_any_thickness(thickness):
     assert_is(interior, open_cone(*CONE, 0.004, dome=True))
 
 
-def test_a_long_solid_distal_end():
+@pytest.mark.parametrize("shape", [{}, {"hole": 0.018}, {"arc": np.pi}])
+def test_a_long_solid_distal_end(shape):
     """As of a socket printed with its adapter: the middle of the body is within the material."""
     cup = (0.05, 0.05, 0.15)
 
     def lengthened(points):
         return points - np.outer(0.12 * (points[:, 2] < -1e-6), UP)
 
-    interior = find_interior(moved(shell(*cup, EDGE, WALL), lengthened))
-    assert_is(interior, open_cone(*cup, EDGE))
+    interior = find_interior(moved(shell(*cup, EDGE, WALL, **shape), lengthened))
+    assert_is(interior, open_cone(*cup, EDGE, **shape))
     assert angle_to(interior.proximal, UP) < 1.0
+
+
+def test_a_channel_that_a_scan_sees_into_is_no_wall():
+    solid = shell(*CONE, EDGE, 0.01, hole=0.008)
+    cut = solid.triangles_center[:, 2] < -0.0099
+    interior = find_interior(with_faces(solid, ~cut))
+    assert_is(interior, open_cone(*CONE, EDGE, hole=0.008))
 
 
 def oval(points):
@@ -146,6 +155,15 @@ def test_shallow_oval_sockets(height):
     interior = find_interior(moved(shell(*cone, EDGE, WALL, dome=True), oval))
     assert_is(interior, moved(open_cone(*cone, EDGE, dome=True), oval))
     assert angle_to(interior.proximal, UP) < 2.0
+
+
+def test_a_half_ball_has_no_axis_that_stands_out_and_a_socket_has():
+    bowl = with_faces(ball(), ball().triangles_center[:, 2] < 0.0)
+    for scan, unclear in ((bowl, True), (open_cone(*CONE, EDGE), False)):
+        interior = find_interior(scan)
+        assert any("no axis" in note for note in interior.notes) == unclear
+        assert not any("no axis" in note for note in find_interior(scan, UP).notes)
+        assert interior.proximal @ UP > 0.0
 
 
 @pytest.mark.parametrize("noise", [0.0002, 0.0005])
@@ -213,16 +231,26 @@ def thickened(surface: trimesh.Trimesh, thickness: float) -> trimesh.Trimesh:
     )
 
 
-def test_a_ledge_that_shades_the_wall_makes_no_hole():
-    def ledge(points):
-        ring = np.exp(-(((points[:, 2] - 0.1) / 0.006) ** 2))
-        lean = 0.7 * np.clip(points[:, 2] - 0.1, -0.012, 0.0) / 0.012
-        inward = 1.0 - 0.35 * ring * (1.0 + lean)
-        return points * np.column_stack([inward, inward, np.ones(len(points))])
+@pytest.mark.parametrize("height", [0.06, 0.15])
+def test_a_ledge_that_shades_the_wall_makes_no_hole(height):
+    def overhanging(points):
+        ring = np.exp(-(((points[:, 2] - height) / 0.012) ** 2))
+        inward = 1.0 - 0.3 * ring
+        ledge = points * np.column_stack([inward, inward, np.ones(len(points))])
+        return ledge - np.outer(0.02 * ring, UP)
 
-    cone = moved(open_cone(*CONE, 0.003, dome=True), ledge)
+    cone = moved(open_cone(*CONE, 0.003, dome=True), overhanging)
     for scan in (cone, thickened(cone, 0.002)):
         assert_is(find_interior(scan), cone)
+
+
+def test_what_the_cavity_sees_besides_its_wall_is_left_out_and_noted():
+    cone = open_cone(*CONE, EDGE, dome=True)
+    liner = moved(open_cone(0.03, 0.04, 0.1, EDGE, closed=False), lambda p: p + 0.05 * UP)
+    interior = find_interior(trimesh.util.concatenate([cone, liner]))
+    assert_is(interior, cone)
+    area = round(1e4 * liner.area)
+    assert any(f"left out {area} cm2" in note for note in interior.notes)
 
 
 def test_the_brim_comes_first_of_the_openings_and_lies_on_the_circle():
@@ -309,6 +337,22 @@ def limb_cast() -> trimesh.Trimesh:
 def test_what_has_no_cavity_or_no_opening_is_refused(solid, words):
     with pytest.raises(ScanError, match=words):
         find_interior(solid)
+
+
+def test_nonsense_is_refused_or_survived(rng):
+    for _ in range(20):
+        faces = rng.integers(0, 30, (60, 3))
+        plain = (faces != np.roll(faces, 1, axis=1)).all(axis=1)
+        soup = trimesh.Trimesh(rng.normal(0.0, 0.1, (30, 3)), faces[plain], process=False)
+        tetrahedron = trimesh.Trimesh(
+            rng.normal(0.0, 0.1, (4, 3)),
+            [[0, 1, 2], [0, 3, 1], [1, 3, 2], [2, 3, 0]],
+            process=False,
+        )
+        with pytest.raises(ScanError, match="no cavity"):
+            find_interior(tetrahedron)
+        with contextlib.suppress(ScanError):
+            assert np.isfinite(find_interior(soup).mesh.vertices).all()
 
 
 def test_a_nearly_closed_cavity_is_refused_even_with_a_direction():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
+import difflib
 from collections.abc import Sequence
 from datetime import date
 from pathlib import Path
@@ -106,6 +107,8 @@ def run(options: argparse.Namespace) -> None:
     if options.figure is not None and options.figure.suffix not in _FIGURES:
         raise ConfigurationError(f"{options.figure}: is no figure", "name a .png or a .pdf")
     existing = _existing(options)
+    if existing is not None:
+        _check_cluster(options.cluster, existing)
     bench, baselines = _read(options)
     wiring = _wiring(options, existing)
     stated = options.wiring is not None
@@ -134,6 +137,16 @@ def _existing(options: argparse.Namespace) -> Calibration | None:
     if options.into.resolve() != options.output.resolve():
         refuse_existing(options.output)
     return read_calibration(options.into)
+
+
+def _check_cluster(name: str, existing: Calibration) -> None:
+    """Refuse what is most likely a typing error for a cluster that is there."""
+    near = difflib.get_close_matches(name, existing.clusters, n=1, cutoff=0.9)
+    if near and name not in existing.clusters:
+        raise ConfigurationError(
+            f"--cluster is '{name}', which the calibration does not hold",
+            f"did you mean '{near[0]}'? For a new cluster choose a name less like it",
+        )
 
 
 def _read(options: argparse.Namespace) -> tuple[BenchData, list[Baseline]]:

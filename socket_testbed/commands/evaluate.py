@@ -120,6 +120,10 @@ def _evaluate_one(options: argparse.Namespace) -> None:
     print(f"{trial.name}: {found.segment}, {found.samples} samples")
     print(f"model {found.stored.model.variant} of {found.stored.trial}\n")
     print(errors_table(found.errors))
+    if found.stored.trial == trial.name:
+        print(
+            "\nin-sample where the model was fitted: on another trial its errors may be far larger"
+        )
 
 
 def _evaluate_many(options: argparse.Namespace, trials: Mapping[str, Path]) -> None:

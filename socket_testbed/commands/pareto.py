@@ -34,7 +34,8 @@ _HEADER = (
 )
 _LEGEND = (
     "wrench error, local error: every RMSE over the RMS of what was measured, as in the objective;"
-    "\nmoment, force, local: mean, mean and median RMSE of the channels in the objective"
+    "\nmoment, force, local: mean, mean and median RMSE of the channels in the objective;"
+    "\ndominated: another theta is better in both, which two stages one after the other allow"
 )
 
 

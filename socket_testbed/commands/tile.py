@@ -102,7 +102,9 @@ def _add_tiles(group: argparse._ArgumentGroup) -> None:
         default=settings.rounds,
         help="of the search; more may find another tile (default: %(default)s)",
     )
-    group.add_argument("--seed", type=int, default=settings.seed, help="of the search")
+    group.add_argument(
+        "--seed", type=int, default=settings.seed, help="of the search (default: %(default)s)"
+    )
     group.add_argument(
         "--clusters",
         type=Path,
@@ -133,6 +135,7 @@ def run(options: argparse.Namespace) -> None:
     if options.output.suffix not in {".yaml", ".yml"}:
         raise ConfigurationError(f"{options.output}: is no .yaml file", "name the output so")
     places = read_cluster_places(options.clusters) if options.clusters else None
+    _refuse_to_lose_registration(options)
     bodies = read_socket(options.bodies or packaged("config", "socket.yaml"))
     if not options.bodies:
         bodies = dataclasses.replace(bodies, registration="")
@@ -152,13 +155,29 @@ def run(options: argparse.Namespace) -> None:
     facts = _facts(tiling, geometry, scan, interior, settings)
     write_socket(geometry, options.output)
     _draw(interior.mesh, geometry, options, facts)
-    for note in (*scan.notes, *interior.notes, *notes):
+    for note in (*scan.notes, *interior.notes):
+        print(f"note: {note}", file=sys.stderr)
+    if places is None:
+        notes.append("the clusters are put where they usually are: look, or give --clusters")
+    if options.anterior is None and not (options.points or options.landmarks):
+        notes.append("x of the scan is assumed to be anterior: look, or give --anterior")
+    for note in notes:
         print(f"note: {note}", file=sys.stderr)
     if not geometry.registration:
         print("note: the marker bodies are nominal: register them", file=sys.stderr)
     width = max(len(name) for name, _ in facts)
     for name, value in facts:
         print(f"{name.ljust(width)}  {value}")
+
+
+def _refuse_to_lose_registration(options: argparse.Namespace) -> None:
+    if options.output.exists() and not options.bodies:
+        registration = read_socket(options.output).registration
+        if registration:
+            raise ConfigurationError(
+                f"{options.output} holds registered marker bodies ({registration})",
+                f"keep them with --bodies {options.output}, or name another output",
+            )
 
 
 def _settings(options: argparse.Namespace) -> TilingSettings:
@@ -211,7 +230,10 @@ def _facts(
     covered = 1e4 * float(tiling.footprint_areas.sum())
     edge = 1e3 * settings.edge
     return [
-        ("scan", f"{scan.body}, {len(scan.mesh.faces)} faces, in {scan.unit} ({scan.unit_source})"),
+        (
+            "scan",
+            f"body {scan.body}, {len(scan.mesh.faces)} faces, in {scan.unit} ({scan.unit_source})",
+        ),
         ("{S}", interior.placement.source),
         ("tiles", f"{tiles} of {edge:g} x {edge:g} mm"),
         (
@@ -231,8 +253,17 @@ def _facts(
             f" (median {1e3 * np.median(tiling.flatness):.1f}, limit {1e3 * settings.flatness:g})",
         ),
         ("neighbours", f"{len(geometry.neighbours)} pairs"),
-        ("clusters", ", ".join(geometry.clusters) or "none"),
+        ("clusters", _places(geometry)),
     ]
+
+
+def _places(geometry: SocketGeometry) -> str:
+    """Where the clusters are, in {S}."""
+    places = (
+        f"{name} at {', '.join(f'{1e3 * c:.0f}' for c in geometry.anchors[tile])}"
+        for name, tile in geometry.clusters.items()
+    )
+    return "; ".join(places) + " mm of {S}" if geometry.clusters else "none"
 
 
 def _draw(

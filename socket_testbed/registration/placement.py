@@ -50,7 +50,10 @@ def parse_direction(text: str, where: str) -> FloatArray:
         direction = np.zeros(3)
         direction[_AXES[axis[2]]] = -1.0 if axis[1] == "-" else 1.0
         return direction
-    vector = parse_point(text, where)
+    try:
+        vector = parse_point(text, where)
+    except ConfigurationError as error:
+        raise ConfigurationError(error.fact, "give an axis, such as +z, or three numbers") from None
     length = float(np.linalg.norm(vector))
     if length < 1e-9:
         raise ConfigurationError(f"{where} is '{text}', no direction", "give +z or three numbers")

@@ -113,8 +113,8 @@ def _trust(bias: Candidate) -> str:
         else "the smoothness decides the others"
     )
     text = (
-        f"The data determine {bias.fit.determined:.0f} of {directions} stiffness directions;"
-        f" {reading}."
+        f"With offsets, the data determine {bias.fit.determined:.0f} of {directions} stiffness"
+        f" directions; {reading}."
     )
     if math.isfinite(median):
         text += (

@@ -116,7 +116,7 @@ def flip_slivers(vertices: FloatArray, faces: IntArray) -> tuple[IntArray, int]:
     """Remove faces whose corners lie on one line, without opening a crack.
 
     Such a face is joined to the neighbour across its longest edge, and both are cut along the
-    other diagonal; at a boundary it is left out.
+    other diagonal; where there is none it is left out.
 
     Args:
         vertices: Shape (V, 3).
@@ -145,25 +145,23 @@ def are_slivers(vertices: FloatArray, faces: IntArray) -> BoolArray:
 
 
 def _flip(vertices: FloatArray, faces: IntArray, slivers: BoolArray) -> IntArray:
-    """Flip the longest edge of each sliver, no face twice; leave out those without neighbour."""
+    """Flip the longest edge of each sliver that has a neighbour there, no face twice."""
     twin = np.full(3 * len(faces), -1)
     twins = match_edges(faces).twins
     twin[twins] = twins[:, ::-1]
     corners = vertices[faces]
     lengths = np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=2)
-    flipped, keep = faces.copy(), np.ones(len(faces), bool)
+    flipped = faces.copy()
     touched: set[int] = set()
     for face in np.flatnonzero(slivers).tolist():
         edge = 3 * face + int(lengths[face].argmax())
         across = int(twin[edge])
-        if across < 0:
-            keep[face] = False
-        elif touched.isdisjoint((face, across // 3)):
+        if across >= 0 and touched.isdisjoint((face, across // 3)):
             touched |= {face, across // 3}
             start, stop, near = _corners_from(faces, edge)
             far = _corners_from(faces, across)[2]
             flipped[face], flipped[across // 3] = (start, far, near), (far, stop, near)
-    return flipped[keep]
+    return flipped
 
 
 def _corners_from(faces: IntArray, half_edge: int) -> tuple[int, int, int]:

@@ -15,7 +15,6 @@ _OPPOSITE = -0.75  # [-]; cosine between the normals of the two sides of a wall
 _NEAR = 1.5  # [-]; of the thickness: here the outer wall bears witness
 _BAND = 3.0  # [-]; of the thickness: farther from the border nothing is rim
 _THICKEST = 2.5  # [-]; of the thickness
-_SPECK = 1e-3  # [-]; of the wall's area, for a piece that is only noise
 _POCKET = 0.2  # [-]; of the seen area, for a piece in the shadow of the wall itself
 _REAL_OUTSIDE = 0.01  # [-]; of the seen area, for an outer wall that is worth the name
 _PROBES = 2000  # of the thickness
@@ -54,11 +53,10 @@ def _pockets(surface: Surface, seen: BoolArray, largest: float) -> BoolArray:
 
 
 def _fill(surface: Surface, wall: BoolArray, outside: BoolArray) -> BoolArray:
-    """The wall with the specks beside it and the pieces that it surrounds, shape (F,)."""
+    """The wall with the pieces that it surrounds and that hold nothing of the outside, (F,)."""
     labels = _pieces(surface, ~wall)
-    speck = np.bincount(labels, surface.areas) < _SPECK * float(surface.areas @ wall)
     within = (np.bincount(labels, outside) == 0) & ~_reach_edge(surface, labels)
-    return wall | (speck | within)[labels]
+    return wall | within[labels]
 
 
 def _reach_edge(surface: Surface, labels: IntArray) -> BoolArray:
@@ -81,14 +79,14 @@ def _without_rims(
 
     A face of a rim has the outer wall beside it; a face of the inner wall has it behind, turned
     the other way, or far off. What is seen at a slant needs it behind. Only what lies near the
-    border of what is sure can be rim.
+    way from what is sure to the outside can be rim.
     """
     back = np.flatnonzero(outside[samples.owners])
     some = samples.points[back[:: max(1, len(back) // _PROBES)]]
     front = cKDTree(samples.points[sure[samples.owners]])
     thickness = float(np.median(front.query(some)[0]))
 
-    near_border = _within(_BAND * thickness, _border(surface, sure), surface.centres)
+    near_border = _within(_BAND * thickness, _border(surface, sure, outside), surface.centres)
     band = np.flatnonzero((seen | sure) & near_border)
     near = _within(_NEAR * thickness, samples.points[back], surface.centres[band])
     opposite = _opposite(surface, samples, band, back, thickness)
@@ -97,11 +95,13 @@ def _without_rims(
     return kept
 
 
-def _border(surface: Surface, chosen: BoolArray) -> FloatArray:
-    """Centres of the faces on both sides of the borders of the chosen ones, shape (B, 3) [m]."""
-    pairs = surface.edges.neighbours
-    differ = chosen[pairs[:, 0]] != chosen[pairs[:, 1]]
-    return surface.centres[np.unique(pairs[differ])]
+def _border(surface: Surface, sure: BoolArray, outside: BoolArray) -> FloatArray:
+    """Centres of the faces where what is sure meets what leads outside, shape (B, 3) [m]."""
+    labels = _pieces(surface, ~sure)
+    leads_out = ~sure & (np.bincount(labels, outside) > 0)[labels]
+    one, other = surface.edges.neighbours.T
+    meet = (sure[one] & leads_out[other]) | (sure[other] & leads_out[one])
+    return surface.centres[np.unique(surface.edges.neighbours[meet])]
 
 
 def _within(reach: float, places: FloatArray, points: FloatArray) -> BoolArray:

@@ -77,9 +77,9 @@ def nominal_places(
     sideways /= np.maximum(np.linalg.norm(sideways, axis=1, keepdims=True), 1e-9)
     level = height / max(float(height.max()), 1e-9)
     score = {
-        "brim_lateral": sideways @ [0.0, 1.0] + 2.0 * level,
-        "mid_anterior": sideways @ [1.0, 0.0] - 4.0 * np.abs(level - 0.6),
-        "posterior_distal": sideways @ [-1.0, 0.0] - 4.0 * np.abs(level - 0.2),
+        "brim_lateral": 3.0 * sideways @ [0.0, 1.0] + 4.0 * level,
+        "mid_anterior": 3.0 * sideways @ [1.0, 0.0] - 4.0 * np.abs(level - 0.6),
+        "posterior_distal": 3.0 * sideways @ [-1.0, 0.0] - 4.0 * np.abs(level - 0.2),
         "distal": -np.linalg.norm(offset, axis=1),
     }
     taken: set[int] = set()

@@ -50,7 +50,7 @@ def pareto_figure(fronts: Iterable[Front], title: str, path: Path) -> None:
         ConfigurationError: If the file cannot be written.
     """
     figure = Figure(figsize=(7.0, 5.6), layout="constrained")
-    figure.suptitle(title, fontsize=11)
+    figure.suptitle(title, fontsize=11).set_parse_math(False)  # a name may hold a dollar
     axes = figure.subplots()
     for front, style in zip(fronts, MODEL_STYLES, strict=False):
         _draw_front(axes, front, style)

@@ -39,7 +39,7 @@ p { margin: 0.75rem 0 0; font-size: 0.9rem; color: #555; }
 table { border-collapse: collapse; width: 100%; font-size: 0.95rem; }
 th, td { padding: 0.3rem 0.75rem 0.3rem 0; border-bottom: 1px solid #ddd; text-align: left;
   vertical-align: top; overflow-wrap: anywhere; font-variant-numeric: tabular-nums; }
-th { font-weight: 600; }
+th { font-weight: 600; white-space: nowrap; }
 #scene { height: min(75vh, 140vw); min-height: 26rem; }
 @media (min-width: 60rem) {
   main { display: grid; grid-template-columns: 20rem 1fr; gap: 1.5rem; }

@@ -84,11 +84,12 @@ def _frame(axis: Axes, drawn: FloatArray, squares: FloatArray, radius: float) ->
         [-180, -90, 0, 90, 180],
         [
             "-180°\nposterior",
-            "-90°\nright (-y)",
-            "0°\nanterior (+x)",
-            "90°\nleft (+y)",
+            "-90°\nright\n(-y)",
+            "0°\nanterior\n(+x)",
+            "90°\nleft\n(+y)",
             "180°\nposterior",
         ],
+        fontsize=7,
     )
     axis.set_ylabel("z of {S} [mm]")
     axis.set_title(
