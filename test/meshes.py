@@ -6,12 +6,14 @@ normals out of the solid (so those of the inner wall point into the cavity, too)
 """
 
 import math
+from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import pytest
 import trimesh
+from scipy.spatial import cKDTree
 
 UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254}
 FULL = 2.0 * math.pi
@@ -112,6 +114,34 @@ def assert_same_surface(mesh: trimesh.Trimesh, expected: trimesh.Trimesh) -> Non
     assert mesh.area == pytest.approx(expected.area, rel=1e-5)
     np.testing.assert_allclose(mesh.bounds, expected.bounds, atol=1e-7)
     assert mesh.is_winding_consistent
+
+
+def moved(mesh: trimesh.Trimesh, change: Callable[[np.ndarray], np.ndarray]) -> trimesh.Trimesh:
+    """The mesh with its vertices, (V, 3), changed by a function."""
+    return trimesh.Trimesh(change(mesh.vertices.copy()), mesh.faces, process=False)
+
+
+def unmatched_area(found: trimesh.Trimesh, expected: trimesh.Trimesh) -> float:
+    """Area of the faces, wound alike, that are in one of two meshes only, of the expected one."""
+    area = 0.0
+    for one, other in ((found, expected), (expected, found)):
+        ours, theirs = (
+            np.hstack([m.triangles_center, 0.01 * m.face_normals]) for m in (one, other)
+        )
+        area += one.area_faces[cKDTree(theirs).query(ours)[0] > 1e-6].sum()
+    return area / expected.area
+
+
+def assert_same_faces(
+    mesh: trimesh.Trimesh, expected: trimesh.Trimesh, tolerance: float = 0.0
+) -> None:
+    """Assert that two meshes have the same faces, but for a share of the expected area."""
+    assert unmatched_area(mesh, expected) <= tolerance
+
+
+def angle_between(direction: np.ndarray, other: np.ndarray) -> float:
+    """Angle between unit vectors [deg]."""
+    return float(np.degrees(np.arccos(np.clip(direction @ other, -1.0, 1.0))))
 
 
 def write_stl(mesh: trimesh.Trimesh, path: Path, unit: str = "mm", header: bytes = b"") -> Path:

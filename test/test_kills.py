@@ -95,6 +95,11 @@ def test_a_killed_recorder_goes_on_in_a_second_trial(tmp_path: Path) -> None:
         newest = live.newest()
         kill(live, "recorder_node")
         live.probe.wait((tmp_path / "trial_2").exists, "the second trial")
+        # A new recorder is found by the others some seconds after it began its trial.
+        live.probe.wait(
+            lambda: sum(f.stat().st_size for f in (tmp_path / "trial_2").glob("*.mcap")) > 100_000,
+            "data in the second trial",
+        )
         live.wait_for_triggers(60)
     first, second = Recorded(path), Recorded(tmp_path / "trial_2", path)
     assert any("cut short" in note for note in first.notes)

@@ -112,6 +112,12 @@ def test_a_unit_that_the_file_states_is_taken(cone, tmp_path):
         assert (scan.unit, scan.unit_source) == ("cm", "stated")
 
 
+def test_a_given_unit_goes_before_the_stated_one_and_that_is_noted(cone, path):
+    scan = read_scan(write_stl(cone, path, "mm", b"units: cm"), unit="mm")
+    assert_same_surface(scan.mesh, cone)
+    assert noted(scan, "states the unit cm")
+
+
 @pytest.mark.parametrize(
     ("comment", "unit"),
     [

@@ -7,9 +7,10 @@ from meshes import FULL, open_cone, shell
 from scipy.spatial.transform import Rotation
 
 from socket_testbed.scans.axis import fit_axis
-from socket_testbed.scans.sight import Samples, look
+from socket_testbed.scans.sight import Samples, Sight, look, spread_samples
 from socket_testbed.scans.spine import lay_spine
 from socket_testbed.scans.surface import Surface, sample_surface
+from socket_testbed.scans.wall import inner_wall
 
 UP = np.array([0.0, 0.0, 1.0])
 
@@ -87,3 +88,10 @@ def test_of_nested_tubes_the_first_front_is_seen_and_backs_behind_it_are_hidden(
     np.testing.assert_allclose(
         sight.facing[amid], np.where(np.array(fronts)[which[amid]], 1.0, -1.0), atol=0.01
     )
+
+
+def test_where_nothing_is_seen_there_is_no_wall():
+    surface = surface_of(tube(0.05, True))
+    samples = spread_samples(surface)
+    nothing = np.zeros(len(surface.faces), bool)
+    assert not inner_wall(surface, samples, Sight(nothing + 0.0, nothing, nothing, 0.0)).any()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 import warnings
 from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures.process import BrokenProcessPool
@@ -51,7 +52,11 @@ def spread(function: Callable[[T], R], items: Sequence[T], pool: Pool) -> Result
 def _spread_here(function: Callable[[T], R], items: Sequence[T], wanted: int | None) -> Results[R]:
     from joblib import cpu_count
 
-    backend = {"backend": "loky", "n_jobs": min(wanted or cpu_count(), len(items))}
+    backend = {
+        "backend": "loky",
+        "n_jobs": min(wanted or cpu_count(), len(items)),
+        "initializer": _leave_interrupts_to_the_caller,
+    }
     pending = dict(enumerate(items))
     try:
         with _applied(function, pending, backend) as results:
@@ -89,6 +94,11 @@ def _applied(
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", UserWarning)  # on the work that is given up
             results.close()
+
+
+def _leave_interrupts_to_the_caller() -> None:
+    """In a worker: Ctrl-C reaches the whole group, and the caller ends its workers by itself."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 def _numbered(function: Callable[[T], R], number: int, item: T) -> tuple[int, R]:

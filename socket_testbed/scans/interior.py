@@ -61,7 +61,7 @@ def find_interior(mesh: trimesh.Trimesh, proximal: FloatArray | None = None) -> 
     decided = cavity.has_clear_end
     axis = _aim(cavity, given)
     cavity = cavity.along(axis, open_above=True)
-    surface = cavity.surface
+    surface, seen = cavity.surface, cavity.sight.seen
     kept = inner_wall(surface, cavity.samples, cavity.sight)
 
     vertices, faces = separate(surface.vertices, surface.faces[kept])
@@ -77,7 +77,7 @@ def find_interior(mesh: trimesh.Trimesh, proximal: FloatArray | None = None) -> 
             "give --proximal, the direction to the brim",
         )
     notes = [_note_on_walls(surface, kept), _note_on_openings(lengths)]
-    notes += _notes_on_losses(surface, kept, cavity.sight.seen)
+    notes += _notes_on_losses(surface, kept, seen)
     if given is not None:
         notes += _notes_on_direction(given, axis, decided)
     elif not fit_axis(Surface(vertices, faces)).is_sharp:

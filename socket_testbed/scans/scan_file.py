@@ -24,7 +24,14 @@ from socket_testbed.scans.repair import (
 )
 from socket_testbed.scans.surface import Surface
 from socket_testbed.scans.topology import match_edges, separate
-from socket_testbed.scans.units import METRES, Source, find_unit, refuse_normalised, stated_unit
+from socket_testbed.scans.units import (
+    METRES,
+    Source,
+    check_unit,
+    find_unit,
+    refuse_normalised,
+    stated_unit,
+)
 
 _SMALL_HOLE = 0.020  # [m]; around
 
@@ -61,6 +68,8 @@ def read_scan(path: Path, unit: str | None = None, body: str | None = None) -> S
     Raises:
         ScanError: If the file cannot be read as a surface, or its unit or the body is not clear.
     """
+    if unit is not None:
+        check_unit(unit)
     triangles = read_triangles(path)
     notes: list[str] = []
     surface, labels = _clean(path, triangles, notes)
@@ -72,6 +81,8 @@ def read_scan(path: Path, unit: str | None = None, body: str | None = None) -> S
     size = float(chosen.extents.max())
     found, source = find_unit(f"{path}: body {chosen.name}", size, unit, stated)
     notes.append(f"{source} unit {found}: the body is {size * METRES[found]:.3g} m long")
+    if stated and stated != found:
+        notes.append(f"the file states the unit {stated}, which is passed over")
     vertices, faces = surface.vertices * METRES[found], surface.faces[chosen.faces]
     mesh = _mend(f"{path}: body {chosen.name}", vertices, faces, notes)
     mesh.metadata["file_name"] = str(path)

@@ -11,6 +11,7 @@ from socket_testbed.scans.axis import Axis
 from socket_testbed.scans.surface import Surface, lengths
 
 _LONGEST_ROUND = 0.45  # [-]; of the length, for the radius of a rounded end
+_NARROW = 0.5  # [-]; of the radius, for what is no wall of the cavity but of a bore
 
 
 @dataclass(frozen=True)
@@ -38,6 +39,9 @@ class Spine:
 def lay_spine(axis: Axis, wall: Surface, open_above: bool = False) -> Spine:
     """Lay the segment so that it ends a radius before the ends of a wall.
 
+    What is much closer to the axis than the wall does not count: a bore in the distal end would
+    draw the segment too far down to see the floor around it.
+
     Args:
         axis: The line.
         wall: The wall, or all of the mesh while the wall is not known.
@@ -46,8 +50,10 @@ def lay_spine(axis: Axis, wall: Surface, open_above: bool = False) -> Spine:
     """
     along = (wall.centres - axis.origin) @ axis.direction
     distance = lengths(wall.centres - axis.origin - along[:, None] * axis.direction)
-    low, high = float(along.min()), float(along.max())
-    radius = min(_weighted_median(distance, wall.areas), _LONGEST_ROUND * (high - low))
+    radius = _weighted_median(distance, wall.areas)
+    wide = along[distance >= _NARROW * radius]
+    low, high = float(wide.min()), float(wide.max())
+    radius = min(radius, _LONGEST_ROUND * (high - low))
     return Spine(axis, low + radius, np.inf if open_above else high - radius, radius)
 
 

@@ -42,6 +42,16 @@ def stated_unit(comment: str) -> str | None:
     return _WORDS.get(word, word)
 
 
+def check_unit(unit: str) -> None:
+    """Refuse a unit that is none.
+
+    Raises:
+        ScanError: If the unit is not one of `METRES`.
+    """
+    if unit not in METRES:
+        raise ScanError(f"the unit '{unit}' is unknown", closest(unit, METRES))
+
+
 def find_unit(name: str, size: float, given: str | None, stated: str | None) -> tuple[str, Source]:
     """The unit of a body's lengths.
 
@@ -52,11 +62,9 @@ def find_unit(name: str, size: float, given: str | None, stated: str | None) -> 
         stated: The unit that the file states, if any.
 
     Raises:
-        ScanError: If the unit is unknown, if it makes the body no possible size, or if none was
+        ScanError: If the unit makes the body no possible size, or if none was
             given or stated and not exactly one makes it the size of a socket.
     """
-    if given is not None and given not in METRES:
-        raise ScanError(f"the unit '{given}' is unknown", closest(given, METRES))
     known = given or stated
     if known is None:
         return _infer(name, size), "inferred"

@@ -7,14 +7,13 @@ from scipy.spatial import cKDTree
 
 from socket_testbed.arrays import BoolArray, FloatArray, IntArray
 from socket_testbed.scans.sight import Samples, Sight
-from socket_testbed.scans.surface import Surface, dots, lengths
+from socket_testbed.scans.surface import Surface, dots
 from socket_testbed.scans.topology import label_pieces
 
 _FACE_ON = 0.4  # [-]; cosine from which on a seen face needs no other witness
 _OPPOSITE = -0.75  # [-]; cosine between the normals of the two sides of a wall
 _NEAR = 1.5  # [-]; of the thickness: here the outer wall bears witness
 _BAND = 3.0  # [-]; of the thickness: farther from the border nothing is rim
-_THICKEST = 2.5  # [-]; of the thickness
 _POCKET = 0.2  # [-]; of the seen area, for a piece in the shadow of the wall itself
 _REAL_OUTSIDE = 0.01  # [-]; of the seen area, for an outer wall that is worth the name
 _PROBES = 2000  # of the thickness
@@ -28,12 +27,14 @@ def inner_wall(surface: Surface, samples: Samples, sight: Sight) -> BoolArray:
         samples: Points on all of its faces.
         sight: What the spine sees of it.
     """
+    if not sight.seen.any():
+        return sight.seen
+    face_on = sight.seen & (sight.facing > _FACE_ON)
     seen_area = float(surface.areas @ sight.seen)
-    pockets = _pockets(surface, sight.seen, _POCKET * seen_area)
+    pockets = _pockets(surface, face_on, _POCKET * seen_area)
     outside = sight.hidden & ~pockets
     if surface.areas @ outside < _REAL_OUTSIDE * seen_area:
         return main_piece(surface, np.ones(len(surface.faces), bool))
-    face_on = sight.seen & (sight.facing > _FACE_ON)
     kept = _without_rims(surface, samples, sight.seen, face_on | pockets, outside)
     return _fill(surface, main_piece(surface, kept), outside)
 
@@ -45,11 +46,11 @@ def main_piece(surface: Surface, chosen: BoolArray) -> BoolArray:
     return chosen & (labels == np.argmax(areas))
 
 
-def _pockets(surface: Surface, seen: BoolArray, largest: float) -> BoolArray:
-    """Unseen faces that what is seen surrounds, in pieces up to an area [m^2], shape (F,)."""
-    labels = _pieces(surface, ~seen)
+def _pockets(surface: Surface, face_on: BoolArray, largest: float) -> BoolArray:
+    """Faces that those seen face-on surround, in pieces up to an area [m^2], shape (F,)."""
+    labels = _pieces(surface, ~face_on)
     small = np.bincount(labels, surface.areas) < largest
-    return ~seen & (small & ~_reach_edge(surface, labels))[labels]
+    return ~face_on & (small & ~_reach_edge(surface, labels))[labels]
 
 
 def _fill(surface: Surface, wall: BoolArray, outside: BoolArray) -> BoolArray:
@@ -112,16 +113,11 @@ def _within(reach: float, places: FloatArray, points: FloatArray) -> BoolArray:
 def _opposite(
     surface: Surface, samples: Samples, faces: IntArray, back: IntArray, thickness: float
 ) -> BoolArray:
-    """Whether the outer wall lies behind each of some faces, turned the other way, (M,)."""
-    points, normals = samples.points[back], surface.normals[samples.owners[back]]
-    centres, own = surface.centres[faces], surface.normals[faces]
+    """Whether the part of the outer wall that suits a face best is turned the other way, (M,)."""
+    normals = surface.normals[samples.owners[back]]
     turn = 2.0 * thickness  # a normal that is off counts as much as this distance
-    _, partner = cKDTree(np.hstack([points, turn * normals])).query(
-        np.hstack([centres - thickness * own, -turn * own])
+    own = surface.normals[faces]
+    _, partner = cKDTree(np.hstack([samples.points[back], turn * normals])).query(
+        np.hstack([surface.centres[faces], -turn * own])
     )
-    way = points[partner] - centres
-    return (
-        (dots(normals[partner], own) < _OPPOSITE)
-        & (dots(way, own) < 0.0)
-        & (lengths(way) < _THICKEST * thickness)
-    )
+    return dots(normals[partner], own) < _OPPOSITE
