@@ -29,10 +29,10 @@ from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.task import Future
 
 from socket_testbed.__main__ import run as verb
-from socket_testbed.bringup import Simulation, end, simulated_testbed, start
+from socket_testbed.clocks import BEGINNING, SteadyClock
+from socket_testbed.live.bringup import Simulation, end, simulated_testbed, start
+from socket_testbed.live.processes import Graph
 from socket_testbed.nodes.runtime import message_type, subscriber_qos
-from socket_testbed.processes import Graph
-from socket_testbed.steady_clock import BEGINNING, SteadyClock
 from socket_testbed.trials.bag import BagReader
 from socket_testbed.trials.synchronise import read_samples
 from socket_testbed.trials.topics import ESTIMATED_WRENCH, REQUIRED, TRIGGER, match_topics

@@ -21,7 +21,7 @@ from machine import describe_machine
 from measure import Measurement, Task, measure_apart
 from methods import METHODS
 
-from socket_testbed.settings import IdentificationSettings
+from socket_testbed.settings.identification import IdentificationSettings
 
 # The default, with which hardly a stiffness of a hold is at its bound, and one so weak that a
 # third and more are: a solver has to find them.

@@ -19,7 +19,7 @@ from pathlib import Path
 
 import numpy as np
 
-from socket_testbed.calibration import read_calibration
+from socket_testbed.calibration.model import read_calibration
 from socket_testbed.files import packaged
 from socket_testbed.geometry.pose import Pose
 from socket_testbed.geometry.socket import read_socket

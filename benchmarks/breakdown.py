@@ -7,13 +7,13 @@ from collections.abc import Callable
 import numpy as np
 from problems import StageTwoInput
 
-from socket_testbed.contact import gated_displacement
 from socket_testbed.identification.box_qp import solve_box_qp
+from socket_testbed.identification.contact import gated_displacement
 from socket_testbed.identification.fit import fit_contact_model
-from socket_testbed.identification.gate_moments import gate_moments
-from socket_testbed.identification.objective import build_objective
-from socket_testbed.identification.stages import (
+from socket_testbed.identification.moments import gate_moments
+from socket_testbed.identification.problem import (
     KILONEWTON_PER_METRE,
+    build_objective,
     build_stage_one,
     build_stage_two,
     recover_offsets,

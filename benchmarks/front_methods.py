@@ -14,18 +14,18 @@ from methods import prepare_cvxpy_plain, prepare_cvxpy_scaled
 from problems import Motion, StageTwoInput, make_problem
 
 from socket_testbed.arrays import FloatArray
-from socket_testbed.contact import VARIANTS
 from socket_testbed.identification.box_qp import BoxQP, solve_box_qp
 from socket_testbed.identification.fit import fit_contact_model
 from socket_testbed.identification.pareto import pareto_front
-from socket_testbed.identification.shared_moments import SharedMoments
-from socket_testbed.identification.stages import (
+from socket_testbed.identification.problem import (
     KILONEWTON_PER_METRE,
     MILLIMETRE,
+    SharedMoments,
     assemble_stage_two,
     build_stage_one,
     stage_one_reference,
 )
+from socket_testbed.settings.identification import VARIANTS
 
 _MOST_RUNS = 15
 

@@ -18,7 +18,7 @@ from methods import METHODS
 from problems import Motion, StageTwoInput, make_problem
 from stacked import Solution, objective_value, stacked_shape
 
-from socket_testbed.identification.gate_series import chebyshev_degree
+from socket_testbed.identification.moments import chebyshev_degree
 
 _MOST_RUNS = 25
 

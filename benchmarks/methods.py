@@ -14,9 +14,9 @@ from scipy.optimize import lsq_linear
 from stacked import Solution, bounds, stack_dense, stack_sparse, to_solution
 
 from socket_testbed.arrays import FloatArray
-from socket_testbed.contact import gated_displacement
 from socket_testbed.identification.box_qp import solve_box_qp
-from socket_testbed.identification.stages import (
+from socket_testbed.identification.contact import gated_displacement
+from socket_testbed.identification.problem import (
     KILONEWTON_PER_METRE,
     build_stage_two,
     recover_offsets,

@@ -9,18 +9,19 @@ from typing import Literal, get_args
 import numpy as np
 
 from socket_testbed.arrays import FloatArray, IntArray
-from socket_testbed.contact import ContactModel
 from socket_testbed.geometry.pose import Pose
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification.box_qp import solve_box_qp
-from socket_testbed.identification.objective import Objective, build_objective
-from socket_testbed.identification.stages import (
+from socket_testbed.identification.contact import ContactModel
+from socket_testbed.identification.problem import (
     MILLIMETRE,
+    Objective,
+    build_objective,
     build_stage_one,
     stage_one_reference,
 )
 from socket_testbed.samples import Samples
-from socket_testbed.settings import IdentificationSettings
+from socket_testbed.settings.identification import IdentificationSettings
 
 Motion = Literal["hold", "multi"]
 MOTIONS: tuple[Motion, ...] = get_args(Motion)

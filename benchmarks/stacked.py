@@ -15,7 +15,7 @@ from problems import StageTwoInput
 from scipy import sparse
 
 from socket_testbed.arrays import FloatArray, IntArray
-from socket_testbed.contact import gated_displacement, wrench_map
+from socket_testbed.identification.contact import gated_displacement, wrench_map
 
 _BLOCK = 512  # rows at a time where the objective is evaluated
 

@@ -10,7 +10,7 @@ from launch_ros.actions import Node
 from launch_ros.substitutions import FindPackageShare
 
 from launch import LaunchDescription
-from socket_testbed.steady_clock import BEGINNING, SteadyClock
+from socket_testbed.clocks import BEGINNING, SteadyClock
 
 SENSING = ["cluster_node", "load_cell_node", "mocap_node", "calibration_node", "estimator_node"]
 

@@ -1,12 +1,20 @@
-"""Files that come with the package, and outputs that are whole or not there."""
+"""Files: YAML documents read key by key, files of the package, atomic outputs."""
 
 from __future__ import annotations
 
+import difflib
+import math
+import re
 import shutil
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
+import numpy as np
+import yaml
+
+from socket_testbed.arrays import FloatArray
 from socket_testbed.errors import ConfigurationError
 
 
@@ -70,3 +78,176 @@ def whole_output(path: Path) -> Iterator[Path]:
         ) from None
     finally:
         shutil.rmtree(staging, ignore_errors=True)
+
+
+_FLOAT = re.compile(r"[-+]?(\.\d+|\d+(\.\d*)?)[eE][-+]?\d+$")
+
+
+class _Loader(getattr(yaml, "CSafeLoader", yaml.SafeLoader)):  # type: ignore[misc]
+    """YAML as ROS reads it: 1e-3 is a number; and a key that stands twice is an error."""
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
+        """A mapping, with every key once."""
+        seen: set[str] = set()
+        for key, _ in node.value:
+            if key.value in seen:
+                raise yaml.constructor.ConstructorError(
+                    None, None, f"the key '{key.value}' stands twice", key.start_mark
+                )
+            seen.add(key.value)
+        mapping: dict[Any, Any] = super().construct_mapping(node, deep)
+        return mapping
+
+
+_Loader.add_implicit_resolver("tag:yaml.org,2002:float", _FLOAT, list("-+.0123456789"))
+
+
+def closest(word: str, known: Collection[str]) -> str:
+    """A mend for an unknown word: the likely one, or the list of the known ones."""
+    match = difflib.get_close_matches(word, list(known), n=1)
+    if match:
+        return f"did you mean '{match[0]}'?"
+    return "use one of " + (", ".join(sorted(known)) or "(none)")
+
+
+class Section:
+    """A mapping of a document whose fields are taken one by one.
+
+    Args:
+        data: The mapping.
+        where: What names it in an error: the file and the field.
+
+    Raises:
+        ConfigurationError: If the data is no mapping, or, from any method, if a field is
+            missing, unknown, or has a wrong type, shape or range.
+    """
+
+    def __init__(self, data: Any, where: str) -> None:
+        if not isinstance(data, dict):
+            raise ConfigurationError(
+                f"{where}: a mapping is expected, not {_kind(data)}", "write 'key: value' lines"
+            )
+        self.where = where
+        self._data = {str(key): value for key, value in data.items()}
+
+    def expect(self, known: Collection[str]) -> Section:
+        """Refuse every key that is not known."""
+        for key in self._data:
+            if key not in known:
+                raise ConfigurationError(f"{self.where}: unknown key '{key}'", closest(key, known))
+        return self
+
+    def names(self) -> tuple[str, ...]:
+        """The keys, in the order of the document."""
+        return tuple(self._data)
+
+    def take(self, key: str) -> Any:
+        """The raw value of a required key."""
+        if key not in self._data:
+            raise ConfigurationError(f"{self.where}: '{key}' is missing", f"add '{key}: ...'")
+        return self._data[key]
+
+    def section(self, key: str) -> Section:
+        """A mapping below this one."""
+        return Section(self.take(key), f"{self.where}: {key}")
+
+    def sections(self, key: str) -> Iterator[tuple[str, Section]]:
+        """The mappings below a mapping of this one, with their names."""
+        parent = self.section(key)
+        for name in parent.names():
+            yield name, parent.section(name)
+
+    def text(self, key: str) -> str:
+        """A string."""
+        value = self.take(key)
+        if not isinstance(value, str | int | float) or isinstance(value, bool):
+            raise self._wrong(key, value, "a text")
+        return str(value)
+
+    def number(self, key: str, low: float = -math.inf, high: float = math.inf) -> float:
+        """A finite number within [low, high]."""
+        return check_number(self.take(key), f"{self.where}: {key}", low, high)
+
+    def array(
+        self,
+        key: str,
+        shape: tuple[int, ...],
+        finite: bool = True,
+        limit: float = math.inf,
+    ) -> FloatArray:
+        """An array of numbers of a given shape; null is NaN, where that is allowed."""
+        value = self.take(key)
+        try:
+            array = np.array(value, dtype=float)
+        except (TypeError, ValueError):
+            raise self._wrong(key, value, f"numbers of shape {_shape(shape)}") from None
+        if array.shape != shape:
+            raise ConfigurationError(
+                f"{self.where}: {key} has the shape {_shape(array.shape)}",
+                f"give numbers of shape {_shape(shape)}",
+            )
+        if finite and not np.isfinite(array).all():
+            raise ConfigurationError(
+                f"{self.where}: {key} holds a value that is not finite", "give finite numbers"
+            )
+        if np.abs(array).max(initial=0.0) > limit:
+            raise ConfigurationError(
+                f"{self.where}: {key} holds {np.abs(array).max():g}, more than {limit:g}",
+                "check the value and its unit",
+            )
+        return array
+
+    def _wrong(self, key: str, value: Any, want: str) -> ConfigurationError:
+        return ConfigurationError(f"{self.where}: {key} is {_kind(value)}", f"give {want} instead")
+
+
+def check_number(value: Any, where: str, low: float = -math.inf, high: float = math.inf) -> float:
+    """A finite number within [low, high]; whole numbers count as numbers.
+
+    Raises:
+        ConfigurationError: Otherwise, naming `where`.
+    """
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise ConfigurationError(f"{where} is {_kind(value)}", "give a number instead")
+    if not math.isfinite(value):
+        raise ConfigurationError(f"{where} is {value}", "give a finite number")
+    if not low <= value <= high:
+        raise ConfigurationError(
+            f"{where} is {value:g}, outside [{low:g}, {high:g}]", "check the value and its unit"
+        )
+    return float(value)
+
+
+def read_document(path: Path) -> Section:
+    """Read a YAML file as a mapping.
+
+    Raises:
+        ConfigurationError: If the file is missing, unreadable, not YAML or no mapping.
+    """
+    try:
+        with path.open(encoding="utf-8") as stream:
+            data = yaml.load(stream, Loader=_Loader)
+            return Section({} if data is None else data, str(path))
+    except FileNotFoundError:
+        raise ConfigurationError(f"{path}: no such file", "check the path") from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigurationError(f"{path}: cannot be read ({error})", "check the file") from None
+    except yaml.YAMLError as error:
+        mark = getattr(error, "problem_mark", None)
+        line = f" at line {mark.line + 1}" if mark else ""
+        problem = getattr(error, "problem", None) or "not YAML"
+        raise ConfigurationError(f"{path}: {problem}{line}", "mend the YAML there") from None
+
+
+def _kind(value: Any) -> str:
+    if value is None:
+        return "empty"
+    if isinstance(value, dict):
+        return "a mapping"
+    if isinstance(value, list):
+        return "a list"
+    return f"'{value}'"
+
+
+def _shape(shape: tuple[int, ...]) -> str:
+    return "x".join(str(size) for size in shape) or "one number"

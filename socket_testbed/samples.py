@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from enum import IntEnum
 
 import numpy as np
 
@@ -10,6 +11,15 @@ from socket_testbed.arrays import BoolArray, FloatArray, IntArray, StatusArray
 
 WRENCH_CHANNELS = ("Mx", "My", "Mz", "Fx", "Fy", "Fz")
 LOCAL_CHANNELS = ("Fx", "Fy", "Fz")
+
+
+class Status(IntEnum):
+    """Status of a cluster's stress; the first three are also those of a channel."""
+
+    OK = 0
+    SATURATED = 1
+    MISSING = 2
+    OUT_OF_RANGE = 3
 
 
 def channel_names(clusters: tuple[str, ...]) -> tuple[str, ...]:
@@ -30,7 +40,7 @@ class Samples:
         clusters: Names of the c clusters.
         local_forces: Measured force on each cluster in the cluster's frame, shape
             (N, c, 3) [N].
-        status: Status of each cluster (`socket_testbed.calibration.Status`), shape (N, c).
+        status: Status of each cluster (`Status`), shape (N, c).
     """
 
     stamps: IntArray

@@ -10,6 +10,8 @@ os.environ["ROS_DOMAIN_ID"] = str(1 + os.getpid() % 100)
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
+from support import SHARED_DATA
+
 from socket_testbed.__main__ import run
 
 
@@ -32,7 +34,6 @@ def hold_model(hold: Path) -> Path:
 @pytest.fixture(scope="session")
 def shared_data() -> Iterator[Path]:
     """Real data that nobody here wrote, where it lies beside the checkout."""
-    path = Path(__file__).resolve().parents[2] / "shared" / "data"
-    if not path.is_dir():
+    if not SHARED_DATA.is_dir():
         pytest.skip("no shared data beside the checkout")
-    yield path
+    yield SHARED_DATA

@@ -11,7 +11,7 @@ from typing import ClassVar
 
 import pytest
 
-from socket_testbed.settings import NODE_SETTINGS
+from socket_testbed.settings.testbed import NODE_SETTINGS
 
 ROOT = Path(__file__).resolve().parents[1]
 BIN = Path(sys.executable).parent

@@ -11,22 +11,22 @@ from pathlib import Path
 import numpy as np
 
 from socket_testbed.arrays import BoolArray, FloatArray
-from socket_testbed.bringup import Simulation, end, simulated_testbed, start, summary
 from socket_testbed.commands.replay import replay_with_estimator
 from socket_testbed.commands.text import Progress, number, table
-from socket_testbed.contact import VARIANTS
 from socket_testbed.errors import ConfigurationError, TrialError
-from socket_testbed.evaluation import channel_errors, channel_unit
 from socket_testbed.geometry.socket import SocketGeometry
-from socket_testbed.processes import Graph
+from socket_testbed.identification.evaluation import channel_errors, channel_unit
+from socket_testbed.live.bringup import Simulation, end, simulated_testbed, start, summary
+from socket_testbed.live.processes import Graph
+from socket_testbed.report.figures.channels import wrench_figure
 from socket_testbed.samples import LOCAL_CHANNELS, WRENCH_CHANNELS, Samples
-from socket_testbed.settings import EstimatorSettings, ReplaySettings
+from socket_testbed.settings.identification import VARIANTS
+from socket_testbed.settings.testbed import EstimatorSettings, ReplaySettings
 from socket_testbed.simulation.testbed import GroundTruth
 from socket_testbed.simulation.trial import TRUTH_FILE, read_truth
 from socket_testbed.trials.segment import select_segment
 from socket_testbed.trials.synchronise import read_samples
 from socket_testbed.trials.trial import Trial
-from socket_testbed.view.wrench_figure import wrench_figure
 
 _DURATION = 45.0  # [s]; of the trial
 _TRIGGER_RATE = 10.0  # [Hz]

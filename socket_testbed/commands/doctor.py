@@ -8,18 +8,22 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass
 
-from socket_testbed.bringup import Testbed, simulate_hardware
-from socket_testbed.commands.simulated import add_simulation, simulation_of
-from socket_testbed.commands.testbed import add_testbed, testbed_of
+from socket_testbed.commands.hardware_options import (
+    add_simulation,
+    add_testbed,
+    simulation_of,
+    testbed_of,
+)
 from socket_testbed.commands.text import table
 from socket_testbed.drivers.clusters.reader import ClusterReader
-from socket_testbed.drivers.load_cell.cell import LoadCell
+from socket_testbed.drivers.load_cell.load_cell import LoadCell
 from socket_testbed.drivers.natnet.client import NatNetClient
 from socket_testbed.drivers.natnet.tracker import BodyTracker
 from socket_testbed.errors import DeviceError, TestbedError
 from socket_testbed.geometry.socket import read_socket
-from socket_testbed.hardware import i2c_opener, make_trigger, spi_opener
-from socket_testbed.processes import Graph
+from socket_testbed.live.bringup import Testbed, simulate_hardware
+from socket_testbed.live.hardware import i2c_opener, make_trigger, spi_opener
+from socket_testbed.live.processes import Graph
 
 _FRAMES = 1000
 _PULSES = 5

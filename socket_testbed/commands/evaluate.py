@@ -10,11 +10,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from socket_testbed.batch.find import find_trials
-from socket_testbed.batch.job import Job, Row, Task, plan_jobs
-from socket_testbed.batch.run import run_batch
-from socket_testbed.batch.summary import error_columns, segment_columns
-from socket_testbed.commands.errors_table import errors_table
+from socket_testbed.batch.jobs import Job, Row, Task, find_trials, plan_jobs
+from socket_testbed.batch.run import error_columns, run_batch, segment_columns
 from socket_testbed.commands.options import (
     absolute_paths,
     add_segment,
@@ -25,15 +22,15 @@ from socket_testbed.commands.options import (
     trial_of,
     warn,
 )
+from socket_testbed.commands.text import errors_table
 from socket_testbed.errors import ConfigurationError, TrialError
-from socket_testbed.evaluation import ChannelErrors, evaluate
 from socket_testbed.files import whole_output
-from socket_testbed.identification.implausible import implausible_notes
+from socket_testbed.identification.evaluation import ChannelErrors, evaluate
+from socket_testbed.identification.fit import implausible_notes
 from socket_testbed.identification.model_file import StoredModel, errors_document, read_model
 from socket_testbed.trials.segment import Segment, select_segment
-from socket_testbed.trials.synchronise import read_samples
+from socket_testbed.trials.synchronise import parse_unloaded, read_samples
 from socket_testbed.trials.trial import Trial
-from socket_testbed.trials.unloaded import parse_unloaded
 
 
 @dataclasses.dataclass(frozen=True)

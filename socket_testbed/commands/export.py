@@ -7,11 +7,9 @@ from pathlib import Path
 
 from socket_testbed.commands.evaluate import model_for
 from socket_testbed.commands.options import add_segment, add_trial, add_unloaded, trial_of
-from socket_testbed.trials.export import sample_columns
-from socket_testbed.trials.measurements import read_measurements
 from socket_testbed.trials.segment import select_segment
-from socket_testbed.trials.synchronise import make_samples
-from socket_testbed.trials.table_file import check_format, write_table
+from socket_testbed.trials.synchronise import make_samples, read_measurements
+from socket_testbed.trials.tables import check_format, sample_columns, write_table
 
 
 def configure(parser: argparse.ArgumentParser) -> None:

@@ -9,11 +9,8 @@ from pathlib import Path
 
 from threadpoolctl import threadpool_limits
 
-from socket_testbed.batch.find import find_trials
-from socket_testbed.batch.job import Job, Row, Task, plan_jobs
-from socket_testbed.batch.run import run_batch
-from socket_testbed.batch.summary import certificate_columns, error_columns, segment_columns
-from socket_testbed.commands.errors_table import errors_table
+from socket_testbed.batch.jobs import Job, Row, Task, find_trials, plan_jobs
+from socket_testbed.batch.run import certificate_columns, error_columns, run_batch, segment_columns
 from socket_testbed.commands.options import (
     absolute_paths,
     add_identification,
@@ -26,15 +23,14 @@ from socket_testbed.commands.options import (
     trial_of,
     warn,
 )
-from socket_testbed.identification.fit import Fit, fit_contact_model
-from socket_testbed.identification.implausible import implausible_notes
+from socket_testbed.commands.text import errors_table
+from socket_testbed.identification.fit import Fit, fit_contact_model, implausible_notes
 from socket_testbed.identification.model_file import write_model
 from socket_testbed.samples import Samples
-from socket_testbed.settings import EstimatorSettings
+from socket_testbed.settings.testbed import EstimatorSettings
 from socket_testbed.trials.segment import Segment, select_segment
-from socket_testbed.trials.synchronise import read_samples
+from socket_testbed.trials.synchronise import parse_unloaded, read_samples
 from socket_testbed.trials.trial import Trial
-from socket_testbed.trials.unloaded import parse_unloaded
 
 _SETTINGS = ("segment", "unloaded", "variant", "theta", "smoothness", "leave_out", "solver")
 

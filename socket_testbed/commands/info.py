@@ -7,10 +7,9 @@ import dataclasses
 
 import numpy as np
 
-from socket_testbed.calibration import Status
 from socket_testbed.commands.options import add_trial, trial_of
 from socket_testbed.commands.text import number, table
-from socket_testbed.samples import Samples
+from socket_testbed.samples import Samples, Status
 from socket_testbed.trials.segment import find_plateaus
 from socket_testbed.trials.synchronise import read_samples
 from socket_testbed.trials.trial import CONFIGURATION_FILES, Trial

@@ -9,11 +9,11 @@ from functools import cache
 from pathlib import Path
 
 from socket_testbed.batch.pool import Pool
-from socket_testbed.contact import VARIANTS
-from socket_testbed.documents import check_number
-from socket_testbed.settings import EstimatorSettings, read_parameters
+from socket_testbed.files import check_number
+from socket_testbed.settings.identification import VARIANTS
+from socket_testbed.settings.testbed import EstimatorSettings, read_parameters
+from socket_testbed.trials.synchronise import parse_unloaded
 from socket_testbed.trials.trial import Trial
-from socket_testbed.trials.unloaded import parse_unloaded
 
 
 def add_trial(parser: argparse.ArgumentParser, what: str = "folder of the trial") -> None:

@@ -18,10 +18,16 @@ from socket_testbed.commands.options import (
     trial_of,
 )
 from socket_testbed.commands.text import Progress, number, table
-from socket_testbed.documents import check_number
 from socket_testbed.errors import ConfigurationError
-from socket_testbed.identification.front import KNEE, SENSOR_ONLY, WRENCH_ONLY, Front
-from socket_testbed.identification.front_file import front_document, write_fronts
+from socket_testbed.files import check_number
+from socket_testbed.identification.front import (
+    KNEE,
+    SENSOR_ONLY,
+    WRENCH_ONLY,
+    Front,
+    front_document,
+    write_fronts,
+)
 from socket_testbed.identification.pareto import pareto_front
 from socket_testbed.trials.segment import select_segment
 from socket_testbed.trials.synchronise import read_samples
@@ -91,7 +97,7 @@ def _write(options: argparse.Namespace, title: str, fronts: Sequence[Front]) -> 
         write_fronts(fronts, options.output)
     if options.figure is not None:
         # matplotlib takes its time to import.
-        from socket_testbed.view.pareto_figure import pareto_figure
+        from socket_testbed.report.figures.pareto import pareto_figure
 
         pareto_figure(fronts, f"{title}: trade-off between wrench and clusters", options.figure)
 

@@ -6,11 +6,11 @@ import argparse
 import sys
 from pathlib import Path
 
-from socket_testbed.calibration import read_calibration
+from socket_testbed.calibration.model import read_calibration
 from socket_testbed.files import refuse_existing
 from socket_testbed.geometry.socket import read_socket
-from socket_testbed.processes import Graph
-from socket_testbed.settings import RecorderSettings, read_parameters
+from socket_testbed.live.processes import Graph
+from socket_testbed.settings.testbed import RecorderSettings, read_parameters
 
 
 def configure(parser: argparse.ArgumentParser) -> None:

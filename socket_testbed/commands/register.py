@@ -16,9 +16,8 @@ from socket_testbed.geometry.socket import (
     read_socket,
     write_socket,
 )
-from socket_testbed.registration import landmark_file
-from socket_testbed.registration.landmark_file import read_landmarks
-from socket_testbed.registration.static_take import (
+from socket_testbed.socket_design.landmarks import LANDMARK_FILE_HELP, read_landmarks
+from socket_testbed.socket_design.registration import (
     MOST_RESIDUAL,
     RegisteredBody,
     Registration,
@@ -32,7 +31,7 @@ _MM = 1e3
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of the verb."""
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
-    parser.epilog = landmark_file.__doc__
+    parser.epilog = LANDMARK_FILE_HELP
     parser.add_argument(
         "take", type=Path, metavar="TAKE.csv", help="static take, exported from Motive"
     )

@@ -13,12 +13,16 @@ from socket_testbed.commands.options import (
     estimator_settings,
     trial_of,
 )
-from socket_testbed.documents import check_number
 from socket_testbed.errors import ConfigurationError
+from socket_testbed.files import check_number
 from socket_testbed.identification.fit import check_names
 from socket_testbed.identification.model_file import read_model
-from socket_testbed.processes import Graph
-from socket_testbed.settings import CalibrationNodeSettings, EstimatorSettings, ReplaySettings
+from socket_testbed.live.processes import Graph
+from socket_testbed.settings.testbed import (
+    CalibrationNodeSettings,
+    EstimatorSettings,
+    ReplaySettings,
+)
 from socket_testbed.trials.synchronise import check_trial
 from socket_testbed.trials.trial import (
     Trial,

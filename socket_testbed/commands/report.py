@@ -16,10 +16,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from socket_testbed.batch.find import find_trials
-from socket_testbed.batch.job import Job, Row, Task, plan_jobs
-from socket_testbed.batch.run import run_batch
-from socket_testbed.batch.summary import error_columns, segment_columns
+from socket_testbed.batch.jobs import Job, Row, Task, find_trials, plan_jobs
+from socket_testbed.batch.run import error_columns, run_batch, segment_columns
 from socket_testbed.commands.options import (
     absolute_paths,
     add_identification,
@@ -33,12 +31,12 @@ from socket_testbed.commands.options import (
     warn,
 )
 from socket_testbed.commands.text import Progress
-from socket_testbed.documents import check_number
-from socket_testbed.identification.implausible import implausible_notes
+from socket_testbed.files import check_number
+from socket_testbed.identification.fit import implausible_notes
 from socket_testbed.identification.model_file import read_model
-from socket_testbed.settings import EstimatorSettings
+from socket_testbed.settings.testbed import EstimatorSettings
+from socket_testbed.trials.synchronise import parse_unloaded
 from socket_testbed.trials.trial import Trial
-from socket_testbed.trials.unloaded import parse_unloaded
 
 if TYPE_CHECKING:  # it imports matplotlib, which takes its time
     from socket_testbed.report.results import Results

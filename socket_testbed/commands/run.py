@@ -8,16 +8,19 @@ import sys
 import time
 from pathlib import Path
 
-from socket_testbed.bringup import Simulation, Testbed, end, start, summary
+from socket_testbed.commands.hardware_options import (
+    add_simulation,
+    add_testbed,
+    simulation_of,
+    testbed_of,
+)
 from socket_testbed.commands.options import add_model_choice, choose_model
-from socket_testbed.commands.simulated import add_simulation, simulation_of
-from socket_testbed.commands.testbed import add_testbed, testbed_of
-from socket_testbed.documents import check_number
 from socket_testbed.errors import ConfigurationError
-from socket_testbed.files import refuse_existing
+from socket_testbed.files import check_number, refuse_existing
 from socket_testbed.identification.fit import check_names
 from socket_testbed.identification.model_file import read_model
-from socket_testbed.processes import Graph
+from socket_testbed.live.bringup import Simulation, Testbed, end, start, summary
+from socket_testbed.live.processes import Graph
 
 
 def configure(parser: argparse.ArgumentParser) -> None:

@@ -5,12 +5,11 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from socket_testbed.calibration import read_calibration
+from socket_testbed.calibration.model import read_calibration
 from socket_testbed.commands.text import Progress
-from socket_testbed.documents import check_number
-from socket_testbed.files import packaged, refuse_existing
+from socket_testbed.files import check_number, packaged, refuse_existing
 from socket_testbed.geometry.socket import read_socket
-from socket_testbed.simulation.loading import SCENARIOS
+from socket_testbed.simulation.limb import SCENARIOS
 from socket_testbed.simulation.testbed import simulate
 from socket_testbed.simulation.trial import TRUTH_FILE, write_simulated_trial
 

@@ -7,6 +7,8 @@ import sys
 import time
 from collections.abc import Sequence
 
+from socket_testbed.identification.evaluation import ChannelErrors, summarise_errors
+
 _PROGRESS_PERIOD = 0.5  # [s]
 _LOGGED_PERIOD = 10.0  # [s]; where it is not overwritten
 
@@ -58,3 +60,28 @@ class Progress:
             tail = "\n" if end or not terminal else ""
             start = "\r" if terminal else ""
             print(f"{start}{self._what}: {100 * done // total} %", end=tail, file=sys.stderr)
+
+
+def errors_table(errors: Sequence[ChannelErrors]) -> str:
+    """RMSE, MAE, sigma and skill a channel, with the means and the median the paper quotes."""
+    rows = [
+        [
+            error.name,
+            error.unit,
+            number(error.rmse),
+            number(error.mae),
+            number(error.sigma),
+            number(error.skill, 2),
+            "" if error.in_objective else "not in objective",
+        ]
+        for error in errors
+    ]
+    lines = [table(["channel", "unit", "RMSE", "MAE", "sigma", "skill", ""], rows), ""]
+    summary = summarise_errors(errors)
+    lines.append(
+        f"mean moment RMSE {number(summary.moment_rmse)} N m, mean force RMSE"
+        f" {number(summary.force_rmse)} N, median local RMSE {number(summary.local_rmse)} N"
+    )
+    if summary.without_value:
+        lines.append(f"without a value, in none of these: {', '.join(summary.without_value)}")
+    return "\n".join(lines)

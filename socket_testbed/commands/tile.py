@@ -13,11 +13,14 @@ import trimesh
 
 from socket_testbed.arrays import FloatArray
 from socket_testbed.commands.text import Progress
-from socket_testbed.documents import check_number
 from socket_testbed.errors import ConfigurationError
-from socket_testbed.files import packaged
+from socket_testbed.files import check_number, packaged
 from socket_testbed.geometry.socket import SocketGeometry, read_socket, write_socket
-from socket_testbed.registration.placement import (
+from socket_testbed.report.figures.scene import socket_page
+from socket_testbed.report.figures.socket_picture import socket_picture
+from socket_testbed.socket_design.interior import find_interior
+from socket_testbed.socket_design.layout import read_cluster_places, tiled_socket
+from socket_testbed.socket_design.placement import (
     Placement,
     parse_direction,
     parse_point,
@@ -25,14 +28,8 @@ from socket_testbed.registration.placement import (
     place_by_landmarks,
     place_by_points,
 )
-from socket_testbed.scans.interior import find_interior
-from socket_testbed.scans.scan_file import Scan, read_scan
-from socket_testbed.scans.units import METRES
-from socket_testbed.tiling.clusters import read_cluster_places
-from socket_testbed.tiling.socket import tiled_socket
-from socket_testbed.tiling.tiling import Tiling, TilingSettings, tile_interior
-from socket_testbed.view.socket_page import socket_page
-from socket_testbed.view.socket_picture import socket_picture
+from socket_testbed.socket_design.scan_file import METRES, Scan, read_scan
+from socket_testbed.socket_design.tiling import Tiling, TilingSettings, tile_interior
 
 
 def configure(parser: argparse.ArgumentParser) -> None:

@@ -8,8 +8,8 @@ from datetime import timedelta
 from pathlib import Path
 from typing import Any, Protocol
 
-from socket_testbed.acquisition_settings import TriggerSettings
 from socket_testbed.errors import DeviceError
+from socket_testbed.settings.acquisition import TriggerSettings
 
 _CONSUMER = "socket_testbed"
 

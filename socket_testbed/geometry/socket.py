@@ -10,12 +10,10 @@ import numpy as np
 import yaml
 
 from socket_testbed.arrays import FloatArray, IntArray
-from socket_testbed.documents import Section, closest, read_document
 from socket_testbed.errors import ConfigurationError
-from socket_testbed.files import whole_output
-from socket_testbed.geometry.pose import Pose
-from socket_testbed.geometry.pose_document import plain, pose_document, read_pose, read_rotation
-from socket_testbed.geometry.triad import edge_lengths, triad_fault
+from socket_testbed.files import Section, closest, read_document, whole_output
+from socket_testbed.geometry.marker_bodies import edge_lengths, triad_fault
+from socket_testbed.geometry.pose import Pose, plain, pose_document, read_pose, read_rotation
 
 _SAME_PLACE = 1e-4  # [m]
 _LARGEST_SOCKET = 2.0  # [m]; what is farther from the load cell is in another unit

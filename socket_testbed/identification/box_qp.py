@@ -1,5 +1,8 @@
 r"""Quadratic programs with bounds, their solution and its certificate.
 
+numpy has no triangular solve, and scipy's brings a thread pool of its own: where both have
+one, the two stall each other.
+
 .. math:: \min_x \tfrac12 x^T P x + q^T x \quad \text{s.t.} \quad l \le x \le u
 """
 
@@ -14,9 +17,51 @@ import qpsolvers
 from scipy.sparse import csc_matrix
 
 from socket_testbed.arrays import FloatArray, IntArray
-from socket_testbed.documents import closest
 from socket_testbed.errors import ConfigurationError, IdentificationError
-from socket_testbed.identification import cholesky
+from socket_testbed.files import closest
+
+_ROWS = 48  # at a time; fewer cost calls, more cost arithmetic
+
+
+def factorise(matrix: FloatArray) -> FloatArray:
+    """Cholesky factor L of a symmetric matrix, shape (p, p).
+
+    Raises:
+        LinAlgError: Unless the matrix is positive definite.
+    """
+    return np.linalg.cholesky(matrix).astype(np.float64, copy=False)
+
+
+def solve_factored(factor: FloatArray, target: FloatArray) -> FloatArray:
+    """Solve ``L L' x = b`` by substitution.
+
+    Args:
+        factor: Lower triangular L, shape (p, p).
+        target: Right-hand side b, shape (p,).
+    """
+    x = target.copy()
+    blocks = [slice(start, start + _ROWS) for start in range(0, len(x), _ROWS)]
+    for rows in blocks:
+        known = factor[rows, : rows.start] @ x[: rows.start]
+        x[rows] = np.linalg.solve(factor[rows, rows], x[rows] - known)
+    for rows in reversed(blocks):
+        known = x[rows.stop :] @ factor[rows.stop :, rows]
+        x[rows] = np.linalg.solve(factor[rows, rows].T, x[rows] - known)
+    return x
+
+
+def least_pivot(factor: FloatArray) -> float:
+    """Least pivot of a Cholesky factor, shape (p, p); infinite without any."""
+    return float(np.diagonal(factor).min(initial=np.inf) ** 2)
+
+
+def is_definite(matrix: FloatArray, least: float) -> bool:
+    """Whether a symmetric matrix, shape (p, p), is positive definite with pivots above `least`."""
+    try:
+        return least_pivot(factorise(matrix)) > least
+    except np.linalg.LinAlgError:
+        return False
+
 
 # A first-order solver stops early at its defaults (4 to 49 % off in stiffness behind a
 # good-looking objective). Here it has to come near the active set, which is then refined;
@@ -112,7 +157,7 @@ class BoxQP:
     def is_determined_at(self, x: FloatArray) -> bool:
         """Whether the optimum x is the only one: P is definite over what is off its bounds."""
         free = np.flatnonzero((x > self.lower) & (x < self.upper))
-        return cholesky.is_definite(self.P[free][:, free], _FLAT)
+        return is_definite(self.P[free][:, free], _FLAT)
 
     def to_qpsolvers(self, sparse: bool) -> qpsolvers.Problem:
         """The same problem for qpsolvers."""
@@ -203,9 +248,9 @@ def _solve_on_sides(problem: BoxQP, side: IntArray) -> tuple[FloatArray, FloatAr
     x = np.where(side < 0, problem.lower, np.where(side > 0, problem.upper, 0.0))
     free = np.flatnonzero(side == 0)
     rest = problem.q[free] + (problem.P @ x)[free]
-    factor = cholesky.factorise(problem.P[free][:, free])
-    x[free] = -cholesky.solve_factored(factor, rest)
-    return x, problem.P @ x + problem.q, cholesky.least_pivot(factor)
+    factor = factorise(problem.P[free][:, free])
+    x[free] = -solve_factored(factor, rest)
+    return x, problem.P @ x + problem.q, least_pivot(factor)
 
 
 def _wrong_side(problem: BoxQP, side: IntArray, x: FloatArray, gradient: FloatArray) -> IntArray:

@@ -1,27 +1,168 @@
-"""The identification from samples to a fitted model."""
+"""The identification from samples to a fitted model.
+
+The paper leaves channels out whose reconstructed magnitudes lie far above the applied load.
+The rule, over the samples of a segment, with the load L the median magnitude of the measured
+force:
+
+- a local force whose median magnitude exceeds L: one tile would bear more than all that is
+  applied;
+- a local normal force (Fz) that is in tension by more than `TENSION_SHARE` of L and
+  `LEAST_TENSION` in the median: a wall pushes, it does not pull;
+- all three channels of a cluster that is saturated or out of its calibrated range in more
+  than `OUTSIDE_SHARE` of the samples in which it was read;
+- a moment whose median magnitude exceeds L at twice the distance of the farthest tile from
+  the load cell: no force between limb and socket has such a lever.
+
+The first, second and last need a load of `LEAST_LOAD`: without one they say nothing. Nothing
+is left out by itself. The user decides with `--leave-out`.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import cast
 
+import numpy as np
+
 from socket_testbed.arrays import FloatArray
-from socket_testbed.contact import ContactModel, Variant
-from socket_testbed.evaluation import ChannelErrors, evaluate
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification.box_qp import BoxSolution, check_solver, solve_box_qp
-from socket_testbed.identification.objective import Objective, build_objective, check_channels
-from socket_testbed.identification.stages import (
+from socket_testbed.identification.contact import ContactModel
+from socket_testbed.identification.evaluation import ChannelErrors, evaluate
+from socket_testbed.identification.problem import (
     KILONEWTON_PER_METRE,
     MILLIMETRE,
+    Objective,
     StageTwo,
+    build_objective,
     build_stage_one,
     build_stage_two,
+    check_channels,
     recover_offsets,
     stage_one_reference,
 )
-from socket_testbed.samples import Samples, channel_names
-from socket_testbed.settings import IdentificationSettings
+from socket_testbed.samples import LOCAL_CHANNELS, WRENCH_CHANNELS, Samples, Status, channel_names
+from socket_testbed.settings.identification import IdentificationSettings, Variant
+
+LEAST_LOAD = 20.0  # [N]
+LEVER_FACTOR = 2.0  # [-]; of the farthest tile's distance
+TENSION_SHARE = 0.05  # [-]; of the load
+LEAST_TENSION = 10.0  # [N]; 11 kPa on a cluster of 9 cm^2, more than a sensor's usual offset
+OUTSIDE_SHARE = 0.5  # [-]; of the samples
+
+
+@dataclass(frozen=True)
+class Implausible:
+    """A channel that is proposed to be left out of the objective.
+
+    Attributes:
+        channel: Name of the channel, such as Mx or distal.Fz.
+        reason: What is implausible of it, with the numbers.
+    """
+
+    channel: str
+    reason: str
+
+
+def find_implausible(samples: Samples, geometry: SocketGeometry) -> tuple[Implausible, ...]:
+    """Propose channels to leave out of the objective, by the rule of this module.
+
+    Args:
+        samples: Samples of the segment, the reconstructed forces whatever their status.
+        geometry: Geometry of the socket.
+
+    Returns:
+        The proposals in the order of the channels, one a channel and reason.
+    """
+    load = _median(np.linalg.norm(samples.wrench[:, 3:], axis=1))
+    found: list[Implausible] = []
+    if load >= LEAST_LOAD:
+        found += _long_levers(samples, geometry, load)
+        found += _large_forces(samples, load)
+        found += _tension(samples, load)
+    found += _outside(samples)
+    return tuple(sorted(found, key=lambda proposal: samples.channels.index(proposal.channel)))
+
+
+def implausible_notes(
+    samples: Samples, geometry: SocketGeometry, leave_out: tuple[str, ...]
+) -> list[str]:
+    """The proposals as notes, one a channel and reason, whether left out already or not.
+
+    Args:
+        samples: Samples of the segment.
+        geometry: Geometry of the socket.
+        leave_out: Channels that are not in the objective.
+    """
+    notes = []
+    for proposal in find_implausible(samples, geometry):
+        name = proposal.channel
+        advice = "is left out" if name in leave_out else f"consider --leave-out {name}"
+        notes.append(f"{name} looks implausible: {proposal.reason}; {advice}")
+    return notes
+
+
+def _long_levers(samples: Samples, geometry: SocketGeometry, load: float) -> Iterator[Implausible]:
+    reach = float(np.linalg.norm(geometry.anchors, axis=1).max())
+    limit = LEVER_FACTOR * reach * load
+    for i, name in enumerate(WRENCH_CHANNELS[:3]):
+        moment = _median(np.abs(samples.wrench[:, i]))
+        if moment > limit:
+            yield Implausible(
+                name,
+                f"the median magnitude of {moment:.3g} N m would take the load of {load:.3g} N at a"
+                f" lever of {moment / load:.2g} m, where the farthest tile is {reach:.2g} m away",
+            )
+
+
+def _large_forces(samples: Samples, load: float) -> Iterator[Implausible]:
+    for name, force in _local_channels(samples):
+        size = _median(np.abs(force))
+        if size > load:
+            yield Implausible(
+                name,
+                f"the median magnitude of {size:.3g} N on one tile is {size / load:.2g} times the"
+                f" whole load of {load:.3g} N",
+            )
+
+
+def _tension(samples: Samples, load: float) -> Iterator[Implausible]:
+    limit = max(LEAST_TENSION, TENSION_SHARE * load)
+    for name, force in _local_channels(samples):
+        # In a cluster's frame z points inwards, so that compression is along -z.
+        pull = _median(force)
+        if name.endswith(".Fz") and pull > limit:
+            yield Implausible(
+                name,
+                f"the wall would pull at the limb with {pull:.3g} N in the median, more than"
+                f" {limit:.3g} N under a load of {load:.3g} N",
+            )
+
+
+def _outside(samples: Samples) -> Iterator[Implausible]:
+    for column, cluster in enumerate(samples.clusters):
+        status = samples.status[:, column]
+        read = int((status != Status.MISSING).sum())
+        outside = int(((status == Status.SATURATED) | (status == Status.OUT_OF_RANGE)).sum())
+        if outside > OUTSIDE_SHARE * read:
+            for channel in LOCAL_CHANNELS:
+                yield Implausible(
+                    f"{cluster}.{channel}",
+                    f"{outside} of {read} readings are saturated or out of the calibrated range",
+                )
+
+
+def _local_channels(samples: Samples) -> Iterator[tuple[str, FloatArray]]:
+    for column, cluster in enumerate(samples.clusters):
+        for axis, channel in enumerate(LOCAL_CHANNELS):
+            yield f"{cluster}.{channel}", samples.local_forces[:, column, axis]
+
+
+def _median(values: FloatArray) -> float:
+    """Median of the finite values; NaN, which exceeds nothing, if there is none."""
+    finite = values[np.isfinite(values)]
+    return float(np.median(finite)) if len(finite) else float("nan")
 
 
 @dataclass(frozen=True)

@@ -10,14 +10,13 @@ from pathlib import Path
 from typing import Any
 
 from socket_testbed.arrays import FloatArray
-from socket_testbed.contact import VARIANTS, ContactModel
-from socket_testbed.documents import Section, closest
 from socket_testbed.errors import ConfigurationError
-from socket_testbed.evaluation import ChannelErrors
-from socket_testbed.files import whole_output
+from socket_testbed.files import Section, closest, whole_output
 from socket_testbed.geometry.socket import SocketGeometry, socket_from_section
+from socket_testbed.identification.contact import ContactModel
+from socket_testbed.identification.evaluation import ChannelErrors
 from socket_testbed.identification.fit import Fit
-from socket_testbed.settings import IdentificationSettings
+from socket_testbed.settings.identification import VARIANTS, IdentificationSettings
 
 _FORMAT = "socket_testbed model 1"
 _KEYS = ("format", "trial", "segment", "settings", "geometry", "parameters", "quality")

@@ -12,13 +12,14 @@ from rclpy.node import Node
 from rclpy.task import Future
 from socket_testbed_msgs.msg import ClusterCapacitanceArray, ClusterStressArray
 
-from socket_testbed.calibration import Status, read_calibration
+from socket_testbed.calibration.model import read_calibration
 from socket_testbed.files import packaged
 from socket_testbed.nodes.conversions import stamp_from_ros, stress_to_ros
 from socket_testbed.nodes.diagnostics import ERROR, NEWEST_STAMP, OK, WARN, Diagnostics
 from socket_testbed.nodes.parameters import Parameters
 from socket_testbed.nodes.runtime import publisher_qos, run_node, subscriber_qos
-from socket_testbed.settings import CalibrationNodeSettings
+from socket_testbed.samples import Status
+from socket_testbed.settings.testbed import CalibrationNodeSettings
 from socket_testbed.trials.topics import CAPACITANCE, STRESS
 
 

@@ -11,15 +11,14 @@ from rclpy.node import Node
 from rclpy.task import Future
 from socket_testbed_msgs.msg import ClusterCapacitanceArray
 
-from socket_testbed.acquisition_settings import ClusterSettings
 from socket_testbed.drivers.clusters.reader import ClusterReader, ClusterReading
-from socket_testbed.hardware import i2c_opener
+from socket_testbed.live.hardware import i2c_opener
 from socket_testbed.nodes.conversions import capacitance_to_ros
-from socket_testbed.nodes.diagnostics import ERROR, OK, SETTLE, WARN, Diagnostics
+from socket_testbed.nodes.diagnostics import ERROR, OK, SETTLE, WARN, Diagnostics, RecentFault
 from socket_testbed.nodes.parameters import Parameters
-from socket_testbed.nodes.recent_fault import RecentFault
 from socket_testbed.nodes.runtime import publisher_qos, run_node
 from socket_testbed.nodes.trigger_follower import TriggerFollower
+from socket_testbed.settings.acquisition import ClusterSettings
 from socket_testbed.trials.topics import CAPACITANCE
 
 _STUCK = 0.5  # [s]; a reading that takes longer hangs

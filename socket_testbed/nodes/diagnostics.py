@@ -16,6 +16,25 @@ from rclpy.subscription import Subscription
 from socket_testbed.nodes.runtime import publisher_qos
 from socket_testbed.trials.topics import DIAGNOSTICS
 
+_TOLD = 0.5  # [s]
+
+
+class RecentFault:
+    """The last fault that a node's thread saw."""
+
+    def __init__(self) -> None:
+        self._seen = ("", 0.0)  # one value: it is written in one thread and read in another
+
+    def saw(self, text: str) -> None:
+        """A fault was seen now."""
+        self._seen = (text, time.monotonic())
+
+    def text(self, told: float = _TOLD) -> str:
+        """The fault, empty when it was seen longer ago than it is told [s]."""
+        text, when = self._seen
+        return text if time.monotonic() - when < told else ""
+
+
 LEVELS = OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 
 WAITING_FOR = "waiting_for"

@@ -23,17 +23,18 @@ from rclpy.node import Node
 from rclpy.task import Future
 from std_srvs.srv import Trigger as TriggerService
 
-from socket_testbed.contact import ContactModel
 from socket_testbed.errors import ConfigurationError, TestbedError
 from socket_testbed.files import packaged
-from socket_testbed.fit_worker import FitWorker
 from socket_testbed.geometry.pose import Pose
 from socket_testbed.geometry.socket import read_socket
+from socket_testbed.identification.contact import ContactModel
 from socket_testbed.identification.fit import Fit
 from socket_testbed.identification.model_file import read_model
-from socket_testbed.nodes.blocking_service import BlockingService
+from socket_testbed.live.estimator import Sample, SampleWindow, StampSynchroniser
+from socket_testbed.live.fit_worker import FitWorker
 from socket_testbed.nodes.conversions import (
     LOAD_CELL_FRAME,
+    PressureMap,
     fit_to_ros,
     header_to_ros,
     local_forces_to_ros,
@@ -46,10 +47,14 @@ from socket_testbed.nodes.conversions import (
 )
 from socket_testbed.nodes.diagnostics import ERROR, NEWEST_STAMP, OK, WARN, Diagnostics
 from socket_testbed.nodes.parameters import Parameters
-from socket_testbed.nodes.pressure_map import PressureMap
-from socket_testbed.nodes.runtime import message_type, publisher_qos, run_node, subscriber_qos
-from socket_testbed.online import Sample, SampleWindow, StampSynchroniser
-from socket_testbed.settings import EstimatorSettings
+from socket_testbed.nodes.runtime import (
+    BlockingService,
+    message_type,
+    publisher_qos,
+    run_node,
+    subscriber_qos,
+)
+from socket_testbed.settings.testbed import EstimatorSettings
 from socket_testbed.trials.topics import (
     ESTIMATED_WRENCH,
     LOCAL_FORCES,

@@ -14,17 +14,15 @@ from rclpy.node import Node
 from rclpy.task import Future
 from std_srvs.srv import Trigger as TriggerService
 
-from socket_testbed.acquisition_settings import LoadCellSettings
-from socket_testbed.drivers.load_cell.cell import LoadCell
+from socket_testbed.drivers.load_cell.load_cell import LoadCell
 from socket_testbed.errors import TestbedError
-from socket_testbed.hardware import spi_opener
-from socket_testbed.nodes.blocking_service import BlockingService
+from socket_testbed.live.hardware import spi_opener
 from socket_testbed.nodes.conversions import LOAD_CELL_FRAME, header_to_ros, wrench_to_ros
-from socket_testbed.nodes.diagnostics import LEVELS, SETTLE, Diagnostics
+from socket_testbed.nodes.diagnostics import LEVELS, SETTLE, Diagnostics, RecentFault
 from socket_testbed.nodes.parameters import Parameters
-from socket_testbed.nodes.recent_fault import RecentFault
-from socket_testbed.nodes.runtime import publisher_qos, run_node
+from socket_testbed.nodes.runtime import BlockingService, publisher_qos, run_node
 from socket_testbed.nodes.trigger_follower import TriggerFollower
+from socket_testbed.settings.acquisition import LoadCellSettings
 from socket_testbed.trials.topics import WRENCH
 
 _PATIENCE = 0.05  # [s]; for the conversions after a trigger

@@ -15,17 +15,16 @@ from rclpy.task import Future
 from socket_testbed_msgs.msg import RigidBodyMarkersArray
 from std_msgs.msg import String
 
-from socket_testbed.acquisition_settings import MocapSettings
 from socket_testbed.drivers.natnet.client import NatNetClient
 from socket_testbed.drivers.natnet.tracker import BodyTracker, MocapSample
 from socket_testbed.files import packaged
 from socket_testbed.geometry.socket import read_socket
 from socket_testbed.nodes.conversions import header_to_ros, markers_to_ros, pose_to_ros
-from socket_testbed.nodes.diagnostics import LEVELS, SETTLE, Diagnostics
+from socket_testbed.nodes.diagnostics import LEVELS, SETTLE, Diagnostics, RecentFault
 from socket_testbed.nodes.parameters import Parameters
-from socket_testbed.nodes.recent_fault import RecentFault
 from socket_testbed.nodes.runtime import latched_qos, publisher_qos, run_node
 from socket_testbed.nodes.trigger_follower import TriggerFollower
+from socket_testbed.settings.acquisition import MocapSettings
 from socket_testbed.trials.topics import MARKERS, PYLON_POSE, RECORDED_TRIAL, SOCKET_POSE
 
 _WORLD = "world"

@@ -14,8 +14,8 @@ from rcl_interfaces.msg import (
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from socket_testbed.checked import Settings, parameter_values
 from socket_testbed.errors import ConfigurationError
+from socket_testbed.settings.fields import Settings, parameter_values
 
 S = TypeVar("S", bound=Settings)
 

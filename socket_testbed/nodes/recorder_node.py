@@ -25,13 +25,13 @@ from rclpy.task import Future
 from std_msgs.msg import String
 from std_srvs.srv import SetBool
 
+from socket_testbed.clocks import SteadyClock
 from socket_testbed.errors import ConfigurationError
 from socket_testbed.files import refuse_existing
 from socket_testbed.nodes.diagnostics import ERROR, OK, WARN, Diagnostics
 from socket_testbed.nodes.parameters import Parameters
 from socket_testbed.nodes.runtime import latched_qos, message_type, run_node, subscriber_qos
-from socket_testbed.settings import RecorderSettings
-from socket_testbed.steady_clock import SteadyClock
+from socket_testbed.settings.testbed import RecorderSettings
 from socket_testbed.trials.bag import BagWriter
 from socket_testbed.trials.topics import RECORDED_TRIAL, TOPICS
 from socket_testbed.trials.trial import beside_cut_short, store_configuration

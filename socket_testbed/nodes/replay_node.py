@@ -17,15 +17,14 @@ from rosgraph_msgs.msg import Clock
 from std_srvs.srv import SetBool
 
 from socket_testbed.errors import ConfigurationError, TestbedError, TrialError
+from socket_testbed.live.pacing import Pacer
 from socket_testbed.nodes.conversions import stamp_to_ros
 from socket_testbed.nodes.diagnostics import ERROR, OK, WARN, Diagnostics
 from socket_testbed.nodes.followers import Followers
 from socket_testbed.nodes.parameters import Parameters
 from socket_testbed.nodes.runtime import message_type, publisher_qos, run_node
-from socket_testbed.pacing import Pacer
-from socket_testbed.settings import ReplaySettings
-from socket_testbed.trials.bag import BagReader, RawMessage
-from socket_testbed.trials.messages import decode, stamp_of
+from socket_testbed.settings.testbed import ReplaySettings
+from socket_testbed.trials.bag import BagReader, RawMessage, decode, stamp_of
 from socket_testbed.trials.topics import DIAGNOSTICS, TRIGGER, Topic, match_topics
 
 _READY_WITHIN = 15.0  # [s]; for the nodes waited for to find each other

@@ -1,23 +1,25 @@
-"""How every node is run: one executor, clean ends, errors in one line."""
+"""How every node is run: one executor, its services, clean ends, errors in one line."""
 
 from __future__ import annotations
 
 import gc
 import signal
 import sys
+import threading
 from collections.abc import Callable
 from contextlib import suppress
 from importlib import import_module
 from typing import Any, Protocol
 
 import rclpy
-from rclpy.executors import ExternalShutdownException
+from rclpy.executors import ExternalShutdownException, ShutdownException, SingleThreadedExecutor
 from rclpy.experimental.events_executor import EventsExecutor
+from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.task import Future
 
 from socket_testbed.errors import TestbedError
-from socket_testbed.lifeline import follow_starter
+from socket_testbed.live.processes import follow_starter
 from socket_testbed.trials.topics import PUBLISHER_DEPTH, Topic
 
 _SWITCH = 5e-4  # [s]; a thread that is due waits no longer for one that computes
@@ -124,3 +126,46 @@ def _spin(nodes: list[RunnableNode]) -> None:
         # spin() of this executor overflows its wait in Jazzy's release; turns do not.
         while rclpy.ok() and not any(node.finished.done() for node in nodes):
             executor.spin_until_future_complete(nodes[0].finished, timeout_sec=_TURN)
+
+
+class BlockingService:
+    """A service on a node and a thread of its own: the events executor knows no coroutines.
+
+    Args:
+        node: The node that the service belongs to.
+        kind: Type of the service.
+        name: Name of the service, relative to the node's namespace.
+        callback: Called in the service's thread; it may take its time.
+    """
+
+    def __init__(
+        self, node: Node, kind: Any, name: str, callback: Callable[[Any, Any], Any]
+    ) -> None:
+        self._node = Node(
+            f"{node.get_name()}_services",
+            namespace=node.get_namespace(),
+            context=node.context,
+            start_parameter_services=False,
+            use_global_arguments=False,
+        )
+        self._service = self._node.create_service(kind, name, callback)
+        self._executor = SingleThreadedExecutor(context=node.context)
+        self._executor.add_node(self._node)
+        self._thread = threading.Thread(target=self._spin, name=name)
+        self._thread.start()
+
+    def close(self) -> None:
+        """Stop answering."""
+        self._executor.shutdown()
+        self._thread.join()
+        self._node.destroy_node()
+
+    def _spin(self) -> None:
+        try:
+            self._executor.spin()
+        except (ExternalShutdownException, ShutdownException):
+            return
+        except Exception:
+            # ROS may have ended in the middle of a wait.
+            if self._node.context.ok():
+                raise

@@ -10,11 +10,10 @@ from collections.abc import Callable
 from rclpy.node import Node
 from socket_testbed_msgs.msg import Trigger
 
+from socket_testbed.clocks import SteadyClock, TriggerTime
 from socket_testbed.nodes.conversions import stamp_from_ros
 from socket_testbed.nodes.runtime import subscriber_qos
-from socket_testbed.steady_clock import SteadyClock
 from socket_testbed.trials.topics import TRIGGER
-from socket_testbed.trigger_time import TriggerTime
 
 _IDLE = 0.3  # [s]; without a trigger
 

@@ -18,17 +18,16 @@ from rclpy.task import Future
 from socket_testbed_msgs.msg import Trigger as TriggerMessage
 from std_srvs.srv import SetBool
 
-from socket_testbed.acquisition_settings import TriggerSettings
+from socket_testbed.clocks import SteadyClock
 from socket_testbed.drivers.trigger import Trigger
 from socket_testbed.errors import DeviceError
-from socket_testbed.hardware import make_trigger, wall_clock
+from socket_testbed.live.hardware import make_trigger, wall_clock
 from socket_testbed.nodes.conversions import header_to_ros, stamp_from_ros
-from socket_testbed.nodes.diagnostics import ERROR, OK, WARN, Diagnostics
+from socket_testbed.nodes.diagnostics import ERROR, OK, WARN, Diagnostics, RecentFault
 from socket_testbed.nodes.followers import Followers
 from socket_testbed.nodes.parameters import Parameters
-from socket_testbed.nodes.recent_fault import RecentFault
 from socket_testbed.nodes.runtime import publisher_qos, run_node, subscriber_qos
-from socket_testbed.steady_clock import SteadyClock
+from socket_testbed.settings.acquisition import TriggerSettings
 from socket_testbed.trials.topics import TRIGGER
 
 _READY_WITHIN = 15.0  # [s]; for the nodes waited for

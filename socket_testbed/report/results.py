@@ -1,4 +1,13 @@
-"""All that a report tells of a trial, computed once."""
+r"""All that a report tells of a trial, computed once, with the quality of its data.
+
+The decorrelation time of a series sampled every :math:`\Delta t` is
+
+.. math:: \tau = \Delta t \Bigl(1 + 2 \sum_{k=1}^{M} \rho_k\Bigr)
+
+with rho_k the autocorrelation at lag k, and M the smallest lag that is `_WINDOW` times the
+sum (Sokal, Monte Carlo Methods in Statistical Mechanics, 1997, section 3). The mean of N
+samples is as uncertain as that of N Delta t / tau independent ones.
+"""
 
 from __future__ import annotations
 
@@ -6,27 +15,283 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.fft import irfft, next_fast_len, rfft
 
 from socket_testbed.arrays import BoolArray, FloatArray
-from socket_testbed.contact import VARIANTS, ContactModel, Variant
 from socket_testbed.errors import IdentificationError, TrialError
-from socket_testbed.evaluation import (
+from socket_testbed.identification.contact import ContactModel
+from socket_testbed.identification.evaluation import (
     ChannelErrors,
     evaluate_predictions,
     predict_channels,
     trusted_values,
 )
-from socket_testbed.identification.fit import Fit, fit_contact_model
+from socket_testbed.identification.fit import Fit, Implausible, find_implausible, fit_contact_model
 from socket_testbed.identification.front import Front
-from socket_testbed.identification.implausible import Implausible, find_implausible
 from socket_testbed.identification.model_file import StoredModel
 from socket_testbed.identification.pareto import pareto_front
-from socket_testbed.report.autocorrelation import Autocorrelation, autocorrelation
-from socket_testbed.samples import Samples
-from socket_testbed.settings import EstimatorSettings
+from socket_testbed.samples import LOCAL_CHANNELS, WRENCH_CHANNELS, Samples, Status
+from socket_testbed.settings.identification import VARIANTS, Variant
+from socket_testbed.settings.testbed import EstimatorSettings
 from socket_testbed.trials.segment import Segment, find_plateaus, select_segment
 from socket_testbed.trials.synchronise import read_samples
 from socket_testbed.trials.trial import Trial
+
+_GAP = 1.5  # [-]; of the usual period
+
+
+@dataclass(frozen=True)
+class Gap:
+    """A time without triggers.
+
+    Attributes:
+        start: Of the last trigger before it, since the first sample [s].
+        duration: To the next trigger [s].
+    """
+
+    start: float
+    duration: float
+
+
+def usual_period(time: FloatArray) -> float:
+    """Median time between triggers [s]; NaN for fewer than two."""
+    return float(np.median(np.diff(time))) if len(time) > 1 else float("nan")
+
+
+def find_gaps(time: FloatArray) -> tuple[Gap, ...]:
+    """Times between triggers of more than one and a half usual periods, the longest first.
+
+    Args:
+        time: Times of the triggers, rising, shape (N,) [s].
+    """
+    periods = np.diff(time)
+    if not len(periods):
+        return ()
+    gaps = np.flatnonzero(periods > _GAP * usual_period(time))
+    longest_first = gaps[np.argsort(-periods[gaps], kind="stable")]
+    return tuple(Gap(float(time[i]), float(periods[i])) for i in longest_first)
+
+
+_WINDOW = 5.0  # [-]; of the decorrelation time: Sokal's choice
+_PADDING = 4  # [-]; of the samples: all that the gaps between them may add
+_LEAST_SAMPLES = 8
+_ROUNDING = 1e-24  # [-]; mean square of residuals that are constant, against their size
+
+
+@dataclass(frozen=True)
+class Autocorrelation:
+    """What the residuals of one channel have in common.
+
+    Attributes:
+        samples: Number of residuals.
+        lag_one: Autocorrelation of successive samples [-].
+        decorrelation: Time tau after which a sample counts as a new one [s].
+        effective: Number of independent samples that they are worth [1], at most `samples`.
+    """
+
+    samples: int
+    lag_one: float
+    decorrelation: float
+    effective: float
+
+
+def autocorrelation(time: FloatArray, residual: FloatArray) -> Autocorrelation:
+    """Autocorrelation of the residuals of a channel; NaN where they are too few or constant.
+
+    Args:
+        time: Times, rising, shape (N,) [s].
+        residual: Residuals in any unit, shape (N,); NaN where there is none.
+    """
+    finite = np.isfinite(residual)
+    count = int(finite.sum())
+    unknown = Autocorrelation(count, *([float("nan")] * 3))
+    if count < _LEAST_SAMPLES:
+        return unknown
+    centred = np.where(finite, residual - residual[finite].mean(), 0.0)
+    if (centred @ centred) / count <= _ROUNDING * float(np.abs(residual[finite]).max()) ** 2:
+        return unknown
+    period = usual_period(time)
+    rho = _correlations(_on_grid(time, period, centred), _on_grid(time, period, 1.0 * finite))
+    worth = _integrate(rho)
+    effective = min(count / worth, float(count))
+    return Autocorrelation(count, float(rho[1]), period * worth, effective)
+
+
+def _on_grid(time: FloatArray, period: float, values: FloatArray) -> FloatArray:
+    """Values in places that are a period apart, zero in the gaps; long gaps are shortened."""
+    steps = np.round(np.diff(time) / period)
+    gaps = max(1, int((steps > 1.0).sum()))
+    steps = np.clip(steps, 1.0, 1 + _PADDING * len(time) // gaps)
+    place = np.concatenate([[0], np.cumsum(steps)]).astype(np.int64)
+    grid = np.zeros(place[-1] + 1)
+    grid[place] = values
+    return grid
+
+
+def _correlations(values: FloatArray, present: FloatArray) -> FloatArray:
+    """Autocorrelation at every lag: the mean over the pairs that were measured."""
+    pairs = np.round(_products(present))
+    covariance = _products(values) / np.maximum(pairs, 1.0)
+    return np.where(pairs > 0.0, covariance / covariance[0], 0.0)
+
+
+def _products(values: FloatArray) -> FloatArray:
+    """Sums of the products of values k places apart, for every k."""
+    length = next_fast_len(2 * len(values), real=True)
+    power = np.abs(rfft(values, length)) ** 2
+    return np.asarray(irfft(power, length)[: len(values)])
+
+
+def _integrate(rho: FloatArray) -> float:
+    """The sum of the autocorrelations on both sides, over a window that fits itself."""
+    sums = 1.0 + 2.0 * np.cumsum(rho[1:])
+    lags = np.arange(1, len(rho))
+    within = np.flatnonzero(lags >= _WINDOW * sums)
+    last = int(within[0]) if len(within) else len(sums) - 1
+    # Residuals that alternate would be worth more than they are; they count as independent.
+    return max(float(sums[last]), 1.0)
+
+
+@dataclass(frozen=True)
+class Triggers:
+    """The triggers of a trial.
+
+    Attributes:
+        count: Number of samples, one a trigger.
+        complete: Number of those with a wrench and a limb position.
+        duration: From the first to the last [s].
+        period: Usual time between them [s]; NaN for a single one.
+        gaps: Longer times between them, the longest first.
+    """
+
+    count: int
+    complete: int
+    duration: float
+    period: float
+    gaps: tuple[Gap, ...]
+
+
+@dataclass(frozen=True)
+class DropOuts:
+    """What one measurement lacks.
+
+    Attributes:
+        name: The measurement: a channel, or several that come together.
+        missing: Samples of the trial without it.
+        missing_in_segment: Samples of the segment without it.
+        longest: Longest time without it [s].
+        saturated: Samples in which it was saturated; None where that is not known.
+        out_of_range: Samples in which it was out of its calibrated range; likewise.
+    """
+
+    name: str
+    missing: int
+    missing_in_segment: int
+    longest: float
+    saturated: int | None = None
+    out_of_range: int | None = None
+
+
+@dataclass(frozen=True)
+class Steadiness:
+    """How steady the load is over a part of a trial.
+
+    Attributes:
+        force: Magnitude of the mean force [N].
+        moment: Magnitude of the mean moment [N m].
+        force_sigma: Standard deviation of the magnitude of the force [N].
+        moment_sigma: Standard deviation of the magnitude of the moment [N m].
+    """
+
+    force: float
+    moment: float
+    force_sigma: float
+    moment_sigma: float
+
+
+def describe_triggers(samples: Samples) -> Triggers:
+    """Count the triggers of a trial and find its gaps."""
+    return Triggers(
+        count=len(samples),
+        complete=int(samples.complete.sum()),
+        duration=float(samples.time[-1]),
+        period=usual_period(samples.time),
+        gaps=find_gaps(samples.time),
+    )
+
+
+def unusable(samples: Samples) -> dict[str, BoolArray]:
+    """Samples in which a measurement cannot be used, shape (N,) each, by its name."""
+    lacking: dict[str, BoolArray] = {
+        name: np.isnan(samples.wrench[:, i]) for i, name in enumerate(WRENCH_CHANNELS)
+    }
+    lacking["limb position"] = np.asarray(np.isnan(samples.position).any(axis=1))
+    for column, cluster in enumerate(samples.clusters):
+        lacking[_cluster_row(cluster)] = samples.status[:, column] != Status.OK
+    return lacking
+
+
+def count_drop_outs(samples: Samples, segment: Segment) -> tuple[DropOuts, ...]:
+    """What each measurement lacks, in the trial and in the segment."""
+    lacking = unusable(samples)
+    counted = [
+        _drop_outs(name, lacking[name], samples.time, segment)
+        for name in (*WRENCH_CHANNELS, "limb position")
+    ]
+    for column, cluster in enumerate(samples.clusters):
+        status = samples.status[:, column]
+        counted.append(
+            _drop_outs(
+                _cluster_row(cluster),
+                status == Status.MISSING,
+                samples.time,
+                segment,
+                saturated=int((status == Status.SATURATED).sum()),
+                out_of_range=int((status == Status.OUT_OF_RANGE).sum()),
+            )
+        )
+    return tuple(counted)
+
+
+def measure_steadiness(samples: Samples) -> Steadiness:
+    """How steady the measured load is over some samples; NaN where it was not measured."""
+    moment, moment_sigma = _mean_and_sigma(samples.wrench[:, :3])
+    force, force_sigma = _mean_and_sigma(samples.wrench[:, 3:])
+    return Steadiness(force, moment, force_sigma, moment_sigma)
+
+
+def _mean_and_sigma(vectors: FloatArray) -> tuple[float, float]:
+    """Magnitude of the mean of the whole vectors, and the spread of their magnitudes."""
+    vectors = vectors[np.isfinite(vectors).all(axis=1)]
+    if not len(vectors):
+        return float("nan"), float("nan")
+    magnitude = float(np.linalg.norm(vectors.mean(axis=0)))
+    return magnitude, float(np.linalg.norm(vectors, axis=1).std())
+
+
+def _cluster_row(cluster: str) -> str:
+    return f"{cluster} ({', '.join(LOCAL_CHANNELS)})"
+
+
+def _drop_outs(
+    name: str, missing: BoolArray, time: FloatArray, segment: Segment, **counts: int
+) -> DropOuts:
+    return DropOuts(
+        name=name,
+        missing=int(missing.sum()),
+        missing_in_segment=int(missing[segment.rows].sum()),
+        longest=_longest(missing, time),
+        **counts,
+    )
+
+
+def _longest(missing: BoolArray, time: FloatArray) -> float:
+    """Longest time without a value, from the last one to the next, within the trial [s]."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], missing, [False]]).astype(np.int8)))
+    first, after = edges[::2], edges[1::2]
+    before = np.maximum(first - 1, 0)
+    return float((time[np.minimum(after, len(time) - 1)] - time[before]).max(initial=0.0))
+
 
 GIVEN = "given"
 _LEAST_HELD_OUT = 10  # samples

@@ -6,12 +6,17 @@ import math
 
 import numpy as np
 
-from socket_testbed.contact import VARIANTS
-from socket_testbed.evaluation import summarise_errors
+from socket_testbed.identification.evaluation import summarise_errors
 from socket_testbed.identification.front import Front
-from socket_testbed.report.markup import counted, number, significant
-from socket_testbed.report.quality import describe_triggers, measure_steadiness
-from socket_testbed.report.results import Candidate, Results, effective_samples
+from socket_testbed.report.page import counted, number, significant
+from socket_testbed.report.results import (
+    Candidate,
+    Results,
+    describe_triggers,
+    effective_samples,
+    measure_steadiness,
+)
+from socket_testbed.settings.identification import VARIANTS
 
 _LITTLE_SKILL = 0.1  # [-]; below it, a model says no more than a mean
 _STEADY = 0.5  # [-]; sigma over RMSE, below which residuals are mostly an offset

@@ -10,19 +10,17 @@ from typing import Self
 
 from socket_testbed.errors import ConfigurationError
 from socket_testbed.files import refuse_existing, whole_output
-from socket_testbed.report import figures
-from socket_testbed.report.data_files import write_errors, write_residuals
-from socket_testbed.report.figures import ReportFigure
-from socket_testbed.report.markup import section
-from socket_testbed.report.page import compose_page
-from socket_testbed.report.quality_section import quality_section
+from socket_testbed.report import figure_files
+from socket_testbed.report.figure_files import ReportFigure, write_errors, write_residuals
+from socket_testbed.report.page import compose_page, section
 from socket_testbed.report.results import Results
-from socket_testbed.report.scene_section import scene_section
 from socket_testbed.report.sections import (
     certificates_section,
     errors_section,
     fronts_section,
     provenance_section,
+    quality_section,
+    scene_section,
     summary_section,
 )
 
@@ -90,13 +88,13 @@ class _Figures:
     @classmethod
     def of(cls, results: Results, scratch: Path) -> Self:
         """Draw them."""
-        wrench, local = figures.channel_figures(results)
+        wrench, local = figure_files.channel_figures(results)
         return cls(
             wrench=wrench,
             local=local,
-            overview=figures.overview(results),
-            fronts=(figures.pareto(results, scratch),) if results.fronts else (),
-            maps=(*figures.tile_figures(results), figures.offsets(results)),
+            overview=figure_files.overview(results),
+            fronts=(figure_files.pareto(results, scratch),) if results.fronts else (),
+            maps=(*figure_files.tile_figures(results), figure_files.offsets(results)),
         )
 
     def write(self, folder: Path, progress: Callable[[int, int], None] | None) -> None:

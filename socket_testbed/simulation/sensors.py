@@ -9,7 +9,7 @@ from scipy.optimize import root
 from scipy.spatial.transform import Rotation
 
 from socket_testbed.arrays import FloatArray
-from socket_testbed.calibration import ClusterCalibration, shear_terms
+from socket_testbed.calibration.model import ClusterCalibration, shear_terms
 from socket_testbed.geometry.pose import Pose
 from socket_testbed.geometry.socket import SocketGeometry
 

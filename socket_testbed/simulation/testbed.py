@@ -8,12 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from socket_testbed.arrays import FloatArray, IntArray
-from socket_testbed.calibration import Calibration
+from socket_testbed.calibration.model import Calibration
+from socket_testbed.geometry.marker_bodies import fit_triad
 from socket_testbed.geometry.pose import Pose
 from socket_testbed.geometry.socket import SocketGeometry
-from socket_testbed.geometry.triad import fit_triad
-from socket_testbed.simulation.loading import Scenario, load_history
-from socket_testbed.simulation.motion import LoadedLimb, MarkerBodies
+from socket_testbed.simulation.limb import LoadedLimb, MarkerBodies, Scenario, load_history
 from socket_testbed.simulation.sensors import (
     ClusterSensor,
     SensorErrors,

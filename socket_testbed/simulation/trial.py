@@ -9,12 +9,11 @@ from typing import Any
 import numpy as np
 
 from socket_testbed.arrays import FloatArray, IntArray
-from socket_testbed.calibration import Status
 from socket_testbed.files import refuse_existing, whole_output
 from socket_testbed.geometry.pose import Pose
+from socket_testbed.samples import Status
 from socket_testbed.simulation.testbed import GroundTruth, SimulatedTrial
-from socket_testbed.trials.bag import BagWriter
-from socket_testbed.trials.messages import encode, message_class
+from socket_testbed.trials.bag import BagWriter, encode, message_class
 from socket_testbed.trials.topics import (
     CAPACITANCE,
     MARKERS,

@@ -1,4 +1,4 @@
-"""Bags: rosbag2 folders (MCAP or SQLite) read and written without ROS.
+"""Bags: rosbag2 folders (MCAP or SQLite) and their message types, without ROS.
 
 A folder's storage files are read directly, because a reader that trusts `metadata.yaml`
 yields nothing, without an error, where the two disagree on a topic's quality of service.
@@ -11,8 +11,9 @@ import os
 from collections.abc import Collection, Iterator
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Self, cast
+from typing import TYPE_CHECKING, Any, Self, cast
 
 import yaml
 from rosbags.interfaces import (
@@ -27,14 +28,54 @@ from rosbags.interfaces import (
 )
 from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 from rosbags.rosbag2.metadata import parse_qos
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from rosbags.typesys.store import Typestore
 
 from socket_testbed.errors import TrialError
-from socket_testbed.trials.messages import typestore
+from socket_testbed.files import packaged
 from socket_testbed.trials.salvage import salvage
 from socket_testbed.trials.topics import PUBLISHER_DEPTH, Topic
 
 if TYPE_CHECKING:
     from rosbags.interfaces.typing import RPath
+
+
+_PACKAGE = "socket_testbed_msgs"
+
+
+@cache
+def typestore() -> Typestore:
+    """The types of ROS 2 Jazzy and of this testbed."""
+    store = get_typestore(Stores.ROS2_JAZZY)
+    folder = packaged("msg", "Trigger.msg").parent
+    types: dict[str, Any] = {}
+    for path in sorted(Path(folder).glob("*.msg")):
+        text = path.read_text(encoding="utf-8")
+        types |= get_types_from_msg(text, f"{_PACKAGE}/msg/{path.stem}")
+    store.register(types)
+    return store
+
+
+def message_class(name: str) -> Any:
+    """The class of a message type, given as `package/msg/Type`."""
+    return typestore().types[name]
+
+
+def decode(raw: bytes | memoryview, message_type: str) -> Any:
+    """A message from its serialised bytes."""
+    return typestore().deserialize_cdr(raw, message_type)
+
+
+def encode(message: Any, message_type: str) -> bytes:
+    """The serialised bytes of a message."""
+    return bytes(typestore().serialize_cdr(message, message_type))
+
+
+def stamp_of(message: Any) -> int:
+    """Stamp of a message's header since the epoch [ns]."""
+    stamp = message.header.stamp
+    return int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
+
 
 _SUFFIXES = (".mcap", ".db3")
 _FOREVER = QosTime(2147483647, 4294967295)

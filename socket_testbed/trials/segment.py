@@ -10,7 +10,7 @@ import numpy as np
 from socket_testbed.arrays import BoolArray, FloatArray
 from socket_testbed.errors import ConfigurationError, TrialError
 from socket_testbed.samples import Samples
-from socket_testbed.settings import PlateauSettings
+from socket_testbed.settings.identification import PlateauSettings
 
 
 @dataclass(frozen=True)

@@ -1,20 +1,144 @@
-"""Synchronised samples of a trial: calibrated stresses and limb positions, one row a trigger."""
+"""Samples of a trial, put together by the stamp of the trigger: stresses, wrench, limb position."""
 
 from __future__ import annotations
 
+import dataclasses
+from array import array
 from collections.abc import Collection
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
-from socket_testbed.arrays import FloatArray, StatusArray
-from socket_testbed.calibration import Status
-from socket_testbed.errors import TrialError
+from socket_testbed.arrays import FloatArray, IntArray, StatusArray
+from socket_testbed.calibration.drift import (
+    DRIFT_LIMIT,
+    Baseline,
+    average_baseline,
+    correct_drift,
+    measure_drift,
+)
+from socket_testbed.errors import ConfigurationError, TrialError
 from socket_testbed.geometry.pose import Pose
-from socket_testbed.samples import Samples
-from socket_testbed.trials.measurements import Measurements, decode_message, read_measurements
-from socket_testbed.trials.topics import CAPACITANCE
+from socket_testbed.samples import Samples, Status
+from socket_testbed.trials.bag import RawMessage, decode, stamp_of
+from socket_testbed.trials.topics import CAPACITANCE, PYLON_POSE, SOCKET_POSE, TRIGGER, WRENCH
 from socket_testbed.trials.trial import Trial, required_topics
-from socket_testbed.trials.unloaded import take_off_drift
+
+
+@dataclass(frozen=True)
+class Measurements:
+    """Measurements as they were recorded, one row a trigger; what is missing is NaN.
+
+    Attributes:
+        stamps: Times of the triggers since the epoch, shape (N,) [ns].
+        wrench: Measured wrench [M; F], shape (N, 6) [N m, N].
+        socket: Position [m] and quaternion (x, y, z, w) of the socket's body, shape (N, 7).
+        pylon: The same of the pylon's body, shape (N, 7).
+        clusters: Names of the c clusters.
+        capacitance: Capacitances by the converter's input, shape (N, c, 4) [pF].
+        status: Status of each of them, shape (N, c, 4).
+    """
+
+    stamps: IntArray
+    wrench: FloatArray
+    socket: FloatArray
+    pylon: FloatArray
+    clusters: tuple[str, ...]
+    capacitance: FloatArray
+    status: StatusArray
+
+
+class _Column:
+    """Values by stamp, packed: an hour at 100 Hz is 360,000 of them."""
+
+    def __init__(self, width: int) -> None:
+        self._width = width
+        self._stamps = array("q")
+        self._values = array("d")
+
+    def add(self, stamp: int, values: tuple[float, ...]) -> None:
+        self._stamps.append(stamp)
+        self._values.extend(values)
+
+    @property
+    def stamps(self) -> IntArray:
+        return np.array(self._stamps, dtype=np.int64)
+
+    def at(self, stamps: IntArray) -> FloatArray:
+        """Rows for sorted stamps, NaN where there is none; a later one replaces an earlier."""
+        rows = np.full((len(stamps), self._width), np.nan)
+        rows[np.searchsorted(stamps, self.stamps)] = np.array(self._values).reshape(-1, self._width)
+        return rows
+
+
+def read_measurements(trial: Trial) -> Measurements:
+    """Read all measurements of a trial.
+
+    Raises:
+        TrialError: If the trial cannot be read or lacks a topic.
+    """
+    widths = {TRIGGER: 0, WRENCH: 6, SOCKET_POSE: 7, PYLON_POSE: 7}
+    columns = {topic: _Column(width) for topic, width in widths.items()}
+    clusters: dict[str, _Column] = {}
+    with trial.open() as bag:
+        topics = required_topics(bag)
+        names = {topics[topic]: topic for topic in topics if topic.required}
+        for raw in bag.messages(names):
+            topic = names[raw.topic]
+            message = decode_message(trial, raw)
+            stamp = stamp_of(message)
+            if topic is CAPACITANCE:
+                for cluster in message.clusters:
+                    column = clusters.setdefault(cluster.name, _Column(8))
+                    column.add(stamp, (*cluster.capacitance, *cluster.status))
+            elif topic is WRENCH:
+                columns[topic].add(stamp, wrench_vector(message.wrench))
+            elif topic is TRIGGER:
+                columns[topic].add(stamp, ())
+            else:
+                columns[topic].add(stamp, pose_vector(message.pose))
+    every = [column.stamps for column in (*columns.values(), *clusters.values())]
+    stamps = np.unique(np.concatenate(every))
+    readings = np.array([column.at(stamps) for column in clusters.values()])
+    readings = readings.reshape(len(clusters), len(stamps), 8).swapaxes(0, 1)
+    status = np.nan_to_num(readings[:, :, 4:], nan=float(Status.MISSING))
+    return Measurements(
+        stamps=stamps,
+        wrench=columns[WRENCH].at(stamps),
+        socket=columns[SOCKET_POSE].at(stamps),
+        pylon=columns[PYLON_POSE].at(stamps),
+        clusters=tuple(clusters),
+        capacitance=readings[:, :, :4],
+        status=status.astype(np.uint8),
+    )
+
+
+def decode_message(trial: Trial, raw: RawMessage) -> Any:
+    """A message of a trial.
+
+    Raises:
+        TrialError: If it cannot be decoded.
+    """
+    try:
+        return decode(raw.data, raw.type)
+    except Exception as error:  # the library raises whatever the bytes lead it to
+        raise TrialError(
+            f"{trial.path}: a message on {raw.topic} cannot be decoded ({error})",
+            "check that the trial was recorded with this version's messages",
+        ) from None
+
+
+def wrench_vector(wrench: Any) -> tuple[float, ...]:
+    """[M; F] of a Wrench message [N m, N]."""
+    torque, force = wrench.torque, wrench.force
+    return (torque.x, torque.y, torque.z, force.x, force.y, force.z)
+
+
+def pose_vector(pose: Any) -> tuple[float, ...]:
+    """Position [m] and quaternion (x, y, z, w) of a Pose message."""
+    p, q = pose.position, pose.orientation
+    return (p.x, p.y, p.z, q.x, q.y, q.z, q.w)
 
 
 def check_trial(trial: Trial) -> tuple[str, ...]:
@@ -95,3 +219,78 @@ def _require_clusters(clusters: Collection[str], trial: Trial) -> None:
                 f" (which has {', '.join(trial.geometry.clusters)})",
                 "give the socket.yaml of this trial with --geometry",
             )
+
+
+_MOST = 2  # before and after
+
+
+def parse_unloaded(spans: list[str]) -> tuple[tuple[float, float], ...]:
+    """Spans written as `T0:T1`, in seconds since the trial's first sample.
+
+    Raises:
+        ConfigurationError: If they are none, or more than two.
+    """
+    if len(spans) > _MOST:
+        raise ConfigurationError(
+            f"--unloaded has {len(spans)} spans", "give one before, or one before and one after"
+        )
+    return tuple(_parse(span) for span in spans)
+
+
+def _parse(span: str) -> tuple[float, float]:
+    try:
+        start, end = (float(part) for part in span.split(":"))
+    except ValueError:
+        start, end = np.nan, np.nan
+    if not start < end:
+        raise ConfigurationError(
+            f"--unloaded is '{span}'", "give seconds as T0:T1, with T0 before T1"
+        )
+    return start, end
+
+
+def take_off_drift(trial: Trial, measured: Measurements) -> Measurements:
+    """Bring the clusters' readings to the baseline of their calibration, span by span linear.
+
+    Without a stored baseline of the calibration only the drift since the first span is taken
+    off. The drift between two spans is told, and flagged where it is large.
+
+    Args:
+        trial: The trial, with its unloaded spans.
+        measured: Its measurements.
+
+    Raises:
+        CalibrationError: If a span holds too few readings of a cluster.
+    """
+    time = (measured.stamps - measured.stamps[0]) * 1e-9
+    capacitance = measured.capacitance.copy()
+    for column, name in enumerate(measured.clusters):
+        baselines = [
+            _baseline(trial, name, time, capacitance[:, column], span) for span in trial.unloaded
+        ]
+        cluster = trial.calibration.clusters[name]
+        before, after = baselines[0], baselines[1] if len(baselines) == _MOST else None
+        capacitance[:, column] = correct_drift(
+            capacitance[:, column], time, before, after, cluster.baseline
+        )
+        if after is not None and trial.tell is not None:
+            drift = measure_drift(cluster, before, after)
+            stress = 1e-3 * drift.stress
+            flag = f", more than {1e-3 * DRIFT_LIMIT:g} kPa" if drift.flagged else ""
+            trial.tell(
+                f"{name} drifted by {stress[0]:+.2f} kPa normal, {stress[1]:+.2f} and"
+                f" {stress[2]:+.2f} kPa shear without load, taken off{flag}"
+            )
+    return dataclasses.replace(measured, capacitance=capacitance)
+
+
+def _baseline(
+    trial: Trial,
+    name: str,
+    time: FloatArray,
+    capacitance: FloatArray,
+    span: tuple[float, float],
+) -> Baseline:
+    rows = (time >= span[0]) & (time <= span[1])
+    where = f"{trial.path}: {name} from {span[0]:g} s to {span[1]:g} s"
+    return average_baseline(0.5 * (span[0] + span[1]), capacitance[rows], where)

@@ -10,12 +10,12 @@ from functools import cached_property
 from itertools import count
 from pathlib import Path
 
-from socket_testbed.calibration import Calibration, read_calibration
-from socket_testbed.checked import Settings
+from socket_testbed.calibration.model import Calibration, read_calibration
 from socket_testbed.errors import TrialError
 from socket_testbed.files import packaged
 from socket_testbed.geometry.socket import SocketGeometry, read_socket
-from socket_testbed.settings import EstimatorSettings, read_parameters
+from socket_testbed.settings.fields import Settings
+from socket_testbed.settings.testbed import EstimatorSettings, read_parameters
 from socket_testbed.trials.bag import BagReader, sync
 from socket_testbed.trials.topics import REQUIRED, TOPICS, TRIGGER, Topic, match_topics
 

@@ -9,21 +9,20 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from socket_testbed.acquisition_settings import ClusterSettings
 from socket_testbed.arrays import FloatArray, StatusArray
-from socket_testbed.drivers.backoff import Backoff
-from socket_testbed.drivers.clusters.fdc1004 import ADDRESS, INPUTS, Fdc1004
-from socket_testbed.drivers.clusters.freshness import FreshInputs
+from socket_testbed.clocks import Backoff
+from socket_testbed.drivers.clusters.fdc1004 import ADDRESS, INPUTS, Fdc1004, FreshInputs
 from socket_testbed.drivers.clusters.i2c import (
     BusError,
     BusGoneError,
     BusTimeoutError,
     I2cBus,
     I2cPort,
+    Multiplexer,
     ReopenedBus,
 )
-from socket_testbed.drivers.clusters.tca9548a import Multiplexer
 from socket_testbed.errors import ConfigurationError, DeviceError
+from socket_testbed.settings.acquisition import ClusterSettings
 
 OK, SATURATED, MISSING = 0, 1, 2  # as in calibration.Status, which is on a higher floor
 

@@ -6,12 +6,10 @@ import math
 
 import numpy as np
 
-from socket_testbed.acquisition_settings import LoadCellSettings
 from socket_testbed.arrays import FloatArray, IntArray
-from socket_testbed.drivers.load_cell.ads131m0x import volts
-from socket_testbed.drivers.load_cell.conversions import conversion_period
-from socket_testbed.drivers.load_cell.spi import check_device
+from socket_testbed.drivers.load_cell.ads131m0x import check_device, conversion_period, volts
 from socket_testbed.errors import ConfigurationError
+from socket_testbed.settings.acquisition import LoadCellSettings
 
 AXES = ("Mx", "My", "Mz", "Fx", "Fy", "Fz")
 UNITS = ("N m", "N m", "N m", "N", "N", "N")

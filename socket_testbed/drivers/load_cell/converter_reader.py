@@ -8,19 +8,21 @@ from collections.abc import Callable
 
 import numpy as np
 
-from socket_testbed.acquisition_settings import LoadCellSettings
 from socket_testbed.arrays import BoolArray, FloatArray, IntArray
-from socket_testbed.drivers.backoff import Backoff
-from socket_testbed.drivers.load_cell.ads131m0x import Ads131m0x, ChecksumError, at_rail
-from socket_testbed.drivers.load_cell.bridges import Bridges
-from socket_testbed.drivers.load_cell.conversions import (
+from socket_testbed.clocks import Backoff
+from socket_testbed.drivers.load_cell.ads131m0x import (
+    Ads131m0x,
+    ChecksumError,
     ConversionClock,
     ConversionRing,
+    SpiDevice,
+    at_rail,
     conversion_period,
     group_delay,
 )
-from socket_testbed.drivers.load_cell.spi import SpiDevice
+from socket_testbed.drivers.load_cell.bridges import Bridges
 from socket_testbed.errors import DeviceError
+from socket_testbed.settings.acquisition import LoadCellSettings
 
 _FRAMES = 8  # read in a row at most; two conversions can wait, and frames can be corrupted
 _HELD_UP = 0.25  # periods; a frame takes less

@@ -11,11 +11,10 @@ from typing import TypeAlias
 
 import numpy as np
 
-from socket_testbed.acquisition_settings import MocapSettings
 from socket_testbed.arrays import FloatArray, IntArray
-from socket_testbed.drivers.natnet.frames import Frame
-from socket_testbed.drivers.natnet.models import ModelDefinitions
-from socket_testbed.geometry.triad import EDGE_TOLERANCE, TriadFit, edge_lengths, fit_triad
+from socket_testbed.drivers.natnet.messages import Frame, ModelDefinitions
+from socket_testbed.geometry.marker_bodies import EDGE_TOLERANCE, TriadFit, edge_lengths, fit_triad
+from socket_testbed.settings.acquisition import MocapSettings
 
 _KEPT = 1.0  # [s]
 _VOTES, _FEWEST = 20, 3  # fits that tell the usual order of the labels

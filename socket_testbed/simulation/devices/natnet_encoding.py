@@ -9,7 +9,7 @@ from struct import Struct, pack, pack_into
 import numpy as np
 
 from socket_testbed.arrays import FloatArray
-from socket_testbed.drivers.natnet.protocol import FRAME, MODELDEF, SERVERINFO, ServerInfo, Version
+from socket_testbed.drivers.natnet.messages import FRAME, MODELDEF, SERVERINFO, ServerInfo, Version
 
 OCCLUDED, SOLVED, MODEL_FILLED, HAS_MODEL, UNLABELLED = 1, 2, 4, 8, 16
 

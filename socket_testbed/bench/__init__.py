@@ -1,1 +1,0 @@
-"""Bench data of a cluster: read, fitted, and judged before anybody believes a coefficient."""

@@ -1,0 +1,1 @@
+"""Capacitance to stress: applied to clusters, and identified from bench data."""

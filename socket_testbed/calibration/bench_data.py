@@ -1,0 +1,528 @@
+"""Bench data of a cluster: files read, columns and units named, never guessed."""
+
+from __future__ import annotations
+
+import csv
+import io
+import re
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from socket_testbed.arrays import BoolArray, FloatArray, IntArray
+from socket_testbed.errors import CalibrationError
+from socket_testbed.files import closest
+
+_NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?", flags=re.ASCII)
+_SEPARATORS = "\t;,"
+
+
+@dataclass(frozen=True)
+class Table:
+    """The cells of a file, column by column.
+
+    Attributes:
+        name: Name of the file, for errors and reports.
+        header: Names of the columns as the file has them.
+        lines: Line of the file that each of the N rows stands on, shape (N,).
+        columns: The cells of each column, as text.
+        decimal_comma: Whether numbers may have a comma; not where commas separate the cells.
+    """
+
+    name: str
+    header: tuple[str, ...]
+    lines: IntArray
+    columns: tuple[tuple[str, ...], ...]
+    decimal_comma: bool
+
+    def __len__(self) -> int:
+        return len(self.lines)
+
+    def texts(self, column: int) -> tuple[str, ...]:
+        """The cells of a column as text.
+
+        Raises:
+            CalibrationError: If one of them is empty.
+        """
+        for line, cell in zip(self.lines, self.columns[column], strict=True):
+            if not cell:
+                raise CalibrationError(
+                    f"{self.name}: '{self.header[column]}' is empty in line {line}",
+                    "fill the cell or remove the line",
+                )
+        return self.columns[column]
+
+    def numbers(self, column: int) -> FloatArray:
+        """The cells of a column as numbers, shape (N,).
+
+        Raises:
+            CalibrationError: If one of them is none.
+        """
+        cells = self.texts(column)
+        if self.decimal_comma:
+            cells = tuple(cell.replace(",", ".") for cell in cells)
+        for row, cell in enumerate(cells):
+            if not _NUMBER.fullmatch(cell):
+                raise CalibrationError(
+                    f"{self.name}: '{self.header[column]}' holds '{self.columns[column][row]}' in"
+                    f" line {self.lines[row]}, which is no number",
+                    "give a number there; a unit belongs into the header",
+                )
+        return np.array([float(cell) for cell in cells])
+
+
+def read_table(path: Path) -> Table:
+    """Read a table whose cells are separated by commas, semicolons or tabs.
+
+    Lines without any content are left out.
+
+    Raises:
+        CalibrationError: If the file cannot be read, has no rows, has a row of another length
+            than the header, or repeats the header.
+    """
+    text = _read_text(path)
+    first = text.partition("\n")[0]
+    separator = max(_SEPARATORS, key=first.count)
+    reader = csv.reader(io.StringIO(text, newline=""), delimiter=separator)
+    header: tuple[str, ...] = ()
+    rows, lines = [], []
+    try:
+        for cells in reader:
+            row = tuple(cell.strip() for cell in cells)
+            if not any(row):
+                continue
+            if not header:
+                header = row
+                continue
+            _check_row(path.name, header, row, reader.line_num, separator)
+            rows.append(row)
+            lines.append(reader.line_num)
+    except csv.Error as error:
+        raise CalibrationError(
+            f"{path}: line {reader.line_num} is no row of a table ({error})", "mend that line"
+        ) from None
+    if not rows:
+        raise CalibrationError(
+            f"{path}: holds no row of data", "give a header and below it a row a reading"
+        )
+    columns = tuple(zip(*rows, strict=True))
+    return Table(path.name, header, np.array(lines, dtype=np.int64), columns, separator != ",")
+
+
+def _read_text(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8-sig")
+    except FileNotFoundError:
+        raise CalibrationError(f"{path}: no such file", "check the path") from None
+    except UnicodeDecodeError:
+        raise CalibrationError(
+            f"{path}: is no UTF-8 text", "save it as CSV (UTF-8) from the spreadsheet"
+        ) from None
+    except OSError as error:
+        raise CalibrationError(
+            f"{path}: cannot be read ({error.strerror or error})", "check the file"
+        ) from None
+
+
+def _check_row(
+    name: str, header: tuple[str, ...], row: tuple[str, ...], line: int, separator: str
+) -> None:
+    if row == header:
+        raise CalibrationError(
+            f"{name}: line {line} repeats the header",
+            "put what follows into a file of its own and give both files",
+        )
+    if len(row) == len(header):
+        return
+    mend = "give every row as many fields as the header"
+    if separator == "," and len(header) < len(row) <= 2 * len(header):
+        mend += ", or separate the fields with ';' if the numbers have decimal commas"
+    raise CalibrationError(
+        f"{name}: line {line} has {len(row)} fields under a header of {len(header)}", mend
+    )
+
+
+NEWTON = "N"  # a stress may be given as the force on the cluster's area
+
+_CAPACITANCE = {"pF": 1.0, "fF": 1e-3, "nF": 1e3}  # [pF]
+_STRESS = {"Pa": 1.0, "kPa": 1e3, "MPa": 1e6, NEWTON: 1.0}  # [Pa], [N]
+_TIME = {"s": 1.0, "ms": 1e-3}  # [s]
+
+INPUTS = ("c0", "c1", "c2", "c3")
+STRESSES = ("normal", "shear_x", "shear_y")
+UNITS: dict[str, dict[str, float]] = {
+    "time": _TIME,
+    "cycle": {},
+    **dict.fromkeys(STRESSES, _STRESS),
+    **dict.fromkeys(INPUTS, _CAPACITANCE),
+}
+"""The units of each quantity, with their size in s, Pa (or N) and pF; a cycle has none."""
+
+_SUFFIXES = "|".join(sorted({unit for units in UNITS.values() for unit in units}))
+_BRACKETED = re.compile(r"(.*?)[\s_]*[\[(]([^\])]*)[\])]")
+_SUFFIXED = re.compile(rf"(.*?)[\s_]+({_SUFFIXES})", flags=re.IGNORECASE)
+_SHOWN = 8  # names of a header that an error lists
+
+
+@dataclass(frozen=True)
+class Column:
+    """Where a quantity stands in a table.
+
+    Attributes:
+        index: The column of the table.
+        title: Its name in the header.
+        unit: The quantity's unit; empty where it has none.
+        scale: Size of the unit in s, pF, Pa or N.
+    """
+
+    index: int
+    title: str
+    unit: str
+    scale: float
+
+
+def split_title(title: str) -> tuple[str, str]:
+    """Name and unit of a column: `normal [kPa]`, `normal (kPa)`, `normal_kPa`, `normal kPa`.
+
+    Returns:
+        The name and the unit; without a unit, the title and nothing.
+    """
+    found = _BRACKETED.fullmatch(title) or _SUFFIXED.fullmatch(title)
+    return (found[1].strip(), found[2].strip()) if found else (title, "")
+
+
+def find_columns(
+    table: Table,
+    required: Sequence[str],
+    optional: Sequence[str],
+    titles: Mapping[str, str],
+    units: Mapping[str, str],
+) -> dict[str, Column]:
+    """Find quantities in the columns of a table.
+
+    Args:
+        table: The table.
+        required: Quantities of `UNITS` that must be there.
+        optional: Those that may be.
+        titles: Names in the header, with or without the unit, of quantities that the header
+            does not call by their own names.
+        units: Units of quantities, instead of the header's.
+
+    Returns:
+        The columns of the quantities that are there.
+
+    Raises:
+        CalibrationError: If a quantity is missing, stands twice, shares its column with
+            another one, or has no unit or an unknown one.
+    """
+    places = {name: _find(table, name, titles) for name in (*required, *optional)}
+    missing = [name for name in required if places[name] is None]
+    if missing:
+        raise CalibrationError(
+            f"{table.name}: no column for {', '.join(missing)} (its header has {_shown(table)})",
+            f"name it with --columns {' '.join(f'{name}=NAME' for name in missing)}",
+        )
+    columns = {
+        name: _column(table, name, index, units)
+        for name, index in places.items()
+        if index is not None
+    }
+    lacking = [name for name, column in columns.items() if UNITS[name] and not column.unit]
+    if lacking:
+        name = lacking[0]
+        example = next(iter(UNITS[name]))
+        raise CalibrationError(
+            f"{table.name}: no unit for {', '.join(lacking)}",
+            f"write it into the header, such as '{columns[name].title} [{example}]', or give"
+            f" --units {name}={example}",
+        )
+    _refuse_shared(table, columns)
+    return columns
+
+
+def _find(table: Table, name: str, titles: Mapping[str, str]) -> int | None:
+    wanted = titles.get(name)
+    if wanted is None:
+        matches = [i for i, t in enumerate(table.header) if split_title(t)[0].lower() == name]
+    else:
+        matches = [i for i, t in enumerate(table.header) if t == wanted.strip()]
+        matches = matches or [
+            i for i, t in enumerate(table.header) if split_title(t)[0] == wanted.strip()
+        ]
+        if not matches:
+            raise CalibrationError(
+                f"{table.name}: no column '{wanted}' for {name} (its header has {_shown(table)})",
+                closest(wanted, [title for title in table.header if title]),
+            )
+    if len(matches) > 1:
+        raise CalibrationError(
+            f"{table.name}: {name} stands in {len(matches)} columns:"
+            f" {', '.join(repr(table.header[i]) for i in matches)}",
+            f"rename all but one, or name it with --columns {name}=NAME",
+        )
+    return matches[0] if matches else None
+
+
+def _column(table: Table, name: str, index: int, units: Mapping[str, str]) -> Column:
+    title = table.header[index]
+    written = units.get(name) or split_title(title)[1]
+    if not written or not UNITS[name]:
+        return Column(index, title, "", 1.0)
+    unit = _known_unit(written, UNITS[name])
+    if unit is None:
+        raise CalibrationError(
+            f"{table.name}: {name} is in '{written}', which is no unit of it",
+            f"name one of {', '.join(UNITS[name])} in the header or with --units {name}=UNIT",
+        )
+    return Column(index, title, unit, UNITS[name][unit])
+
+
+def _known_unit(written: str, known: Collection[str]) -> str | None:
+    if written in known:
+        return written
+    alike = [unit for unit in known if unit.lower() == written.lower()]
+    # mPa is a thousandth, not a million: MPa has to be written as it is.
+    return alike[0] if alike and alike[0] != "MPa" else None
+
+
+def _refuse_shared(table: Table, columns: Mapping[str, Column]) -> None:
+    owners: dict[int, str] = {}
+    for name, column in columns.items():
+        if column.index in owners:
+            raise CalibrationError(
+                f"{table.name}: '{column.title}' is both {owners[column.index]} and {name}",
+                "name a column of its own for each with --columns",
+            )
+        owners[column.index] = name
+
+
+def _shown(table: Table) -> str:
+    named = [f"'{title}'" for title in table.header if title]
+    more = ", ..." if len(named) > _SHOWN else ""
+    return ", ".join(named[:_SHOWN]) + more
+
+
+UNNAMED = -1  # the cycle of a row in a file that names none
+_SOUND = 99.0  # [%] of the rows, at least
+
+
+@dataclass(frozen=True)
+class BenchData:
+    """Bench data of one cluster, one row a reading.
+
+    Attributes:
+        files: Names of the files.
+        file: Which of them each row is from, shape (N,).
+        line: The line it stands on there, shape (N,).
+        time: Time within its file, shape (N,) [s]; NaN where the file has none.
+        cycle: Which cycle of its file a row belongs to, shape (N,); `UNNAMED` where the file
+            names none.
+        capacitance: Capacitances by input of the converter, shape (N, 4) [pF].
+        stress: Known normal stress (positive in compression), shear x and shear y in the
+            cluster's frame, shape (N, 3) [Pa].
+    """
+
+    files: tuple[str, ...]
+    file: IntArray
+    line: IntArray
+    time: FloatArray
+    cycle: IntArray
+    capacitance: FloatArray
+    stress: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.file)
+
+    def __getitem__(self, rows: BoolArray | IntArray) -> BenchData:
+        """Some of the rows."""
+        return BenchData(
+            self.files,
+            self.file[rows],
+            self.line[rows],
+            self.time[rows],
+            self.cycle[rows],
+            self.capacitance[rows],
+            self.stress[rows],
+        )
+
+    @property
+    def full_scale(self) -> FloatArray:
+        """Largest size of each known stress, shape (3,) [Pa]."""
+        return np.abs(self.stress).max(axis=0)
+
+    def place(self, row: int) -> str:
+        """Where a row stands, in words."""
+        return f"{self.files[self.file[row]]} line {self.line[row]}"
+
+
+def scaled_stress(stress: FloatArray) -> FloatArray:
+    """Stresses as parts of the largest ones, from -1 to 1, however wrong one in a hundred is.
+
+    Args:
+        stress: Normal stress, shear x and shear y, shape (N, 3) [Pa].
+
+    Returns:
+        Parts, shape (N, 3) [-]; zero for a stress that is hardly ever applied.
+    """
+    scale = np.percentile(np.abs(stress), _SOUND, axis=0, method="lower")
+    return np.clip(stress / np.where(scale > 0.0, scale, np.inf), -1.0, 1.0)
+
+
+def join_benches(parts: Sequence[BenchData]) -> BenchData:
+    """Put the data of several files together, in their order."""
+    offsets = np.cumsum([0, *(len(part.files) for part in parts[:-1])])
+    return BenchData(
+        files=tuple(name for part in parts for name in part.files),
+        file=np.concatenate([p.file + o for p, o in zip(parts, offsets, strict=True)]),
+        line=np.concatenate([part.line for part in parts]),
+        time=np.concatenate([part.time for part in parts]),
+        cycle=np.concatenate([part.cycle for part in parts]),
+        capacitance=np.concatenate([part.capacitance for part in parts]),
+        stress=np.concatenate([part.stress for part in parts]),
+    )
+
+
+# What a reading can be; beyond it, the unit is not the one that is named.
+_CAPACITANCE_RANGE = (0.01, 100.0)  # [pF]
+_STRESS_RANGES = {
+    "normal": (-1e3, 2e6),  # [Pa]; a load cell's zero may be a little off
+    "shear_x": (-1e6, 1e6),
+    "shear_y": (-1e6, 1e6),
+}
+_STEP_RANGE = (1e-3, 60.0)  # [s] between readings, in the median
+
+
+def read_bench(
+    path: Path,
+    columns: Mapping[str, str],
+    units: Mapping[str, str],
+    area: float | None = None,
+) -> BenchData:
+    """Read a bench file.
+
+    It has a header and a row a reading, with the columns `normal`, `shear_x`, `shear_y` and
+    `c0` to `c3` (the converter's inputs), and, if it likes, `time` and `cycle`. Their units
+    stand in the header, such as `normal [kPa]`. Other columns are ignored.
+
+    Args:
+        path: The file; commas, semicolons or tabs separate its columns.
+        columns: Names in the header of quantities that it calls otherwise.
+        units: Units of quantities, instead of the header's: pF, fF or nF; Pa, kPa, MPa or N;
+            s or ms.
+        area: Area on which a stress in N acts [m^2].
+
+    Raises:
+        CalibrationError: If the file is not as it must be, naming line, column and mend.
+    """
+    table = read_table(path)
+    found = find_columns(table, (*STRESSES, *INPUTS), ("time", "cycle"), columns, units)
+    rows = len(table)
+    return BenchData(
+        files=(table.name,),
+        file=np.zeros(rows, dtype=np.int64),
+        line=table.lines,
+        time=_time(table, found),
+        cycle=_cycles(table, found),
+        capacitance=_capacitances(table, found, refuse_constant=True),
+        stress=np.column_stack([_stress(table, name, found[name], area) for name in STRESSES]),
+    )
+
+
+def read_unloaded(path: Path, columns: Mapping[str, str], units: Mapping[str, str]) -> FloatArray:
+    """Read a file of baseline readings: the capacitances `c0` to `c3` of the unloaded cluster.
+
+    Args:
+        path: The file; see `read_bench`. All but its capacitances is ignored.
+        columns: Names in the header of quantities that it calls otherwise.
+        units: Units of quantities, instead of the header's.
+
+    Returns:
+        Capacitances by input, shape (N, 4) [pF].
+
+    Raises:
+        CalibrationError: If the file is not as it must be, naming line, column and mend.
+    """
+    table = read_table(path)
+    found = find_columns(table, INPUTS, (), columns, units)
+    return _capacitances(table, found, refuse_constant=False)
+
+
+def _time(table: Table, columns: Mapping[str, Column]) -> FloatArray:
+    if "time" not in columns:
+        return np.full(len(table), np.nan)
+    column = columns["time"]
+    time = table.numbers(column.index) * column.scale
+    steps = np.diff(time)
+    backwards = np.flatnonzero(steps <= 0.0)
+    if len(backwards):
+        raise CalibrationError(
+            f"{table.name}: '{column.title}' does not increase at line"
+            f" {table.lines[backwards[0] + 1]}",
+            "give the readings in their order, and each run as a file of its own",
+        )
+    usual = float(np.median(steps)) if len(steps) else _STEP_RANGE[0]
+    if not _STEP_RANGE[0] <= usual <= _STEP_RANGE[1]:
+        other = "ms" if column.unit == "s" else "s"
+        raise CalibrationError(
+            f"{table.name}: the steps of '{column.title}' are {usual / column.scale:.3g}"
+            f" {column.unit} in the median, which no bench reads at",
+            f"mend the header, or give --units time={other} if these are {other}",
+        )
+    return time
+
+
+def _cycles(table: Table, columns: Mapping[str, Column]) -> IntArray:
+    if "cycle" not in columns:
+        return np.full(len(table), UNNAMED)
+    _, cycles = np.unique(table.texts(columns["cycle"].index), return_inverse=True)
+    return cycles.astype(np.int64)
+
+
+def _capacitances(table: Table, columns: Mapping[str, Column], refuse_constant: bool) -> FloatArray:
+    readings = []
+    for name in INPUTS:
+        column = columns[name]
+        reading = table.numbers(column.index)
+        _refuse_impossible(table, name, column, reading, _CAPACITANCE_RANGE, column.scale)
+        if refuse_constant and np.ptp(reading) == 0.0:
+            raise CalibrationError(
+                f"{table.name}: '{column.title}' is {reading[0]:g} {column.unit} in every row",
+                "check this input's wire, or name the column that holds it",
+            )
+        readings.append(reading * column.scale)
+    return np.column_stack(readings)
+
+
+def _stress(table: Table, name: str, column: Column, area: float | None) -> FloatArray:
+    scale = column.scale
+    if column.unit == NEWTON:
+        if area is None:
+            raise CalibrationError(
+                f"{table.name}: '{column.title}' is a force in N",
+                "give the area it acts on with --area, in m^2, or with --geometry",
+            )
+        scale = 1.0 / area
+    reading = table.numbers(column.index)
+    _refuse_impossible(table, name, column, reading, _STRESS_RANGES[name], scale)
+    return reading * scale
+
+
+def _refuse_impossible(
+    table: Table,
+    name: str,
+    column: Column,
+    reading: FloatArray,
+    limits: tuple[float, float],
+    scale: float,
+) -> None:
+    low, high = (limit / scale for limit in limits)
+    outside = np.flatnonzero((reading < low) | (reading > high))
+    if not len(outside):
+        return
+    raise CalibrationError(
+        f"{table.name}: '{column.title}' is {reading[outside[0]]:g} {column.unit} in line"
+        f" {table.lines[outside[0]]}, outside {low:g} to {high:g} {column.unit}",
+        f"check the value, its sign and its unit; --units {name}=UNIT names another",
+    )

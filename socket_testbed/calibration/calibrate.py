@@ -1,0 +1,443 @@
+"""From bench data to a cluster's calibration and all that is to be known of it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+from scipy.optimize import linear_sum_assignment
+
+from socket_testbed.arrays import BoolArray, FloatArray, IntArray
+from socket_testbed.calibration.bench_data import STRESSES, BenchData, scaled_stress
+from socket_testbed.calibration.drift import DRIFT_LIMIT, NEITHER, Drift, cycle_ids, find_branches
+from socket_testbed.calibration.model import (
+    SMALLEST_GAIN,
+    ClusterCalibration,
+    channel_features,
+    shear_terms,
+)
+from socket_testbed.calibration.polynomials import (
+    check_excitation,
+    fit_cluster,
+    fit_polynomials,
+    predict_stress,
+)
+from socket_testbed.calibration.quality import (
+    CrossValidation,
+    StressErrors,
+    choose_groups,
+    cross_validate,
+    half_widths,
+    hysteresis,
+    repeatability,
+    stress_errors,
+)
+from socket_testbed.errors import CalibrationError
+
+_SCALES = 5.0  # residuals beyond as many scaled median absolute deviations
+_MAD = 1.4826  # [-] makes the median absolute deviation of normal noise its standard deviation
+_LEAST = 0.05  # [-] of the full scale; a smaller residual does no harm
+_LOADED = 0.1  # [-] of the full scale; many rows at rest would make any load an outlier
+_KEPT = 0.9  # [-] of the rows that the robust fit looks at
+_STARTS, _START_ROWS, _FINALISTS, _STEPS, _MOST_ROWS = 30, 24, 4, 20, 3000
+_MOST_DROPPED = 0.05  # [-]; more than that are no outliers but another law
+
+
+@dataclass(frozen=True)
+class Outlier:
+    """A reading far from the robust fit.
+
+    Attributes:
+        row: Row of the bench data.
+        place: Where it stands: file and line.
+        axis: The stress that is farthest off, in scaled deviations: 0, 1 or 2.
+        known: Its known value [Pa].
+        fitted: What the robust fit makes of the capacitances [Pa].
+    """
+
+    row: int
+    place: str
+    axis: int
+    known: float
+    fitted: float
+
+
+def find_outliers(bench: BenchData, wiring: IntArray) -> tuple[Outlier, ...]:
+    """Find readings whose residual exceeds five scaled median absolute deviations.
+
+    The residuals are those of a polynomial of total degree 2 in the mean and the differences,
+    by least trimmed squares over 90 % of the rows (Rousseeuw and Van Driessen 2006,
+    doi:10.1007/s10618-005-0024-4), which neither a wrong stress nor a wrong capacitance can
+    pull to itself. The deviation is taken over the loaded rows, and residuals below 5 % of the
+    full scale never count.
+
+    Args:
+        bench: The bench data.
+        wiring: Input that holds each channel, shape (4,).
+    """
+    basis = _rich_basis(bench.capacitance[:, wiring])
+    fits = [fit_least_trimmed(basis, known) for known in bench.stress.T]
+    fitted = basis @ np.column_stack(fits)
+    residual = np.abs(fitted - bench.stress)
+    excess = residual / _limits(residual, bench.stress)
+    return tuple(
+        _outlier(bench, fitted, int(row), int(excess[row].argmax()))
+        for row in np.flatnonzero((excess > 1.0).any(axis=1))
+    )
+
+
+def _rich_basis(capacitance: FloatArray) -> FloatArray:
+    """Orthonormal basis of all terms up to total degree 2 of mean and differences, (N, 10).
+
+    What a calibration's polynomials miss, such as a normal stress that makes a difference, is no
+    reason to call a reading an outlier.
+    """
+    mean, along_x, along_y = channel_features(capacitance)
+    of_differences = shear_terms(along_x, along_y)
+    terms = np.column_stack([of_differences, mean[:, None] * of_differences[:, :3], mean**2])
+    return np.linalg.qr(terms / np.abs(terms).max(axis=0))[0]
+
+
+def _limits(residual: FloatArray, stress: FloatArray) -> FloatArray:
+    """Largest residual that is none of an outlier, shape (3,) [Pa]."""
+    loaded = (np.abs(scaled_stress(stress)) > _LOADED).any(axis=1)
+    limits = _SCALES * _MAD * np.median(residual[loaded], axis=0)
+    # Again without those found, because a wrong stress makes a wrong full scale.
+    for _ in range(2):
+        sound = (residual <= np.maximum(limits, _LEAST * np.abs(stress).max(axis=0))).all(axis=1)
+        stress, residual = stress[sound], residual[sound]
+    return np.maximum(limits, _LEAST * np.abs(stress).max(axis=0))
+
+
+def _outlier(bench: BenchData, fitted: FloatArray, row: int, axis: int) -> Outlier:
+    known, value = float(bench.stress[row, axis]), float(fitted[row, axis])
+    return Outlier(row, bench.place(row), axis, known, value)
+
+
+def fit_least_trimmed(basis: FloatArray, target: FloatArray) -> FloatArray:
+    """Coefficients with the least sum of the smallest 90 % of the squared residuals.
+
+    Random starts, concentrated twice on the rows they fit best, and the best of them until
+    nothing changes; always with the same seed.
+
+    Args:
+        basis: Design matrix with orthonormal columns, shape (N, p).
+        target: Values to explain, shape (N,).
+
+    Returns:
+        Coefficients, shape (p,).
+    """
+    rng = np.random.default_rng(0)
+    if len(target) > _MOST_ROWS:
+        some = rng.choice(len(target), _MOST_ROWS, replace=False)
+        basis, target = basis[some], target[some]
+    size = min(_START_ROWS, len(target))
+    starts = [np.arange(len(target))]
+    starts += [rng.choice(len(target), size, replace=False) for _ in range(_STARTS)]
+    tried = [_concentrate(basis, target, rows, steps=2) for rows in starts]
+    tried.sort(key=lambda trial: trial.objective)
+    ended = [_concentrate(basis, target, trial.rows, _STEPS) for trial in tried[:_FINALISTS]]
+    return min(ended, key=lambda trial: trial.objective).coefficients
+
+
+@dataclass(frozen=True)
+class _Trial:
+    objective: float
+    rows: IntArray
+    coefficients: FloatArray
+
+
+def _concentrate(basis: FloatArray, target: FloatArray, rows: IntArray, steps: int) -> _Trial:
+    """Fit some rows, take those that are fitted best, and again; it never gets worse."""
+    kept = int(np.ceil(_KEPT * len(target)))
+    trial = _Trial(np.inf, rows, np.zeros(basis.shape[1]))
+    for _ in range(steps):
+        part = basis[trial.rows]
+        solution = np.linalg.lstsq(part.T @ part, part.T @ target[trial.rows], rcond=None)[0]
+        squares = (basis @ solution - target) ** 2
+        best = np.argpartition(squares, kept - 1)[:kept]
+        objective = float(squares[best].sum())
+        if objective >= trial.objective:
+            break
+        trial = _Trial(objective, best, np.asarray(solution, dtype=np.float64))
+    return trial
+
+
+def rows_without(bench: BenchData, outliers: tuple[Outlier, ...]) -> BoolArray:
+    """Rows that are no outliers, shape (N,)."""
+    rows = np.ones(len(bench), dtype=bool)
+    rows[[outlier.row for outlier in outliers]] = False
+    return rows
+
+
+def check_droppable(bench: BenchData, outliers: tuple[Outlier, ...]) -> None:
+    """Refuse to drop so many readings that they are no outliers.
+
+    Raises:
+        CalibrationError: If they are more than 5 %.
+    """
+    if len(outliers) > _MOST_DROPPED * len(bench):
+        raise CalibrationError(
+            f"{len(outliers)} of {len(bench)} readings would be dropped, more than"
+            f" {100 * _MOST_DROPPED:g} %: these are no outliers",
+            "look at them with --figure, and leave --drop-outliers away",
+        )
+
+
+_CORNERS = np.sign(np.column_stack(channel_features(np.eye(4))[1:]))  # (4, 2), sides of channels
+_BULK = (1.0, 99.0)  # [%]; a spike beyond them must not decide
+
+
+def find_wiring(capacitance: FloatArray, stress: FloatArray) -> IntArray:
+    """Find the wiring for which a shear stress raises the channels on its own side.
+
+    Args:
+        capacitance: Capacitances by input, shape (N, 4) [pF].
+        stress: Known normal stress, shear x and shear y, shape (N, 3) [Pa].
+
+    Returns:
+        Input that holds each channel, shape (4,).
+    """
+    design = np.column_stack([np.ones(len(stress)), scaled_stress(stress)])
+    clipped = np.clip(capacitance, *np.percentile(capacitance, _BULK, axis=0))
+    slopes = np.linalg.lstsq(design, clipped, rcond=None)[0][2:]
+    slopes = slopes - slopes.mean(axis=1, keepdims=True)
+    slopes = slopes / np.maximum(np.linalg.norm(slopes, axis=1, keepdims=True), 1e-12)
+    return linear_sum_assignment(_CORNERS @ slopes, maximize=True)[1].astype(np.int64)
+
+
+def require_wiring(bench: BenchData, wiring: IntArray) -> None:
+    """Refuse a wiring that nobody stated for this bench and that its data contradicts.
+
+    Raises:
+        CalibrationError: Naming the wiring that agrees with the data.
+    """
+    found = find_wiring(bench.capacitance, bench.stress)
+    if not np.array_equal(found, wiring):
+        raise CalibrationError(
+            f"{', '.join(bench.files)}: the shear stresses do not raise the channels on their own"
+            f" side with the wiring {_words(wiring)}, but do with {_words(found)}",
+            f"give --wiring {_words(found)}, or --wiring {_words(wiring)} to keep it",
+        )
+
+
+def _words(wiring: IntArray) -> str:
+    return " ".join(map(str, wiring.tolist()))
+
+
+@dataclass(frozen=True)
+class BenchCalibration:
+    """A cluster's calibration with its quality.
+
+    Attributes:
+        cluster: The calibration.
+        bench: The data that it was fitted to.
+        sound: Rows of it that are no outliers, shape (N,).
+        outliers: Readings far from the rest.
+        dropped: Whether they were left out of the fit and of `bench`.
+        fitted: Stress by the calibration, shape (N, 3) [Pa].
+        cross_validation: The fits without each group.
+        training: Errors on the data of the fit, one a stress.
+        held_out: Errors on data that the fit had not seen, one a stress.
+        normal_half_width: Half widths of the 95 % intervals of `normal`, shape (2,).
+        shear_half_width: The same of `shear`, shape (2, 6).
+        branches: `find_branches` of the sound rows; no branch of the others, shape (N, 3).
+        hysteresis: Gap between rising and falling, shape (3,) [% of the full scale].
+        repeatability: Spread of the cycles, shape (3,) [% of the full scale].
+    """
+
+    cluster: ClusterCalibration
+    bench: BenchData
+    sound: BoolArray
+    outliers: tuple[Outlier, ...]
+    dropped: bool
+    fitted: FloatArray
+    cross_validation: CrossValidation
+    training: tuple[StressErrors, ...]
+    held_out: tuple[StressErrors, ...]
+    normal_half_width: FloatArray
+    shear_half_width: FloatArray
+    branches: IntArray
+    hysteresis: FloatArray
+    repeatability: FloatArray
+
+    @property
+    def full_scale(self) -> FloatArray:
+        """Largest size of each known stress in the sound rows, shape (3,) [Pa]."""
+        return self.bench[self.sound].full_scale
+
+    @property
+    def stress_range(self) -> FloatArray:
+        """Least and largest known stress in the sound rows, shape (3, 2) [Pa]."""
+        stress = self.bench.stress[self.sound]
+        return np.column_stack([stress.min(axis=0), stress.max(axis=0)])
+
+    def require_gain(self) -> None:
+        """Refuse a normal stress that does not grow with the capacitance.
+
+        Raises:
+            CalibrationError: If the gain is none that a calibration file may hold.
+        """
+        gain = self.cluster.normal[1]
+        if gain < SMALLEST_GAIN:
+            raise CalibrationError(
+                f"the gain of the normal stress comes out as {gain:g} Pa/pF, where compression"
+                f" should give at least {SMALLEST_GAIN:g}",
+                "give compression as positive normal stress, and check units and outliers",
+            )
+
+    def above(self, limit: float) -> tuple[str, ...]:
+        """Stresses whose held-out RMSE is above a limit [% of the full scale]."""
+        pairs = zip(STRESSES, self.held_out, strict=True)
+        return tuple(name for name, errors in pairs if errors.percent > limit)
+
+    def require_accuracy(self, limit: float) -> None:
+        """Refuse a calibration that predicts unseen data badly.
+
+        Args:
+            limit: Largest held-out RMSE [% of the full scale].
+
+        Raises:
+            CalibrationError: Naming the stresses with their errors.
+        """
+        errors = dict(zip(STRESSES, self.held_out, strict=True))
+        bad = [
+            f"{name} {errors[name].percent:.1f} % ({errors[name].rmse:.0f} Pa)"
+            for name in self.above(limit)
+        ]
+        if bad:
+            raise CalibrationError(
+                f"the held-out RMSE exceeds {limit:g} % of the full scale: {', '.join(bad)}",
+                "see --figure; --drop-outliers may help, and --force writes it all the same",
+            )
+
+
+def calibrate_bench(
+    bench: BenchData, wiring: IntArray, wiring_stated: bool, drop_outliers: bool
+) -> BenchCalibration:
+    """Fit a cluster and judge the fit.
+
+    Args:
+        bench: The bench data.
+        wiring: Input that holds each channel, shape (4,).
+        wiring_stated: Whether somebody stated it for this bench, so that it stands even if the
+            data contradicts it.
+        drop_outliers: Whether outliers are left out.
+
+    Raises:
+        CalibrationError: If the data does not determine the fit or its check, contradicts the
+            wiring, or would lose too many readings as outliers.
+    """
+    check_excitation(bench.stress, ", ".join(bench.files))
+    if not wiring_stated:
+        require_wiring(bench, wiring)
+    fit_polynomials(bench.capacitance[:, wiring], bench.stress)  # refuses what is singular
+    outliers = find_outliers(bench, wiring)
+    sound = rows_without(bench, outliers)
+    if drop_outliers:
+        check_droppable(bench, outliers)
+        bench, sound = bench[sound], sound[sound]
+    return _judge(bench, wiring, outliers, drop_outliers, sound)
+
+
+def _judge(
+    bench: BenchData,
+    wiring: IntArray,
+    outliers: tuple[Outlier, ...],
+    dropped: bool,
+    sound: BoolArray,
+) -> BenchCalibration:
+    cluster = fit_cluster(bench.capacitance, bench.stress, wiring, sound)
+    fitted = predict_stress(cluster, bench.capacitance)
+    groups = choose_groups(bench)
+    checked = cross_validate(bench.capacitance[:, wiring], bench.stress, groups)
+    full_scale = bench[sound].full_scale
+    residual = (fitted - bench.stress)[sound]
+    branches = np.full(bench.stress.shape, NEITHER)
+    branches[sound] = find_branches(bench[sound])
+    return BenchCalibration(
+        cluster=cluster,
+        bench=bench,
+        sound=sound,
+        outliers=outliers,
+        dropped=dropped,
+        fitted=fitted,
+        cross_validation=checked,
+        training=stress_errors(bench.stress, fitted, full_scale),
+        held_out=stress_errors(bench.stress, checked.predicted, full_scale),
+        normal_half_width=half_widths(cluster.normal, checked.normal),
+        shear_half_width=half_widths(cluster.shear, checked.shear),
+        branches=branches,
+        hysteresis=hysteresis(bench[sound], residual, branches[sound]),
+        repeatability=repeatability(
+            bench[sound], residual, branches[sound], cycle_ids(bench)[sound]
+        ),
+    )
+
+
+_DIGITS = 4  # of an error; more would say more than a bench knows
+
+
+def bench_record(
+    calibrated: BenchCalibration, date: str, limit: float, forced: bool, drift: Drift | None
+) -> dict[str, Any]:
+    """The content of `bench` in a cluster's section of `calibration.yaml`.
+
+    Args:
+        calibrated: The calibration.
+        date: Its date.
+        limit: Limit of the held-out errors [% of the full scale].
+        forced: Whether it is kept although it exceeds the limit.
+        drift: Drift over the bench run that was taken off; None if no baseline followed it.
+    """
+    record = {
+        "date": date,
+        "source": ", ".join(calibrated.bench.files),
+        "readings": len(calibrated.bench),
+        "units": "errors and stresses in Pa, percent of full_scale, intervals as coefficients",
+        "forced": forced,
+        "limit_percent": limit,
+        "full_scale": _by_stress(calibrated.full_scale),
+        "stress_range": dict(zip(STRESSES, map(_shorts, calibrated.stress_range), strict=True)),
+        "held_out_by": str(calibrated.cross_validation.groups),
+        "held_out": _errors(calibrated.held_out),
+        "training": _errors(calibrated.training),
+        "hysteresis_percent": _by_stress(calibrated.hysteresis),
+        "repeatability_percent": _by_stress(calibrated.repeatability),
+        "interval_95": {
+            "normal": _shorts(calibrated.normal_half_width),
+            "shear_x": _shorts(calibrated.shear_half_width[0]),
+            "shear_y": _shorts(calibrated.shear_half_width[1]),
+        },
+        "outliers": [outlier.place for outlier in calibrated.outliers],
+        "outliers_dropped": calibrated.dropped,
+    }
+    if drift is not None:
+        record["drift"] = {
+            "capacitance": _shorts(drift.capacitance),
+            "stress": _by_stress(drift.stress),
+            "limit": DRIFT_LIMIT,
+            "flagged": drift.flagged,
+        }
+    return record
+
+
+def _errors(errors: tuple[Any, ...]) -> dict[str, Any]:
+    return {
+        name: {key: _short(value) for key, value in asdict(error).items()}
+        for name, error in zip(STRESSES, errors, strict=True)
+    }
+
+
+def _by_stress(values: FloatArray) -> dict[str, float | None]:
+    return dict(zip(STRESSES, _shorts(values), strict=True))
+
+
+def _shorts(values: FloatArray) -> list[float | None]:
+    return [_short(value) for value in values.tolist()]
+
+
+def _short(value: float) -> float | None:
+    return float(f"{value:.{_DIGITS}g}") if math.isfinite(value) else None

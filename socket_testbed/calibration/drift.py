@@ -1,0 +1,230 @@
+"""Load cycles, and the drift of a cluster between readings without load.
+
+A cluster's channels drift by additive capacitances (temperature, humidity, creep of the
+dielectric), so the unloaded capacitances tell what to subtract.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+from scipy.ndimage import median_filter
+
+from socket_testbed.arrays import FloatArray, IntArray
+from socket_testbed.calibration.bench_data import UNNAMED, BenchData, scaled_stress
+from socket_testbed.calibration.model import ClusterCalibration
+from socket_testbed.calibration.polynomials import predict_stress
+from socket_testbed.errors import CalibrationError
+
+_CYCLE = 0.25  # [-] of the load's span; what turns by less is no cycle
+_BRANCH = 0.2  # [-] of the full scale; what turns by less is no loading
+_ENDS = 0.05  # [-] of a branch at either end, where the stress may dwell
+
+RISING, FALLING, NEITHER = 1, -1, 0
+
+
+def find_turns(values: FloatArray, least: float) -> IntArray:
+    """Indices of the extremes between which a signal moves by a least amount, in turn up and down.
+
+    Args:
+        values: The signal, shape (N,).
+        least: Smallest move that counts.
+
+    Returns:
+        Indices from the first extreme to the last one; a single one if nothing moves so much.
+    """
+    turns: list[int] = []
+    lowest = highest = direction = 0
+    for i, value in enumerate(values.tolist()):
+        lowest = i if value < values[lowest] else lowest
+        highest = i if value > values[highest] else highest
+        if direction <= 0 and value - values[lowest] >= least:
+            turns.append(lowest)
+            direction, highest = 1, i
+        elif direction >= 0 and values[highest] - value >= least:
+            turns.append(highest)
+            direction, lowest = -1, i
+    turns.append(highest if direction > 0 else lowest)
+    return np.array(turns, dtype=np.int64)
+
+
+def find_cycles(stress: FloatArray) -> IntArray:
+    """Cycles of one file: from one low point of the load to the next.
+
+    The load is the length of the stress in parts of each one's full scale.
+
+    Args:
+        stress: Normal stress, shear x and shear y, shape (N, 3) [Pa].
+
+    Returns:
+        Cycle of each row, 0, 1, ..., shape (N,).
+    """
+    load = median_filter(np.linalg.norm(scaled_stress(stress), axis=1), 3)  # a spike is no cycle
+    turns = find_turns(load, _CYCLE * float(np.ptp(load)))
+    low = [
+        i for k, i in enumerate(turns) if 0 < k < len(turns) - 1 and load[i] < load[turns[k - 1]]
+    ]
+    return np.searchsorted(low, np.arange(len(load)), side="right").astype(np.int64)
+
+
+def cycle_ids(bench: BenchData) -> IntArray:
+    """Cycle of each row over all files, shape (N,): the file's own, or those that are found.
+
+    One name for all rows of a file names no cycle.
+    """
+    ids = np.empty(len(bench), dtype=np.int64)
+    first = 0
+    for file in range(len(bench.files)):
+        rows = np.flatnonzero(bench.file == file)
+        named = (bench.cycle[rows] != UNNAMED).all() and np.ptp(bench.cycle[rows]) > 0
+        cycles = bench.cycle[rows] if named else find_cycles(bench.stress[rows])
+        _, ids[rows] = np.unique(cycles, return_inverse=True)
+        ids[rows] += first
+        first = int(ids[rows].max(initial=first - 1)) + 1
+    return ids
+
+
+def find_branches(bench: BenchData) -> IntArray:
+    """Whether each stress is rising, falling or neither in each row, shape (N, 3)."""
+    branches = np.full(bench.stress.shape, NEITHER)
+    least = _BRANCH * bench.full_scale
+    for file in range(len(bench.files)):
+        rows = np.flatnonzero(bench.file == file)
+        for axis in range(3):
+            branches[rows, axis] = _branches_of(bench.stress[rows, axis], float(least[axis]))
+    return branches
+
+
+def _branches_of(values: FloatArray, least: float) -> IntArray:
+    branches = np.full(len(values), NEITHER)
+    turns = find_turns(values, least)
+    for start, end in pairwise(turns):
+        travel = values[end] - values[start]
+        progress = (values[start:end] - values[start]) / travel
+        moving = (progress > _ENDS) & (progress < 1.0 - _ENDS)
+        branches[start:end][moving] = RISING if travel > 0.0 else FALLING
+    return branches
+
+
+DRIFT_LIMIT = 1000.0  # [Pa]; a cluster that drifts more during a run is flagged
+_LEAST_READINGS = 3
+
+
+@dataclass(frozen=True)
+class Baseline:
+    """Capacitances of an unloaded cluster.
+
+    Attributes:
+        time: When they were read, on the clock of what is corrected [s].
+        capacitance: Capacitances by input, shape (4,) [pF].
+    """
+
+    time: float
+    capacitance: FloatArray
+
+
+@dataclass(frozen=True)
+class Drift:
+    """What changed between two baselines.
+
+    Attributes:
+        capacitance: Change by input, shape (4,) [pF].
+        stress: Change of the calibrated stress of the unloaded cluster, shape (3,) [Pa].
+    """
+
+    capacitance: FloatArray
+    stress: FloatArray
+
+    @property
+    def flagged(self) -> bool:
+        """Whether a stress drifted by more than `DRIFT_LIMIT`."""
+        return bool((np.abs(self.stress) > DRIFT_LIMIT).any())
+
+
+def average_baseline(time: float, capacitance: FloatArray, where: str) -> Baseline:
+    """The medians of unloaded readings, which a single spike does not move.
+
+    Args:
+        time: When they were read [s].
+        capacitance: Capacitances by input, shape (N, 4) [pF]; rows with a NaN do not count.
+        where: The readings, for the error.
+
+    Raises:
+        CalibrationError: If fewer than three readings are whole.
+    """
+    whole = capacitance[np.isfinite(capacitance).all(axis=1)]
+    if len(whole) < _LEAST_READINGS:
+        raise CalibrationError(
+            f"{where}: {len(whole)} whole readings are too few for a baseline",
+            f"read the unloaded cluster {_LEAST_READINGS} times or more",
+        )
+    return Baseline(time, np.median(whole, axis=0))
+
+
+def measure_drift(cluster: ClusterCalibration, before: Baseline, after: Baseline) -> Drift:
+    """What changed between two baselines, in pF and, through the calibration, in Pa."""
+    pair = predict_stress(cluster, np.stack([before.capacitance, after.capacitance]))
+    return Drift(after.capacitance - before.capacitance, pair[1] - pair[0])
+
+
+def correct_drift(
+    capacitance: FloatArray,
+    time: FloatArray,
+    before: Baseline,
+    after: Baseline | None = None,
+    reference: FloatArray | None = None,
+) -> FloatArray:
+    """Bring readings to the baseline that a calibration was made at.
+
+    ``c(t) - (b(t) - reference)``, with b the baseline: linear in time from before to after and
+    constant outside of them, or all the time the one before.
+
+    Args:
+        capacitance: Capacitances by input, shape (N, 4) [pF]; NaN stays NaN.
+        time: Their times, shape (N,) [s].
+        before: The baseline before.
+        after: The baseline after; None if there was none.
+        reference: Baseline of the calibration by input, shape (4,) [pF]; None takes the one
+            before, so that only the drift since then is taken off.
+
+    Returns:
+        Corrected capacitances, shape (N, 4) [pF].
+
+    Raises:
+        CalibrationError: If the baseline after is not later than the one before.
+    """
+    if reference is None:
+        reference = before.capacitance
+    if after is None:
+        return capacitance - (before.capacitance - reference)
+    if not after.time > before.time:
+        raise CalibrationError(
+            f"the baseline after ({after.time:g} s) is not later than the one before"
+            f" ({before.time:g} s)",
+            "give the unloaded readings before first, those after second",
+        )
+    part = np.clip((time - before.time) / (after.time - before.time), 0.0, 1.0)
+    baseline = before.capacitance + part[:, None] * (after.capacitance - before.capacitance)
+    return capacitance - (baseline - reference)
+
+
+def correct_bench(bench: BenchData, before: Baseline, after: Baseline) -> BenchData:
+    """Take the drift over a bench run off its readings, which come to the baseline before.
+
+    Raises:
+        CalibrationError: If the run is not one file with times.
+    """
+    if len(bench.files) > 1:
+        raise CalibrationError(
+            f"{len(bench.files)} bench files cannot share the drift between two baselines",
+            "give the one file that was read between them, or the baseline before only",
+        )
+    if np.isnan(bench.time).any():
+        raise CalibrationError(
+            f"{bench.files[0]}: has no time, by which the drift would be taken off",
+            "add a column 'time [s]', or give the baseline before only",
+        )
+    corrected = correct_drift(bench.capacitance, bench.time, before, after)
+    return replace(bench, capacitance=corrected)

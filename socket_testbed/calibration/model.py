@@ -1,0 +1,238 @@
+"""Calibration of the clusters: four capacitances to normal and shear stress.
+
+The mean of the four channels gives the normal stress by a first-degree polynomial; the
+differences between the channel pairs along x and along y give each shear stress by a
+surface of total degree 2.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, field
+from datetime import date
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from socket_testbed.arrays import FloatArray, IntArray, StatusArray
+from socket_testbed.errors import CalibrationError, ConfigurationError
+from socket_testbed.files import Section, read_document
+from socket_testbed.samples import Status
+
+SMALLEST_GAIN = 100.0  # [Pa/pF]; a smaller one is in another unit
+
+SHEAR_TERMS = ("1", "dx", "dy", "dx^2", "dx dy", "dy^2")
+
+
+def channel_features(capacitance: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Mean and pair differences of the channels (-x,+y), (+x,+y), (-x,-y), (+x,-y).
+
+    Args:
+        capacitance: Capacitances, shape (..., 4) [pF].
+
+    Returns:
+        Mean, difference along x (+x minus -x) and along y (+y minus -y), shape (...) each
+        [pF].
+    """
+    c0, c1, c2, c3 = np.moveaxis(capacitance, -1, 0)
+    mean = 0.25 * (c0 + c1 + c2 + c3)
+    return mean, 0.5 * (c1 + c3 - c0 - c2), 0.5 * (c0 + c1 - c2 - c3)
+
+
+def shear_terms(along_x: FloatArray, along_y: FloatArray) -> FloatArray:
+    """Monomials `SHEAR_TERMS` of the pair differences, shape (..., 6) [pF^0..pF^2]."""
+    one = np.ones_like(along_x)
+    return np.stack([one, along_x, along_y, along_x**2, along_x * along_y, along_y**2], axis=-1)
+
+
+@dataclass(frozen=True)
+class ClusterCalibration:
+    """Coefficients of one cluster.
+
+    Attributes:
+        normal: Offset [Pa] and gain [Pa/pF] of the normal stress over the mean, shape (2,).
+        shear: Coefficients of `SHEAR_TERMS` for shear x and shear y, shape (2, 6)
+            [Pa, Pa/pF, Pa/pF^2].
+        mean_range: Calibrated range of the mean, shape (2,) [pF].
+        difference_range: Calibrated range of both pair differences, shape (2,) [pF].
+        wiring: Input of the converter that holds each channel, shape (4,).
+        baseline: Capacitances by input of the unloaded cluster on the bench, shape (4,) [pF];
+            None if they were not recorded.
+        bench: What the bench says of these coefficients: date, source, errors. It is kept for
+            people; nothing is computed from it. Empty if there is no such record.
+    """
+
+    normal: FloatArray
+    shear: FloatArray
+    mean_range: FloatArray
+    difference_range: FloatArray
+    wiring: IntArray
+    baseline: FloatArray | None = None
+    bench: Mapping[str, Any] = field(default_factory=dict)
+
+    def apply(self, capacitance: FloatArray, status: StatusArray) -> tuple[FloatArray, StatusArray]:
+        """Stress on the cluster from the converter's four inputs.
+
+        Args:
+            capacitance: Capacitances by input, shape (..., 4) [pF].
+            status: `Status` of each input, shape (..., 4).
+
+        Returns:
+            Normal stress (positive in compression), shear x and shear y, shape (..., 3)
+            [Pa], and their `Status`, shape (...). The stress is NaN unless all four
+            channels were read; out of the calibrated range it is an extrapolation.
+        """
+        capacitance = capacitance[..., self.wiring]
+        status = status[..., self.wiring]
+        capacitance = np.where(np.isfinite(capacitance), capacitance, np.nan)
+        missing = ((status >= Status.MISSING) | np.isnan(capacitance)).any(axis=-1)
+        saturated = (status == Status.SATURATED).any(axis=-1)
+
+        mean, along_x, along_y = channel_features(capacitance)
+        normal = self.normal[0] + self.normal[1] * mean
+        shear = shear_terms(along_x, along_y) @ self.shear.T
+        stress = np.concatenate([normal[..., None], shear], axis=-1)
+
+        outside = (mean < self.mean_range[0]) | (mean > self.mean_range[1])
+        for difference in (along_x, along_y):
+            outside |= difference < self.difference_range[0]
+            outside |= difference > self.difference_range[1]
+        result = np.where(outside, Status.OUT_OF_RANGE, Status.OK)
+        # A saturated input is reported as such even though its value is NaN, too.
+        result = np.where(missing, Status.MISSING, result)
+        result = np.where(
+            saturated & ~(status >= Status.MISSING).any(axis=-1), Status.SATURATED, result
+        ).astype(np.uint8)
+        unusable = (result == Status.MISSING) | (result == Status.SATURATED)
+        return np.where(unusable[..., None], np.nan, stress), result
+
+    def to_document(self) -> dict[str, Any]:
+        """The cluster's section of `calibration.yaml`."""
+        document = {
+            "normal": self.normal.tolist(),
+            "shear_x": self.shear[0].tolist(),
+            "shear_y": self.shear[1].tolist(),
+            "mean_range": self.mean_range.tolist(),
+            "difference_range": self.difference_range.tolist(),
+            "wiring": self.wiring.tolist(),
+        }
+        if self.baseline is not None:
+            document["baseline"] = self.baseline.tolist()
+        if self.bench:
+            document["bench"] = dict(self.bench)
+        return document
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """Calibration of all clusters.
+
+    Attributes:
+        clusters: Coefficients by the cluster's name.
+        date: Date of the coefficients; a cluster with a `bench` record has its own there.
+        source: Where they come from; likewise.
+    """
+
+    clusters: dict[str, ClusterCalibration]
+    date: str
+    source: str
+
+    def require(self, clusters: Collection[str], of: str) -> None:
+        """Refuse a calibration that lacks one of the clusters.
+
+        Raises:
+            CalibrationError: Naming the clusters without coefficients.
+        """
+        lacking = [name for name in clusters if name not in self.clusters]
+        if lacking:
+            raise CalibrationError(
+                f"the calibration has no cluster {', '.join(lacking)} of {of}"
+                f" (it has {', '.join(self.clusters) or 'none'})",
+                "give the calibration.yaml of these clusters",
+            )
+
+    def to_document(self) -> dict[str, Any]:
+        """The content of `calibration.yaml`."""
+        return {
+            "date": self.date,
+            "source": self.source,
+            "clusters": {name: cluster.to_document() for name, cluster in self.clusters.items()},
+        }
+
+
+_HEADER = """\
+# Calibration of the clusters, four capacitances to stress.
+# normal: offset [Pa] and gain [Pa/pF] over the mean of the four channels.
+# shear_x, shear_y: coefficients of 1, dx, dy, dx^2, dx dy, dy^2 [Pa, Pa/pF, Pa/pF^2] with dx, dy
+#   the differences of the channel pairs along x and y [pF].
+# mean_range, difference_range: the calibrated ranges [pF].
+# wiring: the converter's input of each channel (-x,+y), (+x,+y), (-x,-y), (+x,-y).
+# baseline: the inputs of the unloaded cluster on the bench [pF].
+# bench: where a cluster's coefficients come from, and how good they are.
+"""
+
+
+def write_calibration(calibration: Calibration, path: Path) -> None:
+    """Write `calibration.yaml`."""
+    text = yaml.safe_dump(calibration.to_document(), sort_keys=False, default_flow_style=None)
+    path.write_text(_HEADER + text, encoding="utf-8")
+
+
+def read_calibration(path: Path) -> Calibration:
+    """Read `calibration.yaml`.
+
+    Raises:
+        ConfigurationError: If the file is missing or anything in it is not as it must be.
+    """
+    document = read_document(path).expect(("date", "source", "clusters"))
+    clusters = {
+        name: _cluster_from_section(section) for name, section in document.sections("clusters")
+    }
+    return Calibration(clusters, _date(document), document.text("source"))
+
+
+def _date(document: Section) -> str:
+    value = document.take("date")
+    return value.isoformat() if isinstance(value, date) else document.text("date")
+
+
+_REQUIRED = ("normal", "shear_x", "shear_y", "mean_range", "difference_range", "wiring")
+_OPTIONAL = ("baseline", "bench")
+
+
+def _cluster_from_section(section: Section) -> ClusterCalibration:
+    section.expect((*_REQUIRED, *_OPTIONAL))
+    wiring = section.array("wiring", (4,))
+    if sorted(wiring.tolist()) != [0, 1, 2, 3]:
+        raise ConfigurationError(
+            f"{section.where}: wiring is {wiring.tolist()}", "give each of 0, 1, 2, 3 once"
+        )
+    ranges = {}
+    for key in ("mean_range", "difference_range"):
+        ranges[key] = section.array(key, (2,))
+        if ranges[key][0] >= ranges[key][1]:
+            raise ConfigurationError(
+                f"{section.where}: {key} is {ranges[key].tolist()}", "give [low, high] in pF"
+            )
+    normal = section.array("normal", (2,))
+    if normal[1] < SMALLEST_GAIN:
+        raise ConfigurationError(
+            f"{section.where}: the gain of normal is {normal[1]:g} Pa/pF",
+            "give [offset in Pa, gain in Pa/pF], compression positive",
+        )
+    return ClusterCalibration(
+        normal=normal,
+        shear=np.array([section.array("shear_x", (6,)), section.array("shear_y", (6,))]),
+        mean_range=ranges["mean_range"],
+        difference_range=ranges["difference_range"],
+        wiring=wiring.astype(np.int64),
+        baseline=section.array("baseline", (4,)) if "baseline" in section.names() else None,
+        bench=_bench_record(section) if "bench" in section.names() else {},
+    )
+
+
+def _bench_record(section: Section) -> Mapping[str, Any]:
+    record = section.section("bench")
+    return {name: record.take(name) for name in record.names()}

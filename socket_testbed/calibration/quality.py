@@ -1,0 +1,292 @@
+"""Errors of a calibration: against the known stresses, and held out in groups."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy.special import stdtrit
+
+from socket_testbed.arrays import BoolArray, FloatArray, IntArray
+from socket_testbed.calibration.bench_data import BenchData
+from socket_testbed.calibration.drift import FALLING, RISING, cycle_ids
+from socket_testbed.calibration.polynomials import design_matrices, excitation_terms, find_lack
+from socket_testbed.errors import CalibrationError
+
+_LEVEL = 0.1  # [-] of the full scale; stresses within one level count as equal
+
+
+@dataclass(frozen=True)
+class StressErrors:
+    """Errors of one stress.
+
+    Attributes:
+        rmse: Root-mean-square error [Pa].
+        mae: Mean absolute error [Pa].
+        r2: Part of the known stress's variance that is explained [-].
+        percent: The RMSE in percent of the full scale.
+    """
+
+    rmse: float
+    mae: float
+    r2: float
+    percent: float
+
+
+def stress_errors(
+    known: FloatArray, predicted: FloatArray, full_scale: FloatArray
+) -> tuple[StressErrors, ...]:
+    """Errors of the normal stress, shear x and shear y.
+
+    Args:
+        known: Known stresses, shape (N, 3) [Pa].
+        predicted: What the calibration makes of the capacitances, shape (N, 3) [Pa].
+        full_scale: Largest size of each known stress, shape (3,) [Pa].
+    """
+    columns = zip(known.T, predicted.T, full_scale.tolist(), strict=True)
+    return tuple(_errors(*column) for column in columns)
+
+
+def _errors(known: FloatArray, predicted: FloatArray, full_scale: float) -> StressErrors:
+    residual = predicted - known
+    rmse = float(np.sqrt(np.mean(residual**2)))
+    return StressErrors(
+        rmse=rmse,
+        mae=float(np.mean(np.abs(residual))),
+        r2=1.0 - rmse**2 / float(np.var(known)),
+        percent=100.0 * rmse / full_scale,
+    )
+
+
+def hysteresis(bench: BenchData, residual: FloatArray, branches: IntArray) -> FloatArray:
+    """Widest gap between rising and falling at equal stress, in percent of the full scale.
+
+    Equal means that all three stresses lie within the same tenth of their full scales. In each
+    such cell the mean residuals of the rising and of the falling rows are subtracted; the cells
+    of one level of the stress in question are averaged, and the widest level counts.
+
+    Args:
+        bench: The bench data.
+        residual: Calibrated minus known stress, shape (N, 3) [Pa].
+        branches: `find_branches` of the data, shape (N, 3).
+
+    Returns:
+        One figure a stress, shape (3,) [%]; NaN for one that did not rise and fall between
+        equal stresses.
+    """
+    levels = _levels(bench)
+    _, cells = np.unique(levels, axis=0, return_inverse=True)
+    cells = cells.ravel()
+    widest = np.full(3, np.nan)
+    for axis in range(3):
+        up, rising = _means(cells, residual[:, axis], branches[:, axis] == RISING)
+        down, falling = _means(cells, residual[:, axis], branches[:, axis] == FALLING)
+        both = (rising > 0) & (falling > 0)
+        if not both.any():
+            continue
+        level_of_cell = np.zeros(len(up), dtype=np.int64)
+        level_of_cell[cells] = levels[:, axis] - levels[:, axis].min()
+        weight = np.minimum(rising, falling)[both]
+        total = np.bincount(level_of_cell[both], weight * (up - down)[both])
+        weights = np.bincount(level_of_cell[both], weight)
+        gaps = np.abs(total[weights > 0] / weights[weights > 0])
+        widest[axis] = 100.0 * gaps.max() / bench.full_scale[axis]
+    return widest
+
+
+def repeatability(
+    bench: BenchData, residual: FloatArray, branches: IntArray, cycles: IntArray
+) -> FloatArray:
+    """Spread of the cycles at equal stress on the same branch, in percent of the full scale.
+
+    The standard deviation over the cycles of their mean residuals in a cell (see
+    `hysteresis`), pooled over all cells that two cycles or more went through.
+
+    Args:
+        bench: The bench data.
+        residual: Calibrated minus known stress, shape (N, 3) [Pa].
+        branches: `find_branches` of the data, shape (N, 3).
+        cycles: `cycle_ids` of the data, shape (N,).
+
+    Returns:
+        One figure a stress, shape (3,) [%]; NaN for one that no two cycles repeated.
+    """
+    levels = _levels(bench)
+    spread = np.full(3, np.nan)
+    for axis in range(3):
+        keys = np.column_stack([levels, branches[:, axis], cycles])
+        visits, visit = np.unique(keys, axis=0, return_inverse=True)
+        mean, _ = _means(visit.ravel(), residual[:, axis], np.ones(len(bench), dtype=bool))
+        _, cell = np.unique(visits[:, :4], axis=0, return_inverse=True)
+        centre, count = _means(cell.ravel(), mean, np.ones(len(mean), dtype=bool))
+        freedom = (count - 1).sum()
+        if freedom > 0:
+            variance = ((mean - centre[cell.ravel()]) ** 2).sum() / freedom
+            spread[axis] = 100.0 * np.sqrt(variance) / bench.full_scale[axis]
+    return spread
+
+
+def _levels(bench: BenchData) -> IntArray:
+    """Level of each stress in each row; the one of no stress is not cut in two, shape (N, 3)."""
+    return np.round(bench.stress / (_LEVEL * bench.full_scale)).astype(np.int64)
+
+
+def _means(cells: IntArray, values: FloatArray, rows: BoolArray) -> tuple[FloatArray, IntArray]:
+    """Mean of some rows in each cell, zero where there is none, and their number."""
+    count = np.bincount(cells[rows], minlength=int(cells.max()) + 1)
+    total = np.bincount(cells[rows], values[rows], minlength=len(count))
+    return total / np.maximum(count, 1), count
+
+
+_LEAST_GROUPS = 3
+_BLOCKS = 10
+
+
+@dataclass(frozen=True)
+class Groups:
+    """Readings that are held out together, because neighbours know of each other.
+
+    Attributes:
+        unit: What a group is: file, cycle or block.
+        ids: Group of each row, 0 to G - 1, shape (N,).
+    """
+
+    unit: str
+    ids: IntArray
+
+    def __len__(self) -> int:
+        return int(self.ids.max()) + 1
+
+    @cached_property
+    def rows(self) -> list[IntArray]:
+        """Rows of each group, in their order."""
+        order = np.argsort(self.ids, kind="stable")
+        return np.split(order, np.cumsum(np.bincount(self.ids))[:-1])
+
+    def __str__(self) -> str:
+        return f"{len(self)} {self.unit}s"
+
+
+@dataclass(frozen=True)
+class CrossValidation:
+    """What the fits without each group say.
+
+    Attributes:
+        groups: The groups.
+        predicted: Stress of each row by the fit without its group, shape (N, 3) [Pa].
+        normal: Coefficients `normal` of each fit, shape (G, 2) [Pa, Pa/pF].
+        shear: Coefficients `shear` of each fit, shape (G, 2, 6) [Pa, Pa/pF, Pa/pF^2].
+    """
+
+    groups: Groups
+    predicted: FloatArray
+    normal: FloatArray
+    shear: FloatArray
+
+
+def choose_groups(bench: BenchData) -> Groups:
+    """The largest groups without each of which the rest still determines the fit.
+
+    Three files or more, else three cycles or more (the file's own, or found where the load
+    turns), else ten blocks of successive rows. Cycles that cannot be left out are no reason to
+    fall back to blocks: these would share their cycles and flatter the fit.
+
+    Raises:
+        CalibrationError: If the rest does not determine the fit, naming the group.
+    """
+    choice = None
+    for groups in _candidates(bench):
+        choice = _lack_of_rest(bench, groups)
+        if choice is None:
+            return groups
+    assert choice is not None
+    raise choice
+
+
+def _candidates(bench: BenchData) -> Iterator[Groups]:
+    files = Groups("file", bench.file)
+    if len(files) >= _LEAST_GROUPS:
+        yield files
+    cycles = Groups("cycle", cycle_ids(bench))
+    if len(cycles) >= _LEAST_GROUPS:
+        yield cycles
+    else:
+        yield Groups("block", np.arange(len(bench)) * _BLOCKS // len(bench))
+
+
+def _lack_of_rest(bench: BenchData, groups: Groups) -> CalibrationError | None:
+    terms = excitation_terms(bench.stress)
+    products = terms.T @ terms
+    for rows in groups.rows:
+        lack = find_lack(products - terms[rows].T @ terms[rows], len(bench) - len(rows))
+        if lack is not None:
+            return CalibrationError(
+                f"without the {groups.unit} that starts at {bench.place(int(rows[0]))}, {lack[0]},"
+                " so the fit cannot be checked on data it has not seen",
+                "repeat the loading of this part at least once",
+            )
+    return None
+
+
+def cross_validate(capacitance: FloatArray, stress: FloatArray, groups: Groups) -> CrossValidation:
+    """Fit without each group in turn, and predict it.
+
+    Args:
+        capacitance: Capacitances by channel, shape (N, 4) [pF].
+        stress: Known normal stress, shear x and shear y, shape (N, 3) [Pa].
+        groups: The groups.
+    """
+    of_mean, of_differences = design_matrices(capacitance)
+    normal = fit_without(of_mean, stress[:, :1], groups)[:, :, 0]
+    shear = np.swapaxes(fit_without(of_differences, stress[:, 1:], groups), 1, 2)
+    predicted = np.empty_like(stress)
+    for group, rows in enumerate(groups.rows):
+        predicted[rows, 0] = of_mean[rows] @ normal[group]
+        predicted[rows, 1:] = of_differences[rows] @ shear[group].T
+    return CrossValidation(groups, predicted, normal, shear)
+
+
+def fit_without(design: FloatArray, target: FloatArray, groups: Groups) -> FloatArray:
+    """Least squares without each group in turn, for the work of about one fit.
+
+    With X = QR, the fit without the rows g solves ``(I - Qg'Qg) R b = Q'y - Qg'yg``, which is
+    as well conditioned as the group lets it be.
+
+    Args:
+        design: Design matrix X, shape (N, p).
+        target: Values to explain y, shape (N, m).
+        groups: The groups.
+
+    Returns:
+        Coefficients without each group, shape (G, p, m).
+    """
+    scale = np.sqrt((design**2).mean(axis=0))
+    q, r = np.linalg.qr(design / scale)
+    seen = q.T @ target
+    rotated = [
+        np.linalg.lstsq(
+            np.eye(len(r)) - q[rows].T @ q[rows], seen - q[rows].T @ target[rows], rcond=None
+        )[0]
+        for rows in groups.rows
+    ]
+    return np.asarray(np.linalg.solve(r, np.array(rotated)) / scale[:, None])
+
+
+def half_widths(full: FloatArray, without: FloatArray) -> FloatArray:
+    """Half widths of 95 % confidence intervals by the jackknife over groups.
+
+    ``t(0.975, G - 1) sqrt((G - 1) / G sum_g (b_g - b)^2)``, the variance CV3 of MacKinnon,
+    Nielsen and Webb (2023), "Fast and reliable jackknife and bootstrap methods for
+    cluster-robust inference", arXiv:2301.04527. The residuals within a group may hang together
+    in any way; those of different groups are taken as independent. It says how well this bench
+    determines the coefficients, not whether the polynomial is the law of the sensor.
+
+    Args:
+        full: Coefficients of the fit to all data, any shape.
+        without: Coefficients of the fits without each group, shape (G, ...).
+    """
+    count = len(without)
+    variance = (count - 1) / count * ((without - full) ** 2).sum(axis=0)
+    return np.asarray(stdtrit(count - 1, 0.975) * np.sqrt(variance))

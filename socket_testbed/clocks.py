@@ -1,0 +1,128 @@
+"""Time: the steady clock, the time of a trigger on it, and when to try again.
+
+The processes of one graph share where it begins, in an environment variable: one that is started
+again later, when the system clock has been set, still tells the same time as the others.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import time
+from collections import deque
+from collections.abc import Callable
+
+BEGINNING = "SOCKET_TESTBED_BEGINNING"  # of the steady clock, since the epoch [ns]
+
+
+class SteadyClock:
+    """The system clock as it was once, advanced by the steady clock.
+
+    Args:
+        wall: The system clock, since the epoch [ns].
+        steady: The steady clock, since some moment [ns].
+
+    Attributes:
+        beginning: Time since the epoch at which the steady clock was zero [ns].
+    """
+
+    def __init__(
+        self,
+        wall: Callable[[], int] = time.time_ns,
+        steady: Callable[[], int] = time.monotonic_ns,
+    ) -> None:
+        self._wall = wall
+        self._steady = steady
+        shared = os.environ.get(BEGINNING)
+        self.beginning = int(shared) if shared else wall() - steady()
+
+    def now(self) -> int:
+        """Time since the epoch [ns]; it never goes back."""
+        return self._steady() + self.beginning
+
+    def to_epoch(self, steady_seconds: float) -> int:
+        """Time since the epoch [ns] of a time of the steady clock [s]."""
+        return round(steady_seconds * 1e9) + self.beginning
+
+    def to_steady(self, stamp: int) -> float:
+        """Time of the steady clock [s] of a time since the epoch [ns]."""
+        return (stamp - self.beginning) * 1e-9
+
+    def step(self) -> float:
+        """How far the system clock was set forward (negative: back) since this was made [s]."""
+        return (self._wall() - self.now()) * 1e-9
+
+
+_EARLY = 0.002  # [s]; how much two processes may differ about the time
+_LATE = 0.5  # [s]; how late a trigger may arrive
+_ALIKE = 0.005  # [s]; spread of the differences of triggers that arrive as they are sent
+_ENOUGH = 5  # triggers
+_TRAVEL = 0.0005  # [s]; how long a trigger usually takes
+
+
+class TriggerTime:
+    """Puts triggers on the steady clock.
+
+    Processes that were not started together take the system clock each at its own start. If that
+    clock was set in between, stamps seem to come from the future or from long ago, all by the same
+    difference: then their arrival tells it. Triggers that were held up come from long ago, too,
+    but each by another difference.
+
+    Attributes:
+        shift: How far the trigger's clock is from this process's [s]; 0 as a rule.
+    """
+
+    def __init__(self, clock: SteadyClock) -> None:
+        self._clock = clock
+        self._differences: deque[float] = deque(maxlen=_ENOUGH)
+        self.shift = 0.0
+
+    def steady(self, stamp: int, arrival: float) -> float:
+        """Time of a trigger on the steady clock [s]; minus infinity while it cannot be told.
+
+        Args:
+            stamp: Its stamp since the epoch [ns].
+            arrival: When it arrived, on the steady clock [s].
+        """
+        plain = self._clock.to_steady(stamp)
+        for shift in (self.shift, 0.0):
+            if -_EARLY <= arrival - (plain + shift) <= _LATE:
+                self.shift = shift
+                self._differences.clear()
+                return plain + shift
+        self._differences.append(arrival - plain)
+        spread = max(self._differences) - min(self._differences)
+        if len(self._differences) < _ENOUGH or spread > _ALIKE:
+            return -math.inf
+        self.shift = min(self._differences) - _TRAVEL
+        return plain + self.shift
+
+
+_FIRST = 0.05  # [s]
+_LONGEST = 0.4  # [s]; a recovery is seen within a second
+
+
+class Backoff:
+    """Spaces out attempts: each failure doubles the wait, a success ends it.
+
+    Args:
+        longest: Longest wait [s].
+    """
+
+    def __init__(self, longest: float = _LONGEST) -> None:
+        self._longest = longest
+        self._wait = 0.0
+        self._next = 0.0
+
+    def due(self, now: float) -> bool:
+        """Whether an attempt is due at a time of the steady clock [s]."""
+        return now >= self._next
+
+    def failed(self, now: float) -> None:
+        """An attempt failed."""
+        self._wait = min(2.0 * self._wait, self._longest) if self._wait else _FIRST
+        self._next = now + self._wait
+
+    def succeeded(self) -> None:
+        """An attempt succeeded."""
+        self._wait = self._next = 0.0

@@ -1,0 +1,111 @@
+"""Arguments of the verbs that work with the testbed's hardware, real or simulated."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+from typing import TypeVar
+
+from socket_testbed.errors import ConfigurationError
+from socket_testbed.files import check_number, closest, packaged
+from socket_testbed.geometry.socket import read_socket
+from socket_testbed.live.bringup import Simulation, Testbed
+from socket_testbed.settings.acquisition import (
+    ClusterSettings,
+    LoadCellSettings,
+    MocapSettings,
+    TriggerSettings,
+)
+from socket_testbed.settings.fields import Settings
+from socket_testbed.settings.testbed import EstimatorSettings, read_parameters
+from socket_testbed.simulation.limb import SCENARIOS
+from socket_testbed.simulation.world import FAULTS
+
+
+def add_simulation(parser: argparse.ArgumentParser) -> None:
+    """Hardware that is simulated at its buses."""
+    group = parser.add_argument_group("simulated hardware")
+    group.add_argument("--simulated", action="store_true", help="simulate it at its buses")
+    group.add_argument(
+        "--scenario", choices=SCENARIOS, default="static_hold", help="load (default: static_hold)"
+    )
+    group.add_argument(
+        "--period", type=float, default=120.0, metavar="S", help="of the scenario (default: 120 s)"
+    )
+    group.add_argument("--seed", type=int, default=0, help="seed of all that is random")
+    group.add_argument(
+        "--fault", action="append", default=[], metavar="NAME=VALUE",
+        help="switch a fault on, such as load_cell.flipped_bits=0.01; see docs/faults.md",
+    )  # fmt: skip
+
+
+def simulation_of(options: argparse.Namespace) -> tuple[Simulation | None, dict[str, float]]:
+    """What is simulated, None on hardware, and the faults that are on."""
+    faults = dict(_fault(text) for text in options.fault)
+    if not options.simulated:
+        if faults:
+            raise ConfigurationError("--fault is for simulated hardware", "add --simulated")
+        return None, {}
+    check_number(options.period, "--period", 5.0, 3600.0)
+    check_number(options.seed, "--seed", 0)
+    return Simulation(options.scenario, options.period, options.seed), faults
+
+
+def _fault(text: str) -> tuple[str, float]:
+    name, _, value = text.partition("=")
+    if name not in FAULTS:
+        raise ConfigurationError(f"--fault {text}: unknown fault '{name}'", closest(name, FAULTS))
+    try:
+        return name, check_number(float(value), f"--fault {name}", -1e6, 1e6)
+    except ValueError:
+        raise ConfigurationError(
+            f"--fault {text}: '{value}' is no number", f"{name} takes {FAULTS[name]}"
+        ) from None
+
+
+S = TypeVar("S", bound=Settings)
+
+
+def add_testbed(parser: argparse.ArgumentParser) -> None:
+    """The configuration of a testbed."""
+    parser.add_argument("--geometry", type=Path, metavar="SOCKET.yaml", help="the socket")
+    parser.add_argument(
+        "--calibration", type=Path, metavar="CALIBRATION.yaml", help="of the clusters"
+    )
+    parser.add_argument("--params", type=Path, metavar="TESTBED.yaml", help="node parameters")
+
+
+def testbed_of(options: argparse.Namespace, simulation: Simulation | None) -> Testbed:
+    """The testbed that is meant; whatever is wrong with it is named before any node starts.
+
+    Raises:
+        TestbedError: For a wrong file, or files that do not belong together.
+    """
+    # A simulated load cell is described by the package; a real one only by its owner.
+    given = read_parameters(packaged("config", "simulated.yaml")) if simulation else {}
+    if options.params is not None:
+        given |= read_parameters(options.params)
+
+    def of(node: str, kind: type[S]) -> S:
+        settings = given.get(node, kind())
+        assert isinstance(settings, kind)
+        return settings
+
+    geometry = (options.geometry or packaged("config", "socket.yaml")).resolve()
+    if simulation is None and not read_socket(geometry).registration:
+        print(
+            f"note: {geometry}: the marker bodies are nominal: register them before the limb's"
+            " position is trusted",
+            file=sys.stderr,
+        )
+    return Testbed(
+        trigger=of("trigger_node", TriggerSettings),
+        clusters=of("cluster_node", ClusterSettings),
+        load_cell=of("load_cell_node", LoadCellSettings),
+        mocap=of("mocap_node", MocapSettings),
+        estimator=of("estimator_node", EstimatorSettings),
+        geometry=geometry,
+        calibration=(options.calibration or packaged("config", "calibration.yaml")).resolve(),
+        simulation=simulation,
+    )

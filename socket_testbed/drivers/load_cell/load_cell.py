@@ -1,0 +1,294 @@
+"""The load cell: wrenches around given times, its health, and its tare."""
+
+from __future__ import annotations
+
+import json
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+
+from socket_testbed.arrays import BoolArray, FloatArray
+from socket_testbed.drivers.load_cell.ads131m0x import SpiDevice
+from socket_testbed.drivers.load_cell.bridges import AXES, UNITS, Bridges
+from socket_testbed.drivers.load_cell.converter_reader import ConverterReader
+from socket_testbed.errors import ConfigurationError, DeviceError
+from socket_testbed.files import read_document, whole_output
+from socket_testbed.settings.acquisition import LoadCellSettings
+
+_LARGEST = 1e3  # [mV/V]; no bridge comes near it
+
+
+class Tare:
+    """The ratios of the bridges that stand for no load.
+
+    Args:
+        path: File that keeps them; empty for none. It need not exist yet.
+
+    Raises:
+        ConfigurationError: If the file is there but damaged.
+    """
+
+    def __init__(self, path: str) -> None:
+        self._path = Path(path).expanduser() if path else None
+        self._writing = threading.Lock()
+        self._offsets: FloatArray = np.zeros(6)
+        if self._path is not None and self._path.exists():
+            self._offsets = _read(self._path)
+
+    @property
+    def offsets(self) -> FloatArray:
+        """Ratios at no load, shape (6,) [mV/V]."""
+        return self._offsets
+
+    def set(self, offsets: FloatArray) -> None:
+        """Take other ratios, shape (6,) [mV/V], and write them to the file.
+
+        Raises:
+            ConfigurationError: If the file cannot be written; the tare stays as it was.
+        """
+        with self._writing:
+            if self._path is not None:
+                content = {
+                    "offsets_mV_per_V": offsets.tolist(),
+                    "time": datetime.now(UTC).isoformat(timespec="seconds"),
+                }
+                with whole_output(self._path) as path:
+                    path.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
+            self._offsets = offsets.copy()
+
+
+def _read(path: Path) -> FloatArray:
+    try:
+        document = read_document(path).expect(("offsets_mV_per_V", "time"))
+        return document.array("offsets_mV_per_V", (6,), limit=_LARGEST)
+    except ConfigurationError as error:
+        raise ConfigurationError(error.fact, "remove the file and tare again") from None
+
+
+_BROKEN_WIRE = 5  # conversions in a row at a rail
+_AFTER = 0.25  # part of the window that is after the trigger
+_WORST = 3.0  # variance of a wrench from what is left of a window, against the whole one's
+_RECENT = 0.8  # [s]; what a report of health looks back at
+
+
+@dataclass(frozen=True)
+class WrenchReading:
+    """The wrench around a time.
+
+    Attributes:
+        wrench: Wrench [M; F], shape (6,) [N m, N]; all NaN if it was not measured.
+        conversions: Number of conversions around the time.
+        fault: What is wrong; empty if nothing is. An overload leaves the wrench as it is.
+    """
+
+    wrench: FloatArray
+    conversions: int
+    fault: str
+
+
+class LoadCell:
+    """A load cell behind an ADS131M06 or ADS131M08.
+
+    One thread polls it and closes it in the end; any other thread may ask for the rest.
+
+    Args:
+        settings: Its settings.
+        open_device: Opens its bus; called again after a failure.
+        clock: The steady clock that all times are of [s].
+        sleep: Waits for a time [s].
+
+    Attributes:
+        settings: Its settings; others may be assigned, of which the window and what concerns
+            the tare are followed.
+
+    Raises:
+        ConfigurationError: If a setting or the tare's file is wrong.
+    """
+
+    def __init__(
+        self,
+        settings: LoadCellSettings,
+        open_device: Callable[[], SpiDevice],
+        clock: Callable[[], float] = time.monotonic,
+        sleep: Callable[[float], None] = time.sleep,
+    ) -> None:
+        self.settings = settings
+        self._clock = clock
+        self._bridges = Bridges(settings)
+        self._tare = Tare(settings.tare_file)
+        self._reader = ConverterReader(settings, self._bridges, open_device, clock, sleep)
+
+    @property
+    def period(self) -> float:
+        """Time from one conversion to the next [s]: how often to poll."""
+        return self._reader.period
+
+    def poll(self) -> None:
+        """Read what waits in the converter, and connect to it again after a failure.
+
+        What the device does wrong is told by `health`, never raised. A pause of two periods or
+        more costs the conversions since, whose times nobody knows.
+        """
+        self._reader.poll()
+
+    def close(self) -> None:
+        """Give the bus back."""
+        self._reader.close()
+
+    def identify(self) -> str:
+        """Which converter this is; for a thread that does not poll at the same time.
+
+        Raises:
+            DeviceError: If it cannot be reached or is another one.
+        """
+        converter = self._reader.connect()
+        settings = self.settings
+        return (
+            f"ADS131M{settings.channels:02d} on spidev{settings.device}, "
+            f"ID 0x{converter.identity:04X}"
+        )
+
+    def check_frames(self, count: int) -> int:
+        """Number of corrupted frames out of so many; as `identify`, and loses conversions.
+
+        Raises:
+            DeviceError: If the converter cannot be reached.
+        """
+        return self._reader.connect().check_frames(count)
+
+    def figures(self) -> dict[str, object]:
+        """Numbers of conversions, of corrupted frames and of restarts."""
+        return dict(self._reader.counts())
+
+    def over(self, moment: float) -> float:
+        """When the last conversion is made that makes the wrench at a time [s]."""
+        return moment + _AFTER * self.settings.window
+
+    def ready(self, moment: float) -> bool:
+        """Whether waiting adds nothing to the wrench at a time [s].
+
+        Either all conversions around it are in, or they are over and the converter fails.
+        """
+        end = self.over(moment)
+        if self._reader.has_all(end):
+            return True
+        now = self._clock()
+        return now >= end and self._reader.trouble(now)[0] > 1
+
+    def wrench_at(self, moment: float) -> WrenchReading:
+        """The wrench at a time of the steady clock [s].
+
+        It is the value there of the line through the conversions of the window, three quarters
+        of which are before it: that is as little late as a mean over half of the window around
+        it, and twice as many conversions may be missing. Less than half of them, too few near
+        the time, or one at a rail make it NaN.
+        """
+        window = self.settings.window
+        end = self.over(moment)
+        times, ratios, rails = self._reader.between(end - window, end)
+        missing = np.full(6, np.nan)
+        if rails.any():
+            return WrenchReading(missing, len(times), self._saturated(rails))
+        expected = window / self.period
+        weights = _line_weights(times - moment)
+        # The line of all conversions has a variance of 1.75 / expected of theirs: see _AFTER.
+        uncertain = weights @ weights > _WORST * 1.75 / expected
+        if len(times) < max(1.0, 0.5 * expected) or uncertain:
+            fault = f"{len(times)} of {expected:.0f} conversions around the trigger"
+            level, fact, mend = self._reader.trouble(self._clock())
+            return WrenchReading(
+                missing, len(times), f"{fault}; {fact}: {mend}" if level else fault
+            )
+        wrench = self._bridges.wrenches(weights @ ratios - self._tare.offsets)
+        level, text = self._bridges.overload(np.abs(wrench))
+        return WrenchReading(wrench, len(times), text if level > 1 else "")
+
+    def health(self, now: float) -> tuple[int, str]:
+        """How it is at a time [s].
+
+        Returns:
+            0 (well), 1 (a warning) or 2 (an error), and the fact with the mend.
+        """
+        level, fact, mend = self._reader.trouble(now)
+        found = [(level, f"{fact}: {mend}")] if level else []
+        _, ratios, rails = self._reader.between(now - _RECENT, now)
+        broken = self._reader.rail_runs() >= _BROKEN_WIRE
+        if broken.any():
+            fact = f"{self._saturated(broken)} for {_BROKEN_WIRE} conversions or more"
+            found.append((2, f"{fact}: a broken wire? check the bridge and its wiring"))
+        elif rails.any():
+            fact = self._saturated(rails)
+            found.append((1, f"{fact} at times: unload the cell, or lower the gain"))
+        valid = ratios[~rails.any(axis=1)]
+        peak = np.abs(self._bridges.wrenches(valid - self._tare.offsets)).max(axis=0, initial=0.0)
+        found.append(self._bridges.overload(peak))
+        level, text = max(found, key=lambda entry: entry[0])
+        return level, text if level else f"spidev{self.settings.device} converts"
+
+    def tare(self, now: float | None = None) -> str:
+        """Let the load of the last `tare_duration` stand for no load.
+
+        Args:
+            now: End of that span [s]; None for the present.
+
+        Returns:
+            What was removed, to be read.
+
+        Raises:
+            DeviceError: If the cell is moving, saturated, or was not read all the time.
+            ConfigurationError: If the tare's file cannot be written.
+        """
+        settings = self.settings
+        now = self._clock() if now is None else now
+        level, fact, mend = self._reader.trouble(now)
+        if level > 1:
+            raise DeviceError(f"cannot tare: {fact}", mend)
+        _, ratios, rails = self._reader.between(now - settings.tare_duration, now)
+        expected = settings.tare_duration / self.period
+        if len(ratios) < 0.5 * expected:
+            raise DeviceError(
+                f"cannot tare: {len(ratios)} of {expected:.0f} conversions in the last "
+                f"{settings.tare_duration:g} s",
+                "wait that long, or set a shorter tare_duration",
+            )
+        if rails.any():
+            raise DeviceError(
+                f"cannot tare: {self._saturated(rails)}",
+                "unload the cell, or check the bridge and its wiring",
+            )
+        spread = self._bridges.wrenches(ratios).std(axis=0)
+        limits = np.repeat([settings.tare_moment, settings.tare_force], 3)
+        worst = int((spread / limits).argmax())
+        if spread[worst] > limits[worst]:
+            raise DeviceError(
+                f"cannot tare: {AXES[worst]} moves by {spread[worst]:.3g} {UNITS[worst]} "
+                f"(standard deviation), more than {limits[worst]:g} {UNITS[worst]}",
+                "hold the cell still and tare again",
+            )
+        offsets = ratios.mean(axis=0)
+        removed = self._bridges.wrenches(offsets - self._tare.offsets)
+        self._tare.set(offsets)
+        values = zip(AXES, removed, UNITS, strict=True)
+        return "tared: removed " + ", ".join(f"{a} {v:.4g} {unit}" for a, v, unit in values)
+
+    def _saturated(self, rails: BoolArray) -> str:
+        """Says which bridges are at a rail, shape (6,) or (n, 6)."""
+        which = np.flatnonzero(np.atleast_2d(rails).any(axis=0))
+        names = [f"bridge {k + 1} (input {self._bridges.inputs[k]})" for k in which]
+        return ", ".join(names) + (" is at its rail" if len(names) == 1 else " are at their rails")
+
+
+def _line_weights(offsets: FloatArray) -> FloatArray:
+    """Weights, shape (n,), that make of n values a least-squares line's value at offset 0."""
+    if len(offsets) == 0:
+        return offsets
+    mean = offsets.mean()
+    centred = offsets - mean
+    spread = float(centred @ centred)
+    weights = np.full(len(offsets), 1.0 / len(offsets))
+    return weights - centred * (mean / spread) if spread > 0.0 else weights

@@ -1,0 +1,276 @@
+"""The UDP sockets towards a NatNet server, and the commands sent over them."""
+
+from __future__ import annotations
+
+import errno
+import ipaddress
+import selectors
+import socket
+from collections import deque
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from dataclasses import dataclass
+
+from socket_testbed.drivers.natnet.messages import (
+    LARGEST_DATAGRAM,
+    UNRECOGNIZED,
+    Response,
+    Version,
+    encode_command,
+    parse_response,
+)
+from socket_testbed.errors import ConfigurationError, DeviceError
+from socket_testbed.settings.acquisition import MocapSettings
+
+_BUFFER = 1 << 20  # [bytes]; the frames of a second
+_AT_ONCE = 64  # datagrams
+
+
+def server_address(settings: MocapSettings) -> tuple[str, int]:
+    """Address of the server's command port.
+
+    Raises:
+        ConfigurationError: If it is not given or not known, or another address is none.
+    """
+    if not settings.server.strip():
+        raise ConfigurationError(
+            "mocap_node: server is empty", "give the address of the computer that runs Motive"
+        )
+    for name, value in (("multicast", settings.multicast), ("interface", settings.interface)):
+        if value:
+            _check_address(name, value)
+    try:
+        found = socket.getaddrinfo(
+            settings.server.strip(), settings.command_port, socket.AF_INET, socket.SOCK_DGRAM
+        )
+    except (OSError, UnicodeError) as error:
+        raise ConfigurationError(
+            f"mocap_node: server '{settings.server}' is not known ({error})",
+            "give the address of the computer that runs Motive, such as 192.168.1.2",
+        ) from None
+    return str(found[0][4][0]), settings.command_port
+
+
+def bitstream_version(settings: MocapSettings) -> Version:
+    """The version of the stream to ask for.
+
+    Raises:
+        ConfigurationError: If it is none.
+    """
+    parts = settings.bitstream.split(".")
+    if len(parts) != 2 or not all(p.isascii() and p.isdigit() and int(p) < 256 for p in parts):
+        raise ConfigurationError(
+            f"mocap_node: bitstream is '{settings.bitstream}'", "give a version such as 4.1"
+        )
+    return int(parts[0]), int(parts[1])
+
+
+def _check_address(name: str, value: str) -> None:
+    try:
+        address = ipaddress.IPv4Address(value)
+    except ValueError:
+        raise ConfigurationError(
+            f"mocap_node: {name} is '{value}'", "give an IPv4 address, or nothing"
+        ) from None
+    if name == "multicast" and not address.is_multicast:
+        raise ConfigurationError(
+            f"mocap_node: multicast is '{value}', which is no group", "give 239.255.42.99, say"
+        )
+
+
+class NatNetSockets:
+    """One socket for commands and, in unicast, data; another for a group's data.
+
+    Args:
+        settings: The settings.
+        server: Address of the server's command port.
+    """
+
+    def __init__(self, settings: MocapSettings, server: tuple[str, int]) -> None:
+        self._settings = settings
+        self._server = server
+        self._selector: selectors.DefaultSelector | None = None
+        self._command: socket.socket | None = None
+        self._sockets: list[socket.socket] = []
+
+    @property
+    def opened(self) -> bool:
+        """Whether the sockets are open."""
+        return self._command is not None
+
+    def open(self) -> None:
+        """Open the sockets, or open them anew.
+
+        Raises:
+            DeviceError: If another program has the data port.
+            OSError: If the network is not there.
+        """
+        self.close()
+        interface = self._settings.interface
+        self._selector = selectors.DefaultSelector()
+        try:
+            command = self._add((interface, 0))
+            if self._settings.multicast:
+                self._join(self._settings.multicast, interface or "0.0.0.0")
+        except BaseException:
+            self.close()
+            raise
+        self._command = command
+
+    def _add(self, address: tuple[str, int]) -> socket.socket:
+        udp = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._sockets.append(udp)
+        udp.setblocking(False)
+        udp.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _BUFFER)
+        if address[1]:
+            udp.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        udp.bind(address)
+        assert self._selector is not None
+        self._selector.register(udp, selectors.EVENT_READ)
+        return udp
+
+    def _join(self, group: str, interface: str) -> None:
+        port = self._settings.data_port
+        try:
+            data = self._add((group, port))  # bound to the group, other groups stay out
+        except OSError as error:
+            if error.errno != errno.EADDRINUSE:
+                raise
+            raise DeviceError(
+                f"mocap_node: another program has the data port {port}",
+                "end the other NatNet client, or stream unicast",
+            ) from None
+        membership = socket.inet_aton(group) + socket.inet_aton(interface)
+        data.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, membership)
+
+    def send(self, datagram: bytes) -> None:
+        """Send a datagram to the server.
+
+        Raises:
+            OSError: If the network does not take it.
+        """
+        if self._command is None:
+            raise OSError(errno.ENOTCONN, "no socket")
+        with suppress(BlockingIOError):
+            self._command.sendto(datagram, self._server)
+
+    def receive(self, timeout: float) -> Iterator[tuple[bytes, str]]:
+        """Datagrams that came, and the host each is from; at most some at once.
+
+        Args:
+            timeout: How long to wait for the first [s].
+        """
+        if self._selector is None:
+            return
+        for key, _ in self._selector.select(timeout):
+            udp = key.fileobj
+            assert isinstance(udp, socket.socket)
+            for _ in range(_AT_ONCE):
+                try:
+                    datagram, sender = udp.recvfrom(LARGEST_DATAGRAM)
+                except BlockingIOError:
+                    break
+                except OSError:  # what a host on the way refused
+                    continue
+                yield datagram, sender[0]
+
+    def close(self) -> None:
+        """Close the sockets."""
+        for udp in self._sockets:
+            udp.close()
+        self._sockets.clear()
+        if self._selector is not None:
+            self._selector.close()
+        self._selector = self._command = None
+
+
+ATTEMPTS = 10
+INTERVAL = 0.02  # [s]; what the maker's own client does
+_DUPLICATES = 0.01  # [s]; how long a second copy of an answer may take
+_STRAYS = 0.06  # [s]; how long answers to the repetitions may take
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What became of a command.
+
+    Attributes:
+        response: The reply; None: none came.
+        recognized: Whether the server knows the command.
+    """
+
+    response: Response | None
+    recognized: bool = True
+
+    @property
+    def accepted(self) -> bool:
+        """Whether the server did it."""
+        return self.response is not None and self.recognized and self.response.accepted
+
+    def fault(self, command: str) -> str:
+        """What went wrong, empty for nothing."""
+        name = command.partition(",")[0]
+        if self.response is None:
+            return f"no answer to {name}"
+        if not self.recognized:
+            return f"the server does not know {name}"
+        if not self.response.accepted:
+            return f"the server refuses {name} ({self.response.text})"
+        return ""
+
+
+Done = Callable[[Answer], None]
+
+
+class CommandQueue:
+    """Sends commands one after the other; replies carry no mark of what they answer.
+
+    So after an answer, what else comes of its repetitions is awaited before the next command.
+    `submit` may be called from any thread, all else from one.
+    """
+
+    def __init__(self) -> None:
+        self._waiting: deque[tuple[str, Done]] = deque()
+        self._current: tuple[str, Done] | None = None
+        self._sent = 0
+        self._next = 0.0
+        self._strays = 0
+        self._quiet = 0.0
+
+    def submit(self, text: str, done: Done) -> None:
+        """Have a command sent; `done` is called with what became of it."""
+        self._waiting.append((text, done))
+
+    def step(self, now: float, send: Callable[[bytes], None]) -> None:
+        """Send what is due at a time of the steady clock [s]."""
+        if self._current is None:
+            if now < self._quiet or not self._waiting:
+                return
+            self._current, self._sent, self._strays = self._waiting.popleft(), 0, 0
+            self._next = now
+        if now < self._next:
+            return
+        if self._sent == ATTEMPTS:
+            self._finish(Answer(None), now)
+            return
+        self._sent += 1
+        self._next = now + INTERVAL
+        send(encode_command(self._current[0]))
+
+    def answer(self, message: int, payload: bytes, now: float) -> None:
+        """Take a reply."""
+        if self._current is not None and self._sent:
+            self._sent -= 1
+            self._finish(Answer(parse_response(payload), message != UNRECOGNIZED), now)
+        elif self._strays:
+            self._strays -= 1
+            if not self._strays:
+                self._quiet = now + _DUPLICATES
+
+    def _finish(self, answer: Answer, now: float) -> None:
+        assert self._current is not None
+        _, done = self._current
+        self._current = None
+        self._strays = self._sent
+        self._quiet = now + (_STRAYS if self._strays else _DUPLICATES)
+        done(answer)

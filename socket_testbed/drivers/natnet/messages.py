@@ -1,0 +1,533 @@
+"""NatNet 2.6 to 4.4: requests, replies, rigid bodies and frames, within the datagram's bounds."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from math import isfinite
+from struct import Struct
+from typing import Any, NamedTuple, TypeAlias
+
+from socket_testbed.errors import DeviceError
+
+CONNECT = 0
+SERVERINFO = 1
+REQUEST = 2
+RESPONSE = 3
+REQUEST_MODELDEF = 4
+MODELDEF = 5
+FRAME = 7
+DISCONNECT = 9
+KEEPALIVE = 10
+ECHOREQUEST = 12
+ECHORESPONSE = 13
+UNRECOGNIZED = 100
+
+LARGEST_DATAGRAM = 65535  # [bytes]
+
+Version: TypeAlias = tuple[int, int]  # of NatNet: major, minor
+
+_HEADER = Struct("<HH")
+_I32 = Struct("<i")
+_ECHO = Struct("<QQ")
+_NAME = 256  # [bytes]
+_LARGEST_CLOCK = 10**11  # [Hz]
+
+
+class MalformedDatagram(DeviceError):  # noqa: N818  (what it is, not that it is an error)
+    """A datagram that does not hold what its counts say."""
+
+    def __init__(self, fact: str) -> None:
+        super().__init__(fact, "it was dropped; if this goes on, check the Wi-Fi and the version")
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), (self.fact,)
+
+
+class Reader:
+    """Reads a payload from its begin on, never past its end.
+
+    Args:
+        payload: The payload.
+        what: What it is, for the error.
+    """
+
+    def __init__(self, payload: bytes, what: str) -> None:
+        self.payload = payload
+        self.end = len(payload)
+        self.offset = 0
+        self._what = what
+
+    def bad(self, fact: str) -> MalformedDatagram:
+        """The error of this payload."""
+        return MalformedDatagram(f"{self._what} of {self.end} bytes: {fact} at byte {self.offset}")
+
+    def skip(self, size: int) -> int:
+        """Go on by some bytes; the offset before them."""
+        begin = self.offset
+        if size < 0 or size > self.end - begin:
+            raise self.bad(f"{size} bytes wanted, {self.end - begin} left")
+        self.offset = begin + size
+        return begin
+
+    def unpack(self, layout: Struct) -> tuple[Any, ...]:
+        """The next values of a layout."""
+        return layout.unpack_from(self.payload, self.skip(layout.size))
+
+    def integer(self) -> int:
+        """The next i32."""
+        return int(_I32.unpack_from(self.payload, self.skip(4))[0])
+
+    def count(self, smallest: int) -> int:
+        """The next i32 as a number of elements.
+
+        Args:
+            smallest: Size of the smallest element possible [bytes].
+        """
+        number = self.integer()
+        if number < 0 or number * smallest > self.end - self.offset:
+            raise self.bad(f"a count of {number} before")
+        return number
+
+    def text(self) -> str:
+        """The next text, up to its NUL."""
+        stop = self.payload.find(0, self.offset)
+        if stop < 0:
+            raise self.bad("a text without an end")
+        begin, self.offset = self.offset, stop + 1
+        return self.payload[begin:stop].decode("utf-8", "replace")
+
+
+@dataclass(frozen=True)
+class ServerInfo:
+    """What a server says of itself.
+
+    Attributes:
+        name: Name of the application.
+        app_version: Its version, four numbers.
+        version: Its NatNet version.
+        clock: Frequency of its clock; 0: it stamps no exposures [Hz].
+        data_port: Its data port.
+        multicast: Whether it streams to a group.
+        group: The group's address.
+    """
+
+    name: str
+    app_version: tuple[int, ...]
+    version: Version
+    clock: int = 0
+    data_port: int = 0
+    multicast: bool = False
+    group: str = ""
+
+    def __str__(self) -> str:
+        app = ".".join(str(part) for part in self.app_version[:2])
+        return f"{self.name} {app}, NatNet {self.version[0]}.{self.version[1]}"
+
+
+@dataclass(frozen=True)
+class Response:
+    """The reply to a command: four bytes of a number (0 is yes), or a text."""
+
+    raw: bytes
+
+    @property
+    def accepted(self) -> bool:
+        """Whether it is no refusal."""
+        return len(self.raw) != 4 or self.raw == bytes(4)
+
+    @property
+    def text(self) -> str:
+        """What it says, for a person."""
+        if len(self.raw) == 4:
+            return str(_I32.unpack(self.raw)[0])
+        return self.raw.partition(b"\0")[0].decode("utf-8", "replace")
+
+
+def encode_message(message: int, payload: bytes = b"") -> bytes:
+    """A datagram of an id and a payload."""
+    return _HEADER.pack(message, len(payload)) + payload
+
+
+def encode_connect(name: str, bitstream: Version) -> bytes:
+    """CONNECT, for all data, in a version if the server can."""
+    sender = name.encode()[: _NAME - 1].ljust(_NAME, b"\0") + bytes(4) + bytes((*bitstream, 0, 0))
+    return encode_message(CONNECT, sender + bytes((0, *bitstream, 0, 0)))
+
+
+def encode_command(text: str) -> bytes:
+    """REQUEST of a command."""
+    return encode_message(REQUEST, text.encode() + b"\0")
+
+
+def encode_echo(stamp: int) -> bytes:
+    """ECHOREQUEST with a stamp of the client's own, such as [ns]."""
+    return encode_message(ECHOREQUEST, stamp.to_bytes(8, "little"))
+
+
+def split_datagram(datagram: bytes) -> tuple[int, bytes]:
+    """Id and payload of a datagram.
+
+    Raises:
+        MalformedDatagram: If it is shorter than its header says.
+    """
+    reader = Reader(datagram, "datagram")
+    message, size = reader.unpack(_HEADER)
+    begin = reader.skip(size)
+    return int(message), datagram[begin : begin + size]
+
+
+def parse_server_info(payload: bytes) -> ServerInfo:
+    """Parse SERVERINFO; before NatNet 3.0 it ends after the versions."""
+    reader = Reader(payload, "server info")
+    begin = reader.skip(_NAME)
+    name = payload[begin : begin + _NAME].partition(b"\0")[0].decode("utf-8", "replace")
+    app, version = (tuple(payload[(at := reader.skip(4)) : at + 4]) for _ in range(2))
+    natnet = (version[0], version[1])
+    if natnet < (3, 0):
+        return ServerInfo(name, app, natnet)
+    clock, port, multicast, *group = reader.unpack(Struct("<QHB4B"))
+    if not 1 <= clock <= _LARGEST_CLOCK:
+        raise reader.bad(f"a clock of {clock} Hz")
+    return ServerInfo(
+        name, app, natnet, clock, port, bool(multicast), ".".join(str(part) for part in group)
+    )
+
+
+def parse_response(payload: bytes) -> Response:
+    """Parse RESPONSE."""
+    return Response(bytes(payload))
+
+
+def parse_echo(payload: bytes) -> tuple[int, int]:
+    """Parse ECHORESPONSE: the request's stamp, and the server's clock [ticks]."""
+    stamp, ticks = Reader(payload, "echo").unpack(_ECHO)
+    return stamp, ticks
+
+
+@dataclass(frozen=True)
+class RigidBodyDefinition:
+    """A rigid body as the server defines it.
+
+    Attributes:
+        name: Its name.
+        id: Its streaming id; labelled markers carry it as their model.
+        markers: Its markers in its own frame [m]; empty before NatNet 3.0.
+    """
+
+    name: str
+    id: int
+    markers: tuple[tuple[float, float, float], ...]
+
+
+@dataclass(frozen=True)
+class ModelDefinitions:
+    """The rigid bodies of a server, by name."""
+
+    bodies: dict[str, RigidBodyDefinition]
+
+    def ids(self) -> frozenset[int]:
+        """The streaming ids there are."""
+        return frozenset(body.id for body in self.bodies.values())
+
+
+def parse_model_definitions(payload: bytes, version: Version) -> ModelDefinitions:
+    """Parse MODELDEF; of all that is defined, the rigid bodies are kept.
+
+    Raises:
+        MalformedDatagram: If it does not hold what its counts say.
+    """
+    sized = version >= (4, 1)
+    reader = Reader(bytes(payload), "model definitions")
+    bodies: dict[str, RigidBodyDefinition] = {}
+    for _ in range(reader.count(8)):
+        kind = reader.integer()
+        stop = None
+        if sized:
+            size = reader.count(1)
+            stop = reader.offset + size
+        if kind == 1:
+            body = _rigid_body(reader, version)
+            bodies[body.name] = body
+        elif stop is None:
+            if kind not in _SKIPS:
+                raise reader.bad(f"an unknown type {kind}")
+            _SKIPS[kind](reader, version)
+        if stop is not None:
+            if reader.offset > stop or (kind == 1 and reader.offset != stop):
+                raise reader.bad(f"a definition of {size} bytes ends elsewhere")
+            reader.offset = stop
+    return ModelDefinitions(bodies)
+
+
+def _rigid_body(reader: Reader, version: Version) -> RigidBodyDefinition:
+    name = reader.text() if version >= (2, 0) else ""
+    identity = reader.integer()
+    reader.skip(4 + 12 + (16 if version >= (4, 2) else 0))  # parent, offset, its quaternion
+    markers: tuple[tuple[float, float, float], ...] = ()
+    if version >= (3, 0):
+        count = reader.count(16)
+        values = reader.unpack(Struct(f"<{3 * count}f"))
+        markers = tuple(zip(values[::3], values[1::3], values[2::3], strict=True))
+        reader.skip(4 * count)  # labels of active markers
+        if version >= (4, 0):
+            _skip_names(reader, count)
+    return RigidBodyDefinition(name, identity, markers)
+
+
+def _skip_names(reader: Reader, count: int) -> None:
+    for _ in range(count):
+        reader.text()
+
+
+def _skip_marker_set(reader: Reader, version: Version) -> None:
+    reader.text()
+    _skip_names(reader, reader.count(1))
+
+
+def _skip_skeleton(reader: Reader, version: Version) -> None:
+    reader.text()
+    reader.skip(4)
+    for _ in range(reader.count(20)):
+        _rigid_body(reader, version)
+
+
+def _skip_force_plate(reader: Reader, version: Version) -> None:
+    reader.skip(4)
+    reader.text()  # serial number
+    reader.skip(4 * (2 + 3 + 144 + 12) + 8)  # size, origin, calibration, corners; two types
+    _skip_names(reader, reader.count(1))
+
+
+def _skip_device(reader: Reader, version: Version) -> None:
+    reader.skip(4)
+    _skip_names(reader, 2)  # name and serial number
+    reader.skip(8)
+    _skip_names(reader, reader.count(1))
+
+
+def _skip_camera(reader: Reader, version: Version) -> None:
+    reader.text()
+    reader.skip(28)
+
+
+_SKIPS: dict[int, Callable[[Reader, Version], None]] = {
+    0: _skip_marker_set,
+    2: _skip_skeleton,
+    3: _skip_force_plate,
+    4: _skip_device,
+    5: _skip_camera,
+}
+
+
+OLDEST = (2, 6)  # before it, markers do not say whether they are occluded
+
+Position: TypeAlias = tuple[float, float, float]
+Quaternion: TypeAlias = tuple[float, float, float, float]
+
+_BODY = Struct("<i8fh")  # id, position, quaternion, error, flags
+_MARKER = Struct("<i4fhf")  # id, position, size, flags, residual
+_MARKER_2 = Struct("<i4fh")
+_SUFFIX_2 = Struct("<IIdhi")
+_SUFFIX_3 = Struct("<IIdQQQhi")
+_SUFFIX_4_1 = Struct("<IIdQQQIIhi")
+_NEWEST = (4, 4)  # whose layout is known
+_TRACKED = 1
+_OCCLUDED, _MODEL_FILLED = 1, 4
+_RECORDING, _MODELS_CHANGED, _BITSTREAM_CHANGED = 1, 2, 8
+
+
+class RigidBody(NamedTuple):
+    """A rigid body in a frame.
+
+    Attributes:
+        id: Its streaming id.
+        position: Its position [m].
+        quaternion: Its orientation (x, y, z, w) [-].
+        tracked: Whether the server tracks it in this frame.
+    """
+
+    id: int
+    position: Position
+    quaternion: Quaternion
+    tracked: bool
+
+
+class LabelledMarker(NamedTuple):
+    """A labelled marker in a frame.
+
+    Attributes:
+        model: Streaming id of the body that it belongs to; 0: none.
+        member: Its number in the body, from 1.
+        position: Its position [m]; where it is occluded, the last or an assumed one.
+        occluded: Whether no camera sees it, or its position is no number.
+        model_filled: Whether the position is that of the body's model, not of the marker.
+    """
+
+    model: int
+    member: int
+    position: Position
+    occluded: bool
+    model_filled: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Frame:
+    """A frame of the cameras.
+
+    Attributes:
+        number: Its number; it counts up within a session.
+        bodies: Rigid bodies.
+        markers: Labelled markers.
+        timestamp: Time since the server's begin [s].
+        mid_exposure: Middle of the exposure by the server's clock; 0 before 3.0 [ticks].
+        recording: Whether the server records.
+        models_changed: Whether its rigid bodies have changed.
+        bitstream_changed: Whether its stream has changed version.
+    """
+
+    number: int
+    bodies: tuple[RigidBody, ...]
+    markers: tuple[LabelledMarker, ...]
+    timestamp: float
+    mid_exposure: int
+    recording: bool
+    models_changed: bool
+    bitstream_changed: bool
+
+
+def parse_frame(payload: bytes | memoryview, version: Version) -> Frame:
+    """Parse a frame.
+
+    Args:
+        payload: The payload of the datagram.
+        version: NatNet version of the stream.
+
+    Raises:
+        MalformedDatagram: If it does not hold what its counts say.
+    """
+    if version < OLDEST:
+        raise MalformedDatagram(f"frame of NatNet {version[0]}.{version[1]}, which is too old")
+    reader = Reader(bytes(payload), "frame")
+    number = reader.integer()
+    if version >= (4, 1):
+        for smallest in (5, 12):  # marker sets, other markers
+            _skip_sized(reader, smallest)
+        bodies = _bodies(reader, _sized_count(reader, _BODY.size))
+        for smallest in (8, 12):  # skeletons, assets
+            _skip_sized(reader, smallest)
+        markers = _markers(reader, _sized_count(reader, _MARKER.size), _MARKER)
+        for _ in range(2):  # force plates, devices
+            _skip_sized(reader, 8)
+    else:
+        for _ in range(reader.count(5)):
+            reader.text()
+            reader.skip(12 * reader.count(12))
+        reader.skip(12 * reader.count(12))
+        bodies = _any_bodies(reader, version)
+        for _ in range(reader.count(8)):
+            reader.skip(4)
+            _any_bodies(reader, version)
+        layout = _MARKER if version >= (3, 0) else _MARKER_2
+        markers = _markers(reader, reader.count(layout.size), layout)
+        if version >= (2, 9):
+            _skip_channels(reader)
+        if version >= (2, 11):
+            _skip_channels(reader)
+        if version < (3, 0):
+            reader.skip(4)  # latency
+    timestamp, ticks, flags = _suffix(reader, version)
+    return Frame(
+        number,
+        bodies,
+        markers,
+        timestamp,
+        ticks,
+        bool(flags & _RECORDING),
+        bool(flags & _MODELS_CHANGED),
+        bool(flags & _BITSTREAM_CHANGED),
+    )
+
+
+def _sized_count(reader: Reader, element: int) -> int:
+    """Number of elements of a section whose elements all have one size."""
+    count, size = reader.count(element), reader.integer()
+    if size != count * element:
+        raise reader.bad(f"a section of {size} bytes for {count} of {element}")
+    return count
+
+
+def _skip_sized(reader: Reader, smallest: int) -> None:
+    count, size = reader.count(smallest), reader.count(1)
+    if size < count * smallest:
+        raise reader.bad(f"a section of {size} bytes for {count}")
+    reader.skip(size)
+
+
+def _bodies(reader: Reader, count: int) -> tuple[RigidBody, ...]:
+    size = count * _BODY.size
+    begin = reader.skip(size)
+    return tuple(
+        RigidBody(
+            identity, (x, y, z), (qx, qy, qz, qw), bool(flags & _TRACKED) and isfinite(x + y + z)
+        )
+        for identity, x, y, z, qx, qy, qz, qw, _, flags in _BODY.iter_unpack(
+            reader.payload[begin : begin + size]
+        )
+    )
+
+
+def _any_bodies(reader: Reader, version: Version) -> tuple[RigidBody, ...]:
+    """Bodies before 4.1; before 3.0 each carries its markers."""
+    if version >= (3, 0):
+        return _bodies(reader, reader.count(_BODY.size))
+    found: list[RigidBody] = []
+    for _ in range(reader.count(_BODY.size + 4)):
+        begin = reader.skip(32)
+        reader.skip(20 * reader.count(20))  # markers: position, id, size
+        tail = reader.skip(6)
+        whole = reader.payload[begin : begin + 32] + reader.payload[tail : tail + 6]
+        found += _bodies(Reader(whole, "rigid body"), 1)
+    return tuple(found)
+
+
+def _markers(reader: Reader, count: int, layout: Struct) -> tuple[LabelledMarker, ...]:
+    size = count * layout.size
+    begin = reader.skip(size)
+    return tuple(
+        LabelledMarker(
+            (identity >> 16) & 0xFFFF,
+            identity & 0xFFFF,
+            (x, y, z),
+            bool(flags & _OCCLUDED) or not isfinite(x + y + z),
+            bool(flags & _MODEL_FILLED),
+        )
+        for identity, x, y, z, _, flags, *_ in layout.iter_unpack(
+            reader.payload[begin : begin + size]
+        )
+    )
+
+
+def _skip_channels(reader: Reader) -> None:
+    """Force plates or devices before 4.1."""
+    for _ in range(reader.count(8)):
+        reader.skip(4)
+        for _ in range(reader.count(4)):
+            reader.skip(4 * reader.count(4))
+
+
+def _suffix(reader: Reader, version: Version) -> tuple[float, int, int]:
+    """Timestamp [s], mid-exposure [ticks] and flags."""
+    ticks = 0
+    if version >= (4, 1):
+        _, _, timestamp, ticks, *_, flags, end = reader.unpack(_SUFFIX_4_1)
+    elif version >= (3, 0):
+        _, _, timestamp, ticks, *_, flags, end = reader.unpack(_SUFFIX_3)
+    elif version >= (2, 7):
+        _, _, timestamp, flags, end = reader.unpack(_SUFFIX_2)
+    else:
+        _, _, timestamp, flags, end = reader.unpack(Struct("<IIfhi"))
+    # A count that lies leads elsewhere than to the end tag. A newer version may hold more.
+    if end != 0 or (version <= _NEWEST and reader.offset != reader.end):
+        raise reader.bad(f"end tag {end} and {reader.end - reader.offset} bytes left")
+    return float(timestamp), int(ticks), int(flags)

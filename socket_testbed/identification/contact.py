@@ -1,0 +1,159 @@
+"""The contact law: unilateral tri-axial springs between the limb and the socket.
+
+Every force is the one that the limb applies to the socket. All quantities are in the
+frame of the load cell, {S}, unless a name says otherwise. A wrench is ordered [M; F].
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from socket_testbed.arrays import FloatArray
+from socket_testbed.settings.identification import Variant
+
+
+def gate(displacement: FloatArray, sharpness: float) -> FloatArray:
+    r"""Smooth unilateral gate, :math:`g(d) = 1/2 - 1/2 \tanh(\alpha d)`.
+
+    Args:
+        displacement: Displacement d [m], any shape.
+        sharpness: Sharpness alpha of the gate [1/m].
+
+    Returns:
+        Gate values in [0, 1] [-], 1 in compression (d < 0), of the same shape.
+    """
+    return 0.5 - 0.5 * np.tanh(sharpness * displacement)
+
+
+def gated_displacement(
+    position: FloatArray, rest_positions: FloatArray, sharpness: float
+) -> FloatArray:
+    r"""Gated displacement :math:`s = g(\delta) \circ \delta`, :math:`\delta_i = q - q_{r,i}`.
+
+    Computed as :math:`\delta / (1 + e^{2 \alpha \delta})`, the same gate without a tanh.
+
+    Args:
+        position: Limb positions q, shape (N, 3) [m].
+        rest_positions: Rest positions q_r, shape (n, 3) [m].
+        sharpness: Sharpness alpha of the gate [1/m].
+
+    Returns:
+        Gated displacements, shape (N, n, 3) [m].
+    """
+    displacement = position[:, None, :] - rest_positions[None, :, :]
+    growth = (2.0 * sharpness) * displacement
+    # Far outside the contact the exponential overflows to infinity, where s is 0.
+    with np.errstate(over="ignore"):
+        np.exp(growth, out=growth)
+    growth += 1.0
+    displacement /= growth
+    return displacement
+
+
+def wrench_map(anchors: FloatArray) -> FloatArray:
+    r"""Constant map C of the point forces onto the wrench, ``[M; F] = C F``.
+
+    .. math:: C = \begin{bmatrix} [a_1]_\times & \dots & [a_n]_\times \\
+                                  I & \dots & I \end{bmatrix}
+
+    Args:
+        anchors: Points of application a_i, shape (n, 3) [m].
+
+    Returns:
+        Array of shape (6, 3n); the moment rows are in m, the force rows in 1.
+    """
+    n = len(anchors)
+    x, y, z = anchors.T
+    mapping = np.zeros((6, n, 3))
+    mapping[0, :, 1], mapping[0, :, 2] = -z, y
+    mapping[1, :, 0], mapping[1, :, 2] = z, -x
+    mapping[2, :, 0], mapping[2, :, 1] = -y, x
+    for axis in range(3):
+        mapping[3 + axis, :, axis] = 1.0
+    return mapping.reshape(6, 3 * n)
+
+
+@dataclass(frozen=True)
+class ContactModel:
+    """A bed of unilateral tri-axial springs, with the constant offsets of the sensors.
+
+    Attributes:
+        variant: Which offsets the model carries.
+        names: Names of the n points of interest.
+        anchors: Points of application a_i, shape (n, 3) [m].
+        rotations: Frames {L_i} of the points, R_i maps {L_i} to {S}, shape (n, 3, 3) [-].
+        stiffness: Stiffness k_i along x, y, z of {S}, shape (n, 3) [N/m].
+        rest_positions: Rest positions q_r,i, shape (n, 3) [m].
+        sharpness: Sharpness alpha of the gate [1/m].
+        wrench_bias: Offset b_w of the wrench, shape (6,) [N m, N].
+        force_bias: Offset b_f of each cluster's force in the cluster's frame, by the
+            name of the cluster, shape (3,) each [N].
+        cluster_points: Index of the point of interest under each cluster, by its name.
+    """
+
+    variant: Variant
+    names: tuple[str, ...]
+    anchors: FloatArray
+    rotations: FloatArray
+    stiffness: FloatArray
+    rest_positions: FloatArray
+    sharpness: float
+    wrench_bias: FloatArray
+    force_bias: dict[str, FloatArray]
+    cluster_points: dict[str, int]
+
+    def forces(self, position: FloatArray) -> FloatArray:
+        """Forces k_i o s_i + b_i on the socket at the points of interest.
+
+        Args:
+            position: Limb positions q, shape (N, 3) [m].
+
+        Returns:
+            Forces in {S}, shape (N, n, 3) [N]; NaN where the position is NaN.
+        """
+        return self._spring_forces(position) + self._bias_in_socket_frame()
+
+    def wrench(self, position: FloatArray) -> FloatArray:
+        """Wrench ``C (k o s) + b_w`` at the load cell.
+
+        The offsets of the clusters belong to the clusters' sensors: they are no part of
+        the wrench.
+
+        Args:
+            position: Limb positions q, shape (N, 3) [m].
+
+        Returns:
+            Wrenches [M; F] in {S}, shape (N, 6) [N m, N].
+        """
+        springs = self._spring_forces(position).reshape(len(position), -1)
+        return springs @ wrench_map(self.anchors).T + self.wrench_bias
+
+    def predict(self, position: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Wrenches and forces at once: see `wrench` and `forces`."""
+        springs = self._spring_forces(position)
+        wrench = springs.reshape(len(position), -1) @ wrench_map(self.anchors).T
+        return wrench + self.wrench_bias, springs + self._bias_in_socket_frame()
+
+    def cluster_forces(self, position: FloatArray) -> dict[str, FloatArray]:
+        """Forces on the clusters, each in its cluster's frame, shape (N, 3) each [N]."""
+        points = list(self.cluster_points.values())
+        springs = self.stiffness[points] * gated_displacement(
+            position, self.rest_positions[points], self.sharpness
+        )
+        no_bias = np.zeros(3)
+        return {
+            name: springs[:, column] @ self.rotations[point] + self.force_bias.get(name, no_bias)
+            for column, (name, point) in enumerate(self.cluster_points.items())
+        }
+
+    def _spring_forces(self, position: FloatArray) -> FloatArray:
+        return self.stiffness * gated_displacement(position, self.rest_positions, self.sharpness)
+
+    def _bias_in_socket_frame(self) -> FloatArray:
+        bias = np.zeros_like(self.anchors)
+        for name, force in self.force_bias.items():
+            point = self.cluster_points[name]
+            bias[point] = self.rotations[point] @ force
+        return bias

@@ -1,0 +1,210 @@
+"""Errors of a model on samples, channel by channel, and the figures the paper quotes of them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from socket_testbed.arrays import FloatArray
+from socket_testbed.errors import ConfigurationError
+from socket_testbed.identification.contact import ContactModel
+from socket_testbed.samples import WRENCH_CHANNELS, Samples
+
+_ROUNDING = 1e-12  # [-]; spread of a channel that is constant, against its size
+_CHUNK = 4096  # samples; predicting takes memory by the samples times the tiles
+
+
+@dataclass(frozen=True)
+class ChannelErrors:
+    """Errors of one channel, in the channel's unit.
+
+    Attributes:
+        name: Name of the channel, such as Mx or distal.Fz.
+        unit: N m or N.
+        in_objective: Whether the fit saw the channel.
+        samples: Number of samples with a value.
+        rmse: Root-mean-square error.
+        mae: Mean absolute error.
+        sigma: Standard deviation of the residual.
+        skill: ``1 - RMSE / RMSE of the best constant`` [-]: a constant explains a static
+            hold, so an RMSE without its skill flatters. NaN where the channel is constant.
+    """
+
+    name: str
+    unit: str
+    in_objective: bool
+    samples: int
+    rmse: float
+    mae: float
+    sigma: float
+    skill: float
+
+
+def channel_unit(name: str) -> str:
+    """Unit of a channel by its name."""
+    return "N m" if name.rpartition(".")[2].startswith("M") else "N"
+
+
+def channel_errors(
+    name: str, measured: FloatArray, predicted: FloatArray, in_objective: bool = True
+) -> ChannelErrors:
+    """Errors of one channel over the samples in which it was measured and predicted.
+
+    Args:
+        name: Name of the channel.
+        measured: Measured values, shape (N,).
+        predicted: Predicted values, shape (N,).
+        in_objective: Whether the fit saw the channel.
+    """
+    rows = np.isfinite(measured) & np.isfinite(predicted)
+    residual = predicted[rows] - measured[rows]
+    unit = channel_unit(name)
+    if not rows.any():
+        return ChannelErrors(name, unit, in_objective, 0, *([float("nan")] * 4))
+    rmse = float(np.sqrt(np.mean(residual**2)))
+    constant = float(np.std(measured[rows]))
+    rounding = _ROUNDING * float(np.abs(measured[rows]).max())
+    return ChannelErrors(
+        name=name,
+        unit=unit,
+        in_objective=in_objective,
+        samples=int(rows.sum()),
+        rmse=rmse,
+        mae=float(np.mean(np.abs(residual))),
+        sigma=float(np.std(residual)),
+        skill=1.0 - rmse / constant if constant > rounding else float("nan"),
+    )
+
+
+@dataclass(frozen=True)
+class ErrorSummary:
+    """What the paper quotes of the errors of all channels; NaN where there is no channel.
+
+    Attributes:
+        moment_rmse: Mean RMSE of the moments [N m].
+        force_rmse: Mean RMSE of the forces [N].
+        local_rmse: Median RMSE of the clusters' channels [N].
+        local_unsteadiness: Root mean square sigma of the clusters' channels over their root
+            mean square error [-]: far below 1, the residuals are steady offsets.
+        skill: Median skill of all channels [-].
+        without_value: Channels that were never measured and predicted at once; they count
+            in none of the figures.
+    """
+
+    moment_rmse: float
+    force_rmse: float
+    local_rmse: float
+    local_unsteadiness: float
+    skill: float
+    without_value: tuple[str, ...]
+
+
+def summarise_errors(errors: Sequence[ChannelErrors]) -> ErrorSummary:
+    """Means and medians of the errors of all channels, as the paper quotes them.
+
+    Args:
+        errors: Errors of the wrench's channels and the clusters'.
+    """
+    known = [error for error in errors if error.samples > 0]
+    wrench = [error for error in known if error.name in WRENCH_CHANNELS]
+    local = [error for error in known if error.name not in WRENCH_CHANNELS]
+    return ErrorSummary(
+        moment_rmse=_mean(error.rmse for error in wrench if error.name[0] == "M"),
+        force_rmse=_mean(error.rmse for error in wrench if error.name[0] == "F"),
+        local_rmse=_median(error.rmse for error in local),
+        local_unsteadiness=_unsteadiness(local),
+        skill=_median(error.skill for error in known),
+        without_value=tuple(error.name for error in errors if error.samples == 0),
+    )
+
+
+def predict_channels(
+    model: ContactModel, position: FloatArray, clusters: Sequence[str]
+) -> FloatArray:
+    """Predict every channel in the order of `channel_names`, a chunk of samples at a time.
+
+    Args:
+        model: The contact model.
+        position: Limb positions q, shape (N, 3) [m].
+        clusters: Names of the c clusters.
+
+    Returns:
+        The wrench, then the force on each cluster in its frame, shape (N, 6 + 3c)
+        [N m, N]; NaN where the position is NaN.
+
+    Raises:
+        ConfigurationError: If the model lacks a cluster.
+    """
+    lacking = [name for name in clusters if name not in model.cluster_points]
+    if lacking:
+        raise ConfigurationError(
+            f"the model knows no cluster {', '.join(lacking)}", "fit one on a trial with it"
+        )
+    predicted = np.empty((len(position), 6 + 3 * len(clusters)))
+    for start in range(0, len(position), _CHUNK):
+        rows = slice(start, start + _CHUNK)
+        local = model.cluster_forces(position[rows])
+        forces = [local[name] for name in clusters]
+        predicted[rows] = np.hstack([model.wrench(position[rows]), *forces])
+    return predicted
+
+
+def evaluate(
+    samples: Samples, model: ContactModel, leave_out: tuple[str, ...] = ()
+) -> tuple[ChannelErrors, ...]:
+    """Errors of a model on every channel of the samples.
+
+    Args:
+        samples: Samples to predict.
+        model: The contact model.
+        leave_out: Channels that were not in the objective of its fit.
+
+    Returns:
+        Errors of the wrench's six channels, then three a cluster in its frame.
+
+    Raises:
+        ConfigurationError: If the model lacks a cluster of the samples.
+    """
+    predicted = predict_channels(model, samples.position, samples.clusters)
+    return evaluate_predictions(samples, predicted, leave_out)
+
+
+def evaluate_predictions(
+    samples: Samples, predicted: FloatArray, leave_out: tuple[str, ...] = ()
+) -> tuple[ChannelErrors, ...]:
+    """Errors of predictions on every channel of the samples: see `evaluate`.
+
+    Args:
+        samples: Samples that were predicted.
+        predicted: What `predict_channels` gave for them, shape (N, 6 + 3c) [N m, N].
+        leave_out: Channels that were not in the objective of the fit.
+    """
+    measured = trusted_values(samples)
+    return tuple(
+        channel_errors(name, measured[:, i], predicted[:, i], name not in leave_out)
+        for i, name in enumerate(samples.channels)
+    )
+
+
+def trusted_values(samples: Samples) -> FloatArray:
+    """All channels, the clusters' only where their status is OK, shape (N, 6 + 3c) [N m, N]."""
+    count = 3 * len(samples.clusters)
+    return np.hstack([samples.wrench, samples.trusted_forces.reshape(len(samples), count)])
+
+
+def _unsteadiness(errors: Sequence[ChannelErrors]) -> float:
+    power = sum(error.rmse**2 for error in errors)
+    spread = sum(error.sigma**2 for error in errors)
+    return float(np.sqrt(spread / power)) if power > 0.0 else float("nan")
+
+
+def _mean(values: Iterable[float]) -> float:
+    finite = [value for value in values if np.isfinite(value)]
+    return float(np.mean(finite)) if finite else float("nan")
+
+
+def _median(values: Iterable[float]) -> float:
+    finite = [value for value in values if np.isfinite(value)]
+    return float(np.median(finite)) if finite else float("nan")

@@ -1,0 +1,533 @@
+r"""The two stages, each as a scaled quadratic program: which channels count, weights, smoothness.
+
+The objective of both stages is
+
+.. math:: \theta J_w + (1 - \theta) J_f + \lambda J_s
+
+with J_w and J_f the mean squares of the wrench's and the clusters' errors, each divided by
+the size of its group of channels (moments, forces, cluster forces) so that newton metres and
+newtons count alike, and J_s the mean square difference between neighbouring tiles, divided
+by the difference that one expects. See docs/identification.md.
+
+Stage 1 finds the rest positions with linear springs of one stiffness; Stage 2 the
+stiffnesses with the unilateral gate, and with constant offsets in the bias variant. The
+offsets are free, so they drop out by centring and are recovered afterwards.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from socket_testbed.arrays import BoolArray, FloatArray, IntArray
+from socket_testbed.errors import ConfigurationError, IdentificationError
+from socket_testbed.files import closest
+from socket_testbed.geometry.socket import SocketGeometry
+from socket_testbed.identification.box_qp import BoxQP
+from socket_testbed.identification.contact import gated_displacement, wrench_map
+from socket_testbed.identification.moments import (
+    GateSeries,
+    Moments,
+    gate_moments,
+    series_is_cheaper,
+)
+from socket_testbed.samples import LOCAL_CHANNELS, WRENCH_CHANNELS, Samples
+from socket_testbed.settings.identification import IdentificationSettings
+
+_LEAST_MOMENT = 0.1  # [N m]; a channel group smaller than this is normalised by it
+_LEAST_FORCE = 1.0  # [N]
+
+
+@dataclass(frozen=True)
+class ClusterChannel:
+    """One channel of a cluster's force that is in the objective.
+
+    Attributes:
+        cluster: Name of the cluster.
+        point: Index of its point of interest.
+        axis: Axis of the cluster's frame: 0, 1, 2.
+        direction: That axis in {S}, shape (3,) [-].
+        rows: Samples in which the channel was measured, shape (N,).
+        force: The measured force in those samples [N].
+        mean_position: Mean limb position in those samples, shape (3,) [m].
+    """
+
+    cluster: str
+    point: int
+    axis: int
+    direction: FloatArray
+    rows: BoolArray
+    force: FloatArray
+    mean_position: FloatArray
+
+
+@dataclass(frozen=True)
+class Objective:
+    """The samples of a fit, with the weight of each channel.
+
+    Attributes:
+        rows: Which of the samples given are used.
+        position: Limb positions q, shape (N, 3) [m].
+        wrench: Measured wrenches, zero where a channel does not count, shape (N, 6)
+            [N m, N].
+        wrench_counts: Channels of the wrench that are in the objective, shape (6,).
+        wrench_shares: Weight of each squared wrench error in J_w, zero where it does not
+            count, shape (6,) [1/(N m)^2, 1/N^2].
+        channels: Channels of the clusters in the objective.
+        channel_share: Weight of each squared cluster error in J_f [1/N^2].
+        theta: Weight of J_w against J_f [-].
+        smoothness: Weight lambda of J_s [-].
+    """
+
+    rows: BoolArray
+    position: FloatArray
+    wrench: FloatArray
+    wrench_counts: BoolArray
+    wrench_shares: FloatArray
+    channels: tuple[ClusterChannel, ...]
+    channel_share: float
+    theta: float
+    smoothness: float
+
+    @property
+    def wrench_weights(self) -> FloatArray:
+        """Weight of each squared wrench error, shape (6,) [1/(N m)^2, 1/N^2]."""
+        return self.theta * self.wrench_shares
+
+    @property
+    def channel_weight(self) -> float:
+        """Weight of each squared cluster error [1/N^2]."""
+        return (1.0 - self.theta) * self.channel_share
+
+
+def check_channels(leave_out: tuple[str, ...], names: tuple[str, ...]) -> None:
+    """Refuse a name that is no channel.
+
+    Raises:
+        ConfigurationError: Naming the likely one.
+    """
+    for name in leave_out:
+        if name not in names:
+            raise ConfigurationError(f"leave_out: no channel '{name}'", closest(name, names))
+
+
+def channels_in_objective(
+    samples: Samples, leave_out: tuple[str, ...]
+) -> tuple[BoolArray, BoolArray]:
+    """Which channels of the wrench, shape (6,), and of the clusters, shape (c, 3), count.
+
+    Raises:
+        ConfigurationError: For a name that is no channel.
+    """
+    names = samples.channels
+    check_channels(leave_out, names)
+    counted = np.array([name not in leave_out for name in names])
+    return counted[:6], counted[6:].reshape(-1, 3)
+
+
+def usable_rows(samples: Samples, wrench_counts: BoolArray) -> BoolArray:
+    """Samples with a limb position and every wrench channel that counts, shape (N,).
+
+    Raises:
+        IdentificationError: If fewer than two are left, naming what is missing.
+    """
+    position = np.isfinite(samples.position).all(axis=1)
+    measured = np.isfinite(samples.wrench)
+    dead = wrench_counts & ~measured.any(axis=0) & (len(samples) > 0)
+    for channel in np.flatnonzero(dead).tolist():
+        name = WRENCH_CHANNELS[channel]
+        raise IdentificationError(
+            f"{name} of the load cell has no value in any of the {len(samples)} samples",
+            f"leave it out of the objective (--leave-out {name}) or check the load cell",
+        )
+    rows = np.asarray(position & (measured | ~wrench_counts).all(axis=1))
+    if rows.sum() < 2:
+        raise IdentificationError(
+            f"only {int(rows.sum())} of {len(samples)} samples have a limb position"
+            f" ({int(position.sum())}) and a wrench",
+            "check the markers and the load cell with 'info', or give another segment",
+        )
+    return rows
+
+
+def build_objective(
+    samples: Samples, geometry: SocketGeometry, settings: IdentificationSettings
+) -> Objective:
+    """Choose, check and normalise the channels of a fit.
+
+    Args:
+        samples: Samples; those without a wrench or a limb position are passed over.
+        geometry: Geometry of the socket.
+        settings: Settings of the identification.
+
+    Raises:
+        ConfigurationError: For an unknown channel or cluster.
+        IdentificationError: If there are no samples, or no value in a channel that counts.
+    """
+    wrench_counts, cluster_counts = channels_in_objective(samples, settings.leave_out)
+    rows = usable_rows(samples, wrench_counts)
+    samples = samples[rows]
+    wrench = np.where(wrench_counts, samples.wrench, 0.0)
+    channels = _cluster_channels(samples, geometry, cluster_counts)
+    if not wrench_counts.any() and not channels:
+        raise IdentificationError("every channel is left out", "leave fewer channels out")
+
+    moment = max(_rms(wrench[:, :3][:, wrench_counts[:3]]), _LEAST_MOMENT)
+    force = max(_rms(wrench[:, 3:][:, wrench_counts[3:]]), _LEAST_FORCE)
+    weights = wrench_counts / np.repeat([moment, force], 3) ** 2
+    local = max(_rms(np.concatenate([c.force for c in channels] or [np.zeros(1)])), _LEAST_FORCE)
+    return Objective(
+        rows=rows,
+        position=samples.position,
+        wrench=wrench,
+        wrench_counts=wrench_counts,
+        wrench_shares=weights / max(int(wrench_counts.sum()), 1),
+        channels=channels,
+        channel_share=1.0 / (local**2 * max(len(channels), 1)),
+        theta=settings.theta,
+        smoothness=settings.smoothness,
+    )
+
+
+def _cluster_channels(
+    samples: Samples, geometry: SocketGeometry, counts: BoolArray
+) -> tuple[ClusterChannel, ...]:
+    channels = []
+    for column, cluster in enumerate(samples.clusters):
+        if cluster not in geometry.clusters:
+            raise ConfigurationError(
+                f"cluster '{cluster}' of the samples is on no tile of the socket",
+                closest(cluster, geometry.clusters),
+            )
+        point = geometry.clusters[cluster]
+        for axis in np.flatnonzero(counts[column]).tolist():
+            force = samples.trusted_forces[:, column, axis]
+            rows = np.isfinite(force)
+            if rows.sum() < 2:
+                names = [f"{cluster}.{LOCAL_CHANNELS[a]}" for a in np.flatnonzero(counts[column])]
+                raise IdentificationError(
+                    f"{cluster}.{LOCAL_CHANNELS[axis]} has no usable value in any of the"
+                    f" {len(samples)} samples",
+                    f"check the cluster or leave it out (--leave-out {' '.join(names)})",
+                )
+            direction = geometry.rotations[point][:, axis]
+            mean = samples.position[rows].mean(axis=0)
+            channels.append(
+                ClusterChannel(cluster, point, axis, direction, rows, force[rows], mean)
+            )
+    return tuple(channels)
+
+
+def smoothness_matrix(points: int, neighbours: IntArray) -> FloatArray:
+    r"""Matrix of J_s: :math:`D^T D / e` for one axis, the graph's Laplacian over its edges.
+
+    Args:
+        points: Number n of points of interest.
+        neighbours: Pairs of neighbours, shape (e, 2).
+
+    Returns:
+        Array of shape (n, n) [-].
+    """
+    laplacian = np.zeros((points, points))
+    a, b = neighbours.T
+    np.add.at(laplacian, (a, a), 1.0)
+    np.add.at(laplacian, (b, b), 1.0)
+    np.add.at(laplacian, (a, b), -1.0)
+    np.add.at(laplacian, (b, a), -1.0)
+    return laplacian / max(len(neighbours), 1)
+
+
+def _rms(values: FloatArray) -> float:
+    return float(np.sqrt(np.mean(values**2))) if values.size else 0.0
+
+
+_JITTER = 1e-12  # [-]; keeps a factorisation of a flat problem defined
+
+MILLIMETRE = 1e-3  # [m]; scale of the rest positions in Stage 1
+KILONEWTON_PER_METRE = 1e3  # [N/m]; scale of the stiffnesses in Stage 2
+
+
+@dataclass(frozen=True)
+class StageTwoMoments:
+    """What Stage 2 needs of the data at given rest positions, whatever the weights.
+
+    Attributes:
+        wrench: Moments of the gated displacements of all points and the wrench.
+        channels: For each channel of the clusters, moments of the gated displacement of its
+            point, p = 3, and the measured force, m = 1.
+    """
+
+    wrench: Moments
+    channels: tuple[Moments, ...]
+
+
+@dataclass(frozen=True)
+class StageTwo:
+    """Stage 2 as it is solved, with what explains it.
+
+    Attributes:
+        program: The program in the stiffnesses [kN/m], shape (3n,).
+        moments: What it was made of.
+        smoothness: Part of the program's P that is the smoothness, shape (3n, 3n) [-].
+    """
+
+    program: BoxQP
+    moments: StageTwoMoments
+    smoothness: FloatArray
+
+    def determined_directions(self, x: FloatArray) -> float:
+        r"""Effective number of parameters that the data determine, of 3n [-].
+
+        :math:`\mathrm{tr}(P^{-1} P_{data})` over the stiffnesses off their bound (Hastie,
+        Tibshirani & Friedman, The Elements of Statistical Learning, 7.6).
+        """
+        free = np.flatnonzero(x > 0.0)
+        if len(free) == 0:
+            return 0.0
+        P = self.program.P[np.ix_(free, free)]
+        data = P - self.smoothness[np.ix_(free, free)]
+        return float(np.trace(np.linalg.solve(P + _JITTER * np.eye(len(free)), data)))
+
+
+def stage_one_reference(objective: Objective) -> FloatArray:
+    """Reference q_ref of the box of Stage 1: the mean limb position, shape (3,) [m]."""
+    return objective.position.mean(axis=0)
+
+
+def build_stage_one(
+    objective: Objective, geometry: SocketGeometry, settings: IdentificationSettings
+) -> BoxQP:
+    r"""Stage 1: rest positions for linear springs :math:`F_i = k_0 (q - q_{r,i})`.
+
+    The residual of the wrench is :math:`A q_r - (w_0 - w)` with :math:`A = k_0 C` and
+    :math:`w_0 = k_0 C (1 \otimes q)`; only the means of the samples enter. The paper prints
+    this residual with the sign of w mirrored.
+
+    Returns:
+        The program in the offsets ``q_r - q_ref`` [mm], shape (3n,).
+    """
+    points = len(geometry)
+    k0, scale = settings.initial_stiffness, MILLIMETRE
+    reference = stage_one_reference(objective)
+    mapping = wrench_map(geometry.anchors)
+
+    # Errors as functions of the offsets u [mm]: e = target - (k0 scale) row u.
+    weighted = objective.wrench_weights[:, None] * mapping
+    at_reference = k0 * mapping @ np.tile(objective.position.mean(axis=0) - reference, points)
+    target = at_reference - objective.wrench.mean(axis=0)
+    P = (k0 * scale) ** 2 * (mapping.T @ weighted)
+    q = -(k0 * scale) * (weighted.T @ target)
+    for channel in objective.channels:
+        offset = channel.mean_position - reference
+        local_target = k0 * channel.direction @ offset - channel.force.mean()
+        block = slice(3 * channel.point, 3 * channel.point + 3)
+        weight = objective.channel_weight * k0 * scale
+        outer = np.outer(channel.direction, channel.direction)
+        P[block, block] += weight * k0 * scale * outer
+        q[block] -= weight * local_target * channel.direction
+    smoothness = _smoothness(objective, geometry, settings.rest_position_difference / scale)
+    P += smoothness
+    limit = np.full(3 * points, settings.rest_position_limit / scale)
+    factor = _normalisation(P)
+    return BoxQP(factor * P, factor * q, -limit, limit, "Stage 1 (rest positions)")
+
+
+def stage_two_moments(
+    objective: Objective, settings: IdentificationSettings, rest_positions: FloatArray
+) -> StageTwoMoments:
+    """Take the moments of the data, in one pass over the samples.
+
+    Args:
+        objective: The samples.
+        settings: Settings of the identification.
+        rest_positions: Rest positions q_r, shape (n, 3) [m].
+    """
+    sharpness = settings.gate_sharpness
+    wrench = gate_moments(objective.position, rest_positions, sharpness, objective.wrench)
+    points = sorted({channel.point for channel in objective.channels})
+    on_tiles = gated_displacement(objective.position, rest_positions[points], sharpness)
+    channels = tuple(
+        _moments_of(on_tiles[channel.rows, points.index(channel.point)], channel.force)
+        for channel in objective.channels
+    )
+    return StageTwoMoments(wrench, channels)
+
+
+def build_stage_two(
+    objective: Objective,
+    geometry: SocketGeometry,
+    settings: IdentificationSettings,
+    rest_positions: FloatArray,
+) -> StageTwo:
+    """Stage 2 at given rest positions q_r, shape (n, 3) [m]: see `assemble_stage_two`."""
+    moments = stage_two_moments(objective, settings, rest_positions)
+    return assemble_stage_two(objective, geometry, settings, moments)
+
+
+def assemble_stage_two(
+    objective: Objective,
+    geometry: SocketGeometry,
+    settings: IdentificationSettings,
+    moments: StageTwoMoments,
+) -> StageTwo:
+    r"""Stage 2: stiffnesses :math:`k \ge 0` of the gated springs, with or without offsets.
+
+    With :math:`A_w[k] = C\,\mathrm{diag}(s[k])` the quadratic term of the wrench is
+    :math:`(C^T W C) \circ (S^T S)`, that of a channel along d at point i is
+    :math:`(d d^T) \circ (S_i^T S_i)`. Offsets drop out where S is centred.
+
+    Args:
+        objective: The weights.
+        geometry: Geometry of the socket.
+        settings: Settings of the identification.
+        moments: Moments of the data at the rest positions.
+    """
+    with_bias = settings.variant == "stiffness_bias"
+    scale = KILONEWTON_PER_METRE
+    mapping = wrench_map(geometry.anchors)
+    weighted = objective.wrench_weights[:, None] * mapping
+
+    used = moments.wrench if with_bias else moments.wrench.about_zero()
+    P = (mapping.T @ weighted) * used.gram
+    P *= scale**2 / used.count
+    q = -scale / used.count * np.einsum("jc,cj->j", used.cross, weighted)
+    for channel, centred in zip(objective.channels, moments.channels, strict=True):
+        used = centred if with_bias else centred.about_zero()
+        along = scale * channel.direction
+        weight = objective.channel_weight / used.count
+        block = slice(3 * channel.point, 3 * channel.point + 3)
+        P[block, block] += weight * np.outer(along, along) * used.gram
+        q[block] -= weight * along * used.cross[:, 0]
+    smoothness = _smoothness(objective, geometry, settings.stiffness_difference / scale)
+    lower, upper = np.zeros(len(q)), np.full(len(q), np.inf)
+    P += smoothness
+    factor = _normalisation(P)
+    program = BoxQP(factor * P, factor * q, lower, upper, "Stage 2 (stiffnesses)")
+    return StageTwo(program, moments, factor * smoothness)
+
+
+def recover_offsets(
+    objective: Objective,
+    geometry: SocketGeometry,
+    settings: IdentificationSettings,
+    stage: StageTwo,
+    stiffness: FloatArray,
+) -> tuple[FloatArray, dict[str, FloatArray]]:
+    """Offsets that are optimal for given stiffnesses: the mean residuals.
+
+    Returns:
+        Offset of the wrench, shape (6,) [N m, N], and of each cluster in its frame, shape
+        (3,) [N]; zero for a channel left out and without the bias variant.
+    """
+    wrench_bias = np.zeros(6)
+    force_bias: dict[str, FloatArray] = {}
+    if settings.variant != "stiffness_bias":
+        return wrench_bias, force_bias
+    wrench = stage.moments.wrench
+    springs = stiffness.reshape(-1) * wrench.mean
+    residual = wrench.target_mean - wrench_map(geometry.anchors) @ springs
+    wrench_bias[objective.wrench_counts] = residual[objective.wrench_counts]
+    for channel, means in zip(objective.channels, stage.moments.channels, strict=True):
+        bias = force_bias.setdefault(channel.cluster, np.zeros(3))
+        predicted = (means.mean * stiffness[channel.point]) @ channel.direction
+        bias[channel.axis] = means.target_mean[0] - predicted
+    return wrench_bias, force_bias
+
+
+def _moments_of(s: FloatArray, force: FloatArray) -> Moments:
+    """Moments of gated displacements of one point, shape (N, 3), and a force, shape (N,)."""
+    mean, target_mean = s.mean(axis=0), force.mean()
+    s, force = s - mean, force - target_mean
+    return Moments(
+        count=len(s),
+        mean=mean,
+        gram=s.T @ s,
+        target_mean=np.array([target_mean]),
+        cross=(s.T @ force)[:, None],
+        target_power=np.array([force @ force]),
+    )
+
+
+def _smoothness(objective: Objective, geometry: SocketGeometry, difference: float) -> FloatArray:
+    """Quadratic term of the smoothness, shape (3n, 3n), for an expected difference."""
+    weight = objective.smoothness / (3.0 * difference**2)  # the mean over the three axes
+    points = len(geometry)
+    laplacian = weight * smoothness_matrix(points, geometry.neighbours)
+    P = np.zeros((points, 3, points, 3))
+    for axis in range(3):
+        P[:, axis, :, axis] = laplacian
+    return P.reshape(3 * points, 3 * points)
+
+
+def _normalisation(P: FloatArray) -> float:
+    """Factor that makes the mean curvature 1, so that KKT residuals mean the same anywhere."""
+    curvature = float(np.trace(P)) / len(P)
+    return 1.0 / curvature if curvature > 0.0 else 1.0
+
+
+@dataclass(frozen=True)
+class _Group:
+    """Channels of the clusters that were measured in the same samples."""
+
+    series: GateSeries
+    channels: list[int]
+    points: list[int]
+
+
+class SharedMoments:
+    """Moments of one objective for any rest positions: by series where that is cheaper.
+
+    Args:
+        objective: The samples.
+        settings: Settings of the identification.
+        points: Number n of points of interest.
+    """
+
+    def __init__(self, objective: Objective, settings: IdentificationSettings, points: int) -> None:
+        self._objective = objective
+        self._settings = settings
+        self._wrench: GateSeries | None = None
+        position, sharpness = objective.position, settings.gate_sharpness
+        if series_is_cheaper(position, sharpness, points):
+            self._wrench = GateSeries(position, sharpness, objective.wrench)
+            self._groups = _group_channels(objective, sharpness)
+
+    def at(self, rest_positions: FloatArray) -> StageTwoMoments:
+        """Moments at rest positions q_r, shape (n, 3) [m]."""
+        if self._wrench is None:
+            return stage_two_moments(self._objective, self._settings, rest_positions)
+        channels: dict[int, Moments] = {}
+        for group in self._groups:
+            moments = group.series.moments(rest_positions[group.points])
+            for column, number in enumerate(group.channels):
+                point = group.points.index(self._objective.channels[number].point)
+                channels[number] = _one_channel(moments, point, column)
+        in_order = tuple(channels[number] for number in sorted(channels))
+        return StageTwoMoments(self._wrench.moments(rest_positions), in_order)
+
+
+def _group_channels(objective: Objective, sharpness: float) -> list[_Group]:
+    by_rows: dict[bytes, list[int]] = {}
+    for number, channel in enumerate(objective.channels):
+        by_rows.setdefault(channel.rows.tobytes(), []).append(number)
+    groups = []
+    for numbers in by_rows.values():
+        channels = [objective.channels[number] for number in numbers]
+        forces = np.stack([channel.force for channel in channels], axis=1)
+        series = GateSeries(objective.position[channels[0].rows], sharpness, forces)
+        groups.append(_Group(series, numbers, sorted({channel.point for channel in channels})))
+    return groups
+
+
+def _one_channel(moments: Moments, point: int, column: int) -> Moments:
+    """The moments of one point and one target among several."""
+    block, target = slice(3 * point, 3 * point + 3), slice(column, column + 1)
+    return Moments(
+        count=moments.count,
+        mean=moments.mean[block],
+        gram=moments.gram[block, block],
+        target_mean=moments.target_mean[target],
+        cross=moments.cross[block, target],
+        target_power=moments.target_power[target],
+    )

@@ -1,0 +1,1 @@
+"""The live testbed without ROS: the estimator, bring-up, processes, hardware."""

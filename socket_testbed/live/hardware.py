@@ -1,0 +1,84 @@
+"""What the drivers are given: the machine's own buses and lines, or a simulated world's."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from socket_testbed.arrays import FloatArray
+from socket_testbed.drivers.clusters.i2c import I2cBus, open_i2c
+from socket_testbed.drivers.load_cell.ads131m0x import SpiDevice, open_spi
+from socket_testbed.drivers.trigger import GpiodLines, GpioTrigger, TimerTrigger, Trigger
+from socket_testbed.settings.acquisition import (
+    ClusterSettings,
+    LoadCellSettings,
+    TriggerSettings,
+)
+from socket_testbed.simulation.devices.ads131m0x import SimulatedLoadCellHardware
+from socket_testbed.simulation.devices.gpio_lines import SimulatedLines
+from socket_testbed.simulation.devices.i2c import SimulatedClusterHardware
+from socket_testbed.simulation.sensors import SensorErrors, wrench_noise
+from socket_testbed.simulation.world import World
+
+_I2C_FREQUENCY = 400e3  # [Hz]
+
+
+def make_trigger(settings: TriggerSettings) -> Trigger:
+    """The trigger.
+
+    Raises:
+        DeviceError: If the lines cannot be had.
+        ConfigurationError: If there is no such simulated world.
+    """
+    if settings.source == "timer":
+        return TimerTrigger()
+    if settings.simulation:
+        faults = World(Path(settings.simulation)).faults
+        return GpioTrigger(SimulatedLines(faults), settings)
+    return GpioTrigger(GpiodLines(settings), settings)
+
+
+def wall_clock(settings: TriggerSettings) -> Callable[[], int]:
+    """The system clock since the epoch [ns], or that of a simulated world."""
+    if settings.simulation:
+        return World(Path(settings.simulation)).wall_clock
+    return time.time_ns
+
+
+def i2c_opener(settings: ClusterSettings) -> Callable[[int], I2cBus]:
+    """What opens an I2C bus by its number.
+
+    Raises:
+        ConfigurationError: If there is no such simulated world.
+    """
+    if not settings.simulation:
+        return lambda number: open_i2c(number, settings.bus_timeout)
+    world = World(Path(settings.simulation))
+    noise = np.random.default_rng().normal
+    size = SensorErrors().capacitance_noise
+
+    def capacitance(cluster: int, channel: int, moment: float) -> float:
+        return world.capacitance(cluster, channel, moment) + float(noise(0.0, size))
+
+    return SimulatedClusterHardware(capacitance, world.faults, _I2C_FREQUENCY).open_bus
+
+
+def spi_opener(settings: LoadCellSettings) -> Callable[[], SpiDevice]:
+    """What opens the load cell's converter.
+
+    Raises:
+        ConfigurationError: If there is no such simulated world.
+    """
+    if not settings.simulation:
+        return lambda: open_spi(settings.device, settings.spi_clock)
+    world = World(Path(settings.simulation))
+    rng = np.random.default_rng()
+    errors = SensorErrors()
+
+    def wrench(moment: float) -> FloatArray:
+        return world.wrench(moment) + wrench_noise(errors, 1, rng)[0]
+
+    return SimulatedLoadCellHardware(wrench, settings, world.faults).open_device

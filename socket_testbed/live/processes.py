@@ -1,0 +1,249 @@
+"""The graph as processes: each started with its settings, watched, and ended cleanly."""
+
+from __future__ import annotations
+
+import ctypes
+import importlib.util
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import IO, Any, Self
+
+import yaml
+
+from socket_testbed.clocks import BEGINNING, Backoff, SteadyClock
+from socket_testbed.errors import ConfigurationError, TestbedError
+from socket_testbed.settings.fields import Settings, parameter_values
+
+PARENT = "SOCKET_TESTBED_PARENT"
+
+_PR_SET_PDEATHSIG = 1
+
+
+def end_with_parent(number: signal.Signals) -> None:
+    """Ask the kernel to send this process a signal when its parent ends (Linux)."""
+    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, number)
+
+
+def follow_starter() -> None:
+    """End cleanly with the command that started this node, if one did."""
+    starter = os.environ.get(PARENT)
+    if starter is None:
+        return
+    end_with_parent(signal.SIGTERM)
+    if os.getppid() != int(starter):  # it ended before the kernel was asked
+        os.kill(os.getpid(), signal.SIGTERM)
+
+
+_GRACE = 8.0  # [s]; for a node to end by itself
+_LOOK = 0.05  # [s]
+_LONGEST_WAIT = 10.0  # [s]; before a process that ends again and again is started again
+
+
+class NodeFailedError(TestbedError):
+    """A node ended by itself with an error."""
+
+
+@dataclass
+class _Member:
+    """A process of the graph, and when it was started [s]."""
+
+    command: list[str]
+    process: subprocess.Popen[bytes]
+    started: float
+    backoff: Backoff = field(default_factory=lambda: Backoff(_LONGEST_WAIT))
+
+    def exit_code(self) -> int | None:
+        """Its exit code, minus the signal that ended it, or None while it runs.
+
+        Popen.poll keeps a lock for ever if Ctrl-C strikes within it; this keeps none.
+        """
+        if self.process.returncode is not None:
+            return self.process.returncode
+        found = os.waitid(os.P_PID, self.process.pid, os.WEXITED | os.WNOHANG | os.WNOWAIT)
+        if found is None:
+            return None
+        killed = found.si_code in {os.CLD_KILLED, os.CLD_DUMPED}
+        return -found.si_status if killed else found.si_status
+
+
+class Graph:
+    """Node processes that live and end together; a context manager.
+
+    Args:
+        output: Where the nodes print to; None for this process's own output.
+
+    Attributes:
+        folder: A folder that exists as long as the graph.
+
+    Raises:
+        ConfigurationError: On entry, if ROS 2 cannot be imported.
+    """
+
+    def __init__(self, output: IO[str] | None = None) -> None:
+        self._output = output
+        self._members: dict[str, _Member] = {}
+        self._temporary = tempfile.TemporaryDirectory(prefix="socket_testbed_")
+        self.folder = Path(self._temporary.name)
+        self._environment = {
+            **os.environ,
+            PARENT: str(os.getpid()),
+            BEGINNING: str(SteadyClock().beginning),
+        }
+
+    def __enter__(self) -> Self:
+        for package in ("rclpy", "socket_testbed_msgs"):
+            if importlib.util.find_spec(package) is None:
+                raise ConfigurationError(
+                    f"{package} cannot be imported",
+                    "run 'make setup', or source the ROS 2 workspace that holds this package",
+                )
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.stop()
+        self._temporary.cleanup()
+
+    def start(
+        self, node: str, settings: Settings, namespace: str = "/", use_sim_time: bool = False
+    ) -> None:
+        """Start a node.
+
+        Args:
+            node: Its name, such as estimator_node.
+            settings: Its settings.
+            namespace: Its namespace.
+            use_sim_time: Whether it takes its time from /clock.
+        """
+        self.start_together(node, {node: settings}, namespace, use_sim_time)
+
+    def start_together(
+        self,
+        name: str,
+        nodes: dict[str, Settings],
+        namespace: str = "/",
+        use_sim_time: bool = False,
+    ) -> None:
+        """Start nodes in one process.
+
+        Args:
+            name: Name of the process.
+            nodes: Settings of the nodes by their names; for one node alone the process is its.
+            namespace: Their namespace.
+            use_sim_time: Whether they take their time from /clock.
+        """
+        file = self.folder / f"{name}.yaml"
+        file.write_text(yaml.safe_dump(parameter_file(nodes, use_sim_time)))
+        module = "composed" if len(nodes) > 1 else next(iter(nodes))
+        arguments = list(nodes) if len(nodes) > 1 else []
+        ros = ["--ros-args", "-r", f"__ns:={namespace}", "--params-file", str(file)]
+        self.start_program(name, f"socket_testbed.nodes.{module}", [*arguments, *ros])
+
+    def start_program(self, name: str, module: str, arguments: list[str]) -> None:
+        """Start a module of this package as a process."""
+        command = [sys.executable, "-m", module, *arguments]
+        self._members[name] = _Member(command, self._spawn(command), time.monotonic())
+
+    def _spawn(self, command: list[str]) -> subprocess.Popen[bytes]:
+        # In a session of its own, Ctrl-C reaches a node once: from this process.
+        return subprocess.Popen(
+            command,
+            stdout=self._output,
+            stderr=self._output,
+            start_new_session=True,
+            env=self._environment,
+        )
+
+    def wait(self, node: str) -> None:
+        """Wait until a node has done its work.
+
+        Raises:
+            NodeFailedError: If it, or another meanwhile, ended with an error.
+        """
+        while (code := self._members[node].exit_code()) is None:
+            for name, member in self._members.items():
+                if name != node and (other := member.exit_code()) is not None:
+                    raise _failure(name, other)
+            time.sleep(_LOOK)
+        if code != 0:
+            raise _failure(node, code)
+
+    def check(self) -> None:
+        """Raise a NodeFailedError if a process has ended."""
+        for name, member in self._members.items():
+            if (code := member.exit_code()) is not None:
+                raise _failure(name, code)
+
+    def watch(
+        self, done: Callable[[], bool], say: Callable[[str], None], patience: float = 10.0
+    ) -> None:
+        """Keep the processes running until something is done: what is killed is started again.
+
+        Args:
+            done: Called to know whether it is.
+            say: Called with a line about what was restarted.
+            patience: A process that ends by itself within this time of the graph's start was
+                given something wrong [s].
+
+        Raises:
+            NodeFailedError: If a process ends with an error soon after it was started first.
+        """
+        began = time.monotonic()
+        while not done():
+            now = time.monotonic()
+            for name, member in self._members.items():
+                code = member.exit_code()
+                if code is None:
+                    if now - member.started > patience:
+                        member.backoff.succeeded()
+                    continue
+                if code > 0 and now - began < patience:
+                    raise _failure(name, code)
+                if member.backoff.due(now):
+                    say(f"{name} {_ending(code)}: started again")
+                    member.backoff.failed(now)
+                    member.process = self._spawn(member.command)
+                    member.started = now
+            time.sleep(_LOOK)
+
+    def stop(self, *names: str) -> None:
+        """End some processes, or all of them: ask, then insist."""
+        members = [self._members[name] for name in names] or self._members.values()
+        # Before ROS has taken over, SIGTERM ends a node without a word; afterwards cleanly.
+        for number in (signal.SIGTERM, signal.SIGKILL):
+            running = [member for member in members if member.exit_code() is None]
+            for member in running:
+                with suppress(ProcessLookupError):
+                    os.kill(member.process.pid, number)
+            deadline = time.monotonic() + _GRACE
+            while time.monotonic() < deadline and any(m.exit_code() is None for m in running):
+                time.sleep(_LOOK)
+        for member in members:
+            member.process.poll()  # the system forgets it
+
+
+def _failure(name: str, code: int) -> NodeFailedError:
+    return NodeFailedError(f"{name} {_ending(code)}", "see what it printed")
+
+
+def _ending(code: int) -> str:
+    if code < 0:
+        return f"was ended by {signal.Signals(-code).name}"
+    return f"ended with exit code {code}"
+
+
+def parameter_file(nodes: dict[str, Settings], use_sim_time: bool) -> dict[str, Any]:
+    """Content of a ROS parameter file that starts nodes, in any namespace, with settings."""
+    return {
+        f"/**/{name}": {
+            "ros__parameters": {"use_sim_time": use_sim_time, **parameter_values(settings)}
+        }
+        for name, settings in nodes.items()
+    }

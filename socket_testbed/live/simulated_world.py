@@ -1,0 +1,198 @@
+"""The simulated testbed in real time: the physics moves a world on that simulated chips are in.
+
+Run as a process, `python -m socket_testbed.live.simulated_world`, beside the nodes.
+"""
+
+from __future__ import annotations
+
+import argparse
+import signal
+import sys
+import threading
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from socket_testbed.arrays import FloatArray
+from socket_testbed.calibration.model import Calibration, read_calibration
+from socket_testbed.clocks import SteadyClock
+from socket_testbed.geometry.socket import SocketGeometry, read_socket
+from socket_testbed.live.processes import follow_starter
+from socket_testbed.simulation.devices.natnet_server import NatNetServer
+from socket_testbed.simulation.limb import (
+    SCENARIOS,
+    LoadedLimb,
+    MarkerBodies,
+    Scenario,
+    load_history,
+)
+from socket_testbed.simulation.sensors import (
+    ClusterSensor,
+    SensorErrors,
+    cluster_stress,
+    place_markers,
+    wrench_offset,
+)
+from socket_testbed.simulation.testbed import GroundTruth
+from socket_testbed.simulation.trial import save_truth
+from socket_testbed.simulation.world import World
+
+_PERIOD = 0.04  # [s]; of the physics; between two states the world is linear
+_LEAD = 0.2  # [s]; of the physics ahead of time: a busy machine does not stop the world
+_BODIES = ("socket", "pylon")
+
+
+class LiveTestbed:
+    """The physics of a testbed, one state of its world after the other.
+
+    Args:
+        world: Where the states go.
+        geometry: What the lab believes of the socket.
+        calibration: What the lab believes of its clusters.
+        scenario: The load history; it starts anew when it is over.
+        duration: Duration of the load history [s].
+        seed: Seed of everything that is random.
+        pace: How much faster the load changes than in the scenario [-].
+        sway: How far the whole stand sways in the world [m].
+        errors: Sizes of the sensors' errors.
+    """
+
+    def __init__(
+        self,
+        world: World,
+        geometry: SocketGeometry,
+        calibration: Calibration,
+        scenario: Scenario,
+        duration: float,
+        seed: int,
+        pace: float,
+        sway: float,
+        errors: SensorErrors,
+    ) -> None:
+        calibration.require(geometry.clusters, "the socket")
+        tissue_rng, load_rng, cell_rng, cluster_rng, marker_rng = (
+            np.random.default_rng(child) for child in np.random.SeedSequence(seed).spawn(5)
+        )
+        self._world = world
+        self._geometry = geometry
+        self._times = np.arange(0.0, duration, _PERIOD)
+        self._loads = load_history(scenario, pace * self._times, load_rng)
+        self._sway = sway
+        self._limb = LoadedLimb(geometry, self._loads[0], tissue_rng)
+        self._offset = wrench_offset(errors, cell_rng)
+        self._sensors = {
+            name: ClusterSensor(calibration.clusters[name], errors, cluster_rng)
+            for name in geometry.clusters
+        }
+        self._bodies = MarkerBodies(geometry, errors, marker_rng)
+        self._start = time.monotonic()
+        self._last = self._start
+        self._history: list[tuple[Any, ...]] = []
+
+    def advance(self, moment: float) -> None:
+        """Move the world on to a time of the steady clock [s]."""
+        elapsed = moment - self._start
+        load = self._loads[int(elapsed / _PERIOD) % len(self._loads)]
+        forces = self._limb.step(load, max(moment - self._last, 1e-3))
+        self._last = moment
+        position, rotation = self._limb.position, self._limb.rotation
+        now = np.array([elapsed])
+        capacitance = np.vstack(
+            [
+                sensor.respond(cluster_stress(self._geometry, name, forces[None]), now)
+                for name, sensor in self._sensors.items()
+            ]
+        )
+        swayed = self._sway * np.sin(2.0 * np.pi * elapsed / np.array([3.0, 4.1, 5.3]))
+        socket, pylon = self._bodies.poses(position[None], rotation[None], load[None], swayed)
+        markers = np.vstack(
+            [
+                place_markers(socket, self._geometry.socket_markers),
+                place_markers(pylon, self._geometry.pylon_markers),
+            ]
+        )
+        poses = np.vstack(
+            [np.hstack([pose.translation, pose.quaternion()]) for pose in (socket, pylon)]
+        )
+        self._world.push(moment, capacitance, load + self._offset, markers, poses)
+        self._history.append(
+            (
+                *(np.array(moment), forces.astype(np.float32), load, position, rotation),
+                *(capacitance, load + self._offset, markers, np.array(time.monotonic() - moment)),
+            )
+        )
+
+    def save(self, path: Path, clock: SteadyClock) -> None:
+        """Write what really happened, and what the sensors felt of it but for their noise."""
+        moments, forces, load, position, rotation, *felt = (
+            np.array(column, dtype=float) for column in zip(*self._history, strict=True)
+        )
+        stamps = np.array([clock.to_epoch(moment) for moment in moments], dtype=np.int64)
+        truth = GroundTruth(forces, load, position, rotation)
+        names = ("felt_capacitance", "felt_wrench", "felt_markers", "lateness")
+        save_truth(path, self._geometry.names, stamps, truth, **dict(zip(names, felt, strict=True)))
+
+
+def main() -> None:
+    """Move a world on in real time until told to end."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("world", type=Path, help="folder of the world; it is made there")
+    parser.add_argument("--geometry", type=Path, required=True)
+    parser.add_argument("--calibration", type=Path, required=True)
+    parser.add_argument("--scenario", choices=SCENARIOS, required=True)
+    parser.add_argument("--duration", type=float, required=True, help="of the scenario [s]")
+    parser.add_argument("--seed", type=int, required=True)
+    parser.add_argument("--pace", type=float, required=True, help="of the load, relative [-]")
+    parser.add_argument("--sway", type=float, required=True, help="of the stand [m]")
+    parser.add_argument("--truth", type=Path, help="where to write what really happened")
+    options = parser.parse_args()
+
+    ended = threading.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: ended.set())
+    follow_starter()
+    clock = SteadyClock()
+    world = World(options.world)
+    errors = SensorErrors()
+    testbed = LiveTestbed(
+        world,
+        read_socket(options.geometry),
+        read_calibration(options.calibration),
+        options.scenario,
+        options.duration,
+        options.seed,
+        options.pace,
+        options.sway,
+        errors,
+    )
+
+    def bodies(moment: float) -> list[tuple[str, FloatArray, FloatArray, FloatArray]]:
+        markers, poses = world.markers(moment), world.poses(moment)
+        return [(name, markers[i], poses[i, :3], poses[i, 3:]) for i, name in enumerate(_BODIES)]
+
+    moment = time.monotonic()
+    testbed.advance(moment)
+    # Started again, it is where the clients look for it.
+    address = ("127.0.0.1", world.port)
+    server = NatNetServer(
+        bodies, address=address, faults=world.faults, noise=errors.marker_noise, seed=options.seed
+    )
+    world.port = server.address[1]
+    try:
+        while not ended.is_set():
+            moment = max(moment + _PERIOD, time.monotonic())
+            testbed.advance(moment)
+            ended.wait(max(0.0, moment - _LEAD - time.monotonic()))
+    finally:
+        server.close()
+    if options.truth is not None:
+        try:
+            testbed.save(options.truth, clock)
+        except OSError as error:
+            print(f"error: {options.truth}: cannot be written ({error.strerror})", file=sys.stderr)
+
+
+if __name__ == "__main__":
+    main()

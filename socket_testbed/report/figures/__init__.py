@@ -1,0 +1,1 @@
+"""Figures of sockets, channels and trade-offs."""

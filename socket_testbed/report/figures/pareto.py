@@ -1,0 +1,108 @@
+"""The trade-off fronts as a figure for a paper."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.axis import Axis
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator
+
+from socket_testbed.files import whole_output
+from socket_testbed.identification.front import KNEE, SENSOR_ONLY, WRENCH_ONLY, Front
+from socket_testbed.report.figures.style import MODEL_STYLES, dress, save_figure
+
+_MARKS: dict[str, dict[str, Any]] = {
+    SENSOR_ONLY: {"marker": "s", "markersize": 8},
+    KNEE: {"marker": "*", "markersize": 13},
+    WRENCH_ONLY: {"marker": "^", "markersize": 8},
+}
+_MEANINGS = {SENSOR_ONLY: r" ($\theta$ = 0)", KNEE: "", WRENCH_ONLY: r" ($\theta$ = 1)"}
+_HOLLOW: dict[str, Any] = {
+    "linestyle": "none",
+    "markerfacecolor": "white",
+    "markeredgewidth": 1.3,
+}
+_FAINT = 0.3  # opacity
+_ROOM = 0.08  # [-]; around the solutions
+_LEAST_ERROR = 1e-8  # [-]; zero has no place on a logarithmic axis, and errors no more digits
+_WIDE = 5.0  # [-]; ratio of an axis' ends above which its numbers go by 1, 2, 5
+_WRENCH_LABEL = r"wrench error $e_w$ [-]: each RMSE over the RMS of the measured moments or forces"
+_LOCAL_LABEL = r"local error $e_f$ [-]: each RMSE over the RMS of the cluster forces"
+
+
+def pareto_figure(fronts: Iterable[Front], title: str, path: Path) -> None:
+    """Draw both normalised errors of every front on logarithmic axes.
+
+    Dominated solutions are faint; those with a flaw are not shown.
+
+    Args:
+        fronts: Fronts of the same samples, two at most.
+        title: What is shown.
+        path: File to write, which replaces an older one; its suffix says the format.
+
+    Raises:
+        ConfigurationError: If the file cannot be written.
+    """
+    figure = Figure(figsize=(7.0, 5.6), layout="constrained")
+    figure.suptitle(title, fontsize=11).set_parse_math(False)  # a name may hold a dollar
+    axes = figure.subplots()
+    for front, style in zip(fronts, MODEL_STYLES, strict=False):
+        _draw_front(axes, front, style)
+    _scale(axes)
+    dress(axes)
+    handles = [*axes.get_legend_handles_labels()[0], *_mark_legend()]
+    figure.legend(handles=handles, loc="outside lower center", ncols=2, frameon=False, fontsize=9)
+    with whole_output(path) as staging:
+        save_figure(figure, staging)
+
+
+def _draw_front(axes: Axes, front: Front, style: dict[str, Any]) -> None:
+    kept = np.flatnonzero(front.non_dominated)
+    kept = kept[np.argsort(front.wrench_error[kept], kind="stable")]
+    dominated = front.sound & ~front.non_dominated
+    errors = np.maximum([front.wrench_error, front.local_error], _LEAST_ERROR)
+    colour = style["color"]
+    dots: dict[str, Any] = {"color": colour, "linestyle": "none", "marker": "o", "markersize": 3}
+    axes.plot(*errors[:, kept], label=_describe(front), **style)
+    axes.plot(*errors[:, kept], **dots)
+    axes.plot(*errors[:, dominated], alpha=_FAINT, markeredgewidth=0.0, **dots)
+    for name, index in front.marks.items():
+        axes.plot(*errors[:, [index]], color=colour, **_HOLLOW, **_MARKS[name])
+
+
+def _describe(front: Front) -> str:
+    knee = front.knee.index
+    bend = "no knee" if knee is None else rf"knee at $\theta$ = {front.theta[knee]:.3g}"
+    return f"{front.variant}: {bend}"
+
+
+def _mark_legend() -> list[Line2D]:
+    dot: dict[str, Any] = {"linestyle": "none", "marker": "o", "markersize": 3, "color": "0.3"}
+    marks = [
+        Line2D([], [], color="0.3", label=name + _MEANINGS[name], **_HOLLOW, **shape)
+        for name, shape in _MARKS.items()
+    ]
+    return [*marks, Line2D([], [], alpha=_FAINT, label="dominated", **dot)]
+
+
+def _scale(axes: Axes) -> None:
+    axes.set_xscale("log")
+    axes.set_yscale("log")
+    axes.margins(_ROOM)
+    axes.set_xlabel(_WRENCH_LABEL, fontsize=9)
+    axes.set_ylabel(_LOCAL_LABEL, fontsize=9)
+    _write_plain_numbers(axes.xaxis, axes.get_xlim())
+    _write_plain_numbers(axes.yaxis, axes.get_ylim())
+
+
+def _write_plain_numbers(axis: Axis, limits: tuple[float, float]) -> None:
+    wide = limits[1] / limits[0] > _WIDE
+    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)) if wide else MaxNLocator(6))
+    axis.set_major_formatter("{x:g}")
+    axis.set_minor_locator(NullLocator())

@@ -1,0 +1,500 @@
+"""Pictures that turn under the mouse, alone or in a report; lengths in mm in {S}."""
+
+from __future__ import annotations
+
+import html
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from string import Template
+from typing import Any
+
+import numpy as np
+import plotly.graph_objects as go
+
+from socket_testbed.arrays import BoolArray, FloatArray, IntArray
+from socket_testbed.files import whole_output
+from socket_testbed.geometry.socket import SocketGeometry
+from socket_testbed.report.figures.style import (
+    AXES,
+    CLUSTER,
+    EDGE,
+    NO_VALUE,
+    PROXIMAL,
+    SCALE,
+    TILE,
+    VEIL,
+)
+from socket_testbed.report.figures.tiles import (
+    AXIS_NAMES,
+    AxesOfS,
+    Surface,
+    check_values,
+    covered_tiles,
+    drawable_surface,
+    drawn_bounds,
+    place_axes,
+    proximal_direction,
+    tile_labels,
+    tile_squares,
+    value_range,
+)
+
+# Two triangles a square would meet at a seam; four around its centre also let the pointer
+# find the tile wherever it is on it.
+_FAN = np.array([[4, 0, 1], [4, 1, 2], [4, 2, 3], [4, 3, 0]])
+_UNSHADED = {"ambient": 1.0, "diffuse": 0.0, "specular": 0.0, "fresnel": 0.0}
+_HEAD = 0.25  # [-]; of an arrow's length
+_LABEL_AT = 0.8  # [-]; likewise, from its start
+
+
+def surface_trace(surface: Surface) -> go.Mesh3d:
+    """The interior surface, which one sees through."""
+    i, j, k = surface.faces.astype(np.int32).T
+    return go.Mesh3d(
+        **_coordinates(surface.vertices),
+        **{"i": i, "j": j, "k": k},
+        color=VEIL,
+        opacity=0.3,
+        hoverinfo="skip",
+        name="interior surface",
+        showlegend=True,
+    )
+
+
+def tile_traces(
+    geometry: SocketGeometry, values: FloatArray | None = None, unit: str = ""
+) -> list[Any]:
+    """The tiles as filled squares with outlines, each with its facts under the pointer.
+
+    Without values, tiles with and without a cluster have two colours; with them, all are on
+    one colour scale that prints in grey, and the clusters are told by their outlines.
+    A surface that is drawn with them should start hidden: its veil would change their colours.
+
+    Args:
+        geometry: The socket.
+        values: One value a tile in `unit`, shape (n,); NaN, left white, where there is none.
+        unit: What the values are, with their unit, such as `pressure [kPa]`.
+
+    Raises:
+        ConfigurationError: If the values are not those of these tiles.
+    """
+    if values is not None:
+        check_values(geometry, values)
+    covered = covered_tiles(geometry)
+    facts = _tile_facts(geometry, values, unit)
+    if values is None:
+        fills = [
+            _filled(geometry, ~covered, facts, "tiles", color=TILE),
+            _filled(geometry, covered, facts, "tiles with a cluster", color=CLUSTER),
+        ]
+    else:
+        missing = np.isnan(values)
+        fills = [
+            _filled(geometry, ~missing, facts, "tiles", **_coloured(values[~missing], unit)),
+            _filled(geometry, missing, facts, "tiles without a value", color=NO_VALUE),
+        ]
+    around_cluster = "black" if values is None else CLUSTER
+    outlines = [
+        _outlines(geometry, ~covered, "outlines", color=EDGE, width=3),
+        _outlines(geometry, covered, "outlines of the clusters", color=around_cluster, width=6),
+    ]
+    return [trace for trace in (*fills, *outlines) if trace is not None]
+
+
+def cluster_names(geometry: SocketGeometry) -> list[dict[str, Any]]:
+    """Annotations with the names of the clusters, each with an arrow to its tile."""
+    return [
+        {
+            **dict(zip(AXIS_NAMES, (1e3 * geometry.anchors[tile]).tolist(), strict=True)),
+            "text": _escape(name),
+            "ax": 0,
+            "ay": -32,
+            "arrowhead": 6,
+            "arrowsize": 0.7,
+            "arrowwidth": 1.5,
+            "bgcolor": "rgba(255, 255, 255, 0.85)",
+            "bordercolor": CLUSTER,
+            "borderpad": 2,
+        }
+        for name, tile in geometry.clusters.items()
+    ]
+
+
+def neighbour_trace(geometry: SocketGeometry) -> go.Scatter3d:
+    """Lines between neighbouring tiles, hidden until they are chosen in the legend."""
+    return go.Scatter3d(
+        **_lines(geometry.anchors[geometry.neighbours]),
+        mode="lines",
+        line={"color": "#555555", "width": 2},
+        hoverinfo="skip",
+        name="neighbours",
+        visible="legendonly",
+    )
+
+
+def axes_traces(axes: AxesOfS) -> list[Any]:
+    """The axes of {S} as three named arrows, one entry of the legend."""
+    traces = []
+    for direction, name, colour in zip(np.eye(3), AXIS_NAMES, AXES, strict=True):
+        arrow = axes.start, axes.start + axes.length * direction
+        traces += _arrow(*arrow, name, colour, axes.describe(), shown=name == "x")
+    return traces
+
+
+def proximal_traces(geometry: SocketGeometry, length: float) -> list[Any]:
+    """The proximal direction as an arrow above the tiles; nothing where they do not tell it.
+
+    Args:
+        geometry: The socket.
+        length: Of the arrow [m].
+    """
+    direction = proximal_direction(geometry)
+    if direction is None:
+        return []
+    middle = geometry.anchors.mean(axis=0)
+    reach = ((geometry.anchors - middle) @ direction).max()
+    start = middle + (reach + 0.5 * length) * direction
+    return _arrow(start, start + length * direction, "proximal", PROXIMAL, "proximal direction")
+
+
+def _filled(
+    geometry: SocketGeometry, chosen: BoolArray, facts: list[str], name: str, **paint: Any
+) -> go.Mesh3d | None:
+    if not chosen.any():
+        return None
+    squares = tile_squares(geometry)[chosen]
+    points = np.concatenate([squares, geometry.anchors[chosen][:, None]], axis=1)
+    i, j, k = (_FAN + 5 * np.arange(len(squares))[:, None, None]).reshape(-1, 3).T
+    return go.Mesh3d(
+        **_coordinates(points.reshape(-1, 3)),
+        **{"i": i, "j": j, "k": k},
+        **paint,
+        lighting=_UNSHADED,
+        text=[facts[tile] for tile in np.flatnonzero(chosen) for _ in range(5)],
+        hovertemplate="%{text}<extra></extra>",
+        hoverlabel={"bgcolor": "white", "bordercolor": EDGE, "font": {"color": "black"}},
+        name=name,
+        showlegend=True,
+        legendgroup=name,
+    )
+
+
+def _coloured(values: FloatArray, unit: str) -> dict[str, Any]:
+    low, high = value_range(values)
+    return {
+        "intensity": np.repeat(values, 5),
+        "cmin": low,
+        "cmax": high,
+        "colorscale": SCALE,
+        "colorbar": {
+            "title": {"text": _escape(unit), "side": "right"},
+            "thickness": 14,
+            "len": 0.7,
+        },
+    }
+
+
+def _tile_facts(geometry: SocketGeometry, values: FloatArray | None, unit: str) -> list[str]:
+    """What the pointer tells of each tile."""
+    facts = []
+    for tile, label in enumerate(tile_labels(geometry)):
+        lines = [
+            f"<b>{_escape(label)}</b>",
+            f"anchor {_vector(1e3 * geometry.anchors[tile], 1)} mm",
+            f"area {1e6 * geometry.areas[tile]:.1f} mm²",
+            f"inward normal {_vector(geometry.rotations[tile, :, 2], 3)}",
+        ]
+        if values is not None:
+            value = "none" if np.isnan(values[tile]) else f"{values[tile]:.4g}"
+            lines.insert(1, f"{_escape(unit)}: {value}")
+        facts.append("<br>".join(lines))
+    return facts
+
+
+def _outlines(
+    geometry: SocketGeometry, chosen: BoolArray, name: str, **line: Any
+) -> go.Scatter3d | None:
+    if not chosen.any():
+        return None
+    return go.Scatter3d(
+        **_lines(tile_squares(geometry)[chosen][:, [0, 1, 2, 3, 0]]),
+        mode="lines",
+        line=line,
+        hoverinfo="skip",
+        name=name,
+        showlegend=False,
+    )
+
+
+def _arrow(
+    start: FloatArray, tip: FloatArray, text: str, colour: str, name: str, shown: bool = True
+) -> list[Any]:
+    shared = {"legendgroup": name, "name": name, "hoverinfo": "skip"}
+    shaft = go.Scatter3d(
+        **_coordinates(np.array([start, tip])),
+        mode="lines",
+        line={"color": colour, "width": 6},
+        showlegend=shown,
+        **shared,
+    )
+    label = go.Scatter3d(
+        **_coordinates((start + _LABEL_AT * (tip - start))[None]),
+        mode="text",
+        text=[f" {text}"],
+        textposition="middle right",
+        textfont={"color": colour, "size": 16},
+        showlegend=False,
+        **shared,
+    )
+    u, v, w = 1e3 * (tip - start)
+    head = go.Cone(
+        **_coordinates(tip[None]),
+        **{"u": [u], "v": [v], "w": [w]},
+        anchor="tip",
+        sizemode="raw",
+        sizeref=_HEAD,
+        colorscale=[[0, colour], [1, colour]],
+        showscale=False,
+        **shared,
+    )
+    return [shaft, head, label]
+
+
+def _lines(polylines: FloatArray) -> dict[str, FloatArray]:
+    """Coordinates [mm] of polylines of shape (m, k, 3) [m], with gaps between them."""
+    gaps = np.full((len(polylines), 1, 3), np.nan)
+    return _coordinates(np.concatenate([polylines, gaps], axis=1).reshape(-1, 3))
+
+
+def _coordinates(points: FloatArray) -> dict[str, FloatArray]:
+    """Coordinates [mm] of points of shape (m, 3) [m]; single precision makes a page small."""
+    return dict(zip(AXIS_NAMES, (1e3 * points).astype(np.float32).T, strict=True))
+
+
+def _vector(components: FloatArray, decimals: int) -> str:
+    return "(" + ", ".join(f"{c + 0.0:.{decimals}f}" for c in components) + ")"
+
+
+def _escape(text: str) -> str:
+    """Text that is no markup under the pointer, which knows no other entities."""
+    return html.escape(text, quote=False)
+
+
+FONT = "system-ui, -apple-system, 'Segoe UI', Roboto, sans-serif"
+# The policy lets the browser load nothing at all; the viewer compiles its shaders' code.
+POLICY = (
+    "default-src 'none'; img-src data: blob:; style-src 'unsafe-inline';"
+    " script-src 'unsafe-inline' 'unsafe-eval'"
+)
+
+_EYE = np.array([1.1, 0.86, 0.3])  # of the diagonal: anterior, left and above
+_CENTRE = np.array([0.0, 0.0, -0.06])  # likewise: the nearest edge of the box hangs lowest
+# The viewer's own list holds a button that sends the chart away.
+_BUTTONS = ["toImage", "zoom3d", "pan3d", "orbitRotation", "resetCameraDefault3d"]
+_AXIS = {
+    "backgroundcolor": "white",
+    "gridcolor": "#DDDDDD",
+    "zerolinecolor": "#999999",
+    "showspikes": False,
+}
+
+
+def scene_html(
+    traces: Sequence[Any],
+    geometry: SocketGeometry,
+    name: str,
+    domain: Mapping[str, Any] | None = None,
+    legend: Mapping[str, Any] | None = None,
+) -> str:
+    """The HTML of a scene in {S}, in mm, with the viewer inlined.
+
+    Args:
+        traces: What is drawn.
+        geometry: The socket, whose clusters are named.
+        name: Its id in the page.
+        domain: Which part of the picture the scene takes; None for all of it.
+        legend: Where the legend is; None for none.
+    """
+    scene: dict[str, Any] = {
+        f"{axis}axis": {"title": {"text": f"{axis} [mm]"}, **_AXIS} for axis in AXIS_NAMES
+    }
+    scene |= {
+        "aspectmode": "data",
+        "domain": domain or {},
+        "camera": _camera(traces),
+        "annotations": cluster_names(geometry),
+    }
+    layout = {
+        "scene": scene,
+        "margin": {"l": 0, "r": 0, "t": 0, "b": 0},
+        "showlegend": legend is not None,
+        "legend": legend or {},
+        "font": {"family": FONT, "size": 13},
+        "paper_bgcolor": "white",
+    }
+    return go.Figure([*traces], layout).to_html(
+        full_html=False,
+        include_plotlyjs=True,
+        div_id=name,
+        config={"responsive": True, "displaylogo": False, "modeBarButtons": [_BUTTONS]},
+    )
+
+
+def _camera(traces: Sequence[Any]) -> dict[str, Any]:
+    """A camera that sees everything, in the viewer's unit: the geometric mean of the edges."""
+    drawn = np.hstack([[trace.x, trace.y, trace.z] for trace in traces])
+    edges = np.nanmax(drawn, axis=1) - np.nanmin(drawn, axis=1)
+    diagonal = np.linalg.norm(edges) / np.exp(np.log(edges).mean())
+    return {
+        name: dict(zip(AXIS_NAMES, (diagonal * place).tolist(), strict=True))
+        for name, place in (("eye", _EYE), ("center", _CENTRE))
+    }
+
+
+_MOST_FACES = 60_000
+
+_PAGE = Template("""\
+<!DOCTYPE html>
+<html lang="en">
+<head>
+<meta charset="utf-8">
+<meta name="viewport" content="width=device-width, initial-scale=1">
+<meta http-equiv="Content-Security-Policy" content="$policy">
+<title>$title</title>
+<style>
+body { margin: 0 auto; padding: 1rem; max-width: 100rem; font: 1rem/1.45 $font;
+  color: #222; background: #fff; }
+h1 { margin: 0 0 0.75rem; font-size: 1.35rem; overflow-wrap: anywhere; }
+p { margin: 0.75rem 0 0; font-size: 0.9rem; color: #555; }
+table { border-collapse: collapse; width: 100%; font-size: 0.95rem; }
+th, td { padding: 0.3rem 0.75rem 0.3rem 0; border-bottom: 1px solid #ddd; text-align: left;
+  vertical-align: top; overflow-wrap: anywhere; font-variant-numeric: tabular-nums; }
+th { font-weight: 600; white-space: nowrap; }
+#scene { height: min(75vh, 140vw); min-height: 26rem; }
+@media (min-width: 60rem) {
+  main { display: grid; grid-template-columns: 20rem 1fr; gap: 1.5rem; }
+  #scene { height: calc(100vh - 5.5rem); }
+}
+</style>
+</head>
+<body>
+<h1>$title</h1>
+<main>
+<section>
+<table>
+$facts
+</table>
+<p>Drag to turn, scroll or pinch to zoom; point at a tile for its name, anchor, area and normal.
+Choose in the legend what is shown. Lengths are in mm in {S}, the frame of the load cell.</p>
+</section>
+<div id="scene">$scene</div>
+</main>
+</body>
+</html>
+""")
+
+
+def socket_page(
+    vertices: FloatArray,
+    faces: IntArray,
+    geometry: SocketGeometry,
+    path: Path,
+    title: str,
+    facts: Sequence[tuple[str, str]],
+) -> None:
+    """Write a page with the interior surface of a socket and its tiles, in one file.
+
+    Args:
+        vertices: Vertices of the interior surface in {S}, shape (v, 3) [m].
+        faces: Indices of each face's vertices, shape (f, 3).
+        geometry: The socket.
+        path: File to write or replace.
+        title: Heading of the page.
+        facts: Rows of the table beside the picture: what, and how much with its unit.
+
+    Raises:
+        ScanError: If this is no surface, or not in metres.
+        ConfigurationError: If the file cannot be written.
+    """
+    surface = drawable_surface(vertices, faces, _MOST_FACES)
+    page = _PAGE.substitute(
+        title=html.escape(title),
+        font=FONT,
+        policy=POLICY,
+        facts="\n".join(
+            f'<tr><th scope="row">{html.escape(name)}</th><td>{html.escape(value)}</td></tr>'
+            for name, value in facts
+        ),
+        scene=_scene(surface, geometry),
+    )
+    with whole_output(path) as output:
+        output.write_text(page, encoding="utf-8")
+
+
+def _scene(surface: Surface, geometry: SocketGeometry) -> str:
+    """The turning picture with the viewer itself, as HTML."""
+    low, high = drawn_bounds(surface, geometry)
+    axes = place_axes(low, high)
+    traces = [
+        surface_trace(surface),
+        *tile_traces(geometry),
+        neighbour_trace(geometry),
+        *axes_traces(axes),
+        *proximal_traces(geometry, axes.length),
+    ]
+    legend = {"orientation": "h", "yref": "container", "y": 0, "yanchor": "bottom"}
+    return scene_html(traces, geometry, "socket", legend=legend)
+
+
+SCENE_ID = "scene"
+
+# Beside a narrow scene there is no room for it.
+_COLOUR_BAR = {"orientation": "h", "y": 0.0, "yanchor": "bottom", "thickness": 12, "len": 0.8}
+_SCENE_ABOVE = [0.15, 1.0]  # [-]; of the height
+
+
+@dataclass(frozen=True)
+class ValueScene:
+    """A picture that turns under the mouse, and which of its traces show what.
+
+    Attributes:
+        html: The picture with the viewer itself.
+        visible: For each set of values by its key, whether each trace is shown.
+    """
+
+    html: str
+    visible: dict[str, list[bool]]
+
+
+def value_scene(
+    geometry: SocketGeometry, values: Mapping[str, tuple[FloatArray, str]]
+) -> ValueScene:
+    """A scene with the tiles in the colours of the first set of values.
+
+    Args:
+        geometry: The socket.
+        values: One value a tile, shape (n,), NaN where there is none, and what they are
+            with their unit, by a key.
+
+    Raises:
+        ConfigurationError: If the values are not those of these tiles.
+    """
+    corners = tile_squares(geometry).reshape(-1, 3)
+    axes = place_axes(corners.min(axis=0), corners.max(axis=0))
+    shared = [*axes_traces(axes), *proximal_traces(geometry, axes.length)]
+    traces, owner = list(shared), [""] * len(shared)
+    for key, (tiles, unit) in values.items():
+        own = tile_traces(geometry, tiles, unit)
+        for trace in own:
+            if getattr(trace, "intensity", None) is not None:
+                trace.colorbar = _COLOUR_BAR | {
+                    "title": {"text": html.escape(unit, quote=False), "side": "top"}
+                }
+        traces += own
+        owner += [key] * len(own)
+    visible = {key: [name in ("", key) for name in owner] for key in values}
+    for trace, shown in zip(traces, visible[next(iter(values))], strict=True):
+        trace.visible = shown
+    picture = scene_html(traces, geometry, SCENE_ID, domain={"y": _SCENE_ABOVE})
+    return ValueScene(picture, visible)

@@ -1,0 +1,557 @@
+"""Pictures of a socket with its tiles: four sides, the distal end, the wall unrolled."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.collections import PolyCollection
+from matplotlib.colors import Normalize, to_rgba
+from matplotlib.figure import Figure
+from matplotlib.patches import Patch, Rectangle
+from matplotlib.patheffects import withStroke
+
+from socket_testbed.arrays import BoolArray, FloatArray, IntArray
+from socket_testbed.errors import ConfigurationError
+from socket_testbed.files import whole_output
+from socket_testbed.geometry.socket import SocketGeometry
+from socket_testbed.report.figures.style import (
+    AXES,
+    CLUSTER,
+    EDGE,
+    NO_VALUE,
+    SCALE,
+    SURFACE,
+    TILE,
+    lay_out,
+)
+from socket_testbed.report.figures.tiles import (
+    AXIS_NAMES,
+    AxesOfS,
+    Surface,
+    TilePaint,
+    add_colour_bar,
+    drawable_surface,
+    drawn_bounds,
+    paint_tiles,
+    place_axes,
+    tile_labels,
+    tile_squares,
+    value_range,
+)
+
+_LARGEST, _SMALLEST = 7.0, 3.0  # [pt]
+_LONGEST_LINE = 9  # characters
+_CHARACTER = 0.62  # [-]; width of a character by the size of the font
+_LINE = 1.25  # [-]; height of a line, likewise
+
+
+def write_label(axis: Axes, label: str, corners: FloatArray, colour: str) -> None:
+    """Write a label inside a tile, as large as fits; leave it out where that is too small.
+
+    The panel must have its limits and its aspect.
+
+    Args:
+        axis: The panel.
+        label: What to write; it may hold anything, and none of it is markup.
+        corners: The tile's corners in the panel's coordinates, shape (4, 2).
+        colour: Of the ink.
+    """
+    if not label.strip():
+        return
+    lines = _break(label)
+    width, height = np.ptp(corners, axis=0) * _points_per_unit(axis)
+    size = min(
+        _LARGEST,
+        width / (_CHARACTER * max(len(line) for line in lines)),
+        height / (_LINE * len(lines)),
+    )
+    if size < _SMALLEST:
+        return
+    x, y = corners.mean(axis=0)
+    axis.text(
+        x,
+        y,
+        "\n".join(lines),
+        color=colour,
+        fontsize=size,
+        ha="center",
+        va="center",
+        parse_math=False,
+        linespacing=1.0,
+        zorder=3,
+    )
+
+
+def write_cluster(axis: Axes, cluster: str, corners: FloatArray) -> None:
+    """Write the name of a cluster over its tile, at one size whatever the tile's.
+
+    Args:
+        axis: The panel.
+        cluster: What to write, no markup either.
+        corners: The tile's corners in the panel's coordinates, shape (4, 2).
+    """
+    x, y = corners.mean(axis=0)
+    axis.text(
+        x,
+        y,
+        "\n".join(_break(cluster)),
+        fontsize=_LARGEST,
+        ha="center",
+        va="center",
+        parse_math=False,
+        linespacing=1.2,
+        path_effects=[withStroke(linewidth=2.0, foreground="white")],
+        zorder=3,
+    )
+
+
+def _break(label: str) -> list[str]:
+    """Break a long label behind its underscores and at its spaces."""
+    if len(label) <= _LONGEST_LINE:
+        return [label]
+    words = label.replace("_", "_ ").split()
+    lines = textwrap.wrap(" ".join(words), _LONGEST_LINE, break_long_words=False)
+    return [line.replace("_ ", "_") for line in lines]
+
+
+def _points_per_unit(axis: Axes) -> FloatArray:
+    """Size of a unit of the panel's two axes on paper, shape (2,) [pt]."""
+    paper = np.array(axis.figure.bbox.size) * 72.0 / axis.figure.dpi
+    room = axis.get_position(original=True).size * paper
+    span = np.abs([np.subtract(*axis.get_xlim()), np.subtract(*axis.get_ylim())])
+    aspect = axis.get_aspect()
+    per_x = min(room[0] / span[0], room[1] / (span[1] * aspect))
+    return np.array([per_x, per_x * aspect])
+
+
+_LEAST_FACING = 0.15  # [-]; cosine; what is seen more edge-on is no square any more
+_LABEL_FACING = 0.5  # [-]; likewise, room for a name
+_DARKEST, _LIGHTEST = 0.64, 0.91  # greys of the surface
+_LIGHT = np.array([-0.3, 0.35, 0.9])  # to the right, up and towards the viewer
+_MARGIN = 1.12
+_NAME = 0.18  # [-]; of an arrow's length, from its tip to its name
+_CENTRED = {"ha": "center", "va": "center"}
+
+
+@dataclass(frozen=True)
+class View:
+    """A parallel projection along an axis of {S}.
+
+    Attributes:
+        title: What is seen, and from where.
+        towards: Axis that points to the viewer: 1, 2, 3 for x, y, z, negative if opposed.
+        right: Axis that points to the right, likewise.
+        up: Axis that points upwards, never opposed.
+        inside: Whether one looks at the interior, not through the near wall from outside.
+    """
+
+    title: str
+    towards: int
+    right: int
+    up: int
+    inside: bool = False
+
+    def project(self, points: FloatArray) -> FloatArray:
+        """Coordinates in {S} along the panel's two axes, shape (..., 2) [mm]."""
+        return 1e3 * points[..., [abs(self.right) - 1, abs(self.up) - 1]]
+
+    def basis(self) -> FloatArray:
+        """Unit vectors to the right, up and towards the viewer in {S}, shape (3, 3) [-]."""
+        axes = (self.right, self.up, self.towards)
+        return np.array([np.sign(axis) * np.eye(3)[abs(axis) - 1] for axis in axes])
+
+
+# By REP 103, x of {S} is anterior, y left and z proximal. Which of left and right is lateral
+# depends on the leg, which the geometry does not tell.
+SIDES = (
+    View("anterior side\nseen from +x", towards=1, right=2, up=3),
+    View("left side (lateral on a left leg)\nseen from +y", towards=2, right=-1, up=3),
+    View("posterior side\nseen from -x", towards=-1, right=-2, up=3),
+    View("right side (medial on a left leg)\nseen from -y", towards=-2, right=1, up=3),
+)
+DISTAL = View(
+    "distal end\nseen from +z, through the opening", towards=3, right=-2, up=1, inside=True
+)
+
+
+def draw_view(
+    axis: Axes,
+    view: View,
+    surface: Surface,
+    geometry: SocketGeometry,
+    paint: TilePaint,
+    tiles: IntArray,
+) -> None:
+    """Draw the surface and the tiles on it that face the viewer, through the wall if need be.
+
+    Args:
+        axis: The panel.
+        view: Where from.
+        surface: The interior surface in {S}.
+        geometry: The socket.
+        paint: How its tiles are painted.
+        tiles: Which tiles may be drawn, by index.
+    """
+    _draw_surface(axis, view, surface)
+    towards = view.basis()[2]
+    facing = geometry.rotations[:, :, 2] @ (towards if view.inside else -towards)
+    shown = tiles[facing[tiles] > _LEAST_FACING]
+    shown = shown[np.argsort(geometry.anchors[shown] @ towards)]
+    squares = view.project(tile_squares(geometry))
+    axis.add_collection(
+        PolyCollection(
+            list(squares[shown]),
+            facecolors=paint.fills[shown],
+            edgecolors=paint.edges[shown],
+            linewidths=paint.widths[shown],
+        )
+    )
+    _write_names(axis, view, geometry, paint, shown[facing[shown] > _LABEL_FACING])
+
+
+def frame_view(axis: Axes, view: View, low: FloatArray, high: FloatArray) -> None:
+    """Set limits in mm, with an equal aspect, and name the axes.
+
+    Args:
+        axis: The panel.
+        view: Where from.
+        low: Lowest coordinates to show in {S}, shape (3,) [m].
+        high: Highest coordinates, shape (3,) [m].
+    """
+    across, upwards = view.project(np.stack([low, high], axis=-2)).T
+    if view.right < 0:
+        across = across[::-1]
+    axis.set_xlim(*_widened(across))
+    axis.set_ylim(*_widened(upwards))
+    axis.set_aspect("equal")
+    axis.set_title(view.title, fontsize=9)
+    axis.set_xlabel(f"{AXIS_NAMES[abs(view.right) - 1]} of {{S}} [mm]")
+    axis.set_ylabel(f"{AXIS_NAMES[abs(view.up) - 1]} of {{S}} [mm]")
+
+
+def draw_axes(axis: Axes, view: View, axes: AxesOfS) -> None:
+    """Draw the axes of {S}; a circle with a dot comes towards the viewer, one with a cross goes."""
+    start_x, start_y = view.project(axes.start)
+    for number, (name, colour) in enumerate(zip(AXIS_NAMES, AXES, strict=True)):
+        lettering: dict[str, Any] = {"color": colour, "style": "italic", **_CENTRED}
+        if abs(view.towards) - 1 == number:
+            mark = "." if view.towards > 0 else "x"
+            axis.plot(start_x, start_y, "o", ms=7, mfc="white", mec=colour, zorder=4)
+            axis.plot(start_x, start_y, mark, ms=4, color=colour, zorder=5)
+            beside: dict[str, Any] = {"xytext": (-9, 9), "textcoords": "offset points"}
+            axis.annotate(name, (start_x, start_y), **beside, **lettering)
+            continue
+        x, y = view.project(axes.start + axes.length * np.eye(3)[number])
+        arrow = {"arrowstyle": "-|>", "color": colour, "lw": 1.4, "shrinkA": 0, "shrinkB": 0}
+        axis.annotate("", xy=(x, y), xytext=(start_x, start_y), arrowprops=arrow, zorder=3)
+        axis.text(x + _NAME * (x - start_x), y + _NAME * (y - start_y), name, **lettering)
+
+
+def _write_names(
+    axis: Axes, view: View, geometry: SocketGeometry, paint: TilePaint, tiles: IntArray
+) -> None:
+    """Name every tile inside, where nothing else does, but outside the clusters only."""
+    squares = view.project(tile_squares(geometry))
+    if view.inside:
+        labels = tile_labels(geometry)
+        for tile in tiles:
+            write_label(axis, labels[tile], squares[tile], paint.ink(tile))
+        return
+    for cluster, tile in geometry.clusters.items():
+        if tile in tiles:
+            write_cluster(axis, cluster, squares[tile])
+
+
+def _draw_surface(axis: Axes, view: View, surface: Surface) -> None:
+    """Paint the faces from the back to the front, so that none needs to be wound rightly."""
+    basis = view.basis()
+    triangles = surface.vertices[surface.faces]
+    order = np.argsort(triangles.mean(axis=1) @ basis[2])
+    light = _LIGHT @ basis / np.linalg.norm(_LIGHT)
+    brightness = np.abs(surface.normals()[order] @ light)
+    greys = np.repeat(_DARKEST + (_LIGHTEST - _DARKEST) * brightness[:, None], 3, axis=1)
+    axis.add_collection(
+        PolyCollection(
+            list(view.project(triangles[order])),
+            facecolors=greys,
+            edgecolors=greys,  # no hairlines between the faces
+            linewidths=0.2,
+            rasterized=True,
+        )
+    )
+
+
+def _widened(ends: FloatArray) -> FloatArray:
+    return ends.mean() + _MARGIN * (ends - ends.mean())
+
+
+_WALL = np.sqrt(0.5)  # [-]; z of the normals of what is at 45 degrees; the end faces up more
+_WIDEST_FACE = 60.0  # [deg]; a wider one is at the axis, where there is no angle
+_UNROLLED_MARGIN = 0.03
+
+
+def wall_tiles(geometry: SocketGeometry, surface: Surface) -> BoolArray:
+    """Which tiles are on the wall, not on the distal end, shape (n,).
+
+    A tile at the vertical axis through the surface's middle counts as one of the end.
+    """
+    steep = geometry.rotations[:, 2, 2] < _WALL
+    return steep & (_radii(geometry.anchors, _middle(surface)) >= np.sqrt(geometry.areas))
+
+
+def draw_unrolled(axis: Axes, surface: Surface, geometry: SocketGeometry, paint: TilePaint) -> None:
+    """Draw the wall as one sees it walking around it outside: anterior, left, posterior, right.
+
+    The angle is that about a vertical axis through the surface's middle, from x of {S}
+    (anterior) towards y (left). Lengths across are true at the tiles' median radius only.
+
+    Args:
+        axis: The panel.
+        surface: The interior surface in {S}.
+        geometry: The socket.
+        paint: How its tiles are painted.
+    """
+    middle = _middle(surface)
+    tiles = np.flatnonzero(wall_tiles(geometry, surface))
+    squares = _unroll(tile_squares(geometry)[tiles], geometry.anchors[tiles], middle)
+    faces = _faces_around(surface, middle)
+    around = surface.vertices if not len(tiles) else geometry.anchors[tiles]
+    radius = float(np.median(_radii(around, middle)))
+    _frame(axis, np.concatenate([faces.reshape(-1, 2), squares.reshape(-1, 2)]), squares, radius)
+    wall = PolyCollection(
+        list(faces), facecolors=SURFACE, edgecolors=SURFACE, linewidths=0.3, rasterized=True
+    )
+    axis.add_collection(wall)
+    wall.set_clip_path(Rectangle((-180.0, 0.0), 360.0, 1.0, transform=axis.get_xaxis_transform()))
+    axis.add_collection(
+        PolyCollection(
+            list(squares),
+            facecolors=paint.fills[tiles],
+            edgecolors=paint.edges[tiles],
+            linewidths=paint.widths[tiles],
+        )
+    )
+    _name_tiles(axis, geometry, tiles, squares, paint)
+
+
+def _name_tiles(
+    axis: Axes, geometry: SocketGeometry, tiles: IntArray, squares: FloatArray, paint: TilePaint
+) -> None:
+    labels = tile_labels(geometry)
+    for tile, corners in zip(tiles, squares, strict=True):
+        write_label(axis, labels[tile], corners, paint.ink(tile))
+
+
+def _frame(axis: Axes, drawn: FloatArray, squares: FloatArray, radius: float) -> None:
+    """Limits, an aspect that is equal at the radius [m], and names of the axes."""
+    angles = squares[..., 0]
+    left, right = min(-180.0, angles.min(initial=0.0)), max(180.0, angles.max(initial=0.0))
+    low, high = drawn[:, 1].min(), drawn[:, 1].max()
+    axis.set_xlim(left - 3.0, right + 3.0)
+    axis.set_ylim(low - _UNROLLED_MARGIN * (high - low), high + _UNROLLED_MARGIN * (high - low))
+    axis.set_aspect(1.0 / (1e3 * np.radians(1.0) * radius))
+    axis.set_xticks(
+        [-180, -90, 0, 90, 180],
+        [
+            "-180°\nposterior",
+            "-90°\nright\n(-y)",
+            "0°\nanterior\n(+x)",
+            "90°\nleft\n(+y)",
+            "180°\nposterior",
+        ],
+        fontsize=7,
+    )
+    axis.set_ylabel("z of {S} [mm]")
+    axis.set_title(
+        f"the wall unrolled, seen from outside; across it, lengths hold at a radius of"
+        f" {1e3 * radius:.0f} mm",
+        fontsize=9,
+    )
+
+
+def _faces_around(surface: Surface, middle: FloatArray) -> FloatArray:
+    """Faces around the axis, those beyond an end of the turn at both ends, shape (f, 3, 2)."""
+    triangles = surface.vertices[surface.faces]
+    faces = _unroll(triangles, triangles[:, 0], middle)
+    faces = faces[np.ptp(faces[..., 0], axis=1) < _WIDEST_FACE]
+    over = faces[(np.abs(faces[..., 0]) > 180.0).any(axis=1)]
+    turn = np.where(over[:, :1, :1] > 0.0, -360.0, 360.0)
+    return np.concatenate([faces, over + turn * [1.0, 0.0]])
+
+
+def _unroll(points: FloatArray, near: FloatArray, middle: FloatArray) -> FloatArray:
+    """Angles [deg] and heights [mm] of points, in the turn of the point that they are near.
+
+    Args:
+        points: Points in {S}, shape (m, k, 3) [m].
+        near: A point beside each k of them, shape (m, 3) [m]; its own angle is in +-180 deg.
+        middle: x and y of the vertical axis in {S}, shape (2,) [m].
+    """
+    angles = _angles(points, middle)
+    reference = _angles(near, middle)[:, None]
+    turned = reference + (angles - reference + 180.0) % 360.0 - 180.0
+    return np.stack([turned, 1e3 * points[..., 2]], axis=-1)
+
+
+def _angles(points: FloatArray, middle: FloatArray) -> FloatArray:
+    x, y = np.moveaxis(points[..., :2] - middle, -1, 0)
+    return np.degrees(np.arctan2(y, x))
+
+
+def _radii(points: FloatArray, middle: FloatArray) -> FloatArray:
+    return np.linalg.norm(points[..., :2] - middle, axis=-1)
+
+
+def _middle(surface: Surface) -> FloatArray:
+    low, high = surface.bounds()
+    return 0.5 * (low + high)[:2]
+
+
+_SUFFIXES = (".png", ".pdf")
+_MOST_FACES = 30_000
+_SIZE = (12.0, 11.0)  # [inch]
+_DPI = 200
+_TITLE = 110  # characters a line
+
+
+def socket_picture(
+    vertices: FloatArray, faces: IntArray, geometry: SocketGeometry, path: Path, title: str
+) -> None:
+    """Draw the interior surface of a socket with its tiles, in mm, as a PNG or a PDF.
+
+    The tiles are squares of edge sqrt(area), seen through the near wall.
+
+    Args:
+        vertices: Vertices of the interior surface in {S}, shape (v, 3) [m].
+        faces: Indices of each face's vertices, shape (f, 3).
+        geometry: The socket.
+        path: File to write or replace; its suffix says the format.
+        title: What is shown.
+
+    Raises:
+        ScanError: If this is no surface, or not in metres.
+        ConfigurationError: If the suffix is another, or the file cannot be written.
+    """
+    if path.suffix.lower() not in _SUFFIXES:
+        raise ConfigurationError(
+            f"{path}: a picture cannot be a '{path.suffix}' file", "name a .png or .pdf file"
+        )
+    surface = drawable_surface(vertices, faces, _MOST_FACES)
+    figure = _draw_socket(surface, geometry, title)
+    with mpl.rc_context({"pdf.fonttype": 42}), whole_output(path) as output:
+        figure.savefig(output, dpi=_DPI)
+
+
+def _draw_socket(surface: Surface, geometry: SocketGeometry, title: str) -> Figure:
+    figure = Figure(figsize=_SIZE, layout="constrained")
+    figure.suptitle(textwrap.fill(title, _TITLE), fontsize=12, parse_math=False)
+    grid = figure.add_gridspec(2, 4)
+    paint = paint_tiles(geometry)
+    low, high = drawn_bounds(surface, geometry)
+    axes = place_axes(low, high)
+    low, high = np.minimum(low, axes.start), np.maximum(high, axes.start + axes.length)
+    every_tile = np.arange(len(geometry))
+    for column, view in enumerate(SIDES):
+        panel = figure.add_subplot(grid[0, column])
+        frame_view(panel, view, low, high)
+        draw_view(panel, view, surface, geometry, paint, every_tile)
+        draw_axes(panel, view, axes)
+    draw_unrolled(figure.add_subplot(grid[1, :3]), surface, geometry, paint)
+    end = figure.add_subplot(grid[1, 3])
+    frame_view(end, DISTAL, low, high)
+    draw_view(end, DISTAL, surface, geometry, paint, every_tile[~wall_tiles(geometry, surface)])
+    # At the origin they would hide the tiles of the end.
+    draw_axes(end, DISTAL, replace(axes, start=low, length=0.4 * axes.length))
+    _add_legend(figure, axes)
+    return figure
+
+
+def _add_legend(figure: Figure, axes: AxesOfS) -> None:
+    figure.legend(
+        handles=[
+            Patch(facecolor=SURFACE, label="interior surface"),
+            Patch(facecolor=TILE, edgecolor=EDGE, label="tile"),
+            Patch(facecolor=CLUSTER, edgecolor="black", linewidth=1.6, label="tile with a cluster"),
+            Patch(alpha=0.0, label=axes.describe()),
+        ],
+        loc="outside lower center",
+        ncols=4,
+        frameon=False,
+        fontsize=9,
+    )
+
+
+_WIDTH, _ROW = 8.6, 2.9  # [inch]
+_MAP_TITLE = 110  # characters a line
+
+
+def tile_map_figure(
+    geometry: SocketGeometry, rows: Mapping[str, FloatArray], unit: str, title: str
+) -> Figure:
+    """Tiles by their values on one colour scale that prints in grey, a row a set of values.
+
+    The socket's wall is unrolled around the vertical axis through the tiles' middle; beside
+    it is the distal end. Tiles with a cluster have a thick outline and a number, which the
+    title explains.
+
+    Args:
+        geometry: The socket.
+        rows: One value a tile in `unit`, shape (n,), by what it is; NaN where there is none.
+        unit: What the values are, with their unit, such as `stiffness [N/m]`.
+        title: What is shown.
+
+    Raises:
+        ConfigurationError: If the values are not those of these tiles.
+    """
+    figure = Figure(figsize=(_WIDTH, _ROW * len(rows) + 0.4), layout="constrained")
+    numbers = {name: str(i) for i, name in enumerate(geometry.clusters, start=1)}
+    legend = ", ".join(f"{number} {name}" for name, number in numbers.items())
+    heading = f"{title}\n{textwrap.fill(legend, _MAP_TITLE)}" if numbers else title
+    figure.suptitle(heading, fontsize=10, parse_math=False)
+    axes = figure.subplots(len(rows), 2, width_ratios=(3.2, 1.0), squeeze=False)
+    scale = ScalarMappable(Normalize(*value_range(np.concatenate([*rows.values()]))), SCALE)
+    geometry = _number_clusters(geometry, numbers)
+    surface = _corners_of(geometry)
+    end = np.flatnonzero(~wall_tiles(geometry, surface))
+    for (wall_axis, end_axis), (name, values) in zip(axes, rows.items(), strict=True):
+        paint = _paint_on(scale, geometry, values, unit)
+        draw_unrolled(wall_axis, surface, geometry, paint)
+        wall_axis.set_title(name, fontsize=9.5, loc="left", fontweight="bold", parse_math=False)
+        wall_axis.set_title("")
+        frame_view(end_axis, DISTAL, *drawn_bounds(surface, geometry))
+        draw_view(end_axis, DISTAL, surface, geometry, paint, end)
+        end_axis.set_title("distal end, from inside", fontsize=9)
+    add_colour_bar(figure, list(axes.flat), paint)
+    return lay_out(figure)
+
+
+def _paint_on(
+    scale: ScalarMappable, geometry: SocketGeometry, values: FloatArray, unit: str
+) -> TilePaint:
+    """Tiles painted on a scale that others share."""
+    paint = paint_tiles(geometry, values, unit)
+    fills = np.where(np.isnan(values)[:, None], to_rgba(NO_VALUE), scale.to_rgba(values))
+    return replace(paint, fills=fills, scale=scale)
+
+
+def _number_clusters(geometry: SocketGeometry, numbers: Mapping[str, str]) -> SocketGeometry:
+    """The same socket with the clusters' numbers for names, the only ones that are legible."""
+    names = [""] * len(geometry)
+    for cluster, tile in geometry.clusters.items():
+        names[tile] = numbers[cluster]
+    clusters = {numbers[cluster]: tile for cluster, tile in geometry.clusters.items()}
+    return replace(geometry, names=tuple(names), clusters=clusters)
+
+
+def _corners_of(geometry: SocketGeometry) -> Surface:
+    """The corners of the tiles as a surface of faces without area: a trial knows no scan."""
+    corners = tile_squares(geometry).reshape(-1, 3)
+    return Surface(corners, np.repeat(np.arange(len(corners))[:, None], 3, axis=1))

@@ -1,1 +1,0 @@
-"""From a scan file to the interior surface of the socket."""

@@ -1,0 +1,1 @@
+"""Settings of the package: the only home of their defaults."""

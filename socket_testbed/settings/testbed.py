@@ -1,0 +1,160 @@
+"""Settings of the package: the only home of their defaults.
+
+A node declares its parameters from these classes, with the same dotted names; the command
+line reads the same names from `testbed.yaml`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from socket_testbed.files import Section, read_document
+from socket_testbed.settings.acquisition import (
+    ClusterSettings,
+    LoadCellSettings,
+    MocapSettings,
+    TriggerSettings,
+)
+from socket_testbed.settings.fields import Settings, setting
+from socket_testbed.settings.identification import (
+    IdentificationSettings,
+    PlateauSettings,
+)
+
+
+@dataclass(frozen=True)
+class WindowSettings(Settings):
+    """The samples from which the estimator fits while a trial runs."""
+
+    duration: float = setting(
+        60.0, "length of the window of newest samples [s]", 1.0, 3600.0, fixed=True
+    )
+    least_samples: int = setting(80, "steady samples before a fit by itself [1]", 10, 1000000)
+    refit_after: int = setting(
+        80, "new samples after which it fits again; 0: it never does by itself [1]", 0, 1000000
+    )
+    pending: int = setting(
+        200, "stamps kept while their measurements come in [1]", 2, 100000, fixed=True
+    )
+
+
+@dataclass(frozen=True)
+class EstimatorSettings(Settings):
+    """Parameters of the estimator node."""
+
+    geometry: str = setting("", "path of socket.yaml; empty: the package's own [-]", fixed=True)
+    model: str = setting("", "path of a fitted model to start from; empty: none [-]", fixed=True)
+    fit_by_itself: bool = setting(True, "fit when enough steady data is in [-]")
+    identification: IdentificationSettings = IdentificationSettings()
+    plateau: PlateauSettings = PlateauSettings()
+    window: WindowSettings = WindowSettings()
+
+
+@dataclass(frozen=True)
+class CalibrationNodeSettings(Settings):
+    """Parameters of the calibration node."""
+
+    calibration: str = setting(
+        "", "path of calibration.yaml; empty: the package's own [-]", fixed=True
+    )
+
+
+@dataclass(frozen=True)
+class RecorderSettings(Settings):
+    """Parameters of the recorder node."""
+
+    directory: str = setting("trials", "folder of the trials, or of the one trial [-]")
+    record: bool = setting(False, "record from the start, into `directory` itself [-]", fixed=True)
+    geometry: str = setting("", "path of the socket.yaml to store; empty: the package's own [-]")
+    calibration: str = setting("", "path of the calibration.yaml to store; empty: own [-]")
+    parameters: str = setting("", "path of the testbed.yaml to store; empty: none [-]")
+    flush_period: float = setting(
+        1.0, "longest time before data is on the disk [s]", 0.05, 60.0, fixed=True
+    )
+
+
+@dataclass(frozen=True)
+class ReplaySettings(Settings):
+    """Parameters of the replay node."""
+
+    trial: str = setting("", "path of the trial [-]", fixed=True)
+    rate: float = setting(
+        1.0, "speed of the replay against the recording [-]", 1e-3, 1e4, fixed=True
+    )
+    loop: bool = setting(False, "start again at the end [-]", fixed=True)
+    paused: bool = setting(False, "start paused; see the service replay/pause [-]", fixed=True)
+    measured_only: bool = setting(
+        False, "leave out what was computed: other nodes compute it anew [-]", fixed=True
+    )
+    wait_for: tuple[str, ...] = setting(
+        (), "nodes that must be ready before the first message [-]", fixed=True
+    )
+
+
+NODE_SETTINGS: dict[str, type[Settings]] = {
+    "trigger_node": TriggerSettings,
+    "cluster_node": ClusterSettings,
+    "load_cell_node": LoadCellSettings,
+    "mocap_node": MocapSettings,
+    "estimator_node": EstimatorSettings,
+    "calibration_node": CalibrationNodeSettings,
+    "recorder_node": RecorderSettings,
+    "replay_node": ReplaySettings,
+}
+
+_OF_A_RUN = (
+    *("geometry", "calibration", "parameters", "model", "simulation", "tare_file"),
+    *("directory", "record", "wait_for"),
+)
+
+
+def read_parameters(path: Path) -> dict[str, Settings]:
+    """Read `testbed.yaml`: node parameters in the ROS format, one section a node.
+
+    ROS itself ignores a key that no node declares; here it is an error.
+
+    Returns:
+        The settings of the nodes that the file names, by the name of the node.
+
+    Raises:
+        ConfigurationError: For an unknown node or key, or a wrong type or range.
+    """
+    document = read_document(path).expect(NODE_SETTINGS)
+    settings: dict[str, Settings] = {}
+    for node in document.names():
+        parameters = document.section(node).expect(("ros__parameters",)).section("ros__parameters")
+        values = _flatten(parameters)
+        values.pop("use_sim_time", None)
+        settings[node] = NODE_SETTINGS[node].from_flat(values, f"{path}: {node}")
+    return settings
+
+
+def write_parameters(nodes: dict[str, Settings], path: Path) -> None:
+    """Write settings of nodes as a `testbed.yaml`, without what belongs to one machine."""
+    document = {
+        node: {
+            "ros__parameters": {
+                name: value
+                for name, value in settings.to_flat().items()
+                if name not in _OF_A_RUN and value != []
+            }
+        }
+        for node, settings in nodes.items()
+    }
+    path.write_text(yaml.safe_dump(document, sort_keys=False), encoding="utf-8")
+
+
+def _flatten(section: Section) -> dict[str, Any]:
+    flat: dict[str, Any] = {}
+    for key in section.names():
+        value = section.take(key)
+        if isinstance(value, dict):
+            nested = _flatten(section.section(key))
+            flat |= {f"{key}.{name}": entry for name, entry in nested.items()}
+        else:
+            flat[key] = value
+    return flat

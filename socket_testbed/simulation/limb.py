@@ -1,0 +1,362 @@
+"""How the limb and the marker bodies move under a load: load histories, tissue, motion.
+
+Nothing here knows the estimator's law: the normal pressure grows exponentially with the
+compression along the surface's own normal, the shear sticks and slips after Coulomb, the
+compliance varies over the surface, and a part of the compression relaxes with time. The
+surface is finer than the tiles and reaches between them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+import numpy as np
+from scipy.optimize import root
+from scipy.spatial.transform import Rotation
+
+from socket_testbed.arrays import FloatArray, IntArray
+from socket_testbed.errors import TestbedError
+from socket_testbed.geometry.pose import Pose
+from socket_testbed.geometry.socket import SocketGeometry
+from socket_testbed.simulation.sensors import SensorErrors, misregister
+
+Scenario = Literal["static_hold", "ramp", "multi_direction"]
+SCENARIOS: tuple[Scenario, ...] = get_args(Scenario)
+
+_GRAVITY = 9.81  # [m/s^2]
+PYLON_MASS = 9.3  # [kg]; the paper's
+ADDED_MASS = 19.0  # [kg]; the paper's
+_PYLON_POINT = np.array([0.004, -0.003, 0.45])  # [m]; centre of mass of the pylon in {S}
+_ADDED_POINT = np.array([0.010, 0.007, 0.50])  # [m]; where the mass is placed
+_PLACING = 2.0  # [s]; to place or remove the mass
+_SWAY_FORCE = 0.4  # [N]
+_SWAY_TIME = 0.6  # [s]
+
+
+def load_history(scenario: Scenario, time: FloatArray, rng: np.random.Generator) -> FloatArray:
+    """Wrench of the load on the limb about the origin of {S}.
+
+    - `static_hold`: the pylon alone, the mass placed, held, removed, as in the paper;
+    - `ramp`: the mass put on and taken off slowly, again and again;
+    - `multi_direction`: the mass on, and pushed around from all sides.
+
+    Args:
+        scenario: Which history.
+        time: Times since the start, shape (N,) [s].
+        rng: Source of the sway of pylon and mass.
+
+    Returns:
+        Wrenches [M; F], shape (N, 6) [N m, N].
+    """
+    duration = float(time[-1]) if len(time) else 0.0
+    added = np.zeros((len(time), 3))
+    if scenario == "static_hold":
+        share = _trapezoid(time, 0.15 * duration, 0.85 * duration)
+    elif scenario == "ramp":
+        share = 0.5 - 0.5 * np.cos(2.0 * np.pi * time / min(30.0, max(duration, 1e-9)))
+    else:
+        share = _trapezoid(time, 0.05 * duration, 0.95 * duration)
+        around, up = 2.0 * np.pi * time / 11.0, 2.0 * np.pi * time / 17.0
+        push = 35.0 * share * (0.6 + 0.4 * np.sin(2.0 * np.pi * time / 23.0))
+        added[:, 0] = push * np.cos(around)
+        added[:, 1] = push * np.sin(around)
+        added[:, 2] = 60.0 * share * np.sin(up)
+    added[:, 2] -= share * ADDED_MASS * _GRAVITY
+    added[:, :2] += _sway(time, rng) * (0.3 + share[:, None])
+
+    pylon = np.tile([0.0, 0.0, -PYLON_MASS * _GRAVITY], (len(time), 1))
+    moment = np.cross(_PYLON_POINT, pylon) + np.cross(_ADDED_POINT, added)
+    return np.hstack([moment, pylon + added])
+
+
+def _trapezoid(time: FloatArray, on: float, off: float) -> FloatArray:
+    """From 0 to 1 at `on` and back at `off`, smoothly, shape (N,)."""
+    rising = np.clip((time - on) / _PLACING, 0.0, 1.0)
+    falling = np.clip((off - time) / _PLACING, 0.0, 1.0)
+    share = np.minimum(rising, falling)
+    return share * share * (3.0 - 2.0 * share)
+
+
+def _sway(time: FloatArray, rng: np.random.Generator) -> FloatArray:
+    """Horizontal forces of a person and a pylon that never stand quite still, (N, 2) [N]."""
+    sway = np.zeros((len(time), 2))
+    steps = np.diff(time, prepend=time[:1])
+    kicks = rng.normal(0.0, _SWAY_FORCE, (len(time), 2))
+    for k in range(1, len(time)):
+        keep = np.exp(-steps[k] / _SWAY_TIME)
+        sway[k] = keep * sway[k - 1] + np.sqrt(1.0 - keep**2) * kicks[k]
+    return sway
+
+
+_GRID = 3  # points along the edge of a tile
+_GAP_AREA = 0.25  # [-]; area between the tiles, against the tiles' own
+_LENGTH = 0.1  # [m]; turns rotations into lengths for the solver
+_BALANCE = 1e-4  # [N]; largest imbalance of the forces
+
+
+class EquilibriumError(TestbedError):
+    """The limb finds no equilibrium under a load."""
+
+
+@dataclass(frozen=True)
+class Tissue:
+    """Mechanical properties of the surface points.
+
+    Attributes:
+        points: Positions in {S}, shape (p, 3) [m].
+        normals: Inward normals, shape (p, 3) [-].
+        areas: Areas, shape (p,) [m^2].
+        tile: Index of the tile that each point is on, -1 between the tiles, shape (p,).
+        modulus: Pressure per compression at first contact, shape (p,) [Pa/m].
+        stiffening: Compression over which the modulus grows by e [m].
+        shear_modulus: Shear stress per sliding while it sticks, shape (p,) [Pa/m].
+        friction: Coefficient of friction [-].
+        fit: Compression when the limb is donned, negative for a gap, shape (p,) [m].
+        creep: Part of the compression that relaxes [-].
+        creep_time: Time constant of the relaxation [s].
+    """
+
+    points: FloatArray
+    normals: FloatArray
+    areas: FloatArray
+    tile: IntArray
+    modulus: FloatArray
+    stiffening: float
+    shear_modulus: FloatArray
+    friction: float
+    fit: FloatArray
+    creep: float
+    creep_time: float
+
+
+def make_tissue(geometry: SocketGeometry, rng: np.random.Generator) -> Tissue:
+    """Tissue with properties that vary smoothly over a socket's surface.
+
+    Args:
+        geometry: Geometry of the socket.
+        rng: Source of the variation.
+    """
+    edges = np.sqrt(geometry.areas)
+    offsets = (np.arange(_GRID) + 0.5) / _GRID - 0.5
+    grid = np.array([[x, y, 0.0] for x in offsets for y in offsets])
+    on_tiles = geometry.anchors[:, None] + np.einsum(
+        "nij,gj->ngi", geometry.rotations, grid
+    ) * edges.reshape(-1, 1, 1)
+    normals = geometry.rotations[:, :, 2]
+    a, b = geometry.neighbours.T
+    between = 0.5 * (geometry.anchors[a] + geometry.anchors[b])
+    between_normals = normals[a] + normals[b]
+    between_normals /= np.linalg.norm(between_normals, axis=1, keepdims=True)
+    gap_area = _GAP_AREA * geometry.areas.sum() / max(len(a), 1)
+
+    count = len(geometry) * _GRID**2
+    points = np.vstack([on_tiles.reshape(-1, 3), between])
+    tile = np.full(len(points), -1)
+    tile[:count] = np.repeat(np.arange(len(geometry)), _GRID**2)
+    modulus = 6.0e6 * np.exp(0.45 * _smooth_field(points, rng))
+    return Tissue(
+        points=points,
+        normals=np.vstack([np.repeat(normals, _GRID**2, axis=0), between_normals]),
+        areas=np.concatenate(
+            [np.repeat(geometry.areas / _GRID**2, _GRID**2), np.full(len(a), gap_area)]
+        ),
+        tile=tile,
+        modulus=modulus,
+        stiffening=0.004,
+        shear_modulus=0.45 * modulus,
+        friction=0.5,
+        fit=0.0008 + 0.0006 * _smooth_field(points, rng),
+        creep=0.18,
+        creep_time=35.0,
+    )
+
+
+def _smooth_field(points: FloatArray, rng: np.random.Generator) -> FloatArray:
+    """A random field of about unit variance that varies over some 0.1 m, shape (p,)."""
+    waves = rng.normal(0.0, 1.0 / 0.06, (12, 3))
+    phases = rng.uniform(0.0, 2.0 * np.pi, 12)
+    return np.sqrt(2.0 / 12.0) * np.cos(points @ waves.T + phases).sum(axis=1)
+
+
+class LimbInSocket:
+    """A limb as a rigid bone in tissue, moved from equilibrium to equilibrium.
+
+    Args:
+        tissue: The tissue.
+        centre: Point of the bone about which it turns, shape (3,) [m].
+
+    Attributes:
+        displacement: Displacement of the centre [m] and rotation vector [rad] of the bone
+            since donning, shape (6,).
+    """
+
+    def __init__(self, tissue: Tissue, centre: FloatArray) -> None:
+        self._tissue = tissue
+        self._centre = centre
+        self._arms = tissue.points - centre
+        self.displacement = np.zeros(6)
+        self._crept = tissue.creep * np.maximum(tissue.fit, 0.0)
+        self._traction = np.zeros_like(tissue.points)
+        self._tangential = np.zeros_like(tissue.points)
+
+    def step(self, wrench: FloatArray, duration: float) -> FloatArray:
+        """Move to the equilibrium under a load.
+
+        Args:
+            wrench: Load on the limb about the origin of {S}, [M; F], shape (6,) [N m, N].
+            duration: Time since the step before [s].
+
+        Returns:
+            Forces of the limb on the socket at every surface point, shape (p, 3) [N].
+
+        Raises:
+            EquilibriumError: If the load pushes the limb out of the socket.
+        """
+        scale = np.array([1.0, 1.0, 1.0, 1.0 / _LENGTH, 1.0 / _LENGTH, 1.0 / _LENGTH]) * 1e-3
+
+        def imbalance(x: FloatArray) -> FloatArray:
+            forces = self._respond(x * scale, duration)[0]
+            total = np.concatenate(
+                [np.cross(self._tissue.points, forces).sum(axis=0), forces.sum(axis=0)]
+            )
+            difference = total - wrench
+            # About the limb's centre the moments do not repeat the forces.
+            difference[:3] -= np.cross(self._centre, difference[3:])
+            difference[:3] /= _LENGTH
+            return difference
+
+        start = self.displacement / scale
+        answer = root(imbalance, start, method="hybr", options={"xtol": 1e-10})
+        if np.abs(answer.fun).max() > _BALANCE:
+            # Where the surface begins to slip Powell's steps may stall: start from rest.
+            answer = root(imbalance, start, method="lm", options={"xtol": 1e-12, "ftol": 1e-14})
+        if np.abs(answer.fun).max() > 0.05:
+            raise EquilibriumError(
+                f"no equilibrium under the load {np.round(wrench, 2).tolist()} [N m, N]",
+                "give a smaller load or a socket that holds the limb",
+            )
+        self.displacement = answer.x * scale
+        forces, self._crept, self._traction, self._tangential = self._respond(
+            self.displacement, duration
+        )
+        return forces
+
+    def _respond(
+        self, displacement: FloatArray, duration: float
+    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Forces on the socket, crept compression, shear traction, tangential displacement."""
+        tissue = self._tissue
+        moved = displacement[:3] + np.cross(displacement[3:], self._arms)
+        along_normal = np.einsum("pi,pi->p", moved, tissue.normals)
+        compression = tissue.fit - along_normal
+
+        rate = duration / tissue.creep_time
+        target = tissue.creep * np.maximum(compression, 0.0)
+        crept = (self._crept + rate * target) / (1.0 + rate)
+        elastic = np.maximum(compression - crept, 0.0)
+        pressure = tissue.modulus * tissue.stiffening * np.expm1(elastic / tissue.stiffening)
+
+        tangential = moved - along_normal[:, None] * tissue.normals
+        traction = self._traction + tissue.shear_modulus[:, None] * (tangential - self._tangential)
+        size = np.linalg.norm(traction, axis=1)
+        limit = tissue.friction * pressure
+        traction *= np.minimum(1.0, limit / np.maximum(size, 1e-12))[:, None]
+
+        forces = tissue.areas[:, None] * (traction - pressure[:, None] * tissue.normals)
+        return forces, crept, traction, tangential
+
+
+_SOCKET_IN_WORLD = Pose(
+    Rotation.from_euler("zyx", [35.0, 4.0, -3.0], degrees=True).as_matrix(),
+    np.array([0.42, -0.31, 0.74]),
+)
+_STAND_COMPLIANCE = 1e-6  # [m/N]; the stand gives a little under the load
+_STAND_TREMOR = 2e-5  # [m]
+
+
+class LoadedLimb:
+    """A limb that is donned and then follows its load from equilibrium to equilibrium.
+
+    Args:
+        geometry: Geometry of the socket.
+        load: The first load [M; F], shape (6,) [N m, N].
+        rng: Source of the tissue's variation.
+
+    Attributes:
+        position: Limb position q in {S}, shape (3,) [m].
+        rotation: Rotation vector of the limb since donning, shape (3,) [rad].
+    """
+
+    def __init__(
+        self, geometry: SocketGeometry, load: FloatArray, rng: np.random.Generator
+    ) -> None:
+        tissue = make_tissue(geometry, rng)
+        self._centre = geometry.anchors.mean(axis=0)
+        self._limb = LimbInSocket(tissue, self._centre)
+        self._covered = tissue.tile >= 0
+        self._tile = tissue.tile[self._covered]
+        self._tiles = len(geometry)
+        for share in (0.25, 0.5, 0.75):  # donning: the first load comes in steps
+            self.step(share * load, 1.0)
+
+    def step(self, load: FloatArray, duration: float) -> FloatArray:
+        """Follow a load for a while.
+
+        Args:
+            load: Load [M; F], shape (6,) [N m, N].
+            duration: Time since the step before [s].
+
+        Returns:
+            Force of the limb on the socket at every tile, shape (n, 3) [N].
+        """
+        response = self._limb.step(load, duration)
+        self.position = self._centre + self._limb.displacement[:3]
+        self.rotation = self._limb.displacement[3:].copy()
+        forces = np.zeros((self._tiles, 3))
+        np.add.at(forces, self._tile, response[self._covered])
+        return forces
+
+
+class MarkerBodies:
+    """The marker bodies of socket and pylon as they really are.
+
+    Args:
+        geometry: What the lab believes of them.
+        errors: Sizes of the errors of their registration.
+        rng: Source of these errors and of the stand's tremor.
+    """
+
+    def __init__(
+        self, geometry: SocketGeometry, errors: SensorErrors, rng: np.random.Generator
+    ) -> None:
+        self._rng = rng
+        self._socket_body = misregister(geometry.socket_body, errors, rng)
+        self._limb_in_body = misregister(geometry.limb, errors, rng)
+
+    def poses(
+        self,
+        position: FloatArray,
+        rotation: FloatArray,
+        load: FloatArray,
+        swayed: FloatArray | None = None,
+    ) -> tuple[Pose, Pose]:
+        """True poses of the bodies of socket and pylon in the world, N of each.
+
+        Args:
+            position: Limb positions in {S}, shape (N, 3) [m].
+            rotation: Rotation vectors of the limb, shape (N, 3) [rad].
+            load: Loads [M; F], shape (N, 6) [N m, N].
+            swayed: Displacement of the whole stand in the world, shape (3,) [m].
+        """
+        count = len(position)
+        shift = self._rng.normal(0.0, _STAND_TREMOR, (count, 3)) - _STAND_COMPLIANCE * load[:, 3:]
+        if swayed is not None:
+            shift += swayed
+        world = Pose(
+            np.tile(_SOCKET_IN_WORLD.rotation, (count, 1, 1)),
+            _SOCKET_IN_WORLD.translation + shift,
+        )
+        limb = Pose(Rotation.from_rotvec(rotation).as_matrix(), position)
+        # socket_body maps the body to {S}; world maps {S} to the world.
+        return world @ self._socket_body, world @ limb @ self._limb_in_body.inverse()

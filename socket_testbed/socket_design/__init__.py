@@ -1,0 +1,1 @@
+"""From a scan to tiles; from landmarks to registered marker bodies."""

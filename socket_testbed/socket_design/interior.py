@@ -1,0 +1,524 @@
+"""The interior surface of a socket: its cavity, what the cavity sees, and its inner wall."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import trimesh
+from scipy.spatial import cKDTree
+
+from socket_testbed.arrays import BoolArray, FloatArray, IntArray
+from socket_testbed.errors import ScanError
+from socket_testbed.socket_design.mesh import (
+    Axis,
+    Surface,
+    boundary_loops,
+    dots,
+    fit_axis,
+    label_pieces,
+    lengths,
+    loop_length,
+    match_edges,
+    sample_surface,
+    separate,
+    wind_alike,
+)
+
+_LONGEST_ROUND = 0.45  # [-]; of the length, for the radius of a rounded end
+_NARROW = 0.5  # [-]; of the radius, for what is no wall of the cavity but of a bore
+
+
+@dataclass(frozen=True)
+class Spine:
+    """A segment; its points look at the walls beside them, its ends at what lies beyond.
+
+    Attributes:
+        axis: The line it is on.
+        low: Where the segment begins, from the origin along the direction [m].
+        high: Where it ends [m].
+        radius: Typical distance of the walls [m].
+    """
+
+    axis: Axis
+    low: float
+    high: float
+    radius: float
+
+    def feet(self, points: FloatArray) -> FloatArray:
+        """The points of the segment that look at the given points, shape (N, 3) [m]."""
+        along = np.clip((points - self.axis.origin) @ self.axis.direction, self.low, self.high)
+        return self.axis.origin + along[:, None] * self.axis.direction
+
+
+def lay_spine(axis: Axis, wall: Surface, open_above: bool = False) -> Spine:
+    """Lay the segment so that it ends a radius before the ends of a wall.
+
+    What is much closer to the axis than the wall does not count: a bore in the distal end would
+    draw the segment too far down to see the floor around it.
+
+    Args:
+        axis: The line.
+        wall: The wall, or all of the mesh while the wall is not known.
+        open_above: Whether the wall's far end is an opening: there it is looked at from
+            beside, up to its edge.
+    """
+    along = (wall.centres - axis.origin) @ axis.direction
+    distance = lengths(wall.centres - axis.origin - along[:, None] * axis.direction)
+    radius = _weighted_median(distance, wall.areas)
+    wide = along[distance >= _NARROW * radius]
+    low, high = float(wide.min()), float(wide.max())
+    radius = min(radius, _LONGEST_ROUND * (high - low))
+    return Spine(axis, low + radius, np.inf if open_above else high - radius, radius)
+
+
+def _weighted_median(values: FloatArray, weights: FloatArray) -> float:
+    order = np.argsort(values)
+    total = np.cumsum(weights[order])
+    return float(values[order][np.searchsorted(total, 0.5 * total[-1])])
+
+
+_FINENESS = 100  # samples along the side of a square of the surface's area
+_NO_DEPTH = 1e-9  # [m]; a point on the spine has a direction, too
+_GRAZING = 0.2  # [-]; cosine below which a face is seen from neither side
+
+
+@dataclass(frozen=True)
+class Sight:
+    """What is seen of every face.
+
+    Attributes:
+        facing: Cosine between the normal of a face and the direction to the spine, shape (F,).
+        seen: Faces whose front is the first thing in its direction, shape (F,).
+        hidden: Faces whose back is turned to the spine behind the front of another, shape (F,).
+        front_share: Share of the directions with anything in them whose first thing is a front.
+    """
+
+    facing: FloatArray
+    seen: BoolArray
+    hidden: BoolArray
+    front_share: float
+
+
+@dataclass(frozen=True)
+class Samples:
+    """Points on the faces of a surface.
+
+    Attributes:
+        owners: The face of each point, shape (P,).
+        points: Shape (P, 3) [m].
+        spacing: How far apart they are at most, about [m].
+    """
+
+    owners: IntArray
+    points: FloatArray
+    spacing: float
+
+    def majority(self, votes: BoolArray) -> BoolArray:
+        """Faces with more than half of their points in favour, shape (F,)."""
+        return 2 * np.bincount(self.owners, votes) > np.bincount(self.owners)
+
+
+def spread_samples(surface: Surface) -> Samples:
+    """Points on a surface, close enough together for its shape as a whole."""
+    spacing = float(np.sqrt(surface.areas.sum())) / _FINENESS
+    return Samples(*sample_surface(surface, spacing), spacing)
+
+
+def look(surface: Surface, samples: Samples, spine: Spine) -> Sight:
+    """Look around from the spine.
+
+    Args:
+        surface: The surface; the normals of a shell point out of its material.
+        samples: Points on all of its faces.
+        spine: From where to look.
+    """
+    rays = samples.points - spine.feet(samples.points)
+    depth = np.fmax(lengths(rays), _NO_DEPTH)
+    facing = -dots(surface.normals[samples.owners], rays) / depth
+    # Every direction is a point of the capsule around the spine: no poles, no seam.
+    capsule = samples.points + rays * (spine.radius / depth - 1.0)[:, None]
+    cell = _cells(capsule - spine.axis.origin, samples.spacing)
+    front, back = facing > _GRAZING, facing < -_GRAZING
+    first_front = _nearest(cell, depth, front)
+    first_back = _nearest(cell, depth, back)
+    any_seen = np.isfinite(np.fmin(first_front, first_back))
+    return Sight(
+        facing=-_cosine(surface, spine),
+        seen=samples.majority(front & (depth <= first_back[cell] + samples.spacing)),
+        hidden=samples.majority(back & (first_front[cell] < depth)),
+        front_share=float((first_front < first_back).sum() / max(any_seen.sum(), 1)),
+    )
+
+
+def _cosine(surface: Surface, spine: Spine) -> FloatArray:
+    rays = surface.centres - spine.feet(surface.centres)
+    return dots(surface.normals, rays) / np.fmax(lengths(rays), _NO_DEPTH)
+
+
+def _cells(points: FloatArray, size: float) -> IntArray:
+    """Numbers of the cubes that the points are in, shape (P,)."""
+    cube = np.round(points / size).astype(np.int64)
+    cube -= cube.min(axis=0)
+    x, y, z = cube.T
+    width = cube.max(axis=0) + 1
+    return np.unique((x * width[1] + y) * width[2] + z, return_inverse=True)[1]
+
+
+def _nearest(cell: IntArray, depth: FloatArray, chosen: BoolArray) -> FloatArray:
+    """Smallest depth of the chosen points a cell, shape (cells,); infinite where none is."""
+    nearest = np.full(int(cell.max()) + 1, np.inf)
+    np.minimum.at(nearest, cell[chosen], depth[chosen])
+    return nearest
+
+
+_FACE_ON = 0.4  # [-]; cosine from which on a seen face needs no other witness
+_OPPOSITE = -0.75  # [-]; cosine between the normals of the two sides of a wall
+_NEAR = 1.5  # [-]; of the thickness: here the outer wall bears witness
+_BAND = 3.0  # [-]; of the thickness: farther from the border nothing is rim
+_POCKET = 0.2  # [-]; of the seen area, for a piece in the shadow of the wall itself
+_REAL_OUTSIDE = 0.01  # [-]; of the seen area, for an outer wall that is worth the name
+_PROBES = 2000  # of the thickness
+
+
+def inner_wall(surface: Surface, samples: Samples, sight: Sight) -> BoolArray:
+    """Faces of the inner wall, in one piece without holes of shadow, shape (F,).
+
+    Args:
+        surface: The surface.
+        samples: Points on all of its faces.
+        sight: What the spine sees of it.
+    """
+    if not sight.seen.any():
+        return sight.seen
+    face_on = sight.seen & (sight.facing > _FACE_ON)
+    seen_area = float(surface.areas @ sight.seen)
+    pockets = _pockets(surface, face_on, _POCKET * seen_area)
+    outside = sight.hidden & ~pockets
+    if surface.areas @ outside < _REAL_OUTSIDE * seen_area:
+        return main_piece(surface, np.ones(len(surface.faces), bool))
+    kept = _without_rims(surface, samples, sight.seen, face_on | pockets, outside)
+    return _fill(surface, main_piece(surface, kept), outside)
+
+
+def main_piece(surface: Surface, chosen: BoolArray) -> BoolArray:
+    """The largest connected piece of the chosen faces, shape (F,)."""
+    labels = _pieces(surface, chosen)
+    areas = np.bincount(labels, surface.areas * chosen)
+    return chosen & (labels == np.argmax(areas))
+
+
+def _pockets(surface: Surface, face_on: BoolArray, largest: float) -> BoolArray:
+    """Faces that those seen face-on surround, in pieces up to an area [m^2], shape (F,)."""
+    labels = _pieces(surface, ~face_on)
+    small = np.bincount(labels, surface.areas) < largest
+    return ~face_on & (small & ~_reach_edge(surface, labels))[labels]
+
+
+def _fill(surface: Surface, wall: BoolArray, outside: BoolArray) -> BoolArray:
+    """The wall with the pieces that it surrounds and that hold nothing of the outside, (F,)."""
+    labels = _pieces(surface, ~wall)
+    within = (np.bincount(labels, outside) == 0) & ~_reach_edge(surface, labels)
+    return wall | within[labels]
+
+
+def _reach_edge(surface: Surface, labels: IntArray) -> BoolArray:
+    """Whether each numbered piece has an edge of the surface, shape (pieces,)."""
+    reach = np.zeros(int(labels.max()) + 1, bool)
+    reach[labels[surface.edges.boundary // 3]] = True
+    return reach
+
+
+def _pieces(surface: Surface, chosen: BoolArray) -> IntArray:
+    """Numbers of the pieces; every face that is not chosen is a piece of its own."""
+    pairs = surface.edges.neighbours
+    return label_pieces(len(chosen), pairs[chosen[pairs].all(axis=1)])
+
+
+def _without_rims(
+    surface: Surface, samples: Samples, seen: BoolArray, sure: BoolArray, outside: BoolArray
+) -> BoolArray:
+    """The faces that belong to a wall, not to the rim of its brim or to a cut, shape (F,).
+
+    A face of a rim has the outer wall beside it; a face of the inner wall has it behind, turned
+    the other way, or far off. What is seen at a slant needs it behind. Only what lies near the
+    way from what is sure to the outside can be rim.
+    """
+    back = np.flatnonzero(outside[samples.owners])
+    some = samples.points[back[:: max(1, len(back) // _PROBES)]]
+    front = cKDTree(samples.points[sure[samples.owners]])
+    thickness = float(np.median(front.query(some)[0]))
+
+    near_border = _within(_BAND * thickness, _border(surface, sure, outside), surface.centres)
+    band = np.flatnonzero((seen | sure) & near_border)
+    near = _within(_NEAR * thickness, samples.points[back], surface.centres[band])
+    opposite = _opposite(surface, samples, band, back, thickness)
+    kept = sure.copy()
+    kept[band] = np.where(sure[band], ~near | opposite, near & opposite)
+    return kept
+
+
+def _border(surface: Surface, sure: BoolArray, outside: BoolArray) -> FloatArray:
+    """Centres of the faces where what is sure meets what leads outside, shape (B, 3) [m]."""
+    labels = _pieces(surface, ~sure)
+    leads_out = ~sure & (np.bincount(labels, outside) > 0)[labels]
+    one, other = surface.edges.neighbours.T
+    meet = (sure[one] & leads_out[other]) | (sure[other] & leads_out[one])
+    return surface.centres[np.unique(surface.edges.neighbours[meet])]
+
+
+def _within(reach: float, places: FloatArray, points: FloatArray) -> BoolArray:
+    """Whether some place is within reach of each point, shape (N,)."""
+    return cKDTree(places).query(points, distance_upper_bound=reach)[0] < np.inf
+
+
+def _opposite(
+    surface: Surface, samples: Samples, faces: IntArray, back: IntArray, thickness: float
+) -> BoolArray:
+    """Whether the part of the outer wall that suits a face best is turned the other way, (M,)."""
+    normals = surface.normals[samples.owners[back]]
+    turn = 2.0 * thickness  # a normal that is off counts as much as this distance
+    own = surface.normals[faces]
+    _, partner = cKDTree(np.hstack([samples.points[back], turn * normals])).query(
+        np.hstack([surface.centres[faces], -turn * own])
+    )
+    return dots(normals[partner], own) < _OPPOSITE
+
+
+_SOLID = 0.5  # [-]; share of directions in which a cavity sees the front of something first
+_LEAST_WALL = 0.05  # [-]; area of the wall of a cavity, of that of the surface
+_FLAT = 0.95  # [-]; area of the caps that close a wall, of its own
+_CLEARLY_OPEN = 0.1  # [-]; net opening, of a section of the cavity
+
+
+@dataclass(frozen=True)
+class Cavity:
+    """A surface with its normals into the cavity, as its spine sees it.
+
+    Attributes:
+        surface: The surface.
+        samples: Points on all of its faces.
+        spine: The spine.
+        sight: What it sees.
+    """
+
+    surface: Surface
+    samples: Samples
+    spine: Spine
+    sight: Sight
+
+    @cached_property
+    def wall(self) -> Surface:
+        """The largest piece of what is seen from its front."""
+        return self.surface.subset(main_piece(self.surface, self.sight.seen))
+
+    @cached_property
+    def net_opening(self) -> float:
+        """Area of the openings in the direction of the spine [m^2].
+
+        The area vectors of a closed surface add up to nothing, so those of the wall, which
+        point inwards, add up to those of the caps that would close it, turned outwards. An
+        opening at the spine's beginning counts against one at its end; one at its side not.
+        """
+        return float(self.wall.area_vectors.sum(axis=0) @ self.spine.axis.direction)
+
+    @property
+    def has_clear_end(self) -> bool:
+        """Whether one of its ends is clearly more open than the other."""
+        return abs(self.net_opening) > _CLEARLY_OPEN * np.pi * self.spine.radius**2
+
+    @property
+    def has_wall(self) -> bool:
+        """Whether what is seen from its front is large and not flat."""
+        area = float(self.wall.areas.sum())
+        caps = float(np.linalg.norm(self.wall.area_vectors.sum(axis=0)))
+        return area > _LEAST_WALL * float(self.surface.areas.sum()) and caps < _FLAT * area
+
+    def along(self, axis: Axis, open_above: bool = False) -> Cavity:
+        """The same cavity seen from another axis; see `lay_spine`."""
+        spine = lay_spine(axis, self.wall, open_above)
+        return Cavity(self.surface, self.samples, spine, look(self.surface, self.samples, spine))
+
+    def refined(self) -> Cavity:
+        """The same cavity seen from the axis of its wall alone."""
+        return self.along(fit_axis(self.wall).near(self.spine.axis.direction))
+
+
+def find_cavity(name: str, surface: Surface) -> Cavity:
+    """Find the cavity of a surface.
+
+    Args:
+        name: What names the surface in an error.
+        surface: Wound alike; if it is watertight, with its normals out of the material.
+
+    Raises:
+        ScanError: If it has none.
+    """
+    samples = spread_samples(surface)
+    likeliest = None
+    for axis in fit_axis(surface).likely():
+        cavity = _see(surface, samples, axis)
+        cavity = cavity.refined() if cavity.has_wall else cavity
+        if cavity.has_wall and cavity.sight.front_share > _SOLID:
+            likeliest = likeliest or cavity
+            # A shallow oval cup is nearly round about its long side, too; but both ends of that
+            # axis are closed.
+            if cavity.has_clear_end:
+                return cavity
+    if likeliest is None:
+        raise ScanError(
+            f"{name}: has no cavity, it is solid or flat",
+            "scan the inside of the socket, or cut a closed model open at the brim",
+        )
+    return likeliest
+
+
+def _see(surface: Surface, samples: Samples, axis: Axis) -> Cavity:
+    spine = lay_spine(axis, surface)
+    sight = look(surface, samples, spine)
+    if sight.front_share < _SOLID and not surface.is_watertight:
+        surface = surface.flipped()  # an open surface may be wound either way
+        sight = look(surface, samples, spine)
+    return Cavity(surface, samples, spine, sight)
+
+
+_NARROWEST = 2.0  # [-]; around a brim, of the radius of the cavity
+_WORTH_A_NOTE = 0.05  # [-]; area left out, of the area kept
+_SKEW = 30.0  # [deg]; between a given direction and the axis, worth a note
+
+
+@dataclass(frozen=True)
+class Interior:
+    """The interior of a socket, in the scan's axes.
+
+    Attributes:
+        mesh: The inner wall with the inside of the distal end; its normals point into the
+            cavity, and every boundary vertex is on one opening.
+        proximal: Unit vector from the distal end to the opening, shape (3,).
+        openings: Vertices of the boundary loops, in order around; the brim (the longest) first.
+        notes: One plain line for every finding.
+    """
+
+    mesh: trimesh.Trimesh
+    proximal: FloatArray
+    openings: tuple[IntArray, ...]
+    notes: tuple[str, ...]
+
+
+def find_interior(mesh: trimesh.Trimesh, proximal: FloatArray | None = None) -> Interior:
+    """Find the surface that a limb touches: of a shell the inner wall, or all of one surface.
+
+    The faces that are seen from a spine within the cavity are the wall; those seen from behind,
+    behind the wall, are the outside. Where there is an outside, rims and cut faces are told from
+    the wall by what lies behind them.
+
+    Args:
+        mesh: One body in metres, as `read_scan` gives it.
+        proximal: Direction from the distal end to the brim, in the scan's axes, shape (3,); if
+            it is not given, the more open end of the cavity is the proximal one.
+
+    Raises:
+        ScanError: If there is no cavity or no opening, or if it is not clear which end of the
+            cavity is proximal and no direction was given.
+    """
+    name = str(mesh.metadata.get("file_name", "the scan"))
+    given = None if proximal is None else _unit(proximal)
+    cavity = find_cavity(name, _outward(name, mesh))
+    decided = cavity.has_clear_end
+    axis = _aim(cavity, given)
+    cavity = cavity.along(axis, open_above=True)
+    surface, seen = cavity.surface, cavity.sight.seen
+    kept = inner_wall(surface, cavity.samples, cavity.sight)
+
+    vertices, faces = separate(surface.vertices, surface.faces[kept])
+    openings, lengths = _openings(vertices, faces)
+    if not lengths or lengths[0] < _NARROWEST * cavity.spine.radius:
+        raise ScanError(
+            f"{name}: the cavity is closed, no hole in it is as wide as a brim",
+            "cut the scan open at the brim",
+        )
+    if not decided and given is None:
+        raise ScanError(
+            f"{name}: the two ends of the cavity are equally open, either may be proximal",
+            "give --proximal, the direction to the brim",
+        )
+    notes = [_note_on_walls(surface, kept), _note_on_openings(lengths)]
+    notes += _notes_on_losses(surface, kept, seen)
+    if given is not None:
+        notes += _notes_on_direction(given, axis, decided)
+    elif not fit_axis(Surface(vertices, faces)).is_sharp:
+        notes.append("no axis of the cavity stands out: check the proximal direction or give it")
+    return Interior(
+        mesh=trimesh.Trimesh(vertices, faces, process=False, metadata=dict(mesh.metadata)),
+        proximal=axis.direction if given is None else given,
+        openings=openings,
+        notes=tuple(notes),
+    )
+
+
+def _unit(proximal: FloatArray) -> FloatArray:
+    direction = np.asarray(proximal, dtype=float)
+    length = float(np.linalg.norm(direction))
+    if direction.shape != (3,) or not 0.0 < length < np.inf:
+        raise ScanError(
+            f"the proximal direction {np.array2string(direction)} is none",
+            "give three numbers, not all zero",
+        )
+    return direction / length
+
+
+def _outward(name: str, mesh: trimesh.Trimesh) -> Surface:
+    """The mesh wound alike; if it is watertight, with the normals out of its material."""
+    faces, _, one_sided = wind_alike(np.asarray(mesh.faces, dtype=np.int64))
+    surface = Surface(np.asarray(mesh.vertices, dtype=float), faces)
+    if one_sided.any() or not surface.areas.any():
+        raise ScanError(f"{name}: is no surface with two sides", "repair it in a mesh editor")
+    inside_out = surface.is_watertight and surface.volume < 0.0
+    return surface.flipped() if inside_out else surface
+
+
+def _aim(cavity: Cavity, given: FloatArray | None) -> Axis:
+    """The cavity's axis, from its distal end to its proximal one."""
+    axis, towards = cavity.spine.axis, cavity.net_opening
+    if given is not None and not cavity.has_clear_end:
+        towards = float(given @ axis.direction)
+    return axis if towards > 0.0 else axis.turned()
+
+
+def _openings(vertices: FloatArray, faces: IntArray) -> tuple[tuple[IntArray, ...], list[float]]:
+    """Boundary loops and how long they are around [m], the longest first."""
+    loops = boundary_loops(faces, match_edges(faces).boundary)
+    lengths = [loop_length(vertices, loop) for loop in loops]
+    order = np.argsort(lengths)[::-1]
+    return tuple(loops[i] for i in order), [lengths[i] for i in order]
+
+
+def _note_on_walls(surface: Surface, kept: BoolArray) -> str:
+    area, whole = 1e4 * surface.areas[kept].sum(), 1e4 * surface.areas.sum()
+    if kept.all():
+        return f"the scan is one surface: all of it is the interior, {area:.0f} cm2"
+    return f"kept the inner wall, {area:.0f} of {whole:.0f} cm2: no outer wall, rim or cut"
+
+
+def _note_on_openings(lengths: list[float]) -> str:
+    shown = ", ".join(f"{1e3 * length:.0f}" for length in lengths)
+    return f"openings: {len(lengths)}, the brim first, {shown} mm around"
+
+
+def _notes_on_losses(surface: Surface, kept: BoolArray, seen: BoolArray) -> list[str]:
+    lost, area = surface.areas[seen & ~kept].sum(), surface.areas[kept].sum()
+    if lost < _WORTH_A_NOTE * area:
+        return []
+    return [f"left out {1e4 * lost:.0f} cm2 that are seen from the cavity but are no part of it"]
+
+
+def _notes_on_direction(given: FloatArray, axis: Axis, decided: bool) -> list[str]:
+    angle = np.degrees(np.arccos(np.clip(given @ axis.direction, -1.0, 1.0)))
+    if not decided:
+        return ["the ends of the cavity are equally open: the given proximal direction decides"]
+    if angle > 90.0:
+        return [f"the given proximal direction points to the closed end, {angle:.0f} deg off"]
+    if angle > _SKEW:
+        return [f"the given proximal direction is {angle:.0f} deg off the axis of the cavity"]
+    return []

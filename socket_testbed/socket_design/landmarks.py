@@ -1,0 +1,317 @@
+"""Landmarks: the file that names them, the frame they place, and names that are swapped.
+
+A residual shows a mix-up only as far as the landmarks' places differ: what it would not show is
+said, so that a person looks.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import combinations, permutations
+from pathlib import Path
+from typing import TypeAlias
+
+import numpy as np
+
+from socket_testbed.arrays import FloatArray, IntArray
+from socket_testbed.errors import ConfigurationError, RegistrationError
+from socket_testbed.files import Section, read_document
+from socket_testbed.geometry.marker_bodies import (
+    PoseUncertainty,
+    fit_rigid,
+    misfit,
+    pose_uncertainty,
+    root_mean_square,
+)
+from socket_testbed.geometry.pose import Pose
+
+LANDMARK_FILE_HELP = """The file that says which marker is what: LANDMARKS.yaml.
+
+    bodies:                # the triads that stay on the bodies, as the take names their markers
+      socket: [Socket:Marker1, Socket:Marker2, Socket:Marker3]
+      pylon:               # or a rigid body of Motive with three markers; its frame is kept
+        rigid_body: Pylon
+    load_cell:             # landmarks on the load cell or the socket: coordinates in {S} [m]
+      Cell:Marker1: [0.030, 0.0, 0.012]
+      Cell:Marker2: [-0.030, 0.0, 0.012]
+      Cell:Marker3: [0.0, 0.055, 0.040]
+    limb:                  # landmarks on the limb: coordinates in its frame [m], whose origin
+      Limb:Marker1: [0.0, 0.070, 0.10]    # is the lumped mass
+      Limb:Marker2: [0.05, -0.030, 0.12]
+      Limb:Marker3: [-0.06, -0.020, 0.09]
+
+All keys are required; load_cell and limb name three landmarks or more, as the take names them.
+"""
+
+
+_SUSPECT = 0.001  # [m]; a smaller residual raises no question
+_TELLING = 3.0  # [-]; how many times better another explanation must fit
+_AS_GOOD = 2.0  # [-]; two explanations that fit alike
+_UNSEEN = 0.002  # [m]; a residual that nobody is warned of
+_MOST_ORDERED = 6  # landmarks of which every order is tried
+
+
+def refuse_mix_ups(known: FloatArray, measured: FloatArray, names: Sequence[str]) -> None:
+    """Refuse landmarks that fit much better under other names, or mirrored.
+
+    Args:
+        known: Landmarks in the frame to register, shape (k, 3) [m].
+        measured: The same landmarks in another frame, shape (k, 3) [m].
+        names: Names of the k landmarks.
+
+    Raises:
+        RegistrationError: Naming the landmarks whose exchange mends it, as far as the residual
+            tells.
+    """
+    orders = _orders(len(names))
+    misfits = _misfits(known, measured[orders])
+    named = misfits[0]
+    best = int(misfits.argmin())
+    if named > _SUSPECT and named > _TELLING * misfits[best]:
+        moved = (orders != orders[0]).sum(axis=1)
+        alike = np.flatnonzero(misfits <= _AS_GOOD * misfits[best])
+        plainest = int(alike[moved[alike].argmin()])
+        raise _mixed(names, orders[plainest], named, misfits[plainest])
+    mirrored = _misfits(known * [1.0, 1.0, -1.0], measured[None])[0]
+    if named > _SUSPECT and named > _TELLING * mirrored:
+        raise RegistrationError(
+            f"landmarks {', '.join(names)} fit with {1e3 * named:.1f} mm, mirrored with"
+            f" {1e3 * mirrored:.1f} mm",
+            "check the signs of their coordinates, and that the take was exported with"
+            " right-handed axes",
+        )
+
+
+def unseen_mix_ups(known: FloatArray, names: Sequence[str]) -> tuple[str, ...]:
+    """What mix-ups of the landmarks would leave too small a residual to be seen.
+
+    Args:
+        known: Landmarks in the frame to register, shape (k, 3) [m].
+        names: Names of the k landmarks.
+    """
+    misfits = _misfits(known, known[_swaps(len(names))])
+    unseen = [
+        f"{a} and {b} could be swapped unseen ({1e3 * rms:.1f} mm): check which is which"
+        for (a, b), rms in zip(combinations(names, 2), misfits, strict=True)
+        if rms < _UNSEEN
+    ]
+    if _misfits(known * [1.0, 1.0, -1.0], known[None])[0] < _UNSEEN:
+        unseen.append(
+            f"{', '.join(names)} lie in one plane: a wrong sign of a coordinate would not be seen"
+        )
+    return tuple(unseen)
+
+
+def _misfits(known: FloatArray, measured: FloatArray) -> FloatArray:
+    """Root-mean-square residuals of M sets of measured points, shape (M,) [m]."""
+    return root_mean_square(misfit(known, measured, fit_rigid(known, measured)))
+
+
+def _swaps(count: int) -> IntArray:
+    swaps = np.tile(np.arange(count), (count * (count - 1) // 2, 1))
+    for order, (a, b) in zip(swaps, combinations(range(count), 2), strict=True):
+        order[[a, b]] = b, a
+    return swaps
+
+
+def _orders(count: int) -> IntArray:
+    """Orders of the landmarks, the first being the one that is named."""
+    if count <= _MOST_ORDERED:
+        return np.array(list(permutations(range(count))))
+    return np.concatenate([np.arange(count)[None], _swaps(count)])
+
+
+def _mixed(names: Sequence[str], order: IntArray, named: float, mended: float) -> RegistrationError:
+    taken = [names[i] for i in order]
+    moved = [pair for pair in zip(names, taken, strict=True) if pair[0] != pair[1]]
+    here, there = (" and ".join(side) for side in zip(*moved, strict=True))
+    how = "swapped" if len(moved) == 2 else f"taken for {there}"
+    return RegistrationError(
+        f"landmarks {here} fit with {1e3 * named:.1f} mm as they are named, with"
+        f" {1e3 * mended:.1f} mm if they are {how}",
+        "exchange their names or their coordinates",
+    )
+
+
+_FEWEST = 3
+_SMALLEST = 0.005  # [m]; landmarks closer to each other or to one line hold no rotation
+
+
+@dataclass(frozen=True)
+class LandmarkFit:
+    """A frame registered by k landmarks.
+
+    Attributes:
+        names: Names of the landmarks.
+        pose: Pose of the frame in which they are known, in the frame in which they are measured.
+        residual: Distances of the landmarks from where the fit puts them, shape (k,) [m].
+        noise: 1-sigma error of a coordinate of a landmark [m].
+        degrees: Degrees of freedom of the residual, 3k - 6.
+        uncertainty: 1-sigma uncertainty of the pose, in the axes of the known frame.
+        blind: What mix-ups of the landmarks no residual would show.
+    """
+
+    names: tuple[str, ...]
+    pose: Pose
+    residual: FloatArray
+    noise: float
+    degrees: int
+    uncertainty: PoseUncertainty
+    blind: tuple[str, ...]
+
+    @property
+    def rms(self) -> float:
+        """Root-mean-square residual [m]."""
+        return float(root_mean_square(self.residual))
+
+
+def register_landmarks(
+    known: FloatArray, measured: FloatArray, names: Sequence[str], noise: float | None = None
+) -> LandmarkFit:
+    """Least-squares pose of a frame from landmarks.
+
+    The uncertainty is the first-order one (`pose_uncertainty`). Without a given noise, sigma
+    comes from the residuals, ``sigma^2 = sum(residual^2) / (3k - 6)``; with few landmarks it is
+    itself known roughly only (three of them leave 3 degrees of freedom). An error that all
+    landmarks share, such as a wrong origin of the known frame, is in no residual.
+
+    Args:
+        known: Landmarks in the frame to register, shape (k, 3) [m].
+        measured: The same landmarks in another frame, shape (k, 3) [m].
+        names: Names of the k landmarks.
+        noise: 1-sigma error of a coordinate of a landmark [m], if it is known.
+
+    Raises:
+        RegistrationError: If there are fewer than three landmarks, if they lie together or on
+            one line, or if they fit much better under other names or mirrored.
+    """
+    if len(names) < _FEWEST:
+        raise RegistrationError(
+            f"{len(names)} landmarks ({', '.join(names) or 'none'}) hold no frame",
+            f"give {_FEWEST} or more that are not on one line",
+        )
+    _require_spread(known, names, "are given")
+    _require_spread(measured, names, "were measured")
+    refuse_mix_ups(known, measured, names)
+
+    batch = fit_rigid(known, measured[None])
+    residual = misfit(known, measured[None], batch)[0]
+    degrees = 3 * len(names) - 6
+    sigma = float(np.sqrt((residual**2).sum() / degrees)) if noise is None else noise
+    return LandmarkFit(
+        names=tuple(names),
+        pose=Pose(batch.rotation[0], batch.translation[0]),
+        residual=residual,
+        noise=sigma,
+        degrees=degrees,
+        uncertainty=pose_uncertainty(known, sigma),
+        blind=unseen_mix_ups(known, names),
+    )
+
+
+def _require_spread(points: FloatArray, names: Sequence[str], how: str) -> None:
+    for a, b in combinations(range(len(names)), 2):
+        apart = float(np.linalg.norm(points[a] - points[b]))
+        if apart < _SMALLEST:
+            raise RegistrationError(
+                f"landmarks {names[a]} and {names[b]} {how} {1e3 * apart:.1f} mm apart",
+                "give landmarks far from each other",
+            )
+    stretch = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
+    off_line = float(np.hypot(stretch[1], stretch[2]) / np.sqrt(len(names)))
+    if off_line < _SMALLEST:
+        raise RegistrationError(
+            f"landmarks {', '.join(names)} {how} on one line (within {1e3 * off_line:.1f} mm)",
+            "move one of them away from the line of the others",
+        )
+
+
+_FARTHEST = 2.0  # [m]; what is farther is in another unit
+_FEWEST_IN_FILE = 3
+
+TriadLabels: TypeAlias = str | tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Side:
+    """A marker body and the landmarks that are rigid to it.
+
+    Attributes:
+        body: The body, `socket` or `pylon`.
+        triad: Its triad: the names of three markers, or that of a rigid body.
+        frame: The frame in which the landmarks are known: `load_cell` or `limb`.
+        where: What names the landmarks in an error: the file and the frame.
+        landmarks: Their coordinates by name, shape (3,) [m].
+    """
+
+    body: str
+    triad: TriadLabels
+    frame: str
+    where: str
+    landmarks: dict[str, FloatArray]
+
+    def names(self) -> set[str]:
+        """All names in the take that this side uses."""
+        triad = {self.triad} if isinstance(self.triad, str) else set(self.triad)
+        return triad | set(self.landmarks)
+
+
+@dataclass(frozen=True)
+class LandmarkFile:
+    """Which marker of a static take is what.
+
+    Attributes:
+        socket: The socket's triad, and landmarks known in {S}.
+        pylon: The pylon's triad, and landmarks known in the limb's frame.
+    """
+
+    socket: Side
+    pylon: Side
+
+
+def read_landmarks(path: Path) -> LandmarkFile:
+    """Read LANDMARKS.yaml.
+
+    Raises:
+        ConfigurationError: If the file is missing or anything in it is not as it must be.
+    """
+    document = read_document(path).expect(("bodies", "load_cell", "limb"))
+    document.section("bodies").expect(("socket", "pylon"))
+    socket, pylon = _side(document, "socket", "load_cell"), _side(document, "pylon", "limb")
+    # The socket and the limb move against each other: no marker is on both.
+    for name in sorted(socket.names() & pylon.names()):
+        raise ConfigurationError(
+            f"{path}: '{name}' is on the socket's side and on the limb's",
+            "name each marker on one side",
+        )
+    return LandmarkFile(socket, pylon)
+
+
+def _side(document: Section, body: str, frame: str) -> Side:
+    section = document.section(frame)
+    triad = _labels(document.section("bodies"), body)
+    return Side(body, triad, frame, section.where, _coordinates(section))
+
+
+def _labels(bodies: Section, body: str) -> TriadLabels:
+    value = bodies.take(body)
+    if isinstance(value, dict):
+        return bodies.section(body).expect(("rigid_body",)).text("rigid_body")
+    names = tuple(map(str, value)) if isinstance(value, list) else ()
+    if len(set(names)) != 3 or len(names) != 3:
+        raise ConfigurationError(
+            f"{bodies.where}: {body} names no three markers",
+            "give the names of three different markers, or 'rigid_body: NAME'",
+        )
+    return names
+
+
+def _coordinates(section: Section) -> dict[str, FloatArray]:
+    names = section.names()
+    if len(names) < _FEWEST_IN_FILE:
+        raise ConfigurationError(
+            f"{section.where}: {len(names)} landmarks hold no frame",
+            f"give {_FEWEST_IN_FILE} or more that are not on one line",
+        )
+    return {name: section.array(name, (3,), limit=_FARTHEST) for name in names}

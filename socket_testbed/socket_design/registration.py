@@ -1,0 +1,502 @@
+"""The socket's body in {S} and the limb in the pylon's body, from a static take.
+
+A body without a frame of its own gets this one: origin at its first marker, x towards the
+second, z along the normal of the plane of the three, ``z ~ x x (m3 - m1)``, and y = z x x.
+
+On either side of the limb's joint with the socket, a triad that stays on its body and landmarks
+that are known in the frame of interest are rigid to each other. The triad gives
+world <- body, the landmarks give world <- frame; together they are frame <- body. The body's
+frame is defined by the very take: what is uncertain of it is how well a later triad finds it.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from socket_testbed.arrays import BoolArray, FloatArray, IntArray
+from socket_testbed.errors import RegistrationError
+from socket_testbed.geometry.marker_bodies import (
+    PoseUncertainty,
+    TriadFit,
+    edge_lengths,
+    fit_rigid,
+    fit_triad,
+    pose_uncertainty,
+    root_mean_square,
+    triad_fault,
+)
+from socket_testbed.geometry.pose import Pose
+from socket_testbed.geometry.socket import SocketGeometry
+from socket_testbed.socket_design.landmarks import (
+    LandmarkFile,
+    LandmarkFit,
+    Side,
+    TriadLabels,
+    register_landmarks,
+)
+from socket_testbed.socket_design.motive import MotiveTake, read_motive_csv
+
+NOTED_DRIFT = 0.0002  # [m]
+NOTED_SPREAD = 0.0004  # [m]; well above the noise of a marker
+MOST_MOTION = 0.001  # [m]; for either
+_JUMP = 0.005  # [m]; a frame with a marker this far off shows another label or a reflection
+_MOST_JUMPS = 0.1  # of the frames; more of them is a body that moved
+_FEWEST_FRAMES = 20
+_BLOCKS = 10
+
+
+@dataclass(frozen=True)
+class StillMarkers:
+    """Markers of a static take, averaged over the frames that show all of them.
+
+    Attributes:
+        names: Names of the k markers.
+        mean: Mean positions, shape (k, 3) [m].
+        spread: Root-mean-square distances from the means, shape (k,) [m].
+        drift: Distances between the means of the first and the last third, shape (k,) [m].
+        noise: 1-sigma error of a coordinate of a mean, pooled over the markers [m]; from the
+            means of blocks of frames, so that slow motion and correlated noise count.
+        used: Which frames are averaged, shape (N,).
+        occluded: Number of frames in which each marker is occluded, shape (k,).
+        mislabelled: Number of frames left out whose triad fits in no order of its labels.
+        jumped: Number of frames left out in which a marker is far from its usual place.
+    """
+
+    names: tuple[str, ...]
+    mean: FloatArray
+    spread: FloatArray
+    drift: FloatArray
+    noise: float
+    used: BoolArray
+    occluded: IntArray
+    mislabelled: int
+    jumped: int
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Markers that moved more than noise does, yet little enough to be used."""
+        return tuple(
+            f"{name} {what} by {1e3 * moved:.2f} mm over the take"
+            for what, motion, limit in self.motions()
+            for name, moved in zip(self.names, motion, strict=True)
+            if moved > limit
+        )
+
+    def motions(self) -> tuple[tuple[str, FloatArray, float], ...]:
+        """What the markers did, how far, shape (k,) [m], and from where on it is noted [m]."""
+        return (
+            ("drifted", self.drift, NOTED_DRIFT),
+            ("moved about", self.spread, NOTED_SPREAD),
+        )
+
+
+def average_still(
+    names: Sequence[str], positions: FloatArray, fits: BoolArray, where: str
+) -> StillMarkers:
+    """Average markers over a take in which they stand still.
+
+    Args:
+        names: Names of the k markers.
+        positions: Their positions over N frames, shape (N, k, 3) [m]; NaN where occluded.
+        fits: Frames whose triad fits in some order of its labels, shape (N,).
+        where: What names the body in an error.
+
+    Raises:
+        RegistrationError: If too few frames show all markers, or if one of them moved.
+    """
+    occluded = np.isnan(positions).any(axis=2).sum(axis=0)
+    seen = np.isfinite(positions).all(axis=(1, 2))
+    candidates = seen & fits
+    mislabelled = int((seen & ~fits).sum())
+    _require_frames(names, candidates, occluded, mislabelled, where)
+    usual = np.median(positions[candidates], axis=0)
+    far = np.linalg.norm(positions - usual, axis=2) > _JUMP  # False where occluded
+    used = candidates & ~far.any(axis=1)
+    _require_few_jumps(names, far[candidates], where)
+    jumped = int((candidates & ~used).sum())
+    still = _average(names, positions[used], used, occluded, mislabelled, jumped)
+    _require_still(still, where)
+    return still
+
+
+def _average(
+    names: Sequence[str],
+    positions: FloatArray,
+    used: BoolArray,
+    occluded: IntArray,
+    mislabelled: int,
+    jumped: int,
+) -> StillMarkers:
+    mean = positions.mean(axis=0)
+    third = len(positions) // 3
+    drift = positions[-third:].mean(axis=0) - positions[:third].mean(axis=0)
+    blocks = np.array([block.mean(axis=0) for block in np.array_split(positions, _BLOCKS)])
+    return StillMarkers(
+        names=tuple(names),
+        mean=mean,
+        spread=root_mean_square(np.linalg.norm(positions - mean, axis=2), axis=0),
+        drift=np.linalg.norm(drift, axis=1),
+        noise=float(np.sqrt(blocks.var(axis=0, ddof=1).mean() / _BLOCKS)),
+        used=used,
+        occluded=occluded,
+        mislabelled=mislabelled,
+        jumped=jumped,
+    )
+
+
+def _require_frames(
+    names: Sequence[str], candidates: BoolArray, occluded: IntArray, mislabelled: int, where: str
+) -> None:
+    if candidates.sum() < _FEWEST_FRAMES:
+        worst = int(occluded.argmax())
+        raise RegistrationError(
+            f"{where}: {int(candidates.sum())} of {len(candidates)} frames show all of"
+            f" {', '.join(names)} ({names[worst]} is occluded in {int(occluded[worst])}, the"
+            f" triad's edges are not its usual ones in {mislabelled})",
+            f"record {_FEWEST_FRAMES} frames or more in which the cameras see them all",
+        )
+
+
+def _require_few_jumps(names: Sequence[str], far: BoolArray, where: str) -> None:
+    jumps = int(far.any(axis=1).sum())
+    if jumps > _MOST_JUMPS * len(far):
+        worst = names[int(far.sum(axis=0).argmax())]
+        raise RegistrationError(
+            f"{where}: in {jumps} of {len(far)} frames a marker, mostly {worst}, is more than"
+            f" {1e3 * _JUMP:g} mm from its usual place",
+            "record a take in which nothing moves, and check its labels",
+        )
+
+
+def _require_still(still: StillMarkers, where: str) -> None:
+    for what, motion, _ in still.motions():
+        worst = int(motion.argmax())
+        if motion[worst] > MOST_MOTION:
+            raise RegistrationError(
+                f"{where}: {still.names[worst]} {what} by {1e3 * motion[worst]:.2f} mm over the"
+                f" take (at most {1e3 * MOST_MOTION:g} mm)",
+                "record a take in which nothing moves, or export its still part",
+            )
+
+
+def own_frame(markers: FloatArray) -> Pose:
+    """Pose of a triad's own frame (see above) in the frame of its markers.
+
+    Args:
+        markers: A triad that is not on one line, shape (3, 3) [m].
+    """
+    x = _direction(markers[1] - markers[0])
+    z = _direction(np.cross(x, markers[2] - markers[0]))
+    return Pose(np.column_stack([x, np.cross(z, x), z]), markers[0])
+
+
+def fit_labels(observed: FloatArray, where: str) -> TriadFit:
+    """Find which observed marker is which, from the edges that most of the frames agree on.
+
+    Labels that are swapped in fewer than half of the frames are put right: `TriadFit.order`.
+
+    Args:
+        observed: The triad over N frames, shape (N, 3, 3) [m]; NaN where occluded.
+        where: What names the triad in an error.
+
+    Raises:
+        RegistrationError: If no frame shows all three markers, or if their triangle is too
+            small, flat or symmetric for a body.
+    """
+    edges = edge_lengths(observed)
+    seen = np.isfinite(edges).all(axis=1)
+    if not seen.any():
+        raise RegistrationError(
+            f"{where}: no frame shows all three markers", "check their labels in Motive"
+        )
+    usual = np.median(edges[seen], axis=0)
+    fault = triad_fault(usual)
+    if fault:
+        raise RegistrationError(f"{where}: {fault[0]}", fault[1])
+    return fit_triad(_triangle(usual), observed)
+
+
+def relabel(observed: FloatArray, order: IntArray) -> FloatArray:
+    """Triads in the order that a fit found, shape (N, 3, 3) [m]; as they are where it has none.
+
+    Args:
+        observed: The triad over N frames, shape (N, 3, 3) [m].
+        order: `TriadFit.order`, shape (N, 3).
+    """
+    known = np.where(order < 0, np.arange(3), order)
+    return np.take_along_axis(observed, known[:, :, None], axis=1)
+
+
+def tracked_frame(markers: FloatArray, body: Pose, where: str) -> Pose:
+    """Pose of a frame that was tracked over N frames, in which a triad stood still.
+
+    The markers are taken into the tracked frame, where the median leaves out the frames in
+    which the tracking went wrong, and the frame is fitted to the mean of the markers.
+
+    Args:
+        markers: The triad, shape (N, 3, 3) [m].
+        body: N poses of the tracked frame in the frame of the markers; NaN where it was lost.
+        where: What names the body in an error.
+
+    Raises:
+        RegistrationError: If the frame was tracked in less than half of the frames.
+    """
+    tracked = np.isfinite(body.rotation).all(axis=(1, 2)) & np.isfinite(body.translation).all(1)
+    if 2 * tracked.sum() < len(markers):
+        raise RegistrationError(
+            f"{where}: Motive tracked its rigid body in {int(tracked.sum())} of {len(markers)}"
+            " frames that show its markers",
+            "name its three markers instead of 'rigid_body'",
+        )
+    arms = markers[tracked] - body.translation[tracked, None]
+    in_body = np.median(arms @ body.rotation[tracked], axis=0)
+    pose = fit_rigid(in_body, markers.mean(axis=0)[None])
+    return Pose(pose.rotation[0], pose.translation[0])
+
+
+def _direction(vector: FloatArray) -> FloatArray:
+    return vector / np.linalg.norm(vector)
+
+
+def _triangle(edges: FloatArray) -> FloatArray:
+    """A triad in its own frame from its edges 0-1, 1-2 and 2-0, shape (3, 3) [m]."""
+    base, opposite, side = edges
+    x = (base**2 + side**2 - opposite**2) / (2.0 * base)
+    y = np.sqrt(side**2 - x**2)
+    return np.array([[0.0, 0.0, 0.0], [base, 0.0, 0.0], [x, y, 0.0]])
+
+
+NOTED_RESIDUAL = 0.002  # [m]
+MOST_RESIDUAL = 0.010  # [m]
+
+
+@dataclass(frozen=True)
+class RegisteredBody:
+    """A marker body and the frame that the landmarks beside it give.
+
+    Attributes:
+        still: Its markers in the take: the triad's three, then the landmarks.
+        markers: The triad in the body's frame, shape (3, 3) [m].
+        in_frame: Pose of the body in the frame of the landmarks.
+        landmarks: Fit of the landmarks, to `world`.
+        reference: Uncertainty of a later pose of the body that comes from `markers`.
+        single: Uncertainty of a later pose from the noise of a single frame.
+    """
+
+    still: StillMarkers
+    markers: FloatArray
+    in_frame: Pose
+    landmarks: LandmarkFit
+    reference: PoseUncertainty
+    single: PoseUncertainty
+
+    def covariance_at(self, point: FloatArray) -> FloatArray:
+        """Covariance of a point between body and frame, in the frame's axes, (3, 3) [m^2].
+
+        Args:
+            point: The point in the frame of the landmarks, shape (3,) [m].
+        """
+        in_body = self.in_frame.inverse().apply(point)
+        return self.landmarks.uncertainty.at(point) + _turn(
+            self.reference.at(in_body), self.in_frame.rotation
+        )
+
+    def rotation_covariance(self) -> FloatArray:
+        """Covariance of the rotation between body and frame, in the frame's axes [rad^2]."""
+        return self.landmarks.uncertainty.rotation + _turn(
+            self.reference.rotation, self.in_frame.rotation
+        )
+
+
+@dataclass(frozen=True)
+class Registration:
+    """A socket registered with a static take.
+
+    Attributes:
+        take: The take.
+        geometry: The socket with its new triads, `socket_body` and `limb`.
+        socket: The socket's body and {S}.
+        pylon: The pylon's body and the limb's frame.
+        limb_position: Limb position q in {S} during the take, shape (3,) [m].
+        covariance: Covariance of a limb position that comes from the registration, in {S},
+            shape (3, 3) [m^2]; it is the same error in every frame of a trial.
+        single: Covariance that the markers' noise adds in every single frame, likewise.
+        notes: What a person should look at.
+    """
+
+    take: MotiveTake
+    geometry: SocketGeometry
+    socket: RegisteredBody
+    pylon: RegisteredBody
+    limb_position: FloatArray
+    covariance: FloatArray
+    single: FloatArray
+    notes: tuple[str, ...]
+
+    def socket_body_covariances(self) -> tuple[FloatArray, FloatArray]:
+        """Covariances of `socket_body`: position [m^2] and rotation [rad^2], in {S}."""
+        position = self.socket.covariance_at(self.geometry.socket_body.translation)
+        return position, self.socket.rotation_covariance()
+
+    def limb_covariances(self) -> tuple[FloatArray, FloatArray]:
+        """Covariances of `limb`: position [m^2] and rotation [rad^2], in the pylon's body."""
+        to_body = self.geometry.limb.rotation
+        position = self.pylon.covariance_at(np.zeros(3))
+        return _turn(position, to_body), _turn(self.pylon.rotation_covariance(), to_body)
+
+
+def read_static_take(path: Path) -> MotiveTake:
+    """Read a take to register with.
+
+    Raises:
+        RegistrationError: If it is none, as a trial is, which has triads but no landmarks.
+    """
+    if path.is_dir():
+        raise RegistrationError(
+            f"{path}: is a folder; a trial holds the two triads but no landmarks",
+            "record a static take with landmark markers in Motive and export it to CSV",
+        )
+    return read_motive_csv(path)
+
+
+def register_take(
+    take: MotiveTake, landmarks: LandmarkFile, geometry: SocketGeometry, force: bool = False
+) -> Registration:
+    """Register a socket's marker bodies and its limb.
+
+    Args:
+        take: A static take that shows both triads and all landmarks.
+        landmarks: Which marker is what.
+        geometry: The socket, whose tiles stay.
+        force: Accept landmarks whose residual is above `MOST_RESIDUAL`.
+
+    Raises:
+        RegistrationError: If a marker is missing, the take is not static, shows too few whole
+            frames, or the landmarks do not fit.
+    """
+    notes = [*take.notes]
+    bodies = []
+    for side in (landmarks.socket, landmarks.pylon):
+        body = _register_body(take, side)
+        _require_residual(body.landmarks, side.where, force)
+        notes += [f"{side.frame}: {note}" for note in _notes(body)]
+        bodies.append(body)
+    socket, pylon = bodies
+    limb_in_cell = socket.landmarks.pose.inverse() @ pylon.landmarks.pose
+    covariance, single = _limb_covariances(socket, pylon, limb_in_cell)
+    return Registration(
+        take=take,
+        geometry=dataclasses.replace(
+            geometry,
+            socket_markers=socket.markers,
+            pylon_markers=pylon.markers,
+            socket_body=socket.in_frame,
+            limb=pylon.in_frame.inverse(),
+            registration=f"{take.path.name}, landmarks within {1e3 * socket.landmarks.rms:.2f} mm"
+            f" (load cell) and {1e3 * pylon.landmarks.rms:.2f} mm (limb)",
+        ),
+        socket=socket,
+        pylon=pylon,
+        limb_position=limb_in_cell.translation,
+        covariance=covariance,
+        single=single,
+        notes=tuple(notes),
+    )
+
+
+def _register_body(take: MotiveTake, side: Side) -> RegisteredBody:
+    where = f"{take.path}: {side.body}"
+    triad = _triad_names(take, side.triad, where)
+    observed = take.stack(triad)
+    fit = fit_labels(observed, where)
+    positions = np.concatenate([relabel(observed, fit.order), take.stack(side.landmarks)], axis=1)
+    still = average_still((*triad, *side.landmarks), positions, fit.order[:, 0] >= 0, where)
+    if isinstance(side.triad, str):
+        tracked = take.body(side.triad).pose
+        used = Pose(tracked.rotation[still.used], tracked.translation[still.used])
+        in_world = tracked_frame(positions[still.used, :3], used, where)
+    else:
+        in_world = own_frame(still.mean[:3])
+    markers = in_world.inverse().apply(still.mean[:3])
+    landmarks = _register_landmarks(side, still)
+    return RegisteredBody(
+        still=still,
+        markers=markers,
+        in_frame=landmarks.pose.inverse() @ in_world,
+        landmarks=landmarks,
+        reference=pose_uncertainty(markers, still.noise),
+        single=pose_uncertainty(markers, fit.noise),
+    )
+
+
+def _triad_names(take: MotiveTake, triad: TriadLabels, where: str) -> tuple[str, ...]:
+    if not isinstance(triad, str):
+        return triad
+    names = take.markers_of(triad)
+    if len(names) != 3:
+        raise RegistrationError(
+            f"{where}: the rigid body '{triad}' has {len(names)} measured markers in the take"
+            f" ({', '.join(names) or 'none'})",
+            "export its markers, or name the three markers of its triad instead of 'rigid_body'",
+        )
+    return names
+
+
+def _register_landmarks(side: Side, still: StillMarkers) -> LandmarkFit:
+    known, measured = np.array(list(side.landmarks.values())), still.mean[3:]
+    names = tuple(side.landmarks)
+    try:
+        fit = register_landmarks(known, measured, names)
+        # Few landmarks may fit by chance better than their means are known.
+        if fit.noise < still.noise:
+            fit = register_landmarks(known, measured, names, still.noise)
+    except RegistrationError as error:
+        raise RegistrationError(f"{side.where}: {error.fact}", error.mend) from None
+    return fit
+
+
+def _require_residual(fit: LandmarkFit, where: str, force: bool) -> None:
+    worst = int(fit.residual.argmax())
+    if fit.residual[worst] > MOST_RESIDUAL and not force:
+        raise RegistrationError(
+            f"{where}: landmark {fit.names[worst]} is {1e3 * fit.residual[worst]:.1f} mm off (at"
+            f" most {1e3 * MOST_RESIDUAL:g} mm; rms {1e3 * fit.rms:.1f} mm)",
+            "check the landmarks' coordinates and names, or accept it with --force",
+        )
+
+
+def _notes(body: RegisteredBody) -> list[str]:
+    fit = body.landmarks
+    off = [
+        f"landmark {name} is {1e3 * residual:.1f} mm off"
+        for name, residual in zip(fit.names, fit.residual, strict=True)
+        if residual > NOTED_RESIDUAL
+    ]
+    return [*body.still.notes, *off, *fit.blind]
+
+
+def _limb_covariances(
+    socket: RegisteredBody, pylon: RegisteredBody, limb_in_cell: Pose
+) -> tuple[FloatArray, FloatArray]:
+    """Covariances of q in {S}: from the registration, and from the noise of a single frame."""
+    q = limb_in_cell.translation
+    registered = socket.covariance_at(q) + _turn(
+        pylon.covariance_at(np.zeros(3)), limb_in_cell.rotation
+    )
+    in_socket = socket.in_frame.inverse().apply(q)
+    in_pylon = pylon.in_frame.inverse().translation
+    pylon_in_cell = limb_in_cell.rotation @ pylon.in_frame.rotation
+    single = _turn(socket.single.at(in_socket), socket.in_frame.rotation) + _turn(
+        pylon.single.at(in_pylon), pylon_in_cell
+    )
+    return registered, single
+
+
+def _turn(covariance: FloatArray, rotation: FloatArray) -> FloatArray:
+    """A covariance in other axes."""
+    return rotation @ covariance @ rotation.T

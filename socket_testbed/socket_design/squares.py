@@ -1,0 +1,158 @@
+"""Squares in space and on the surface: overlaps, footprints, and points spread over it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import trimesh
+from scipy.spatial import KDTree
+
+from socket_testbed.arrays import BoolArray, FloatArray, IntArray
+
+_SMALL = 1e-12  # in place of a zero that is divided by
+_OTHER_WALL = -0.2  # [-]; cosine between the normals of squares that are on different walls
+
+
+@dataclass(frozen=True)
+class Squares:
+    """Squares of one size on a surface, each with the frame of the tile contract.
+
+    Attributes:
+        anchors: Centres, shape (m, 3) [m].
+        rotations: Frames, columns x, y along the edges and z the inward normal, (m, 3, 3) [-].
+        edge: Length of the edges [m].
+    """
+
+    anchors: FloatArray
+    rotations: FloatArray
+    edge: float
+
+    def __len__(self) -> int:
+        return len(self.anchors)
+
+    def take(self, index: IntArray | BoolArray) -> Squares:
+        """Some of the squares."""
+        return Squares(self.anchors[index], self.rotations[index], self.edge)
+
+    def corners(self) -> FloatArray:
+        """Corners, counterclockwise about the inward normal, shape (m, 4, 3) [m]."""
+        unit = np.array([[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [1.0, 1.0, 0.0], [-1.0, 1.0, 0.0]])
+        around = np.einsum("mij,cj->mci", self.rotations, 0.5 * self.edge * unit)
+        return self.anchors[:, None] + around
+
+
+def gaps(squares: Squares, index: int, others: IntArray) -> FloatArray:
+    """Gaps between a square and others on a smooth surface, negative where they overlap.
+
+    Both of a pair are turned into the plane halfway between their own, where the separating-axis
+    test of two squares is exact: on a circular wall two squares touch when the chord between
+    their centres is one edge, as their footprints on the wall do. The gap is the largest
+    distance along any of the four axes; it is infinite between different walls.
+
+    Args:
+        squares: The squares.
+        index: The square.
+        others: Indices of the others, shape (p,).
+
+    Returns:
+        Gaps, shape (p,) [m].
+    """
+    x, _, z = squares.rotations[index].T
+    x_other, z_other = squares.rotations[others, :, 0], squares.rotations[others, :, 2]
+    offset = squares.anchors[others] - squares.anchors[index]
+
+    # The normal of the plane halfway is along z + z_other, of this length squared:
+    cosine = z_other @ z
+    length2 = np.maximum(2.0 + 2.0 * cosine, _SMALL)
+    out_of_plane = (offset @ z + _dot(offset, z_other)) / length2
+    in_plane2 = _dot(offset, offset) - out_of_plane**2 * length2
+    x_out, x_other_out = z_other @ x, x_other @ z
+    scale, scale_other = (
+        1.0 / np.sqrt(np.maximum(1.0 - out**2 / length2, _SMALL)) for out in (x_out, x_other_out)
+    )
+    along = (offset @ x - x_out * out_of_plane) * scale
+    along_other = (_dot(offset, x_other) - x_other_out * out_of_plane) * scale_other
+    cosine_x = (x_other @ x - x_out * x_other_out / length2) * scale * scale_other
+
+    apart = np.abs([along, along_other])
+    across = np.sqrt(np.maximum(in_plane2 - apart**2, 0.0))
+    sine_x = np.sqrt(np.maximum(1.0 - cosine_x**2, 0.0))
+    reach = 0.5 * squares.edge * (1.0 + np.abs(cosine_x) + sine_x)
+    return np.where(cosine > _OTHER_WALL, np.maximum(apart, across).max(axis=0) - reach, np.inf)
+
+
+def _dot(a: FloatArray, b: FloatArray) -> FloatArray:
+    return np.einsum("pi,pi->p", a, b)
+
+
+_DRAWN = 4.0  # random points for each that is kept
+_CLOSEST = 0.6  # [-]; smallest distance of two points, in spacings
+
+
+@dataclass(frozen=True)
+class SurfacePoints:
+    """Points of a surface that stand for the area around them.
+
+    Attributes:
+        positions: Positions, shape (p, 3) [m].
+        normals: Normals of the faces that they are on, shape (p, 3) [-].
+        areas: Area that each stands for, shape (p,) [m^2].
+    """
+
+    positions: FloatArray
+    normals: FloatArray
+    areas: FloatArray
+
+
+def spread_points(mesh: trimesh.Trimesh, spacing: float, rng: np.random.Generator) -> SurfacePoints:
+    """Spread points over a surface: about one in each square of the spacing.
+
+    Args:
+        mesh: The surface [m].
+        spacing: About the distance of neighbouring points [m].
+        rng: Source of the positions.
+    """
+    count = int(np.ceil(_DRAWN * mesh.area / spacing**2))
+    drawn, face = _draw(mesh, count, rng)
+    kept = _one_a_cell(drawn, spacing)
+    kept = kept[_apart(drawn[kept], _CLOSEST * spacing)]
+    nearest = KDTree(drawn[kept]).query(drawn)[1]
+    return SurfacePoints(
+        positions=drawn[kept],
+        normals=np.asarray(mesh.face_normals)[face[kept]],
+        areas=np.bincount(nearest, minlength=len(kept)) * (mesh.area / count),
+    )
+
+
+def _draw(
+    mesh: trimesh.Trimesh, count: int, rng: np.random.Generator
+) -> tuple[FloatArray, IntArray]:
+    """Random points, uniform in the area, and the faces that they are on."""
+    until = np.cumsum(mesh.area_faces)
+    face = np.searchsorted(until, rng.uniform(0.0, until[-1], count)).clip(max=len(until) - 1)
+    a, b = rng.random((2, count, 1))
+    outside = a + b > 1.0  # in the other half of the parallelogram: mirrored back
+    a, b = np.where(outside, 1.0 - a, a), np.where(outside, 1.0 - b, b)
+    corner = np.asarray(mesh.triangles)[face]
+    points = corner[:, 0] + a * (corner[:, 1] - corner[:, 0]) + b * (corner[:, 2] - corner[:, 0])
+    return points, face
+
+
+def _one_a_cell(points: FloatArray, spacing: float) -> IntArray:
+    """Of the points in each cell of a cubic grid, the one closest to the cell's centre."""
+    cell = np.floor(points / spacing)
+    off = ((points - (cell + 0.5) * spacing) ** 2).sum(axis=1)
+    index = np.unique(cell, axis=0, return_inverse=True)[1].reshape(-1)
+    order = np.lexsort((off, index))
+    first = np.concatenate([[True], np.diff(index[order]) > 0])
+    return order[first]
+
+
+def _apart(points: FloatArray, distance: float) -> IntArray:
+    """Indices of points of which no two are closer than a distance."""
+    dropped = np.zeros(len(points), dtype=bool)
+    for a, b in KDTree(points).query_pairs(distance, output_type="ndarray"):
+        if not dropped[a]:
+            dropped[b] = True
+    return np.flatnonzero(~dropped)

@@ -1,0 +1,318 @@
+"""Whether tiles fit on a surface: where they could be, their footprints, what they share."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import trimesh
+from scipy import sparse
+from scipy.spatial import KDTree
+from trimesh.intersections import slice_faces_plane
+
+from socket_testbed.arrays import BoolArray, FloatArray, IntArray
+from socket_testbed.socket_design.squares import Squares, SurfacePoints, gaps
+
+
+@dataclass(frozen=True)
+class Footprint:
+    """A piece of the surface: what projects onto a square along its normal.
+
+    Attributes:
+        vertices: Vertices, shape (v, 3) [m].
+        faces: Triangles, shape (f, 3).
+        area: Area of the surface [m^2].
+        cover: Part of the square that it covers; 1 for a whole one, more where it is double [-].
+        fold: Area that is folded away from the square, in areas of the square [-].
+        flatness: Largest distance from the square's plane [m].
+    """
+
+    vertices: FloatArray
+    faces: IntArray
+    area: float
+    cover: float
+    fold: float
+    flatness: float
+
+
+class FootprintCutter:
+    """Cuts footprints out of a surface.
+
+    Args:
+        mesh: The surface, its normals inwards [m].
+        squares: The squares.
+        flatness: How far from a square's plane the surface under it is looked for [m].
+    """
+
+    def __init__(self, mesh: trimesh.Trimesh, squares: Squares, flatness: float) -> None:
+        self._vertices = np.asarray(mesh.vertices)
+        self._faces = np.asarray(mesh.faces)
+        self._normals = np.asarray(mesh.face_normals)
+        centres = np.asarray(mesh.triangles_center)
+        spread = np.asarray(mesh.triangles) - centres[:, None]
+        radii = np.linalg.norm(spread, axis=2).max(axis=1)
+        self._large = np.flatnonzero(radii > _SMALL_AREA * squares.edge)
+        self._tree = KDTree(centres)
+        self._squares = squares
+        self._flatness = flatness
+
+    def footprint(self, index: int) -> Footprint:
+        """The footprint of a square."""
+        squares = self._squares
+        frame, anchor = squares.rotations[index], squares.anchors[index]
+        reach = np.hypot(squares.edge / np.sqrt(2.0), self._flatness)
+        reach += _SMALL_AREA * squares.edge
+        near = np.union1d(self._tree.query_ball_point(anchor, reach), self._large).astype(np.int64)
+        faces = self._faces[near[self._normals[near] @ frame[:, 2] > FACING_WALL]]
+        height = (self._vertices[faces] - anchor) @ frame[:, 2]
+        in_band = (height.min(axis=1) < self._flatness) & (height.max(axis=1) > -self._flatness)
+        vertices, faces = self._cut(self._vertices, faces[in_band], index)
+        height = (vertices - anchor) @ frame[:, 2]
+        doubled = _doubled_areas(vertices, faces)
+        areas, projected = 0.5 * np.linalg.norm(doubled, axis=1), 0.5 * doubled @ frame[:, 2]
+        steep = projected < LEAST_FACING * areas
+        return Footprint(
+            vertices,
+            faces,
+            area=float(areas.sum()),
+            cover=float(projected[~steep].sum()) / squares.edge**2,
+            fold=float(areas[steep].sum()) / squares.edge**2,
+            flatness=float(np.abs(height[faces]).max(initial=0.0)),
+        )
+
+    def shared_area(self, footprint: Footprint, other: int) -> float:
+        """Area of a footprint that lies under another square, too [m^2]."""
+        frame, anchor = self._squares.rotations[other], self._squares.anchors[other]
+        faces = footprint.faces
+        facing = _doubled_areas(footprint.vertices, faces) @ frame[:, 2] > 0.0
+        height = np.abs((footprint.vertices[faces] - anchor) @ frame[:, 2]).min(axis=1)
+        reached = faces[facing & (height < 2.0 * self._flatness)]
+        vertices, faces = self._cut(footprint.vertices, reached, other)
+        return 0.5 * float(np.linalg.norm(_doubled_areas(vertices, faces), axis=1).sum())
+
+    def _cut(
+        self, vertices: FloatArray, faces: IntArray, index: int
+    ) -> tuple[FloatArray, IntArray]:
+        """Triangles cut to the column over a square."""
+        anchor, half = self._squares.anchors[index], 0.5 * self._squares.edge
+        for axis in self._squares.rotations[index].T[:2]:
+            for outward in (axis, -axis):
+                if not len(faces):
+                    return np.zeros((0, 3)), np.zeros((0, 3), dtype=np.int64)
+                used, faces = np.unique(faces, return_inverse=True)
+                vertices, faces = vertices[used], faces.reshape(-1, 3)
+                vertices, faces, _ = slice_faces_plane(
+                    vertices, faces, -outward, anchor + half * outward
+                )
+        return vertices, faces
+
+
+def _doubled_areas(vertices: FloatArray, faces: IntArray) -> FloatArray:
+    """Normals of triangles, twice their area long, shape (f, 3) [m^2]."""
+    a, b, c = vertices[faces].swapaxes(0, 1)
+    return np.cross(b - a, c - a)
+
+
+_SMALL_AREA = 0.1  # [edges]; triangles larger than it are looked at for every square
+
+
+_COVER = 0.003  # [-]; a footprint that differs more from its square is cut, folded or double
+
+
+_CLOSE = 0.1  # [edges]; gap from which on footprints cannot share anything
+
+
+_SHARED = 1e-8  # [m^2]; what rounding may make of two footprints that touch
+
+
+class Verification:
+    """Judges sets of tiles by their footprints, each of which is cut out once.
+
+    Args:
+        mesh: The surface, its normals inwards [m].
+        squares: The squares that the tiles are taken from.
+        flatness: Largest distance of the surface from a tile's plane [m].
+    """
+
+    def __init__(self, mesh: trimesh.Trimesh, squares: Squares, flatness: float) -> None:
+        self._squares = squares
+        self._flatness = flatness
+        self._cutter = FootprintCutter(mesh, squares, flatness)
+        self._footprints: dict[int, Footprint] = {}
+        self._shared: dict[tuple[int, int], float] = {}
+
+    def footprint(self, tile: int) -> Footprint:
+        """The footprint of a tile."""
+        if tile not in self._footprints:
+            self._footprints[tile] = self._cutter.footprint(tile)
+        return self._footprints[tile]
+
+    def unfit(self, tiles: IntArray) -> list[int]:
+        """Tiles that are cut, folded, double or too far from flat."""
+        unfit = []
+        for tile in map(int, tiles):
+            footprint = self.footprint(tile)
+            whole = abs(footprint.cover - 1.0) < _COVER and footprint.fold < _COVER
+            if not whole or footprint.flatness > self._flatness:
+                unfit.append(tile)
+        return unfit
+
+    def overlapping(self, tiles: IntArray) -> list[tuple[int, int]]:
+        """Pairs of tiles whose footprints share a piece of the surface."""
+        pairs = []
+        for place, tile in enumerate(map(int, tiles)):
+            later = tiles[place + 1 :]
+            close = later[gaps(self._squares, tile, later) < _CLOSE * self._squares.edge]
+            pairs += [(tile, o) for o in map(int, close) if self.shared_area(tile, o) > _SHARED]
+        return pairs
+
+    def shared_area(self, tile: int, other: int) -> float:
+        """Area of the surface under both of two tiles [m^2]."""
+        pair = (min(tile, other), max(tile, other))
+        if pair not in self._shared:
+            self._shared[pair] = self._cutter.shared_area(self.footprint(pair[0]), pair[1])
+        return self._shared[pair]
+
+
+FACING_WALL = -0.5  # [-]; cosine below which a surface is the wall on the other side
+
+
+LEAST_FACING = 0.5  # [-]; cosine to a tile's normal below which a surface is folded away
+
+
+_END = 10.0  # [deg]; a normal this close to the proximal direction has no proximal tangent
+
+
+_SAME_SHEET = 0.3  # [-]; cosine between normals that are averaged
+
+
+_LEAST_COVER = 0.85  # [-]; coverage of a square, as far as the points' areas can tell
+
+
+_SAFE = 0.95  # [-]; the points miss the farthest corners
+
+
+_BATCH = 2000
+
+
+@dataclass(frozen=True)
+class Surroundings:
+    """What the tiles of a surface are fitted to.
+
+    Attributes:
+        points: Points spread over the surface.
+        rim: Points along the edges of the surface (brim, holes, cuts), shape (b, 3) [m].
+        proximal: Direction towards the proximal end, shape (3,) [-].
+        anterior: Direction of x where no tangent is proximal, shape (3,) [-].
+    """
+
+    points: SurfacePoints
+    rim: FloatArray
+    proximal: FloatArray
+    anterior: FloatArray
+
+
+def rim_points(mesh: trimesh.Trimesh, spacing: float) -> FloatArray:
+    """Points along every edge that has one face only or more than two, shape (b, 3) [m]."""
+    faces_of_edge = np.bincount(mesh.edges_unique_inverse, minlength=len(mesh.edges_unique))
+    start, end = np.asarray(mesh.vertices)[mesh.edges_unique[faces_of_edge != 2]].swapaxes(0, 1)
+    count = np.ceil(np.linalg.norm(end - start, axis=1) / spacing).astype(int).clip(min=1)
+    edge = np.repeat(np.arange(len(count)), count)
+    step = np.arange(len(edge)) - np.repeat(np.cumsum(count) - count, count)
+    return start[edge] + (step / count[edge])[:, None] * (end - start)[edge]
+
+
+def fitting_squares(
+    places: SurfacePoints, surroundings: Surroundings, edge: float, flatness: float
+) -> Squares:
+    """The squares that fit the surface, of all that are centred on the given places.
+
+    A square fits if the whole of it lies on the surface: no rim inside, the surface nowhere
+    farther from its plane than the flatness, nor folded away from it.
+
+    Args:
+        places: Centres to try.
+        surroundings: The surface.
+        edge: Length of the squares' edges [m].
+        flatness: Largest distance of the surface from a tile's plane [m].
+    """
+    normals = _mean_normals(places, surroundings.points, edge / np.sqrt(np.pi))
+    squares = Squares(places.positions, tile_frames(normals, surroundings), edge)
+    if not len(squares):
+        return squares
+    return squares.take(_fits(squares, surroundings, flatness))
+
+
+def tile_frames(normals: FloatArray, surroundings: Surroundings) -> FloatArray:
+    """Frames of tiles: z the normal, x the tangent towards the proximal end, y = z x x.
+
+    Where the normal is within 10 degrees of the proximal direction, as on the distal end, no
+    tangent is proximal: there x is the tangent towards anterior.
+
+    Args:
+        normals: Inward normals, shape (m, 3) [-].
+        surroundings: The directions.
+
+    Returns:
+        Frames, columns x, y, z, shape (m, 3, 3) [-].
+    """
+    on_end = np.abs(normals @ surroundings.proximal) > np.cos(np.radians(_END))
+    towards = np.where(on_end[:, None], surroundings.anterior, surroundings.proximal)
+    x = towards - np.einsum("mi,mi->m", towards, normals)[:, None] * normals
+    x /= np.linalg.norm(x, axis=1, keepdims=True)
+    return np.stack([x, np.cross(normals, x), normals], axis=2)
+
+
+def _mean_normals(places: SurfacePoints, points: SurfacePoints, radius: float) -> FloatArray:
+    """Mean normal of the sheet around each place, shape (m, 3) [-]."""
+    mean = np.empty_like(places.normals)
+    for rows, owner, near in _around(places.positions, points.positions, radius):
+        same = np.einsum("pi,pi->p", points.normals[near], places.normals[rows][owner])
+        weight = points.areas[near] * (same > _SAME_SHEET)
+        shape = (rows.stop - rows.start, len(points.positions))
+        mean[rows] = sparse.csr_matrix((weight, (owner, near)), shape=shape) @ points.normals
+    length = np.linalg.norm(mean, axis=1, keepdims=True)
+    return np.where(length > 0.0, mean / np.where(length > 0.0, length, 1.0), places.normals)
+
+
+def _fits(squares: Squares, surroundings: Surroundings, flatness: float) -> BoolArray:
+    points, half = surroundings.points, 0.5 * squares.edge
+    reach = float(np.hypot(np.sqrt(2.0) * half, flatness))
+    fits = np.zeros(len(squares), dtype=bool)
+    for rows, owner, near in _around(squares.anchors, points.positions, 1.1 * reach):
+        frames = squares.rotations[rows][owner]
+        offset = points.positions[near] - squares.anchors[rows][owner]
+        x, y, height = np.einsum("pi,pij->jp", offset, frames)
+        facing = np.einsum("pi,pi->p", points.normals[near], frames[:, :, 2])
+        inside = (np.abs(x) < half) & (np.abs(y) < half) & (facing > FACING_WALL)
+        unfit = inside & ((np.abs(height) > _SAFE * flatness) | (facing < LEAST_FACING))
+        count = rows.stop - rows.start
+        cover = np.bincount(owner, points.areas[near] * facing * inside, minlength=count)
+        fits[rows] = cover > _LEAST_COVER * squares.edge**2
+        fits[np.arange(rows.start, rows.stop)[np.unique(owner[unfit])]] = False
+    for rows, owner, near in _around(squares.anchors, surroundings.rim, reach):
+        offset = surroundings.rim[near] - squares.anchors[rows][owner]
+        x, y, _ = np.einsum("pi,pij->jp", offset, squares.rotations[rows][owner])
+        cut = (np.abs(x) < half) & (np.abs(y) < half)
+        fits[np.arange(rows.start, rows.stop)[np.unique(owner[cut])]] = False
+    return fits
+
+
+def _around(
+    centres: FloatArray, points: FloatArray, radius: float
+) -> Iterator[tuple[slice, IntArray, IntArray]]:
+    """Points within a radius of each centre, batch by batch.
+
+    Yields:
+        The centres of the batch, and for each pair of a centre and a point near it the
+        centre's index in the batch and the point's index.
+    """
+    if not len(points):
+        return
+    tree = KDTree(points)
+    for start in range(0, len(centres), _BATCH):
+        rows = slice(start, min(start + _BATCH, len(centres)))
+        near = tree.query_ball_point(centres[rows], radius)
+        count = np.fromiter(map(len, near), dtype=np.int64, count=len(near))
+        yield rows, np.repeat(np.arange(len(near)), count), np.concatenate(near).astype(np.int64)

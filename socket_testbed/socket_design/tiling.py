@@ -1,0 +1,361 @@
+"""A tiling: the interior of a socket covered with the most tiles that the search finds.
+
+The squares are the nodes of a graph, overlaps its edges: a largest independent set is wanted.
+It is built greedily by least waste: of all squares that are still free, the one is placed that
+takes the fewest other free ones away, so that tiles grow from corners, edges and other tiles.
+Then parts of it are taken out and filled anew, with some chance in the order, and kept when no
+tile is lost (ruin and recreate: Schrimpf et al. 2000, doi:10.1006/jcph.1999.6413).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import trimesh
+from scipy import sparse
+from scipy.spatial import KDTree
+
+from socket_testbed.arrays import BoolArray, FloatArray, IntArray
+from socket_testbed.errors import ScanError
+from socket_testbed.socket_design.squares import Squares, SurfacePoints, gaps, spread_points
+from socket_testbed.socket_design.tile_fit import (
+    Surroundings,
+    Verification,
+    fitting_squares,
+    rim_points,
+)
+
+_STEPS = 2  # towards the surface; it is a plane around each of its points
+_STEEP = 0.3  # [-]; cosine below which a plane is not followed
+
+# Corners and thirds of the edges, in halves of an edge.
+_AROUND = np.array(
+    [[x, y] for x in (-3, -1, 1, 3) for y in (-3, -1, 1, 3) if 3 in (abs(x), abs(y))]
+) / (3.0)
+
+
+def border_points(squares: Squares, points: SurfacePoints) -> FloatArray:
+    """Points of the surface along the borders of squares, shape (m, 12, 3) [m].
+
+    Args:
+        squares: Squares that fit the surface.
+        points: The surface.
+    """
+    half, tree = 0.5 * squares.edge, KDTree(points.positions)
+    along = np.einsum("mij,bj->mbi", squares.rotations[:, :, :2], half * _AROUND)
+    border = squares.anchors[:, None] + along
+    normal = squares.rotations[:, None, :, 2]
+    for _ in range(_STEPS):
+        nearest = tree.query(border, workers=-1)[1]
+        there = points.normals[nearest]
+        steepness = (there * normal).sum(axis=2)
+        step = ((points.positions[nearest] - border) * there).sum(axis=2)
+        step = np.where(steepness > _STEEP, step / np.maximum(steepness, _STEEP), 0.0)
+        border = border + step[:, :, None] * normal
+    return border
+
+
+def border_gaps(squares: Squares, borders: FloatArray, index: int, others: IntArray) -> FloatArray:
+    """Gaps between a square and others close to it, by the points of their borders.
+
+    Negative where a point of one's border lies in the column over the other.
+
+    Args:
+        squares: The squares.
+        borders: Their borders, shape (m, 12, 3) [m].
+        index: The square.
+        others: Indices of the others, shape (p,).
+
+    Returns:
+        Gaps, shape (p,) [m].
+    """
+    own = (borders[others] - squares.anchors[index]) @ squares.rotations[index][:, :2]
+    offset = borders[index] - squares.anchors[others][:, None]
+    theirs = offset @ squares.rotations[others][:, :, :2]
+    outside = [np.abs(seen).max(axis=2).min(axis=1) for seen in (own, theirs)]
+    return np.minimum(*outside) - 0.5 * squares.edge
+
+
+_WASTE_SPACING = 0.15  # [edges]; of the squares by which waste is counted
+_REACH = 1.45  # [edges]; squares that overlap have their centres within it
+_CHANCE = (0.0, 0.02, 0.1, 0.3)  # [-]; how far a recreation strays from least waste
+_FEWEST_RUINED, _MOST_RUINED = 3, 14
+_PLANE = 0.002  # [m]; gaps smaller than it are seen to on the surface itself
+_CLEARANCE = 0.0001  # [m]; between tiles, for what the plane geometry of the search leaves out
+_MORE = 0.0001  # [m]; it grows where footprints overlap all the same,
+_SEARCH_AROUND = 0.003  # [m]; and around there
+
+
+class Search:
+    """Greedy placement and its improvement.
+
+    The search sees squares as plane; each set of tiles that it keeps is verified on the surface
+    itself, and what it got wrong it does not try again.
+
+    Args:
+        squares: The squares that fit.
+        points: The surface.
+        verification: Of the same squares.
+    """
+
+    def __init__(self, squares: Squares, points: SurfacePoints, verification: Verification) -> None:
+        self._squares = squares
+        self._borders = border_points(squares, points)
+        self._verification = verification
+        self._clearance = np.full(len(squares), _CLEARANCE)
+        self._alive = np.ones(len(squares), dtype=bool)
+        self._tree = KDTree(squares.anchors)
+        self._overlaps_of_tile: dict[int, IntArray] = {}
+        cell = np.floor(squares.anchors / (_WASTE_SPACING * squares.edge))
+        self._witnesses = np.unique(cell, axis=0, return_index=True)[1]
+        self._overlaps = self._overlaps_with_witnesses()
+
+    def fill(self) -> IntArray:
+        """A first set of tiles, to which none can be added."""
+        tiles = np.zeros(0, dtype=np.int64)
+        while True:
+            free = self._alive.copy()
+            for tile in tiles:
+                free[self._overlapping(int(tile))] = False
+            tiles = self._place(tiles, free, np.zeros(len(free)))
+            wrong = self._wrong(tiles)
+            if not wrong:
+                return tiles
+            tiles = np.array([tile for tile in tiles if tile not in wrong], dtype=np.int64)
+
+    def improve(
+        self,
+        tiles: IntArray,
+        rounds: int,
+        rng: np.random.Generator,
+        progress: Callable[[int, int], None] | None = None,
+    ) -> IntArray:
+        """Take out and fill anew, round by round; the set never gets smaller."""
+        anchors = self._squares.anchors
+        for done in range(rounds):
+            centre = anchors[rng.integers(len(anchors))]
+            order = np.argsort(np.linalg.norm(anchors[tiles] - centre, axis=1))
+            ruined = int(rng.integers(_FEWEST_RUINED, _MOST_RUINED))
+            kept, out = tiles[order[ruined:]], tiles[order[:ruined]]
+            free = np.zeros(len(anchors), dtype=bool)
+            for tile in out:
+                free[self._overlapping(int(tile))] = True
+            free &= self._alive
+            for tile in kept:
+                free[self._overlapping(int(tile))] = False
+            found = self._place(kept, free, rng.choice(_CHANCE) * rng.random(len(free)))
+            if len(found) >= len(tiles) and not self._wrong(found):
+                tiles = found
+                current = set(tiles.tolist())
+                self._overlaps_of_tile = {
+                    tile: near for tile, near in self._overlaps_of_tile.items() if tile in current
+                }
+            if progress is not None:
+                progress(done + 1, rounds)
+        return tiles
+
+    def _place(self, tiles: IntArray, free: BoolArray, chance: FloatArray) -> IntArray:
+        """Place free squares by least waste until none is left."""
+        placed = list(tiles)
+        candidates = np.flatnonzero(free)
+        waste = np.full(len(free), np.inf)
+        waste[candidates] = self._waste(candidates, free)
+        while len(candidates):
+            best = int(candidates[np.argmin(waste[candidates] * (1.0 + chance[candidates]))])
+            placed.append(best)
+            free[self._overlapping(best)] = False
+            candidates = candidates[free[candidates]]
+            offset = self._squares.anchors[candidates] - self._squares.anchors[best]
+            changed = candidates[np.einsum("ci,ci->c", offset, offset) < (2.0 * self._reach) ** 2]
+            waste[changed] = self._waste(changed, free)
+        return np.array(placed, dtype=np.int64)
+
+    def _wrong(self, tiles: IntArray) -> set[int]:
+        """Tiles that must go, so that the others are whole and share nothing."""
+        wrong = set(self._verification.unfit(tiles))
+        self._alive[list(wrong)] = False
+        for pair in self._verification.overlapping(tiles):
+            if not wrong.intersection(pair):
+                wrong.add(pair[1])
+                for tile in pair:
+                    near = self._tree.query_ball_point(self._squares.anchors[tile], _SEARCH_AROUND)
+                    self._clearance[near] += _MORE
+                self._overlaps_of_tile.clear()
+        return wrong
+
+    def _waste(self, candidates: IntArray, free: BoolArray) -> FloatArray:
+        """Free witnesses that each candidate would take away."""
+        return self._overlaps[candidates] @ free[self._witnesses].astype(np.float32)
+
+    @property
+    def _reach(self) -> float:
+        return _REACH * self._squares.edge
+
+    def _near(self, index: int) -> IntArray:
+        return np.array(self._tree.query_ball_point(self._squares.anchors[index], self._reach))
+
+    def _overlapping(self, index: int) -> IntArray:
+        """Squares that overlap a given one, itself included."""
+        if index not in self._overlaps_of_tile:
+            near = self._near(index)
+            gap = gaps(self._squares, index, near)
+            close = np.abs(gap) < _PLANE
+            gap[close] = border_gaps(self._squares, self._borders, index, near[close])
+            clearance = np.maximum(self._clearance[near], self._clearance[index])
+            self._overlaps_of_tile[index] = near[gap < clearance]
+        return self._overlaps_of_tile[index]
+
+    def _overlaps_with_witnesses(self) -> sparse.csr_matrix:
+        """Which squares overlap which witnesses, shape (m, w)."""
+        overlapping = []
+        for witness in self._witnesses:
+            near = self._near(int(witness))
+            overlap = gaps(self._squares, int(witness), near) < _CLEARANCE
+            overlapping.append(near[overlap].astype(np.int32))
+        ends = np.cumsum([0, *map(len, overlapping)])
+        ones = np.ones(ends[-1], dtype=np.float32)
+        shape = (len(self._squares), len(self._witnesses))
+        return sparse.csc_matrix((ones, np.concatenate(overlapping), ends), shape=shape).tocsr()
+
+
+_NEAR = 0.5  # [edges]; largest gap between neighbours
+_FARTHEST = 2.2  # [edges]; no centres of neighbours are farther apart
+_FOLD = 0.0  # [-]; cosine between the normals of tiles on different sides of an edge
+
+
+def nearby_pairs(squares: Squares) -> IntArray:
+    """Pairs of tiles with less than half a tile between them, diagonal ones included.
+
+    Returns:
+        Pairs (a, b) with a < b, sorted, shape (e, 2).
+    """
+    normals = squares.rotations[:, :, 2]
+    pairs = []
+    for tile in range(len(squares)):
+        later = np.arange(tile + 1, len(squares))
+        later = later[normals[later] @ normals[tile] > _FOLD]
+        offset = squares.anchors[later] - squares.anchors[tile]
+        later = later[np.linalg.norm(offset, axis=1) < _FARTHEST * squares.edge]
+        near = later[gaps(squares, tile, later) < _NEAR * squares.edge]
+        pairs += [(tile, int(other)) for other in near]
+    return np.array(pairs, dtype=np.int64).reshape(-1, 2)
+
+
+_PLACES = 1 / 30  # [edges]; spacing of the centres that are tried
+_POINTS = 1 / 12  # [edges]; spacing of the points that stand for the surface
+_RIM = 1 / 60  # [edges]
+
+
+@dataclass(frozen=True)
+class TilingSettings:
+    """How a surface is tiled.
+
+    Attributes:
+        edge: Length of a tile's edges [m].
+        flatness: Largest distance of the surface from a tile's plane [m].
+        rounds: Rounds of improvement; more may find another tile.
+        seed: Seed of the places that are tried and of the improvement.
+    """
+
+    edge: float = 0.030
+    flatness: float = 0.008
+    rounds: int = 300
+    seed: int = 0
+
+
+@dataclass(frozen=True)
+class Tiling:
+    """Tiles on the interior of a socket and how well they cover it.
+
+    Attributes:
+        squares: The tiles.
+        footprint_areas: Areas of the surface under the tiles, shape (n,) [m^2].
+        flatness: Largest distances of the surface from the tiles' planes, shape (n,) [m].
+        neighbours: Pairs of neighbouring tiles, shape (e, 2).
+        interior_area: Area of the interior [m^2].
+        cover_inside: Part of the interior under tiles, of what is farther than half a tile from
+            the rim (brim, holes, cuts) [-].
+        largest_gap: Largest distance of a point of the interior from the nearest tile [m].
+    """
+
+    squares: Squares
+    footprint_areas: FloatArray
+    flatness: FloatArray
+    neighbours: IntArray
+    interior_area: float
+    cover_inside: float
+    largest_gap: float
+
+    @property
+    def upper_bound(self) -> float:
+        """Interior area in tile areas: no tiling has more tiles."""
+        return self.interior_area / self.squares.edge**2
+
+
+def tile_interior(
+    mesh: trimesh.Trimesh,
+    proximal: FloatArray,
+    anterior: FloatArray,
+    settings: TilingSettings,
+    progress: Callable[[int, int], None] | None = None,
+) -> Tiling:
+    """Tile the interior of a socket.
+
+    Args:
+        mesh: The interior, its normals towards the limb [m].
+        proximal: Direction towards the proximal end, shape (3,) [-].
+        anterior: Direction of x where no tangent is proximal, shape (3,) [-].
+        settings: The settings.
+        progress: Called with the rounds done and their number.
+
+    Raises:
+        ScanError: If not a single tile fits.
+    """
+    rng = np.random.default_rng(settings.seed)
+    points = spread_points(mesh, _POINTS * settings.edge, rng)
+    surroundings = Surroundings(points, rim_points(mesh, _RIM * settings.edge), proximal, anterior)
+    places = spread_points(mesh, _PLACES * settings.edge, rng)
+    fitting = fitting_squares(places, surroundings, settings.edge, settings.flatness)
+    if not len(fitting):
+        raise ScanError(
+            f"no {1e3 * settings.edge:g} mm tile fits the interior"
+            f" ({1e4 * mesh.area:.1f} cm^2) within {1e3 * settings.flatness:g} mm of flat",
+            "check the unit of the scan, or give a smaller --size or a larger --flatness",
+        )
+    verification = Verification(mesh, fitting, settings.flatness)
+    search = Search(fitting, points, verification)
+    tiles = search.improve(search.fill(), settings.rounds, rng, progress)
+    footprints = [verification.footprint(int(tile)) for tile in tiles]
+    squares = fitting.take(tiles)
+    covered = _covered(points, squares)
+    inside = _distance(points.positions, surroundings.rim) > 0.5 * settings.edge
+    return Tiling(
+        squares=squares,
+        footprint_areas=np.array([footprint.area for footprint in footprints]),
+        flatness=np.array([footprint.flatness for footprint in footprints]),
+        neighbours=nearby_pairs(squares),
+        interior_area=float(mesh.area),
+        cover_inside=float(points.areas[covered & inside].sum() / points.areas[inside].sum()),
+        largest_gap=float(_distance(points.positions, points.positions[covered]).max()),
+    )
+
+
+def _distance(points: FloatArray, others: FloatArray) -> FloatArray:
+    """Distance of each point from the nearest of the others; infinite without others [m]."""
+    if not len(others):
+        return np.full(len(points), np.inf)
+    return KDTree(others).query(points)[0]
+
+
+def _covered(points: SurfacePoints, squares: Squares) -> BoolArray:
+    """Which points lie under a square."""
+    tree, half = KDTree(points.positions), 0.5 * squares.edge
+    covered = np.zeros(len(points.areas), dtype=bool)
+    for anchor, frame in zip(squares.anchors, squares.rotations, strict=True):
+        near = np.array(tree.query_ball_point(anchor, 2.0 * half))
+        x, y, _ = ((points.positions[near] - anchor) @ frame).T
+        facing = points.normals[near] @ frame[:, 2] > 0.0
+        covered[near[(np.abs(x) < half) & (np.abs(y) < half) & facing]] = True
+    return covered

@@ -1,1 +1,0 @@
-"""The interior of a socket covered with square tiles that do not overlap."""

@@ -1,0 +1,124 @@
+"""Drift between baselines: measured, flagged, taken off."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from support.benches import FULL_SCALE, bench_of, exact_bench, nominal, sensor_bench
+
+from socket_testbed.calibration.bench_data import join_benches
+from socket_testbed.calibration.calibrate import calibrate_bench
+from socket_testbed.calibration.drift import (
+    DRIFT_LIMIT,
+    Baseline,
+    average_baseline,
+    correct_bench,
+    correct_drift,
+    measure_drift,
+)
+from socket_testbed.calibration.polynomials import predict_stress
+from socket_testbed.errors import CalibrationError
+
+REST = exact_bench().capacitance[0]
+DRIFT = np.array([0.05, -0.02, 0.08, 0.03])  # [pF] over a run
+
+
+def test_a_baseline_is_the_median_of_the_whole_readings():
+    readings = np.array([REST, REST + 0.1, REST - 0.1, REST, REST + 9.0])
+    readings = np.vstack([readings, np.where(np.arange(4) == 2, np.nan, REST + 5.0)])
+    np.testing.assert_array_equal(average_baseline(3.0, readings, "x").capacitance, REST)
+    with pytest.raises(CalibrationError, match=r"before.csv: 2 whole readings are too few"):
+        average_baseline(0.0, readings[-3:], "before.csv")
+
+
+def test_the_drift_in_stress_is_that_of_the_calibration():
+    """A common drift is read as normal stress by the gain; none of it as shear."""
+    before, after = Baseline(0.0, REST), Baseline(9.0, REST + 0.02)
+    drift = measure_drift(nominal(), before, after)
+    np.testing.assert_allclose(drift.capacitance, 0.02, rtol=1e-9)
+    np.testing.assert_allclose(drift.stress, [0.02 * nominal().normal[1], 0, 0], atol=1e-6)
+
+
+@pytest.mark.parametrize(("part", "flagged"), [(0.95, False), (-0.95, False), (1.05, True)])
+def test_drift_above_the_limit_is_flagged(part, flagged):
+    shift = part * DRIFT_LIMIT / nominal().normal[1]
+    drift = measure_drift(nominal(), Baseline(0.0, REST), Baseline(9.0, REST + shift))
+    assert drift.flagged is flagged
+
+
+def test_a_linear_drift_is_taken_off_exactly():
+    time = np.linspace(2.0, 12.0, 41)
+    true = exact_bench().capacitance[:41]
+    drifted = true + np.outer((time - 2.0) / 10.0, DRIFT)
+    before, after = Baseline(2.0, REST), Baseline(12.0, REST + DRIFT)
+    np.testing.assert_allclose(correct_drift(drifted, time, before, after), true, atol=1e-12)
+
+
+def test_outside_of_the_baselines_the_correction_stays():
+    before, after = Baseline(2.0, REST), Baseline(12.0, REST + DRIFT)
+    found = correct_drift(np.zeros((3, 4)), np.array([-5.0, 7.0, 99.0]), before, after)
+    np.testing.assert_allclose(found, np.outer([0.0, 0.5, 1.0], -DRIFT), atol=1e-12)
+
+
+def test_a_single_baseline_corrects_to_that_of_the_calibration():
+    readings = exact_bench().capacitance[:9]
+    before = Baseline(0.0, REST + DRIFT)
+    np.testing.assert_array_equal(correct_drift(readings, np.zeros(9), before), readings)
+    found = correct_drift(readings + DRIFT, np.zeros(9), before, reference=REST)
+    np.testing.assert_allclose(found, readings, atol=1e-12)
+
+
+def test_a_missing_reading_stays_missing():
+    readings = np.full((2, 4), 6.0)
+    readings[1, 3] = np.nan
+    before, after = Baseline(0.0, REST), Baseline(1.0, REST + DRIFT)
+    found = correct_drift(readings, np.array([0.0, 1.0]), before, after, REST)
+    np.testing.assert_array_equal(np.isnan(found), np.isnan(readings))
+
+
+def test_baselines_in_the_wrong_order_are_refused():
+    with pytest.raises(CalibrationError, match=r"not later.*before first"):
+        correct_drift(np.ones((1, 4)), np.ones(1), Baseline(5.0, REST), Baseline(5.0, REST))
+
+
+def test_a_bench_run_s_drift_comes_off_its_calibration():
+    bench = sensor_bench()
+    part = (bench.time / bench.time[-1])[:, None]
+    drifted = dataclasses.replace(bench, capacitance=bench.capacitance + 10.0 * part * DRIFT)
+    rest = bench.capacitance[0]
+    before, after = Baseline(0.0, rest), Baseline(bench.time[-1], rest + 10.0 * DRIFT)
+    wiring = nominal().wiring
+    clean, spoilt, mended = (
+        calibrate_bench(b, wiring, True, False)
+        for b in (bench, drifted, correct_bench(drifted, before, after))
+    )
+    assert spoilt.held_out[0].rmse > 10.0 * clean.held_out[0].rmse
+    np.testing.assert_allclose(mended.cluster.normal, clean.cluster.normal, rtol=1e-9)
+    assert measure_drift(mended.cluster, before, after).flagged
+
+
+def test_a_trial_s_drift_and_offset_come_off_its_stresses():
+    """End to end: calibrated on the bench, mounted with an offset, drifting during a trial."""
+    bench = sensor_bench()
+    cluster = calibrate_bench(bench, nominal().wiring, True, False).cluster
+    cluster = dataclasses.replace(cluster, baseline=bench.capacitance[0])
+    trial = sensor_bench(draw=1)
+    mounted = np.array([0.2, -0.1, 0.1, 0.3])
+    part = (trial.time / trial.time[-1])[:, None]
+    read = trial.capacitance + mounted + 4.0 * part * DRIFT
+    before = Baseline(trial.time[0], read[0])
+    after = Baseline(trial.time[-1], read[-1])
+    corrected = correct_drift(read, trial.time, before, after, cluster.baseline)
+    error = np.abs(predict_stress(cluster, corrected) - trial.stress).max(axis=0) / FULL_SCALE
+    raw = np.abs(predict_stress(cluster, read) - trial.stress).max(axis=0) / FULL_SCALE
+    assert (error < 0.05).all() and (raw > 2.0 * error).all()
+
+
+def test_drift_over_several_files_or_without_time_is_refused():
+    bench = bench_of(np.full((9, 4), 6.0), np.zeros((9, 3)))
+    before, after = Baseline(0.0, REST), Baseline(0.8, REST + DRIFT)
+    with pytest.raises(CalibrationError, match=r"2 bench files cannot share.*the one file"):
+        correct_bench(join_benches([bench, bench]), before, after)
+    timeless = dataclasses.replace(bench, time=np.full(9, np.nan))
+    with pytest.raises(CalibrationError, match=r"bench.csv: has no time.*time \[s\]"):
+        correct_bench(timeless, before, after)

@@ -1,0 +1,152 @@
+"""The fit, what determines it, and the wiring it is given."""
+
+import itertools
+
+import numpy as np
+import pytest
+from support.benches import FULL_SCALE, bench_of, exact_bench, load_path, nominal, sensor_bench
+
+from socket_testbed.calibration.bench_data import scaled_stress
+from socket_testbed.calibration.calibrate import find_wiring, require_wiring
+from socket_testbed.calibration.model import channel_features
+from socket_testbed.calibration.polynomials import (
+    check_excitation,
+    fit_cluster,
+    fit_polynomials,
+    predict_stress,
+)
+from socket_testbed.errors import CalibrationError
+from socket_testbed.samples import Status
+
+ALL = np.ones(len(exact_bench()), dtype=bool)
+
+
+@pytest.mark.parametrize("name", ["brim_lateral", "mid_anterior", "distal"])
+def test_the_coefficients_of_exact_data_are_recovered(name):
+    cluster, rng = nominal(name), np.random.default_rng(2)
+    capacitance = rng.uniform(5.0, 9.0, (200, 4))
+    stress = predict_stress(cluster, capacitance)
+    found = fit_cluster(capacitance, stress, cluster.wiring, np.ones(200, dtype=bool))
+    np.testing.assert_allclose(found.normal, cluster.normal, rtol=1e-9)
+    np.testing.assert_allclose(found.shear, cluster.shear, rtol=1e-9)
+
+
+def test_the_fit_is_as_good_far_from_zero():
+    """Differences of 5 +- 0.1 pF make the columns nearly parallel."""
+    cluster, rng = nominal(), np.random.default_rng(3)
+    channels = rng.uniform(-0.1, 0.1, (500, 4)) + np.array([5.0, 10.0, 5.0, 10.0])
+    stress = predict_stress(cluster, channels[:, np.argsort(cluster.wiring)])
+    normal, shear = fit_polynomials(channels, stress)
+    np.testing.assert_allclose(normal, cluster.normal, rtol=1e-8)
+    np.testing.assert_allclose(shear, cluster.shear, rtol=1e-6)
+
+
+def test_the_residual_is_orthogonal_to_every_term():
+    bench = sensor_bench(play=0.05)
+    found = fit_cluster(bench.capacitance, bench.stress, nominal().wiring, ALL)
+    residual = (predict_stress(found, bench.capacitance) - bench.stress) / FULL_SCALE
+    mean, x, y = channel_features(bench.capacitance[:, nominal().wiring])
+    for term, axes in ((mean, [0]), (x, [1, 2]), (y, [1, 2]), (x * y, [1, 2]), (x * x, [1, 2])):
+        correlation = term @ residual[:, axes] / np.linalg.norm(term)
+        np.testing.assert_allclose(correlation, 0.0, atol=1e-10 * len(bench))
+    np.testing.assert_allclose(residual.mean(axis=0), 0.0, atol=1e-12)
+
+
+def test_the_range_is_what_both_differences_went_through():
+    bench = exact_bench()
+    wiring = nominal().wiring
+    mean, x, y = channel_features(bench.capacitance[:, wiring])
+    found = fit_cluster(bench.capacitance, bench.stress, wiring, ALL)
+    np.testing.assert_array_equal(found.mean_range, [mean.min(), mean.max()])
+    low, high = found.difference_range
+    assert low in (x.min(), y.min()) and low >= max(x.min(), y.min())
+    assert high in (x.max(), y.max()) and high <= min(x.max(), y.max())
+    some = mean < np.median(mean)
+    narrow = fit_cluster(bench.capacitance, bench.stress, wiring, some)
+    assert narrow.mean_range[1] == mean[some].max()
+    np.testing.assert_array_equal(narrow.normal, found.normal)
+    _, status = narrow.apply(bench.capacitance, np.zeros(bench.capacitance.shape, dtype=np.uint8))
+    assert (status[~some] == Status.OUT_OF_RANGE).all()
+
+
+def test_tied_inputs_are_refused():
+    bench = exact_bench()
+    tied = bench.capacitance[:, [0, 0, 2, 2]]
+    with pytest.raises(CalibrationError, match=r"always go together.*input of its own"):
+        fit_polynomials(tied, bench.stress)
+
+
+def triangle(count: int = 25) -> np.ndarray:
+    return np.concatenate([np.linspace(0, 1, count), np.linspace(1, 0, count)])
+
+
+def with_column(axis: int, values: np.ndarray) -> np.ndarray:
+    stress = load_path()
+    stress[:, axis] = values
+    return stress
+
+
+def crossed() -> np.ndarray:
+    """Each stress alone, in both directions where it has two."""
+    ramp = triangle()
+    parts = [np.outer(ramp, FULL_SCALE * np.eye(3)[axis]) for axis in (0, 1, 1, 2, 2)]
+    parts[2] *= -1.0
+    parts[4] *= -1.0
+    return np.concatenate(parts)
+
+
+@pytest.mark.parametrize(
+    ("stress", "fact", "mend"),
+    [
+        (load_path()[:29], "29 readings are too few", "several"),
+        (with_column(0, 5e3), "normal spans only 0 Pa", "apply normal"),
+        (with_column(2, 0.0), "shear_y spans only 0 Pa", "--units shear_y=UNIT"),
+        (load_path() / 1e3, "normal spans only 60 Pa", "--units normal=UNIT"),
+        (with_column(0, load_path()[:, 1] * 2 + 30e3), "normal always goes with", "stay as"),
+        (with_column(2, 0.5 * load_path()[:, 1]), "shear_x always goes with", "stay as"),
+        (with_column(1, np.sign(load_path()[:, 1]) * 1e4 + 0), None, None),
+        (with_column(1, (load_path()[:, 1] > 1e3) * 1e4), "shear_x takes too few values", "three"),
+        (crossed(), "shear_x and shear_y are never applied together", "together"),
+    ],
+)
+def test_the_stress_that_is_missing_is_named(stress, fact, mend):
+    if fact is None:
+        check_excitation(stress, "bench.csv")
+        return
+    with pytest.raises(CalibrationError) as caught:
+        check_excitation(stress, "bench.csv")
+    assert caught.value.fact.startswith("bench.csv: ") and fact in caught.value.fact
+    assert mend in caught.value.mend
+
+
+def test_noise_does_not_make_up_for_a_missing_stress():
+    rng = np.random.default_rng(5)
+    stress = crossed() + rng.normal(0.0, 0.005, (250, 3)) * FULL_SCALE
+    with pytest.raises(CalibrationError, match="never applied together"):
+        check_excitation(stress, "bench.csv")
+
+
+def test_scaled_stresses_survive_a_wrong_one():
+    stress = load_path()
+    usual = scaled_stress(stress)
+    stress[40] = [2e6, -9e5, 9e5]
+    scaled = scaled_stress(stress)
+    assert np.abs(scaled).max() == 1.0
+    np.testing.assert_allclose(np.delete(scaled, 40, 0), np.delete(usual, 40, 0), atol=0.01)
+    check_excitation(stress, "bench.csv")
+
+
+def test_every_wiring_is_found():
+    channels = sensor_bench(play=0.05).capacitance[:, nominal().wiring]
+    channels[7, 2] += 30.0
+    for wiring in itertools.permutations(range(4)):
+        inputs = np.empty_like(channels)
+        inputs[:, wiring] = channels
+        assert tuple(find_wiring(inputs, load_path())) == wiring
+
+
+def test_a_wiring_that_the_data_contradicts_is_named():
+    bench = bench_of(exact_bench().capacitance, exact_bench().stress)
+    require_wiring(bench, nominal().wiring)
+    with pytest.raises(CalibrationError, match=r"--wiring 2 3 0 1, or --wiring 0 1 2 3 to keep it"):
+        require_wiring(bench, np.arange(4))

@@ -1,0 +1,283 @@
+"""What is said of a fit: cross-validation, intervals, hysteresis, repeatability, outliers."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from support.benches import FULL_SCALE, bench_of, exact_bench, nominal, sensor_bench
+
+from socket_testbed.calibration.bench_data import BenchData, join_benches
+from socket_testbed.calibration.calibrate import calibrate_bench, find_outliers
+from socket_testbed.calibration.drift import cycle_ids, find_branches, find_turns
+from socket_testbed.calibration.polynomials import design_matrices, fit_polynomials
+from socket_testbed.calibration.quality import (
+    Groups,
+    choose_groups,
+    cross_validate,
+    half_widths,
+    hysteresis,
+    repeatability,
+    stress_errors,
+)
+from socket_testbed.errors import CalibrationError
+
+WIRING = nominal().wiring
+
+
+def calibrated(bench: BenchData, drop_outliers: bool = False):
+    return calibrate_bench(bench, WIRING, True, drop_outliers)
+
+
+def true_cycles(bench: BenchData, cycles: int = 18) -> np.ndarray:
+    return np.arange(len(bench)) // (len(bench) // cycles)
+
+
+# --- turns, cycles and groups
+
+
+def test_turns_alternate_and_small_moves_are_none():
+    rng = np.random.default_rng(1)
+    wave = np.sin(np.linspace(0.0, 6.0 * np.pi, 600))
+    turns = find_turns(wave + rng.uniform(-0.05, 0.05, 600), 0.5)
+    extremes = np.array([50, 150, 250, 350, 450, 550])
+    np.testing.assert_allclose(turns[1:-1], extremes, atol=25)
+    assert turns[0] < 10 and turns[-1] > 590
+
+
+@pytest.mark.parametrize("values", [np.zeros(5), np.array([0.0, 0.1, 0.0, 0.2])])
+def test_what_hardly_moves_does_not_turn(values):
+    assert len(find_turns(values, 0.5)) == 1
+
+
+def test_the_cycles_are_found_in_spite_of_noise_and_a_spike():
+    bench = sensor_bench()
+    rng = np.random.default_rng(0)
+    stress = bench.stress + rng.normal(0.0, 0.01, bench.stress.shape) * FULL_SCALE
+    stress[70] = [1.9e6, 9e5, 0.0]
+    found = cycle_ids(dataclasses.replace(bench, stress=stress))
+    assert (found != true_cycles(bench)).mean() < 0.05 and found.max() == 17
+
+
+def test_the_file_s_own_cycles_are_used_and_files_never_share_one():
+    bench = sensor_bench()
+    named = dataclasses.replace(bench, cycle=np.arange(len(bench)) % 4)
+    ids = cycle_ids(join_benches([named, bench]))
+    np.testing.assert_array_equal(ids[: len(bench)], named.cycle)
+    assert set(ids[len(bench) :]) == set(range(4, 22))
+
+
+def test_groups_are_the_largest_that_can_be_left_out():
+    bench = sensor_bench()
+    assert str(choose_groups(bench)) == "18 cycles"
+    assert str(choose_groups(join_benches([bench] * 2))) == "36 cycles"
+    assert str(choose_groups(join_benches([bench] * 3))) == "3 files"
+    # Of three files, one alone has shear: no file can be left out, but cycles can.
+    plain = bench.stress[:, 1:].any(axis=1)
+    parts = [bench, bench[~plain], bench[~plain]]
+    assert choose_groups(join_benches(parts)).unit == "cycle"
+
+
+def test_without_cycles_blocks_of_neighbours_are_held_out():
+    rise = np.linspace(0.0, 1.0, 400)  # of a load that goes round and round, but never down
+    angle, radius = 6.0 * np.pi * rise, 0.5 + 0.5 * rise
+    spiral = np.column_stack([rise, radius * np.cos(angle), radius * np.sin(angle)])
+    found = choose_groups(bench_of(np.ones((400, 4)), spiral * FULL_SCALE))
+    assert str(found) == "10 blocks"
+    assert [rows.tolist() for rows in found.rows] == np.arange(400).reshape(10, 40).tolist()
+
+
+def test_a_part_that_was_loaded_once_is_named():
+    bench = sensor_bench(directions=4, repeats=1)
+    with pytest.raises(CalibrationError, match=r"without the cycle that starts at bench.csv line"):
+        choose_groups(bench)
+
+
+# --- cross-validation
+
+
+def test_each_group_is_predicted_by_a_fit_to_the_others():
+    bench = sensor_bench(play=0.05)
+    groups = Groups("cycle", true_cycles(bench))
+    channels = bench.capacitance[:, WIRING]
+    found = cross_validate(channels, bench.stress, groups)
+    for group in (0, 7, 17):
+        held = groups.ids == group
+        normal, shear = fit_polynomials(channels[~held], bench.stress[~held])
+        np.testing.assert_allclose(found.normal[group], normal, rtol=1e-9)
+        np.testing.assert_allclose(found.shear[group], shear, rtol=1e-7)
+        of_mean, of_differences = design_matrices(channels[held])
+        expected = np.column_stack([of_mean @ normal, of_differences @ shear.T])
+        np.testing.assert_allclose(found.predicted[held], expected, rtol=1e-8, atol=1e-6)
+
+
+def test_held_out_errors_exceed_training_errors_and_meet_those_on_fresh_data():
+    excess, ratio = [], []
+    for seed in range(8):
+        found = calibrated(sensor_bench(seed, play=0.04))
+        held_out = np.array([errors.rmse for errors in found.held_out])
+        excess.append(held_out / [errors.rmse for errors in found.training])
+        fresh = sensor_bench(seed, play=0.04, draw=1)
+        stress, _ = found.cluster.apply(
+            fresh.capacitance, np.zeros((len(fresh), 4), dtype=np.uint8)
+        )
+        errors = stress_errors(fresh.stress, stress, found.full_scale)
+        ratio.append(np.array([e.rmse for e in errors]) / held_out)
+    assert (np.mean(excess, axis=0) > 1.0).all()
+    assert np.max(ratio) < 1.02 and np.min(ratio) > 0.7
+
+
+def test_errors_are_those_of_their_definitions():
+    known = np.array([[0.0, 1.0, -4.0], [2.0, -1.0, 4.0]])
+    errors = stress_errors(known, known + np.array([[1.0], [-3.0]]), np.array([2.0, 1.0, 4.0]))
+    assert [e.rmse for e in errors] == pytest.approx([np.sqrt(5.0)] * 3)
+    assert [e.mae for e in errors] == pytest.approx([2.0] * 3)
+    assert [e.percent for e in errors] == pytest.approx(np.sqrt(5.0) * np.array([50, 100, 25]))
+    assert [e.r2 for e in errors] == pytest.approx([1 - 5 / 1, 1 - 5 / 1, 1 - 5 / 16])
+
+
+def coverages(noise_of_cycle: float, seeds: int = 120) -> tuple[float, float]:
+    """Coverage of our intervals and of those that take the rows as independent."""
+    cluster, bench = nominal(), exact_bench(steps=10)
+    stress, channels = bench.stress, bench.capacitance[:, WIRING]
+    groups = Groups("cycle", np.arange(len(stress)) // 19)
+    of_mean, of_differences = design_matrices(channels)
+    ours, plain = [], []
+    for seed in range(seeds):
+        rng = np.random.default_rng(seed)
+        errors = rng.normal(size=stress.shape)
+        errors += noise_of_cycle * rng.normal(size=(len(groups), 3))[groups.ids]
+        known = stress + 0.005 * FULL_SCALE * errors
+        normal, shear = fit_polynomials(channels, known)
+        checked = cross_validate(channels, known, groups)
+        ours += (np.abs(normal - cluster.normal) <= half_widths(normal, checked.normal)).tolist()
+        ours += (
+            (np.abs(shear - cluster.shear) <= half_widths(shear, checked.shear)).ravel().tolist()
+        )
+        for design, found, true, target in (
+            (of_mean, normal, cluster.normal, known[:, 0]),
+            (of_differences, shear[0], cluster.shear[0], known[:, 1]),
+            (of_differences, shear[1], cluster.shear[1], known[:, 2]),
+        ):
+            variance = ((target - design @ found) ** 2).sum() / (len(target) - len(found))
+            sigma = np.sqrt(variance * np.diag(np.linalg.inv(design.T @ design)))
+            plain += (np.abs(found - true) <= 1.96 * sigma).tolist()
+    return float(np.mean(ours)), float(np.mean(plain))
+
+
+def test_the_intervals_cover_95_percent():
+    ours, plain = coverages(noise_of_cycle=0.0)
+    assert 0.93 < ours < 0.98 and 0.93 < plain < 0.97
+
+
+def test_the_intervals_cover_when_the_errors_of_a_cycle_hang_together():
+    ours, plain = coverages(noise_of_cycle=1.0)
+    assert 0.93 < ours < 0.98 and plain < 0.75
+
+
+def test_the_intervals_scale_with_the_noise():
+    stress, channels = exact_bench().stress, exact_bench().capacitance[:, WIRING]
+    groups = Groups("cycle", true_cycles(exact_bench()))
+    noise = np.random.default_rng(0).normal(size=stress.shape)
+    widths = []
+    for size in (10.0, 100.0):
+        normal, _ = fit_polynomials(channels, stress + size * noise)
+        checked = cross_validate(channels, stress + size * noise, groups)
+        widths.append(half_widths(normal, checked.normal))
+    np.testing.assert_allclose(widths[1] / widths[0], 10.0, rtol=1e-4)
+
+
+# --- hysteresis and repeatability
+
+
+@pytest.mark.parametrize("play", [0.02, 0.05, 0.1])
+def test_play_of_some_width_is_found_as_hysteresis_of_that_width(play):
+    found = calibrated(sensor_bench(play=play))
+    np.testing.assert_allclose(found.hysteresis, 100.0 * play, atol=0.7)
+
+
+def test_without_play_the_hysteresis_is_that_of_the_noise():
+    assert (calibrated(sensor_bench()).hysteresis < 0.6).all()
+
+
+def test_a_load_that_only_rises_shows_no_hysteresis():
+    stress = np.linspace(0.0, 1.0, 50)[:, None] * FULL_SCALE
+    bench = bench_of(np.ones((50, 4)), stress)
+    assert np.isnan(hysteresis(bench, np.ones((50, 3)), find_branches(bench))).all()
+
+
+def test_branches_leave_out_where_a_stress_dwells():
+    ramp = np.concatenate([np.zeros(30), np.linspace(0, 1, 20), np.ones(30), np.linspace(1, 0, 20)])
+    bench = bench_of(np.ones((100, 4)), ramp[:, None] * FULL_SCALE)
+    branches = find_branches(bench)
+    assert (branches[32:48] == 1).all() and (branches[82:98] == -1).all()
+    assert (branches[:30] == 0).all() and (branches[50:80] == 0).all()
+
+
+def test_repeatability_is_the_spread_between_cycles():
+    bench = sensor_bench(repeats=4)
+    cycles = true_cycles(bench, 36)
+    branches = find_branches(bench)
+    variances = []
+    for seed in range(20):
+        offsets = np.random.default_rng(seed).normal(0.0, 0.02, (36, 3)) * FULL_SCALE
+        variances.append(repeatability(bench, offsets[cycles], branches, cycles) ** 2)
+    np.testing.assert_allclose(np.sqrt(np.mean(variances, axis=0)), 2.0, rtol=0.1)
+
+
+def test_nothing_is_repeated_in_a_single_cycle():
+    bench = sensor_bench()
+    one = np.zeros(len(bench), dtype=np.int64)
+    found = repeatability(bench, bench.stress, find_branches(bench), one)
+    assert np.isnan(found).all()
+
+
+# --- outliers
+
+
+def spoil(bench: BenchData, seed: int) -> tuple[BenchData, set[int]]:
+    """Ten wrong capacitances and ten wrong stresses, and the rows they are in."""
+    rng = np.random.default_rng(seed)
+    rows = rng.choice(len(bench), 20, replace=False)
+    capacitance, stress = bench.capacitance.copy(), bench.stress.copy()
+    capacitance[rows[:10], rng.integers(0, 4, 10)] += rng.choice([-2.0, 1.0, 3.0], 10)
+    stress[rows[10:], rng.integers(0, 3, 10)] += rng.choice([-20e3, 20e3], 10)
+    return dataclasses.replace(bench, capacitance=capacitance, stress=stress), set(rows.tolist())
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_exactly_the_wrong_readings_are_outliers(seed):
+    bench = sensor_bench(seed, play=0.04)
+    assert find_outliers(bench, WIRING) == ()
+    spoilt, rows = spoil(bench, seed)
+    found = find_outliers(spoilt, WIRING)
+    assert {outlier.row for outlier in found} == rows
+    assert found[0].place == f"bench.csv line {min(rows) + 2}"
+
+
+def test_many_rows_at_rest_make_no_load_an_outlier():
+    bench = sensor_bench(play=0.04)
+    rest = bench[np.zeros(3000, dtype=np.int64)]
+    noise = np.random.default_rng(0).normal(0.0, 0.002, (3000, 4))
+    rest = dataclasses.replace(rest, capacitance=rest.capacitance + noise)
+    assert find_outliers(join_benches([rest, bench]), WIRING) == ()
+
+
+def test_outliers_stay_in_the_fit_but_not_in_its_range_unless_they_are_dropped():
+    clean = calibrated(sensor_bench(play=0.04))
+    spoilt, rows = spoil(sensor_bench(play=0.04), 1)
+    kept, dropped = calibrated(spoilt), calibrated(spoilt, drop_outliers=True)
+    assert len(kept.bench) == len(spoilt) and len(dropped.bench) == len(spoilt) - len(rows)
+    assert len(kept.outliers) == len(dropped.outliers) == len(rows)
+    assert np.ptp(kept.cluster.mean_range) < np.ptp(clean.cluster.mean_range) + 1e-9
+    np.testing.assert_array_equal(kept.full_scale, clean.full_scale)
+    assert np.abs(kept.cluster.normal / clean.cluster.normal - 1.0).max() > 1e-3
+    np.testing.assert_allclose(dropped.cluster.normal, clean.cluster.normal, rtol=1e-3)
+    assert not kept.above(100.0) and len(kept.above(0.1)) == 3
+
+
+def test_a_tenth_of_the_readings_are_no_outliers():
+    bench = sensor_bench()
+    stress = bench.stress.copy()
+    stress[::11, 0] += 30e3
+    with pytest.raises(CalibrationError, match=r"97 of 1062 readings would be dropped"):
+        calibrated(dataclasses.replace(bench, stress=stress), drop_outliers=True)

@@ -1,0 +1,271 @@
+"""Capacitance to stress, and the file of its coefficients."""
+
+import copy
+
+import numpy as np
+import pytest
+import yaml
+
+from socket_testbed.calibration.model import (
+    Calibration,
+    ClusterCalibration,
+    channel_features,
+    read_calibration,
+    write_calibration,
+)
+from socket_testbed.errors import CalibrationError, ConfigurationError
+from socket_testbed.samples import Status
+
+ALL_OK = np.zeros(4, dtype=np.uint8)
+# Where the four channels lie in the cluster's frame.
+PLACES = np.array([[-1.0, 1.0], [1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]])
+
+
+def make_cluster(**changes) -> ClusterCalibration:
+    values = {
+        "normal": np.array([-20_000.0, 4_000.0]),
+        "shear": np.array(
+            [[100.0, 3_000.0, 50.0, 7.0, 11.0, -3.0], [-200.0, -40.0, 2_500.0, 2.0, -5.0, 13.0]]
+        ),
+        "mean_range": np.array([4.0, 12.0]),
+        "difference_range": np.array([-3.0, 3.0]),
+        "wiring": np.arange(4),
+    }
+    return ClusterCalibration(**(values | changes))
+
+
+def make_capacitance(mean: float, along_x: float, along_y: float) -> np.ndarray:
+    """Four channels whose plane has a mean and pair differences [pF]."""
+    return mean + 0.5 * PLACES @ np.array([along_x, along_y])
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_normal_stress_is_the_line_over_the_mean(seed):
+    rng = np.random.default_rng(seed)
+    cluster = make_cluster()
+    capacitance = rng.uniform(7.0, 9.0, (10, 4))
+    stress, status = cluster.apply(capacitance, np.zeros((10, 4), dtype=np.uint8))
+    line = np.polynomial.Polynomial(cluster.normal)
+    np.testing.assert_allclose(stress[:, 0], line(capacitance.mean(axis=1)), rtol=1e-12)
+    assert (status == Status.OK).all()
+
+
+@pytest.mark.parametrize(("along_x", "along_y"), [(0.0, 0.0), (2.0, 0.0), (0.0, -1.5), (1.2, 2.4)])
+def test_shear_stress_is_the_surface_over_the_pair_differences(along_x, along_y):
+    cluster = make_cluster()
+    stress, _ = cluster.apply(make_capacitance(8.0, along_x, along_y), ALL_OK)
+    for axis in range(2):
+        one, x, y, xx, xy, yy = cluster.shear[axis]
+        table = [[one, y, yy], [x, xy, 0.0], [xx, 0.0, 0.0]]  # [power of dx][power of dy]
+        surface = np.polynomial.polynomial.polyval2d(along_x, along_y, table)
+        assert stress[1 + axis] == pytest.approx(surface, rel=1e-12)
+
+
+@pytest.mark.parametrize("channel", range(4))
+def test_a_channel_pulls_the_differences_to_its_own_side(channel):
+    capacitance = np.full(4, 8.0)
+    capacitance[channel] += 1.0
+    mean, along_x, along_y = channel_features(capacitance)
+    assert mean == pytest.approx(8.25)
+    assert (np.sign(along_x), np.sign(along_y)) == tuple(PLACES[channel])
+    assert abs(along_x) == pytest.approx(abs(along_y))
+
+
+def test_a_common_change_makes_no_difference():
+    _, along_x, along_y = channel_features(np.full((3, 4), 8.0) + np.arange(3.0)[:, None])
+    np.testing.assert_array_equal([along_x, along_y], 0.0)
+
+
+@pytest.mark.parametrize("wiring", [[0, 1, 2, 3], [3, 1, 0, 2], [1, 2, 3, 0]])
+def test_wiring_names_the_input_of_each_channel(wiring):
+    channels = make_capacitance(8.0, 1.3, -0.7)
+    inputs = np.empty(4)
+    inputs[wiring] = channels  # channel c is wired to input wiring[c]
+    expected, _ = make_cluster().apply(channels, ALL_OK)
+    found, _ = make_cluster(wiring=np.array(wiring)).apply(inputs, ALL_OK)
+    np.testing.assert_allclose(found, expected, rtol=1e-12)
+
+
+@pytest.mark.parametrize("shape", [(), (5,), (2, 3)])
+def test_any_batch_gives_what_its_single_readings_give(shape):
+    rng = np.random.default_rng(4)
+    cluster = make_cluster(wiring=np.array([2, 0, 3, 1]))
+    capacitance = rng.uniform(3.0, 13.0, (*shape, 4))
+    status = rng.choice(np.array([0, 0, 0, 0, 1, 2], dtype=np.uint8), (*shape, 4))
+    stress, result = cluster.apply(capacitance, status)
+    assert stress.shape == (*shape, 3)
+    assert result.shape == shape
+    for index in np.ndindex(shape):
+        alone, alone_status = cluster.apply(capacitance[index], status[index])
+        np.testing.assert_allclose(stress[index], alone, rtol=1e-12)
+        assert result[index] == alone_status
+
+
+@pytest.mark.parametrize(
+    ("statuses", "values", "expected"),
+    [
+        ((0, 0, 0, 0), (8.0, 8.0, 8.0, 8.0), Status.OK),
+        ((0, 0, 0, 0), (20.0, 20.0, 20.0, 20.0), Status.OUT_OF_RANGE),
+        ((1, 0, 0, 0), (20.0, 20.0, 20.0, 20.0), Status.SATURATED),
+        ((1, 0, 0, 0), (np.nan, 8.0, 8.0, 8.0), Status.SATURATED),
+        ((0, 2, 0, 0), (8.0, np.nan, 8.0, 8.0), Status.MISSING),
+        ((0, 2, 0, 0), (8.0, 8.0, 8.0, 8.0), Status.MISSING),
+        ((1, 2, 0, 0), (8.0, np.nan, 8.0, 8.0), Status.MISSING),
+        ((0, 2, 0, 0), (20.0, np.nan, 20.0, 20.0), Status.MISSING),
+        ((0, 0, 0, 0), (8.0, 8.0, np.nan, 8.0), Status.MISSING),
+        ((0, 0, 0, 0), (np.nan,) * 4, Status.MISSING),
+    ],
+)
+def test_the_worst_status_wins_and_only_a_full_reading_gives_a_stress(statuses, values, expected):
+    stress, status = make_cluster().apply(np.array(values), np.array(statuses, dtype=np.uint8))
+    assert status == expected
+    usable = expected in (Status.OK, Status.OUT_OF_RANGE)
+    assert np.isfinite(stress).all() == usable
+    assert np.isnan(stress).all() != usable
+
+
+@pytest.mark.parametrize("value", [np.inf, -np.inf])
+@pytest.mark.parametrize("channels", [[0], [0, 1], [0, 1, 2, 3]])
+def test_an_infinite_capacitance_is_missing(value, channels):
+    capacitance = np.full(4, 8.0)
+    capacitance[channels] = value
+    stress, status = make_cluster().apply(capacitance, ALL_OK)
+    assert status == Status.MISSING
+    assert np.isnan(stress).all()
+
+
+def test_one_missing_input_is_missing_whatever_the_wiring():
+    cluster = make_cluster(wiring=np.array([3, 2, 1, 0]))
+    for channel in range(4):
+        status = ALL_OK.copy()
+        status[channel] = Status.MISSING
+        assert cluster.apply(np.full(4, 8.0), status)[1] == Status.MISSING
+
+
+@pytest.mark.parametrize(
+    ("mean", "along_x", "along_y", "inside"),
+    [
+        (4.0, 0.0, 0.0, True),
+        (12.0, 0.0, 0.0, True),
+        (3.99, 0.0, 0.0, False),
+        (12.01, 0.0, 0.0, False),
+        (8.0, 3.0, -3.0, True),
+        (8.0, 3.01, 0.0, False),
+        (8.0, -3.01, 0.0, False),
+        (8.0, 0.0, 3.01, False),
+        (8.0, 0.0, -3.01, False),
+    ],
+)
+def test_ranges_include_their_ends(mean, along_x, along_y, inside):
+    stress, status = make_cluster().apply(make_capacitance(mean, along_x, along_y), ALL_OK)
+    assert status == (Status.OK if inside else Status.OUT_OF_RANGE)
+    assert np.isfinite(stress).all()  # an extrapolation is marked, not hidden
+
+
+def test_apply_does_not_change_its_arguments():
+    capacitance, status = np.array([8.0, np.nan, 8.0, 8.0]), ALL_OK.copy()
+    before = capacitance.copy()
+    make_cluster().apply(capacitance, status)
+    np.testing.assert_array_equal(capacitance, before)
+    np.testing.assert_array_equal(status, ALL_OK)
+
+
+@pytest.fixture
+def calibration():
+    clusters = {"distal": make_cluster(), "brim": make_cluster(wiring=np.array([2, 0, 3, 1]))}
+    return Calibration(clusters, "2026-05-04", "bench run 7")
+
+
+def test_a_file_gives_back_what_was_written(calibration, tmp_path):
+    path = tmp_path / "calibration.yaml"
+    write_calibration(calibration, path)
+    found = read_calibration(path)
+    assert (found.date, found.source) == (calibration.date, calibration.source)
+    assert list(found.clusters) == list(calibration.clusters)
+    for name, cluster in calibration.clusters.items():
+        for field in ("normal", "shear", "mean_range", "difference_range", "wiring"):
+            np.testing.assert_array_equal(
+                getattr(found.clusters[name], field), getattr(cluster, field)
+            )
+
+
+def test_an_unquoted_date_is_a_date(calibration, tmp_path):
+    path = tmp_path / "calibration.yaml"
+    write_calibration(calibration, path)
+    path.write_text(path.read_text().replace("'2026-05-04'", "2026-05-04"))
+    assert read_calibration(path).date == "2026-05-04"
+
+
+DELETE = object()
+
+
+@pytest.mark.parametrize(
+    ("keys", "value", "field", "mend"),
+    [
+        (("clusters", "brim", "normall"), [0.0, 1.0], "normall", "normal"),
+        (("sourc",), "x", "sourc", "source"),
+        (("clusters", "brim", "normal"), [1.0, 2.0, 3.0], "normal", "2"),
+        (("clusters", "brim", "shear_x"), [1.0] * 5, "shear_x", "6"),
+        (("clusters", "brim", "shear_y"), 3.0, "shear_y", "6"),
+        (("clusters", "brim", "shear_y"), ["a"] * 6, "shear_y", "numbers"),
+        (("clusters", "brim", "shear_y"), [float("nan")] * 6, "shear_y", "finite"),
+        (("clusters", "brim", "mean_range"), [12.0, 4.0], "mean_range", "[low, high]"),
+        (("clusters", "brim", "mean_range"), [4.0, 4.0], "mean_range", "[low, high]"),
+        (("clusters", "brim", "difference_range"), [3.0, -3.0], "difference_range", "[low, high]"),
+        (("clusters", "brim", "wiring"), [0, 1, 1, 3], "wiring", "once"),
+        (("clusters", "brim", "wiring"), [1, 2, 3, 4], "wiring", "once"),
+        (("clusters", "brim", "wiring"), [0.4, 1.0, 2.0, 3.0], "wiring", "once"),
+        (("clusters", "brim", "wiring"), DELETE, "wiring", "add"),
+        (("clusters", "brim"), [1, 2], "brim", "key: value"),
+        (("clusters",), DELETE, "clusters", "add"),
+        (("date",), DELETE, "date", "add"),
+        (("date",), None, "date", ""),
+        (("source",), None, "source", "text"),
+    ],
+)
+def test_a_bad_file_is_named_with_its_field_and_the_mend(
+    calibration, tmp_path, keys, value, field, mend
+):
+    document = copy.deepcopy(calibration.to_document())
+    place = document
+    for key in keys[:-1]:
+        place = place[key]
+    if value is DELETE:
+        del place[keys[-1]]
+    else:
+        place[keys[-1]] = value
+    path = tmp_path / "calibration.yaml"
+    path.write_text(yaml.safe_dump(document))
+    with pytest.raises(ConfigurationError) as caught:
+        read_calibration(path)
+    assert str(path) in caught.value.fact
+    assert field in caught.value.fact
+    assert mend in caught.value.mend
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("text", ["", "[1, 2]", "clusters: {a: [", "a: b: c", "\t- x"])
+def test_a_file_that_is_no_calibration_gives_one_line(tmp_path, text):
+    path = tmp_path / "calibration.yaml"
+    path.write_text(text)
+    with pytest.raises(ConfigurationError) as caught:
+        read_calibration(path)
+    assert str(path) in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_binary_file_and_no_file_give_one_line(tmp_path):
+    (tmp_path / "binary.yaml").write_bytes(bytes(range(256)))
+    for path in (tmp_path / "binary.yaml", tmp_path / "none.yaml", tmp_path):
+        with pytest.raises(ConfigurationError) as caught:
+            read_calibration(path)
+        assert str(path) in str(caught.value)
+        assert "\n" not in str(caught.value)
+
+
+def test_a_lacking_cluster_is_named(calibration):
+    calibration.require(("brim", "distal"), "the trial")
+    with pytest.raises(
+        CalibrationError, match=r"no cluster mid of the trial \(it has distal, brim"
+    ):
+        calibration.require(("brim", "mid"), "the trial")

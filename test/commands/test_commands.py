@@ -1,0 +1,300 @@
+"""The command line as a user calls it, with right and with wrong input."""
+
+import json
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from support.bags import rewrite
+
+from socket_testbed.__main__ import VERBS, run
+from socket_testbed.simulation.trial import read_truth
+
+
+def call(capsys: pytest.CaptureFixture[str], *words: object) -> tuple[int, str, str]:
+    """Exit code, standard output and standard error of a call."""
+    capsys.readouterr()
+    code = run([str(word) for word in words])
+    captured = capsys.readouterr()
+    return code, captured.out, captured.err
+
+
+def edit(path: Path, change) -> Path:
+    """Change a YAML file in place."""
+    document = yaml.safe_load(path.read_text())
+    change(document)
+    path.write_text(yaml.safe_dump(document))
+    return path
+
+
+@pytest.fixture
+def trial(hold: Path, tmp_path: Path) -> Path:
+    """A copy of the hold that a test may spoil."""
+    return Path(shutil.copytree(hold, tmp_path / "hold"))
+
+
+def test_every_verb_explains_itself(capsys) -> None:
+    for verb in VERBS:
+        with pytest.raises(SystemExit) as ended:
+            run([verb, "--help"])
+        assert ended.value.code == 0
+        assert VERBS[verb].split()[0] in capsys.readouterr().out
+
+
+def test_info_says_what_a_trial_holds(hold: Path, capsys) -> None:
+    code, out, _ = call(capsys, "info", hold)
+    assert code == 0
+    assert "/load_cell/wrench" in out and "240 samples at 4.00 Hz" in out
+    assert "plateau" in out and "socket.yaml, calibration.yaml, testbed.yaml" in out
+
+
+def test_the_offsets_vanish_with_the_bias_variant(hold: Path, tmp_path: Path, capsys) -> None:
+    channels = {}
+    for variant in ("stiffness", "stiffness_bias"):
+        model = tmp_path / f"{variant}.json"
+        assert call(capsys, "fit", hold, "--variant", variant, "-o", model)[0] == 0
+        code, out, _ = call(capsys, "evaluate", hold, "--model", model, "--json")
+        assert code == 0
+        report = json.loads(out)
+        assert report["segment"]["kind"] == "plateau"
+        channels[variant] = {c["name"]: c for c in report["channels"]}
+    plain, bias = channels["stiffness"], channels["stiffness_bias"]
+    local = [name for name in plain if "." in name]
+    assert len(local) == 12
+    for figures in (plain, bias):
+        for c in figures.values():
+            assert c["mae"] <= c["rmse"] + 1e-12 and c["sigma"] <= c["rmse"] + 1e-12
+    # Without offsets the residuals stand still: sigma is much smaller than the RMSE.
+    force = np.array([plain[n]["rmse"] for n in ("Fx", "Fy", "Fz")]).mean()
+    assert np.array([bias[n]["rmse"] for n in ("Fx", "Fy", "Fz")]).mean() < 0.2 * force
+    assert np.median([bias[n]["rmse"] for n in local]) < 0.3 * np.median(
+        [plain[n]["rmse"] for n in local]
+    )
+    assert sum(plain[n]["sigma"] for n in local) < 0.4 * sum(plain[n]["rmse"] for n in local)
+    for c in bias.values():
+        assert c["sigma"] == pytest.approx(c["rmse"], rel=1e-3, abs=1e-6)
+
+
+def test_a_left_out_channel_is_marked_and_bears_no_weight(hold, tmp_path, capsys) -> None:
+    model = tmp_path / "model.json"
+    code, out, _ = call(capsys, "fit", hold, "-o", model, "--leave-out", "distal.Fx", "Mz")
+    assert code == 0 and out.count("not in objective") == 2
+    stored = json.loads(model.read_text())
+    assert stored["parameters"]["force_bias"]["distal"][0] == 0.0
+    assert stored["parameters"]["wrench_bias"][2] == 0.0
+    code, out, _ = call(capsys, "evaluate", hold, "--model", model)
+    assert out.count("not in objective") == 2
+
+
+def test_a_spoilt_channel_is_named_and_can_be_left_out(hold, tmp_path, capsys) -> None:
+    def spoil(topic: str, message):
+        if topic == "/load_cell/wrench":
+            message.wrench.torque.z = float("nan")
+        if topic == "/clusters/capacitance":
+            message.clusters[3].status = np.full(4, 2, dtype=np.uint8)
+        return message
+
+    spoilt = rewrite(hold, tmp_path / "spoilt", spoil)
+    model = tmp_path / "model.json"
+    code, _, err = call(capsys, "fit", spoilt, "-o", model)
+    assert code == 1 and "Mz" in err and "--leave-out Mz" in err
+    assert err.count("\n") == 1 and not model.exists()
+
+    leave = ["--leave-out", "Mz"]
+    code, _, err = call(capsys, "fit", spoilt, "-o", model, *leave)
+    assert code == 1 and "--leave-out distal.Fx distal.Fy distal.Fz" in err
+
+    leave += ["distal.Fx", "distal.Fy", "distal.Fz"]
+    code, _, err = call(capsys, "fit", spoilt, "-o", model, *leave)
+    assert code == 0, err
+    assert model.exists()
+
+
+def test_a_model_predicts_another_load_in_the_truth_s_units(hold, tmp_path, capsys) -> None:
+    trial = tmp_path / "ramp"
+    call(capsys, "simulate", "-o", trial, "--scenario", "ramp", "--duration", 60)
+    model = tmp_path / "model.json"
+    assert call(capsys, "fit", trial, "--segment", "all", "-o", model)[0] == 0
+    words = ["evaluate", trial, "--model", model, "--segment", "30:60", "--json"]
+    code, out, _ = call(capsys, *words)
+    assert code == 0
+    channels = {c["name"]: c for c in json.loads(out)["channels"]}
+    assert channels["Fz"]["skill"] > 0.5
+    assert np.ptp(read_truth(trial).wrench[:, 5]) > 150.0
+
+
+def test_all_but_the_graph_works_without_ros(tmp_path: Path) -> None:
+    script = (
+        "import sys\n"
+        "for name in ('rclpy', 'socket_testbed_msgs', 'geometry_msgs', 'std_msgs'):\n"
+        "    sys.modules[name] = None\n"
+        "from socket_testbed.__main__ import run\n"
+        "assert run(['simulate', '-o', 'hold', '--duration', '40']) == 0\n"
+        "assert run(['info', 'hold']) == 0\n"
+        "assert run(['fit', 'hold', '-o', 'model.json']) == 0\n"
+        "assert run(['evaluate', 'hold', '--model', 'model.json']) == 0\n"
+        "assert run(['replay', 'hold']) == 1\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", script], check=False, cwd=tmp_path, capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stderr
+    assert "rclpy cannot be imported: run 'make setup'" in done.stderr
+
+
+def test_a_full_disk_leaves_nothing_that_looks_whole(tmp_path: Path) -> None:
+    # A limit on the size of a file stands for the disk: writing fails in the middle.
+    command = f"ulimit -f 64; {sys.executable} -m socket_testbed simulate -o hold --duration 60"
+    done = subprocess.run(
+        ["bash", "-c", command], check=False, cwd=tmp_path, capture_output=True, text=True
+    )
+    assert done.returncode == 1
+    assert "hold: cannot be written" in done.stderr and "Traceback" not in done.stderr
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_ground_truth_lies_beside_the_trial(hold: Path) -> None:
+    with np.load(hold / "ground_truth.npz") as truth:
+        assert truth["forces"].shape == (240, len(truth["names"]), 3)
+        assert {"stamps", "wrench", "position"} <= set(truth.files)
+
+
+def add_typo(trial: Path) -> None:
+    edit(trial / "socket.yaml", lambda d: d.update(neighbors=d.pop("neighbours")))
+
+
+def add_wrong_shape(trial: Path) -> None:
+    edit(trial / "socket.yaml", lambda d: d["tiles"]["distal"].update(anchor=[0.0, 0.1]))
+
+
+def add_wrong_unit(trial: Path) -> None:
+    edit(trial / "socket.yaml", lambda d: d["tiles"]["distal"].update(area=900.0))
+
+
+def add_other_clusters(trial: Path) -> None:
+    edit(
+        trial / "calibration.yaml",
+        lambda d: d["clusters"].update(elsewhere=d["clusters"].pop("distal")),
+    )
+
+
+def add_unknown_parameter(trial: Path) -> None:
+    parameters = {"estimator_node": {"ros__parameters": {"identification": {"thetta": 0.5}}}}
+    (trial / "testbed.yaml").write_text(yaml.safe_dump(parameters))
+
+
+def add_parameter_out_of_range(trial: Path) -> None:
+    parameters = {"estimator_node": {"ros__parameters": {"identification": {"theta": 5}}}}
+    (trial / "testbed.yaml").write_text(yaml.safe_dump(parameters))
+
+
+def truncate(trial: Path) -> None:
+    file = trial / "hold.mcap"
+    file.write_bytes(file.read_bytes()[: file.stat().st_size // 2])
+
+
+def break_metadata(trial: Path) -> None:
+    (trial / "metadata.yaml").write_text("rosbag2: [")
+
+
+def remove_storage(trial: Path) -> None:
+    (trial / "hold.mcap").unlink()
+
+
+@pytest.mark.parametrize(
+    ("spoil", "names"),
+    [
+        (add_typo, ["socket.yaml", "'neighbors'", "did you mean 'neighbours'?"]),
+        (add_wrong_shape, ["socket.yaml", "distal", "anchor", "shape"]),
+        (add_wrong_unit, ["socket.yaml", "distal", "area", "900", "unit"]),
+        (add_other_clusters, ["calibration", "distal", "elsewhere"]),
+        (add_unknown_parameter, ["testbed.yaml", "thetta", "did you mean 'identification.theta'?"]),
+        (add_parameter_out_of_range, ["testbed.yaml", "theta", "[0, 1]"]),
+        (truncate, ["hold.mcap", "truncated", "mcap recover"]),
+        (break_metadata, ["metadata.yaml", "ros2 bag reindex"]),
+        (remove_storage, ["hold.mcap", "not there"]),
+    ],
+    ids=lambda value: getattr(value, "__name__", ""),
+)
+@pytest.mark.parametrize("verb", ["fit", "evaluate", "replay"])
+def test_bad_input_gets_one_line_that_names_it(
+    spoil, names, verb, trial: Path, hold_model: Path, tmp_path: Path, capsys
+) -> None:
+    spoil(trial)
+    output = tmp_path / "out.json"
+    words = {
+        "fit": ["fit", trial, "-o", output],
+        "evaluate": ["evaluate", trial, "--model", hold_model],
+        "replay": ["replay", trial, "--estimate"],
+    }[verb]
+    code, out, err = call(capsys, *words)
+    assert code == 1
+    assert err.startswith(f"socket-testbed {verb}: error: ") and err.count("\n") == 1, err
+    assert "Traceback" not in err and out == ""
+    for name in names:
+        assert name in err, err
+    assert not output.exists() and not list(tmp_path.glob(".*partial*"))
+
+
+@pytest.mark.parametrize(
+    ("words", "names"),
+    [
+        (["info", "nowhere"], ["nowhere", "no such trial"]),
+        (["fit", "HOLD", "-o", "m", "--segment", "900:999"], ["900:999", "samples"]),
+        (["fit", "HOLD", "-o", "m", "--segment", "sometimes"], ["sometimes", "T0:T1"]),
+        (["fit", "HOLD", "-o", "m", "--theta", "1.5"], ["theta", "[0, 1]"]),
+        (["fit", "HOLD", "-o", "m", "--leave-out", "distal.fx"], ["distal.fx", "distal.Fx"]),
+        (["fit", "HOLD", "-o", "m", "--solver", "osqpp"], ["osqpp", "did you mean 'osqp'?"]),
+        (["fit", "HOLD", "-o", "m", "--params", "none.yaml"], ["none.yaml", "no such file"]),
+        (["evaluate", "HOLD", "--model", "none.json"], ["none.json", "no such model"]),
+        (["evaluate", "HOLD", "--model", "HOLD/socket.yaml"], ["socket.yaml", "is no model"]),
+        (["simulate", "-o", "HOLD"], ["exists already"]),
+        (["simulate", "-o", "x", "--rate", "0"], ["--rate", "[0.1, 1000]"]),
+        (["simulate", "-o", "x", "--seed", "-1"], ["--seed"]),
+        (["replay", "HOLD", "--rate", "-1"], ["--rate"]),
+        (["replay", "nowhere"], ["nowhere", "no such trial"]),
+        (["record", "HOLD"], ["exists already"]),
+        (["fit", "HOLD", "-o", "/proc/model"], ["/proc/model", "cannot be written"]),
+    ],
+    ids=lambda words: "-".join(words[:2] + words[-1:]).replace("/", "_"),
+)
+def test_a_wrong_call_gets_one_line(words, names, hold, tmp_path, capsys, monkeypatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    code, _, err = call(capsys, *(word.replace("HOLD", str(hold)) for word in words))
+    assert code == 1
+    assert err.count("\n") == 1 and "Traceback" not in err
+    for name in names:
+        assert name in err, err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_trial_of_another_kind_is_shown_and_refused(shared_data: Path, capsys) -> None:
+    code, out, err = call(capsys, "info", shared_data / "rosbag2" / "talker")
+    assert code == 1
+    assert "/topic" in out and " 10 " in out and "disagree on the QoS" in out
+    assert "has no topic 'trigger'" in err
+
+
+def test_a_ramp_has_no_plateau_to_fit_on(tmp_path: Path, capsys) -> None:
+    trial = tmp_path / "ramp"
+    call(capsys, "simulate", "-o", trial, "--scenario", "ramp", "--duration", 40)
+    code, _, err = call(capsys, "fit", trial, "-o", tmp_path / "m.json")
+    assert code == 1 and "no plateau" in err and "--segment all" in err
+    assert not (tmp_path / "m.json").exists()
+
+
+def test_a_model_of_another_socket_is_refused(trial, hold_model, capsys) -> None:
+    def rename(document) -> None:
+        old = next(name for name in document["tiles"] if name.startswith("h"))
+        document["tiles"]["renamed"] = document["tiles"].pop(old)
+        document["neighbours"] = [
+            ["renamed" if name == old else name for name in pair] for pair in document["neighbours"]
+        ]
+
+    edit(trial / "socket.yaml", rename)
+    code, _, err = call(capsys, "evaluate", trial, "--model", hold_model)
+    assert code == 1 and "another socket" in err

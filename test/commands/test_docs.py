@@ -1,0 +1,80 @@
+"""Docs are true: the README's commands run, and its tables name what there is."""
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from support import CHECKOUT
+
+from socket_testbed.__main__ import VERBS
+from socket_testbed.trials.topics import TOPICS
+
+README = (CHECKOUT / "README.md").read_text()
+PAGES = [
+    CHECKOUT / "README.md",
+    CHECKOUT / "CONTRIBUTING.md",
+    *sorted((CHECKOUT / "docs").glob("*.md")),
+]
+
+
+def commands(page: Path) -> str:
+    """The commands of a page that run anywhere, in their order."""
+    blocks = re.findall(r"```bash\n(.*?)```", page.read_text(), flags=re.DOTALL)
+    script = "".join(block for block in blocks if "make " not in block)
+    return script.replace(".venv/bin/", f"{Path(sys.executable).parent}/")
+
+
+@pytest.mark.parametrize("page", [p for p in PAGES if commands(p)], ids=lambda page: page.name)
+def test_a_page_s_commands_run_in_their_order(page: Path, tmp_path: Path) -> None:
+    done = subprocess.run(
+        ["bash", "-euo", "pipefail", "-c", commands(page)],
+        check=False,
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        timeout=400,
+    )
+    assert done.returncode == 0, done.stderr
+    if page.name == "README.md":
+        assert "mean moment RMSE" in done.stdout
+        assert (tmp_path / "errors.json").stat().st_size > 1000
+
+
+def test_the_readme_s_make_targets_exist() -> None:
+    targets = set(
+        re.findall(r"^([a-z]+):", (CHECKOUT / "Makefile").read_text(), flags=re.MULTILINE)
+    )
+    named = set(re.findall(r"(?:^|`)make ([a-z]+)", README, flags=re.MULTILINE))
+    assert named == {"demo", "test", "colcon"}
+    assert named <= targets
+
+
+def test_the_readme_s_program_compiles() -> None:
+    (program,) = re.findall(r"```python\n(.*?)```", README, flags=re.DOTALL)
+    compile(program, "README.md", "exec")
+
+
+def test_the_readme_names_every_verb() -> None:
+    assert set(re.findall(r"^\| `([a-z]+)", README, flags=re.MULTILINE)) == set(VERBS)
+
+
+def test_the_conventions_name_every_topic_with_its_type() -> None:
+    page = (CHECKOUT / "docs" / "conventions.md").read_text()
+    for topic in TOPICS:
+        package, _, name = topic.type.split("/")
+        assert re.search(rf"`{topic.name}`.*\| {package}/{name} \|", page), topic.name
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_every_link_leads_somewhere(page: Path) -> None:
+    for target in re.findall(r"\]\(([^)#:]+)\)", page.read_text()):
+        assert (page.parent / target).exists(), target
+
+
+def test_the_map_names_folders_and_files_that_exist() -> None:
+    page = (CHECKOUT / "CONTRIBUTING.md").read_text()
+    for name in re.findall(r"[a-z_]+\.py\b|[a-z_]+/(?= )", page):
+        found = list(CHECKOUT.glob(f"**/{name.rstrip('/')}"))
+        assert [path for path in found if ".venv" not in path.parts], name

@@ -1,0 +1,248 @@
+"""`register`: its landmark file, what it refuses, what it prints and writes."""
+
+import argparse
+import copy
+import textwrap
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from support.motive_takes import (
+    SOCKET_NAMES,
+    Bench,
+    Written,
+    between,
+    make_bench,
+    refused,
+    track,
+    write_landmarks,
+    write_take,
+)
+from support.problems import random_pose
+
+from socket_testbed.commands import register as verb
+from socket_testbed.errors import ConfigurationError, RegistrationError
+from socket_testbed.geometry.pose import Pose
+from socket_testbed.geometry.socket import read_socket, write_socket
+from socket_testbed.socket_design.landmarks import LANDMARK_FILE_HELP, read_landmarks
+from socket_testbed.socket_design.registration import read_static_take
+
+
+@pytest.fixture
+def rng():
+    return np.random.default_rng(23)
+
+
+def drop(*keys: str):
+    def change(bench: Bench) -> None:
+        place = bench.document
+        for key in keys[:-1]:
+            place = place[key]
+        del place[keys[-1]]
+
+    return change
+
+
+def put(value: object, *keys: str):
+    def change(bench: Bench) -> None:
+        place = bench.document
+        for key in keys[:-1]:
+            place = place[key]
+        place[keys[-1]] = value
+
+    return change
+
+
+@pytest.mark.parametrize(
+    ("change", "fact", "mend"),
+    [
+        (drop("limb"), "'limb' is missing", "add"),
+        (drop("bodies", "pylon"), "bodies: 'pylon' is missing", "add"),
+        (put({}, "limb"), "limb: 0 landmarks", "three or more"),
+        (put({"A": [0, 0, 0], "B": [0, 1, 0]}, "limb"), "limb: 2 landmarks", "three or more"),
+        (put(None, "load_cell"), "load_cell: a mapping is expected", "key: value"),
+        (put(1, "loadcell"), "unknown key 'loadcell'", "'load_cell'"),
+        (put([0.1, 0.2], "limb", "Limb:1"), "limb: Limb:1 has the shape 2", "shape 3"),
+        (put([0.1, 0.2, 30.0], "limb", "Limb:1"), "Limb:1 holds 30", "unit"),
+        (put(["A", "B"], "bodies", "socket"), "bodies: socket names no three", "rigid_body"),
+        (put(["A", "B", "A"], "bodies", "socket"), "socket names no three", "rigid_body"),
+        (put("Socket", "bodies", "socket"), "socket names no three", "rigid_body"),
+        (put({"body": "A"}, "bodies", "socket"), "unknown key 'body'", "rigid_body"),
+        (put([0.0, 0.0, 0.0], "limb", "Cell:1"), "'Cell:1' is on the socket's side", "one side"),
+        (put(list(SOCKET_NAMES), "bodies", "pylon"), "'Socket:Marker1' is on", "one side"),
+    ],
+)
+def test_a_bad_landmark_file_is_named_with_its_field(rng, tmp_path, change, fact, mend):
+    bench = make_bench(rng)
+    change(bench)
+    error = refused(bench, tmp_path, ConfigurationError)
+    assert str(tmp_path / "landmarks.yaml") in error and fact in error
+    assert mend.replace("three", "3") in error or mend in error
+
+
+@pytest.mark.parametrize(
+    ("change", "fact"),
+    [
+        (put([0.0, 0.1, 0.0], "limb", "Limb:9"), "has no marker 'Limb:9': did you mean 'Limb:"),
+        (put({"rigid_body": "Pilon"}, "bodies", "pylon"), "has no rigid body 'Pilon'"),
+        (put(["Cell:1", "Cell:2", "Nil"], "bodies", "socket"), "has no marker 'Nil'"),
+        (
+            put([0.06, 0.001, 0.01], "load_cell", "Cell:2"),
+            "load_cell: landmarks Cell:0 and Cell:2 are given 1.0 mm",
+        ),
+    ],
+)
+def test_landmarks_that_do_not_match_the_take_are_refused(rng, tmp_path, change, fact):
+    bench = make_bench(rng)
+    change(bench)
+    assert fact in refused(bench, tmp_path)
+
+
+def test_the_documented_landmark_file_is_one(tmp_path):
+    _, example, _ = (LANDMARK_FILE_HELP).split("\n\n")
+    path = tmp_path / "landmarks.yaml"
+    path.write_text(textwrap.dedent(example))
+    landmarks = read_landmarks(path)
+    assert landmarks.socket.triad == SOCKET_NAMES and landmarks.pylon.triad == "Pylon"
+    np.testing.assert_array_equal(landmarks.socket.landmarks["Cell:Marker3"], [0.0, 0.055, 0.04])
+    assert list(landmarks.pylon.landmarks) == [f"Limb:Marker{i}" for i in (1, 2, 3)]
+
+
+def test_swapped_landmarks_are_named(rng, tmp_path):
+    bench = make_bench(rng)
+    cell = bench.document["load_cell"]
+    cell["Cell:2"], cell["Cell:4"] = cell["Cell:4"], cell["Cell:2"]
+    error = refused(bench, tmp_path)
+    assert "landmarks Cell:2 and Cell:4 fit with" in error and "swapped" in error
+
+
+def test_a_rigid_body_without_its_three_markers_is_refused(rng, tmp_path):
+    bench = track(make_bench(rng), "Socket", SOCKET_NAMES, random_pose(rng, 0.05))
+    bench.document["bodies"]["socket"] = {"rigid_body": "Socket"}
+    del bench.take.markers[SOCKET_NAMES[1]]
+    assert "rigid body 'Socket' has 2 measured markers" in refused(bench, tmp_path)
+
+
+def move_limb(take: Written) -> None:
+    for name in take.markers:
+        if name.startswith(("Pylon", "Limb")):
+            take.markers[name] += np.linspace(0.0, 0.004, len(take))[:, None]
+
+
+def hide_landmark(take: Written) -> None:
+    take.markers["Limb:3"][10:] = np.nan
+
+
+@pytest.mark.parametrize(
+    ("spoil", "fact"), [(move_limb, "drifted by"), (hide_landmark, "Limb:3 is occluded in 50")]
+)
+def test_a_take_that_is_no_static_one_is_refused_by_the_body(rng, tmp_path, spoil, fact):
+    bench = make_bench(rng)
+    spoil(bench.take)
+    error = refused(bench, tmp_path)
+    assert f"{tmp_path / 'take.csv'}: pylon" in error and fact in error
+
+
+def test_a_trial_cannot_register(hold):
+    with pytest.raises(RegistrationError, match="two triads but no landmarks") as caught:
+        read_static_take(hold)
+    assert "static take" in caught.value.mend
+
+
+def call(*words: object) -> None:
+    """Run the verb as the command line does."""
+    parser = argparse.ArgumentParser()
+    verb.configure(parser)
+    options = parser.parse_args([str(word) for word in words])
+    options.run(options)
+
+
+@pytest.fixture
+def files(rng, tmp_path) -> tuple[Bench, list[object]]:
+    """A bench, and the words that register it from its files."""
+    bench = make_bench(rng, placement=3e-4)
+    bench.take.markers["Cell:2"][:7] = np.nan
+    take = write_take(bench.take, tmp_path / "take.csv")
+    landmarks = write_landmarks(bench.document, tmp_path / "landmarks.yaml")
+    write_socket(bench.geometry, tmp_path / "socket.yaml")
+    return bench, [take, "--landmarks", landmarks, "--socket", tmp_path / "socket.yaml"]
+
+
+def test_the_help_shows_the_landmark_file():
+    parser = argparse.ArgumentParser()
+    verb.configure(parser)
+    assert "Socket:Marker1, Socket:Marker2" in parser.format_help()
+
+
+def test_the_verb_writes_the_registered_socket(files, tmp_path, capsys):
+    bench, words = files
+    old = (tmp_path / "socket.yaml").read_bytes()
+    call(*words, "-o", tmp_path / "new.yaml")
+    assert (tmp_path / "socket.yaml").read_bytes() == old
+    new = read_socket(tmp_path / "new.yaml")
+    assert new.same_tiles(bench.geometry) and new.clusters == bench.geometry.clusters
+    assert between(new.socket_body, bench.socket_body)[0] < 0.002
+    assert between(new.limb, bench.limb)[0] < 0.002
+    out = capsys.readouterr().out
+    assert "60 frames at 120 Hz" in out and "socket and load_cell: 53 frames used, 7 left" in out
+    assert "5 landmarks, residual 0." in out and "(9 degrees of freedom)" in out
+    for name in bench.take.markers:
+        assert f"\n{name} " in out
+    assert "limb position q in {S}: (" in out and "mm in all" in out
+    assert out.endswith(f"registered socket in {tmp_path / 'new.yaml'}\n")
+
+
+def test_the_verb_says_in_words_what_it_wrote(files, tmp_path, capsys):
+    _, words = files
+    call(*words)
+    new = read_socket(tmp_path / "socket.yaml")
+    out = capsys.readouterr().out
+    for pose in (new.socket_body, new.limb):
+        x, y, z = (f"{1e3 * value:.2f}" for value in pose.translation)
+        turn = np.degrees(Rotation.from_matrix(pose.rotation).magnitude())
+        assert f"at ({x}, {y}, {z}) mm, turned by {turn:.2f} deg about" in out
+
+
+def test_without_an_output_the_socket_is_replaced_or_left_as_it_was(files, tmp_path):
+    bench, words = files
+    socket, landmarks = tmp_path / "socket.yaml", tmp_path / "landmarks.yaml"
+    old = socket.read_bytes()
+    bad = copy.deepcopy(bench.document)
+    bad["limb"]["Limb:2"][0] += 0.05
+    write_landmarks(bad, landmarks)
+    with pytest.raises(RegistrationError, match="--force"):
+        call(*words)
+    assert socket.read_bytes() == old
+    call(*words, "--force")
+    forced = read_socket(socket)
+    write_landmarks(bench.document, landmarks)
+    call(*words)
+    right = read_socket(socket)
+    assert between(forced.limb, bench.limb)[0] > 0.005 > between(right.limb, bench.limb)[0]
+    assert sorted(path.name for path in tmp_path.iterdir()) == [
+        "landmarks.yaml", "socket.yaml", "take.csv",
+    ]  # fmt: skip
+
+
+def test_a_socket_that_nobody_could_read_again_is_not_written(files, tmp_path):
+    bench, words = files
+    bench = track(bench, "Socket", SOCKET_NAMES, Pose(np.eye(3), np.array([1.5, 0.0, 0.0])))
+    write_take(bench.take, tmp_path / "take.csv")
+    bench.document["bodies"]["socket"] = {"rigid_body": "Socket"}
+    write_landmarks(bench.document, tmp_path / "landmarks.yaml")
+    old = (tmp_path / "socket.yaml").read_bytes()
+    with pytest.raises(
+        ConfigurationError, match=r"socket.yaml: bodies: socket: markers holds 1\.5"
+    ):
+        call(*words)
+    assert (tmp_path / "socket.yaml").read_bytes() == old
+
+
+def test_notes_go_to_standard_error(files, tmp_path, capsys):
+    bench, words = files
+    few = {name: bench.document["limb"][name] for name in ("Limb:1", "Limb:2", "Limb:3")}
+    write_landmarks(bench.document | {"limb": few}, tmp_path / "landmarks.yaml")
+    call(*words)
+    captured = capsys.readouterr()
+    assert "note: limb: Limb:1, Limb:2, Limb:3 lie in one plane" in captured.err
+    assert "note:" not in captured.out

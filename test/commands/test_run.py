@@ -1,0 +1,139 @@
+"""`run` and `doctor` as a user calls them, on simulated hardware and on a machine without any."""
+
+import re
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import yaml
+from support.testbeds import Recorded
+
+from socket_testbed.__main__ import run
+from socket_testbed.files import packaged
+from socket_testbed.settings.testbed import read_parameters
+from socket_testbed.trials.trial import Trial
+
+COMMAND = (sys.executable, "-m", "socket_testbed")
+
+
+def test_run_records_until_ctrl_c(tmp_path: Path) -> None:
+    path = tmp_path / "trial"
+    words = ["run", "--simulated", "--rate", "20", "--record", str(path), "--variant", "stiffness"]
+    with subprocess.Popen(
+        [*COMMAND, *words], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as process:
+        assert process.stderr is not None
+        for line in process.stderr:
+            if "triggering at 20 Hz" in line:
+                break
+        process.send_signal(signal.SIGINT)
+        out, err = process.communicate(timeout=30)
+    assert process.returncode == 0, err
+    assert re.search(r"\d+ triggers, (all \d+ complete|wrench missing)", out), out
+    recorded = Recorded(path)
+    assert not recorded.notes and not any(recorded.lacking().values())
+    trial = Trial(path)
+    assert trial.estimator.identification.variant == "stiffness"
+    stored = read_parameters(path / "testbed.yaml")
+    assert stored["trigger_node"].to_flat()["rate"] == 20.0
+    assert "simulation" not in (path / "testbed.yaml").read_text()
+
+
+def test_run_ends_by_itself_and_a_fault_is_seen(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "trial"
+    words = ["run", "--simulated", "--rate", "20", "--duration", "10", "--record", str(path)]
+    assert run([*words, "--fault", "clusters.nack=3", "--one-process"]) == 0
+    out, err = capfd.readouterr()
+    assert "no answer at 0x50 behind channel 2 of 0x70 on i2c-1: check" in err
+    assert "posterior_distal missing" in out
+    # It opens again, with the parameters that are stored in it.
+    assert run(["info", str(path)]) == 0
+
+
+def test_doctor_finds_all_that_is_simulated(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["doctor", "--simulated"]) == 0
+    table = capsys.readouterr().out
+    for found in (
+        "line 17 to 27",
+        "FDC1004 at 0x50 behind channel 3 of 0x70 on i2c-1",
+        "ADS131M06 on spidev0.0, ID 0x26",
+        "0 of 1000 frames corrupted",
+        "NatNet 4.1",
+        "jitter",
+        "spidev0.0 converts",
+        "its three markers are seen",
+    ):
+        assert found in table
+    assert "failed" not in table
+
+
+def test_doctor_names_what_fails_and_the_mend(capsys: pytest.CaptureFixture[str]) -> None:
+    faults = ["trigger.missing=1", "clusters.nack=2", "load_cell.unplugged=1", "mocap.unplugged=1"]
+    words = [word for fault in faults for word in ("--fault", fault)]
+    assert run(["doctor", "--simulated", *words]) == 1
+    out, err = capsys.readouterr()
+    rows = {line.split("  ")[0]: line for line in out.splitlines()}
+    for what, mend in {
+        "trigger": "check the wire between the two lines",
+        "cluster mid_anterior": "check the cluster's plug",
+        "load cell": "check MISO",
+        "motion capture": "check that Motive streams",
+    }.items():
+        assert "failed" in rows[what] and mend in rows[what]
+    assert "failed" not in rows["cluster distal"]
+    assert "checks failed" in err
+
+
+def test_doctor_without_hardware(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    parameters = yaml.safe_load(packaged("config", "simulated.yaml").read_text())
+    parameters |= {
+        "mocap_node": {"ros__parameters": {"server": "127.0.0.1", "command_port": 9}},
+        "load_cell_node": {
+            "ros__parameters": parameters["load_cell_node"]["ros__parameters"] | {"device": "250.7"}
+        },
+        "cluster_node": {"ros__parameters": {"buses": [250, 250, 250, 250]}},
+        "trigger_node": {"ros__parameters": {"chip": "no such chip"}},
+    }
+    file = tmp_path / "testbed.yaml"
+    file.write_text(yaml.safe_dump(parameters))
+    assert run(["doctor", "--params", str(file)]) == 1
+    table = capsys.readouterr().out
+    for named in ("/dev/i2c-250", "dtparam=i2c_arm=on", "spidev250.7", "'no such chip'"):
+        assert named in table
+    assert "Traceback" not in table
+
+
+@pytest.mark.parametrize(
+    ("words", "text"),
+    [
+        (["--fault", "mocap.drop=1"], "add --simulated"),
+        (["--simulated", "--fault", "mocap.dorp=1"], "did you mean 'mocap.drop'?"),
+        (["--simulated", "--fault", "mocap.drop=often"], "'often' is no number"),
+        (["--simulated", "--record", "."], "exists already"),
+        (["--simulated", "--record", "/proc/trial"], "name another folder"),
+        (["--simulated", "--fault", "clusters.nack=nan"], "clusters.nack"),
+        (["--simulated", "--period", "1"], "--period"),
+        (["--simulated", "--rate", "1e6"], "rate"),
+        (["--simulated", "--leave-out", "distal.Fq"], "distal.F"),
+        (["--duration", "1"], "load_cell_node: "),
+    ],
+)
+def test_what_is_wrong_is_named_in_a_line(
+    words: list[str], text: str, capfd: pytest.CaptureFixture[str]
+) -> None:
+    assert run(["run", *words]) == 1
+    err = capfd.readouterr().err
+    assert text in err and "Traceback" not in err
+    assert err.splitlines()[-1].startswith("socket-testbed run: error: ")
+
+
+def test_a_cluster_on_no_tile_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = tmp_path / "testbed.yaml"
+    names = ["brim_lateral", "mid_anterior", "posterior_distal", "distale"]
+    file.write_text(yaml.safe_dump({"cluster_node": {"ros__parameters": {"names": names}}}))
+    assert run(["run", "--simulated", "--params", str(file)]) == 1
+    assert "distale" in capsys.readouterr().err

@@ -1,0 +1,388 @@
+"""The converter's driver and its simulated chip, byte by byte."""
+
+import importlib
+import sys
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from support.clocks import FakeClock
+
+from socket_testbed.drivers.load_cell.ads131m0x import (
+    Ads131m0x,
+    ChecksumError,
+    ConversionClock,
+    ConversionRing,
+    ConverterResetError,
+    NoAnswerError,
+    at_rail,
+    checksum,
+    conversion_period,
+    group_delay,
+    open_spi,
+    volts,
+)
+from socket_testbed.errors import ConfigurationError, DeviceError
+from socket_testbed.simulation.devices.ads131m0x import SimulatedAds131m0x
+
+PERIOD = 1e-3
+
+
+class Wire:
+    """A bus that keeps what was sent, and may change what comes back."""
+
+    def __init__(self, chip, alter=lambda answer: answer) -> None:
+        self.chip = chip
+        self.alter = alter
+        self.sent: list[list[int]] = []
+
+    def xfer2(self, data: list[int], /) -> list[int]:
+        self.sent.append(list(data))
+        return self.alter(self.chip.xfer2(data))
+
+    def close(self) -> None:
+        pass
+
+
+def words(*values: int, length: int = 24) -> list[int]:
+    """A frame of 16-bit words at the heads of words of 24 bits."""
+    return list(b"".join(v.to_bytes(2, "big") + b"\0" for v in values).ljust(length, b"\0"))
+
+
+def bench(channels=6, crc="ccitt", signal=None, faults=None, chip_channels=None, seed=1):
+    clock = FakeClock()
+    count = chip_channels or channels
+    constant = np.linspace(-0.5, 0.5, count)
+    chip = SimulatedAds131m0x(
+        signal or (lambda moment: constant), count, {} if faults is None else faults, clock,
+        seed=seed,
+    )  # fmt: skip
+    wire = Wire(chip)
+    return clock, chip, wire, Ads131m0x(wire, channels, crc, "spidev0.0", clock.sleep)
+
+
+@pytest.mark.parametrize(("crc", "value"), [("ccitt", 0x29B1), ("ansi", 0xAEE7)])
+def test_checksums_have_their_published_check_values(crc: str, value: int) -> None:
+    assert checksum(b"123456789", crc) == value
+
+
+@pytest.mark.parametrize("oversampling", [128, 1024, 2048, 4096, 16384])
+def test_the_delay_is_the_middle_of_the_filter(oversampling: int) -> None:
+    box = np.ones(min(oversampling, 1024))
+    response = np.convolve(np.convolve(box, box), box)
+    if oversampling > 1024:
+        outputs = np.zeros(oversampling - 1023)
+        outputs[::1024] = 1.0
+        response = np.convolve(response, outputs)
+    middle = np.arange(len(response)) @ response / response.sum() / 4.096e6
+    assert group_delay(8.192e6, oversampling) == pytest.approx(middle, abs=5e-7)
+
+
+def test_periods_are_those_of_the_data_sheet() -> None:
+    assert conversion_period(8.192e6, 128) == pytest.approx(1 / 32e3)
+    assert conversion_period(8.192e6, 16384) == pytest.approx(1 / 250)
+
+
+def test_a_frame_is_read_as_written_by_hand() -> None:
+    body = bytes.fromhex("013F00000001FFFFFF7FFFFF800000123456FEDCBA")
+    frame = body + checksum(body, "ccitt").to_bytes(2, "big") + b"\0"
+    wire = SimpleNamespace(xfer2=lambda data: list(frame), close=lambda: None)
+    read = Ads131m0x(wire, 6).read()
+    assert (read.status, read.new) == (0x013F, True)
+    assert read.codes.tolist() == [1, -1, 0x7FFFFF, -0x800000, 0x123456, 0xFEDCBA - (1 << 24)]
+    assert at_rail(read.codes).tolist() == [False, False, True, True, False, False]
+    assert volts(read.codes, 4)[3] == pytest.approx(-0.3)
+
+
+def test_the_configuration_is_this_conversation() -> None:
+    _, _, wire, converter = bench()
+    converter.reset_and_configure(4096, 8)
+    assert wire.sent == [
+        words(0x0655),
+        words(0x0011),
+        words(0xA000),
+        words(0x0000),
+        words(0x6103, 0x0110, 0x3F16, 0x3333, 0x0033),
+        words(0xA100),
+        words(0xA180),
+        words(0xA200),
+        words(0xA280),
+        words(0x0000),
+        words(0x0000),
+        words(0x0000),
+    ]
+    assert converter.identity == 0x2602
+
+
+@pytest.mark.parametrize("channels", [6, 8])
+@pytest.mark.parametrize("crc", ["ccitt", "ansi"])
+def test_voltages_come_through(channels: int, crc: str) -> None:
+    clock, _, wire, converter = bench(channels, crc)
+    converter.reset_and_configure(1024, 2)
+    clock.sleep(0.25e-3)
+    frame = converter.read()
+    assert frame.new
+    assert len(wire.sent[-1]) == 3 * (channels + 2)
+    step = 1.2 / (2 * 2**23)
+    np.testing.assert_allclose(volts(frame.codes, 2), np.linspace(-0.5, 0.5, channels), atol=step)
+
+
+def test_another_configuration_follows_an_earlier_one() -> None:
+    """After a crash of the computer the chip is as it was left, checksum and lock included."""
+    clock, chip, wire, converter = bench(crc="ansi")
+    converter.reset_and_configure(1024, 2)
+    chip.xfer2(words(0x0555))
+    again = Ads131m0x(wire, 6, "ccitt", "spidev0.0", clock.sleep)
+    again.reset_and_configure(4096, 1)
+    clock.sleep(PERIOD)
+    assert again.read().new
+
+
+@pytest.mark.parametrize(
+    ("channels", "chip_channels", "wanted"), [(6, 8, "0x26xx"), (8, 6, "0x28xx")]
+)
+def test_another_chip_is_named(channels: int, chip_channels: int, wanted: str) -> None:
+    _, _, _, converter = bench(channels, chip_channels=chip_channels)
+    with pytest.raises(DeviceError, match=rf"spidev0\.0: .* ID 0x2{chip_channels}02, not {wanted}"):
+        converter.reset_and_configure(4096, 1)
+
+
+@pytest.mark.parametrize("bit", [0, 1])
+def test_a_dead_wire_is_no_answer(bit: int) -> None:
+    _, _, wire, converter = bench()
+    wire.alter = lambda answer: [255 * bit] * len(answer)
+    with pytest.raises(
+        NoAnswerError, match=rf"spidev0\.0: no answer \(every bit reads {bit}\)"
+    ) as e:
+        converter.reset_and_configure(4096, 1)
+    assert "MISO" in e.value.mend
+
+
+def test_a_failing_bus_is_named() -> None:
+    _, _, wire, converter = bench()
+
+    def fail(answer):
+        raise OSError(110, "Connection timed out")
+
+    wire.alter = fail
+    with pytest.raises(NoAnswerError, match=r"spidev0\.0: the bus fails \(Connection timed out\)"):
+        converter.read()
+
+
+@pytest.mark.parametrize(("dead", "error"), [(0x6103, "register 0x02"), (0x0011, "did not reset")])
+def test_a_command_that_has_no_effect_is_noticed(dead: int, error: str) -> None:
+    clock, chip, _, _ = bench()
+
+    def deaf(data):
+        return chip.xfer2(words(0) if data[:2] == list(dead.to_bytes(2, "big")) else data)
+
+    wire = SimpleNamespace(xfer2=deaf, close=lambda: None)
+    with pytest.raises(DeviceError, match=error):
+        Ads131m0x(wire, 6, sleep=clock.sleep).reset_and_configure(4096, 1)
+
+
+def test_a_reset_chip_is_noticed() -> None:
+    faults: dict[str, float] = {}
+    clock, _, _, converter = bench(faults=faults)
+    converter.reset_and_configure(4096, 1)
+    faults["load_cell.brown_out"] = 0.01
+    converter.read()
+    clock.sleep(0.01)
+    with pytest.raises(ConverterResetError, match=r"spidev0\.0: .* reset state"):
+        converter.read()
+
+
+@pytest.mark.parametrize("crc", ["ccitt", "ansi"])
+def test_no_flipped_bit_passes(crc: str) -> None:
+    clock, _, wire, converter = bench(crc=crc)
+    converter.reset_and_configure(4096, 1)
+    clock.sleep(PERIOD)
+    for bit in range(8 * 23):  # the last byte is padding behind the checksum
+        wire.alter = lambda a, b=bit: [
+            v ^ (1 << b % 8 if k == b // 8 else 0) for k, v in enumerate(a)
+        ]
+        with pytest.raises(ChecksumError):
+            converter.read()
+
+
+def test_frames_are_checked_by_number() -> None:
+    faults = {"load_cell.flipped_bits": 0.0}
+    _, _, _, converter = bench(faults=faults)
+    converter.reset_and_configure(4096, 1)
+    assert converter.check_frames(50) == 0
+    faults["load_cell.flipped_bits"] = 1.0
+    # A flipped bit behind the checksum, one in 24 bytes, harms nothing.
+    assert 40 <= converter.check_frames(50) <= 50
+
+
+def test_data_is_new_once_and_the_oldest_two_wait() -> None:
+    clock, _, _, converter = bench(signal=lambda moment: np.full(6, 0.1 * (moment - 100.0)))
+    converter.reset_and_configure(4096, 1)
+    while converter.read().new:
+        pass
+    begin = clock.now
+    clock.sleep(10 * PERIOD)
+    frames = [converter.read() for _ in range(3)]
+    assert [frame.new for frame in frames] == [True, True, False]
+    ages = [clock.now - (100.0 + 10.0 * volts(f.codes, 1)[0]) for f in frames[:2]]
+    assert ages[0] - ages[1] == pytest.approx(PERIOD, rel=1e-3)
+    assert ages[0] >= clock.now - begin - PERIOD
+
+
+def test_what_has_not_settled_is_dropped() -> None:
+    clock, chip, _, converter = bench()
+    chip.xfer2(words(0x0011))
+    clock.sleep(2e-3)
+    first = chip.xfer2(words(0))
+    chip.xfer2(words(0))
+    clock.sleep(0.25e-3)
+    third = chip.xfer2(words(0))
+    assert first[3:6] != third[3:6]
+    converter.reset_and_configure(4096, 1)
+    for _ in range(5):
+        clock.sleep(PERIOD)
+        assert converter.read().codes[0] == round(-0.5 * 2**23 / 1.2)
+
+
+def test_the_chip_clips_at_its_rails_by_its_gain() -> None:
+    clock, _, _, converter = bench(signal=lambda moment: np.array([0.16, -0.16, 0.14, 0, 0, 0.1]))
+    converter.reset_and_configure(4096, 8)
+    clock.sleep(PERIOD)
+    frame = converter.read()
+    assert at_rail(frame.codes).tolist() == [True, True, False, False, False, False]
+    assert volts(frame.codes, 8)[2] == pytest.approx(0.14, abs=1e-6)
+
+
+def test_the_chip_answers_in_the_next_frame() -> None:
+    clock, chip, _, _ = bench()
+    clock.sleep(1.0)
+
+    def response() -> int:
+        return int.from_bytes(chip.xfer2(words(0))[:2], "big")
+
+    assert response() & 0xFF00 == 0x0500
+    for command, answer in [(0x0022, 0x0022), (0x0033, 0x0033), (0xA000, 0x2602), (0xA200, 0x0000)]:
+        chip.xfer2(words(command))
+        assert response() == answer
+    chip.xfer2(words(0xA102))  # three registers from MODE on
+    frame = bytes(chip.xfer2(words(0)))
+    assert frame[:12] == bytes(words(0xE102, 0x0510, 0x7F0E, 0x0000, length=12))
+    assert int.from_bytes(frame[12:14], "big") == checksum(frame[:12], "ccitt")
+    chip.xfer2(words(0x6200, 0x1111))
+    assert response() == 0x4200
+    chip.xfer2(words(0x0555))
+    assert response() == 0x0555
+    for refused in (words(0x6200, 0x2222), words(0x0011), words(0x0022)):
+        chip.xfer2(refused)
+        assert response() & 0x8500 == 0x8500
+    chip.xfer2(words(0xA200))
+    assert response() == 0x1111
+    chip.xfer2(words(0x0655))
+    assert response() == 0x0655
+    chip.xfer2(words(0x0011)[:-3])
+    assert response() == 0x0011, "a reset takes a whole frame"
+    chip.xfer2(words(0x0011, length=25)[:23])
+    assert response() & 0xFF00 == 0x0500, "no command ends within a word"
+    chip.xfer2(words(0x0011))
+    assert response() == 0xFF26
+
+
+def test_conversions_are_timed_closer_than_they_are_read() -> None:
+    rng = np.random.default_rng(4)
+    times, worst, taken = ConversionClock(PERIOD), 0.0, 0
+    ends = 5.0 + 1.0003 * PERIOD * np.arange(3000)  # the chip's clock is a bit slow
+    now, waiting = 4.99, 0
+    while waiting < len(ends):
+        now += rng.uniform(0.4, 1.7) * PERIOD
+        while waiting < len(ends) and ends[waiting] <= now:
+            end = times.conversion_end(now)
+            if end is not None and waiting > 200:
+                worst = max(worst, abs(end - ends[waiting]))
+                taken += 1
+            waiting += 1
+        times.nothing_waits(now)
+        if waiting % 500 == 250:
+            times.lose()
+            times.nothing_waits(now)
+    assert taken > 2700
+    assert worst < 0.25 * PERIOD
+
+
+def test_a_pause_leaves_no_conversion_with_a_wrong_time() -> None:
+    times = ConversionClock(PERIOD)
+    assert times.conversion_end(1.0) is None, "nothing is known of what waits at first"
+    times.nothing_waits(1.0)
+    assert times.conversion_end(1.0005) == pytest.approx(1.00025)
+    times.nothing_waits(1.001)
+    assert times.conversion_end(1.004) is None
+    assert times.conversion_end(1.004) is None
+    times.nothing_waits(1.004)
+    assert times.conversion_end(1.0045) is not None
+    times.nothing_waits(1.0505)  # the conversions themselves had paused
+    assert times.conversion_end(1.0509) == pytest.approx(1.0507)
+
+
+def test_the_ring_keeps_the_last_in_order() -> None:
+    ring = ConversionRing(0.1, 1.0)
+    for k in range(25):
+        ring.add(0.1 * k, np.full(6, float(k)), np.arange(6) == k % 6)
+    times, ratios, rails = ring.between(-1.0, 9.0)
+    assert times == pytest.approx(0.1 * np.arange(15, 25))
+    assert ratios[:, 2].tolist() == list(range(15, 25))
+    assert rails.argmax(axis=1).tolist() == [k % 6 for k in range(15, 25)]
+    assert ring.between(1.95, 2.15)[1][:, 0].tolist() == [20.0, 21.0]
+    assert len(ring.between(5.0, 4.0)[0]) == 0
+
+
+def opened_with(monkeypatch: pytest.MonkeyPatch, error: OSError | None):
+    calls: list = []
+
+    class Device:
+        def open(self, bus, select):
+            calls.append((bus, select))
+            if error is not None:
+                raise error
+
+        def close(self):
+            calls.append("closed")
+
+    monkeypatch.setitem(sys.modules, "spidev", SimpleNamespace(SpiDev=Device))
+    return calls
+
+
+def test_the_bus_is_opened_in_mode_1(monkeypatch: pytest.MonkeyPatch) -> None:
+    calls = opened_with(monkeypatch, None)
+    spi = open_spi("1.2", 8e6)
+    assert calls == [(1, 2)]
+    assert (spi.mode, spi.max_speed_hz) == (1, 8_000_000)
+
+
+@pytest.mark.parametrize(
+    ("error", "fact", "mend"),
+    [
+        (FileNotFoundError(2, "No such file"), "/dev/spidev0.0 does not exist", "dtparam=spi=on"),
+        (PermissionError(13, "Permission denied"), "/dev/spidev0.0: permission", "group spi"),
+        (OSError(16, "Device busy"), "/dev/spidev0.0: cannot be opened (Device busy)", "spi_clock"),
+    ],
+)
+def test_a_bus_that_cannot_be_opened_says_why(monkeypatch, error, fact, mend) -> None:
+    calls = opened_with(monkeypatch, error)
+    with pytest.raises(DeviceError) as raised:
+        open_spi("0.0", 8e6)
+    assert fact in raised.value.fact
+    assert mend in raised.value.mend
+    assert calls[-1] == "closed"
+
+
+def test_a_missing_library_says_how_to_get_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "spidev", None)
+    with pytest.raises(ImportError):
+        importlib.import_module("spidev")
+    with pytest.raises(DeviceError, match="python3-spidev"):
+        open_spi("0.0", 8e6)
+
+
+@pytest.mark.parametrize("device", ["", "0", "spidev0.0", "0.0.0", "-1.0", "a.b"])
+def test_a_malformed_device_is_a_setting(device: str) -> None:
+    with pytest.raises(ConfigurationError, match=r"N\.M"):
+        open_spi(device, 8e6)

@@ -1,0 +1,431 @@
+"""The load cell on its simulated converter: no stale and no corrupted wrench, ever."""
+
+import dataclasses
+import itertools
+import json
+import threading
+
+import numpy as np
+import pytest
+
+from socket_testbed.drivers.load_cell.load_cell import LoadCell
+from socket_testbed.errors import ConfigurationError, DeviceError
+from socket_testbed.settings.acquisition import LoadCellSettings
+from socket_testbed.simulation.devices.ads131m0x import SimulatedLoadCellHardware
+
+_RNG = np.random.default_rng(7)
+MATRIX = np.diag([900.0, 950.0, 1800.0, 40.0, 42.0, 60.0]) @ (
+    np.eye(6) + 0.1 * _RNG.standard_normal((6, 6))
+)
+FULL_SCALE = (1500.0, 1500.0, 2500.0, 80.0, 80.0, 60.0)
+SETTINGS = LoadCellSettings(
+    matrix=tuple(MATRIX.ravel()),
+    full_scale=FULL_SCALE,
+    inputs=(3, 0, 5, 1, 4, 2),
+    sign=(1.0, -1.0, 1.0, 1.0, -1.0, 1.0),
+    oversampling=4096,
+)
+AMPLITUDE = np.array([8.0, 6.0, 4.0, 120.0, 90.0, 400.0])
+FREQUENCY = np.array([1.1, 0.7, 1.7, 1.3, 0.9, 1.9])  # [Hz]
+QUANTUM = 2e-3 * AMPLITUDE  # of the codes, and of what curves within a window
+FAULTS = {
+    "unplugged": 1.0,
+    "flipped_bits": 0.05,
+    "rail": 3.0,
+    "brown_out": 0.07,
+    "frozen": 1.0,
+}
+
+
+def moving(moment):
+    """A wrench [M; F] that is another one at any other time."""
+    phase = np.pi * np.arange(6) / 5
+    return AMPLITUDE * np.sin(2 * np.pi * FREQUENCY * np.asarray(moment)[..., None] + phase)
+
+
+class Bench:
+    """A load cell under a fake clock, and everything that it measured checked against the truth."""
+
+    def __init__(self, settings=SETTINGS, wrench=moving, seed=0, late=0.05) -> None:
+        self.now = 50.0
+        self.wrench = wrench
+        self.faults: dict[str, float] = {}
+        self.rng = np.random.default_rng(seed)
+        self.late = late  # [s]; patience of the caller
+        self.tared = np.zeros(6)
+        self.hardware = SimulatedLoadCellHardware(wrench, settings, self.faults, self.clock, seed)
+        self.opened = 0
+        self.cell = LoadCell(settings, self.open_device, self.clock, self.sleep)
+        self.readings: list[tuple[float, object]] = []
+        self._asked: list[float] = []
+        self._next = self.now
+
+    def clock(self) -> float:
+        return self.now
+
+    def sleep(self, duration: float) -> None:
+        self.now += duration
+
+    def open_device(self):
+        self.opened += 1
+        return self.hardware.open_device()
+
+    def fault(self, name: str, value: float) -> None:
+        self.faults[f"load_cell.{name}"] = value
+
+    def run(self, duration: float, pause: float = 0.0) -> None:
+        """Poll for a while, now and then late; ask for a wrench every 13 ms."""
+        end = self.now + duration
+        while self.now < end:
+            self.now += self.cell.period * self.rng.uniform(0.4, 1.6)
+            if self.rng.random() < pause:
+                self.now += self.rng.uniform(2.0, 9.0) * self.cell.period
+            self.cell.poll()
+            if self.now >= self._next:
+                self._asked.append(self.now)
+                self._next = self.now + 0.013
+            while self._asked and (
+                self.cell.ready(self._asked[0]) or self.now > self._asked[0] + self.late
+            ):
+                moment = self._asked.pop(0)
+                self.check(moment, self.cell.wrench_at(moment))
+
+    def check(self, moment: float, reading) -> None:
+        self.readings.append((moment, reading))
+        missing = np.isnan(reading.wrench)
+        assert missing.all() or not missing.any()
+        if missing.all():
+            assert reading.fault
+            return
+        window = self.cell.settings.window
+        around = window * np.linspace(-0.75, 0.25, 101)
+        # The line through what was felt in the window, at the trigger's time.
+        truth = np.polyfit(around, self.wrench(moment + around), 1)[1] - self.tared
+        # Conversions are known to a fraction of a period, in which the wrench moves by so much.
+        slack = 0.5 * self.cell.period * 2 * np.pi * FREQUENCY * AMPLITUDE + QUANTUM
+        np.testing.assert_array_less(np.abs(reading.wrench - truth), slack)
+
+    def valid(self, start: float = -np.inf, end: float = np.inf) -> list[bool]:
+        return [not np.isnan(r.wrench).any() for t, r in self.readings if start <= t <= end]
+
+
+def test_a_wrench_is_that_of_its_time() -> None:
+    bench = Bench()
+    bench.run(1.0)
+    assert all(bench.valid(start=50.05))
+    errors = [
+        np.abs(r.wrench - moving(t)) / AMPLITUDE for t, r in bench.readings if t > 50.1
+    ]  # fmt: skip
+    assert np.max(errors) < 4e-3
+    assert {r.conversions for t, r in bench.readings if t > 50.1} <= {19, 20, 21}
+    assert bench.cell.health(bench.now) == (0, "spidev0.0 converts")
+    assert bench.opened == 1
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"channels": 8, "inputs": (7, 6, 0, 1, 2, 3)},
+        {"crc": "ansi"},
+        {"oversampling": 1024, "window": 0.004},
+        {"oversampling": 16384, "window": 0.05},
+        {"gain": 2, "excitation": 3.3},
+        {"clock_in": 4.096e6},
+    ],
+    ids=str,
+)
+def test_other_settings_give_the_same_wrench(changes: dict) -> None:
+    bench = Bench(dataclasses.replace(SETTINGS, **changes), late=0.2)
+    bench.run(0.5)
+    assert all(bench.valid(start=50.2))
+    assert len(bench.valid(start=50.2)) >= 5
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_each_fault_alone(fault: str) -> None:
+    recover([fault], seed=1)
+
+
+@pytest.mark.parametrize(("first", "second"), list(itertools.combinations(FAULTS, 2)))
+def test_each_pair_of_faults(first: str, second: str) -> None:
+    recover([first, second], seed=2)
+
+
+def recover(names: list[str], seed: int) -> None:
+    bench = Bench(seed=seed)
+    bench.run(0.3)
+    for name in names:
+        bench.fault(name, FAULTS[name])
+        bench.run(0.25)
+    for name in names:
+        bench.fault(name, 0.0)
+    off = bench.now
+    bench.run(1.0)
+    assert all(bench.valid(50.1, 50.28))
+    assert all(bench.valid(start=off + 0.5))
+    if {"unplugged", "frozen", "rail"} & set(names):
+        assert not any(bench.valid(off - 0.15, off - 0.02))
+    bench.run(1.2)
+    assert bench.cell.health(bench.now)[0] == 0
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_faults_at_random(seed: int) -> None:
+    bench = Bench(seed=seed)
+    rng = np.random.default_rng(100 + seed)
+    bench.run(0.2)
+    for _ in range(25):
+        name = str(rng.choice(list(FAULTS)))
+        high = {"flipped_bits": 0.4, "brown_out": 0.2, "rail": 6.0}.get(name, 1.0)
+        on = rng.random() < 0.5
+        bench.fault(
+            name, float(np.ceil(high * rng.random()) if name == "rail" else high) if on else 0
+        )
+        bench.run(float(rng.uniform(0.005, 0.2)), pause=0.02)
+    bench.faults.clear()
+    off = bench.now
+    bench.run(0.8)
+    assert all(bench.valid(start=off + 0.5))
+
+
+def test_most_wrenches_outlive_flipped_bits_and_a_jittery_thread() -> None:
+    bench = Bench(seed=5)
+    bench.fault("flipped_bits", 0.01)
+    bench.run(2.0, pause=0.005)
+    assert np.mean(bench.valid(start=50.1)) > 0.9
+    level, text = bench.cell.health(bench.now)
+    assert level == 1
+    assert "spidev0.0" in text and "checksum" in text and "spi_clock" in text
+    assert bench.cell.figures()["checksum_errors"] > 10
+
+
+@pytest.mark.parametrize(
+    ("fault", "value", "fact", "mend"),
+    [
+        ("unplugged", 1.0, "no answer (every bit reads 0)", "check MISO, CS and the supply"),
+        ("frozen", 1.0, "converts no more", "check the converter's clock"),
+        ("flipped_bits", 1.0, "checksum", "check the wiring, or lower load_cell_node's spi_clock"),
+    ],
+)
+def test_what_fails_is_told_with_its_mend(fault, value, fact, mend) -> None:
+    bench = Bench()
+    bench.run(0.3)
+    bench.fault(fault, value)
+    bench.run(0.5)
+    level, text = bench.cell.health(bench.now)
+    assert level == 2
+    assert text.startswith("spidev0.0: ") and fact in text and mend in text
+    reading = bench.cell.wrench_at(bench.now - 0.1)
+    assert np.isnan(reading.wrench).all()
+    assert "of 20 conversions" in reading.fault and fact in reading.fault
+    assert bench.cell.ready(bench.now - 0.1), "nobody waits for what does not come"
+    assert not bench.cell.ready(bench.now + 0.1)
+    bench.fault(fault, 0.0)
+    bench.run(0.5)
+    assert bench.cell.health(bench.now)[0] == 1
+    bench.run(1.2)
+    assert bench.cell.health(bench.now)[0] == 0
+
+
+def test_a_brown_out_is_warned_of() -> None:
+    bench = Bench()
+    bench.run(0.2)
+    bench.fault("brown_out", 0.2)
+    bench.run(0.9)
+    bench.fault("brown_out", 0.0)
+    bench.run(0.05)
+    level, text = bench.cell.health(bench.now)
+    assert level == 1
+    assert "reset state, and is read again" in text and "supply" in text
+    assert np.mean(bench.valid(start=50.1)) > 0.8, "it is configured again at once"
+
+
+def test_another_converter_is_named_until_it_is_changed() -> None:
+    bench = Bench()
+    other = SimulatedLoadCellHardware(
+        moving, dataclasses.replace(SETTINGS, channels=8), bench.faults, bench.clock
+    )
+    right, bench.hardware = bench.hardware, other
+    bench.run(0.5)
+    level, text = bench.cell.health(bench.now)
+    assert level == 2
+    assert "spidev0.0: the converter says ID 0x2802, not 0x26xx" in text and "channels" in text
+    with pytest.raises(DeviceError, match="0x2802"):
+        bench.cell.identify()
+    bench.hardware = right
+    bench.run(0.6)
+    assert bench.cell.identify() == "ADS131M06 on spidev0.0, ID 0x2602"
+    assert bench.cell.check_frames(20) == 0
+
+
+def test_a_bus_that_is_not_there_is_told_not_raised() -> None:
+    def missing():
+        raise DeviceError("/dev/spidev0.0 does not exist", "enable SPI")
+
+    cell = LoadCell(SETTINGS, missing, lambda: 3.0, lambda duration: None)
+    cell.poll()
+    assert cell.health(3.0) == (2, "/dev/spidev0.0 does not exist: enable SPI")
+    cell.close()
+
+
+def still(values):
+    wrench = np.array(values, dtype=float)
+    return lambda moment: np.broadcast_to(wrench, (*np.shape(moment), 6))
+
+
+def test_a_rail_and_a_full_scale_are_two_things() -> None:
+    bench = Bench(wrench=still([0, 0, 0, 0, 0, 2600.0]))
+    bench.run(0.2)
+    _, reading = bench.readings[-1]
+    np.testing.assert_allclose(reading.wrench, [0, 0, 0, 0, 0, 2600.0], atol=1e-2)
+    assert reading.fault == "Fz is above 100 % of its full scale of 2500 N: unload the cell"
+    assert bench.cell.health(bench.now) == (2, reading.fault)
+
+    bench = Bench(wrench=still([0, 0, -50.0, 0, 0, 0]))
+    bench.run(0.2)
+    level, text = bench.cell.health(bench.now)
+    assert level == 1
+    assert text.startswith("Mz is above 80 % of its full scale of 60 N m")
+    assert bench.readings[-1][1].fault == ""
+
+    bench = Bench(wrench=still(np.zeros(6)))
+    bench.run(0.2)
+    bench.fault("rail", 6.0)  # 1 + input 5, where the third bridge is
+    bench.run(0.1)
+    level, text = bench.cell.health(bench.now)
+    assert level == 2
+    assert text.startswith("bridge 3 (input 5) is at its rail for 5 conversions or more: a broken")
+    _, reading = bench.readings[-1]
+    assert np.isnan(reading.wrench).all()
+    assert reading.fault == "bridge 3 (input 5) is at its rail"
+    bench.fault("rail", 0.0)
+    bench.run(0.1)
+    assert bench.cell.health(bench.now)[0] == 1, "it was, a moment ago"
+
+
+def test_a_tare_takes_the_load_away_and_outlives_a_restart(tmp_path) -> None:
+    path = tmp_path / "tare.json"
+    settings = dataclasses.replace(SETTINGS, tare_file=str(path))
+    load = np.array([1.5, -2.5, 0.5, 10.0, -20.0, 300.0])
+    bench = Bench(settings, wrench=still(load))
+    bench.run(1.2)
+    text = bench.cell.tare()
+    assert text == "tared: removed Mx 1.5 N m, My -2.5 N m, Mz 0.5 N m, Fx 10 N, Fy -20 N, Fz 300 N"
+    reading = bench.cell.wrench_at(bench.now - 0.1)
+    np.testing.assert_allclose(reading.wrench, 0.0, atol=1e-2)
+    assert len(json.loads(path.read_text())["offsets_mV_per_V"]) == 6
+    again = Bench(settings, wrench=still(load + 1.0))
+    again.tared = load
+    again.run(0.2)
+    np.testing.assert_allclose(again.readings[-1][1].wrench, 1.0, atol=1e-2)
+
+
+@pytest.mark.parametrize(
+    "content", ["", "{", "[1]", '{"offsets_mV_per_V": [1, 2]}', '{"offsets_mV_per_V": "x"}', "\0"]
+)
+def test_a_damaged_tare_names_its_file(tmp_path, content: str) -> None:
+    path = tmp_path / "tare.json"
+    path.write_text(content)
+    with pytest.raises(ConfigurationError, match=r"tare\.json.*remove the file and tare again"):
+        Bench(dataclasses.replace(SETTINGS, tare_file=str(path)))
+
+
+def test_a_tare_that_cannot_be_kept_is_not_taken(tmp_path) -> None:
+    (tmp_path / "file").write_text("")
+    settings = dataclasses.replace(SETTINGS, tare_file=str(tmp_path / "file" / "tare.json"))
+    bench = Bench(settings, wrench=still(10 * np.ones(6)))
+    bench.run(1.2)
+    with pytest.raises(ConfigurationError, match="cannot be written"):
+        bench.cell.tare()
+    np.testing.assert_allclose(bench.cell.wrench_at(bench.now - 0.1).wrench, 10.0, atol=1e-2)
+
+
+def test_a_tare_refuses_what_it_must() -> None:
+    bench = Bench()
+    bench.run(0.3)
+    with pytest.raises(DeviceError, match=r"cannot tare: \d+ of 1000 conversions in the last 1 s"):
+        bench.cell.tare()
+    bench.run(1.0)
+    with pytest.raises(
+        DeviceError, match=r"Fz moves by 2\d\d N \(standard deviation\), more than 2"
+    ):
+        bench.cell.tare()
+    quiet = Bench(wrench=still(np.zeros(6)))
+    quiet.run(1.1)
+    quiet.fault("rail", 1.0)
+    quiet.run(0.05)
+    quiet.fault("rail", 0.0)
+    quiet.run(0.2)
+    with pytest.raises(DeviceError, match=r"bridge 2 \(input 0\) is at its rail"):
+        quiet.cell.tare()
+    quiet.run(1.1)
+    quiet.cell.tare()
+    quiet.fault("unplugged", 1.0)
+    quiet.run(0.05)
+    with pytest.raises(DeviceError, match="no answer") as raised:
+        quiet.cell.tare()
+    assert "MISO" in raised.value.mend
+
+
+def test_the_window_and_the_tare_follow_new_settings() -> None:
+    bench = Bench()
+    bench.run(0.4)
+    bench.cell.settings = dataclasses.replace(
+        SETTINGS, window=0.05, tare_duration=0.1, tare_force=1e3, tare_moment=1e2
+    )
+    assert bench.cell.wrench_at(bench.now - 0.1).conversions == pytest.approx(50, abs=1)
+    bench.cell.tare()
+
+
+def test_other_threads_may_ask_all_the_time() -> None:
+    bench = Bench(wrench=still([1, 2, 3, 4, 5, 6]))
+    bench.run(0.2)
+    stop = threading.Event()
+    wrong: list[object] = []
+
+    def ask() -> None:
+        while not stop.is_set():
+            reading = bench.cell.wrench_at(50.15)
+            if np.abs(reading.wrench - np.arange(1, 7)).max() > 1e-2:
+                wrong.append(reading)
+            bench.cell.health(bench.now)
+            bench.cell.figures()
+
+    threads = [threading.Thread(target=ask) for _ in range(2)]
+    for thread in threads:
+        thread.start()
+    try:
+        bench.run(0.5)
+    finally:
+        stop.set()
+        for thread in threads:
+            thread.join()
+    assert not wrong
+
+
+@pytest.mark.parametrize(
+    ("changes", "fact", "mend"),
+    [
+        ({"matrix": ()}, "matrix is empty", "the maker's 36 numbers"),
+        ({"matrix": (1.0,) * 35}, "matrix has 35 numbers", "36 numbers"),
+        ({"matrix": (1.0,) * 36}, "matrix cannot be inverted", "row by row"),
+        ({"matrix": (0.0,) * 36}, "matrix cannot be inverted", "row by row"),
+        ({"full_scale": ()}, "full_scale is empty", "full scale of each axis"),
+        ({"full_scale": (1.0, 2.0)}, "full_scale has 2 numbers", "6 numbers"),
+        ({"inputs": (0, 1, 2, 3, 4, 4)}, "inputs names an input twice", "of its own"),
+        ({"inputs": (0, 1, 2, 3, 4, 7)}, "inputs names input 7", "from 0 to 5"),
+        ({"inputs": (0, 1)}, "inputs has 2 numbers", "six bridges"),
+        ({"channels": 7}, "channels is 7", "6 (ADS131M06) or 8"),
+        ({"sign": (1.0, 1.0, 1.0, 1.0, 1.0, 0.5)}, "sign holds", "1 or -1"),
+        ({"amplifier_gain": (34.0,)}, "amplifier_gain has 1 numbers", "6 numbers"),
+        ({"oversampling": 1000}, "oversampling is 1000", "power of two from 128"),
+        ({"gain": 3}, "gain is 3", "power of two from 1"),
+        ({"window": 0.001, "oversampling": 16384}, "window is 0.001 s", "less oversampling"),
+        ({"device": "spi0"}, "device is 'spi0'", "N.M"),
+    ],
+)
+def test_wrong_settings_are_named(changes: dict, fact: str, mend: str) -> None:
+    with pytest.raises(ConfigurationError) as raised:
+        LoadCell(dataclasses.replace(SETTINGS, **changes), lambda: None)
+    assert raised.value.fact.startswith(f"load_cell_node: {fact}")
+    assert mend in raised.value.mend

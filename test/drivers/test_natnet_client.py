@@ -1,0 +1,452 @@
+"""The NatNet client against a simulated server on the loopback, with every fault."""
+
+import contextlib
+import itertools
+import socket
+import threading
+import time
+from struct import unpack
+
+import numpy as np
+import pytest
+from support.natnet import TIMEOUT, Link, markers_at, scene, until
+
+from socket_testbed.drivers.natnet.client import NatNetClient
+from socket_testbed.drivers.natnet.frame_filter import LinkStatistics
+from socket_testbed.errors import ConfigurationError, DeviceError
+from socket_testbed.settings.acquisition import MocapSettings
+from socket_testbed.simulation.devices.natnet_server import NatNetServer
+
+VERSIONS = [(3, 0), (3, 1), (4, 0), (4, 1), (4, 2), (4, 3), (4, 4)]
+ACCURACY = 1e-3  # [m]; of a marker that moves at 0.3 m/s, with the loopback's delays
+GROUP = "239.255.77.13"
+
+
+@pytest.fixture
+def link():
+    with Link() as link:
+        link.until_fine()
+        yield link
+
+
+def unused_port() -> int:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as udp:
+        udp.bind(("127.0.0.1", 0))
+        return udp.getsockname()[1]
+
+
+@pytest.fixture
+def group() -> tuple[str, int]:
+    """A group and a port on the loopback, if the machine has multicast there."""
+    port = unused_port()
+    with (
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender,
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as receiver,
+    ):
+        local = socket.inet_aton("127.0.0.1")
+        receiver.settimeout(1.0)
+        try:
+            receiver.bind((GROUP, port))
+            receiver.setsockopt(
+                socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, socket.inet_aton(GROUP) + local
+            )
+            sender.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, local)
+            sender.sendto(b"?", (GROUP, port))
+            receiver.recv(10)
+        except OSError as error:
+            pytest.skip(f"no multicast on the loopback: {error}")
+    return GROUP, port
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+def test_frames_come_with_their_exposure_on_the_steady_clock(version):
+    with Link(version=version) as link:
+        link.until_fine()
+        assert min(link.check_sample() for _ in range(5)) < ACCURACY
+        assert set(link.client.models.bodies) == {"socket", "pylon"}
+        numbers, moments = zip(*link.frames, strict=True)
+        assert all(a < b for a, b in itertools.pairwise(numbers))
+        assert all(a < b for a, b in itertools.pairwise(moments))
+
+
+def test_health_and_description_say_who_streams(link):
+    expected = "240 Hz from simulated Motive (Motive 3.1, NatNet 4.1), clock +- "
+    until(lambda: link.is_fine() and link.health()[1].startswith(expected), "the rate")
+    table = link.client.describe()
+    assert table["server"] == "simulated Motive"
+    assert table["application"] == "3.1"
+    assert table["bodies"] == "pylon, socket"
+    assert {"rate", "clock uncertainty", "clock jitter", "NatNet"} <= set(table)
+    assert link.client.figures()["frames"] > 0
+    assert link.client.state == "connected"
+
+
+def test_a_unicast_server_is_asked_for_little_in_the_wanted_version():
+    with Link(version=(4, 4)) as link:
+        link.until_fine()
+        until(lambda: len(link.server.commands) >= 3, "the subscriptions")
+        asked = list(dict.fromkeys(link.server.commands))
+        assert asked == [
+            "Bitstream,4.1", "SubscribeToData,RigidBody,All", "SubscribeToData,LabeledMarkers,All",
+        ]  # fmt: skip
+
+
+def test_a_server_of_2_x_is_told_to_be_too_old():
+    with Link(version=(2, 10)) as link:
+        link.until_level(2, "stamps no exposures")
+        assert not link.frames
+
+
+def test_commands_are_answered(link):
+    assert unpack("<f", link.client.command("FrameRate")) == (240.0,)
+    assert unpack("<f", link.client.command("UnitsToMillimeters")) == (1000.0,)
+    assert link.client.command("LiveMode") == bytes(4)
+    with pytest.raises(DeviceError, match="Tango is no command to the server"):
+        link.client.command("Tango,now")
+
+
+def test_a_command_without_an_answer_says_so(link):
+    link.faults["mocap.unplugged"] = 1.0
+    _, port = link.server.address
+    expected = f"no answer to StartRecording from 127.0.0.1:{port}: check"
+    with pytest.raises(DeviceError, match=expected):
+        link.client.command("StartRecording")
+    assert "StartRecording" not in link.server.commands
+    client = NatNetClient(link.settings, lambda *_: None)
+    with pytest.raises(DeviceError, match="start the client first"):
+        client.command("LiveMode")
+
+
+def test_commands_of_many_threads_get_their_own_answers(link):
+    link.faults.update({"mocap.drop": 0.3, "mocap.duplicate": 0.5})
+    wrong = []
+
+    def ask(command: str, answer: float) -> None:
+        for _ in range(5):
+            with contextlib.suppress(DeviceError):  # all ten may be lost
+                reply = unpack("<f", link.client.command(command, TIMEOUT))
+                if reply != (answer,):
+                    wrong.append(reply)
+
+    asked = (("FrameRate", 240.0), ("UnitsToMillimeters", 1000.0))
+    threads = [threading.Thread(target=ask, args=args) for args in asked]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join(TIMEOUT)
+    assert not wrong
+
+
+FAULTS = {
+    "mocap.drop": (0.4, 1, "lost frames"),
+    "mocap.truncate": (0.3, 1, "bad datagrams"),
+    "mocap.duplicate": (0.5, 1, "duplicate or late frames"),
+    "mocap.reorder": (0.3, 1, "duplicate or late frames"),
+    "mocap.corrupt": (0.5, 1, "bad datagrams"),
+    "mocap.unplugged": (1.0, 2, "no answer from 127.0.0.1"),
+}
+
+
+def test_what_went_wrong_is_told_for_less_than_a_second():
+    statistics = LinkStatistics()
+    for number in range(240):
+        statistics.delivered(9.0 + number / 240.0)
+    assert statistics.warning(10.0) == ""
+    statistics.count("bad", 10.0, error="cut")
+    statistics.count("lost", 10.1, 3)
+    text = "1 bad datagrams, 3 lost frames (the last: cut)"
+    assert statistics.warning(10.1) == text
+    statistics.count("lost", 10.2, 4)
+    assert statistics.warning(10.3) == text  # it does not flicker
+    assert statistics.warning(10.7) == "1 bad datagrams, 7 lost frames (the last: cut)"
+    assert statistics.warning(11.0 + 1e-6) == ""
+    assert statistics.figures()["lost_frames"] == 7
+
+
+def test_the_rate_is_told_without_flicker():
+    statistics, now, told = LinkStatistics(), 0.0, []
+    rng = np.random.default_rng(1)
+    for rate in (232.0, 240.0, 120.0, 48.0):
+        for _ in range(int(3 * rate)):
+            now += 1.0 / rate
+            statistics.delivered(now + rng.normal(0.0, 3e-4))
+        told += [statistics.told_rate(now + 1e-4 * k) for k in range(3)]
+    assert told == [230.0] * 3 + [240.0] * 3 + [120.0] * 3 + [48.0] * 3
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_a_fault_is_told_within_a_second_and_so_is_its_end(link, fault):
+    value, level, text = FAULTS[fault]
+    link.faults[fault] = value
+    assert link.until_level(level, text) < 1.0
+    received = len(link.frames)
+    if level == 1:  # what comes through is right
+        until(lambda: len(link.frames) > received + 20, "frames")
+        assert link.check_sample() < ACCURACY
+    link.faults.clear()
+    assert link.until_fine() < 1.3  # a second, and what the machine has to do besides
+    assert link.check_sample() < ACCURACY
+    assert link.client.figures()["sessions"] == (2 if level == 2 else 1)
+
+
+def test_swapped_labels_are_put_right(link):
+    link.faults["mocap.swap"] = 0.5
+    seen = len(link.frames)
+    until(lambda: len(link.frames) > seen + 10, "frames")
+    for _ in range(10):
+        assert link.check_sample() < ACCURACY
+    link.until_fine()
+
+
+def test_an_occluded_marker_is_missing_until_it_is_seen_again(link):
+    for _ in range(4):
+        link.check_sample()
+    link.faults["mocap.occlude"] = 2.0
+    until(lambda: link.tracker.sample(time.monotonic() - 0.06).faults[0] != "", "the fault")
+    trigger = time.monotonic()
+    assert link.tracker.wait(trigger, trigger + TIMEOUT)
+    sample = link.tracker.sample(trigger)
+    assert sample.faults[1] == "marker 2 of rigid body 'pylon' is occluded"
+    hidden = np.isnan(sample.markers).any(axis=2)
+    assert hidden.tolist() == [[False, True, False]] * 2
+    truth = np.array([markers_at(body, trigger) for body in range(2)])
+    assert np.nanmax(np.abs(sample.markers - truth)) < ACCURACY
+    link.faults.clear()
+    until(lambda: link.tracker.sample(time.monotonic() - 0.06).faults == ("", ""), "the end")
+
+
+@pytest.mark.parametrize(
+    "faults", [("drop", "duplicate"), ("truncate", "reorder"), ("corrupt", "duplicate")]
+)
+def test_two_faults_at_once_do_not_end_it(faults):
+    with Link(seed=5) as link:
+        link.faults.update({f"mocap.{fault}": 0.3 for fault in faults})
+        until(lambda: len(link.frames) > 50, "frames")
+        link.faults.clear()
+        assert link.check_sample() < ACCURACY
+
+
+def test_replies_that_are_lost_are_asked_for_again():
+    with Link(client=False, seed=7) as link:
+        link.faults["mocap.drop"] = 0.7
+        link.client.start()
+        until(lambda: link.client.models is not None, "the rigid bodies")
+        until(lambda: len(link.frames) > 20, "frames")
+
+
+@pytest.mark.parametrize("first", ["client", "server"])
+def test_a_server_is_waited_for_and_found(first):
+    with Link(client=first != "client") as link:
+        address = link.server.address
+        link.server.close()
+        if first == "client":
+            link.client.start()
+        link.until_level(2, "check that Motive streams (Data Streaming, unicast")
+        link.server = NatNetServer(scene, address=address, faults=link.faults, seed=9)
+        assert link.until_fine() < 1.5
+        assert link.check_sample() < ACCURACY
+
+
+@pytest.mark.parametrize("version", [(3, 1), (4, 4)])
+def test_a_restarted_server_streams_again_within_a_second(version):
+    with Link(version=version) as link:
+        link.until_fine()
+        for number in (1.0, 2.0):
+            sessions = link.client.figures()["sessions"]
+            link.faults["mocap.restart"] = number
+            took = until(lambda n=sessions: link.client.figures()["sessions"] > n, "a session")
+            received = len(link.frames)
+            took += until(lambda n=received: len(link.frames) > n, "frames")
+            assert took < 1.3
+            link.until_fine()
+            assert link.check_sample() < ACCURACY
+
+
+def test_a_client_that_was_forgotten_comes_back(link):
+    link.server._clients.clear()
+    received = len(link.frames)
+    until(lambda: len(link.frames) > received + 10, "frames")
+    link.until_fine()
+    assert link.client.figures()["sessions"] == 1  # it is the same server, and the same clock
+
+
+def test_changed_rigid_bodies_are_asked_for():
+    names = ["socket", "other"]
+
+    def renamed(moment):
+        return [(name, *rest[1:]) for name, rest in zip(names, scene(moment), strict=True)]
+
+    with Link(bodies=renamed) as link:
+        link.until_fine()
+        assert set(link.client.models.bodies) == {"socket", "other"}
+        names[1] = "pylon"
+        until(lambda: "pylon" in link.client.models.bodies, "the new body")
+        until(lambda: link.tracker.sample(time.monotonic() - 0.02).faults == ("", ""), "a sample")
+
+
+def test_what_others_send_does_not_disturb(link):
+    _, port = link.client._sockets._command.getsockname()
+    bad = link.client.figures()["bad_datagrams"]
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+        for data in (b"", b"\x00", b"\x07\x00\xff\xff", b"\x07\x00\x04\x00abcd", bytes(5000)):
+            sender.sendto(data, ("127.0.0.1", port))
+        until(lambda: link.client.figures()["bad_datagrams"] >= bad + 3, "the bad datagrams")
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger:
+        stranger.bind(("127.0.0.2", 0))
+        for _ in range(100):
+            stranger.sendto(b"\x09\x00\x00\x00", ("127.0.0.1", port))  # DISCONNECT, not from it
+    assert link.check_sample() < ACCURACY
+    assert link.client.figures()["sessions"] == 1
+
+
+def test_a_callback_that_fails_does_not_end_the_thread():
+    with Link(client=False) as link:
+        failing = [True]
+
+        def take(frame, moment, models):
+            if failing[0]:
+                raise ValueError("the callback's own")
+            link.frames.append((frame.number, moment))
+
+        link.client = NatNetClient(link.settings, take)
+        link.client.start()
+        link.until_level(2, "the callback's own")
+        failing[0] = False
+        until(lambda: len(link.frames) > 10, "frames")
+        link.until_level(1, "the callback's own")
+
+
+class TestRecording:
+    def test_a_take_is_named_started_and_stopped(self, link):
+        link.client.set_recording("trial_1")
+        until(lambda: link.server.recording, "the recording")
+        until(lambda: link.client._session.takes.settled, "the answer")
+        link.client.set_recording(None)
+        until(lambda: not link.server.recording, "the end")
+        link.client.set_recording("trial_2")
+        until(lambda: link.server.recording, "the recording")
+        link.client.set_recording("trial_3")
+        until(lambda: link.server.takes == ["trial_1", "trial_2", "trial_3"], "another take")
+        until(lambda: link.client.recording_fault == "", "the end of all faults")
+
+    @pytest.mark.parametrize("fault", ["drop", "duplicate", "truncate"])
+    def test_lost_replies_do_not_make_more_takes(self, fault):
+        with Link(seed=3) as link:
+            link.until_fine()
+            link.faults[f"mocap.{fault}"] = 0.6
+            for number in range(2):
+                link.client.set_recording(f"take {number}")
+                until(lambda: link.server.recording, "the recording")
+                until(lambda: link.client._session.takes.settled, "the answer")
+                link.client.set_recording(None)
+                until(lambda: not link.server.recording, "the end")
+            assert link.server.takes == ["take 0", "take 1"]
+
+    def test_a_take_goes_on_after_a_restart(self, link):
+        link.client.set_recording("long")
+        until(lambda: link.server.recording, "the recording")
+        link.faults["mocap.restart"] = 1.0
+        until(lambda: link.server.takes == ["long", "long"], "another take")
+        until(lambda: link.client.recording_fault == "" and link.is_fine(), "the end of faults")
+        link.client.set_recording(None)
+        until(lambda: not link.server.recording, "the end")
+
+    def test_a_network_that_comes_back_finds_its_take(self, link):
+        link.client.set_recording("long")
+        until(lambda: link.client._session.takes.settled and link.server.recording, "it")
+        link.faults["mocap.unplugged"] = 1.0
+        link.until_level(2)
+        link.faults.clear()
+        until(lambda: link.client.recording_fault == "" and link.is_fine(), "the end of faults")
+        assert link.server.takes == ["long"]
+
+    def test_an_unplugged_server_is_stopped_later(self, link):
+        link.client.set_recording("long")
+        until(lambda: link.server.recording, "the recording")
+        link.faults["mocap.unplugged"] = 1.0
+        link.until_level(2)
+        link.client.set_recording(None)
+        until(lambda: "no take is stopped: no conn" in link.client.recording_fault, "the fault")
+        link.faults.clear()
+        until(lambda: not link.server.recording, "the end")
+
+    def test_a_recording_stopped_by_hand_is_told(self, link):
+        link.client.set_recording("long")
+        until(lambda: link.server.recording, "the recording")
+        link.server.recording = False
+        until(lambda: "does not record" in link.client.recording_fault, "the fault")
+
+    def test_closing_ends_the_take(self):
+        with Link() as link:
+            link.until_fine()
+            link.client.set_recording("last")
+            until(lambda: link.server.recording, "the recording")
+            link.client.close()
+            assert not link.server.recording
+            until(lambda: not link.server._clients, "the farewell")
+
+
+class TestMulticast:
+    def test_frames_of_a_group(self, group):
+        with Link(multicast=group, data_port=group[1], version=(4, 2)) as link:
+            link.until_fine()
+            assert link.check_sample() < ACCURACY
+            link.faults["mocap.unplugged"] = 1.0
+            link.until_level(2)
+            link.faults.clear()
+            link.until_fine()
+            assert link.check_sample() < ACCURACY
+
+    def test_a_restart(self, group):
+        with Link(multicast=group, data_port=group[1], version=(3, 1)) as link:
+            link.until_fine()
+            link.faults["mocap.restart"] = 1.0
+            took = until(lambda: link.client.figures()["sessions"] == 2, "a session")
+            received = len(link.frames)
+            took += until(lambda: len(link.frames) > received, "frames")
+            assert took < 1.3
+            link.until_fine()
+            assert link.check_sample() < ACCURACY
+
+    def test_a_port_that_another_program_has(self, group):
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
+            other.bind(("", group[1]))
+            settings = MocapSettings(
+                server="127.0.0.1", multicast=group[0], data_port=group[1], interface="127.0.0.1"
+            )
+            client = NatNetClient(settings, lambda *_: None)
+            with pytest.raises(DeviceError, match=f"another program has the data port {group[1]}"):
+                client.start()
+
+    def test_a_server_in_another_mode_is_told(self, group):
+        with Link(multicast=group, data_port=group[1], client=False) as link:
+            settings = MocapSettings(server="127.0.0.1", command_port=link.server.address[1])
+            link.client = NatNetClient(settings, lambda *_: None)
+            link.client.start()
+            link.until_level(2, f"streams to the group {group[0]}: choose unicast")
+
+
+@pytest.mark.parametrize(
+    ("settings", "text"),
+    [
+        ({}, "mocap_node: server is empty: give the address of the computer that runs Motive"),
+        ({"server": "no such host.invalid"}, "mocap_node: server 'no such host.invalid' is not"),
+        ({"server": "127.0.0.1", "bitstream": "four"}, "bitstream is 'four'"),
+        ({"server": "127.0.0.1", "multicast": "10.0.0.1"}, "'10.0.0.1', which is no group"),
+        ({"server": "127.0.0.1", "interface": "wlan0"}, "interface is 'wlan0'"),
+    ],
+)
+def test_a_wrong_address_is_told_at_once(settings, text):
+    with pytest.raises(ConfigurationError, match=text):
+        NatNetClient(MocapSettings(**settings), lambda *_: None)
+
+
+def test_an_interface_that_is_not_there_is_waited_for():
+    settings = MocapSettings(server="127.0.0.1", interface="192.0.2.77")
+    client = NatNetClient(settings, lambda *_: None)
+    client.start()
+    try:
+        until(lambda: "no network" in client.health(time.monotonic())[1], "the fault")
+        assert client.health(time.monotonic())[0] == 2
+    finally:
+        client.close()

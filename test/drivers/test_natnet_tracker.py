@@ -1,0 +1,357 @@
+"""Bodies between frames: against the true motion, through swaps, occlusions and gaps."""
+
+import threading
+import time
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from support.natnet import NAMES, TRIADS, markers_at, pose_at
+
+from socket_testbed.drivers.natnet.messages import (
+    Frame,
+    LabelledMarker,
+    ModelDefinitions,
+    RigidBodyDefinition,
+)
+from socket_testbed.drivers.natnet.tracker import BodyTracker, MocapSample
+from socket_testbed.settings.acquisition import MocapSettings
+
+PERIOD = 1.0 / 240.0  # [s]
+SETTINGS = MocapSettings(stale=0.05)
+IDS = (5, 9)
+TRIAD = tuple((0.0, 0.0, 0.0) for _ in range(3))
+
+
+def models_of(*names: str, markers=TRIAD) -> ModelDefinitions:
+    return ModelDefinitions(
+        {
+            name: RigidBodyDefinition(name, identity, markers)
+            for name, identity in zip(names, IDS, strict=False)
+        }
+    )
+
+
+MODELS = models_of(*NAMES)
+
+
+def frame_at(
+    moment, hidden=(), swapped=(), filled=(), labels=(0, 1, 2), lies=(), gone=(), wrong=0.0
+) -> Frame:
+    """A frame; the other arguments name (body, label) pairs, `swapped` (body, label, label)."""
+    markers = []
+    for body, identity in enumerate(IDS):
+        positions = markers_at(body, moment)[list(labels)] + wrong
+        for other, a, b in swapped:
+            if other == body:
+                positions[[a, b]] = positions[[b, a]]
+        for label in range(3):
+            if (body, label) in gone:
+                continue
+            position = positions[label] if (body, label) not in lies else np.zeros(3)
+            markers.append(
+                LabelledMarker(
+                    identity, label + 1, tuple(position), (body, label) in hidden,
+                    (body, label) in filled,
+                )
+            )  # fmt: skip
+    markers.append(LabelledMarker(0, 77, (1.0, 1.0, 1.0), False, False))
+    return Frame(round(moment / PERIOD), (), tuple(markers), moment, 0, False, False, False)
+
+
+def tracker_of(moments, settings=SETTINGS, models=MODELS, **faults) -> BodyTracker:
+    """A tracker that saw frames; a fault is a function of the frame's index."""
+    tracker = BodyTracker(settings, *TRIADS)
+    for index, moment in enumerate(moments):
+        frame = frame_at(moment, **{name: fault(index) for name, fault in faults.items()})
+        tracker.add(frame, moment, models)
+    for index in (0.5, 1.5):  # the order of the labels is learnt from fits
+        tracker.sample(index * PERIOD)
+    return tracker
+
+
+def frames(count=20, start=0.0):
+    return start + PERIOD * np.arange(count)
+
+
+def errors_of(sample: MocapSample, body: int) -> tuple[float, float, float]:
+    """Errors of position [m], orientation [rad] and the worst marker [m]; NaN if missing."""
+    position, rotation = pose_at(body, sample.time)
+    angle = np.nan
+    if np.isfinite(sample.quaternions[body]).all():
+        angle = (Rotation.from_quat(sample.quaternions[body]).inv() * rotation).magnitude()
+    markers = np.linalg.norm(sample.markers[body] - markers_at(body, sample.time), axis=1)
+    return (
+        float(np.linalg.norm(sample.positions[body] - position)),
+        float(angle),
+        float(np.nanmax(markers, initial=0.0)),
+    )
+
+
+@pytest.mark.parametrize("start", [0.0, 0.3, 1.1, 1234.5])
+@pytest.mark.parametrize("labels", [(0, 1, 2), (2, 0, 1), (1, 0, 2)])
+def test_between_frames_the_bodies_are_where_they_were(start, labels):
+    tracker = tracker_of(frames(start=start), labels=lambda _: labels)
+    for trigger in np.linspace(start + 0.002, start + 17.9 * PERIOD, 97):
+        assert tracker.ready(trigger)
+        sample = tracker.sample(trigger)
+        assert sample.faults == ("", "")
+        for body in range(2):
+            position, angle, markers = errors_of(sample, body)
+            assert position < 1e-5 and angle < 5e-5 and markers < 1e-5
+
+
+def test_at_a_frame_it_is_the_frame():
+    tracker = tracker_of(frames())
+    for index in (1, 7, 19):
+        sample = tracker.sample(index * PERIOD)
+        assert max(errors_of(sample, 0)) < 1e-7
+
+
+def test_the_error_falls_with_the_square_of_the_gap():
+    errors = []
+    for period in (0.04, 0.02, 0.01):
+        tracker = tracker_of(period * np.arange(30))
+        triggers = np.linspace(0.2, 0.27, 40)
+        errors.append(max(errors_of(tracker.sample(t), 0)[0] for t in triggers))
+    assert errors[0] / errors[1] == pytest.approx(4.0, rel=0.3)
+    assert errors[1] / errors[2] == pytest.approx(4.0, rel=0.3)
+
+
+@pytest.mark.parametrize("pair", [(0, 1), (1, 2), (0, 2)])
+def test_swapped_labels_do_not_move_a_body(pair):
+    swaps = [((0, *pair),), (), ((0, *pair), (1, *pair)), ((1, *pair),)]
+    tracker = tracker_of(frames(), swapped=lambda index: swaps[index % 4])
+    for trigger in np.linspace(PERIOD, 18 * PERIOD, 50):
+        sample = tracker.sample(trigger)
+        assert sample.faults == ("", "")
+        assert max(max(errors_of(sample, body)) for body in range(2)) < 5e-5
+
+
+def test_an_occluded_marker_is_missing_and_never_where_it_was():
+    for kind in ("hidden", "filled"):
+        fault = {kind: lambda index: ((0, 1),) if index >= 10 else ()}
+        tracker = tracker_of(frames(), lies=lambda index: ((0, 1),) if index >= 10 else (), **fault)
+        sample = tracker.sample(15.3 * PERIOD)
+        assert np.isnan(sample.positions[0]).all() and np.isnan(sample.quaternions[0]).all()
+        assert np.isnan(sample.markers[0, 1]).all()
+        assert errors_of(sample, 0)[2] < 1e-5
+        assert np.isfinite(sample.markers[0, [0, 2]]).all()
+        assert sample.faults == ("marker 2 of rigid body 'socket' is occluded", "")
+        assert max(errors_of(sample, 1)) < 5e-5
+
+
+def test_a_marker_that_is_not_told_at_all_is_missing_too():
+    tracker = tracker_of(frames(), gone=lambda i: ((1, 0),) if i > 2 else ())
+    sample = tracker.sample(5.5 * PERIOD)
+    assert np.isnan(sample.markers[1, 0]).all()
+    assert np.isfinite(sample.markers[1, 1:]).all()
+    assert sample.faults[1] == "marker 1 of rigid body 'pylon' is occluded"
+
+
+@pytest.mark.parametrize(("trigger", "first", "last"), [(9.5, 9, 9), (9.5, 10, 10), (9.5, 9, 10)])
+def test_a_frame_without_a_pose_is_bridged(trigger, first, last):
+    tracker = tracker_of(frames(), hidden=lambda i: ((0, 2),) if first <= i <= last else ())
+    sample = tracker.sample(trigger * PERIOD)
+    assert sample.faults == ("", "")
+    assert max(errors_of(sample, 0)) < 1e-4
+
+
+def test_nothing_is_bridged_over_more_than_the_largest_gap():
+    settings = MocapSettings(stale=1.5 * PERIOD)
+    tracker = tracker_of(frames(), settings, hidden=lambda i: ((0, 2),) if i == 9 else ())
+    sample = tracker.sample(9.5 * PERIOD)
+    assert np.isnan(sample.positions[0]).all()
+    assert sample.faults == ("marker 3 of rigid body 'socket' is occluded", "")
+
+
+@pytest.mark.parametrize("labels", [(0, 1, 2), (2, 0, 1)])
+def test_of_a_lasting_occlusion_the_other_markers_keep_their_places(labels):
+    """By the order of the labels that the fits before it told; without one, none is told."""
+    hidden = ((0, 0), (0, 1))
+    tracker = tracker_of(
+        frames(200), labels=lambda _: labels, hidden=lambda i: hidden if i >= 10 else ()
+    )
+    alone = tracker_of(frames(200), labels=lambda _: labels, hidden=lambda _: hidden)
+    assert np.isnan(alone.sample(190.5 * PERIOD).markers[0]).all()
+    sample = tracker.sample(190.5 * PERIOD)
+    assert np.isfinite(sample.markers[0]).all(axis=1).tolist() == [k == labels[2] for k in range(3)]
+    assert errors_of(sample, 0)[2] < 1e-5
+
+
+def test_labels_that_the_edges_contradict_tell_no_markers():
+    tracker = tracker_of(
+        frames(),
+        labels=lambda _: (1, 0, 2),
+        swapped=lambda i: ((0, 0, 2),) if i > 5 else (),
+        hidden=lambda i: ((0, 0),) if i > 5 else (),
+    )
+    assert np.isnan(tracker.sample(8.5 * PERIOD).markers[0]).all()
+
+
+def test_a_marker_that_jumps_is_not_interpolated():
+    tracker = tracker_of(
+        frames(),
+        hidden=lambda i: ((0, 0),) if i > 4 else (),
+        swapped=lambda i: ((0, 1, 2),) if i in (9, 10) else (),
+    )
+    sample = tracker.sample(8.5 * PERIOD)  # before the swap and after
+    assert np.isnan(sample.markers[0]).all()
+    assert np.isnan(sample.positions[0]).all()
+
+
+def test_a_gap_between_frames_gives_nothing():
+    moments = np.concatenate([frames(10), frames(10, 0.2)])
+    tracker = tracker_of(moments)
+    for trigger in (0.1, 0.199, -0.01, 0.25):
+        sample = tracker.sample(trigger)
+        assert np.isnan(sample.markers).all() and np.isnan(sample.positions).all()
+        assert all("no two frames within 0.05 s" in fault for fault in sample.faults)
+    assert tracker.sample(0.205).faults == ("", "")
+    nothing = BodyTracker(SETTINGS, *TRIADS).sample(1.0)
+    assert nothing.markers.shape == (2, 3, 3) and nothing.quaternions.shape == (2, 4)
+
+
+def test_only_the_last_second_is_kept():
+    tracker = tracker_of(frames(1000))
+    assert tracker.sample(500.5 * PERIOD).faults[0].startswith("no two frames")
+    assert tracker.sample(900.5 * PERIOD).faults == ("", "")
+    assert len(tracker._frames) < 250
+
+
+def test_frames_that_are_not_later_are_dropped():
+    tracker = tracker_of([0.0, PERIOD, PERIOD, 0.5 * PERIOD, 2 * PERIOD])
+    assert tracker.sample(1.5 * PERIOD).faults == ("", "")
+    assert max(errors_of(tracker.sample(0.5 * PERIOD), 1)) < 5e-5
+
+
+@pytest.mark.parametrize(
+    ("models", "text"),
+    [
+        (None, "has not told its rigid bodies yet"),
+        (models_of("socket", "A"), "no rigid body 'pylon' (there are: A, socket):"),
+        (models_of(), "(there are: none): name it so there, or set pylon_body"),
+        (models_of(*NAMES, markers=4 * TRIAD[:1]), "rigid body 'pylon' has 4 markers in Motive"),
+    ],
+)  # fmt: skip
+def test_unknown_bodies_are_told(models, text):
+    tracker = tracker_of(frames(), models=models)
+    sample = tracker.sample(5.5 * PERIOD)
+    assert text in sample.faults[1]
+    assert np.isnan(sample.markers[1]).all()
+    assert tracker.ready(5.5 * PERIOD)
+
+
+def test_another_triad_is_told():
+    tracker = BodyTracker(SETTINGS, 1.2 * TRIADS[0], TRIADS[1])
+    for moment in frames():
+        tracker.add(frame_at(moment), moment, MODELS)
+    sample = tracker.sample(5.5 * PERIOD)
+    assert "do not fit its triad: check the geometry" in sample.faults[0]
+    assert np.isnan(sample.markers[0]).all() and np.isnan(sample.positions[0]).all()
+    assert sample.faults[1] == ""
+
+
+def test_ids_may_change_between_frames():
+    tracker = BodyTracker(SETTINGS, *TRIADS)
+    other = models_of(*reversed(NAMES))  # the ids the other way round
+    for index, moment in enumerate(frames()):
+        markers = frame_at(moment)
+        if index >= 10:
+            swap = {5: 9, 9: 5, 0: 0}
+            markers = Frame(
+                index, (), tuple(m._replace(model=swap[m.model]) for m in markers.markers), moment,
+                0, False, False, False,
+            )  # fmt: skip
+        tracker.add(markers, moment, other if index >= 10 else MODELS)
+    for trigger in (5.5, 9.5, 15.5):
+        sample = tracker.sample(trigger * PERIOD)
+        assert max(max(errors_of(sample, body)) for body in range(2)) < 5e-5
+
+
+def test_ready_means_that_no_later_frame_makes_it_better():
+    tracker = tracker_of(frames(10))
+    assert tracker.ready(8.5 * PERIOD) and tracker.ready(9.0 * PERIOD)
+    assert not tracker.ready(9.1 * PERIOD)
+    occluded = tracker_of(frames(10), hidden=lambda i: ((1, 1),) if i >= 9 else ())
+    assert not occluded.ready(8.5 * PERIOD)  # the next frame may show the marker
+    occluded.add(frame_at(10 * PERIOD), 10 * PERIOD, MODELS)
+    assert occluded.ready(8.5 * PERIOD)
+    assert occluded.sample(8.5 * PERIOD).faults == ("", "")
+
+
+def test_waiting_ends_with_the_frame_or_the_deadline():
+    start = time.monotonic()
+    tracker = tracker_of([start - PERIOD])
+    assert not tracker.wait(start, start + 0.02)
+    assert time.monotonic() >= start + 0.02
+    sender = threading.Timer(
+        0.02, lambda: tracker.add(frame_at(start + 1e-3), start + 1e-3, MODELS)
+    )
+    sender.start()
+    assert tracker.wait(start, start + 10.0)
+    sender.join()
+    assert tracker.sample(start).faults == ("", "")
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_whatever_happens_to_the_frames_a_pose_is_right_or_missing(seed):
+    rng = np.random.default_rng(seed)
+    labels = tuple(rng.permutation(3))
+    tracker = BodyTracker(SETTINGS, *TRIADS)
+    pairs = [(body, label) for body in range(2) for label in range(3)]
+    moment = 10.0 * seed
+    moments, swaps = [], [set(), set()]
+    right = 0
+    for _ in range(400):
+        moment += PERIOD * (1.0 + rng.integers(1, 20) * (rng.random() < 0.1))
+        moments.append(moment)
+        swapped = [(b, *rng.permutation(3)[:2]) for b in range(2) if rng.random() < 0.15]
+        for body, *_ in swapped:
+            swaps[body].add(moment)
+        frame = frame_at(
+            moment,
+            labels=labels,
+            hidden=[pair for pair in pairs if rng.random() < 0.08],
+            filled=[pair for pair in pairs if rng.random() < 0.015],
+            gone=[pair for pair in pairs if rng.random() < 0.015],
+            swapped=swapped,
+            wrong=rng.normal(0.0, 1e-5, (3, 3)),
+        )
+        # What is hidden or filled in lies as it likes.
+        markers = tuple(
+            m._replace(position=tuple(rng.normal(size=3))) if m.occluded or m.model_filled else m
+            for m in frame.markers
+        )
+        frame = Frame(frame.number, (), markers, moment, 0, False, False, False)
+        tracker.add(frame, moment, MODELS if rng.random() > 0.02 else None)
+        trigger = moment - rng.uniform(0.0, 0.06)
+        sample = tracker.sample(trigger)
+        around = {
+            max((m for m in moments if m < trigger), default=0.0),
+            min(m for m in moments if m >= trigger),
+        }
+        for body in range(2):
+            position, angle, markers_off = errors_of(sample, body)
+            missing = bool(np.isnan(sample.positions[body]).any())
+            assert missing == bool(sample.faults[body])
+            assert missing == bool(np.isnan(sample.quaternions[body]).any())
+            if not missing:
+                right += 1
+                assert position < 2e-4 and angle < 2e-3
+            # Two visible markers that are swapped alike in both frames are beyond telling.
+            if not missing or not around <= swaps[body]:
+                assert markers_off < 3e-4
+    assert right > 250
+
+
+def test_a_sample_takes_less_than_a_millisecond():
+    tracker = tracker_of(frames(240))
+
+    def once() -> float:
+        start = time.process_time()
+        for index in range(20):
+            tracker.sample((100.5 + index) * PERIOD)
+        return (time.process_time() - start) / 20
+
+    assert min(once() for _ in range(10)) < 1e-3

@@ -1,0 +1,166 @@
+"""The certificate of a box QP, its refinement, and solvers that are not believed."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+import qpsolvers
+from support.problems import installed
+
+from socket_testbed.identification import box_qp
+from socket_testbed.identification.box_qp import BoxQP, UncertifiedSolutionError, solve_box_qp
+
+
+def known_problem(rng, size=12):
+    """A box QP made around its solution, with its solution."""
+    root = rng.normal(size=(size, size))
+    P = root @ root.T / size + 0.1 * np.eye(size)
+    lower = np.where(rng.random(size) < 0.2, -np.inf, -rng.uniform(0.5, 1.0, size))
+    upper = np.where(rng.random(size) < 0.2, np.inf, rng.uniform(0.5, 1.0, size))
+    x, gradient = rng.uniform(-0.4, 0.4, size), np.zeros(size)
+    side = rng.integers(0, 3, size)
+    at_lower, at_upper = (side == 1) & np.isfinite(lower), (side == 2) & np.isfinite(upper)
+    x[at_lower], gradient[at_lower] = lower[at_lower], rng.uniform(0.1, 1.0, at_lower.sum())
+    x[at_upper], gradient[at_upper] = upper[at_upper], -rng.uniform(0.1, 1.0, at_upper.sum())
+    return BoxQP(P, gradient - P @ x, lower, upper, "known"), x
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_the_certificate_is_zero_at_the_optimum_and_nowhere_else(seed):
+    rng = np.random.default_rng(seed)
+    problem, optimum = known_problem(rng)
+    assert problem.certificate(optimum).worst < 1e-13
+    for step in (1e-5, 1e-3, 1e-1):
+        direction = rng.normal(size=len(optimum))
+        inside = np.clip(optimum + step * direction, problem.lower, problem.upper)
+        assert problem.objective(inside) > problem.objective(optimum)
+        assert problem.certificate(inside).worst > 0.01 * step
+    outside = np.where(np.isfinite(problem.upper), problem.upper + 0.25, optimum)
+    assert problem.certificate(outside).primal == pytest.approx(0.25)
+
+
+def test_the_gap_bounds_the_distance_to_the_best_objective():
+    rng = np.random.default_rng(81)
+    problem, optimum = known_problem(rng)
+    bounded = dataclasses.replace(
+        problem,
+        lower=np.where(np.isfinite(problem.lower), problem.lower, -2.0),
+        upper=np.where(np.isfinite(problem.upper), problem.upper, 2.0),
+    )
+    for _ in range(20):
+        x = rng.uniform(bounded.lower, bounded.upper)
+        gap = bounded.certificate(x).gap * (1.0 + abs(bounded.objective(x)))
+        assert gap >= bounded.objective(x) - bounded.objective(optimum) - 1e-12
+
+
+def test_without_bounds_stationarity_is_the_gradient_of_the_objective():
+    rng = np.random.default_rng(82)
+    problem, _ = known_problem(rng)
+    free = np.full(12, np.inf)
+    problem = dataclasses.replace(problem, lower=-free, upper=free)
+    x, h = rng.normal(size=12), 1e-6
+    gradient = [
+        (problem.objective(x + step) - problem.objective(x - step)) / (2.0 * h)
+        for step in h * np.eye(12)
+    ]
+    assert problem.certificate(x).stationarity == pytest.approx(np.abs(gradient).max(), rel=1e-7)
+
+
+@pytest.mark.parametrize("spoilt", ["P", "q", "x"])
+def test_what_is_not_a_number_is_never_certified(spoilt):
+    problem, x = known_problem(np.random.default_rng(83))
+    arrays = {"P": problem.P.copy(), "q": problem.q.copy(), "x": x.copy()}
+    arrays[spoilt][3] = np.nan
+    problem = dataclasses.replace(problem, P=arrays["P"], q=arrays["q"])
+    assert not problem.certificate(arrays["x"]).worst <= 1e-2
+
+
+@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("step", [0.0, 1e-4, 1e-2])
+def test_refining_a_near_answer_gives_the_optimum(seed, step):
+    rng = np.random.default_rng(seed)
+    problem, optimum = known_problem(rng)
+    near = np.clip(optimum + step * rng.normal(size=12), problem.lower, problem.upper)
+    found, certificate = box_qp.refine(problem, near)
+    np.testing.assert_allclose(found, optimum, atol=1e-11)
+    assert certificate == problem.certificate(found)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_refining_never_makes_an_answer_worse(seed):
+    rng = np.random.default_rng(seed)
+    problem, _ = known_problem(rng)
+    flat = dataclasses.replace(problem, P=np.zeros_like(problem.P))
+    for program in (problem, flat):
+        x = np.clip(rng.normal(size=12), program.lower, program.upper)
+        found, certificate = box_qp.refine(program, x)
+        assert certificate.worst <= program.certificate(x).worst
+        assert (found >= program.lower).all()
+        assert (found <= program.upper).all()
+
+
+@pytest.mark.parametrize("solver", installed("osqp", "daqp", "clarabel"))
+@pytest.mark.parametrize("seed", range(3))
+def test_solvers_find_known_optima_and_say_how_well(seed, solver):
+    problem, optimum = known_problem(np.random.default_rng(seed))
+    solution = solve_box_qp(problem, solver, 1e-9)
+    np.testing.assert_allclose(solution.x, optimum, atol=1e-8)
+    assert solution.certificate == problem.certificate(solution.x)
+    assert solution.certificate.worst <= 1e-9
+    assert solver in solution.status
+
+
+def test_a_flat_direction_is_solved_all_the_same():
+    problem, _ = known_problem(np.random.default_rng(84))
+    P, q = problem.P.copy(), problem.q.copy()
+    P[:, 0] = P[0] = q[0] = 0.0
+    solution = solve_box_qp(dataclasses.replace(problem, P=P, q=q), "osqp", 1e-6)
+    assert solution.certificate.worst <= 1e-6
+
+
+def answering(x):
+    """A solver that answers x to every problem and claims success."""
+    return lambda problem, *_, **__: qpsolvers.Solution(problem, found=True, x=x)
+
+
+def failing(*_, **__):
+    """A solver that gives up with an error of its own."""
+    raise qpsolvers.exceptions.SolverError("out of luck")
+
+
+def patch_solver(monkeypatch, solver):
+    """Put a solver in the place of every other one, and nobody to correct its answer."""
+    monkeypatch.setattr(qpsolvers, "solve_problem", solver)
+    monkeypatch.setattr(box_qp, "refine", lambda problem, x: (x, problem.certificate(x)))
+
+
+def test_a_wrong_answer_is_refused_whatever_the_solver_says(monkeypatch):
+    problem, optimum = known_problem(np.random.default_rng(85))
+    wrong = np.clip(optimum + 0.05, problem.lower, problem.upper)
+    patch_solver(monkeypatch, answering(wrong))
+    with pytest.raises(UncertifiedSolutionError) as caught:
+        solve_box_qp(problem, "osqp", 1e-6)
+    assert caught.value.problem is problem
+    np.testing.assert_array_equal(caught.value.x, wrong)
+    assert "known" in caught.value.fact
+    assert "KKT" in caught.value.fact
+    monkeypatch.undo()
+    again = solve_box_qp(caught.value.problem, "osqp", 1e-6)  # what the problem is carried for
+    np.testing.assert_allclose(again.x, optimum, atol=1e-8)
+
+
+@pytest.mark.parametrize(
+    ("solver", "said"),
+    [
+        pytest.param(answering(None), "gave no answer", id="nothing"),
+        pytest.param(answering(np.full(12, np.nan)), "gave no answer", id="not a number"),
+        pytest.param(failing, "out of luck", id="an error"),
+    ],
+)
+def test_no_answer_is_an_error_that_carries_the_problem(monkeypatch, solver, said):
+    problem, _ = known_problem(np.random.default_rng(86))
+    patch_solver(monkeypatch, solver)
+    with pytest.raises(UncertifiedSolutionError, match=said) as caught:
+        solve_box_qp(problem, "osqp", 1e-6)
+    assert caught.value.problem is problem
+    assert caught.value.x is None

@@ -1,0 +1,66 @@
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from socket_testbed.errors import ConfigurationError
+from socket_testbed.identification.evaluation import evaluate
+from socket_testbed.identification.fit import fit_contact_model
+from socket_testbed.identification.model_file import read_model, write_model
+from socket_testbed.settings.identification import IdentificationSettings, PlateauSettings
+from socket_testbed.trials.segment import select_segment
+from socket_testbed.trials.synchronise import read_samples
+from socket_testbed.trials.trial import Trial
+
+
+@pytest.mark.parametrize("variant", ["stiffness", "stiffness_bias"])
+def test_a_model_reads_back_as_it_was_written(hold: Path, tmp_path: Path, variant) -> None:
+    trial = Trial(hold)
+    samples = read_samples(trial)
+    samples = samples[select_segment(samples, "plateau", PlateauSettings()).rows]
+    settings = IdentificationSettings(variant=variant, leave_out=("distal.Fy",))
+    fit = fit_contact_model(samples, trial.geometry, settings)
+    path = tmp_path / "model.json"
+    write_model(fit, trial.geometry, {"name": "hold"}, "plateau", path)
+
+    stored = read_model(path)
+    assert stored.settings == settings and stored.samples == fit.samples
+    assert stored.last_stamp == fit.last_stamp and stored.trial == "hold"
+    np.testing.assert_array_equal(stored.model.stiffness, fit.model.stiffness)
+    for name, bias in fit.model.force_bias.items():
+        np.testing.assert_array_equal(stored.model.force_bias[name], bias)
+    np.testing.assert_allclose(
+        stored.model.wrench(samples.position), fit.model.wrench(samples.position), atol=1e-5
+    )
+    for before, after in zip(fit.errors, evaluate(samples, stored.model), strict=True):
+        assert after.rmse == pytest.approx(before.rmse, abs=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("change", "name"),
+    [
+        (lambda d: d.update(format="socket_testbed model 0"), "format"),
+        (lambda d: d["parameters"].update(variant="stiff"), "variant"),
+        (lambda d: d["parameters"].update(stiffness=[[1.0, 2.0, 3.0]]), "stiffness"),
+        (lambda d: d["parameters"]["force_bias"].update(elsewhere=[0, 0, 0]), "elsewhere"),
+        (lambda d: d.pop("geometry"), "geometry"),
+        (lambda d: d.update(extra=1), "extra"),
+        (lambda d: d["quality"].update(wrench_rmse=[]), "wrench_rmse"),
+        (lambda d: d["parameters"].update(clusters=["nowhere"]), "nowhere"),
+    ],
+)
+def test_a_spoilt_model_is_refused(hold_model: Path, tmp_path: Path, change, name) -> None:
+    document = json.loads(hold_model.read_text())
+    change(document)
+    path = tmp_path / "model.json"
+    path.write_text(json.dumps(document))
+    with pytest.raises(ConfigurationError, match=name):
+        read_model(path)
+
+
+def test_half_a_model_is_refused(hold_model: Path, tmp_path: Path) -> None:
+    text = hold_model.read_text()
+    (tmp_path / "model.json").write_text(text[: len(text) // 2])
+    with pytest.raises(ConfigurationError, match="is no model"):
+        read_model(tmp_path / "model.json")

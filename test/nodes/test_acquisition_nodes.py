@@ -1,0 +1,61 @@
+"""The acquisition nodes one by one: their services, their parameters, what they tell Motive."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from std_srvs.srv import SetBool
+from support.graph import Probe
+from support.testbeds import LiveTestbed
+
+from socket_testbed.live.bringup import Simulation
+from socket_testbed.live.processes import Graph
+from socket_testbed.settings.acquisition import MocapSettings
+from socket_testbed.settings.testbed import RecorderSettings
+from socket_testbed.simulation.devices.natnet_server import NatNetServer
+
+
+def test_motive_records_while_the_recorder_does(tmp_path: Path) -> None:
+    server = NatNetServer(lambda _: [])
+    settings = MocapSettings(server=server.address[0], command_port=server.address[1])
+    try:
+        with Probe() as probe, Graph() as graph:
+            graph.start("mocap_node", settings)
+            graph.start("recorder_node", RecorderSettings(directory=str(tmp_path)))
+            request = SetBool.Request(data=True)
+            answer = probe.call(SetBool, "recorder/record", request)
+            name = answer.message.rpartition("/")[2]
+            probe.wait(lambda: server.recording, "a take")
+            assert server.takes == [name]
+            probe.call(SetBool, "recorder/record", SetBool.Request(data=False))
+            probe.wait(lambda: not server.recording, "the end of the take")
+    finally:
+        server.close()
+
+
+def test_the_trigger_is_enabled_and_disabled() -> None:
+    with LiveTestbed(simulation=Simulation("static_hold", 60.0)) as live:
+        answer = live.probe.call(SetBool, "trigger/enable", SetBool.Request(data=False))
+        assert answer.success
+        live.wait_for("trigger_node", "WARN", "not enabled: call trigger/enable")
+        count = len(live.triggers)
+        # While it rests, faults are seen all the same.
+        live.switch("clusters.nack", 1)
+        live.wait_for("cluster_node", "ERROR", "channel 0")
+        live.switch("clusters.nack", 0)
+        live.wait_for("cluster_node", "OK")
+        assert len(live.triggers) == count
+        live.probe.call(SetBool, "trigger/enable", SetBool.Request(data=True))
+        live.wait_for_triggers(5)
+        sequences = [m.sequence for m in live.triggers]
+        assert set(np.diff(sequences)) == {1}
+
+
+def test_a_take_s_stamps_are_even_and_match_the_wrenches() -> None:
+    with LiveTestbed(simulation=Simulation("static_hold", 60.0)) as live:
+        live.wait_for_triggers(40)
+        stamps = [m.header.stamp.sec + 1e-9 * m.header.stamp.nanosec for m in live.triggers]
+        wrenches = {(m.header.stamp.sec, m.header.stamp.nanosec) for m in live.wrenches}
+        triggers = {(m.header.stamp.sec, m.header.stamp.nanosec) for m in live.triggers}
+    assert {stamp for stamp in wrenches if stamp >= min(triggers)} <= triggers
+    assert np.median(np.diff(stamps)) == pytest.approx(0.05, abs=2e-3)

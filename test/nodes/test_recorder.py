@@ -1,0 +1,271 @@
+"""The recorder in the real graph: what it records, and what is left when it is ended or killed."""
+
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from diagnostic_msgs.msg import DiagnosticStatus
+from geometry_msgs.msg import WrenchStamped
+from rosgraph_msgs.msg import Clock
+from std_srvs.srv import SetBool
+from support.graph import Probe
+
+from socket_testbed.live.processes import Graph
+from socket_testbed.nodes.conversions import stamp_from_ros, stamp_to_ros
+from socket_testbed.settings.testbed import RecorderSettings, ReplaySettings
+from socket_testbed.trials.bag import BagReader, decode, stamp_of
+from socket_testbed.trials.synchronise import read_samples
+from socket_testbed.trials.topics import (
+    DIAGNOSTICS,
+    RECORDED_TRIAL,
+    WRENCH,
+    Topic,
+    match_topics,
+)
+from socket_testbed.trials.trial import Trial
+
+ANNOUNCED = Topic(RECORDED_TRIAL, "std_msgs/msg/String", latched=True)
+
+
+def counts(trial: Path) -> dict[str, int]:
+    with BagReader(trial) as bag:
+        return bag.counts
+
+
+def statuses(diagnostics: list, node: str = "recorder_node") -> list[DiagnosticStatus]:
+    """What a node reported of itself."""
+    return [s for m in diagnostics for s in m.status if s.name == node]
+
+
+def figures(diagnostics: list, node: str = "recorder_node") -> dict[str, str]:
+    """The figures of a node's newest diagnostics; empty where there is none yet."""
+    return {v.key: v.value for s in statuses(diagnostics, node)[-1:] for v in s.values}
+
+
+def count(diagnostics: list, key: str, node: str = "recorder_node") -> int:
+    """A figure of a node's newest diagnostics, 0 where there is none yet."""
+    return int(figures(diagnostics, node).get(key, 0))
+
+
+@contextmanager
+def recorder(*parameters: str, limit: str = "unlimited") -> Iterator[subprocess.Popen]:
+    """A recorder of its own, with a limit on the size of a file [KiB]; killed at the end."""
+    words = [word for parameter in parameters for word in ("-p", parameter)]
+    command = [sys.executable, "-m", "socket_testbed.nodes.recorder_node", "--ros-args", *words]
+    process = subprocess.Popen(
+        ["bash", "-c", f'ulimit -f {limit}; exec "$@"', "recorder", *command],
+        stderr=subprocess.DEVNULL,
+    )
+    try:
+        yield process
+    finally:
+        process.kill()
+        process.wait()
+
+
+class Sender:
+    """Publishes wrenches whose stamp is their number [ns]."""
+
+    def __init__(self, probe: Probe) -> None:
+        self._publisher = probe.publisher(WRENCH)
+        self.sent = 0
+
+    def __call__(self, number: int = 1) -> None:
+        for _ in range(number):
+            message = WrenchStamped()
+            message.header.stamp = stamp_to_ros(self.sent)
+            self._publisher.publish(message)
+            self.sent += 1
+
+
+def recorded(trial: Path) -> tuple[list[int], list[int]]:
+    """Numbers of the wrenches in a trial and the times of their recording [ns]."""
+    with BagReader(trial) as bag:
+        raws = list(bag.messages(["/load_cell/wrench"]))
+    return [stamp_of(decode(r.data, r.type)) for r in raws], [r.time for r in raws]
+
+
+def names(announced: list[Any]) -> list[str]:
+    return [message.data for message in announced]
+
+
+def test_a_replay_is_the_recording_in_its_order(hold: Path, tmp_path: Path) -> None:
+    recorded = tmp_path / "again"
+    with Graph() as graph, Probe() as probe:
+        clocks: list[int] = []
+        probe.node.create_subscription(
+            Clock, "/clock", lambda m: clocks.append(stamp_from_ros(m.clock)), 1000
+        )
+        diagnostics = probe.listen(DIAGNOSTICS)
+        graph.start("recorder_node", RecorderSettings(directory=str(recorded), record=True))
+        probe.wait(lambda: len(figures(diagnostics)) > 0, "the recorder's diagnostics")
+        replay = ReplaySettings(
+            trial=str(hold), rate=30.0, paused=True, wait_for=("recorder_node",)
+        )
+        graph.start("replay_node", replay)
+        probe.wait(lambda: len(figures(diagnostics, "replay_node")) > 0, "the replay")
+        assert not count(diagnostics, "published", "replay_node")
+        answer = probe.call(SetBool, "replay/pause", SetBool.Request(data=False))
+        assert answer.success
+        graph.wait("replay_node")
+        names = list(match_topics(counts(hold), "hold").values())
+
+        probe.wait(
+            lambda: all(count(diagnostics, name) == 240 for name in names),
+            "all messages recorded",
+        )
+    with BagReader(hold) as before, BagReader(recorded) as after:
+        for name in names:
+            sent = [raw.data for raw in before.messages([name])]
+            received = [raw.data for raw in after.messages([name])]
+            assert received == sent, name
+        assert after.counts["/diagnostics"] > 0
+    assert clocks == sorted(clocks) and len(clocks) >= 240
+    assert (recorded / "metadata.yaml").is_file() and (recorded / "socket.yaml").is_file()
+    np.testing.assert_array_equal(
+        read_samples(Trial(recorded)).values, read_samples(Trial(hold)).values
+    )
+
+
+def test_ctrl_c_ends_a_recording_whole(tmp_path: Path) -> None:
+    with Probe() as probe:
+        diagnostics = probe.listen(DIAGNOSTICS)
+        recording = subprocess.Popen(
+            [sys.executable, "-m", "socket_testbed", "record", str(tmp_path / "trial")],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        probe.wait(lambda: len(figures(diagnostics)) > 0, "the recorder")
+        recording.send_signal(signal.SIGINT)
+        _, err = recording.communicate(timeout=30)
+    assert recording.returncode == 0 and "Traceback" not in err
+    assert (tmp_path / "trial" / "metadata.yaml").is_file()
+    assert "/load_cell/wrench" in counts(tmp_path / "trial")
+
+
+def test_a_killed_recorder_loses_two_seconds_at_most_and_goes_on_beside(tmp_path: Path) -> None:
+    trial, beside = tmp_path / "trial", tmp_path / "trial_2"
+    settings = ("record:=true", f"directory:={trial}")
+    with Probe() as probe:
+        announced, diagnostics = probe.listen(ANNOUNCED), probe.listen(DIAGNOSTICS)
+        with recorder(*settings) as process:
+            probe.wait(lambda: names(announced)[-1:] == ["trial"], "the trial's name")
+            send = Sender(probe)
+
+            def send_until_recorded() -> bool:
+                send()
+                return count(diagnostics, "/load_cell/wrench") > 100
+
+            probe.wait(send_until_recorded, "100 messages")
+            process.kill()
+            process.wait()
+            killed = time.time_ns()
+        before = {file: file.read_bytes() for file in trial.iterdir()}
+        assert trial / "metadata.yaml" not in before
+        diagnostics.clear()
+        with recorder(*settings):
+            probe.wait(lambda: names(announced)[-1:] == ["trial_2"], "the other trial's name")
+            probe.wait(
+                lambda: any(
+                    s.level == DiagnosticStatus.WARN
+                    and f"recording {beside}: {trial} was cut short" in s.message
+                    for s in statuses(diagnostics)
+                ),
+                "the recorder's word about it",
+            )
+    with BagReader(trial) as bag:
+        assert "cut short" in bag.notes[-1]
+    numbers, times = recorded(trial)
+    assert numbers == list(range(len(numbers))) and times == sorted(times)
+    assert killed - times[-1] < 2.0e9
+    assert {file: file.read_bytes() for file in trial.iterdir()} == before
+    assert (beside / "trial_2.mcap").is_file() and (beside / "socket.yaml").is_file()
+
+
+def test_a_full_disk_ends_the_recording_and_keeps_it(tmp_path: Path) -> None:
+    trial = tmp_path / "trial"
+    settings = ("record:=true", f"directory:={trial}", "flush_period:=0.1")
+    with Probe() as probe, recorder(*settings, limit="200"):
+        announced, diagnostics = probe.listen(ANNOUNCED), probe.listen(DIAGNOSTICS)
+        send = Sender(probe)
+
+        def send_until_full() -> bool:
+            send(10)
+            return any(
+                s.level == DiagnosticStatus.ERROR and "make space" in s.message
+                for s in statuses(diagnostics)
+            )
+
+        probe.wait(send_until_full, "the recorder's word about the disk")
+        probe.wait(lambda: names(announced)[-1:] == [""], "no trial's name")
+    numbers, _ = recorded(trial)
+    assert numbers == list(range(len(numbers))) and len(numbers) > 200
+
+
+def test_the_trial_s_name_is_announced_while_it_is_recorded(tmp_path: Path) -> None:
+    with Probe() as probe, recorder(f"directory:={tmp_path}"):
+        announced = probe.listen(ANNOUNCED)
+        probe.wait(lambda: names(announced) == [""], "that there is none")
+        answer = probe.call(SetBool, "recorder/record", SetBool.Request(data=True))
+        assert answer.success
+        trial = Path(answer.message.removeprefix("recording "))
+        probe.wait(lambda: names(announced) == ["", trial.name], "the name")
+        late = Probe()
+        with late:
+            heard = late.listen(ANNOUNCED)
+            late.wait(lambda: names(heard) == [trial.name], "the name for a late subscriber")
+        assert probe.call(SetBool, "recorder/record", SetBool.Request(data=False)).success
+        probe.wait(lambda: names(announced) == ["", trial.name, ""], "its end")
+    assert (trial / "metadata.yaml").is_file()
+
+
+def test_simulated_time_is_recorded_as_it_is(tmp_path: Path) -> None:
+    trial = tmp_path / "trial"
+    settings = ("record:=true", f"directory:={trial}", "use_sim_time:=true")
+    with Probe() as probe, recorder(*settings) as process:
+        diagnostics = probe.listen(DIAGNOSTICS)
+        clock = probe.node.create_publisher(Clock, "/clock", 10)
+        send = Sender(probe)
+
+        def tick() -> bool:
+            clock.publish(Clock(clock=stamp_to_ros(1_000_000_000_000)))
+            return any(
+                m.header.stamp.sec == 1000
+                for m in diagnostics
+                if m.status[0].name == "recorder_node"
+            )
+
+        probe.wait(tick, "the recorder to follow the clock")
+        send(5)
+        probe.wait(lambda: count(diagnostics, "/load_cell/wrench") == 5, "its messages")
+        process.send_signal(signal.SIGINT)
+        assert process.wait(timeout=20) == 0
+    assert recorded(trial) == ([0, 1, 2, 3, 4], [1_000_000_000_000] * 5)
+
+
+@pytest.mark.parametrize("whole", [True, False])
+def test_a_folder_that_is_no_cut_short_trial_is_refused(whole: bool, tmp_path: Path) -> None:
+    trial = tmp_path / "trial"
+    trial.mkdir()
+    if whole:
+        (trial / "trial.mcap").touch()
+        (trial / "metadata.yaml").touch()
+    with recorder("record:=true", f"directory:={trial}") as process:
+        assert process.wait(timeout=20) == 1
+    assert [path.name for path in tmp_path.iterdir()] == ["trial"]
+
+
+def test_a_recorder_that_cannot_begin_leaves_no_folder(tmp_path: Path) -> None:
+    trial = tmp_path / "trial"
+    settings = ("record:=true", f"directory:={trial}", f"geometry:={tmp_path / 'nowhere.yaml'}")
+    with recorder(*settings) as process:
+        assert process.wait(timeout=20) == 1
+    assert list(tmp_path.iterdir()) == []

@@ -1,0 +1,146 @@
+"""The figures of a report hold what they were given."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from matplotlib.collections import PolyCollection, QuadMesh
+from matplotlib.colors import Normalize
+from matplotlib.image import imread
+from matplotlib.patches import Rectangle
+from support.problems import random_socket
+
+from socket_testbed.identification.evaluation import channel_errors
+from socket_testbed.report.figures.channels import (
+    MOST_POINTS,
+    Panel,
+    Prediction,
+    bias_figure,
+    overview_figure,
+    panels_figure,
+    wrench_figure,
+)
+from socket_testbed.report.figures.socket_picture import tile_map_figure
+from socket_testbed.report.figures.style import svg_of
+from socket_testbed.samples import channel_names
+
+NASTY = "a$_b <i>"
+
+
+@pytest.fixture
+def rng():
+    return np.random.default_rng(6)
+
+
+def make_panel(rng, name="Fx", count=300, in_objective=True) -> Panel:
+    time, measured = np.arange(count) / 4.0, rng.normal(size=count)
+    predictions = []
+    for label in ("stiffness", "stiffness_bias"):
+        predicted = measured + rng.normal(1.0, 0.2, count)
+        errors = channel_errors(name, measured, predicted, in_objective)
+        predictions.append(Prediction(label, predicted, errors))
+    return Panel(time, measured, tuple(predictions), (5.0, 20.0))
+
+
+def test_a_panel_holds_its_lines_and_the_figures_of_its_errors(rng):
+    panel = make_panel(rng)
+    (axis,) = panels_figure([panel], 1).axes
+    expected = [panel.measured, *(p.values for p in panel.predictions)]
+    for line, values in zip(axis.lines, expected, strict=True):
+        np.testing.assert_array_equal(line.get_xydata(), np.stack([panel.time, values], axis=1))
+    key = [text.get_text() for text in axis.get_legend().get_texts()]
+    assert key[0] == "measured"
+    for text, prediction in zip(key[1:], panel.predictions, strict=True):
+        error = prediction.errors
+        assert text.startswith(f"{prediction.label}: RMSE {error.rmse:.2f}, MAE {error.mae:.2f}")
+        assert f"{error.sigma:.2f} N" in text and "skill" in text
+    assert axis.get_ylabel() == "force [N]" and axis.get_xlabel() == "time [s]"
+    dashes = {str(line.get_linestyle()) + str(line.get_color()) for line in axis.lines}
+    assert len(dashes) == 3
+
+
+@pytest.mark.parametrize("in_objective", [True, False])
+def test_a_channel_that_was_left_out_is_marked(rng, in_objective):
+    (axis,) = panels_figure([make_panel(rng, "a.Fz", in_objective=in_objective)], 1).axes
+    title = axis.get_legend().get_title().get_text()
+    assert title.startswith("a.Fz") and ("(not in objective)" in title) is not in_objective
+
+
+def test_a_long_line_is_thinned_and_keeps_its_peak(rng):
+    panel = make_panel(rng, count=50_000)
+    panel.measured[12_345] = 99.0
+    (axis,) = panels_figure([panel], 1).axes
+    assert all(len(line.get_xdata()) <= MOST_POINTS for line in axis.lines)
+    assert axis.lines[0].get_ydata().max() == 99.0
+
+
+def test_a_channel_without_a_value_is_drawn_and_says_so(rng):
+    panel = make_panel(rng, f"{NASTY}.Fx")
+    nothing = np.full(300, np.nan)
+    errors = channel_errors(f"{NASTY}.Fx", nothing, nothing)
+    empty = Panel(panel.time, nothing, (Prediction("stiffness", nothing, errors),), panel.span)
+    figure = panels_figure([panel, empty], 2, NASTY)
+    assert svg_of(figure).startswith("<?xml")
+    assert "no value" in figure.axes[1].get_legend().get_texts()[1].get_text()
+
+
+def test_the_wrench_has_six_panels_with_their_units(rng, tmp_path):
+    time, rows = np.arange(200) / 4.0, np.arange(200) > 50
+    measured = rng.normal(size=(200, 6))
+    predicted = {"stiffness": np.where(rows[:, None], measured + 1.0, np.nan)}
+    wrench_figure(time, measured, predicted, rows, "A hold", tmp_path / "wrench.png")
+    image = imread(tmp_path / "wrench.png")[..., :3]
+    assert image.shape[1] > image.shape[0] > 500 and image.std() > 0.05
+
+
+def test_the_overview_shows_when_what_was_lost(rng):
+    time = np.arange(800) / 4.0  # two samples a bin
+    lost = {"Mz": np.zeros(800, dtype=bool), NASTY: np.zeros(800, dtype=bool)}
+    lost["Mz"][200:400] = True
+    lost[NASTY][600] = True
+    figure = overview_figure(time, rng.normal(size=(800, 6)), [(10.0, 50.0)], (60.0, 90.0), lost)
+    force, moment, raster = figure.axes[:3]
+    assert "[N]" in force.get_ylabel() and "[N m]" in moment.get_ylabel()
+    assert raster.get_xlabel() == "time [s]"
+    (mesh,) = [c for c in raster.collections if isinstance(c, QuadMesh)]
+    share = np.asarray(mesh.get_array()).reshape(2, -1)
+    np.testing.assert_allclose(share.sum(axis=1) * 2.0, [200, 1], atol=2.0)
+    middle = share.shape[1] // 8 * 3
+    assert share[0, middle] == 1.0 and share[1, middle] == 0.0
+    assert [label.get_text() for label in raster.get_yticklabels()] == ["Mz", NASTY]
+
+
+def test_the_bars_are_the_offsets(rng):
+    channels = channel_names(("a", NASTY))
+    offsets = {"stiffness_bias": rng.normal(size=12), "given": rng.normal(size=12)}
+    figure = bias_figure(channels, offsets)
+    assert [axis.get_xlabel().rpartition(" [")[2] for axis in figure.axes] == ["N m]", "N]", "N]"]
+    widths = [
+        [bar.get_width() for bar in axis.patches if isinstance(bar, Rectangle)]
+        for axis in figure.axes
+    ]
+    for axis, rows in zip(widths, (slice(0, 3), slice(3, 6), slice(6, 12)), strict=True):
+        np.testing.assert_allclose(axis, np.concatenate([v[rows] for v in offsets.values()]))
+    names = [label.get_text() for axis in figure.axes for label in axis.get_yticklabels()]
+    assert names == list(channels)
+    assert svg_of(figure).startswith("<?xml")
+
+
+def test_tiles_of_all_rows_are_on_one_scale(rng):
+    geometry = random_socket(rng, rings=3, columns=6)
+    geometry = dataclasses.replace(geometry, clusters={NASTY: 4})
+    values = {"along x": rng.uniform(0.0, 1.0, 18), "along y": rng.uniform(0.0, 9.0, 18)}
+    figure = tile_map_figure(geometry, values, "stiffness [N/m]", "Stiffness")
+    bar = figure.axes[-1]
+    assert bar.get_ylabel() == "stiffness [N/m]"
+    every = np.concatenate([*values.values()])
+    np.testing.assert_allclose(bar.get_ylim(), [every.min(), every.max()])
+    scale = Normalize(every.min(), every.max())
+    for axis, row in zip(figure.axes[:4:2], values.values(), strict=True):
+        squares = [c for c in axis.collections if isinstance(c, PolyCollection)][-1]
+        colours = squares.get_facecolors()
+        order = np.argsort(scale(row))
+        # cividis grows lighter with the value
+        lightness = colours[:, :3] @ [0.2126, 0.7152, 0.0722]
+        assert (np.diff(lightness[order]) > -0.01).all()
+    assert NASTY in figure.get_suptitle()

@@ -1,0 +1,221 @@
+"""Settings and the file of the node parameters."""
+
+import dataclasses
+import math
+
+import pytest
+import yaml
+
+from socket_testbed.errors import ConfigurationError
+from socket_testbed.settings.identification import IdentificationSettings, PlateauSettings
+from socket_testbed.settings.testbed import (
+    NODE_SETTINGS,
+    EstimatorSettings,
+    WindowSettings,
+    read_parameters,
+)
+
+ALL = sorted({*NODE_SETTINGS.values(), IdentificationSettings}, key=lambda kind: kind.__name__)
+
+
+def assert_one_line(error: ConfigurationError, *words: str) -> None:
+    assert "\n" not in str(error)
+    assert error.mend
+    for word in words:
+        assert word in str(error)
+
+
+@pytest.mark.parametrize("kind", ALL)
+def test_the_defaults_are_valid_and_come_back_from_their_flat_form(kind):
+    settings = kind()
+    assert kind.from_flat(settings.to_flat(), "here") == settings
+    assert set(settings.to_flat()) == set(kind.flat())
+    assert kind.from_flat({}, "here") == settings
+
+
+@pytest.mark.parametrize("kind", ALL)
+def test_every_setting_says_what_it_is_and_its_unit(kind):
+    for field in kind.flat().values():
+        assert field.metadata["description"].rstrip().endswith("]"), field.name
+
+
+@pytest.mark.parametrize("kind", ALL)
+def test_settings_are_frozen(kind):
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        setattr(kind(), dataclasses.fields(kind)[0].name, None)
+
+
+def test_changed_values_come_back_from_their_flat_form():
+    settings = EstimatorSettings(
+        model="m",
+        fit_by_itself=False,
+        identification=IdentificationSettings(
+            variant="stiffness", theta=0.2, leave_out=("Mz", "distal.Fx")
+        ),
+        plateau=PlateauSettings(smoothing=3.0),
+        window=WindowSettings(least_samples=50),
+    )
+    flat = settings.to_flat()
+    assert flat["identification.theta"] == 0.2
+    assert flat["identification.leave_out"] == ["Mz", "distal.Fx"]
+    assert flat["window.least_samples"] == 50
+    assert EstimatorSettings.from_flat(flat, "here") == settings
+
+
+@pytest.mark.parametrize(("value", "expected"), [(1, 1.0), (0, 0.0), (0.25, 0.25)])
+def test_whole_numbers_are_numbers(value, expected):
+    theta = IdentificationSettings(theta=value).theta
+    assert isinstance(theta, float)
+    assert theta == expected
+
+
+def test_a_whole_number_may_come_with_a_point():
+    least = WindowSettings(least_samples=50.0).least_samples
+    assert isinstance(least, int)
+    assert least == 50
+
+
+@pytest.mark.parametrize(
+    ("kind", "name", "value", "words"),
+    [
+        (IdentificationSettings, "theta", 1.01, ("theta", "[0, 1]")),
+        (IdentificationSettings, "theta", -0.01, ("theta", "[0, 1]")),
+        (IdentificationSettings, "theta", math.nan, ("theta", "finite")),
+        (IdentificationSettings, "smoothness", math.inf, ("smoothness", "finite")),
+        (IdentificationSettings, "theta", "high", ("theta", "number")),
+        (IdentificationSettings, "theta", True, ("theta", "number")),
+        (IdentificationSettings, "theta", None, ("theta", "number")),
+        (IdentificationSettings, "gate_sharpness", 0.0, ("gate_sharpness",)),
+        (IdentificationSettings, "variant", "stifness", ("variant", "stiffness")),
+        (IdentificationSettings, "variant", 3, ("variant", "str")),
+        (IdentificationSettings, "leave_out", "Mz", ("leave_out", "list")),
+        (IdentificationSettings, "leave_out", [1], ("leave_out", "str")),
+        (IdentificationSettings, "solver", 1.0, ("solver", "str")),
+        (WindowSettings, "least_samples", 50.5, ("least_samples", "whole")),
+        (WindowSettings, "least_samples", 5, ("least_samples", "10")),
+        (WindowSettings, "least_samples", math.nan, ("least_samples", "finite")),
+        (EstimatorSettings, "fit_by_itself", 1, ("fit_by_itself", "bool")),
+        (EstimatorSettings, "fit_by_itself", "yes", ("fit_by_itself", "bool")),
+        (EstimatorSettings, "geometry", ["a"], ("geometry", "str")),
+    ],
+)
+def test_a_wrong_value_is_named_with_the_mend(kind, name, value, words):
+    with pytest.raises(ConfigurationError) as caught:
+        kind(**{name: value})
+    assert_one_line(caught.value, *words)
+
+
+@pytest.mark.parametrize(
+    ("typo", "meant"),
+    [
+        ("identification.tetha", "identification.theta"),
+        ("identification.gate_sharpnes", "identification.gate_sharpness"),
+        ("plateau.smothing", "plateau.smoothing"),
+        ("modell", "model"),
+    ],
+)
+def test_a_typo_suggests_the_right_name(typo, meant):
+    with pytest.raises(ConfigurationError) as caught:
+        EstimatorSettings.from_flat({typo: 0.5}, "here")
+    assert_one_line(caught.value, "here", f"'{typo}'", f"'{meant}'")
+
+
+def test_a_wrong_value_below_is_named_by_its_dotted_name():
+    with pytest.raises(ConfigurationError) as caught:
+        EstimatorSettings.from_flat({"identification.theta": 7}, "here")
+    assert_one_line(caught.value, "here", "identification.theta", "7")
+
+
+# --- testbed.yaml
+
+
+@pytest.fixture
+def write(tmp_path):
+    def write_file(content):
+        path = tmp_path / "testbed.yaml"
+        path.write_text(content if isinstance(content, str) else yaml.safe_dump(content))
+        return path
+
+    return write_file
+
+
+def test_a_file_of_parameters_gives_the_settings_of_its_nodes(write):
+    path = write(
+        """
+        estimator_node:
+          ros__parameters:
+            use_sim_time: true
+            model: model.yaml
+            identification:
+              theta: 1
+              leave_out: [Mz]
+            plateau.smoothing: 4
+        replay_node:
+          ros__parameters: {rate: 2, loop: true}
+        """
+    )
+    found = read_parameters(path)
+    assert set(found) == {"estimator_node", "replay_node"}
+    estimator = found["estimator_node"]
+    assert isinstance(estimator, EstimatorSettings)
+    assert estimator.identification.theta == 1.0
+    assert estimator.identification.leave_out == ("Mz",)
+    assert estimator.plateau.smoothing == 4.0
+    assert estimator.window == WindowSettings()
+    assert found["replay_node"].to_flat()["rate"] == 2.0
+
+
+def test_all_defaults_written_to_a_file_come_back(write):
+    content = {n: {"ros__parameters": kind().to_flat()} for n, kind in NODE_SETTINGS.items()}
+    assert read_parameters(write(content)) == {n: kind() for n, kind in NODE_SETTINGS.items()}
+
+
+def test_an_empty_file_names_no_node(write):
+    assert read_parameters(write("")) == {}
+
+
+@pytest.mark.parametrize("text", ["1e-3", "1E-3", "1.0e-3", "0.001"])
+def test_a_number_may_be_written_in_any_way_that_ros_reads(write, text):
+    path = write(f"estimator_node: {{ros__parameters: {{identification: {{smoothness: {text}}}}}}}")
+    found = read_parameters(path)["estimator_node"]
+    assert found.to_flat()["identification.smoothness"] == 1e-3
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        ({"estimater_node": {"ros__parameters": {}}}, ("estimater_node", "'estimator_node'")),
+        ({"lamp_post": {"ros__parameters": {}}}, ("lamp_post", "use one of")),
+        ({"estimator_node": {"ros_parameters": {}}}, ("ros_parameters", "'ros__parameters'")),
+        ({"estimator_node": {}}, ("estimator_node", "ros__parameters")),
+        ({"estimator_node": None}, ("estimator_node", "mapping")),
+        ({"estimator_node": {"ros__parameters": [1]}}, ("estimator_node", "mapping")),
+        (
+            {"estimator_node": {"ros__parameters": {"identification": {"tetha": 0.5}}}},
+            ("estimator_node", "identification.tetha", "'identification.theta'"),
+        ),
+        (
+            {"estimator_node": {"ros__parameters": {"identification": {"theta": 3}}}},
+            ("estimator_node", "identification.theta", "[0, 1]"),
+        ),
+        (
+            {"estimator_node": {"ros__parameters": {"identification": 3}}},
+            ("estimator_node", "identification"),
+        ),
+        (
+            {"recorder_node": {"ros__parameters": {"record": "maybe"}}},
+            ("recorder_node", "record", "maybe"),
+        ),
+    ],
+)
+def test_a_bad_file_is_named_with_its_field_and_the_mend(write, content, words):
+    path = write(content)
+    with pytest.raises(ConfigurationError) as caught:
+        read_parameters(path)
+    assert_one_line(caught.value, str(path), *words)
+
+
+def test_no_file_is_named(tmp_path):
+    with pytest.raises(ConfigurationError) as caught:
+        read_parameters(tmp_path / "none.yaml")
+    assert_one_line(caught.value, "none.yaml", "path")

@@ -1,0 +1,297 @@
+import errno
+from collections.abc import Callable
+
+import pytest
+from smbus2 import i2c_msg
+from support.clocks import FakeClock
+
+from socket_testbed.simulation.devices.i2c import (
+    SimulatedClusterHardware,
+    SimulatedFdc1004,
+    SimulatedI2cBus,
+    SimulatedTca9548a,
+)
+
+CHIP, MULTIPLEXER = 0x50, 0x70
+FDC_CONF = 0x0C
+UNIT = 2.0**-19  # [pF]
+
+
+class Host:
+    """The registers of one chip, as a host sees them over a bus without a multiplexer."""
+
+    def __init__(self, capacitance: Callable[[int, float], float] = lambda n, t: n + 1.0) -> None:
+        self.clock = FakeClock()
+        self.faults: dict[str, float] = {}
+        self.chip = SimulatedFdc1004(capacitance, self.clock, self.faults)
+        self.bus = SimulatedI2cBus([self.chip], faults=self.faults, sleep=self.clock.sleep)
+
+    def read(self, register: int) -> int:
+        answer = i2c_msg.read(CHIP, 2)
+        self.bus.i2c_rdwr(i2c_msg.write(CHIP, [register]), answer)
+        return int.from_bytes(answer.buf[:2], "big")
+
+    def write(self, register: int, value: int) -> None:
+        self.bus.i2c_rdwr(i2c_msg.write(CHIP, [register, value >> 8, value & 0xFF]))
+
+    def repeat(self) -> None:
+        for n in range(4):
+            self.write(0x08 + n, n << 13 | 4 << 10)
+        self.write(FDC_CONF, 0x0DF0)
+
+    def code(self, n: int) -> int:
+        code = self.read(2 * n) << 8 | self.read(2 * n + 1) >> 8
+        return code - (1 << 24) if code & 0x800000 else code
+
+
+def test_the_registers_reset_to_what_the_datasheet_says() -> None:
+    host = Host()
+    expected = dict.fromkeys(range(8), 0) | dict.fromkeys(range(0x08, 0x0C), 0x1C00)
+    expected |= {FDC_CONF: 0} | dict.fromkeys(range(0x0D, 0x11), 0)
+    expected |= dict.fromkeys(range(0x11, 0x15), 0x4000) | {0xFE: 0x5449, 0xFF: 0x1004}
+    assert {register: host.read(register) for register in expected} == expected
+
+    for register in (0x08, 0x0D, 0x11):
+        host.write(register, 0x1234)
+        assert host.read(register) == 0x1234
+    host.write(FDC_CONF, 0x8000)
+    assert {register: host.read(register) for register in expected} == expected
+
+
+@pytest.mark.parametrize("register", [0x00, 0x07, 0x15, 0xFD, 0xFE, 0xFF])
+def test_writes_to_read_only_and_unused_registers_are_not_acknowledged(register: int) -> None:
+    with pytest.raises(OSError, match="acknowledgement") as caught:
+        Host().write(register, 0)
+    assert caught.value.errno == errno.EREMOTEIO == 121
+
+
+@pytest.mark.parametrize("register", [0x15, 0x7F, 0xFD])
+def test_an_unused_pointer_is_not_acknowledged(register: int) -> None:
+    with pytest.raises(OSError, match="acknowledgement"):
+        Host().read(register)
+
+
+def test_conversions_end_one_after_another() -> None:
+    host = Host()
+    host.repeat()
+    for n in range(4):
+        assert host.read(FDC_CONF) & 0xF == sum(8 >> k for k in range(n))
+        host.clock.now += 2.5e-3 + 1e-9
+    assert host.read(FDC_CONF) == 0x0DFF
+
+
+def test_done_falls_after_msb_and_lsb_and_rises_with_the_next_conversion() -> None:
+    host = Host()
+    host.repeat()
+    host.clock.now += 10.1e-3
+    host.read(0x00)
+    assert host.read(FDC_CONF) & 0xF == 0xF
+    host.read(0x01)
+    assert host.read(FDC_CONF) & 0xF == 0x7
+    host.clock.now += 2.5e-3
+    assert host.read(FDC_CONF) & 0xF == 0xF
+
+
+def test_the_lsb_is_that_of_the_last_msb_read() -> None:
+    host = Host(lambda n, t: 1.0 + 300 * UNIT * (t - 100.0) * 100)
+    host.repeat()
+    host.clock.now += 10.1e-3
+    first = host.code(0)
+    host.clock.now += 50e-3
+    assert host.read(0x01) == (first & 0xFF) << 8
+    assert host.read(FDC_CONF) & 0xF == 0xF  # an LSB alone clears nothing
+    second = host.code(0)
+    assert second != first and second & 0xFF != first & 0xFF
+
+
+@pytest.mark.parametrize("rate", [1, 2, 3])
+def test_the_newest_value_is_that_of_the_end_of_its_conversion(rate: int) -> None:
+    host = Host(lambda n, t: t - 100.0 + 2.0 * n)
+    host.write(0x08, 4 << 10)
+    host.write(0x09, 1 << 13 | 4 << 10)
+    host.write(FDC_CONF, rate << 10 | 0x01C0)
+    period = (0.01, 0.005, 0.0025)[rate - 1]
+    host.clock.now += 100.5 * period
+    assert host.code(0) * UNIT == pytest.approx(99 * period, abs=UNIT)
+    assert host.code(1) * UNIT == pytest.approx(2.0 + 100 * period, abs=UNIT)
+
+
+def test_a_single_shot_converts_once() -> None:
+    host = Host()
+    host.write(0x09, 1 << 13 | 4 << 10)
+    host.write(FDC_CONF, 0x0440)
+    host.clock.now += 9.9e-3
+    assert host.read(FDC_CONF) == 0x0440
+    host.clock.now += 0.2e-3
+    assert host.read(FDC_CONF) == 0x0404
+    assert host.code(1) == 2 << 19
+    host.clock.now += 1.0
+    assert host.read(FDC_CONF) == 0x0400
+
+
+def test_several_single_shots_at_once_and_the_reserved_rate_convert_nothing() -> None:
+    host = Host()
+    for value in (0x04C0, 0x01F0):
+        host.write(FDC_CONF, value)
+        host.clock.now += 1.0
+        assert host.read(FDC_CONF) == value
+
+
+@pytest.mark.parametrize(
+    ("settings", "picofarads"),
+    [
+        (0 << 13 | 4 << 10 | 0 << 5, 20.0),
+        (0 << 13 | 4 << 10 | 3 << 5, 20.0 - 9.375),
+        (0 << 13 | 4 << 10 | 31 << 5, 20.0 - 96.875),
+        (0 << 13 | 7 << 10 | 3 << 5, 20.0),  # CAPDAC acts with CHB = 4 alone
+        (0 << 13 | 1 << 10, 20.0 - 22.0),
+    ],
+)
+def test_a_code_is_the_difference_clipped_to_the_rails(settings: int, picofarads: float) -> None:
+    host = Host(lambda n, t: 20.0 + 2.0 * n)
+    host.write(0x08, settings)
+    host.write(FDC_CONF, 0x0D80)
+    host.clock.now += 0.01
+    expected = min(max(round(picofarads / UNIT), -0x800000), 0x7FFFFF)
+    assert host.code(0) == expected
+
+
+def test_a_conversion_under_way_keeps_its_capdac() -> None:
+    host = Host(lambda n, t: 10.0)
+    host.write(0x08, 4 << 10)
+    host.write(FDC_CONF, 0x0D80)
+    host.clock.now += 1e-3
+    host.write(0x08, 4 << 10 | 2 << 5)
+    host.clock.now += 2e-3
+    assert host.code(0) * UNIT == 10.0
+    host.clock.now += 2.5e-3
+    assert host.code(0) * UNIT == 10.0 - 6.25
+
+
+def test_two_mask_bits_put_two_chips_on_the_same_wires() -> None:
+    clock = FakeClock()
+    hardware = SimulatedClusterHardware(lambda c, n, t: 0.0, {}, None, clock, clock.sleep)
+    bus = hardware.open_bus(1)
+
+    def chip(mask: int, register: int, value: int | None = None) -> int:
+        bus.i2c_rdwr(i2c_msg.write(MULTIPLEXER, [mask]))
+        if value is not None:
+            bus.i2c_rdwr(i2c_msg.write(CHIP, [register, value >> 8, value & 0xFF]))
+        answer = i2c_msg.read(CHIP, 2)
+        bus.i2c_rdwr(i2c_msg.write(CHIP, [register]), answer)
+        return int.from_bytes(answer.buf[:2], "big")
+
+    assert chip(0b01, 0x0D, 0xFF0F) == 0xFF0F
+    assert chip(0b10, 0x0D, 0x0FF0) == 0x0FF0
+    assert chip(0b11, 0x0D) == 0xFF0F & 0x0FF0
+    assert chip(0b11, 0x0D, 0x1111) == 0x1111
+    assert chip(0b01, 0x0D) == chip(0b10, 0x0D) == 0x1111
+    answer = i2c_msg.read(MULTIPLEXER, 1)
+    bus.i2c_rdwr(answer)
+    assert answer.buf[0] == bytes([0b10])
+    for mask in (0, 0b10000):
+        with pytest.raises(OSError, match="acknowledgement"):
+            chip(mask, 0xFF)
+    with pytest.raises(OSError, match="acknowledgement"):
+        bus.i2c_rdwr(i2c_msg.write(0x71, [1]))
+
+
+def test_transfers_take_nine_bits_a_byte() -> None:
+    clock = FakeClock()
+    hardware = SimulatedClusterHardware(lambda c, n, t: 0.0, {}, 400e3, clock, clock.sleep)
+    bus = hardware.open_bus(1)
+    start = clock.now
+    bus.i2c_rdwr(i2c_msg.write(MULTIPLEXER, [1]))
+    bus.i2c_rdwr(i2c_msg.write(CHIP, [0xFF]), i2c_msg.read(CHIP, 2))
+    assert clock.now - start == pytest.approx((2 + 2 + 3) * 9 / 400e3)
+
+
+def test_transfers_take_their_time_on_average_where_sleeps_are_too_long() -> None:
+    clock = FakeClock()
+    hardware = SimulatedClusterHardware(
+        lambda c, n, t: 0.0, {}, 400e3, clock, lambda duration: clock.sleep(duration + 7e-5)
+    )
+    bus = hardware.open_bus(1)
+    start = clock.now
+    for _ in range(1000):
+        bus.i2c_rdwr(i2c_msg.write(MULTIPLEXER, [1]))
+    assert clock.now - start == pytest.approx(1000 * 2 * 9 / 400e3, rel=0.01)
+
+
+def test_an_unplugged_bus_comes_back_with_reset_chips() -> None:
+    host = Host()
+    host.repeat()
+    host.faults["clusters.unplugged"] = 1.0
+    for _ in range(2):
+        with pytest.raises(OSError, match="gone") as caught:
+            host.read(FDC_CONF)
+        assert caught.value.errno == errno.ENODEV
+        host.faults.clear()  # the open file stays dead
+    host.bus = SimulatedI2cBus([host.chip])
+    assert host.read(FDC_CONF) == 0 and host.read(0x08) == 0x1C00
+
+
+def test_a_bus_that_hangs_takes_its_time() -> None:
+    host = Host()
+    host.faults["clusters.timeout"] = 0.05
+    start = host.clock.now
+    with pytest.raises(OSError, match="hangs") as caught:
+        host.read(FDC_CONF)
+    assert caught.value.errno == errno.ETIMEDOUT
+    assert host.clock.now - start == pytest.approx(0.05)
+
+
+def test_a_stuck_chip_runs_again_after_a_reset_only() -> None:
+    host = Host()
+    host.repeat()
+    host.clock.now += 0.02
+    host.faults["clusters.stuck_done"] = 1.0
+    host.read(FDC_CONF)
+    for n in range(4):
+        host.code(n)
+    host.faults.clear()
+    host.clock.now += 1.0
+    assert host.read(FDC_CONF) == 0x0DF0
+    host.write(FDC_CONF, 0x8000)
+    host.repeat()
+    host.clock.now += 0.02
+    assert host.read(FDC_CONF) == 0x0DFF
+
+
+def test_a_restart_of_the_host_can_shift_the_inputs_until_a_reset() -> None:
+    host = Host()
+    host.repeat()
+    host.faults["clusters.shifted"] = 1.0
+    host.clock.now += 0.02
+    assert host.code(0) == 1 << 19
+    host.bus = SimulatedI2cBus([host.chip], faults=host.faults, sleep=host.clock.sleep)
+    host.clock.now += 0.02
+    assert [host.code(n) >> 19 for n in range(4)] == [2, 3, 4, 1]
+    host.write(FDC_CONF, 0x8000)
+    host.repeat()
+    host.clock.now += 0.02
+    assert [host.code(n) >> 19 for n in range(4)] == [1, 2, 3, 4]
+
+
+def test_a_brown_out_resets_again_and_again() -> None:
+    host = Host()
+    host.faults["clusters.brown_out"] = 1.0
+    resets = 0
+    for _ in range(1000):
+        host.clock.now += 1e-3
+        if host.read(FDC_CONF) == 0:
+            resets += 1
+            host.repeat()
+    assert 3 <= resets <= 5
+
+
+def test_a_fault_strikes_its_chip_alone() -> None:
+    clock = FakeClock()
+    faults = {"clusters.nack": 2.0}
+    chips = [SimulatedFdc1004(lambda n, t: 0.0, clock, faults, channel) for channel in range(2)]
+    bus = SimulatedI2cBus(chips, SimulatedTca9548a(), faults=faults)
+    bus.i2c_rdwr(i2c_msg.write(MULTIPLEXER, [1]))
+    bus.i2c_rdwr(i2c_msg.write(CHIP, [0xFF]))
+    bus.i2c_rdwr(i2c_msg.write(MULTIPLEXER, [2]))
+    with pytest.raises(OSError, match="acknowledgement"):
+        bus.i2c_rdwr(i2c_msg.write(CHIP, [0xFF]))

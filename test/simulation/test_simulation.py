@@ -1,0 +1,183 @@
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from socket_testbed.calibration.model import ClusterCalibration, read_calibration
+from socket_testbed.files import packaged
+from socket_testbed.geometry.socket import read_socket, write_socket
+from socket_testbed.simulation.limb import (
+    SCENARIOS,
+    EquilibriumError,
+    LimbInSocket,
+    load_history,
+    make_tissue,
+)
+from socket_testbed.simulation.sensors import (
+    SensorErrors,
+    invert_calibration,
+    observe_markers,
+)
+from socket_testbed.simulation.socket_scan import make_socket_scan
+from socket_testbed.simulation.testbed import simulate
+from socket_testbed.socket_design.interior import find_interior
+from socket_testbed.socket_design.placement import place_by_directions
+
+PERFECT = SensorErrors(**{field.name: 0.0 for field in dataclasses.fields(SensorErrors)})
+
+
+@pytest.fixture(scope="module")
+def geometry():
+    return read_socket(packaged("config", "socket.yaml"))
+
+
+@pytest.fixture(scope="module")
+def calibration():
+    return read_calibration(packaged("config", "calibration.yaml"))
+
+
+def press(geometry, force: float, seed: int = 0) -> tuple[np.ndarray, LimbInSocket]:
+    """Forces at the surface points under a vertical load [N]."""
+    tissue = make_tissue(geometry, np.random.default_rng(seed))
+    limb = LimbInSocket(tissue, geometry.anchors.mean(axis=0))
+    forces = np.zeros_like(tissue.points)
+    for share in np.linspace(0.2, 1.0, 8):
+        forces = limb.step(np.array([0, 0, 0, 0, 0, -share * force]), 0.25)
+    return forces, limb
+
+
+def test_the_packaged_tiles_lie_on_the_package_s_scan(geometry) -> None:
+    scan = make_socket_scan()
+    scan.apply_scale(1e-3)
+    placed = place_by_directions(
+        np.asarray(scan.vertices), find_interior(scan).proximal, np.array([0.0, 0.0, 1.0]), 0.08
+    )
+    surface = trimesh.Trimesh(
+        placed.scan_in_load_cell.apply(scan.vertices), scan.faces, process=False
+    )
+    _, distance, face = trimesh.proximity.closest_point(surface, geometry.anchors)
+    assert distance.max() < 1e-4
+    along = np.einsum("ti,ti->t", geometry.rotations[:, :, 2], surface.face_normals[face])
+    assert np.abs(along).min() > 0.9
+
+
+@pytest.mark.parametrize("force", [50.0, 150.0, 280.0])
+def test_the_socket_carries_the_load(geometry, force: float) -> None:
+    forces, _ = press(geometry, force)
+    total = forces.sum(axis=0)
+    assert np.allclose(total, [0, 0, -force], atol=0.05)
+
+
+def test_every_point_is_pressed_outwards_within_its_friction_cone(geometry) -> None:
+    forces, limb = press(geometry, 280.0)
+    tissue = limb._tissue
+    normal = -np.einsum("pi,pi->p", forces, tissue.normals)
+    tangential = np.linalg.norm(forces + normal[:, None] * tissue.normals, axis=1)
+    assert normal.min() >= 0.0
+    assert (tangential <= tissue.friction * normal + 1e-9).all()
+
+
+def test_the_tissue_stiffens(geometry) -> None:
+    tissue = make_tissue(geometry, np.random.default_rng(0))
+    stuck = dataclasses.replace(tissue, friction=0.0, creep=0.0, fit=0.0 * tissue.fit)
+    limb = LimbInSocket(stuck, geometry.anchors.mean(axis=0))
+    sinking = []
+    for force in (100.0, 300.0, 500.0):
+        limb.step(np.array([0, 0, 0, 0, 0, -force]), 0.25)
+        sinking.append(-limb.displacement[2])
+    first, second = np.diff(sinking)
+    assert 0.0 < second < first
+
+
+def test_a_held_load_creeps_and_loading_is_not_retraced(geometry) -> None:
+    load = np.array([0, 0, 0, 0, 0, -250.0])
+    _, limb = press(geometry, 250.0)
+    at_once = limb.displacement[2]
+    for _ in range(200):
+        limb.step(load, 0.5)
+    assert limb.displacement[2] < at_once - 1e-5
+
+    before = limb.displacement.copy()
+    for share in (1.2, 1.4, 1.2, 1.0):
+        limb.step(share * load, 1e-6)
+    assert np.linalg.norm(limb.displacement[:3] - before[:3]) > 1e-6
+
+
+def test_a_load_that_pulls_the_limb_out_is_refused(geometry) -> None:
+    tissue = make_tissue(geometry, np.random.default_rng(0))
+    limb = LimbInSocket(tissue, geometry.anchors.mean(axis=0))
+    with pytest.raises(EquilibriumError, match="no equilibrium"):
+        limb.step(np.array([0, 0, 0, 0, 0, 5000.0]), 0.25)
+
+
+@pytest.mark.parametrize("scenario", SCENARIOS)
+def test_a_seed_gives_one_trial(geometry, calibration, scenario) -> None:
+    first, second, other = (
+        simulate(geometry, calibration, scenario, 6.0, 4.0, seed) for seed in (5, 5, 6)
+    )
+    np.testing.assert_array_equal(first.wrench, second.wrench)
+    np.testing.assert_array_equal(first.pylon_markers, second.pylon_markers)
+    np.testing.assert_array_equal(first.truth.forces, second.truth.forces)
+    assert not np.array_equal(first.truth.forces, other.truth.forces)
+
+
+def test_the_static_hold_is_the_paper_s(geometry) -> None:
+    time = np.arange(0, 120, 0.25)
+    load = load_history("static_hold", time, np.random.default_rng(0))
+    assert np.allclose(load[time < 15, 5], -9.3 * 9.81, atol=1e-9)
+    assert np.allclose(load[(time > 25) & (time < 95), 5], -(9.3 + 19.0) * 9.81, atol=1e-9)
+    assert np.allclose(load[time > 110, 5], -9.3 * 9.81, atol=1e-9)
+
+
+def test_perfect_sensors_see_the_truth(geometry, calibration) -> None:
+    trial = simulate(geometry, calibration, "ramp", 5.0, 4.0, 0, errors=PERFECT)
+    np.testing.assert_allclose(trial.wrench, trial.truth.wrench)
+    position = geometry.limb_position(trial.socket_pose, trial.pylon_pose)
+    # The stand moves the whole testbed, not the limb in the socket.
+    np.testing.assert_allclose(position, trial.truth.position, atol=1e-9)
+    for cluster, tile in geometry.clusters.items():
+        stress, status = calibration.clusters[cluster].apply(
+            trial.capacitance[cluster], np.zeros((len(trial.stamps), 4), dtype=np.uint8)
+        )
+        assert (status == 0).all()
+        actual = trial.truth.forces[:, tile] @ geometry.rotations[tile]
+        np.testing.assert_allclose(geometry.cluster_force(cluster, stress), actual, atol=2e-3)
+
+
+def test_the_inverse_calibration_inverts(calibration) -> None:
+    rng = np.random.default_rng(0)
+    stress = rng.uniform([0, -1.5e4, -1.5e4], [6e4, 1.5e4, 1.5e4], (50, 3))
+    for cluster in calibration.clusters.values():
+        assert isinstance(cluster, ClusterCalibration)
+        back, _ = cluster.apply(invert_calibration(cluster, stress), np.zeros((50, 4), np.uint8))
+        np.testing.assert_allclose(back, stress, atol=1e-3)
+
+
+def test_the_cameras_drop_and_swap_as_often_as_told(geometry, calibration) -> None:
+    errors = dataclasses.replace(PERFECT, drop_out=0.1, label_swap=0.2)
+    pose = simulate(geometry, calibration, "ramp", 2.0, 4.0, 0, errors=PERFECT).socket_pose
+    many = dataclasses.replace(
+        pose,
+        rotation=np.repeat(pose.rotation[:1], 4000, axis=0),
+        translation=np.repeat(pose.translation[:1], 4000, axis=0),
+    )
+    seen = observe_markers(many, geometry.socket_markers, errors, np.random.default_rng(0))
+    assert np.isnan(seen[:, :, 0]).mean() == pytest.approx(0.1, abs=0.01)
+
+    swapped = observe_markers(
+        many,
+        geometry.socket_markers,
+        dataclasses.replace(PERFECT, label_swap=0.2),
+        np.random.default_rng(0),
+    )
+    moved = np.abs(swapped - swapped[:1]).max(axis=(1, 2)) > 0.01
+    assert min(moved.mean(), 1.0 - moved.mean()) == pytest.approx(0.2, abs=0.03)
+
+
+def test_a_socket_as_written_reads_back(geometry, tmp_path: Path) -> None:
+    write_socket(geometry, tmp_path / "socket.yaml")
+    back = read_socket(tmp_path / "socket.yaml")
+    assert back.names == geometry.names and back.clusters == geometry.clusters
+    np.testing.assert_allclose(back.anchors, geometry.anchors, atol=1e-8)

@@ -1,0 +1,58 @@
+"""The simulated world that processes share."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from socket_testbed.errors import ConfigurationError
+from socket_testbed.simulation.world import FAULTS, World
+
+
+def push(world: World, moment: float) -> None:
+    """A state whose every number is known from its time."""
+    poses = np.hstack([np.full((2, 3), moment), np.tile([0.0, 0.0, 0.0, 1.0], (2, 1))])
+    world.push(
+        moment,
+        np.arange(16.0).reshape(4, 4) + moment,
+        np.full(6, 2.0 * moment),
+        np.full((2, 3, 3), -moment),
+        poses,
+    )
+
+
+def test_another_process_sees_the_world_at_any_time(tmp_path: Path) -> None:
+    world, other = World(tmp_path, create=True), World(tmp_path)
+    for k in range(1, 200):
+        push(world, 10.0 + 0.02 * k)
+        for moment in (10.0 + 0.02 * k - 0.013, 10.0 + 0.02 * k - 0.15):
+            if moment > 10.02:
+                assert other.capacitance(2, 3, moment) == pytest.approx(11.0 + moment)
+                np.testing.assert_allclose(other.wrench(moment), 2.0 * moment)
+                np.testing.assert_allclose(other.markers(moment), -moment)
+                np.testing.assert_allclose(other.poses(moment)[:, :3], moment)
+
+
+def test_the_newest_state_holds_and_nothing_is_extrapolated(tmp_path: Path) -> None:
+    world = World(tmp_path, create=True)
+    push(world, 5.0)
+    for moment in (1.0, 5.0, 9.0):
+        assert world.capacitance(0, 0, moment) == 5.0
+    for k in range(100):
+        push(world, 6.0 + k)
+    assert world.capacitance(0, 0, 1e6) == 105.0
+    assert 6.0 < world.capacitance(0, 0, 0.0) < 105.0  # the oldest that is kept
+
+
+def test_faults_are_switched_for_all(tmp_path: Path) -> None:
+    world, other = World(tmp_path, create=True), World(tmp_path)
+    assert dict(other.faults) == dict.fromkeys(FAULTS, 0.0)
+    world.faults.switch("mocap.drop", 0.25)
+    assert other.faults["mocap.drop"] == 0.25
+    with pytest.raises(KeyError):
+        world.faults.switch("mocap.dorp", 1.0)
+
+
+def test_without_a_world_the_mend_is_named(tmp_path: Path) -> None:
+    with pytest.raises(ConfigurationError, match="no simulated world: start one with"):
+        World(tmp_path)

@@ -1,0 +1,289 @@
+"""The interior of sockets: against surfaces that are known by their making, and on real scans."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
+from support.meshes import (
+    FULL,
+    angle_between,
+    assert_same_faces,
+    cavity_area,
+    moved,
+    open_cone,
+    shell,
+    wavy,
+    with_faces,
+)
+
+from socket_testbed.socket_design.interior import find_interior
+from socket_testbed.socket_design.scan_file import read_scan
+
+CONE = (0.04, 0.06, 0.2)  # distal radius, proximal radius, height [m]
+EDGE = 0.008
+WALL = 0.005
+UP = np.array([0.0, 0.0, 1.0])
+
+SHAPES = {
+    "flat end": {},
+    "dome": {"dome": True},
+    "tube": {"closed": False},
+    "hole": {"hole": 0.008},
+    "wide hole in a dome": {"dome": True, "hole": 0.02},
+    "flared brim": {"dome": True, "flare": 0.02},
+    "half": {"arc": np.pi},
+    "third with a dome": {"dome": True, "arc": FULL / 3.0},
+    "open along its side": {"closed": False, "arc": 5.2},
+    "flared half": {"flare": 0.015, "arc": np.pi},
+}
+
+
+@pytest.fixture
+def rng():
+    return np.random.default_rng(7)
+
+
+@pytest.mark.parametrize("shape", SHAPES.values(), ids=SHAPES)
+def test_of_a_shell_the_inner_wall_is_kept_and_nothing_else(shape):
+    solid = shell(*CONE, EDGE, WALL, **shape)
+    assert solid.is_watertight
+    interior = find_interior(solid)
+    assert_same_faces(interior.mesh, open_cone(*CONE, EDGE, **shape))
+    assert angle_between(interior.proximal, UP) < 1.0
+
+
+@pytest.mark.parametrize("shape", SHAPES.values(), ids=SHAPES)
+@pytest.mark.parametrize("turned", [False, True])
+def test_one_surface_is_kept_whole_with_its_normals_into_the_cavity(shape, turned):
+    cone = open_cone(*CONE, EDGE, **shape)
+    interior = find_interior(inside_out(cone) if turned else cone)
+    assert_same_faces(interior.mesh, cone)
+    assert angle_between(interior.proximal, UP) < 1.0
+
+
+@pytest.mark.parametrize("shape", [{}, {"dome": True}, {"closed": False}, {"arc": np.pi}])
+def test_the_area_is_that_of_the_formula_and_the_wall_faces_the_axis(shape):
+    mesh = find_interior(shell(*CONE, 0.003, WALL, **shape)).mesh
+    assert mesh.area == pytest.approx(cavity_area(*CONE, **shape), rel=0.01)
+    to_axis = np.array([0.0, 0.0, 0.1]) - mesh.triangles_center
+    assert (np.einsum("ij,ij->i", mesh.face_normals, to_axis) > 0.0).all()
+
+
+@pytest.mark.parametrize("thickness", [0.0015, 0.003, 0.015])
+def test_walls_of_any_thickness(thickness):
+    interior = find_interior(shell(*CONE, 0.004, thickness, dome=True))
+    assert_same_faces(interior.mesh, open_cone(*CONE, 0.004, dome=True))
+
+
+@pytest.mark.parametrize("shape", [{}, {"hole": 0.018}, {"arc": np.pi}])
+def test_a_long_solid_distal_end(shape):
+    """As of a socket printed with its adapter: the middle of the body is within the material."""
+    cup = (0.05, 0.05, 0.15)
+
+    def lengthened(points):
+        return points - np.outer(0.12 * (points[:, 2] < -1e-6), UP)
+
+    interior = find_interior(moved(shell(*cup, EDGE, WALL, **shape), lengthened))
+    assert_same_faces(interior.mesh, open_cone(*cup, EDGE, **shape))
+    assert angle_between(interior.proximal, UP) < 1.0
+
+
+def test_a_channel_that_a_scan_sees_into_is_no_wall():
+    solid = shell(*CONE, EDGE, 0.01, hole=0.008)
+    cut = solid.triangles_center[:, 2] < -0.0099
+    interior = find_interior(with_faces(solid, ~cut))
+    assert_same_faces(interior.mesh, open_cone(*CONE, EDGE, hole=0.008))
+
+
+def oval(points):
+    return points * [1.35, 0.75, 1.0]
+
+
+def bent(points):
+    return points + np.outer((points[:, 2] / 0.2) ** 2, [0.06, 0.02, 0.0])
+
+
+def three_sided(points):
+    angle = np.arctan2(points[:, 1], points[:, 0])
+    return points * np.column_stack([*2 * [1.0 + 0.12 * np.cos(3.0 * angle)], np.ones(len(points))])
+
+
+def pressed_in(points):
+    """A bar across the front, as for the patellar tendon."""
+    angle = np.arctan2(points[:, 1], points[:, 0])
+    depth = 0.35 * np.exp(-(((points[:, 2] - 0.12) / 0.02) ** 2) - (angle / 0.5) ** 2)
+    return points * np.column_stack([1.0 - depth, 1.0 - depth, np.ones(len(points))])
+
+
+def slanted(points):
+    along = np.clip(points[:, 2] / 0.2, 0.0, None)
+    angle = np.arctan2(points[:, 1], points[:, 0])
+    return points + np.outer(0.05 * along * np.cos(angle), UP)
+
+
+@pytest.mark.parametrize("change", [oval, bent, three_sided, pressed_in, slanted])
+@pytest.mark.parametrize("shape", [{"dome": True}, {"dome": True, "arc": 3.6}])
+def test_sockets_that_are_not_round(change, shape):
+    wave = lambda mesh: moved(wavy(mesh, 0.02), change)  # noqa: E731
+    interior = find_interior(wave(shell(*CONE, EDGE, WALL, **shape)))
+    assert_same_faces(interior.mesh, wave(open_cone(*CONE, EDGE, **shape)))
+
+
+@pytest.mark.parametrize("height", [0.01, 0.03, 0.06])
+def test_shallow_oval_sockets(height):
+    cone = (0.05, 0.06, height)
+    interior = find_interior(moved(shell(*cone, EDGE, WALL, dome=True), oval))
+    assert_same_faces(interior.mesh, moved(open_cone(*cone, EDGE, dome=True), oval))
+    assert angle_between(interior.proximal, UP) < 2.0
+
+
+@pytest.mark.parametrize("noise", [0.0002, 0.0005])
+def test_noise_makes_no_holes(rng, noise):
+    clean = shell(*CONE, 0.003, WALL, dome=True)
+    shift = rng.normal(0.0, noise, clean.vertices.shape)
+    inner = open_cone(*CONE, 0.003, dome=True)
+    interior = find_interior(moved(clean, lambda points: points + shift))
+    expected = moved(inner, lambda points: points + shift[: len(points)])
+    assert_same_faces(interior.mesh, expected, 1e-3)
+    assert len(interior.openings) == 1
+
+
+@pytest.mark.parametrize("make", [open_cone, lambda *a, **k: shell(*a, WALL, **k)])
+@pytest.mark.parametrize("shape", [{"dome": True}, {"arc": 4.0}])
+def test_neither_the_pose_nor_the_winding_nor_the_order_of_the_faces_matters(rng, make, shape):
+    mesh, cone = (kind(*CONE, EDGE, **shape) for kind in (make, open_cone))
+    turn, shift = Rotation.random(random_state=5), rng.normal(0.0, 1.0, 3)
+    order = rng.permutation(len(mesh.faces))
+    faces = mesh.faces[order]
+    flip = rng.random(len(faces)) < 0.4
+    faces = np.where(flip[:, None], faces[:, ::-1], faces)
+    scan = trimesh.Trimesh(turn.apply(mesh.vertices) + shift, faces, process=False)
+    interior = find_interior(scan)
+    assert_same_faces(interior.mesh, moved(cone, lambda points: turn.apply(points) + shift))
+    assert angle_between(interior.proximal, turn.apply(UP)) < 1.0
+
+
+def test_a_scan_that_rolls_over_the_brim_ends_there():
+    solid, inner = shell(*CONE, 0.004, WALL, dome=True), open_cone(*CONE, 0.004, dome=True)
+    outer = solid.faces.max(axis=1) >= len(inner.vertices)
+    rolled = with_faces(solid, ~outer | (solid.triangles_center[:, 2] > 0.18))
+    assert not rolled.is_watertight
+    assert_same_faces(find_interior(rolled).mesh, inner)
+
+
+def test_holes_in_the_outer_wall_do_not_matter(rng):
+    solid, inner = shell(*CONE, 0.004, WALL, dome=True), open_cone(*CONE, 0.004, dome=True)
+    centres = solid.triangles_center
+    outer = solid.faces.max(axis=1) >= len(inner.vertices)
+    places = centres[rng.choice(np.flatnonzero(outer & (centres[:, 2] < 0.15)), 6)]
+    missing = outer & (cKDTree(places).query(centres)[0] < 0.02)
+    assert_same_faces(find_interior(with_faces(solid, ~missing)).mesh, inner)
+
+
+def test_a_window_is_an_opening_and_its_rim_is_no_wall():
+    cone = open_cone(*CONE, 0.004, dome=True)
+    place = cone.triangles_center - [0.05, 0.0, 0.1]
+    inner = with_faces(cone, np.linalg.norm(place, axis=1) > 0.02)
+    interior = find_interior(thickened(inner, WALL))
+    assert_same_faces(interior.mesh, inner)
+    assert len(interior.openings) == 2
+
+
+def inside_out(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
+    return trimesh.Trimesh(mesh.vertices, mesh.faces[:, ::-1], process=False)
+
+
+def thickened(surface: trimesh.Trimesh, thickness: float) -> trimesh.Trimesh:
+    """The surface, its offset outwards, and the strips between their boundaries."""
+    count = len(surface.vertices)
+    edges = surface.edges[trimesh.grouping.group_rows(surface.edges_sorted, require_count=1)]
+    a, b = edges.T
+    strips = [np.column_stack([b, a, a + count]), np.column_stack([b, a + count, b + count])]
+    return trimesh.Trimesh(
+        np.vstack([surface.vertices, surface.vertices - thickness * surface.vertex_normals]),
+        np.vstack([surface.faces, surface.faces[:, ::-1] + count, *strips]),
+        process=False,
+    )
+
+
+@pytest.mark.parametrize("height", [0.06, 0.15])
+def test_a_ledge_that_shades_the_wall_makes_no_hole(height):
+    def overhanging(points):
+        ring = np.exp(-(((points[:, 2] - height) / 0.012) ** 2))
+        inward = 1.0 - 0.3 * ring
+        ledge = points * np.column_stack([inward, inward, np.ones(len(points))])
+        return ledge - np.outer(0.02 * ring, UP)
+
+    inner = open_cone(*CONE, 0.003, dome=True)
+    cone = moved(inner, overhanging)
+    outer = shell(*CONE, 0.003, WALL, dome=True).vertices[len(inner.vertices) :]
+    solid = trimesh.Trimesh(
+        np.vstack([cone.vertices, outer]), shell(*CONE, 0.003, WALL, dome=True).faces, process=False
+    )
+    for scan in (cone, solid):
+        assert_same_faces(find_interior(scan).mesh, cone)
+
+
+def test_what_the_cavity_sees_besides_its_wall_is_left_out_and_noted():
+    cone = open_cone(*CONE, EDGE, dome=True)
+    liner = moved(open_cone(0.03, 0.04, 0.1, EDGE, closed=False), lambda p: p + 0.05 * UP)
+    interior = find_interior(trimesh.util.concatenate([cone, liner]))
+    assert_same_faces(interior.mesh, cone)
+    area = round(1e4 * liner.area)
+    assert any(f"left out {area} cm2" in note for note in interior.notes)
+
+
+def test_the_inner_wall_of_a_real_shell(shared_data: Path):
+    body = read_scan(shared_data / "homebrew_socket" / "socket.STL", body="1").mesh
+    interior = find_interior(body)
+    mesh, thickness = interior.mesh, 0.007
+
+    # The whole is the inner wall, its offset, and the strip between them along their edge.
+    offset = moved(mesh, lambda points: points - thickness * mesh.vertex_normals)
+    (loop,) = (mesh.vertices[opening] for opening in interior.openings)
+    strip = thickness * np.linalg.norm(loop - np.roll(loop, 1, axis=0), axis=1).sum()
+    assert mesh.area + offset.area + strip == pytest.approx(body.area, rel=0.01)
+
+    # A wall's thickness behind every face lies the body's surface, before it lies nothing.
+    surface = cKDTree(trimesh.sample.sample_surface(body, 200_000, seed=1)[0])
+    depth = thickness * mesh.face_normals
+    assert surface.query(mesh.triangles_center - depth)[0].max() < 0.0015
+    assert np.percentile(surface.query(mesh.triangles_center + depth)[0], 1) > 0.0055
+
+    # It faces the middle of the half shell; its wide end is up.
+    assert (
+        np.einsum("ij,ij->i", mesh.face_normals, middle(mesh) - mesh.triangles_center) > 0
+    ).mean() > 0.99
+    assert angle_between(interior.proximal, UP) < 8.0
+
+
+def middle(mesh: trimesh.Trimesh) -> np.ndarray:
+    """A point amid a half shell that opens towards -x, (3,) [m]."""
+    low, high = mesh.bounds
+    return np.array([low[0], *(0.5 * (low + high))[1:]])
+
+
+def test_a_real_limb_is_kept_whole_and_turned_inside_out(shared_data: Path):
+    path = shared_data / "ampscan" / "stl_file.stl"
+    raw = trimesh.load_mesh(path)
+    interior = find_interior(read_scan(path).mesh)
+    assert interior.mesh.area == pytest.approx(1e-6 * raw.area, rel=1e-9)
+    # Capped by any plane, normals that point out of the limb give a positive volume.
+    top = raw.bounds[1]
+    outwards = np.einsum("ij,ij->i", raw.triangles_center - top, raw.face_normals)
+    assert (outwards * raw.area_faces).sum() > 0.0
+    mesh = interior.mesh
+    inwards = np.einsum("ij,ij->i", mesh.triangles_center - 1e-3 * top, mesh.face_normals)
+    assert (inwards * mesh.area_faces).sum() < 0.0
+    assert angle_between(interior.proximal, UP) < 5.0
+    assert len(interior.openings) == 1
+    assert mesh.vertices[interior.openings[0]][:, 2].min() > 0.03
+
+
+def test_a_shell_around_a_real_limb_is_told_from_the_limb(shared_data: Path):
+    limb = find_interior(read_scan(shared_data / "ampscan" / "stl_file.stl").mesh).mesh
+    interior = find_interior(thickened(limb, 0.006))
+    assert_same_faces(interior.mesh, limb, 2e-3)

@@ -1,0 +1,178 @@
+"""Tiles on surfaces of known shape, judged by points drawn on the surface independently."""
+
+import math
+
+import numpy as np
+import pytest
+import trimesh
+from scipy.spatial.transform import Rotation
+from support import meshes
+
+from socket_testbed.errors import ScanError
+from socket_testbed.socket_design.tiling import Tiling, TilingSettings, tile_interior
+
+PROXIMAL, ANTERIOR = np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0])
+FEW = TilingSettings(rounds=12)
+EDGE = FEW.edge
+
+
+def tile(mesh: trimesh.Trimesh, turned: Rotation | None = None) -> Tiling:
+    turned = turned or Rotation.identity()
+    mesh = trimesh.Trimesh(turned.apply(mesh.vertices), mesh.faces, process=False)
+    return tile_interior(mesh, turned.apply(PROXIMAL), turned.apply(ANTERIOR), FEW)
+
+
+def prism(side: float, height: float) -> trimesh.Trimesh:
+    """Four walls with sharp corners, the normals into it."""
+    s = 0.5 * side
+    ring = np.array([[s, s], [-s, s], [-s, -s], [s, -s]])
+    vertices = np.vstack([np.column_stack([ring, np.full(4, z)]) for z in (0.0, height)])
+    faces = []
+    for a in range(4):
+        b = (a + 1) % 4
+        faces += [[a, a + 4, b], [b, a + 4, b + 4]]
+    mesh = trimesh.Trimesh(vertices, faces, process=False)
+    for _ in range(5):
+        mesh = mesh.subdivide()
+    return mesh
+
+
+SURFACES = {
+    "cylinder": meshes.open_cone(0.05, 0.05, 0.095, 0.004, closed=False),
+    "cup": meshes.open_cone(0.046, 0.056, 0.075, 0.004),
+    "dome": meshes.open_cone(0.045, 0.05, 0.05, 0.004, dome=True),
+    "c_section": meshes.open_cone(0.055, 0.06, 0.09, 0.004, closed=False, arc=4.0),
+    "holed": meshes.open_cone(0.055, 0.055, 0.04, 0.004, hole=0.010),
+    "prism": prism(0.076, 0.070),
+}
+
+
+@pytest.fixture(scope="module", params=SURFACES)
+def tiled(request: pytest.FixtureRequest) -> tuple[str, trimesh.Trimesh, Tiling]:
+    mesh = SURFACES[request.param]
+    return request.param, mesh, tile(mesh)
+
+
+class Drawn:
+    """Points drawn uniformly on a surface, as each tile sees them."""
+
+    def __init__(self, mesh: trimesh.Trimesh, tiling: Tiling) -> None:
+        self.points, face = trimesh.sample.sample_surface(mesh, 60_000, seed=7)
+        squares = tiling.squares
+        offset = self.points[None] - squares.anchors[:, None]
+        self.local = offset @ squares.rotations
+        facing = mesh.face_normals[face] @ squares.rotations[:, :, 2].T
+        half = 0.5 * squares.edge
+        self.facing = facing.T
+        self.under = (np.abs(self.local[:, :, :2]) < half).all(axis=2) & (self.facing > 0.0)
+        # The wall on the other side is under the square's column, too.
+        self.under &= np.abs(self.local[:, :, 2]) < half
+        self.area = mesh.area / len(self.points)
+
+
+def test_no_point_is_under_two_tiles(tiled: tuple[str, trimesh.Trimesh, Tiling]) -> None:
+    _, mesh, tiling = tiled
+    drawn = Drawn(mesh, tiling)
+    assert drawn.under.sum(axis=0).max() == 1
+    covered = drawn.under.sum() * drawn.area
+    assert covered == pytest.approx(tiling.footprint_areas.sum(), rel=0.03)
+    assert len(tiling.squares) <= tiling.upper_bound
+
+
+def test_every_tile_is_whole_and_flat(tiled: tuple[str, trimesh.Trimesh, Tiling]) -> None:
+    _, mesh, tiling = tiled
+    drawn = Drawn(mesh, tiling)
+    # Projected onto the square, what is under it has the square's area: no brim, hole or seam.
+    projected = np.where(drawn.under, drawn.facing, 0.0).sum(axis=1) * drawn.area
+    noise = 5.0 * math.sqrt(drawn.area * EDGE**2)
+    assert np.abs(projected - EDGE**2).max() < noise
+    height = np.where(drawn.under, np.abs(drawn.local[:, :, 2]), 0.0).max(axis=1)
+    assert np.all(height <= tiling.flatness + 1e-9)
+    assert tiling.flatness.max() <= FEW.flatness
+    assert np.abs(trimesh.proximity.closest_point(mesh, tiling.squares.anchors)[1]).max() < 1e-6
+
+
+def test_frames_are_those_of_the_contract(tiled: tuple[str, trimesh.Trimesh, Tiling]) -> None:
+    _, mesh, tiling = tiled
+    frames = tiling.squares.rotations
+    assert np.abs(np.swapaxes(frames, 1, 2) @ frames - np.eye(3)).max() < 1e-9
+    assert np.allclose(np.linalg.det(frames), 1.0)
+    x, z = frames[:, :, 0], frames[:, :, 2]
+    nearest = trimesh.proximity.closest_point(mesh, tiling.squares.anchors)[2]
+    assert np.einsum("ti,ti->t", z, mesh.face_normals[nearest]).min() > math.cos(0.25)
+    on_wall = np.abs(z @ PROXIMAL) < math.cos(math.radians(10.0))
+    tangent = PROXIMAL - (z @ PROXIMAL)[:, None] * z
+    tangent /= np.maximum(np.linalg.norm(tangent, axis=1, keepdims=True), 1e-12)
+    assert np.allclose(x[on_wall], tangent[on_wall])
+    assert np.all(x[~on_wall] @ ANTERIOR > 0.98)
+
+
+def test_neighbours_are_pairs_close_by(tiled: tuple[str, trimesh.Trimesh, Tiling]) -> None:
+    name, _, tiling = tiled
+    pairs = tiling.neighbours
+    assert np.all(pairs[:, 0] < pairs[:, 1])
+    assert len(np.unique(pairs, axis=0)) == len(pairs)
+    anchors = tiling.squares.anchors
+    distance = np.linalg.norm(anchors[pairs[:, 0]] - anchors[pairs[:, 1]], axis=1)
+    assert distance.min() > 0.9 * EDGE
+    assert distance.max() < 2.2 * EDGE
+    # Tiles that touch are neighbours.
+    apart = np.linalg.norm(anchors[:, None] - anchors[None], axis=2)
+    a, b = np.nonzero(np.triu(apart < 1.05 * EDGE, 1))
+    normals = tiling.squares.rotations[:, :, 2]
+    same_wall = np.einsum("pi,pi->p", normals[a], normals[b]) > 0.5
+    known = set(map(tuple, pairs.tolist()))
+    assert set(zip(a[same_wall].tolist(), b[same_wall].tolist(), strict=True)) <= known
+    if name == "cylinder":
+        reached = {0}
+        for _ in anchors:
+            reached |= {q for pair in pairs.tolist() if reached & set(pair) for q in pair}
+        assert len(reached) == len(anchors)
+
+
+def test_a_cylinder_is_tiled_as_by_rings(tiled: tuple[str, trimesh.Trimesh, Tiling]) -> None:
+    name, _, tiling = tiled
+    if name != "cylinder":
+        pytest.skip("the best regular layout is that of a cylinder")
+    around = math.floor(math.pi / math.asin(0.5 * EDGE / 0.05))  # chords of one edge
+    rings = math.floor(0.095 / EDGE)
+    assert len(tiling.squares) >= 0.9 * around * rings
+
+
+def test_tiles_keep_to_one_wall_of_a_prism(tiled: tuple[str, trimesh.Trimesh, Tiling]) -> None:
+    name, _, tiling = tiled
+    if name != "prism":
+        pytest.skip("only the prism has edges")
+    assert len(tiling.squares) == 16
+    assert tiling.flatness.max() < 1e-6
+
+
+def test_turning_the_scan_changes_little() -> None:
+    mesh = SURFACES["cup"]
+    counts = [len(tile(mesh).squares)]
+    counts += [len(tile(mesh, Rotation.random(random_state=seed)).squares) for seed in (1, 2)]
+    assert max(counts) - min(counts) <= 0.08 * max(counts)
+
+
+def test_the_same_seed_gives_the_same_tiles() -> None:
+    first, second = (tile(SURFACES["holed"]).squares for _ in range(2))
+    assert np.array_equal(first.anchors, second.anchors)
+    assert np.array_equal(first.rotations, second.rotations)
+
+
+def test_a_coarse_mesh_is_tiled_as_a_fine_one() -> None:
+    coarse, fine = prism(0.076, 0.070), prism(0.076, 0.070).subdivide().subdivide()
+    assert len(tile(coarse).squares) == len(tile(fine).squares)
+
+
+@pytest.mark.parametrize(
+    "mesh",
+    [
+        meshes.open_cone(0.05, 0.05, 0.02, 0.004, closed=False),
+        meshes.open_cone(0.012, 0.012, 0.09, 0.002, closed=False),
+    ],
+    ids=["too low", "too curved"],
+)
+def test_a_surface_without_room_is_refused(mesh: trimesh.Trimesh) -> None:
+    with pytest.raises(ScanError, match=r"no 30 mm tile fits.*check the unit"):
+        tile(mesh)

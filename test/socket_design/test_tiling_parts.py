@@ -1,0 +1,265 @@
+"""The parts of the tiling: squares, footprints, names, clusters, placement."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+from scipy.spatial.transform import Rotation
+
+from socket_testbed.errors import ConfigurationError, RegistrationError
+from socket_testbed.socket_design.layout import (
+    ClusterPlace,
+    assign_clusters,
+    nominal_places,
+    read_cluster_places,
+    tile_names,
+)
+from socket_testbed.socket_design.placement import (
+    parse_direction,
+    place_by_directions,
+    place_by_landmarks,
+    place_by_points,
+)
+from socket_testbed.socket_design.squares import Squares, gaps, spread_points
+from socket_testbed.socket_design.tile_fit import FootprintCutter
+
+Z = np.array([0.0, 0.0, 1.0])
+X = np.array([1.0, 0.0, 0.0])
+
+
+def on_plane(places: list[tuple[float, float, float]], edge: float = 0.03) -> Squares:
+    """Squares on the plane z = 0 at (x, y), turned by an angle [rad]."""
+    frames = Rotation.from_rotvec([[0.0, 0.0, angle] for _, _, angle in places]).as_matrix()
+    return Squares(np.array([[x, y, 0.0] for x, y, _ in places]), frames, edge)
+
+
+def plane(size: float = 0.2, steps: int = 23) -> trimesh.Trimesh:
+    grid = np.linspace(-0.5 * size, 0.5 * size, steps)
+    vertices = np.array([[x, y, 0.0] for x in grid for y in grid])
+    faces = []
+    for i in range(steps - 1):
+        for j in range(steps - 1):
+            a, b = i * steps + j, (i + 1) * steps + j
+            faces += [[a, b, a + 1], [b, b + 1, a + 1]]
+    return trimesh.Trimesh(vertices, faces, process=False)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_squares_overlap_where_points_are_in_both(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    places = [(0.0, 0.0, rng.uniform(0, 6))]
+    places += [(*rng.uniform(-0.04, 0.04, 2), rng.uniform(0, 6)) for _ in range(40)]
+    squares = on_plane(places)
+    gap = gaps(squares, 0, np.arange(1, 41))
+    points = np.column_stack([rng.uniform(-0.022, 0.022, (100_000, 2)), np.zeros(100_000)])
+    inside = [
+        (np.abs((points - a) @ f)[:, :2] < 0.015).all(axis=1)
+        for a, f in zip(squares.anchors, squares.rotations, strict=True)
+    ]
+    shared = np.array([(inside[0] & other).mean() for other in inside[1:]])
+    assert np.all(shared[gap > 0.0] == 0.0)
+    assert np.all(shared[gap < -0.001] > 0.0)
+
+
+def test_squares_touch_on_a_cylinder_at_a_chord_of_one_edge() -> None:
+    radius, edge = 0.05, 0.03
+    step = 2.0 * math.asin(0.5 * edge / radius)
+    angles = np.array([0.0, step, 2.0 * step, math.pi])
+    frames = []
+    for angle in angles:
+        inward = -np.array([math.cos(angle), math.sin(angle), 0.0])
+        frames.append(np.column_stack([Z, np.cross(inward, Z), inward]))
+    anchors = np.column_stack([radius * np.cos(angles), radius * np.sin(angles), 0.0 * angles])
+    gap = gaps(Squares(anchors, np.array(frames), edge), 0, np.array([1, 2, 3]))
+    assert gap[0] == pytest.approx(0.0, abs=1e-12)
+    assert gap[1] > 0.5 * edge
+    assert np.isinf(gap[2])
+
+
+def test_gaps_are_the_same_from_both_sides() -> None:
+    rng = np.random.default_rng(3)
+    frames = Rotation.from_rotvec(rng.normal(0.0, 0.4, (30, 3))).as_matrix()
+    squares = Squares(rng.normal(0.0, 0.02, (30, 3)), frames, 0.03)
+    table = np.array([gaps(squares, i, np.arange(30)) for i in range(30)])
+    np.testing.assert_allclose(table, table.T, atol=1e-9)
+
+
+def test_footprints_on_a_plane_are_the_squares() -> None:
+    squares = on_plane([(0.003, -0.002, 0.3), (0.013, 0.004, 0.3), (0.06, 0.0, 0.0)])
+    cutter = FootprintCutter(plane(), squares, 0.005)
+    first = cutter.footprint(0)
+    assert first.area == pytest.approx(9e-4, rel=1e-9)
+    assert first.cover == pytest.approx(1.0, rel=1e-9)
+    assert first.flatness == pytest.approx(0.0, abs=1e-12)
+    offset = squares.rotations[0].T @ (squares.anchors[1] - squares.anchors[0])
+    shared = (0.03 - abs(offset[0])) * (0.03 - abs(offset[1]))
+    assert cutter.shared_area(first, 1) == pytest.approx(shared, rel=1e-9)
+    assert cutter.shared_area(first, 2) == 0.0
+
+
+def test_a_footprint_over_the_rim_is_not_whole() -> None:
+    cutter = FootprintCutter(plane(), on_plane([(0.095, 0.0, 0.0)]), 0.005)
+    assert cutter.footprint(0).cover == pytest.approx(20.0 / 30.0, rel=1e-9)
+
+
+def test_points_are_spread_evenly() -> None:
+    mesh = plane()
+    points = spread_points(mesh, 0.004, np.random.default_rng(0))
+    assert points.areas.sum() == pytest.approx(mesh.area)
+    apart = np.linalg.norm(points.positions[:, None] - points.positions[None], axis=2)
+    np.fill_diagonal(apart, np.inf)
+    assert apart.min() >= 0.6 * 0.004
+    assert apart.min(axis=1).max() < 2.0 * 0.004
+
+
+def test_names_say_where_a_tile_is() -> None:
+    anchors = np.array([[0.05, 0.0, 0.12], [0.0, 0.05, 0.2], [-0.05, -1e-5, 0.12]])
+    end = np.array([0.0, 0.0, 0.08])
+    assert tile_names(anchors, end, Z, X) == ("h040_a000", "h120_a090", "h040_a180")
+    # Another tile changes no other tile's name.
+    more = np.vstack([anchors, [[0.05, 0.0, 0.1202]]])
+    names = tile_names(more, end, Z, X)
+    assert names[:3] == tile_names(anchors, end, Z, X)
+    assert len(set(names)) == 4
+
+
+SQUARES = on_plane([(0.0, 0.0, 0.0), (0.03, 0.0, 0.0), (0.0, 0.09, 0.0)])
+NAMES = ("a", "b", "c")
+
+
+def place(x: float, y: float, turned: float | None = None, name: str = "distal") -> ClusterPlace:
+    frame = None if turned is None else Rotation.from_rotvec([0.0, 0.0, turned]).as_matrix()
+    return ClusterPlace(name, np.array([x, y, 0.0]), frame, name)
+
+
+def test_a_cluster_is_on_the_nearest_tile() -> None:
+    clusters, notes = assign_clusters(
+        [place(0.004, 0.0), place(0.03, 0.001, 0.0, name="b")], SQUARES, NAMES
+    )
+    assert clusters == {"distal": 0, "b": 1}
+    assert notes == []
+
+
+def test_a_cluster_over_two_tiles_is_reported() -> None:
+    clusters, notes = assign_clusters([place(0.012, 0.0, 0.0)], SQUARES, NAMES)
+    assert clusters == {"distal": 0}
+    assert notes[0].startswith("cluster distal does not sit on one tile (60 % on a, 40 % on b)")
+
+
+@pytest.mark.parametrize(
+    ("places", "words"),
+    [
+        ([place(0.5, 0.0)], "470 mm from the nearest tile"),
+        ([place(0.0, 0.0), place(0.001, 0.0, name="mid")], "on a, where distal is"),
+    ],
+    ids=["far away", "the same tile"],
+)
+def test_a_cluster_without_a_tile_of_its_own_is_refused(
+    places: list[ClusterPlace], words: str
+) -> None:
+    with pytest.raises(ConfigurationError, match=words):
+        assign_clusters(places, SQUARES, NAMES)
+
+
+def test_nominal_clusters_are_four_different_tiles() -> None:
+    angle = np.tile(np.arange(8) * math.pi / 4, 3)
+    height = np.repeat([0.1, 0.15, 0.2], 8)
+    anchors = np.column_stack([0.05 * np.cos(angle), 0.05 * np.sin(angle), height])
+    squares = Squares(anchors, np.tile(np.eye(3), (24, 1, 1)), 0.03)
+    places = {p.name: p.centre for p in nominal_places(squares, 0.08 * Z, Z, X)}
+    assert list(places) == ["brim_lateral", "mid_anterior", "posterior_distal", "distal"]
+    assert places["brim_lateral"] == pytest.approx([0.0, 0.05, 0.2])
+    assert places["mid_anterior"] == pytest.approx([0.05, 0.0, 0.15])
+    assert places["posterior_distal"] == pytest.approx([-0.05, 0.0, 0.1])
+
+
+def test_cluster_places_are_read(tmp_path: Path) -> None:
+    path = tmp_path / "clusters.yaml"
+    path.write_text(
+        "clusters:\n  distal: {point: [0, 0, 0.1]}\n"
+        "  brim: {anchor: [0.05, 0, 0.2], frame: [[0, 0, -1], [0, 1, 0], [1, 0, 0]]}\n"
+    )
+    distal, brim = read_cluster_places(path)
+    assert distal.frame is None
+    assert brim.frame is not None
+    assert brim.frame[:, 2] == pytest.approx([-1.0, 0.0, 0.0])
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("clusters: {distal: {point: [0, 0]}}", "point has the shape 2"),
+        ("clusters: {distal: {point: [0, 0, 100]}}", "more than 2"),
+        ("clusters: {distal: {anchor: [0, 0, 0.1]}}", "'frame' is missing"),
+        ("clusters: {distal: {point: [0, 0, 0], frame: 1}}", "a point and a frame"),
+        ("cluster: {}", "did you mean 'clusters'"),
+    ],
+)
+def test_wrong_cluster_places_are_refused(text: str, words: str, tmp_path: Path) -> None:
+    path = tmp_path / "clusters.yaml"
+    path.write_text(text)
+    with pytest.raises(ConfigurationError, match=words):
+        read_cluster_places(path)
+
+
+def test_directions() -> None:
+    assert parse_direction("+z", "--proximal") == pytest.approx([0, 0, 1])
+    assert parse_direction("-X", "--proximal") == pytest.approx([-1, 0, 0])
+    assert parse_direction("0, 3 4", "--proximal") == pytest.approx([0, 0.6, 0.8])
+    for wrong in ("w", "0 0 0", "1 2", "1 nan 2"):
+        with pytest.raises(ConfigurationError, match="--proximal is"):
+            parse_direction(wrong, "--proximal")
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_placement_by_directions_stands_the_socket_on_the_load_cell(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    turned = Rotation.random(random_state=seed)
+    ring = np.linspace(0.0, 2.0 * math.pi, 60)
+    cup = np.column_stack([0.05 * np.cos(ring), 0.05 * np.sin(ring), np.linspace(0.0, 0.2, 60)])
+    scan = turned.apply(cup) + rng.normal(size=3)
+    placement = place_by_directions(scan, turned.apply(Z), turned.apply(X + 0.3 * Z), 0.08)
+    placed = placement.scan_in_load_cell.apply(scan)
+    assert placed[:, 2].min() == pytest.approx(0.08)
+    assert placed[0] - placed[30] == pytest.approx(cup[0] - cup[30])
+
+
+def test_placement_by_points() -> None:
+    turned = Rotation.random(random_state=5)
+    origin = np.array([0.1, -0.2, 0.3])
+    known = np.array([[0.0, 0.0, 0.0], [0.2, 0.0, 0.0], [0.1, 0.05, 0.0]])
+    pose = place_by_points(turned.apply(known) + origin).scan_in_load_cell
+    assert pose.apply(turned.apply(known) + origin) == pytest.approx(known)
+    with pytest.raises(RegistrationError, match="on one line"):
+        place_by_points(known[[0, 1, 1]])
+
+
+def landmarks(path: Path, scan: np.ndarray, load_cell: np.ndarray) -> Path:
+    lines = [
+        f"  L{i}: {{scan: {s.tolist()}, load_cell: {p.tolist()}}}"
+        for i, (s, p) in enumerate(zip(scan, load_cell, strict=True))
+    ]
+    path.write_text("landmarks:\n" + "\n".join(lines) + "\n")
+    return path
+
+
+def test_placement_by_landmarks(tmp_path: Path) -> None:
+    rng = np.random.default_rng(8)
+    turned = Rotation.random(random_state=8)
+    load_cell = np.array(
+        [[0.05, 0.0, 0.1], [-0.04, 0.02, 0.12], [0.0, -0.06, 0.3], [0.0, 0.1, 0.2]]
+    )
+    scan = 1e3 * (turned.apply(load_cell) + np.array([0.3, 0.1, -0.2]))
+    path = landmarks(tmp_path / "l.yaml", scan, load_cell)
+    pose = place_by_landmarks(path, 1e-3).scan_in_load_cell
+    assert pose.apply(1e-3 * scan) == pytest.approx(load_cell)
+    with pytest.raises(RegistrationError, match=r"l\.yaml.*mm"):
+        place_by_landmarks(path, 1.0)
+    landmarks(path, scan + rng.normal(0.0, 30.0, scan.shape), load_cell)
+    with pytest.raises(RegistrationError, match=r"l\.yaml"):
+        place_by_landmarks(path, 1e-3)
+    line = np.outer([0.0, 1.0, 2.0], [0.01, 0.02, 0.03])
+    with pytest.raises(RegistrationError, match=r"l\.yaml.*line"):
+        place_by_landmarks(landmarks(path, 1e3 * line, line), 1e-3)

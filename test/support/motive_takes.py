@@ -1,0 +1,241 @@
+"""Takes as Motive would export them, from benches whose truth is known."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from scipy.spatial.transform import Rotation
+
+from socket_testbed.errors import RegistrationError, TestbedError
+from socket_testbed.geometry.pose import Pose
+from socket_testbed.geometry.socket import SocketGeometry
+from socket_testbed.socket_design.landmarks import read_landmarks
+from socket_testbed.socket_design.registration import Registration, read_static_take, register_take
+from support.problems import PYLON_TRIAD, SOCKET_TRIAD, random_pose, random_socket
+
+UNITS = {"Meters": 1.0, "Centimeters": 1e-2, "Millimeters": 1e-3}
+SOCKET_NAMES = tuple(f"Socket:Marker{i}" for i in (1, 2, 3))
+PYLON_NAMES = tuple(f"Pylon:Marker{i}" for i in (1, 2, 3))
+CELL = np.array(
+    [
+        [0.06, 0.0, 0.01],
+        [-0.05, 0.03, 0.0],
+        [0.01, -0.07, 0.02],
+        [0.0, 0.03, 0.08],
+        [0.04, 0.05, 0.1],
+    ]
+)
+LIMB = np.array(
+    [
+        [0.0, 0.07, 0.1],
+        [0.05, -0.03, 0.12],
+        [-0.06, -0.02, 0.09],
+        [0.02, 0.02, 0.2],
+        [-0.03, 0.06, 0.17],
+    ]
+)
+
+
+@dataclass
+class Written:
+    """What goes into a CSV: columns of N frames by name, in metres and in `world`."""
+
+    markers: dict[str, np.ndarray]
+    solved: dict[str, np.ndarray] = field(default_factory=dict)
+    bodies: dict[str, Pose] = field(default_factory=dict)
+    version: str = "1.21"
+    unit: str = "Meters"
+    rate: float = 120.0
+
+    def __len__(self) -> int:
+        return len(next(iter(self.markers.values())))
+
+
+def cells_of(take: Written) -> tuple[list[tuple[str, str, str, str]], np.ndarray]:
+    """Titles (type, name, property, axis) and numbers of the columns behind the time."""
+    titles, columns = [], []
+    scale = UNITS[take.unit]
+    error = "Error Per Marker" if take.version in {"1.2", "1.20", "1.21"} else "Mean Marker Error"
+    for name, pose in take.bodies.items():
+        titles += [("Rigid Body", name, "Rotation", axis) for axis in "XYZW"]
+        titles += [("Rigid Body", name, "Position", axis) for axis in "XYZ"]
+        titles.append(("Rigid Body", name, error, ""))
+        columns += [
+            *pose.quaternion().T,
+            *(pose.translation / scale).T,
+            np.full(len(take), 5e-5 / scale),
+        ]
+    for kind, markers in (("Rigid Body Marker", take.solved), ("Marker", take.markers)):
+        for name, positions in markers.items():
+            titles += [(kind, name, "Position", axis) for axis in "XYZ"]
+            columns += [*(positions / scale).T]
+            if kind == "Rigid Body Marker":
+                titles.append((kind, name, "Marker Quality", ""))
+                columns.append(np.full(len(take), 0.99))
+    return titles, np.array(columns).T
+
+
+def motive_lines(take: Written) -> list[str]:
+    """The lines of an export: the header and blank line, the rows of names, the frames."""
+    titles, table = cells_of(take)
+    header = {
+        "Format Version": take.version,
+        "Take Name": "Take 2024-05-05 03.49.50 PM",
+        "Capture Frame Rate": f"{take.rate:.6f}",
+        "Export Frame Rate": f"{take.rate:.6f}",
+        "Total Exported Frames": str(len(take)),
+        "Rotation Type": "Quaternion",
+        "Length Units": take.unit,
+        "Coordinate Space": "Global",
+    }
+    kinds, names, meanings, axes = (list(row) for row in zip(*titles, strict=True))
+    ids = [f'"{sum(map(ord, name)):08X}"' for name in names]
+    labels = ("", "", "", "")
+    if float(take.version) > 1.22:
+        labels = ("Type", "Name", "ID", "Parent")
+    rows = [["", labels[0], *kinds], ["", labels[1], *names], ["", labels[2], *ids]]
+    if float(take.version) >= 1.25:
+        rows.append(["", labels[3], *["" for _ in names]])
+    rows += [["", "", *meanings], ["Frame", "Time (Seconds)", *axes]]
+    for frame, numbers in enumerate(table):
+        cells = [f"{value:.6f}" if np.isfinite(value) else "" for value in numbers]
+        rows.append([str(frame), f"{frame / take.rate:.6f}", *cells])
+    first = ",".join(f"{key},{value}" for key, value in header.items())
+    return [first, "", *(",".join(row) for row in rows)]
+
+
+def write_take(take: Written, path: Path, newline: str = "\r\n", bom: bool = False) -> Path:
+    """Write a take as CSV."""
+    return write_lines(motive_lines(take), path, newline, bom)
+
+
+def write_lines(lines: list[str], path: Path, newline: str = "\n", bom: bool = False) -> Path:
+    """Write lines, each with its end."""
+    text = "".join(line + newline for line in lines)
+    path.write_bytes(text.encode("utf-8-sig" if bom else "utf-8"))
+    return path
+
+
+@dataclass
+class Bench:
+    """A socket and its limb on the bench with landmarks, and what the cameras see of them.
+
+    Attributes:
+        geometry: A socket whose triads, `socket_body` and `limb` are out of date.
+        socket_body: True pose of the socket's own triad frame in {S}.
+        limb: True pose of the limb in the pylon's own triad frame.
+        q: True limb position in {S} [m].
+        places: True places of the markers in `world`, by name [m].
+        take: The take.
+        document: Content of LANDMARKS.yaml.
+    """
+
+    geometry: SocketGeometry
+    socket_body: Pose
+    limb: Pose
+    q: np.ndarray
+    places: dict[str, np.ndarray]
+    take: Written
+    document: dict
+
+
+def make_bench(
+    rng: np.random.Generator,
+    frames: int = 60,
+    noise: float = 1e-4,
+    placement: float = 0.0,
+    landmarks: int = 5,
+    scene: np.random.Generator | None = None,
+    **changes: object,
+) -> Bench:
+    """A random bench.
+
+    Args:
+        rng: Source of all that is random.
+        frames: Number of frames.
+        noise: 1-sigma noise of a coordinate of a marker in a frame [m].
+        placement: 1-sigma error of a coordinate of a landmark's place [m].
+        landmarks: Number of landmarks on either side, at most 5.
+        scene: Source of the poses, if it is another one.
+        changes: Other fields of `Written`.
+    """
+    scene = scene or rng
+    cell_in_world, limb_in_cell = random_pose(scene, 1.0), random_pose(scene, 0.1)
+    socket_in_cell, pylon_in_limb = random_pose(scene, 0.15), random_pose(scene, 0.2)
+    limb_in_world = cell_in_world @ limb_in_cell
+    places = {
+        **dict(
+            zip(SOCKET_NAMES, (cell_in_world @ socket_in_cell).apply(SOCKET_TRIAD), strict=True)
+        ),
+        **dict(zip(PYLON_NAMES, (limb_in_world @ pylon_in_limb).apply(PYLON_TRIAD), strict=True)),
+    }
+    known = {}
+    for group, frame, points in (("Cell", cell_in_world, CELL), ("Limb", limb_in_world, LIMB)):
+        known[group] = {f"{group}:{i}": point for i, point in enumerate(points[:landmarks])}
+        for name, point in known[group].items():
+            places[name] = frame.apply(point + rng.normal(0.0, placement, 3))
+    markers = {name: place + rng.normal(0.0, noise, (frames, 3)) for name, place in places.items()}
+    # The triads' own frames: origin at the first marker, x to the second, z normal to them.
+    socket_frame, pylon_frame = own_frame_of(SOCKET_TRIAD), own_frame_of(PYLON_TRIAD)
+    return Bench(
+        geometry=random_socket(scene),
+        socket_body=socket_in_cell @ socket_frame,
+        limb=(pylon_in_limb @ pylon_frame).inverse(),
+        q=limb_in_cell.translation,
+        places=places,
+        take=Written(markers, **changes),
+        document={
+            "bodies": {"socket": list(SOCKET_NAMES), "pylon": list(PYLON_NAMES)},
+            "load_cell": {name: point.tolist() for name, point in known["Cell"].items()},
+            "limb": {name: point.tolist() for name, point in known["Limb"].items()},
+        },
+    )
+
+
+def own_frame_of(triad: np.ndarray) -> Pose:
+    """Frame of a triad by Gram and Schmidt: the QR decomposition of its two edges."""
+    edges = (triad[1:] - triad[0]).T
+    axes, scales = np.linalg.qr(edges)
+    x, y = (axes * np.sign(np.diag(scales))).T
+    return Pose(np.column_stack([x, y, np.cross(x, y)]), triad[0])
+
+
+def track(bench: Bench, name: str, triad: tuple[str, ...], frame: Pose) -> Bench:
+    """The bench with a rigid body of Motive, whose frame lies at `frame` of the triad's own."""
+    pose = own_frame_of(np.array([bench.places[marker] for marker in triad])) @ frame
+    count = len(bench.take)
+    tracked = Pose(np.tile(pose.rotation, (count, 1, 1)), np.tile(pose.translation, (count, 1)))
+    take = dataclasses.replace(bench.take, bodies={**bench.take.bodies, name: tracked})
+    return dataclasses.replace(bench, take=take)
+
+
+def write_landmarks(document: dict, path: Path) -> Path:
+    """Write LANDMARKS.yaml."""
+    path.write_text(yaml.safe_dump(document, sort_keys=False))
+    return path
+
+
+def register(bench: Bench, folder: Path, force: bool = False, **how: object) -> Registration:
+    """Register a bench through its files."""
+    take = read_static_take(write_take(bench.take, folder / "take.csv", **how))
+    landmarks = read_landmarks(write_landmarks(bench.document, folder / "landmarks.yaml"))
+    return register_take(take, landmarks, bench.geometry, force)
+
+
+def refused(bench: Bench, folder: Path, kind: type[TestbedError] = RegistrationError) -> str:
+    """The error of registering a bench, in one line."""
+    with pytest.raises(kind) as caught:
+        register(bench, folder)
+    assert "\n" not in str(caught.value)
+    return str(caught.value)
+
+
+def between(a: Pose, b: Pose) -> tuple[float, float]:
+    """Distance [m] and angle [rad] between two poses."""
+    angle = Rotation.from_matrix(a.rotation.T @ b.rotation).magnitude()
+    return float(np.linalg.norm(a.translation - b.translation)), float(angle)

@@ -1,0 +1,116 @@
+"""Two moving bodies, a simulated NatNet server that streams them, and a client beside it."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from socket_testbed.drivers.natnet.client import NatNetClient
+from socket_testbed.drivers.natnet.tracker import BodyTracker
+from socket_testbed.settings.acquisition import MocapSettings
+from socket_testbed.simulation.devices.natnet_server import NatNetServer
+from support.problems import PYLON_TRIAD, SOCKET_TRIAD
+
+TIMEOUT = 10.0  # [s]; of a machine under load
+_POLL = 0.005  # [s]
+TRIADS = (SOCKET_TRIAD, PYLON_TRIAD)
+NAMES = ("socket", "pylon")
+
+
+def pose_at(body: int, moment: float) -> tuple[np.ndarray, Rotation]:
+    """Position [m] and orientation of a body: a slow walk on the spot."""
+    phase = 2.0 * np.pi * 0.35 * moment + body
+    position = np.array(
+        [0.4 + 0.05 * np.sin(phase), -0.3 + 0.03 * np.cos(1.3 * phase), 0.7 + 0.2 * body]
+    )
+    return position, Rotation.from_rotvec([0.3 * np.sin(phase), 0.2 * body, 0.4 * np.cos(phase)])
+
+
+def markers_at(body: int, moment: float) -> np.ndarray:
+    """Markers of a body in the world, shape (3, 3) [m]."""
+    position, rotation = pose_at(body, moment)
+    return rotation.apply(TRIADS[body]) + position
+
+
+def scene(moment: float):
+    """What the cameras see."""
+    found = []
+    for body, name in enumerate(NAMES):
+        position, rotation = pose_at(body, moment)
+        found.append((name, markers_at(body, moment), position, rotation.as_quat()))
+    return found
+
+
+def until(condition: Callable[[], bool], what: str = "it", timeout: float = TIMEOUT) -> float:
+    """Wait for a condition with a deadline; how long it took, stalls of the machine apart [s]."""
+    start = last = time.monotonic()
+    took = 0.0
+    pause = threading.Event()
+    while not condition():
+        assert last - start < timeout, f"{what} did not come"
+        pause.wait(_POLL)
+        now = time.monotonic()
+        took += min(now - last, 2.0 * _POLL)
+        last = now
+    return took
+
+
+class Link:
+    """A server with its faults, and a client whose frames go to a tracker."""
+
+    def __init__(self, multicast=None, bodies=scene, client=True, data_port=1511, **server):
+        self.faults: dict[str, float] = {}
+        self.frames: list[tuple[int, float]] = []
+        self.server = NatNetServer(bodies, faults=self.faults, multicast=multicast, **server)
+        host, port = self.server.address
+        self.settings = MocapSettings(
+            server=host, command_port=port, interface=host if multicast else "",
+            multicast=multicast[0] if multicast else "", data_port=data_port,
+        )  # fmt: skip
+        self.tracker = BodyTracker(self.settings, *TRIADS)
+        self.client = NatNetClient(self.settings, self._take)
+        if client:
+            self.client.start()
+
+    def _take(self, frame, moment, models):
+        self.frames.append((frame.number, moment))
+        self.tracker.add(frame, moment, models)
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        self.client.close()
+        self.server.close()
+
+    def health(self) -> tuple[int, str]:
+        return self.client.health(time.monotonic())
+
+    def is_fine(self) -> bool:
+        return self.health()[0] == 0
+
+    def until_fine(self, timeout: float = TIMEOUT) -> float:
+        return until(self.is_fine, "health", timeout)
+
+    def until_level(self, level: int, text: str = "") -> float:
+        def reached() -> bool:
+            now, message = self.health()
+            return now == level and text in message
+
+        return until(reached, f"level {level} '{text}'")
+
+    def check_sample(self) -> float:
+        """The largest error of a marker, at a trigger from now or soon [m]."""
+        deadline = time.monotonic() + TIMEOUT
+        while True:
+            trigger = time.monotonic()
+            assert trigger < deadline, "no sample came"
+            self.tracker.wait(trigger, trigger + self.settings.stale)
+            sample = self.tracker.sample(trigger)
+            if sample.faults == ("", ""):
+                truth = np.array([markers_at(body, trigger) for body in range(2)])
+                return float(np.linalg.norm(sample.markers - truth, axis=2).max())

@@ -1,0 +1,181 @@
+"""Random sockets, spring beds and samples, and whole problems of identification."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+import qpsolvers
+from scipy.spatial.transform import Rotation
+
+from socket_testbed.geometry.pose import Pose
+from socket_testbed.geometry.socket import SocketGeometry
+from socket_testbed.identification.contact import ContactModel
+from socket_testbed.samples import Samples
+from socket_testbed.settings.identification import IdentificationSettings, Variant
+
+SOCKET_TRIAD = np.array([[0.0, 0.0, 0.0], [0.09, 0.0, 0.01], [-0.01, 0.045, 0.0]])  # [m]
+PYLON_TRIAD = np.array([[0.0, 0.01, 0.0], [0.07, 0.0, 0.0], [0.01, 0.05, 0.02]])  # [m]
+FAR = np.array([0.01, -0.02, 0.03])  # [m]; no sign may hide behind a mean position of zero
+LEFT_OUT = [
+    (),
+    ("cluster_1.Fx",),
+    ("Mz", "cluster_0.Fz", "cluster_2.Fy"),
+    ("cluster_1.Fx", "cluster_1.Fy", "cluster_1.Fz"),
+    ("Mx", "My", "Mz"),
+    ("Mx", "My", "Mz", "Fx", "Fy", "Fz"),
+]
+
+
+def random_pose(rng: np.random.Generator, reach: float = 0.3, count: int | None = None) -> Pose:
+    """A random pose, or `count` of them, within `reach` [m]."""
+    shape = (3,) if count is None else (count, 3)
+    quaternion = rng.normal(size=(*shape[:-1], 4))  # normalised, it is uniform over rotations
+    return Pose(Rotation.from_quat(quaternion).as_matrix(), rng.uniform(-reach, reach, shape))
+
+
+def random_socket(
+    rng: np.random.Generator, rings: int = 2, columns: int = 4, clusters: int = 3
+) -> SocketGeometry:
+    """A cone of rings x columns tiles around z of {S}, z pointing to the proximal end.
+
+    The clusters lie on random tiles; the neighbours are those along the ring and the column.
+    """
+    names, anchors, rotations, pairs = [], [], [], []
+    cone = rng.uniform(0.05, 0.2)  # [rad]
+    for ring in range(rings):
+        for column in range(columns):
+            angle = 2.0 * np.pi * (column + rng.uniform(-0.1, 0.1)) / columns
+            outwards = np.array([np.cos(angle), np.sin(angle), 0.0])
+            upwards = np.array([0.0, 0.0, 1.0])
+            z = -np.cos(cone) * outwards + np.sin(cone) * upwards
+            x = np.sin(cone) * outwards + np.cos(cone) * upwards
+            radius = 0.045 + 0.01 * ring + rng.uniform(-0.002, 0.002)
+            names.append(f"tile_{ring}_{column}")
+            anchors.append(radius * outwards + (0.1 + 0.06 * ring) * upwards)
+            rotations.append(np.column_stack([x, np.cross(z, x), z]))
+            tile = ring * columns + column
+            pairs.append(sorted((tile, ring * columns + (column + 1) % columns)))
+            if ring + 1 < rings:
+                pairs.append([tile, tile + columns])
+    covered = rng.permutation(len(names))[:clusters].tolist()
+    return SocketGeometry(
+        names=tuple(names),
+        anchors=np.array(anchors),
+        rotations=np.array(rotations),
+        areas=np.full(len(names), 9e-4),
+        neighbours=np.unique(np.array(pairs), axis=0),
+        clusters={f"cluster_{i}": int(tile) for i, tile in enumerate(covered)},
+        socket_markers=SOCKET_TRIAD,
+        pylon_markers=PYLON_TRIAD,
+        socket_body=random_pose(rng),
+        limb=random_pose(rng),
+    )
+
+
+def random_bed(
+    rng: np.random.Generator,
+    geometry: SocketGeometry,
+    variant: Variant = "stiffness",
+    untouched: float = 0.0,
+) -> ContactModel:
+    """A spring bed, a fraction of it `untouched` (stiffness 0); offsets in the bias variant."""
+    n = len(geometry)
+    with_bias = variant == "stiffness_bias"
+    return ContactModel(
+        variant=variant,
+        names=geometry.names,
+        anchors=geometry.anchors,
+        rotations=geometry.rotations,
+        stiffness=rng.uniform(500.0, 8000.0, (n, 3)) * (rng.random((n, 3)) >= untouched),
+        rest_positions=rng.uniform(-0.002, 0.002, (n, 3)),
+        sharpness=2000.0,
+        wrench_bias=with_bias * rng.normal(0.0, [1.0, 1.0, 1.0, 10.0, 10.0, 10.0]),
+        force_bias={name: rng.normal(0.0, 5.0, 3) for name in geometry.clusters if with_bias},
+        cluster_points=dict(geometry.clusters),
+    )
+
+
+def moving_limb(rng: np.random.Generator, count: int, amplitude: float = 0.003) -> np.ndarray:
+    """Limb positions that cross the gates of all axes on ways of their own, (N, 3) [m]."""
+    phase = np.linspace(0.0, 2.0 * np.pi, count)[:, None] * [1.0, 2.0, 3.0]
+    way = amplitude * np.sin(phase + rng.uniform(0.0, 2.0 * np.pi, 3))
+    return way + rng.normal(0.0, 0.1 * amplitude, (count, 3))
+
+
+def make_samples(
+    position: np.ndarray,
+    wrench: np.ndarray,
+    forces: dict[str, np.ndarray],
+) -> Samples:
+    """Complete samples at 4 Hz."""
+    count = len(position)
+    return Samples(
+        stamps=np.int64(10**18) + 250_000_000 * np.arange(count, dtype=np.int64),
+        position=position,
+        wrench=wrench,
+        clusters=tuple(forces),
+        local_forces=np.stack([*forces.values()], axis=1) if forces else np.zeros((count, 0, 3)),
+        status=np.zeros((count, len(forces)), dtype=np.uint8),
+    )
+
+
+def samples_of_bed(
+    rng: np.random.Generator, bed: ContactModel, position: np.ndarray, noise: float = 0.0
+) -> Samples:
+    """What perfect sensors would measure on a bed, plus `noise` relative to 1 N and 0.1 N m."""
+    wrench, forces = bed.wrench(position), bed.cluster_forces(position)
+    wrench = wrench + noise * rng.normal(0.0, [0.1] * 3 + [1.0] * 3, wrench.shape)
+    forces = {name: f + noise * rng.normal(0.0, 1.0, f.shape) for name, f in forces.items()}
+    return make_samples(position, wrench, forces)
+
+
+def naive_gated(displacement: np.ndarray, sharpness: float) -> np.ndarray:
+    """The paper's form of s: (1/2 - 1/2 tanh(alpha d)) d."""
+    return (0.5 - 0.5 * np.tanh(sharpness * displacement)) * displacement
+
+
+def spoil(rng: np.random.Generator, samples: Samples) -> Samples:
+    """The same samples with gaps in the clusters: single channels, whole clusters, statuses."""
+    forces, status = samples.local_forces.copy(), samples.status.copy()
+    forces[rng.random(forces.shape) < 0.1] = np.nan
+    forces[5:9, 0] = np.nan
+    status[12:16, 1] = 3
+    forces[12:16, 1] += 1e4  # what no fit may see
+    return dataclasses.replace(samples, local_forces=forces, status=status)
+
+
+def make_case(
+    seed: int,
+    variant: Variant = "stiffness_bias",
+    gaps: bool = False,
+    clusters: int = 3,
+    noise: float = 1.0,
+    **changes,
+) -> tuple[SocketGeometry, ContactModel, Samples, IdentificationSettings]:
+    """A random bed and its samples: the socket, the bed, the samples and the settings.
+
+    Little smoothness and many tiles without contact put part of the solution on its bound.
+    """
+    rng = np.random.default_rng(seed)
+    geometry = random_socket(rng, clusters=clusters)
+    bed = random_bed(rng, geometry, variant, untouched=0.4)
+    samples = samples_of_bed(rng, bed, moving_limb(rng, 40), noise)
+    if gaps:
+        samples = spoil(rng, samples)
+    settings = IdentificationSettings(variant=variant, **({"smoothness": 1e-5} | changes))
+    return geometry, bed, samples, settings
+
+
+def installed(*solvers: str) -> list:
+    """Solvers as parameters of a test, which skips those that are not installed."""
+    return [
+        pytest.param(
+            solver,
+            marks=pytest.mark.skipif(
+                solver not in qpsolvers.available_solvers, reason=f"{solver} is not installed"
+            ),
+        )
+        for solver in solvers
+    ]

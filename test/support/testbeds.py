@@ -1,0 +1,206 @@
+"""A simulated testbed as users run it, watched over, and an oracle for what it recorded."""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+import threading
+import time
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+
+from socket_testbed.geometry.marker_bodies import fit_triad
+from socket_testbed.live.bringup import Simulation, Testbed, end, simulated_testbed, start
+from socket_testbed.live.processes import Graph
+from socket_testbed.nodes.conversions import stamp_from_ros
+from socket_testbed.simulation.trial import TRUTH_FILE
+from socket_testbed.simulation.world import World
+from socket_testbed.trials.bag import decode, stamp_of
+from socket_testbed.trials.synchronise import pose_vector, wrench_vector
+from socket_testbed.trials.topics import (
+    CAPACITANCE,
+    DIAGNOSTICS,
+    MARKERS,
+    PYLON_POSE,
+    SOCKET_POSE,
+    TRIGGER,
+    WRENCH,
+)
+from socket_testbed.trials.trial import Trial
+from support.graph import Probe
+
+MEASURED = (CAPACITANCE, WRENCH, SOCKET_POSE, PYLON_POSE, MARKERS)
+
+# Everything changes fast, all the time: an old value is a wrong one.
+MOVING = Simulation("multi_direction", period=40.0, seed=2, pace=6.0, sway=0.05)
+
+
+class LiveTestbed:
+    """The graph in processes of its own, kept running, with a probe beside it."""
+
+    def __init__(self, record: Path | None = None, rate: float = 20.0, **changes: Any) -> None:
+        testbed = simulated_testbed(record, rate, MOVING)
+        self.testbed: Testbed = dataclasses.replace(testbed, **changes)
+        self.restarts: list[str] = []
+        self._ended = threading.Event()
+
+    def __enter__(self) -> Self:
+        self.probe = Probe().__enter__()
+        self.diagnostics = self.probe.listen(DIAGNOSTICS)
+        self.triggers = self.probe.listen(TRIGGER)
+        self.wrenches = self.probe.listen(WRENCH)
+        self.graph = Graph().__enter__()
+        world = start(self.graph, self.testbed)
+        assert isinstance(world, World)
+        self.world = world
+        self._thread = threading.Thread(
+            target=self.graph.watch, args=(self._ended.is_set, self.restarts.append)
+        )
+        self._thread.start()
+        self.probe.wait(lambda: len(self.wrenches) > 5, "the first samples")
+        for node in ("trigger_node", "cluster_node", "load_cell_node", "mocap_node"):
+            self.wait_for(node, "OK")
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._ended.set()
+        self._thread.join()
+        end(self.graph, self.testbed)
+        self.graph.__exit__()
+        self.probe.__exit__()
+
+    def said(self, node: str) -> tuple[str, str]:
+        """Level and message of a node's newest diagnostics."""
+        for message in reversed(self.diagnostics):
+            for status in message.status:
+                if status.name == node:
+                    return ("OK", "WARN", "ERROR")[status.level[0]], status.message
+        return "", ""
+
+    def wait_for(self, node: str, level: str, text: str = "") -> str:
+        """Wait until a node's newest diagnostics have a level and a text; returns the message."""
+
+        def matches() -> bool:
+            now, message = self.said(node)
+            return re.fullmatch(level, now) is not None and re.search(text, message) is not None
+
+        self.probe.wait(matches, f"{node} {level} '{text}', it says {self.said(node)}")
+        return self.said(node)[1]
+
+    def wait_for_triggers(self, count: int) -> None:
+        """Let so many triggers pass."""
+        goal = len(self.triggers) + count
+        self.probe.wait(lambda: len(self.triggers) >= goal, f"{count} triggers")
+
+    def switch(self, fault: str, value: float) -> None:
+        self.world.faults.switch(fault, value)
+
+    def process(self, name: str) -> Any:
+        return self.graph._members[name].process
+
+    def newest(self) -> int:
+        return stamp_from_ros(self.wrenches[-1].header.stamp)
+
+    def elapsed(self) -> float:
+        return time.monotonic()
+
+
+class Recorded:
+    """What a trial of the simulated testbed holds, by topic and stamp."""
+
+    def __init__(self, path: Path, truth: Path | None = None) -> None:
+        self.path = path
+        self.by_topic: dict[str, dict[int, Any]] = {}
+        with Trial(path).open() as bag:
+            self.notes = bag.notes
+            for raw in bag.messages():
+                topic = raw.topic.lstrip("/")
+                if topic == "diagnostics":
+                    continue
+                message = decode(raw.data, raw.type)
+                stamps = self.by_topic.setdefault(topic, {})
+                assert stamp_of(message) not in stamps, f"{topic}: a stamp came twice"
+                stamps[stamp_of(message)] = message
+        with np.load((truth or path) / TRUTH_FILE) as data:
+            self._truth = dict(data)
+        self._geometry = Trial(path).geometry
+
+    def stamps(self, topic: str) -> set[int]:
+        return set(self.by_topic.get(topic, {}))
+
+    def lacking(self) -> dict[str, int]:
+        """How many triggers each measured topic lacks."""
+        triggers = self.stamps(TRIGGER.name)
+        return {t.name: len(triggers - self.stamps(t.name)) for t in MEASURED}
+
+    def _felt(self, name: str, stamp: float) -> np.ndarray:
+        """What the sensors felt at a time, linear between the simulation's steps."""
+        stamps, values = self._truth["stamps"], self._truth[f"felt_{name}"]
+        after = int(np.clip(np.searchsorted(stamps, stamp), 1, len(stamps) - 1))
+        share = (stamp - stamps[after - 1]) / (stamps[after] - stamps[after - 1])
+        return (1.0 - share) * values[after - 1] + share * values[after]
+
+    def _known(self, topic: str) -> list[tuple[int, Any]]:
+        """Messages of a topic, but for those around which a busy machine held the world up."""
+        # A state must be there before its forerunner's time is over: 40 ms ahead of its own.
+        late = self._truth["lateness"] > -0.045
+        begin = self._truth["stamps"][late] - 0.06e9
+        end = (
+            self._truth["stamps"][late]
+            + 1e9 * np.maximum(self._truth["lateness"][late], 0.0)
+            + 0.03e9
+        )
+        return [
+            (stamp, message)
+            for stamp, message in self.by_topic[topic].items()
+            if not ((begin < stamp) & (stamp < end)).any()
+        ]
+
+    def check_values(self) -> dict[str, int]:
+        """Assert that no value is wrong; returns how many there are of each topic.
+
+        A value is wrong if it is not what the sensor felt at its trigger: the clusters from
+        two cycles of their converters before to 50 ms after, the others at the very time.
+        """
+        counts = dict.fromkeys((t.name for t in MEASURED), 0)
+        for stamp, message in self._known(WRENCH.name):
+            wrench = np.array(wrench_vector(message.wrench))
+            if np.isfinite(wrench).all():
+                off = np.abs(wrench - self._felt("wrench", stamp))
+                assert (off < np.repeat([0.1, 0.9], 3)).all(), (stamp, off)
+                counts[WRENCH.name] += 1
+            else:
+                assert np.isnan(wrench).all()
+        for stamp, message in self._known(CAPACITANCE.name):
+            moments = stamp + np.linspace(-0.03e9, 0.055e9, 12)
+            felt = np.array([self._felt("capacitance", moment) for moment in moments])
+            for i, cluster in enumerate(message.clusters):
+                values = np.asarray(cluster.capacitance)
+                fine = np.asarray(cluster.status) == 0
+                assert np.isfinite(values[fine]).all() and np.isnan(values[~fine]).all()
+                low, high = felt[:, i].min(axis=0), felt[:, i].max(axis=0)
+                within = (values > low - 0.012) & (values < high + 0.012)
+                assert within[fine].all(), (stamp, cluster.name, values, low, high)
+                counts[CAPACITANCE.name] += int(fine.sum())
+        for k, topic in enumerate((SOCKET_POSE, PYLON_POSE)):
+            triad = (self._geometry.socket_markers, self._geometry.pylon_markers)[k]
+            for stamp, message in self._known(topic.name):
+                pose = np.array(pose_vector(message.pose))
+                if not np.isfinite(pose).all():
+                    assert np.isnan(pose).all()
+                    continue
+                true = fit_triad(triad, self._felt("markers", stamp)[k][None]).pose
+                turn = abs(pose[3:] @ true.quaternion()[0])
+                assert np.linalg.norm(pose[:3] - true.translation[0]) < 6e-4, stamp
+                assert 2.0 * np.arccos(min(turn, 1.0)) < 0.01, stamp
+                counts[topic.name] += 1
+        for stamp, message in self._known(MARKERS.name):
+            felt = self._felt("markers", stamp)
+            for body, true in zip(message.bodies, felt, strict=True):
+                seen = np.array([(m.x, m.y, m.z) for m in body.markers])
+                off = np.linalg.norm(seen - true, axis=1)
+                assert (np.isnan(off) | (off < 6e-4)).all(), (stamp, body.name, off)
+                counts[MARKERS.name] += int(np.isfinite(off).sum())
+        return counts

@@ -1,0 +1,218 @@
+"""Exported samples, read back by the programs they are for."""
+
+import argparse
+import json
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pyarrow.parquet as pq
+import pytest
+from scipy.io import loadmat
+from support.bags import rewrite
+
+from socket_testbed.calibration.model import channel_features
+from socket_testbed.commands import export
+from socket_testbed.commands.export import configure
+from socket_testbed.errors import ConfigurationError, TestbedError
+from socket_testbed.identification.evaluation import evaluate
+from socket_testbed.identification.model_file import read_model
+from socket_testbed.samples import WRENCH_CHANNELS, Samples
+from socket_testbed.trials.bag import stamp_of
+from socket_testbed.trials.synchronise import read_samples
+from socket_testbed.trials.tables import Column, matlab_names, write_table
+from socket_testbed.trials.trial import Trial
+
+SHIFT = 123_456_789  # [ns]; no stamp is a round number that a float could hold
+
+
+def call(*words: object) -> None:
+    parser = argparse.ArgumentParser()
+    configure(parser)
+    options = parser.parse_args([str(word) for word in words])
+    export.run(options)
+
+
+@pytest.fixture(scope="module")
+def gappy(hold: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A trial with drop-outs of every kind, and stamps that need all of 64 bits."""
+    first = stamp_of_first(hold)
+
+    def spoil(topic: str, message):
+        stamp = stamp_of(message)
+        second = (stamp - first) // 1_000_000_000
+        if (second, topic) in {(3, "/load_cell/wrench"), (7, "/mocap/pylon/pose")}:
+            return None
+        if topic == "/clusters/capacitance":
+            if second == 5:
+                return None
+            if second == 9:
+                message.clusters[1].status = np.array([0, 1, 0, 0], dtype=np.uint8)
+            if second == 11:
+                message.clusters[2].capacitance = np.array([np.nan, 4.0, 4.0, 4.0])
+            if second == 13:
+                message.clusters.pop()
+        message.header.stamp.nanosec += SHIFT
+        return message
+
+    return rewrite(hold, tmp_path_factory.mktemp("gappy") / "gappy", spoil)
+
+
+def stamp_of_first(trial: Path) -> int:
+    return int(read_samples(Trial(trial)).stamps[0])
+
+
+@pytest.fixture(scope="module")
+def samples(gappy: Path) -> Samples:
+    return read_samples(Trial(gappy))
+
+
+def read_back(path: Path) -> dict[str, np.ndarray]:
+    """Columns by their titles, whatever the format."""
+    if path.suffix == ".mat":
+        content = loadmat(path, simplify_cells=True)
+        units = content["units"]
+        return {f"{name} [{unit}]": content[name] for name, unit in units.items()}
+    table = pd.read_csv(path) if path.suffix == ".csv" else pd.read_parquet(path)
+    return {name: table[name].to_numpy() for name in table.columns}
+
+
+def title(name: str, unit: str, suffix: str) -> str:
+    return f"{name.replace('.', '_') if suffix == '.mat' else name} [{unit}]"
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".parquet", ".mat"])
+def test_samples_are_read_back_as_they_are(suffix, gappy, samples, tmp_path) -> None:
+    path = tmp_path / f"out{suffix}"
+    call(gappy, "-o", path)
+    columns = read_back(path)
+    stamps = columns["stamp [ns]"]
+    assert stamps.dtype == np.int64 and np.array_equal(stamps, samples.stamps)
+    assert np.all(stamps % 1000 == SHIFT % 1000)
+
+    def assert_column(name: str, unit: str, expected: np.ndarray) -> None:
+        # Exactly: to the last bit, and NaN where there was no value.
+        np.testing.assert_array_equal(columns[title(name, unit, suffix)], expected, name)
+
+    assert_column("time", "s", samples.time)
+    for i, name in enumerate(WRENCH_CHANNELS):
+        assert_column(name, "N m" if name[0] == "M" else "N", samples.wrench[:, i])
+    for i, axis in enumerate("xyz"):
+        assert_column(f"q_{axis}", "m", samples.position[:, i])
+    for k, cluster in enumerate(samples.clusters):
+        assert_column(f"{cluster}.status", "-", samples.status[:, k])
+        for i, axis in enumerate("xyz"):
+            assert_column(f"{cluster}.F{axis}", "N", samples.local_forces[:, k, i])
+    # Every kind of drop-out is there, or the test shows nothing.
+    assert np.isnan(samples.wrench[:, 0]).sum() == 4
+    assert set(np.unique(samples.status)) >= {0, 1, 2}
+    assert np.isnan(samples.position).any(axis=1).sum() >= 4  # the simulation occludes markers, too
+    assert len(columns) == 2 + 6 + 3 + 4 * (4 + 1 + 3 + 3)
+
+
+def test_forces_follow_from_the_exported_stresses_and_capacitances(
+    gappy, samples, tmp_path
+) -> None:
+    path = tmp_path / "out.parquet"
+    call(gappy, "-o", path)
+    columns, trial = read_back(path), Trial(gappy)
+    for k, cluster in enumerate(samples.clusters):
+        stress = np.stack(
+            [columns[f"{cluster}.{name} [Pa]"] for name in ("normal", "shear_x", "shear_y")], -1
+        )
+        force = trial.geometry.cluster_force(cluster, stress)
+        np.testing.assert_array_equal(force, samples.local_forces[:, k])
+        inputs = np.stack([columns[f"{cluster}.C{i} [pF]"] for i in range(4)], -1)
+        calibration = trial.calibration.clusters[cluster]
+        mean, _, _ = channel_features(inputs[:, calibration.wiring])
+        read = np.isfinite(stress[:, 0])
+        np.testing.assert_allclose(
+            stress[read, 0], (calibration.normal[0] + calibration.normal[1] * mean)[read]
+        )
+        assert np.isnan(inputs).all(axis=1).sum() in {4, 8}  # a message, or also the cluster
+
+
+def test_a_parquet_field_knows_its_unit(gappy: Path, tmp_path: Path) -> None:
+    path = tmp_path / "out.parquet"
+    call(gappy, "-o", path)
+    for field in pq.read_schema(path):
+        assert field.name.endswith(f" [{field.metadata[b'unit'].decode()}]")
+
+
+def test_a_segment_keeps_the_trial_s_time(gappy: Path, samples: Samples, tmp_path: Path) -> None:
+    path = tmp_path / "out.csv"
+    call(gappy, "-o", path, "--segment", "10:20")
+    table = pd.read_csv(path)
+    rows = (samples.time >= 10.0) & (samples.time <= 20.0)
+    np.testing.assert_array_equal(table["stamp [ns]"], samples.stamps[rows])
+    np.testing.assert_array_equal(table["time [s]"], samples.time[rows])
+
+
+def test_predictions_have_the_errors_that_evaluate_finds(
+    gappy, hold_model, samples, tmp_path
+) -> None:
+    path = tmp_path / "out.parquet"
+    call(gappy, "-o", path, "--model", hold_model)
+    columns = read_back(path)
+    for error in evaluate(samples, read_model(hold_model).model):
+        measured = columns[f"{error.name} [{error.unit}]"].copy()
+        cluster = error.name.rpartition(".")[0]
+        if cluster:
+            measured[columns[f"{cluster}.status [-]"] != 0] = np.nan
+        residual = columns[f"predicted.{error.name} [{error.unit}]"] - measured
+        assert np.sqrt(np.nanmean(residual**2)) == pytest.approx(error.rmse, rel=1e-12)
+    assert len(columns) == 55 + 18
+
+
+def test_names_are_such_as_matlab_can_have() -> None:
+    names = ["a.b", "a_b", "7", "_x", "ä", "units", "c" * 70, "c" * 71, "time"]
+    found = matlab_names(names)
+    assert len(set(found)) == len(names) and "units" not in found
+    assert found[0] == "a_b" and found[-1] == "time"
+    for name in found:
+        assert name.isascii() and name.isidentifier() and name[0].isalpha() and len(name) <= 63
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".parquet", ".mat"])
+def test_any_text_and_number_survives(suffix: str, tmp_path: Path) -> None:
+    values = np.array([0.1, np.nan, 1e-300, np.nextafter(1.0, 2.0), -1.7976931348623157e308])
+    columns = [
+        Column('a "quoted", name', "N m", values),
+        Column("large", "ns", np.array([2**62 + 1, -1, 0, 1, 2**53 + 1])),
+    ]
+    path = tmp_path / f"out{suffix}"
+    write_table(columns, path)
+    found = list(read_back(path).values())
+    np.testing.assert_array_equal(found[0], values)
+    np.testing.assert_array_equal(found[1], columns[1].values)
+    assert found[1].dtype == np.int64
+
+
+@pytest.mark.parametrize("name", ["out.xlsx", "out", "out.cvs", "out.csv.gz"])
+def test_another_suffix_is_refused_before_any_work(name: str, tmp_path: Path) -> None:
+    with pytest.raises(ConfigurationError, match=r"no format of a table: .*\.csv|one of"):
+        call(tmp_path / "nowhere", "-o", tmp_path / name)
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".parquet", ".mat"])
+def test_a_file_is_whole_or_not_there(suffix, gappy, hold_model, tmp_path, monkeypatch) -> None:
+    path = tmp_path / f"out{suffix}"
+    path.write_text("older")
+
+    def fail(columns, staging: Path) -> None:
+        staging.write_text("half of")
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setitem(export.write_table.__globals__["_WRITERS"], suffix, fail)
+    with pytest.raises(TestbedError, match="No space left"):
+        call(gappy, "-o", path)
+    assert path.read_text() == "older" and list(tmp_path.iterdir()) == [path]
+
+
+def test_a_model_of_another_socket_is_refused(gappy, hold_model, tmp_path) -> None:
+    document = json.loads(hold_model.read_text())
+    document["geometry"]["tiles"]["distal"]["anchor"][0] += 0.01
+    (tmp_path / "other.json").write_text(json.dumps(document))
+    with pytest.raises(TestbedError, match="another socket"):
+        call(gappy, "-o", tmp_path / "out.csv", "--model", tmp_path / "other.json")
+    assert not (tmp_path / "out.csv").exists()

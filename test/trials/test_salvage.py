@@ -1,0 +1,322 @@
+"""Recordings that were cut short: every cut gives what was whole before it, or an error."""
+
+import shutil
+import tracemalloc
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
+from rosbags.rosbag2.storage_mcap import McapReader
+from support.bags import copy_configuration
+
+from socket_testbed.__main__ import run
+from socket_testbed.errors import TrialError
+from socket_testbed.trials.bag import BagReader, BagWriter, RawMessage, typestore
+from socket_testbed.trials.salvage import salvage
+from socket_testbed.trials.synchronise import read_samples
+from socket_testbed.trials.topics import CAPACITANCE, WRENCH, match_topics
+from socket_testbed.trials.trial import Trial, beside_cut_short
+
+START = 1_760_000_000_000_000_000  # [ns]
+CHUNKS = 6
+MESSAGES = 9  # a chunk
+
+
+class Recording:
+    """A recording of several chunks: its bytes, and what each chunk holds.
+
+    Attributes:
+        data: The file.
+        ends: Where the chunks end in it [bytes].
+        chunks: The messages of each.
+    """
+
+    def __init__(self, path: Path, chunks: list[list[RawMessage]]) -> None:
+        self.data = path.read_bytes()
+        self.chunks = chunks
+        reader = McapReader(path)
+        reader.open()
+        self.ends = [chunk.chunk_start_offset + chunk.chunk_length for chunk in reader.chunks]
+        reader.close()
+        assert len(self.ends) == len(chunks)
+
+    def before(self, cut: int) -> list[RawMessage]:
+        """The messages of the chunks that are whole before a cut, in the order of their times."""
+        return self.first(sum(end <= cut for end in self.ends))
+
+    def first(self, number: int) -> list[RawMessage]:
+        """The messages of the first chunks."""
+        return sorted((m for chunk in self.chunks[:number] for m in chunk), key=lambda m: m.time)
+
+
+def make_messages(rng: np.random.Generator) -> list[list[RawMessage]]:
+    """Messages of two topics, not quite in the order of their times, some with zeros last."""
+    times = START + np.arange(CHUNKS * MESSAGES) * 10_000_000
+    times[2::5] -= 25_000_000
+    messages = []
+    for time in times.tolist():
+        topic = (WRENCH, CAPACITANCE)[int(rng.integers(2))]
+        body = rng.bytes(int(rng.integers(20, 90))) + bytes(int(rng.integers(0, 9)))
+        messages.append(RawMessage("/" + topic.name, topic.type, time, body))
+    return [messages[k : k + MESSAGES] for k in range(0, len(messages), MESSAGES)]
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Recording:
+    chunks = make_messages(np.random.default_rng(0))
+    path = tmp_path_factory.mktemp("recording") / "bag"
+    with BagWriter(path) as bag:
+        for topic in (WRENCH, CAPACITANCE):
+            bag.add_topic("/" + topic.name, topic)
+        for chunk in chunks:
+            for message in chunk:
+                bag.write(message.topic, message.time, message.data)
+            bag.flush()
+    return Recording(path / "bag.mcap", chunks)
+
+
+def read(path: Path) -> list[RawMessage]:
+    with BagReader(path) as bag:
+        messages = list(bag.messages())
+        assert sum(bag.counts.values()) == len(messages)
+    return messages
+
+
+def write(folder: Path, data: bytes) -> Path:
+    folder.mkdir(exist_ok=True)
+    (folder / "bag.mcap").write_bytes(data)
+    return folder
+
+
+def cuts_of(recording: Recording) -> list[int]:
+    """Where to cut: all around the ends of the chunks, and anywhere."""
+    around = [end + shift for end in recording.ends for shift in range(-45, 45)]
+    anywhere = np.random.default_rng(1).integers(0, len(recording.data), 300).tolist()
+    tail = range(recording.ends[-1], len(recording.data), 7)
+    return [cut for cut in (*around, *anywhere, *tail, 0, 1, 8, 9, 43) if cut < len(recording.data)]
+
+
+def check(recording: Recording, data: bytes, folder: Path) -> None:
+    """Whether a torn file gives the messages of the chunks that are whole in it, or an error."""
+    whole = recording.data
+    same = next(
+        (k for k, (a, b) in enumerate(zip(data, whole, strict=False)) if a != b),
+        min(len(data), len(whole)),
+    )
+    allowed = [recording.before(same)]
+    if same in recording.ends and data[same - 1] == 0:
+        # Zeros from a gap may have begun before the end of the last chunk: it is in doubt.
+        allowed.append(recording.before(same - 1))
+    try:
+        assert read(write(folder, data)) in allowed, same
+    except TrialError as error:
+        assert [] in allowed, same
+        assert "bag.mcap: is truncated" in str(error) and "record the trial again" in str(error)
+
+
+def test_a_cut_anywhere_leaves_exactly_the_whole_chunks_before_it(recording, tmp_path) -> None:
+    for cut in cuts_of(recording):
+        check(recording, recording.data[:cut], tmp_path / "bag")
+
+
+def test_zeros_that_a_power_cut_appends_are_no_messages(recording, tmp_path) -> None:
+    rng = np.random.default_rng(2)
+    for cut in cuts_of(recording)[::3]:
+        zeros = bytes(int(rng.integers(512, 5000)))  # a sector at least
+        check(recording, recording.data[:cut] + zeros, tmp_path / "bag")
+
+
+def test_old_blocks_after_a_chunk_are_no_messages(recording, tmp_path) -> None:
+    rng = np.random.default_rng(2)
+    for end in recording.ends:
+        for _ in range(20):
+            check(recording, recording.data[:end] + rng.bytes(4096), tmp_path / "bag")
+
+
+def test_sectors_that_never_reached_the_disk_cost_their_chunk(recording, tmp_path) -> None:
+    """The size is that of the file, but from some sector on there are zeros."""
+    for end_of_size in (*recording.ends, len(recording.data) - 100):
+        for sector in range(512, end_of_size, 512):
+            torn = recording.data[:sector] + bytes(end_of_size - sector)
+            check(recording, torn, tmp_path / "bag")
+
+
+def test_compressed_chunks_are_saved_as_well(recording, tmp_path: Path) -> None:
+    path = tmp_path / "bag"
+    writer = Writer(path, version=9, storage_plugin=StoragePlugin.MCAP)
+    writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
+    with writer:
+        connections = {
+            "/" + topic.name: writer.add_connection(
+                "/" + topic.name, topic.type, typestore=typestore()
+            )
+            for topic in (WRENCH, CAPACITANCE)
+        }
+        for chunk in recording.chunks:
+            for message in chunk:
+                writer.write(connections[message.topic], message.time, message.data)
+            writer.storage.close_chunk()
+    compressed = Recording(path / "bag.mcap", recording.chunks)
+    (path / "metadata.yaml").unlink()
+    for cut in np.random.default_rng(3).integers(compressed.ends[0], len(compressed.data), 60):
+        assert read(write(path, compressed.data[:cut])) == compressed.before(cut)
+
+
+def test_damage_before_the_last_chunk_is_an_error_and_no_shorter_trial(recording, tmp_path) -> None:
+    cut = recording.ends[4] + 100
+    whole = recording.data[:cut]
+    # The first message of the third chunk becomes a record of another kind.
+    place = recording.data.index(recording.chunks[2][0].data) - 31
+    assert whole[place] == 5
+    for opcode in (0, 12, 0xFF):
+        spoilt = whole[:place] + bytes([opcode]) + whole[place + 1 :]
+        with pytest.raises(TrialError, match=r"is damaged|cannot be read"):
+            read(write(tmp_path / "bag", spoilt))
+
+
+def test_the_note_says_what_was_saved(recording, tmp_path: Path) -> None:
+    cut = recording.ends[2] + 5
+    with BagReader(write(tmp_path / "bag", recording.data[:cut])) as bag:
+        metadata, note = bag.notes
+    assert "no metadata.yaml" in metadata
+    assert f"cut short (no end): {3 * MESSAGES} messages up to " in note
+    assert "(0.3 s) were saved, the last second may be missing (5 bytes cannot be read)" in note
+
+    with BagReader(write(tmp_path / "bag", recording.data[:-1])) as bag:
+        assert bag.notes[-1].endswith("were saved, none is missing")
+    with BagReader(write(tmp_path / "bag", recording.data)) as bag:
+        assert bag.notes == [metadata]
+    # A single file is opened as well.
+    (tmp_path / "bag" / "bag.mcap").write_bytes(recording.data[:cut])
+    assert read(tmp_path / "bag" / "bag.mcap") == recording.before(cut)
+
+
+def test_a_whole_file_is_no_salvage_s_business(recording, tmp_path: Path) -> None:
+    folder = write(tmp_path / "bag", recording.data)
+    assert salvage(folder / "bag.mcap") is None
+    (folder / "bag.mcap").write_bytes(b"no MCAP at all, whatever its name says: " * 9)
+    with pytest.raises(TrialError, match="cannot be read"):
+        read(folder)
+
+
+def test_metadata_that_promises_more_is_told_and_less_is_refused(hold, tmp_path) -> None:
+    target = Path(shutil.copytree(hold, tmp_path / "hold"))
+    text = (target / "metadata.yaml").read_text()
+    data = (target / "hold.mcap").read_bytes()
+    (target / "hold.mcap").write_bytes(data[:-1])
+    with BagReader(target) as bag:
+        assert len(bag.notes) == 1 and "cut short" in bag.notes[0]
+    (target / "metadata.yaml").write_text(text.replace("message_count: 240", "message_count: 241"))
+    with BagReader(target) as bag:
+        assert "metadata.yaml says" in bag.notes[1] and "copy the trial again" in bag.notes[1]
+    (target / "metadata.yaml").write_text(text.replace("message_count: 240", "message_count: 239"))
+    with pytest.raises(TrialError, match="says 239 messages"):
+        read(target)
+
+
+def test_a_folder_is_only_read(recording, tmp_path: Path) -> None:
+    folder = write(tmp_path / "bag", recording.data[: recording.ends[3]])
+    before = {path: (path.stat(), path.read_bytes()) for path in folder.iterdir()}
+    (folder / "bag.mcap").chmod(0o444)
+    folder.chmod(0o555)
+    assert read(folder) == recording.before(recording.ends[3])
+    folder.chmod(0o755)
+    assert list(folder.iterdir()) == list(before)
+    for path, (status, content) in before.items():
+        assert path.read_bytes() == content and path.stat().st_mtime_ns == status.st_mtime_ns
+
+
+def test_an_sqlite_bag_stays_as_it_is(recording, tmp_path: Path) -> None:
+    path = tmp_path / "bag"
+    with Writer(path, version=9, storage_plugin=StoragePlugin.SQLITE3) as writer:
+        connection = writer.add_connection("/load_cell/wrench", WRENCH.type, typestore=typestore())
+        for message in recording.first(1):
+            writer.write(connection, message.time, message.data)
+    with BagReader(path) as bag:
+        assert len(list(bag.messages())) == MESSAGES and bag.notes == []
+    file = path / "bag.db3"
+    file.write_bytes(file.read_bytes()[: file.stat().st_size // 2])
+    with pytest.raises(TrialError, match=r"bag\.db3"):
+        read(path)
+
+
+def test_memory_holds_a_few_chunks_and_not_the_recording(tmp_path: Path) -> None:
+    path = tmp_path / "bag"
+    bag = BagWriter(path)
+    bag.__enter__()
+    bag.add_topic("/load_cell/wrench", WRENCH)
+    for k in range(4 * 24):
+        bag.write("/load_cell/wrench", START + k, b"\x01" * 2**18)
+    bag.flush()
+    bag.abandon()
+    size = (path / "bag.mcap").stat().st_size
+    tracemalloc.start()
+    with BagReader(path) as reader:
+        assert sum(1 for _ in reader.messages()) == 4 * 24
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert peak < size / 3, f"{peak / 2**20:.1f} of {size / 2**20:.1f} MiB"
+
+
+@pytest.fixture
+def cut_trial(hold: Path, tmp_path: Path) -> Iterator[Path]:
+    """The hold as a recorder leaves it that is killed after 50 s, in the middle of a chunk."""
+    target = tmp_path / "trial"
+    bag = BagWriter(target)
+    bag.__enter__()
+    with BagReader(hold) as old:
+        for topic, name in match_topics(old.counts, "hold").items():
+            bag.add_topic(name, topic)
+        for k, raw in enumerate(old.messages()):
+            if k == 200 * 6:
+                break
+            bag.write(raw.topic, raw.time, raw.data)
+            if k % 24 == 23:
+                bag.flush()
+    bag.abandon()
+    file = target / "trial.mcap"
+    file.write_bytes(file.read_bytes()[:-4000])
+    yield copy_configuration(hold, target)
+
+
+def test_a_trial_cut_short_gives_the_samples_of_the_whole_one(hold, cut_trial) -> None:
+    samples, whole = read_samples(Trial(cut_trial)), read_samples(Trial(hold))
+    assert 190 <= len(samples) < 200
+    np.testing.assert_array_equal(samples.values, whole.values[: len(samples)])
+    np.testing.assert_array_equal(samples.stamps, whole.stamps[: len(samples)])
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["info", "TRIAL"],
+        ["fit", "TRIAL", "-o", "MODEL"],
+        ["evaluate", "TRIAL", "--model", "HOLD_MODEL", "--json"],
+        ["replay", "TRIAL", "--rate", "100"],
+        ["replay", "TRIAL", "--rate", "100", "--estimate"],
+    ],
+    ids=lambda words: "-".join(words[:1] + words[4:]),
+)
+def test_every_verb_takes_it_and_says_so_once(words, cut_trial, hold_model, tmp_path, capsys):
+    names = {"TRIAL": cut_trial, "MODEL": tmp_path / "model.json", "HOLD_MODEL": hold_model}
+    capsys.readouterr()
+    assert run([str(names.get(word, word)) for word in words]) == 0
+    out, err = capsys.readouterr()
+    said, silent = (out, err) if words[0] == "info" else (err, out)
+    assert said.count("note: the recording trial.mcap was cut short (no end): ") == 1
+    assert "note: " not in silent
+
+
+def test_a_recorder_goes_on_beside_what_was_cut_short_and_nothing_else(tmp_path: Path) -> None:
+    path = tmp_path / "trial"
+    assert beside_cut_short(path) == path
+    path.mkdir()
+    assert beside_cut_short(path) == path  # an empty folder is none of a recorder's
+    (path / "trial.mcap").touch()
+    assert beside_cut_short(path) == tmp_path / "trial_2"
+    (tmp_path / "trial_2").mkdir()
+    assert beside_cut_short(path) == tmp_path / "trial_3"
+    (path / "metadata.yaml").touch()
+    assert beside_cut_short(path) == path

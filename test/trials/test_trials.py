@@ -1,0 +1,231 @@
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from support.bags import move_to_namespace, rewrite
+
+from socket_testbed.errors import CalibrationError, ConfigurationError, TrialError
+from socket_testbed.files import whole_output
+from socket_testbed.samples import Status
+from socket_testbed.simulation.trial import read_truth
+from socket_testbed.trials.bag import BagReader, BagWriter, decode, encode, stamp_of
+from socket_testbed.trials.synchronise import read_samples
+from socket_testbed.trials.topics import REQUIRED, WRENCH, match_topics
+from socket_testbed.trials.trial import Trial, recorded_namespace, required_topics
+
+
+def test_samples_agree_with_the_truth_within_the_sensors_errors(hold: Path) -> None:
+    samples, truth = read_samples(Trial(hold)), read_truth(hold)
+    rows = samples.complete
+    assert rows.mean() > 0.95
+    assert np.abs(samples.wrench[rows] - truth.wrench[rows]).max() < 5.0
+    shift = samples.position[rows] - truth.position[rows]
+    assert np.abs(shift - shift.mean(axis=0)).max() < 2e-3
+    geometry = Trial(hold).geometry
+    for column, cluster in enumerate(samples.clusters):
+        tile = geometry.clusters[cluster]
+        actual = truth.forces[:, tile] @ geometry.rotations[tile]
+        assert np.abs(samples.local_forces[:, column] - actual).max() < 8.0
+
+
+def test_what_is_missing_at_a_trigger_is_nan_and_not_an_older_value(
+    hold: Path, tmp_path: Path
+) -> None:
+    seen = {"/load_cell/wrench": 0, "/clusters/capacitance": 0}
+
+    def drop(topic: str, message: object) -> object:
+        if topic in seen:
+            seen[topic] += 1
+            if seen[topic] == 11:
+                return None
+        return message
+
+    samples = read_samples(Trial(rewrite(hold, tmp_path / "gap", drop)))
+    whole = read_samples(Trial(hold))
+    assert len(samples) == len(whole)
+    assert np.isnan(samples.wrench[10]).all() and np.isnan(samples.local_forces[10]).all()
+    assert (samples.status[10] == Status.MISSING).all()
+    keep = np.arange(len(whole)) != 10
+    np.testing.assert_array_equal(samples.wrench[keep], whole.wrench[keep])
+
+
+def test_the_order_of_recording_does_not_matter(hold: Path, tmp_path: Path) -> None:
+    target = tmp_path / "shuffled"
+    rng = np.random.default_rng(0)
+    with BagReader(hold) as old, BagWriter(target) as new:
+        names = match_topics(old.counts, "hold")
+        for topic, name in names.items():
+            new.add_topic(name, topic)
+        messages = list(old.messages())
+        for k in rng.permutation(len(messages)):
+            new.write(messages[k].topic, messages[k].time, messages[k].data)
+    for file in ("socket.yaml", "calibration.yaml"):
+        shutil.copy(hold / file, target)
+    np.testing.assert_array_equal(
+        read_samples(Trial(target)).values, read_samples(Trial(hold)).values
+    )
+
+
+@pytest.mark.parametrize("topic", REQUIRED, ids=lambda topic: topic.name)
+def test_a_missing_topic_is_named(hold: Path, tmp_path: Path, topic) -> None:
+    target = tmp_path / "lacking"
+    with BagReader(hold) as old, BagWriter(target) as new:
+        names = match_topics(old.counts, "hold")
+        for kept, name in names.items():
+            if kept is not topic:
+                new.add_topic(name, kept)
+        for raw in old.messages():
+            if raw.topic != names[topic]:
+                new.write(raw.topic, raw.time, raw.data)
+    with pytest.raises(TrialError, match=f"'{topic.name}'"):
+        read_samples(Trial(target))
+
+
+def test_an_empty_topic_is_named(hold: Path, tmp_path: Path) -> None:
+    target = rewrite(
+        hold, tmp_path / "mute", lambda topic, m: None if topic == "/load_cell/wrench" else m
+    )
+    with pytest.raises(TrialError, match="'/load_cell/wrench' holds no message"):
+        read_samples(Trial(target))
+
+
+def test_an_empty_bag_is_named(tmp_path: Path) -> None:
+    with BagWriter(tmp_path / "empty") as bag:
+        for topic in REQUIRED:
+            bag.add_topic("/" + topic.name, topic)
+    with pytest.raises(TrialError, match="holds no message"):
+        read_samples(Trial(tmp_path / "empty"))
+
+
+def test_a_bag_without_one_whole_chunk_is_named(hold: Path, tmp_path: Path) -> None:
+    data = (hold / "hold.mcap").read_bytes()
+    target = tmp_path / "hold"
+    shutil.copytree(hold, target)
+    for length in (0, 5, 40, len(data) // 2):
+        (target / "hold.mcap").write_bytes(data[:length])
+        with pytest.raises(TrialError, match=r"hold\.mcap: is truncated"):
+            read_samples(Trial(target))
+
+
+def test_a_bag_that_lacks_its_end_alone_is_read_whole(hold: Path, tmp_path: Path) -> None:
+    data = (hold / "hold.mcap").read_bytes()
+    target = tmp_path / "hold"
+    shutil.copytree(hold, target)
+    (target / "hold.mcap").write_bytes(data[:-1])
+    np.testing.assert_array_equal(
+        read_samples(Trial(target)).values, read_samples(Trial(hold)).values
+    )
+
+
+def test_flipped_bytes_are_an_error_and_never_another_number(hold: Path, tmp_path: Path) -> None:
+    whole = read_samples(Trial(hold)).values
+    target = tmp_path / "hold"
+    shutil.copytree(hold, target)
+    data = bytearray((hold / "hold.mcap").read_bytes())
+    rng = np.random.default_rng(1)
+    for start in rng.integers(len(data) - 4000, len(data) - 40, 20):
+        damaged = bytearray(data)
+        damaged[start : start + 4] = b"\xff\xff\xff\xff"
+        (target / "hold.mcap").write_bytes(damaged)
+        try:
+            values = read_samples(Trial(target)).values
+        except (TrialError, CalibrationError):
+            continue
+        np.testing.assert_array_equal(values, whole)
+
+
+def test_metadata_that_promises_other_counts_is_refused(hold: Path, tmp_path: Path) -> None:
+    target = tmp_path / "hold"
+    shutil.copytree(hold, target)
+    metadata = yaml.safe_load((target / "metadata.yaml").read_text())
+    entry = metadata["rosbag2_bagfile_information"]["topics_with_message_count"][0]
+    entry["message_count"] += 7
+    (target / "metadata.yaml").write_text(yaml.safe_dump(metadata))
+    with pytest.raises(TrialError, match=r"metadata.yaml says 247 messages.*holds 240.*reindex"):
+        read_samples(Trial(target))
+
+
+def test_a_trial_without_metadata_is_read_from_its_files(hold: Path, tmp_path: Path) -> None:
+    target = tmp_path / "hold"
+    shutil.copytree(hold, target)
+    (target / "metadata.yaml").unlink()
+    assert len(read_samples(Trial(target))) == len(read_samples(Trial(hold)))
+
+
+def test_a_disagreement_on_qos_hides_no_message(shared_data: Path) -> None:
+    with BagReader(shared_data / "rosbag2" / "talker") as bag:
+        assert bag.counts["/topic"] == 10
+        assert len(list(bag.messages(["/topic"]))) == 10
+        with pytest.raises(TrialError, match="has no topic 'trigger'"):
+            required_topics(bag)
+
+
+def test_topics_are_found_in_the_namespace_they_were_recorded_in(
+    hold: Path, tmp_path: Path
+) -> None:
+    target = move_to_namespace(hold, tmp_path / "lab", "/lab")
+    assert recorded_namespace(Trial(target)) == "/lab"
+    assert recorded_namespace(Trial(hold)) == "/"
+    np.testing.assert_array_equal(
+        read_samples(Trial(target)).values, read_samples(Trial(hold)).values
+    )
+
+
+def test_two_testbeds_in_one_bag_are_refused() -> None:
+    with pytest.raises(TrialError, match="two topics"):
+        match_topics(["/a/trigger", "/b/trigger"], "bag")
+
+
+def test_a_calibration_of_other_clusters_is_refused(hold: Path, tmp_path: Path) -> None:
+    text = (hold / "calibration.yaml").read_text().replace("mid_anterior", "mid_posterior")
+    other = tmp_path / "calibration.yaml"
+    other.write_text(text)
+    with pytest.raises(CalibrationError, match="no cluster mid_anterior"):
+        read_samples(Trial(hold, calibration_file=other))
+
+
+def test_a_trial_without_its_configuration_says_what_to_give(hold: Path, tmp_path: Path) -> None:
+    target = tmp_path / "hold"
+    shutil.copytree(hold, target)
+    (target / "socket.yaml").unlink()
+    with pytest.raises(TrialError, match=r"no socket\.yaml.*--geometry"):
+        read_samples(Trial(target))
+    assert len(read_samples(Trial(target, socket_file=hold / "socket.yaml"))) == 240
+
+
+def test_messages_survive_a_round_trip(hold: Path) -> None:
+    with BagReader(hold) as bag:
+        for raw in bag.messages():
+            assert encode(decode(raw.data, raw.type), raw.type) == raw.data
+    with BagReader(hold) as bag:
+        stamps = [stamp_of(decode(r.data, r.type)) for r in bag.messages(["/trigger"])]
+    assert np.all(np.diff(stamps) == 250_000_000)
+
+
+def test_a_bag_is_readable_up_to_its_last_flush(tmp_path: Path) -> None:
+    bag = BagWriter(tmp_path / "bag")
+    bag.__enter__()
+    bag.add_topic("/load_cell/wrench", WRENCH)
+    bag.write("/load_cell/wrench", 1, b"\x00\x01\x00\x00")
+    bag.flush()
+    size = (tmp_path / "bag" / "bag.mcap").stat().st_size
+    assert size > 100
+    bag.flush()  # nothing new: nothing written
+    assert (tmp_path / "bag" / "bag.mcap").stat().st_size == size
+    bag.__exit__(None, None, None)
+    with BagReader(tmp_path / "bag") as reader:
+        assert reader.counts == {"/load_cell/wrench": 1}
+
+
+def test_an_output_that_fails_leaves_nothing(tmp_path: Path) -> None:
+    with pytest.raises(RuntimeError), whole_output(tmp_path / "out") as staging:
+        staging.write_text("half")
+        raise RuntimeError
+    assert list(tmp_path.iterdir()) == []
+    with (
+        pytest.raises(ConfigurationError, match="cannot be written"),
+        whole_output(Path("/proc/out")) as staging,
+    ):
+        staging.write_text("x")

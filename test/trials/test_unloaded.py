@@ -1,0 +1,89 @@
+"""Drift of the clusters, taken off a trial by its spans without load."""
+
+import dataclasses
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from socket_testbed.__main__ import run
+from socket_testbed.errors import CalibrationError, ConfigurationError
+from socket_testbed.trials.synchronise import (
+    Measurements,
+    make_samples,
+    parse_unloaded,
+    read_measurements,
+    take_off_drift,
+)
+from socket_testbed.trials.trial import Trial
+
+
+@pytest.fixture
+def measured(hold: Path) -> Measurements:
+    """The trial's measurements; its first and last 10 s made to be without load."""
+    found = read_measurements(Trial(hold))
+    time = (found.stamps - found.stamps[0]) * 1e-9
+    rest = (time < 10.0) | (time > time[-1] - 10.0)
+    capacitance = found.capacitance.copy()
+    capacitance[rest] = np.array([5.1, 5.2, 5.0, 5.3])
+    return dataclasses.replace(found, capacitance=capacitance)
+
+
+def test_drift_between_two_spans_is_taken_off(hold: Path, measured: Measurements) -> None:
+    time = (measured.stamps - measured.stamps[0]) * 1e-9
+    end, said = time[-1], []
+    trial = Trial(hold, tell=said.append, unloaded=((0.0, 8.0), (end - 8.0, end)))
+    drift = 0.2 * (time - 4.0) / (end - 8.0)
+    drifted = dataclasses.replace(measured, capacitance=measured.capacitance + drift[:, None, None])
+    corrected = take_off_drift(trial, drifted)
+    inner = (time > 8.0) & (time < end - 8.0)
+    np.testing.assert_allclose(
+        corrected.capacitance[inner], measured.capacitance[inner], atol=0.003
+    )
+    assert len(said) == 4 and all("more than 1 kPa" in note for note in said)
+    # What was not measured stays so.
+    assert np.array_equal(np.isnan(corrected.capacitance), np.isnan(measured.capacitance))
+    plain = make_samples(dataclasses.replace(trial, unloaded=()), measured)
+    mended = make_samples(trial, drifted)
+    np.testing.assert_allclose(
+        mended.local_forces[inner], plain.local_forces[inner], atol=0.15, rtol=0.01
+    )
+
+
+def test_a_stored_baseline_takes_off_what_came_before(hold: Path, measured: Measurements) -> None:
+    trial = Trial(hold, unloaded=((0.0, 8.0),))
+    reference = np.array([5.0, 5.0, 5.0, 5.0])
+    clusters = {
+        name: dataclasses.replace(cluster, baseline=reference)
+        for name, cluster in trial.calibration.clusters.items()
+    }
+    calibration = dataclasses.replace(trial.calibration, clusters=clusters)
+    trial.__dict__["calibration"] = calibration
+    corrected = take_off_drift(trial, measured)
+    np.testing.assert_allclose(corrected.capacitance[3], np.tile(reference, (4, 1)))
+
+
+def test_a_span_without_readings_is_refused(hold: Path, measured: Measurements) -> None:
+    with pytest.raises(CalibrationError, match=r"from 900 s to 901 s.*too few"):
+        take_off_drift(Trial(hold, unloaded=((900.0, 901.0),)), measured)
+
+
+@pytest.mark.parametrize("spans", [["5"], ["8:2"], ["a:b"], ["0:1", "2:3", "4:5"]])
+def test_wrong_spans_are_refused(spans: list[str]) -> None:
+    with pytest.raises(ConfigurationError, match="--unloaded"):
+        parse_unloaded(spans)
+
+
+def test_a_model_remembers_the_spans(
+    hold: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    model = tmp_path / "m.json"
+    assert run(["fit", str(hold), "--unloaded", "0:3", "--segment", "all", "-o", str(model)]) == 0
+    assert json.loads(model.read_text())["trial"]["unloaded"] == [[0.0, 3.0]]
+    capsys.readouterr()
+    assert run(["evaluate", str(hold), "--model", str(model)]) == 0
+    assert "fitted with --unloaded" in capsys.readouterr().err
+    words = ["evaluate", str(hold), "--model", str(model), "--unloaded", "0:3"]
+    assert run(words) == 0
+    assert "--unloaded" not in capsys.readouterr().err
