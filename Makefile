@@ -40,14 +40,14 @@ colcon: $(VENV)/.packages
 	AMENT_PREFIX_PATH=$(CURDIR)/$(VENV) CMAKE_PREFIX_PATH=$(CURDIR)/$(VENV) \
 		PATH="$(CURDIR)/$(BIN):$$PATH" $(BIN)/colcon build
 
-$(VENV)/.packages: $(REQUIREMENTS) requirements/dask.txt scripts/mend_ros_wheels.py
+$(VENV)/.packages: $(REQUIREMENTS) requirements/dask.txt scripts/fix_ros_wheels.py
 	@test -n "$(PYTHON)" || { echo "error: no Python 3.11, 3.12 or 3.13 with venv: install one, or give PYTHON=..."; exit 1; }
 	@test "$$(uname -m)" = x86_64 || { echo "error: the ROS wheels are for x86-64: on $$(uname -m) use a ROS installation (README)"; exit 1; }
 	@echo "setting up $(VENV) with $(PYTHON) (about a minute, once)"
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
 	$(PIP) install "setuptools>=65,<80" wheel
 	$(PIP) install $(addprefix -r ,$(REQUIREMENTS))
-	$(BIN)/python scripts/mend_ros_wheels.py
+	$(BIN)/python scripts/fix_ros_wheels.py
 	touch $@
 
 # The message package, built by CMake as colcon would, into the environment as a ROS prefix.

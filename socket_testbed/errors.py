@@ -1,4 +1,4 @@
-"""The family of errors that users see: each states the fact and the mend in one line."""
+"""The family of errors that users see: each states the fact and the hint in one line."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ class TestbedError(Exception):
 
     Attributes:
         fact: What is wrong, with the name of the file, field, topic or channel.
-        mend: What to do about it.
+        hint: What to do about it.
     """
 
     __test__ = False  # not a test class, whatever pytest makes of its name
 
-    def __init__(self, fact: str, mend: str) -> None:
+    def __init__(self, fact: str, hint: str) -> None:
         self.fact = " ".join(fact.split())
-        self.mend = " ".join(mend.split())
-        super().__init__(f"{self.fact}: {self.mend}")
+        self.hint = " ".join(hint.split())
+        super().__init__(f"{self.fact}: {self.hint}")
 
     def __reduce__(self) -> tuple[Any, ...]:
         # Errors come back from worker processes whatever their constructors take.

@@ -48,7 +48,7 @@ def refuse_existing(path: Path) -> None:
 
 
 @contextmanager
-def whole_output(path: Path) -> Iterator[Path]:
+def atomic_output(path: Path) -> Iterator[Path]:
     """Write an output under another name beside it; it gets its name only when it is whole.
 
     A file replaces an older one; a folder must not exist yet.
@@ -103,7 +103,7 @@ _Loader.add_implicit_resolver("tag:yaml.org,2002:float", _FLOAT, list("-+.012345
 
 
 def closest(word: str, known: Collection[str]) -> str:
-    """A mend for an unknown word: the likely one, or the list of the known ones."""
+    """A hint for an unknown word: the likely one, or the list of the known ones."""
     match = difflib.get_close_matches(word, list(known), n=1)
     if match:
         return f"did you mean '{match[0]}'?"
@@ -236,7 +236,7 @@ def read_document(path: Path) -> Section:
         mark = getattr(error, "problem_mark", None)
         line = f" at line {mark.line + 1}" if mark else ""
         problem = getattr(error, "problem", None) or "not YAML"
-        raise ConfigurationError(f"{path}: {problem}{line}", "mend the YAML there") from None
+        raise ConfigurationError(f"{path}: {problem}{line}", "correct the YAML there") from None
 
 
 def _kind(value: Any) -> str:

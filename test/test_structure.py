@@ -72,9 +72,7 @@ def test_only_nodes_import_ros(path: Path) -> None:
         return
     for name in imports(path):
         package = name.split(".")[0]
-        assert package not in ROS and not package.endswith(("_msgs", "_srvs")), (
-            f"{path}: {name}"
-        )
+        assert package not in ROS and not package.endswith(("_msgs", "_srvs")), f"{path}: {name}"
 
 
 NODES = (

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any, TypeAlias
 
 from socket_testbed.errors import ConfigurationError, TrialError
-from socket_testbed.files import whole_output
+from socket_testbed.files import atomic_output
 from socket_testbed.trials.trial import Trial
 
 _STORAGE = (".mcap", ".db3")
@@ -278,7 +278,7 @@ def require_own_folder(task: Task) -> None:
 
 def write_record(record: Record, path: Path) -> None:
     """Write a record."""
-    with whole_output(path) as staging:
+    with atomic_output(path) as staging:
         staging.write_text(json.dumps(asdict(record), indent=1, allow_nan=False), encoding="utf-8")
 
 

@@ -243,5 +243,5 @@ def _raise_failures(outcomes: Sequence[Outcome], warn: Callable[[str], None]) ->
     if failed:
         raise TrialError(
             f"{len(failed)} of {len(outcomes)} trials failed",
-            "mend them and run it again, what is done is kept",
+            "fix them and run it again: finished trials are kept",
         )

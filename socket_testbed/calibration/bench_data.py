@@ -101,7 +101,7 @@ def read_table(path: Path) -> Table:
             lines.append(reader.line_num)
     except csv.Error as error:
         raise CalibrationError(
-            f"{path}: line {reader.line_num} is no row of a table ({error})", "mend that line"
+            f"{path}: line {reader.line_num} is no row of a table ({error})", "correct that line"
         ) from None
     if not rows:
         raise CalibrationError(
@@ -136,11 +136,11 @@ def _check_row(
         )
     if len(row) == len(header):
         return
-    mend = "give every row as many fields as the header"
+    hint = "give every row as many fields as the header"
     if separator == "," and len(header) < len(row) <= 2 * len(header):
-        mend += ", or separate the fields with ';' if the numbers have decimal commas"
+        hint += ", or separate the fields with ';' if the numbers have decimal commas"
     raise CalibrationError(
-        f"{name}: line {line} has {len(row)} fields under a header of {len(header)}", mend
+        f"{name}: line {line} has {len(row)} fields under a header of {len(header)}", hint
     )
 
 
@@ -414,7 +414,7 @@ def read_bench(
         area: Area on which a stress in N acts [m^2].
 
     Raises:
-        CalibrationError: If the file is not as it must be, naming line, column and mend.
+        CalibrationError: If the file is not as it must be, naming line, column and hint.
     """
     table = read_table(path)
     found = find_columns(table, (*STRESSES, *INPUTS), ("time", "cycle"), columns, units)
@@ -442,7 +442,7 @@ def read_unloaded(path: Path, columns: Mapping[str, str], units: Mapping[str, st
         Capacitances by input, shape (N, 4) [pF].
 
     Raises:
-        CalibrationError: If the file is not as it must be, naming line, column and mend.
+        CalibrationError: If the file is not as it must be, naming line, column and hint.
     """
     table = read_table(path)
     found = find_columns(table, INPUTS, (), columns, units)
@@ -468,7 +468,7 @@ def _time(table: Table, columns: Mapping[str, Column]) -> FloatArray:
         raise CalibrationError(
             f"{table.name}: the steps of '{column.title}' are {usual / column.scale:.3g}"
             f" {column.unit} in the median, which no bench reads at",
-            f"mend the header, or give --units time={other} if these are {other}",
+            f"correct the header, or give --units time={other} if these are {other}",
         )
     return time
 

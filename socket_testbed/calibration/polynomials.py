@@ -121,7 +121,7 @@ _LEAST_INDEPENDENCE = 0.01  # [-] RMS of a term that the others do not explain
 _ROUNDING = 1e-12  # [-]
 
 
-# The second-degree terms of the shear: what their lack means and what mends it.
+# The second-degree terms of the shear: what their lack means and what fixes it.
 _SECOND_DEGREE = (
     ("shear_x takes too few values for its square", "apply shear_x at three sizes or more"),
     (
@@ -169,7 +169,7 @@ def excitation_terms(stress: FloatArray) -> FloatArray:
 
 
 def find_lack(products: FloatArray, rows: int) -> tuple[str, str] | None:
-    """What keeps some stresses from determining the polynomials, and its mend.
+    """What keeps some stresses from determining the polynomials, and its hint.
 
     A term is determined if the others do not explain it: the linear ones of all three
     stresses, since a stress that always comes with another cannot be told from it, and the
@@ -180,7 +180,7 @@ def find_lack(products: FloatArray, rows: int) -> tuple[str, str] | None:
         rows: Number of the rows.
 
     Returns:
-        The fact and the mend; None if nothing is lacking.
+        The fact and the hint; None if nothing is lacking.
     """
     moments = products / max(rows, 1)
     alone = _independent_parts(moments[:4, :4])

@@ -38,7 +38,7 @@ from socket_testbed.calibration.model import (
 )
 from socket_testbed.commands.text import number, table
 from socket_testbed.errors import ConfigurationError
-from socket_testbed.files import check_number, closest, refuse_existing, whole_output
+from socket_testbed.files import atomic_output, check_number, closest, refuse_existing
 from socket_testbed.geometry.socket import read_socket
 
 _SHOWN = 10  # outliers
@@ -309,7 +309,7 @@ def _wiring(options: argparse.Namespace, existing: Calibration | None) -> IntArr
 def _draw(calibrated: BenchCalibration, cluster: str, path: Path) -> None:
     from socket_testbed.report.figures.calibration import bench_figure  # matplotlib takes its time
 
-    with whole_output(path) as staging:
+    with atomic_output(path) as staging:
         bench_figure(calibrated, cluster, staging)
 
 
@@ -324,7 +324,7 @@ def _write(
     else:
         sources = [f"{name}: {c.bench.get('source')}" for name, c in clusters.items()]
         calibration = Calibration(clusters, cluster.bench["date"], "; ".join(sources))
-    with whole_output(options.output) as staging:
+    with atomic_output(options.output) as staging:
         write_calibration(calibration, staging)
     others = [name for name in old if name != options.cluster]
     kept = f"; kept: {', '.join(others)}" if others else ""

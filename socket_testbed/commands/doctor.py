@@ -1,4 +1,4 @@
-"""`doctor`: what is wired and what is not, as a table, with the mend of what is not."""
+"""`doctor`: what is wired and what is not, as a table, with the hint of what is not."""
 
 from __future__ import annotations
 
@@ -40,12 +40,12 @@ class Finding:
     Attributes:
         what: What was looked at.
         found: What was found there.
-        mend: What to do; empty if all is well.
+        hint: What to do; empty if all is well.
     """
 
     what: str
     found: str
-    mend: str = ""
+    hint: str = ""
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -66,11 +66,11 @@ def run(options: argparse.Namespace) -> None:
             for name, value in faults.items():
                 world.faults.switch(name, value)
         findings = [finding for check in CHECKS for finding in _guarded(check, testbed)]
-    rows = [[f.what, "failed" if f.mend else "ok", f.found, f.mend] for f in findings]
-    print(table(["what", "", "found", "mend"], rows))
-    failing = sum(bool(finding.mend) for finding in findings)
+    rows = [[f.what, "failed" if f.hint else "ok", f.found, f.hint] for f in findings]
+    print(table(["what", "", "found", "hint"], rows))
+    failing = sum(bool(finding.hint) for finding in findings)
     if failing:
-        raise DeviceError(f"{failing} of {len(findings)} checks failed", "see the table's mends")
+        raise DeviceError(f"{failing} of {len(findings)} checks failed", "see the table's hints")
 
 
 Check = Callable[[Testbed], Iterator[Finding]]
@@ -81,14 +81,14 @@ def _guarded(check: Check, testbed: Testbed) -> Iterator[Finding]:
         yield from check(testbed)
     except TestbedError as error:
         yield Finding(
-            check.__name__.removeprefix("check_").replace("_", " "), error.fact, error.mend
+            check.__name__.removeprefix("check_").replace("_", " "), error.fact, error.hint
         )
 
 
 def _of_message(what: str, message: str) -> Finding:
-    """A failing row from a fact and its mend in one line."""
-    fact, _, mend = message.rpartition(": ")
-    return Finding(what, fact or message, mend if fact else "see docs/faults.md")
+    """A failing row from a fact and its hint in one line."""
+    fact, _, hint = message.rpartition(": ")
+    return Finding(what, fact or message, hint if fact else "see docs/faults.md")
 
 
 def check_trigger(testbed: Testbed) -> Iterator[Finding]:
@@ -121,7 +121,7 @@ def check_clusters(testbed: Testbed) -> Iterator[Finding]:
             faults = reader.read(time.monotonic()).faults
         for name, found in chips.items():
             if isinstance(found, DeviceError):
-                yield Finding(f"cluster {name}", found.fact, found.mend)
+                yield Finding(f"cluster {name}", found.fact, found.hint)
             elif name in faults:
                 yield _of_message(f"cluster {name}", faults[name].partition("; ")[0])
             else:
@@ -136,8 +136,8 @@ def check_load_cell(testbed: Testbed) -> Iterator[Finding]:
     try:
         yield Finding("load cell", cell.identify())
         corrupted = cell.check_frames(_FRAMES)
-        mend = "check the wiring, or lower load_cell_node's spi_clock" if corrupted else ""
-        yield Finding("load cell CRC", f"{corrupted} of {_FRAMES} frames corrupted", mend)
+        hint = "check the wiring, or lower load_cell_node's spi_clock" if corrupted else ""
+        yield Finding("load cell CRC", f"{corrupted} of {_FRAMES} frames corrupted", hint)
         ends = time.monotonic() + _WATCHED
         while time.monotonic() < ends:
             cell.poll()

@@ -24,7 +24,7 @@ from socket_testbed.commands.options import (
 )
 from socket_testbed.commands.text import errors_table
 from socket_testbed.errors import ConfigurationError, TrialError
-from socket_testbed.files import whole_output
+from socket_testbed.files import atomic_output
 from socket_testbed.identification.evaluation import ChannelErrors, evaluate
 from socket_testbed.identification.fit import implausible_notes
 from socket_testbed.identification.model_file import StoredModel, errors_document, read_model
@@ -167,7 +167,7 @@ def _evaluate_job(segment: str, job: Job) -> Row:
 
 
 def _write(found: _Evaluation, path: Path) -> None:
-    with whole_output(path) as staging:
+    with atomic_output(path) as staging:
         staging.write_text(
             json.dumps(found.document(), indent=1, allow_nan=False), encoding="utf-8"
         )

@@ -76,7 +76,7 @@ def run(options: argparse.Namespace) -> None:
     if options.model is not None:
         read_model(options.model)
         model = str(options.model.resolve())
-        settings = dataclasses.replace(settings, model=model, fit_by_itself=False)
+        settings = dataclasses.replace(settings, model=model, auto_fit=False)
     replay_with_estimator(trial, replay, settings)
 
 

@@ -91,7 +91,7 @@ def _testbed(options: argparse.Namespace, simulation: Simulation | None) -> Test
     if options.model is not None:
         read_model(options.model)
         model = str(options.model.resolve())
-        estimator = dataclasses.replace(estimator, model=model, fit_by_itself=False)
+        estimator = dataclasses.replace(estimator, model=model, auto_fit=False)
     return dataclasses.replace(
         testbed,
         trigger=trigger,

@@ -150,7 +150,7 @@ def edge_lengths(markers: FloatArray) -> FloatArray:
 
 
 def triad_fault(edges: FloatArray) -> tuple[str, str] | None:
-    """What makes a triad useless, and the mend; None for a good one.
+    """What makes a triad useless, and the hint; None for a good one.
 
     Args:
         edges: Lengths of its edges, shape (3,) [m].

@@ -11,7 +11,7 @@ import yaml
 
 from socket_testbed.arrays import FloatArray, IntArray
 from socket_testbed.errors import ConfigurationError
-from socket_testbed.files import Section, closest, read_document, whole_output
+from socket_testbed.files import Section, atomic_output, closest, read_document
 from socket_testbed.geometry.marker_bodies import edge_lengths, triad_fault
 from socket_testbed.geometry.pose import Pose, plain, pose_document, read_pose, read_rotation
 
@@ -141,7 +141,7 @@ def write_socket(geometry: SocketGeometry, path: Path) -> None:
     document = geometry.to_document()
     socket_from_section(Section(document, str(path)))
     text = yaml.safe_dump(document, sort_keys=False, default_flow_style=None, width=100)
-    with whole_output(path) as output:
+    with atomic_output(path) as output:
         output.write_text(_HEADER + text, encoding="utf-8")
 
 

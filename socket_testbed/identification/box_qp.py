@@ -196,8 +196,8 @@ class UncertifiedSolutionError(IdentificationError):
         x: The solver's answer, or None.
     """
 
-    def __init__(self, fact: str, mend: str, problem: BoxQP, x: FloatArray | None) -> None:
-        super().__init__(fact, mend)
+    def __init__(self, fact: str, hint: str, problem: BoxQP, x: FloatArray | None) -> None:
+        super().__init__(fact, hint)
         self.problem = problem
         self.x = x
 

@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 
 from socket_testbed.arrays import BoolArray, FloatArray
-from socket_testbed.files import whole_output
+from socket_testbed.files import atomic_output
 from socket_testbed.identification.contact import ContactModel
 from socket_testbed.identification.evaluation import channel_unit
 from socket_testbed.identification.model_file import finite_or_null
@@ -239,7 +239,7 @@ def write_fronts(fronts: Iterable[Front], path: Path) -> None:
     """
     fronts = list(fronts)
     channels = [f"RMSE {name} [{channel_unit(name)}]" for name in fronts[0].channels]
-    with whole_output(path) as staging, staging.open("w", newline="", encoding="utf-8") as stream:
+    with atomic_output(path) as staging, staging.open("w", newline="", encoding="utf-8") as stream:
         writer = csv.writer(stream)
         writer.writerow([*_HEADER, *channels])
         for front in fronts:

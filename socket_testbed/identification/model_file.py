@@ -11,7 +11,7 @@ from typing import Any
 
 from socket_testbed.arrays import FloatArray
 from socket_testbed.errors import ConfigurationError
-from socket_testbed.files import Section, closest, whole_output
+from socket_testbed.files import Section, atomic_output, closest
 from socket_testbed.geometry.socket import SocketGeometry, socket_from_section
 from socket_testbed.identification.contact import ContactModel
 from socket_testbed.identification.evaluation import ChannelErrors
@@ -100,7 +100,7 @@ def write_model(
             "errors": [errors_document(error) for error in fit.errors],
         },
     }
-    with whole_output(path) as staging:
+    with atomic_output(path) as staging:
         staging.write_text(json.dumps(document, indent=1, allow_nan=False), encoding="utf-8")
 
 

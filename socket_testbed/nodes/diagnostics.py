@@ -99,7 +99,7 @@ class Diagnostics:
 
         Args:
             level: OK, WARN or ERROR.
-            message: The fact and the mend in one line.
+            message: The fact and the hint in one line.
         """
         if level != OK and time.monotonic() < self._settled_at:
             level, message = WARN, f"starting: {message}"

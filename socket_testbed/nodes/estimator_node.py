@@ -215,7 +215,7 @@ class EstimatorNode(Node):
         self._since_attempt += 1
         due = settings.window.refit_after if self._model is not None else 10
         if (
-            settings.fit_by_itself
+            settings.auto_fit
             and self._running is None
             and due > 0
             and self._since_attempt >= due

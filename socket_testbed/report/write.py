@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Self
 
 from socket_testbed.errors import ConfigurationError
-from socket_testbed.files import refuse_existing, whole_output
+from socket_testbed.files import atomic_output, refuse_existing
 from socket_testbed.report import figure_files
 from socket_testbed.report.figure_files import ReportFigure, write_errors, write_residuals
 from socket_testbed.report.page import compose_page, section
@@ -65,7 +65,7 @@ def write_report(
     """
     check_page_path(page)
     folder = files_folder(page)
-    with whole_output(page) as new_page, whole_output(folder) as new_folder:
+    with atomic_output(page) as new_page, atomic_output(folder) as new_folder:
         new_folder.mkdir()
         made_figures = _Figures.of(results, new_folder)
         made_figures.write(new_folder, progress)

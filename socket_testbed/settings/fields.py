@@ -93,7 +93,7 @@ class Settings:
         try:
             return cls(**arguments)
         except ConfigurationError as error:
-            raise ConfigurationError(f"{where}: {prefix}{error.fact}", error.mend) from None
+            raise ConfigurationError(f"{where}: {prefix}{error.fact}", error.hint) from None
 
     def to_flat(self, prefix: str = "") -> dict[str, Any]:
         """All values by their dotted names; a tuple becomes a list."""

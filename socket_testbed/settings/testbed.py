@@ -48,7 +48,7 @@ class EstimatorSettings(Settings):
 
     geometry: str = setting("", "path of socket.yaml; empty: the package's own [-]", fixed=True)
     model: str = setting("", "path of a fitted model to start from; empty: none [-]", fixed=True)
-    fit_by_itself: bool = setting(True, "fit when enough steady data is in [-]")
+    auto_fit: bool = setting(True, "fit when enough steady data is in [-]")
     identification: IdentificationSettings = IdentificationSettings()
     plateau: PlateauSettings = PlateauSettings()
     window: WindowSettings = WindowSettings()

@@ -18,7 +18,7 @@ from scipy.spatial import Delaunay
 from scipy.spatial.transform import Rotation
 
 from socket_testbed.arrays import FloatArray
-from socket_testbed.files import whole_output
+from socket_testbed.files import atomic_output
 
 _END = 46.0  # [mm]; radius of the wall above the domed end
 _TAPER = 0.10  # [-]; growth of the radius along the wall
@@ -87,7 +87,7 @@ def main() -> None:
     """Write the scan to the file named on the command line."""
     path = Path(sys.argv[1] if len(sys.argv) > 1 else "scan.stl")
     mesh = make_socket_scan()
-    with whole_output(path) as output:
+    with atomic_output(path) as output:
         mesh.export(output, file_type="stl")
     print(f"{path}: {len(mesh.faces)} faces, in mm")
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from socket_testbed.arrays import FloatArray, IntArray
-from socket_testbed.files import refuse_existing, whole_output
+from socket_testbed.files import atomic_output, refuse_existing
 from socket_testbed.geometry.pose import Pose
 from socket_testbed.samples import Status
 from socket_testbed.simulation.testbed import GroundTruth, SimulatedTrial
@@ -57,7 +57,7 @@ def write_simulated_trial(
         ConfigurationError: If the folder exists or cannot be written.
     """
     refuse_existing(path)
-    with whole_output(path) as staging:
+    with atomic_output(path) as staging:
         with BagWriter(staging) as bag:
             for topic in _DELAYS:
                 bag.add_topic("/" + topic.name, topic)

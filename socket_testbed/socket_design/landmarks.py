@@ -61,7 +61,7 @@ def refuse_mix_ups(known: FloatArray, measured: FloatArray, names: Sequence[str]
         names: Names of the k landmarks.
 
     Raises:
-        RegistrationError: Naming the landmarks whose exchange mends it, as far as the residual
+        RegistrationError: Naming the landmarks whose exchange fixes it, as far as the residual
             tells.
     """
     orders = _orders(len(names))
@@ -122,14 +122,16 @@ def _orders(count: int) -> IntArray:
     return np.concatenate([np.arange(count)[None], _swaps(count)])
 
 
-def _mixed(names: Sequence[str], order: IntArray, named: float, mended: float) -> RegistrationError:
+def _mixed(
+    names: Sequence[str], order: IntArray, named: float, corrected: float
+) -> RegistrationError:
     taken = [names[i] for i in order]
     moved = [pair for pair in zip(names, taken, strict=True) if pair[0] != pair[1]]
     here, there = (" and ".join(side) for side in zip(*moved, strict=True))
     how = "swapped" if len(moved) == 2 else f"taken for {there}"
     return RegistrationError(
         f"landmarks {here} fit with {1e3 * named:.1f} mm as they are named, with"
-        f" {1e3 * mended:.1f} mm if they are {how}",
+        f" {1e3 * corrected:.1f} mm if they are {how}",
         "exchange their names or their coordinates",
     )
 

@@ -157,7 +157,7 @@ def place_by_landmarks(path: Path, scale: float) -> Placement:
     try:
         fit = register_landmarks(scan, load_cell, tuple(sections))
     except RegistrationError as error:
-        raise RegistrationError(f"{path}: {error.fact}", error.mend) from None
+        raise RegistrationError(f"{path}: {error.fact}", error.hint) from None
     if fit.rms > _LARGEST_RESIDUAL:
         worst = sections[fit.names[int(fit.residual.argmax())]].where
         raise RegistrationError(

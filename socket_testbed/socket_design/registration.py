@@ -456,7 +456,7 @@ def _register_landmarks(side: Side, still: StillMarkers) -> LandmarkFit:
         if fit.noise < still.noise:
             fit = register_landmarks(known, measured, names, still.noise)
     except RegistrationError as error:
-        raise RegistrationError(f"{side.where}: {error.fact}", error.mend) from None
+        raise RegistrationError(f"{side.where}: {error.fact}", error.hint) from None
     return fit
 
 

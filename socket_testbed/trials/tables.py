@@ -12,7 +12,7 @@ import numpy as np
 
 from socket_testbed.arrays import FloatArray, StatusArray
 from socket_testbed.errors import ConfigurationError
-from socket_testbed.files import closest, whole_output
+from socket_testbed.files import atomic_output, closest
 from socket_testbed.identification.contact import ContactModel
 from socket_testbed.identification.evaluation import channel_unit, predict_channels
 from socket_testbed.samples import LOCAL_CHANNELS, WRENCH_CHANNELS, Samples
@@ -70,7 +70,7 @@ def write_table(columns: Sequence[Column], path: Path) -> None:
         ConfigurationError: For another suffix, or if the file cannot be written.
     """
     check_format(path)
-    with whole_output(path) as staging:
+    with atomic_output(path) as staging:
         _WRITERS[path.suffix.lower()](columns, staging)
 
 

@@ -88,13 +88,13 @@ def test_a_bench_run_s_drift_comes_off_its_calibration():
     rest = bench.capacitance[0]
     before, after = Baseline(0.0, rest), Baseline(bench.time[-1], rest + 10.0 * DRIFT)
     wiring = nominal().wiring
-    clean, spoilt, mended = (
+    clean, spoilt, corrected = (
         calibrate_bench(b, wiring, True, False)
         for b in (bench, drifted, correct_bench(drifted, before, after))
     )
     assert spoilt.held_out[0].rmse > 10.0 * clean.held_out[0].rmse
-    np.testing.assert_allclose(mended.cluster.normal, clean.cluster.normal, rtol=1e-9)
-    assert measure_drift(mended.cluster, before, after).flagged
+    np.testing.assert_allclose(corrected.cluster.normal, clean.cluster.normal, rtol=1e-9)
+    assert measure_drift(corrected.cluster, before, after).flagged
 
 
 def test_a_trial_s_drift_and_offset_come_off_its_stresses():

@@ -99,7 +99,7 @@ def with_column(column: int, value: str):
 
 
 @pytest.mark.parametrize(
-    ("change", "facts", "mend"),
+    ("change", "facts", "hint"),
     [
         (with_title(4, "c0 [fF]"), ("'c0 [fF]'", "line 2", "outside 10 to"), "--units c0=UNIT"),
         (with_title(4, "c0 [nF]"), ("'c0 [nF]'", "line 2"), "--units c0=UNIT"),
@@ -118,17 +118,17 @@ def with_column(column: int, value: str):
         (with_title(7, "c3"), ("no unit for c3",), "c3=pF"),
     ],
 )
-def test_a_bad_file_is_named_with_its_mend(bench_file, change, facts, mend):
+def test_a_bad_file_is_named_with_its_mend(bench_file, change, facts, hint):
     error = refusal(edit(bench_file, change))
     for fact in facts:
         assert fact in error.fact
-    assert mend in error.mend
+    assert hint in error.hint
 
 
 def test_milliseconds_under_seconds_are_named(tmp_path):
     bench = exact_bench()
     path = write_bench(tmp_path / "b.csv", dataclasses.replace(bench, time=bench.time * 1e3))
-    assert "--units time=ms" in refusal(path).mend
+    assert "--units time=ms" in refusal(path).hint
     np.testing.assert_allclose(read_bench(path, {}, {"time": "ms"}).time, bench.time, atol=1e-9)
 
 
@@ -149,7 +149,7 @@ def test_files_are_joined_in_their_order():
 def test_a_real_log_is_refused_for_the_columns_it_lacks(shared_data):
     error = refusal(shared_data / "fdc1004_orthosis" / "Data2.csv")
     assert "no column for normal, shear_x, shear_y, c0, c3" in error.fact
-    assert "'timestamp(ms)'" in error.fact and "--columns normal=NAME" in error.mend
+    assert "'timestamp(ms)'" in error.fact and "--columns normal=NAME" in error.hint
 
 
 def test_a_real_log_s_seconds_are_not_taken_for_milliseconds(shared_data, tmp_path):
@@ -161,7 +161,7 @@ def test_a_real_log_s_seconds_are_not_taken_for_milliseconds(shared_data, tmp_pa
     path.write_text("\n".join([",".join(("timestamp(ms)", *HEADER[1:])), *lines]))
     columns = {"time": "timestamp"}
     error = refusal(path, columns)
-    assert "'timestamp(ms)'" in error.fact and "--units time=s" in error.mend
+    assert "'timestamp(ms)'" in error.fact and "--units time=s" in error.hint
     assert np.ptp(read_bench(path, columns, {"time": "s"}).time) == pytest.approx(14.996)
 
 

@@ -96,7 +96,7 @@ def crossed() -> np.ndarray:
 
 
 @pytest.mark.parametrize(
-    ("stress", "fact", "mend"),
+    ("stress", "fact", "hint"),
     [
         (load_path()[:29], "29 readings are too few", "several"),
         (with_column(0, 5e3), "normal spans only 0 Pa", "apply normal"),
@@ -109,14 +109,14 @@ def crossed() -> np.ndarray:
         (crossed(), "shear_x and shear_y are never applied together", "together"),
     ],
 )
-def test_the_stress_that_is_missing_is_named(stress, fact, mend):
+def test_the_stress_that_is_missing_is_named(stress, fact, hint):
     if fact is None:
         check_excitation(stress, "bench.csv")
         return
     with pytest.raises(CalibrationError) as caught:
         check_excitation(stress, "bench.csv")
     assert caught.value.fact.startswith("bench.csv: ") and fact in caught.value.fact
-    assert mend in caught.value.mend
+    assert hint in caught.value.hint
 
 
 def test_noise_does_not_make_up_for_a_missing_stress():

@@ -44,7 +44,7 @@ def test_lines_are_those_of_the_file(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("text", "fact", "mend"),
+    ("text", "fact", "hint"),
     [
         ("", "no row", "header"),
         ("a,b\n", "no row", "header"),
@@ -55,10 +55,10 @@ def test_lines_are_those_of_the_file(tmp_path):
         (",".join("abcdefghijklm") + "\n" + ",".join("1" * 25), "has 25 fields", "decimal commas"),
     ],
 )
-def test_a_bad_shape_is_named(tmp_path, text, fact, mend):
+def test_a_bad_shape_is_named(tmp_path, text, fact, hint):
     error = refusal(table_of, tmp_path, text)
     assert fact in error.fact and "bench.csv" in error.fact
-    assert mend in error.mend
+    assert hint in error.hint
 
 
 @pytest.mark.parametrize(
@@ -84,7 +84,7 @@ def test_a_file_that_is_no_text_gives_one_line(tmp_path):
     (tmp_path / "sheet.xlsx").write_bytes(b"PK\x03\x04\xff\xfe\x00\x9c")
     for path in (tmp_path / "sheet.xlsx", tmp_path / "none.csv", tmp_path):
         assert str(path) in refusal(read_table, path).fact
-    assert "UTF-8" in refusal(table_of, tmp_path, "a,°\n1,2", "latin-1").mend
+    assert "UTF-8" in refusal(table_of, tmp_path, "a,°\n1,2", "latin-1").hint
 
 
 @pytest.mark.parametrize(
@@ -128,7 +128,7 @@ def test_a_column_may_be_named_with_or_without_its_unit(tmp_path, named):
 
 
 @pytest.mark.parametrize(
-    ("header", "titles", "units", "fact", "mend"),
+    ("header", "titles", "units", "fact", "hint"),
     [
         ("c0 [pF],x", {}, {}, "no column for normal", "--columns normal=NAME"),
         ("normal,c0 [pF]", {}, {}, "no unit for normal", "--units normal=Pa"),
@@ -142,7 +142,7 @@ def test_a_column_may_be_named_with_or_without_its_unit(tmp_path, named):
         ("normal [Pa],c0 [pF]", {"time": "normal"}, {"time": "s"}, "both normal and time", "own"),
     ],
 )
-def test_nothing_about_a_column_is_guessed(tmp_path, header, titles, units, fact, mend):
+def test_nothing_about_a_column_is_guessed(tmp_path, header, titles, units, fact, hint):
     error = refusal(columns_of, tmp_path, header, titles, units)
     assert fact in error.fact and "bench.csv" in error.fact
-    assert mend in error.mend
+    assert hint in error.hint

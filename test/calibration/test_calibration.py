@@ -200,7 +200,7 @@ DELETE = object()
 
 
 @pytest.mark.parametrize(
-    ("keys", "value", "field", "mend"),
+    ("keys", "value", "field", "hint"),
     [
         (("clusters", "brim", "normall"), [0.0, 1.0], "normall", "normal"),
         (("sourc",), "x", "sourc", "source"),
@@ -224,7 +224,7 @@ DELETE = object()
     ],
 )
 def test_a_bad_file_is_named_with_its_field_and_the_mend(
-    calibration, tmp_path, keys, value, field, mend
+    calibration, tmp_path, keys, value, field, hint
 ):
     document = copy.deepcopy(calibration.to_document())
     place = document
@@ -240,7 +240,7 @@ def test_a_bad_file_is_named_with_its_field_and_the_mend(
         read_calibration(path)
     assert str(path) in caught.value.fact
     assert field in caught.value.fact
-    assert mend in caught.value.mend
+    assert hint in caught.value.hint
     assert "\n" not in str(caught.value)
 
 

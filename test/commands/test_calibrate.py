@@ -176,14 +176,14 @@ def test_baselines_are_stored_and_take_the_drift_off(call, tmp_path, output):
 
     out = call(path, *WIRING, "--baseline", before, after)
     assert "drift, taken off" in out and "above the limit" in out
-    mended = read_calibration(output).clusters["distal"]
-    np.testing.assert_allclose(mended.baseline, rest, rtol=1e-8)
-    assert mended.bench["drift"]["flagged"] is True
-    np.testing.assert_allclose(mended.bench["drift"]["capacitance"], drift, rtol=1e-3)
+    corrected = read_calibration(output).clusters["distal"]
+    np.testing.assert_allclose(corrected.baseline, rest, rtol=1e-8)
+    assert corrected.bench["drift"]["flagged"] is True
+    np.testing.assert_allclose(corrected.bench["drift"]["capacitance"], drift, rtol=1e-3)
     call(clean_file, *WIRING, "--baseline", before)
     clean = read_calibration(output).clusters["distal"]
     assert "drift" not in clean.bench and clean.baseline is not None
-    np.testing.assert_allclose(mended.normal, clean.normal, rtol=1e-6)
+    np.testing.assert_allclose(corrected.normal, clean.normal, rtol=1e-6)
 
 
 def test_forces_need_the_area_of_the_tile(call, refused, tmp_path, output):

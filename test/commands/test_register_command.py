@@ -54,7 +54,7 @@ def put(value: object, *keys: str):
 
 
 @pytest.mark.parametrize(
-    ("change", "fact", "mend"),
+    ("change", "fact", "hint"),
     [
         (drop("limb"), "'limb' is missing", "add"),
         (drop("bodies", "pylon"), "bodies: 'pylon' is missing", "add"),
@@ -72,12 +72,12 @@ def put(value: object, *keys: str):
         (put(list(SOCKET_NAMES), "bodies", "pylon"), "'Socket:Marker1' is on", "one side"),
     ],
 )
-def test_a_bad_landmark_file_is_named_with_its_field(rng, tmp_path, change, fact, mend):
+def test_a_bad_landmark_file_is_named_with_its_field(rng, tmp_path, change, fact, hint):
     bench = make_bench(rng)
     change(bench)
     error = refused(bench, tmp_path, ConfigurationError)
     assert str(tmp_path / "landmarks.yaml") in error and fact in error
-    assert mend.replace("three", "3") in error or mend in error
+    assert hint.replace("three", "3") in error or hint in error
 
 
 @pytest.mark.parametrize(
@@ -146,7 +146,7 @@ def test_a_take_that_is_no_static_one_is_refused_by_the_body(rng, tmp_path, spoi
 def test_a_trial_cannot_register(hold):
     with pytest.raises(RegistrationError, match="two triads but no landmarks") as caught:
         read_static_take(hold)
-    assert "static take" in caught.value.mend
+    assert "static take" in caught.value.hint
 
 
 def call(*words: object) -> None:

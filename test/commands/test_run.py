@@ -77,13 +77,13 @@ def test_doctor_names_what_fails_and_the_mend(capsys: pytest.CaptureFixture[str]
     assert run(["doctor", "--simulated", *words]) == 1
     out, err = capsys.readouterr()
     rows = {line.split("  ")[0]: line for line in out.splitlines()}
-    for what, mend in {
+    for what, hint in {
         "trigger": "check the wire between the two lines",
         "cluster mid_anterior": "check the cluster's plug",
         "load cell": "check MISO",
         "motion capture": "check that Motive streams",
     }.items():
-        assert "failed" in rows[what] and mend in rows[what]
+        assert "failed" in rows[what] and hint in rows[what]
     assert "failed" not in rows["cluster distal"]
     assert "checks failed" in err
 

@@ -155,7 +155,7 @@ def test_a_dead_wire_is_no_answer(bit: int) -> None:
         NoAnswerError, match=rf"spidev0\.0: no answer \(every bit reads {bit}\)"
     ) as e:
         converter.reset_and_configure(4096, 1)
-    assert "MISO" in e.value.mend
+    assert "MISO" in e.value.hint
 
 
 def test_a_failing_bus_is_named() -> None:
@@ -358,19 +358,19 @@ def test_the_bus_is_opened_in_mode_1(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.parametrize(
-    ("error", "fact", "mend"),
+    ("error", "fact", "hint"),
     [
         (FileNotFoundError(2, "No such file"), "/dev/spidev0.0 does not exist", "dtparam=spi=on"),
         (PermissionError(13, "Permission denied"), "/dev/spidev0.0: permission", "group spi"),
         (OSError(16, "Device busy"), "/dev/spidev0.0: cannot be opened (Device busy)", "spi_clock"),
     ],
 )
-def test_a_bus_that_cannot_be_opened_says_why(monkeypatch, error, fact, mend) -> None:
+def test_a_bus_that_cannot_be_opened_says_why(monkeypatch, error, fact, hint) -> None:
     calls = opened_with(monkeypatch, error)
     with pytest.raises(DeviceError) as raised:
         open_spi("0.0", 8e6)
     assert fact in raised.value.fact
-    assert mend in raised.value.mend
+    assert hint in raised.value.hint
     assert calls[-1] == "closed"
 
 

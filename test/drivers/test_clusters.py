@@ -671,7 +671,7 @@ PAIRS = [(a, b) for k, a in enumerate(CLUSTER_FAULTS) for b in CLUSTER_FAULTS[k 
 
 @pytest.mark.parametrize("pair", PAIRS, ids="+".join)
 @pytest.mark.parametrize("rate", [4.0, 50.0])
-def test_pairs_of_faults_give_no_wrong_value_and_are_mended(
+def test_pairs_of_faults_give_no_wrong_value_and_are_repaired(
     pair: tuple[str, str], rate: float
 ) -> None:
     rng = random.Random("+".join(pair))
@@ -684,7 +684,7 @@ def test_pairs_of_faults_give_no_wrong_value_and_are_mended(
 
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("rate", [4.0, 50.0, 100.0])
-def test_random_faults_give_no_wrong_value_and_are_mended(rate: float, seed: int) -> None:
+def test_random_faults_give_no_wrong_value_and_are_repaired(rate: float, seed: int) -> None:
     rng = random.Random(seed)
     triggers = 1000
     duration = triggers / rate

@@ -200,21 +200,21 @@ def test_most_wrenches_outlive_flipped_bits_and_a_jittery_thread() -> None:
 
 
 @pytest.mark.parametrize(
-    ("fault", "value", "fact", "mend"),
+    ("fault", "value", "fact", "hint"),
     [
         ("unplugged", 1.0, "no answer (every bit reads 0)", "check MISO, CS and the supply"),
         ("frozen", 1.0, "converts no more", "check the converter's clock"),
         ("flipped_bits", 1.0, "checksum", "check the wiring, or lower load_cell_node's spi_clock"),
     ],
 )
-def test_what_fails_is_told_with_its_mend(fault, value, fact, mend) -> None:
+def test_what_fails_is_told_with_its_mend(fault, value, fact, hint) -> None:
     bench = Bench()
     bench.run(0.3)
     bench.fault(fault, value)
     bench.run(0.5)
     level, text = bench.cell.health(bench.now)
     assert level == 2
-    assert text.startswith("spidev0.0: ") and fact in text and mend in text
+    assert text.startswith("spidev0.0: ") and fact in text and hint in text
     reading = bench.cell.wrench_at(bench.now - 0.1)
     assert np.isnan(reading.wrench).all()
     assert "of 20 conversions" in reading.fault and fact in reading.fault
@@ -364,7 +364,7 @@ def test_a_tare_refuses_what_it_must() -> None:
     quiet.run(0.05)
     with pytest.raises(DeviceError, match="no answer") as raised:
         quiet.cell.tare()
-    assert "MISO" in raised.value.mend
+    assert "MISO" in raised.value.hint
 
 
 def test_the_window_and_the_tare_follow_new_settings() -> None:
@@ -404,7 +404,7 @@ def test_other_threads_may_ask_all_the_time() -> None:
 
 
 @pytest.mark.parametrize(
-    ("changes", "fact", "mend"),
+    ("changes", "fact", "hint"),
     [
         ({"matrix": ()}, "matrix is empty", "the maker's 36 numbers"),
         ({"matrix": (1.0,) * 35}, "matrix has 35 numbers", "36 numbers"),
@@ -424,8 +424,8 @@ def test_other_threads_may_ask_all_the_time() -> None:
         ({"device": "spi0"}, "device is 'spi0'", "N.M"),
     ],
 )
-def test_wrong_settings_are_named(changes: dict, fact: str, mend: str) -> None:
+def test_wrong_settings_are_named(changes: dict, fact: str, hint: str) -> None:
     with pytest.raises(ConfigurationError) as raised:
         LoadCell(dataclasses.replace(SETTINGS, **changes), lambda: None)
     assert raised.value.fact.startswith(f"load_cell_node: {fact}")
-    assert mend in raised.value.mend
+    assert hint in raised.value.hint

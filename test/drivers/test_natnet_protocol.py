@@ -298,7 +298,7 @@ def test_the_error_survives_a_process_boundary():
     with pytest.raises(MalformedDatagram) as raised:
         parse_frame(b"", (4, 1))
     again = pickle.loads(pickle.dumps(raised.value))
-    assert (again.fact, again.mend) == (raised.value.fact, raised.value.mend)
+    assert (again.fact, again.hint) == (raised.value.fact, raised.value.hint)
 
 
 def test_a_frame_is_parsed_in_a_fraction_of_its_period():

@@ -237,7 +237,7 @@ TILE = ("tiles", "tile_0_1")
 
 
 @pytest.mark.parametrize(
-    ("keys", "value", "field", "mend"),
+    ("keys", "value", "field", "hint"),
     [
         (("cluster",), {}, "cluster", "clusters"),
         ((*TILE, "anchors"), [0.0, 0.0, 0.0], "anchors", "anchor"),
@@ -270,7 +270,7 @@ TILE = ("tiles", "tile_0_1")
     ],
 )
 def test_a_bad_file_is_named_with_its_field_and_the_mend(
-    document, tmp_path, keys, value, field, mend
+    document, tmp_path, keys, value, field, hint
 ):
     document = copy.deepcopy(document)
     place = document
@@ -285,7 +285,7 @@ def test_a_bad_file_is_named_with_its_field_and_the_mend(
         read_socket(path)
     assert str(path) in caught.value.fact
     assert field in caught.value.fact
-    assert mend in caught.value.mend
+    assert hint in caught.value.hint
     assert "\n" not in str(caught.value)
 
 

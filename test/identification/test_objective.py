@@ -78,8 +78,8 @@ def test_a_channel_without_any_value_is_named_with_the_mend(array, place, value,
     with pytest.raises(IdentificationError) as caught:
         fit_contact_model(samples, geometry, settings)
     assert channel in caught.value.fact
-    assert "leave it out" in caught.value.mend
-    assert advice in caught.value.mend
+    assert "leave it out" in caught.value.hint
+    assert advice in caught.value.hint
     assert "\n" not in str(caught.value)
 
 
@@ -120,4 +120,4 @@ def test_an_unknown_name_in_the_settings_is_named_with_a_likely_one(setting, val
         fit_contact_model(samples, geometry, settings)
     assert f"'{unknown}'" in caught.value.fact
     assert setting in caught.value.fact
-    assert meant in caught.value.mend
+    assert meant in caught.value.hint

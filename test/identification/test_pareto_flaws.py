@@ -46,7 +46,7 @@ def fail_where(monkeypatch, fails, answer=True):
         counts[problem.name] = count = counts.get(problem.name, -1) + 1
         if fails(problem.name, count):
             x = np.ones_like(problem.q) if answer else None
-            raise UncertifiedSolutionError(f"{problem.name}: missed", "mend", problem, x)
+            raise UncertifiedSolutionError(f"{problem.name}: missed", "hint", problem, x)
         return solve_box_qp(problem, solver, tolerance, near)
 
     monkeypatch.setattr(pareto, "solve_box_qp", solve)

@@ -50,7 +50,7 @@ def test_an_error_comes_back_as_it_was_raised(worker: FitWorker, hold: Path) -> 
     none = read_samples(trial)[:0]
     with pytest.raises(IdentificationError, match="only 0 of 0 samples") as raised:
         worker.submit(none, trial.geometry, SETTINGS, None, 1).result(TIMEOUT)
-    assert raised.value.mend
+    assert raised.value.hint
 
 
 def test_a_killed_worker_is_replaced(hold: Path) -> None:

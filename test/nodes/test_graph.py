@@ -47,7 +47,7 @@ from socket_testbed.trials.topics import (
 )
 from socket_testbed.trials.trial import Trial
 
-NO_FIT = EstimatorSettings(fit_by_itself=False)
+NO_FIT = EstimatorSettings(auto_fit=False)
 
 
 def last(diagnostics: list, node: str) -> list:

@@ -20,7 +20,7 @@ ALL = sorted({*NODE_SETTINGS.values(), IdentificationSettings}, key=lambda kind:
 
 def assert_one_line(error: ConfigurationError, *words: str) -> None:
     assert "\n" not in str(error)
-    assert error.mend
+    assert error.hint
     for word in words:
         assert word in str(error)
 
@@ -48,7 +48,7 @@ def test_settings_are_frozen(kind):
 def test_changed_values_come_back_from_their_flat_form():
     settings = EstimatorSettings(
         model="m",
-        fit_by_itself=False,
+        auto_fit=False,
         identification=IdentificationSettings(
             variant="stiffness", theta=0.2, leave_out=("Mz", "distal.Fx")
         ),
@@ -94,8 +94,8 @@ def test_a_whole_number_may_come_with_a_point():
         (WindowSettings, "least_samples", 50.5, ("least_samples", "whole")),
         (WindowSettings, "least_samples", 5, ("least_samples", "10")),
         (WindowSettings, "least_samples", math.nan, ("least_samples", "finite")),
-        (EstimatorSettings, "fit_by_itself", 1, ("fit_by_itself", "bool")),
-        (EstimatorSettings, "fit_by_itself", "yes", ("fit_by_itself", "bool")),
+        (EstimatorSettings, "auto_fit", 1, ("auto_fit", "bool")),
+        (EstimatorSettings, "auto_fit", "yes", ("auto_fit", "bool")),
         (EstimatorSettings, "geometry", ["a"], ("geometry", "str")),
     ],
 )

@@ -88,7 +88,7 @@ def refused(known: np.ndarray, measured: np.ndarray) -> RegistrationError:
 @pytest.mark.parametrize("count", [0, 1, 2])
 def test_fewer_than_three_landmarks_are_refused(rng, count):
     error = refused(CELL[:count], random_pose(rng).apply(CELL[:count]))
-    assert f"{count} landmarks" in error.fact and "3 or more" in error.mend
+    assert f"{count} landmarks" in error.fact and "3 or more" in error.hint
 
 
 def test_landmarks_at_one_place_are_refused(rng):
@@ -114,7 +114,7 @@ def test_swapped_names_are_named(rng, pair, count):
     measured[list(pair)] = measured[list(pair)[::-1]]
     error = refused(known, measured)
     assert f"LC{pair[0] + 1} and LC{pair[1] + 1} fit with" in error.fact
-    assert "if they are swapped" in error.fact and "exchange" in error.mend
+    assert "if they are swapped" in error.fact and "exchange" in error.hint
 
 
 def test_names_in_a_ring_are_named(rng):
@@ -126,7 +126,7 @@ def test_names_in_a_ring_are_named(rng):
 
 def test_a_mirrored_frame_is_refused(rng):
     error = refused(CELL, measure(CELL * [1.0, -1.0, 1.0], random_pose(rng), rng))
-    assert "mirrored" in error.fact and "right-handed" in error.mend
+    assert "mirrored" in error.fact and "right-handed" in error.hint
 
 
 @pytest.mark.parametrize("seed", range(5))

@@ -51,7 +51,7 @@ def test_labels_swapped_in_single_frames_are_put_right(rng):
 
 
 @pytest.mark.parametrize(
-    ("triad", "fact", "mend"),
+    ("triad", "fact", "hint"),
     [
         (
             [[0, 0, 0], [0.08, 0, 0], [0.04, 0.069, 0]],
@@ -63,12 +63,12 @@ def test_labels_swapped_in_single_frames_are_put_right(rng):
         ([[0, 0, 0], [0.008, 0, 0], [0, 0.014, 0]], "too close (edges 8.0,", "10 mm"),
     ],
 )
-def test_a_triad_that_is_no_body_is_refused_with_its_edges(rng, triad, fact, mend):
+def test_a_triad_that_is_no_body_is_refused_with_its_edges(rng, triad, fact, hint):
     observed = np.tile(random_pose(rng).apply(np.array(triad)), (30, 1, 1))
     with pytest.raises(RegistrationError) as caught:
         fit_labels(observed, "take.csv: socket")
     assert "take.csv: socket" in caught.value.fact and fact in caught.value.fact
-    assert mend in caught.value.mend
+    assert hint in caught.value.hint
 
 
 def test_a_triad_that_is_never_whole_is_refused():
@@ -160,7 +160,7 @@ def hide(positions: np.ndarray) -> None:
 
 
 @pytest.mark.parametrize(
-    ("move", "fact", "mend"),
+    ("move", "fact", "hint"),
     [
         (slide, "C drifted by 2.0", "nothing moves"),
         (shake, "C moved about by 2.0", "nothing moves"),
@@ -168,10 +168,10 @@ def hide(positions: np.ndarray) -> None:
         (hide, "15 of 60 frames show all of A, B, C, D (C is occluded in 45", "20 frames"),
     ],
 )
-def test_a_take_that_is_not_static_is_refused(rng, move, fact, mend):
+def test_a_take_that_is_not_static_is_refused(rng, move, fact, hint):
     positions = still_markers(rng, noise=2e-5)
     move(positions)
     with pytest.raises(RegistrationError) as caught:
         average(positions)
     assert "take.csv: socket" in caught.value.fact and fact in caught.value.fact
-    assert mend in caught.value.mend
+    assert hint in caught.value.hint

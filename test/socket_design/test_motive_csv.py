@@ -158,13 +158,13 @@ def test_what_is_asked_for_and_not_there_is_named(scene, tmp_path):
     take = read_motive_csv(write_take(scene, tmp_path / "take.csv"))
     with pytest.raises(RegistrationError, match="no rigid body 'Pylon'") as caught:
         take.body("Pylon")
-    assert "Socket" in caught.value.mend
+    assert "Socket" in caught.value.hint
     with pytest.raises(RegistrationError, match="no marker 'Sockt:Marker1'") as caught:
         take.stack(["Sockt:Marker1"])
-    assert "did you mean 'Socket:Marker1'" in caught.value.mend
+    assert "did you mean 'Socket:Marker1'" in caught.value.hint
     with pytest.raises(RegistrationError, match="no marker 'LC1'") as caught:
         take.stack(["LC1"])
-    assert "Socket:Marker3" in caught.value.mend and "108" not in caught.value.mend
+    assert "Socket:Marker3" in caught.value.hint and "108" not in caught.value.hint
     with pytest.raises(RegistrationError, match="not a measured one"):
         take.stack(["Socket_2"])
 
@@ -207,7 +207,7 @@ def exchange(line: int):
 
 
 @pytest.mark.parametrize(
-    ("change", "fact", "mend"),
+    ("change", "fact", "hint"),
     [
         (lambda lines: [], "is empty", "export"),
         (lambda lines: [""] * 3, "is empty", "export"),
@@ -243,12 +243,12 @@ def exchange(line: int):
         (replace_text("Total", "x" * 140_000), "line 1 is no CSV", "export"),
     ],
 )
-def test_a_bad_file_is_named_with_its_place_and_the_mend(scene, tmp_path, change, fact, mend):
+def test_a_bad_file_is_named_with_its_place_and_the_mend(scene, tmp_path, change, fact, hint):
     path = write_lines(change(motive_lines(scene)), tmp_path / "take.csv")
     with pytest.raises(RegistrationError) as caught:
         read_motive_csv(path)
     assert str(path) in caught.value.fact and fact in caught.value.fact
-    assert mend in caught.value.mend
+    assert hint in caught.value.hint
     assert "\n" not in str(caught.value)
 
 

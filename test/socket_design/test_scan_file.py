@@ -263,7 +263,7 @@ def test_bad_files_are_refused_in_one_line_that_names_them(tmp_path, name, capfd
     assert words in message
     assert name in message
     assert "\n" not in message
-    assert caught.value.mend
+    assert caught.value.hint
     assert capfd.readouterr() == ("", "")
     assert not caplog.records
 

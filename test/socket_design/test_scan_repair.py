@@ -175,9 +175,9 @@ def test_small_holes_are_closed_and_a_large_one_through_both_walls_is_left(path)
     scan = read_scan(write_stl(with_faces(solid, solid.faces[keep]), path))
     assert noted(scan, "small holes closed: 1, ")
     assert noted(scan, "edges of the surface left open: 2, ")
-    mended = read_scan(write_stl(with_faces(solid, np.delete(solid.faces, small, 0)), path)).mesh
-    assert mended.is_watertight
-    assert mended.volume == pytest.approx(solid.volume, rel=1e-4)
+    corrected = read_scan(write_stl(with_faces(solid, np.delete(solid.faces, small, 0)), path)).mesh
+    assert corrected.is_watertight
+    assert corrected.volume == pytest.approx(solid.volume, rel=1e-4)
 
 
 def test_a_clean_scan_has_no_notes_but_of_its_unit_and_brim(cone, path):

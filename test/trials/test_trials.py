@@ -7,7 +7,7 @@ import yaml
 from support.bags import move_to_namespace, rewrite
 
 from socket_testbed.errors import CalibrationError, ConfigurationError, TrialError
-from socket_testbed.files import whole_output
+from socket_testbed.files import atomic_output
 from socket_testbed.samples import Status
 from socket_testbed.simulation.trial import read_truth
 from socket_testbed.trials.bag import BagReader, BagWriter, decode, encode, stamp_of
@@ -220,12 +220,12 @@ def test_a_bag_is_readable_up_to_its_last_flush(tmp_path: Path) -> None:
 
 
 def test_an_output_that_fails_leaves_nothing(tmp_path: Path) -> None:
-    with pytest.raises(RuntimeError), whole_output(tmp_path / "out") as staging:
+    with pytest.raises(RuntimeError), atomic_output(tmp_path / "out") as staging:
         staging.write_text("half")
         raise RuntimeError
     assert list(tmp_path.iterdir()) == []
     with (
         pytest.raises(ConfigurationError, match="cannot be written"),
-        whole_output(Path("/proc/out")) as staging,
+        atomic_output(Path("/proc/out")) as staging,
     ):
         staging.write_text("x")

@@ -45,9 +45,9 @@ def test_drift_between_two_spans_is_taken_off(hold: Path, measured: Measurements
     # What was not measured stays so.
     assert np.array_equal(np.isnan(corrected.capacitance), np.isnan(measured.capacitance))
     plain = make_samples(dataclasses.replace(trial, unloaded=()), measured)
-    mended = make_samples(trial, drifted)
+    corrected = make_samples(trial, drifted)
     np.testing.assert_allclose(
-        mended.local_forces[inner], plain.local_forces[inner], atol=0.15, rtol=0.01
+        corrected.local_forces[inner], plain.local_forces[inner], atol=0.15, rtol=0.01
     )
 
 

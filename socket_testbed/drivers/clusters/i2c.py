@@ -35,8 +35,8 @@ class BusError(DeviceError):
         address: Address of the chip [1].
     """
 
-    def __init__(self, fact: str, mend: str, bus: str, address: int) -> None:
-        super().__init__(fact, mend)
+    def __init__(self, fact: str, hint: str, bus: str, address: int) -> None:
+        super().__init__(fact, hint)
         self.bus = bus
         self.address = address
 
@@ -76,7 +76,7 @@ def open_i2c(number: int, timeout: float) -> I2cBus:
 
 
 def opening_failed(number: int, error: OSError) -> DeviceError:
-    """The error, with its mend, of a bus that could not be opened."""
+    """The error, with its hint, of a bus that could not be opened."""
     name, path = f"i2c-{number}", f"/dev/i2c-{number}"
     if error.errno in {errno.EACCES, errno.EPERM}:
         return DeviceError(
@@ -155,17 +155,17 @@ class I2cPort:
     def _named(self, error: OSError) -> BusError:
         place = (self._bus_name, self._address)
         if error.errno in {errno.EREMOTEIO, errno.ENXIO}:
-            mend = f"check the {self._part}'s plug and its supply"
-            return NoAnswerError(f"no answer at {self.where}", mend, *place)
+            hint = f"check the {self._part}'s plug and its supply"
+            return NoAnswerError(f"no answer at {self.where}", hint, *place)
         if error.errno == errno.ETIMEDOUT:
-            mend = "check SDA and SCL for a short, and their pull-ups"
-            return BusTimeoutError(f"the bus hangs at {self.where}", mend, *place)
+            hint = "check SDA and SCL for a short, and their pull-ups"
+            return BusTimeoutError(f"the bus hangs at {self.where}", hint, *place)
         if error.errno in {errno.ENODEV, errno.ENOENT, errno.EBADF, errno.EIO}:
-            mend = f"check the adapter of {self._bus_name}; it is opened again by itself"
+            hint = f"check the adapter of {self._bus_name}; it is opened again by itself"
             fact = f"the bus is gone at {self.where} ({_reason(error)})"
-            return BusGoneError(fact, mend, *place)
-        mend = f"check the {self._part}'s wiring"
-        return BusError(f"transfer failed at {self.where} ({_reason(error)})", mend, *place)
+            return BusGoneError(fact, hint, *place)
+        hint = f"check the {self._part}'s wiring"
+        return BusError(f"transfer failed at {self.where} ({_reason(error)})", hint, *place)
 
 
 def _reason(error: OSError) -> str:

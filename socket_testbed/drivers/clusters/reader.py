@@ -37,7 +37,7 @@ class ClusterReading:
         names: Names of the c clusters.
         capacitance: Capacitances by input, shape (c, 4) [pF]; NaN where there is none.
         status: `OK`, `SATURATED` or `MISSING` of each input, shape (c, 4).
-        faults: What is wrong now and how to mend it, in one line, by the cluster's name.
+        faults: What is wrong now and how to fix it, in one line, by the cluster's name.
         notes: What was done in this reading, such as a set-up.
     """
 

@@ -60,7 +60,7 @@ class Bridges:
         """How far absolute values of [M; F], shape (6,), go beyond the cell.
 
         Returns:
-            0, 1 above 80 % of a full scale or 2 above all of it, with the fact and the mend.
+            0, 1 above 80 % of a full scale or 2 above all of it, with the fact and the hint.
         """
         share = peak / self.full_scale
         worst = int(share.argmax())
@@ -70,8 +70,8 @@ class Bridges:
         if level == 0:
             return 0, ""
         limit = f"{10 * tenths} % of its full scale of {self.full_scale[worst]:g} {UNITS[worst]}"
-        mend = "unload the cell" if level == 2 else "do not load it further"
-        return level, f"{AXES[worst]} is above {limit}: {mend}"
+        hint = "unload the cell" if level == 2 else "do not load it further"
+        return level, f"{AXES[worst]} is above {limit}: {hint}"
 
 
 def check_settings(settings: LoadCellSettings) -> None:
@@ -83,7 +83,7 @@ def check_settings(settings: LoadCellSettings) -> None:
     try:
         check_device(settings.device)
     except ConfigurationError as error:
-        raise ConfigurationError(f"{_NODE}: {error.fact}", error.mend) from None
+        raise ConfigurationError(f"{_NODE}: {error.fact}", error.hint) from None
     if settings.channels not in (6, 8):
         raise _wrong(f"channels is {settings.channels}", "give 6 (ADS131M06) or 8 (ADS131M08)")
     _check_power_of_two("oversampling", settings.oversampling, 128, 16384)
@@ -134,5 +134,5 @@ def _check_power_of_two(name: str, value: int, low: int, high: int) -> None:
         raise _wrong(f"{name} is {value}", f"give a power of two from {low} to {high}")
 
 
-def _wrong(fact: str, mend: str) -> ConfigurationError:
-    return ConfigurationError(f"{_NODE}: {fact}", mend)
+def _wrong(fact: str, hint: str) -> ConfigurationError:
+    return ConfigurationError(f"{_NODE}: {fact}", hint)

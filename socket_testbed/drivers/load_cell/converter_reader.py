@@ -143,14 +143,14 @@ class ConverterReader:
         """What is wrong with the converter at a time [s].
 
         Returns:
-            0 (nothing), 1 (a warning) or 2 (an error), with the fact and the mend.
+            0 (nothing), 1 (a warning) or 2 (an error), with the fact and the hint.
         """
         with self._lock:
             return self._error(now) or self._warning(now) or (0, "", "")
 
     def _error(self, now: float) -> tuple[int, str, str] | None:
         if self._fault is not None and self._failed >= self._stored:
-            return 2, self._fault.fact, self._fault.mend
+            return 2, self._fault.fact, self._fault.hint
         if now - self._stored <= self.silence:
             return None
         if now - self._arrived > self.silence:
@@ -160,7 +160,7 @@ class ConverterReader:
 
     def _warning(self, now: float) -> tuple[int, str, str] | None:
         if self._fault is not None and now - self._failed < _RECENT:
-            return 1, f"{self._fault.fact}, and is read again", self._fault.mend
+            return 1, f"{self._fault.fact}, and is read again", self._fault.hint
         if now - self._corrupted < _RECENT:
             fact = f"{self._name}: frames do not match their checksums and are left out"
             return 1, fact, "check the wiring, or lower load_cell_node's spi_clock"

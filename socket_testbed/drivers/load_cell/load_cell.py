@@ -17,7 +17,7 @@ from socket_testbed.drivers.load_cell.ads131m0x import SpiDevice
 from socket_testbed.drivers.load_cell.bridges import AXES, UNITS, Bridges
 from socket_testbed.drivers.load_cell.converter_reader import ConverterReader
 from socket_testbed.errors import ConfigurationError, DeviceError
-from socket_testbed.files import read_document, whole_output
+from socket_testbed.files import atomic_output, read_document
 from socket_testbed.settings.acquisition import LoadCellSettings
 
 _LARGEST = 1e3  # [mV/V]; no bridge comes near it
@@ -57,7 +57,7 @@ class Tare:
                     "offsets_mV_per_V": offsets.tolist(),
                     "time": datetime.now(UTC).isoformat(timespec="seconds"),
                 }
-                with whole_output(self._path) as path:
+                with atomic_output(self._path) as path:
                     path.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
             self._offsets = offsets.copy()
 
@@ -200,9 +200,9 @@ class LoadCell:
         uncertain = weights @ weights > _WORST * 1.75 / expected
         if len(times) < max(1.0, 0.5 * expected) or uncertain:
             fault = f"{len(times)} of {expected:.0f} conversions around the trigger"
-            level, fact, mend = self._reader.trouble(self._clock())
+            level, fact, hint = self._reader.trouble(self._clock())
             return WrenchReading(
-                missing, len(times), f"{fault}; {fact}: {mend}" if level else fault
+                missing, len(times), f"{fault}; {fact}: {hint}" if level else fault
             )
         wrench = self._bridges.wrenches(weights @ ratios - self._tare.offsets)
         level, text = self._bridges.overload(np.abs(wrench))
@@ -212,10 +212,10 @@ class LoadCell:
         """How it is at a time [s].
 
         Returns:
-            0 (well), 1 (a warning) or 2 (an error), and the fact with the mend.
+            0 (well), 1 (a warning) or 2 (an error), and the fact with the hint.
         """
-        level, fact, mend = self._reader.trouble(now)
-        found = [(level, f"{fact}: {mend}")] if level else []
+        level, fact, hint = self._reader.trouble(now)
+        found = [(level, f"{fact}: {hint}")] if level else []
         _, ratios, rails = self._reader.between(now - _RECENT, now)
         broken = self._reader.rail_runs() >= _BROKEN_WIRE
         if broken.any():
@@ -245,9 +245,9 @@ class LoadCell:
         """
         settings = self.settings
         now = self._clock() if now is None else now
-        level, fact, mend = self._reader.trouble(now)
+        level, fact, hint = self._reader.trouble(now)
         if level > 1:
-            raise DeviceError(f"cannot tare: {fact}", mend)
+            raise DeviceError(f"cannot tare: {fact}", hint)
         _, ratios, rails = self._reader.between(now - settings.tare_duration, now)
         expected = settings.tare_duration / self.period
         if len(ratios) < 0.5 * expected:

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator
 
-from socket_testbed.files import whole_output
+from socket_testbed.files import atomic_output
 from socket_testbed.identification.front import KNEE, SENSOR_ONLY, WRENCH_ONLY, Front
 from socket_testbed.report.figures.style import MODEL_STYLES, dress, save_figure
 
@@ -58,7 +58,7 @@ def pareto_figure(fronts: Iterable[Front], title: str, path: Path) -> None:
     dress(axes)
     handles = [*axes.get_legend_handles_labels()[0], *_mark_legend()]
     figure.legend(handles=handles, loc="outside lower center", ncols=2, frameon=False, fontsize=9)
-    with whole_output(path) as staging:
+    with atomic_output(path) as staging:
         save_figure(figure, staging)
 
 

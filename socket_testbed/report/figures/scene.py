@@ -13,7 +13,7 @@ import numpy as np
 import plotly.graph_objects as go
 
 from socket_testbed.arrays import BoolArray, FloatArray, IntArray
-from socket_testbed.files import whole_output
+from socket_testbed.files import atomic_output
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.report.figures.style import (
     AXES,
@@ -428,7 +428,7 @@ def socket_page(
         ),
         scene=_scene(surface, geometry),
     )
-    with whole_output(path) as output:
+    with atomic_output(path) as output:
         output.write_text(page, encoding="utf-8")
 
 

@@ -20,7 +20,7 @@ from matplotlib.patheffects import withStroke
 
 from socket_testbed.arrays import BoolArray, FloatArray, IntArray
 from socket_testbed.errors import ConfigurationError
-from socket_testbed.files import whole_output
+from socket_testbed.files import atomic_output
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.report.figures.style import (
     AXES,
@@ -446,7 +446,7 @@ def socket_picture(
         )
     surface = drawable_surface(vertices, faces, _MOST_FACES)
     figure = _draw_socket(surface, geometry, title)
-    with mpl.rc_context({"pdf.fonttype": 42}), whole_output(path) as output:
+    with mpl.rc_context({"pdf.fonttype": 42}), atomic_output(path) as output:
         figure.savefig(output, dpi=_DPI)
 
 

@@ -1,4 +1,4 @@
-"""Mend the CMake files of the ROS wheels in this Python's environment.
+"""Correct the CMake files of the ROS wheels in this Python's environment.
 
 Their exported targets name include folders of the machine that built them, and CMake
 refuses a target whose include folder does not exist. This puts this Python's own there.
@@ -18,14 +18,14 @@ INCLUDES = (
 
 
 def main() -> None:
-    """Mend every exported target of the generated Python messages."""
+    """Correct every exported target of the generated Python messages."""
     share = Path(sys.prefix, "share")
     for file in share.glob("*/cmake/*__rosidl_generator_pyExport.cmake"):
-        text = mended = file.read_text(encoding="utf-8")
+        text = corrected = file.read_text(encoding="utf-8")
         for pattern, include in INCLUDES:
-            mended = pattern.sub(include, mended)
-        if mended != text:
-            file.write_text(mended, encoding="utf-8")
+            corrected = pattern.sub(include, corrected)
+        if corrected != text:
+            file.write_text(corrected, encoding="utf-8")
 
 
 if __name__ == "__main__":
