@@ -1,4 +1,8 @@
-"""Time: the steady clock, the time of a trigger on it, and when to try again.
+"""The testbed's clock: its scale, its relation to the epoch, and when to try again.
+
+A simulated testbed may run slower than real time, so that a busy machine keeps up: everything
+that waits or tells the time in it (trigger, chips, bus transfers, NatNet, physics, nodes) uses
+`monotonic`, `sleep` and `real` of this module. On hardware the scale is 1.
 
 The processes of one graph share where it begins, in an environment variable: one that is started
 again later, when the system clock has been set, still tells the same time as the others.
@@ -13,6 +17,34 @@ from collections import deque
 from collections.abc import Callable
 
 BEGINNING = "SOCKET_TESTBED_BEGINNING"  # of the steady clock, since the epoch [ns]
+TIME_SCALE = "SOCKET_TESTBED_TIME_SCALE"  # testbed seconds per real second, in (0, 1] [-]
+
+_scale = float(os.environ.get(TIME_SCALE, "1"))
+
+
+def time_scale() -> float:
+    """Testbed seconds per real second of this process [-]; 1 on hardware."""
+    return _scale
+
+
+def monotonic() -> float:
+    """Time of the testbed's steady clock [s]; the same in all processes of a testbed."""
+    return time.monotonic() * _scale
+
+
+def monotonic_ns() -> int:
+    """Time of the testbed's steady clock [ns]."""
+    return time.monotonic_ns() if _scale == 1.0 else round(time.monotonic_ns() * _scale)
+
+
+def sleep(seconds: float) -> None:
+    """Sleep for testbed seconds [s]."""
+    time.sleep(seconds / _scale)
+
+
+def real(seconds: float) -> float:
+    """Real seconds [s] that testbed seconds take, as the timeout of an event or a socket."""
+    return seconds / _scale
 
 
 class SteadyClock:
@@ -29,7 +61,7 @@ class SteadyClock:
     def __init__(
         self,
         wall: Callable[[], int] = time.time_ns,
-        steady: Callable[[], int] = time.monotonic_ns,
+        steady: Callable[[], int] = monotonic_ns,
     ) -> None:
         self._wall = wall
         self._steady = steady
