@@ -14,13 +14,20 @@ unexport PYTHONPATH AMENT_PREFIX_PATH CMAKE_PREFIX_PATH COLCON_PREFIX_PATH LD_LI
 unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE
 
 .DELETE_ON_ERROR:
-.PHONY: demo test setup lint benchmark colcon clean
+.PHONY: demo test quick setup lint benchmark colcon clean
 
 demo: setup
 	$(BIN)/socket-testbed demo
 
+# Side by side, a module at a time; the graphs of each worker have a ROS domain of their own.
+PYTEST := $(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder --durations 15
+
 test: lint
-	$(BIN)/python -m pytest
+	$(PYTEST)
+
+# No graph, no processes, nothing slow: while you work.
+quick: setup
+	$(PYTEST) -m "not graph and not slow"
 
 lint: setup
 	$(BIN)/ruff check

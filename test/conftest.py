@@ -4,9 +4,11 @@ from pathlib import Path
 
 import pytest
 
-# Every run has a ROS domain of its own, and no graph leaves this machine. This must stand
-# before rclpy is imported anywhere; child processes inherit it.
-os.environ["ROS_DOMAIN_ID"] = str(1 + os.getpid() % 100)
+# Every run, and every worker of pytest-xdist, has a ROS domain of its own, and no graph leaves
+# this machine. This must stand before rclpy is imported anywhere; child processes inherit it.
+os.environ["ROS_DOMAIN_ID"] = str(
+    1 + (8 * os.getppid() + int(os.environ.get("PYTEST_XDIST_WORKER", "gw0")[2:])) % 100
+)
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
@@ -37,3 +39,9 @@ def shared_data() -> Iterator[Path]:
     if not SHARED_DATA.is_dir():
         pytest.skip("no shared data beside the checkout")
     yield SHARED_DATA
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Start the longest modules first, so that no worker is left with one at the end."""
+    long = {item.path for item in items if any(map(item.get_closest_marker, ("graph", "slow")))}
+    items.sort(key=lambda item: item.path not in long)

@@ -13,6 +13,8 @@ import pytest
 
 from socket_testbed.settings.testbed import NODE_SETTINGS
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).resolve().parents[1]
 BIN = Path(sys.executable).parent
 PACKAGES = ("socket_testbed", "socket_testbed_msgs")

@@ -26,6 +26,7 @@ def commands(page: Path) -> str:
     return script.replace(".venv/bin/", f"{Path(sys.executable).parent}/")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("page", [p for p in PAGES if commands(p)], ids=lambda page: page.name)
 def test_a_page_s_commands_run_in_their_order(page: Path, tmp_path: Path) -> None:
     done = subprocess.run(

@@ -15,6 +15,8 @@ from socket_testbed.files import packaged
 from socket_testbed.settings.testbed import read_parameters
 from socket_testbed.trials.trial import Trial
 
+pytestmark = pytest.mark.graph
+
 COMMAND = (sys.executable, "-m", "socket_testbed")
 
 

@@ -12,6 +12,8 @@ from support import SHARED_DATA, meshes
 from socket_testbed.__main__ import run
 from socket_testbed.geometry.socket import SocketGeometry, read_socket, write_socket
 
+pytestmark = pytest.mark.slow
+
 CUP = meshes.open_cone(0.05, 0.058, 0.12, 0.004)
 LIMB, SOCKET = (
     SHARED_DATA / "ampscan" / "stl_file.stl",

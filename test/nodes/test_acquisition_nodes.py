@@ -14,6 +14,8 @@ from socket_testbed.settings.acquisition import MocapSettings
 from socket_testbed.settings.testbed import RecorderSettings
 from socket_testbed.simulation.devices.natnet_server import NatNetServer
 
+pytestmark = pytest.mark.graph
+
 
 def test_motive_records_while_the_recorder_does(tmp_path: Path) -> None:
     server = NatNetServer(lambda _: [])

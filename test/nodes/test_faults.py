@@ -16,6 +16,8 @@ from support.testbeds import MEASURED, LiveTestbed, Recorded
 
 from socket_testbed.simulation.world import FAULTS
 
+pytestmark = pytest.mark.graph
+
 
 @dataclass(frozen=True)
 class Case:

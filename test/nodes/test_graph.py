@@ -47,6 +47,8 @@ from socket_testbed.trials.topics import (
 )
 from socket_testbed.trials.trial import Trial
 
+pytestmark = pytest.mark.graph
+
 NO_FIT = EstimatorSettings(auto_fit=False)
 
 

@@ -11,6 +11,8 @@ from support.testbeds import MEASURED, LiveTestbed, Recorded
 from socket_testbed.live.bringup import Simulation
 from socket_testbed.trials.topics import CAPACITANCE, MARKERS, PYLON_POSE, SOCKET_POSE, WRENCH
 
+pytestmark = pytest.mark.graph
+
 OF_NODE = {
     "trigger_node": (),
     "cluster_node": (CAPACITANCE,),

@@ -31,6 +31,8 @@ from socket_testbed.trials.topics import (
 )
 from socket_testbed.trials.trial import Trial
 
+pytestmark = pytest.mark.graph
+
 ANNOUNCED = Topic(RECORDED_TRIAL, "std_msgs/msg/String", latched=True)
 
 

@@ -11,6 +11,8 @@ from support import meshes
 from socket_testbed.errors import ScanError
 from socket_testbed.socket_design.tiling import Tiling, TilingSettings, tile_interior
 
+pytestmark = pytest.mark.slow
+
 PROXIMAL, ANTERIOR = np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0])
 FEW = TilingSettings(rounds=12)
 EDGE = FEW.edge
