@@ -4,10 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import IntEnum
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from socket_testbed.arrays import BoolArray, FloatArray, IntArray, StatusArray
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 WRENCH_CHANNELS = ("Mx", "My", "Mz", "Fx", "Fy", "Fz")
 LOCAL_CHANNELS = ("Fx", "Fy", "Fz")
@@ -23,13 +27,18 @@ class Status(IntEnum):
 
 
 def channel_names(clusters: tuple[str, ...]) -> tuple[str, ...]:
-    """Names of all channels: the wrench's, then three a cluster."""
+    """Names of all channels: the wrench's, then three per cluster."""
     return WRENCH_CHANNELS + tuple(f"{c}.{channel}" for c in clusters for channel in LOCAL_CHANNELS)
+
+
+def channel_unit(name: str) -> str:
+    """Unit of a channel by its name."""
+    return "N m" if name.rpartition(".")[2].startswith("M") else "N"
 
 
 @dataclass(frozen=True)
 class Samples:
-    """Measurements that belong to the same triggers, one row a trigger.
+    """Measurements that belong to the same triggers, one row per trigger.
 
     What was not measured is NaN, never an older value.
 
@@ -89,10 +98,33 @@ class Samples:
 
     @property
     def channels(self) -> tuple[str, ...]:
-        """Names of all channels: the wrench's, then three a cluster."""
+        """Names of all channels: the wrench's, then three per cluster."""
         return channel_names(self.clusters)
 
     @property
     def values(self) -> FloatArray:
         """All channels in the order of `channels`, shape (N, 6 + 3c) [N m, N]."""
         return np.hstack([self.wrench, self.local_forces.reshape(len(self), -1)])
+
+    def to_dataframe(self) -> pd.DataFrame:
+        """The samples as a pandas table, with the units in the names.
+
+        Returns:
+            A row per sample, indexed by `time [s]`. Columns: the wrench in {S}, such as `Mx [N m]`
+            and `Fz [N]`; the limb position in {S}, such as `q_x [m]`; for each cluster its force
+            in its own frame, such as `distal.Fx [N]`, and its status, such as `distal.status [-]`
+            (see `Status`). What was not measured is NaN.
+        """
+        import pandas as pd
+
+        def titled(prefix: str, names: tuple[str, ...], values: FloatArray) -> None:
+            for name, column in zip(names, values.T, strict=True):
+                columns[f"{prefix}{name} [{channel_unit(name)}]"] = column
+
+        columns: dict[str, FloatArray | StatusArray] = {}
+        titled("", WRENCH_CHANNELS, self.wrench)
+        columns |= {f"q_{axis} [m]": self.position[:, i] for i, axis in enumerate("xyz")}
+        for number, cluster in enumerate(self.clusters):
+            titled(f"{cluster}.", LOCAL_CHANNELS, self.local_forces[:, number])
+            columns[f"{cluster}.status [-]"] = self.status[:, number]
+        return pd.DataFrame(columns, index=pd.Index(self.time, name="time [s]"))

@@ -10,7 +10,7 @@ import numpy as np
 from socket_testbed.arrays import FloatArray
 from socket_testbed.errors import ConfigurationError
 from socket_testbed.identification.contact import ContactModel
-from socket_testbed.samples import WRENCH_CHANNELS, Samples
+from socket_testbed.samples import WRENCH_CHANNELS, Samples, channel_unit
 
 _ROUNDING = 1e-12  # [-]; spread of a channel that is constant, against its size
 _CHUNK = 4096  # samples; predicting takes memory by the samples times the tiles
@@ -40,11 +40,6 @@ class ChannelErrors:
     mae: float
     sigma: float
     skill: float
-
-
-def channel_unit(name: str) -> str:
-    """Unit of a channel by its name."""
-    return "N m" if name.rpartition(".")[2].startswith("M") else "N"
 
 
 def channel_errors(

@@ -26,9 +26,8 @@ import numpy as np
 from socket_testbed.arrays import BoolArray, FloatArray
 from socket_testbed.files import atomic_output
 from socket_testbed.identification.contact import ContactModel
-from socket_testbed.identification.evaluation import channel_unit
 from socket_testbed.identification.model_file import finite_or_null
-from socket_testbed.samples import WRENCH_CHANNELS
+from socket_testbed.samples import WRENCH_CHANNELS, channel_unit
 from socket_testbed.settings.identification import Variant
 
 RESOLUTION = 1e-3  # [-]; a thousandth of what was measured is nothing to trade off

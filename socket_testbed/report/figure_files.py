@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from socket_testbed.arrays import BoolArray, FloatArray
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification.contact import ContactModel
-from socket_testbed.identification.evaluation import ChannelErrors, channel_unit, trusted_values
+from socket_testbed.identification.evaluation import ChannelErrors, trusted_values
 from socket_testbed.identification.front import write_fronts
 from socket_testbed.report.figures.channels import (
     MOST_POINTS,
@@ -30,7 +30,7 @@ from socket_testbed.report.figures.socket_picture import tile_map_figure
 from socket_testbed.report.figures.style import save_figure, svg_of
 from socket_testbed.report.page import figure, picture
 from socket_testbed.report.results import Candidate, Results, unusable
-from socket_testbed.samples import WRENCH_CHANNELS
+from socket_testbed.samples import WRENCH_CHANNELS, channel_unit
 
 _CHUNK = 10_000  # rows; a trial of an hour is not held as text
 

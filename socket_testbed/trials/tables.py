@@ -14,8 +14,8 @@ from socket_testbed.arrays import FloatArray, StatusArray
 from socket_testbed.errors import ConfigurationError
 from socket_testbed.files import atomic_output, closest
 from socket_testbed.identification.contact import ContactModel
-from socket_testbed.identification.evaluation import channel_unit, predict_channels
-from socket_testbed.samples import LOCAL_CHANNELS, WRENCH_CHANNELS, Samples
+from socket_testbed.identification.evaluation import predict_channels
+from socket_testbed.samples import LOCAL_CHANNELS, WRENCH_CHANNELS, Samples, channel_unit
 from socket_testbed.trials.segment import Segment
 from socket_testbed.trials.synchronise import Measurements
 from socket_testbed.trials.trial import Trial

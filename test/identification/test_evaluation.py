@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from support.problems import moving_limb, random_bed, random_socket, samples_of_bed
 
-from socket_testbed.identification.evaluation import channel_errors, channel_unit, evaluate
+from socket_testbed.identification.evaluation import channel_errors, evaluate
+from socket_testbed.samples import channel_unit
 
 
 def test_errors_of_a_small_channel_by_hand():

@@ -1,0 +1,24 @@
+"""Samples as others see them."""
+
+import numpy as np
+
+from socket_testbed.samples import Samples, Status
+
+
+def test_a_table_of_samples_has_a_unit_in_every_name() -> None:
+    samples = Samples(
+        stamps=np.array([5, 250_000_005, 500_000_005]),
+        position=np.array([[0.01, 0.02, 0.03], [np.nan] * 3, [0.0, 0.0, 0.0]]),
+        wrench=np.arange(18.0).reshape(3, 6),
+        clusters=("distal", "cuff"),
+        local_forces=np.arange(18.0).reshape(3, 2, 3),
+        status=np.array([[0, 3], [0, 2], [1, 0]], dtype=np.uint8),
+    )
+    frame = samples.to_dataframe()
+    assert frame.index.name == "time [s]" and frame.index.tolist() == [0.0, 0.25, 0.5]
+    np.testing.assert_array_equal(frame[["Mx [N m]", "Fz [N]"]], samples.wrench[:, [0, 5]])
+    np.testing.assert_array_equal(frame[[f"q_{axis} [m]" for axis in "xyz"]], samples.position)
+    np.testing.assert_array_equal(frame["distal.Fx [N]"], samples.local_forces[:, 0, 0])
+    np.testing.assert_array_equal(frame["cuff.Fz [N]"], samples.local_forces[:, 1, 2])
+    assert frame["cuff.status [-]"].tolist() == [Status.OUT_OF_RANGE, Status.MISSING, Status.OK]
+    assert len(frame.columns) == 6 + 3 + 2 * 4
