@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from datetime import timedelta
 from pathlib import Path
 from typing import Any, Protocol
 
+from socket_testbed import clocks
 from socket_testbed.errors import DeviceError
 from socket_testbed.settings.acquisition import TriggerSettings
 
@@ -57,7 +57,7 @@ class Trigger(Protocol):
 class TimerTrigger:
     """A trigger without a wire: its time is that of the call."""
 
-    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(self, clock: Callable[[], float] = clocks.monotonic) -> None:
         self.fire = clock
         self.stray = 0
 
@@ -85,8 +85,8 @@ class GpioTrigger:
         self,
         lines: Lines,
         settings: TriggerSettings,
-        clock: Callable[[], float] = time.monotonic,
-        sleep: Callable[[float], None] = time.sleep,
+        clock: Callable[[], float] = clocks.monotonic,
+        sleep: Callable[[float], None] = clocks.sleep,
     ) -> None:
         self._lines = lines
         self._settings = settings
@@ -187,8 +187,9 @@ class GpiodLines:
 
     def edges(self, within: float) -> list[float]:
         """Rising edges by their times on the steady clock [s]; waits for the first."""
-        if not self._request.wait_edge_events(timedelta(seconds=max(within, 0.0))):
+        if not self._request.wait_edge_events(timedelta(seconds=clocks.real(max(within, 0.0)))):
             return []
+        # CLOCK_MONOTONIC is the testbed's steady clock: on hardware its scale is 1.
         return [event.timestamp_ns * 1e-9 for event in self._request.read_edge_events()]
 
     def close(self) -> None:

@@ -4,13 +4,13 @@ import contextlib
 import itertools
 import socket
 import threading
-import time
 from struct import unpack
 
 import numpy as np
 import pytest
 from support.natnet import TIMEOUT, Link, markers_at, scene, until
 
+from socket_testbed import clocks
 from socket_testbed.drivers.natnet.client import NatNetClient
 from socket_testbed.drivers.natnet.frame_filter import LinkStatistics
 from socket_testbed.errors import ConfigurationError, DeviceError
@@ -202,8 +202,8 @@ def test_an_occluded_marker_is_missing_until_it_is_seen_again(link):
     for _ in range(4):
         link.check_sample()
     link.faults["mocap.occlude"] = 2.0
-    until(lambda: link.tracker.sample(time.monotonic() - 0.06).faults[0] != "", "the fault")
-    trigger = time.monotonic()
+    until(lambda: link.tracker.sample(clocks.monotonic() - 0.06).faults[0] != "", "the fault")
+    trigger = clocks.monotonic()
     assert link.tracker.wait(trigger, trigger + TIMEOUT)
     sample = link.tracker.sample(trigger)
     assert sample.faults[1] == "marker 2 of rigid body 'pylon' is occluded"
@@ -212,7 +212,7 @@ def test_an_occluded_marker_is_missing_until_it_is_seen_again(link):
     truth = np.array([markers_at(body, trigger) for body in range(2)])
     assert np.nanmax(np.abs(sample.markers - truth)) < ACCURACY
     link.faults.clear()
-    until(lambda: link.tracker.sample(time.monotonic() - 0.06).faults == ("", ""), "the end")
+    until(lambda: link.tracker.sample(clocks.monotonic() - 0.06).faults == ("", ""), "the end")
 
 
 @pytest.mark.parametrize(
@@ -281,7 +281,7 @@ def test_changed_rigid_bodies_are_asked_for():
         assert set(link.client.models.bodies) == {"socket", "other"}
         names[1] = "pylon"
         until(lambda: "pylon" in link.client.models.bodies, "the new body")
-        until(lambda: link.tracker.sample(time.monotonic() - 0.02).faults == ("", ""), "a sample")
+        until(lambda: link.tracker.sample(clocks.monotonic() - 0.02).faults == ("", ""), "a sample")
 
 
 def test_what_others_send_does_not_disturb(link):
@@ -446,7 +446,7 @@ def test_an_interface_that_is_not_there_is_waited_for():
     client = NatNetClient(settings, lambda *_: None)
     client.start()
     try:
-        until(lambda: "no network" in client.health(time.monotonic())[1], "the fault")
-        assert client.health(time.monotonic())[0] == 2
+        until(lambda: "no network" in client.health(clocks.monotonic())[1], "the fault")
+        assert client.health(clocks.monotonic())[0] == 2
     finally:
         client.close()

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import threading
-import time
 from collections.abc import Callable
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from socket_testbed import clocks
 from socket_testbed.drivers.natnet.client import NatNetClient
 from socket_testbed.drivers.natnet.tracker import BodyTracker
 from socket_testbed.settings.acquisition import MocapSettings
@@ -47,13 +47,13 @@ def scene(moment: float):
 
 def until(condition: Callable[[], bool], what: str = "it", timeout: float = TIMEOUT) -> float:
     """Wait for a condition with a deadline; how long it took, stalls of the machine apart [s]."""
-    start = last = time.monotonic()
+    start = last = clocks.monotonic()
     took = 0.0
     pause = threading.Event()
     while not condition():
         assert last - start < timeout, f"{what} did not come"
         pause.wait(_POLL)
-        now = time.monotonic()
+        now = clocks.monotonic()
         took += min(now - last, 2.0 * _POLL)
         last = now
     return took
@@ -88,7 +88,7 @@ class Link:
         self.server.close()
 
     def health(self) -> tuple[int, str]:
-        return self.client.health(time.monotonic())
+        return self.client.health(clocks.monotonic())
 
     def is_fine(self) -> bool:
         return self.health()[0] == 0
@@ -105,9 +105,9 @@ class Link:
 
     def check_sample(self) -> float:
         """The largest error of a marker, at a trigger from now or soon [m]."""
-        deadline = time.monotonic() + TIMEOUT
+        deadline = clocks.monotonic() + TIMEOUT
         while True:
-            trigger = time.monotonic()
+            trigger = clocks.monotonic()
             assert trigger < deadline, "no sample came"
             self.tracker.wait(trigger, trigger + self.settings.stale)
             sample = self.tracker.sample(trigger)

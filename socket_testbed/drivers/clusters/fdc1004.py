@@ -7,10 +7,10 @@ the time of the read, says how old a value can be, also when a chip has hung in 
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
+from socket_testbed import clocks
 from socket_testbed.drivers.clusters.i2c import I2cPort
 from socket_testbed.errors import DeviceError
 
@@ -53,7 +53,7 @@ class Fdc1004:
         capdac: Offset of each input in steps of 3.125 pF, 0..31 [1]; a reset keeps them.
     """
 
-    def __init__(self, port: I2cPort, sleep: Callable[[float], None] = time.sleep) -> None:
+    def __init__(self, port: I2cPort, sleep: Callable[[float], None] = clocks.sleep) -> None:
         self._port = port
         self._sleep = sleep
         self._conf = 0

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, field
 
 import numpy as np
 
+from socket_testbed import clocks
 from socket_testbed.arrays import FloatArray, StatusArray
 from socket_testbed.clocks import Backoff
 from socket_testbed.drivers.clusters.fdc1004 import ADDRESS, INPUTS, Fdc1004, FreshInputs
@@ -55,8 +55,8 @@ class ClusterReader:
         self,
         settings: ClusterSettings,
         open_bus: Callable[[int], I2cBus],
-        clock: Callable[[], float] = time.monotonic,
-        sleep: Callable[[float], None] = time.sleep,
+        clock: Callable[[], float] = clocks.monotonic,
+        sleep: Callable[[float], None] = clocks.sleep,
     ) -> None:
         """Describe the array; the first reading opens the buses.
 

@@ -6,13 +6,13 @@ import binascii
 import importlib
 import math
 import re
-import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
 
+from socket_testbed import clocks
 from socket_testbed.arrays import BoolArray, FloatArray, IntArray
 from socket_testbed.errors import ConfigurationError, DeviceError
 
@@ -318,7 +318,7 @@ class Ads131m0x:
         channels: int,
         crc: str = "ccitt",
         name: str = "spidev0.0",
-        sleep: Callable[[float], None] = time.sleep,
+        sleep: Callable[[float], None] = clocks.sleep,
     ) -> None:
         self.identity = 0
         self._spi = spi

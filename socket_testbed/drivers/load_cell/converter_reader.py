@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import threading
-import time
 from collections.abc import Callable
 
 import numpy as np
 
+from socket_testbed import clocks
 from socket_testbed.arrays import BoolArray, FloatArray, IntArray
 from socket_testbed.clocks import Backoff
 from socket_testbed.drivers.load_cell.ads131m0x import (
@@ -53,8 +53,8 @@ class ConverterReader:
         settings: LoadCellSettings,
         bridges: Bridges,
         open_device: Callable[[], SpiDevice],
-        clock: Callable[[], float] = time.monotonic,
-        sleep: Callable[[float], None] = time.sleep,
+        clock: Callable[[], float] = clocks.monotonic,
+        sleep: Callable[[float], None] = clocks.sleep,
     ) -> None:
         self.period = conversion_period(settings.clock_in, settings.oversampling)
         self.silence = max(_SILENCE, 5.0 * self.period)

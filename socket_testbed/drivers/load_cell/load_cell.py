@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import threading
-import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -12,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
+from socket_testbed import clocks
 from socket_testbed.arrays import BoolArray, FloatArray
 from socket_testbed.drivers.load_cell.ads131m0x import SpiDevice
 from socket_testbed.drivers.load_cell.bridges import AXES, UNITS, Bridges
@@ -114,8 +114,8 @@ class LoadCell:
         self,
         settings: LoadCellSettings,
         open_device: Callable[[], SpiDevice],
-        clock: Callable[[], float] = time.monotonic,
-        sleep: Callable[[float], None] = time.sleep,
+        clock: Callable[[], float] = clocks.monotonic,
+        sleep: Callable[[float], None] = clocks.sleep,
     ) -> None:
         self.settings = settings
         self._clock = clock

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import threading
-import time
 from collections.abc import Callable
 from concurrent.futures import Future
 from concurrent.futures import TimeoutError as FutureTimeoutError
 
+from socket_testbed import clocks
 from socket_testbed.drivers.natnet.connection import (
     Answer,
     CommandQueue,
@@ -133,19 +133,12 @@ class NatNetClient:
         settings: The settings.
         on_frame: Called on that thread with each frame, the middle of its exposure on the
             steady clock [s], and the server's rigid bodies (None: not known yet).
-        clock: The steady clock [s].
 
     Raises:
         ConfigurationError: If an address or the version of the stream is wrong.
     """
 
-    def __init__(
-        self,
-        settings: MocapSettings,
-        on_frame: OnFrame,
-        clock: Callable[[], float] = time.monotonic,
-    ) -> None:
-        self._clock = clock
+    def __init__(self, settings: MocapSettings, on_frame: OnFrame) -> None:
         self._address = server_address(settings)
         self._sockets = NatNetSockets(settings, self._address)
         self._commands = CommandQueue()
@@ -164,7 +157,7 @@ class NatNetClient:
         try:
             self._sockets.open()
         except OSError as error:
-            self._session.network_failed(error, self._clock())
+            self._session.network_failed(error, clocks.monotonic())
         self._thread = threading.Thread(target=self._run, name="natnet", daemon=True)
         self._thread.start()
 
@@ -219,7 +212,7 @@ class NatNetClient:
         future: Future[Answer] = Future()
         self._commands.submit(text, future.set_result)
         try:
-            answer = future.result(timeout)
+            answer = future.result(clocks.real(timeout))
         except FutureTimeoutError:
             raise silence from None
         if answer.response is None:
@@ -240,19 +233,19 @@ class NatNetClient:
         return {
             **session.statistics.figures(),
             "sessions": session.sessions,
-            "rate": round(session.statistics.rate(self._clock()), 1),
+            "rate": round(session.statistics.rate(clocks.monotonic()), 1),
             "clock_uncertainty": round(session.echoes.uncertainty, 6),
             "clock_jitter": round(session.echoes.jitter, 6),
         }
 
     def describe(self) -> dict[str, str]:
         """The server and the link to it, by what is described."""
-        return describe_link(self._session, self._address, self._clock())
+        return describe_link(self._session, self._address, clocks.monotonic())
 
     def _run(self) -> None:
         deadline = float("inf")
         while True:
-            now = self._clock()
+            now = clocks.monotonic()
             if self._closing.is_set():
                 deadline = min(deadline, now + _FAREWELL)
                 if self._session.takes.settled or now > deadline:
@@ -264,9 +257,9 @@ class NatNetClient:
         session = self._session
         try:
             if not self._sockets.opened:
-                self._closing.wait(_TURN)
+                self._closing.wait(clocks.real(_TURN))
             for datagram, sender in self._sockets.receive(_TURN):
-                arrival = self._clock()
+                arrival = clocks.monotonic()
                 if sender != self._address[0]:
                     session.stranger = sender
                     continue
@@ -275,6 +268,6 @@ class NatNetClient:
                 except MalformedDatagram as error:
                     session.statistics.count("bad", arrival, error=error.fact)
             # After what has come: a thread that was held up has not lost the server.
-            session.step(self._clock())
+            session.step(clocks.monotonic())
         except Exception as error:  # whatever it was, the next datagram is another one
             session.statistics.count("failed", now, error=f"{type(error).__name__}: {error}")

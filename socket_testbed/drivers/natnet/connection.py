@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 
+from socket_testbed import clocks
 from socket_testbed.drivers.natnet.messages import (
     LARGEST_DATAGRAM,
     UNRECOGNIZED,
@@ -162,7 +163,7 @@ class NatNetSockets:
         """
         if self._selector is None:
             return
-        for key, _ in self._selector.select(timeout):
+        for key, _ in self._selector.select(clocks.real(timeout)):
             udp = key.fileobj
             assert isinstance(udp, socket.socket)
             for _ in range(_AT_ONCE):

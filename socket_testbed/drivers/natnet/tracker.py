@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import threading
-import time as steady
 from collections import Counter, deque
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TypeAlias
 
 import numpy as np
 
+from socket_testbed import clocks
 from socket_testbed.arrays import FloatArray, IntArray
 from socket_testbed.drivers.natnet.messages import Frame, ModelDefinitions
 from socket_testbed.geometry.marker_bodies import EDGE_TOLERANCE, TriadFit, edge_lengths, fit_triad
@@ -51,7 +51,6 @@ class BodyTracker:
         settings: The settings.
         socket_markers: The socket's triad in its body's frame, shape (3, 3) [m].
         pylon_markers: The pylon's triad, likewise.
-        clock: The steady clock [s].
     """
 
     def __init__(
@@ -59,10 +58,8 @@ class BodyTracker:
         settings: MocapSettings,
         socket_markers: FloatArray,
         pylon_markers: FloatArray,
-        clock: Callable[[], float] = steady.monotonic,
     ) -> None:
         self._stale = settings.stale
-        self._clock = clock
         self._bodies = (
             _Body(settings.socket_body, "socket_body", socket_markers),
             _Body(settings.pylon_body, "pylon_body", pylon_markers),
@@ -95,10 +92,10 @@ class BodyTracker:
         """Wait until `ready`, or until a time of the steady clock [s]; whether it is ready."""
         with self._changed:
             while not self._is_ready(trigger):
-                left = deadline - self._clock()
+                left = deadline - clocks.monotonic()
                 if left <= 0.0:
                     return False
-                self._changed.wait(left)
+                self._changed.wait(clocks.real(left))
             return True
 
     def sample(self, trigger: float) -> MocapSample:
