@@ -9,12 +9,12 @@ import argparse
 import signal
 import sys
 import threading
-import time
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from socket_testbed import clocks
 from socket_testbed.arrays import FloatArray
 from socket_testbed.calibration.model import Calibration, read_calibration
 from socket_testbed.clocks import SteadyClock
@@ -87,7 +87,7 @@ class LiveTestbed:
             for name in geometry.clusters
         }
         self._bodies = MarkerBodies(geometry, errors, marker_rng)
-        self._start = time.monotonic()
+        self._start = clocks.monotonic()
         self._last = self._start
         self._history: list[tuple[Any, ...]] = []
 
@@ -120,7 +120,7 @@ class LiveTestbed:
         self._history.append(
             (
                 *(np.array(moment), forces.astype(np.float32), load, position, rotation),
-                *(capacitance, load + self._offset, markers, np.array(time.monotonic() - moment)),
+                *(capacitance, load + self._offset, markers, np.array(clocks.monotonic() - moment)),
             )
         )
 
@@ -172,7 +172,7 @@ def main() -> None:
         markers, poses = world.markers(moment), world.poses(moment)
         return [(name, markers[i], poses[i, :3], poses[i, 3:]) for i, name in enumerate(_BODIES)]
 
-    moment = time.monotonic()
+    moment = clocks.monotonic()
     testbed.advance(moment)
     # Started again, it is where the clients look for it.
     address = ("127.0.0.1", world.port)
@@ -182,9 +182,9 @@ def main() -> None:
     world.port = server.address[1]
     try:
         while not ended.is_set():
-            moment = max(moment + _PERIOD, time.monotonic())
+            moment = max(moment + _PERIOD, clocks.monotonic())
             testbed.advance(moment)
-            ended.wait(max(0.0, moment - _LEAD - time.monotonic()))
+            ended.wait(clocks.real(max(0.0, moment - _LEAD - clocks.monotonic())))
     finally:
         server.close()
     if options.truth is not None:

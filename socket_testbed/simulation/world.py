@@ -1,18 +1,18 @@
 """The world that simulated hardware is in, shared by processes through a file, with its faults.
 
-One process moves it on (`simulation.live`); the simulated chips in the nodes' processes look
+One process moves it on (`live.simulated_world`); the simulated chips in the nodes' processes look
 at it through `World`, at any time of the steady clock, and see the faults that are on.
 """
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 import numpy as np
 
 from socket_testbed.arrays import FloatArray
+from socket_testbed.clocks import SteadyClock
 from socket_testbed.errors import ConfigurationError
 
 FAULTS = {
@@ -107,6 +107,7 @@ class World:
         shared = self._shared
         self._changes, self._newest = shared["changes"], shared["newest"]
         self._time, self._state = shared["time"][0], shared["state"][0]
+        self._clock = SteadyClock()
         self.faults = FaultSwitches(shared["faults"][0])
 
     @property
@@ -167,7 +168,7 @@ class World:
 
     def wall_clock(self) -> int:
         """The simulated system clock since the epoch [ns]."""
-        return time.time_ns() + round(self.faults["clock.step"] * 1e9)
+        return self._clock.now() + round(self.faults["clock.step"] * 1e9)
 
     def _at(self, moment: float) -> FloatArray:
         """The state at a time of the steady clock, linear between the two around it."""

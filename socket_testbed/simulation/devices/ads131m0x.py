@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Callable, Mapping
 
 import numpy as np
 
+from socket_testbed import clocks
 from socket_testbed.arrays import FloatArray
 from socket_testbed.drivers.load_cell.bridges import check_settings
 from socket_testbed.settings.acquisition import LoadCellSettings
@@ -115,7 +115,7 @@ class SimulatedAds131m0x:
         volts: Called with a time of the steady clock [s] for the voltages at the inputs,
             shape (channels,) [V].
         channels: 6 (M06) or 8 (M08).
-        faults: The faults that are on; see `simulation.devices.faults`.
+        faults: The faults that are on; see `simulation.world`.
         clock: The steady clock [s].
         clock_in: Clock of the converter [Hz].
         seed: Seed of the flipped bits.
@@ -126,7 +126,7 @@ class SimulatedAds131m0x:
         volts: Callable[[float], FloatArray],
         channels: int = 6,
         faults: Mapping[str, float] | None = None,
-        clock: Callable[[], float] = time.monotonic,
+        clock: Callable[[], float] = clocks.monotonic,
         clock_in: float = 8.192e6,
         seed: int | None = None,
     ) -> None:
@@ -280,7 +280,7 @@ class SimulatedLoadCellHardware:
         wrench: Called with a time of the steady clock [s] for what the cell feels, [M; F],
             shape (6,) [N m, N].
         settings: What its driver believes of it.
-        faults: The faults that are on; see `simulation.devices.faults`.
+        faults: The faults that are on; see `simulation.world`.
         clock: The steady clock [s].
         seed: Seed of the flipped bits.
 
@@ -293,7 +293,7 @@ class SimulatedLoadCellHardware:
         wrench: Callable[[float], FloatArray],
         settings: LoadCellSettings,
         faults: Mapping[str, float] | None = None,
-        clock: Callable[[], float] = time.monotonic,
+        clock: Callable[[], float] = clocks.monotonic,
         seed: int | None = None,
     ) -> None:
         check_settings(settings)

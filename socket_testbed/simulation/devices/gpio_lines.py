@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Mapping
+
+from socket_testbed import clocks
 
 _DELAY = 2e-6  # [s]; from the output to the stamped edge
 
@@ -12,7 +13,7 @@ class SimulatedLines:
     """What `drivers.trigger.GpioTrigger` drives; the edge comes by the wire.
 
     Args:
-        faults: The faults that are on; see `simulation.devices.faults`.
+        faults: The faults that are on; see `simulation.world`.
         clock: The steady clock [s].
         sleep: Sleeps for a time [s].
     """
@@ -20,8 +21,8 @@ class SimulatedLines:
     def __init__(
         self,
         faults: Mapping[str, float],
-        clock: Callable[[], float] = time.monotonic,
-        sleep: Callable[[float], None] = time.sleep,
+        clock: Callable[[], float] = clocks.monotonic,
+        sleep: Callable[[float], None] = clocks.sleep,
     ) -> None:
         self._faults = faults
         self._clock = clock

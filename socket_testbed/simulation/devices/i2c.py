@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import errno
 import math
-import time
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from types import MappingProxyType
 
 from smbus2 import i2c_msg
 
+from socket_testbed import clocks
 from socket_testbed.drivers.clusters.i2c import I2cBus, opening_failed
 
 _CONF_MEAS, _FDC_CONF, _OFFSET, _GAIN = 0x08, 0x0C, 0x0D, 0x11
@@ -33,7 +33,7 @@ class SimulatedFdc1004:
     def __init__(
         self,
         capacitance: Callable[[int, float], float],
-        clock: Callable[[], float] = time.monotonic,
+        clock: Callable[[], float] = clocks.monotonic,
         faults: Mapping[str, float] = _NO_FAULTS,
         channel: int = 0,
         speed: float = 1.0,
@@ -43,7 +43,7 @@ class SimulatedFdc1004:
         Args:
             capacitance: Capacitance of an input, 0..3, at a time of the clock [pF].
             clock: The steady clock [s].
-            faults: The faults of `simulation.devices.faults`, looked up at each transfer.
+            faults: The faults of `simulation.world`, looked up at each transfer.
             channel: Channel of the multiplexer, by which the faults name the chip [1].
             speed: Its oscillator's frequency over the nominal one [-].
         """
@@ -245,8 +245,8 @@ class SimulatedI2cBus:
         address: int = 0x70,
         faults: Mapping[str, float] | None = None,
         frequency: float | None = None,
-        clock: Callable[[], float] = time.monotonic,
-        sleep: Callable[[float], None] = time.sleep,
+        clock: Callable[[], float] = clocks.monotonic,
+        sleep: Callable[[float], None] = clocks.sleep,
     ) -> None:
         """Open the bus, which restarts the host as far as the chips can tell.
 
@@ -254,7 +254,7 @@ class SimulatedI2cBus:
             chips: The chip on each channel; without a multiplexer all are on the same wires.
             multiplexer: The multiplexer, or None.
             address: Address of the multiplexer [1].
-            faults: The faults of `simulation.devices.faults`, looked up at each transfer.
+            faults: The faults of `simulation.world`, looked up at each transfer.
             frequency: Clock of the bus [Hz]; None: transfers take no time.
             clock: The steady clock [s].
             sleep: Waits [s].
@@ -331,8 +331,8 @@ class SimulatedClusterHardware:
         capacitance: Callable[[int, int, float], float],
         faults: Mapping[str, float],
         frequency: float | None = None,
-        clock: Callable[[], float] = time.monotonic,
-        sleep: Callable[[float], None] = time.sleep,
+        clock: Callable[[], float] = clocks.monotonic,
+        sleep: Callable[[float], None] = clocks.sleep,
         speeds: Sequence[float] = (1.0, 1.0, 1.0, 1.0),
     ) -> None:
         """Power the array up.
@@ -340,7 +340,7 @@ class SimulatedClusterHardware:
         Args:
             capacitance: Capacitance by the chip's channel and its input, both 0..3, at a time
                 of the clock [pF].
-            faults: The faults of `simulation.devices.faults`, looked up at each transfer.
+            faults: The faults of `simulation.world`, looked up at each transfer.
             frequency: Clock of the bus [Hz]; None: transfers take no time.
             clock: The steady clock [s].
             sleep: Waits [s].

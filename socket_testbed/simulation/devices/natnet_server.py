@@ -5,7 +5,6 @@ from __future__ import annotations
 import select
 import socket
 import threading
-import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -15,6 +14,7 @@ from typing import TypeAlias
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from socket_testbed import clocks
 from socket_testbed.arrays import FloatArray
 from socket_testbed.drivers.natnet.messages import (
     CONNECT,
@@ -266,7 +266,7 @@ class NatNetServer:
             DISCONNECT: lambda payload, client, now: self._forget(client),
         }
         self._restarts = self._faults.get("mocap.restart", 0.0)
-        self._start_anew(time.monotonic())
+        self._start_anew(clocks.monotonic())
         self._closing = threading.Event()
         self._thread = threading.Thread(target=self._run, name="natnet-server", daemon=True)
         self._thread.start()
@@ -297,8 +297,9 @@ class NatNetServer:
     def _run(self) -> None:
         while not self._closing.is_set():
             due = self._origin + self._number / self._rate + _LATENCY
-            readable = select.select([self._socket], [], [], max(0.0, due - time.monotonic()))[0]
-            now = time.monotonic()
+            wait = clocks.real(max(0.0, due - clocks.monotonic()))
+            readable = select.select([self._socket], [], [], wait)[0]
+            now = clocks.monotonic()
             restarts = self._faults.get("mocap.restart", 0.0)
             if restarts and restarts != self._restarts:
                 self._start_anew(now)
@@ -324,7 +325,7 @@ class NatNetServer:
                 message, payload = split_datagram(datagram)
             except MalformedDatagram:
                 continue
-            now = time.monotonic()
+            now = clocks.monotonic()
             if client in self._clients:
                 self._clients[client].heard = now
             answer = self._answers.get(message)
