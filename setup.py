@@ -1,8 +1,17 @@
+import re
 from glob import glob
+from pathlib import Path
 
 from setuptools import find_packages, setup
 
 NAME = "socket_testbed"
+VERSION = re.search(r'__version__ = "(.+)"', Path(f"{NAME}/__init__.py").read_text())[1]
+# What the offline part needs; ROS comes from its own installation.
+RUNTIME = [
+    line.partition("#")[0].strip()
+    for line in Path("requirements/runtime.txt").read_text().splitlines()
+    if line.strip() and line[0] != "#"
+]
 
 NODES = (
     "trigger",
@@ -17,8 +26,9 @@ NODES = (
 
 setup(
     name=NAME,
-    version="0.1.0",
+    version=VERSION,
     packages=find_packages(include=[NAME, f"{NAME}.*"]),
+    package_data={NAME: ["report/templates/*"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
@@ -27,11 +37,11 @@ setup(
         # The offline side reads trials with the same message definitions, without ROS.
         (f"share/{NAME}/msg", glob("msg_defs/msg/*.msg")),
     ],
-    install_requires=["setuptools"],
+    install_requires=RUNTIME,
     extras_require={"test": ["pytest"]},  # without it, colcon test runs no test
     zip_safe=True,
     maintainer="socket_testbed maintainers",
-    maintainer_email="maintainers@socket-testbed.org",
+    maintainer_email="maintainers@example.org",
     description="Software of an instrumented prosthetic-socket testbed.",
     license="Apache-2.0",
     entry_points={

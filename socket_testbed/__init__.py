@@ -1,1 +1,3 @@
 """Software of an instrumented prosthetic-socket testbed."""
+
+__version__ = "0.1.0"

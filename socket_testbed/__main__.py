@@ -8,6 +8,7 @@ import signal
 import sys
 from importlib import import_module
 
+from socket_testbed import __version__
 from socket_testbed.errors import TestbedError
 
 VERBS = {
@@ -43,6 +44,7 @@ def run(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(
         prog="socket-testbed", description="Software of an instrumented prosthetic-socket testbed."
     )
+    parser.add_argument("--version", action="version", version=f"socket_testbed {__version__}")
     verbs = parser.add_subparsers(dest="verb", required=True, metavar="VERB")
     for verb, summary in VERBS.items():
         subparser = verbs.add_parser(verb, help=summary, description=summary, allow_abbrev=False)

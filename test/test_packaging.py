@@ -22,6 +22,7 @@ SOURCES = (
     "config",
     "launch",
     "msg_defs",
+    "requirements",
     "resource",
     "socket_testbed",
     "test",
