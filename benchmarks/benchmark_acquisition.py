@@ -102,8 +102,11 @@ def measure(folder: Path, model: Path, rate: float, duration: float, one_process
     """Run the testbed once."""
     path = folder / f"{rate:g}_{one_process}"
     testbed = simulated_testbed(path, rate, Simulation("multi_direction", 60.0, 1))
-    estimator = dataclasses.replace(testbed.estimator, model=str(model), auto_fit=False)
-    testbed = dataclasses.replace(testbed, estimator=estimator, one_process=one_process)
+    estimator = dataclasses.replace(
+        testbed.settings.estimator_node, model=str(model), auto_fit=False
+    )
+    settings = dataclasses.replace(testbed.settings, estimator_node=estimator)
+    testbed = dataclasses.replace(testbed, settings=settings, one_process=one_process)
     before = children_seconds()
     with (
         (folder / "log").open("a") as log,

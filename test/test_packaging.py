@@ -11,7 +11,7 @@ from typing import ClassVar
 
 import pytest
 
-from socket_testbed.settings.testbed import NODE_SETTINGS
+from socket_testbed.settings.testbed import TestbedSettings
 
 pytestmark = pytest.mark.slow
 
@@ -137,7 +137,7 @@ def test_a_launch_file_starts_real_nodes_with_parameters_they_have(
     program["generate_launch_description"]()
     assert len(Stub.made) >= 3
     for node in Stub.made:
-        settings = NODE_SETTINGS[str(node["executable"])]
+        settings = TestbedSettings().nodes()[str(node["executable"])]
         assert node["name"] == node["executable"]
         for parameters in node["parameters"]:
             if isinstance(parameters, dict):

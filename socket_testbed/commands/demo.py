@@ -11,12 +11,18 @@ from pathlib import Path
 import numpy as np
 
 from socket_testbed.arrays import BoolArray, FloatArray
-from socket_testbed.commands.replay import replay_with_estimator
 from socket_testbed.commands.text import Progress, number, table
 from socket_testbed.errors import ConfigurationError, TrialError
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification.evaluation import channel_errors
-from socket_testbed.live.bringup import Simulation, end, simulated_testbed, start, summary
+from socket_testbed.live.bringup import (
+    Simulation,
+    end,
+    replay_with_estimator,
+    simulated_testbed,
+    start,
+    summary,
+)
 from socket_testbed.live.processes import Graph
 from socket_testbed.report.figures.channels import wrench_figure
 from socket_testbed.samples import LOCAL_CHANNELS, WRENCH_CHANNELS, Samples, channel_unit

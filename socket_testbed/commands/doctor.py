@@ -93,7 +93,7 @@ def _of_message(what: str, message: str) -> Finding:
 
 def check_trigger(testbed: Testbed) -> Iterator[Finding]:
     """Make pulses and see their edges."""
-    settings = testbed.trigger
+    settings = testbed.settings.trigger_node
     trigger = make_trigger(settings)
     try:
         delays = []
@@ -114,7 +114,8 @@ def check_trigger(testbed: Testbed) -> Iterator[Finding]:
 
 def check_clusters(testbed: Testbed) -> Iterator[Finding]:
     """See which chip answers at each cluster's place."""
-    reader = ClusterReader(testbed.clusters, i2c_opener(testbed.clusters))
+    settings = testbed.settings.cluster_node
+    reader = ClusterReader(settings, i2c_opener(settings))
     try:
         chips = reader.identify()
         for _ in range(_READINGS):  # the first ones may find the range of an input
@@ -132,7 +133,8 @@ def check_clusters(testbed: Testbed) -> Iterator[Finding]:
 
 def check_load_cell(testbed: Testbed) -> Iterator[Finding]:
     """See which converter answers, and whether its frames are whole."""
-    cell = LoadCell(testbed.load_cell, spi_opener(testbed.load_cell))
+    settings = testbed.settings.load_cell_node
+    cell = LoadCell(settings, spi_opener(settings))
     try:
         yield Finding("load cell", cell.identify())
         corrupted = cell.check_frames(_FRAMES)
@@ -154,7 +156,7 @@ def check_load_cell(testbed: Testbed) -> Iterator[Finding]:
 
 def check_motion_capture(testbed: Testbed) -> Iterator[Finding]:
     """See which server answers, how well its clock is known, and whether it has the bodies."""
-    settings = testbed.mocap
+    settings = testbed.settings.mocap_node
     geometry = read_socket(testbed.geometry)
     tracker = BodyTracker(settings, geometry.socket_markers, geometry.pylon_markers)
     client = NatNetClient(settings, tracker.add)

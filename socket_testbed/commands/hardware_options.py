@@ -5,20 +5,12 @@ from __future__ import annotations
 import argparse
 import sys
 from pathlib import Path
-from typing import TypeVar
 
 from socket_testbed.errors import ConfigurationError
 from socket_testbed.files import check_number, closest, packaged
 from socket_testbed.geometry.socket import read_socket
 from socket_testbed.live.bringup import Simulation, Testbed
-from socket_testbed.settings.acquisition import (
-    ClusterSettings,
-    LoadCellSettings,
-    MocapSettings,
-    TriggerSettings,
-)
-from socket_testbed.settings.fields import Settings
-from socket_testbed.settings.testbed import EstimatorSettings, read_parameters
+from socket_testbed.settings.testbed import TestbedSettings, read_testbed
 from socket_testbed.simulation.limb import SCENARIOS
 from socket_testbed.simulation.world import FAULTS
 
@@ -64,9 +56,6 @@ def _fault(text: str) -> tuple[str, float]:
         ) from None
 
 
-S = TypeVar("S", bound=Settings)
-
-
 def add_testbed(parser: argparse.ArgumentParser) -> None:
     """The configuration of a testbed."""
     parser.add_argument("--geometry", type=Path, metavar="SOCKET.yaml", help="the socket")
@@ -83,15 +72,11 @@ def testbed_of(options: argparse.Namespace, simulation: Simulation | None) -> Te
         TestbedError: For a wrong file, or files that do not belong together.
     """
     # A simulated load cell is described by the package; a real one only by its owner.
-    given = read_parameters(packaged("config", "simulated.yaml")) if simulation else {}
+    settings = TestbedSettings()
+    if simulation is not None:
+        settings = read_testbed(packaged("config", "simulated.yaml"))
     if options.params is not None:
-        given |= read_parameters(options.params)
-
-    def of(node: str, kind: type[S]) -> S:
-        settings = given.get(node, kind())
-        assert isinstance(settings, kind)
-        return settings
-
+        settings = read_testbed(options.params, settings)
     geometry = (options.geometry or packaged("config", "socket.yaml")).resolve()
     if simulation is None and not read_socket(geometry).registration:
         print(
@@ -100,11 +85,7 @@ def testbed_of(options: argparse.Namespace, simulation: Simulation | None) -> Te
             file=sys.stderr,
         )
     return Testbed(
-        trigger=of("trigger_node", TriggerSettings),
-        clusters=of("cluster_node", ClusterSettings),
-        load_cell=of("load_cell_node", LoadCellSettings),
-        mocap=of("mocap_node", MocapSettings),
-        estimator=of("estimator_node", EstimatorSettings),
+        settings=settings,
         geometry=geometry,
         calibration=(options.calibration or packaged("config", "calibration.yaml")).resolve(),
         simulation=simulation,

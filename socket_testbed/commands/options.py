@@ -11,7 +11,7 @@ from pathlib import Path
 from socket_testbed.batch.pool import Pool
 from socket_testbed.files import check_number
 from socket_testbed.settings.identification import VARIANTS
-from socket_testbed.settings.testbed import EstimatorSettings, read_parameters
+from socket_testbed.settings.testbed import EstimatorSettings, read_testbed
 from socket_testbed.trials.synchronise import parse_unloaded
 from socket_testbed.trials.trial import Trial
 
@@ -149,12 +149,9 @@ def add_model_choice(
 
 def estimator_settings(options: argparse.Namespace, stored: EstimatorSettings) -> EstimatorSettings:
     """The estimator's settings: the command line's over the file's over the stored ones."""
-    settings = stored
     if options.params is not None:
-        read = read_parameters(options.params).get("estimator_node", EstimatorSettings())
-        assert isinstance(read, EstimatorSettings)
-        settings = read
-    return choose_model(options, settings)
+        stored = read_testbed(options.params).estimator_node
+    return choose_model(options, stored)
 
 
 def choose_model(options: argparse.Namespace, settings: EstimatorSettings) -> EstimatorSettings:

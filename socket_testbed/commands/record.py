@@ -10,7 +10,7 @@ from socket_testbed.calibration.model import read_calibration
 from socket_testbed.files import refuse_existing
 from socket_testbed.geometry.socket import read_socket
 from socket_testbed.live.processes import Graph
-from socket_testbed.settings.testbed import RecorderSettings, read_parameters
+from socket_testbed.settings.testbed import RecorderSettings, read_testbed
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -30,7 +30,7 @@ def run(options: argparse.Namespace) -> None:
     for file, read in (
         (options.geometry, read_socket),
         (options.calibration, read_calibration),
-        (options.params, read_parameters),
+        (options.params, read_testbed),
     ):
         if file is not None:
             read(file)

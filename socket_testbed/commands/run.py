@@ -83,19 +83,20 @@ def _say(line: str) -> None:
 def _testbed(options: argparse.Namespace, simulation: Simulation | None) -> Testbed:
     """What the options mean."""
     testbed = testbed_of(options, simulation)
-    trigger = testbed.trigger
+    trigger = testbed.settings.trigger_node
     if options.rate is not None:
         trigger = dataclasses.replace(trigger, rate=options.rate)
-    estimator = choose_model(options, testbed.estimator)
-    check_names(estimator.identification, testbed.clusters.names)
+    estimator = choose_model(options, testbed.settings.estimator_node)
+    check_names(estimator.identification, testbed.settings.cluster_node.names)
     if options.model is not None:
         read_model(options.model)
         model = str(options.model.resolve())
         estimator = dataclasses.replace(estimator, model=model, auto_fit=False)
     return dataclasses.replace(
         testbed,
-        trigger=trigger,
-        estimator=estimator,
+        settings=dataclasses.replace(
+            testbed.settings, trigger_node=trigger, estimator_node=estimator
+        ),
         record=options.record,
         one_process=options.one_process,
     )

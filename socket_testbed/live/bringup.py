@@ -1,14 +1,18 @@
-"""The whole testbed brought up as one graph, on hardware or in a simulated world, and ended."""
+"""Which nodes make a graph, in which order and with which settings; starting and ending it.
+
+`run` and `replay` start processes from this description, the launch files their actions.
+"""
 
 from __future__ import annotations
 
-import dataclasses
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import IO
 
 import numpy as np
 
+from socket_testbed import clocks
 from socket_testbed.calibration.model import read_calibration
 from socket_testbed.drivers.clusters import reader as clusters
 from socket_testbed.drivers.load_cell import bridges
@@ -16,32 +20,27 @@ from socket_testbed.drivers.natnet.connection import server_address
 from socket_testbed.errors import ConfigurationError, TestbedError
 from socket_testbed.files import closest, packaged
 from socket_testbed.geometry.socket import read_socket
-from socket_testbed.live.processes import Graph
+from socket_testbed.identification.fit import check_names
+from socket_testbed.live.processes import Graph, GraphNode
 from socket_testbed.samples import Status
-from socket_testbed.settings.acquisition import (
-    ClusterSettings,
-    LoadCellSettings,
-    MocapSettings,
-    TriggerSettings,
-)
-from socket_testbed.settings.fields import Settings
 from socket_testbed.settings.testbed import (
     CalibrationNodeSettings,
     EstimatorSettings,
     RecorderSettings,
-    read_parameters,
-    write_parameters,
+    ReplaySettings,
+    TestbedSettings,
+    read_testbed,
+    write_testbed,
 )
 from socket_testbed.simulation.limb import Scenario
 from socket_testbed.simulation.trial import TRUTH_FILE
 from socket_testbed.simulation.world import World
-from socket_testbed.trials.synchronise import read_samples
-from socket_testbed.trials.trial import Trial
-
-ACQUIRING = ("cluster_node", "load_cell_node", "mocap_node", "calibration_node", "estimator_node")
+from socket_testbed.trials.synchronise import check_trial, read_samples
+from socket_testbed.trials.trial import Trial, recorded_namespace
 
 _UP_WITHIN = 30.0  # [s]; for the simulation
 _DRAIN = 1.0  # [s]; for the last trigger's sample to pass
+_LOOK = 0.02  # [s]
 
 
 @dataclass(frozen=True)
@@ -50,10 +49,10 @@ class Simulation:
 
     Attributes:
         scenario: The load history.
-        period: Its duration, after which it starts anew [s].
-        seed: Seed of all that is random.
+        period: Its duration, after which it starts again [s].
+        seed: Seed of all random numbers.
         pace: How much faster the load changes than in the scenario [-].
-        sway: How far the whole stand sways in the world [m].
+        sway: How far the stand sways in the world [m].
     """
 
     scenario: Scenario = "static_hold"
@@ -68,11 +67,7 @@ class Testbed:
     """What is brought up.
 
     Attributes:
-        trigger: Settings of the trigger node.
-        clusters: Settings of the cluster node.
-        load_cell: Settings of the load-cell node.
-        mocap: Settings of the motion-capture node.
-        estimator: Settings of the estimator node.
+        settings: Settings of its nodes.
         geometry: Path of the `socket.yaml` in use.
         calibration: Path of the `calibration.yaml` in use.
         simulation: What is simulated; None on hardware.
@@ -85,58 +80,83 @@ class Testbed:
 
     __test__ = False
 
-    trigger: TriggerSettings
-    clusters: ClusterSettings
-    load_cell: LoadCellSettings
-    mocap: MocapSettings
-    estimator: EstimatorSettings
-    geometry: Path
-    calibration: Path
+    settings: TestbedSettings = field(default_factory=TestbedSettings)
+    geometry: Path = field(default_factory=lambda: packaged("config", "socket.yaml"))
+    calibration: Path = field(default_factory=lambda: packaged("config", "calibration.yaml"))
     simulation: Simulation | None = None
     record: Path | None = None
     one_process: bool = False
 
     def __post_init__(self) -> None:
-        read_calibration(self.calibration).require(self.clusters.names, "cluster_node")
+        names = self.settings.cluster_node.names
+        read_calibration(self.calibration).require(names, "cluster_node")
         tiles = read_socket(self.geometry).clusters
-        for name in self.clusters.names:
+        for name in names:
             if name not in tiles:
                 raise ConfigurationError(
                     f"cluster_node: the cluster '{name}' is on no tile of {self.geometry}",
                     closest(name, tiles),
                 )
 
-    def nodes(self) -> dict[str, Settings]:
-        """Settings of the nodes but the recorder's, by their names."""
-        wait_for = ACQUIRING if self.record is None else (*ACQUIRING, "recorder_node")
-        geometry = str(self.geometry)
-        return {
-            "trigger_node": dataclasses.replace(self.trigger, wait_for=wait_for),
-            "cluster_node": self.clusters,
-            "load_cell_node": self.load_cell,
-            "mocap_node": dataclasses.replace(self.mocap, geometry=geometry),
-            "calibration_node": CalibrationNodeSettings(calibration=str(self.calibration)),
-            "estimator_node": dataclasses.replace(self.estimator, geometry=geometry),
+    def check_devices(self) -> None:
+        """Check what the devices are said to be, before anything starts.
+
+        Raises:
+            TestbedError: If a device's settings are wrong.
+        """
+        clusters.check_settings(self.settings.cluster_node)
+        bridges.check_settings(self.settings.load_cell_node)
+        if self.simulation is None:
+            server_address(self.settings.mocap_node)
+
+    def nodes(self, folder: Path) -> list[GraphNode]:
+        """The nodes of the testbed, in the order of their start.
+
+        The trigger waits for all others. A node that is started again gets the same settings, and
+        the load-cell node finds its tare.
+
+        Args:
+            folder: A folder that exists as long as the testbed runs.
+        """
+        given = self.settings
+        geometry, calibration = str(self.geometry), str(self.calibration)
+        tare = given.load_cell_node.tare_file or str(folder / "tare.json")
+        acquiring = {
+            "cluster_node": given.cluster_node,
+            "load_cell_node": replace(given.load_cell_node, tare_file=tare),
+            "mocap_node": replace(given.mocap_node, geometry=geometry),
+            "calibration_node": CalibrationNodeSettings(calibration=calibration),
+            "estimator_node": replace(given.estimator_node, geometry=geometry),
         }
+        wait_for = tuple(acquiring) if self.record is None else (*acquiring, "recorder_node")
+        trigger = replace(given.trigger_node, wait_for=wait_for)
+        process = "testbed" if self.one_process else ""
+        nodes = [
+            GraphNode("trigger_node", trigger),
+            *(GraphNode(name, settings, process=process) for name, settings in acquiring.items()),
+        ]
+        if self.record is None:
+            return nodes
+        stored = folder / "stored.yaml"
+        write_testbed({node.name: node.settings for node in nodes}, stored)
+        recorder = RecorderSettings(
+            directory=str(self.record.resolve()),
+            record=True,
+            geometry=geometry,
+            calibration=calibration,
+            parameters=str(stored),
+            flush_period=given.recorder_node.flush_period,
+        )
+        return [GraphNode("recorder_node", recorder), *nodes]
 
 
 def simulated_testbed(
     record: Path | None = None, rate: float = 4.0, simulation: Simulation | None = None
 ) -> Testbed:
     """The package's own testbed, simulated."""
-    load_cell = read_parameters(packaged("config", "simulated.yaml"))["load_cell_node"]
-    assert isinstance(load_cell, LoadCellSettings)
-    return Testbed(
-        trigger=TriggerSettings(rate=rate),
-        clusters=ClusterSettings(),
-        load_cell=load_cell,
-        mocap=MocapSettings(),
-        estimator=EstimatorSettings(),
-        geometry=packaged("config", "socket.yaml"),
-        calibration=packaged("config", "calibration.yaml"),
-        simulation=simulation or Simulation(),
-        record=record,
-    )
+    settings = read_testbed(packaged("config", "simulated.yaml"))
+    settings = replace(settings, trigger_node=replace(settings.trigger_node, rate=rate))
+    return Testbed(settings, simulation=simulation or Simulation(), record=record)
 
 
 def start(graph: Graph, testbed: Testbed) -> World | None:
@@ -148,42 +168,18 @@ def start(graph: Graph, testbed: Testbed) -> World | None:
     Raises:
         TestbedError: If a device's settings are wrong, or the simulation does not come up.
     """
-    clusters.check_settings(testbed.clusters)
-    bridges.check_settings(testbed.load_cell)
+    testbed.check_devices()
     world = None
-    if testbed.simulation is None:
-        server_address(testbed.mocap)
-    else:
+    if testbed.simulation is not None:
         testbed, world = simulate_hardware(graph, testbed, testbed.simulation)
-    if not testbed.load_cell.tare_file:
-        # A node that is started again must not forget the tare.
-        kept = dataclasses.replace(testbed.load_cell, tare_file=str(graph.folder / "tare.json"))
-        testbed = dataclasses.replace(testbed, load_cell=kept)
-    nodes = testbed.nodes()
-    if testbed.record is not None:
-        parameters = graph.folder / "stored.yaml"
-        write_parameters(nodes, parameters)
-        recorder = RecorderSettings(
-            directory=str(testbed.record.resolve()),
-            record=True,
-            geometry=str(testbed.geometry),
-            calibration=str(testbed.calibration),
-            parameters=str(parameters),
-        )
-        graph.start("recorder_node", recorder)
-    graph.start("trigger_node", nodes.pop("trigger_node"))
-    if testbed.one_process:
-        graph.start_together("testbed", nodes)
-    else:
-        for name, settings in nodes.items():
-            graph.start(name, settings)
+    graph.start_nodes(testbed.nodes(graph.folder))
     return world
 
 
 def end(graph: Graph, testbed: Testbed) -> None:
-    """End a testbed so that the last trigger's sample is whole and the trial is closed."""
+    """End a testbed so that the last trigger's sample is complete and the trial is closed."""
     graph.stop("trigger_node")
-    time.sleep(_DRAIN)
+    clocks.sleep(_DRAIN)
     if testbed.record is not None:
         graph.stop("recorder_node")
     graph.stop()
@@ -202,8 +198,8 @@ def summary(path: Path) -> str:
         **{name: samples.status[:, i] == Status.MISSING for i, name in enumerate(samples.clusters)},
     }
     lacking = [f"{name} missing {count}" for name, rows in missing.items() if (count := rows.sum())]
-    whole = f"all {len(samples)} complete" if not lacking else ", ".join(lacking)
-    return f"{path}: {len(samples)} triggers, {whole}"
+    found = ", ".join(lacking) if lacking else f"all {len(samples)} complete"
+    return f"{path}: {len(samples)} triggers, {found}"
 
 
 def simulate_hardware(
@@ -233,13 +229,64 @@ def simulate_hardware(
             raise TestbedError(
                 f"the simulation is not up after {_UP_WITHIN:g} s", "see what it printed"
             )
-        time.sleep(0.02)
-    mocap = {"server": "127.0.0.1", "command_port": world.port, "multicast": ""}
-    simulated = dataclasses.replace(
-        testbed,
-        trigger=dataclasses.replace(testbed.trigger, simulation=str(folder)),
-        clusters=dataclasses.replace(testbed.clusters, simulation=str(folder)),
-        load_cell=dataclasses.replace(testbed.load_cell, simulation=str(folder)),
-        mocap=dataclasses.replace(testbed.mocap, **mocap),  # type: ignore[arg-type]
+        time.sleep(_LOOK)
+    given, place = testbed.settings, str(folder)
+    settings = replace(
+        given,
+        trigger_node=replace(given.trigger_node, simulation=place),
+        cluster_node=replace(given.cluster_node, simulation=place),
+        load_cell_node=replace(given.load_cell_node, simulation=place),
+        mocap_node=replace(
+            given.mocap_node, server="127.0.0.1", command_port=world.port, multicast=""
+        ),
     )
-    return simulated, world
+    return replace(testbed, settings=settings), world
+
+
+def replay_nodes(
+    trial: Trial, replay: ReplaySettings, estimator: EstimatorSettings
+) -> list[GraphNode]:
+    """The nodes that replay a trial through calibration and estimator, in the order of their start.
+
+    Args:
+        trial: The trial; its geometry and calibration are used.
+        replay: How it is replayed.
+        estimator: Settings of the estimator.
+
+    Raises:
+        TestbedError: If the trial or its configuration is wrong.
+    """
+    check_names(estimator.identification, check_trial(trial))
+    namespace = recorded_namespace(trial)
+    calibration = CalibrationNodeSettings(calibration=str(trial.calibration_path.resolve()))
+    estimator = replace(estimator, geometry=str(trial.geometry_path.resolve()))
+    estimating = [
+        GraphNode("calibration_node", calibration, namespace, use_sim_time=True),
+        GraphNode("estimator_node", estimator, namespace, use_sim_time=True),
+    ]
+    wait_for = (*(node.name for node in estimating), *replay.wait_for)
+    replay = replace(replay, measured_only=True, wait_for=wait_for)
+    return [*estimating, GraphNode("replay_node", replay)]
+
+
+def replay_with_estimator(
+    trial: Trial,
+    replay: ReplaySettings,
+    estimator: EstimatorSettings,
+    output: IO[str] | None = None,
+) -> None:
+    """Replay a trial through the calibration and estimator nodes.
+
+    Args:
+        trial: The trial; its geometry and calibration are used.
+        replay: How it is replayed.
+        estimator: Settings of the estimator.
+        output: Where the nodes print to; None for this process's own output.
+
+    Raises:
+        TestbedError: If the trial or its configuration is wrong, or a node fails.
+    """
+    nodes = replay_nodes(trial, replay, estimator)
+    with Graph(output) as graph:
+        graph.start_nodes(nodes)
+        graph.wait("replay_node")

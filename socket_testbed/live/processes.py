@@ -10,11 +10,11 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import IO, Any, Self
+from typing import IO, Self
 
 import yaml
 
@@ -49,6 +49,40 @@ _LONGEST_WAIT = 10.0  # [s]; before a process that ends again and again is start
 
 class NodeFailedError(TestbedError):
     """A node ended by itself with an error."""
+
+
+@dataclass(frozen=True)
+class GraphNode:
+    """A node and how it is started.
+
+    Attributes:
+        name: Its name and that of its module, such as estimator_node.
+        settings: Its settings.
+        namespace: Its namespace.
+        use_sim_time: Whether it takes its time from /clock.
+        process: Name of the process that it shares with others; empty for one of its own.
+    """
+
+    name: str
+    settings: Settings
+    namespace: str = "/"
+    use_sim_time: bool = False
+    process: str = ""
+
+
+def write_parameters(nodes: Iterable[GraphNode], path: Path) -> Path:
+    """Write the ROS parameter file that nodes start with, in any namespace; returns its path."""
+    document = {
+        f"/**/{node.name}": {
+            "ros__parameters": {
+                "use_sim_time": node.use_sim_time,
+                **parameter_values(node.settings),
+            }
+        }
+        for node in nodes
+    }
+    path.write_text(yaml.safe_dump(document), encoding="utf-8")
+    return path
 
 
 @dataclass
@@ -114,37 +148,20 @@ class Graph:
     def start(
         self, node: str, settings: Settings, namespace: str = "/", use_sim_time: bool = False
     ) -> None:
-        """Start a node.
+        """Start a node, see `GraphNode`."""
+        self.start_nodes([GraphNode(node, settings, namespace, use_sim_time)])
 
-        Args:
-            node: Its name, such as estimator_node.
-            settings: Its settings.
-            namespace: Its namespace.
-            use_sim_time: Whether it takes its time from /clock.
-        """
-        self.start_together(node, {node: settings}, namespace, use_sim_time)
-
-    def start_together(
-        self,
-        name: str,
-        nodes: dict[str, Settings],
-        namespace: str = "/",
-        use_sim_time: bool = False,
-    ) -> None:
-        """Start nodes in one process.
-
-        Args:
-            name: Name of the process.
-            nodes: Settings of the nodes by their names; for one node alone the process is its.
-            namespace: Their namespace.
-            use_sim_time: Whether they take their time from /clock.
-        """
-        file = self.folder / f"{name}.yaml"
-        file.write_text(yaml.safe_dump(parameter_file(nodes, use_sim_time)))
-        module = "composed" if len(nodes) > 1 else next(iter(nodes))
-        arguments = list(nodes) if len(nodes) > 1 else []
-        ros = ["--ros-args", "-r", f"__ns:={namespace}", "--params-file", str(file)]
-        self.start_program(name, f"socket_testbed.nodes.{module}", [*arguments, *ros])
+    def start_nodes(self, nodes: Iterable[GraphNode]) -> None:
+        """Start nodes in their order; those of a shared process together with its first."""
+        processes: dict[str, list[GraphNode]] = {}
+        for node in nodes:
+            processes.setdefault(node.process or node.name, []).append(node)
+        for name, members in processes.items():
+            file = write_parameters(members, self.folder / f"{name}.yaml")
+            names = [node.name for node in members]
+            module, arguments = ("composed", names) if len(names) > 1 else (names[0], [])
+            ros = ["--ros-args", "-r", f"__ns:={members[0].namespace}", "--params-file", str(file)]
+            self.start_program(name, f"socket_testbed.nodes.{module}", [*arguments, *ros])
 
     def start_program(self, name: str, module: str, arguments: list[str]) -> None:
         """Start a module of this package as a process."""
@@ -237,13 +254,3 @@ def _ending(code: int) -> str:
     if code < 0:
         return f"was ended by {signal.Signals(-code).name}"
     return f"ended with exit code {code}"
-
-
-def parameter_file(nodes: dict[str, Settings], use_sim_time: bool) -> dict[str, Any]:
-    """Content of a ROS parameter file that starts nodes, in any namespace, with settings."""
-    return {
-        f"/**/{name}": {
-            "ros__parameters": {"use_sim_time": use_sim_time, **parameter_values(settings)}
-        }
-        for name, settings in nodes.items()
-    }

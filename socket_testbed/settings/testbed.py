@@ -1,12 +1,12 @@
-"""Settings of the package: the only home of their defaults.
+"""Settings of all nodes as one tree, and the file `testbed.yaml` that holds them.
 
-A node declares its parameters from these classes, with the same dotted names; the command
-line reads the same names from `testbed.yaml`.
+A node declares its parameters from these classes under the same dotted names. The defaults live
+here and in `acquisition.py` and `identification.py`, nowhere else.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -95,46 +95,59 @@ class ReplaySettings(Settings):
     )
 
 
-NODE_SETTINGS: dict[str, type[Settings]] = {
-    "trigger_node": TriggerSettings,
-    "cluster_node": ClusterSettings,
-    "load_cell_node": LoadCellSettings,
-    "mocap_node": MocapSettings,
-    "estimator_node": EstimatorSettings,
-    "calibration_node": CalibrationNodeSettings,
-    "recorder_node": RecorderSettings,
-    "replay_node": ReplaySettings,
-}
+@dataclass(frozen=True)
+class TestbedSettings(Settings):
+    """Settings of the testbed: one field per node, with the node's name."""
 
+    __test__ = False
+
+    trigger_node: TriggerSettings = field(default_factory=TriggerSettings)
+    cluster_node: ClusterSettings = field(default_factory=ClusterSettings)
+    load_cell_node: LoadCellSettings = field(default_factory=LoadCellSettings)
+    mocap_node: MocapSettings = field(default_factory=MocapSettings)
+    calibration_node: CalibrationNodeSettings = field(default_factory=CalibrationNodeSettings)
+    estimator_node: EstimatorSettings = field(default_factory=EstimatorSettings)
+    recorder_node: RecorderSettings = field(default_factory=RecorderSettings)
+    replay_node: ReplaySettings = field(default_factory=ReplaySettings)
+
+    def nodes(self) -> dict[str, Settings]:
+        """Settings by the name of their node."""
+        return {item.name: getattr(self, item.name) for item in fields(self)}
+
+
+# What belongs to one run on one machine; a trial does not keep it.
 _OF_A_RUN = (
     *("geometry", "calibration", "parameters", "model", "simulation", "tare_file"),
     *("directory", "record", "wait_for"),
 )
 
 
-def read_parameters(path: Path) -> dict[str, Settings]:
-    """Read `testbed.yaml`: node parameters in the ROS format, one section a node.
+def read_testbed(path: Path, defaults: TestbedSettings | None = None) -> TestbedSettings:
+    """Read `testbed.yaml`: node parameters in the ROS format, one section per node.
 
     ROS itself ignores a key that no node declares; here it is an error.
 
-    Returns:
-        The settings of the nodes that the file names, by the name of the node.
+    Args:
+        path: The file.
+        defaults: Settings of the nodes that the file does not name; None for the defaults.
 
     Raises:
         ConfigurationError: For an unknown node or key, or a wrong type or range.
     """
-    document = read_document(path).expect(NODE_SETTINGS)
-    settings: dict[str, Settings] = {}
+    defaults = defaults or TestbedSettings()
+    kinds = {name: type(settings) for name, settings in defaults.nodes().items()}
+    document = read_document(path).expect(kinds)
+    given: dict[str, Any] = {}
     for node in document.names():
         parameters = document.section(node).expect(("ros__parameters",)).section("ros__parameters")
         values = _flatten(parameters)
         values.pop("use_sim_time", None)
-        settings[node] = NODE_SETTINGS[node].from_flat(values, f"{path}: {node}")
-    return settings
+        given[node] = kinds[node].from_flat(values, f"{path}: {node}")
+    return replace(defaults, **given)
 
 
-def write_parameters(nodes: dict[str, Settings], path: Path) -> None:
-    """Write settings of nodes as a `testbed.yaml`, without what belongs to one machine."""
+def write_testbed(nodes: dict[str, Settings], path: Path) -> None:
+    """Write settings of nodes, by their names, as a `testbed.yaml` for other runs and machines."""
     document = {
         node: {
             "ros__parameters": {

@@ -14,8 +14,7 @@ from socket_testbed.calibration.model import Calibration, read_calibration
 from socket_testbed.errors import TrialError
 from socket_testbed.files import packaged
 from socket_testbed.geometry.socket import SocketGeometry, read_socket
-from socket_testbed.settings.fields import Settings
-from socket_testbed.settings.testbed import EstimatorSettings, read_parameters
+from socket_testbed.settings.testbed import EstimatorSettings, read_testbed
 from socket_testbed.trials.bag import BagReader, sync
 from socket_testbed.trials.topics import REQUIRED, TOPICS, TRIGGER, Topic, match_topics
 
@@ -90,10 +89,7 @@ class Trial:
     def estimator(self) -> EstimatorSettings:
         """Settings of the estimator with which the trial was recorded, or the defaults."""
         stored = self.path / PARAMETERS_FILE
-        nodes: dict[str, Settings] = read_parameters(stored) if stored.is_file() else {}
-        settings = nodes.get("estimator_node", EstimatorSettings())
-        assert isinstance(settings, EstimatorSettings)
-        return settings
+        return read_testbed(stored).estimator_node if stored.is_file() else EstimatorSettings()
 
 
 def required_topics(bag: BagReader) -> dict[Topic, str]:

@@ -12,7 +12,7 @@ from support.testbeds import Recorded
 
 from socket_testbed.__main__ import run
 from socket_testbed.files import packaged
-from socket_testbed.settings.testbed import read_parameters
+from socket_testbed.settings.testbed import read_testbed
 from socket_testbed.trials.trial import Trial
 
 pytestmark = pytest.mark.graph
@@ -38,8 +38,8 @@ def test_run_records_until_ctrl_c(tmp_path: Path) -> None:
     assert not recorded.notes and not any(recorded.lacking().values())
     trial = Trial(path)
     assert trial.estimator.identification.variant == "stiffness"
-    stored = read_parameters(path / "testbed.yaml")
-    assert stored["trigger_node"].to_flat()["rate"] == 20.0
+    stored = read_testbed(path / "testbed.yaml")
+    assert stored.trigger_node.rate == 20.0
     assert "simulation" not in (path / "testbed.yaml").read_text()
 
 

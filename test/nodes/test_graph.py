@@ -18,10 +18,10 @@ from support.bags import move_to_namespace
 from support.graph import Probe
 
 from socket_testbed.calibration.model import read_calibration
-from socket_testbed.commands.replay import replay_with_estimator
 from socket_testbed.errors import TestbedError
 from socket_testbed.files import packaged
 from socket_testbed.identification.model_file import read_model
+from socket_testbed.live.bringup import replay_with_estimator
 from socket_testbed.live.processes import Graph
 from socket_testbed.nodes.conversions import (
     stamp_from_ros,

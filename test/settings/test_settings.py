@@ -7,15 +7,20 @@ import pytest
 import yaml
 
 from socket_testbed.errors import ConfigurationError
+from socket_testbed.settings.acquisition import TriggerSettings
 from socket_testbed.settings.identification import IdentificationSettings, PlateauSettings
 from socket_testbed.settings.testbed import (
-    NODE_SETTINGS,
     EstimatorSettings,
+    TestbedSettings,
     WindowSettings,
-    read_parameters,
+    read_testbed,
+    write_testbed,
 )
 
-ALL = sorted({*NODE_SETTINGS.values(), IdentificationSettings}, key=lambda kind: kind.__name__)
+NODES = {name: type(settings) for name, settings in TestbedSettings().nodes().items()}
+ALL = sorted(
+    {*NODES.values(), IdentificationSettings, TestbedSettings}, key=lambda kind: kind.__name__
+)
 
 
 def assert_one_line(error: ConfigurationError, *words: str) -> None:
@@ -99,7 +104,7 @@ def test_a_whole_number_may_come_with_a_point():
         (EstimatorSettings, "geometry", ["a"], ("geometry", "str")),
     ],
 )
-def test_a_wrong_value_is_named_with_the_mend(kind, name, value, words):
+def test_a_wrong_value_is_named_with_the_hint(kind, name, value, words):
     with pytest.raises(ConfigurationError) as caught:
         kind(**{name: value})
     assert_one_line(caught.value, *words)
@@ -154,31 +159,50 @@ def test_a_file_of_parameters_gives_the_settings_of_its_nodes(write):
           ros__parameters: {rate: 2, loop: true}
         """
     )
-    found = read_parameters(path)
-    assert set(found) == {"estimator_node", "replay_node"}
-    estimator = found["estimator_node"]
-    assert isinstance(estimator, EstimatorSettings)
+    found = read_testbed(path)
+    others = {"estimator_node", "replay_node"}
+    assert all(found.nodes()[name] == kind() for name, kind in NODES.items() if name not in others)
+    estimator = found.estimator_node
     assert estimator.identification.theta == 1.0
     assert estimator.identification.leave_out == ("Mz",)
     assert estimator.plateau.smoothing == 4.0
     assert estimator.window == WindowSettings()
-    assert found["replay_node"].to_flat()["rate"] == 2.0
+    assert found.replay_node.rate == 2.0
 
 
 def test_all_defaults_written_to_a_file_come_back(write):
-    content = {n: {"ros__parameters": kind().to_flat()} for n, kind in NODE_SETTINGS.items()}
-    assert read_parameters(write(content)) == {n: kind() for n, kind in NODE_SETTINGS.items()}
+    content = {n: {"ros__parameters": kind().to_flat()} for n, kind in NODES.items()}
+    assert read_testbed(write(content)) == TestbedSettings()
 
 
-def test_an_empty_file_names_no_node(write):
-    assert read_parameters(write("")) == {}
+def test_an_empty_file_leaves_all_defaults(write):
+    assert read_testbed(write("")) == TestbedSettings()
+
+
+def test_a_file_over_another_replaces_the_nodes_that_it_names(write):
+    first = read_testbed(write("trigger_node: {ros__parameters: {rate: 9, pulse: 1e-3}}"))
+    second = read_testbed(write("trigger_node: {ros__parameters: {rate: 7}}"), first)
+    assert second.trigger_node == TriggerSettings(rate=7.0)
+    third = read_testbed(write("replay_node: {ros__parameters: {rate: 7}}"), first)
+    assert third.trigger_node == first.trigger_node != TriggerSettings()
+
+
+def test_what_is_written_comes_back_but_for_what_belongs_to_one_run(tmp_path):
+    estimator = EstimatorSettings(
+        geometry="socket.yaml", identification=IdentificationSettings(leave_out=("Mz",), theta=0.3)
+    )
+    trigger = TriggerSettings(rate=20.0, wait_for=("mocap_node",), simulation="world")
+    path = tmp_path / "testbed.yaml"
+    write_testbed({"estimator_node": estimator, "trigger_node": trigger}, path)
+    found = read_testbed(path)
+    assert found.estimator_node == dataclasses.replace(estimator, geometry="")
+    assert found.trigger_node == TriggerSettings(rate=20.0)
 
 
 @pytest.mark.parametrize("text", ["1e-3", "1E-3", "1.0e-3", "0.001"])
 def test_a_number_may_be_written_in_any_way_that_ros_reads(write, text):
     path = write(f"estimator_node: {{ros__parameters: {{identification: {{smoothness: {text}}}}}}}")
-    found = read_parameters(path)["estimator_node"]
-    assert found.to_flat()["identification.smoothness"] == 1e-3
+    assert read_testbed(path).estimator_node.identification.smoothness == 1e-3
 
 
 @pytest.mark.parametrize(
@@ -208,14 +232,14 @@ def test_a_number_may_be_written_in_any_way_that_ros_reads(write, text):
         ),
     ],
 )
-def test_a_bad_file_is_named_with_its_field_and_the_mend(write, content, words):
+def test_a_bad_file_is_named_with_its_field_and_the_hint(write, content, words):
     path = write(content)
     with pytest.raises(ConfigurationError) as caught:
-        read_parameters(path)
+        read_testbed(path)
     assert_one_line(caught.value, str(path), *words)
 
 
 def test_no_file_is_named(tmp_path):
     with pytest.raises(ConfigurationError) as caught:
-        read_parameters(tmp_path / "none.yaml")
+        read_testbed(tmp_path / "none.yaml")
     assert_one_line(caught.value, "none.yaml", "path")
