@@ -5,12 +5,11 @@ Subscribes: trigger. Publishes: clusters/capacitance, /diagnostics.
 
 from __future__ import annotations
 
-import time
-
 from rclpy.node import Node
 from rclpy.task import Future
 from socket_testbed_msgs.msg import ClusterCapacitanceArray
 
+from socket_testbed import clocks
 from socket_testbed.drivers.clusters.reader import ClusterReader, ClusterReading
 from socket_testbed.live.hardware import i2c_opener
 from socket_testbed.nodes.conversions import capacitance_to_ros
@@ -65,7 +64,7 @@ class ClusterNode(Node):
 
     def _watch(self) -> None:
         """While no trigger comes, see how the clusters are."""
-        self._read(time.monotonic())
+        self._read(clocks.monotonic())
 
     def _read(self, moment: float) -> ClusterReading:
         reading = self._reader.read(moment)
@@ -76,7 +75,7 @@ class ClusterNode(Node):
 
     def _look(self) -> None:
         since = self._follower.busy_since
-        if since is not None and time.monotonic() - since > _STUCK:
+        if since is not None and clocks.monotonic() - since > _STUCK:
             self._diagnostics.report(ERROR, "a bus hangs: check the clusters' wires and supply")
         elif fault := self._fault.text():
             self._diagnostics.report(ERROR, fault)

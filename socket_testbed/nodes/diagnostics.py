@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 import sys
-import time
 from collections.abc import Callable
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
@@ -13,6 +12,7 @@ from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.subscription import Subscription
 
+from socket_testbed import clocks
 from socket_testbed.nodes.runtime import publisher_qos
 from socket_testbed.trials.topics import DIAGNOSTICS
 
@@ -27,12 +27,12 @@ class RecentFault:
 
     def saw(self, text: str) -> None:
         """A fault was seen now."""
-        self._seen = (text, time.monotonic())
+        self._seen = (text, clocks.monotonic())
 
     def text(self, told: float = _TOLD) -> str:
         """The fault, empty when it was seen longer ago than it is told [s]."""
         text, when = self._seen
-        return text if time.monotonic() - when < told else ""
+        return text if clocks.monotonic() - when < told else ""
 
 
 LEVELS = OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
@@ -83,7 +83,7 @@ class Diagnostics:
         self._offered = offered
         self._ready = ready
         self._look_at_node = look
-        self._settled_at = time.monotonic() + settle
+        self._settled_at = clocks.monotonic() + settle
         self._publisher = node.create_publisher(
             DiagnosticArray, DIAGNOSTICS.name, publisher_qos(DIAGNOSTICS)
         )
@@ -101,7 +101,7 @@ class Diagnostics:
             level: OK, WARN or ERROR.
             message: The fact and the hint in one line.
         """
-        if level != OK and time.monotonic() < self._settled_at:
+        if level != OK and clocks.monotonic() < self._settled_at:
             level, message = WARN, f"starting: {message}"
         if (level, message) == (self._level, self._message):
             return
@@ -152,7 +152,7 @@ class Diagnostics:
             for p in self._offered
             if p.get_subscription_count() < self._node.count_subscribers(p.topic_name)
         ]
-        settled = time.monotonic() >= self._settled_at
+        settled = clocks.monotonic() >= self._settled_at
         return waiting if settled and self._ready() else [*waiting, "itself"]
 
     def _publish(self) -> None:

@@ -6,7 +6,6 @@ Subscribes: trigger. Publishes: load_cell/wrench, /diagnostics. Service: load_ce
 from __future__ import annotations
 
 import threading
-import time
 
 import numpy as np
 from geometry_msgs.msg import WrenchStamped
@@ -14,6 +13,7 @@ from rclpy.node import Node
 from rclpy.task import Future
 from std_srvs.srv import Trigger as TriggerService
 
+from socket_testbed import clocks
 from socket_testbed.drivers.load_cell.load_cell import LoadCell
 from socket_testbed.errors import TestbedError
 from socket_testbed.live.hardware import spi_opener
@@ -66,17 +66,17 @@ class LoadCellNode(Node):
 
     def _poll(self) -> None:
         """Read the converter at its pace; a pause costs nothing but conversions."""
-        due = time.monotonic()
+        due = clocks.monotonic()
         while not self._stopping.is_set():
             self._cell.poll()
-            due = max(due + self._cell.period, time.monotonic() - self._cell.period)
-            time.sleep(max(0.0, due - time.monotonic()))
+            due = max(due + self._cell.period, clocks.monotonic() - self._cell.period)
+            clocks.sleep(max(0.0, due - clocks.monotonic()))
 
     def _on_trigger(self, stamp: int, moment: float) -> None:
         over = self._cell.over(moment)
-        time.sleep(max(0.0, over - time.monotonic()))
-        while not self._cell.ready(moment) and time.monotonic() < over + _PATIENCE:
-            time.sleep(_LOOK)
+        clocks.sleep(max(0.0, over - clocks.monotonic()))
+        while not self._cell.ready(moment) and clocks.monotonic() < over + _PATIENCE:
+            clocks.sleep(_LOOK)
         reading = self._cell.wrench_at(moment)
         self._samples += 1
         if reading.fault:
@@ -98,7 +98,7 @@ class LoadCellNode(Node):
 
     def _look(self) -> None:
         self._cell.settings = self._adjustable.settings
-        level, message = self._cell.health(time.monotonic())
+        level, message = self._cell.health(clocks.monotonic())
         if level == 0 and (fault := self._fault.text()):
             level, message = 1, f"{fault}: missing; relieve the computer if this comes often"
         elif level == 0 and self._follower.note:

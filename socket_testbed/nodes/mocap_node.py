@@ -6,7 +6,6 @@ mocap/markers, /diagnostics.
 
 from __future__ import annotations
 
-import time
 from pathlib import Path
 
 from geometry_msgs.msg import PoseStamped
@@ -15,6 +14,7 @@ from rclpy.task import Future
 from socket_testbed_msgs.msg import RigidBodyMarkersArray
 from std_msgs.msg import String
 
+from socket_testbed import clocks
 from socket_testbed.drivers.natnet.client import NatNetClient
 from socket_testbed.drivers.natnet.tracker import BodyTracker, MocapSample
 from socket_testbed.files import packaged
@@ -86,7 +86,7 @@ class MocapNode(Node):
 
     def _watch(self) -> None:
         """While no trigger comes, see how the bodies are."""
-        self._sample(time.monotonic() - self._stale)
+        self._sample(clocks.monotonic() - self._stale)
 
     def _sample(self, moment: float) -> MocapSample:
         sample = self._tracker.sample(moment)
@@ -100,7 +100,7 @@ class MocapNode(Node):
             self._client.set_recording(message.data or None)
 
     def _look(self) -> None:
-        level, message = self._client.health(time.monotonic())
+        level, message = self._client.health(clocks.monotonic())
         if level < 2 and (fault := self._fault.text()):
             level, message = 1, fault
         elif level == 0 and (note := self._client.recording_fault or self._follower.note):

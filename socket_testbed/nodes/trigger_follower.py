@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import queue
 import threading
-import time
 from collections.abc import Callable
 
 from rclpy.node import Node
 from socket_testbed_msgs.msg import Trigger
 
+from socket_testbed import clocks
 from socket_testbed.clocks import SteadyClock, TriggerTime
 from socket_testbed.nodes.conversions import stamp_from_ros
 from socket_testbed.nodes.runtime import subscriber_qos
@@ -70,19 +70,19 @@ class TriggerFollower:
     def _on_trigger(self, message: Trigger) -> None:
         stamp = stamp_from_ros(message.header.stamp)
         self.triggers += 1
-        self._queue.put((stamp, self._time.steady(stamp, time.monotonic())))
+        self._queue.put((stamp, self._time.steady(stamp, clocks.monotonic())))
 
     def _run(self) -> None:
         try:
             while True:
                 try:
-                    entry = self._queue.get(timeout=_IDLE)
+                    entry = self._queue.get(timeout=clocks.real(_IDLE))
                 except queue.Empty:
                     self._idle()
                     continue
                 if entry is None:
                     return
-                self.busy_since = time.monotonic()
+                self.busy_since = clocks.monotonic()
                 self._follow(*entry)
                 self.busy_since = None
         except Exception:

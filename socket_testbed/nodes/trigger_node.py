@@ -10,7 +10,6 @@ leaves a gap in it.
 from __future__ import annotations
 
 import threading
-import time
 from collections import deque
 
 from rclpy.node import Node
@@ -18,6 +17,7 @@ from rclpy.task import Future
 from socket_testbed_msgs.msg import Trigger as TriggerMessage
 from std_srvs.srv import SetBool
 
+from socket_testbed import clocks
 from socket_testbed.clocks import SteadyClock
 from socket_testbed.drivers.trigger import Trigger
 from socket_testbed.errors import DeviceError
@@ -92,7 +92,7 @@ class TriggerNode(Node):
     def _on_trigger(self, message: TriggerMessage) -> None:
         """Hear whether another testbed triggers the same nodes."""
         if stamp_from_ros(message.header.stamp) not in self._own:
-            self._foreign = time.monotonic()
+            self._foreign = clocks.monotonic()
 
     def _on_enable(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
         if request.data:
@@ -106,18 +106,18 @@ class TriggerNode(Node):
     def _run(self) -> None:
         try:
             self._await_followers()
-            due = time.monotonic()
+            due = clocks.monotonic()
             while not self._stopping.is_set():
                 if not self._enabled.is_set():
                     self._enabled.wait()
-                    due = time.monotonic()
+                    due = clocks.monotonic()
                     continue
                 period = 1.0 / self._adjustable.settings.rate
                 due += period
-                if (behind := time.monotonic() - due) > period:
+                if (behind := clocks.monotonic() - due) > period:
                     self._skipped += int(behind / period)
-                    due = time.monotonic()
-                if self._stopping.wait(max(0.0, due - time.monotonic())):
+                    due = clocks.monotonic()
+                if self._stopping.wait(clocks.real(max(0.0, due - clocks.monotonic()))):
                     break
                 if self._enabled.is_set():
                     self._fire()
@@ -138,7 +138,7 @@ class TriggerNode(Node):
             self._unseen += self._trigger is not None
             self._fault.saw(str(error))
             if self._trigger is None:
-                self._stopping.wait(_REOPEN)
+                self._stopping.wait(clocks.real(_REOPEN))
         else:
             header = header_to_ros(stamp)
             self._own.append(stamp)
@@ -157,7 +157,8 @@ class TriggerNode(Node):
                 and self._followers.linked_to_all(self.count_subscribers)
             )
 
-        if not self._followers.wait(ready, _READY_WITHIN) and not self._stopping.is_set():
+        patience = clocks.real(_READY_WITHIN)
+        if not self._followers.wait(ready, patience) and not self._stopping.is_set():
             lacking = ", ".join(f"{n} ({w})" for n, w in self._followers.unlinked.items())
             self.get_logger().warning(
                 f"triggering without waiting any longer for {lacking or 'subscribers'}"
@@ -168,7 +169,7 @@ class TriggerNode(Node):
         rate = self._adjustable.settings.rate
         if fault := self._fault.text(max(_RECENT, 1.5 / rate)):
             self._diagnostics.report(ERROR, fault)
-        elif self._foreign and time.monotonic() - self._foreign < _FOREIGN:
+        elif self._foreign and clocks.monotonic() - self._foreign < _FOREIGN:
             self._diagnostics.report(
                 ERROR,
                 "another trigger comes on this ROS_DOMAIN_ID: end the other testbed, or set"
