@@ -10,9 +10,11 @@ from problems import StageTwoInput
 from socket_testbed.identification.box_qp import solve_box_qp
 from socket_testbed.identification.contact import gated_displacement
 from socket_testbed.identification.fit import fit_contact_model
-from socket_testbed.identification.moments import gate_moments
+from socket_testbed.identification.moments import Method
 from socket_testbed.identification.problem import (
     KILONEWTON_PER_METRE,
+    StageTwoData,
+    StageTwoMoments,
     build_objective,
     build_stage_one,
     build_stage_two,
@@ -27,20 +29,25 @@ def parts_of_fit(stage: StageTwoInput) -> dict[str, Callable[[], object]]:
     gate = (objective.position, rest, settings.gate_sharpness)
     solver = (settings.solver, settings.solver_tolerance)
     stage_one = build_stage_one(*arguments)
-    built = build_stage_two(*arguments, rest)
+
+    def moments(method: Method = "auto") -> StageTwoMoments:
+        return StageTwoData(*arguments, method=method).moments(rest)
+
+    taken = moments()
+    built = build_stage_two(*arguments, taken)
     stiffness = KILONEWTON_PER_METRE * np.reshape(solve_box_qp(built.program, *solver).x, (-1, 3))
     return {
         "build_objective": lambda: build_objective(stage.samples, stage.geometry, settings),
         "stage 1: build": lambda: build_stage_one(*arguments),
         "stage 1: solve_box_qp": lambda: solve_box_qp(stage_one, *solver),
-        "stage 2: build": lambda: build_stage_two(*arguments, rest),
-        "  of it the moments (auto)": lambda: gate_moments(*gate, objective.wrench),
+        "stage 2: moments (auto)": moments,
+        "stage 2: build": lambda: build_stage_two(*arguments, taken),
         "stage 2: solve_box_qp": lambda: solve_box_qp(built.program, *solver),
         "stage 2: recover_offsets": lambda: recover_offsets(*arguments, built, stiffness),
         "fit_contact_model, whole": lambda: fit_contact_model(
             stage.samples, stage.geometry, settings
         ),
-        "moments, chebyshev": lambda: gate_moments(*gate, objective.wrench, "chebyshev"),
-        "moments, direct": lambda: gate_moments(*gate, objective.wrench, "direct"),
+        "moments, series": lambda: moments("series"),
+        "moments, direct": lambda: moments("direct"),
         "gate pass alone (S)": lambda: gated_displacement(*gate),
     }

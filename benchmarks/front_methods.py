@@ -20,9 +20,9 @@ from socket_testbed.identification.pareto import pareto_front
 from socket_testbed.identification.problem import (
     KILONEWTON_PER_METRE,
     MILLIMETRE,
-    SharedMoments,
-    assemble_stage_two,
+    StageTwoData,
     build_stage_one,
+    build_stage_two,
     stage_one_reference,
 )
 from socket_testbed.settings.identification import VARIANTS
@@ -169,17 +169,17 @@ def walk_with(solve: Solve) -> Callable[[StageTwoInput, FloatArray], Stiffness]:
 
     def walk(problem: StageTwoInput, thetas: FloatArray) -> Stiffness:
         geometry, settings = problem.geometry, problem.settings
-        shared = SharedMoments(problem.objective, settings, len(geometry))
+        data = StageTwoData(problem.objective, geometry, settings, sets=len(thetas))
         last: dict[str, FloatArray] = {}
         found: Stiffness = {}
         for theta in thetas.tolist():
             objective = replace(problem.objective, theta=theta)
             last["rest"] = solve(build_stage_one(objective, geometry, settings), last.get("rest"))
             offsets = MILLIMETRE * last["rest"].reshape(-1, 3)
-            moments = shared.at(stage_one_reference(objective) + offsets)
+            moments = data.moments(stage_one_reference(objective) + offsets)
             for variant in VARIANTS:
                 of_variant = replace(settings, variant=variant)
-                stage = assemble_stage_two(objective, geometry, of_variant, moments)
+                stage = build_stage_two(objective, geometry, of_variant, moments)
                 last[variant] = solve(stage.program, last.get(variant))
                 found[variant, theta] = KILONEWTON_PER_METRE * last[variant]
         return found

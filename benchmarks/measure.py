@@ -18,7 +18,7 @@ from methods import METHODS
 from problems import Motion, StageTwoInput, make_problem
 from stacked import Solution, objective_value, stacked_shape
 
-from socket_testbed.identification.moments import chebyshev_degree
+from socket_testbed.identification.moments import chebyshev_length
 
 _MOST_RUNS = 25
 
@@ -154,7 +154,7 @@ def _measure(task: Task, sender: Connection) -> None:
 
 def _size(stage: StageTwoInput) -> ProblemSize:
     rows, columns = stacked_shape(stage)
-    length = chebyshev_degree(stage.objective.position, stage.settings.gate_sharpness)
+    length = chebyshev_length(stage.objective.position, stage.settings.gate_sharpness)
     return ProblemSize(rows, columns, len(stage.objective.channels), length)
 
 

@@ -18,6 +18,7 @@ from socket_testbed.identification.box_qp import solve_box_qp
 from socket_testbed.identification.contact import gated_displacement
 from socket_testbed.identification.problem import (
     KILONEWTON_PER_METRE,
+    StageTwoData,
     build_stage_two,
     recover_offsets,
 )
@@ -56,7 +57,8 @@ def prepare_ours(stage: StageTwoInput) -> Run:
 
     def run() -> Solution:
         arguments = (stage.objective, stage.geometry, stage.settings)
-        built = build_stage_two(*arguments, stage.rest_positions)
+        moments = StageTwoData(*arguments).moments(stage.rest_positions)
+        built = build_stage_two(*arguments, moments)
         found = solve_box_qp(built.program, stage.settings.solver, stage.settings.solver_tolerance)
         stiffness = KILONEWTON_PER_METRE * found.x.reshape(-1, 3)
         wrench_bias, force_bias = recover_offsets(*arguments, built, stiffness)
@@ -160,7 +162,8 @@ METHODS: dict[str, Method] = {
     ),
     "ours": Method(
         "ours: moments + OSQP, certified",
-        "build_stage_two + solve_box_qp (osqp, KKT residuals and gap <= 1e-6) + recover_offsets",
+        "StageTwoData + build_stage_two + solve_box_qp (osqp, KKT residuals and gap <= 1e-6)"
+        " + recover_offsets",
         prepare_ours,
     ),
     "qpsolvers": Method(

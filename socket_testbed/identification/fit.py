@@ -35,6 +35,7 @@ from socket_testbed.identification.problem import (
     MILLIMETRE,
     Objective,
     StageTwo,
+    StageTwoData,
     build_objective,
     build_stage_one,
     build_stage_two,
@@ -229,7 +230,8 @@ def fit_contact_model(
     rest = solve_box_qp(rest_program, settings.solver, settings.solver_tolerance)
     rest_positions = rest_positions_of(rest, objective)
 
-    stage_two = build_stage_two(objective, geometry, settings, rest_positions)
+    moments = StageTwoData(objective, geometry, settings).moments(rest_positions)
+    stage_two = build_stage_two(objective, geometry, settings, moments)
     springs = solve_box_qp(stage_two.program, settings.solver, settings.solver_tolerance)
     model = make_model(
         objective, geometry, settings, samples.clusters, rest_positions, stage_two, springs

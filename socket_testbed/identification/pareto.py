@@ -2,7 +2,7 @@
 
 Stage 1 depends on theta, so that the gates do, too: each theta has rest positions of its own,
 which both variants share. The data enters through statistics that are taken once
-(`SharedMoments`), and each program starts from the solution of the theta before.
+(`StageTwoData`), and each program starts from the solution of the theta before.
 """
 
 from __future__ import annotations
@@ -25,40 +25,16 @@ from socket_testbed.identification.box_qp import (
 from socket_testbed.identification.contact import wrench_map
 from socket_testbed.identification.fit import make_model, rest_positions_of
 from socket_testbed.identification.front import Front, FrontPoint, make_front
-from socket_testbed.identification.moments import Moments
 from socket_testbed.identification.problem import (
     Objective,
-    SharedMoments,
+    StageTwoData,
     StageTwoMoments,
-    assemble_stage_two,
     build_objective,
     build_stage_one,
+    build_stage_two,
 )
 from socket_testbed.samples import LOCAL_CHANNELS, WRENCH_CHANNELS, Samples
 from socket_testbed.settings.identification import VARIANTS, IdentificationSettings, Variant
-
-
-def mean_square_residuals(moments: Moments, rows: FloatArray, with_offset: bool) -> FloatArray:
-    """Mean squares of the residuals ``Y - S rows^T``, of each target.
-
-    They are differences of larger sums: a residual counts as known to 1e-8 of the spread of
-    its target.
-
-    Args:
-        moments: Moments of N rows of gated displacements S (N, p) and targets Y (N, m).
-        rows: What each target is predicted by, shape (m, p) [unit of the target over m].
-        with_offset: Whether each target has the constant offset that suits it best.
-
-    Returns:
-        Array of shape (m,), in squares of the targets' units.
-    """
-    explained = np.einsum("jp,jp->j", rows @ moments.gram, rows)
-    common = np.einsum("jp,pj->j", rows, moments.cross)
-    squares = (moments.target_power - 2.0 * common + explained) / moments.count
-    squares = np.maximum(squares, 0.0)
-    if not with_offset:
-        squares += (moments.target_mean - rows @ moments.mean) ** 2
-    return squares
 
 
 def channel_mean_squares(
@@ -82,12 +58,12 @@ def channel_mean_squares(
         objective, shape (m,) [N^2].
     """
     rows = wrench_map(geometry.anchors) * stiffness.reshape(-1)
-    wrench = mean_square_residuals(moments.wrench, rows, with_bias)
+    wrench = moments.wrench.mean_square_residuals(rows, with_bias)
     local = [
-        mean_square_residuals(
-            channel_moments, (channel.direction * stiffness[channel.point])[None], with_bias
+        of_channel.mean_square_residuals(
+            (channel.direction * stiffness[channel.point])[None], with_bias
         )
-        for channel, channel_moments in zip(objective.channels, moments.channels, strict=True)
+        for channel, of_channel in zip(objective.channels, moments.channels, strict=True)
     ]
     return wrench, np.concatenate(local)
 
@@ -126,7 +102,7 @@ def pareto_front(
     _check_thetas(thetas)
     objective = build_objective(samples, geometry, settings)
     _require_both_groups(objective)
-    walk = _Walk(objective, geometry, settings, samples.clusters)
+    walk = _Walk(objective, geometry, settings, samples.clusters, len(thetas))
     points: dict[Variant, list[FrontPoint]] = {variant: [] for variant in variants}
     for done, theta in enumerate(thetas, start=1):
         for variant, point in walk.solve_at(float(theta), variants).items():
@@ -147,6 +123,7 @@ class _Walk:
         geometry: Geometry of the socket.
         settings: Settings of the identification.
         clusters: Names of the clusters that the models are to know.
+        thetas: How many thetas there are.
     """
 
     def __init__(
@@ -155,13 +132,14 @@ class _Walk:
         geometry: SocketGeometry,
         settings: IdentificationSettings,
         clusters: tuple[str, ...],
+        thetas: int,
     ) -> None:
         self._objective = objective
         self._geometry = geometry
         self._settings = settings
         self._of_variant = {variant: replace(settings, variant=variant) for variant in VARIANTS}
         self._clusters = clusters
-        self._moments = SharedMoments(objective, settings, len(geometry))
+        self._data = StageTwoData(objective, geometry, settings, sets=thetas)
         self._last: dict[str, FloatArray] = {}
 
     def solve_at(self, theta: float, variants: Sequence[Variant]) -> dict[Variant, FrontPoint]:
@@ -173,7 +151,7 @@ class _Walk:
         except UncertifiedSolutionError as error:
             return {variant: self._flawed(theta, error) for variant in variants}
         rest_positions = rest_positions_of(rest, objective)
-        moments = self._moments.at(rest_positions)
+        moments = self._data.moments(rest_positions)
         points = {}
         for variant in variants:
             try:
@@ -193,7 +171,7 @@ class _Walk:
         moments: StageTwoMoments,
     ) -> FrontPoint:
         settings = self._of_variant[variant]
-        stage = assemble_stage_two(objective, self._geometry, settings, moments)
+        stage = build_stage_two(objective, self._geometry, settings, moments)
         springs = self._solve(stage.program, variant)
         model = make_model(
             objective, self._geometry, settings, self._clusters, rest_positions, stage, springs

@@ -25,13 +25,8 @@ from socket_testbed.errors import ConfigurationError, IdentificationError
 from socket_testbed.files import closest
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification.box_qp import BoxQP
-from socket_testbed.identification.contact import gated_displacement, wrench_map
-from socket_testbed.identification.moments import (
-    GateSeries,
-    Moments,
-    gate_moments,
-    series_is_cheaper,
-)
+from socket_testbed.identification.contact import wrench_map
+from socket_testbed.identification.moments import GatedMoments, Group, Method, Moments
 from socket_testbed.samples import LOCAL_CHANNELS, WRENCH_CHANNELS, Samples
 from socket_testbed.settings.identification import IdentificationSettings
 
@@ -262,6 +257,58 @@ class StageTwoMoments:
     channels: tuple[Moments, ...]
 
 
+class StageTwoData:
+    """The samples of an objective, from which the moments follow at any rest positions.
+
+    A channel of a cluster without gaps was measured in the same samples as the wrench: both
+    come from one product.
+
+    Args:
+        objective: The samples.
+        geometry: Geometry of the socket.
+        settings: Settings of the identification.
+        sets: How many sets of rest positions are expected.
+        method: See `GatedMoments`.
+    """
+
+    def __init__(
+        self,
+        objective: Objective,
+        geometry: SocketGeometry,
+        settings: IdentificationSettings,
+        sets: int = 1,
+        method: Method = "auto",
+    ) -> None:
+        complete = np.ones(len(objective.position), dtype=bool)
+        rows, targets = [complete], [[*objective.wrench.T]]
+        points = [list(range(len(geometry)))]
+        numbers = {complete.tobytes(): 0}
+        self._places: list[tuple[int, int, int]] = []  # of each channel: group, point, target
+        for channel in objective.channels:
+            number = numbers.setdefault(channel.rows.tobytes(), len(numbers))
+            if number == len(rows):
+                rows, targets, points = [*rows, channel.rows], [*targets, []], [*points, []]
+            if channel.point not in points[number]:
+                points[number].append(channel.point)
+            place = points[number].index(channel.point)
+            self._places.append((number, place, len(targets[number])))
+            targets[number].append(channel.force)
+        groups = [
+            Group(rows[i], np.stack(targets[i], axis=1), points[i]) for i in range(len(numbers))
+        ]
+        sharpness = settings.gate_sharpness
+        self._moments = GatedMoments(objective.position, sharpness, groups, sets, method)
+
+    def moments(self, rest_positions: FloatArray) -> StageTwoMoments:
+        """Moments at rest positions q_r, shape (n, 3) [m]."""
+        groups = self._moments.at(rest_positions)
+        channels = (
+            groups[number].select(slice(3 * point, 3 * point + 3), slice(target, target + 1))
+            for number, point, target in self._places
+        )
+        return StageTwoMoments(groups[0].select(slice(None), slice(6)), tuple(channels))
+
+
 @dataclass(frozen=True)
 class StageTwo:
     """Stage 2 as it is solved, with what explains it.
@@ -333,39 +380,7 @@ def build_stage_one(
     return BoxQP(factor * P, factor * q, -limit, limit, "Stage 1 (rest positions)")
 
 
-def stage_two_moments(
-    objective: Objective, settings: IdentificationSettings, rest_positions: FloatArray
-) -> StageTwoMoments:
-    """Take the moments of the data, in one pass over the samples.
-
-    Args:
-        objective: The samples.
-        settings: Settings of the identification.
-        rest_positions: Rest positions q_r, shape (n, 3) [m].
-    """
-    sharpness = settings.gate_sharpness
-    wrench = gate_moments(objective.position, rest_positions, sharpness, objective.wrench)
-    points = sorted({channel.point for channel in objective.channels})
-    on_tiles = gated_displacement(objective.position, rest_positions[points], sharpness)
-    channels = tuple(
-        _moments_of(on_tiles[channel.rows, points.index(channel.point)], channel.force)
-        for channel in objective.channels
-    )
-    return StageTwoMoments(wrench, channels)
-
-
 def build_stage_two(
-    objective: Objective,
-    geometry: SocketGeometry,
-    settings: IdentificationSettings,
-    rest_positions: FloatArray,
-) -> StageTwo:
-    """Stage 2 at given rest positions q_r, shape (n, 3) [m]: see `assemble_stage_two`."""
-    moments = stage_two_moments(objective, settings, rest_positions)
-    return assemble_stage_two(objective, geometry, settings, moments)
-
-
-def assemble_stage_two(
     objective: Objective,
     geometry: SocketGeometry,
     settings: IdentificationSettings,
@@ -435,20 +450,6 @@ def recover_offsets(
     return wrench_bias, force_bias
 
 
-def _moments_of(s: FloatArray, force: FloatArray) -> Moments:
-    """Moments of gated displacements of one point, shape (N, 3), and a force, shape (N,)."""
-    mean, target_mean = s.mean(axis=0), force.mean()
-    s, force = s - mean, force - target_mean
-    return Moments(
-        count=len(s),
-        mean=mean,
-        gram=s.T @ s,
-        target_mean=np.array([target_mean]),
-        cross=(s.T @ force)[:, None],
-        target_power=np.array([force @ force]),
-    )
-
-
 def _smoothness(objective: Objective, geometry: SocketGeometry, difference: float) -> FloatArray:
     """Quadratic term of the smoothness, shape (3n, 3n), for an expected difference."""
     weight = objective.smoothness / (3.0 * difference**2)  # the mean over the three axes
@@ -464,70 +465,3 @@ def _normalisation(P: FloatArray) -> float:
     """Factor that makes the mean curvature 1, so that KKT residuals mean the same anywhere."""
     curvature = float(np.trace(P)) / len(P)
     return 1.0 / curvature if curvature > 0.0 else 1.0
-
-
-@dataclass(frozen=True)
-class _Group:
-    """Channels of the clusters that were measured in the same samples."""
-
-    series: GateSeries
-    channels: list[int]
-    points: list[int]
-
-
-class SharedMoments:
-    """Moments of one objective for any rest positions: by series where that is cheaper.
-
-    Args:
-        objective: The samples.
-        settings: Settings of the identification.
-        points: Number n of points of interest.
-    """
-
-    def __init__(self, objective: Objective, settings: IdentificationSettings, points: int) -> None:
-        self._objective = objective
-        self._settings = settings
-        self._wrench: GateSeries | None = None
-        position, sharpness = objective.position, settings.gate_sharpness
-        if series_is_cheaper(position, sharpness, points):
-            self._wrench = GateSeries(position, sharpness, objective.wrench)
-            self._groups = _group_channels(objective, sharpness)
-
-    def at(self, rest_positions: FloatArray) -> StageTwoMoments:
-        """Moments at rest positions q_r, shape (n, 3) [m]."""
-        if self._wrench is None:
-            return stage_two_moments(self._objective, self._settings, rest_positions)
-        channels: dict[int, Moments] = {}
-        for group in self._groups:
-            moments = group.series.moments(rest_positions[group.points])
-            for column, number in enumerate(group.channels):
-                point = group.points.index(self._objective.channels[number].point)
-                channels[number] = _one_channel(moments, point, column)
-        in_order = tuple(channels[number] for number in sorted(channels))
-        return StageTwoMoments(self._wrench.moments(rest_positions), in_order)
-
-
-def _group_channels(objective: Objective, sharpness: float) -> list[_Group]:
-    by_rows: dict[bytes, list[int]] = {}
-    for number, channel in enumerate(objective.channels):
-        by_rows.setdefault(channel.rows.tobytes(), []).append(number)
-    groups = []
-    for numbers in by_rows.values():
-        channels = [objective.channels[number] for number in numbers]
-        forces = np.stack([channel.force for channel in channels], axis=1)
-        series = GateSeries(objective.position[channels[0].rows], sharpness, forces)
-        groups.append(_Group(series, numbers, sorted({channel.point for channel in channels})))
-    return groups
-
-
-def _one_channel(moments: Moments, point: int, column: int) -> Moments:
-    """The moments of one point and one target among several."""
-    block, target = slice(3 * point, 3 * point + 3), slice(column, column + 1)
-    return Moments(
-        count=moments.count,
-        mean=moments.mean[block],
-        gram=moments.gram[block, block],
-        target_mean=moments.target_mean[target],
-        cross=moments.cross[block, target],
-        target_power=moments.target_power[target],
-    )

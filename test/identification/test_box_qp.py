@@ -8,7 +8,15 @@ import qpsolvers
 from support.problems import installed
 
 from socket_testbed.identification import box_qp
-from socket_testbed.identification.box_qp import BoxQP, UncertifiedSolutionError, solve_box_qp
+from socket_testbed.identification.box_qp import (
+    BoxQP,
+    UncertifiedSolutionError,
+    factorise,
+    is_definite,
+    least_pivot,
+    solve_box_qp,
+    solve_factored,
+)
 
 
 def known_problem(rng, size=12):
@@ -164,3 +172,25 @@ def test_no_answer_is_an_error_that_carries_the_problem(monkeypatch, solver, sai
         solve_box_qp(problem, "osqp", 1e-6)
     assert caught.value.problem is problem
     assert caught.value.x is None
+
+
+@pytest.mark.parametrize("size", [1, 7, 48, 49, 130])
+def test_a_factored_system_is_solved(size):
+    rng = np.random.default_rng(size)
+    root = rng.normal(size=(size, size))
+    matrix, x = root @ root.T + np.eye(size), rng.normal(size=size)
+    found = solve_factored(factorise(matrix), matrix @ x)
+    np.testing.assert_allclose(found, x, rtol=1e-9, atol=1e-9)
+
+
+def test_definite_is_what_has_no_flat_direction():
+    rng = np.random.default_rng(8)
+    root = rng.normal(size=(6, 6))
+    definite = root @ root.T + np.eye(6)
+    flat = root[:, :5] @ root[:, :5].T
+    assert is_definite(definite, 1e-12)
+    assert not is_definite(flat, 1e-12)
+    assert not is_definite(-definite, 1e-12)
+    assert not is_definite(1e-13 * definite, 1e-11)
+    assert least_pivot(np.diag([3.0, 2.0])) == 4.0
+    assert is_definite(np.zeros((0, 0)), 1e-12)  # nothing is open where nothing is free

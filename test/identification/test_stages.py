@@ -29,6 +29,7 @@ from support.stacked import (
 from socket_testbed.identification.box_qp import solve_box_qp
 from socket_testbed.identification.contact import wrench_map
 from socket_testbed.identification.problem import (
+    StageTwoData,
     build_objective,
     build_stage_one,
     build_stage_two,
@@ -48,6 +49,11 @@ def random_stiffness(rng, n):
     return rng.uniform(0.0, 10.0, 3 * n) * (rng.random(3 * n) < 0.7)  # [kN/m]
 
 
+def stage_two_at(objective, geometry, settings, rest_positions):
+    moments = StageTwoData(objective, geometry, settings).moments(rest_positions)
+    return build_stage_two(objective, geometry, settings, moments)
+
+
 def solve_stage_one(samples, geometry, settings):
     """Rest positions in {S} [m]."""
     program = build_stage_one(build_objective(samples, geometry, settings), geometry, settings)
@@ -58,7 +64,7 @@ def solve_stage_one(samples, geometry, settings):
 def solve_stage_two(samples, geometry, settings, rest_positions):
     """Stiffnesses [kN/m] and the offsets of the package at given rest positions."""
     objective = build_objective(samples, geometry, settings)
-    stage = build_stage_two(objective, geometry, settings, rest_positions)
+    stage = stage_two_at(objective, geometry, settings, rest_positions)
     x = solve_box_qp(stage.program, settings.solver, settings.solver_tolerance).x
     stiffness = KILONEWTON_PER_METRE * x.reshape(-1, 3)
     offsets = recover_offsets(objective, geometry, settings, stage, stiffness)
@@ -116,7 +122,7 @@ def test_stage_one_is_the_stacked_objective_up_to_scale_and_constant(leave_out, 
 def test_stage_two_is_the_stacked_objective_up_to_scale_and_constant(variant, leave_out, gaps):
     geometry, bed, samples, settings = make_case(21, variant, gaps, leave_out=leave_out)
     objective = build_objective(samples, geometry, settings)
-    program = build_stage_two(objective, geometry, settings, bed.rest_positions).program
+    program = stage_two_at(objective, geometry, settings, bed.rest_positions).program
     rows = stack_stage_two(samples, geometry, settings, bed.rest_positions)
     rng = np.random.default_rng(22)
     points = [random_stiffness(rng, len(geometry)) for _ in range(12)]
@@ -129,7 +135,7 @@ def test_programs_are_symmetric_and_convex(variant):
     objective = build_objective(samples, geometry, settings)
     for program in (
         build_stage_one(objective, geometry, settings),
-        build_stage_two(objective, geometry, settings, bed.rest_positions).program,
+        stage_two_at(objective, geometry, settings, bed.rest_positions).program,
     ):
         np.testing.assert_allclose(program.P, program.P.T, atol=1e-12)
         assert np.linalg.eigvalsh(program.P).min() > -1e-12
@@ -283,7 +289,7 @@ def test_determined_directions_are_the_trace_of_the_hat_matrix(variant):
     geometry, bed, samples, settings = make_case(64, variant)
     rest = bed.rest_positions + WRONG
     objective = build_objective(samples, geometry, settings)
-    stage = build_stage_two(objective, geometry, settings, rest)
+    stage = stage_two_at(objective, geometry, settings, rest)
     x = solve_box_qp(stage.program, "osqp", 1e-6).x
     rows = stack_stage_two(samples, geometry, settings, rest)
     offsets = rows.A.shape[1] - len(x)
