@@ -1,17 +1,37 @@
-"""Measurements as they come in: put together by stamp, and kept for a fit."""
+"""The online estimator: measurements in, estimates out, the model fitted on the newest samples.
+
+It knows no ROS: the estimator node converts messages for it and publishes what it returns.
+"""
 
 from __future__ import annotations
 
+import threading
 from collections import OrderedDict
+from collections.abc import Callable, Iterable
+from concurrent.futures import CancelledError, Future
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
-from typing import Any
+from pathlib import Path
+from typing import Any, Protocol
 
 import numpy as np
 
 from socket_testbed.arrays import FloatArray, StatusArray
-from socket_testbed.samples import Samples
+from socket_testbed.errors import ConfigurationError, IdentificationError, TestbedError
+from socket_testbed.geometry.pose import Pose
+from socket_testbed.geometry.socket import SocketGeometry
+from socket_testbed.identification.contact import ContactModel
+from socket_testbed.identification.fit import Fit
+from socket_testbed.identification.model_file import StoredModel, read_model
+from socket_testbed.samples import Samples, Status
+from socket_testbed.settings.identification import IdentificationSettings, PlateauSettings
+from socket_testbed.settings.testbed import EstimatorSettings
+from socket_testbed.trials.topics import PYLON_POSE, SOCKET_POSE, STRESS, WRENCH, Topic
+
+MEASURED = (STRESS, WRENCH, SOCKET_POSE, PYLON_POSE)  # what makes a sample
 
 _SMALLEST_BUFFER = 256  # samples
+_FIRST_ATTEMPT = 10  # samples between attempts at the first model
 
 
 class StampSynchroniser:
@@ -25,7 +45,7 @@ class StampSynchroniser:
         incomplete: Number of stamps given up before all their measurements were in.
     """
 
-    def __init__(self, kinds: tuple[str, ...], pending: int) -> None:
+    def __init__(self, kinds: Iterable[str], pending: int) -> None:
         self._kinds = frozenset(kinds)
         self._pending = pending
         self._open: OrderedDict[int, dict[str, Any]] = OrderedDict()
@@ -134,3 +154,225 @@ class SampleWindow:
             self._buffer = np.empty(2 * len(self._buffer), dtype=self._buffer.dtype)
         self._buffer[: len(kept)] = kept.copy()
         self._start, self._end = 0, len(kept)
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """What the model says of one sample, from the pose alone.
+
+    Attributes:
+        stamp: Stamp of the sample's trigger since the epoch [ns].
+        model: The model.
+        wrench: Predicted wrench [M; F] in {S}, shape (6,) [N m, N].
+        forces: Predicted force at each of the n points in {S}, shape (n, 3) [N].
+    """
+
+    stamp: int
+    model: ContactModel
+    wrench: FloatArray
+    forces: FloatArray
+
+
+class Fitter(Protocol):
+    """What fits a model; see `FitWorker.submit`."""
+
+    def submit(
+        self,
+        samples: Samples,
+        geometry: SocketGeometry,
+        settings: IdentificationSettings,
+        plateau: PlateauSettings | None,
+        least_samples: int,
+    ) -> Future[Fit | None]:
+        """Fit on the plateau of some samples, or on all of them."""
+
+
+class OnlineEstimator:
+    """Predicts every synchronised sample with the newest model, and has models fitted.
+
+    Args:
+        geometry: Geometry of the socket.
+        settings: Called for the settings as they are now.
+        fitter: What fits the models.
+        notify: Called with each new model: a `Fit`, in a thread of the fitter's, or the
+            `StoredModel` that was loaded.
+
+    Attributes:
+        state: How it is: 0 OK, 1 warning or 2 error, and why, in one line.
+        newest: Newest stamp of which the sample was predicted [ns]; 0 at first and after a jump
+            back in time.
+    """
+
+    def __init__(
+        self,
+        geometry: SocketGeometry,
+        settings: Callable[[], EstimatorSettings],
+        fitter: Fitter,
+        notify: Callable[[Fit | StoredModel], None],
+    ) -> None:
+        self._geometry = geometry
+        self._settings = settings
+        self._fitter = fitter
+        self._notify = notify
+        self._clusters = tuple(geometry.clusters)
+        window = settings().window
+        self._synchroniser = StampSynchroniser([topic.name for topic in MEASURED], window.pending)
+        self._window = SampleWindow(self._clusters, window.duration)
+        self._lock = threading.Lock()  # of the window, and of the fit that runs
+        self._fitting = False
+        self._since_attempt = 0  # samples
+        self._last_trigger = 0
+        self._model: ContactModel | None = None
+        self._counts = {"triggers": 0, "samples": 0, "predictions": 0, "fits": 0}
+        self.state = (1, "no model yet: waiting for steady data or estimator/fit")
+        self.newest = 0
+
+    def figures(self) -> dict[str, object]:
+        """Counts for the diagnostics, by name."""
+        incomplete = self._synchroniser.incomplete
+        return {**self._counts, "incomplete": incomplete, "window": len(self._window)}
+
+    def load(self, path: Path) -> None:
+        """Predict with a stored model.
+
+        Raises:
+            ConfigurationError: If it cannot be read, or was fitted on another socket.
+        """
+        stored = read_model(path)
+        if not stored.geometry.same_tiles(self._geometry):
+            raise ConfigurationError(
+                f"{path}: was fitted on another socket than this geometry",
+                "give the socket.yaml of its trial, or a model of this socket",
+            )
+        self._model = stored.model
+        self.state = (0, f"predicting with the model of {stored.trial}")
+        self._notify(stored)
+
+    def trigger(self, stamp: int) -> None:
+        """Count a trigger; after a jump back in time [ns] forget what was measured before."""
+        if stamp < self._last_trigger:
+            self._synchroniser.clear()
+            with self._lock:
+                self._window.clear()
+            self.newest = 0
+        self._last_trigger = stamp
+        self._counts["triggers"] += 1
+
+    def add(self, topic: Topic, stamp: int, value: Any) -> Estimate | None:
+        """Add a measurement.
+
+        Args:
+            topic: One of `MEASURED`.
+            stamp: Stamp of its trigger since the epoch [ns].
+            value: Of STRESS the normal stress, shear x, shear y, shape (3,) [Pa], and the status
+                by cluster; of WRENCH [M; F], shape (6,) [N m, N]; of a pose the position [m] and
+                quaternion (x, y, z, w), shape (7,).
+
+        Returns:
+            The estimate if this completes a sample and there is a model.
+        """
+        measured = self._synchroniser.add(topic.name, stamp, value)
+        if measured is None:
+            return None
+        sample = self._sample(stamp, measured)
+        self._counts["samples"] += 1
+        estimate = None
+        if (model := self._model) is not None:
+            wrench, forces = model.predict(sample.position[None])
+            estimate = Estimate(stamp, model, wrench[0], forces[0])
+            self._counts["predictions"] += 1
+        self.newest = max(self.newest, stamp)
+        with self._lock:
+            self._window.add(sample)
+        self._since_attempt += 1
+        if self._fit_is_due():
+            self._start_fit(self._settings().plateau)
+        return estimate
+
+    def fit(self) -> Fit:
+        """Fit on all samples of the window, and wait for the model.
+
+        Raises:
+            IdentificationError: If a fit is running, if this one is ended, or if the samples do
+                not determine a model.
+        """
+        started = self._start_fit(plateau=None)
+        if started is None:
+            raise IdentificationError("a fit is running already", "ask again when it is done")
+        try:
+            fit = started.result()
+        except (CancelledError, BrokenProcessPool):
+            raise IdentificationError("the fit was ended", "ask again") from None
+        if fit is None:
+            raise IdentificationError("no samples to fit on", "ask again when there are some")
+        return fit
+
+    def _sample(self, stamp: int, measured: dict[str, Any]) -> Sample:
+        socket, pylon = (
+            Pose.from_quaternion(pose[None, :3], pose[None, 3:])
+            for pose in (measured[SOCKET_POSE.name], measured[PYLON_POSE.name])
+        )
+        missing = (np.full(3, np.nan), Status.MISSING)
+        stresses = [measured[STRESS.name].get(name, missing) for name in self._clusters]
+        forces = [
+            self._geometry.cluster_force(name, stress)
+            for name, (stress, _) in zip(self._clusters, stresses, strict=True)
+        ]
+        return Sample(
+            stamp=stamp,
+            position=self._geometry.limb_position(socket, pylon)[0],
+            wrench=measured[WRENCH.name],
+            local_forces=np.array(forces),
+            status=np.array([status for _, status in stresses], dtype=np.uint8),
+        )
+
+    def _fit_is_due(self) -> bool:
+        """Auto fit: on, enough samples in the window, and enough new ones since the last attempt.
+
+        After the first model, `refit_after` of 0 ends it.
+        """
+        settings = self._settings()
+        due = settings.window.refit_after if self._model is not None else _FIRST_ATTEMPT
+        return (
+            settings.auto_fit
+            and not self._fitting
+            and 0 < due <= self._since_attempt
+            and len(self._window) >= settings.window.least_samples
+        )
+
+    def _start_fit(self, plateau: PlateauSettings | None) -> Future[Fit | None] | None:
+        """Start a fit on the window's plateau, or on all of it; None while another runs."""
+        settings = self._settings()
+        with self._lock:
+            if self._fitting:
+                return None
+            self._fitting = True
+            self._since_attempt = 0
+            samples = self._window.samples()
+        least = settings.window.least_samples
+        future = self._fitter.submit(
+            samples, self._geometry, settings.identification, plateau, least
+        )
+        future.add_done_callback(self._take_over)
+        return future
+
+    def _take_over(self, future: Future[Fit | None]) -> None:
+        """Predict with a fitted model from now on; called in a thread of the fitter's."""
+        self._fitting = False
+        if future.cancelled():
+            return
+        try:
+            fit = future.result()
+        except (TestbedError, BrokenProcessPool) as error:
+            self.state = (2, f"no fit: {error}")
+            return
+        if fit is None:
+            return
+        self._model = fit.model
+        self._counts["fits"] += 1
+        self.state = (
+            0,
+            f"model {fit.model.variant} from {fit.samples} samples, "
+            f"{fit.determined:.0f} of {fit.model.stiffness.size} directions determined",
+        )
+        self._notify(fit)

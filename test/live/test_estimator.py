@@ -1,0 +1,483 @@
+"""The online estimator without ROS: what it makes of measurements, and when it fits."""
+
+import dataclasses
+import json
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import dataclass
+from pathlib import Path
+from threading import Event, Thread
+from typing import Any
+
+import numpy as np
+import pytest
+
+from socket_testbed.errors import ConfigurationError, IdentificationError
+from socket_testbed.geometry.pose import Pose
+from socket_testbed.identification.fit import Fit, fit_contact_model
+from socket_testbed.identification.model_file import StoredModel, read_model
+from socket_testbed.live.estimator import (
+    MEASURED,
+    Estimate,
+    OnlineEstimator,
+    Sample,
+    SampleWindow,
+    StampSynchroniser,
+)
+from socket_testbed.live.fit_worker import FitWorker
+from socket_testbed.samples import Samples
+from socket_testbed.settings.identification import IdentificationSettings, PlateauSettings
+from socket_testbed.settings.testbed import EstimatorSettings, WindowSettings
+from socket_testbed.trials.synchronise import read_measurements, read_samples
+from socket_testbed.trials.topics import PYLON_POSE, SOCKET_POSE, STRESS, WRENCH, Topic
+from socket_testbed.trials.trial import Trial
+
+DEADLINE = 60.0  # [s]
+PERIOD = 250_000_000  # [ns]
+
+
+@dataclass
+class Request:
+    """What a fitter was asked for, and the future it gave."""
+
+    samples: Samples
+    settings: IdentificationSettings
+    plateau: PlateauSettings | None
+    least_samples: int
+    future: "Future[Fit | None]"
+
+
+class FakeFitter:
+    """A fitter without a process: the test says when and how each fit ends."""
+
+    def __init__(self) -> None:
+        self.requests: list[Request] = []
+
+    def submit(self, samples, geometry, settings, plateau, least_samples) -> "Future[Fit | None]":
+        future: Future[Fit | None] = Future()
+        self.requests.append(Request(samples, settings, plateau, least_samples, future))
+        return future
+
+
+@pytest.fixture(scope="module")
+def trial(hold: Path) -> Trial:
+    return Trial(hold)
+
+
+@pytest.fixture(scope="module")
+def fit(trial: Trial) -> Fit:
+    return fit_contact_model(read_samples(trial), trial.geometry, IdentificationSettings())
+
+
+class Bench:
+    """An estimator with what it is given, what it returned and which models it reported."""
+
+    def __init__(self, trial: Trial, fitter: Any = None, **window: Any) -> None:
+        self.fitter = fitter or FakeFitter()
+        self.settings = EstimatorSettings(window=WindowSettings(**window))
+        self.models: list[Fit | StoredModel] = []
+        self.estimates: list[Estimate] = []
+        self.geometry = trial.geometry
+        self.estimator = OnlineEstimator(
+            self.geometry, lambda: self.settings, self.fitter, self.models.append
+        )
+
+    def values(self, shift: float = 0.0) -> dict[Topic, Any]:
+        """One measurement of each kind; `shift` moves the limb [m]."""
+        clusters = self.geometry.clusters
+        upright = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
+        moved = np.array([0.0, 0.0, shift, 0.0, 0.0, 0.0, 1.0])
+        stress = {name: (np.array([1e4, 0.0, 0.0]), 0) for name in clusters}
+        return {STRESS: stress, WRENCH: np.arange(6.0), SOCKET_POSE: upright, PYLON_POSE: moved}
+
+    def send(self, count: int, start: int = 0, lacking: Topic | None = None) -> None:
+        """Send complete samples, or samples that lack a measurement."""
+        for k in range(start, start + count):
+            self.estimator.trigger(k * PERIOD)
+            for topic, value in self.values(1e-4 * k).items():
+                if topic is not lacking:
+                    estimate = self.estimator.add(topic, k * PERIOD, value)
+                    if estimate is not None:
+                        self.estimates.append(estimate)
+
+    def figure(self, name: str) -> Any:
+        return self.estimator.figures()[name]
+
+
+@pytest.fixture
+def bench(trial: Trial) -> Bench:
+    return Bench(trial, least_samples=20, refit_after=30)
+
+
+def wait(condition: Callable[[], Any]) -> None:
+    deadline = time.monotonic() + DEADLINE
+    while not condition():
+        assert time.monotonic() < deadline
+        Event().wait(0.01)
+
+
+# --- measurements by stamp, and the window
+
+
+def sample(stamp: int) -> Sample:
+    return Sample(stamp, np.zeros(3), np.zeros(6), np.zeros((2, 3)), np.zeros(2, dtype=np.uint8))
+
+
+def test_measurements_of_a_stamp_come_together_whatever_their_order() -> None:
+    rng = np.random.default_rng(0)
+    arrivals = [(kind, stamp) for kind in "abc" for stamp in range(50)]
+    rng.shuffle(arrivals)
+    synchroniser = StampSynchroniser(("a", "b", "c"), pending=50)
+    complete = {}
+    for kind, stamp in arrivals:
+        entry = synchroniser.add(kind, int(stamp), f"{kind}{stamp}")
+        if entry is not None:
+            complete[int(stamp)] = entry
+    assert complete == {s: {k: f"{k}{s}" for k in "abc"} for s in range(50)}
+    assert synchroniser.incomplete == 0
+
+
+def test_nothing_is_matched_by_nearest() -> None:
+    synchroniser = StampSynchroniser(("a", "b"), pending=10)
+    assert synchroniser.add("a", 1_000_000_000, 0) is None
+    assert synchroniser.add("b", 1_000_000_001, 0) is None
+
+
+def test_what_stays_incomplete_is_counted_and_forgotten() -> None:
+    synchroniser = StampSynchroniser(("a", "b"), pending=3)
+    for stamp in range(10):
+        synchroniser.add("a", stamp, None)
+    assert synchroniser.incomplete == 7
+    assert synchroniser.add("b", 0, None) is None  # too late
+    assert synchroniser.add("b", 9, None) is not None
+
+
+def test_clear_forgets_what_is_pending() -> None:
+    synchroniser = StampSynchroniser(("a", "b"), pending=3)
+    synchroniser.add("a", 1, None)
+    synchroniser.clear()
+    assert synchroniser.add("b", 1, None) is None
+
+
+def test_the_window_keeps_its_duration_in_the_order_of_stamps() -> None:
+    window = SampleWindow(("p", "q"), duration=2.0)
+    for seconds in (0.0, 1.0, 3.0, 2.5):
+        window.add(sample(round(seconds * 1e9)))
+    assert (window.samples().stamps * 1e-9).tolist() == [1.0, 2.5, 3.0]
+
+
+def test_a_long_window_holds_what_a_list_would() -> None:
+    rng = np.random.default_rng(0)
+    window, stamps = SampleWindow(("p", "q"), duration=3.0), []
+    for k in range(2000):
+        stamp = round(k * 1e7 * (1.0 + (k > 700)))  # at 100 Hz, then at 50 Hz
+        entry = Sample(
+            stamp,
+            rng.normal(size=3),
+            np.full(6, float(stamp)),
+            rng.normal(size=(2, 3)),
+            np.array([k % 4, 0], dtype=np.uint8),
+        )
+        window.add(entry)
+        stamps = [s for s in [*stamps, stamp] if s >= stamp - 3_000_000_000]
+        assert len(window) == len(stamps)
+    samples = window.samples()
+    assert samples.stamps.tolist() == stamps
+    assert samples.wrench[:, 0].tolist() == stamps
+    assert samples.status[-1].tolist() == [1999 % 4, 0]
+    window.clear()
+    assert len(window) == len(window.samples()) == 0
+
+
+@pytest.mark.parametrize("count", [0, 1, 5])
+def test_the_shapes_of_a_window_hold_for_any_number(count: int) -> None:
+    window = SampleWindow(("p", "q"), duration=2.0)
+    for stamp in range(count):
+        window.add(sample(stamp))
+    samples = window.samples()
+    assert samples.position.shape == (count, 3)
+    assert samples.local_forces.shape == (count, 2, 3)
+    assert samples.status.shape == (count, 2)
+
+
+# --- samples
+
+
+def test_a_complete_sample_is_estimated_whatever_the_order(bench: Bench, fit: Fit) -> None:
+    bench.send(20)
+    bench.fitter.requests[0].future.set_result(fit)
+    values = bench.values(2e-3)
+    position = bench.geometry.limb_position(
+        *(Pose.from_quaternion(v[None, :3], v[None, 3:]) for v in list(values.values())[2:])
+    )
+    wrench, forces = fit.model.predict(position)
+    for k, order in enumerate((MEASURED, MEASURED[::-1], (*MEASURED[2:], *MEASURED[:2]))):
+        stamp = (100 + k) * PERIOD
+        *waiting, last = (bench.estimator.add(topic, stamp, values[topic]) for topic in order)
+        assert waiting == [None, None, None] and last is not None and last.stamp == stamp
+        np.testing.assert_allclose(last.wrench, wrench[0])
+        np.testing.assert_allclose(last.forces, forces[0])
+    assert bench.estimator.newest == 102 * PERIOD
+
+
+def test_without_a_model_there_is_no_estimate(bench: Bench) -> None:
+    bench.send(50)
+    assert not bench.estimates
+    assert bench.figure("samples") == bench.figure("triggers") == bench.figure("window") == 50
+    assert bench.estimator.newest == 49 * PERIOD
+    assert bench.estimator.state[0] == 1 and "no model yet" in bench.estimator.state[1]
+
+
+@pytest.mark.parametrize("lacking", MEASURED)
+def test_an_incomplete_sample_is_never_estimated_or_fitted(trial: Trial, lacking: Topic) -> None:
+    bench = Bench(trial, least_samples=10, pending=5)
+    bench.send(30, lacking=lacking)
+    assert (bench.figure("samples"), bench.figure("window")) == (0, 0)
+    assert bench.figure("incomplete") == 25
+    assert not bench.fitter.requests
+
+
+def test_a_cluster_that_is_not_in_the_message_is_missing(trial: Trial) -> None:
+    bench = Bench(trial, least_samples=10)
+    values = bench.values()
+    absent = next(iter(values[STRESS]))
+    del values[STRESS][absent]
+    for stamp in range(0, 10 * PERIOD, PERIOD):
+        for topic, value in values.items():
+            bench.estimator.add(topic, stamp, value)
+    samples = bench.fitter.requests[0].samples
+    column = samples.clusters.index(absent)
+    assert (samples.status[:, column] == 2).all()
+    assert np.isnan(samples.local_forces[:, column]).all()
+    assert np.isfinite(np.delete(samples.local_forces, column, axis=1)).all()
+
+
+def test_a_jump_back_in_time_clears_what_was_measured(bench: Bench, fit: Fit) -> None:
+    bench.send(20)
+    bench.fitter.requests[0].future.set_result(fit)
+    bench.send(5, start=1000)
+    bench.estimator.add(WRENCH, 2 * PERIOD, np.zeros(6))  # pending
+    bench.estimator.trigger(2 * PERIOD)
+    assert bench.figure("window") == bench.estimator.newest == 0
+    for topic, value in bench.values().items():
+        if topic is not WRENCH:
+            assert bench.estimator.add(topic, 2 * PERIOD, value) is None
+    # The model stays, and what comes then is estimated with it.
+    bench.estimates.clear()
+    bench.send(3, start=3)
+    assert [e.stamp for e in bench.estimates] == [3 * PERIOD, 4 * PERIOD, 5 * PERIOD]
+    assert bench.figure("window") == 3
+
+
+# --- when to fit
+
+
+def test_it_fits_by_itself_once_the_window_holds_enough(bench: Bench) -> None:
+    bench.send(19)
+    assert not bench.fitter.requests
+    bench.send(1, start=19)
+    (request,) = bench.fitter.requests
+    assert len(request.samples) == request.least_samples == 20
+    assert request.plateau == bench.settings.plateau
+    assert request.settings == bench.settings.identification
+    bench.send(50, start=20)
+    assert len(bench.fitter.requests) == 1  # one at a time
+
+
+def test_without_a_plateau_it_tries_again_every_ten_samples(bench: Bench) -> None:
+    bench.send(20)
+    bench.fitter.requests[0].future.set_result(None)
+    assert not bench.models and bench.estimator.state[0] == 1
+    bench.send(9, start=20)
+    assert len(bench.fitter.requests) == 1
+    bench.send(1, start=29)
+    assert len(bench.fitter.requests) == 2
+
+
+def test_with_a_model_it_fits_again_after_refit_after_new_samples(bench: Bench, fit: Fit) -> None:
+    bench.send(20)
+    bench.fitter.requests[0].future.set_result(fit)
+    bench.send(29, start=20)
+    assert len(bench.fitter.requests) == 1
+    bench.send(1, start=49)
+    assert len(bench.fitter.requests) == 2
+
+
+def test_refit_after_of_zero_keeps_the_first_model(trial: Trial, fit: Fit) -> None:
+    bench = Bench(trial, least_samples=20, refit_after=0)
+    bench.send(20)
+    bench.fitter.requests[0].future.set_result(fit)
+    bench.send(500, start=20)
+    assert len(bench.fitter.requests) == 1
+
+
+def test_auto_fit_is_switched_while_it_runs(bench: Bench) -> None:
+    bench.settings = dataclasses.replace(bench.settings, auto_fit=False)
+    bench.send(100)
+    assert not bench.fitter.requests
+    bench.settings = dataclasses.replace(bench.settings, auto_fit=True)
+    bench.send(1, start=100)
+    assert len(bench.fitter.requests) == 1
+
+
+# --- how a fit ends
+
+
+def test_a_fitted_model_is_taken_over_and_reported(bench: Bench, fit: Fit) -> None:
+    bench.send(20)
+    bench.fitter.requests[0].future.set_result(fit)
+    assert bench.models == [fit]
+    level, text = bench.estimator.state
+    assert level == 0 and f"{fit.model.variant} from {fit.samples} samples" in text
+    bench.send(3, start=20)
+    assert [e.stamp for e in bench.estimates] == [k * PERIOD for k in (20, 21, 22)]
+    assert all(e.model is fit.model for e in bench.estimates)
+    assert (bench.figure("fits"), bench.figure("predictions")) == (1, 3)
+
+
+@pytest.mark.parametrize(
+    "error",
+    [IdentificationError("the samples say nothing", "load the socket"), BrokenProcessPool()],
+)
+def test_a_fit_that_fails_leaves_the_model_and_is_named(
+    bench: Bench, fit: Fit, error: Exception
+) -> None:
+    bench.send(20)
+    bench.fitter.requests[0].future.set_result(fit)
+    bench.send(30, start=20)
+    bench.fitter.requests[1].future.set_exception(error)
+    assert bench.estimator.state == (2, f"no fit: {error}")
+    bench.send(30, start=50)
+    assert bench.estimates[-1].model is fit.model
+    bench.fitter.requests[2].future.set_result(fit)  # the next one is tried all the same
+    assert bench.estimator.state[0] == 0 and len(bench.models) == 2
+
+
+def test_a_cancelled_fit_changes_nothing(bench: Bench) -> None:
+    bench.send(20)
+    before = bench.estimator.state
+    assert bench.fitter.requests[0].future.cancel()
+    assert bench.estimator.state == before and not bench.models
+
+
+# --- on request
+
+
+def test_a_fit_on_request_takes_all_of_the_window(bench: Bench, fit: Fit) -> None:
+    bench.settings = dataclasses.replace(bench.settings, auto_fit=False)
+    bench.send(7)
+    answers: list[Fit] = []
+    thread = Thread(target=lambda: answers.append(bench.estimator.fit()))
+    thread.start()
+    wait(lambda: bench.fitter.requests)
+    (request,) = bench.fitter.requests
+    assert len(request.samples) == 7 and request.plateau is None
+    request.future.set_result(fit)
+    thread.join(DEADLINE)
+    assert answers == bench.models == [fit]
+
+
+def test_a_request_while_a_fit_runs_is_refused(bench: Bench, fit: Fit) -> None:
+    bench.send(20)
+    with pytest.raises(IdentificationError, match="a fit is running already: ask again"):
+        bench.estimator.fit()
+    assert len(bench.fitter.requests) == 1
+    bench.fitter.requests[0].future.set_result(fit)
+    assert bench.models == [fit]
+
+
+def test_a_request_is_answered_with_the_error_or_the_end(trial: Trial) -> None:
+    class Failing(FakeFitter):
+        def submit(self, *arguments) -> "Future[Fit | None]":
+            future = super().submit(*arguments)
+            if len(self.requests) == 1:
+                future.set_exception(IdentificationError("only 0 of 0 samples", "record more"))
+            else:
+                future.cancel()
+            return future
+
+    bench = Bench(trial, Failing())
+    with pytest.raises(IdentificationError, match="only 0 of 0 samples"):
+        bench.estimator.fit()
+    with pytest.raises(IdentificationError, match="was ended"):
+        bench.estimator.fit()
+
+
+# --- stored models
+
+
+def test_a_stored_model_predicts_from_the_first_sample(bench: Bench, hold_model: Path) -> None:
+    bench.estimator.load(hold_model)
+    stored = read_model(hold_model)
+    (reported,) = bench.models
+    assert isinstance(reported, StoredModel) and reported.trial == stored.trial
+    assert bench.estimator.state == (0, f"predicting with the model of {stored.trial}")
+    bench.send(2)
+    assert len(bench.estimates) == 2
+    np.testing.assert_array_equal(bench.estimates[0].model.stiffness, stored.model.stiffness)
+
+
+def test_a_model_of_another_socket_is_refused(
+    bench: Bench, hold_model: Path, tmp_path: Path
+) -> None:
+    document = json.loads(hold_model.read_text())
+    tile = next(iter(document["geometry"]["tiles"].values()))
+    tile["anchor"][2] += 0.01
+    other = tmp_path / "model.json"
+    other.write_text(json.dumps(document))
+    with pytest.raises(ConfigurationError, match="another socket"):
+        bench.estimator.load(other)
+    bench.send(2)
+    assert not bench.models and not bench.estimates
+
+
+# --- with the real worker
+
+
+@pytest.fixture
+def worker() -> Iterator[FitWorker]:
+    worker = FitWorker()
+    yield worker
+    worker.close()
+
+
+def test_a_trial_is_fitted_and_predicted_as_it_is_offline(trial: Trial, worker: FitWorker) -> None:
+    samples, measured = read_samples(trial), read_measurements(trial)
+    bench = Bench(trial, worker, duration=3600.0)
+    bench.settings = dataclasses.replace(bench.settings, auto_fit=False)
+
+    def send_all() -> list[Estimate | None]:
+        estimates = []
+        for k, stamp in enumerate(measured.stamps.tolist()):
+            applied = (
+                trial.calibration.clusters[name].apply(c, s)
+                for name, c, s in zip(
+                    measured.clusters, measured.capacitance[k], measured.status[k], strict=True
+                )
+            )
+            values = {
+                STRESS: dict(zip(measured.clusters, applied, strict=True)),
+                WRENCH: measured.wrench[k],
+                SOCKET_POSE: measured.socket[k],
+                PYLON_POSE: measured.pylon[k],
+            }
+            bench.estimator.trigger(stamp)
+            estimates.append([bench.estimator.add(t, stamp, v) for t, v in values.items()][-1])
+        return estimates
+
+    assert send_all() == [None] * len(samples)
+    offline = fit_contact_model(samples, trial.geometry, IdentificationSettings())
+    online = bench.estimator.fit()
+    assert online.samples == offline.samples
+    np.testing.assert_allclose(
+        online.model.stiffness, offline.model.stiffness, rtol=1e-6, atol=1e-3
+    )
+    wait(lambda: bench.models)
+    estimates = send_all()
+    wrench, forces = online.model.predict(samples.position)
+    np.testing.assert_allclose([e.wrench for e in estimates], wrench, atol=1e-9)
+    np.testing.assert_allclose([e.forces for e in estimates], forces, atol=1e-9)
+    # Where a marker was occluded the estimate is NaN, never an old one.
+    assert np.isnan(wrench[np.isnan(samples.position).any(axis=1)]).all()
