@@ -1,66 +1,73 @@
-"""Replay a trial through the calibration and estimator nodes, on a ROS installation.
+"""Replay a trial through calibration and estimator, on a ROS installation.
 
 ros2 launch socket_testbed replay.launch.py trial:=/path/of/trial rate:=2.0
 """
 
-from launch.actions import DeclareLaunchArgument, EmitEvent, RegisterEventHandler
+import tempfile
+from pathlib import Path
+
+import yaml
+from launch.actions import (
+    DeclareLaunchArgument,
+    EmitEvent,
+    OpaqueFunction,
+    RegisterEventHandler,
+)
 from launch.event_handlers import OnProcessExit
 from launch.events import Shutdown
-from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
+from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
-from launch_ros.parameter_descriptions import ParameterValue
 
-from launch import LaunchDescription
+from launch import LaunchContext, LaunchDescription
+from socket_testbed.live.bringup import replay_nodes
+from socket_testbed.live.processes import write_parameters
+from socket_testbed.settings.testbed import ReplaySettings, read_testbed
+from socket_testbed.trials.trial import Trial
+
+TEMPORARY = tempfile.TemporaryDirectory(prefix="socket_testbed_")  # until this program ends
+
+
+def bring_up(context: LaunchContext) -> list[Node | RegisterEventHandler]:
+    def given(name: str) -> str:
+        return LaunchConfiguration(name).perform(context)
+
+    trial = Trial(Path(given("trial")).resolve())
+    replay = ReplaySettings(
+        trial=str(trial.path),
+        rate=yaml.safe_load(given("rate")),
+        loop=yaml.safe_load(given("loop")),
+    )
+    estimator = trial.estimator
+    if given("params"):
+        estimator = read_testbed(Path(given("params"))).estimator_node
+    folder = Path(TEMPORARY.name)
+    nodes = [
+        Node(
+            package="socket_testbed",
+            executable=node.name,
+            name=node.name,
+            namespace=given("namespace") or node.namespace,
+            parameters=[str(write_parameters([node], folder / f"{node.name}.yaml"))],
+            output="screen",
+        )
+        for node in replay_nodes(trial, replay, estimator)
+    ]
+    end = OnProcessExit(target_action=nodes[-1], on_exit=[EmitEvent(event=Shutdown())])
+    return [*nodes, RegisterEventHandler(end)]
 
 
 def generate_launch_description() -> LaunchDescription:
-    trial = LaunchConfiguration("trial")
-    namespace = LaunchConfiguration("namespace")
-
-    def node(executable: str, parameters: dict) -> Node:
-        return Node(
-            package="socket_testbed",
-            executable=executable,
-            name=executable,
-            namespace=namespace,
-            parameters=[LaunchConfiguration("params"), parameters],
-            output="screen",
-        )
-
-    estimator = node(
-        "estimator_node",
-        {"geometry": PathJoinSubstitution([trial, "socket.yaml"]), "use_sim_time": True},
-    )
-    calibration = node(
-        "calibration_node",
-        {"calibration": PathJoinSubstitution([trial, "calibration.yaml"]), "use_sim_time": True},
-    )
-    replay = node(
-        "replay_node",
-        {
-            "trial": ParameterValue(trial, value_type=str),
-            "rate": ParameterValue(LaunchConfiguration("rate"), value_type=float),
-            "loop": ParameterValue(LaunchConfiguration("loop"), value_type=bool),
-            "measured_only": True,
-            "wait_for": ["calibration_node", "estimator_node"],
-        },
-    )
     return LaunchDescription(
         [
             DeclareLaunchArgument("trial", description="folder of the trial"),
             DeclareLaunchArgument("rate", default_value="1.0", description="speed [-]"),
             DeclareLaunchArgument("loop", default_value="false", description="start again"),
-            DeclareLaunchArgument("namespace", default_value="", description="of the nodes"),
             DeclareLaunchArgument(
-                "params",
-                default_value=PathJoinSubstitution([trial, "testbed.yaml"]),
-                description="node parameters; the trial's own by default",
+                "namespace", default_value="", description="of the nodes; empty: as recorded"
             ),
-            calibration,
-            estimator,
-            replay,
-            RegisterEventHandler(
-                OnProcessExit(target_action=replay, on_exit=[EmitEvent(event=Shutdown())])
+            DeclareLaunchArgument(
+                "params", default_value="", description="node parameters; empty: the trial's own"
             ),
+            OpaqueFunction(function=bring_up),
         ]
     )

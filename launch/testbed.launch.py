@@ -1,69 +1,64 @@
-"""The whole testbed on hardware, on a ROS installation.
+"""The testbed on hardware, on a ROS installation: the nodes that `socket-testbed run` starts.
 
 ros2 launch socket_testbed testbed.launch.py params:=/path/of/testbed.yaml record:=/path/of/trial
 """
 
-from launch.actions import DeclareLaunchArgument, SetEnvironmentVariable
-from launch.conditions import IfCondition
-from launch.substitutions import LaunchConfiguration, PathJoinSubstitution, PythonExpression
+import tempfile
+from pathlib import Path
+
+from launch.actions import DeclareLaunchArgument, OpaqueFunction, SetEnvironmentVariable
+from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
-from launch_ros.substitutions import FindPackageShare
 
-from launch import LaunchDescription
+from launch import LaunchContext, LaunchDescription
 from socket_testbed.clocks import BEGINNING, SteadyClock
+from socket_testbed.files import packaged
+from socket_testbed.live.bringup import Testbed
+from socket_testbed.live.processes import write_parameters
+from socket_testbed.settings.testbed import read_testbed
 
-SENSING = ["cluster_node", "load_cell_node", "mocap_node", "calibration_node", "estimator_node"]
+# Parameters and the tare, until this program ends: a node that is started again finds them.
+TEMPORARY = tempfile.TemporaryDirectory(prefix="socket_testbed_")
 
 
-def generate_launch_description() -> LaunchDescription:
-    geometry = LaunchConfiguration("geometry")
-    calibration = LaunchConfiguration("calibration")
-    params = LaunchConfiguration("params")
-    record = LaunchConfiguration("record")
-    recording = IfCondition(PythonExpression(["'", record, "' != ''"]))
+def bring_up(context: LaunchContext) -> list[Node]:
+    def given(name: str) -> str:
+        return LaunchConfiguration(name).perform(context)
 
-    def packaged(name: str) -> PathJoinSubstitution:
-        return PathJoinSubstitution([FindPackageShare("socket_testbed"), "config", name])
-
-    def node(executable: str, parameters: dict, condition: IfCondition | None = None) -> Node:
-        return Node(
+    testbed = Testbed(
+        read_testbed(Path(given("params"))),
+        geometry=Path(given("geometry")).resolve(),
+        calibration=Path(given("calibration")).resolve(),
+        record=Path(given("record")) if given("record") else None,
+    )
+    testbed.check_devices()
+    folder = Path(TEMPORARY.name)
+    return [
+        Node(
             package="socket_testbed",
-            executable=executable,
-            name=executable,
-            namespace=LaunchConfiguration("namespace"),
-            parameters=[params, parameters],
-            condition=condition,
+            executable=node.name,
+            name=node.name,
+            namespace=given("namespace"),
+            parameters=[str(write_parameters([node], folder / f"{node.name}.yaml"))],
             respawn=True,  # what is killed comes back; the others go on meanwhile
             respawn_delay=0.5,
             output="screen",
         )
+        for node in testbed.nodes(folder)
+    ]
 
-    # A node that is started again tells the same time as the others.
-    beginning = SetEnvironmentVariable(BEGINNING, str(SteadyClock().beginning))
+
+def generate_launch_description() -> LaunchDescription:
+    config = {name: str(packaged("config", f"{name}.yaml")) for name in ("socket", "calibration")}
     return LaunchDescription(
         [
-            beginning,
+            # A node that is started again tells the same time as the others.
+            SetEnvironmentVariable(BEGINNING, str(SteadyClock().beginning)),
             DeclareLaunchArgument("params", description="node parameters, a testbed.yaml"),
-            DeclareLaunchArgument("geometry", default_value=packaged("socket.yaml")),
-            DeclareLaunchArgument("calibration", default_value=packaged("calibration.yaml")),
+            DeclareLaunchArgument("geometry", default_value=config["socket"]),
+            DeclareLaunchArgument("calibration", default_value=config["calibration"]),
             DeclareLaunchArgument("record", default_value="", description="folder of a new trial"),
             DeclareLaunchArgument("namespace", default_value="", description="of the nodes"),
-            node(
-                "recorder_node",
-                {
-                    "record": True,
-                    "directory": record,
-                    "geometry": geometry,
-                    "calibration": calibration,
-                    "parameters": params,
-                },
-                recording,
-            ),
-            node("trigger_node", {"wait_for": SENSING}),
-            node("cluster_node", {}),
-            node("load_cell_node", {}),
-            node("mocap_node", {"geometry": geometry}),
-            node("calibration_node", {"calibration": calibration}),
-            node("estimator_node", {"geometry": geometry}),
+            OpaqueFunction(function=bring_up),
         ]
     )

@@ -1,17 +1,12 @@
 """The same sources as a colcon workspace, and as an installed package."""
 
 import os
-import runpy
 import shutil
 import subprocess
 import sys
 from pathlib import Path
-from types import ModuleType
-from typing import ClassVar
 
 import pytest
-
-from socket_testbed.settings.testbed import TestbedSettings
 
 pytestmark = pytest.mark.slow
 
@@ -106,39 +101,3 @@ def test_a_plain_colcon_build_gives_a_package_that_works_anywhere(
     )
     assert all(str(path) in out for path in paths)
     assert (tmp_path / "trial" / "trial.mcap").is_file()
-
-
-class Stub:
-    """Stands for whatever a launch file uses of launch, which only a ROS installation has."""
-
-    made: ClassVar[list[dict]] = []
-
-    def __init__(self, *_: object, **given: object) -> None:
-        if "executable" in given:
-            Stub.made.append(given)
-
-
-@pytest.mark.parametrize("name", ["replay", "testbed"])
-def test_a_launch_file_starts_real_nodes_with_parameters_they_have(
-    name: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    class Anything(ModuleType):
-        def __getattr__(self, attribute: str) -> type[Stub]:
-            return Stub
-
-    for package, parts in {
-        "launch": ("actions", "conditions", "event_handlers", "events", "substitutions"),
-        "launch_ros": ("actions", "parameter_descriptions", "substitutions"),
-    }.items():
-        for module in (package, *(f"{package}.{part}" for part in parts)):
-            monkeypatch.setitem(sys.modules, module, Anything(module))
-    monkeypatch.setattr(Stub, "made", [])
-    program = runpy.run_path(str(ROOT / "launch" / f"{name}.launch.py"))
-    program["generate_launch_description"]()
-    assert len(Stub.made) >= 3
-    for node in Stub.made:
-        settings = TestbedSettings().nodes()[str(node["executable"])]
-        assert node["name"] == node["executable"]
-        for parameters in node["parameters"]:
-            if isinstance(parameters, dict):
-                assert set(parameters) - {"use_sim_time"} <= set(settings.flat())

@@ -1,0 +1,160 @@
+"""The launch files, with stand-ins for launch and launch_ros, which only a ROS installation has."""
+
+import runpy
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import pytest
+import yaml
+from support import CHECKOUT
+from support.bags import move_to_namespace
+
+from socket_testbed.errors import TestbedError
+from socket_testbed.files import packaged
+from socket_testbed.live.bringup import Testbed
+from socket_testbed.settings.testbed import TestbedSettings, read_testbed
+
+
+class Stub:
+    """Stands for any class of launch: it keeps what it is made with."""
+
+    def __init__(self, *positional: Any, **given: Any) -> None:
+        self.positional, self.given = positional, given
+
+    def perform(self, context: dict[str, str]) -> str:
+        return context[self.positional[0]]
+
+
+Launch = Callable[..., list[Stub]]
+
+
+@pytest.fixture
+def launch(monkeypatch: pytest.MonkeyPatch) -> Launch:
+    """Runs a launch file with arguments; returns the actions that it gives."""
+
+    class Anything(ModuleType):
+        def __getattr__(self, attribute: str) -> type[Stub]:
+            return Stub
+
+    for package, parts in {
+        "launch": ("actions", "event_handlers", "events", "substitutions"),
+        "launch_ros": ("actions",),
+    }.items():
+        for module in (package, *(f"{package}.{part}" for part in parts)):
+            monkeypatch.setitem(sys.modules, module, Anything(module))
+    kept = []
+
+    def run(name: str, **arguments: object) -> list[Stub]:
+        program = runpy.run_path(str(CHECKOUT / "launch" / f"{name}.launch.py"))
+        kept.append(program)
+        (actions,) = program["generate_launch_description"]().positional
+        declared = {a.positional[0]: a.given.get("default_value") for a in actions if a.positional}
+        context = {key: str(value) for key, value in (declared | arguments).items()}
+        (bring_up,) = (a.given["function"] for a in actions if "function" in a.given)
+        return bring_up(context)
+
+    return run
+
+
+def nodes(actions: list[Stub]) -> dict[str, Stub]:
+    return {a.given["name"]: a for a in actions if "executable" in a.given}
+
+
+def parameters(action: Stub) -> dict[str, Any]:
+    """What the parameter file of a node says."""
+    (file,) = action.given["parameters"]
+    content = yaml.safe_load(Path(file).read_text())
+    return content[f"/**/{action.given['name']}"]["ros__parameters"]
+
+
+@pytest.fixture
+def params(tmp_path: Path) -> Path:
+    """Node parameters of a testbed that could be real."""
+    content = yaml.safe_load(packaged("config", "simulated.yaml").read_text())
+    content["mocap_node"] = {"ros__parameters": {"server": "192.0.2.1"}}
+    content["trigger_node"] = {"ros__parameters": {"rate": 20.0}}
+    path = tmp_path / "testbed.yaml"
+    path.write_text(yaml.safe_dump(content))
+    return path
+
+
+def test_the_testbed_is_launched_as_run_starts_it(
+    launch: Launch, params: Path, tmp_path: Path
+) -> None:
+    record = tmp_path / "trial"
+    launched = nodes(launch("testbed", params=params, record=record))
+    described = Testbed(read_testbed(params), record=record).nodes(tmp_path)
+    assert list(launched) == [node.name for node in described]
+    kinds = TestbedSettings().nodes()
+    for node in described:
+        action, found = launched[node.name], parameters(launched[node.name])
+        assert action.given["package"] == "socket_testbed"
+        assert action.given["executable"] == node.name
+        assert action.given["respawn"]
+        assert not found.pop("use_sim_time")
+        expected = node.settings.to_flat()
+        assert set(found) == set(expected) == set(kinds[node.name].flat())
+        for name, value in expected.items():
+            if name not in {"tare_file", "parameters"}:  # in the launch's own folder
+                assert found[name] == ([""] if value == [] else value), name
+    assert parameters(launched["trigger_node"])["rate"] == 20.0
+    assert "recorder_node" in parameters(launched["trigger_node"])["wait_for"]
+    stored = Path(parameters(launched["recorder_node"])["parameters"])
+    assert read_testbed(stored).trigger_node.rate == 20.0
+
+
+def test_without_a_trial_there_is_no_recorder(launch: Launch, params: Path) -> None:
+    launched = nodes(launch("testbed", params=params))
+    assert "recorder_node" not in launched
+    assert "recorder_node" not in parameters(launched["trigger_node"])["wait_for"]
+
+
+def test_a_load_cell_node_that_is_started_again_finds_its_tare(
+    launch: Launch, params: Path, tmp_path: Path
+) -> None:
+    """A respawn runs the same command: the tare's file is in it, in a folder that stays."""
+    tare = Path(parameters(nodes(launch("testbed", params=params))["load_cell_node"])["tare_file"])
+    assert tare.parent.is_dir() and not tare.exists()
+    content = yaml.safe_load(params.read_text())
+    content["load_cell_node"]["ros__parameters"]["tare_file"] = str(tmp_path / "mine.json")
+    params.write_text(yaml.safe_dump(content))
+    launched = nodes(launch("testbed", params=params))
+    assert parameters(launched["load_cell_node"])["tare_file"] == str(tmp_path / "mine.json")
+
+
+def test_what_is_wrong_is_named_before_any_node_starts(launch: Launch, params: Path) -> None:
+    content = yaml.safe_load(params.read_text())
+    content["cluster_node"] = {"ros__parameters": {"names": ["distale", "a", "b", "c"]}}
+    params.write_text(yaml.safe_dump(content))
+    with pytest.raises(TestbedError, match="distale"):
+        launch("testbed", params=params)
+
+
+def test_a_trial_is_replayed_through_calibration_and_estimator(launch: Launch, hold: Path) -> None:
+    actions = launch("replay", trial=hold, rate="2", loop="true")
+    launched = nodes(actions)
+    assert list(launched) == ["calibration_node", "estimator_node", "replay_node"]
+    assert {a.given["namespace"] for a in launched.values()} == {"/"}
+    replay = parameters(launched["replay_node"])
+    assert (replay["trial"], replay["rate"], replay["loop"]) == (str(hold), 2.0, True)
+    assert replay["measured_only"] and replay["wait_for"] == ["calibration_node", "estimator_node"]
+    for name, key in (("calibration_node", "calibration"), ("estimator_node", "geometry")):
+        found = parameters(launched[name])
+        assert found["use_sim_time"]
+        assert Path(found[key]).parent == hold
+    # The end of the replay ends the launch.
+    (handler,) = (a for a in actions if "executable" not in a.given)
+    assert handler.positional[0].given["target_action"] is launched["replay_node"]
+
+
+def test_a_replay_goes_into_the_namespace_of_its_trial(
+    launch: Launch, hold: Path, tmp_path: Path
+) -> None:
+    target = move_to_namespace(hold, tmp_path / "lab", "/lab")
+    launched = nodes(launch("replay", trial=target))
+    assert launched["estimator_node"].given["namespace"] == "/lab"
+    launched = nodes(launch("replay", trial=target, namespace="/other"))
+    assert launched["estimator_node"].given["namespace"] == "/other"
