@@ -19,12 +19,30 @@ from collections.abc import Callable
 BEGINNING = "SOCKET_TESTBED_BEGINNING"  # of the steady clock, since the epoch [ns]
 TIME_SCALE = "SOCKET_TESTBED_TIME_SCALE"  # testbed seconds per real second, in (0, 1] [-]
 
-_scale = float(os.environ.get(TIME_SCALE, "1"))
+
+def _inherited_scale() -> float:
+    """The scale that this process was started with; a wrong one ends it with an error."""
+    text = os.environ.get(TIME_SCALE, "1")
+    try:
+        if 0.0 < float(text) <= 1.0:
+            return float(text)
+    except ValueError:
+        pass
+    raise SystemExit(f"error: {TIME_SCALE}={text}: set a number above 0, 1 at most, or unset it")
+
+
+_scale = _inherited_scale()
 
 
 def time_scale() -> float:
     """Testbed seconds per real second of this process [-]; 1 on hardware."""
     return _scale
+
+
+def shared_environment(scale: float = 1.0) -> dict[str, str]:
+    """Environment of the processes of one testbed: its time scale [-] and where its time begins."""
+    beginning = time.time_ns() - round(time.monotonic_ns() * scale)
+    return {TIME_SCALE: str(scale), BEGINNING: str(beginning)}
 
 
 def monotonic() -> float:

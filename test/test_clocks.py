@@ -1,9 +1,14 @@
+import os
+import subprocess
+import sys
+import time
 from collections.abc import Iterator
 
 import numpy as np
 import pytest
 
-from socket_testbed.clocks import BEGINNING, SteadyClock
+from socket_testbed import clocks as clocks_module
+from socket_testbed.clocks import BEGINNING, TIME_SCALE, SteadyClock
 
 START = 1_760_000_000_123_456_789  # [ns]
 
@@ -81,3 +86,39 @@ def test_processes_of_one_graph_tell_the_same_time(
     later = SteadyClock(lambda: clocks.wall, lambda: clocks.steady)
     assert later.now() == clock.now()
     assert later.step() == clock.step() == 3600.0
+
+
+def in_process(scale: str, code: str) -> subprocess.CompletedProcess[str]:
+    """Run code in a process of a testbed with a time scale."""
+    return subprocess.run(
+        [sys.executable, "-c", f"from socket_testbed import clocks; {code}"],
+        check=False,
+        env={**os.environ, **clocks_module.shared_environment(1.0), TIME_SCALE: scale},
+        capture_output=True,
+        text=True,
+    )
+
+
+@pytest.mark.parametrize("scale", [1.0, 0.25])
+def test_the_processes_of_a_testbed_run_at_its_scale(scale: float) -> None:
+    code = (
+        "import time; a = time.monotonic(), time.monotonic_ns();"
+        "print(clocks.time_scale(), clocks.real(3.0), clocks.monotonic() - clocks.time_scale()"
+        " * a[0], clocks.monotonic_ns() - clocks.time_scale() * a[1])"
+    )
+    found, real, later, later_ns = map(float, in_process(str(scale), code).stdout.split())
+    assert (found, real) == (scale, 3.0 / scale)
+    assert later >= 0.0 and later_ns >= -256.0  # [ns]; what a float resolves
+
+
+@pytest.mark.parametrize("scale", ["0", "-1", "1.5", "nan", "slow"])
+def test_a_wrong_scale_is_refused_in_a_line(scale: str) -> None:
+    ended = in_process(scale, "")
+    assert ended.returncode == 1
+    assert ended.stderr.startswith(f"error: SOCKET_TESTBED_TIME_SCALE={scale}: set a number")
+
+
+def test_a_scaled_testbed_s_time_begins_now() -> None:
+    beginning = int(clocks_module.shared_environment(0.25)[BEGINNING])
+    now = beginning + 0.25 * time.monotonic_ns()
+    assert now == pytest.approx(time.time_ns(), abs=60e9)

@@ -15,8 +15,8 @@ from socket_testbed.simulation.limb import SCENARIOS
 from socket_testbed.simulation.world import FAULTS
 
 
-def add_simulation(parser: argparse.ArgumentParser) -> None:
-    """Hardware that is simulated at its buses."""
+def add_simulation(parser: argparse.ArgumentParser) -> argparse._ArgumentGroup:
+    """Hardware that is simulated at its buses; returns the group of these arguments."""
     group = parser.add_argument_group("simulated hardware")
     group.add_argument("--simulated", action="store_true", help="simulate it at its buses")
     group.add_argument(
@@ -30,6 +30,7 @@ def add_simulation(parser: argparse.ArgumentParser) -> None:
         "--fault", action="append", default=[], metavar="NAME=VALUE",
         help="switch a fault on, such as load_cell.flipped_bits=0.01; see docs/faults.md",
     )  # fmt: skip
+    return group
 
 
 def simulation_of(options: argparse.Namespace) -> tuple[Simulation | None, dict[str, float]]:

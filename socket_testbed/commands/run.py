@@ -21,6 +21,7 @@ from socket_testbed.identification.fit import check_names
 from socket_testbed.identification.model_file import read_model
 from socket_testbed.live.bringup import Simulation, Testbed, end, start, summary
 from socket_testbed.live.processes import Graph
+from socket_testbed.live.time_scale import busy_note, measure_speed, pace
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -31,12 +32,17 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--model", type=Path, metavar="MODEL", help="predict with it, fit none")
     parser.add_argument("--rate", type=float, metavar="HZ", help="rate of the trigger [Hz]")
     parser.add_argument(
-        "--duration", type=float, metavar="S", help="end by itself after S, start included [s]"
-    )
+        "--duration", type=float, metavar="S",
+        help="end by itself after S of testbed time, start included [s]",
+    )  # fmt: skip
     parser.add_argument(
         "--one-process", action="store_true", help="all nodes but trigger and recorder in one"
     )
-    add_simulation(parser)
+    group = add_simulation(parser)
+    group.add_argument(
+        "--time-scale", metavar="X", default="1",
+        help="run X times as fast as real time, 1 at most; auto: as fast as the machine manages",
+    )  # fmt: skip
     parser.set_defaults(run=run)
 
 
@@ -47,6 +53,11 @@ def run(options: argparse.Namespace) -> None:
     if options.record is not None:
         _check_writable(options.record)
     simulation, faults = simulation_of(options)
+    if simulation is not None:
+        scale = _time_scale(options.time_scale)
+        simulation = dataclasses.replace(simulation, time_scale=scale)
+    elif options.time_scale != "1":
+        raise ConfigurationError("--time-scale is for simulated hardware", "add --simulated")
     testbed = _testbed(options, simulation)
     with Graph() as graph:
         world = start(graph, testbed)
@@ -54,7 +65,7 @@ def run(options: argparse.Namespace) -> None:
             assert world is not None
             world.faults.switch(name, value)
         _say("the testbed starts; Ctrl-C ends it")
-        ends = time.monotonic() + (options.duration or float("inf"))
+        ends = time.monotonic() + (options.duration or float("inf")) / testbed.time_scale
         try:
             graph.watch(lambda: time.monotonic() >= ends, _say)
         except KeyboardInterrupt:
@@ -74,6 +85,24 @@ def _check_writable(path: Path) -> None:
         raise ConfigurationError(
             f"{path}: cannot be written ({error.strerror})", "name another folder with --record"
         ) from None
+
+
+def _time_scale(text: str) -> float:
+    """The time scale that is given or, for 'auto', measured; it says so unless it is 1."""
+    if text == "auto":
+        scale = measure_speed().time_scale()
+        if note := busy_note(scale):
+            _say(note)
+        return scale
+    try:
+        scale = check_number(float(text), "--time-scale", 0.01, 1.0)
+    except ValueError:
+        raise ConfigurationError(
+            f"--time-scale: '{text}' is no number", "give a number up to 1, or auto"
+        ) from None
+    if scale != 1.0:
+        _say(f"the simulated testbed runs at {pace(scale)}")
+    return scale
 
 
 def _say(line: str) -> None:

@@ -8,10 +8,12 @@ from pathlib import Path
 
 import numpy as np
 
+from socket_testbed import clocks
 from socket_testbed.arrays import FloatArray
 from socket_testbed.drivers.clusters.i2c import I2cBus, open_i2c
 from socket_testbed.drivers.load_cell.ads131m0x import SpiDevice, open_spi
 from socket_testbed.drivers.trigger import GpiodLines, GpioTrigger, TimerTrigger, Trigger
+from socket_testbed.errors import ConfigurationError
 from socket_testbed.settings.acquisition import (
     ClusterSettings,
     LoadCellSettings,
@@ -26,18 +28,28 @@ from socket_testbed.simulation.world import World
 _I2C_FREQUENCY = 400e3  # [Hz]
 
 
+def _require_real_time() -> None:
+    """Refuse a time scale where there is hardware, which keeps to real time."""
+    if clocks.time_scale() != 1.0:
+        raise ConfigurationError(
+            f"{clocks.TIME_SCALE}={clocks.time_scale():g} is for a simulated testbed, not hardware",
+            "unset it",
+        )
+
+
 def make_trigger(settings: TriggerSettings) -> Trigger:
     """The trigger.
 
     Raises:
         DeviceError: If the lines cannot be had.
-        ConfigurationError: If there is no such simulated world.
+        ConfigurationError: If there is no such simulated world, or a time scale on hardware.
     """
     if settings.source == "timer":
         return TimerTrigger()
     if settings.simulation:
         faults = World(Path(settings.simulation)).faults
         return GpioTrigger(SimulatedLines(faults), settings)
+    _require_real_time()
     return GpioTrigger(GpiodLines(settings), settings)
 
 
@@ -52,9 +64,10 @@ def i2c_opener(settings: ClusterSettings) -> Callable[[int], I2cBus]:
     """What opens an I2C bus by its number.
 
     Raises:
-        ConfigurationError: If there is no such simulated world.
+        ConfigurationError: If there is no such simulated world, or a time scale on hardware.
     """
     if not settings.simulation:
+        _require_real_time()
         return lambda number: open_i2c(number, settings.bus_timeout)
     world = World(Path(settings.simulation))
     noise = np.random.default_rng().normal
@@ -70,9 +83,10 @@ def spi_opener(settings: LoadCellSettings) -> Callable[[], SpiDevice]:
     """What opens the load cell's converter.
 
     Raises:
-        ConfigurationError: If there is no such simulated world.
+        ConfigurationError: If there is no such simulated world, or a time scale on hardware.
     """
     if not settings.simulation:
+        _require_real_time()
         return lambda: open_spi(settings.device, settings.spi_clock)
     world = World(Path(settings.simulation))
     rng = np.random.default_rng()

@@ -18,7 +18,7 @@ from typing import IO, Self
 
 import yaml
 
-from socket_testbed.clocks import BEGINNING, Backoff, SteadyClock
+from socket_testbed.clocks import Backoff, shared_environment
 from socket_testbed.errors import ConfigurationError, TestbedError
 from socket_testbed.settings.fields import Settings, parameter_values
 
@@ -129,7 +129,7 @@ class Graph:
         self._environment = {
             **os.environ,
             PARENT: str(os.getpid()),
-            BEGINNING: str(SteadyClock().beginning),
+            **shared_environment(),
         }
 
     def __enter__(self) -> Self:
@@ -144,6 +144,10 @@ class Graph:
     def __exit__(self, *error: object) -> None:
         self.stop()
         self._temporary.cleanup()
+
+    def set_time_scale(self, scale: float) -> None:
+        """Give what is started from now on a testbed clock of this scale, in (0, 1] [-]."""
+        self._environment |= shared_environment(scale)
 
     def start(
         self, node: str, settings: Settings, namespace: str = "/", use_sim_time: bool = False

@@ -121,6 +121,9 @@ def test_doctor_without_hardware(capsys: pytest.CaptureFixture[str], tmp_path: P
         (["--simulated", "--period", "1"], "--period"),
         (["--simulated", "--rate", "1e6"], "rate"),
         (["--simulated", "--leave-out", "distal.Fq"], "distal.F"),
+        (["--simulated", "--time-scale", "2"], "--time-scale is 2"),
+        (["--simulated", "--time-scale", "slow"], "'slow' is no number"),
+        (["--time-scale", "0.5"], "add --simulated"),
         (["--duration", "1"], "load_cell_node: "),
     ],
 )
