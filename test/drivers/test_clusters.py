@@ -1,6 +1,6 @@
 import errno
 import random
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -16,17 +16,11 @@ from socket_testbed.drivers.clusters.i2c import (
     BusTimeoutError,
     I2cBus,
     I2cPort,
-    Multiplexer,
     NoAnswerError,
 )
-from socket_testbed.drivers.clusters.reader import (
-    MISSING,
-    OK,
-    SATURATED,
-    ClusterReader,
-    ClusterReading,
-)
+from socket_testbed.drivers.clusters.reader import ClusterReader, ClusterReading
 from socket_testbed.errors import ConfigurationError, DeviceError
+from socket_testbed.samples import Status
 from socket_testbed.settings.acquisition import ClusterSettings
 from socket_testbed.simulation.devices.i2c import (
     SimulatedClusterHardware,
@@ -35,6 +29,7 @@ from socket_testbed.simulation.devices.i2c import (
 )
 from socket_testbed.simulation.world import FAULTS
 
+OK, SATURATED, MISSING = Status.OK, Status.SATURATED, Status.MISSING
 SETTINGS = ClusterSettings()
 CYCLE = 0.01  # [s]
 FREQUENCY = 400e3  # [Hz]
@@ -42,27 +37,33 @@ START = 1000.0  # [s]
 CLUSTER_FAULTS = [name for name in FAULTS if name.startswith("clusters.")]
 
 
-class Schedule(Mapping[str, float]):
+class Schedule(dict[str, float]):
     """Faults by their spans of time, as they are at present."""
 
     def __init__(self, clock: FakeClock) -> None:
+        super().__init__()
         self.clock = clock
-        self.spans: dict[str, list[tuple[float, float, float]]] = {}
+        self.spans: list[tuple[str, float, float, float]] = []
+        self._changes_at = -np.inf  # [s]; what is on stays until then
 
     def add(self, name: str, value: float, begin: float, end: float = np.inf) -> None:
-        self.spans.setdefault(name, []).append((value, begin, end))
+        self.spans.append((name, value, begin, end))
+        self._changes_at = -np.inf
 
-    def __getitem__(self, name: str) -> float:
-        for value, begin, end in self.spans.get(name, ()):
-            if begin <= self.clock.now < end:
-                return value
-        raise KeyError(name)
+    def switch_off(self) -> None:
+        self.spans.clear()
+        self._changes_at = -np.inf
 
-    def __iter__(self) -> Iterator[str]:
-        return (name for name in self.spans if name in self)
-
-    def __len__(self) -> int:
-        return len(list(iter(self)))
+    def get(self, name: str, default: float = 0.0) -> float:  # type: ignore[override]
+        now = self.clock.now
+        if now >= self._changes_at:
+            self.clear()
+            for fault, value, begin, end in self.spans:
+                if begin <= now < end:
+                    self.setdefault(fault, value)
+            edges = [edge for _, _, *span in self.spans for edge in span if edge > now]
+            self._changes_at = min(edges, default=np.inf)
+        return super().get(name, default)
 
 
 class Spy:
@@ -202,12 +203,11 @@ def test_a_register_is_read_in_one_transfer_with_a_repeated_start() -> None:
     bus.close()
 
 
-def test_the_multiplexer_is_sent_one_byte() -> None:
-    bus = Script((("write", 0x70, b"\x08"),), (("write", 0x70, b"\x00"),))
-    multiplexer = Multiplexer(I2cPort(bus, "i2c-1", 0x70))
-    multiplexer.select(3)
-    multiplexer.off()
-    bus.close()
+def test_the_multiplexer_is_sent_one_byte_per_channel() -> None:
+    bench = Bench()
+    bench.reader.identify()
+    sent = [data for address, _, data in bench.buses[0].log if address == 0x70]
+    assert sent == [b"\x01", b"\x02", b"\x04", b"\x08"]
 
 
 @pytest.mark.parametrize(("rate", "conf"), [(100, 0x05F0), (200, 0x09F0), (400, 0x0DF0)])
@@ -279,22 +279,25 @@ class FailingBus:
         (errno.EAGAIN, BusError, r"transfer failed at .*temporarily.*: check the cluster's"),
     ],
 )
-def test_errors_name_the_place_and_the_mend(number: int, kind: type[BusError], text: str) -> None:
+def test_errors_name_the_place_and_the_hint(number: int, kind: type[BusError], text: str) -> None:
     port = I2cPort(FailingBus(number), "i2c-1", 0x50, "behind channel 2 of 0x70")
     for call in (lambda: port.read(0), lambda: port.write(0, 0), lambda: port.write_byte(0)):
         with pytest.raises(BusError, match=text) as caught:
             call()
         assert type(caught.value) is kind
-        assert (caught.value.bus, caught.value.address) == ("i2c-1", 0x50)
+        assert caught.value.address == 0x50
         assert "0x50 behind channel 2 of 0x70 on i2c-1" in str(caught.value)
 
 
 @pytest.mark.parametrize(
     ("error", "text"),
     [
-        (PermissionError(errno.EACCES, "x"), r"i2c-7: no permission.*: add the user to the group"),
-        (FileNotFoundError(errno.ENOENT, "x"), r"i2c-7: there is no /dev/i2c-7: enable the bus"),
-        (OSError(errno.ENOTTY, "x"), r"i2c-7: /dev/i2c-7 cannot be opened .*: check"),
+        (
+            PermissionError(errno.EACCES, "x"),
+            r"/dev/i2c-7: permission denied: add the user to",
+        ),
+        (FileNotFoundError(errno.ENOENT, "x"), r"there is no /dev/i2c-7: enable the bus"),
+        (OSError(errno.ENOTTY, "x"), r"/dev/i2c-7 cannot be opened .*: check"),
     ],
 )
 def test_a_bus_that_cannot_be_opened_says_why(
@@ -321,7 +324,7 @@ def test_a_bus_that_cannot_be_opened_says_why(
     assert len(reading.faults) == 4 and len(set(reading.faults.values())) == 1
 
 
-def test_the_bus_is_told_its_time_out(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_kernel_gets_the_time_out_of_the_bus(monkeypatch: pytest.MonkeyPatch) -> None:
     class Opened:
         fd = 5
 
@@ -371,23 +374,25 @@ def test_slow_triggers_get_new_conversions_within_about_a_cycle(
         assert bench.clock.now - trigger < 1.1 * 4 / sample_rate + 8e-3
 
 
-@pytest.mark.parametrize("speed", [1.03, 1.0, 0.99, 0.97])
+@pytest.mark.parametrize("speeds", [(1.03, 0.97, 0.999, 1.001), (1.0, 0.99, 1.0, 0.985)])
 @pytest.mark.parametrize("overhead", [0.0, 1e-3])
-def test_at_100_hz_nothing_is_lost_nor_falls_behind(speed: float, overhead: float) -> None:
-    """Also with an oscillator that is slower than the triggers."""
-    bench = Bench(speeds=(speed, 1.0, 0.999, 1.001), overhead=overhead)
+def test_at_100_hz_nothing_is_lost_nor_falls_behind(
+    speeds: tuple[float, ...], overhead: float
+) -> None:
+    """Even with oscillators that are slower than the triggers."""
+    bench = Bench(speeds=speeds, overhead=overhead)
     bench.run(100.0, 20)
     begin = bench.clock.now
-    repeated, delays = 0, []
+    repeated, delays = np.zeros(4), []
     previous = np.full((4, 4), np.nan)
     for n in range(1000):
         reading = bench.read(begin + n / 100)
         assert (reading.status == OK).all() and not reading.faults
-        repeated += int((reading.capacitance == previous).sum())
+        repeated += (reading.capacitance == previous).sum(axis=1)
         delays.append(bench.clock.now - (begin + n / 100))
         previous = reading.capacitance
     # A chip that is slower than the triggers has nothing new for some of them.
-    assert repeated <= max(0.0, 1.0 - speed) * 1000 * 4 + 30
+    assert (repeated <= np.maximum(0.0, 1.0 - np.array(speeds)) * 1000 * 4 + 30).all()
     assert max(delays) < 0.9 * CYCLE
 
 
@@ -435,7 +440,7 @@ def test_a_late_reading_is_missing_and_leaves_the_bus_alone() -> None:
     assert not bench.read().faults
 
 
-def test_what_is_wired_is_told() -> None:
+def test_what_is_wired_is_identified() -> None:
     bench = Bench()
     bench.faults.add("clusters.nack", 3.0, START)
     found = bench.reader.identify()
@@ -538,7 +543,7 @@ FAULT_CASES = [
 
 @pytest.mark.parametrize("rate", [4.0, 50.0, 100.0])
 @pytest.mark.parametrize(("fault", "value", "rows", "text"), FAULT_CASES)
-def test_a_fault_is_said_and_mended(
+def test_a_fault_is_reported_and_overcome(
     fault: str, value: float, rows: list[int], text: str, rate: float
 ) -> None:
     bench = Bench()
@@ -686,7 +691,7 @@ def test_pairs_of_faults_give_no_wrong_value_and_are_repaired(
 @pytest.mark.parametrize("rate", [4.0, 50.0, 100.0])
 def test_random_faults_give_no_wrong_value_and_are_repaired(rate: float, seed: int) -> None:
     rng = random.Random(seed)
-    triggers = 1000
+    triggers = 400
     duration = triggers / rate
     bench = Bench(
         slope=8.0 / duration,
@@ -695,13 +700,13 @@ def test_random_faults_give_no_wrong_value_and_are_repaired(rate: float, seed: i
     )
     moment = START
     while moment < START + duration:
-        moment += rng.expovariate(1.0 / (20 / rate))
+        moment += rng.expovariate(1.0 / (8 / rate))
         fault = rng.choice(CLUSTER_FAULTS)
         length = rng.choice([0.003, 0.3, 2.0])
         bench.faults.add(fault, value_of(fault, rng), moment, moment + length)
     readings = bench.run(rate, triggers)
     got = sum(int((reading.status == OK).sum()) for reading in readings)
     assert got > 0.1 * triggers * 16
-    bench.faults.spans.clear()
+    bench.faults.switch_off()
     readings = bench.run(rate, round(max(3 * rate, 10)))
     assert (readings[-1].status == OK).all() and not readings[-1].faults

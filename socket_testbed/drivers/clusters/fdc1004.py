@@ -1,18 +1,18 @@
-"""TI FDC1004: four capacitances by one converter (datasheet SNOSCY5B), read fresh for each trigger.
-
-A conversion ended after the last time that its DONE bit was known to be low. That bound, not
-the time of the read, says how old a value can be, also when a chip has hung in between.
-"""
+"""TI FDC1004: four capacitances by one converter (datasheet SNOSCY5B), read for each trigger."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+
+import numpy as np
 
 from socket_testbed import clocks
+from socket_testbed.arrays import FloatArray, StatusArray
 from socket_testbed.drivers.clusters.i2c import I2cPort
 from socket_testbed.errors import DeviceError
+from socket_testbed.samples import Status
 
 ADDRESS = 0x50  # fixed
 INPUTS = 4
@@ -39,10 +39,6 @@ class ChipResetError(DeviceError):
 
 class WrongChipError(DeviceError):
     """Another chip answers."""
-
-
-class SetUpError(DeviceError):
-    """The chip does not take its settings."""
 
 
 class Fdc1004:
@@ -82,7 +78,7 @@ class Fdc1004:
             sample_rate: Conversions, shared by the inputs: 100, 200 or 400 [1/s].
 
         Raises:
-            DeviceError: If it does not answer or does not do what it is told.
+            DeviceError: If it does not answer or does not take its settings.
         """
         self._port.write(_FDC_CONF, _RESET)
         for _ in range(_RESET_POLLS):
@@ -90,7 +86,7 @@ class Fdc1004:
             if not self._port.read(_FDC_CONF) & _RESET:
                 break
         else:
-            raise SetUpError(f"{self.where} does not leave its reset", "check its supply")
+            raise DeviceError(f"{self.where} does not leave its reset", "check its supply")
         self.check_identity()
         wanted = {_CONF_MEAS + n: self._conf_meas(n) for n in range(INPUTS)}
         wanted[_FDC_CONF] = self._conf = _RATES[sample_rate] << 10 | _REPEAT_ALL
@@ -99,7 +95,7 @@ class Fdc1004:
         for register, value in wanted.items():
             kept = self._port.read(register) & ~(_DONE if register == _FDC_CONF else 0)
             if kept != value:
-                raise SetUpError(
+                raise DeviceError(
                     f"{self.where} holds 0x{kept:04X} in register 0x{register:02X} where"
                     f" 0x{value:04X} was written",
                     "check the bus's wiring and its pull-ups",
@@ -178,53 +174,58 @@ class ConversionTimeoutError(DeviceError):
 
 @dataclass
 class _Input:
-    low: float = -math.inf  # its DONE bit was low then [s]
+    low: float  # its DONE bit was low then [s]
     settled: float = -math.inf  # what may have ended before has another CAPDAC [s]
     since: float = -math.inf  # the value's conversion ended after this [s]
     read: float = -math.inf  # a conversion was last read then [s]
-    value: float = math.nan  # [pF]
-    saturated: bool = False
+    value: float = math.nan  # [pF]; NaN if saturated
     fault: str = ""
 
 
-@dataclass
-class FreshInputs:
-    """The inputs of a chip that is selected whenever one of these methods is called.
+class InputReader:
+    """Reads the four inputs of a chip for a trigger; the chip is selected at each call.
+
+    A conversion ended after the last time that its DONE bit was known to be low. That bound, not
+    the time of the read, limits how old a value can be, even if the chip has hung in between.
+
+    Args:
+        chip: The chip.
+        sample_rate: Conversions, shared by the inputs: 100, 200 or 400 [1/s].
+        clock: The steady clock [s].
 
     Attributes:
         chip: The chip.
-        clock: The steady clock [s].
-        cycle: Time in which the chip converts all its inputs [s].
         pending: Inputs without a value for the present trigger.
         notes: What was done for the present trigger.
     """
 
-    chip: Fdc1004
-    clock: Callable[[], float]
-    cycle: float
-    pending: set[int] = field(default_factory=set)
-    notes: list[str] = field(default_factory=list)
-    _inputs: list[_Input] = field(default_factory=list)
-    _trigger: float = -math.inf
-    _begun: float = -math.inf
+    def __init__(self, chip: Fdc1004, sample_rate: int, clock: Callable[[], float]) -> None:
+        self.chip = chip
+        self.pending: set[int] = set()
+        self.notes: list[str] = []
+        self._sample_rate = sample_rate
+        self._cycle = INPUTS / sample_rate  # [s]
+        self._clock = clock
+        self._inputs: list[_Input] = []
+        self._trigger = self._begun = -math.inf  # [s]
 
     def begin(self, trigger: float) -> None:
         """Begin to gather what belongs to a trigger at a time of the steady clock [s]."""
         self.pending = set(range(INPUTS))
         self.notes = []
         self._trigger = trigger
-        self._begun = self.clock()
+        self._begun = self._clock()
 
-    def configure(self, sample_rate: int) -> None:
-        """Reset and configure the chip for a sample rate [1/s]; drops what came before.
+    def configure(self) -> None:
+        """Reset and configure the chip; drops what came before.
 
         Raises:
-            DeviceError: If the chip does not do what it is told.
+            DeviceError: If the chip does not take its settings.
         """
-        begun = self.clock()
-        self.chip.reset_and_configure(sample_rate)
+        begun = self._clock()
+        self.chip.reset_and_configure(self._sample_rate)
         self._inputs = [_Input(low=begun) for _ in range(INPUTS)]
-        self._begun = self.clock()
+        self._begun = self._clock()
         self.notes.append("set up")
 
     def poll(self) -> bool:
@@ -234,28 +235,29 @@ class FreshInputs:
             ConversionTimeoutError: If a conversion should have ended long ago.
             DeviceError: If the chip fails otherwise; what it has given is not to be used.
         """
-        asked = self.clock()
+        asked = self._clock()
         done = self.chip.done()
-        codes = {}
-        for n in sorted(self.pending):
-            if done[n]:
-                codes[n] = self._read(n)
-            else:
-                self._await(n, asked)
+        codes = {n: self._read(n) for n in sorted(self.pending) if done[n]}
+        for n in self.pending - codes.keys():
+            self._await(n, asked)
         if codes:
             # A chip that lost its supply while it was read gave zeros that look like values.
             self.chip.done()
         for n, code in codes.items():
-            self._take(n, code)
+            if code is not None:
+                self._take(n, code)
         return bool(self.pending)
 
-    def value(self, n: int) -> float:
-        """Capacitance of an input for the present trigger [pF]; NaN if saturated."""
-        return self._inputs[n].value
+    @property
+    def capacitance(self) -> FloatArray:
+        """Capacitances for the present trigger, shape (4,) [pF]; NaN if saturated."""
+        return np.array([entry.value for entry in self._inputs])
 
-    def saturated(self, n: int) -> bool:
-        """Whether an input is out of the converter's range."""
-        return self._inputs[n].saturated
+    @property
+    def status(self) -> StatusArray:
+        """OK, or SATURATED for an input out of the converter's range, shape (4,)."""
+        saturated = np.isnan(self.capacitance)
+        return np.where(saturated, Status.SATURATED, Status.OK).astype(np.uint8)
 
     @property
     def read(self) -> float:
@@ -267,17 +269,13 @@ class FreshInputs:
         """What is wrong with inputs that were read; empty if nothing."""
         return "; ".join(entry.fault for entry in self._inputs if entry.fault)
 
-    @property
-    def _oldest(self) -> float:
-        return self._trigger - _OLDEST * self.cycle
-
     def _read(self, n: int) -> int | None:
         """The code of an input [1], or None if it may be too old; it is cleared either way."""
         entry = self._inputs[n]
-        entry.since, entry.low = entry.low, self.clock()
+        entry.since, entry.low = entry.low, self._clock()
         code = self.chip.read(n)
-        entry.read = self.clock()
-        if entry.since < max(self._oldest, entry.settled):
+        entry.read = self._clock()
+        if entry.since < max(self._trigger - _OLDEST * self._cycle, entry.settled):
             entry.since = -math.inf
             return None
         return code
@@ -287,32 +285,27 @@ class FreshInputs:
         entry.low = asked
         # At triggers as fast as the cycle, waiting for the next conversion each time would
         # make the readings fall behind; the last one may be nearer to this trigger.
-        near = _SHARED * self.cycle
-        is_late = asked >= self._trigger + near
-        if is_late and entry.read >= self._trigger - near and entry.since >= self._oldest:
+        near = _SHARED * self._cycle
+        is_young = entry.since >= self._trigger - _OLDEST * self._cycle
+        if asked >= self._trigger + near and entry.read >= self._trigger - near and is_young:
             self.pending.discard(n)
-        elif asked - max(self._begun, entry.read) > _UNFINISHED * self.cycle:
+        elif asked - max(self._begun, entry.read) > _UNFINISHED * self._cycle:
             raise ConversionTimeoutError(
                 f"conversions of input {n + 1} do not finish at {self.chip.where}",
                 "the chip is reset; if this comes again, check its supply",
             )
 
-    def _take(self, n: int, code: int | None) -> None:
-        if code is None:
-            return
+    def _take(self, n: int, code: int) -> None:
         entry = self._inputs[n]
-        entry.value, entry.saturated, entry.fault = math.nan, is_saturated(code), ""
-        if not entry.saturated:
+        entry.value, entry.fault = math.nan, ""
+        if not is_saturated(code):
             entry.value = capacitance(code, self.chip.capdac[n])
         elif self.chip.step_capdac(n, code):
-            entry.settled = self.clock() + _SETTLING * self.cycle
+            entry.settled = self._clock() + _SETTLING * self._cycle
             self.notes.append(f"CAPDAC of input {n + 1} set to {self.chip.capdac[n]}")
         else:
-            entry.fault = str(
-                DeviceError(
-                    f"input {n + 1} is out of range at {self.chip.where}, CAPDAC"
-                    f" {self.chip.capdac[n]}",
-                    "check its sensor for a short or a broken wire",
-                )
+            entry.fault = (
+                f"input {n + 1} is out of range at {self.chip.where}, CAPDAC"
+                f" {self.chip.capdac[n]}: check its sensor for a short or a broken wire"
             )
         self.pending.discard(n)

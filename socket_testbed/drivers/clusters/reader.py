@@ -2,29 +2,28 @@
 
 from __future__ import annotations
 
+import errno
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, field
 
 import numpy as np
+from smbus2 import i2c_msg
 
 from socket_testbed import clocks
 from socket_testbed.arrays import FloatArray, StatusArray
-from socket_testbed.clocks import Backoff
-from socket_testbed.drivers.clusters.fdc1004 import ADDRESS, INPUTS, Fdc1004, FreshInputs
+from socket_testbed.drivers.clusters.fdc1004 import ADDRESS, INPUTS, Fdc1004, InputReader
 from socket_testbed.drivers.clusters.i2c import (
     BusError,
     BusGoneError,
     BusTimeoutError,
     I2cBus,
     I2cPort,
-    Multiplexer,
-    ReopenedBus,
+    opening_failed,
 )
 from socket_testbed.errors import ConfigurationError, DeviceError
+from socket_testbed.samples import Status
 from socket_testbed.settings.acquisition import ClusterSettings
-
-OK, SATURATED, MISSING = 0, 1, 2  # as in calibration.Status, which is on a higher floor
 
 _PAUSE = 0.05  # between two looks at the chips that still convert [cycles]
 
@@ -36,7 +35,7 @@ class ClusterReading:
     Attributes:
         names: Names of the c clusters.
         capacitance: Capacitances by input, shape (c, 4) [pF]; NaN where there is none.
-        status: `OK`, `SATURATED` or `MISSING` of each input, shape (c, 4).
+        status: OK, SATURATED or MISSING (`Status`) of each input, shape (c, 4).
         faults: What is wrong now and how to fix it, in one line, by the cluster's name.
         notes: What was done in this reading, such as a set-up.
     """
@@ -49,7 +48,19 @@ class ClusterReading:
 
 
 class ClusterReader:
-    """Reads all clusters, and never fails for what the hardware does."""
+    """Reads all clusters, and never fails for what the hardware does.
+
+    The first reading opens the buses.
+
+    Args:
+        settings: What is wired where.
+        open_bus: Opens the bus of a number.
+        clock: The steady clock [s].
+        sleep: Waits [s].
+
+    Raises:
+        ConfigurationError: If the settings do not fit together.
+    """
 
     def __init__(
         self,
@@ -58,23 +69,14 @@ class ClusterReader:
         clock: Callable[[], float] = clocks.monotonic,
         sleep: Callable[[float], None] = clocks.sleep,
     ) -> None:
-        """Describe the array; the first reading opens the buses.
-
-        Args:
-            settings: What is wired where.
-            open_bus: Opens the bus of a number.
-            clock: The steady clock [s].
-            sleep: Waits [s].
-
-        Raises:
-            ConfigurationError: If the settings do not fit together.
-        """
         check_settings(settings)
         self._settings = settings
         self._clock = clock
         self._sleep = sleep
-        self._cycle = INPUTS / settings.sample_rate  # [s]
-        self._buses = {number: _Bus(number, open_bus, settings) for number in settings.buses}
+        self._pause = _PAUSE * INPUTS / settings.sample_rate  # [s]
+        self._buses = {
+            number: _Bus(number, open_bus, settings.multiplexer) for number in settings.buses
+        }
         self._clusters = [
             self._describe(*wired)
             for wired in zip(settings.names, settings.buses, settings.channels, strict=True)
@@ -92,13 +94,15 @@ class ClusterReader:
         # Those to be set up come last: they would hold up the others.
         waiting = sorted(self._clusters, key=lambda cluster: not cluster.configured)
         while waiting := [cluster for cluster in waiting if self._advance(cluster)]:
-            self._sleep(_PAUSE * self._cycle)
+            self._sleep(self._pause)
         return self._reading(trigger)
 
     @property
     def _too_late(self) -> str:
-        fact = f"read more than {self._settings.latest:g} s after the trigger"
-        return str(DeviceError(fact, "lower the trigger's rate, or relieve the computer"))
+        return (
+            f"read more than {self._settings.latest:g} s after the trigger:"
+            " lower the trigger's rate, or relieve the computer"
+        )
 
     def identify(self) -> dict[str, str | DeviceError]:
         """What is found at each cluster's place, or what is wrong there, by its name."""
@@ -106,7 +110,6 @@ class ClusterReader:
         for cluster in self._clusters:
             chip = cluster.inputs.chip
             try:
-                cluster.bus.line.open()
                 cluster.select()
                 chip.check_identity()
                 found[cluster.name] = f"FDC1004 at {chip.where}"
@@ -117,32 +120,33 @@ class ClusterReader:
     def close(self) -> None:
         """Disconnect the chips and close the buses."""
         for bus in self._buses.values():
-            if bus.multiplexer and bus.line.is_open:
+            if bus.is_open:
                 with suppress(DeviceError):
-                    bus.multiplexer.off()
+                    bus.disconnect()
             self._close(bus)
 
     def _describe(self, name: str, number: int, channel: int) -> _Cluster:
         bus, address = self._buses[number], self._settings.multiplexer
         place = f"behind channel {channel} of 0x{address:02X}" if address else ""
-        chip = Fdc1004(I2cPort(bus.line, bus.line.name, ADDRESS, place), self._sleep)
-        return _Cluster(name, bus, channel, FreshInputs(chip, self._clock, self._cycle))
+        chip = Fdc1004(I2cPort(bus, bus.name, ADDRESS, place), self._sleep)
+        inputs = InputReader(chip, self._settings.sample_rate, self._clock)
+        return _Cluster(name, bus, channel, inputs)
 
     def _advance(self, cluster: _Cluster) -> bool:
         """Look at a cluster once; returns whether to look again."""
         bus, now = cluster.bus, self._clock()
-        if not bus.line.is_open and not bus.backoff.due(now):
+        if not bus.is_open and not bus.backoff.due(now):
             bus.given_up = bus.fault
         if bus.given_up:
             cluster.fault = bus.given_up
             return False
         try:
-            bus.line.open()
+            bus.open()
             if not cluster.configured and not cluster.backoff.due(now):
                 return False
             cluster.select()
             if not cluster.configured:
-                cluster.inputs.configure(self._settings.sample_rate)
+                cluster.inputs.configure()
                 cluster.configured = True
             if cluster.inputs.poll():
                 return True
@@ -162,7 +166,7 @@ class ClusterReader:
             # Every transfer on a bus that hangs takes its whole time-out: one is enough.
             bus.given_up = str(error)
         of_multiplexer = isinstance(error, BusError) and error.address != ADDRESS
-        if bus.line.is_open and not of_multiplexer and not isinstance(error, BusGoneError):
+        if bus.is_open and not of_multiplexer and not isinstance(error, BusGoneError):
             cluster.backoff.failed(now)
             return
         bus.given_up = bus.fault = str(error)
@@ -170,7 +174,7 @@ class ClusterReader:
         self._close(bus)
 
     def _close(self, bus: _Bus) -> None:
-        bus.line.close()
+        bus.close()
         for cluster in self._clusters:
             if cluster.bus is bus:
                 cluster.configured = False
@@ -180,39 +184,84 @@ class ClusterReader:
         reading = ClusterReading(
             self._settings.names,
             np.full(shape, np.nan),
-            np.full(shape, MISSING, dtype=np.uint8),
+            np.full(shape, Status.MISSING, dtype=np.uint8),
             faults={},
             notes=tuple(f"{c.name}: {note}" for c in self._clusters for note in c.inputs.notes),
         )
         for row, cluster in enumerate(self._clusters):
             inputs, wrong = cluster.inputs, fault or cluster.fault
-            complete = not inputs.pending
-            if complete and inputs.read > trigger + self._settings.latest:
-                complete, wrong = False, self._too_late
-            if complete:
-                for n in range(INPUTS):
-                    reading.capacitance[row, n] = inputs.value(n)
-                    reading.status[row, n] = SATURATED if inputs.saturated(n) else OK
-                wrong = wrong or inputs.faults
+            if not inputs.pending:
+                if inputs.read > trigger + self._settings.latest:
+                    wrong = self._too_late
+                else:
+                    reading.capacitance[row] = inputs.capacitance
+                    reading.status[row] = inputs.status
+                    wrong = wrong or inputs.faults
             if wrong:
                 reading.faults[cluster.name] = wrong
         return reading
 
 
 class _Bus:
-    """A bus, its multiplexer if it has one, and what is known of its state."""
+    """A bus with its multiplexer (TI TCA9548A), if it has one, and what is known of its state.
 
-    def __init__(
-        self, number: int, open_bus: Callable[[int], I2cBus], settings: ClusterSettings
-    ) -> None:
-        self.line = ReopenedBus(number, open_bus)
-        self.backoff = Backoff()
-        self.fault = ""  # why it was closed
-        self.given_up = ""  # why nothing more is read from it for the present trigger
-        self.multiplexer: Multiplexer | None = None
-        if settings.multiplexer:
-            port = I2cPort(self.line, self.line.name, settings.multiplexer, part="multiplexer")
-            self.multiplexer = Multiplexer(port)
+    It is opened when needed, and can be closed and opened under the chips on it. The chips share
+    one address: two channels at once would put them on the same wires.
+
+    Attributes:
+        name: Its name, such as i2c-1.
+        fault: Why it was closed.
+        given_up: Why nothing more is read from it for the present trigger.
+    """
+
+    def __init__(self, number: int, open_bus: Callable[[int], I2cBus], multiplexer: int) -> None:
+        self.name = f"i2c-{number}"
+        self.backoff = clocks.Backoff()
+        self.fault = ""
+        self.given_up = ""
+        self._number = number
+        self._open_bus = open_bus
+        self._bus: I2cBus | None = None
+        self._multiplexer = (
+            I2cPort(self, self.name, multiplexer, part="multiplexer") if multiplexer else None
+        )
+
+    @property
+    def is_open(self) -> bool:
+        return self._bus is not None
+
+    def open(self) -> None:
+        if self._bus is None:
+            try:
+                self._bus = self._open_bus(self._number)
+            except OSError as error:
+                raise opening_failed(self._number, error) from error
+
+    def i2c_rdwr(self, *messages: i2c_msg) -> None:
+        """Transfer messages; raises OSError, as the bus itself does."""
+        if self._bus is None:
+            raise OSError(errno.ENODEV, "the bus is closed")
+        self._bus.i2c_rdwr(*messages)
+
+    def select(self, channel: int) -> None:
+        """Connect one channel, 0..7 [1], and it alone.
+
+        It is always written: after a brown-out a remembered selection would be wrong.
+        """
+        if self._multiplexer is not None:
+            self._multiplexer.write_byte(1 << channel)
+
+    def disconnect(self) -> None:
+        """Connect no channel."""
+        if self._multiplexer is not None:
+            self._multiplexer.write_byte(0)
+
+    def close(self) -> None:
+        """Close it; one that is gone is closed already."""
+        bus, self._bus = self._bus, None
+        if bus is not None:
+            with suppress(OSError):
+                bus.close()
 
 
 @dataclass
@@ -220,14 +269,14 @@ class _Cluster:
     name: str
     bus: _Bus
     channel: int
-    inputs: FreshInputs
-    backoff: Backoff = field(default_factory=Backoff)
+    inputs: InputReader
+    backoff: clocks.Backoff = field(default_factory=clocks.Backoff)
     configured: bool = False
     fault: str = ""
 
     def select(self) -> None:
-        if self.bus.multiplexer:
-            self.bus.multiplexer.select(self.channel)
+        self.bus.open()
+        self.bus.select(self.channel)
 
 
 def check_settings(settings: ClusterSettings) -> None:
