@@ -307,10 +307,11 @@ def _wiring(options: argparse.Namespace, existing: Calibration | None) -> IntArr
 
 
 def _draw(calibrated: BenchCalibration, cluster: str, path: Path) -> None:
-    from socket_testbed.report.figures.calibration import bench_figure  # matplotlib takes its time
+    # matplotlib takes its time to import.
+    from socket_testbed.report.figures.calibration import bench_figure
+    from socket_testbed.report.figures.style import save_figure
 
-    with atomic_output(path) as staging:
-        bench_figure(calibrated, cluster, staging)
+    save_figure(bench_figure(calibrated, cluster), path)
 
 
 def _write(

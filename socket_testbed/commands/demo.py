@@ -25,6 +25,7 @@ from socket_testbed.live.bringup import (
 )
 from socket_testbed.live.processes import Graph
 from socket_testbed.report.figures.channels import wrench_figure
+from socket_testbed.report.figures.style import save_figure
 from socket_testbed.samples import LOCAL_CHANNELS, WRENCH_CHANNELS, Samples, channel_unit
 from socket_testbed.settings.identification import VARIANTS
 from socket_testbed.settings.testbed import EstimatorSettings, ReplaySettings
@@ -83,14 +84,14 @@ def run(options: argparse.Namespace) -> None:
     print(_errors(samples, trial.geometry, truth, estimates, rows))
     print("\n" + _everywhere(trial.geometry, truth, estimates, rows))
     figure = folder / "wrench.png"
-    wrench_figure(
+    drawn = wrench_figure(
         samples.time,
         samples.wrench,
         {variant: wrench for variant, (wrench, _) in estimates.items()},
         rows,
         "Simulated static hold: wrench measured live, predicted while replayed",
-        figure,
     )
+    save_figure(drawn, figure)
     print(f"\ntrial {trial.path}, figure {figure} ({time.monotonic() - started:.0f} s)")
 
 

@@ -98,8 +98,10 @@ def _write(options: argparse.Namespace, title: str, fronts: Sequence[Front]) -> 
     if options.figure is not None:
         # matplotlib takes its time to import.
         from socket_testbed.report.figures.pareto import pareto_figure
+        from socket_testbed.report.figures.style import save_figure
 
-        pareto_figure(fronts, f"{title}: trade-off between wrench and clusters", options.figure)
+        figure = pareto_figure(fronts, f"{title}: trade-off between wrench and clusters")
+        save_figure(figure, options.figure)
 
 
 def _check_figure(path: Path | None) -> None:

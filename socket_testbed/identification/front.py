@@ -14,12 +14,10 @@ They are the square roots of J_w and J_f of docs/identification.md.
 
 from __future__ import annotations
 
-import csv
-import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -28,6 +26,9 @@ from socket_testbed.files import atomic_output
 from socket_testbed.identification.contact import ContactModel
 from socket_testbed.identification.model_file import finite_or_null
 from socket_testbed.samples import WRENCH_CHANNELS, channel_unit
+
+if TYPE_CHECKING:
+    import pandas as pd
 from socket_testbed.settings.identification import Variant
 
 RESOLUTION = 1e-3  # [-]; a thousandth of what was measured is nothing to trade off
@@ -219,15 +220,36 @@ def find_knee(wrench_error: FloatArray, local_error: FloatArray, kept: BoolArray
     return Knee(int(front[deepest]), depth, (width, height), verdict)
 
 
-_HEADER = (
-    *("variant", "theta [-]", "wrench error [-]", "local error [-]", "non-dominated", "mark"),
-    *("mean moment RMSE [N m]", "mean force RMSE [N]", "median local RMSE [N]"),
-    *("KKT residual or gap [-]", "flaw"),
-)
+def front_table(fronts: Iterable[Front]) -> pd.DataFrame:
+    """Fronts of the same samples as a table, a row per solution, with the units in the names."""
+    import pandas as pd
+
+    rows = []
+    for front in fronts:
+        marks = {index: name for name, index in front.marks.items()}
+        rmse = [f"RMSE {name} [{channel_unit(name)}]" for name in front.channels]
+        rows += [
+            {
+                "variant": front.variant,
+                "theta [-]": front.theta[i],
+                "wrench error [-]": front.wrench_error[i],
+                "local error [-]": front.local_error[i],
+                "non-dominated": int(front.non_dominated[i]),
+                "mark": marks.get(i, ""),
+                "mean moment RMSE [N m]": front.moment_rmse[i],
+                "mean force RMSE [N]": front.force_rmse[i],
+                "median local RMSE [N]": front.local_rmse[i],
+                "KKT residual or gap [-]": front.residual[i],
+                "flaw": flaw,
+                **dict(zip(rmse, front.rmse[i], strict=True)),
+            }
+            for i, flaw in enumerate(front.flaws)
+        ]
+    return pd.DataFrame(rows)
 
 
 def write_fronts(fronts: Iterable[Front], path: Path) -> None:
-    """Write fronts as CSV: a row a solution, units in the header, empty where there is none.
+    """Write fronts as CSV: see `front_table`; a missing value is an empty cell.
 
     Args:
         fronts: Fronts of the same samples.
@@ -236,34 +258,9 @@ def write_fronts(fronts: Iterable[Front], path: Path) -> None:
     Raises:
         ConfigurationError: If the file cannot be written.
     """
-    fronts = list(fronts)
-    channels = [f"RMSE {name} [{channel_unit(name)}]" for name in fronts[0].channels]
-    with atomic_output(path) as staging, staging.open("w", newline="", encoding="utf-8") as stream:
-        writer = csv.writer(stream)
-        writer.writerow([*_HEADER, *channels])
-        for front in fronts:
-            writer.writerows(_rows(front))
-
-
-def _rows(front: Front) -> Iterator[list[str]]:
-    names = {index: name for name, index in front.marks.items()}
-    means = (front.moment_rmse, front.force_rmse, front.local_rmse)
-    for i, flaw in enumerate(front.flaws):
-        errors = (front.theta[i], front.wrench_error[i], front.local_error[i])
-        yield [
-            front.variant,
-            *map(_cell, errors),
-            str(int(front.non_dominated[i])),
-            names.get(i, ""),
-            *(_cell(mean[i]) for mean in means),
-            _cell(front.residual[i]),
-            flaw,
-            *map(_cell, front.rmse[i]),
-        ]
-
-
-def _cell(value: float) -> str:
-    return f"{value:.10g}" if math.isfinite(value) else ""
+    table = front_table(fronts)
+    with atomic_output(path) as staging:
+        table.to_csv(staging, index=False)
 
 
 def front_document(front: Front) -> dict[str, Any]:

@@ -368,6 +368,11 @@ class Results:
         return {c.label: c for c in self.candidates if c.fit is not None}
 
     @property
+    def fits(self) -> dict[str, Fit]:
+        """The fits of these models, by variant."""
+        return {c.label: c.fit for c in self.candidates if c.fit is not None}
+
+    @property
     def mean_position(self) -> FloatArray:
         """Mean limb position over the segment in {S}, shape (3,) [m]."""
         return np.asarray(np.nanmean(self.samples.position[self.segment.rows], axis=0))

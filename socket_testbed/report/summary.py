@@ -8,7 +8,7 @@ import numpy as np
 
 from socket_testbed.identification.evaluation import summarise_errors
 from socket_testbed.identification.front import Front
-from socket_testbed.report.page import counted, number, significant
+from socket_testbed.report.page import counted, number
 from socket_testbed.report.results import (
     Candidate,
     Results,
@@ -51,7 +51,7 @@ def _what(results: Results, bias: Candidate) -> str:
     load = measure_steadiness(results.samples[results.segment.rows])
     sizes = [(load.force, "force", "N"), (load.moment, "moment", "N m")]
     under = " and ".join(
-        f"a mean {what} of {significant(size)} {unit}"
+        f"a mean {what} of {number(size)} {unit}"
         for size, what, unit in sizes
         if math.isfinite(size)
     )
@@ -67,12 +67,12 @@ def _offsets(results: Results, without: Candidate, with_offsets: Candidate) -> s
     share = plain.local_unsteadiness
     steady = "steady offsets" if share < _STEADY else "more than steady offsets"
     return (
-        f"Without offsets the mean moment RMSE is {significant(plain.moment_rmse)} N m, the mean"
-        f" force RMSE {significant(plain.force_rmse)} N and the median local RMSE"
-        f" {significant(plain.local_rmse)} N; over all clusters sigma is {significant(share, 2)} of"
+        f"Without offsets the mean moment RMSE is {number(plain.moment_rmse)} N m, the mean"
+        f" force RMSE {number(plain.force_rmse)} N and the median local RMSE"
+        f" {number(plain.local_rmse)} N; over all clusters sigma is {number(share, '.2g')} of"
         f" the RMSE, so their residuals are {steady}. With one constant a channel these RMSE are"
-        f" {significant(bias.moment_rmse)} N m, {significant(bias.force_rmse)} N and"
-        f" {significant(bias.local_rmse)} N." + _borne(results, with_offsets)
+        f" {number(bias.moment_rmse)} N m, {number(bias.force_rmse)} N and"
+        f" {number(bias.local_rmse)} N." + _borne(results, with_offsets)
     )
 
 
@@ -83,7 +83,7 @@ def _skill(bias: Candidate) -> str:
         return "No channel varies over the segment, so no model can show skill."
     useful = sum(value >= _LITTLE_SKILL for value in known)
     start = (
-        f"With offsets, the median skill is {number(skill, 2)} and {useful} of {len(known)}"
+        f"With offsets, the median skill is {number(skill, 'z.2f')} and {useful} of {len(known)}"
         f" channels reach {_LITTLE_SKILL:g}"
     )
     if skill < _LITTLE_SKILL:
@@ -99,9 +99,9 @@ def _borne(results: Results, bias: Candidate) -> str:
     """How much of the load the constants bear, which no tile does."""
     load = measure_steadiness(results.samples[results.segment.rows])
     offset = float(np.linalg.norm(bias.model.wrench_bias[3:]))
-    beside = f", beside a mean force of {significant(load.force)} N" * math.isfinite(load.force)
+    beside = f", beside a mean force of {number(load.force)} N" * math.isfinite(load.force)
     return (
-        f" The constant of the wrench's force is {significant(offset)} N{beside}: what it stands"
+        f" The constant of the wrench's force is {number(offset)} N{beside}: what it stands"
         " for is borne by no tile of the map."
     )
 
@@ -136,7 +136,7 @@ def _fronts(plain: Front, bias: Front) -> str:
     )
     extents = [float(np.hypot(*front.knee.span)) for front in (plain, bias)]
     if 0.0 < _COLLAPSE * extents[1] < extents[0]:
-        times = float(significant(extents[0] / extents[1], 2))
+        times = float(number(extents[0] / extents[1], ".2g"))
         text += f" The offsets make the front {times:.0f} times smaller."
     return text
 
@@ -152,10 +152,10 @@ def _held_out(plain: Candidate, bias: Candidate) -> str:
     samples = max(error.samples for error in bias.held_out)
     return (
         f"On the other {samples} samples of the trial, which the fit has not seen, the mean moment"
-        f" RMSE is {significant(without.moment_rmse)} N m without and"
-        f" {significant(with_offsets.moment_rmse)} N m with offsets, the median local RMSE"
-        f" {significant(without.local_rmse)} N and {significant(with_offsets.local_rmse)} N, the"
-        f" median skill {number(without.skill, 2)} and {number(with_offsets.skill, 2)}."
+        f" RMSE is {number(without.moment_rmse)} N m without and"
+        f" {number(with_offsets.moment_rmse)} N m with offsets, the median local RMSE"
+        f" {number(without.local_rmse)} N and {number(with_offsets.local_rmse)} N, the"
+        f" median skill {number(without.skill, 'z.2f')} and {number(with_offsets.skill, 'z.2f')}."
     )
 
 

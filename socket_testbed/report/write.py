@@ -3,26 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
-from typing import Self
 
 from socket_testbed.errors import ConfigurationError
 from socket_testbed.files import atomic_output, refuse_existing
-from socket_testbed.report import figure_files
-from socket_testbed.report.figure_files import ReportFigure, write_errors, write_residuals
-from socket_testbed.report.page import compose_page, section
-from socket_testbed.report.results import Results
-from socket_testbed.report.sections import (
-    certificates_section,
-    errors_section,
-    fronts_section,
-    provenance_section,
-    quality_section,
-    scene_section,
-    summary_section,
+from socket_testbed.report.figure_files import (
+    draw_figures,
+    errors_table,
+    residuals_table,
+    surface_scene,
+    write_csv,
 )
+from socket_testbed.report.page import render
+from socket_testbed.report.results import Results
+from socket_testbed.report.sections import page_content
 
 _SUFFIXES = (".html", ".htm")
 
@@ -58,7 +53,7 @@ def write_report(
         page: The page, which must not exist, nor the folder beside it.
         command: The command line, for the record.
         made: When the report is made.
-        progress: Told the number of figures written and of all.
+        progress: Called with the number of figures written and of all.
 
     Raises:
         ConfigurationError: If they exist or cannot be written.
@@ -67,65 +62,24 @@ def write_report(
     folder = files_folder(page)
     with atomic_output(page) as new_page, atomic_output(folder) as new_folder:
         new_folder.mkdir()
-        made_figures = _Figures.of(results, new_folder)
-        made_figures.write(new_folder, progress)
-        write_errors(results.candidates, new_folder / "errors.csv")
-        write_residuals(results.candidates, new_folder / "residuals.csv")
-        text = _compose(results, made_figures, folder.name, command, made)
-        new_page.write_text(text, encoding="utf-8")
-
-
-@dataclass(frozen=True)
-class _Figures:
-    """The figures of a report, by the sections that show them."""
-
-    wrench: ReportFigure
-    local: ReportFigure
-    overview: ReportFigure
-    fronts: tuple[ReportFigure, ...]
-    maps: tuple[ReportFigure, ...]
-
-    @classmethod
-    def of(cls, results: Results, scratch: Path) -> Self:
-        """Draw them."""
-        wrench, local = figure_files.channel_figures(results)
-        return cls(
-            wrench=wrench,
-            local=local,
-            overview=figure_files.overview(results),
-            fronts=(figure_files.pareto(results, scratch),) if results.fronts else (),
-            maps=(*figure_files.tile_figures(results), figure_files.offsets(results)),
-        )
-
-    def write(self, folder: Path, progress: Callable[[int, int], None] | None) -> None:
-        """Write them with their data."""
-        every = (self.wrench, self.local, self.overview, *self.fronts, *self.maps)
-        for done, figure in enumerate(every, start=1):
-            figure.write(folder)
+        figures = draw_figures(results)
+        drawn = [figure for of_section in figures.values() for figure in of_section]
+        for done, figure in enumerate(drawn, start=1):
+            figure.write(new_folder)
             if progress is not None:
-                progress(done, len(every))
-
-
-def _compose(results: Results, drawn: _Figures, folder: str, command: str, made: datetime) -> str:
-    """The page, which links to the files in the folder of this name."""
-
-    def show(*several: ReportFigure) -> str:
-        return "\n".join(figure.to_html(folder) for figure in several)
-
-    sections = [
-        summary_section(results),
-        section("wrench", "Wrench", [show(drawn.wrench)]),
-        section("local", "Local forces", [show(drawn.local)]),
-        errors_section(results),
-        fronts_section(results, show(*drawn.fronts)),
-        scene_section(results, show(*drawn.maps)),
-        quality_section(results, show(drawn.overview)),
-        certificates_section(results),
-        provenance_section(results, command, made),
-    ]
-    identification = results.settings.identification
-    subtitle = (
-        f"{results.segment}, theta {identification.theta:g}; measured against predicted wrench and"
-        " local forces, with and without offsets"
-    )
-    return compose_page(f"Report on {results.trial.name}", subtitle, sections)
+                progress(done, len(drawn))
+        write_csv(errors_table(results.candidates), new_folder / "errors.csv")
+        write_csv(residuals_table(results.candidates), new_folder / "residuals.csv")
+        text = render(
+            "report.html",
+            title=f"Report on {results.trial.name}",
+            subtitle=(
+                f"{results.segment}, theta {results.settings.identification.theta:g}; measured"
+                " against predicted wrench and local forces, with and without offsets"
+            ),
+            figures=figures,
+            folder=folder.name,
+            scene=surface_scene(results),
+            **page_content(results, command, made),
+        )
+        new_page.write_text(text, encoding="utf-8")

@@ -6,7 +6,6 @@ import json
 
 import numpy as np
 import pytest
-from matplotlib.figure import Figure
 from matplotlib.image import imread
 
 from socket_testbed.errors import ConfigurationError
@@ -24,6 +23,7 @@ from socket_testbed.identification.front import (
     write_fronts,
 )
 from socket_testbed.report.figures.pareto import pareto_figure
+from socket_testbed.report.figures.style import save_figure
 
 CHANNELS = ("Mx", "Fx", "Fz", "distal.Fx", "distal.Mz", "distal.Fz")
 
@@ -199,25 +199,12 @@ def test_a_front_is_valid_json_even_where_nothing_was_found():
     assert document["solutions"][0]["rmse"]["Mx"] is None
 
 
-@pytest.fixture
-def drawn(monkeypatch):
-    """The figures that are saved."""
-    figures = []
-    save = Figure.savefig
-
-    def keep(figure, *args, **kwargs):
-        figures.append(figure)
-        save(figure, *args, **kwargs)
-
-    monkeypatch.setattr(Figure, "savefig", keep)
-    return figures
-
-
-def test_the_figure_shows_every_sound_solution_of_both_fronts(tmp_path, drawn):
+def test_the_figure_shows_every_sound_solution_of_both_fronts(tmp_path):
     fronts = [made_up_front(flaws={3: "not determined"}), made_up_front("stiffness_bias", 1e-3)]
     path = tmp_path / "front.png"
-    pareto_figure(fronts, "two fronts", path)
-    (axes,) = drawn[0].axes
+    figure = pareto_figure(fronts, "two fronts")
+    save_figure(figure, path)
+    (axes,) = figure.axes
     assert axes.get_xscale() == axes.get_yscale() == "log"
     assert "RMS" in axes.get_xlabel() and "[-]" in axes.get_xlabel()
     shown = {(float(x), float(y)) for line in axes.lines for x, y in line.get_xydata()}
@@ -243,7 +230,7 @@ def test_the_figure_of_nothing_is_a_figure(tmp_path, errors):
     front = made_up_front(flaws=dict.fromkeys(range(11), "not certified"))
     if errors == "zero":  # for which a logarithmic axis has no place
         front = dataclasses.replace(made_up_front(), wrench_error=np.zeros(11))
-    pareto_figure([front], "nothing", tmp_path / "front.pdf")
+    save_figure(pareto_figure([front], "nothing"), tmp_path / "front.pdf")
     assert (tmp_path / "front.pdf").read_bytes().startswith(b"%PDF")
 
 
@@ -251,7 +238,7 @@ def test_what_cannot_be_written_is_named(tmp_path):
     (tmp_path / "file").write_text("")
     for write in (
         lambda path: write_fronts([made_up_front()], path),
-        lambda path: pareto_figure([made_up_front()], "front", path),
+        lambda path: save_figure(pareto_figure([made_up_front()], "front"), path),
     ):
         with pytest.raises(ConfigurationError, match="cannot be written"):
             write(tmp_path / "file" / "front.png")

@@ -15,13 +15,13 @@ from socket_testbed.report.figures.channels import (
     MOST_POINTS,
     Panel,
     Prediction,
-    bias_figure,
+    offsets_figure,
     overview_figure,
     panels_figure,
     wrench_figure,
 )
 from socket_testbed.report.figures.socket_picture import tile_map_figure
-from socket_testbed.report.figures.style import svg_of
+from socket_testbed.report.figures.style import save_figure, svg_of
 from socket_testbed.samples import channel_names
 
 NASTY = "a$_b <i>"
@@ -88,7 +88,8 @@ def test_the_wrench_has_six_panels_with_their_units(rng, tmp_path):
     time, rows = np.arange(200) / 4.0, np.arange(200) > 50
     measured = rng.normal(size=(200, 6))
     predicted = {"stiffness": np.where(rows[:, None], measured + 1.0, np.nan)}
-    wrench_figure(time, measured, predicted, rows, "A hold", tmp_path / "wrench.png")
+    figure = wrench_figure(time, measured, predicted, rows, "A hold")
+    save_figure(figure, tmp_path / "wrench.png")
     image = imread(tmp_path / "wrench.png")[..., :3]
     assert image.shape[1] > image.shape[0] > 500 and image.std() > 0.05
 
@@ -113,7 +114,7 @@ def test_the_overview_shows_when_what_was_lost(rng):
 def test_the_bars_are_the_offsets(rng):
     channels = channel_names(("a", NASTY))
     offsets = {"stiffness_bias": rng.normal(size=12), "given": rng.normal(size=12)}
-    figure = bias_figure(channels, offsets)
+    figure = offsets_figure(channels, offsets)
     assert [axis.get_xlabel().rpartition(" [")[2] for axis in figure.axes] == ["N m]", "N]", "N]"]
     widths = [
         [bar.get_width() for bar in axis.patches if isinstance(bar, Rectangle)]

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
 
-import matplotlib as mpl
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from socket_testbed.arrays import FloatArray, IntArray
 from socket_testbed.calibration.bench_data import STRESSES
 from socket_testbed.calibration.calibrate import BenchCalibration, Outlier
 from socket_testbed.calibration.drift import FALLING, RISING
+from socket_testbed.report.figures.style import dress, lay_out
 
 # Okabe & Ito's colours; the marks tell the branches apart in grey, too.
 _BRANCHES = (
@@ -23,7 +23,7 @@ _MOST_POINTS = 4000
 _LEVELS = 12
 
 
-def bench_figure(calibrated: BenchCalibration, cluster: str, path: Path) -> None:
+def bench_figure(calibrated: BenchCalibration, cluster: str) -> Figure:
     """Draw a column of panels a stress, in kPa.
 
     Above, calibrated over known stress; in the middle, the residuals of the fit and of the
@@ -32,7 +32,6 @@ def bench_figure(calibrated: BenchCalibration, cluster: str, path: Path) -> None
     Args:
         calibrated: The calibration.
         cluster: Name of the cluster.
-        path: File to write; its suffix says the format.
     """
     figure = Figure(figsize=(10.0, 8.4), layout="constrained")
     axes = figure.subplots(3, 3, sharex="col")
@@ -62,22 +61,19 @@ def bench_figure(calibrated: BenchCalibration, cluster: str, path: Path) -> None
     for axis, label in zip(axes[:, 0], ("calibrated", "residual", "mean residual"), strict=True):
         axis.set_ylabel(f"{label} [kPa]")
     for axis in axes.flat:
-        axis.grid(color="0.9")
-        axis.set_axisbelow(True)
-        axis.spines[["top", "right"]].set_visible(False)
+        dress(axis)
     for axis in axes[1:, 0]:
         axis.legend(frameon=False, fontsize=8)
-    with mpl.rc_context({"pdf.fonttype": 42}):
-        figure.savefig(path, dpi=150)
+    return lay_out(figure)
 
 
-def _draw_fit(axis: mpl.axes.Axes, known: FloatArray, fitted: FloatArray) -> None:
+def _draw_fit(axis: Axes, known: FloatArray, fitted: FloatArray) -> None:
     ends = [known.min(), known.max()]
     axis.plot(ends, ends, color="0.72", linewidth=2.4)
     axis.plot(known, fitted, ".", color="0.2", markersize=2.0)
 
 
-def _draw_outliers(axis: mpl.axes.Axes, outliers: Sequence[Outlier]) -> None:
+def _draw_outliers(axis: Axes, outliers: Sequence[Outlier]) -> None:
     if outliers:
         known = [outlier.known / 1e3 for outlier in outliers]
         fitted = [outlier.fitted / 1e3 for outlier in outliers]
@@ -86,16 +82,14 @@ def _draw_outliers(axis: mpl.axes.Axes, outliers: Sequence[Outlier]) -> None:
 
 
 def _draw_residuals(
-    axis: mpl.axes.Axes, known: FloatArray, training: FloatArray, held_out: FloatArray
+    axis: Axes, known: FloatArray, training: FloatArray, held_out: FloatArray
 ) -> None:
     axis.plot(known, held_out, "x", color="#D55E00", markersize=3.0, label="held out")
     axis.plot(known, training, ".", color="0.2", markersize=2.0, label="in the fit")
     axis.axhline(0.0, color="0.72", linewidth=1.0)
 
 
-def _draw_loop(
-    axis: mpl.axes.Axes, known: FloatArray, residual: FloatArray, branches: IntArray
-) -> None:
+def _draw_loop(axis: Axes, known: FloatArray, residual: FloatArray, branches: IntArray) -> None:
     edges = np.linspace(known.min(), known.max(), _LEVELS + 1)
     centres = 0.5 * (edges[1:] + edges[:-1])
     level = np.clip(np.searchsorted(edges, known, side="right") - 1, 0, _LEVELS - 1)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from math import isfinite
-from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -19,7 +18,6 @@ from socket_testbed.report.figures.style import (
     SEGMENT_STYLE,
     dress,
     lay_out,
-    save_figure,
     thin,
 )
 from socket_testbed.samples import WRENCH_CHANNELS
@@ -141,7 +139,7 @@ def _describe(prediction: Prediction) -> str:
     )
 
 
-_ORDER = (3, 4, 5, 0, 1, 2)  # the forces above, the moments below
+FORCES_FIRST = (3, 4, 5, 0, 1, 2)  # the forces above, the moments below
 
 
 def wrench_figure(
@@ -150,8 +148,7 @@ def wrench_figure(
     predicted: dict[str, FloatArray],
     rows: BoolArray,
     title: str,
-    path: Path,
-) -> None:
+) -> Figure:
     """Measured against predicted wrench, a panel a channel, with the errors in the panels.
 
     Args:
@@ -160,7 +157,6 @@ def wrench_figure(
         predicted: Predicted wrenches by variant, shape (N, 6) each; NaN before a model.
         rows: Samples that the errors are taken over, shaded, shape (N,).
         title: What is shown.
-        path: File to write; its suffix says the format.
     """
     span = (float(time[rows][0]), float(time[rows][-1]))
     panels = [
@@ -177,9 +173,9 @@ def wrench_figure(
             ),
             span,
         )
-        for i in _ORDER
+        for i in FORCES_FIRST
     ]
-    save_figure(panels_figure(panels, 3, f"{title}; errors over the shaded span"), path)
+    return panels_figure(panels, 3, f"{title}; errors over the shaded span")
 
 
 _WIDTH, _LOAD, _ROW, _REST = 7.0, 1.7, 0.2, 1.2  # [inch]
@@ -246,7 +242,7 @@ _BIAS_WIDTH, _BIAS_ROW, _BIAS_REST = 5.6, 0.24, 0.8  # [inch]
 _TITLES = ("moment [N m]", "force [N]", "force on a cluster, in its frame [N]")
 
 
-def bias_figure(channels: Sequence[str], offsets: Mapping[str, FloatArray]) -> Figure:
+def offsets_figure(channels: Sequence[str], offsets: Mapping[str, FloatArray]) -> Figure:
     """Offsets of every channel, a bar a model: moments, forces, the clusters' forces.
 
     Args:

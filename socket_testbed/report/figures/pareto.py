@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,9 +12,8 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator
 
-from socket_testbed.files import atomic_output
 from socket_testbed.identification.front import KNEE, SENSOR_ONLY, WRENCH_ONLY, Front
-from socket_testbed.report.figures.style import MODEL_STYLES, dress, save_figure
+from socket_testbed.report.figures.style import MODEL_STYLES, dress, lay_out
 
 _MARKS: dict[str, dict[str, Any]] = {
     SENSOR_ONLY: {"marker": "s", "markersize": 8},
@@ -36,7 +34,7 @@ _WRENCH_LABEL = r"wrench error $e_w$ [-]: each RMSE over the RMS of the measured
 _LOCAL_LABEL = r"local error $e_f$ [-]: each RMSE over the RMS of the cluster forces"
 
 
-def pareto_figure(fronts: Iterable[Front], title: str, path: Path) -> None:
+def pareto_figure(fronts: Iterable[Front], title: str) -> Figure:
     """Draw both normalised errors of every front on logarithmic axes.
 
     Dominated solutions are faint; those with a flaw are not shown.
@@ -44,10 +42,6 @@ def pareto_figure(fronts: Iterable[Front], title: str, path: Path) -> None:
     Args:
         fronts: Fronts of the same samples, two at most.
         title: What is shown.
-        path: File to write, which replaces an older one; its suffix says the format.
-
-    Raises:
-        ConfigurationError: If the file cannot be written.
     """
     figure = Figure(figsize=(7.0, 5.6), layout="constrained")
     figure.suptitle(title, fontsize=11).set_parse_math(False)  # a name may hold a dollar
@@ -58,8 +52,7 @@ def pareto_figure(fronts: Iterable[Front], title: str, path: Path) -> None:
     dress(axes)
     handles = [*axes.get_legend_handles_labels()[0], *_mark_legend()]
     figure.legend(handles=handles, loc="outside lower center", ncols=2, frameon=False, fontsize=9)
-    with atomic_output(path) as staging:
-        save_figure(figure, staging)
+    return lay_out(figure)
 
 
 def _draw_front(axes: Axes, front: Front, style: dict[str, Any]) -> None:

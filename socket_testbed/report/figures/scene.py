@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import html
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from string import Template
 from typing import Any
 
 import numpy as np
 import plotly.graph_objects as go
+from markupsafe import Markup
 
 from socket_testbed.arrays import BoolArray, FloatArray, IntArray
 from socket_testbed.files import atomic_output
@@ -19,6 +18,7 @@ from socket_testbed.report.figures.style import (
     AXES,
     CLUSTER,
     EDGE,
+    FONT,
     NO_VALUE,
     PROXIMAL,
     SCALE,
@@ -39,6 +39,7 @@ from socket_testbed.report.figures.tiles import (
     tile_squares,
     value_range,
 )
+from socket_testbed.report.page import render
 
 # Two triangles a square would meet at a seam; four around its centre also let the pointer
 # find the tile wherever it is on it.
@@ -281,13 +282,6 @@ def _escape(text: str) -> str:
     return html.escape(text, quote=False)
 
 
-FONT = "system-ui, -apple-system, 'Segoe UI', Roboto, sans-serif"
-# The policy lets the browser load nothing at all; the viewer compiles its shaders' code.
-POLICY = (
-    "default-src 'none'; img-src data: blob:; style-src 'unsafe-inline';"
-    " script-src 'unsafe-inline' 'unsafe-eval'"
-)
-
 _EYE = np.array([1.1, 0.86, 0.3])  # of the diagonal: anterior, left and above
 _CENTRE = np.array([0.0, 0.0, -0.06])  # likewise: the nearest edge of the box hangs lowest
 # The viewer's own list holds a button that sends the chart away.
@@ -354,46 +348,6 @@ def _camera(traces: Sequence[Any]) -> dict[str, Any]:
 
 _MOST_FACES = 60_000
 
-_PAGE = Template("""\
-<!DOCTYPE html>
-<html lang="en">
-<head>
-<meta charset="utf-8">
-<meta name="viewport" content="width=device-width, initial-scale=1">
-<meta http-equiv="Content-Security-Policy" content="$policy">
-<title>$title</title>
-<style>
-body { margin: 0 auto; padding: 1rem; max-width: 100rem; font: 1rem/1.45 $font;
-  color: #222; background: #fff; }
-h1 { margin: 0 0 0.75rem; font-size: 1.35rem; overflow-wrap: anywhere; }
-p { margin: 0.75rem 0 0; font-size: 0.9rem; color: #555; }
-table { border-collapse: collapse; width: 100%; font-size: 0.95rem; }
-th, td { padding: 0.3rem 0.75rem 0.3rem 0; border-bottom: 1px solid #ddd; text-align: left;
-  vertical-align: top; overflow-wrap: anywhere; font-variant-numeric: tabular-nums; }
-th { font-weight: 600; white-space: nowrap; }
-#scene { height: min(75vh, 140vw); min-height: 26rem; }
-@media (min-width: 60rem) {
-  main { display: grid; grid-template-columns: 20rem 1fr; gap: 1.5rem; }
-  #scene { height: calc(100vh - 5.5rem); }
-}
-</style>
-</head>
-<body>
-<h1>$title</h1>
-<main>
-<section>
-<table>
-$facts
-</table>
-<p>Drag to turn, scroll or pinch to zoom; point at a tile for its name, anchor, area and normal.
-Choose in the legend what is shown. Lengths are in mm in {S}, the frame of the load cell.</p>
-</section>
-<div id="scene">$scene</div>
-</main>
-</body>
-</html>
-""")
-
 
 def socket_page(
     vertices: FloatArray,
@@ -418,16 +372,8 @@ def socket_page(
         ConfigurationError: If the file cannot be written.
     """
     surface = drawable_surface(vertices, faces, _MOST_FACES)
-    page = _PAGE.substitute(
-        title=html.escape(title),
-        font=FONT,
-        policy=POLICY,
-        facts="\n".join(
-            f'<tr><th scope="row">{html.escape(name)}</th><td>{html.escape(value)}</td></tr>'
-            for name, value in facts
-        ),
-        scene=_scene(surface, geometry),
-    )
+    scene = Markup(_scene(surface, geometry))  # the viewer's own HTML, in which names are escaped
+    page = render("socket.html", title=title, facts=facts, scene=scene)
     with atomic_output(path) as output:
         output.write_text(page, encoding="utf-8")
 
@@ -447,35 +393,24 @@ def _scene(surface: Surface, geometry: SocketGeometry) -> str:
     return scene_html(traces, geometry, "socket", legend=legend)
 
 
-SCENE_ID = "scene"
-
 # Beside a narrow scene there is no room for it.
 _COLOUR_BAR = {"orientation": "h", "y": 0.0, "yanchor": "bottom", "thickness": 12, "len": 0.8}
 _SCENE_ABOVE = [0.15, 1.0]  # [-]; of the height
 
 
-@dataclass(frozen=True)
-class ValueScene:
-    """A picture that turns under the mouse, and which of its traces show what.
-
-    Attributes:
-        html: The picture with the viewer itself.
-        visible: For each set of values by its key, whether each trace is shown.
-    """
-
-    html: str
-    visible: dict[str, list[bool]]
-
-
 def value_scene(
     geometry: SocketGeometry, values: Mapping[str, tuple[FloatArray, str]]
-) -> ValueScene:
+) -> tuple[str, dict[str, list[bool]]]:
     """A scene with the tiles in the colours of the first set of values.
 
     Args:
         geometry: The socket.
         values: One value a tile, shape (n,), NaN where there is none, and what they are
             with their unit, by a key.
+
+    Returns:
+        The HTML of the scene with the viewer itself, whose id is `scene`; and for each set of
+        values by its key, whether each trace is shown.
 
     Raises:
         ConfigurationError: If the values are not those of these tiles.
@@ -496,5 +431,4 @@ def value_scene(
     visible = {key: [name in ("", key) for name in owner] for key in values}
     for trace, shown in zip(traces, visible[next(iter(values))], strict=True):
         trace.visible = shown
-    picture = scene_html(traces, geometry, SCENE_ID, domain={"y": _SCENE_ABOVE})
-    return ValueScene(picture, visible)
+    return scene_html(traces, geometry, "scene", domain={"y": _SCENE_ABOVE}), visible

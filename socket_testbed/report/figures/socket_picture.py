@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
@@ -19,8 +18,6 @@ from matplotlib.patches import Patch, Rectangle
 from matplotlib.patheffects import withStroke
 
 from socket_testbed.arrays import BoolArray, FloatArray, IntArray
-from socket_testbed.errors import ConfigurationError
-from socket_testbed.files import atomic_output
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.report.figures.style import (
     AXES,
@@ -31,6 +28,7 @@ from socket_testbed.report.figures.style import (
     SURFACE,
     TILE,
     lay_out,
+    save_figure,
 )
 from socket_testbed.report.figures.tiles import (
     AXIS_NAMES,
@@ -415,7 +413,6 @@ def _middle(surface: Surface) -> FloatArray:
     return 0.5 * (low + high)[:2]
 
 
-_SUFFIXES = (".png", ".pdf")
 _MOST_FACES = 30_000
 _SIZE = (12.0, 11.0)  # [inch]
 _DPI = 200
@@ -440,14 +437,8 @@ def socket_picture(
         ScanError: If this is no surface, or not in metres.
         ConfigurationError: If the suffix is another, or the file cannot be written.
     """
-    if path.suffix.lower() not in _SUFFIXES:
-        raise ConfigurationError(
-            f"{path}: a picture cannot be a '{path.suffix}' file", "name a .png or .pdf file"
-        )
     surface = drawable_surface(vertices, faces, _MOST_FACES)
-    figure = _draw_socket(surface, geometry, title)
-    with mpl.rc_context({"pdf.fonttype": 42}), atomic_output(path) as output:
-        figure.savefig(output, dpi=_DPI)
+    save_figure(_draw_socket(surface, geometry, title), path, _DPI)
 
 
 def _draw_socket(surface: Surface, geometry: SocketGeometry, title: str) -> Figure:

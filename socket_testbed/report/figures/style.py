@@ -12,7 +12,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from socket_testbed.arrays import FloatArray
+from socket_testbed.errors import ConfigurationError
+from socket_testbed.files import atomic_output
 
+FONT = "system-ui, -apple-system, 'Segoe UI', Roboto, sans-serif"  # of the pages
 SURFACE = "#D9D9D9"
 VEIL = "#A8A8A8"  # the surface where one sees through it
 TILE = "#A6CBE3"
@@ -34,7 +37,7 @@ MEASURED_STYLE: dict[str, Any] = {"color": "0.72", "linewidth": 2.4}
 SEGMENT_STYLE: dict[str, Any] = {"color": "0.94", "linewidth": 0.0, "zorder": 0.5}
 
 _TYPES = {"pdf.fonttype": 42, "svg.fonttype": "path", "svg.hashsalt": "figure"}
-_DPI = 150
+_SUFFIXES = (".png", ".pdf")
 
 
 def dress(axis: Axes) -> None:
@@ -53,10 +56,23 @@ def lay_out(figure: Figure) -> Figure:
     return figure
 
 
-def save_figure(figure: Figure, path: Path) -> None:
-    """Write a figure; the suffix says the format. Text stays text in a PDF."""
-    with mpl.rc_context(_TYPES):
-        figure.savefig(path, dpi=_DPI)
+def save_figure(figure: Figure, path: Path, dpi: int = 150) -> None:
+    """Write a figure; text stays text in a PDF.
+
+    Args:
+        figure: The figure.
+        path: File to write or replace, `.png` or `.pdf`.
+        dpi: Resolution of pixels [1/inch].
+
+    Raises:
+        ConfigurationError: If the suffix is another, or the file cannot be written.
+    """
+    if path.suffix.lower() not in _SUFFIXES:
+        raise ConfigurationError(
+            f"{path}: a picture cannot be a '{path.suffix}' file", "name a .png or .pdf file"
+        )
+    with mpl.rc_context(_TYPES), atomic_output(path) as staging:
+        figure.savefig(staging, dpi=dpi)
 
 
 def svg_of(figure: Figure) -> str:
