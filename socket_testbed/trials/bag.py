@@ -13,7 +13,7 @@ from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self, cast
+from typing import Any, Self
 
 import yaml
 from rosbags.interfaces import (
@@ -33,12 +33,8 @@ from rosbags.typesys.store import Typestore
 
 from socket_testbed.errors import TrialError
 from socket_testbed.files import packaged
-from socket_testbed.trials.salvage import salvage
+from socket_testbed.trials.salvage import SalvagedRecording, salvage
 from socket_testbed.trials.topics import PUBLISHER_DEPTH, Topic
-
-if TYPE_CHECKING:
-    from rosbags.interfaces.typing import RPath
-
 
 _PACKAGE = "socket_testbed_msgs"
 
@@ -119,7 +115,7 @@ class BagReader:
     def __init__(self, path: Path) -> None:
         self.path = path
         self._stack = ExitStack()
-        self._readers: list[Reader] = []
+        self._readers: list[Reader | SalvagedRecording] = []
         self._cut_short = False
         self.notes: list[str] = []
 
@@ -213,19 +209,16 @@ class BagReader:
                 )
         return files
 
-    def _open(self, file: Path) -> Reader:
+    def _open(self, file: Path) -> Reader | SalvagedRecording:
         try:
             salvaged = salvage(file) if file.suffix == ".mcap" else None
-            # Of a path, the library asks no more than a salvaged file has.
-            source = file if salvaged is None else cast("RPath", salvaged)
-            reader = self._stack.enter_context(Reader(source))
+            reader: Reader | SalvagedRecording = salvaged or Reader(file)
+            self._stack.enter_context(reader)
         except TrialError:
             raise
         except Exception as error:  # the library raises whatever the bytes lead it to
             raise _damaged(file, error) from None
         if salvaged is not None:
-            if reader.message_count != salvaged.messages:
-                raise _lacking(file, salvaged.messages - reader.message_count)
             self._cut_short = True
             self.notes.append(salvaged.note)
         return reader

@@ -1,196 +1,208 @@
-"""Recordings that were cut short, read up to their last whole chunk as if they had an end.
+"""Recordings that were cut short, read up to their last complete chunk.
 
 A recorder that was killed, a power cut or a full disk leaves an MCAP file without its index and
-end, often with a torn chunk last. The whole chunks are found by the headers of the records, and
-the library is given the file up to the last of them with an index and an end from memory:
-nothing is copied or written. The format: https://mcap.dev/spec.
+end, often with a torn chunk last. The records are found by their headers and read with the MCAP
+library. What the library lacks is here: lengths are checked before anything is read, a torn or
+zero-filled chunk is never taken for a complete one. The file is only read. The format:
+https://mcap.dev/spec.
 """
 
 from __future__ import annotations
 
+import heapq
 import io
 import struct
 from collections import Counter
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Collection, Iterator
 from datetime import datetime
-from enum import IntEnum
+from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, BinaryIO
+from typing import BinaryIO, Self
 
-from rosbags.rosbag2.storage_mcap import decompress
+from mcap.data_stream import ReadDataStream
+from mcap.opcode import Opcode
+from mcap.records import Channel, Chunk, Message, Schema
+from mcap.stream_reader import get_chunk_data_stream
+from rosbags.interfaces import (
+    Connection,
+    ConnectionExtRosbag2,
+    MessageDefinition,
+    MessageDefinitionFormat,
+    Qos,
+)
+from rosbags.rosbag2.metadata import parse_qos
 
 from socket_testbed.errors import TrialError
 
-if TYPE_CHECKING:
-    from _typeshed import WriteableBuffer
-
 _MAGIC = b"\x89MCAP0\r\n"
 _RECORD = struct.Struct("<BQ")  # opcode, length of the content [bytes]
-_CHUNK = struct.Struct("<QQQII")  # first and last time [ns], size, checksum, length of a name
-_FOOTER = _RECORD.pack(2, 20)
+_FOOTER = _RECORD.pack(Opcode.FOOTER, 20)
 _END_SIZE = _RECORD.size + 20 + len(_MAGIC)
-_LEAST_MESSAGE = 22  # [bytes]
-_LONGEST_NAME = 16  # of a compression
+_CHUNK_FIELDS = 8 + 8 + 8 + 4 + 4 + 8  # [bytes] of a chunk besides its data and a name
+_LARGEST_CHUNK = 2**28  # [bytes]; recorders write 1 MiB, a larger length is a lie
+_COMPRESSIONS = ("", "lz4", "zstd")
 _SECTOR = 512  # [bytes]; a disk has all of it or nothing
 
-
-class _Opcode(IntEnum):
-    HEADER = 1
-    FOOTER = 2
-    SCHEMA = 3
-    CHANNEL = 4
-    MESSAGE = 5
-    CHUNK = 6
-    MESSAGE_INDEX = 7
-    CHUNK_INDEX = 8
-    STATISTICS = 11
-    DATA_END = 15
+_HINT = "copy the trial again, or save what is there with 'mcap recover'"
 
 
-@dataclass
 class _Chunk:
-    """A chunk as its record says; offsets and sizes in bytes, times in ns."""
+    """A chunk of the file and what it holds.
 
-    start: int
-    end: int
-    first_time: int
-    last_time: int
-    size: int
-    checksum: int
-    compression: bytes
-    data: int
-    counts: dict[int, int]  # messages by channel
-    index_end: int  # of the indexes of its messages, behind it
+    Attributes:
+        start: Where its content starts [bytes].
+        end: Where it ends [bytes].
+        index_end: Where the indexes of its messages end, behind it [bytes].
+        counts: Number of messages by channel; empty unless the chunk is sound.
+        first_time: Time of its first message since the epoch [ns].
+        last_time: Time of its last message since the epoch [ns].
+        definitions: Its channels and their schemas.
+        sound: Whether all of it can be read.
+    """
+
+    def __init__(self, file: BinaryIO, start: int, end: int) -> None:
+        self.start = start
+        self.end = self.index_end = end
+        try:
+            records = list(_records_of(_read_chunk(file, start, end)))
+        except Exception:  # the libraries raise whatever the bytes lead them to
+            records, self.sound = [], False
+        else:
+            self.sound = True
+        messages = [record for record in records if isinstance(record, Message)]
+        self.counts = Counter(message.channel_id for message in messages)
+        self.first_time = min((message.log_time for message in messages), default=0)
+        self.last_time = max((message.log_time for message in messages), default=0)
+        self.definitions = [record for record in records if not isinstance(record, Message)]
 
 
-class SalvagedFile:
-    """The whole part of a recording that was cut short; the library takes it for a path.
+class SalvagedRecording:
+    """The complete part of a recording that was cut short; it is used like a reader of rosbags.
+
+    Args:
+        path: The file.
 
     Attributes:
         path: The file.
-        messages: Number of messages saved.
         note: What was saved and what was not, in one line.
+        connections: The topics with their message types, quality of service and counts.
+        message_count: Number of messages saved.
+        start_time: Time of the first message since the epoch [ns].
+        end_time: Time of the last message since the epoch, and one [ns].
+
+    Raises:
+        TrialError: If there is no complete chunk with a message, or a chunk before the last
+            complete one is damaged.
+        OSError: If the file cannot be read.
     """
 
-    suffix = ".mcap"
-
-    def __init__(self, path: Path, chunks: list[_Chunk], torn: int, complete: bool) -> None:
+    def __init__(self, path: Path) -> None:
         self.path = path
-        self.messages = sum(sum(chunk.counts.values()) for chunk in chunks)
-        self.note = f"{self._saved(chunks)}, {_missing(torn, complete)}"
-        self._length = chunks[-1].end
-        self._end = _index_and_end(chunks)
+        self._file = path.open("rb")
+        try:
+            size = self._file.seek(0, io.SEEK_END)
+            self._chunks, complete = self._sound_chunks(size)
+        except BaseException:
+            self._file.close()
+            raise
+        self.start_time = min(chunk.first_time for chunk in self._chunks if chunk.counts)
+        self.end_time = max(chunk.last_time for chunk in self._chunks if chunk.counts) + 1
+        self.connections = _connections(self._chunks, self)
+        self.message_count = sum(chunk.counts.total() for chunk in self._chunks)
+        self.note = self._describe(size - self._chunks[-1].index_end, complete)
 
-    def __str__(self) -> str:
-        return str(self.path)
+    def __enter__(self) -> Self:
+        return self
 
-    def _saved(self, chunks: list[_Chunk]) -> str:
-        first = min(chunk.first_time for chunk in chunks if chunk.counts)
-        last = max(chunk.last_time for chunk in chunks if chunk.counts)
-        until = datetime.fromtimestamp(last * 1e-9).strftime("%H:%M:%S")
+    def __exit__(self, *error: object) -> None:
+        self._file.close()
+
+    def messages(
+        self, connections: Collection[Connection]
+    ) -> Iterator[tuple[Connection, int, bytes]]:
+        """The messages of some connections in the order of their times [ns], chunk by chunk."""
+        wanted = {connection.id: connection for connection in connections}
+        parts = [self._messages_of(chunk, wanted) for chunk in self._chunks]
+        for time, message in heapq.merge(*parts, key=lambda part: part[0]):
+            if message is not None:
+                yield wanted[message.channel_id], time, message.data
+
+    def _messages_of(
+        self, chunk: _Chunk, wanted: Collection[int]
+    ) -> Iterator[tuple[int, Message | None]]:
+        """The messages of a chunk, with their times; first its time, for which it is not read."""
+        yield chunk.first_time, None
+        records = _records_of(_read_chunk(self._file, chunk.start, chunk.end))
+        messages = [r for r in records if isinstance(r, Message) and r.channel_id in wanted]
+        for message in sorted(messages, key=lambda message: message.log_time):
+            yield message.log_time, message
+
+    def _sound_chunks(self, size: int) -> tuple[list[_Chunk], bool]:
+        """The complete chunks, and whether all messages are before the end of the file."""
+        chunks, complete = self._find_chunks(size)
+        # Before its size reaches the disk, a chunk may have zeros or old blocks for its content.
+        # That is so only for what was not flushed: from the back, the first sound one ends it.
+        while chunks and not (chunks[-1].sound and not _may_end_in_a_gap(self._file, chunks[-1])):
+            chunks.pop()
+            complete = False
+        for chunk in chunks:
+            if not chunk.sound:
+                raise TrialError(
+                    f"{self.path}: is damaged, its chunk at byte {chunk.start} cannot be read",
+                    _HINT,
+                )
+        if not any(chunk.counts for chunk in chunks):
+            raise TrialError(
+                f"{self.path}: is truncated (it has no end, and no complete chunk of messages)",
+                "record the trial again; 'mcap recover' may still find a part of it",
+            )
+        return chunks, complete
+
+    def _find_chunks(self, size: int) -> tuple[list[_Chunk], bool]:
+        """The chunks by their headers, and whether all messages are before the end of the file."""
+        chunks: list[_Chunk] = []
+        for opcode, start, end in _records(self._file, size):
+            if opcode in (Opcode.DATA_END, Opcode.FOOTER):
+                return chunks, True
+            if opcode == Opcode.MESSAGE:  # a recorder that writes chunks writes none beside them
+                break
+            if opcode == Opcode.CHUNK:
+                chunks.append(_Chunk(self._file, start, end))
+            elif opcode == Opcode.MESSAGE_INDEX and chunks:
+                chunks[-1].index_end = end
+        return chunks, False
+
+    def _describe(self, torn: int, complete: bool) -> str:
+        """What was saved and what was not; torn is what follows the chunks [bytes]."""
+        until = datetime.fromtimestamp((self.end_time - 1) * 1e-9).strftime("%H:%M:%S")
+        unread = f" ({torn} bytes cannot be read)" if torn else ""
         return (
-            f"the recording {self.path.name} was cut short (no end): {self.messages} messages"
-            f" up to {until} ({(last - first) * 1e-9:.1f} s) were saved"
+            f"the recording {self.path.name} was cut short (no end): {self.message_count} messages"
+            f" up to {until} ({(self.end_time - 1 - self.start_time) * 1e-9:.1f} s) were saved, "
+            + ("none is missing" if complete else f"the last second may be missing{unread}")
         )
 
-    def exists(self) -> bool:
-        """Whether there is such a file."""
-        return self.path.exists()
 
-    def is_dir(self) -> bool:
-        """Whether it is a folder: never."""
-        return False
-
-    def open(self, mode: str = "rb") -> BinaryIO:
-        """The file up to its last whole chunk, with an index and an end."""
-        assert mode == "rb"
-        file = self.path.open("rb", buffering=0)
-        return io.BufferedReader(_Joined(file, self._length, self._end))
-
-
-def _missing(torn: int, complete: bool) -> str:
-    """What was not saved."""
-    if complete:
-        return "none is missing"
-    unread = f" ({torn} bytes cannot be read)" if torn else ""
-    return f"the last second may be missing{unread}"
-
-
-class _Joined(io.RawIOBase):
-    """The first bytes of a file, followed by others from memory."""
-
-    def __init__(self, file: io.FileIO, length: int, end: bytes) -> None:
-        self._file = file
-        self._length = length
-        self._end = end
-        self._position = 0
-
-    def readable(self) -> bool:
-        return True
-
-    def seekable(self) -> bool:
-        return True
-
-    def seek(self, offset: int, whence: int = io.SEEK_SET, /) -> int:
-        origin = (0, self._position, self._length + len(self._end))[whence]
-        self._position = origin + offset
-        return self._position
-
-    def readinto(self, buffer: WriteableBuffer, /) -> int:
-        view = memoryview(buffer).cast("B")
-        left = self._length - self._position
-        if left > 0:
-            self._file.seek(self._position)
-            count = self._file.readinto(view[:left])
-        else:
-            rest = self._end[-left : len(view) - left]
-            count = len(rest)
-            view[:count] = rest
-        self._position += count
-        return count
-
-    def close(self) -> None:
-        self._file.close()
-        super().close()
-
-
-def salvage(path: Path) -> SalvagedFile | None:
-    """What can be read of an MCAP file that was cut short.
+def salvage(path: Path) -> SalvagedRecording | None:
+    """Open an MCAP file that was cut short.
 
     Args:
         path: The file; it is only read.
 
     Returns:
-        Its whole part; None for a file that has its end, or that is no MCAP file.
+        Its complete part, to be closed; None for a file that has its end or is no MCAP file.
 
     Raises:
-        TrialError: If not one whole chunk with a message is there.
+        TrialError: As `SalvagedRecording`.
         OSError: If the file cannot be read.
     """
     with path.open("rb") as file:
-        size = file.seek(0, io.SEEK_END)
-        if not _is_cut_short(file, size):
-            return None
-        chunks, complete = _find_chunks(file, size)
-        # Before its size reaches the disk, a chunk may have zeros or old blocks for its content.
-        # That is so only for what was not flushed: from the back, the first sound one ends it.
-        while chunks and not _is_sound(file, chunks[-1]):
-            chunks.pop()
-            complete = False
-        for chunk in chunks:
-            if not chunk.counts:  # recorded without indexes
-                _count_messages(file, chunk)
-    if not any(chunk.counts for chunk in chunks):
-        raise TrialError(
-            f"{path}: is truncated (it has no end, and no whole chunk of messages)",
-            "record the trial again; 'mcap recover' may still find a part of it",
-        )
-    return SalvagedFile(path, chunks, size - chunks[-1].index_end, complete)
+        return SalvagedRecording(path) if _is_cut_short(file) else None
 
 
-def _is_cut_short(file: BinaryIO, size: int) -> bool:
+def _is_cut_short(file: BinaryIO) -> bool:
     """Whether a file starts as MCAP, if anything of its start is there, and does not end so."""
+    size = file.seek(0, io.SEEK_END)
     file.seek(0)
     if not _MAGIC.startswith(file.read(len(_MAGIC)).rstrip(b"\0")):
         return False
@@ -201,63 +213,68 @@ def _is_cut_short(file: BinaryIO, size: int) -> bool:
     return not (end.startswith(_FOOTER) and end.endswith(_MAGIC))
 
 
-def _find_chunks(file: BinaryIO, size: int) -> tuple[list[_Chunk], bool]:
-    """The chunks by their headers, and whether all messages are before the end of the file."""
-    chunks: list[_Chunk] = []
-    for opcode, start, end in _records(file, len(_MAGIC), size):
-        if opcode in (_Opcode.DATA_END, _Opcode.FOOTER):
-            return chunks, True
-        if opcode == _Opcode.CHUNK:
-            chunk = _read_chunk(file, start, end)
-            if chunk is None:
-                break
-            chunks.append(chunk)
-        elif opcode == _Opcode.MESSAGE_INDEX and chunks:
-            channel = int.from_bytes(file.read(2), "little")
-            chunks[-1].counts[channel] = (end - start - _RECORD.size - 6) // 16
-            chunks[-1].index_end = end
-    return chunks, False
-
-
-def _records(file: BinaryIO, start: int, end: int) -> Iterator[tuple[int, int, int]]:
-    """Opcode, start and end [bytes] of each whole record, up to the first that is none.
+def _records(file: BinaryIO, size: int) -> Iterator[tuple[int, int, int]]:
+    """Opcode, start and end of the content [bytes] of each record, up to the first torn one.
 
     Whenever one is yielded, the file stands at its content.
     """
-    while start + _RECORD.size <= end:
-        file.seek(start)
+    position = len(_MAGIC)
+    while position + _RECORD.size <= size:
+        file.seek(position)
         opcode, length = _RECORD.unpack(file.read(_RECORD.size))
-        following = start + _RECORD.size + length
-        if opcode == 0 or following > end:
+        start = position + _RECORD.size
+        position = start + length
+        if opcode == 0 or position > size:
             return
-        yield opcode, start, following
-        start = following
+        yield opcode, start, position
 
 
-def _read_chunk(file: BinaryIO, start: int, end: int) -> _Chunk | None:
-    """The header of a chunk without its counts; None if it contradicts its record."""
-    if end - start < _RECORD.size + _CHUNK.size + 8:
-        return None
-    first, last, size, checksum, name_length = _CHUNK.unpack(file.read(_CHUNK.size))
-    if name_length > _LONGEST_NAME:
-        return None
-    name = file.read(name_length)
-    data = start + _RECORD.size + _CHUNK.size + name_length + 8
-    if data + int.from_bytes(file.read(8), "little") != end:
-        return None
-    return _Chunk(start, end, first, last, size, checksum, name, data, {}, end)
+def _read_chunk(file: BinaryIO, start: int, end: int) -> Chunk:
+    """The chunk whose content stands there; ValueError if its lengths contradict each other."""
+    if end - start > _LARGEST_CHUNK:
+        raise ValueError("the chunk is too large")
+    file.seek(start)
+    chunk = Chunk.read(_stream(file.read(end - start)))
+    if _CHUNK_FIELDS + len(chunk.compression) + len(chunk.data) != end - start:
+        raise ValueError("the chunk does not fill its record")
+    if chunk.uncompressed_size > _LARGEST_CHUNK or chunk.compression not in _COMPRESSIONS:
+        raise ValueError("the chunk cannot be unpacked")
+    return chunk
 
 
-def _is_sound(file: BinaryIO, chunk: _Chunk) -> bool:
-    """Whether the last chunk's content is whole; it is counted, because its index may be torn."""
-    return not _may_end_in_a_gap(file, chunk) and _count_messages(file, chunk)
+def _records_of(chunk: Chunk) -> Iterator[Schema | Channel | Message]:
+    """The records in a chunk; ValueError or what the libraries raise unless each is complete.
+
+    The library's `breakup_chunk` accepts a torn last record and leaves out unknown ones.
+    """
+    stream, length = get_chunk_data_stream(chunk, validate_crc=True)
+    if length != chunk.uncompressed_size:
+        raise ValueError("the chunk has another size")
+    while stream.count < length:
+        opcode, size = stream.read1(), stream.read8()
+        end = stream.count + size
+        if end > length:
+            raise ValueError("the chunk ends within a record")
+        record: Schema | Channel | Message
+        if opcode == Opcode.MESSAGE:
+            record = Message.read(stream, size)
+        elif opcode == Opcode.CHANNEL:
+            record = Channel.read(stream)
+        elif opcode == Opcode.SCHEMA:
+            record = Schema.read(stream)
+        else:
+            raise ValueError("the chunk holds another record")
+        if stream.count > end:
+            raise ValueError("a record is longer than its length")
+        stream.read(end - stream.count)  # fields of a later version of the format
+        yield record
 
 
 def _may_end_in_a_gap(file: BinaryIO, chunk: _Chunk) -> bool:
     """Whether zeros at the end of a chunk may be what a power cut left of its last message."""
-    file.seek(chunk.data)
-    content = file.read(chunk.end - chunk.data)
-    zeros_from = chunk.data + len(content.rstrip(b"\0"))
+    file.seek(chunk.start)
+    content = file.read(chunk.end - chunk.start)
+    zeros_from = chunk.start + len(content.rstrip(b"\0"))
     if zeros_from == chunk.end:
         return False
     following = file.read(1)
@@ -265,53 +282,34 @@ def _may_end_in_a_gap(file: BinaryIO, chunk: _Chunk) -> bool:
     return following == b"\0" or (following == b"" and zeros_from <= last_sector)
 
 
-def _count_messages(file: BinaryIO, chunk: _Chunk) -> bool:
-    """Count a chunk's messages by channel; False if its content is no sequence of records."""
-    file.seek(chunk.data)
-    data = file.read(chunk.end - chunk.data)
-    try:
-        records = decompress(data, chunk.compression.decode(), chunk.size, chunk.checksum)
-    except Exception:  # the libraries raise whatever the bytes lead them to
-        return False
-    content = io.BytesIO(records)
-    chunk.counts = Counter()
-    whole = 0
-    for opcode, start, end in _records(content, 0, len(records)):
-        if opcode == _Opcode.MESSAGE and end - start >= _RECORD.size + _LEAST_MESSAGE:
-            chunk.counts[int.from_bytes(content.read(2), "little")] += 1
-        elif opcode not in (_Opcode.SCHEMA, _Opcode.CHANNEL):
-            return False
-        whole = end
-    return whole == len(records)
+def _connections(chunks: list[_Chunk], owner: object) -> list[Connection]:
+    """The channels of some chunks as rosbags describes them, with their counts."""
+    definitions = [record for chunk in chunks for record in chunk.definitions]
+    schemas = {record.id: record.name for record in definitions if isinstance(record, Schema)}
+    channels = {record.id: record for record in definitions if isinstance(record, Channel)}
+    counts = sum((chunk.counts for chunk in chunks), Counter[int]())
+    return [
+        Connection(
+            id=channel.id,
+            topic=channel.topic,
+            msgtype=schemas[channel.schema_id],
+            msgdef=MessageDefinition(MessageDefinitionFormat.NONE, ""),
+            digest="",
+            msgcount=counts[channel.id],
+            ext=ConnectionExtRosbag2(
+                channel.message_encoding,
+                _qos(channel.metadata.get("offered_qos_profiles", "")),
+            ),
+            owner=owner,
+        )
+        for channel in channels.values()
+    ]
 
 
-def _index_and_end(chunks: list[_Chunk]) -> bytes:
-    """What a recorder that closes the file after these chunks would write, but for the counts.
-
-    With statistics but no schema here, the library goes through the chunks, one at a time, for
-    schemas, channels and counts; it then reads in the order of time by this index.
-    """
-    records = [_record(_Opcode.CHUNK_INDEX, _index_entry(chunk)) for chunk in chunks]
-    records.append(_record(_Opcode.STATISTICS, bytes(46)))
-    records.append(_record(_Opcode.FOOTER, struct.pack("<QQI", chunks[-1].end, 0, 0)))
-    return b"".join([*records, _MAGIC])
+@cache  # YAML is slow, and all channels say the same
+def _qos(profiles: str) -> list[Qos]:
+    return parse_qos(profiles) if profiles else []
 
 
-def _index_entry(chunk: _Chunk) -> bytes:
-    """A chunk index, with the messages' own indexes where they belong, behind the chunk."""
-    offsets, position = b"", chunk.end
-    for channel, count in chunk.counts.items():
-        offsets += struct.pack("<HQ", channel, position)
-        position += _RECORD.size + 6 + 16 * count
-    fields = (
-        struct.pack("<QQ", chunk.first_time, chunk.last_time),
-        struct.pack("<QQ", chunk.start, chunk.end - chunk.start),
-        struct.pack("<I", len(offsets)) + offsets,
-        struct.pack("<QI", position - chunk.end, len(chunk.compression)) + chunk.compression,
-        struct.pack("<QQ", chunk.end - chunk.data, chunk.size),
-    )
-    return b"".join(fields)
-
-
-def _record(opcode: int, content: bytes) -> bytes:
-    return _RECORD.pack(opcode, len(content)) + content
+def _stream(content: bytes) -> ReadDataStream:
+    return ReadDataStream(io.BytesIO(content))

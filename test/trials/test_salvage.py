@@ -1,12 +1,14 @@
 """Recordings that were cut short: every cut gives what was whole before it, or an error."""
 
 import shutil
+import struct
 import tracemalloc
 from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
+import zstandard
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.rosbag2.storage_mcap import McapReader
 from support.bags import copy_configuration
@@ -101,10 +103,9 @@ def cuts_of(recording: Recording) -> list[int]:
 def check(recording: Recording, data: bytes, folder: Path) -> None:
     """Whether a torn file gives the messages of the chunks that are whole in it, or an error."""
     whole = recording.data
-    same = next(
-        (k for k, (a, b) in enumerate(zip(data, whole, strict=False)) if a != b),
-        min(len(data), len(whole)),
-    )
+    length = min(len(data), len(whole))
+    alike = np.frombuffer(data[:length], np.uint8) == np.frombuffer(whole[:length], np.uint8)
+    same = length if alike.all() else int(np.argmin(alike))
     allowed = [recording.before(same)]
     if same in recording.ends and data[same - 1] == 0:
         # Zeros from a gap may have begun before the end of the last chunk: it is in doubt.
@@ -141,6 +142,27 @@ def test_sectors_that_never_reached_the_disk_cost_their_chunk(recording, tmp_pat
         for sector in range(512, end_of_size, 512):
             torn = recording.data[:sector] + bytes(end_of_size - sector)
             check(recording, torn, tmp_path / "bag")
+
+
+@pytest.mark.parametrize("place", ["record", "name", "data", "unpacked"])
+def test_a_lying_length_takes_no_memory(place: str, recording, tmp_path: Path) -> None:
+    """The last chunk is a zstd one with a length of 2 GiB somewhere."""
+    length = 2**31
+    frame = zstandard.ZstdCompressor(write_content_size=False).compress(bytes(1000))
+    content = (
+        struct.pack("<QQQI", START, START, length if place == "unpacked" else 1000, 0)
+        + struct.pack("<I", length if place == "name" else 4)
+        + b"zstd"
+        + struct.pack("<Q", length if place == "data" else len(frame))
+        + frame
+    )
+    record = struct.pack("<BQ", 6, length if place == "record" else len(content)) + content
+    folder = write(tmp_path / "bag", recording.data[: recording.ends[2]] + record)
+    tracemalloc.start()
+    messages = read(folder)
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert messages == recording.first(3) and peak < 2**24
 
 
 def test_compressed_chunks_are_saved_as_well(recording, tmp_path: Path) -> None:
