@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 import trimesh
 from scipy.spatial import KDTree
+from scipy.spatial.distance import cdist
 
 from socket_testbed.arrays import BoolArray, FloatArray, IntArray
 
 _SMALL = 1e-12  # in place of a zero that is divided by
+REACH = 1.45  # [edges]; squares that overlap have their centres within it
+_BLOCK = 0.25  # [-]; size of a block of centres, of the radius around them
 _OTHER_WALL = -0.2  # [-]; cosine between the normals of squares that are on different walls
 
 
@@ -82,8 +86,58 @@ def gaps(squares: Squares, index: int, others: IntArray) -> FloatArray:
     return np.where(cosine > _OTHER_WALL, np.maximum(apart, across).max(axis=0) - reach, np.inf)
 
 
+def overlapping(squares: Squares, some: IntArray, clearance: float) -> list[IntArray]:
+    """For each of some squares, all that it overlaps, itself included.
+
+    Args:
+        squares: The squares.
+        some: Indices of some of them.
+        clearance: Gap below which two count as overlapping [m].
+    """
+    anchors, normals = squares.anchors, np.ascontiguousarray(squares.rotations[:, :, 2])
+    found = [np.zeros(0, dtype=np.int64)] * len(some)
+    for rows, near in blocks_of(anchors[some], anchors, REACH * squares.edge):
+        block = some[rows]
+        distance = cdist(anchors[block], anchors[near])
+        same_wall = normals[block] @ normals[near].T > _OTHER_WALL
+        # Squares on one wall overlap, however they are turned, if their centres are within an edge.
+        sure = same_wall & (distance < squares.edge)
+        perhaps = same_wall & ~sure & (distance <= REACH * squares.edge)
+        for place, row in enumerate(rows):
+            others = near[perhaps[place]]
+            touching = others[gaps(squares, int(block[place]), others) < clearance]
+            found[row] = np.concatenate([near[sure[place]], touching])
+    return found
+
+
 def _dot(a: FloatArray, b: FloatArray) -> FloatArray:
     return np.einsum("pi,pi->p", a, b)
+
+
+def blocks_of(
+    centres: FloatArray, points: FloatArray, radius: float
+) -> Iterator[tuple[IntArray, IntArray]]:
+    """Blocks of centres that are close to each other, each with the points near any of them.
+
+    Args:
+        centres: Shape (m, 3) [m].
+        points: Shape (p, 3) [m].
+        radius: How far from a centre points are near [m].
+
+    Yields:
+        The indices of the centres, and those of all points within the radius, and of some others.
+    """
+    if not len(points) or not len(centres):
+        return
+    tree = KDTree(points)
+    block = np.unique(np.floor(centres / (_BLOCK * radius)), axis=0, return_inverse=True)[1].ravel()
+    order = np.argsort(block, kind="stable")
+    for rows in np.split(order, np.flatnonzero(np.diff(block[order])) + 1):
+        middle = centres[rows].mean(axis=0)
+        reach = radius + np.linalg.norm(centres[rows] - middle, axis=1).max()
+        near = tree.query_ball_point(middle, reach)
+        if near:
+            yield rows, np.array(near)
 
 
 _DRAWN = 4.0  # random points for each that is kept

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 import trimesh
-from scipy import sparse
 from scipy.spatial import KDTree
+from scipy.spatial.distance import cdist
 from trimesh.intersections import slice_faces_plane
 
 from socket_testbed.arrays import BoolArray, FloatArray, IntArray
-from socket_testbed.socket_design.squares import Squares, SurfacePoints, gaps
+from socket_testbed.socket_design.squares import Squares, SurfacePoints, blocks_of, gaps
 
 
 @dataclass(frozen=True)
@@ -158,13 +157,18 @@ class Verification:
                 unfit.append(tile)
         return unfit
 
-    def overlapping(self, tiles: IntArray) -> list[tuple[int, int]]:
-        """Pairs of tiles whose footprints share a piece of the surface."""
+    def overlapping(self, tiles: IntArray, known: int = 0) -> list[tuple[int, int]]:
+        """Pairs of tiles whose footprints share a piece of the surface.
+
+        Args:
+            tiles: The tiles.
+            known: So many of the first are known to share nothing among themselves.
+        """
         pairs = []
-        for place, tile in enumerate(map(int, tiles)):
-            later = tiles[place + 1 :]
-            close = later[gaps(self._squares, tile, later) < _CLOSE * self._squares.edge]
-            pairs += [(tile, o) for o in map(int, close) if self.shared_area(tile, o) > _SHARED]
+        for place in range(known, len(tiles)):
+            tile, earlier = int(tiles[place]), tiles[:place]
+            close = earlier[gaps(self._squares, tile, earlier) < _CLOSE * self._squares.edge]
+            pairs += [(o, tile) for o in map(int, close) if self.shared_area(o, tile) > _SHARED]
         return pairs
 
     def shared_area(self, tile: int, other: int) -> float:
@@ -191,9 +195,6 @@ _LEAST_COVER = 0.85  # [-]; coverage of a square, as far as the points' areas ca
 
 
 _SAFE = 0.95  # [-]; the points miss the farthest corners
-
-
-_BATCH = 2000
 
 
 @dataclass(frozen=True)
@@ -267,11 +268,10 @@ def tile_frames(normals: FloatArray, surroundings: Surroundings) -> FloatArray:
 def _mean_normals(places: SurfacePoints, points: SurfacePoints, radius: float) -> FloatArray:
     """Mean normal of the sheet around each place, shape (m, 3) [-]."""
     mean = np.empty_like(places.normals)
-    for rows, owner, near in _around(places.positions, points.positions, radius):
-        same = np.einsum("pi,pi->p", points.normals[near], places.normals[rows][owner])
-        weight = points.areas[near] * (same > _SAME_SHEET)
-        shape = (rows.stop - rows.start, len(points.positions))
-        mean[rows] = sparse.csr_matrix((weight, (owner, near)), shape=shape) @ points.normals
+    for rows, near in blocks_of(places.positions, points.positions, radius):
+        close = cdist(places.positions[rows], points.positions[near]) <= radius
+        same = places.normals[rows] @ points.normals[near].T > _SAME_SHEET
+        mean[rows] = np.where(close & same, points.areas[near], 0.0) @ points.normals[near]
     length = np.linalg.norm(mean, axis=1, keepdims=True)
     return np.where(length > 0.0, mean / np.where(length > 0.0, length, 1.0), places.normals)
 
@@ -280,39 +280,25 @@ def _fits(squares: Squares, surroundings: Surroundings, flatness: float) -> Bool
     points, half = surroundings.points, 0.5 * squares.edge
     reach = float(np.hypot(np.sqrt(2.0) * half, flatness))
     fits = np.zeros(len(squares), dtype=bool)
-    for rows, owner, near in _around(squares.anchors, points.positions, 1.1 * reach):
-        frames = squares.rotations[rows][owner]
-        offset = points.positions[near] - squares.anchors[rows][owner]
-        x, y, height = np.einsum("pi,pij->jp", offset, frames)
-        facing = np.einsum("pi,pi->p", points.normals[near], frames[:, :, 2])
+    for rows, near in blocks_of(squares.anchors, points.positions, 1.1 * reach):
+        block = squares.take(rows)
+        x, y, height = _seen_from(block, points.positions[near])
+        facing = block.rotations[:, :, 2] @ points.normals[near].T
         inside = (np.abs(x) < half) & (np.abs(y) < half) & (facing > FACING_WALL)
+        inside &= cdist(block.anchors, points.positions[near]) <= 1.1 * reach
         unfit = inside & ((np.abs(height) > _SAFE * flatness) | (facing < LEAST_FACING))
-        count = rows.stop - rows.start
-        cover = np.bincount(owner, points.areas[near] * facing * inside, minlength=count)
-        fits[rows] = cover > _LEAST_COVER * squares.edge**2
-        fits[np.arange(rows.start, rows.stop)[np.unique(owner[unfit])]] = False
-    for rows, owner, near in _around(squares.anchors, surroundings.rim, reach):
-        offset = surroundings.rim[near] - squares.anchors[rows][owner]
-        x, y, _ = np.einsum("pi,pij->jp", offset, squares.rotations[rows][owner])
+        cover = np.where(inside, facing, 0.0) @ points.areas[near]
+        fits[rows] = (cover > _LEAST_COVER * squares.edge**2) & ~unfit.any(axis=1)
+    for rows, near in blocks_of(squares.anchors, surroundings.rim, reach):
+        block = squares.take(rows)
+        x, y, _ = _seen_from(block, surroundings.rim[near])
         cut = (np.abs(x) < half) & (np.abs(y) < half)
-        fits[np.arange(rows.start, rows.stop)[np.unique(owner[cut])]] = False
+        cut &= cdist(block.anchors, surroundings.rim[near]) <= reach
+        fits[rows] &= ~cut.any(axis=1)
     return fits
 
 
-def _around(
-    centres: FloatArray, points: FloatArray, radius: float
-) -> Iterator[tuple[slice, IntArray, IntArray]]:
-    """Points within a radius of each centre, batch by batch.
-
-    Yields:
-        The centres of the batch, and for each pair of a centre and a point near it the
-        centre's index in the batch and the point's index.
-    """
-    if not len(points):
-        return
-    tree = KDTree(points)
-    for start in range(0, len(centres), _BATCH):
-        rows = slice(start, min(start + _BATCH, len(centres)))
-        near = tree.query_ball_point(centres[rows], radius)
-        count = np.fromiter(map(len, near), dtype=np.int64, count=len(near))
-        yield rows, np.repeat(np.arange(len(near)), count), np.concatenate(near).astype(np.int64)
+def _seen_from(squares: Squares, points: FloatArray) -> FloatArray:
+    """Coordinates of p points in the frames of m squares, shape (3, m, p) [m]."""
+    axes = np.moveaxis(squares.rotations, 2, 0)
+    return axes @ points.T - (axes * squares.anchors).sum(axis=2)[:, :, None]

@@ -14,12 +14,18 @@ from dataclasses import dataclass
 
 import numpy as np
 import trimesh
-from scipy import sparse
 from scipy.spatial import KDTree
 
 from socket_testbed.arrays import BoolArray, FloatArray, IntArray
 from socket_testbed.errors import ScanError
-from socket_testbed.socket_design.squares import Squares, SurfacePoints, gaps, spread_points
+from socket_testbed.socket_design.squares import (
+    REACH,
+    Squares,
+    SurfacePoints,
+    gaps,
+    overlapping,
+    spread_points,
+)
 from socket_testbed.socket_design.tile_fit import (
     Surroundings,
     Verification,
@@ -74,12 +80,14 @@ def border_gaps(squares: Squares, borders: FloatArray, index: int, others: IntAr
     own = (borders[others] - squares.anchors[index]) @ squares.rotations[index][:, :2]
     offset = borders[index] - squares.anchors[others][:, None]
     theirs = offset @ squares.rotations[others][:, :, :2]
-    outside = [np.abs(seen).max(axis=2).min(axis=1) for seen in (own, theirs)]
+    outside = [
+        np.maximum(np.abs(seen[:, :, 0]), np.abs(seen[:, :, 1])).min(axis=1)
+        for seen in (own, theirs)
+    ]
     return np.minimum(*outside) - 0.5 * squares.edge
 
 
 _WASTE_SPACING = 0.15  # [edges]; of the squares by which waste is counted
-_REACH = 1.45  # [edges]; squares that overlap have their centres within it
 _CHANCE = (0.0, 0.02, 0.1, 0.3)  # [-]; how far a recreation strays from least waste
 _FEWEST_RUINED, _MOST_RUINED = 3, 14
 _PLANE = 0.002  # [m]; gaps smaller than it are seen to on the surface itself
@@ -110,7 +118,7 @@ class Search:
         self._overlaps_of_tile: dict[int, IntArray] = {}
         cell = np.floor(squares.anchors / (_WASTE_SPACING * squares.edge))
         self._witnesses = np.unique(cell, axis=0, return_index=True)[1]
-        self._overlaps = self._overlaps_with_witnesses()
+        self._overlapping_witness = overlapping(squares, self._witnesses, _CLEARANCE)
 
     def fill(self) -> IntArray:
         """A first set of tiles, to which none can be added."""
@@ -146,7 +154,7 @@ class Search:
             for tile in kept:
                 free[self._overlapping(int(tile))] = False
             found = self._place(kept, free, rng.choice(_CHANCE) * rng.random(len(free)))
-            if len(found) >= len(tiles) and not self._wrong(found):
+            if len(found) >= len(tiles) and not self._wrong(found, len(kept)):
                 tiles = found
                 current = set(tiles.tolist())
                 self._overlaps_of_tile = {
@@ -160,23 +168,33 @@ class Search:
         """Place free squares by least waste until none is left."""
         placed = list(tiles)
         candidates = np.flatnonzero(free)
-        waste = np.full(len(free), np.inf)
-        waste[candidates] = self._waste(candidates, free)
+        witnesses = free[self._witnesses]
+        waste = self._overlaps(witnesses)
         while len(candidates):
             best = int(candidates[np.argmin(waste[candidates] * (1.0 + chance[candidates]))])
             placed.append(best)
             free[self._overlapping(best)] = False
             candidates = candidates[free[candidates]]
-            offset = self._squares.anchors[candidates] - self._squares.anchors[best]
-            changed = candidates[np.einsum("ci,ci->c", offset, offset) < (2.0 * self._reach) ** 2]
-            waste[changed] = self._waste(changed, free)
+            waste -= self._overlaps(witnesses & ~free[self._witnesses])
+            witnesses &= free[self._witnesses]
         return np.array(placed, dtype=np.int64)
 
-    def _wrong(self, tiles: IntArray) -> set[int]:
-        """Tiles that must go, so that the others are whole and share nothing."""
-        wrong = set(self._verification.unfit(tiles))
+    def _overlaps(self, witnesses: BoolArray) -> IntArray:
+        """How many of some witnesses each square overlaps, shape (m,)."""
+        squares = [self._overlapping_witness[i] for i in np.flatnonzero(witnesses)]
+        none = np.zeros(0, dtype=np.int32)
+        return np.bincount(np.concatenate([none, *squares]), minlength=len(self._squares))
+
+    def _wrong(self, tiles: IntArray, known: int = 0) -> set[int]:
+        """Tiles that must go, so that the others are whole and share nothing.
+
+        Args:
+            tiles: The tiles.
+            known: So many of the first are known to be whole and to share nothing.
+        """
+        wrong = set(self._verification.unfit(tiles[known:]))
         self._alive[list(wrong)] = False
-        for pair in self._verification.overlapping(tiles):
+        for pair in self._verification.overlapping(tiles, known):
             if not wrong.intersection(pair):
                 wrong.add(pair[1])
                 for tile in pair:
@@ -185,39 +203,20 @@ class Search:
                 self._overlaps_of_tile.clear()
         return wrong
 
-    def _waste(self, candidates: IntArray, free: BoolArray) -> FloatArray:
-        """Free witnesses that each candidate would take away."""
-        return self._overlaps[candidates] @ free[self._witnesses].astype(np.float32)
-
-    @property
-    def _reach(self) -> float:
-        return _REACH * self._squares.edge
-
-    def _near(self, index: int) -> IntArray:
-        return np.array(self._tree.query_ball_point(self._squares.anchors[index], self._reach))
-
     def _overlapping(self, index: int) -> IntArray:
         """Squares that overlap a given one, itself included."""
         if index not in self._overlaps_of_tile:
-            near = self._near(index)
+            near = np.array(
+                self._tree.query_ball_point(
+                    self._squares.anchors[index], REACH * self._squares.edge
+                )
+            )
             gap = gaps(self._squares, index, near)
             close = np.abs(gap) < _PLANE
             gap[close] = border_gaps(self._squares, self._borders, index, near[close])
             clearance = np.maximum(self._clearance[near], self._clearance[index])
             self._overlaps_of_tile[index] = near[gap < clearance]
         return self._overlaps_of_tile[index]
-
-    def _overlaps_with_witnesses(self) -> sparse.csr_matrix:
-        """Which squares overlap which witnesses, shape (m, w)."""
-        overlapping = []
-        for witness in self._witnesses:
-            near = self._near(int(witness))
-            overlap = gaps(self._squares, int(witness), near) < _CLEARANCE
-            overlapping.append(near[overlap].astype(np.int32))
-        ends = np.cumsum([0, *map(len, overlapping)])
-        ones = np.ones(ends[-1], dtype=np.float32)
-        shape = (len(self._squares), len(self._witnesses))
-        return sparse.csc_matrix((ones, np.concatenate(overlapping), ends), shape=shape).tocsr()
 
 
 _NEAR = 0.5  # [edges]; largest gap between neighbours
