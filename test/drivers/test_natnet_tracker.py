@@ -1,7 +1,6 @@
 """Bodies between frames: against the true motion, through swaps, occlusions and gaps."""
 
 import threading
-import time
 
 import numpy as np
 import pytest
@@ -344,15 +343,3 @@ def test_whatever_happens_to_the_frames_a_pose_is_right_or_missing(seed):
             if not missing or not around <= swaps[body]:
                 assert markers_off < 3e-4
     assert right > 250
-
-
-def test_a_sample_takes_less_than_a_millisecond():
-    tracker = tracker_of(frames(240))
-
-    def once() -> float:
-        start = time.process_time()
-        for index in range(20):
-            tracker.sample((100.5 + index) * PERIOD)
-        return (time.process_time() - start) / 20
-
-    assert min(once() for _ in range(10)) < 1e-3
