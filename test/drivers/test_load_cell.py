@@ -207,7 +207,7 @@ def test_most_wrenches_outlive_flipped_bits_and_a_jittery_thread() -> None:
         ("flipped_bits", 1.0, "checksum", "check the wiring, or lower load_cell_node's spi_clock"),
     ],
 )
-def test_what_fails_is_told_with_its_mend(fault, value, fact, hint) -> None:
+def test_what_fails_is_reported_with_its_hint(fault, value, fact, hint) -> None:
     bench = Bench()
     bench.run(0.3)
     bench.fault(fault, value)
@@ -258,13 +258,13 @@ def test_another_converter_is_named_until_it_is_changed() -> None:
     assert bench.cell.check_frames(20) == 0
 
 
-def test_a_bus_that_is_not_there_is_told_not_raised() -> None:
+def test_a_bus_that_is_not_there_is_reported_not_raised() -> None:
     def missing():
-        raise DeviceError("/dev/spidev0.0 does not exist", "enable SPI")
+        raise DeviceError("there is no /dev/spidev0.0", "enable SPI")
 
     cell = LoadCell(SETTINGS, missing, lambda: 3.0, lambda duration: None)
     cell.poll()
-    assert cell.health(3.0) == (2, "/dev/spidev0.0 does not exist: enable SPI")
+    assert cell.health(3.0) == (2, "there is no /dev/spidev0.0: enable SPI")
     cell.close()
 
 

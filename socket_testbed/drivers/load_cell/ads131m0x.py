@@ -1,10 +1,9 @@
-"""The converter ADS131M06 or ADS131M08 on SPI, frame by frame."""
+"""TI ADS131M06 and ADS131M08 on SPI (datasheet SBAS950B), frame by frame."""
 
 from __future__ import annotations
 
 import binascii
 import importlib
-import math
 import re
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -14,9 +13,25 @@ import numpy as np
 
 from socket_testbed import clocks
 from socket_testbed.arrays import BoolArray, FloatArray, IntArray
+from socket_testbed.drivers.device_files import opening_failed
 from socket_testbed.errors import ConfigurationError, DeviceError
 
-_SPI_MODE = 1  # the clock idles low, data are latched on its falling edge
+HIGHEST, LOWEST = 0x7FFFFF, -0x800000  # codes of the rails
+_SINC3_LONGEST = 1024  # a higher oversampling is reached by a sinc1 behind it
+_REFERENCE = 1.2  # [V]
+_WORD = 3  # [bytes]
+_START_UP = 300  # modulator clocks from a reset to the first sample
+_RESET_TIME = 1e-3  # [s]; the registers have their values after 5 us
+
+_NULL, _RESET, _UNLOCK = 0x0000, 0x0011, 0x0655
+_READ, _WRITE, _WRITTEN = 0xA000, 0x6000, 0x4000
+_ID, _MODE = 0x00, 0x02  # CLOCK, GAIN1 and GAIN2 follow MODE
+_RESET_BIT = 0x0400
+_WORDS_OF_24_BITS, _TIMEOUT, _ANSI = 0x0100, 0x0010, 0x0800
+_HIGH_RESOLUTION = 0x0002
+
+_CHECK_WIRING = "check the wiring, or lower load_cell_node's spi_clock"
+_CHECK_DIN = "check DIN, or lower load_cell_node's spi_clock"
 
 
 class SpiDevice(Protocol):
@@ -40,7 +55,7 @@ def check_device(device: str) -> tuple[int, int]:
     match = re.fullmatch(r"(\d+)\.(\d+)", device)
     if match is None:
         raise ConfigurationError(
-            f"device is '{device}'", "give bus and chip select as N.M, such as 0.0"
+            f"load_cell_node: device is '{device}'", "give bus and chip select as N.M, such as 0.0"
         )
     return int(match[1]), int(match[2])
 
@@ -69,30 +84,19 @@ def open_spi(device: str, clock: float) -> SpiDevice:
     spi = library.SpiDev()
     try:
         spi.open(bus, select)
-        spi.mode = _SPI_MODE
+        spi.mode = 1  # the clock idles low, data are latched on its falling edge
         spi.max_speed_hz = int(clock)
     except OSError as error:
         spi.close()
-        raise _cannot_open(path, error) from None
+        raise opening_failed(
+            path,
+            error,
+            group="spi",
+            missing="enable SPI (dtparam=spi=on in config.txt), or set load_cell_node's device",
+            otherwise="check that nothing else uses it, and load_cell_node's spi_clock",
+        ) from None
     opened: SpiDevice = spi
     return opened
-
-
-def _cannot_open(path: str, error: OSError) -> DeviceError:
-    if isinstance(error, FileNotFoundError):
-        return DeviceError(
-            f"{path} does not exist",
-            "enable SPI (dtparam=spi=on in config.txt) or set load_cell_node's device",
-        )
-    if isinstance(error, PermissionError):
-        return DeviceError(
-            f"{path}: permission denied",
-            "add the user to the group spi (sudo usermod -aG spi $USER) and log in again",
-        )
-    return DeviceError(
-        f"{path}: cannot be opened ({error.strerror or error})",
-        "check that nothing else uses it, and load_cell_node's spi_clock",
-    )
 
 
 def _ansi_table() -> tuple[int, ...]:
@@ -118,10 +122,32 @@ def checksum(data: bytes, crc: str) -> int:
     return remainder
 
 
-_SINC3_LONGEST = 1024  # a higher oversampling is reached by a sinc1 behind it
-_PAUSE = 1.95  # periods; two conversions wait, a third would be lost
-_BRIDGES = 6
-_ROWS = 200_000  # 11 MB
+class ChecksumError(DeviceError):
+    """A frame does not match its checksum: nothing in it can be used."""
+
+
+class NoAnswerError(DeviceError):
+    """The converter or its bus does not answer."""
+
+
+class ConverterResetError(DeviceError):
+    """The converter fell back to its reset state, with another gain and rate."""
+
+
+@dataclass(frozen=True)
+class ConverterFrame:
+    """What one frame holds.
+
+    Attributes:
+        status: The STATUS register.
+        codes: Codes by channel, shape (channels,).
+        new: Whether all channels hold a conversion that was not read before; the codes of
+            any other frame are old.
+    """
+
+    status: int
+    codes: IntArray
+    new: bool
 
 
 def conversion_period(clock_in: float, oversampling: int) -> float:
@@ -138,154 +164,6 @@ def group_delay(clock_in: float, oversampling: int) -> float:
     """
     inner = min(oversampling, _SINC3_LONGEST)
     return (1.5 * inner + 0.5 * (oversampling - inner)) * 2.0 / clock_in
-
-
-class ConversionClock:
-    """Tells when conversions ended, from when frames were read.
-
-    A frame without new data says that no conversion waits; the next conversion ends within a
-    period of it, and ahead of the frame that brings it. Conversions follow each other in equal
-    steps, so the bounds of all of them together are much closer than a reader's pace.
-
-    Args:
-        period: Time from one conversion to the next [s].
-    """
-
-    def __init__(self, period: float) -> None:
-        self._period = period
-        self._empty: float | None = None
-        self._last: float | None = None
-        self._waiting = 0  # conversions read since none waited
-        self._continuous = False
-
-    def lose(self) -> None:
-        """A frame was lost, or what waits is of unknown age: wait until nothing waits."""
-        self._empty = None
-        self._continuous = False
-
-    def nothing_waits(self, begin: float) -> None:
-        """A frame that was begun at this time [s] brought nothing new."""
-        self._empty = begin
-        self._waiting = 0
-
-    def conversion_end(self, read: float) -> float | None:
-        """When a conversion ended [s].
-
-        Args:
-            read: Time at which the frame that brought it was over [s].
-
-        Returns:
-            The time, or None if it is not known which conversion this is.
-        """
-        if self._empty is None:
-            return None
-        if read - self._empty > (self._waiting + _PAUSE) * self._period:
-            self.lose()
-            return None
-        low = self._empty + self._waiting * self._period
-        high = min(read, low + self._period)
-        middle = 0.5 * (low + high)
-        end = middle if self._last is None else self._next_end(self._last, middle)
-        if abs(end - middle) > self._period:  # conversions paused, and begin anew
-            end = middle
-        self._last = min(max(end, low), high)
-        self._waiting += 1
-        self._continuous = True
-        return self._last
-
-    def _next_end(self, last: float, middle: float) -> float:
-        """The step from the last conversion that was told, nearest to a time if some are lost."""
-        steps = 1 if self._continuous else round((middle - last) / self._period)
-        return last + self._period * steps
-
-
-class ConversionRing:
-    """The last conversions, in the order of their times.
-
-    Args:
-        period: Time from one conversion to the next [s].
-        span: Time that is kept, as far as there is room [s].
-
-    Attributes:
-        span: Time that is kept [s].
-    """
-
-    def __init__(self, period: float, span: float) -> None:
-        self._size = min(math.ceil(span / period), _ROWS)
-        self.span = self._size * period
-        # Every row stands twice, so that the rows kept are always in one piece.
-        self._times = np.full(2 * self._size, -np.inf)
-        self._ratios = np.zeros((2 * self._size, _BRIDGES))
-        self._rails = np.zeros((2 * self._size, _BRIDGES), dtype=bool)
-        self._next = 0
-
-    def add(self, time: float, ratios: FloatArray, rails: BoolArray) -> None:
-        """Add a conversion, later than all before.
-
-        Args:
-            time: When it was measured [s].
-            ratios: Ratios of the bridges, shape (6,) [mV/V].
-            rails: Whether each is clipped, shape (6,).
-        """
-        for row in (self._next, self._next + self._size):
-            self._times[row] = time
-            self._ratios[row] = ratios
-            self._rails[row] = rails
-        self._next = (self._next + 1) % self._size
-
-    def between(self, start: float, end: float) -> tuple[FloatArray, FloatArray, BoolArray]:
-        """Conversions measured after `start` and until `end` [s].
-
-        Returns:
-            Their times, shape (n,) [s], ratios, shape (n, 6) [mV/V], and whether these are
-            clipped, shape (n, 6).
-        """
-        kept = slice(self._next, self._next + self._size)
-        first, last = self._next + np.searchsorted(self._times[kept], (start, end), side="right")
-        rows = slice(first, max(first, last))
-        return self._times[rows].copy(), self._ratios[rows].copy(), self._rails[rows].copy()
-
-
-HIGHEST, LOWEST = 0x7FFFFF, -0x800000  # codes of the rails
-_REFERENCE = 1.2  # [V]
-_WORD = 3  # [bytes]
-_START_UP = 300  # modulator clocks from a reset to the first sample
-_RESET_TIME = 1e-3  # [s]; the registers have their values after 5 us
-
-_NULL, _RESET, _UNLOCK = 0x0000, 0x0011, 0x0655
-_READ, _WRITE, _WRITTEN = 0xA000, 0x6000, 0x4000
-_ID, _MODE = 0x00, 0x02  # CLOCK, GAIN1 and GAIN2 follow MODE
-_RESET_BIT = 0x0400
-_WORDS_OF_24_BITS, _TIMEOUT, _ANSI = 0x0100, 0x0010, 0x0800
-_HIGH_RESOLUTION = 0x0002
-
-
-class ChecksumError(DeviceError):
-    """A frame does not match its checksum: nothing in it can be used."""
-
-
-class NoAnswerError(DeviceError):
-    """The converter or its bus does not answer."""
-
-
-class ConverterResetError(DeviceError):
-    """The converter fell back to its reset state, with another gain and rate."""
-
-
-@dataclass(frozen=True)
-class Frame:
-    """What one frame says.
-
-    Attributes:
-        status: The STATUS register.
-        codes: Codes by channel, shape (channels,).
-        new: Whether all channels hold a conversion that was not read before; the codes of
-            any other frame are old.
-    """
-
-    status: int
-    codes: IntArray
-    new: bool
 
 
 def volts(codes: IntArray, gain: int) -> FloatArray:
@@ -360,7 +238,7 @@ class Ads131m0x:
         for _ in range(2):
             self._transfer(_NULL)
 
-    def read(self) -> Frame:
+    def read(self) -> ConverterFrame:
         """Read a frame.
 
         Raises:
@@ -378,7 +256,7 @@ class Ads131m0x:
         words = np.frombuffer(answer[_WORD:-_WORD], dtype=np.uint8).reshape(-1, _WORD)
         codes = words.astype(np.int64) @ np.array([1 << 16, 1 << 8, 1])
         ready = (1 << self._channels) - 1
-        return Frame(status, codes - ((codes & 0x800000) << 1), status & ready == ready)
+        return ConverterFrame(status, codes - ((codes & 0x800000) << 1), status & ready == ready)
 
     def check_frames(self, count: int) -> int:
         """Number of frames, out of so many, that do not match their checksum.
@@ -419,12 +297,12 @@ class Ads131m0x:
                 raise DeviceError(
                     f"{self._name}: register 0x{_MODE + k:02X} reads "
                     f"0x{_response(answer):04X} after 0x{value:04X} was written",
-                    "check DIN, or lower load_cell_node's spi_clock",
+                    _CHECK_DIN,
                 )
         if written != _WRITTEN | _MODE << 7 | len(values) - 1:
             raise DeviceError(
                 f"{self._name}: the converter answers a write with 0x{written:04X}",
-                "check DIN, or lower load_cell_node's spi_clock",
+                _CHECK_DIN,
             )
 
     def _check_identity(self, answer: bytes) -> None:
@@ -447,7 +325,7 @@ class Ads131m0x:
         if checksum(answer[:-_WORD], self._crc) != int.from_bytes(answer[-_WORD:-1], "big"):
             raise ChecksumError(
                 f"{self._name}: a frame does not match its checksum",
-                "check the wiring, or lower load_cell_node's spi_clock",
+                _CHECK_WIRING,
             )
 
     def _transfer(self, *words: int) -> bytes:

@@ -14,7 +14,6 @@ from socket_testbed.settings.acquisition import LoadCellSettings
 AXES = ("Mx", "My", "Mz", "Fx", "Fy", "Fz")
 UNITS = ("N m", "N m", "N m", "N", "N", "N")
 _MAKERS_ORDER = (3, 4, 5, 0, 1, 2)  # of Fx Fy Fz Mx My Mz, to have the moments first
-_NODE = "load_cell_node"
 _BRIDGES = 6
 _WORST_CONDITION = 1e6  # [-]; of the maker's matrix with rows of length one
 
@@ -80,10 +79,7 @@ def check_settings(settings: LoadCellSettings) -> None:
     Raises:
         ConfigurationError: If a setting is wrong, naming it.
     """
-    try:
-        check_device(settings.device)
-    except ConfigurationError as error:
-        raise ConfigurationError(f"{_NODE}: {error.fact}", error.hint) from None
+    check_device(settings.device)
     if settings.channels not in (6, 8):
         raise _wrong(f"channels is {settings.channels}", "give 6 (ADS131M06) or 8 (ADS131M08)")
     _check_power_of_two("oversampling", settings.oversampling, 128, 16384)
@@ -135,4 +131,4 @@ def _check_power_of_two(name: str, value: int, low: int, high: int) -> None:
 
 
 def _wrong(fact: str, hint: str) -> ConfigurationError:
-    return ConfigurationError(f"{_NODE}: {fact}", hint)
+    return ConfigurationError(f"load_cell_node: {fact}", hint)

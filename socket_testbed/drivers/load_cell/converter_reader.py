@@ -1,7 +1,8 @@
-"""Reads the load cell's converter all the time, and connects to it again after a failure."""
+"""Reads the load cell's converter all the time, and keeps its conversions with their times."""
 
 from __future__ import annotations
 
+import math
 import threading
 from collections.abc import Callable
 
@@ -9,12 +10,9 @@ import numpy as np
 
 from socket_testbed import clocks
 from socket_testbed.arrays import BoolArray, FloatArray, IntArray
-from socket_testbed.clocks import Backoff
 from socket_testbed.drivers.load_cell.ads131m0x import (
     Ads131m0x,
     ChecksumError,
-    ConversionClock,
-    ConversionRing,
     SpiDevice,
     at_rail,
     conversion_period,
@@ -27,8 +25,119 @@ from socket_testbed.settings.acquisition import LoadCellSettings
 _FRAMES = 8  # read in a row at most; two conversions can wait, and frames can be corrupted
 _HELD_UP = 0.25  # periods; a frame takes less
 _SILENCE = 0.1  # [s] without a conversion
-_RECENT = 0.8  # [s]; how long a trouble that is over is told
+_RECENT = 0.8  # [s]; how long a trouble that is over is reported
 _KEPT = 61.0  # [s]; more than the longest tare
+_PAUSE = 1.95  # periods; two conversions wait, a third would be lost
+_BRIDGES = 6
+_ROWS = 200_000  # 11 MB
+_CHECK_CLOCK = "check the converter's clock and its supply"
+_CHECK_WIRING = "check the wiring, or lower load_cell_node's spi_clock"
+
+
+class ConversionClock:
+    """Infers when conversions ended, from when frames were read.
+
+    A frame without new data says that no conversion waits; the next conversion ends within a
+    period of it, and ahead of the frame that brings it. Conversions follow each other in equal
+    steps, so the bounds of all of them together are much closer than a reader's pace.
+
+    Args:
+        period: Time from one conversion to the next [s].
+    """
+
+    def __init__(self, period: float) -> None:
+        self._period = period
+        self._empty: float | None = None
+        self._last: float | None = None
+        self._waiting = 0  # conversions read since none waited
+        self._continuous = False
+
+    def lose(self) -> None:
+        """A frame was lost, or what waits is of unknown age: wait until nothing waits."""
+        self._empty = None
+        self._continuous = False
+
+    def nothing_waits(self, begin: float) -> None:
+        """A frame that was begun at this time [s] brought nothing new."""
+        self._empty = begin
+        self._waiting = 0
+
+    def conversion_end(self, read: float) -> float | None:
+        """When a conversion ended [s].
+
+        Args:
+            read: Time at which the frame that brought it was over [s].
+
+        Returns:
+            The time, or None if it is not known which conversion this is.
+        """
+        if self._empty is None:
+            return None
+        if read - self._empty > (self._waiting + _PAUSE) * self._period:
+            self.lose()
+            return None
+        low = self._empty + self._waiting * self._period
+        high = min(read, low + self._period)
+        middle = 0.5 * (low + high)
+        end = middle if self._last is None else self._next_end(self._last, middle)
+        if abs(end - middle) > self._period:  # conversions paused, and begin anew
+            end = middle
+        self._last = min(max(end, low), high)
+        self._waiting += 1
+        self._continuous = True
+        return self._last
+
+    def _next_end(self, last: float, middle: float) -> float:
+        """A period after the last conversion; if some are lost, several, nearest to a time."""
+        steps = 1 if self._continuous else round((middle - last) / self._period)
+        return last + self._period * steps
+
+
+class ConversionRing:
+    """The last conversions, in the order of their times.
+
+    Args:
+        period: Time from one conversion to the next [s].
+        span: Time that is kept, as far as there is room [s].
+
+    Attributes:
+        span: Time that is kept [s].
+    """
+
+    def __init__(self, period: float, span: float) -> None:
+        self._size = min(math.ceil(span / period), _ROWS)
+        self.span = self._size * period
+        # Every row stands twice, so that the rows kept are always in one piece.
+        self._times = np.full(2 * self._size, -np.inf)
+        self._ratios = np.zeros((2 * self._size, _BRIDGES))
+        self._rails = np.zeros((2 * self._size, _BRIDGES), dtype=bool)
+        self._next = 0
+
+    def add(self, time: float, ratios: FloatArray, rails: BoolArray) -> None:
+        """Add a conversion, later than all before.
+
+        Args:
+            time: When it was measured [s].
+            ratios: Ratios of the bridges, shape (6,) [mV/V].
+            rails: Whether each is clipped, shape (6,).
+        """
+        for row in (self._next, self._next + self._size):
+            self._times[row] = time
+            self._ratios[row] = ratios
+            self._rails[row] = rails
+        self._next = (self._next + 1) % self._size
+
+    def between(self, start: float, end: float) -> tuple[FloatArray, FloatArray, BoolArray]:
+        """Conversions measured after `start` and until `end` [s].
+
+        Returns:
+            Their times, shape (n,) [s], ratios, shape (n, 6) [mV/V], and whether these are
+            clipped, shape (n, 6).
+        """
+        kept = slice(self._next, self._next + self._size)
+        first, last = self._next + np.searchsorted(self._times[kept], (start, end), side="right")
+        rows = slice(first, max(first, last))
+        return self._times[rows].copy(), self._ratios[rows].copy(), self._rails[rows].copy()
 
 
 class ConverterReader:
@@ -68,10 +177,9 @@ class ConverterReader:
 
         self._spi: SpiDevice | None = None
         self._converter: Ads131m0x | None = None
-        self._backoff = Backoff()
+        self._backoff = clocks.Backoff()
         self._times = ConversionClock(self.period)
-        self._converts = False  # since it was connected
-        self._watched = clock()  # since when a conversion is due [s]
+        self._connected = -np.inf  # [s]
         self._matched = -np.inf  # last frame that matched its checksum [s]
 
         self._lock = threading.Lock()  # of all below
@@ -107,8 +215,7 @@ class ConverterReader:
             )
             converter.reset_and_configure(settings.oversampling, settings.gain, settings.clock_in)
             self._times = ConversionClock(self.period)  # a reset begins another train of them
-            self._converts = False
-            self._watched = self._clock()
+            self._connected = self._clock()
             self._converter = converter
         return self._converter
 
@@ -146,27 +253,22 @@ class ConverterReader:
             0 (nothing), 1 (a warning) or 2 (an error), with the fact and the hint.
         """
         with self._lock:
-            return self._error(now) or self._warning(now) or (0, "", "")
-
-    def _error(self, now: float) -> tuple[int, str, str] | None:
-        if self._fault is not None and self._failed >= self._stored:
-            return 2, self._fault.fact, self._fault.hint
-        if now - self._stored <= self.silence:
-            return None
-        if now - self._arrived > self.silence:
-            return 2, f"{self._name}: converts no more", "check its clock and its supply"
-        fact = f"{self._name}: conversions are read too late to know their times"
-        return 2, fact, "relieve the computer, or raise load_cell_node's oversampling"
-
-    def _warning(self, now: float) -> tuple[int, str, str] | None:
-        if self._fault is not None and now - self._failed < _RECENT:
-            return 1, f"{self._fault.fact}, and is read again", self._fault.hint
-        if now - self._corrupted < _RECENT:
-            fact = f"{self._name}: frames do not match their checksums and are left out"
-            return 1, fact, "check the wiring, or lower load_cell_node's spi_clock"
-        if not self._counts["conversions"]:
-            return 1, f"{self._name}: no conversion yet", "wait for the first"
-        return None
+            level, fact, hint = 0, "", ""
+            if (fault := self._fault) is not None and self._failed >= self._stored:
+                level, fact, hint = 2, fault.fact, fault.hint
+            elif now - self._arrived > self.silence:
+                level, fact, hint = 2, f"{self._name}: converts no more", _CHECK_CLOCK
+            elif now - self._stored > self.silence:
+                level, fact = 2, f"{self._name}: conversions are read too late to know their times"
+                hint = "relieve the computer, or raise load_cell_node's oversampling"
+            elif fault is not None and now - self._failed < _RECENT:
+                level, fact, hint = 1, f"{fault.fact}, and is read again", fault.hint
+            elif now - self._corrupted < _RECENT:
+                level, hint = 1, _CHECK_WIRING
+                fact = f"{self._name}: frames do not match their checksums and are left out"
+            elif not self._counts["conversions"]:
+                level, fact, hint = 1, f"{self._name}: no conversion yet", "wait for the first"
+            return level, fact, hint
 
     def _read_waiting(self, converter: Ads131m0x) -> None:
         for _ in range(_FRAMES):
@@ -194,8 +296,6 @@ class ConverterReader:
         self._expect_conversions()
 
     def _take(self, codes: IntArray, read: float) -> None:
-        self._converts = True
-        self._watched = read
         end = self._times.conversion_end(read)
         rails = at_rail(codes[self._bridges.inputs])
         with self._lock:
@@ -209,21 +309,16 @@ class ConverterReader:
 
     def _expect_conversions(self) -> None:
         now = self._clock()
-        if now - self._watched <= self.silence:
+        if now - max(self._arrived, self._connected) <= self.silence:
             return
         if now - self._matched > self.silence:
-            raise ChecksumError(
-                f"{self._name}: no frame matches its checksum",
-                "check the wiring, or lower load_cell_node's spi_clock",
-            )
-        raise DeviceError(
-            f"{self._name}: converts no more", "check the converter's clock and its supply"
-        )
+            raise ChecksumError(f"{self._name}: no frame matches its checksum", _CHECK_WIRING)
+        raise DeviceError(f"{self._name}: converts no more", _CHECK_CLOCK)
 
     def _fail(self, error: DeviceError) -> None:
         now = self._clock()
         # What worked until now is tried again at once: a supply that dipped is back already.
-        if self._converter is not None and self._converts:
+        if self._converter is not None and self._arrived > self._connected:
             self._backoff.succeeded()
         else:
             self._backoff.failed(now)

@@ -21,6 +21,10 @@ from socket_testbed.files import atomic_output, read_document
 from socket_testbed.settings.acquisition import LoadCellSettings
 
 _LARGEST = 1e3  # [mV/V]; no bridge comes near it
+_BROKEN_WIRE = 5  # conversions in a row at a rail
+_AFTER = 0.25  # part of the window that is after the trigger
+_WORST = 3.0  # variance of a wrench from what is left of a window, against the complete one's
+_RECENT = 0.8  # [s]; what a report of health looks back at
 
 
 class Tare:
@@ -68,12 +72,6 @@ def _read(path: Path) -> FloatArray:
         return document.array("offsets_mV_per_V", (6,), limit=_LARGEST)
     except ConfigurationError as error:
         raise ConfigurationError(error.fact, "remove the file and tare again") from None
-
-
-_BROKEN_WIRE = 5  # conversions in a row at a rail
-_AFTER = 0.25  # part of the window that is after the trigger
-_WORST = 3.0  # variance of a wrench from what is left of a window, against the whole one's
-_RECENT = 0.8  # [s]; what a report of health looks back at
 
 
 @dataclass(frozen=True)
@@ -131,7 +129,7 @@ class LoadCell:
     def poll(self) -> None:
         """Read what waits in the converter, and connect to it again after a failure.
 
-        What the device does wrong is told by `health`, never raised. A pause of two periods or
+        `health` reports what the device does wrong; nothing is raised. A pause of two periods or
         more costs the conversions since, whose times nobody knows.
         """
         self._reader.poll()
