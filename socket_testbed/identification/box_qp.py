@@ -1,15 +1,16 @@
 r"""Quadratic programs with bounds, their solution and its certificate.
 
-numpy has no triangular solve, and scipy's brings a thread pool of its own: where both have
-one, the two stall each other.
-
 .. math:: \min_x \tfrac12 x^T P x + q^T x \quad \text{s.t.} \quad l \le x \le u
+
+A solver (OSQP through qpsolvers, unless another one is named) gives a start, or the solution
+of a similar program does. Pivoting moves from the start to the exact optimum. The certificate,
+computed from the definition of an optimum, decides whether the answer is accepted.
 """
 
 from __future__ import annotations
 
 import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -34,6 +35,9 @@ def factorise(matrix: FloatArray) -> FloatArray:
 
 def solve_factored(factor: FloatArray, target: FloatArray) -> FloatArray:
     """Solve ``L L' x = b`` by substitution.
+
+    numpy has no triangular solve, and scipy's brings a thread pool of its own: where both have
+    one, the two stall each other.
 
     Args:
         factor: Lower triangular L, shape (p, p).
@@ -63,31 +67,23 @@ def is_definite(matrix: FloatArray, least: float) -> bool:
         return False
 
 
-# A first-order solver stops early at its defaults (4 to 49 % off in stiffness behind a
-# good-looking objective). Here it has to come near the active set, which is then refined;
-# where a coarse attempt is not near enough, the next one is. OSQP's own interval for
-# adapting rho comes from a timer: a fixed one makes the answer reproducible.
-_OSQP = {
-    "eps_rel": 0.0,
-    "polishing": False,
-    "adaptive_rho_interval": 50,
-    "adaptive_rho_tolerance": 2.0,
+# OSQP's own interval for adapting rho comes from a timer: a fixed one makes the answer
+# reproducible. It need not run to its end: pivoting takes over.
+_OPTIONS: dict[str, dict[str, Any]] = {
+    "osqp": {
+        "eps_abs": 1e-5,
+        "eps_rel": 0.0,
+        "max_iter": 25,
+        "polishing": False,
+        "adaptive_rho_interval": 50,
+        "adaptive_rho_tolerance": 2.0,
+    }
 }
-_ATTEMPTS: dict[str, tuple[dict[str, Any], ...]] = {
-    "osqp": (
-        {**_OSQP, "eps_abs": 1e-5, "max_iter": 25},
-        {**_OSQP, "eps_abs": 1e-5, "max_iter": 10_000},
-        {**_OSQP, "eps_abs": 1e-9, "max_iter": 200_000},
-    ),
-    "clarabel": ({"tol_gap_abs": 1e-10, "tol_gap_rel": 1e-10, "tol_feas": 1e-10},),
-    "piqp": ({"eps_abs": 1e-9, "eps_rel": 0.0},),
-    "scs": ({"eps_abs": 1e-8, "eps_rel": 0.0, "max_iters": 1_000_000},),
-}
-_REFINEMENTS = 300
+_EXCHANGES = 300
 _PATIENCE = 5  # block exchanges that may fail to help before single ones
+_RIDGES = 10.0 ** -np.arange(2.0, 14.0)  # [-]; of regularised pivoting, one after the other
 _ROUNDING = 1e-11  # [-]; of a value that counts as zero
 _FLAT = 1e-12  # [-]; curvature that counts as none, against the mean of a scaled problem
-_SPARSE_ONLY = frozenset({"osqp", "clarabel", "scs", "highs", "qpalm", "kvxopt"})
 
 
 @dataclass(frozen=True)
@@ -202,33 +198,42 @@ class UncertifiedSolutionError(IdentificationError):
         self.x = x
 
 
-def refine(problem: BoxQP, x: FloatArray) -> tuple[FloatArray, Certificate]:
+@dataclass(frozen=True)
+class Pivoted:
+    """Where pivoting from a point led.
+
+    Attributes:
+        x: The point with the smallest residuals on the way, shape (p,) [-]; at worst the start.
+        certificate: Its residuals.
+        definite: Whether P was definite over the last free variables.
+    """
+
+    x: FloatArray
+    certificate: Certificate
+    definite: bool
+
+
+def pivot(problem: BoxQP, start: FloatArray) -> Pivoted:
     """Move a point inside the box to the exact optimum near it, by its active set.
 
     Block principal pivoting (Judice & Pires 1994, doi:10.1016/0305-0548(94)90106-6): all
     variables on the wrong side change sides at once, or, when that stops helping, one at a
     time, which cannot cycle. From a solver's answer a few steps reach the optimum to
-    rounding. Returns the point with the smallest residuals, at worst x itself.
+    rounding. It needs P to be definite over the free variables.
     """
-    best, certificate, _ = _exchange_sides(problem, x)
-    return best, certificate
-
-
-def _exchange_sides(problem: BoxQP, x: FloatArray) -> tuple[FloatArray, Certificate, bool]:
-    """See `refine`; the last says whether P was definite over the last free variables."""
-    best, certificate, pivot = x, problem.certificate(x), 0.0
-    trial = x - (problem.P @ x + problem.q)
+    x, certificate = start, problem.certificate(start)
+    trial = start - (problem.P @ start + problem.q)
     side = np.where(trial <= problem.lower, -1, np.where(trial >= problem.upper, 1, 0))
-    fewest, patience = len(x) + 1, _PATIENCE
-    for _ in range(_REFINEMENTS):
+    fewest, patience, least = len(x) + 1, _PATIENCE, 0.0
+    for _ in range(_EXCHANGES):
         try:
-            candidate, gradient, pivot = _solve_on_sides(problem, side)
-        except np.linalg.LinAlgError:  # flat directions: the solver's answer stands
-            return best, certificate, False
+            candidate, gradient, least = _solve_on_sides(problem, side)
+        except np.linalg.LinAlgError:
+            return Pivoted(x, certificate, definite=False)
         inside = np.clip(candidate, problem.lower, problem.upper)
         residuals = problem.certificate(inside)
         if residuals.worst < certificate.worst:
-            best, certificate = inside, residuals
+            x, certificate = inside, residuals
         change = _wrong_side(problem, side, candidate, gradient)
         wrong = np.flatnonzero(change != side)
         if len(wrong) == 0:
@@ -240,7 +245,30 @@ def _exchange_sides(problem: BoxQP, x: FloatArray) -> tuple[FloatArray, Certific
         else:
             wrong = wrong[-1:]
         side[wrong] = change[wrong]
-    return best, certificate, pivot > _FLAT
+    return Pivoted(x, certificate, least > _FLAT)
+
+
+def pivot_regularised(problem: BoxQP, start: FloatArray) -> Pivoted:
+    r"""Pivot, and where P is singular, or nearly so, with a ridge that falls tenfold each time.
+
+    Each regularised program adds :math:`\tfrac12 \rho |x - x'|^2` with x' the optimum of the
+    one before (the proximal point method: Rockafellar 1976, doi:10.1137/0314056), which makes
+    P definite; its active set is near that of the next. Once the active set is the problem's
+    own and leaves P definite over the free variables, pivoting is exact; otherwise the ridge
+    vanishes. The first x' is the point of the box nearest to zero: of all optima one near zero
+    is found.
+    """
+    best = pivot(problem, start)
+    x, centre = best.x, np.clip(np.zeros_like(start), problem.lower, problem.upper)
+    for ridge in _RIDGES:
+        if best.certificate.worst <= _ROUNDING:
+            break
+        P = problem.P + ridge * np.eye(len(x))
+        x = centre = pivot(replace(problem, P=P, q=problem.q - ridge * centre), x).x
+        found = pivot(problem, x)
+        if found.certificate.worst < best.certificate.worst:
+            best = found
+    return best
 
 
 def _solve_on_sides(problem: BoxQP, side: IntArray) -> tuple[FloatArray, FloatArray, float]:
@@ -284,53 +312,54 @@ def solve_box_qp(
         problem: The problem, in scaled units.
         solver: Any solver that qpsolvers finds.
         tolerance: Largest residual of the certificate [-].
-        near: Solution of a similar problem, shape (p,) [-]. Where the optimum is reached from
-            it, which takes a few steps, the solver is not asked.
+        near: Solution of a similar problem, shape (p,) [-]. Where pivoting reaches the optimum
+            from it, which takes a few steps, the solver is not called.
 
     Raises:
         ConfigurationError: If there is no such solver.
         UncertifiedSolutionError: If the answer misses the tolerance; it carries the problem.
     """
     check_solver(solver)
+    _check_finite(problem)
+    if near is not None:
+        found = pivot(problem, np.clip(near, problem.lower, problem.upper))
+        if found.certificate.worst <= tolerance:
+            return _solution(problem, found, "warm start")
+    start = _call_solver(problem, solver)
+    found = pivot_regularised(problem, np.clip(start, problem.lower, problem.upper))
+    if not found.certificate.worst <= tolerance:
+        raise UncertifiedSolutionError(
+            f"{problem.name}: the answer of {solver} misses the KKT tolerance"
+            f" ({found.certificate.worst:.1e} > {tolerance:.0e})",
+            "name another solver, more smoothness or a longer segment",
+            problem,
+            found.x,
+        )
+    return _solution(problem, found, solver)
+
+
+def _solution(problem: BoxQP, found: Pivoted, found_by: str) -> BoxSolution:
+    determined = found.definite or problem.is_determined_at(found.x)
+    return BoxSolution(found.x, found.certificate, determined, found_by)
+
+
+def _check_finite(problem: BoxQP) -> None:
     if not (np.isfinite(problem.P).all() and np.isfinite(problem.q).all()):
         raise UncertifiedSolutionError(
             f"{problem.name}: holds values that are not finite", "check the samples", problem, None
         )
-    if near is not None:
-        near = np.clip(near, problem.lower, problem.upper)
-        x, certificate, determined = _exchange_sides(problem, near)
-        if certificate.worst <= tolerance:
-            return BoxSolution(x, certificate, determined, "warm start")
-    best: tuple[FloatArray, Certificate] | None = None
-    for options in _ATTEMPTS.get(solver, ({},)):
-        x = _ask(problem, solver, options)
-        # The answer may leave the box by the solver's own tolerance.
-        refined = refine(problem, np.clip(x, problem.lower, problem.upper))
-        if best is None or refined[1].worst < best[1].worst:
-            best = refined
-        if best[1].worst <= tolerance:
-            break
-    assert best is not None
-    x, certificate = best
-    if not certificate.worst <= tolerance:
-        raise UncertifiedSolutionError(
-            f"{problem.name}: the answer of {solver} misses the KKT tolerance"
-            f" ({certificate.worst:.1e} > {tolerance:.0e})",
-            "name another solver, more smoothness or a longer segment",
-            problem,
-            x,
-        )
-    return BoxSolution(x, certificate, problem.is_determined_at(x), solver)
 
 
-def _ask(problem: BoxQP, solver: str, options: dict[str, Any]) -> FloatArray:
+def _call_solver(problem: BoxQP, solver: str) -> FloatArray:
     """A solver's answer, whatever it says of it."""
     try:
         with warnings.catch_warnings():
             # The certificate judges the answer; the solver's own doubts are not printed.
             warnings.simplefilter("ignore")
             answer = qpsolvers.solve_problem(
-                problem.to_qpsolvers(sparse=solver in _SPARSE_ONLY), solver, **options
+                problem.to_qpsolvers(sparse=solver not in qpsolvers.dense_solvers),
+                solver,
+                **_OPTIONS.get(solver, {}),
             )
     except Exception as error:  # each backend has errors of its own
         raise UncertifiedSolutionError(

@@ -10,10 +10,13 @@ from support.problems import installed
 from socket_testbed.identification import box_qp
 from socket_testbed.identification.box_qp import (
     BoxQP,
+    Pivoted,
     UncertifiedSolutionError,
     factorise,
     is_definite,
     least_pivot,
+    pivot,
+    pivot_regularised,
     solve_box_qp,
     solve_factored,
 )
@@ -85,26 +88,48 @@ def test_what_is_not_a_number_is_never_certified(spoilt):
 
 @pytest.mark.parametrize("seed", range(5))
 @pytest.mark.parametrize("step", [0.0, 1e-4, 1e-2])
-def test_refining_a_near_answer_gives_the_optimum(seed, step):
+def test_pivoting_from_a_near_answer_gives_the_optimum(seed, step):
     rng = np.random.default_rng(seed)
     problem, optimum = known_problem(rng)
     near = np.clip(optimum + step * rng.normal(size=12), problem.lower, problem.upper)
-    found, certificate = box_qp.refine(problem, near)
-    np.testing.assert_allclose(found, optimum, atol=1e-11)
-    assert certificate == problem.certificate(found)
+    found = pivot(problem, near)
+    np.testing.assert_allclose(found.x, optimum, atol=1e-11)
+    assert found.certificate == problem.certificate(found.x)
+    assert found.definite
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_refining_never_makes_an_answer_worse(seed):
+def test_pivoting_never_makes_an_answer_worse(seed):
     rng = np.random.default_rng(seed)
     problem, _ = known_problem(rng)
     flat = dataclasses.replace(problem, P=np.zeros_like(problem.P))
     for program in (problem, flat):
         x = np.clip(rng.normal(size=12), program.lower, program.upper)
-        found, certificate = box_qp.refine(program, x)
-        assert certificate.worst <= program.certificate(x).worst
-        assert (found >= program.lower).all()
-        assert (found <= program.upper).all()
+        for found in (pivot(program, x), pivot_regularised(program, x)):
+            assert found.certificate.worst <= program.certificate(x).worst
+            assert (found.x >= program.lower).all()
+            assert (found.x <= program.upper).all()
+
+
+@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("rank", [1, 4, 11])
+def test_a_singular_program_is_solved_from_anywhere(seed, rank):
+    rng = np.random.default_rng(seed)
+    root = rng.normal(size=(12, rank))
+    P, q = root @ root.T / rank, root @ rng.normal(size=rank)
+    program = BoxQP(P, q, np.full(12, -0.3), np.full(12, np.inf), "singular")
+    answers = [pivot_regularised(program, x) for x in (np.zeros(12), rng.uniform(-0.3, 5.0, 12))]
+    for found in answers:
+        assert found.certificate.worst <= 1e-10
+    assert program.objective(answers[0].x) == pytest.approx(program.objective(answers[1].x))
+
+
+def test_of_many_optima_one_near_zero_is_found():
+    half = np.full(2, 5.0)
+    program = BoxQP(np.ones((2, 2)), np.array([-4.0, -4.0]), -half, half, "a line of optima")
+    for start in ([5.0, -1.0], [0.0, 4.0], [2.0, 2.0]):
+        found = pivot_regularised(program, np.array(start) + 1e-3)
+        np.testing.assert_allclose(found.x, [2.0, 2.0], atol=1e-5)
 
 
 @pytest.mark.parametrize("solver", installed("osqp", "daqp", "clarabel"))
@@ -139,7 +164,9 @@ def failing(*_, **__):
 def patch_solver(monkeypatch, solver):
     """Put a solver in the place of every other one, and nobody to correct its answer."""
     monkeypatch.setattr(qpsolvers, "solve_problem", solver)
-    monkeypatch.setattr(box_qp, "refine", lambda problem, x: (x, problem.certificate(x)))
+    monkeypatch.setattr(
+        box_qp, "pivot_regularised", lambda problem, x: Pivoted(x, problem.certificate(x), False)
+    )
 
 
 def test_a_wrong_answer_is_refused_whatever_the_solver_says(monkeypatch):
