@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import difflib
 import math
+import os
+import platform
 import re
 import shutil
+import tempfile
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -49,9 +52,11 @@ def refuse_existing(path: Path) -> None:
 
 @contextmanager
 def atomic_output(path: Path) -> Iterator[Path]:
-    """Write an output under another name beside it; it gets its name only when it is whole.
+    """Write an output in a folder beside it; it gets its name only when it is complete.
 
-    A file replaces an older one; a folder must not exist yet.
+    A file replaces an older one; a folder must not exist yet. Several processes may write the
+    same output: each writes in a folder of its own, and the last one to finish wins. What a
+    killed process left is removed by the next one.
 
     Args:
         path: The output, a file or a folder.
@@ -65,10 +70,12 @@ def atomic_output(path: Path) -> Iterator[Path]:
     path = path.resolve()  # a link stays a link
     if path.exists() and not (path.is_file() or path.is_dir()):
         raise ConfigurationError(f"{path} is no ordinary file", "name a file for the output")
-    staging = path.parent / f".{path.name}.partial"
+    staging = None
     try:
-        shutil.rmtree(staging, ignore_errors=True)
-        staging.mkdir(parents=True)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        _remove_leftovers(path)
+        prefix = f"{_staging_prefix(path)}{os.getpid()}."
+        staging = Path(tempfile.mkdtemp(_PARTIAL, prefix, path.parent))
         yield staging / path.name
         (staging / path.name).replace(path)
     except OSError as error:
@@ -77,7 +84,37 @@ def atomic_output(path: Path) -> Iterator[Path]:
             "check the folder, its permissions and the space left",
         ) from None
     finally:
-        shutil.rmtree(staging, ignore_errors=True)
+        if staging is not None:
+            shutil.rmtree(staging, ignore_errors=True)
+
+
+_PARTIAL = ".partial"
+
+
+def _staging_prefix(path: Path) -> str:
+    """Start of the names of this machine's staging folders for an output; a process id follows."""
+    return f".{path.name}.{platform.node()}-"
+
+
+def _remove_leftovers(path: Path) -> None:
+    """Remove the staging folders of processes of this machine that no longer run."""
+    prefix = _staging_prefix(path)
+    for entry in path.parent.iterdir():
+        if entry.name.startswith(prefix) and entry.suffix == _PARTIAL:
+            process = entry.name.removeprefix(prefix).partition(".")[0]
+            if process.isdecimal() and not _runs(int(process)):
+                shutil.rmtree(entry, ignore_errors=True)
+
+
+def _runs(process: int) -> bool:
+    """Whether a process of this machine runs."""
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    except OSError:  # it is another user's
+        pass
+    return True
 
 
 _FLOAT = re.compile(r"[-+]?(\.\d+|\d+(\.\d*)?)[eE][-+]?\d+$")
