@@ -23,7 +23,7 @@ from socket_testbed.commands.options import (
     warn,
 )
 from socket_testbed.commands.text import errors_table
-from socket_testbed.errors import ConfigurationError, TrialError
+from socket_testbed.errors import ConfigurationError
 from socket_testbed.files import atomic_output
 from socket_testbed.identification.evaluation import ChannelErrors, evaluate
 from socket_testbed.identification.fit import implausible_notes
@@ -87,23 +87,6 @@ def run(options: argparse.Namespace) -> None:
         _evaluate_many(options, trials)
     else:
         _evaluate_one(options)
-
-
-def model_for(trial: Trial, path: Path) -> StoredModel:
-    """Read a model that is to be used on a trial.
-
-    Raises:
-        ConfigurationError: If the file is missing or is no model.
-        TrialError: If the model was fitted on another socket.
-    """
-    stored = read_model(path)
-    if not trial.geometry.same_tiles(stored.geometry):
-        raise TrialError(
-            f"the model was fitted on another socket ({len(stored.geometry)} tiles) than that of"
-            f" {trial.path} ({len(trial.geometry)} tiles)",
-            "fit a model on a trial of this socket",
-        )
-    return stored
 
 
 def _evaluate_one(options: argparse.Namespace) -> None:
@@ -174,7 +157,7 @@ def _write(found: _Evaluation, path: Path) -> None:
 
 
 def _evaluate(trial: Trial, model: Path, specification: str) -> _Evaluation:
-    stored = model_for(trial, model)
+    stored = read_model(model, trial.geometry)
     samples = read_samples(trial)
     segment = select_segment(samples, specification, trial.estimator.plateau)
     chosen = samples[segment.rows]

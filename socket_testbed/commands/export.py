@@ -5,8 +5,8 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from socket_testbed.commands.evaluate import model_for
 from socket_testbed.commands.options import add_segment, add_trial, add_unloaded, trial_of
+from socket_testbed.identification.model_file import read_model
 from socket_testbed.trials.segment import select_segment
 from socket_testbed.trials.synchronise import make_samples, read_measurements
 from socket_testbed.trials.tables import check_format, sample_columns, write_table
@@ -35,7 +35,7 @@ def run(options: argparse.Namespace) -> None:
     """Read and write."""
     check_format(options.output)
     trial = trial_of(options)
-    model = None if options.model is None else model_for(trial, options.model).model
+    model = None if options.model is None else read_model(options.model, trial.geometry).model
     measured = read_measurements(trial)
     samples = make_samples(trial, measured)
     segment = select_segment(samples, options.segment, trial.estimator.plateau)

@@ -44,7 +44,7 @@ class StoredModel:
         wrench_rmse: Errors of its fit, shape (6,) [N m, N].
         status: The solver's verdict, in words.
         trial: Name of the trial it was fitted on.
-        unloaded: Spans of it by which the clusters' drift was taken off [s].
+        unloaded: Spans of it by which the clusters' drift was corrected [s].
     """
 
     model: ContactModel
@@ -56,6 +56,22 @@ class StoredModel:
     status: str
     trial: str
     unloaded: tuple[tuple[float, float], ...]
+
+    def require_socket(self, geometry: SocketGeometry) -> None:
+        """Check that the model was fitted on the socket that it is used on.
+
+        Args:
+            geometry: Geometry of that socket.
+
+        Raises:
+            ConfigurationError: Unless it has the same tiles at the same places.
+        """
+        if not self.geometry.same_tiles(geometry):
+            raise ConfigurationError(
+                f"the model of {self.trial} was fitted on another socket ({len(self.geometry)}"
+                f" tiles) than the one that it is used on ({len(geometry)} tiles)",
+                "fit a model on this socket, or give the socket.yaml of the model's trial",
+            )
 
 
 def write_model(
@@ -114,11 +130,15 @@ def finite_or_null(value: Any) -> Any:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
-def read_model(path: Path) -> StoredModel:
+def read_model(path: Path, geometry: SocketGeometry | None = None) -> StoredModel:
     """Read a model.
 
+    Args:
+        path: The file.
+        geometry: Geometry of the socket that the model is used on, to check that it fits.
+
     Raises:
-        ConfigurationError: If the file is missing or is no model.
+        ConfigurationError: If the file is missing, is no model, or is of another socket.
     """
     try:
         data = json.loads(path.read_text(encoding="utf-8"))
@@ -138,7 +158,7 @@ def read_model(path: Path) -> StoredModel:
     values = {name: settings_section.take(name) for name in settings_section.names()}
     parameters = document.section("parameters").expect(_PARAMETERS)
     quality = document.section("quality")
-    return StoredModel(
+    stored = StoredModel(
         model=_model(parameters, geometry),
         geometry=geometry,
         settings=IdentificationSettings.from_flat(values, f"{path}: settings"),
@@ -149,6 +169,9 @@ def read_model(path: Path) -> StoredModel:
         trial=document.section("trial").text("name"),
         unloaded=_unloaded(document.section("trial")),
     )
+    if geometry is not None:
+        stored.require_socket(geometry)
+    return stored
 
 
 def _model(parameters: Section, geometry: SocketGeometry) -> ContactModel:

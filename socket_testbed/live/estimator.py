@@ -17,7 +17,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from socket_testbed.arrays import FloatArray, StatusArray
-from socket_testbed.errors import ConfigurationError, IdentificationError, TestbedError
+from socket_testbed.errors import IdentificationError, TestbedError
 from socket_testbed.geometry.pose import Pose
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification.contact import ContactModel
@@ -238,12 +238,7 @@ class OnlineEstimator:
         Raises:
             ConfigurationError: If it cannot be read, or was fitted on another socket.
         """
-        stored = read_model(path)
-        if not stored.geometry.same_tiles(self._geometry):
-            raise ConfigurationError(
-                f"{path}: was fitted on another socket than this geometry",
-                "give the socket.yaml of its trial, or a model of this socket",
-            )
+        stored = read_model(path, self._geometry)
         self._model = stored.model
         self.state = (0, f"predicting with the model of {stored.trial}")
         self._notify(stored)

@@ -18,7 +18,7 @@ import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
 
 from socket_testbed.arrays import BoolArray, FloatArray
-from socket_testbed.errors import IdentificationError, TrialError
+from socket_testbed.errors import IdentificationError
 from socket_testbed.identification.contact import ContactModel
 from socket_testbed.identification.evaluation import (
     ChannelErrors,
@@ -397,13 +397,12 @@ def compute_results(
         progress: Told the number of thetas done and of all.
 
     Raises:
-        TrialError: If the trial cannot be read, holds no such segment, or is of another
-            socket than the given model.
-        ConfigurationError: For wrong settings or thetas.
+        TrialError: If the trial cannot be read or holds no such segment.
+        ConfigurationError: For wrong settings or thetas, or a model of another socket.
         IdentificationError: If the segment does not allow a fit.
     """
     if given is not None:
-        _require_same_socket(trial, given)
+        given.require_socket(trial.geometry)
     notes: list[str] = []
     samples = read_samples(replace(trial, tell=notes.append))
     segment = select_segment(samples, specification, settings.plateau)
@@ -468,12 +467,3 @@ def effective_samples(candidate: Candidate) -> tuple[float, float]:
     """Least and median number of independent samples, over the channels [1]; NaN for none."""
     known = [r.effective for r in candidate.residuals if np.isfinite(r.effective)]
     return (min(known), float(np.median(known))) if known else (float("nan"), float("nan"))
-
-
-def _require_same_socket(trial: Trial, given: StoredModel) -> None:
-    if not trial.geometry.same_tiles(given.geometry):
-        raise TrialError(
-            f"the model was fitted on another socket ({len(given.geometry)} tiles) than that of"
-            f" {trial.path} ({len(trial.geometry)} tiles)",
-            "give a model of this socket, or none",
-        )

@@ -1,3 +1,4 @@
+import dataclasses
 import json
 from pathlib import Path
 
@@ -64,3 +65,12 @@ def test_half_a_model_is_refused(hold_model: Path, tmp_path: Path) -> None:
     (tmp_path / "model.json").write_text(text[: len(text) // 2])
     with pytest.raises(ConfigurationError, match="is no model"):
         read_model(tmp_path / "model.json")
+
+
+def test_a_model_is_read_for_its_own_socket_alone(hold_model: Path) -> None:
+    geometry = read_model(hold_model).geometry
+    assert read_model(hold_model, geometry).geometry.same_tiles(geometry)
+    moved = dataclasses.replace(geometry, anchors=geometry.anchors + 0.01)
+    with pytest.raises(ConfigurationError, match="another socket") as caught:
+        read_model(hold_model, moved)
+    assert f"{len(geometry)} tiles" in caught.value.fact
