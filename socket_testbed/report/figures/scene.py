@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import plotly.graph_objects as go
+import trimesh
 from markupsafe import Markup
 
 from socket_testbed.arrays import BoolArray, FloatArray, IntArray
@@ -28,8 +29,6 @@ from socket_testbed.report.figures.style import (
 from socket_testbed.report.figures.tiles import (
     AXIS_NAMES,
     AxesOfS,
-    Surface,
-    check_values,
     covered_tiles,
     drawable_surface,
     drawn_bounds,
@@ -46,10 +45,12 @@ from socket_testbed.report.page import render
 _FAN = np.array([[4, 0, 1], [4, 1, 2], [4, 2, 3], [4, 3, 0]])
 _UNSHADED = {"ambient": 1.0, "diffuse": 0.0, "specular": 0.0, "fresnel": 0.0}
 _HEAD = 0.25  # [-]; of an arrow's length
+# Beside a narrow scene there is no room for it.
+_COLOUR_BAR = {"orientation": "h", "y": 0.0, "yanchor": "bottom", "thickness": 12, "len": 0.8}
 _LABEL_AT = 0.8  # [-]; likewise, from its start
 
 
-def surface_trace(surface: Surface) -> go.Mesh3d:
+def surface_trace(surface: trimesh.Trimesh) -> go.Mesh3d:
     """The interior surface, which one sees through."""
     i, j, k = surface.faces.astype(np.int32).T
     return go.Mesh3d(
@@ -69,7 +70,7 @@ def tile_traces(
     """The tiles as filled squares with outlines, each with its facts under the pointer.
 
     Without values, tiles with and without a cluster have two colours; with them, all are on
-    one colour scale that prints in grey, and the clusters are told by their outlines.
+    one colour scale that prints in grey, and outlines show the clusters.
     A surface that is drawn with them should start hidden: its veil would change their colours.
 
     Args:
@@ -80,27 +81,27 @@ def tile_traces(
     Raises:
         ConfigurationError: If the values are not those of these tiles.
     """
-    if values is not None:
-        check_values(geometry, values)
     covered = covered_tiles(geometry)
-    facts = _tile_facts(geometry, values, unit)
     if values is None:
-        fills = [
-            _filled(geometry, ~covered, facts, "tiles", color=TILE),
-            _filled(geometry, covered, facts, "tiles with a cluster", color=CLUSTER),
+        around_cluster = "black"
+        kinds = [
+            ("tiles", ~covered, {"color": TILE}),
+            ("tiles with a cluster", covered, {"color": CLUSTER}),
         ]
     else:
+        around_cluster = CLUSTER
         missing = np.isnan(values)
-        fills = [
-            _filled(geometry, ~missing, facts, "tiles", **_coloured(values[~missing], unit)),
-            _filled(geometry, missing, facts, "tiles without a value", color=NO_VALUE),
+        kinds = [
+            ("tiles", ~missing, _coloured(geometry, values, unit)),
+            ("tiles without a value", missing, {"color": NO_VALUE}),
         ]
-    around_cluster = "black" if values is None else CLUSTER
-    outlines = [
+    facts = _tile_facts(geometry, values, unit)
+    traces = [
+        *(_filled(geometry, chosen, facts, name, paint) for name, chosen, paint in kinds),
         _outlines(geometry, ~covered, "outlines", color=EDGE, width=3),
         _outlines(geometry, covered, "outlines of the clusters", color=around_cluster, width=6),
     ]
-    return [trace for trace in (*fills, *outlines) if trace is not None]
+    return [trace for trace in traces if trace is not None]
 
 
 def cluster_names(geometry: SocketGeometry) -> list[dict[str, Any]]:
@@ -144,7 +145,7 @@ def axes_traces(axes: AxesOfS) -> list[Any]:
 
 
 def proximal_traces(geometry: SocketGeometry, length: float) -> list[Any]:
-    """The proximal direction as an arrow above the tiles; nothing where they do not tell it.
+    """The proximal direction as an arrow above the tiles; nothing where they show none.
 
     Args:
         geometry: The socket.
@@ -160,7 +161,7 @@ def proximal_traces(geometry: SocketGeometry, length: float) -> list[Any]:
 
 
 def _filled(
-    geometry: SocketGeometry, chosen: BoolArray, facts: list[str], name: str, **paint: Any
+    geometry: SocketGeometry, chosen: BoolArray, facts: list[str], name: str, paint: dict[str, Any]
 ) -> go.Mesh3d | None:
     if not chosen.any():
         return None
@@ -181,23 +182,19 @@ def _filled(
     )
 
 
-def _coloured(values: FloatArray, unit: str) -> dict[str, Any]:
-    low, high = value_range(values)
+def _coloured(geometry: SocketGeometry, values: FloatArray, unit: str) -> dict[str, Any]:
+    low, high = value_range(geometry, values)
     return {
-        "intensity": np.repeat(values, 5),
+        "intensity": np.repeat(values[~np.isnan(values)], 5),
         "cmin": low,
         "cmax": high,
         "colorscale": SCALE,
-        "colorbar": {
-            "title": {"text": _escape(unit), "side": "right"},
-            "thickness": 14,
-            "len": 0.7,
-        },
+        "colorbar": _COLOUR_BAR | {"title": {"text": _escape(unit), "side": "top"}},
     }
 
 
 def _tile_facts(geometry: SocketGeometry, values: FloatArray | None, unit: str) -> list[str]:
-    """What the pointer tells of each tile."""
+    """What the pointer shows of each tile."""
     facts = []
     for tile, label in enumerate(tile_labels(geometry)):
         lines = [
@@ -378,10 +375,9 @@ def socket_page(
         output.write_text(page, encoding="utf-8")
 
 
-def _scene(surface: Surface, geometry: SocketGeometry) -> str:
+def _scene(surface: trimesh.Trimesh, geometry: SocketGeometry) -> str:
     """The turning picture with the viewer itself, as HTML."""
-    low, high = drawn_bounds(surface, geometry)
-    axes = place_axes(low, high)
+    axes = place_axes(*drawn_bounds(geometry, surface))
     traces = [
         surface_trace(surface),
         *tile_traces(geometry),
@@ -393,9 +389,7 @@ def _scene(surface: Surface, geometry: SocketGeometry) -> str:
     return scene_html(traces, geometry, "socket", legend=legend)
 
 
-# Beside a narrow scene there is no room for it.
-_COLOUR_BAR = {"orientation": "h", "y": 0.0, "yanchor": "bottom", "thickness": 12, "len": 0.8}
-_SCENE_ABOVE = [0.15, 1.0]  # [-]; of the height
+_ABOVE_COLOUR_BAR = [0.15, 1.0]  # [-]; of the height
 
 
 def value_scene(
@@ -415,20 +409,14 @@ def value_scene(
     Raises:
         ConfigurationError: If the values are not those of these tiles.
     """
-    corners = tile_squares(geometry).reshape(-1, 3)
-    axes = place_axes(corners.min(axis=0), corners.max(axis=0))
+    axes = place_axes(*drawn_bounds(geometry))
     shared = [*axes_traces(axes), *proximal_traces(geometry, axes.length)]
     traces, owner = list(shared), [""] * len(shared)
     for key, (tiles, unit) in values.items():
         own = tile_traces(geometry, tiles, unit)
-        for trace in own:
-            if getattr(trace, "intensity", None) is not None:
-                trace.colorbar = _COLOUR_BAR | {
-                    "title": {"text": html.escape(unit, quote=False), "side": "top"}
-                }
         traces += own
         owner += [key] * len(own)
     visible = {key: [name in ("", key) for name in owner] for key in values}
     for trace, shown in zip(traces, visible[next(iter(values))], strict=True):
         trace.visible = shown
-    return scene_html(traces, geometry, "scene", domain={"y": _SCENE_ABOVE}), visible
+    return scene_html(traces, geometry, "scene", domain={"y": _ABOVE_COLOUR_BAR}), visible

@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import trimesh
 from matplotlib.axes import Axes
-from matplotlib.cm import ScalarMappable
 from matplotlib.collections import PolyCollection
-from matplotlib.colors import Normalize, to_rgba
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch, Rectangle
 from matplotlib.patheffects import withStroke
@@ -23,8 +22,6 @@ from socket_testbed.report.figures.style import (
     AXES,
     CLUSTER,
     EDGE,
-    NO_VALUE,
-    SCALE,
     SURFACE,
     TILE,
     lay_out,
@@ -33,88 +30,56 @@ from socket_testbed.report.figures.style import (
 from socket_testbed.report.figures.tiles import (
     AXIS_NAMES,
     AxesOfS,
-    Surface,
     TilePaint,
-    add_colour_bar,
     drawable_surface,
     drawn_bounds,
     paint_tiles,
     place_axes,
-    tile_labels,
     tile_squares,
     value_range,
 )
 
+_CENTRED: dict[str, Any] = {"ha": "center", "va": "center"}
 _LARGEST, _SMALLEST = 7.0, 3.0  # [pt]
 _LONGEST_LINE = 9  # characters
 _CHARACTER = 0.62  # [-]; width of a character by the size of the font
 _LINE = 1.25  # [-]; height of a line, likewise
 
 
-def write_label(axis: Axes, label: str, corners: FloatArray, colour: str) -> None:
-    """Write a label inside a tile, as large as fits; leave it out where that is too small.
+def _label_tiles(axis: Axes, paint: TilePaint, tiles: IntArray, squares: FloatArray) -> None:
+    """Write a label inside each tile, as large as fits; leave it out where that is too small.
 
-    The panel must have its limits and its aspect.
-
-    Args:
-        axis: The panel.
-        label: What to write; it may hold anything, and none of it is markup.
-        corners: The tile's corners in the panel's coordinates, shape (4, 2).
-        colour: Of the ink.
-    """
-    if not label.strip():
-        return
-    lines = _break(label)
-    width, height = np.ptp(corners, axis=0) * _points_per_unit(axis)
-    size = min(
-        _LARGEST,
-        width / (_CHARACTER * max(len(line) for line in lines)),
-        height / (_LINE * len(lines)),
-    )
-    if size < _SMALLEST:
-        return
-    x, y = corners.mean(axis=0)
-    axis.text(
-        x,
-        y,
-        "\n".join(lines),
-        color=colour,
-        fontsize=size,
-        ha="center",
-        va="center",
-        parse_math=False,
-        linespacing=1.0,
-        zorder=3,
-    )
-
-
-def write_cluster(axis: Axes, cluster: str, corners: FloatArray) -> None:
-    """Write the name of a cluster over its tile, at one size whatever the tile's.
+    Nothing in a label is markup. The panel must have its limits and its aspect.
 
     Args:
         axis: The panel.
-        cluster: What to write, no markup either.
-        corners: The tile's corners in the panel's coordinates, shape (4, 2).
+        paint: What is written on the tiles.
+        tiles: Which tiles, by index, m of them.
+        squares: Their corners in the panel's coordinates, shape (m, 4, 2).
     """
+    for tile, corners in zip(tiles, squares, strict=True):
+        lines = _break(paint.labels[tile])
+        if not any(lines):
+            continue
+        width, height = np.ptp(corners, axis=0) * _points_per_unit(axis)
+        size = min(
+            _LARGEST,
+            width / (_CHARACTER * max(len(line) for line in lines)),
+            height / (_LINE * len(lines)),
+        )
+        if size >= _SMALLEST:
+            _write(axis, lines, corners, color=paint.ink(tile), fontsize=size, linespacing=1.0)
+
+
+def _write(axis: Axes, lines: Sequence[str], corners: FloatArray, **style: Any) -> None:
     x, y = corners.mean(axis=0)
-    axis.text(
-        x,
-        y,
-        "\n".join(_break(cluster)),
-        fontsize=_LARGEST,
-        ha="center",
-        va="center",
-        parse_math=False,
-        linespacing=1.2,
-        path_effects=[withStroke(linewidth=2.0, foreground="white")],
-        zorder=3,
-    )
+    axis.text(x, y, "\n".join(lines), parse_math=False, zorder=3, **_CENTRED, **style)
 
 
 def _break(label: str) -> list[str]:
     """Break a long label behind its underscores and at its spaces."""
     if len(label) <= _LONGEST_LINE:
-        return [label]
+        return [label.strip()]
     words = label.replace("_", "_ ").split()
     lines = textwrap.wrap(" ".join(words), _LONGEST_LINE, break_long_words=False)
     return [line.replace("_ ", "_") for line in lines]
@@ -136,7 +101,6 @@ _DARKEST, _LIGHTEST = 0.64, 0.91  # greys of the surface
 _LIGHT = np.array([-0.3, 0.35, 0.9])  # to the right, up and towards the viewer
 _MARGIN = 1.12
 _NAME = 0.18  # [-]; of an arrow's length, from its tip to its name
-_CENTRED = {"ha": "center", "va": "center"}
 
 
 @dataclass(frozen=True)
@@ -181,38 +145,62 @@ DISTAL = View(
 
 
 def draw_view(
-    axis: Axes,
-    view: View,
-    surface: Surface,
-    geometry: SocketGeometry,
-    paint: TilePaint,
-    tiles: IntArray,
+    axis: Axes, view: View, geometry: SocketGeometry, paint: TilePaint, tiles: IntArray
 ) -> None:
-    """Draw the surface and the tiles on it that face the viewer, through the wall if need be.
+    """Draw the tiles that face the viewer, through the wall if need be, and their names.
+
+    From outside only the clusters are named; the unrolled wall names the others.
 
     Args:
         axis: The panel.
         view: Where from.
-        surface: The interior surface in {S}.
         geometry: The socket.
         paint: How its tiles are painted.
         tiles: Which tiles may be drawn, by index.
     """
-    _draw_surface(axis, view, surface)
     towards = view.basis()[2]
     facing = geometry.rotations[:, :, 2] @ (towards if view.inside else -towards)
     shown = tiles[facing[tiles] > _LEAST_FACING]
     shown = shown[np.argsort(geometry.anchors[shown] @ towards)]
     squares = view.project(tile_squares(geometry))
+    _add_tiles(axis, paint, shown, squares[shown])
+    named = shown[facing[shown] > _LABEL_FACING]
+    if view.inside:
+        _label_tiles(axis, paint, named, squares[named])
+        return
+    outlined: dict[str, Any] = {"path_effects": [withStroke(linewidth=2.0, foreground="white")]}
+    for cluster, tile in geometry.clusters.items():
+        if tile in named:  # at one size, whatever the tile's
+            _write(axis, _break(cluster), squares[tile], fontsize=_LARGEST, **outlined)
+
+
+def draw_surface(axis: Axes, view: View, surface: trimesh.Trimesh) -> None:
+    """Paint the faces from the back to the front, so that none needs to be wound rightly."""
+    basis = view.basis()
+    order = np.argsort(surface.triangles_center @ basis[2])
+    light = _LIGHT @ basis / np.linalg.norm(_LIGHT)
+    brightness = np.abs(surface.face_normals[order] @ light)
+    greys = np.repeat(_DARKEST + (_LIGHTEST - _DARKEST) * brightness[:, None], 3, axis=1)
     axis.add_collection(
         PolyCollection(
-            list(squares[shown]),
-            facecolors=paint.fills[shown],
-            edgecolors=paint.edges[shown],
-            linewidths=paint.widths[shown],
+            list(view.project(surface.triangles[order])),
+            facecolors=greys,
+            edgecolors=greys,  # no hairlines between the faces
+            linewidths=0.2,
+            rasterized=True,
         )
     )
-    _write_names(axis, view, geometry, paint, shown[facing[shown] > _LABEL_FACING])
+
+
+def _add_tiles(axis: Axes, paint: TilePaint, tiles: IntArray, squares: FloatArray) -> None:
+    axis.add_collection(
+        PolyCollection(
+            list(squares),
+            facecolors=paint.fills[tiles],
+            edgecolors=paint.edges[tiles],
+            linewidths=paint.widths[tiles],
+        )
+    )
 
 
 def frame_view(axis: Axes, view: View, low: FloatArray, high: FloatArray) -> None:
@@ -253,99 +241,60 @@ def draw_axes(axis: Axes, view: View, axes: AxesOfS) -> None:
         axis.text(x + _NAME * (x - start_x), y + _NAME * (y - start_y), name, **lettering)
 
 
-def _write_names(
-    axis: Axes, view: View, geometry: SocketGeometry, paint: TilePaint, tiles: IntArray
-) -> None:
-    """Name every tile inside, where nothing else does, but outside the clusters only."""
-    squares = view.project(tile_squares(geometry))
-    if view.inside:
-        labels = tile_labels(geometry)
-        for tile in tiles:
-            write_label(axis, labels[tile], squares[tile], paint.ink(tile))
-        return
-    for cluster, tile in geometry.clusters.items():
-        if tile in tiles:
-            write_cluster(axis, cluster, squares[tile])
-
-
-def _draw_surface(axis: Axes, view: View, surface: Surface) -> None:
-    """Paint the faces from the back to the front, so that none needs to be wound rightly."""
-    basis = view.basis()
-    triangles = surface.vertices[surface.faces]
-    order = np.argsort(triangles.mean(axis=1) @ basis[2])
-    light = _LIGHT @ basis / np.linalg.norm(_LIGHT)
-    brightness = np.abs(surface.normals()[order] @ light)
-    greys = np.repeat(_DARKEST + (_LIGHTEST - _DARKEST) * brightness[:, None], 3, axis=1)
-    axis.add_collection(
-        PolyCollection(
-            list(view.project(triangles[order])),
-            facecolors=greys,
-            edgecolors=greys,  # no hairlines between the faces
-            linewidths=0.2,
-            rasterized=True,
-        )
-    )
-
-
 def _widened(ends: FloatArray) -> FloatArray:
     return ends.mean() + _MARGIN * (ends - ends.mean())
 
 
 _WALL = np.sqrt(0.5)  # [-]; z of the normals of what is at 45 degrees; the end faces up more
 _WIDEST_FACE = 60.0  # [deg]; a wider one is at the axis, where there is no angle
-_UNROLLED_MARGIN = 0.03
+_BESIDE = 3.0  # [deg]; free on both sides of the unrolled wall
+_ABOVE = 0.03  # [-]; of its height, free above and below
 
 
-def wall_tiles(geometry: SocketGeometry, surface: Surface) -> BoolArray:
+def wall_tiles(geometry: SocketGeometry, middle: FloatArray) -> BoolArray:
     """Which tiles are on the wall, not on the distal end, shape (n,).
 
-    A tile at the vertical axis through the surface's middle counts as one of the end.
+    Args:
+        geometry: The socket.
+        middle: x and y of a vertical axis, shape (2,) [m]; a tile at it counts as one of the end.
     """
     steep = geometry.rotations[:, 2, 2] < _WALL
-    return steep & (_radii(geometry.anchors, _middle(surface)) >= np.sqrt(geometry.areas))
+    return steep & (_radii(geometry.anchors, middle) >= np.sqrt(geometry.areas))
 
 
-def draw_unrolled(axis: Axes, surface: Surface, geometry: SocketGeometry, paint: TilePaint) -> None:
+def draw_unrolled(
+    axis: Axes,
+    geometry: SocketGeometry,
+    paint: TilePaint,
+    middle: FloatArray,
+    surface: trimesh.Trimesh | None = None,
+) -> None:
     """Draw the wall as one sees it walking around it outside: anterior, left, posterior, right.
 
-    The angle is that about a vertical axis through the surface's middle, from x of {S}
-    (anterior) towards y (left). Lengths across are true at the tiles' median radius only.
+    The angle is that about a vertical axis, from x of {S} (anterior) towards y (left). Lengths
+    across are true at the tiles' median radius only.
 
     Args:
         axis: The panel.
-        surface: The interior surface in {S}.
         geometry: The socket.
         paint: How its tiles are painted.
+        middle: x and y of the axis, shape (2,) [m].
+        surface: The interior surface in {S}; None where it is not known.
     """
-    middle = _middle(surface)
-    tiles = np.flatnonzero(wall_tiles(geometry, surface))
+    tiles = np.flatnonzero(wall_tiles(geometry, middle))
     squares = _unroll(tile_squares(geometry)[tiles], geometry.anchors[tiles], middle)
-    faces = _faces_around(surface, middle)
-    around = surface.vertices if not len(tiles) else geometry.anchors[tiles]
+    faces = np.zeros((0, 3, 2)) if surface is None else _faces_around(surface, middle)
+    around = geometry.anchors[tiles if len(tiles) else slice(None)]
     radius = float(np.median(_radii(around, middle)))
-    _frame(axis, np.concatenate([faces.reshape(-1, 2), squares.reshape(-1, 2)]), squares, radius)
+    drawn = np.concatenate([faces.reshape(-1, 2), squares.reshape(-1, 2)])
+    _frame(axis, drawn, squares, radius)
     wall = PolyCollection(
         list(faces), facecolors=SURFACE, edgecolors=SURFACE, linewidths=0.3, rasterized=True
     )
     axis.add_collection(wall)
     wall.set_clip_path(Rectangle((-180.0, 0.0), 360.0, 1.0, transform=axis.get_xaxis_transform()))
-    axis.add_collection(
-        PolyCollection(
-            list(squares),
-            facecolors=paint.fills[tiles],
-            edgecolors=paint.edges[tiles],
-            linewidths=paint.widths[tiles],
-        )
-    )
-    _name_tiles(axis, geometry, tiles, squares, paint)
-
-
-def _name_tiles(
-    axis: Axes, geometry: SocketGeometry, tiles: IntArray, squares: FloatArray, paint: TilePaint
-) -> None:
-    labels = tile_labels(geometry)
-    for tile, corners in zip(tiles, squares, strict=True):
-        write_label(axis, labels[tile], corners, paint.ink(tile))
+    _add_tiles(axis, paint, tiles, squares)
+    _label_tiles(axis, paint, tiles, squares)
 
 
 def _frame(axis: Axes, drawn: FloatArray, squares: FloatArray, radius: float) -> None:
@@ -353,8 +302,9 @@ def _frame(axis: Axes, drawn: FloatArray, squares: FloatArray, radius: float) ->
     angles = squares[..., 0]
     left, right = min(-180.0, angles.min(initial=0.0)), max(180.0, angles.max(initial=0.0))
     low, high = drawn[:, 1].min(), drawn[:, 1].max()
-    axis.set_xlim(left - 3.0, right + 3.0)
-    axis.set_ylim(low - _UNROLLED_MARGIN * (high - low), high + _UNROLLED_MARGIN * (high - low))
+    margin = _ABOVE * (high - low)
+    axis.set_xlim(left - _BESIDE, right + _BESIDE)
+    axis.set_ylim(low - margin, high + margin)
     axis.set_aspect(1.0 / (1e3 * np.radians(1.0) * radius))
     axis.set_xticks(
         [-180, -90, 0, 90, 180],
@@ -375,10 +325,9 @@ def _frame(axis: Axes, drawn: FloatArray, squares: FloatArray, radius: float) ->
     )
 
 
-def _faces_around(surface: Surface, middle: FloatArray) -> FloatArray:
+def _faces_around(surface: trimesh.Trimesh, middle: FloatArray) -> FloatArray:
     """Faces around the axis, those beyond an end of the turn at both ends, shape (f, 3, 2)."""
-    triangles = surface.vertices[surface.faces]
-    faces = _unroll(triangles, triangles[:, 0], middle)
+    faces = _unroll(surface.triangles, surface.triangles[:, 0], middle)
     faces = faces[np.ptp(faces[..., 0], axis=1) < _WIDEST_FACE]
     over = faces[(np.abs(faces[..., 0]) > 180.0).any(axis=1)]
     turn = np.where(over[:, :1, :1] > 0.0, -360.0, 360.0)
@@ -408,15 +357,10 @@ def _radii(points: FloatArray, middle: FloatArray) -> FloatArray:
     return np.linalg.norm(points[..., :2] - middle, axis=-1)
 
 
-def _middle(surface: Surface) -> FloatArray:
-    low, high = surface.bounds()
-    return 0.5 * (low + high)[:2]
-
-
 _MOST_FACES = 30_000
 _SIZE = (12.0, 11.0)  # [inch]
 _DPI = 200
-_TITLE = 110  # characters a line
+_LINE_OF_TITLE = 110  # characters
 
 
 def socket_picture(
@@ -441,26 +385,29 @@ def socket_picture(
     save_figure(_draw_socket(surface, geometry, title), path, _DPI)
 
 
-def _draw_socket(surface: Surface, geometry: SocketGeometry, title: str) -> Figure:
+def _draw_socket(surface: trimesh.Trimesh, geometry: SocketGeometry, title: str) -> Figure:
     figure = Figure(figsize=_SIZE, layout="constrained")
-    figure.suptitle(textwrap.fill(title, _TITLE), fontsize=12, parse_math=False)
+    figure.suptitle(textwrap.fill(title, _LINE_OF_TITLE), fontsize=12, parse_math=False)
     grid = figure.add_gridspec(2, 4)
     paint = paint_tiles(geometry)
-    low, high = drawn_bounds(surface, geometry)
+    middle = surface.bounds.mean(axis=0)[:2]
+    low, high = drawn_bounds(geometry, surface)
     axes = place_axes(low, high)
     low, high = np.minimum(low, axes.start), np.maximum(high, axes.start + axes.length)
     every_tile = np.arange(len(geometry))
-    for column, view in enumerate(SIDES):
-        panel = figure.add_subplot(grid[0, column])
-        frame_view(panel, view, low, high)
-        draw_view(panel, view, surface, geometry, paint, every_tile)
-        draw_axes(panel, view, axes)
-    draw_unrolled(figure.add_subplot(grid[1, :3]), surface, geometry, paint)
-    end = figure.add_subplot(grid[1, 3])
-    frame_view(end, DISTAL, low, high)
-    draw_view(end, DISTAL, surface, geometry, paint, every_tile[~wall_tiles(geometry, surface)])
+    draw_unrolled(figure.add_subplot(grid[1, :3]), geometry, paint, middle, surface)
     # At the origin they would hide the tiles of the end.
-    draw_axes(end, DISTAL, replace(axes, start=low, length=0.4 * axes.length))
+    aside = replace(axes, start=low, length=0.4 * axes.length)
+    end_tiles = every_tile[~wall_tiles(geometry, middle)]
+    for place, view, arrows, tiles in (
+        *((grid[0, column], view, axes, every_tile) for column, view in enumerate(SIDES)),
+        (grid[1, 3], DISTAL, aside, end_tiles),
+    ):
+        panel = figure.add_subplot(place)
+        frame_view(panel, view, low, high)
+        draw_surface(panel, view, surface)
+        draw_view(panel, view, geometry, paint, tiles)
+        draw_axes(panel, view, arrows)
     _add_legend(figure, axes)
     return figure
 
@@ -481,13 +428,12 @@ def _add_legend(figure: Figure, axes: AxesOfS) -> None:
 
 
 _WIDTH, _ROW = 8.6, 2.9  # [inch]
-_MAP_TITLE = 110  # characters a line
 
 
 def tile_map_figure(
     geometry: SocketGeometry, rows: Mapping[str, FloatArray], unit: str, title: str
 ) -> Figure:
-    """Tiles by their values on one colour scale that prints in grey, a row a set of values.
+    """Tiles by their values on one colour scale that prints in grey, a row per set of values.
 
     The socket's wall is unrolled around the vertical axis through the tiles' middle; beside
     it is the distal end. Tiles with a cluster have a thick outline and a number, which the
@@ -495,7 +441,7 @@ def tile_map_figure(
 
     Args:
         geometry: The socket.
-        rows: One value a tile in `unit`, shape (n,), by what it is; NaN where there is none.
+        rows: One value per tile in `unit`, shape (n,), by what it is; NaN where there is none.
         unit: What the values are, with their unit, such as `stiffness [N/m]`.
         title: What is shown.
 
@@ -503,46 +449,26 @@ def tile_map_figure(
         ConfigurationError: If the values are not those of these tiles.
     """
     figure = Figure(figsize=(_WIDTH, _ROW * len(rows) + 0.4), layout="constrained")
-    numbers = {name: str(i) for i, name in enumerate(geometry.clusters, start=1)}
-    legend = ", ".join(f"{number} {name}" for name, number in numbers.items())
-    heading = f"{title}\n{textwrap.fill(legend, _MAP_TITLE)}" if numbers else title
-    figure.suptitle(heading, fontsize=10, parse_math=False)
+    labels = [""] * len(geometry)
+    legend = []
+    for number, (cluster, tile) in enumerate(geometry.clusters.items(), start=1):
+        labels[tile] = str(number)
+        legend.append(f"{number} {cluster}")
+    heading = [title, textwrap.fill(", ".join(legend), _LINE_OF_TITLE)]
+    figure.suptitle("\n".join(filter(None, heading)), fontsize=10, parse_math=False)
     axes = figure.subplots(len(rows), 2, width_ratios=(3.2, 1.0), squeeze=False)
-    scale = ScalarMappable(Normalize(*value_range(np.concatenate([*rows.values()]))), SCALE)
-    geometry = _number_clusters(geometry, numbers)
-    surface = _corners_of(geometry)
-    end = np.flatnonzero(~wall_tiles(geometry, surface))
+    limits = value_range(geometry, np.stack([*rows.values()]))
+    low, high = drawn_bounds(geometry)
+    middle = 0.5 * (low + high)[:2]
+    end = np.flatnonzero(~wall_tiles(geometry, middle))
     for (wall_axis, end_axis), (name, values) in zip(axes, rows.items(), strict=True):
-        paint = _paint_on(scale, geometry, values, unit)
-        draw_unrolled(wall_axis, surface, geometry, paint)
+        paint = paint_tiles(geometry, values, limits, labels)
+        draw_unrolled(wall_axis, geometry, paint, middle)
         wall_axis.set_title(name, fontsize=9.5, loc="left", fontweight="bold", parse_math=False)
         wall_axis.set_title("")
-        frame_view(end_axis, DISTAL, *drawn_bounds(surface, geometry))
-        draw_view(end_axis, DISTAL, surface, geometry, paint, end)
+        frame_view(end_axis, DISTAL, low, high)
+        draw_view(end_axis, DISTAL, geometry, paint, end)
         end_axis.set_title("distal end, from inside", fontsize=9)
-    add_colour_bar(figure, list(axes.flat), paint)
+    assert paint.scale is not None
+    figure.colorbar(paint.scale, ax=[*axes.flat], label=unit, shrink=0.8, pad=0.01)
     return lay_out(figure)
-
-
-def _paint_on(
-    scale: ScalarMappable, geometry: SocketGeometry, values: FloatArray, unit: str
-) -> TilePaint:
-    """Tiles painted on a scale that others share."""
-    paint = paint_tiles(geometry, values, unit)
-    fills = np.where(np.isnan(values)[:, None], to_rgba(NO_VALUE), scale.to_rgba(values))
-    return replace(paint, fills=fills, scale=scale)
-
-
-def _number_clusters(geometry: SocketGeometry, numbers: Mapping[str, str]) -> SocketGeometry:
-    """The same socket with the clusters' numbers for names, the only ones that are legible."""
-    names = [""] * len(geometry)
-    for cluster, tile in geometry.clusters.items():
-        names[tile] = numbers[cluster]
-    clusters = {numbers[cluster]: tile for cluster, tile in geometry.clusters.items()}
-    return replace(geometry, names=tuple(names), clusters=clusters)
-
-
-def _corners_of(geometry: SocketGeometry) -> Surface:
-    """The corners of the tiles as a surface of faces without area: a trial knows no scan."""
-    corners = tile_squares(geometry).reshape(-1, 3)
-    return Surface(corners, np.repeat(np.arange(len(corners))[:, None], 3, axis=1))

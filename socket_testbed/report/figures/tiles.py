@@ -6,10 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from matplotlib.axes import Axes
+import trimesh
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize, to_rgba
-from matplotlib.figure import Figure
 
 from socket_testbed.arrays import BoolArray, FloatArray, IntArray
 from socket_testbed.errors import ConfigurationError, ScanError
@@ -20,38 +19,10 @@ from socket_testbed.report.figures.style import CLUSTER, EDGE, NO_VALUE, SCALE, 
 _LARGEST_SURFACE = 2.0  # [m]; what is larger is in another unit
 _GROWTH = 1.1  # [-]; of the cells, from one attempt to the next
 _SMALLEST_CELL = 1e-5  # [-]; of the surface's size, so that a cell's number is an int64
-_FACES_A_CELL = 2.0  # [-]; of a triangulation
+_FACES_PER_CELL = 2.0  # [-]; of a triangulation
 
 
-@dataclass(frozen=True)
-class Surface:
-    """A triangulated surface.
-
-    Attributes:
-        vertices: Vertices in {S}, shape (v, 3) [m].
-        faces: Indices of each face's vertices, shape (f, 3).
-    """
-
-    vertices: FloatArray
-    faces: IntArray
-
-    def bounds(self) -> tuple[FloatArray, FloatArray]:
-        """Lowest and highest coordinates of the faces, shape (3,) each [m]."""
-        used = self.vertices[self.faces.ravel()]
-        return used.min(axis=0), used.max(axis=0)
-
-    def normals(self) -> FloatArray:
-        """Unit normals of the faces by their winding, shape (f, 3) [-]; 0 without an area."""
-        normals = _doubled_area_vectors(self)
-        lengths = np.linalg.norm(normals, axis=1, keepdims=True)
-        return np.divide(normals, lengths, out=np.zeros_like(normals), where=lengths > 0.0)
-
-    def area(self) -> float:
-        """Area of all faces [m^2]."""
-        return 0.5 * float(np.linalg.norm(_doubled_area_vectors(self), axis=1).sum())
-
-
-def drawable_surface(vertices: FloatArray, faces: IntArray, most_faces: int) -> Surface:
+def drawable_surface(vertices: FloatArray, faces: IntArray, most_faces: int) -> trimesh.Trimesh:
     """A surface that can be drawn: checked, and of no more faces than a drawing can hold.
 
     Args:
@@ -62,30 +33,28 @@ def drawable_surface(vertices: FloatArray, faces: IntArray, most_faces: int) -> 
     Raises:
         ScanError: If this is no surface, or not in metres.
     """
-    surface = Surface(np.asarray(vertices, dtype=float), np.asarray(faces))
-    _check(surface)
-    return simplify(surface, most_faces)
+    vertices, faces = np.asarray(vertices, dtype=float), np.asarray(faces)
+    _check(vertices, faces)
+    return _simplify(trimesh.Trimesh(vertices, faces, process=False), most_faces)
 
 
-def simplify(surface: Surface, most_faces: int) -> Surface:
+def _simplify(surface: trimesh.Trimesh, most_faces: int) -> trimesh.Trimesh:
     """Merge the vertices in each cell of a cubic grid, in cells that grow until it suffices.
 
     Vertex clustering (Rossignac and Borrel 1993, doi:10.1007/978-3-642-78114-8_29), with the
     mean of a cell's vertices, or of those on the rim, for all of them. It needs no manifold,
     so it takes any scan.
 
-    Args:
-        surface: Any surface.
-        most_faces: Largest number of faces of the result.
-
     Raises:
         ScanError: If its faces have so little in common that none is left.
     """
     cell = max(
-        np.sqrt(_FACES_A_CELL * surface.area() / most_faces),
+        np.sqrt(_FACES_PER_CELL * surface.area / most_faces),
         _SMALLEST_CELL * float(np.ptp(surface.vertices, axis=0).max()),
     )
-    rim = _rim(surface)
+    edges = surface.edges_sorted
+    rim = np.zeros(len(surface.vertices), dtype=bool)
+    rim[edges[trimesh.grouping.group_rows(edges, require_count=1)]] = True
     simplified = surface
     while len(simplified.faces) > most_faces:
         simplified = _merge_within_cells(surface, rim, cell)
@@ -95,38 +64,22 @@ def simplify(surface: Surface, most_faces: int) -> Surface:
     return simplified
 
 
-def _merge_within_cells(surface: Surface, rim: BoolArray, cell: float) -> Surface:
+def _merge_within_cells(surface: trimesh.Trimesh, rim: BoolArray, cell: float) -> trimesh.Trimesh:
     place = ((surface.vertices - surface.vertices.min(axis=0)) / cell).astype(np.int64)
     key = np.ravel_multi_index(tuple(place.T), tuple(place.max(axis=0) + 1))
     _, cell_of_vertex = np.unique(key, return_inverse=True)
     # The rest of a cell at the rim would draw the rim inwards, here more and there less.
     weight = np.where(np.bincount(cell_of_vertex, rim)[cell_of_vertex] > 0, rim, 1.0)
     sums = [np.bincount(cell_of_vertex, weight * axis) for axis in surface.vertices.T]
+    mean = np.column_stack(sums) / np.bincount(cell_of_vertex, weight)[:, None]
     faces = cell_of_vertex[surface.faces]
     a, b, c = faces.T
     faces = faces[(a != b) & (b != c) & (c != a)]
     _, first = np.unique(np.sort(faces, axis=1), axis=0, return_index=True)
-    mean = np.column_stack(sums) / np.bincount(cell_of_vertex, weight)[:, None]
-    return Surface(mean, faces[np.sort(first)])
+    return trimesh.Trimesh(mean, faces[np.sort(first)], process=False)
 
 
-def _rim(surface: Surface) -> BoolArray:
-    """Which vertices are on an edge of a single face, shape (v,)."""
-    edges = np.sort(surface.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
-    count = len(surface.vertices)
-    edge, faces_at_edge = np.unique(edges @ [count, 1], return_counts=True)
-    rim = np.zeros(count, dtype=bool)
-    rim[np.concatenate(np.divmod(edge[faces_at_edge == 1], count))] = True
-    return rim
-
-
-def _doubled_area_vectors(surface: Surface) -> FloatArray:
-    a, b, c = np.moveaxis(surface.vertices[surface.faces], 1, 0)
-    return np.cross(b - a, c - a)
-
-
-def _check(surface: Surface) -> None:
-    vertices, faces = surface.vertices, surface.faces
+def _check(vertices: FloatArray, faces: IntArray) -> None:
     for what, array in (("vertices", vertices), ("faces", faces)):
         if array.ndim != 2 or array.shape[1] != 3 or not len(array):
             raise ScanError(
@@ -150,6 +103,8 @@ def _check(surface: Surface) -> None:
 _CORNERS = np.array([[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [1.0, 1.0, 0.0], [-1.0, 1.0, 0.0]])
 _AWAY = 0.5  # [-]; cosine of the angle at which a tile's x is no longer the proximal direction
 _NO_DIRECTION = 0.1  # [-]; length of a mean of unit vectors that cancel
+_DARK = 0.45  # [-]; luminance below which ink is white
+_LUMINANCE = np.array([0.2126, 0.7152, 0.0722])  # ITU-R BT.709
 
 
 def tile_squares(geometry: SocketGeometry) -> FloatArray:
@@ -201,30 +156,26 @@ def proximal_direction(geometry: SocketGeometry) -> FloatArray | None:
     return mean / np.linalg.norm(mean)
 
 
-def check_values(geometry: SocketGeometry, values: FloatArray) -> None:
-    """Refuse values that are not one a tile, finite, or NaN where there is none.
+def value_range(geometry: SocketGeometry, values: FloatArray) -> tuple[float, float]:
+    """Ends of the colour scale: the finite values' range, widened where it is a point.
+
+    Args:
+        geometry: The socket.
+        values: One value per tile, NaN where there is none; or several such rows, shape (..., n).
 
     Raises:
         ConfigurationError: If the values are not those of these tiles.
     """
-    if values.shape != (len(geometry),):
+    if values.shape[-1:] != (len(geometry),):
         raise ConfigurationError(
             f"values of the shape {values.shape} do not fit {len(geometry)} tiles",
-            "give one value a tile, NaN where there is none",
+            "give one value per tile, NaN where there is none",
         )
     if np.isinf(values).any():
-        name = geometry.names[int(np.flatnonzero(np.isinf(values))[0])]
+        name = geometry.names[int(np.argwhere(np.isinf(values))[0, -1])]
         raise ConfigurationError(
             f"the value of tile '{name}' is infinite", "give a finite value, or NaN for none"
         )
-
-
-def value_range(values: FloatArray) -> tuple[float, float]:
-    """Ends of the colour scale: the finite values' range, widened where it is a point.
-
-    Args:
-        values: Values of the tiles, NaN where there is none.
-    """
     finite = values[np.isfinite(values)]
     if not len(finite):
         return 0.0, 1.0
@@ -235,10 +186,6 @@ def value_range(values: FloatArray) -> tuple[float, float]:
     return low, high
 
 
-_DARK = 0.45  # [-]; luminance below which ink is white
-_LUMINANCE = np.array([0.2126, 0.7152, 0.0722])  # ITU-R BT.709
-
-
 @dataclass(frozen=True)
 class TilePaint:
     """How the tiles are painted.
@@ -247,15 +194,15 @@ class TilePaint:
         fills: Fill of each tile, RGBA, shape (n, 4) [-].
         edges: Outline of each tile, RGBA, shape (n, 4) [-].
         widths: Widths of the outlines, shape (n,) [pt].
-        scale: The colours' scale; None where they tell kinds, not values.
-        unit: Unit of the values.
+        labels: What is written on each tile.
+        scale: The colours' scale; None where they show kinds, not values.
     """
 
     fills: FloatArray
     edges: FloatArray
     widths: FloatArray
+    labels: Sequence[str]
     scale: ScalarMappable | None
-    unit: str
 
     def ink(self, tile: int) -> str:
         """Colour that is legible on a tile."""
@@ -263,7 +210,10 @@ class TilePaint:
 
 
 def paint_tiles(
-    geometry: SocketGeometry, values: FloatArray | None = None, unit: str = ""
+    geometry: SocketGeometry,
+    values: FloatArray | None = None,
+    limits: tuple[float, float] | None = None,
+    labels: Sequence[str] | None = None,
 ) -> TilePaint:
     """Paint tiles by their values, or else tiles with and without a cluster in two colours.
 
@@ -271,8 +221,9 @@ def paint_tiles(
 
     Args:
         geometry: The socket.
-        values: One value a tile in `unit`, shape (n,); NaN, left white, where there is none.
-        unit: What the values are, with their unit, such as `pressure [kPa]`.
+        values: One value per tile, shape (n,); NaN, left white, where there is none.
+        limits: Ends of the colour scale; None for those of the values.
+        labels: What is written on each tile; None for its name.
 
     Raises:
         ConfigurationError: If the values are not those of these tiles.
@@ -281,17 +232,12 @@ def paint_tiles(
     if values is None:
         fills, scale = _choose(covered, CLUSTER, TILE), None
     else:
-        check_values(geometry, values)
-        scale = ScalarMappable(Normalize(*value_range(values)), SCALE)
+        low, high = value_range(geometry, values)
+        scale = ScalarMappable(Normalize(*(limits or (low, high))), SCALE)
         fills = np.where(np.isnan(values)[:, None], to_rgba(NO_VALUE), scale.to_rgba(values))
     edges = _choose(covered, "black" if values is None else CLUSTER, EDGE)
-    return TilePaint(fills, edges, np.where(covered, 1.6, 0.6), scale, unit)
-
-
-def add_colour_bar(figure: Figure, axes: Sequence[Axes], paint: TilePaint) -> None:
-    """Add the colour bar of tiles that are painted by their values, if they are."""
-    if paint.scale is not None:
-        figure.colorbar(paint.scale, ax=list(axes), label=paint.unit, shrink=0.8, pad=0.01)
+    widths = np.where(covered, 1.6, 0.6)
+    return TilePaint(fills, edges, widths, labels or tile_labels(geometry), scale)
 
 
 def _choose(covered: BoolArray, with_cluster: str, without: str) -> FloatArray:
@@ -324,9 +270,13 @@ class AxesOfS:
         return f"axes of {{S}}, {1e3 * self.length:g} mm{where}"
 
 
-def drawn_bounds(surface: Surface, geometry: SocketGeometry) -> tuple[FloatArray, FloatArray]:
-    """Lowest and highest coordinates in {S} of the surface and the tiles, shape (3,) each [m]."""
-    corners = np.vstack([*surface.bounds(), tile_squares(geometry).reshape(-1, 3)])
+def drawn_bounds(
+    geometry: SocketGeometry, surface: trimesh.Trimesh | None = None
+) -> tuple[FloatArray, FloatArray]:
+    """Lowest and highest coordinates in {S} of the tiles and a surface, shape (3,) each [m]."""
+    corners = tile_squares(geometry).reshape(-1, 3)
+    if surface is not None:
+        corners = np.vstack([corners, surface.bounds])
     return corners.min(axis=0), corners.max(axis=0)
 
 
