@@ -153,14 +153,14 @@ def read_model(path: Path, geometry: SocketGeometry | None = None) -> StoredMode
         raise ConfigurationError(
             f"{path}: is of the format '{document.text('format')}'", "fit the trial again"
         )
-    geometry = socket_from_section(document.section("geometry"))
+    fitted_on = socket_from_section(document.section("geometry"))
     settings_section = document.section("settings")
     values = {name: settings_section.take(name) for name in settings_section.names()}
     parameters = document.section("parameters").expect(_PARAMETERS)
     quality = document.section("quality")
     stored = StoredModel(
-        model=_model(parameters, geometry),
-        geometry=geometry,
+        model=_model(parameters, fitted_on),
+        geometry=fitted_on,
         settings=IdentificationSettings.from_flat(values, f"{path}: settings"),
         samples=int(quality.number("samples", 0)),
         last_stamp=int(quality.take("last_stamp")),
