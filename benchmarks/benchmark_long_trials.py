@@ -23,8 +23,7 @@ from socket_testbed.calibration.model import read_calibration
 from socket_testbed.files import packaged
 from socket_testbed.geometry.pose import Pose
 from socket_testbed.geometry.socket import read_socket
-from socket_testbed.simulation.testbed import SimulatedTrial, simulate
-from socket_testbed.simulation.trial import write_simulated_trial
+from socket_testbed.simulation.trial import SimulatedTrial, simulate, write_simulated_trial
 
 RATE = 100.0  # [Hz]
 PIECE = 120.0  # [s]

@@ -30,8 +30,7 @@ from socket_testbed.report.figures.style import save_figure
 from socket_testbed.samples import LOCAL_CHANNELS, WRENCH_CHANNELS, Samples, channel_unit
 from socket_testbed.settings.identification import VARIANTS
 from socket_testbed.settings.testbed import EstimatorSettings, ReplaySettings
-from socket_testbed.simulation.testbed import GroundTruth
-from socket_testbed.simulation.trial import TRUTH_FILE, read_truth
+from socket_testbed.simulation.trial import TRUTH_FILE, GroundTruth, read_truth
 from socket_testbed.trials.segment import select_segment
 from socket_testbed.trials.synchronise import read_samples
 from socket_testbed.trials.trial import Trial

@@ -10,8 +10,7 @@ from socket_testbed.commands.text import Progress
 from socket_testbed.files import check_number, packaged, refuse_existing
 from socket_testbed.geometry.socket import read_socket
 from socket_testbed.simulation.limb import SCENARIOS
-from socket_testbed.simulation.testbed import simulate
-from socket_testbed.simulation.trial import TRUTH_FILE, write_simulated_trial
+from socket_testbed.simulation.trial import TRUTH_FILE, simulate, write_simulated_trial
 
 _MOST_TRIGGERS = 1_000_000
 

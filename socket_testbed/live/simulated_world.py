@@ -21,22 +21,16 @@ from socket_testbed.clocks import SteadyClock
 from socket_testbed.geometry.socket import SocketGeometry, read_socket
 from socket_testbed.live.processes import follow_starter
 from socket_testbed.simulation.devices.natnet_server import NatNetServer
-from socket_testbed.simulation.limb import (
-    SCENARIOS,
-    LoadedLimb,
-    MarkerBodies,
-    Scenario,
-    load_history,
-)
+from socket_testbed.simulation.limb import SCENARIOS, LoadedLimb, Scenario, load_history
 from socket_testbed.simulation.sensors import (
     ClusterSensor,
+    MarkerBodies,
     SensorErrors,
     cluster_stress,
     place_markers,
     wrench_offset,
 )
-from socket_testbed.simulation.testbed import GroundTruth
-from socket_testbed.simulation.trial import save_truth
+from socket_testbed.simulation.trial import GroundTruth, random_streams, save_truth
 from socket_testbed.simulation.world import World
 
 _PERIOD = 0.04  # [s]; of the physics; between two states the world is linear
@@ -72,9 +66,7 @@ class LiveTestbed:
         errors: SensorErrors,
     ) -> None:
         calibration.require(geometry.clusters, "the socket")
-        tissue_rng, load_rng, cell_rng, cluster_rng, marker_rng = (
-            np.random.default_rng(child) for child in np.random.SeedSequence(seed).spawn(5)
-        )
+        tissue_rng, load_rng, cell_rng, cluster_rng, marker_rng = random_streams(seed)
         self._world = world
         self._geometry = geometry
         self._times = np.arange(0.0, duration, _PERIOD)

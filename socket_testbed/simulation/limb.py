@@ -1,9 +1,9 @@
-"""How the limb and the marker bodies move under a load: load histories, tissue, motion.
+"""How the limb moves in the socket under a load: load histories, tissue, equilibrium.
 
-Nothing here knows the estimator's law: the normal pressure grows exponentially with the
+Nothing here knows the estimator's law. The normal pressure grows exponentially with the
 compression along the surface's own normal, the shear sticks and slips after Coulomb, the
-compliance varies over the surface, and a part of the compression relaxes with time. The
-surface is finer than the tiles and reaches between them.
+compliance varies over the surface, and part of the compression relaxes with time. The surface is
+finer than the tiles and reaches between them.
 """
 
 from __future__ import annotations
@@ -13,31 +13,33 @@ from typing import Literal, get_args
 
 import numpy as np
 from scipy.optimize import root
-from scipy.spatial.transform import Rotation
 
 from socket_testbed.arrays import FloatArray, IntArray
 from socket_testbed.errors import TestbedError
-from socket_testbed.geometry.pose import Pose
 from socket_testbed.geometry.socket import SocketGeometry
-from socket_testbed.simulation.sensors import SensorErrors, misregister
 
 Scenario = Literal["static_hold", "ramp", "multi_direction"]
 SCENARIOS: tuple[Scenario, ...] = get_args(Scenario)
 
 _GRAVITY = 9.81  # [m/s^2]
-PYLON_MASS = 9.3  # [kg]; the paper's
-ADDED_MASS = 19.0  # [kg]; the paper's
+_PYLON_MASS = 9.3  # [kg]; as published
+_ADDED_MASS = 19.0  # [kg]; as published
 _PYLON_POINT = np.array([0.004, -0.003, 0.45])  # [m]; centre of mass of the pylon in {S}
 _ADDED_POINT = np.array([0.010, 0.007, 0.50])  # [m]; where the mass is placed
 _PLACING = 2.0  # [s]; to place or remove the mass
 _SWAY_FORCE = 0.4  # [N]
 _SWAY_TIME = 0.6  # [s]
+_GRID = 3  # points along the edge of a tile
+_GAP_AREA = 0.25  # [-]; area between the tiles, relative to that of the tiles
+_LENGTH = 0.1  # [m]; turns rotations into lengths for the solver
+_BALANCE = 1e-4  # [N]; largest imbalance of the forces
+_HELD = 0.05  # [N]; imbalance above which the limb is not held
 
 
 def load_history(scenario: Scenario, time: FloatArray, rng: np.random.Generator) -> FloatArray:
     """Wrench of the load on the limb about the origin of {S}.
 
-    - `static_hold`: the pylon alone, the mass placed, held, removed, as in the paper;
+    - `static_hold`: the pylon alone, the mass placed, held, removed, as published;
     - `ramp`: the mass put on and taken off slowly, again and again;
     - `multi_direction`: the mass on, and pushed around from all sides.
 
@@ -62,10 +64,10 @@ def load_history(scenario: Scenario, time: FloatArray, rng: np.random.Generator)
         added[:, 0] = push * np.cos(around)
         added[:, 1] = push * np.sin(around)
         added[:, 2] = 60.0 * share * np.sin(up)
-    added[:, 2] -= share * ADDED_MASS * _GRAVITY
+    added[:, 2] -= share * _ADDED_MASS * _GRAVITY
     added[:, :2] += _sway(time, rng) * (0.3 + share[:, None])
 
-    pylon = np.tile([0.0, 0.0, -PYLON_MASS * _GRAVITY], (len(time), 1))
+    pylon = np.tile([0.0, 0.0, -_PYLON_MASS * _GRAVITY], (len(time), 1))
     moment = np.cross(_PYLON_POINT, pylon) + np.cross(_ADDED_POINT, added)
     return np.hstack([moment, pylon + added])
 
@@ -87,12 +89,6 @@ def _sway(time: FloatArray, rng: np.random.Generator) -> FloatArray:
         keep = np.exp(-steps[k] / _SWAY_TIME)
         sway[k] = keep * sway[k - 1] + np.sqrt(1.0 - keep**2) * kicks[k]
     return sway
-
-
-_GRID = 3  # points along the edge of a tile
-_GAP_AREA = 0.25  # [-]; area between the tiles, against the tiles' own
-_LENGTH = 0.1  # [m]; turns rotations into lengths for the solver
-_BALANCE = 1e-4  # [N]; largest imbalance of the forces
 
 
 class EquilibriumError(TestbedError):
@@ -213,7 +209,7 @@ class LimbInSocket:
         Raises:
             EquilibriumError: If the load pushes the limb out of the socket.
         """
-        scale = np.array([1.0, 1.0, 1.0, 1.0 / _LENGTH, 1.0 / _LENGTH, 1.0 / _LENGTH]) * 1e-3
+        scale = 1e-3 * np.repeat([1.0, 1.0 / _LENGTH], 3)
 
         def imbalance(x: FloatArray) -> FloatArray:
             forces = self._respond(x * scale, duration)[0]
@@ -231,7 +227,7 @@ class LimbInSocket:
         if np.abs(answer.fun).max() > _BALANCE:
             # Where the surface begins to slip Powell's steps may stall: start from rest.
             answer = root(imbalance, start, method="lm", options={"xtol": 1e-12, "ftol": 1e-14})
-        if np.abs(answer.fun).max() > 0.05:
+        if np.abs(answer.fun).max() > _HELD:
             raise EquilibriumError(
                 f"no equilibrium under the load {np.round(wrench, 2).tolist()} [N m, N]",
                 "give a smaller load or a socket that holds the limb",
@@ -265,14 +261,6 @@ class LimbInSocket:
 
         forces = tissue.areas[:, None] * (traction - pressure[:, None] * tissue.normals)
         return forces, crept, traction, tangential
-
-
-_SOCKET_IN_WORLD = Pose(
-    Rotation.from_euler("zyx", [35.0, 4.0, -3.0], degrees=True).as_matrix(),
-    np.array([0.42, -0.31, 0.74]),
-)
-_STAND_COMPLIANCE = 1e-6  # [m/N]; the stand gives a little under the load
-_STAND_TREMOR = 2e-5  # [m]
 
 
 class LoadedLimb:
@@ -316,47 +304,3 @@ class LoadedLimb:
         forces = np.zeros((self._tiles, 3))
         np.add.at(forces, self._tile, response[self._covered])
         return forces
-
-
-class MarkerBodies:
-    """The marker bodies of socket and pylon as they really are.
-
-    Args:
-        geometry: What the lab believes of them.
-        errors: Sizes of the errors of their registration.
-        rng: Source of these errors and of the stand's tremor.
-    """
-
-    def __init__(
-        self, geometry: SocketGeometry, errors: SensorErrors, rng: np.random.Generator
-    ) -> None:
-        self._rng = rng
-        self._socket_body = misregister(geometry.socket_body, errors, rng)
-        self._limb_in_body = misregister(geometry.limb, errors, rng)
-
-    def poses(
-        self,
-        position: FloatArray,
-        rotation: FloatArray,
-        load: FloatArray,
-        swayed: FloatArray | None = None,
-    ) -> tuple[Pose, Pose]:
-        """True poses of the bodies of socket and pylon in the world, N of each.
-
-        Args:
-            position: Limb positions in {S}, shape (N, 3) [m].
-            rotation: Rotation vectors of the limb, shape (N, 3) [rad].
-            load: Loads [M; F], shape (N, 6) [N m, N].
-            swayed: Displacement of the whole stand in the world, shape (3,) [m].
-        """
-        count = len(position)
-        shift = self._rng.normal(0.0, _STAND_TREMOR, (count, 3)) - _STAND_COMPLIANCE * load[:, 3:]
-        if swayed is not None:
-            shift += swayed
-        world = Pose(
-            np.tile(_SOCKET_IN_WORLD.rotation, (count, 1, 1)),
-            _SOCKET_IN_WORLD.translation + shift,
-        )
-        limb = Pose(Rotation.from_rotvec(rotation).as_matrix(), position)
-        # socket_body maps the body to {S}; world maps {S} to the world.
-        return world @ self._socket_body, world @ limb @ self._limb_in_body.inverse()

@@ -1,4 +1,4 @@
-"""Sensor models: what the clusters, the load cell and the cameras make of the truth."""
+"""Sensor models: what clusters, load cell and cameras measure of the truth, with their errors."""
 
 from __future__ import annotations
 
@@ -14,7 +14,14 @@ from socket_testbed.geometry.pose import Pose
 from socket_testbed.geometry.socket import SocketGeometry
 
 _CONVERTER_STEP = 2.0**-19  # [pF]; of the FDC1004
-_DIFFERENCES = 0.5 * np.array([[-1.0, 1.0, -1.0, 1.0], [1.0, 1.0, -1.0, -1.0]])
+# Signs of a cluster's four channels in its two differences.
+_SIGNS = np.array([[-1.0, 1.0, -1.0, 1.0], [1.0, 1.0, -1.0, -1.0]])
+_SOCKET_IN_WORLD = Pose(
+    Rotation.from_euler("zyx", [35.0, 4.0, -3.0], degrees=True).as_matrix(),
+    np.array([0.42, -0.31, 0.74]),
+)
+_STAND_COMPLIANCE = 1e-6  # [m/N]; the stand gives a little under the load
+_STAND_TREMOR = 2e-5  # [m]
 
 
 @dataclass(frozen=True)
@@ -78,7 +85,7 @@ def invert_calibration(calibration: ClusterCalibration, stress: FloatArray) -> F
         guess = root(miss, guess, tol=1e-9).x
         differences[k] = guess
     # mean and differences from four channels; the fourth combination, a twist, is zero.
-    channels = mean[:, None] + 0.5 * differences @ np.sign(_DIFFERENCES)
+    channels = mean[:, None] + 0.5 * differences @ _SIGNS
     inputs = np.empty_like(channels)
     inputs[:, calibration.wiring] = channels
     return inputs
@@ -97,6 +104,7 @@ class ClusterSensor:
         self, calibration: ClusterCalibration, errors: SensorErrors, rng: np.random.Generator
     ) -> None:
         self._calibration = calibration
+        self._noise = errors.capacitance_noise
         turn = rng.normal(0.0, errors.placement)
         c, s = np.cos(turn), np.sin(turn)
         self._turn = np.array([[c, -s], [s, c]])
@@ -119,6 +127,12 @@ class ClusterSensor:
         drift = np.outer(time, self._drift)
         return self._rest + change @ self._mixing.T * self._gains + self._offsets + drift
 
+    def read(self, stress: FloatArray, time: FloatArray, rng: np.random.Generator) -> FloatArray:
+        """The same with the converter's noise and steps, shape (N, 4) [pF]."""
+        ideal = self.respond(stress, time)
+        read = ideal + rng.normal(0.0, self._noise, ideal.shape)
+        return np.round(read / _CONVERTER_STEP) * _CONVERTER_STEP
+
 
 def cluster_stress(geometry: SocketGeometry, cluster: str, forces: FloatArray) -> FloatArray:
     """Normal stress, shear x, shear y on a cluster in its frame, shape (N, 3) [Pa].
@@ -133,19 +147,6 @@ def cluster_stress(geometry: SocketGeometry, cluster: str, forces: FloatArray) -
     return np.column_stack([-local[:, 2], local[:, 0], local[:, 1]])
 
 
-def measure_capacitance(
-    sensor: ClusterSensor,
-    stress: FloatArray,
-    time: FloatArray,
-    errors: SensorErrors,
-    rng: np.random.Generator,
-) -> FloatArray:
-    """What a cluster's converter reads under a stress; see `ClusterSensor.respond`."""
-    ideal = sensor.respond(stress, time)
-    read = ideal + rng.normal(0.0, errors.capacitance_noise, ideal.shape)
-    return np.round(read / _CONVERTER_STEP) * _CONVERTER_STEP
-
-
 def wrench_offset(errors: SensorErrors, rng: np.random.Generator) -> FloatArray:
     """What is left of the load cell's offset after taring, [M; F], shape (6,) [N m, N]."""
     return rng.normal(0.0, 1.0, 6) * np.repeat([errors.moment_offset, errors.force_offset], 3)
@@ -158,11 +159,56 @@ def wrench_noise(errors: SensorErrors, count: int, rng: np.random.Generator) -> 
     )
 
 
-def misregister(pose: Pose, errors: SensorErrors, rng: np.random.Generator) -> Pose:
-    """The pose that is true where another was registered."""
-    turn = Rotation.from_rotvec(rng.normal(0.0, errors.registration_angle, 3)).as_matrix()
-    shift = rng.normal(0.0, errors.registration, 3)
-    return Pose(pose.rotation @ turn, pose.translation + shift)
+class MarkerBodies:
+    """The marker bodies of socket and pylon as they really are, on a stand that gives a little.
+
+    Args:
+        geometry: What the lab believes of them.
+        errors: Sizes of the errors of their registration.
+        rng: Source of these errors and of the stand's tremor.
+    """
+
+    def __init__(
+        self, geometry: SocketGeometry, errors: SensorErrors, rng: np.random.Generator
+    ) -> None:
+        self._rng = rng
+        self._errors = errors
+        self._socket_body = self._misregister(geometry.socket_body)
+        self._limb_in_body = self._misregister(geometry.limb)
+
+    def poses(
+        self,
+        position: FloatArray,
+        rotation: FloatArray,
+        load: FloatArray,
+        swayed: FloatArray | None = None,
+    ) -> tuple[Pose, Pose]:
+        """True poses of the bodies of socket and pylon in the world, N of each.
+
+        Args:
+            position: Limb positions in {S}, shape (N, 3) [m].
+            rotation: Rotation vectors of the limb, shape (N, 3) [rad].
+            load: Loads [M; F], shape (N, 6) [N m, N].
+            swayed: Displacement of the stand in the world, shape (3,) [m].
+        """
+        count = len(position)
+        shift = self._rng.normal(0.0, _STAND_TREMOR, (count, 3)) - _STAND_COMPLIANCE * load[:, 3:]
+        if swayed is not None:
+            shift += swayed
+        world = Pose(
+            np.tile(_SOCKET_IN_WORLD.rotation, (count, 1, 1)),
+            _SOCKET_IN_WORLD.translation + shift,
+        )
+        limb = Pose(Rotation.from_rotvec(rotation).as_matrix(), position)
+        # socket_body maps the body to {S}; world maps {S} to the world.
+        return world @ self._socket_body, world @ limb @ self._limb_in_body.inverse()
+
+    def _misregister(self, pose: Pose) -> Pose:
+        """The pose that is true where another was registered."""
+        errors = self._errors
+        turn = Rotation.from_rotvec(self._rng.normal(0.0, errors.registration_angle, 3))
+        shift = self._rng.normal(0.0, errors.registration, 3)
+        return Pose(pose.rotation @ turn.as_matrix(), pose.translation + shift)
 
 
 def place_markers(pose: Pose, markers: FloatArray) -> FloatArray:

@@ -1,18 +1,34 @@
-"""Simulated trials on the disk: a bag like a recorded one, with the ground truth beside it."""
+"""Simulated trials: a load history through the physics and the sensors, and their files.
+
+A simulated trial is a bag like a recorded one, with the ground truth beside it.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from socket_testbed.arrays import FloatArray, IntArray
+from socket_testbed.calibration.model import Calibration
 from socket_testbed.files import atomic_output, refuse_existing
+from socket_testbed.geometry.marker_bodies import fit_triad
 from socket_testbed.geometry.pose import Pose
+from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.samples import Status
-from socket_testbed.simulation.testbed import GroundTruth, SimulatedTrial
+from socket_testbed.simulation.limb import LoadedLimb, Scenario, load_history
+from socket_testbed.simulation.sensors import (
+    ClusterSensor,
+    MarkerBodies,
+    SensorErrors,
+    cluster_stress,
+    observe_markers,
+    wrench_noise,
+    wrench_offset,
+)
 from socket_testbed.trials.bag import BagWriter, encode, message_class
 from socket_testbed.trials.topics import (
     CAPACITANCE,
@@ -37,6 +53,126 @@ _DELAYS = {
     MARKERS: 8_200_000,
     CAPACITANCE: 17_000_000,
 }
+_START = 1_767_258_000_000_000_000  # [ns]; 2026-01-01 09:00 UTC
+
+Progress = Callable[[int, int], None]
+
+
+@dataclass(frozen=True)
+class GroundTruth:
+    """What really happened, in {S}.
+
+    Attributes:
+        forces: Force of the limb on the socket at every tile, shape (N, n, 3) [N].
+        wrench: Wrench on the socket [M; F], shape (N, 6) [N m, N].
+        position: Limb position q, shape (N, 3) [m].
+        rotation: Rotation vector of the limb since donning, shape (N, 3) [rad].
+    """
+
+    forces: FloatArray
+    wrench: FloatArray
+    position: FloatArray
+    rotation: FloatArray
+
+
+@dataclass(frozen=True)
+class SimulatedTrial:
+    """What the testbed measures and what really happened, one row per trigger.
+
+    Attributes:
+        tiles: Names of the n tiles.
+        stamps: Times of the triggers since the epoch, shape (N,) [ns].
+        capacitance: Capacitances by cluster and input, shape (N, 4) each [pF].
+        wrench: Measured wrench [M; F], shape (N, 6) [N m, N].
+        socket_markers: Observed triad of the socket in the world, shape (N, 3, 3) [m].
+        pylon_markers: Observed triad of the pylon in the world, shape (N, 3, 3) [m].
+        socket_pose: Pose of the socket's body from its triad; NaN where there is none.
+        pylon_pose: The same for the pylon's body.
+        truth: The ground truth.
+    """
+
+    tiles: tuple[str, ...]
+    stamps: IntArray
+    capacitance: dict[str, FloatArray]
+    wrench: FloatArray
+    socket_markers: FloatArray
+    pylon_markers: FloatArray
+    socket_pose: Pose
+    pylon_pose: Pose
+    truth: GroundTruth
+
+
+def random_streams(seed: int) -> tuple[np.random.Generator, ...]:
+    """Streams of tissue, load, load cell, clusters and markers.
+
+    One each: another duration or error size leaves the other parts as they are.
+    """
+    return tuple(np.random.default_rng(child) for child in np.random.SeedSequence(seed).spawn(5))
+
+
+def simulate(
+    geometry: SocketGeometry,
+    calibration: Calibration,
+    scenario: Scenario,
+    duration: float,
+    rate: float,
+    seed: int,
+    errors: SensorErrors | None = None,
+    progress: Progress | None = None,
+) -> SimulatedTrial:
+    """Simulate a trial.
+
+    Args:
+        geometry: What the lab believes of the socket.
+        calibration: What the lab believes of its clusters.
+        scenario: The load history.
+        duration: Duration [s].
+        rate: Rate of the trigger [Hz].
+        seed: Seed of everything that is random.
+        errors: Sizes of the sensors' errors; None for the usual ones.
+        progress: Called with the steps done and their number.
+
+    Raises:
+        CalibrationError: If the calibration lacks a cluster of the socket.
+    """
+    calibration.require(geometry.clusters, "the socket")
+    errors = errors or SensorErrors()
+    tissue_rng, load_rng, cell_rng, cluster_rng, marker_rng = random_streams(seed)
+    count = max(2, round(duration * rate))
+    time = np.arange(count) / rate
+    load = load_history(scenario, time, load_rng)
+    limb = LoadedLimb(geometry, load[0], tissue_rng)
+    forces = np.zeros((count, len(geometry), 3))
+    position, rotation = np.zeros((2, count, 3))
+    for k, wrench in enumerate(load):
+        forces[k] = limb.step(wrench, 1.0 / rate)
+        position[k], rotation[k] = limb.position, limb.rotation
+        if progress is not None:
+            progress(k + 1, count)
+    truth = GroundTruth(forces, load, position, rotation)
+
+    capacitance = {}
+    for cluster in geometry.clusters:
+        sensor = ClusterSensor(calibration.clusters[cluster], errors, cluster_rng)
+        stress = cluster_stress(geometry, cluster, forces)
+        capacitance[cluster] = sensor.read(stress, time, cluster_rng)
+    offset = wrench_offset(errors, cell_rng)
+
+    bodies = MarkerBodies(geometry, errors, marker_rng)
+    socket_in_world, pylon_in_world = bodies.poses(position, rotation, load)
+    socket_seen = observe_markers(socket_in_world, geometry.socket_markers, errors, marker_rng)
+    pylon_seen = observe_markers(pylon_in_world, geometry.pylon_markers, errors, marker_rng)
+    return SimulatedTrial(
+        tiles=geometry.names,
+        stamps=_START + np.round(time * 1e9).astype(np.int64),
+        capacitance=capacitance,
+        wrench=load + offset + wrench_noise(errors, count, cell_rng),
+        socket_markers=socket_seen,
+        pylon_markers=pylon_seen,
+        socket_pose=fit_triad(geometry.socket_markers, socket_seen).pose,
+        pylon_pose=fit_triad(geometry.pylon_markers, pylon_seen).pose,
+        truth=truth,
+    )
 
 
 def write_simulated_trial(

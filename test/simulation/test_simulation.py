@@ -21,7 +21,7 @@ from socket_testbed.simulation.sensors import (
     observe_markers,
 )
 from socket_testbed.simulation.socket_scan import make_socket_scan
-from socket_testbed.simulation.testbed import simulate
+from socket_testbed.simulation.trial import simulate
 from socket_testbed.socket_design.interior import find_interior
 from socket_testbed.socket_design.placement import place_by_directions
 
