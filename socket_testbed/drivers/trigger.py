@@ -106,7 +106,8 @@ class GpioTrigger:
             self.stray += len(self._lines.edges(0.0))
             self._begun = self._clock()
             self._lines.set(True)
-            deadline = self._begun + self._settings.edge_within
+            # The line rises while this process sets it, which a busy machine may hold up.
+            deadline = self._clock() + self._settings.edge_within
             left = self._settings.edge_within
             while left >= 0.0:
                 for edge in self._lines.edges(left):

@@ -17,12 +17,13 @@ from socket_testbed.trials.trial import Trial
 
 pytestmark = pytest.mark.graph
 
+SIMULATED = ("--simulated", "--time-scale", "auto")
 COMMAND = (sys.executable, "-m", "socket_testbed")
 
 
 def test_run_records_until_ctrl_c(tmp_path: Path) -> None:
     path = tmp_path / "trial"
-    words = ["run", "--simulated", "--rate", "20", "--record", str(path), "--variant", "stiffness"]
+    words = ["run", *SIMULATED, "--rate", "20", "--record", str(path), "--variant", "stiffness"]
     with subprocess.Popen(
         [*COMMAND, *words], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     ) as process:
@@ -31,7 +32,7 @@ def test_run_records_until_ctrl_c(tmp_path: Path) -> None:
             if "triggering at 20 Hz" in line:
                 break
         process.send_signal(signal.SIGINT)
-        out, err = process.communicate(timeout=30)
+        out, err = process.communicate(timeout=120)
     assert process.returncode == 0, err
     assert re.search(r"\d+ triggers, (all \d+ complete|wrench missing)", out), out
     recorded = Recorded(path)
@@ -47,7 +48,7 @@ def test_run_ends_by_itself_and_a_fault_is_seen(
     tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     path = tmp_path / "trial"
-    words = ["run", "--simulated", "--rate", "20", "--duration", "10", "--record", str(path)]
+    words = ["run", *SIMULATED, "--rate", "20", "--duration", "10", "--record", str(path)]
     assert run([*words, "--fault", "clusters.nack=3", "--one-process"]) == 0
     out, err = capfd.readouterr()
     assert "no answer at 0x50 behind channel 2 of 0x70 on i2c-1: check" in err

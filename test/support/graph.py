@@ -20,7 +20,14 @@ DEADLINE = 60.0  # [s]; a busy machine finds nodes late
 
 
 class Probe:
-    """Subscribes, publishes and calls services as another program would."""
+    """Subscribes, publishes and calls services as another program would.
+
+    Args:
+        deadline: How long it waits for anything [s].
+    """
+
+    def __init__(self, deadline: float = DEADLINE) -> None:
+        self._deadline = deadline
 
     def __enter__(self) -> Self:
         self.context = Context()
@@ -75,11 +82,11 @@ class Probe:
         Raises:
             AssertionError: If it does not within the deadline.
         """
-        deadline = time.monotonic() + DEADLINE
+        deadline = time.monotonic() + self._deadline
         with self._news:
             while not condition():
                 left = deadline - time.monotonic()
-                assert left > 0.0, f"not within {DEADLINE:g} s: {what}"
+                assert left > 0.0, f"not within {self._deadline:g} s: {what}"
                 self._news.wait(min(left, 0.02))
 
     def call(self, kind: Any, name: str, request: Any) -> Any:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import os
 import re
 import threading
 import time
@@ -14,6 +15,7 @@ import numpy as np
 from socket_testbed.geometry.marker_bodies import fit_triad
 from socket_testbed.live.bringup import Simulation, Testbed, end, simulated_testbed, start
 from socket_testbed.live.processes import Graph
+from socket_testbed.live.time_scale import SLOWEST, busy_note, measure_speed
 from socket_testbed.nodes.conversions import stamp_from_ros
 from socket_testbed.simulation.trial import TRUTH_FILE
 from socket_testbed.simulation.world import World
@@ -29,7 +31,7 @@ from socket_testbed.trials.topics import (
     WRENCH,
 )
 from socket_testbed.trials.trial import Trial
-from support.graph import Probe
+from support.graph import DEADLINE, Probe
 
 MEASURED = (CAPACITANCE, WRENCH, SOCKET_POSE, PYLON_POSE, MARKERS)
 
@@ -37,17 +39,43 @@ MEASURED = (CAPACITANCE, WRENCH, SOCKET_POSE, PYLON_POSE, MARKERS)
 MOVING = Simulation("multi_direction", period=40.0, seed=2, pace=6.0, sway=0.05)
 
 
-class LiveTestbed:
-    """The graph in processes of its own, kept running, with a probe beside it."""
+_USUAL_RATE = 20.0  # [Hz]
 
-    def __init__(self, record: Path | None = None, rate: float = 20.0, **changes: Any) -> None:
-        testbed = simulated_testbed(record, rate, MOVING)
-        self.testbed: Testbed = dataclasses.replace(testbed, **changes)
+
+def manageable(simulation: Simulation, rate: float) -> Simulation:
+    """A simulation, as slow as this machine needs at present for a trigger's rate [Hz].
+
+    Tests that run side by side leave some of the machine to each other.
+    """
+    scale = measure_speed().time_scale()
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        scale = min(scale, 0.5)
+    if rate > _USUAL_RATE:
+        scale = max(0.5 * scale, SLOWEST)
+    print(busy_note(scale) or "the simulated testbed runs in real time")
+    return dataclasses.replace(simulation, time_scale=scale)
+
+
+class LiveTestbed:
+    """The graph in processes of its own, kept running, with a probe beside it.
+
+    It runs as fast as the machine manages; rates, periods and stamps are in testbed time.
+    """
+
+    def __init__(
+        self,
+        record: Path | None = None,
+        rate: float = _USUAL_RATE,
+        simulation: Simulation = MOVING,
+        one_process: bool = False,
+    ) -> None:
+        testbed = simulated_testbed(record, rate, manageable(simulation, rate))
+        self.testbed: Testbed = dataclasses.replace(testbed, one_process=one_process)
         self.restarts: list[str] = []
         self._ended = threading.Event()
 
     def __enter__(self) -> Self:
-        self.probe = Probe().__enter__()
+        self.probe = Probe(DEADLINE / self.testbed.time_scale).__enter__()
         self.diagnostics = self.probe.listen(DIAGNOSTICS)
         self.triggers = self.probe.listen(TRIGGER)
         self.wrenches = self.probe.listen(WRENCH)
