@@ -21,7 +21,7 @@ FILES = sorted(PACKAGE.rglob("*.py"))
 # From the ground up: a module imports from its own layer or from those below it.
 LAYERS = (
     ("arrays", "errors", "clocks"),
-    ("files", "samples"),
+    ("files", "samples", "tables"),
     ("settings", "geometry"),
     ("drivers", "calibration", "identification", "socket_design"),
     ("trials",),

@@ -1,0 +1,121 @@
+"""Tables in files: data frames whose names hold the units, as CSV, Parquet and MAT."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from socket_testbed.errors import ConfigurationError
+from socket_testbed.files import atomic_output, closest
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+_LONGEST_NAME = 63  # of a variable in MATLAB
+
+
+def check_format(path: Path) -> None:
+    """Refuse a file whose suffix names no format, before long work.
+
+    Raises:
+        ConfigurationError: Naming the likely one.
+    """
+    if path.suffix.lower() not in _WRITERS:
+        raise ConfigurationError(
+            f"{path}: '{path.suffix}' is no format of a table", closest(path.suffix, _WRITERS)
+        )
+
+
+def write_table(frame: pd.DataFrame, path: Path) -> None:
+    """Write a table in the format that the suffix of its file names; atomic.
+
+    CSV and Parquet files have the titles of the columns, and null where a value is missing; each
+    field of a Parquet file has its `unit` in its metadata. A MAT file holds a column vector per
+    column, under the name as MATLAB can have it, and a struct `units` of the same names.
+
+    Args:
+        frame: The table. Its titles hold the units, such as `distal.Fz [N]`, `-` for a number
+            without one; texts and counts have none. A named index is the first column.
+        path: The file, `.csv`, `.parquet` or `.mat`; an older one is replaced.
+
+    Raises:
+        ConfigurationError: For another suffix, or if the file cannot be written.
+    """
+    check_format(path)
+    frame = frame if frame.index.name is None else frame.reset_index()
+    with atomic_output(path) as staging:
+        _WRITERS[path.suffix.lower()](frame, staging)
+
+
+def split_unit(title: str) -> tuple[str, str]:
+    """Name and unit of a column by its title, such as `distal.Fz [N]`; no unit is empty."""
+    found = re.fullmatch(r"(.*) \[([^\]]*)\]", title)
+    return (found[1], found[2]) if found else (title, "")
+
+
+def _write_csv(frame: pd.DataFrame, path: Path) -> None:
+    from pyarrow import csv
+
+    csv.write_csv(_arrow_table(frame), path)
+
+
+def _write_parquet(frame: pd.DataFrame, path: Path) -> None:
+    from pyarrow import parquet
+
+    parquet.write_table(_arrow_table(frame), path)
+
+
+def _arrow_table(frame: pd.DataFrame) -> Any:
+    import pyarrow
+
+    arrays, fields = [], []
+    for title, column in frame.items():
+        unit = split_unit(title)[1]
+        array = pyarrow.array(column, from_pandas=True)  # NaN becomes null
+        if pyarrow.types.is_null(array.type):
+            array = array.cast(pyarrow.float64() if unit else pyarrow.string())
+        arrays.append(array)
+        fields.append(pyarrow.field(title, array.type, metadata={"unit": unit}))
+    return pyarrow.table(arrays, schema=pyarrow.schema(fields))
+
+
+def _write_mat(frame: pd.DataFrame, path: Path) -> None:
+    from scipy.io import savemat
+
+    titles = [split_unit(title) for title in frame]
+    names = matlab_names([name for name, _ in titles])
+    units = [unit for _, unit in titles]
+    variables = {n: column.to_numpy() for n, (_, column) in zip(names, frame.items(), strict=True)}
+    savemat(
+        path,
+        {**variables, "units": dict(zip(names, units, strict=True))},
+        long_field_names=True,
+        do_compression=True,
+        oned_as="column",
+    )
+
+
+def matlab_names(names: Sequence[str]) -> list[str]:
+    """Names as MATLAB can have them: letters, digits, underscores, 63 at most, all different."""
+    taken = {"units"}
+    found = []
+    for name in names:
+        plain = re.sub(r"[^A-Za-z0-9_]", "_", name)
+        plain = plain if plain[:1].isalpha() else f"x{plain}"
+        unique, number = plain[:_LONGEST_NAME], 1
+        while unique in taken:
+            number += 1
+            tail = f"_{number}"
+            unique = plain[: _LONGEST_NAME - len(tail)] + tail
+        taken.add(unique)
+        found.append(unique)
+    return found
+
+
+_WRITERS: dict[str, Callable[[pd.DataFrame, Path], None]] = {
+    ".csv": _write_csv,
+    ".parquet": _write_parquet,
+    ".mat": _write_mat,
+}
