@@ -7,6 +7,7 @@ from struct import pack
 import numpy as np
 import pytest
 
+from socket_testbed.drivers.natnet.connection import Answer
 from socket_testbed.drivers.natnet.messages import (
     CONNECT,
     ECHOREQUEST,
@@ -22,7 +23,6 @@ from socket_testbed.drivers.natnet.messages import (
     parse_echo,
     parse_frame,
     parse_model_definitions,
-    parse_response,
     parse_server_info,
     split_datagram,
 )
@@ -127,9 +127,9 @@ def test_an_empty_frame_is_one(version):
 def test_definitions_are_read_as_they_were_written(version):
     truth = definitions(np.random.default_rng(1))
     models = parse(bytes(encode_model_definitions(truth, version).data), version)
-    assert models.ids() == {3, 9}
+    assert {model.id for model in models.values()} == {3, 9}
     for written in truth:
-        found = models.bodies[written.name]
+        found = models[written.name]
         assert (found.name, found.id) == (written.name, written.id)
         if version >= (3, 0):
             np.testing.assert_allclose(found.markers, written.markers, rtol=1e-6)
@@ -154,10 +154,10 @@ def test_what_is_defined_besides_rigid_bodies_is_passed_over():
             payload += pack("<i", kind) + data
         payload += pack("<i", 1) + rigid(b"socket\0", names)
         models = parse_model_definitions(payload, version)
-        assert models.bodies["socket"].markers == ((1.0, 2.0, 3.0),)
-        assert set(models.bodies) == {"socket"}
+        assert models["socket"].markers == ((1.0, 2.0, 3.0),)
+        assert set(models) == {"socket"}
     sized = pack("<iii", 2, 99, 5) + b"what?" + pack("<ii", 1, len(rigid(b"a\0", b"m\0")))
-    assert set(parse_model_definitions(sized + rigid(b"a\0", b"m\0"), (4, 1)).bodies) == {"a"}
+    assert set(parse_model_definitions(sized + rigid(b"a\0", b"m\0"), (4, 1))) == {"a"}
     with pytest.raises(MalformedDatagram, match="unknown type 99"):
         parse_model_definitions(pack("<ii", 1, 99) + bytes(50), (3, 1))
 
@@ -261,7 +261,8 @@ def test_a_count_that_lies_is_found_out_or_does_no_harm(version):
     models = encode_model_definitions(definitions(rng), version)
     for _ in range(500):
         try:
-            assert parse(models.lying(rng), version).ids() <= {3, 9}
+            found = parse(models.lying(rng), version)
+            assert {model.id for model in found.values()} <= {3, 9}
         except MalformedDatagram:
             found_out += 1
 
@@ -293,10 +294,11 @@ def test_replies():
     assert parse_echo(pack("<QQ", 1, 2**63)) == (1, 2**63)
     with pytest.raises(MalformedDatagram):
         parse_echo(bytes(15))
-    assert parse_response(bytes(4)).accepted
-    assert not parse_response(pack("<i", 1)).accepted
-    assert parse_response(pack("<i", -3)).text == "-3"
-    assert parse_response(b"Bitstream,4.1\0").text == "Bitstream,4.1"
+    assert Answer(bytes(4)).accepted
+    assert not Answer(pack("<i", 1)).accepted
+    assert not Answer(bytes(4), recognized=False).accepted
+    assert Answer(pack("<i", -3)).text == "-3"
+    assert Answer(b"Bitstream,4.1\0").text == "Bitstream,4.1"
 
 
 def test_the_error_survives_a_process_boundary():

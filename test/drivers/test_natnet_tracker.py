@@ -9,9 +9,9 @@ from support.natnet import NAMES, TRIADS, markers_at, pose_at
 
 from socket_testbed import clocks
 from socket_testbed.drivers.natnet.messages import (
-    Frame,
+    BodiesByName,
     LabelledMarker,
-    ModelDefinitions,
+    MocapFrame,
     RigidBodyDefinition,
 )
 from socket_testbed.drivers.natnet.tracker import BodyTracker, MocapSample
@@ -23,13 +23,11 @@ IDS = (5, 9)
 TRIAD = tuple((0.0, 0.0, 0.0) for _ in range(3))
 
 
-def models_of(*names: str, markers=TRIAD) -> ModelDefinitions:
-    return ModelDefinitions(
-        {
-            name: RigidBodyDefinition(name, identity, markers)
-            for name, identity in zip(names, IDS, strict=False)
-        }
-    )
+def models_of(*names: str, markers=TRIAD) -> BodiesByName:
+    return {
+        name: RigidBodyDefinition(name, identity, markers)
+        for name, identity in zip(names, IDS, strict=False)
+    }
 
 
 MODELS = models_of(*NAMES)
@@ -37,7 +35,7 @@ MODELS = models_of(*NAMES)
 
 def frame_at(
     moment, hidden=(), swapped=(), filled=(), labels=(0, 1, 2), lies=(), gone=(), wrong=0.0
-) -> Frame:
+) -> MocapFrame:
     """A frame; the other arguments name (body, label) pairs, `swapped` (body, label, label)."""
     markers = []
     for body, identity in enumerate(IDS):
@@ -56,7 +54,7 @@ def frame_at(
                 )
             )  # fmt: skip
     markers.append(LabelledMarker(0, 77, (1.0, 1.0, 1.0), False, False))
-    return Frame(round(moment / PERIOD), (), tuple(markers), moment, 0, False, False, False)
+    return MocapFrame(round(moment / PERIOD), (), tuple(markers), moment, 0, False, False, False)
 
 
 def tracker_of(moments, settings=SETTINGS, models=MODELS, **faults) -> BodyTracker:
@@ -141,7 +139,7 @@ def test_an_occluded_marker_is_missing_and_never_where_it_was():
         assert max(errors_of(sample, 1)) < 5e-5
 
 
-def test_a_marker_that_is_not_told_at_all_is_missing_too():
+def test_a_marker_that_is_not_streamed_is_missing_too():
     tracker = tracker_of(frames(), gone=lambda i: ((1, 0),) if i > 2 else ())
     sample = tracker.sample(5.5 * PERIOD)
     assert np.isnan(sample.markers[1, 0]).all()
@@ -228,13 +226,13 @@ def test_frames_that_are_not_later_are_dropped():
 @pytest.mark.parametrize(
     ("models", "text"),
     [
-        (None, "has not told its rigid bodies yet"),
+        (None, "has not sent its rigid bodies yet"),
         (models_of("socket", "A"), "no rigid body 'pylon' (there are: A, socket):"),
         (models_of(), "(there are: none): name it so there, or set pylon_body"),
         (models_of(*NAMES, markers=4 * TRIAD[:1]), "rigid body 'pylon' has 4 markers in Motive"),
     ],
 )  # fmt: skip
-def test_unknown_bodies_are_told(models, text):
+def test_unknown_bodies_are_reported(models, text):
     tracker = tracker_of(frames(), models=models)
     sample = tracker.sample(5.5 * PERIOD)
     assert text in sample.faults[1]
@@ -242,7 +240,7 @@ def test_unknown_bodies_are_told(models, text):
     assert tracker.ready(5.5 * PERIOD)
 
 
-def test_another_triad_is_told():
+def test_another_triad_is_reported():
     tracker = BodyTracker(SETTINGS, 1.2 * TRIADS[0], TRIADS[1])
     for moment in frames():
         tracker.add(frame_at(moment), moment, MODELS)
@@ -259,7 +257,7 @@ def test_ids_may_change_between_frames():
         markers = frame_at(moment)
         if index >= 10:
             swap = {5: 9, 9: 5, 0: 0}
-            markers = Frame(
+            markers = MocapFrame(
                 index, (), tuple(m._replace(model=swap[m.model]) for m in markers.markers), moment,
                 0, False, False, False,
             )  # fmt: skip
@@ -323,7 +321,7 @@ def test_whatever_happens_to_the_frames_a_pose_is_right_or_missing(seed):
             m._replace(position=tuple(rng.normal(size=3))) if m.occluded or m.model_filled else m
             for m in frame.markers
         )
-        frame = Frame(frame.number, (), markers, moment, 0, False, False, False)
+        frame = MocapFrame(frame.number, (), markers, moment, 0, False, False, False)
         tracker.add(frame, moment, MODELS if rng.random() > 0.02 else None)
         trigger = moment - rng.uniform(0.0, 0.06)
         sample = tracker.sample(trigger)

@@ -3,13 +3,9 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable
-from concurrent.futures import Future
-from concurrent.futures import TimeoutError as FutureTimeoutError
 
 from socket_testbed import clocks
 from socket_testbed.drivers.natnet.connection import (
-    Answer,
     CommandQueue,
     NatNetSockets,
     bitstream_version,
@@ -17,113 +13,18 @@ from socket_testbed.drivers.natnet.connection import (
 )
 from socket_testbed.drivers.natnet.messages import (
     DISCONNECT,
-    Frame,
     MalformedDatagram,
-    ModelDefinitions,
     ServerInfo,
     encode_message,
 )
-from socket_testbed.drivers.natnet.session import CONNECTED, SILENCE, Session
-from socket_testbed.errors import DeviceError
+from socket_testbed.drivers.natnet.session import CONNECTED, SILENCE, OnFrame, Session
 from socket_testbed.settings.acquisition import MocapSettings
 
 OK, WARN, ERROR = 0, 1, 2
 
-
-def judge_link(session: Session, address: tuple[str, int], now: float) -> tuple[int, str]:
-    """Level (0 fine, 1 warning, 2 error) and a line of text, at a time of the steady clock [s]."""
-    server, where = session.server, f"{address[0]}:{address[1]}"
-    if session.state != CONNECTED or server is None:
-        if session.network:
-            return ERROR, f"no network to {where} ({session.network}): check the Wi-Fi"
-        return ERROR, f"no answer from {where}{_stranger(session)}: {_check(session)}"
-    warning = session.statistics.warning(now)
-    if session.statistics.quiet(now) > SILENCE:
-        return ERROR, _why_no_frames(session, server, where, now) or (
-            f"no frame from {where} can be used: {warning or 'its clock is not known yet'}"
-        )
-    if warning:
-        return WARN, f"{warning}: check the Wi-Fi"
-    if session.models is None:
-        return WARN, f"{server} has not told its rigid bodies yet"
-    return OK, _fine(session, server, now)
-
-
-def _why_no_frames(session: Session, server: ServerInfo, where: str, now: float) -> str:
-    """Why a server that answers gives no frames; empty: frames come, but none can be used."""
-    if not server.clock:
-        return f"{server} stamps no exposures: update Motive to 2.0 or later"
-    if now - session.last_frame <= SILENCE or session.statistics.warning(now):
-        return ""
-    if server.multicast and not session.settings.multicast:
-        return (
-            f"{server} at {where} streams to the group {server.group}: choose unicast in Motive,"
-            f" or set multicast to {server.group}"
-        )
-    return f"{server} at {where} answers but streams no frames: {_check(session)}"
-
-
-def _check(session: Session) -> str:
-    transport = "multicast" if session.settings.multicast else "unicast"
-    return (
-        f"check that Motive streams (Data Streaming, {transport}, Local Interface), and the Wi-Fi"
-    )
-
-
-def _fine(session: Session, server: ServerInfo, now: float) -> str:
-    return (
-        f"{session.statistics.told_rate(now):.0f} Hz from {server.name}"
-        f" (Motive {_app(server)}, NatNet {_natnet(server)}),"
-        f" clock +- {_rounded(session.echoes.uncertainty)} ms"
-    )
-
-
-def describe_link(session: Session, address: tuple[str, int], now: float) -> dict[str, str]:
-    """The server and the link to it, by what is described."""
-    server, echoes, models = session.server, session.echoes, session.models
-    table = {"address": f"{address[0]}:{address[1]}", "state": session.state}
-    if server is not None:
-        table |= {
-            "server": server.name,
-            "application": _app(server),
-            "NatNet": _natnet(server),
-        }
-    if len(echoes):
-        table |= {
-            "clock uncertainty": f"{1e3 * echoes.uncertainty:.2f} ms",
-            "clock jitter": f"{1e3 * echoes.jitter:.2f} ms",
-        }
-    table["rate"] = f"{session.statistics.rate(now):.0f} Hz"
-    if models is not None:
-        table["bodies"] = ", ".join(sorted(models.bodies)) or "none"
-    return table
-
-
-def _app(server: ServerInfo) -> str:
-    return ".".join(str(part) for part in server.app_version[:2])
-
-
-def _natnet(server: ServerInfo) -> str:
-    return ".".join(str(part) for part in server.version)
-
-
-def _stranger(session: Session) -> str:
-    return f", but from {session.stranger}" if session.stranger else ""
-
-
-def _rounded(uncertainty: float) -> str:
-    """In ms, and in steps, that the text changes seldom."""
-    for step in (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0):
-        if 1e3 * uncertainty <= step:
-            return f"{step:g}"
-    return f"{1e3 * uncertainty:.0f}"
-
-
-OnFrame = Callable[[Frame, float, ModelDefinitions | None], None]
-
-_TURN = 0.01  # [s]; longest wait for a datagram
+_RECEIVE = 0.01  # [s]; longest wait for a datagram
 _FAREWELL = 0.3  # [s]; time to stop a take on closing
-_COMMAND_TIMEOUT = 2.0  # [s]; those that wait before it included
+_SHOWN = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0)  # [ms]; of the clock's uncertainty
 
 
 class NatNetClient:
@@ -140,6 +41,7 @@ class NatNetClient:
 
     def __init__(self, settings: MocapSettings, on_frame: OnFrame) -> None:
         self._address = server_address(settings)
+        self._where = f"{self._address[0]}:{self._address[1]}"
         self._sockets = NatNetSockets(settings, self._address)
         self._commands = CommandQueue()
         self._session = Session(
@@ -171,16 +73,6 @@ class NatNetClient:
         self._sockets.close()
 
     @property
-    def state(self) -> str:
-        """One of connecting, connected and lost."""
-        return self._session.state
-
-    @property
-    def models(self) -> ModelDefinitions | None:
-        """The server's rigid bodies; None: not known yet."""
-        return self._session.models
-
-    @property
     def recording_fault(self) -> str:
         """Why the server does not record as wanted; empty for nothing."""
         return self._session.takes.fault
@@ -189,43 +81,55 @@ class NatNetClient:
         """Have the server record a take of this name, or none; this is pursued from now on."""
         self._session.takes.want(name)
 
-    def command(self, text: str, timeout: float = _COMMAND_TIMEOUT) -> bytes:
-        """Send a command and wait for its reply; not to be called from `on_frame`.
-
-        Args:
-            text: The command, such as "FrameRate".
-            timeout: Longest wait, those before it included [s].
-
-        Returns:
-            The reply as it came: four bytes of a number, or a text.
-
-        Raises:
-            DeviceError: If there is no reply or the server does not know the command.
-        """
-        where = f"from {self._address[0]}:{self._address[1]}"
-        name = text.partition(",")[0]
-        silence = DeviceError(
-            f"no answer to {name} {where}", "check that Motive runs and streams, and the Wi-Fi"
-        )
-        if self._thread is None:
-            raise DeviceError(f"{name} was not sent", "start the client first")
-        future: Future[Answer] = Future()
-        self._commands.submit(text, future.set_result)
-        try:
-            answer = future.result(clocks.real(timeout))
-        except FutureTimeoutError:
-            raise silence from None
-        if answer.response is None:
-            raise silence
-        if not answer.recognized:
-            raise DeviceError(f"{name} is no command to the server {where}", "check its version")
-        return answer.response.raw
-
     def health(self, now: float) -> tuple[int, str]:
-        """How the link is at a time of the steady clock [s]: 0, 1 or 2, and a line of text."""
+        """State of the link at a time of the steady clock [s]: 0, 1 or 2, and a line of text."""
+        session, where = self._session, self._where
+        server, statistics = session.server, session.statistics
         if self._thread is None:
-            return 2, "not started"
-        return judge_link(self._session, self._address, now)
+            return ERROR, "not started"
+        if session.state != CONNECTED or server is None:
+            return ERROR, self._why_no_server()
+        warning = statistics.warning(now)
+        if statistics.quiet(now) > SILENCE:
+            return ERROR, self._why_no_frames(server, now) or (
+                f"no frame from {where} can be used: {warning or 'its clock is not known yet'}"
+            )
+        if warning:
+            return WARN, f"{warning}: check the Wi-Fi"
+        if session.models is None:
+            return WARN, f"{server} has not sent its rigid bodies yet"
+        return OK, (
+            f"{statistics.steady_rate(now):.0f} Hz from {server.name} (Motive {_app(server)},"
+            f" NatNet {_natnet(server)}), clock +- {_rounded(session.echoes.uncertainty)} ms"
+        )
+
+    def _why_no_server(self) -> str:
+        session = self._session
+        if session.network:
+            return f"no network to {self._where} ({session.network}): check the Wi-Fi"
+        stranger = f", but from {session.stranger}" if session.stranger else ""
+        return f"no answer from {self._where}{stranger}: {self._check_streaming()}"
+
+    def _why_no_frames(self, server: ServerInfo, now: float) -> str:
+        """Why a server that answers gives no frames; empty: frames come, but none can be used."""
+        session = self._session
+        if not server.clock:
+            return f"{server} stamps no exposures: update Motive to 2.0 or later"
+        if now - session.last_frame <= SILENCE or session.statistics.warning(now):
+            return ""
+        if server.multicast and not session.settings.multicast:
+            return (
+                f"{server} at {self._where} streams to the group {server.group}: choose unicast in"
+                f" Motive, or set multicast to {server.group}"
+            )
+        return f"{server} at {self._where} answers but streams no frames: {self._check_streaming()}"
+
+    def _check_streaming(self) -> str:
+        transport = "multicast" if self._session.settings.multicast else "unicast"
+        return (
+            f"check that Motive streams (Data Streaming, {transport}, Local Interface), and the"
+            " Wi-Fi"
+        )
 
     def figures(self) -> dict[str, object]:
         """Counts since the begin, and the state of the clock and the rate, by name."""
@@ -240,7 +144,23 @@ class NatNetClient:
 
     def describe(self) -> dict[str, str]:
         """The server and the link to it, by what is described."""
-        return describe_link(self._session, self._address, clocks.monotonic())
+        session = self._session
+        table = {"address": self._where, "state": session.state}
+        if (server := session.server) is not None:
+            table |= {
+                "server": server.name,
+                "application": _app(server),
+                "NatNet": _natnet(server),
+            }
+        if len(session.echoes):
+            table |= {
+                "clock uncertainty": f"{1e3 * session.echoes.uncertainty:.2f} ms",
+                "clock jitter": f"{1e3 * session.echoes.jitter:.2f} ms",
+            }
+        table["rate"] = f"{session.statistics.rate(clocks.monotonic()):.0f} Hz"
+        if (models := session.models) is not None:
+            table["bodies"] = ", ".join(sorted(models)) or "none"
+        return table
 
     def _run(self) -> None:
         deadline = float("inf")
@@ -250,15 +170,16 @@ class NatNetClient:
                 deadline = min(deadline, now + _FAREWELL)
                 if self._session.takes.settled or now > deadline:
                     break
-            self._turn(now)
+            self._receive(now)
         self._session.send(encode_message(DISCONNECT), now)
 
-    def _turn(self, now: float) -> None:
+    def _receive(self, now: float) -> None:
+        """Take what comes, and do what is due."""
         session = self._session
         try:
             if not self._sockets.opened:
-                self._closing.wait(clocks.real(_TURN))
-            for datagram, sender in self._sockets.receive(_TURN):
+                self._closing.wait(clocks.real(_RECEIVE))
+            for datagram, sender in self._sockets.receive(_RECEIVE):
                 arrival = clocks.monotonic()
                 if sender != self._address[0]:
                     session.stranger = sender
@@ -271,3 +192,17 @@ class NatNetClient:
             session.step(clocks.monotonic())
         except Exception as error:  # whatever it was, the next datagram is another one
             session.statistics.count("failed", now, error=f"{type(error).__name__}: {error}")
+
+
+def _app(server: ServerInfo) -> str:
+    return ".".join(str(part) for part in server.app_version[:2])
+
+
+def _natnet(server: ServerInfo) -> str:
+    return ".".join(str(part) for part in server.version)
+
+
+def _rounded(uncertainty: float) -> str:
+    """An uncertainty [s] in ms, and in steps, so that the text changes seldom."""
+    milliseconds = 1e3 * uncertainty
+    return next((f"{step:g}" for step in _SHOWN if milliseconds <= step), f"{milliseconds:.0f}")

@@ -15,16 +15,18 @@ from socket_testbed import clocks
 from socket_testbed.drivers.natnet.messages import (
     LARGEST_DATAGRAM,
     UNRECOGNIZED,
-    Response,
     Version,
     encode_command,
-    parse_response,
 )
 from socket_testbed.errors import ConfigurationError, DeviceError
 from socket_testbed.settings.acquisition import MocapSettings
 
 _BUFFER = 1 << 20  # [bytes]; the frames of a second
 _AT_ONCE = 64  # datagrams
+_ATTEMPTS = 10
+_INTERVAL = 0.02  # [s]; what the maker's own client does
+_DUPLICATES = 0.01  # [s]; how long a second copy of an answer may take
+_STRAYS = 0.06  # [s]; how long answers to the repetitions may take
 
 
 def server_address(settings: MocapSettings) -> tuple[str, int]:
@@ -185,48 +187,51 @@ class NatNetSockets:
         self._selector = self._command = None
 
 
-ATTEMPTS = 10
-INTERVAL = 0.02  # [s]; what the maker's own client does
-_DUPLICATES = 0.01  # [s]; how long a second copy of an answer may take
-_STRAYS = 0.06  # [s]; how long answers to the repetitions may take
-
-
 @dataclass(frozen=True)
 class Answer:
-    """What became of a command.
+    """The reply to a command: four bytes of a number (0 is yes), or a text.
 
     Attributes:
-        response: The reply; None: none came.
+        raw: The reply as it came; None: none came.
         recognized: Whether the server knows the command.
     """
 
-    response: Response | None
+    raw: bytes | None
     recognized: bool = True
 
     @property
     def accepted(self) -> bool:
         """Whether the server did it."""
-        return self.response is not None and self.recognized and self.response.accepted
+        return (
+            self.recognized and self.raw is not None and (len(self.raw) != 4 or not any(self.raw))
+        )
+
+    @property
+    def text(self) -> str:
+        """The reply for a person."""
+        raw = self.raw or b""
+        if len(raw) == 4:
+            return str(int.from_bytes(raw, "little", signed=True))
+        return raw.partition(b"\0")[0].decode("utf-8", "replace")
 
     def fault(self, command: str) -> str:
         """What went wrong, empty for nothing."""
         name = command.partition(",")[0]
-        if self.response is None:
+        if self.raw is None:
             return f"no answer to {name}"
         if not self.recognized:
             return f"the server does not know {name}"
-        if not self.response.accepted:
-            return f"the server refuses {name} ({self.response.text})"
-        return ""
+        return "" if self.accepted else f"the server refuses {name} ({self.text})"
 
 
 Done = Callable[[Answer], None]
 
 
 class CommandQueue:
-    """Sends commands one after the other; replies carry no mark of what they answer.
+    """Sends commands one after the other, since replies carry no mark of what they answer.
 
-    So after an answer, what else comes of its repetitions is awaited before the next command.
+    A command is repeated until it is answered; before the next one, the answers to the
+    repetitions are awaited.
     `submit` may be called from any thread, all else from one.
     """
 
@@ -239,7 +244,7 @@ class CommandQueue:
         self._quiet = 0.0
 
     def submit(self, text: str, done: Done) -> None:
-        """Have a command sent; `done` is called with what became of it."""
+        """Have a command sent; `done` is called with its answer."""
         self._waiting.append((text, done))
 
     def step(self, now: float, send: Callable[[bytes], None]) -> None:
@@ -251,18 +256,18 @@ class CommandQueue:
             self._next = now
         if now < self._next:
             return
-        if self._sent == ATTEMPTS:
+        if self._sent == _ATTEMPTS:
             self._finish(Answer(None), now)
             return
         self._sent += 1
-        self._next = now + INTERVAL
+        self._next = now + _INTERVAL
         send(encode_command(self._current[0]))
 
     def answer(self, message: int, payload: bytes, now: float) -> None:
         """Take a reply."""
         if self._current is not None and self._sent:
             self._sent -= 1
-            self._finish(Answer(parse_response(payload), message != UNRECOGNIZED), now)
+            self._finish(Answer(payload, message != UNRECOGNIZED), now)
         elif self._strays:
             self._strays -= 1
             if not self._strays:

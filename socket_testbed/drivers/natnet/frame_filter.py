@@ -1,4 +1,4 @@
-"""Which frames are taken, and what went right and wrong on the link, now and in all."""
+"""Which frames are used, and what went right and wrong on the link, now and in all."""
 
 from __future__ import annotations
 
@@ -6,10 +6,14 @@ import threading
 from collections import deque
 from math import floor, log10
 
-_RECENT = 0.8  # [s]; a fault that ended is not told any more within a second
+_RECENT = 0.8  # [s]; a fault that ended is no longer reported within a second
 _SPAN = 1.0  # [s]; over which the rate is measured
 _MOST = 2000  # events
-_CLEARLY = 0.6  # of the last digit told
+_CLEARLY = 0.6  # of the last digit shown
+_EARLIEST, _LATEST = 1.0, 0.005  # [s]; before and after its arrival that a frame can be from
+_ODD = 10  # frames in a row; of another server, not of the network
+_SUSPICION = 2.0  # [s]; between two guesses that it is another server
+_MOST_LOST = 1000  # frames
 
 KINDS = {
     "bad": "bad datagrams",
@@ -31,7 +35,7 @@ class LinkStatistics:
         self._totals = dict.fromkeys(KINDS, 0)
         self._frames: deque[float] = deque(maxlen=_MOST)
         self._delivered = 0
-        self._told = 0.0  # [Hz]
+        self._steady_rate = 0.0  # [Hz]
         self._warning = ("", 0.0, frozenset[str]())
         self.last_error = ""
 
@@ -63,14 +67,14 @@ class LinkStatistics:
                 return 0.0
             return (len(self._frames) - 1) / max(self._frames[-1] - self._frames[0], 1e-6)
 
-    def told_rate(self, now: float) -> float:
+    def steady_rate(self, now: float) -> float:
         """The rate to two digits, the same until it is clearly another [Hz]."""
         rate = self.rate(now)
         rounded = float(f"{rate:.1e}")
         digit = 10.0 ** (floor(log10(rounded)) - 1) if rounded else 0.0
-        if abs(rate - self._told) > _CLEARLY * digit:
-            self._told = rounded
-        return self._told
+        if abs(rate - self._steady_rate) > _CLEARLY * digit:
+            self._steady_rate = rounded
+        return self._steady_rate
 
     def warning(self, now: float) -> str:
         """The faults of the last second in one line; empty for none.
@@ -83,8 +87,8 @@ class LinkStatistics:
                 for kind, events in self._recent.items()
             }
         kinds = frozenset(kind for kind, number in counts.items() if number)
-        text, since, told = self._warning
-        if kinds != told or now - since > 0.5:
+        text, since, shown = self._warning
+        if kinds != shown or now - since > 0.5:
             text = ", ".join(f"{counts[kind]} {KINDS[kind]}" for kind in KINDS if kind in kinds)
             if kinds & {"bad", "failed"}:
                 text += f" (the last: {self.last_error})"
@@ -100,13 +104,7 @@ class LinkStatistics:
             }
 
 
-_EARLIEST, _LATEST = 1.0, 0.005  # [s]; before and after its arrival that a frame can be from
-_ODD = 10  # frames in a row; of another server, not of the network
-_SUSPICION = 2.0  # [s]; between two guesses that it is another server
-_MOST_LOST = 1000  # frames
-
-
-class FrameGate:
+class FrameFilter:
     """Drops and counts frames that come again, late, or from an implausible time.
 
     Args:

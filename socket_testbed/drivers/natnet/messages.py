@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from math import isfinite
 from struct import Struct
@@ -26,12 +25,27 @@ UNRECOGNIZED = 100
 LARGEST_DATAGRAM = 65535  # [bytes]
 
 Version: TypeAlias = tuple[int, int]  # of NatNet: major, minor
+Position: TypeAlias = tuple[float, float, float]
+Quaternion: TypeAlias = tuple[float, float, float, float]
+
+_OLDEST = (2, 6)  # before it, markers do not say whether they are occluded
+_NEWEST = (4, 4)  # whose layout is known
 
 _HEADER = Struct("<HH")
 _I32 = Struct("<i")
 _ECHO = Struct("<QQ")
 _NAME = 256  # [bytes]
 _LARGEST_CLOCK = 10**11  # [Hz]
+_BODY = Struct("<i8fh")  # id, position, quaternion, error, flags
+_MARKER = Struct("<i4fhf")  # id, position, size, flags, residual
+_MARKER_2 = Struct("<i4fh")
+_SUFFIX_2_6 = Struct("<IIfhi")
+_SUFFIX_2_7 = Struct("<IIdhi")
+_SUFFIX_3 = Struct("<IIdQQQhi")
+_SUFFIX_4_1 = Struct("<IIdQQQIIhi")
+_TRACKED = 1
+_OCCLUDED, _MODEL_FILLED = 1, 4
+_RECORDING, _MODELS_CHANGED, _BITSTREAM_CHANGED = 1, 2, 8
 
 
 class MalformedDatagram(DeviceError):  # noqa: N818  (what it is, not that it is an error)
@@ -100,7 +114,7 @@ class Reader:
 
 @dataclass(frozen=True)
 class ServerInfo:
-    """What a server says of itself.
+    """How a server describes itself.
 
     Attributes:
         name: Name of the application.
@@ -123,25 +137,6 @@ class ServerInfo:
     def __str__(self) -> str:
         app = ".".join(str(part) for part in self.app_version[:2])
         return f"{self.name} {app}, NatNet {self.version[0]}.{self.version[1]}"
-
-
-@dataclass(frozen=True)
-class Response:
-    """The reply to a command: four bytes of a number (0 is yes), or a text."""
-
-    raw: bytes
-
-    @property
-    def accepted(self) -> bool:
-        """Whether it is no refusal."""
-        return len(self.raw) != 4 or self.raw == bytes(4)
-
-    @property
-    def text(self) -> str:
-        """What it says, for a person."""
-        if len(self.raw) == 4:
-            return str(_I32.unpack(self.raw)[0])
-        return self.raw.partition(b"\0")[0].decode("utf-8", "replace")
 
 
 def encode_message(message: int, payload: bytes = b"") -> bytes:
@@ -194,11 +189,6 @@ def parse_server_info(payload: bytes) -> ServerInfo:
     )
 
 
-def parse_response(payload: bytes) -> Response:
-    """Parse RESPONSE."""
-    return Response(bytes(payload))
-
-
 def parse_echo(payload: bytes) -> tuple[int, int]:
     """Parse ECHORESPONSE: the request's stamp, and the server's clock [ticks]."""
     stamp, ticks = Reader(payload, "echo").unpack(_ECHO)
@@ -217,29 +207,21 @@ class RigidBodyDefinition:
 
     name: str
     id: int
-    markers: tuple[tuple[float, float, float], ...]
+    markers: tuple[Position, ...]
 
 
-@dataclass(frozen=True)
-class ModelDefinitions:
-    """The rigid bodies of a server, by name."""
-
-    bodies: dict[str, RigidBodyDefinition]
-
-    def ids(self) -> frozenset[int]:
-        """The streaming ids there are."""
-        return frozenset(body.id for body in self.bodies.values())
+BodiesByName: TypeAlias = dict[str, RigidBodyDefinition]
 
 
-def parse_model_definitions(payload: bytes, version: Version) -> ModelDefinitions:
-    """Parse MODELDEF; of all that is defined, the rigid bodies are kept.
+def parse_model_definitions(payload: bytes, version: Version) -> BodiesByName:
+    """Parse MODELDEF; of all that is defined, the rigid bodies are kept, by name.
 
     Raises:
         MalformedDatagram: If it does not hold what its counts say.
     """
     sized = version >= (4, 1)
     reader = Reader(bytes(payload), "model definitions")
-    bodies: dict[str, RigidBodyDefinition] = {}
+    bodies: BodiesByName = {}
     for _ in range(reader.count(8)):
         kind = reader.integer()
         stop = None
@@ -250,91 +232,60 @@ def parse_model_definitions(payload: bytes, version: Version) -> ModelDefinition
             body = _rigid_body(reader, version)
             bodies[body.name] = body
         elif stop is None:
-            if kind not in _SKIPS:
-                raise reader.bad(f"an unknown type {kind}")
-            _SKIPS[kind](reader, version)
+            _skip_definition(reader, kind, version)
         if stop is not None:
             if reader.offset > stop or (kind == 1 and reader.offset != stop):
                 raise reader.bad(f"a definition of {size} bytes ends elsewhere")
             reader.offset = stop
-    return ModelDefinitions(bodies)
+    return bodies
 
 
 def _rigid_body(reader: Reader, version: Version) -> RigidBodyDefinition:
     name = reader.text() if version >= (2, 0) else ""
     identity = reader.integer()
     reader.skip(4 + 12 + (16 if version >= (4, 2) else 0))  # parent, offset, its quaternion
-    markers: tuple[tuple[float, float, float], ...] = ()
+    markers: tuple[Position, ...] = ()
     if version >= (3, 0):
         count = reader.count(16)
         values = reader.unpack(Struct(f"<{3 * count}f"))
         markers = tuple(zip(values[::3], values[1::3], values[2::3], strict=True))
         reader.skip(4 * count)  # labels of active markers
         if version >= (4, 0):
-            _skip_names(reader, count)
+            _skip_texts(reader, count)
     return RigidBodyDefinition(name, identity, markers)
 
 
-def _skip_names(reader: Reader, count: int) -> None:
+def _skip_definition(reader: Reader, kind: int, version: Version) -> None:
+    """Pass over what is defined besides rigid bodies."""
+    match kind:
+        case 0:  # marker set: name, markers
+            reader.text()
+            _skip_texts(reader, reader.count(1))
+        case 2:  # skeleton: name, id, bones
+            reader.text()
+            reader.skip(4)
+            for _ in range(reader.count(20)):
+                _rigid_body(reader, version)
+        case 3:  # force plate: id, serial number; size, origin, calibration, corners; two types
+            reader.skip(4)
+            reader.text()
+            reader.skip(4 * (2 + 3 + 144 + 12) + 8)
+            _skip_texts(reader, reader.count(1))
+        case 4:  # device: id, name, serial number, two types, channels
+            reader.skip(4)
+            _skip_texts(reader, 2)
+            reader.skip(8)
+            _skip_texts(reader, reader.count(1))
+        case 5:  # camera: name, position, orientation
+            reader.text()
+            reader.skip(28)
+        case _:
+            raise reader.bad(f"an unknown type {kind}")
+
+
+def _skip_texts(reader: Reader, count: int) -> None:
     for _ in range(count):
         reader.text()
-
-
-def _skip_marker_set(reader: Reader, version: Version) -> None:
-    reader.text()
-    _skip_names(reader, reader.count(1))
-
-
-def _skip_skeleton(reader: Reader, version: Version) -> None:
-    reader.text()
-    reader.skip(4)
-    for _ in range(reader.count(20)):
-        _rigid_body(reader, version)
-
-
-def _skip_force_plate(reader: Reader, version: Version) -> None:
-    reader.skip(4)
-    reader.text()  # serial number
-    reader.skip(4 * (2 + 3 + 144 + 12) + 8)  # size, origin, calibration, corners; two types
-    _skip_names(reader, reader.count(1))
-
-
-def _skip_device(reader: Reader, version: Version) -> None:
-    reader.skip(4)
-    _skip_names(reader, 2)  # name and serial number
-    reader.skip(8)
-    _skip_names(reader, reader.count(1))
-
-
-def _skip_camera(reader: Reader, version: Version) -> None:
-    reader.text()
-    reader.skip(28)
-
-
-_SKIPS: dict[int, Callable[[Reader, Version], None]] = {
-    0: _skip_marker_set,
-    2: _skip_skeleton,
-    3: _skip_force_plate,
-    4: _skip_device,
-    5: _skip_camera,
-}
-
-
-OLDEST = (2, 6)  # before it, markers do not say whether they are occluded
-
-Position: TypeAlias = tuple[float, float, float]
-Quaternion: TypeAlias = tuple[float, float, float, float]
-
-_BODY = Struct("<i8fh")  # id, position, quaternion, error, flags
-_MARKER = Struct("<i4fhf")  # id, position, size, flags, residual
-_MARKER_2 = Struct("<i4fh")
-_SUFFIX_2 = Struct("<IIdhi")
-_SUFFIX_3 = Struct("<IIdQQQhi")
-_SUFFIX_4_1 = Struct("<IIdQQQIIhi")
-_NEWEST = (4, 4)  # whose layout is known
-_TRACKED = 1
-_OCCLUDED, _MODEL_FILLED = 1, 4
-_RECORDING, _MODELS_CHANGED, _BITSTREAM_CHANGED = 1, 2, 8
 
 
 class RigidBody(NamedTuple):
@@ -372,7 +323,7 @@ class LabelledMarker(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class Frame:
+class MocapFrame:
     """A frame of the cameras.
 
     Attributes:
@@ -396,7 +347,7 @@ class Frame:
     bitstream_changed: bool
 
 
-def parse_frame(payload: bytes | memoryview, version: Version) -> Frame:
+def parse_frame(payload: bytes | memoryview, version: Version) -> MocapFrame:
     """Parse a frame.
 
     Args:
@@ -406,7 +357,7 @@ def parse_frame(payload: bytes | memoryview, version: Version) -> Frame:
     Raises:
         MalformedDatagram: If it does not hold what its counts say.
     """
-    if version < OLDEST:
+    if version < _OLDEST:
         raise MalformedDatagram(f"frame of NatNet {version[0]}.{version[1]}, which is too old")
     reader = Reader(bytes(payload), "frame")
     number = reader.integer()
@@ -437,7 +388,7 @@ def parse_frame(payload: bytes | memoryview, version: Version) -> Frame:
         if version < (3, 0):
             reader.skip(4)  # latency
     timestamp, ticks, flags = _suffix(reader, version)
-    return Frame(
+    return MocapFrame(
         number,
         bodies,
         markers,
@@ -518,15 +469,13 @@ def _skip_channels(reader: Reader) -> None:
 
 def _suffix(reader: Reader, version: Version) -> tuple[float, int, int]:
     """Timestamp [s], mid-exposure [ticks] and flags."""
-    ticks = 0
-    if version >= (4, 1):
-        _, _, timestamp, ticks, *_, flags, end = reader.unpack(_SUFFIX_4_1)
-    elif version >= (3, 0):
-        _, _, timestamp, ticks, *_, flags, end = reader.unpack(_SUFFIX_3)
-    elif version >= (2, 7):
-        _, _, timestamp, flags, end = reader.unpack(_SUFFIX_2)
+    if version >= (3, 0):
+        layout = _SUFFIX_4_1 if version >= (4, 1) else _SUFFIX_3
+        _, _, timestamp, ticks, *_, flags, end = reader.unpack(layout)
     else:
-        _, _, timestamp, flags, end = reader.unpack(Struct("<IIfhi"))
+        layout = _SUFFIX_2_7 if version >= (2, 7) else _SUFFIX_2_6
+        _, _, timestamp, flags, end = reader.unpack(layout)
+        ticks = 0
     # A count that lies leads elsewhere than to the end tag. A newer version may hold more.
     if end != 0 or (version <= _NEWEST and reader.offset != reader.end):
         raise reader.bad(f"end tag {end} and {reader.end - reader.offset} bytes left")

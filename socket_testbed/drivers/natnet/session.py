@@ -1,15 +1,16 @@
-"""The dialogue with a NatNet server: connected, lost, connected again; and its takes."""
+"""The session with a NatNet server, connected, lost and connected again; and its takes."""
 
 from __future__ import annotations
 
 import re
 from collections import OrderedDict
 from collections.abc import Callable
+from typing import TypeAlias
 
 from socket_testbed.clocks import Backoff
 from socket_testbed.drivers.natnet.clock import EchoClock
 from socket_testbed.drivers.natnet.connection import Answer, CommandQueue, Done, NatNetSockets
-from socket_testbed.drivers.natnet.frame_filter import FrameGate, LinkStatistics
+from socket_testbed.drivers.natnet.frame_filter import FrameFilter, LinkStatistics
 from socket_testbed.drivers.natnet.messages import (
     DISCONNECT,
     ECHORESPONSE,
@@ -20,9 +21,8 @@ from socket_testbed.drivers.natnet.messages import (
     RESPONSE,
     SERVERINFO,
     UNRECOGNIZED,
-    Frame,
-    ModelDefinitions,
-    Response,
+    BodiesByName,
+    MocapFrame,
     ServerInfo,
     Version,
     encode_connect,
@@ -37,10 +37,22 @@ from socket_testbed.drivers.natnet.messages import (
 from socket_testbed.errors import DeviceError
 from socket_testbed.settings.acquisition import MocapSettings
 
+SILENCE = 0.3  # [s]; after which the server, or its stream, is lost
+_KEEPALIVE = 1.0  # [s]
+_QUICK_ECHOES = 10
+_ECHO_QUICK, _ECHO_QUIET, _ECHO = 0.01, 0.1, 0.5  # [s]; at first, without frames, then
+_PENDING = 64  # echoes
+_MODELS_RETRY, _MODELS_AGAIN = 0.1, 1.0  # [s]
+_SUBSCRIPTIONS = ("SubscribeToData,RigidBody,All", "SubscribeToData,LabeledMarkers,All")
+
 _RETRY = 0.25  # [s]; from a command that failed to the next
 _IN_FLIGHT = 0.1  # [s]; after which no frame is from before a command
 _EVIDENCE = 0.3  # [s]; how long the frames of a new session are given to show a recording
 _CONTRADICTED = 1.0  # [s]
+
+CONNECTING, CONNECTED, LOST = "connecting", "connected", "lost"
+
+OnFrame: TypeAlias = Callable[[MocapFrame, float, BodiesByName | None], None]
 
 
 class TakeKeeper:
@@ -103,33 +115,36 @@ class TakeKeeper:
         if self._started is not None and self._started != wanted:
             self._issue("StopRecording", self._stopped)
         elif wanted is not None:
-            self._issue(f"SetRecordTakeName,{wanted}", lambda _: self._start(wanted))
+            self._issue(f"SetRecordTakeName,{wanted}", lambda: self._start(wanted))
 
     def _start(self, name: str) -> None:
         if name == self._wanted:
             self._started, self._moment = name, self._now + _IN_FLIGHT
             self._issue("StartRecording", self._confirm)
 
-    def _confirm(self, answer: Answer) -> None:
+    def _confirm(self) -> None:
         self._confirmed = True
         self._idle_since = None
 
-    def _stopped(self, answer: Answer) -> None:
+    def _stopped(self) -> None:
         self._started, self._confirmed = None, False
 
-    def _issue(self, command: str, then: Callable[[Answer], None]) -> None:
+    def _issue(self, command: str, then: Callable[[], None]) -> None:
         session = self._session
 
         def done(answer: Answer) -> None:
             self._busy = False
-            # A server that does not record may refuse to stop: then that is what was wanted.
-            if then == self._stopped and answer.response and self._idle_since is not None:
-                answer = Answer(Response(bytes(4)))
             self._trouble = answer.fault(command)
+            if (
+                command == "StopRecording"
+                and answer.raw is not None
+                and self._idle_since is not None
+            ):
+                self._trouble = ""  # it does not record: what was wanted
             if self._trouble:
                 self._next = self._now + _RETRY
             elif session == self._session:
-                then(answer)
+                then()
 
         self._busy = True
         self._submit(command, done)
@@ -146,23 +161,12 @@ class TakeKeeper:
             self.fault = f"{doing}: the frames say that the server does not record"
 
 
-SILENCE = 0.3  # [s]; after which the server, or its stream, is lost
-_KEEPALIVE = 1.0  # [s]
-_QUICK_ECHOES = 10
-_ECHO_QUICK, _ECHO_QUIET, _ECHO = 0.01, 0.1, 0.5  # [s]; at first, without frames, then
-_PENDING = 64  # echoes
-_MODELS_RETRY, _MODELS_AGAIN = 0.1, 1.0  # [s]
-_SUBSCRIPTIONS = ("SubscribeToData,RigidBody,All", "SubscribeToData,LabeledMarkers,All")
-
-CONNECTING, CONNECTED, LOST = "connecting", "connected", "lost"
-
-
 class Session:
-    """What one end of the link knows and does; all of it on one thread.
+    """The client's side of the link; all of it on one thread.
 
     Attributes:
         state: One of connecting, connected and lost.
-        server: What the server said of itself last.
+        server: How the server described itself last.
         models: Its rigid bodies; None: not known yet.
         echoes: The map of its clock.
         streaming: Whether the version of its frames is settled.
@@ -178,12 +182,12 @@ class Session:
         bitstream: Version,
         sockets: NatNetSockets,
         commands: CommandQueue,
-        on_frame: Callable[[Frame, float, ModelDefinitions | None], None],
+        on_frame: OnFrame,
     ) -> None:
         self.settings = settings
         self.state = CONNECTING
         self.server: ServerInfo | None = None
-        self.models: ModelDefinitions | None = None
+        self.models: BodiesByName | None = None
         self.echoes = EchoClock(0)
         self.statistics = LinkStatistics()
         self.takes = TakeKeeper(commands.submit)
@@ -204,7 +208,7 @@ class Session:
         self._models_wanted = False
         self._next_models = 0.0
         self._models_changed = False
-        self._gate = FrameGate(self.statistics)
+        self._filter = FrameFilter(self.statistics)
         self._handlers: dict[int, Callable[[bytes, float], None]] = {
             SERVERINFO: self._take_server_info,
             FRAME: self._take_frame,
@@ -318,7 +322,7 @@ class Session:
         self.sessions += 1
         self._forget()
         self.echoes = EchoClock(info.clock)
-        self._gate.reset()
+        self._filter.reset()
         self._next_echo = self._next_keepalive = self._next_models = 0.0
         self._models_wanted = True
         self.last_frame = now
@@ -337,23 +341,21 @@ class Session:
         def settle(answer: Answer) -> None:
             if session != self.sessions or self.state != CONNECTED:
                 return
-            if answer.response is None:
+            if answer.raw is None:
                 self._negotiate(info)
                 return
-            told = re.search(r"(\d+)\.(\d+)", answer.response.text)
+            named = re.search(r"(\d+)\.(\d+)", answer.text)
             if not answer.accepted:
                 self._version = info.version
-            elif told:
-                self._version = (int(told[1]), int(told[2]))
             else:
-                self._version = wanted
+                self._version = (int(named[1]), int(named[2])) if named else wanted
             self.streaming = True
             for text in _SUBSCRIPTIONS:
                 subscribe(text)
 
         def subscribe(text: str) -> None:
             def done(answer: Answer) -> None:
-                if answer.response is None and session == self.sessions:
+                if answer.raw is None and session == self.sessions:
                     subscribe(text)
 
             self._commands.submit(text, done)
@@ -378,27 +380,27 @@ class Session:
         frame = parse_frame(payload, self._version)
         self.last_frame = now
         self._connecting.succeeded()
-        taken = self._gate.is_next(frame.number, now)
+        taken = self._filter.is_next(frame.number, now)
         if taken:
             self.takes.saw(frame.recording, now)
             self._watch_models(frame)
             moment = self.echoes.to_steady(frame.mid_exposure)
             if moment is None:
                 return
-            taken = self._gate.is_plausible(moment, now)
+            taken = self._filter.is_plausible(moment, now)
             if taken:
                 self._on_frame(frame, moment, self.models)
                 self.statistics.delivered(now)
-        if not taken and self._gate.suspects(now):
+        if not taken and self._filter.suspects(now):
             self._restart(now)
 
-    def _watch_models(self, frame: Frame) -> None:
+    def _watch_models(self, frame: MocapFrame) -> None:
         changed = frame.models_changed and not self._models_changed
         self._models_changed = frame.models_changed
         if changed:
             self._next_models = 0.0
             self._models_wanted = True
-        elif self.models is not None and not self.models.ids().issuperset(
-            body.id for body in frame.bodies
-        ):
-            self._models_wanted = True  # at most once a second
+        elif self.models is not None:
+            known = {body.id for body in self.models.values()}
+            if any(body.id not in known for body in frame.bodies):
+                self._models_wanted = True  # at most once a second

@@ -9,18 +9,19 @@ from dataclasses import dataclass
 from typing import TypeAlias
 
 import numpy as np
+from scipy.spatial.transform import Rotation, Slerp
 
 from socket_testbed import clocks
 from socket_testbed.arrays import FloatArray, IntArray
-from socket_testbed.drivers.natnet.messages import Frame, ModelDefinitions
+from socket_testbed.drivers.natnet.messages import BodiesByName, MocapFrame
 from socket_testbed.geometry.marker_bodies import EDGE_TOLERANCE, TriadFit, edge_lengths, fit_triad
 from socket_testbed.settings.acquisition import MocapSettings
 
 _KEPT = 1.0  # [s]
-_VOTES, _FEWEST = 20, 3  # fits that tell the usual order of the labels
+_VOTES, _FEWEST = 20, 3  # fits that decide on the usual order of the labels
 _LARGEST_STEP = 0.01  # [m]; of a marker between two frames, without a fit of its triad
 
-_Entry: TypeAlias = tuple[float, Frame, ModelDefinitions | None]
+_Entry: TypeAlias = tuple[float, MocapFrame, BodiesByName | None]
 
 
 @dataclass(frozen=True)
@@ -61,13 +62,13 @@ class BodyTracker:
     ) -> None:
         self._stale = settings.stale
         self._bodies = (
-            _Body(settings.socket_body, "socket_body", socket_markers),
-            _Body(settings.pylon_body, "pylon_body", pylon_markers),
+            _TrackedBody(settings.socket_body, "socket_body", socket_markers),
+            _TrackedBody(settings.pylon_body, "pylon_body", pylon_markers),
         )
         self._frames: deque[_Entry] = deque()
         self._changed = threading.Condition()
 
-    def add(self, frame: Frame, time: float, models: ModelDefinitions | None) -> None:
+    def add(self, frame: MocapFrame, time: float, models: BodiesByName | None) -> None:
         """Add a frame.
 
         Args:
@@ -137,7 +138,7 @@ class BodyTracker:
 _Result: TypeAlias = tuple[FloatArray, FloatArray, FloatArray, str]
 
 
-class _Body:
+class _TrackedBody:
     """One of the two bodies: where its markers are in a frame, and in what order."""
 
     def __init__(self, name: str, setting: str, reference: FloatArray) -> None:
@@ -147,7 +148,7 @@ class _Body:
         self._edges = edge_lengths(self._reference)
         self._orders: deque[tuple[int, ...]] = deque(maxlen=_VOTES)  # of the labels, lately
 
-    def is_seen(self, frame: Frame, models: ModelDefinitions | None) -> bool:
+    def is_seen(self, frame: MocapFrame, models: BodiesByName | None) -> bool:
         """Whether all its markers are seen, or never will be."""
         return bool(self._unknown(models) or np.isfinite(self._triad(frame, models)).all())
 
@@ -175,13 +176,13 @@ class _Body:
         markers = self._by_label(fit, triads, (0, first), weight)
         return *nothing[:2], markers, self._fault(triads[[0, first]])
 
-    def _unknown(self, models: ModelDefinitions | None) -> str:
-        """Why the server's rigid bodies do not tell which this is; empty: they do."""
+    def _unknown(self, models: BodiesByName | None) -> str:
+        """Why none of the server's rigid bodies is this one; empty: one is."""
         if models is None:
-            return "Motive has not told its rigid bodies yet"
-        definition = models.bodies.get(self._name)
+            return "Motive has not sent its rigid bodies yet"
+        definition = models.get(self._name)
         if definition is None:
-            there = ", ".join(sorted(models.bodies)) or "none"
+            there = ", ".join(sorted(models)) or "none"
             return (
                 f"Motive has no rigid body '{self._name}' (there are: {there}):"
                 f" name it so there, or set {self._setting}"
@@ -193,10 +194,10 @@ class _Body:
             )
         return ""
 
-    def _triad(self, frame: Frame, models: ModelDefinitions | None) -> FloatArray:
+    def _triad(self, frame: MocapFrame, models: BodiesByName | None) -> FloatArray:
         """Its markers by their labels, shape (3, 3) [m]; NaN where one is not seen."""
         triad = np.full((3, 3), np.nan)
-        definition = models.bodies.get(self._name) if models is not None else None
+        definition = models.get(self._name) if models is not None else None
         if definition is None:
             return triad
         own = sorted(marker for marker in frame.markers if marker.model == definition.id)
@@ -212,11 +213,11 @@ class _Body:
         a, b = pair
         self._orders += [tuple(fit.order[row].tolist()) for row in pair]
         start, end = fit.pose.translation[a], fit.pose.translation[b]
-        quaternions = fit.pose.quaternion()
+        rotations = Rotation.from_matrix(fit.pose.rotation[[a, b]])
         markers = triads[a][fit.order[a]]
         return (
             start + weight * (end - start),
-            _slerp(quaternions[a], quaternions[b], weight),
+            Slerp([0.0, 1.0], rotations)(weight).as_quat(),
             markers + weight * (triads[b][fit.order[b]] - markers),
         )
 
@@ -261,16 +262,3 @@ class _Body:
             f"the markers of rigid body '{self._name}' do not fit its triad: check the geometry"
             " file, or that no other marker is taken for one of them"
         )
-
-
-def _slerp(start: FloatArray, end: FloatArray, weight: float) -> FloatArray:
-    """Quaternion on the shorter arc between two (Shoemake 1985, doi:10.1145/325165.325242)."""
-    cosine = float(start @ end)
-    if cosine < 0.0:
-        end, cosine = -end, -cosine
-    angle = np.arccos(min(cosine, 1.0))
-    if angle < 1e-6:
-        mixed = start + weight * (end - start)
-    else:
-        mixed = np.sin((1.0 - weight) * angle) * start + np.sin(weight * angle) * end
-    return mixed / np.linalg.norm(mixed)
