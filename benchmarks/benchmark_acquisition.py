@@ -32,7 +32,7 @@ from socket_testbed.__main__ import run as verb
 from socket_testbed.clocks import BEGINNING, SteadyClock
 from socket_testbed.live.bringup import Simulation, end, simulated_testbed, start
 from socket_testbed.live.processes import Graph
-from socket_testbed.nodes.runtime import message_type, subscriber_qos
+from socket_testbed.nodes.base import message_type, subscriber_qos
 from socket_testbed.trials.bag import BagReader
 from socket_testbed.trials.synchronise import read_samples
 from socket_testbed.trials.topics import ESTIMATED_WRENCH, REQUIRED, TRIGGER, match_topics

@@ -163,9 +163,8 @@ class Graph:
         for name, members in processes.items():
             file = write_parameters(members, self.folder / f"{name}.yaml")
             names = [node.name for node in members]
-            module, arguments = ("composed", names) if len(names) > 1 else (names[0], [])
             ros = ["--ros-args", "-r", f"__ns:={members[0].namespace}", "--params-file", str(file)]
-            self.start_program(name, f"socket_testbed.nodes.{module}", [*arguments, *ros])
+            self.start_program(name, "socket_testbed.nodes", [*names, *ros])
 
     def start_program(self, name: str, module: str, arguments: list[str]) -> None:
         """Start a module of this package as a process."""

@@ -5,85 +5,65 @@ Subscribes: trigger. Publishes: clusters/capacitance, /diagnostics.
 
 from __future__ import annotations
 
-from rclpy.node import Node
-from rclpy.task import Future
-from socket_testbed_msgs.msg import ClusterCapacitanceArray
-
 from socket_testbed import clocks
 from socket_testbed.drivers.clusters.reader import ClusterReader, ClusterReading
 from socket_testbed.live.hardware import i2c_opener
+from socket_testbed.nodes.base import ERROR, OK
 from socket_testbed.nodes.conversions import capacitance_to_ros
-from socket_testbed.nodes.diagnostics import ERROR, OK, SETTLE, WARN, Diagnostics, RecentFault
-from socket_testbed.nodes.parameters import Parameters
-from socket_testbed.nodes.runtime import publisher_qos, run_node
-from socket_testbed.nodes.trigger_follower import TriggerFollower
+from socket_testbed.nodes.runtime import run_node
+from socket_testbed.nodes.sensor_node import SensorNode
 from socket_testbed.settings.acquisition import ClusterSettings
 from socket_testbed.trials.topics import CAPACITANCE
 
 _STUCK = 0.5  # [s]; a reading that takes longer hangs
 
 
-class ClusterNode(Node):
+class ClusterNode(SensorNode[ClusterSettings]):
     """Reads the clusters at each trigger; what fails is missing, the others go on."""
 
     def __init__(self) -> None:
-        super().__init__("cluster_node")
-        self.finished = Future()
-        self._adjustable = Parameters(self, ClusterSettings)
-        settings = self._adjustable.settings
-        self._reader = ClusterReader(settings, i2c_opener(settings))
+        super().__init__("cluster_node", ClusterSettings)
+        self._reader = ClusterReader(self.settings, i2c_opener(self.settings))
         self._answering = False
-        self._fault = RecentFault()
-        self._samples = 0
-        self._missing = 0
-        self._publisher = self.create_publisher(
-            ClusterCapacitanceArray, CAPACITANCE.name, publisher_qos(CAPACITANCE)
-        )
-        self._follower = TriggerFollower(self, self._on_trigger, self._watch)
-        self._diagnostics = Diagnostics(
-            self,
-            lambda: {"samples": self._samples, "missing_channels": self._missing},
-            inputs=(self._follower.subscription,),
-            offered=(self._publisher,),
-            look=self._look,
-            settle=SETTLE,
-        )
+        self._capacitance = self.advertise(CAPACITANCE)
+        self.follow_triggers()
 
     def close(self) -> None:
         """Stop reading and close the buses."""
-        self._follower.close()
+        super().close()
         self._reader.close()
 
-    def _on_trigger(self, stamp: int, moment: float) -> None:
+    def figures(self) -> dict[str, object]:
+        """Number of measurements, and of channels that are missing."""
+        return {"samples": self.samples, "missing_channels": self.missing}
+
+    def measure(self, stamp: int, moment: float) -> None:
+        """Read all clusters; `missing` counts channels."""
         reading = self._read(moment)
-        self._samples += 1
-        self._missing += int((reading.status != 0).sum())
-        self._publisher.publish(
+        self.missing += int((reading.status != 0).sum())
+        self._capacitance.publish(
             capacitance_to_ros(stamp, reading.names, reading.capacitance, reading.status)
         )
 
-    def _watch(self) -> None:
-        """While no trigger comes, see how the clusters are."""
+    def idle(self) -> None:
+        """See how the clusters are."""
         self._read(clocks.monotonic())
 
     def _read(self, moment: float) -> ClusterReading:
         reading = self._reader.read(moment)
         self._answering = True
         if reading.faults:
-            self._fault.saw("; ".join(dict.fromkeys(reading.faults.values())))
+            self.fault.saw("; ".join(dict.fromkeys(reading.faults.values())))
         return reading
 
-    def _look(self) -> None:
-        since = self._follower.busy_since
+    def health(self) -> tuple[int, str] | None:
+        """A bus that hangs, what the last readings lack, or that all answer."""
+        since = self.busy_since
         if since is not None and clocks.monotonic() - since > _STUCK:
-            self._diagnostics.report(ERROR, "a bus hangs: check the clusters' wires and supply")
-        elif fault := self._fault.text():
-            self._diagnostics.report(ERROR, fault)
-        elif self._follower.note:
-            self._diagnostics.report(WARN, self._follower.note)
-        elif self._answering:
-            names = self._adjustable.settings.names
-            self._diagnostics.report(OK, f"{len(names)} clusters answer")
+            return ERROR, "a bus hangs: check the clusters' wires and supply"
+        if fault := self.fault.text():
+            return ERROR, fault
+        return (OK, f"{len(self.settings.names)} clusters answer") if self._answering else None
 
 
 def main() -> None:

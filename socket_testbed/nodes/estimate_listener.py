@@ -3,21 +3,20 @@
 from __future__ import annotations
 
 import threading
-from contextlib import suppress
 from typing import Self
 
 import numpy as np
 import rclpy
 from geometry_msgs.msg import WrenchStamped
-from rclpy.executors import ExternalShutdownException
 from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.task import Future
 from socket_testbed_msgs.msg import ContactModel, LocalForceArray
 
 from socket_testbed.arrays import FloatArray
+from socket_testbed.nodes.base import TestbedNode
 from socket_testbed.nodes.conversions import stamp_from_ros, vectors_from_ros, wrench_from_ros
-from socket_testbed.nodes.diagnostics import Diagnostics
-from socket_testbed.nodes.runtime import message_type, subscriber_qos
+from socket_testbed.nodes.runtime import spin
+from socket_testbed.settings.fields import Settings
 from socket_testbed.trials.topics import ESTIMATED_WRENCH, LOCAL_FORCES, PARAMETERS
 
 
@@ -39,26 +38,17 @@ class EstimateListener:
 
     def __enter__(self) -> Self:
         rclpy.init()
-        self._node = rclpy.create_node(self.NAME)
-        subscriptions = []
-        for topic, callback in (
-            (ESTIMATED_WRENCH, self._on_wrench),
-            (LOCAL_FORCES, self._on_forces),
-            (PARAMETERS, self._on_model),
-        ):
-            subscriptions.append(
-                self._node.create_subscription(
-                    message_type(topic), topic.name, callback, subscriber_qos(topic)
-                )
-            )
-        # Its diagnostics tell a replay that waits for it that it is linked.
-        self._diagnostics = Diagnostics(
-            self._node, lambda: {"received": len(self.wrench)}, inputs=tuple(subscriptions)
-        )
+        # Its diagnostics report to a replay that waits for it that it is linked.
+        self._node = TestbedNode(self.NAME, Settings)
+        self._node.listen(ESTIMATED_WRENCH, self._on_wrench)
+        self._node.listen(LOCAL_FORCES, self._on_forces)
+        self._node.listen(PARAMETERS, self._on_model)
         self._executor = EventsExecutor()
         self._executor.add_node(self._node)
         self._done = Future()
-        self._thread = threading.Thread(target=self._spin, name="listener")
+        self._thread = threading.Thread(
+            target=spin, args=(self._executor, self._done.done, self._done), name="listener"
+        )
         self._thread.start()
         return self
 
@@ -69,11 +59,6 @@ class EstimateListener:
         self._executor.shutdown()
         self._node.destroy_node()
         rclpy.try_shutdown()
-
-    def _spin(self) -> None:
-        with suppress(ExternalShutdownException):
-            while rclpy.ok() and not self._done.done():
-                self._executor.spin_until_future_complete(self._done, timeout_sec=0.2)
 
     def _on_wrench(self, message: WrenchStamped) -> None:
         self.wrench[stamp_from_ros(message.header.stamp)] = wrench_from_ros(message.wrench)

@@ -15,8 +15,6 @@ from pathlib import Path
 from typing import Any
 
 from geometry_msgs.msg import WrenchStamped
-from rclpy.node import Node
-from rclpy.task import Future
 from std_srvs.srv import Trigger as TriggerService
 
 from socket_testbed.errors import TestbedError
@@ -27,6 +25,7 @@ from socket_testbed.identification.fit import Fit
 from socket_testbed.identification.model_file import StoredModel
 from socket_testbed.live.estimator import Estimate, OnlineEstimator
 from socket_testbed.live.fit_worker import FitWorker
+from socket_testbed.nodes.base import NEWEST_STAMP, TestbedNode
 from socket_testbed.nodes.conversions import (
     LOAD_CELL_FRAME,
     PressureMap,
@@ -40,15 +39,7 @@ from socket_testbed.nodes.conversions import (
     wrench_from_ros,
     wrench_to_ros,
 )
-from socket_testbed.nodes.diagnostics import LEVELS, NEWEST_STAMP, Diagnostics
-from socket_testbed.nodes.parameters import Parameters
-from socket_testbed.nodes.runtime import (
-    BlockingService,
-    message_type,
-    publisher_qos,
-    run_node,
-    subscriber_qos,
-)
+from socket_testbed.nodes.runtime import BlockingService, run_node
 from socket_testbed.settings.testbed import EstimatorSettings
 from socket_testbed.trials.topics import (
     ESTIMATED_WRENCH,
@@ -72,58 +63,46 @@ _FROM_ROS = {
 }
 
 
-class EstimatorNode(Node):
+class EstimatorNode(TestbedNode[EstimatorSettings]):
     """Hands measurements to the online estimator and publishes what it returns."""
 
     def __init__(self) -> None:
-        super().__init__("estimator_node")
-        self.finished = Future()
-        self._adjustable = Parameters(self, EstimatorSettings)
-        settings = self._adjustable.settings
-        self._geometry = read_socket(
-            Path(settings.geometry) if settings.geometry else packaged("config", "socket.yaml")
+        super().__init__("estimator_node", EstimatorSettings)
+        path = self.settings.geometry
+        self._geometry = read_socket(Path(path) if path else packaged("config", "socket.yaml"))
+        self._worker = FitWorker()
+        self._estimator = OnlineEstimator(
+            self._geometry, lambda: self.settings, self._worker, self._on_model
         )
         self._map_stamp = 0
         self._drawn: tuple[ContactModel, PressureMap] | None = None
-        self._worker = FitWorker()
-
-        self._wrench = self._publisher(ESTIMATED_WRENCH)
-        self._forces = self._publisher(LOCAL_FORCES)
-        self._model_publisher = self._publisher(PARAMETERS)
-        self._map = self._publisher(PRESSURE_MAP)
-        self._estimator = OnlineEstimator(
-            self._geometry, lambda: self._adjustable.settings, self._worker, self._on_model
-        )
-        inputs = [self._subscribe(topic, partial(self._on_measured, topic)) for topic in _FROM_ROS]
-        inputs.append(self._subscribe(TRIGGER, self._on_trigger))
-        self._service = BlockingService(self, TriggerService, "estimator/fit", self._on_fit)
-        self._diagnostics = Diagnostics(
-            self,
-            lambda: {**self._estimator.figures(), NEWEST_STAMP: self._estimator.newest},
-            inputs=tuple(inputs),
-            offered=(self._wrench, self._forces, self._model_publisher, self._map),
-            ready=lambda: self._worker.ready,
-            look=self._look,
-        )
-        if settings.model:
-            self._estimator.load(Path(settings.model))
+        self._wrench = self.advertise(ESTIMATED_WRENCH)
+        self._forces = self.advertise(LOCAL_FORCES)
+        self._model = self.advertise(PARAMETERS)
+        self._map = self.advertise(PRESSURE_MAP)
+        for topic in _FROM_ROS:
+            self.listen(topic, partial(self._on_measured, topic))
+        self.listen(TRIGGER, self._on_trigger)
+        self._fit = BlockingService(self, TriggerService, "estimator/fit", self._on_fit)
+        if self.settings.model:
+            self._estimator.load(Path(self.settings.model))
 
     def close(self) -> None:
         """End the process of the fits and the service that waits for them."""
         self._worker.close()
-        self._service.close()
+        self._fit.close()
 
-    def _publisher(self, topic: Topic) -> Any:
-        return self.create_publisher(message_type(topic), topic.name, publisher_qos(topic))
+    def figures(self) -> dict[str, object]:
+        """The estimator's counts, and the newest stamp."""
+        return {**self._estimator.figures(), NEWEST_STAMP: self._estimator.newest}
 
-    def _subscribe(self, topic: Topic, callback: Any) -> Any:
-        return self.create_subscription(
-            message_type(topic), topic.name, callback, subscriber_qos(topic)
-        )
+    def look(self) -> None:
+        """Report the estimator's state."""
+        self.report(*self._estimator.state)
 
-    def _look(self) -> None:
-        level, message = self._estimator.state
-        self._diagnostics.report(LEVELS[level], message)
+    def ready(self) -> bool:
+        """Whether the process of the fits runs."""
+        return self._worker.ready
 
     def _on_trigger(self, message: Any) -> None:
         self._estimator.trigger(stamp_from_ros(message.header.stamp))
@@ -148,7 +127,7 @@ class EstimatorNode(Node):
 
     def _on_model(self, model: Fit | StoredModel) -> None:
         message = fit_to_ros(model) if isinstance(model, Fit) else stored_model_to_ros(model)
-        self._model_publisher.publish(message)
+        self._model.publish(message)
 
     def _on_fit(
         self, request: TriggerService.Request, response: TriggerService.Response

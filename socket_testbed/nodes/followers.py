@@ -1,18 +1,18 @@
-"""The nodes that a replay waits for: linked before it starts, and never left far behind."""
+"""The nodes that a trigger or a replay waits for: linked at its start, never left far behind."""
 
 from __future__ import annotations
 
 import threading
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import partial
+from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
-from rclpy.node import Node
+from rclpy.publisher import Publisher
 
-from socket_testbed.nodes.diagnostics import LINKS, NEWEST_STAMP, WAITING_FOR
-from socket_testbed.nodes.runtime import subscriber_qos
+from socket_testbed.nodes.base import LINKS, NEWEST_STAMP, WAITING_FOR, TestbedNode
 from socket_testbed.trials.topics import DIAGNOSTICS
 
 _LOOK = 0.02  # [s]
@@ -27,38 +27,56 @@ class Followers:
         stopped: Called to know whether waiting has become pointless.
     """
 
-    def __init__(self, node: Node, names: tuple[str, ...], stopped: Callable[[], bool]) -> None:
+    def __init__(
+        self, node: TestbedNode[Any], names: tuple[str, ...], stopped: Callable[[], bool]
+    ) -> None:
         self._waiting = dict.fromkeys(names, "not seen")
         self._links: dict[str, dict[str, int]] = {}
         self._newest: dict[str, int] = {}
         self._sent: deque[int] = deque()
         self._stopped = stopped
         self._news = threading.Condition()
-        self._subscription = node.create_subscription(
-            DiagnosticArray, DIAGNOSTICS.name, self._on_diagnostics, subscriber_qos(DIAGNOSTICS)
-        )
+        self._node = node
+        node.listen(DIAGNOSTICS, self._on_diagnostics, needed=False)
 
     def __len__(self) -> int:
         return len(self._waiting)
 
-    @property
-    def unlinked(self) -> dict[str, str]:
-        """The nodes that are not ready, with what they wait for."""
-        return {name: waiting for name, waiting in self._waiting.items() if waiting}
-
-    def linked_to_all(self, subscribers: Callable[[str], int]) -> bool:
-        """Whether each of their publishers is linked to as many subscribers as there are.
+    def await_links(
+        self, publishers: Mapping[str, Publisher], needed: frozenset[str], patience: float
+    ) -> str:
+        """Wait until all that publish and subscribe have found each other.
 
         A node may not know yet of a subscriber that another knows of, and would publish past it.
 
         Args:
-            subscribers: Tells how many subscribers a topic has.
+            publishers: The waiting node's own publishers by topic.
+            needed: The topics that are linked only with a subscriber.
+            patience: Longest wait [s].
+
+        Returns:
+            What is not linked after that, empty if nothing is.
         """
-        return all(
-            count >= subscribers(topic)
-            for links in self._links.values()
-            for topic, count in links.items()
-        )
+        count = self._node.count_subscribers
+
+        def linked() -> bool:
+            return (
+                all(
+                    publisher.get_subscription_count() >= max(count(name), name in needed)
+                    for name, publisher in publishers.items()
+                )
+                and not any(self._waiting.values())
+                and all(
+                    known >= count(topic)
+                    for links in self._links.values()
+                    for topic, known in links.items()
+                )
+            )
+
+        if self.wait(linked, patience) or self._stopped():
+            return ""
+        waiting = [f"{name} ({what})" for name, what in self._waiting.items() if what]
+        return ", ".join(waiting) or "subscribers"
 
     def sent(self, stamp: int) -> None:
         """A sample with this stamp [ns] was sent to them."""

@@ -20,59 +20,38 @@ from functools import partial
 from pathlib import Path
 
 from rclpy.clock import Clock, ClockType
-from rclpy.node import Node
-from rclpy.task import Future
 from std_msgs.msg import String
 from std_srvs.srv import SetBool
 
 from socket_testbed.clocks import SteadyClock
 from socket_testbed.errors import ConfigurationError
 from socket_testbed.files import refuse_existing
-from socket_testbed.nodes.diagnostics import ERROR, OK, WARN, Diagnostics
-from socket_testbed.nodes.parameters import Parameters
-from socket_testbed.nodes.runtime import latched_qos, message_type, run_node, subscriber_qos
+from socket_testbed.nodes.base import ERROR, OK, WARN, TestbedNode
+from socket_testbed.nodes.runtime import run_node
 from socket_testbed.settings.testbed import RecorderSettings
 from socket_testbed.trials.bag import BagWriter
 from socket_testbed.trials.topics import RECORDED_TRIAL, TOPICS
 from socket_testbed.trials.trial import beside_cut_short, store_configuration
 
 
-class RecorderNode(Node):
-    """Records while it is told to, one trial a recording."""
+class RecorderNode(TestbedNode[RecorderSettings]):
+    """Records on request, one trial per recording."""
 
     def __init__(self) -> None:
-        super().__init__("recorder_node")
-        self.finished = Future()
-        self._adjustable = Parameters(self, RecorderSettings)
-        settings = self._adjustable.settings
+        super().__init__("recorder_node", RecorderSettings)
+        settings = self.settings
         self._bag: BagWriter | None = None
         self._path: Path | None = None
         self._counts: dict[str, int] = {}
         self._now: Callable[[], int] = SteadyClock().now
-        self._announcer = self.create_publisher(String, RECORDED_TRIAL, latched_qos())
+        self._announcer = self.advertise(RECORDED_TRIAL)
         self._topics = {self.resolve_topic_name(topic.name): topic for topic in TOPICS}
-        self._inputs = [
-            self.create_subscription(
-                message_type(topic),
-                name,
-                partial(self._on_message, name),
-                subscriber_qos(topic),
-                raw=True,
-            )
-            for name, topic in self._topics.items()
-        ]
-        self._service = self.create_service(SetBool, "recorder/record", self._on_record)
+        for name, topic in self._topics.items():
+            callback = partial(self._on_message, name)
+            self.listen(topic, callback, name, needed=topic.required, raw=True)
+        self._record = self.create_service(SetBool, "recorder/record", self._on_record)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self._timer = self.create_timer(settings.flush_period, self._flush, clock=steady)
-        self._diagnostics = Diagnostics(
-            self,
-            lambda: {"trial": self._path or "", **self._counts},
-            inputs=tuple(
-                subscription
-                for subscription, topic in zip(self._inputs, TOPICS, strict=True)
-                if topic.required
-            ),
-        )
+        self._flusher = self.create_timer(settings.flush_period, self._flush, clock=steady)
         self._announce()
         if settings.record:
             self._start_over(Path(settings.directory))
@@ -81,11 +60,15 @@ class RecorderNode(Node):
         """Close the trial."""
         self._finish()
 
+    def figures(self) -> dict[str, object]:
+        """The trial, and the number of messages of each topic."""
+        return {"trial": self._path or "", **self._counts}
+
     def _on_record(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
         try:
             if request.data and self._bag is None:
                 name = datetime.now().strftime("trial_%Y%m%d_%H%M%S")
-                self._start(Path(self._adjustable.settings.directory) / name)
+                self._start(Path(self.settings.directory) / name)
             elif not request.data:
                 self._finish()
         except ConfigurationError as error:
@@ -100,13 +83,11 @@ class RecorderNode(Node):
         path = beside_cut_short(directory)
         self._start(path)
         if path != directory:
-            self._diagnostics.report(
-                WARN, f"recording {path}: {directory} was cut short and stays as it is"
-            )
+            self.report(WARN, f"recording {path}: {directory} was cut short and stays as it is")
 
     def _start(self, path: Path) -> None:
         refuse_existing(path)
-        settings = self._adjustable.settings
+        settings = self.settings
         bag = BagWriter(path)
         try:
             bag.__enter__()
@@ -132,7 +113,7 @@ class RecorderNode(Node):
         self._bag, self._path = bag, path
         self._counts = dict.fromkeys(self._topics, 0)
         self._announce()
-        self._diagnostics.report(OK, f"recording {path}")
+        self.report(OK, f"recording {path}")
 
     def _finish(self) -> None:
         if self._bag is None:
@@ -143,14 +124,12 @@ class RecorderNode(Node):
             bag.__exit__(None, None, None)
         except OSError as error:
             bag.abandon()
-            self._diagnostics.report(
+            self.report(
                 ERROR,
                 f"{self._path} was not closed, it keeps what it has ({error.strerror}): make space",
             )
             return
-        self._diagnostics.report(
-            OK, f"recorded {sum(self._counts.values())} messages in {self._path}"
-        )
+        self.report(OK, f"recorded {sum(self._counts.values())} messages in {self._path}")
 
     def _on_message(self, name: str, data: bytes) -> None:
         if self._bag is None:
@@ -170,12 +149,12 @@ class RecorderNode(Node):
             self._give_up(error)
 
     def _give_up(self, error: OSError) -> None:
-        """The disk takes no more: keep what is on it and say so."""
+        """The disk is full: keep what is on it and report it."""
         bag, self._bag = self._bag, None
         if bag is not None:
             bag.abandon()
         self._announce()
-        self._diagnostics.report(
+        self.report(
             ERROR,
             f"recording stopped, {self._path} keeps what it has ({error.strerror}): make space",
         )

@@ -11,18 +11,15 @@ import time
 from pathlib import Path
 
 from rclpy.duration import Duration
-from rclpy.node import Node
-from rclpy.task import Future
 from rosgraph_msgs.msg import Clock
 from std_srvs.srv import SetBool
 
 from socket_testbed.errors import ConfigurationError, TestbedError, TrialError
 from socket_testbed.live.pacing import Pacer
+from socket_testbed.nodes.base import ERROR, OK, WARN, TestbedNode
 from socket_testbed.nodes.conversions import stamp_to_ros
-from socket_testbed.nodes.diagnostics import ERROR, OK, WARN, Diagnostics
 from socket_testbed.nodes.followers import Followers
-from socket_testbed.nodes.parameters import Parameters
-from socket_testbed.nodes.runtime import message_type, publisher_qos, run_node
+from socket_testbed.nodes.runtime import run_node
 from socket_testbed.settings.testbed import ReplaySettings
 from socket_testbed.trials.bag import BagReader, RawMessage, decode, stamp_of
 from socket_testbed.trials.topics import DIAGNOSTICS, TRIGGER, Topic, match_topics
@@ -36,33 +33,32 @@ _BREATH = 0.002  # [s]; after a burst
 _PROGRESS_PERIOD = 10.0  # [s]
 
 
-class ReplayNode(Node):
+class ReplayNode(TestbedNode[ReplaySettings]):
     """Publishes a trial from a thread of its own, so that services answer meanwhile."""
 
     def __init__(self) -> None:
-        super().__init__("replay_node")
-        self.finished = Future()
+        super().__init__("replay_node", ReplaySettings)
+        settings = self.settings
         self._failure: TestbedError | None = None
-        self._settings = Parameters(self, ReplaySettings).settings
-        if not self._settings.trial:
+        if not settings.trial:
             raise ConfigurationError("replay_node: trial is empty", "give the path of a trial")
         self._published = 0
-        self._said = time.monotonic()
+        self._reported = time.monotonic()
 
-        self._bag = BagReader(Path(self._settings.trial))
+        self._bag = BagReader(Path(settings.trial))
         self._bag.__enter__()
         self._topics = self._replayed_topics()
-        self._outputs = {
-            name: self.create_publisher(message_type(topic), name, publisher_qos(topic))
-            for name, topic in self._topics.items()
-        }
+        self._by_topic = {name: self.advertise(t, name) for name, t in self._topics.items()}
         self._clock_publisher = self.create_publisher(Clock, "/clock", 10)
-        self._pacer = Pacer(self._settings.rate, self._tick, self._settings.paused)
-        self._followers = Followers(self, self._settings.wait_for, lambda: self._pacer.stopped)
-        self._service = self.create_service(SetBool, "replay/pause", self._on_pause)
-        self._diagnostics = Diagnostics(self, lambda: {"published": self._published})
+        self._pacer = Pacer(settings.rate, self._tick, settings.paused)
+        self._followers = Followers(self, settings.wait_for, lambda: self._pacer.stopped)
+        self._pause = self.create_service(SetBool, "replay/pause", self._on_pause)
         self._thread = threading.Thread(target=self._replay, name="replay")
         self._thread.start()
+
+    def figures(self) -> dict[str, object]:
+        """Number of messages published."""
+        return {"published": self._published}
 
     def close(self) -> None:
         """Stop publishing and close the trial."""
@@ -74,17 +70,17 @@ class ReplayNode(Node):
 
     def _replayed_topics(self) -> dict[str, Topic]:
         """The testbed's topics of the trial by their recorded names."""
-        names = match_topics(self._bag.counts, self._settings.trial)
+        names = match_topics(self._bag.counts, self.settings.trial)
         topics = {
             name: topic
             for topic, name in names.items()
             if self._bag.counts[name] > 0
             and topic is not DIAGNOSTICS  # this graph's own nodes say how they are
-            and not (topic.computed and self._settings.measured_only)
+            and not (topic.computed and self.settings.measured_only)
         }
         if not topics:
             raise TrialError(
-                f"{self._settings.trial}: holds no message on any topic of the testbed",
+                f"{self.settings.trial}: holds no message on any topic of the testbed",
                 "give a trial that 'record' or 'simulate' made",
             )
         return topics
@@ -101,16 +97,16 @@ class ReplayNode(Node):
     def _replay(self) -> None:
         try:
             self._await_ready()
-            self._diagnostics.report(OK, f"replaying {self._settings.trial}")
+            self.report(OK, f"replaying {self.settings.trial}")
             self._publish_once()
-            while self._settings.loop and not self._pacer.stopped:
+            while self.settings.loop and not self._pacer.stopped:
                 self._catch_up(0)
                 self._followers.start_over()
                 self._publish_once()
             self._await_done()
         except TestbedError as error:
             self._failure = error
-            self._diagnostics.report(ERROR, str(error))
+            self.report(ERROR, str(error))
         except Exception:
             # After Ctrl-C the publishers go before this thread does.
             if self.context.ok():
@@ -128,10 +124,10 @@ class ReplayNode(Node):
             if not self._pacer.wait_for(raw.time):
                 return
             self._publish(raw)
-            self._say_how_far((raw.time - first) * 1e-9)
+            self._report_progress((raw.time - first) * 1e-9)
 
     def _publish(self, raw: RawMessage) -> None:
-        self._outputs[raw.topic].publish(raw.data)
+        self._by_topic[raw.topic].publish(raw.data)
         self._published += 1
         if self._topics[raw.topic] is TRIGGER:
             self._followers.sent(stamp_of(decode(raw.data, raw.type)))
@@ -139,10 +135,10 @@ class ReplayNode(Node):
         if self._published % _BURST == 0:
             self._pacer.rest(_BREATH)
 
-    def _say_how_far(self, position: float) -> None:
+    def _report_progress(self, position: float) -> None:
         """Log how far the replay is [s] now and then."""
-        if time.monotonic() - self._said > _PROGRESS_PERIOD:
-            self._said = time.monotonic()
+        if time.monotonic() - self._reported > _PROGRESS_PERIOD:
+            self._reported = time.monotonic()
             self.get_logger().info(f"{position:.1f} of {self._bag.duration:.1f} s")
 
     def _tick(self, stamp: int) -> None:
@@ -150,50 +146,37 @@ class ReplayNode(Node):
 
     def _await_ready(self) -> None:
         """Wait until the subscribers are linked, so that they miss no message."""
-        followed = len(self._followers) > 0
-        if not followed:
-            # Whoever listens is found within the time of a discovery.
+        if not self._followers:
+            # Subscribers are found within the time of a discovery.
             self._pacer.rest(_DISCOVERY)
-
-        def linked(name: str) -> bool:
-            needed = followed and self._topics[name].required
-            wanted = max(self.count_subscribers(name), int(needed))
-            return self._outputs[name].get_subscription_count() >= wanted
-
-        def ready() -> bool:
-            return (
-                all(map(linked, self._topics))
-                and not self._followers.unlinked
-                and self._followers.linked_to_all(self.count_subscribers)
-            )
-
-        is_ready = self._followers.wait(ready, _READY_WITHIN)
+        required = (name for name, topic in self._topics.items() if topic.required)
+        needed = frozenset(required if self._followers else ())
+        lacking = self._followers.await_links(self._by_topic, needed, _READY_WITHIN)
         for name, topic in self._topics.items():
             if topic.required and self.count_publishers(name) > 1:
                 raise TrialError(
                     f"another program publishes {name} on this ROS_DOMAIN_ID",
                     "end it, or set another ROS_DOMAIN_ID: two trials must not mix",
                 )
-        if not is_ready and not self._pacer.stopped:
-            lacking = ", ".join(f"{n} ({w})" for n, w in self._followers.unlinked.items())
+        if lacking:
             raise TrialError(
-                f"after {_READY_WITHIN:g} s not ready: {lacking or 'subscribers'}",
+                f"after {_READY_WITHIN:g} s not ready: {lacking}",
                 "see what these nodes print; is another graph on this ROS_DOMAIN_ID?",
             )
 
     def _await_done(self) -> None:
         """Wait until the last message is received and worked off."""
-        if len(self._followers) > 0:
+        if self._followers:
             self._catch_up(0)
             return
-        for publisher in self._outputs.values():
+        for publisher in self._by_topic.values():
             if publisher.get_subscription_count() > 0:
                 publisher.wait_for_all_acked(Duration(seconds=_DONE_WITHIN))
 
     def _catch_up(self, behind: int) -> None:
         left = self._followers.catch_up(behind, _DONE_WITHIN)
         if left:
-            self._diagnostics.report(WARN, f"{left} triggers were not worked off in time")
+            self.report(WARN, f"{left} triggers were not worked off in time")
 
 
 def main() -> None:

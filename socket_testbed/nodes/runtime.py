@@ -1,4 +1,4 @@
-"""How every node is run: one executor, its services, clean ends, errors in one line."""
+"""How every node runs: one executor, its services, clean ends, errors in one line."""
 
 from __future__ import annotations
 
@@ -8,76 +8,24 @@ import sys
 import threading
 from collections.abc import Callable
 from contextlib import suppress
-from importlib import import_module
-from typing import Any, Protocol
+from typing import Any
 
 import rclpy
 from rclpy.executors import ExternalShutdownException, ShutdownException, SingleThreadedExecutor
 from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.task import Future
 
 from socket_testbed.errors import TestbedError
 from socket_testbed.live.processes import follow_starter
-from socket_testbed.trials.topics import PUBLISHER_DEPTH, Topic
+from socket_testbed.nodes.base import TestbedNode
 
 _SWITCH = 5e-4  # [s]; a thread that is due waits no longer for one that computes
-_TURN = 0.2  # [s]; how often the executor looks whether it is to end
-_SUBSCRIBER_DEPTH = 2000  # [messages]; a fast replay or a busy moment loses nothing
+_LOOK = 0.2  # [s]; how often the executor looks whether it is to end
 
 
-class RunnableNode(Protocol):
-    """What `run_node` needs of a node, besides being one.
-
-    Attributes:
-        finished: Set when the node has done its work.
-    """
-
-    finished: Future
-
-    def close(self) -> None:
-        """End what the node has begun: called once, before it is destroyed."""
-
-    def destroy_node(self) -> None:
-        """Leave the graph."""
-
-
-def publisher_qos(topic: Topic) -> QoSProfile:
-    """Quality of service of a publisher: reliable, keep last 100, volatile, unless latched."""
-    if topic.latched:
-        return latched_qos()
-    return QoSProfile(
-        depth=PUBLISHER_DEPTH,
-        reliability=ReliabilityPolicy.RELIABLE,
-        durability=DurabilityPolicy.VOLATILE,
-    )
-
-
-def subscriber_qos(topic: Topic) -> QoSProfile:
-    """Quality of service of the testbed's own subscribers: as offered, with a deep queue."""
-    qos = publisher_qos(topic)
-    qos.depth = _SUBSCRIBER_DEPTH
-    return qos
-
-
-def latched_qos() -> QoSProfile:
-    """Quality of service of what late subscribers get at once: transient local, depth 1."""
-    return QoSProfile(
-        depth=1,
-        reliability=ReliabilityPolicy.RELIABLE,
-        durability=DurabilityPolicy.TRANSIENT_LOCAL,
-    )
-
-
-def message_type(topic: Topic) -> Any:
-    """Class of a topic's message type."""
-    package, kind, name = topic.type.split("/")
-    return getattr(import_module(f"{package}.{kind}"), name)
-
-
-def run_node(*makes: Callable[[], RunnableNode]) -> None:
-    """Run a node, or several in one process, until one has finished or is told to end; exit.
+def run_node(*makes: Callable[[], TestbedNode[Any]]) -> None:
+    """Run a node, or several in one process, until one has finished or the process is to end; exit.
 
     Args:
         makes: Each makes a node.
@@ -85,14 +33,14 @@ def run_node(*makes: Callable[[], RunnableNode]) -> None:
     sys.exit(_run(makes))
 
 
-def _run(makes: tuple[Callable[[], RunnableNode], ...]) -> int:
+def _run(makes: tuple[Callable[[], TestbedNode[Any]], ...]) -> int:
     # ROS ends its context on SIGINT. Python's KeyboardInterrupt on top of it could strike in the
     # middle of a callback, where nothing can catch it.
     signal.signal(signal.SIGINT, lambda number, frame: None)
     sys.setswitchinterval(_SWITCH)
     rclpy.init()
     follow_starter()
-    nodes: list[RunnableNode] = []
+    nodes: list[TestbedNode[Any]] = []
     try:
         try:
             for make in makes:
@@ -107,7 +55,7 @@ def _run(makes: tuple[Callable[[], RunnableNode], ...]) -> int:
         print(f"error: {error}", file=sys.stderr)
         return 1
     except Exception:
-        # Told to end while it starts or ends, a node finds ROS gone at any of its calls.
+        # Ended while it starts or closes, a node finds ROS gone at any of its calls.
         if rclpy.ok():
             raise
     finally:
@@ -115,17 +63,22 @@ def _run(makes: tuple[Callable[[], RunnableNode], ...]) -> int:
     return 0
 
 
-def _spin(nodes: list[RunnableNode]) -> None:
+def _spin(nodes: list[TestbedNode[Any]]) -> None:
     # What is there now stays: looking through it for garbage would hold up a trigger by 30 ms.
     gc.collect()
     gc.freeze()
     executor = EventsExecutor()
     for node in nodes:
         executor.add_node(node)
+    spin(executor, lambda: any(node.finished.done() for node in nodes), nodes[0].finished)
+
+
+def spin(executor: EventsExecutor, done: Callable[[], bool], future: Future) -> None:
+    """Work until it is done, until a future is, which is noticed at once, or until ROS ends."""
     with suppress(ExternalShutdownException):
-        # spin() of this executor overflows its wait in Jazzy's release; turns do not.
-        while rclpy.ok() and not any(node.finished.done() for node in nodes):
-            executor.spin_until_future_complete(nodes[0].finished, timeout_sec=_TURN)
+        # spin() of this executor overflows its wait in Jazzy's release; limited waits do not.
+        while rclpy.ok() and not done():
+            executor.spin_until_future_complete(future, timeout_sec=_LOOK)
 
 
 class BlockingService:

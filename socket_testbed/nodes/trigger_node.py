@@ -12,8 +12,6 @@ from __future__ import annotations
 import threading
 from collections import deque
 
-from rclpy.node import Node
-from rclpy.task import Future
 from socket_testbed_msgs.msg import Trigger as TriggerMessage
 from std_srvs.srv import SetBool
 
@@ -22,30 +20,27 @@ from socket_testbed.clocks import SteadyClock
 from socket_testbed.drivers.trigger import Trigger
 from socket_testbed.errors import DeviceError
 from socket_testbed.live.hardware import make_trigger, wall_clock
+from socket_testbed.nodes.base import ERROR, OK, WARN, RecentFault, TestbedNode
 from socket_testbed.nodes.conversions import header_to_ros, stamp_from_ros
-from socket_testbed.nodes.diagnostics import ERROR, OK, WARN, Diagnostics, RecentFault
 from socket_testbed.nodes.followers import Followers
-from socket_testbed.nodes.parameters import Parameters
-from socket_testbed.nodes.runtime import publisher_qos, run_node, subscriber_qos
+from socket_testbed.nodes.runtime import run_node
 from socket_testbed.settings.acquisition import TriggerSettings
 from socket_testbed.trials.topics import TRIGGER
 
 _READY_WITHIN = 15.0  # [s]; for the nodes waited for
-_RECENT = 0.5  # [s]; how long a fault is told after its last trigger, at least
-_FOREIGN = 5.0  # [s]; how long another testbed is told
+_RECENT = 0.5  # [s]; how long a fault is reported after its last trigger, at least
+_FOREIGN = 5.0  # [s]; how long another testbed is reported
 _REMEMBERED = 200  # triggers, to know them again
-_STEP = 0.01  # [s]; of the system clock that is worth a word
+_STEP = 0.01  # [s]; of the system clock that is reported
 _REOPEN = 0.3  # [s]
 
 
-class TriggerNode(Node):
+class TriggerNode(TestbedNode[TriggerSettings]):
     """Triggers from a thread of its own, at an even pace on the steady clock."""
 
     def __init__(self) -> None:
-        super().__init__("trigger_node")
-        self.finished = Future()
-        self._adjustable = Parameters(self, TriggerSettings)
-        settings = self._adjustable.settings
+        super().__init__("trigger_node", TriggerSettings)
+        settings = self.settings
         self._epoch = SteadyClock(wall_clock(settings))
         self._trigger: Trigger | None = None
         self._sequence = 0
@@ -56,22 +51,12 @@ class TriggerNode(Node):
         if settings.enabled:
             self._enabled.set()
         self._stopping = threading.Event()
-        self._publisher = self.create_publisher(
-            TriggerMessage, TRIGGER.name, publisher_qos(TRIGGER)
-        )
         self._own: deque[int] = deque(maxlen=_REMEMBERED)
         self._foreign = 0.0
-        self._heard = self.create_subscription(
-            TriggerMessage, TRIGGER.name, self._on_trigger, subscriber_qos(TRIGGER)
-        )
+        self._output = self.advertise(TRIGGER)
+        self.listen(TRIGGER, self._on_trigger, needed=False)
         self._followers = Followers(self, settings.wait_for, self._stopping.is_set)
-        self._service = self.create_service(SetBool, "trigger/enable", self._on_enable)
-        self._diagnostics = Diagnostics(
-            self,
-            self._values,
-            offered=(self._publisher,),
-            look=self._look,
-        )
+        self._enable = self.create_service(SetBool, "trigger/enable", self._on_enable)
         self._thread = threading.Thread(target=self._run, name="trigger")
         self._thread.start()
 
@@ -81,7 +66,8 @@ class TriggerNode(Node):
         self._enabled.set()
         self._thread.join()
 
-    def _values(self) -> dict[str, object]:
+    def figures(self) -> dict[str, object]:
+        """Numbers of pulses, and of those that went wrong."""
         return {
             "pulses": self._sequence,
             "unseen": self._unseen,
@@ -112,7 +98,7 @@ class TriggerNode(Node):
                     self._enabled.wait()
                     due = clocks.monotonic()
                     continue
-                period = 1.0 / self._adjustable.settings.rate
+                period = 1.0 / self.settings.rate
                 due += period
                 if (behind := clocks.monotonic() - due) > period:
                     self._skipped += int(behind / period)
@@ -131,7 +117,7 @@ class TriggerNode(Node):
     def _fire(self) -> None:
         try:
             if self._trigger is None:
-                self._trigger = make_trigger(self._adjustable.settings)
+                self._trigger = make_trigger(self.settings)
             self._sequence += 1
             stamp = self._epoch.to_epoch(self._trigger.fire())
         except DeviceError as error:
@@ -142,49 +128,39 @@ class TriggerNode(Node):
         else:
             header = header_to_ros(stamp)
             self._own.append(stamp)
-            self._publisher.publish(TriggerMessage(header=header, sequence=self._sequence))
+            self._output.publish(TriggerMessage(header=header, sequence=self._sequence))
         if self._trigger is not None:
             self._trigger.rest()
 
     def _await_followers(self) -> None:
         """Let the nodes that measure be linked before the first trigger."""
-
-        def ready() -> bool:
-            linked = self._publisher.get_subscription_count()
-            return (
-                not self._followers.unlinked
-                and linked >= self.count_subscribers(TRIGGER.name)
-                and self._followers.linked_to_all(self.count_subscribers)
-            )
-
         patience = clocks.real(_READY_WITHIN)
-        if not self._followers.wait(ready, patience) and not self._stopping.is_set():
-            lacking = ", ".join(f"{n} ({w})" for n, w in self._followers.unlinked.items())
-            self.get_logger().warning(
-                f"triggering without waiting any longer for {lacking or 'subscribers'}"
-            )
+        outputs = {TRIGGER.name: self._output}
+        if lacking := self._followers.await_links(outputs, frozenset(), patience):
+            self.get_logger().warning(f"triggering without waiting any longer for {lacking}")
 
-    def _look(self) -> None:
+    def look(self) -> None:
+        """Report what the last pulses lacked, another trigger, or a clock that was set."""
         step = self._epoch.step()
-        rate = self._adjustable.settings.rate
+        rate = self.settings.rate
         if fault := self._fault.text(max(_RECENT, 1.5 / rate)):
-            self._diagnostics.report(ERROR, fault)
+            self.report(ERROR, fault)
         elif self._foreign and clocks.monotonic() - self._foreign < _FOREIGN:
-            self._diagnostics.report(
+            self.report(
                 ERROR,
                 "another trigger comes on this ROS_DOMAIN_ID: end the other testbed, or set"
                 " another ROS_DOMAIN_ID; two testbeds must not mix",
             )
         elif not self._enabled.is_set():
-            self._diagnostics.report(WARN, "not enabled: call trigger/enable")
+            self.report(WARN, "not enabled: call trigger/enable")
         elif abs(step) > _STEP:
-            self._diagnostics.report(
+            self.report(
                 WARN,
                 f"the system clock was set by {step:+.3f} s: stamps go on steadily;"
                 " restart after the trial to take the new time over",
             )
         elif self._sequence:
-            self._diagnostics.report(OK, f"triggering at {rate:g} Hz")
+            self.report(OK, f"triggering at {rate:g} Hz")
 
 
 def main() -> None:

@@ -64,9 +64,9 @@ REQUIRED = tuple(topic for topic in TOPICS if topic.required)
 
 PUBLISHER_DEPTH = 100  # [messages]; of every publisher but the latched
 
-# Name of the trial being recorded, empty when there is none (std_msgs/String, latched). It is no
-# measurement: it is not recorded.
-RECORDED_TRIAL = "recorder/trial"
+# Name of the trial being recorded, empty when there is none. It is no measurement: it is not
+# recorded.
+RECORDED_TRIAL = Topic("recorder/trial", "std_msgs/msg/String", latched=True)
 
 
 def match_topics(names: Iterable[str], where: str) -> dict[Topic, str]:

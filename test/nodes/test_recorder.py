@@ -26,14 +26,11 @@ from socket_testbed.trials.topics import (
     DIAGNOSTICS,
     RECORDED_TRIAL,
     WRENCH,
-    Topic,
     match_topics,
 )
 from socket_testbed.trials.trial import Trial
 
 pytestmark = pytest.mark.graph
-
-ANNOUNCED = Topic(RECORDED_TRIAL, "std_msgs/msg/String", latched=True)
 
 
 def counts(trial: Path) -> dict[str, int]:
@@ -157,7 +154,7 @@ def test_a_killed_recorder_loses_two_seconds_at_most_and_goes_on_beside(tmp_path
     trial, beside = tmp_path / "trial", tmp_path / "trial_2"
     settings = ("record:=true", f"directory:={trial}")
     with Probe() as probe:
-        announced, diagnostics = probe.listen(ANNOUNCED), probe.listen(DIAGNOSTICS)
+        announced, diagnostics = probe.listen(RECORDED_TRIAL), probe.listen(DIAGNOSTICS)
         with recorder(*settings) as process:
             probe.wait(lambda: names(announced)[-1:] == ["trial"], "the trial's name")
             send = Sender(probe)
@@ -196,7 +193,7 @@ def test_a_full_disk_ends_the_recording_and_keeps_it(tmp_path: Path) -> None:
     trial = tmp_path / "trial"
     settings = ("record:=true", f"directory:={trial}", "flush_period:=0.1")
     with Probe() as probe, recorder(*settings, limit="200"):
-        announced, diagnostics = probe.listen(ANNOUNCED), probe.listen(DIAGNOSTICS)
+        announced, diagnostics = probe.listen(RECORDED_TRIAL), probe.listen(DIAGNOSTICS)
         send = Sender(probe)
 
         def send_until_full() -> bool:
@@ -214,7 +211,7 @@ def test_a_full_disk_ends_the_recording_and_keeps_it(tmp_path: Path) -> None:
 
 def test_the_trial_s_name_is_announced_while_it_is_recorded(tmp_path: Path) -> None:
     with Probe() as probe, recorder(f"directory:={tmp_path}"):
-        announced = probe.listen(ANNOUNCED)
+        announced = probe.listen(RECORDED_TRIAL)
         probe.wait(lambda: names(announced) == [""], "that there is none")
         answer = probe.call(SetBool, "recorder/record", SetBool.Request(data=True))
         assert answer.success
@@ -222,7 +219,7 @@ def test_the_trial_s_name_is_announced_while_it_is_recorded(tmp_path: Path) -> N
         probe.wait(lambda: names(announced) == ["", trial.name], "the name")
         late = Probe()
         with late:
-            heard = late.listen(ANNOUNCED)
+            heard = late.listen(RECORDED_TRIAL)
             late.wait(lambda: names(heard) == [trial.name], "the name for a late subscriber")
         assert probe.call(SetBool, "recorder/record", SetBool.Request(data=False)).success
         probe.wait(lambda: names(announced) == ["", trial.name, ""], "its end")

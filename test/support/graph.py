@@ -13,7 +13,7 @@ from rclpy.context import Context
 from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.task import Future
 
-from socket_testbed.nodes.runtime import message_type, publisher_qos, subscriber_qos
+from socket_testbed.nodes.base import message_type, publisher_qos, subscriber_qos
 from socket_testbed.trials.topics import Topic
 
 DEADLINE = 60.0  # [s]; a busy machine finds nodes late

@@ -1,4 +1,4 @@
-"""Several nodes in one process, each with its own name and parameters."""
+"""Nodes in one process: `python -m socket_testbed.nodes NODE... --ros-args ...`."""
 
 from __future__ import annotations
 
@@ -10,7 +10,9 @@ from socket_testbed.nodes.runtime import run_node
 
 def main() -> None:
     """Run the nodes named on the command line, such as trigger_node cluster_node."""
-    names = sys.argv[1 : sys.argv.index("--ros-args")]
+    names = sys.argv[1:]
+    if "--ros-args" in names:
+        names = names[: names.index("--ros-args")]
     classes = ["".join(part.capitalize() for part in name.split("_")) for name in names]
     run_node(
         *(

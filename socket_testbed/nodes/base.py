@@ -1,0 +1,315 @@
+"""What every node of the testbed shares: settings, topics, diagnostics.
+
+A node declares the parameters of its settings class, advertises and listens to topics, and reports
+how it is: on /diagnostics at 1 Hz, and at once on a change of level.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+import sys
+from collections.abc import Callable
+from importlib import import_module
+from typing import Any, Generic, TypeVar
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rcl_interfaces.msg import (
+    FloatingPointRange,
+    IntegerRange,
+    ParameterDescriptor,
+    SetParametersResult,
+)
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.publisher import Publisher
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.subscription import Subscription
+from rclpy.task import Future
+
+from socket_testbed import clocks
+from socket_testbed.errors import ConfigurationError
+from socket_testbed.settings.fields import Settings, parameter_values
+from socket_testbed.trials.topics import DIAGNOSTICS, PUBLISHER_DEPTH, Topic
+
+OK, WARN, ERROR = 0, 1, 2  # as in DiagnosticStatus
+
+# Keys of the diagnostics that other nodes read.
+WAITING_FOR = "waiting_for"
+NEWEST_STAMP = "newest_stamp"
+LINKS = "links"  # topic=number of matched subscribers, separated by blanks
+
+_SUBSCRIBER_DEPTH = 2000  # [messages]; a fast replay or a busy moment loses nothing
+_PERIOD = 1.0  # [s]
+_LOOK = 0.1  # [s]; how often the links and the node are looked at
+_RECENT = 0.5  # [s]
+
+S = TypeVar("S", bound=Settings)
+
+
+def publisher_qos(topic: Topic) -> QoSProfile:
+    """Quality of service of a publisher: reliable, keep last 100, volatile.
+
+    Latched topics are transient local with depth 1: late subscribers get the last message.
+    """
+    durability = DurabilityPolicy.TRANSIENT_LOCAL if topic.latched else DurabilityPolicy.VOLATILE
+    depth = 1 if topic.latched else PUBLISHER_DEPTH
+    return QoSProfile(depth=depth, reliability=ReliabilityPolicy.RELIABLE, durability=durability)
+
+
+def subscriber_qos(topic: Topic) -> QoSProfile:
+    """Quality of service of the testbed's own subscribers: as offered, with a deep queue."""
+    qos = publisher_qos(topic)
+    qos.depth = _SUBSCRIBER_DEPTH
+    return qos
+
+
+def message_type(topic: Topic) -> Any:
+    """Class of a topic's message type."""
+    package, kind, name = topic.type.split("/")
+    return getattr(import_module(f"{package}.{kind}"), name)
+
+
+class RecentFault:
+    """The last fault that a node's thread saw."""
+
+    def __init__(self) -> None:
+        self._seen = ("", 0.0)  # one value: it is written in one thread and read in another
+
+    def saw(self, text: str) -> None:
+        """A fault was seen now."""
+        self._seen = (text, clocks.monotonic())
+
+    def text(self, recent: float = _RECENT) -> str:
+        """The fault, empty when it was seen longer ago than this [s]."""
+        text, when = self._seen
+        return text if clocks.monotonic() - when < recent else ""
+
+
+class TestbedNode(Node, Generic[S]):
+    """A node with settings, topics and diagnostics.
+
+    Nodes override `figures`, `look` and `ready` as they need, and `close`.
+
+    Args:
+        name: Name of the node.
+        kind: Class of its settings, which are its parameters.
+        settle: How long the node counts as starting while it has not reported OK [s].
+
+    Attributes:
+        settings: The settings as they are now. A change that they refuse is refused by the node,
+            with the reason.
+        finished: Set when the node has done its work.
+
+    Raises:
+        ConfigurationError: If a parameter given at the start is wrong.
+    """
+
+    __test__ = False
+
+    def __init__(self, name: str, kind: type[S], settle: float = 0.0) -> None:
+        super().__init__(name)
+        self.finished = Future()
+        self._kind = kind
+        for parameter, value in parameter_values(kind()).items():
+            self.declare_parameter(parameter, value, _descriptor(parameter, kind))
+        self.settings = self._read_settings({})
+        self.add_on_set_parameters_callback(self._check_settings)
+        self.add_post_set_parameters_callback(self._change_settings)
+
+        self._inputs: list[Subscription] = []
+        self._outputs: list[tuple[Publisher, bool]] = []
+        self._settled_at = clocks.monotonic() + settle
+        self._level, self._message = OK, "started"
+        self._waiting: list[str] | None = None
+        self._looks = 0
+        self._diagnostics = self.create_publisher(
+            DiagnosticArray, DIAGNOSTICS.name, publisher_qos(DIAGNOSTICS)
+        )
+        # A steady clock: diagnostics go on when the system clock jumps or the replay pauses.
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self._diagnostics_timer = self.create_timer(_LOOK, self._look, clock=steady)
+
+    # What a node overrides.
+
+    def figures(self) -> dict[str, object]:
+        """Figures for the diagnostics, by name."""
+        return {}
+
+    def look(self) -> None:
+        """Look at itself and `report`; called ten times a second."""
+
+    def ready(self) -> bool:
+        """Whether the node itself is ready to work."""
+        return True
+
+    def close(self) -> None:
+        """End what the node has begun: called once, before it is destroyed."""
+
+    # What a node calls.
+
+    def advertise(self, topic: Topic, name: str = "", needed: bool = False) -> Publisher:
+        """A publisher.
+
+        Args:
+            topic: What is published.
+            name: Another name than the topic's.
+            needed: Whether the node is linked only with a subscriber.
+        """
+        publisher = self.create_publisher(
+            message_type(topic), name or topic.name, publisher_qos(topic)
+        )
+        self._outputs.append((publisher, needed))
+        return publisher
+
+    def listen(
+        self,
+        topic: Topic,
+        callback: Callable[[Any], None],
+        name: str = "",
+        needed: bool = True,
+        raw: bool = False,
+    ) -> None:
+        """Subscribe.
+
+        Args:
+            topic: What is subscribed to.
+            callback: Called with each message.
+            name: Another name than the topic's.
+            needed: Whether the node is linked only with a publisher.
+            raw: Whether the callback gets serialised messages.
+        """
+        subscription = self.create_subscription(
+            message_type(topic), name or topic.name, callback, subscriber_qos(topic), raw=raw
+        )
+        if needed:
+            self._inputs.append(subscription)
+
+    def report(self, level: int, message: str) -> None:
+        """Report how the node is; a new level or message goes out at once.
+
+        Args:
+            level: OK, WARN or ERROR.
+            message: The fact and the hint in one line.
+        """
+        if level != OK and clocks.monotonic() < self._settled_at:
+            level, message = WARN, f"starting: {message}"
+        if (level, message) == (self._level, self._message):
+            return
+        # Figures in a message change all the time: they are no news for the log.
+        known = _without_figures(message) == _without_figures(self._message)
+        if level == OK:
+            self._settled_at = 0.0
+        changed = level != self._level
+        self._level, self._message = level, message
+        logger = self.get_logger()
+        if not self.context.ok():  # ROS has ended: only the terminal is left
+            print(f"[{logger.name}]: {message}", file=sys.stderr)
+            return
+        if known and not changed:
+            return
+        # A line each: rclpy refuses another severity from the same line.
+        if level == ERROR:
+            logger.error(message)
+        elif level == WARN:
+            logger.warning(message)
+        else:
+            logger.info(message)
+        if changed:
+            self._publish_diagnostics()
+
+    def _read_settings(self, changes: dict[str, Any]) -> S:
+        names = self._kind.flat()
+        values = {name: self.get_parameter(name).value for name in names}
+        values |= {name: value for name, value in changes.items() if name in values}
+        cleaned = {name: _from_ros(value) for name, value in values.items()}
+        return self._kind.from_flat(cleaned, self.get_name())
+
+    def _check_settings(self, changes: list[Parameter]) -> SetParametersResult:
+        try:
+            self._read_settings({change.name: change.value for change in changes})
+        except ConfigurationError as error:
+            return SetParametersResult(successful=False, reason=str(error))
+        return SetParametersResult(successful=True)
+
+    def _change_settings(self, changes: list[Parameter]) -> None:
+        del changes
+        self.settings = self._read_settings({})
+
+    def _look(self) -> None:
+        try:
+            self.look()
+            waiting = self._unlinked()
+            self._looks += 1
+            if waiting != self._waiting or self._looks * _LOOK >= _PERIOD:
+                self._waiting = waiting
+                self._publish_diagnostics()
+        except Exception:
+            # ROS may have ended meanwhile, at any of these calls.
+            if self.context.ok():
+                raise
+
+    def _unlinked(self) -> list[str]:
+        """Topics without a counterpart in the graph, and the node while it starts."""
+        waiting = [
+            s.topic_name
+            for s in self._inputs
+            if s.get_publisher_count() < max(1, self.count_publishers(s.topic_name))
+        ]
+        waiting += [
+            p.topic_name
+            for p, needed in self._outputs
+            if p.get_subscription_count() < max(needed, self.count_subscribers(p.topic_name))
+        ]
+        settled = clocks.monotonic() >= self._settled_at
+        return waiting if settled and self.ready() else [*waiting, "itself"]
+
+    def _publish_diagnostics(self) -> None:
+        self._looks = 0
+        waiting = "(not looked yet)" if self._waiting is None else ", ".join(self._waiting)
+        links = [f"{p.topic_name}={p.get_subscription_count()}" for p, _ in self._outputs]
+        values = {WAITING_FOR: waiting, LINKS: " ".join(links), **self.figures()}
+        status = DiagnosticStatus(
+            level=bytes([self._level]),
+            name=self.get_name(),
+            message=self._message,
+            hardware_id="",
+            values=[KeyValue(key=key, value=str(value)) for key, value in values.items()],
+        )
+        message = DiagnosticArray(status=[status])
+        message.header.stamp = self.get_clock().now().to_msg()
+        self._diagnostics.publish(message)
+
+
+def _without_figures(message: str) -> str:
+    return re.sub(r"\d+(\.\d+)?", "#", message)
+
+
+def _descriptor(name: str, kind: type[Settings]) -> ParameterDescriptor:
+    item = kind.flat()[name]
+    limits = item.metadata
+    text = limits["description"]
+    if limits["choices"]:
+        text += "; one of " + ", ".join(limits["choices"])
+    # Dynamic typing lets a whole number stand for a double; the settings check the rest.
+    descriptor = ParameterDescriptor(
+        name=name, description=text, dynamic_typing=True, read_only=limits["fixed"]
+    )
+    low, high = limits["low"], limits["high"]
+    if isinstance(item.default, bool) or not isinstance(item.default, int | float):
+        return descriptor
+    if math.isfinite(low) and math.isfinite(high):
+        if isinstance(item.default, int):
+            span = IntegerRange(from_value=int(low), to_value=int(high), step=1)
+            descriptor.integer_range = [span]
+        else:
+            wide = FloatingPointRange(from_value=float(low), to_value=float(high), step=0.0)
+            descriptor.floating_point_range = [wide]
+    return descriptor
+
+
+def _from_ros(value: Any) -> Any:
+    if isinstance(value, str | bool | int | float):
+        return value
+    return [entry for entry in (value or ()) if entry != ""]

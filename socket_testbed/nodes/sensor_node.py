@@ -1,0 +1,107 @@
+"""The base of the nodes that measure at each trigger, in a thread of their own."""
+
+from __future__ import annotations
+
+import queue
+import threading
+
+from socket_testbed_msgs.msg import Trigger
+
+from socket_testbed import clocks
+from socket_testbed.clocks import SteadyClock, TriggerTime
+from socket_testbed.nodes.base import OK, WARN, RecentFault, S, TestbedNode
+from socket_testbed.nodes.conversions import stamp_from_ros
+from socket_testbed.trials.topics import TRIGGER
+
+_IDLE = 0.3  # [s]; without a trigger
+_SETTLE = 5.0  # [s]; for a device to answer before the testbed starts without it
+
+
+class SensorNode(TestbedNode[S]):
+    """Measures at each trigger, one after the other, in their order.
+
+    A node overrides `measure` and `health`, and `idle` as it needs.
+
+    Attributes:
+        fault: The last fault of a measurement.
+        samples: Number of measurements.
+        missing: Number of them, or of their channels, that are missing.
+        busy_since: When the measurement in hand began on the steady clock [s], or None.
+    """
+
+    def __init__(self, name: str, kind: type[S]) -> None:
+        super().__init__(name, kind, settle=_SETTLE)
+        self.fault = RecentFault()
+        self.samples = 0
+        self.missing = 0
+        self.busy_since: float | None = None
+        self._trigger_time = TriggerTime(SteadyClock())
+        self._due: queue.SimpleQueue[tuple[int, float] | None] = queue.SimpleQueue()
+        self._measuring = threading.Thread(target=self._run, name="measure")
+
+    def measure(self, stamp: int, moment: float) -> None:
+        """Measure and publish; called in the thread.
+
+        Args:
+            stamp: Stamp of the trigger since the epoch [ns].
+            moment: Its time on the steady clock [s].
+        """
+        raise NotImplementedError
+
+    def health(self) -> tuple[int, str] | None:
+        """Level and message of the device and its measurements; None before anything is known."""
+        raise NotImplementedError
+
+    def idle(self) -> None:
+        """Look at the device while no trigger comes; called in the thread now and then."""
+
+    def follow_triggers(self) -> None:
+        """Measure from now on."""
+        self.listen(TRIGGER, self._on_trigger)
+        self._measuring.start()
+
+    def close(self) -> None:
+        """Stop measuring; triggers that have come are worked off."""
+        if self._measuring.is_alive():
+            self._due.put(None)
+            self._measuring.join()
+
+    def figures(self) -> dict[str, object]:
+        """Number of measurements, and of those that are missing."""
+        return {"samples": self.samples, "missing": self.missing}
+
+    def look(self) -> None:
+        """Report the device's health, or that triggers had to be placed by their arrival."""
+        if (health := self.health()) is None:
+            return
+        level, message = health
+        if level == OK and (shift := self._trigger_time.shift):
+            level = WARN
+            message = (
+                f"the system clock was set by {-shift:.3f} s between the starts of nodes:"
+                " triggers are placed by their arrival, within 1 ms"
+            )
+        self.report(level, message)
+
+    def _on_trigger(self, message: Trigger) -> None:
+        stamp = stamp_from_ros(message.header.stamp)
+        self._due.put((stamp, self._trigger_time.steady(stamp, clocks.monotonic())))
+
+    def _run(self) -> None:
+        try:
+            while True:
+                try:
+                    entry = self._due.get(timeout=clocks.real(_IDLE))
+                except queue.Empty:
+                    self.idle()
+                    continue
+                if entry is None:
+                    return
+                self.busy_since = clocks.monotonic()
+                self.measure(*entry)
+                self.samples += 1
+                self.busy_since = None
+        except Exception:
+            # After Ctrl-C the publishers go before this thread does.
+            if self.context.ok():
+                raise
