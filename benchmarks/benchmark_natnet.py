@@ -11,11 +11,7 @@ from collections.abc import Callable
 import numpy as np
 from machine import describe_machine
 
-from socket_testbed.drivers.natnet.messages import (
-    ModelDefinitions,
-    RigidBodyDefinition,
-    parse_frame,
-)
+from socket_testbed.drivers.natnet.messages import RigidBodyDefinition, parse_frame
 from socket_testbed.drivers.natnet.tracker import BodyTracker
 from socket_testbed.files import packaged
 from socket_testbed.geometry.socket import read_socket
@@ -34,12 +30,10 @@ def main() -> None:
     geometry = read_socket(packaged("config", "socket.yaml"))
     triads = (geometry.socket_markers, geometry.pylon_markers)
     payload = _payload(triads)
-    models = ModelDefinitions(
-        {
-            name: RigidBodyDefinition(name, identity, tuple(map(tuple, triad.tolist())))
-            for identity, (name, triad) in enumerate(zip(names, triads, strict=True), start=1)
-        }
-    )
+    models = {
+        name: RigidBodyDefinition(name, identity, tuple(map(tuple, triad.tolist())))
+        for identity, (name, triad) in enumerate(zip(names, triads, strict=True), start=1)
+    }
     tracker = BodyTracker(settings, *triads)
     frame = parse_frame(payload, _VERSION)
     for k in range(_FRAMES):

@@ -134,13 +134,9 @@ class TakeKeeper:
 
         def done(answer: Answer) -> None:
             self._busy = False
-            self._trouble = answer.fault(command)
-            if (
-                command == "StopRecording"
-                and answer.raw is not None
-                and self._idle_since is not None
-            ):
-                self._trouble = ""  # it does not record: what was wanted
+            # A server that does not record may refuse to stop: then that is what was wanted.
+            idle = then == self._stopped and self._idle_since is not None
+            self._trouble = "" if idle and answer.raw is not None else answer.fault(command)
             if self._trouble:
                 self._next = self._now + _RETRY
             elif session == self._session:
