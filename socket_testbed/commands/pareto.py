@@ -20,15 +20,15 @@ from socket_testbed.commands.options import (
 from socket_testbed.commands.text import Progress, number, table
 from socket_testbed.errors import ConfigurationError
 from socket_testbed.files import check_number
-from socket_testbed.identification.front import (
+from socket_testbed.identification.pareto import (
     KNEE,
     SENSOR_ONLY,
     WRENCH_ONLY,
     Front,
     front_document,
+    pareto_front,
     write_fronts,
 )
-from socket_testbed.identification.pareto import pareto_front
 from socket_testbed.trials.segment import select_segment
 from socket_testbed.trials.synchronise import read_samples
 

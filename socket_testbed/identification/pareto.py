@@ -1,20 +1,33 @@
-"""The trade-off between the wrench and the clusters: both stages, for one theta after another.
+r"""The trade-off between the wrench and the clusters: both stages, for one theta after another.
 
 Stage 1 depends on theta, so that the gates do, too: each theta has rest positions of its own,
-which both variants share. The data enters through statistics that are taken once
+which both variants share. The samples are reduced once to what all thetas need
 (`StageTwoData`), and each program starts from the solution of the theta before.
+
+The two errors of a front are normalised by the sizes that the objective is normalised by, so
+that they are the same for every theta and both variants:
+
+.. math:: e_w = \sqrt{\frac{1}{|W|} \sum_{c \in W} (RMSE_c / r_c)^2}, \qquad
+          e_f = \sqrt{\frac{1}{|L|} \sum_{c \in L} (RMSE_c / r_f)^2}
+
+with W the channels of the wrench and L those of the clusters in the objective; r_c is the
+root mean square of all measured moments of the segment for a moment, of all measured forces
+for a force, and r_f that of all measured cluster forces. Predicting zero makes both errors 1.
+They are the square roots of J_w and J_f of docs/identification.md.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from socket_testbed.arrays import FloatArray
+from socket_testbed.arrays import BoolArray, FloatArray
 from socket_testbed.errors import ConfigurationError, IdentificationError
-from socket_testbed.files import check_number
+from socket_testbed.files import atomic_output, check_number
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification.box_qp import (
     BoxQP,
@@ -22,9 +35,9 @@ from socket_testbed.identification.box_qp import (
     UncertifiedSolutionError,
     solve_box_qp,
 )
-from socket_testbed.identification.contact import wrench_map
+from socket_testbed.identification.contact import ContactModel, wrench_map
 from socket_testbed.identification.fit import make_model, rest_positions_of
-from socket_testbed.identification.front import Front, FrontPoint, make_front
+from socket_testbed.identification.model_file import finite_or_null
 from socket_testbed.identification.problem import (
     Objective,
     StageTwoData,
@@ -33,42 +46,155 @@ from socket_testbed.identification.problem import (
     build_stage_one,
     build_stage_two,
 )
-from socket_testbed.samples import LOCAL_CHANNELS, WRENCH_CHANNELS, Samples
+from socket_testbed.samples import LOCAL_CHANNELS, WRENCH_CHANNELS, Samples, channel_unit
 from socket_testbed.settings.identification import VARIANTS, IdentificationSettings, Variant
 
+if TYPE_CHECKING:
+    import pandas as pd
 
-def channel_mean_squares(
-    objective: Objective,
-    geometry: SocketGeometry,
-    moments: StageTwoMoments,
-    stiffness: FloatArray,
-    with_bias: bool,
-) -> tuple[FloatArray, FloatArray]:
-    """Mean square errors of the channels over the samples of the objective.
+RESOLUTION = 1e-3  # [-]; a thousandth of what was measured is nothing to trade off
+LEAST_DEPTH = 0.05  # [-]; a front that bends less has no knee
 
-    Args:
-        objective: The samples; those of a channel left out are zeros.
-        geometry: Geometry of the socket.
-        moments: Moments of the data at the model's rest positions.
-        stiffness: Stiffnesses, shape (n, 3) [N/m].
-        with_bias: Whether the model has the offsets that suit it best.
+SENSOR_ONLY, KNEE, WRENCH_ONLY = "sensor-only", "knee", "wrench-only"
 
-    Returns:
-        Those of the wrench, shape (6,) [(N m)^2, N^2], and of the clusters' channels in the
-        objective, shape (m,) [N^2].
+
+@dataclass(frozen=True)
+class FrontPoint:
+    """The solution of both stages at one theta.
+
+    Attributes:
+        theta: Weight of the wrench against the clusters [-].
+        model: The contact model; None where a stage was not certified.
+        rmse: Root-mean-square error of each channel in the objective, shape (m,)
+            [N m, N]; NaN without a model.
+        wrench_error: Normalised error e_w of the wrench [-].
+        local_error: Normalised error e_f of the clusters [-].
+        residual: Largest KKT residual or gap of both stages, in scaled units [-].
+        flaw: Why the solution is not to be used; empty where it is sound.
     """
-    rows = wrench_map(geometry.anchors) * stiffness.reshape(-1)
-    wrench = moments.wrench.mean_square_residuals(rows, with_bias)
-    local = [
-        of_channel.mean_square_residuals(
-            (channel.direction * stiffness[channel.point])[None], with_bias
-        )
-        for channel, of_channel in zip(objective.channels, moments.channels, strict=True)
-    ]
-    return wrench, np.concatenate(local)
+
+    theta: float
+    model: ContactModel | None
+    rmse: FloatArray
+    wrench_error: float
+    local_error: float
+    residual: float
+    flaw: str = ""
 
 
-_STAGE_ONE = "Stage 1"
+@dataclass(frozen=True)
+class Knee:
+    """Where a front bends most, or why it has no knee.
+
+    Attributes:
+        index: Which solution it is; None without a knee.
+        depth: Distance below the chord between the front's ends, in units of the ends' own
+            differences [-]: 0 on the chord, 1 where both errors are at their best at once.
+        span: Differences of e_w and e_f between the ends [-].
+        verdict: The same in words.
+    """
+
+    index: int | None
+    depth: float
+    span: tuple[float, float]
+    verdict: str
+
+
+@dataclass(frozen=True)
+class Front:
+    """The solutions of one variant along theta.
+
+    Attributes:
+        variant: Which offsets the models carry.
+        channels: Names of the m channels in the objective, the wrench's first.
+        theta: Weights of the wrench against the clusters, rising, shape (T,) [-].
+        wrench_error: Normalised errors e_w of the wrench, shape (T,) [-].
+        local_error: Normalised errors e_f of the clusters, shape (T,) [-].
+        rmse: Root-mean-square errors of the channels, shape (T, m) [N m, N].
+        residual: Largest KKT residual or gap of both stages, shape (T,) [-].
+        flaws: Why a solution is not to be used, T texts; empty where it is sound.
+        models: The contact models; None where a stage was not certified.
+        non_dominated: Solutions without flaw that no other one surpasses, shape (T,).
+        knee: Where the non-dominated ones bend most.
+    """
+
+    variant: Variant
+    channels: tuple[str, ...]
+    theta: FloatArray
+    wrench_error: FloatArray
+    local_error: FloatArray
+    rmse: FloatArray
+    residual: FloatArray
+    flaws: tuple[str, ...]
+    models: tuple[ContactModel | None, ...]
+    non_dominated: BoolArray
+    knee: Knee
+
+    @property
+    def sound(self) -> BoolArray:
+        """Solutions without flaw: certified in both stages, and determined, shape (T,)."""
+        return np.array([not flaw for flaw in self.flaws], dtype=bool)
+
+    @property
+    def marks(self) -> dict[str, int]:
+        """The solutions that stand out, by name, where there are such."""
+        marks = {SENSOR_ONLY: np.flatnonzero(self.sound & (self.theta == 0.0))}
+        if self.knee.index is not None:
+            marks[KNEE] = np.array([self.knee.index])
+        marks[WRENCH_ONLY] = np.flatnonzero(self.sound & (self.theta == 1.0))
+        return {name: int(index[0]) for name, index in marks.items() if len(index)}
+
+    @property
+    def worst_residual(self) -> float:
+        """Largest KKT residual or gap of the solutions without flaw [-]; NaN without any."""
+        return float(self.residual[self.sound].max()) if self.sound.any() else float("nan")
+
+    @property
+    def moment_rmse(self) -> FloatArray:
+        """Mean RMSE of the moments in the objective, shape (T,) [N m]; NaN without any."""
+        return self._mean_rmse("M")
+
+    @property
+    def force_rmse(self) -> FloatArray:
+        """Mean RMSE of the forces in the objective, shape (T,) [N]; NaN without any."""
+        return self._mean_rmse("F")
+
+    @property
+    def local_rmse(self) -> FloatArray:
+        """Median RMSE of the clusters' channels in the objective, shape (T,) [N]."""
+        return np.median(self.rmse[:, ["." in name for name in self.channels]], axis=1)
+
+    def to_dataframe(self) -> pd.DataFrame:
+        """The solutions as a pandas table, a row per theta, with the units in the names.
+
+        Errors are NaN where there is no solution; `mark` names the solutions that stand out and
+        `flaw` says why a solution is not to be used.
+        """
+        import pandas as pd
+
+        marks = {index: name for name, index in self.marks.items()}
+        columns: dict[str, Any] = {
+            "variant": self.variant,
+            "theta [-]": self.theta,
+            "wrench error [-]": self.wrench_error,
+            "local error [-]": self.local_error,
+            "non-dominated": self.non_dominated.astype(int),
+            "mark": [marks.get(i, "") for i in range(len(self.theta))],
+            "mean moment RMSE [N m]": self.moment_rmse,
+            "mean force RMSE [N]": self.force_rmse,
+            "median local RMSE [N]": self.local_rmse,
+            "KKT residual or gap [-]": self.residual,
+            "flaw": list(self.flaws),
+        }
+        for name, rmse in zip(self.channels, self.rmse.T, strict=True):
+            columns[f"RMSE {name} [{channel_unit(name)}]"] = rmse
+        return pd.DataFrame(columns)
+
+    def _mean_rmse(self, kind: str) -> FloatArray:
+        columns = [name in WRENCH_CHANNELS and name[0] == kind for name in self.channels]
+        if not any(columns):
+            return np.full(len(self.theta), np.nan)
+        return self.rmse[:, columns].mean(axis=1)
 
 
 def pareto_front(
@@ -81,9 +207,9 @@ def pareto_front(
 ) -> dict[Variant, Front]:
     """Identify the contact model for every theta and variant.
 
-    At theta 0 the wrench bears no weight, at theta 1 the clusters bear none: what the other
-    group leaves open is then decided by the smoothness alone. A solution that is not
-    certified, or that nothing decides, carries its flaw and is not on the front.
+    At theta 0 the wrench has no weight, at theta 1 the clusters have none: the smoothness
+    alone then determines what the other group leaves open. A solution that is not certified,
+    or not determined, carries its flaw and is not on the front.
 
     Args:
         samples: Samples of the segment; those without a wrench or a limb position are
@@ -92,7 +218,7 @@ def pareto_front(
         settings: Settings of the identification; its theta and variant do not matter.
         thetas: Weights of the wrench against the clusters, in [0, 1] and rising [-].
         variants: Which offsets the models carry, a front each.
-        progress: Told the number of thetas done and of all.
+        progress: Called with the number of thetas done and of all.
 
     Raises:
         ConfigurationError: For an unknown channel, cluster or solver, or wrong thetas.
@@ -122,7 +248,7 @@ class _Walk:
         objective: The samples and weights.
         geometry: Geometry of the socket.
         settings: Settings of the identification.
-        clusters: Names of the clusters that the models are to know.
+        clusters: Names of the clusters of the models.
         thetas: How many thetas there are.
     """
 
@@ -147,7 +273,7 @@ class _Walk:
         objective = replace(self._objective, theta=theta)
         program = build_stage_one(objective, self._geometry, self._settings)
         try:
-            rest = self._solve(program, _STAGE_ONE)
+            rest = self._solve(program, "Stage 1")
         except UncertifiedSolutionError as error:
             return {variant: self._flawed(theta, error) for variant in variants}
         rest_positions = rest_positions_of(rest, objective)
@@ -158,7 +284,7 @@ class _Walk:
                 point = self._solve_springs(objective, variant, rest_positions, moments)
             except UncertifiedSolutionError as error:
                 point = self._flawed(theta, error)
-            flaw = point.flaw or _openness(program, rest)
+            flaw = point.flaw or _undetermined(program, rest)
             residual = float(np.max([point.residual, rest.certificate.worst]))
             points[variant] = replace(point, flaw=flaw, residual=residual)
         return points
@@ -186,7 +312,7 @@ class _Walk:
             wrench_error=float(np.sqrt(objective.wrench_shares @ wrench)),
             local_error=float(np.sqrt(objective.channel_share * local.sum())),
             residual=springs.certificate.worst,
-            flaw=_openness(stage.program, springs),
+            flaw=_undetermined(stage.program, springs),
         )
 
     def _solve(self, program: BoxQP, name: str) -> BoxSolution:
@@ -203,8 +329,8 @@ class _Walk:
         return FrontPoint(theta, None, rmse, nan, nan, residual, error.fact)
 
 
-def _openness(program: BoxQP, solution: BoxSolution) -> str:
-    """What is said of a solution that is not the only one; nothing where it is."""
+def _undetermined(program: BoxQP, solution: BoxSolution) -> str:
+    """The flaw of a solution that is one of many; empty where it is the only one."""
     if solution.determined:
         return ""
     return f"{program.name}: neither the data nor the smoothness determine all of them"
@@ -243,3 +369,164 @@ def _require_a_solution(fronts: dict[Variant, Front]) -> None:
         f"no theta gives a solution without flaw: {flaw}",
         "give more smoothness, another solver or a longer segment",
     )
+
+
+def channel_mean_squares(
+    objective: Objective,
+    geometry: SocketGeometry,
+    moments: StageTwoMoments,
+    stiffness: FloatArray,
+    with_bias: bool,
+) -> tuple[FloatArray, FloatArray]:
+    """Mean square errors of the channels over the samples of the objective.
+
+    Args:
+        objective: The samples; those of a channel left out are zeros.
+        geometry: Geometry of the socket.
+        moments: Moments of the data at the model's rest positions.
+        stiffness: Stiffnesses, shape (n, 3) [N/m].
+        with_bias: Whether the model has the offsets that suit it best.
+
+    Returns:
+        Those of the wrench, shape (6,) [(N m)^2, N^2], and of the clusters' channels in the
+        objective, shape (m,) [N^2].
+    """
+    rows = wrench_map(geometry.anchors) * stiffness.reshape(-1)
+    wrench = moments.wrench.mean_square_residuals(rows, with_bias)
+    local = [
+        of_channel.mean_square_residuals(
+            (channel.direction * stiffness[channel.point])[None], with_bias
+        )
+        for channel, of_channel in zip(objective.channels, moments.channels, strict=True)
+    ]
+    return wrench, np.concatenate(local)
+
+
+def make_front(variant: Variant, channels: tuple[str, ...], points: Sequence[FrontPoint]) -> Front:
+    """The front of solutions, in the order of their thetas."""
+    wrench_error = np.array([point.wrench_error for point in points])
+    local_error = np.array([point.local_error for point in points])
+    sound = np.array([not point.flaw for point in points], dtype=bool)
+    kept = find_non_dominated(wrench_error, local_error, sound)
+    return Front(
+        variant=variant,
+        channels=channels,
+        theta=np.array([point.theta for point in points]),
+        wrench_error=wrench_error,
+        local_error=local_error,
+        rmse=np.array([point.rmse for point in points]).reshape(len(points), len(channels)),
+        residual=np.array([point.residual for point in points]),
+        flaws=tuple(point.flaw for point in points),
+        models=tuple(point.model for point in points),
+        non_dominated=kept,
+        knee=find_knee(wrench_error, local_error, kept),
+    )
+
+
+def find_non_dominated(
+    wrench_error: FloatArray, local_error: FloatArray, sound: BoolArray
+) -> BoolArray:
+    """Solutions for which no other is as good in both errors and better in one, shape (T,).
+
+    Args:
+        wrench_error: Normalised errors e_w, shape (T,) [-].
+        local_error: Normalised errors e_f, shape (T,) [-].
+        sound: Which solutions count, shape (T,); the others neither dominate nor are kept.
+    """
+    kept = np.zeros(len(sound), dtype=bool)
+    order = np.lexsort((local_error, wrench_error))
+    best = (np.inf, np.inf)  # the last one kept: (local, wrench)
+    for index in order[sound[order]]:
+        errors = (local_error[index], wrench_error[index])
+        if errors[0] < best[0] or errors == best:
+            kept[index], best = True, errors
+    return kept
+
+
+def find_knee(wrench_error: FloatArray, local_error: FloatArray, kept: BoolArray) -> Knee:
+    """The solution that lies farthest below the chord between the ends of a front.
+
+    The farthest is the same one whatever the axes are scaled by.
+
+    Args:
+        wrench_error: Normalised errors e_w, shape (T,) [-].
+        local_error: Normalised errors e_f, shape (T,) [-].
+        kept: The non-dominated solutions, shape (T,).
+    """
+    front = np.flatnonzero(kept)
+    if len(front) == 0:
+        return Knee(None, np.nan, (np.nan, np.nan), "no knee: no solution is without flaw")
+    errors = np.stack([wrench_error[front], local_error[front]])
+    width, height = np.ptp(errors, axis=1).tolist()
+    extent = f"the front spans {width:.2g} by {height:.2g}"
+    if min(width, height) < RESOLUTION:
+        verdict = f"no knee: {extent}, nothing to trade off"
+        return Knee(None, 0.0, (width, height), verdict)
+    low = errors.min(axis=1)
+    depths = 1.0 - (errors[0] - low[0]) / width - (errors[1] - low[1]) / height
+    deepest = int(depths.argmax())
+    depth = float(depths[deepest])
+    if depth < LEAST_DEPTH:
+        return Knee(None, depth, (width, height), f"no knee: {extent} and is straight")
+    verdict = f"knee of depth {depth:.2f}: {extent}"
+    return Knee(int(front[deepest]), depth, (width, height), verdict)
+
+
+def front_table(fronts: Iterable[Front]) -> pd.DataFrame:
+    """Fronts of the same samples as one table: see `Front.to_dataframe`."""
+    import pandas as pd
+
+    return pd.concat([front.to_dataframe() for front in fronts], ignore_index=True)
+
+
+def write_fronts(fronts: Iterable[Front], path: Path) -> None:
+    """Write fronts as CSV: see `front_table`; a missing value is an empty cell.
+
+    Args:
+        fronts: Fronts of the same samples.
+        path: File to write; an older one is replaced.
+
+    Raises:
+        ConfigurationError: If the file cannot be written.
+    """
+    table = front_table(fronts)
+    with atomic_output(path) as staging:
+        table.to_csv(staging, index=False, float_format="%.10g")
+
+
+def front_document(front: Front) -> dict[str, Any]:
+    """A front for JSON: what stands out on it, and every solution."""
+    return {
+        "variant": front.variant,
+        "knee": {
+            "theta": None if front.knee.index is None else float(front.theta[front.knee.index]),
+            "depth": finite_or_null(front.knee.depth),
+            "span": [finite_or_null(span) for span in front.knee.span],
+            "verdict": front.knee.verdict,
+        },
+        "marks": {name: _solution(front, index) for name, index in front.marks.items()},
+        "non_dominated": int(front.non_dominated.sum()),
+        "worst_residual": finite_or_null(front.worst_residual),
+        "solutions": [_solution(front, index) for index in range(len(front.theta))],
+    }
+
+
+def _solution(front: Front, index: int) -> dict[str, Any]:
+    figures = {
+        "theta": front.theta,
+        "wrench_error": front.wrench_error,
+        "local_error": front.local_error,
+        "mean_moment_rmse": front.moment_rmse,
+        "mean_force_rmse": front.force_rmse,
+        "median_local_rmse": front.local_rmse,
+        "residual": front.residual,
+    }
+    document: dict[str, Any] = {
+        name: finite_or_null(float(values[index])) for name, values in figures.items()
+    }
+    rmse = zip(front.channels, front.rmse[index].tolist(), strict=True)
+    return document | {
+        "rmse": {name: finite_or_null(value) for name, value in rmse},
+        "non_dominated": bool(front.non_dominated[index]),
+        "flaw": front.flaws[index] or None,
+    }

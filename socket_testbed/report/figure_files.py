@@ -17,7 +17,7 @@ from matplotlib.figure import Figure
 
 from socket_testbed.arrays import FloatArray
 from socket_testbed.identification.evaluation import trusted_values
-from socket_testbed.identification.front import front_table
+from socket_testbed.identification.pareto import front_table
 from socket_testbed.report.figures.channels import (
     FORCES_FIRST,
     MOST_POINTS,

@@ -27,9 +27,8 @@ from socket_testbed.identification.evaluation import (
     trusted_values,
 )
 from socket_testbed.identification.fit import Fit, Implausible, find_implausible, fit_contact_model
-from socket_testbed.identification.front import Front
 from socket_testbed.identification.model_file import StoredModel
-from socket_testbed.identification.pareto import pareto_front
+from socket_testbed.identification.pareto import Front, pareto_front
 from socket_testbed.samples import LOCAL_CHANNELS, WRENCH_CHANNELS, Samples, Status
 from socket_testbed.settings.identification import VARIANTS, Variant
 from socket_testbed.settings.testbed import EstimatorSettings

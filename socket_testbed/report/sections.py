@@ -14,7 +14,7 @@ import numpy as np
 import pandas as pd
 
 from socket_testbed.identification.evaluation import ChannelErrors, summarise_errors
-from socket_testbed.identification.front import KNEE, SENSOR_ONLY, WRENCH_ONLY
+from socket_testbed.identification.pareto import KNEE, SENSOR_ONLY, WRENCH_ONLY
 from socket_testbed.report.page import Table, counted, number
 from socket_testbed.report.results import (
     Results,

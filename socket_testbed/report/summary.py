@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from socket_testbed.identification.evaluation import summarise_errors
-from socket_testbed.identification.front import Front
+from socket_testbed.identification.pareto import Front
 from socket_testbed.report.page import counted, number
 from socket_testbed.report.results import (
     Candidate,

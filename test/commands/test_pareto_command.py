@@ -10,7 +10,7 @@ import pytest
 from socket_testbed.__main__ import run as run_verb
 from socket_testbed.commands import pareto as verb
 from socket_testbed.errors import TestbedError
-from socket_testbed.identification.front import KNEE, SENSOR_ONLY, WRENCH_ONLY
+from socket_testbed.identification.pareto import KNEE, SENSOR_ONLY, WRENCH_ONLY
 from socket_testbed.settings.identification import VARIANTS
 
 

@@ -9,7 +9,7 @@ import pytest
 from matplotlib.image import imread
 
 from socket_testbed.errors import ConfigurationError
-from socket_testbed.identification.front import (
+from socket_testbed.identification.pareto import (
     KNEE,
     LEAST_DEPTH,
     RESOLUTION,

@@ -10,8 +10,7 @@ from support.problems import make_case
 from socket_testbed.errors import ConfigurationError, IdentificationError, TestbedError
 from socket_testbed.identification import pareto
 from socket_testbed.identification.box_qp import UncertifiedSolutionError, solve_box_qp
-from socket_testbed.identification.front import SENSOR_ONLY
-from socket_testbed.identification.pareto import pareto_front
+from socket_testbed.identification.pareto import SENSOR_ONLY, pareto_front
 
 
 def split_socket(geometry):

@@ -26,8 +26,8 @@ from support.bags import rewrite
 from socket_testbed.commands import report
 from socket_testbed.errors import ConfigurationError, TestbedError
 from socket_testbed.identification.evaluation import evaluate, summarise_errors, trusted_values
-from socket_testbed.identification.front import KNEE, SENSOR_ONLY, WRENCH_ONLY
 from socket_testbed.identification.model_file import read_model
+from socket_testbed.identification.pareto import KNEE, SENSOR_ONLY, WRENCH_ONLY
 from socket_testbed.report.results import Results, compute_results
 from socket_testbed.report.sections import PAPER_FIGURES, provenance
 from socket_testbed.report.summary import list_notes, summarise

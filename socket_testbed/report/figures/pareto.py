@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator
 
-from socket_testbed.identification.front import KNEE, SENSOR_ONLY, WRENCH_ONLY, Front
+from socket_testbed.identification.pareto import KNEE, SENSOR_ONLY, WRENCH_ONLY, Front
 from socket_testbed.report.figures.style import MODEL_STYLES, dress, lay_out
 
 _MARKS: dict[str, dict[str, Any]] = {
