@@ -33,6 +33,7 @@ from socket_testbed.report.figures.socket_picture import tile_map_figure
 from socket_testbed.report.figures.style import save_figure, svg_of
 from socket_testbed.report.results import Candidate, Results, unusable
 from socket_testbed.samples import LOCAL_CHANNELS, WRENCH_CHANNELS, channel_unit
+from socket_testbed.tables import write_table
 
 _PICTURES = (".pdf", ".png")
 _AXES = "xyz"
@@ -79,12 +80,7 @@ class ReportFigure:
         """Write the figure and its data."""
         for suffix in _PICTURES:
             save_figure(self.drawn, folder / f"{self.name}{suffix}")
-        write_csv(self.data, folder / f"{self.name}.csv")
-
-
-def write_csv(table: pd.DataFrame, path: Path) -> None:
-    """Write a table without its index; a value that is missing is an empty cell."""
-    table.to_csv(path, index=False)
+        write_table(self.data, folder / f"{self.name}.csv")
 
 
 def wrench(results: Results) -> Iterator[ReportFigure]:

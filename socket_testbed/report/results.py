@@ -1,4 +1,4 @@
-r"""All that a report tells of a trial, computed once, with the quality of its data.
+r"""All that a report says of a trial, computed once, with the quality of its data.
 
 The decorrelation time of a series sampled every :math:`\Delta t` is
 
@@ -15,9 +15,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import pandas as pd
 from scipy.fft import irfft, next_fast_len, rfft
 
-from socket_testbed.arrays import BoolArray, FloatArray
+from socket_testbed.arrays import BoolArray, FloatArray, StatusArray
 from socket_testbed.errors import IdentificationError
 from socket_testbed.identification.contact import ContactModel
 from socket_testbed.identification.evaluation import (
@@ -36,7 +37,13 @@ from socket_testbed.trials.segment import Segment, find_plateaus, select_segment
 from socket_testbed.trials.synchronise import read_samples
 from socket_testbed.trials.trial import Trial
 
+GIVEN = "given"
+_LEAST_HELD_OUT = 10  # samples
 _GAP = 1.5  # [-]; of the usual period
+_WINDOW = 5.0  # [-]; of the decorrelation time: Sokal's choice
+_PADDING = 4  # [-]; of the samples: all that the gaps between them may add
+_LEAST_SAMPLES = 8
+_ROUNDING = 1e-24  # [-]; mean square of residuals that are constant, against their size
 
 
 @dataclass(frozen=True)
@@ -69,12 +76,6 @@ def find_gaps(time: FloatArray) -> tuple[Gap, ...]:
     gaps = np.flatnonzero(periods > _GAP * usual_period(time))
     longest_first = gaps[np.argsort(-periods[gaps], kind="stable")]
     return tuple(Gap(float(time[i]), float(periods[i])) for i in longest_first)
-
-
-_WINDOW = 5.0  # [-]; of the decorrelation time: Sokal's choice
-_PADDING = 4  # [-]; of the samples: all that the gaps between them may add
-_LEAST_SAMPLES = 8
-_ROUNDING = 1e-24  # [-]; mean square of residuals that are constant, against their size
 
 
 @dataclass(frozen=True)
@@ -156,7 +157,7 @@ class Triggers:
     """The triggers of a trial.
 
     Attributes:
-        count: Number of samples, one a trigger.
+        count: Number of samples, one per trigger.
         complete: Number of those with a wrench and a limb position.
         duration: From the first to the last [s].
         period: Usual time between them [s]; NaN for a single one.
@@ -168,27 +169,6 @@ class Triggers:
     duration: float
     period: float
     gaps: tuple[Gap, ...]
-
-
-@dataclass(frozen=True)
-class DropOuts:
-    """What one measurement lacks.
-
-    Attributes:
-        name: The measurement: a channel, or several that come together.
-        missing: Samples of the trial without it.
-        missing_in_segment: Samples of the segment without it.
-        longest: Longest time without it [s].
-        saturated: Samples in which it was saturated; None where that is not known.
-        out_of_range: Samples in which it was out of its calibrated range; likewise.
-    """
-
-    name: str
-    missing: int
-    missing_in_segment: int
-    longest: float
-    saturated: int | None = None
-    out_of_range: int | None = None
 
 
 @dataclass(frozen=True)
@@ -221,35 +201,63 @@ def describe_triggers(samples: Samples) -> Triggers:
 
 def unusable(samples: Samples) -> dict[str, BoolArray]:
     """Samples in which a measurement cannot be used, shape (N,) each, by its name."""
-    lacking: dict[str, BoolArray] = {
+    return _missing(samples) | {
+        name: np.asarray(status != Status.OK) for name, status in _statuses(samples).items()
+    }
+
+
+def find_drop_outs(samples: Samples, segment: Segment) -> pd.DataFrame:
+    """What each measurement lacks: a row per channel of the wrench, limb position and cluster.
+
+    Returns:
+        `missing [1]` and `missing [%]` of the samples, `of them in the segment [1]`, the `longest
+        [s]` time without it, and `saturated [1]` and `out of range [1]` of the clusters, NaN for
+        the others.
+    """
+    statuses = _statuses(samples)
+    rows = {
+        name: {
+            "missing [1]": missing.sum(),
+            "missing [%]": 100.0 * missing.mean(),
+            "of them in the segment [1]": missing[segment.rows].sum(),
+            "longest [s]": _longest(missing, samples.time),
+            "saturated [1]": _count(statuses.get(name), Status.SATURATED),
+            "out of range [1]": _count(statuses.get(name), Status.OUT_OF_RANGE),
+        }
+        for name, missing in _missing(samples).items()
+    }
+    return pd.DataFrame.from_dict(rows, orient="index").rename_axis("measurement")
+
+
+def _missing(samples: Samples) -> dict[str, BoolArray]:
+    """Samples without a measurement, shape (N,) each, by its name."""
+    nothing: dict[str, BoolArray] = {
         name: np.isnan(samples.wrench[:, i]) for i, name in enumerate(WRENCH_CHANNELS)
     }
-    lacking["limb position"] = np.asarray(np.isnan(samples.position).any(axis=1))
-    for column, cluster in enumerate(samples.clusters):
-        lacking[_cluster_row(cluster)] = samples.status[:, column] != Status.OK
-    return lacking
+    nothing["limb position"] = np.asarray(np.isnan(samples.position).any(axis=1))
+    return nothing | {
+        name: np.asarray(status == Status.MISSING) for name, status in _statuses(samples).items()
+    }
 
 
-def count_drop_outs(samples: Samples, segment: Segment) -> tuple[DropOuts, ...]:
-    """What each measurement lacks, in the trial and in the segment."""
-    lacking = unusable(samples)
-    counted = [
-        _drop_outs(name, lacking[name], samples.time, segment)
-        for name in (*WRENCH_CHANNELS, "limb position")
-    ]
-    for column, cluster in enumerate(samples.clusters):
-        status = samples.status[:, column]
-        counted.append(
-            _drop_outs(
-                _cluster_row(cluster),
-                status == Status.MISSING,
-                samples.time,
-                segment,
-                saturated=int((status == Status.SATURATED).sum()),
-                out_of_range=int((status == Status.OUT_OF_RANGE).sum()),
-            )
-        )
-    return tuple(counted)
+def _statuses(samples: Samples) -> dict[str, StatusArray]:
+    """Status of each cluster's channels, which come together, shape (N,) each."""
+    return {
+        f"{name} ({', '.join(LOCAL_CHANNELS)})": samples.status[:, column]
+        for column, name in enumerate(samples.clusters)
+    }
+
+
+def _count(statuses: StatusArray | None, status: Status) -> float:
+    return np.nan if statuses is None else float((statuses == status).sum())
+
+
+def _longest(missing: BoolArray, time: FloatArray) -> float:
+    """Longest time without a value, from the last one to the next, within the trial [s]."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], missing, [False]]).astype(np.int8)))
+    first, after = edges[::2], edges[1::2]
+    before = np.maximum(first - 1, 0)
+    return float((time[np.minimum(after, len(time) - 1)] - time[before]).max(initial=0.0))
 
 
 def measure_steadiness(samples: Samples) -> Steadiness:
@@ -268,34 +276,6 @@ def _mean_and_sigma(vectors: FloatArray) -> tuple[float, float]:
     return magnitude, float(np.linalg.norm(vectors, axis=1).std())
 
 
-def _cluster_row(cluster: str) -> str:
-    return f"{cluster} ({', '.join(LOCAL_CHANNELS)})"
-
-
-def _drop_outs(
-    name: str, missing: BoolArray, time: FloatArray, segment: Segment, **counts: int
-) -> DropOuts:
-    return DropOuts(
-        name=name,
-        missing=int(missing.sum()),
-        missing_in_segment=int(missing[segment.rows].sum()),
-        longest=_longest(missing, time),
-        **counts,
-    )
-
-
-def _longest(missing: BoolArray, time: FloatArray) -> float:
-    """Longest time without a value, from the last one to the next, within the trial [s]."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], missing, [False]]).astype(np.int8)))
-    first, after = edges[::2], edges[1::2]
-    before = np.maximum(first - 1, 0)
-    return float((time[np.minimum(after, len(time) - 1)] - time[before]).max(initial=0.0))
-
-
-GIVEN = "given"
-_LEAST_HELD_OUT = 10  # samples
-
-
 @dataclass(frozen=True)
 class Candidate:
     """A model whose predictions are shown.
@@ -308,7 +288,7 @@ class Candidate:
             shape (N, 6 + 3c) [N m, N].
         errors: Its errors over the segment.
         held_out: Its errors over the rest of the trial; empty where there is too little.
-        residuals: What its residuals over the segment have in common, a channel each.
+        residuals: What its residuals over the segment have in common, per channel.
         fit: The fit over the segment; None for a model that was given.
         given: The model that was given; None for one that was fitted here.
     """
@@ -339,7 +319,7 @@ class Results:
         no_fronts: Why there are none; empty where there are.
         implausible: Channels that are proposed to be left out.
         plateaus: Steady stretches of the trial, the longest first.
-        bag_notes: What is to be known of the trial's bag.
+        bag_notes: What a reader must know of the trial's bag.
     """
 
     trial: Trial
@@ -393,7 +373,7 @@ def compute_results(
         settings: Settings of the estimator; the variant does not matter.
         thetas: Weights of the wrench against the clusters, rising [-].
         given: A model to be shown as well.
-        progress: Told the number of thetas done and of all.
+        progress: Called with the number of thetas done and of all.
 
     Raises:
         TrialError: If the trial cannot be read or holds no such segment.

@@ -18,8 +18,8 @@ from socket_testbed.identification.pareto import KNEE, SENSOR_ONLY, WRENCH_ONLY
 from socket_testbed.report.page import Table, counted, number
 from socket_testbed.report.results import (
     Results,
-    count_drop_outs,
     describe_triggers,
+    find_drop_outs,
     measure_steadiness,
 )
 from socket_testbed.report.summary import list_notes, summarise
@@ -350,21 +350,8 @@ def _plateaus(results: Results) -> Table:
 
 
 def _drop_outs(results: Results) -> Table:
-    count = len(results.samples)
-    rows = [
-        {
-            "measurement": lost.name,
-            "missing [1]": lost.missing,
-            "missing [%]": 100.0 * lost.missing / count,
-            "of them in the segment [1]": lost.missing_in_segment,
-            "longest [s]": lost.longest,
-            "saturated [1]": np.nan if lost.saturated is None else lost.saturated,
-            "out of range [1]": np.nan if lost.out_of_range is None else lost.out_of_range,
-        }
-        for lost in count_drop_outs(results.samples, results.segment)
-    ]
-    formats = dict.fromkeys(rows[0], ".0f") | {"missing [%]": ".2f", "longest [s]": ".2f"}
-    frame = pd.DataFrame(rows).set_index("measurement")
+    frame = find_drop_outs(results.samples, results.segment)
+    formats = dict.fromkeys(frame, ".0f") | {"missing [%]": ".2f", "longest [s]": ".2f"}
     return Table("drop-outs", "Samples of the trial without a measurement", frame, formats)
 
 

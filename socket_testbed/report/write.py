@@ -13,11 +13,11 @@ from socket_testbed.report.figure_files import (
     errors_table,
     residuals_table,
     surface_scene,
-    write_csv,
 )
 from socket_testbed.report.page import render
 from socket_testbed.report.results import Results
 from socket_testbed.report.sections import page_content
+from socket_testbed.tables import write_table
 
 _SUFFIXES = (".html", ".htm")
 
@@ -68,8 +68,8 @@ def write_report(
             figure.write(new_folder)
             if progress is not None:
                 progress(done, len(drawn))
-        write_csv(errors_table(results.candidates), new_folder / "errors.csv")
-        write_csv(residuals_table(results.candidates), new_folder / "residuals.csv")
+        write_table(errors_table(results.candidates), new_folder / "errors.csv")
+        write_table(residuals_table(results.candidates), new_folder / "residuals.csv")
         text = render(
             "report.html",
             title=f"Report on {results.trial.name}",

@@ -529,7 +529,7 @@ def test_what_fails_in_the_middle_leaves_nothing(results, tmp_path, monkeypatch)
         assert [p.name for p in path.parent.iterdir()] == ["figure.png"]
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("socket_testbed.report.write.write_csv", full)
+    monkeypatch.setattr("socket_testbed.report.write.write_table", full)
     monkeypatch.setattr("socket_testbed.report.write.draw_figures", lambda _: {"": [HalfAFigure()]})
     with pytest.raises(ConfigurationError, match="No space left"):
         write_report(results, tmp_path / "page.html", "", MADE)

@@ -16,8 +16,8 @@ from socket_testbed.identification.evaluation import (
 from socket_testbed.report.figures.style import thin
 from socket_testbed.report.results import (
     autocorrelation,
-    count_drop_outs,
     describe_triggers,
+    find_drop_outs,
     find_gaps,
     unusable,
 )
@@ -115,13 +115,16 @@ def spoilt(rng):
 
 def test_drop_outs_are_counted_by_measurement(spoilt):
     segment = Segment("span", 0.0, 4.0, slice(0, 17))
-    lost = {row.name: row for row in count_drop_outs(spoilt, segment)}
-    assert (lost["Mz"].missing, lost["Mz"].missing_in_segment) == (10, 7)
-    assert lost["Mz"].longest == pytest.approx(11 / RATE)  # from the last value to the next
-    assert lost["limb position"].longest == pytest.approx(10 / RATE)  # to the end
-    assert lost["Mx"].missing == 0 and lost["Mx"].longest == 0.0 and lost["Mx"].saturated is None
-    cluster = lost["a (Fx, Fy, Fz)"]
-    assert (cluster.missing, cluster.saturated, cluster.out_of_range) == (4, 3, 5)
+    lost = find_drop_outs(spoilt, segment)
+    assert tuple(lost.loc["Mz", ["missing [1]", "of them in the segment [1]"]]) == (10, 7)
+    assert lost.loc["Mz", "missing [%]"] == pytest.approx(5.0)
+    longest = lost["longest [s]"]
+    assert longest["Mz"] == pytest.approx(11 / RATE)  # from the last value to the next
+    assert longest["limb position"] == pytest.approx(10 / RATE)  # to the end
+    assert lost.loc["Mx", "missing [1]"] == 0 and longest["Mx"] == 0.0
+    assert math.isnan(lost.loc["Mx", "saturated [1]"])
+    counts = ["missing [1]", "saturated [1]", "out of range [1]"]
+    assert tuple(lost.loc["a (Fx, Fy, Fz)", counts]) == (4, 3, 5)
     flags = unusable(spoilt)
     assert {name: int(f.sum()) for name, f in flags.items() if f.any()} == {
         "Mz": 10, "limb position": 10, "a (Fx, Fy, Fz)": 12,

@@ -427,7 +427,7 @@ def _add_legend(figure: Figure, axes: AxesOfS) -> None:
     )
 
 
-_WIDTH, _ROW = 8.6, 2.9  # [inch]
+_WIDTH, _ROW = 7.4, 2.9  # [inch]
 
 
 def tile_map_figure(
