@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
+from scipy.ndimage import uniform_filter1d
 
 from socket_testbed.arrays import BoolArray, FloatArray
 from socket_testbed.errors import ConfigurationError, TrialError
@@ -116,15 +118,11 @@ def moving_mean(values: FloatArray, width: int) -> FloatArray:
         width: Number of samples of the window; it is cut at the ends.
     """
     finite = np.isfinite(values)
-    zero = np.zeros((1, values.shape[1]))
-    total = np.vstack([zero, np.cumsum(np.where(finite, values, 0.0), axis=0)])
-    count = np.vstack([zero, np.cumsum(finite, axis=0)])
-    index = np.arange(len(values))
-    low = np.maximum(index - width // 2, 0)
-    high = np.minimum(index + (width + 1) // 2, len(values))
-    number = count[high] - count[low]
-    with np.errstate(invalid="ignore"):
-        return np.where(number > 0, (total[high] - total[low]) / np.maximum(number, 1), np.nan)
+    mean = partial(uniform_filter1d, size=width, axis=0, mode="constant")
+    share = mean(finite.astype(float))  # [-] of the window
+    with np.errstate(invalid="ignore", divide="ignore"):
+        total = mean(np.where(finite, values, 0.0))
+        return np.where(share > 0.5 / width, total / share, np.nan)
 
 
 def _width(samples: Samples, duration: float) -> int:

@@ -1,4 +1,9 @@
-"""Samples of a trial, put together by the stamp of the trigger: stresses, wrench, limb position."""
+"""Samples of a trial: what was recorded, put together by the stamp of the trigger.
+
+`read_measurements` puts the recorded values in rows, one per trigger. `correct_measurements` takes
+the drift of the clusters off, if spans without load are known. `make_samples` computes the stresses
+and forces, with the trial's calibration, and the limb position. `read_samples` does all of it.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +18,7 @@ import numpy as np
 from socket_testbed.arrays import FloatArray, IntArray, StatusArray
 from socket_testbed.calibration.drift import (
     DRIFT_LIMIT,
-    Baseline,
+    Drift,
     average_baseline,
     correct_drift,
     measure_drift,
@@ -26,9 +31,29 @@ from socket_testbed.trials.topics import CAPACITANCE, PYLON_POSE, SOCKET_POSE, T
 from socket_testbed.trials.trial import Trial, required_topics
 
 
+def read_samples(trial: Trial) -> Samples:
+    """Read a trial as synchronised samples, one per trigger.
+
+    The stresses are computed anew from the capacitances with the trial's calibration.
+
+    Args:
+        trial: The trial.
+
+    Returns:
+        Samples in the order of their stamps; what is missing at a trigger is NaN.
+
+    Raises:
+        TrialError: If the trial cannot be read or lacks a topic.
+        CalibrationError: If the calibration lacks a cluster of the trial, or a span without load
+            holds too few readings.
+        ConfigurationError: If the stored configuration is wrong.
+    """
+    return make_samples(trial, read_measurements(trial))
+
+
 @dataclass(frozen=True)
 class Measurements:
-    """Measurements as they were recorded, one row a trigger; what is missing is NaN.
+    """Measurements as they were recorded, one row per trigger; what is missing is NaN.
 
     Attributes:
         stamps: Times of the triggers since the epoch, shape (N,) [ns].
@@ -48,8 +73,13 @@ class Measurements:
     capacitance: FloatArray
     status: StatusArray
 
+    @property
+    def time(self) -> FloatArray:
+        """Time since the first trigger, shape (N,) [s]."""
+        return (self.stamps - self.stamps[0]) * 1e-9
 
-class _Column:
+
+class _Series:
     """Values by stamp, packed: an hour at 100 Hz is 360,000 of them."""
 
     def __init__(self, width: int) -> None:
@@ -79,18 +109,18 @@ def read_measurements(trial: Trial) -> Measurements:
         TrialError: If the trial cannot be read or lacks a topic.
     """
     widths = {TRIGGER: 0, WRENCH: 6, SOCKET_POSE: 7, PYLON_POSE: 7}
-    columns = {topic: _Column(width) for topic, width in widths.items()}
-    clusters: dict[str, _Column] = {}
+    columns = {topic: _Series(width) for topic, width in widths.items()}
+    clusters: dict[str, _Series] = {}
     with trial.open() as bag:
         topics = required_topics(bag)
         names = {topics[topic]: topic for topic in topics if topic.required}
         for raw in bag.messages(names):
             topic = names[raw.topic]
-            message = decode_message(trial, raw)
+            message = _decode(trial, raw)
             stamp = stamp_of(message)
             if topic is CAPACITANCE:
                 for cluster in message.clusters:
-                    column = clusters.setdefault(cluster.name, _Column(8))
+                    column = clusters.setdefault(cluster.name, _Series(8))
                     column.add(stamp, (*cluster.capacitance, *cluster.status))
             elif topic is WRENCH:
                 columns[topic].add(stamp, wrench_vector(message.wrench))
@@ -114,12 +144,7 @@ def read_measurements(trial: Trial) -> Measurements:
     )
 
 
-def decode_message(trial: Trial, raw: RawMessage) -> Any:
-    """A message of a trial.
-
-    Raises:
-        TrialError: If it cannot be decoded.
-    """
+def _decode(trial: Trial, raw: RawMessage) -> Any:
     try:
         return decode(raw.data, raw.type)
     except Exception as error:  # the library raises whatever the bytes lead it to
@@ -141,49 +166,54 @@ def pose_vector(pose: Any) -> tuple[float, ...]:
     return (p.x, p.y, p.z, q.x, q.y, q.z, q.w)
 
 
-def check_trial(trial: Trial) -> tuple[str, ...]:
-    """Refuse a trial that cannot be worked on, before long work or a graph is started.
+def correct_measurements(trial: Trial, measured: Measurements) -> Measurements:
+    """Bring the clusters' readings to the baseline of their calibration.
 
-    Returns:
-        Names of the trial's clusters.
-
-    Raises:
-        TrialError: If the trial cannot be read or lacks a topic.
-        CalibrationError: If the calibration lacks a cluster of the trial.
-        ConfigurationError: If the stored configuration is wrong.
-    """
-    with trial.open() as bag:
-        name = required_topics(bag)[CAPACITANCE]
-        first = next(bag.messages([name]))
-    clusters = tuple(cluster.name for cluster in decode_message(trial, first).clusters)
-    _require_clusters(clusters, trial)
-    return clusters
-
-
-def read_samples(trial: Trial) -> Samples:
-    """Read a trial as synchronised samples, one a trigger.
-
-    The stresses are computed anew from the capacitances with the trial's calibration.
+    The drift is linear between the trial's two spans without load. If the calibration stores no
+    baseline, only the drift since the first span is taken off. The trial reports the drift between
+    two spans, and flags a large one.
 
     Args:
-        trial: The trial.
-
-    Returns:
-        Samples in the order of their stamps; what is missing at a trigger is NaN.
+        trial: The trial, with its spans without load.
+        measured: Its measurements.
 
     Raises:
-        TrialError: If the trial cannot be read or lacks a topic.
-        CalibrationError: If the calibration lacks a cluster of the trial.
-        ConfigurationError: If the stored configuration is wrong.
+        CalibrationError: If a span holds too few readings of a cluster.
     """
-    return make_samples(trial, read_measurements(trial))
+    time = measured.time
+    capacitance = measured.capacitance.copy()
+    for column, name in enumerate(measured.clusters):
+        readings = capacitance[:, column]
+        baselines = [
+            average_baseline(
+                0.5 * (start + end),
+                readings[(time >= start) & (time <= end)],
+                f"{trial.path}: {name} from {start:g} s to {end:g} s",
+            )
+            for start, end in trial.unloaded
+        ]
+        cluster = trial.calibration.clusters[name]
+        before, after = baselines[0], baselines[1] if len(baselines) > 1 else None
+        capacitance[:, column] = correct_drift(readings, time, before, after, cluster.baseline)
+        if after is not None and trial.tell is not None:
+            trial.tell(f"{name} {_describe(measure_drift(cluster, before, after))}")
+    return dataclasses.replace(measured, capacitance=capacitance)
+
+
+def _describe(drift: Drift) -> str:
+    normal, shear_x, shear_y = 1e-3 * drift.stress
+    flag = f", more than {1e-3 * DRIFT_LIMIT:g} kPa" if drift.flagged else ""
+    return (
+        f"drifted by {normal:+.2f} kPa normal, {shear_x:+.2f} and {shear_y:+.2f} kPa shear without"
+        f" load, taken off{flag}"
+    )
 
 
 def make_samples(trial: Trial, measured: Measurements) -> Samples:
     """Samples from the measurements of a trial; see `read_samples`."""
     _require_clusters(measured.clusters, trial)
     if trial.unloaded:
-        measured = take_off_drift(trial, measured)
+        measured = correct_measurements(trial, measured)
     local_forces, status = _local_forces(trial, measured)
     socket, pylon = (
         Pose.from_quaternion(pose[:, :3], pose[:, 3:]) for pose in (measured.socket, measured.pylon)
@@ -221,16 +251,32 @@ def _require_clusters(clusters: Collection[str], trial: Trial) -> None:
             )
 
 
-_MOST = 2  # before and after
+def check_trial(trial: Trial) -> tuple[str, ...]:
+    """Refuse a trial that cannot be worked on, before long work or a graph is started.
+
+    Returns:
+        Names of the trial's clusters.
+
+    Raises:
+        TrialError: If the trial cannot be read or lacks a topic.
+        CalibrationError: If the calibration lacks a cluster of the trial.
+        ConfigurationError: If the stored configuration is wrong.
+    """
+    with trial.open() as bag:
+        name = required_topics(bag)[CAPACITANCE]
+        first = next(bag.messages([name]))
+    clusters = tuple(cluster.name for cluster in _decode(trial, first).clusters)
+    _require_clusters(clusters, trial)
+    return clusters
 
 
 def parse_unloaded(spans: list[str]) -> tuple[tuple[float, float], ...]:
-    """Spans written as `T0:T1`, in seconds since the trial's first sample.
+    """Spans without load written as `T0:T1`, in seconds since the trial's first sample.
 
     Raises:
-        ConfigurationError: If they are none, or more than two.
+        ConfigurationError: If one is none, or there are more than two.
     """
-    if len(spans) > _MOST:
+    if len(spans) > 2:
         raise ConfigurationError(
             f"--unloaded has {len(spans)} spans", "give one before, or one before and one after"
         )
@@ -247,50 +293,3 @@ def _parse(span: str) -> tuple[float, float]:
             f"--unloaded is '{span}'", "give seconds as T0:T1, with T0 before T1"
         )
     return start, end
-
-
-def take_off_drift(trial: Trial, measured: Measurements) -> Measurements:
-    """Bring the clusters' readings to the baseline of their calibration, span by span linear.
-
-    Without a stored baseline of the calibration only the drift since the first span is taken
-    off. The drift between two spans is told, and flagged where it is large.
-
-    Args:
-        trial: The trial, with its unloaded spans.
-        measured: Its measurements.
-
-    Raises:
-        CalibrationError: If a span holds too few readings of a cluster.
-    """
-    time = (measured.stamps - measured.stamps[0]) * 1e-9
-    capacitance = measured.capacitance.copy()
-    for column, name in enumerate(measured.clusters):
-        baselines = [
-            _baseline(trial, name, time, capacitance[:, column], span) for span in trial.unloaded
-        ]
-        cluster = trial.calibration.clusters[name]
-        before, after = baselines[0], baselines[1] if len(baselines) == _MOST else None
-        capacitance[:, column] = correct_drift(
-            capacitance[:, column], time, before, after, cluster.baseline
-        )
-        if after is not None and trial.tell is not None:
-            drift = measure_drift(cluster, before, after)
-            stress = 1e-3 * drift.stress
-            flag = f", more than {1e-3 * DRIFT_LIMIT:g} kPa" if drift.flagged else ""
-            trial.tell(
-                f"{name} drifted by {stress[0]:+.2f} kPa normal, {stress[1]:+.2f} and"
-                f" {stress[2]:+.2f} kPa shear without load, taken off{flag}"
-            )
-    return dataclasses.replace(measured, capacitance=capacitance)
-
-
-def _baseline(
-    trial: Trial,
-    name: str,
-    time: FloatArray,
-    capacitance: FloatArray,
-    span: tuple[float, float],
-) -> Baseline:
-    rows = (time >= span[0]) & (time <= span[1])
-    where = f"{trial.path}: {name} from {span[0]:g} s to {span[1]:g} s"
-    return average_baseline(0.5 * (span[0] + span[1]), capacitance[rows], where)

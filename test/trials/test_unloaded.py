@@ -11,10 +11,10 @@ from socket_testbed.__main__ import run
 from socket_testbed.errors import CalibrationError, ConfigurationError
 from socket_testbed.trials.synchronise import (
     Measurements,
+    correct_measurements,
     make_samples,
     parse_unloaded,
     read_measurements,
-    take_off_drift,
 )
 from socket_testbed.trials.trial import Trial
 
@@ -36,7 +36,7 @@ def test_drift_between_two_spans_is_taken_off(hold: Path, measured: Measurements
     trial = Trial(hold, tell=said.append, unloaded=((0.0, 8.0), (end - 8.0, end)))
     drift = 0.2 * (time - 4.0) / (end - 8.0)
     drifted = dataclasses.replace(measured, capacitance=measured.capacitance + drift[:, None, None])
-    corrected = take_off_drift(trial, drifted)
+    corrected = correct_measurements(trial, drifted)
     inner = (time > 8.0) & (time < end - 8.0)
     np.testing.assert_allclose(
         corrected.capacitance[inner], measured.capacitance[inner], atol=0.003
@@ -60,13 +60,13 @@ def test_a_stored_baseline_takes_off_what_came_before(hold: Path, measured: Meas
     }
     calibration = dataclasses.replace(trial.calibration, clusters=clusters)
     trial.__dict__["calibration"] = calibration
-    corrected = take_off_drift(trial, measured)
+    corrected = correct_measurements(trial, measured)
     np.testing.assert_allclose(corrected.capacitance[3], np.tile(reference, (4, 1)))
 
 
 def test_a_span_without_readings_is_refused(hold: Path, measured: Measurements) -> None:
     with pytest.raises(CalibrationError, match=r"from 900 s to 901 s.*too few"):
-        take_off_drift(Trial(hold, unloaded=((900.0, 901.0),)), measured)
+        correct_measurements(Trial(hold, unloaded=((900.0, 901.0),)), measured)
 
 
 @pytest.mark.parametrize("spans", [["5"], ["8:2"], ["a:b"], ["0:1", "2:3", "4:5"]])
