@@ -1,4 +1,4 @@
-"""The converter ADS131M06 or ADS131M08 at the level of its registers, and a load cell on it."""
+"""The converter ADS131M06 or ADS131M08, register by register, with a load cell on it."""
 
 from __future__ import annotations
 
@@ -15,6 +15,13 @@ from socket_testbed.settings.acquisition import LoadCellSettings
 ID, STATUS, MODE, CLOCK, GAIN1, GAIN2, CFG, LAST = 0x00, 0x01, 0x02, 0x03, 0x04, 0x05, 0x06, 0x30
 RESET_BIT, _ANSI_BIT, _WORD_LENGTH = 0x0400, 0x0800, 0x0300
 _GAIN_CALIBRATION = 0x0C
+_RESET, _STANDBY, _WAKEUP, _LOCK, _UNLOCK = 0x0011, 0x0022, 0x0033, 0x0555, 0x0655
+_RREG, _WREG = 0xA000, 0x6000
+_WORD = 3  # [bytes]
+_START_UP = 300  # modulator clocks
+_FAST = 2  # conversions after a start that come from the fast filter
+_FAST_ERROR = 0.01  # [V]; far more than the real one, so that nobody can take them for good
+_WAITING = 2  # conversions that the FIFO holds
 
 
 class AdcRegisters:
@@ -97,15 +104,6 @@ class AdcRegisters:
         if place == CLOCK and self._channels == 6:
             return value & 0x3FFF | old & 0xC000
         return value
-
-
-_RESET, _STANDBY, _WAKEUP, _LOCK, _UNLOCK = 0x0011, 0x0022, 0x0033, 0x0555, 0x0655
-_RREG, _WREG = 0xA000, 0x6000
-_WORD = 3  # [bytes]
-_START_UP = 300  # modulator clocks
-_FAST = 2  # conversions after a start that come from the fast filter
-_FAST_ERROR = 0.01  # [V]; far more than the real one, so that nobody can take them for good
-_WAITING = 2  # conversions that the FIFO holds
 
 
 class SimulatedAds131m0x:

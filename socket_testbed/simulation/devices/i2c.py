@@ -5,7 +5,8 @@ from __future__ import annotations
 import errno
 import math
 from collections.abc import Callable, Mapping, Sequence
-from functools import partial
+from functools import partial, reduce
+from operator import and_
 from types import MappingProxyType
 
 from smbus2 import i2c_msg
@@ -21,6 +22,10 @@ _CAPDAC, _NO_INPUT = 4, 7  # CHB
 _CAPDAC_UNIT = 3.125  # [pF]
 _HIGHEST, _LOWEST = 0x7FFFFF, -0x800000
 _BROWN_OUT_PERIOD = 0.3  # [s]
+_CHIP, _MULTIPLEXER = 0x50, 0x70
+_BITS_PER_BYTE = 9
+_LONGEST_CREDIT = 1e-3  # [s]
+_READ = 0x0001  # flag of linux/i2c.h
 _NO_FAULTS: Mapping[str, float] = MappingProxyType({})
 
 
@@ -28,6 +33,13 @@ class SimulatedFdc1004:
     """The chip; it converts as time passes, whether or not anyone reads it.
 
     The offset and gain registers are kept but have no effect.
+
+    Args:
+        capacitance: Capacitance of an input, 0..3, at a time of the clock [pF].
+        clock: The steady clock [s].
+        faults: The faults of `simulation.world`, looked up at each transfer.
+        channel: Channel of the multiplexer, by which the faults name the chip [1].
+        speed: Its oscillator's frequency over the nominal one [-].
     """
 
     def __init__(
@@ -38,15 +50,6 @@ class SimulatedFdc1004:
         channel: int = 0,
         speed: float = 1.0,
     ) -> None:
-        """Power the chip up.
-
-        Args:
-            capacitance: Capacitance of an input, 0..3, at a time of the clock [pF].
-            clock: The steady clock [s].
-            faults: The faults of `simulation.world`, looked up at each transfer.
-            channel: Channel of the multiplexer, by which the faults name the chip [1].
-            speed: Its oscillator's frequency over the nominal one [-].
-        """
         self._capacitance = capacitance
         self._clock = clock
         self._faults = faults
@@ -86,7 +89,8 @@ class SimulatedFdc1004:
         """
         self._live()
         register = data[0]
-        if not self._is_known(register) or len(data) not in {1, 3}:
+        known = register < _GAIN + 4 or register in _IDENTITY
+        if not known or len(data) not in {1, 3}:
             raise _no_answer()
         self._pointer = register
         if len(data) == 1:
@@ -138,7 +142,7 @@ class SimulatedFdc1004:
             self._sequence, self._end = [], math.inf
             return
         self._next = 0
-        self._settings = self._kept[_CONF_MEAS + self._sequence[0]]
+        self._start(0)
         self._end = self._clock() + self._period
 
     @property
@@ -182,6 +186,7 @@ class SimulatedFdc1004:
             self._start(1)
 
     def _start(self, further: int) -> None:
+        """Begin a conversion so many further in the sequence."""
         self._next = (self._next + further) % len(self._sequence)
         self._settings = self._kept[_CONF_MEAS + self._sequence[self._next]]
 
@@ -202,18 +207,9 @@ class SimulatedFdc1004:
     def _is_struck_by(self, fault: str) -> bool:
         return self._faults.get(f"clusters.{fault}", 0.0) == 1 + self._channel
 
-    def _is_known(self, register: int) -> bool:
-        return register < _GAIN + 4 or register in _IDENTITY
-
 
 def _no_answer() -> OSError:
     return OSError(errno.EREMOTEIO, "no acknowledgement (simulated)")
-
-
-_CHIP = 0x50
-_BITS_PER_BYTE = 9
-_LONGEST_CREDIT = 1e-3  # [s]
-_READ = 0x0001  # flag of linux/i2c.h
 
 
 class SimulatedTca9548a:
@@ -236,33 +232,31 @@ class SimulatedTca9548a:
 
 
 class SimulatedI2cBus:
-    """The bus as a host has it open; what `smbus2.SMBus` does to messages, it does, too."""
+    """The bus as a host has it open, with the one method of `smbus2.SMBus` that drivers use.
+
+    Opening it restarts the host, as far as the chips can tell.
+
+    Args:
+        chips: The chip on each channel; without a multiplexer all are on the same wires.
+        multiplexer: The multiplexer, or None.
+        faults: The faults of `simulation.world`, looked up at each transfer.
+        frequency: Clock of the bus [Hz]; None: transfers take no time.
+        clock: The steady clock [s].
+        sleep: Waits [s].
+    """
 
     def __init__(
         self,
         chips: Sequence[SimulatedFdc1004],
         multiplexer: SimulatedTca9548a | None = None,
-        address: int = 0x70,
-        faults: Mapping[str, float] | None = None,
+        faults: Mapping[str, float] = _NO_FAULTS,
         frequency: float | None = None,
         clock: Callable[[], float] = clocks.monotonic,
         sleep: Callable[[float], None] = clocks.sleep,
     ) -> None:
-        """Open the bus, which restarts the host as far as the chips can tell.
-
-        Args:
-            chips: The chip on each channel; without a multiplexer all are on the same wires.
-            multiplexer: The multiplexer, or None.
-            address: Address of the multiplexer [1].
-            faults: The faults of `simulation.world`, looked up at each transfer.
-            frequency: Clock of the bus [Hz]; None: transfers take no time.
-            clock: The steady clock [s].
-            sleep: Waits [s].
-        """
         self._chips = chips
         self._multiplexer = multiplexer
-        self._address = address
-        self._faults = {} if faults is None else faults
+        self._faults = faults
         self._frequency = frequency
         self._clock = clock
         self._sleep = sleep
@@ -292,7 +286,7 @@ class SimulatedI2cBus:
                 # On open-drain wires whoever sends a zero wins.
                 answers = [part.read(message.len) for part in self._addressed(message.addr)]
                 for index, sent in enumerate(zip(*answers, strict=True)):
-                    message.buf[index] = bytes([_wired_and(sent)])
+                    message.buf[index] = bytes([reduce(and_, sent)])
             else:
                 for part in self._addressed(message.addr):
                     part.write(bytes(message.buf[: message.len]))
@@ -303,13 +297,13 @@ class SimulatedI2cBus:
 
     def _addressed(self, address: int) -> Sequence[SimulatedTca9548a | SimulatedFdc1004]:
         found: Sequence[SimulatedTca9548a | SimulatedFdc1004] = ()
-        if self._multiplexer is not None and address == self._address:
+        if self._multiplexer is not None and address == _MULTIPLEXER:
             found = (self._multiplexer,)
         elif address == _CHIP:
             mask = 0xFF if self._multiplexer is None else self._multiplexer.mask
             found = [chip for n, chip in enumerate(self._chips) if mask >> n & 1]
         if not found:
-            raise OSError(errno.EREMOTEIO, "no acknowledgement (simulated)")
+            raise _no_answer()
         return found
 
     def _take_time(self, transferred: int) -> None:
@@ -317,14 +311,24 @@ class SimulatedI2cBus:
             return
         self._owed += transferred * _BITS_PER_BYTE / self._frequency
         if self._owed > 0.0:
-            # A sleep is always too long; the next ones are shorter, so that the rate is right.
+            # A sleep is always too long: the next ones are shorter, so that the rate is right.
             before = self._clock()
             self._sleep(self._owed)
             self._owed = max(self._owed - (self._clock() - before), -_LONGEST_CREDIT)
 
 
 class SimulatedClusterHardware:
-    """Four chips on channels 0 to 3 of a multiplexer at 0x70 on bus 1."""
+    """Four chips on channels 0 to 3 of a multiplexer at 0x70 on bus 1.
+
+    Args:
+        capacitance: Capacitance by the chip's channel and its input, both 0..3, at a time
+            of the clock [pF].
+        faults: The faults of `simulation.world`, looked up at each transfer.
+        frequency: Clock of the bus [Hz]; None: transfers take no time.
+        clock: The steady clock [s].
+        sleep: Waits [s].
+        speeds: Frequency of each chip's oscillator over the nominal one [-].
+    """
 
     def __init__(
         self,
@@ -335,26 +339,13 @@ class SimulatedClusterHardware:
         sleep: Callable[[float], None] = clocks.sleep,
         speeds: Sequence[float] = (1.0, 1.0, 1.0, 1.0),
     ) -> None:
-        """Power the array up.
-
-        Args:
-            capacitance: Capacitance by the chip's channel and its input, both 0..3, at a time
-                of the clock [pF].
-            faults: The faults of `simulation.world`, looked up at each transfer.
-            frequency: Clock of the bus [Hz]; None: transfers take no time.
-            clock: The steady clock [s].
-            sleep: Waits [s].
-            speeds: Frequency of each chip's oscillator over the nominal one [-].
-        """
         self.multiplexer = SimulatedTca9548a()
         self.chips = [
             SimulatedFdc1004(partial(capacitance, n), clock, faults, n, speed)
             for n, speed in enumerate(speeds)
         ]
         self._faults = faults
-        self._frequency = frequency
-        self._clock = clock
-        self._sleep = sleep
+        self._timing = frequency, clock, sleep
 
     def open_bus(self, number: int) -> I2cBus:
         """Open a bus by its number [1]; chips that were unplugged come back reset.
@@ -367,14 +358,7 @@ class SimulatedClusterHardware:
             _power_down(self.chips, self.multiplexer)
         if unplugged or number != 1:
             raise opening_failed(number, FileNotFoundError(errno.ENOENT, "simulated"))
-        return SimulatedI2cBus(
-            self.chips,
-            self.multiplexer,
-            faults=self._faults,
-            frequency=self._frequency,
-            clock=self._clock,
-            sleep=self._sleep,
-        )
+        return SimulatedI2cBus(self.chips, self.multiplexer, self._faults, *self._timing)
 
 
 def _power_down(chips: Sequence[SimulatedFdc1004], multiplexer: SimulatedTca9548a | None) -> None:
@@ -382,10 +366,3 @@ def _power_down(chips: Sequence[SimulatedFdc1004], multiplexer: SimulatedTca9548
         multiplexer.mask = 0
     for chip in chips:
         chip.power_up()
-
-
-def _wired_and(sent: tuple[int, ...]) -> int:
-    value = 0xFF
-    for byte in sent:
-        value &= byte
-    return value
