@@ -25,25 +25,24 @@ from socket_testbed.identification.problem import (
 def parts_of_fit(stage: StageTwoInput) -> dict[str, Callable[[], object]]:
     """What the parts are called, and what runs each of them."""
     settings, objective, rest = stage.settings, stage.objective, stage.rest_positions
-    arguments = (objective, stage.geometry, settings)
     gate = (objective.position, rest, settings.gate_sharpness)
     solver = (settings.solver, settings.solver_tolerance)
-    stage_one = build_stage_one(*arguments)
+    stage_one = build_stage_one(objective)
 
     def moments(method: Method = "auto") -> StageTwoMoments:
-        return StageTwoData(*arguments, method=method).moments(rest)
+        return StageTwoData(objective, method=method).moments(rest)
 
     taken = moments()
-    built = build_stage_two(*arguments, taken)
+    built = build_stage_two(objective, taken)
     stiffness = KILONEWTON_PER_METRE * np.reshape(solve_box_qp(built.program, *solver).x, (-1, 3))
     return {
         "build_objective": lambda: build_objective(stage.samples, stage.geometry, settings),
-        "stage 1: build": lambda: build_stage_one(*arguments),
+        "stage 1: build": lambda: build_stage_one(objective),
         "stage 1: solve_box_qp": lambda: solve_box_qp(stage_one, *solver),
         "stage 2: moments (auto)": moments,
-        "stage 2: build": lambda: build_stage_two(*arguments, taken),
+        "stage 2: build": lambda: build_stage_two(objective, taken),
         "stage 2: solve_box_qp": lambda: solve_box_qp(built.program, *solver),
-        "stage 2: recover_offsets": lambda: recover_offsets(*arguments, built, stiffness),
+        "stage 2: recover_offsets": lambda: recover_offsets(objective, taken, stiffness),
         "fit_contact_model, whole": lambda: fit_contact_model(
             stage.samples, stage.geometry, settings
         ),

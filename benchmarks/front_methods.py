@@ -19,11 +19,10 @@ from socket_testbed.identification.fit import fit_contact_model
 from socket_testbed.identification.pareto import pareto_front
 from socket_testbed.identification.problem import (
     KILONEWTON_PER_METRE,
-    MILLIMETRE,
     StageTwoData,
     build_stage_one,
     build_stage_two,
-    stage_one_reference,
+    rest_positions_of,
 )
 from socket_testbed.settings.identification import VARIANTS
 
@@ -168,18 +167,15 @@ def walk_with(solve: Solve) -> Callable[[StageTwoInput, FloatArray], Stiffness]:
     """The programs that `pareto_front` makes, from shared moments, solved in another way."""
 
     def walk(problem: StageTwoInput, thetas: FloatArray) -> Stiffness:
-        geometry, settings = problem.geometry, problem.settings
-        data = StageTwoData(problem.objective, geometry, settings, sets=len(thetas))
+        data = StageTwoData(problem.objective, sets=len(thetas))
         last: dict[str, FloatArray] = {}
         found: Stiffness = {}
         for theta in thetas.tolist():
-            objective = replace(problem.objective, theta=theta)
-            last["rest"] = solve(build_stage_one(objective, geometry, settings), last.get("rest"))
-            offsets = MILLIMETRE * last["rest"].reshape(-1, 3)
-            moments = data.moments(stage_one_reference(objective) + offsets)
+            objective = problem.objective.with_settings(theta=theta)
+            last["rest"] = solve(build_stage_one(objective), last.get("rest"))
+            moments = data.moments(rest_positions_of(objective, last["rest"]))
             for variant in VARIANTS:
-                of_variant = replace(settings, variant=variant)
-                stage = build_stage_two(objective, geometry, of_variant, moments)
+                stage = build_stage_two(objective.with_settings(variant=variant), moments)
                 last[variant] = solve(stage.program, last.get(variant))
                 found[variant, theta] = KILONEWTON_PER_METRE * last[variant]
         return found
@@ -202,7 +198,7 @@ def solve_by_cvxpy(tight: bool) -> Callable[[StageTwoInput, FloatArray], Stiffne
         prepare = prepare_cvxpy_scaled if tight else prepare_cvxpy_plain
         found: Stiffness = {}
         for theta, rest in zip(thetas.tolist(), _rest_positions(problem, thetas), strict=True):
-            objective = replace(problem.objective, theta=theta)
+            objective = problem.objective.with_settings(theta=theta)
             run = prepare(replace(problem, objective=objective, rest_positions=rest))
             solution = run()
             assert solution is not None
@@ -217,10 +213,10 @@ def _rest_positions(problem: StageTwoInput, thetas: FloatArray) -> list[FloatArr
     settings = problem.settings
     rest = []
     for theta in thetas.tolist():
-        objective = replace(problem.objective, theta=theta)
-        program = build_stage_one(objective, problem.geometry, settings)
+        objective = problem.objective.with_settings(theta=theta)
+        program = build_stage_one(objective)
         x = solve_box_qp(program, settings.solver, settings.solver_tolerance).x
-        rest.append(stage_one_reference(objective) + MILLIMETRE * x.reshape(-1, 3))
+        rest.append(rest_positions_of(objective, x))
     return rest
 
 

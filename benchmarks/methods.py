@@ -56,13 +56,13 @@ def prepare_ours(stage: StageTwoInput) -> Run:
     """The package's own Stage 2: moments, program, certified solution, offsets."""
 
     def run() -> Solution:
-        arguments = (stage.objective, stage.geometry, stage.settings)
-        moments = StageTwoData(*arguments).moments(stage.rest_positions)
-        built = build_stage_two(*arguments, moments)
+        objective = stage.objective
+        moments = StageTwoData(objective).moments(stage.rest_positions)
+        built = build_stage_two(objective, moments)
         found = solve_box_qp(built.program, stage.settings.solver, stage.settings.solver_tolerance)
         stiffness = KILONEWTON_PER_METRE * found.x.reshape(-1, 3)
-        wrench_bias, force_bias = recover_offsets(*arguments, built, stiffness)
-        channels = stage.objective.channels
+        wrench_bias, force_bias = recover_offsets(objective, moments, stiffness)
+        channels = objective.channels
         channel_bias = np.array([force_bias[c.cluster][c.axis] for c in channels])
         return Solution(stiffness.ravel(), wrench_bias, channel_bias, found.status)
 

@@ -14,11 +14,10 @@ from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification.box_qp import solve_box_qp
 from socket_testbed.identification.contact import ContactModel
 from socket_testbed.identification.problem import (
-    MILLIMETRE,
     Objective,
     build_objective,
     build_stage_one,
-    stage_one_reference,
+    rest_positions_of,
 )
 from socket_testbed.samples import Samples
 from socket_testbed.settings.identification import IdentificationSettings
@@ -75,9 +74,9 @@ def make_problem(
     samples = simulate(geometry, count, motion, np.random.default_rng(seed))
     settings = IdentificationSettings(variant="stiffness_bias", smoothness=smoothness)
     objective = build_objective(samples, geometry, settings)
-    program = build_stage_one(objective, geometry, settings)
+    program = build_stage_one(objective)
     rest = solve_box_qp(program, settings.solver, settings.solver_tolerance)
-    rest_positions = stage_one_reference(objective) + MILLIMETRE * rest.x.reshape(-1, 3)
+    rest_positions = rest_positions_of(objective, rest.x)
     return StageTwoInput(samples, geometry, settings, objective, rest_positions)
 
 

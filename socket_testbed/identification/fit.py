@@ -32,16 +32,15 @@ from socket_testbed.identification.contact import ContactModel
 from socket_testbed.identification.evaluation import ChannelErrors, evaluate
 from socket_testbed.identification.problem import (
     KILONEWTON_PER_METRE,
-    MILLIMETRE,
     Objective,
-    StageTwo,
     StageTwoData,
+    StageTwoMoments,
     build_objective,
     build_stage_one,
     build_stage_two,
     check_channels,
     recover_offsets,
-    stage_one_reference,
+    rest_positions_of,
 )
 from socket_testbed.samples import LOCAL_CHANNELS, WRENCH_CHANNELS, Samples, Status, channel_names
 from socket_testbed.settings.identification import IdentificationSettings, Variant
@@ -226,16 +225,14 @@ def fit_contact_model(
     objective = build_objective(samples, geometry, settings)
     samples = samples[objective.rows]
 
-    rest_program = build_stage_one(objective, geometry, settings)
-    rest = solve_box_qp(rest_program, settings.solver, settings.solver_tolerance)
-    rest_positions = rest_positions_of(rest, objective)
+    stage_one = build_stage_one(objective)
+    rest = solve_box_qp(stage_one, settings.solver, settings.solver_tolerance)
+    rest_positions = rest_positions_of(objective, rest.x)
 
-    moments = StageTwoData(objective, geometry, settings).moments(rest_positions)
-    stage_two = build_stage_two(objective, geometry, settings, moments)
+    moments = StageTwoData(objective).moments(rest_positions)
+    stage_two = build_stage_two(objective, moments)
     springs = solve_box_qp(stage_two.program, settings.solver, settings.solver_tolerance)
-    model = make_model(
-        objective, geometry, settings, samples.clusters, rest_positions, stage_two, springs
-    )
+    model = make_model(objective, rest_positions, moments, springs.x)
     return Fit(
         model=model,
         settings=settings,
@@ -248,33 +245,20 @@ def fit_contact_model(
     )
 
 
-def rest_positions_of(solution: BoxSolution, objective: Objective) -> FloatArray:
-    """Rest positions q_r that a solution of Stage 1 stands for, shape (n, 3) [m]."""
-    return stage_one_reference(objective) + MILLIMETRE * solution.x.reshape(-1, 3)
-
-
 def make_model(
-    objective: Objective,
-    geometry: SocketGeometry,
-    settings: IdentificationSettings,
-    clusters: tuple[str, ...],
-    rest_positions: FloatArray,
-    stage_two: StageTwo,
-    springs: BoxSolution,
+    objective: Objective, rest_positions: FloatArray, moments: StageTwoMoments, x: FloatArray
 ) -> ContactModel:
     """The contact model that the solutions of both stages stand for.
 
     Args:
         objective: The samples and weights.
-        geometry: Geometry of the socket.
-        settings: Settings of the identification.
-        clusters: Names of the clusters that the model is to know.
         rest_positions: Rest positions q_r of Stage 1, shape (n, 3) [m].
-        stage_two: Stage 2 at these rest positions.
-        springs: Its solution.
+        moments: Moments of the data at these rest positions.
+        x: Solution of Stage 2, shape (3n,) [kN/m].
     """
-    stiffness = KILONEWTON_PER_METRE * springs.x.reshape(-1, 3)
-    wrench_bias, force_bias = recover_offsets(objective, geometry, settings, stage_two, stiffness)
+    geometry, settings = objective.geometry, objective.settings
+    stiffness = KILONEWTON_PER_METRE * x.reshape(-1, 3)
+    wrench_bias, force_bias = recover_offsets(objective, moments, stiffness)
     return ContactModel(
         variant=cast(Variant, settings.variant),
         names=geometry.names,
@@ -285,5 +269,5 @@ def make_model(
         sharpness=settings.gate_sharpness,
         wrench_bias=wrench_bias,
         force_bias=force_bias,
-        cluster_points={name: geometry.clusters[name] for name in clusters},
+        cluster_points={name: geometry.clusters[name] for name in objective.clusters},
     )

@@ -36,7 +36,7 @@ from socket_testbed.identification.box_qp import (
     solve_box_qp,
 )
 from socket_testbed.identification.contact import ContactModel, wrench_map
-from socket_testbed.identification.fit import make_model, rest_positions_of
+from socket_testbed.identification.fit import make_model
 from socket_testbed.identification.model_file import finite_or_null
 from socket_testbed.identification.problem import (
     Objective,
@@ -45,6 +45,7 @@ from socket_testbed.identification.problem import (
     build_objective,
     build_stage_one,
     build_stage_two,
+    rest_positions_of,
 )
 from socket_testbed.samples import LOCAL_CHANNELS, WRENCH_CHANNELS, Samples, channel_unit
 from socket_testbed.settings.identification import VARIANTS, IdentificationSettings, Variant
@@ -228,7 +229,7 @@ def pareto_front(
     _check_thetas(thetas)
     objective = build_objective(samples, geometry, settings)
     _require_both_groups(objective)
-    walk = _Walk(objective, geometry, settings, samples.clusters, len(thetas))
+    walk = _Walk(objective, len(thetas))
     points: dict[Variant, list[FrontPoint]] = {variant: [] for variant in variants}
     for done, theta in enumerate(thetas, start=1):
         for variant, point in walk.solve_at(float(theta), variants).items():
@@ -246,87 +247,69 @@ class _Walk:
 
     Args:
         objective: The samples and weights.
-        geometry: Geometry of the socket.
-        settings: Settings of the identification.
-        clusters: Names of the clusters of the models.
         thetas: How many thetas there are.
     """
 
-    def __init__(
-        self,
-        objective: Objective,
-        geometry: SocketGeometry,
-        settings: IdentificationSettings,
-        clusters: tuple[str, ...],
-        thetas: int,
-    ) -> None:
+    def __init__(self, objective: Objective, thetas: int) -> None:
         self._objective = objective
-        self._geometry = geometry
-        self._settings = settings
-        self._of_variant = {variant: replace(settings, variant=variant) for variant in VARIANTS}
-        self._clusters = clusters
-        self._data = StageTwoData(objective, geometry, settings, sets=thetas)
+        self._data = StageTwoData(objective, sets=thetas)
         self._last: dict[str, FloatArray] = {}
 
     def solve_at(self, theta: float, variants: Sequence[Variant]) -> dict[Variant, FrontPoint]:
         """The solution of each variant at a theta."""
-        objective = replace(self._objective, theta=theta)
-        program = build_stage_one(objective, self._geometry, self._settings)
+        objective = self._objective.with_settings(theta=theta)
+        program = build_stage_one(objective)
         try:
             rest = self._solve(program, "Stage 1")
         except UncertifiedSolutionError as error:
-            return {variant: self._flawed(theta, error) for variant in variants}
-        rest_positions = rest_positions_of(rest, objective)
+            return {variant: _flawed(objective, error) for variant in variants}
+        rest_positions = rest_positions_of(objective, rest.x)
         moments = self._data.moments(rest_positions)
         points = {}
         for variant in variants:
+            of_variant = objective.with_settings(variant=variant)
             try:
-                point = self._solve_springs(objective, variant, rest_positions, moments)
+                point = self._solve_springs(of_variant, rest_positions, moments)
             except UncertifiedSolutionError as error:
-                point = self._flawed(theta, error)
+                point = _flawed(objective, error)
             flaw = point.flaw or _undetermined(program, rest)
             residual = float(np.max([point.residual, rest.certificate.worst]))
             points[variant] = replace(point, flaw=flaw, residual=residual)
         return points
 
     def _solve_springs(
-        self,
-        objective: Objective,
-        variant: Variant,
-        rest_positions: FloatArray,
-        moments: StageTwoMoments,
+        self, objective: Objective, rest_positions: FloatArray, moments: StageTwoMoments
     ) -> FrontPoint:
-        settings = self._of_variant[variant]
-        stage = build_stage_two(objective, self._geometry, settings, moments)
-        springs = self._solve(stage.program, variant)
-        model = make_model(
-            objective, self._geometry, settings, self._clusters, rest_positions, stage, springs
-        )
+        program = build_stage_two(objective, moments).program
+        springs = self._solve(program, objective.settings.variant)
+        model = make_model(objective, rest_positions, moments, springs.x)
         wrench, local = channel_mean_squares(
-            objective, self._geometry, moments, model.stiffness, variant == "stiffness_bias"
+            objective, moments, model.stiffness, objective.with_bias
         )
         return FrontPoint(
-            theta=objective.theta,
+            theta=objective.settings.theta,
             model=model,
             rmse=np.sqrt(np.concatenate([wrench[objective.wrench_counts], local])),
             wrench_error=float(np.sqrt(objective.wrench_shares @ wrench)),
             local_error=float(np.sqrt(objective.channel_share * local.sum())),
             residual=springs.certificate.worst,
-            flaw=_undetermined(stage.program, springs),
+            flaw=_undetermined(program, springs),
         )
 
     def _solve(self, program: BoxQP, name: str) -> BoxSolution:
-        settings = self._settings
+        settings = self._objective.settings
         near = self._last.get(name)
         solution = solve_box_qp(program, settings.solver, settings.solver_tolerance, near)
         self._last[name] = solution.x
         return solution
 
-    def _flawed(self, theta: float, error: UncertifiedSolutionError) -> FrontPoint:
-        nan = float("nan")
-        residual = nan if error.x is None else error.problem.certificate(error.x).worst
-        rmse = np.full(len(_channels(self._objective)), nan)
-        return FrontPoint(theta, None, rmse, nan, nan, residual, error.fact)
+
+def _flawed(objective: Objective, error: UncertifiedSolutionError) -> FrontPoint:
+    """The point of a theta at which a stage was not certified."""
+    nan = float("nan")
+    residual = nan if error.x is None else error.problem.certificate(error.x).worst
+    rmse = np.full(len(_channels(objective)), nan)
+    return FrontPoint(objective.settings.theta, None, rmse, nan, nan, residual, error.fact)
 
 
 def _undetermined(program: BoxQP, solution: BoxSolution) -> str:
@@ -372,17 +355,12 @@ def _require_a_solution(fronts: dict[Variant, Front]) -> None:
 
 
 def channel_mean_squares(
-    objective: Objective,
-    geometry: SocketGeometry,
-    moments: StageTwoMoments,
-    stiffness: FloatArray,
-    with_bias: bool,
+    objective: Objective, moments: StageTwoMoments, stiffness: FloatArray, with_bias: bool
 ) -> tuple[FloatArray, FloatArray]:
     """Mean square errors of the channels over the samples of the objective.
 
     Args:
         objective: The samples; those of a channel left out are zeros.
-        geometry: Geometry of the socket.
         moments: Moments of the data at the model's rest positions.
         stiffness: Stiffnesses, shape (n, 3) [N/m].
         with_bias: Whether the model has the offsets that suit it best.
@@ -391,7 +369,7 @@ def channel_mean_squares(
         Those of the wrench, shape (6,) [(N m)^2, N^2], and of the clusters' channels in the
         objective, shape (m,) [N^2].
     """
-    rows = wrench_map(geometry.anchors) * stiffness.reshape(-1)
+    rows = wrench_map(objective.geometry.anchors) * stiffness.reshape(-1)
     wrench = moments.wrench.mean_square_residuals(rows, with_bias)
     local = [
         of_channel.mean_square_residuals(

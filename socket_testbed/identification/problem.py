@@ -16,7 +16,8 @@ offsets are free, so they drop out by centring and are recovered afterwards.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -59,9 +60,12 @@ class ClusterChannel:
 
 @dataclass(frozen=True)
 class Objective:
-    """The samples of a fit, with the weight of each channel.
+    """The samples of a fit with the weight of each channel, on a socket, by its settings.
 
     Attributes:
+        geometry: Geometry of the socket.
+        settings: Settings of the identification.
+        clusters: Names of the clusters of the samples.
         rows: Which of the samples given are used.
         position: Limb positions q, shape (N, 3) [m].
         wrench: Measured wrenches, zero where a channel does not count, shape (N, 6)
@@ -71,10 +75,11 @@ class Objective:
             count, shape (6,) [1/(N m)^2, 1/N^2].
         channels: Channels of the clusters in the objective.
         channel_share: Weight of each squared cluster error in J_f [1/N^2].
-        theta: Weight of J_w against J_f [-].
-        smoothness: Weight lambda of J_s [-].
     """
 
+    geometry: SocketGeometry
+    settings: IdentificationSettings
+    clusters: tuple[str, ...]
     rows: BoolArray
     position: FloatArray
     wrench: FloatArray
@@ -82,18 +87,30 @@ class Objective:
     wrench_shares: FloatArray
     channels: tuple[ClusterChannel, ...]
     channel_share: float
-    theta: float
-    smoothness: float
 
     @property
     def wrench_weights(self) -> FloatArray:
         """Weight of each squared wrench error, shape (6,) [1/(N m)^2, 1/N^2]."""
-        return self.theta * self.wrench_shares
+        return self.settings.theta * self.wrench_shares
 
     @property
     def channel_weight(self) -> float:
         """Weight of each squared cluster error [1/N^2]."""
-        return (1.0 - self.theta) * self.channel_share
+        return (1.0 - self.settings.theta) * self.channel_share
+
+    @property
+    def with_bias(self) -> bool:
+        """Whether the model has offsets."""
+        return self.settings.variant == "stiffness_bias"
+
+    @property
+    def reference(self) -> FloatArray:
+        """Centre of the box of Stage 1: the mean limb position, shape (3,) [m]."""
+        return self.position.mean(axis=0)
+
+    def with_settings(self, **changes: Any) -> Objective:
+        """The same samples with another theta, smoothness or variant."""
+        return replace(self, settings=replace(self.settings, **changes))
 
 
 def check_channels(leave_out: tuple[str, ...], names: tuple[str, ...]) -> None:
@@ -173,6 +190,9 @@ def build_objective(
     weights = wrench_counts / np.repeat([moment, force], 3) ** 2
     local = max(_rms(np.concatenate([c.force for c in channels] or [np.zeros(1)])), _LEAST_FORCE)
     return Objective(
+        geometry=geometry,
+        settings=settings,
+        clusters=samples.clusters,
         rows=rows,
         position=samples.position,
         wrench=wrench,
@@ -180,8 +200,6 @@ def build_objective(
         wrench_shares=weights / max(int(wrench_counts.sum()), 1),
         channels=channels,
         channel_share=1.0 / (local**2 * max(len(channels), 1)),
-        theta=settings.theta,
-        smoothness=settings.smoothness,
     )
 
 
@@ -265,23 +283,14 @@ class StageTwoData:
 
     Args:
         objective: The samples.
-        geometry: Geometry of the socket.
-        settings: Settings of the identification.
         sets: How many sets of rest positions are expected.
         method: See `GatedMoments`.
     """
 
-    def __init__(
-        self,
-        objective: Objective,
-        geometry: SocketGeometry,
-        settings: IdentificationSettings,
-        sets: int = 1,
-        method: Method = "auto",
-    ) -> None:
+    def __init__(self, objective: Objective, sets: int = 1, method: Method = "auto") -> None:
         complete = np.ones(len(objective.position), dtype=bool)
         rows, targets = [complete], [[*objective.wrench.T]]
-        points = [list(range(len(geometry)))]
+        points = [list(range(len(objective.geometry)))]
         numbers = {complete.tobytes(): 0}
         self._places: list[tuple[int, int, int]] = []  # of each channel: group, point, target
         for channel in objective.channels:
@@ -296,7 +305,7 @@ class StageTwoData:
         groups = [
             Group(rows[i], np.stack(targets[i], axis=1), points[i]) for i in range(len(numbers))
         ]
-        sharpness = settings.gate_sharpness
+        sharpness = objective.settings.gate_sharpness
         self._moments = GatedMoments(objective.position, sharpness, groups, sets, method)
 
     def moments(self, rest_positions: FloatArray) -> StageTwoMoments:
@@ -315,12 +324,10 @@ class StageTwo:
 
     Attributes:
         program: The program in the stiffnesses [kN/m], shape (3n,).
-        moments: What it was made of.
         smoothness: Part of the program's P that is the smoothness, shape (3n, 3n) [-].
     """
 
     program: BoxQP
-    moments: StageTwoMoments
     smoothness: FloatArray
 
     def determined_directions(self, x: FloatArray) -> float:
@@ -337,14 +344,7 @@ class StageTwo:
         return float(np.trace(np.linalg.solve(P + _JITTER * np.eye(len(free)), data)))
 
 
-def stage_one_reference(objective: Objective) -> FloatArray:
-    """Reference q_ref of the box of Stage 1: the mean limb position, shape (3,) [m]."""
-    return objective.position.mean(axis=0)
-
-
-def build_stage_one(
-    objective: Objective, geometry: SocketGeometry, settings: IdentificationSettings
-) -> BoxQP:
+def build_stage_one(objective: Objective) -> BoxQP:
     r"""Stage 1: rest positions for linear springs :math:`F_i = k_0 (q - q_{r,i})`.
 
     The residual of the wrench is :math:`A q_r - (w_0 - w)` with :math:`A = k_0 C` and
@@ -352,12 +352,13 @@ def build_stage_one(
     this residual with the sign of w mirrored.
 
     Returns:
-        The program in the offsets ``q_r - q_ref`` [mm], shape (3n,).
+        The program in the offsets ``q_r - q_ref`` [mm] from the mean limb position, shape
+        (3n,): see `rest_positions_of`.
     """
-    points = len(geometry)
+    settings, reference = objective.settings, objective.reference
+    points = len(objective.geometry)
     k0, scale = settings.initial_stiffness, MILLIMETRE
-    reference = stage_one_reference(objective)
-    mapping = wrench_map(geometry.anchors)
+    mapping = wrench_map(objective.geometry.anchors)
 
     # Errors as functions of the offsets u [mm]: e = target - (k0 scale) row u.
     weighted = objective.wrench_weights[:, None] * mapping
@@ -373,19 +374,19 @@ def build_stage_one(
         outer = np.outer(channel.direction, channel.direction)
         P[block, block] += weight * k0 * scale * outer
         q[block] -= weight * local_target * channel.direction
-    smoothness = _smoothness(objective, geometry, settings.rest_position_difference / scale)
+    smoothness = _smoothness(objective, settings.rest_position_difference / scale)
     P += smoothness
     limit = np.full(3 * points, settings.rest_position_limit / scale)
     factor = _normalisation(P)
     return BoxQP(factor * P, factor * q, -limit, limit, "Stage 1 (rest positions)")
 
 
-def build_stage_two(
-    objective: Objective,
-    geometry: SocketGeometry,
-    settings: IdentificationSettings,
-    moments: StageTwoMoments,
-) -> StageTwo:
+def rest_positions_of(objective: Objective, x: FloatArray) -> FloatArray:
+    """Rest positions q_r that a solution of Stage 1 stands for, shape (n, 3) [m]."""
+    return objective.reference + MILLIMETRE * x.reshape(-1, 3)
+
+
+def build_stage_two(objective: Objective, moments: StageTwoMoments) -> StageTwo:
     r"""Stage 2: stiffnesses :math:`k \ge 0` of the gated springs, with or without offsets.
 
     With :math:`A_w[k] = C\,\mathrm{diag}(s[k])` the quadratic term of the wrench is
@@ -394,13 +395,10 @@ def build_stage_two(
 
     Args:
         objective: The weights.
-        geometry: Geometry of the socket.
-        settings: Settings of the identification.
         moments: Moments of the data at the rest positions.
     """
-    with_bias = settings.variant == "stiffness_bias"
-    scale = KILONEWTON_PER_METRE
-    mapping = wrench_map(geometry.anchors)
+    with_bias, scale = objective.with_bias, KILONEWTON_PER_METRE
+    mapping = wrench_map(objective.geometry.anchors)
     weighted = objective.wrench_weights[:, None] * mapping
 
     used = moments.wrench if with_bias else moments.wrench.about_zero()
@@ -414,20 +412,16 @@ def build_stage_two(
         block = slice(3 * channel.point, 3 * channel.point + 3)
         P[block, block] += weight * np.outer(along, along) * used.gram
         q[block] -= weight * along * used.cross[:, 0]
-    smoothness = _smoothness(objective, geometry, settings.stiffness_difference / scale)
+    smoothness = _smoothness(objective, objective.settings.stiffness_difference / scale)
     lower, upper = np.zeros(len(q)), np.full(len(q), np.inf)
     P += smoothness
     factor = _normalisation(P)
     program = BoxQP(factor * P, factor * q, lower, upper, "Stage 2 (stiffnesses)")
-    return StageTwo(program, moments, factor * smoothness)
+    return StageTwo(program, factor * smoothness)
 
 
 def recover_offsets(
-    objective: Objective,
-    geometry: SocketGeometry,
-    settings: IdentificationSettings,
-    stage: StageTwo,
-    stiffness: FloatArray,
+    objective: Objective, moments: StageTwoMoments, stiffness: FloatArray
 ) -> tuple[FloatArray, dict[str, FloatArray]]:
     """Offsets that are optimal for given stiffnesses: the mean residuals.
 
@@ -437,24 +431,25 @@ def recover_offsets(
     """
     wrench_bias = np.zeros(6)
     force_bias: dict[str, FloatArray] = {}
-    if settings.variant != "stiffness_bias":
+    if not objective.with_bias:
         return wrench_bias, force_bias
-    wrench = stage.moments.wrench
+    wrench = moments.wrench
     springs = stiffness.reshape(-1) * wrench.mean
-    residual = wrench.target_mean - wrench_map(geometry.anchors) @ springs
+    residual = wrench.target_mean - wrench_map(objective.geometry.anchors) @ springs
     wrench_bias[objective.wrench_counts] = residual[objective.wrench_counts]
-    for channel, means in zip(objective.channels, stage.moments.channels, strict=True):
+    for channel, means in zip(objective.channels, moments.channels, strict=True):
         bias = force_bias.setdefault(channel.cluster, np.zeros(3))
         predicted = (means.mean * stiffness[channel.point]) @ channel.direction
         bias[channel.axis] = means.target_mean[0] - predicted
     return wrench_bias, force_bias
 
 
-def _smoothness(objective: Objective, geometry: SocketGeometry, difference: float) -> FloatArray:
+def _smoothness(objective: Objective, difference: float) -> FloatArray:
     """Quadratic term of the smoothness, shape (3n, 3n), for an expected difference."""
-    weight = objective.smoothness / (3.0 * difference**2)  # the mean over the three axes
-    points = len(geometry)
-    laplacian = weight * smoothness_matrix(points, geometry.neighbours)
+    # The mean over the three axes:
+    weight = objective.settings.smoothness / (3.0 * difference**2)
+    points = len(objective.geometry)
+    laplacian = weight * smoothness_matrix(points, objective.geometry.neighbours)
     P = np.zeros((points, 3, points, 3))
     for axis in range(3):
         P[:, axis, :, axis] = laplacian

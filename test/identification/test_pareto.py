@@ -125,11 +125,11 @@ def test_along_stage_two_each_error_with_the_smoothness_is_monotone(variant):
     geometry, bed, samples, settings = make_case(22, variant, gaps=True, noise=3.0)
     rest = bed.rest_positions + 5e-4  # fixed: the theorem holds for one program alone
     objective = build_objective(samples, geometry, settings)
-    moments = StageTwoData(objective, geometry, settings).moments(rest)
+    moments = StageTwoData(objective).moments(rest)
     found, near = [], None
     for theta in np.linspace(0.0, 1.0, 21):
-        weighted = dataclasses.replace(objective, theta=float(theta))
-        program = build_stage_two(weighted, geometry, settings, moments).program
+        weighted = objective.with_settings(theta=float(theta))
+        program = build_stage_two(weighted, moments).program
         near = solve_box_qp(program, "osqp", 1e-8, near).x
         found.append(near)
     sums = []

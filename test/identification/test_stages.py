@@ -49,14 +49,13 @@ def random_stiffness(rng, n):
     return rng.uniform(0.0, 10.0, 3 * n) * (rng.random(3 * n) < 0.7)  # [kN/m]
 
 
-def stage_two_at(objective, geometry, settings, rest_positions):
-    moments = StageTwoData(objective, geometry, settings).moments(rest_positions)
-    return build_stage_two(objective, geometry, settings, moments)
+def stage_two_at(objective, rest_positions):
+    return build_stage_two(objective, StageTwoData(objective).moments(rest_positions))
 
 
 def solve_stage_one(samples, geometry, settings):
     """Rest positions in {S} [m]."""
-    program = build_stage_one(build_objective(samples, geometry, settings), geometry, settings)
+    program = build_stage_one(build_objective(samples, geometry, settings))
     u = solve_box_qp(program, settings.solver, settings.solver_tolerance).x
     return samples.position.mean(axis=0) + MILLIMETRE * u.reshape(-1, 3)
 
@@ -64,10 +63,11 @@ def solve_stage_one(samples, geometry, settings):
 def solve_stage_two(samples, geometry, settings, rest_positions):
     """Stiffnesses [kN/m] and the offsets of the package at given rest positions."""
     objective = build_objective(samples, geometry, settings)
-    stage = stage_two_at(objective, geometry, settings, rest_positions)
+    moments = StageTwoData(objective).moments(rest_positions)
+    stage = build_stage_two(objective, moments)
     x = solve_box_qp(stage.program, settings.solver, settings.solver_tolerance).x
     stiffness = KILONEWTON_PER_METRE * x.reshape(-1, 3)
-    offsets = recover_offsets(objective, geometry, settings, stage, stiffness)
+    offsets = recover_offsets(objective, moments, stiffness)
     return x, offsets
 
 
@@ -110,7 +110,7 @@ def test_the_wrench_map_of_the_stack_is_the_packages():
 @pytest.mark.parametrize("leave_out", LEFT_OUT)
 def test_stage_one_is_the_stacked_objective_up_to_scale_and_constant(leave_out, gaps):
     geometry, _, samples, settings = make_case(23, gaps=gaps, leave_out=leave_out)
-    program = build_stage_one(build_objective(samples, geometry, settings), geometry, settings)
+    program = build_stage_one(build_objective(samples, geometry, settings))
     rows = stack_stage_one(samples, geometry, settings)
     points = np.random.default_rng(24).uniform(-8.0, 8.0, (12, 3 * len(geometry)))  # [mm]
     assert_same_up_to_scale_and_constant(program, rows, points)
@@ -122,7 +122,7 @@ def test_stage_one_is_the_stacked_objective_up_to_scale_and_constant(leave_out, 
 def test_stage_two_is_the_stacked_objective_up_to_scale_and_constant(variant, leave_out, gaps):
     geometry, bed, samples, settings = make_case(21, variant, gaps, leave_out=leave_out)
     objective = build_objective(samples, geometry, settings)
-    program = stage_two_at(objective, geometry, settings, bed.rest_positions).program
+    program = stage_two_at(objective, bed.rest_positions).program
     rows = stack_stage_two(samples, geometry, settings, bed.rest_positions)
     rng = np.random.default_rng(22)
     points = [random_stiffness(rng, len(geometry)) for _ in range(12)]
@@ -134,8 +134,8 @@ def test_programs_are_symmetric_and_convex(variant):
     geometry, bed, samples, settings = make_case(25, variant, gaps=True)
     objective = build_objective(samples, geometry, settings)
     for program in (
-        build_stage_one(objective, geometry, settings),
-        stage_two_at(objective, geometry, settings, bed.rest_positions).program,
+        build_stage_one(objective),
+        stage_two_at(objective, bed.rest_positions).program,
     ):
         np.testing.assert_allclose(program.P, program.P.T, atol=1e-12)
         assert np.linalg.eigvalsh(program.P).min() > -1e-12
@@ -289,7 +289,7 @@ def test_determined_directions_are_the_trace_of_the_hat_matrix(variant):
     geometry, bed, samples, settings = make_case(64, variant)
     rest = bed.rest_positions + WRONG
     objective = build_objective(samples, geometry, settings)
-    stage = stage_two_at(objective, geometry, settings, rest)
+    stage = stage_two_at(objective, rest)
     x = solve_box_qp(stage.program, "osqp", 1e-6).x
     rows = stack_stage_two(samples, geometry, settings, rest)
     offsets = rows.A.shape[1] - len(x)
