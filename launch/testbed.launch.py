@@ -11,7 +11,7 @@ from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
 from launch import LaunchContext, LaunchDescription
-from socket_testbed.clocks import BEGINNING, SteadyClock
+from socket_testbed.clocks import shared_environment
 from socket_testbed.files import packaged
 from socket_testbed.live.bringup import Testbed
 from socket_testbed.live.processes import write_parameters
@@ -52,8 +52,8 @@ def generate_launch_description() -> LaunchDescription:
     config = {name: str(packaged("config", f"{name}.yaml")) for name in ("socket", "calibration")}
     return LaunchDescription(
         [
-            # A node that is started again tells the same time as the others.
-            SetEnvironmentVariable(BEGINNING, str(SteadyClock().beginning)),
+            # A node that is started again has the same clock as the others.
+            *(SetEnvironmentVariable(*item) for item in shared_environment().items()),
             DeclareLaunchArgument("params", description="node parameters, a testbed.yaml"),
             DeclareLaunchArgument("geometry", default_value=config["socket"]),
             DeclareLaunchArgument("calibration", default_value=config["calibration"]),

@@ -51,7 +51,9 @@ def launch(monkeypatch: pytest.MonkeyPatch) -> Launch:
         program = runpy.run_path(str(CHECKOUT / "launch" / f"{name}.launch.py"))
         kept.append(program)
         (actions,) = program["generate_launch_description"]().positional
-        declared = {a.positional[0]: a.given.get("default_value") for a in actions if a.positional}
+        declared = {
+            a.positional[0]: a.given.get("default_value") for a in actions if len(a.positional) == 1
+        }
         context = {key: str(value) for key, value in (declared | arguments).items()}
         (bring_up,) = (a.given["function"] for a in actions if "function" in a.given)
         return bring_up(context)

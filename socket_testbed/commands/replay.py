@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import dataclasses
 from pathlib import Path
 
 from socket_testbed.commands.options import (
@@ -14,8 +13,7 @@ from socket_testbed.commands.options import (
 )
 from socket_testbed.errors import ConfigurationError
 from socket_testbed.files import check_number
-from socket_testbed.identification.model_file import read_model
-from socket_testbed.live.bringup import replay_with_estimator
+from socket_testbed.live.bringup import predict_with, replay_with_estimator
 from socket_testbed.live.processes import Graph
 from socket_testbed.settings.testbed import ReplaySettings
 
@@ -62,7 +60,5 @@ def run(options: argparse.Namespace) -> None:
         return
     settings = estimator_settings(options, trial.estimator)
     if options.model is not None:
-        read_model(options.model)
-        model = str(options.model.resolve())
-        settings = dataclasses.replace(settings, model=model, auto_fit=False)
+        settings = predict_with(options.model, settings)
     replay_with_estimator(trial, replay, settings)

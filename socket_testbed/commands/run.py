@@ -18,8 +18,7 @@ from socket_testbed.commands.options import add_model_choice, choose_model
 from socket_testbed.errors import ConfigurationError
 from socket_testbed.files import check_number, refuse_existing
 from socket_testbed.identification.fit import check_names
-from socket_testbed.identification.model_file import read_model
-from socket_testbed.live.bringup import Simulation, Testbed, end, start, summary
+from socket_testbed.live.bringup import Simulation, Testbed, end, predict_with, start, summary
 from socket_testbed.live.processes import Graph
 from socket_testbed.live.time_scale import busy_note, measure_speed, pace
 
@@ -118,9 +117,7 @@ def _testbed(options: argparse.Namespace, simulation: Simulation | None) -> Test
     estimator = choose_model(options, testbed.settings.estimator_node)
     check_names(estimator.identification, testbed.settings.cluster_node.names)
     if options.model is not None:
-        read_model(options.model)
-        model = str(options.model.resolve())
-        estimator = dataclasses.replace(estimator, model=model, auto_fit=False)
+        estimator = predict_with(options.model, estimator)
     return dataclasses.replace(
         testbed,
         settings=dataclasses.replace(

@@ -20,6 +20,7 @@ from socket_testbed.errors import ConfigurationError, TestbedError
 from socket_testbed.files import closest, packaged
 from socket_testbed.geometry.socket import read_socket
 from socket_testbed.identification.fit import check_names
+from socket_testbed.identification.model_file import read_model
 from socket_testbed.live.processes import Graph, GraphNode
 from socket_testbed.samples import Status
 from socket_testbed.settings.testbed import (
@@ -248,6 +249,16 @@ def simulate_hardware(
         ),
     )
     return replace(testbed, settings=settings), world
+
+
+def predict_with(model: Path, estimator: EstimatorSettings) -> EstimatorSettings:
+    """An estimator's settings with which it predicts with a stored model and fits none.
+
+    Raises:
+        ConfigurationError: If the model cannot be read.
+    """
+    read_model(model)
+    return replace(estimator, model=str(model.resolve()), auto_fit=False)
 
 
 def replay_nodes(

@@ -1,0 +1,163 @@
+"""What is wired and what is not: each device is opened with its own driver and asked."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+from socket_testbed import clocks
+from socket_testbed.drivers.clusters.reader import ClusterReader
+from socket_testbed.drivers.load_cell.load_cell import LoadCell
+from socket_testbed.drivers.natnet.client import NatNetClient
+from socket_testbed.drivers.natnet.tracker import BodyTracker
+from socket_testbed.errors import DeviceError, TestbedError
+from socket_testbed.geometry.socket import read_socket
+from socket_testbed.live.bringup import Testbed
+from socket_testbed.live.hardware import i2c_opener, make_trigger, spi_opener
+
+_FRAMES = 1000
+_PULSES = 5
+_SERVER_WITHIN = 3.0  # [s]
+_READINGS = 6
+_WATCHED = 1.0  # [s]; of the load cell's conversions
+_LOOK = 0.05  # [s]
+
+
+@dataclass(frozen=True)
+class Finding:
+    """What was found at one place.
+
+    Attributes:
+        what: What was looked at.
+        found: What was found there.
+        hint: What to do; empty if all is well.
+    """
+
+    what: str
+    found: str
+    hint: str = ""
+
+
+Check = Callable[[Testbed], Iterator[Finding]]
+
+
+def examine(testbed: Testbed) -> list[Finding]:
+    """Look at everything that is configured, one device after the other."""
+    return [finding for check in CHECKS for finding in _guarded(check, testbed)]
+
+
+def _guarded(check: Check, testbed: Testbed) -> Iterator[Finding]:
+    try:
+        yield from check(testbed)
+    except TestbedError as error:
+        yield Finding(
+            check.__name__.removeprefix("check_").replace("_", " "), error.fact, error.hint
+        )
+
+
+def _of_message(what: str, message: str) -> Finding:
+    """A failing finding from a fact and its hint in one line."""
+    fact, _, hint = message.rpartition(": ")
+    return Finding(what, fact or message, hint if fact else "see docs/faults.md")
+
+
+def check_trigger(testbed: Testbed) -> Iterator[Finding]:
+    """Make pulses and see their edges."""
+    settings = testbed.settings.trigger_node
+    trigger = make_trigger(settings)
+    try:
+        delays = []
+        for _ in range(_PULSES):
+            before = clocks.monotonic()
+            delays.append(trigger.fire() - before)
+            trigger.rest()
+    finally:
+        trigger.close()
+    found = "the steady clock; no wire"
+    if settings.source == "gpio":
+        found = (
+            f"{settings.chip}, line {settings.output_line} to {settings.input_line},"
+            f" edge within {max(delays) * 1e6:.0f} us"
+        )
+    yield Finding("trigger", found)
+
+
+def check_clusters(testbed: Testbed) -> Iterator[Finding]:
+    """See which chip answers at each cluster's place."""
+    settings = testbed.settings.cluster_node
+    reader = ClusterReader(settings, i2c_opener(settings))
+    try:
+        chips = reader.identify()
+        for _ in range(_READINGS):  # the first ones may find the range of an input
+            faults = reader.read(clocks.monotonic()).faults
+        for name, found in chips.items():
+            if isinstance(found, DeviceError):
+                yield Finding(f"cluster {name}", found.fact, found.hint)
+            elif name in faults:
+                yield _of_message(f"cluster {name}", faults[name].partition("; ")[0])
+            else:
+                yield Finding(f"cluster {name}", found)
+    finally:
+        reader.close()
+
+
+def check_load_cell(testbed: Testbed) -> Iterator[Finding]:
+    """See which converter answers, and whether its frames are intact."""
+    settings = testbed.settings.load_cell_node
+    cell = LoadCell(settings, spi_opener(settings))
+    try:
+        yield Finding("load cell", cell.identify())
+        corrupted = cell.check_frames(_FRAMES)
+        hint = "check the wiring, or lower load_cell_node's spi_clock" if corrupted else ""
+        yield Finding("load cell CRC", f"{corrupted} of {_FRAMES} frames corrupted", hint)
+        ends = clocks.monotonic() + _WATCHED
+        while clocks.monotonic() < ends:
+            cell.poll()
+            clocks.sleep(0.5 * cell.period)
+        level, message = cell.health(clocks.monotonic())
+        yield (
+            _of_message("load cell bridges", message)
+            if level
+            else Finding("load cell bridges", message)
+        )
+    finally:
+        cell.close()
+
+
+def check_motion_capture(testbed: Testbed) -> Iterator[Finding]:
+    """See which server answers, how well its clock is known, and whether it has the bodies."""
+    settings = testbed.settings.mocap_node
+    geometry = read_socket(testbed.geometry)
+    tracker = BodyTracker(settings, geometry.socket_markers, geometry.pylon_markers)
+    client = NatNetClient(settings, tracker.add)
+    client.start()
+    try:
+        deadline = clocks.monotonic() + _SERVER_WITHIN
+        while (health := client.health(clocks.monotonic()))[0] and clocks.monotonic() < deadline:
+            clocks.sleep(_LOOK)
+        clocks.sleep(settings.stale)
+        seen = tracker.sample(clocks.monotonic() - 0.5 * settings.stale)
+        link = client.describe()
+    finally:
+        client.close()
+    level, message = health
+    if level > 1:
+        yield _of_message("motion capture", message)
+        return
+    server = f"{link['server']} {link['application']}, NatNet {link['NatNet']}, {link['rate']}"
+    yield Finding("motion capture", f"{server}, at {link['address']}")
+    if level:
+        yield _of_message("motion capture stream", message)
+    clock = f"known within {link['clock uncertainty']}, jitter {link['clock jitter']}"
+    yield Finding("motion capture clock", clock)
+    for body, fault in zip((settings.socket_body, settings.pylon_body), seen.faults, strict=True):
+        what = f"rigid body {body}"
+        yield _of_message(what, fault) if fault else Finding(what, "its three markers are seen")
+
+
+CHECKS: tuple[Check, ...] = (
+    check_trigger,
+    check_clusters,
+    check_load_cell,
+    check_motion_capture,
+)
