@@ -1,12 +1,12 @@
-"""Bench data of a cluster: files read, columns and units named, never guessed."""
+"""Bench data of a cluster, read from files whose columns and units are named, never guessed."""
 
 from __future__ import annotations
 
 import csv
 import io
 import re
-from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -15,17 +15,209 @@ from socket_testbed.arrays import BoolArray, FloatArray, IntArray
 from socket_testbed.errors import CalibrationError
 from socket_testbed.files import closest
 
+NEWTON = "N"  # a stress may be given as the force on the cluster's area
+STRESSES = ("normal", "shear_x", "shear_y")
+INPUTS = ("c0", "c1", "c2", "c3")
+UNITS: dict[str, dict[str, float]] = {
+    "time": {"s": 1.0, "ms": 1e-3},
+    "cycle": {},
+    **{name: {"Pa": 1.0, "kPa": 1e3, "MPa": 1e6, NEWTON: 1.0} for name in STRESSES},
+    **{name: {"pF": 1.0, "fF": 1e-3, "nF": 1e3} for name in INPUTS},
+}
+"""The units of each quantity, with their size in s, Pa (or N) and pF; a cycle has none."""
+
+UNNAMED = -1  # the cycle of a row in a file that names none
+_SOUND = 99.0  # [%] of the rows, at least
+
+
+@dataclass(frozen=True)
+class BenchData:
+    """Bench data of one cluster, one row per reading.
+
+    Attributes:
+        files: Names of the files.
+        file: Which of them each row is from, shape (N,).
+        line: The line it stands on there, shape (N,).
+        time: Time within its file, shape (N,) [s]; NaN where the file has none.
+        cycle: Which cycle of its file a row belongs to, shape (N,); `UNNAMED` where the file
+            names none.
+        capacitance: Capacitances by input of the converter, shape (N, 4) [pF].
+        stress: Known normal stress (positive in compression), shear x and shear y in the
+            cluster's frame, shape (N, 3) [Pa].
+    """
+
+    files: tuple[str, ...]
+    file: IntArray
+    line: IntArray
+    time: FloatArray
+    cycle: IntArray
+    capacitance: FloatArray
+    stress: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.file)
+
+    def __getitem__(self, rows: BoolArray | IntArray) -> BenchData:
+        """Some of the rows."""
+        arrays = {name: getattr(self, name)[rows] for name in _ARRAYS}
+        return replace(self, **arrays)
+
+    @property
+    def full_scale(self) -> FloatArray:
+        """Largest size of each known stress, shape (3,) [Pa]."""
+        return np.abs(self.stress).max(axis=0)
+
+    def place(self, row: int) -> str:
+        """File and line of a row, in words."""
+        return f"{self.files[self.file[row]]} line {self.line[row]}"
+
+
+_ARRAYS = ("file", "line", "time", "cycle", "capacitance", "stress")  # of a BenchData
+
+
+def scaled_stress(stress: FloatArray) -> FloatArray:
+    """Stresses as parts of the largest ones, from -1 to 1, however wrong one in a hundred is.
+
+    Args:
+        stress: Normal stress, shear x and shear y, shape (N, 3) [Pa].
+
+    Returns:
+        Parts, shape (N, 3) [-]; zero for a stress that is hardly ever applied.
+    """
+    scale = np.percentile(np.abs(stress), _SOUND, axis=0, method="lower")
+    return np.clip(stress / np.where(scale > 0.0, scale, np.inf), -1.0, 1.0)
+
+
+def join_benches(parts: Sequence[BenchData]) -> BenchData:
+    """Put the data of several files together, in their order."""
+    arrays = {name: np.concatenate([getattr(part, name) for part in parts]) for name in _ARRAYS}
+    offsets = np.cumsum([0, *(len(part.files) for part in parts[:-1])])
+    arrays["file"] += np.repeat(offsets, [len(part) for part in parts])
+    return BenchData(tuple(name for part in parts for name in part.files), **arrays)
+
+
+# What a reading can be; beyond it, the unit is not the one that is named.
+_CAPACITANCE_RANGE = (0.01, 100.0)  # [pF]
+_STRESS_RANGES = {
+    "normal": (-1e3, 2e6),  # [Pa]; a load cell's zero may be a little off
+    "shear_x": (-1e6, 1e6),
+    "shear_y": (-1e6, 1e6),
+}
+_STEP_RANGE = (1e-3, 60.0)  # [s] between readings, in the median
+
+
+def read_bench(
+    path: Path,
+    columns: Mapping[str, str],
+    units: Mapping[str, str],
+    area: float | None = None,
+) -> BenchData:
+    """Read a bench file.
+
+    It has a header and a row per reading, with the columns `normal`, `shear_x`, `shear_y` and
+    `c0` to `c3` (the converter's inputs), and optionally `time` and `cycle`. Their units
+    stand in the header, such as `normal [kPa]`. Other columns are ignored.
+
+    Args:
+        path: The file; commas, semicolons or tabs separate its columns.
+        columns: Names in the header of quantities that it calls otherwise.
+        units: Units of quantities, instead of the header's: pF, fF or nF; Pa, kPa, MPa or N;
+            s or ms.
+        area: Area on which a stress in N acts [m^2].
+
+    Raises:
+        CalibrationError: If the file is wrong, naming the line and the column.
+    """
+    table = read_table(path)
+    found = find_columns(table, (*STRESSES, *INPUTS), ("time", "cycle"), columns, units)
+    rows = len(table.lines)
+    return BenchData(
+        files=(table.name,),
+        file=np.zeros(rows, dtype=np.int64),
+        line=table.lines,
+        time=_time(found["time"]) if "time" in found else np.full(rows, np.nan),
+        cycle=_cycles(found["cycle"]) if "cycle" in found else np.full(rows, UNNAMED),
+        capacitance=np.column_stack([_changing_capacitance(found[name]) for name in INPUTS]),
+        stress=np.column_stack([_stress(found[name], area) for name in STRESSES]),
+    )
+
+
+def read_unloaded(path: Path, columns: Mapping[str, str], units: Mapping[str, str]) -> FloatArray:
+    """Read the capacitances `c0` to `c3` of the unloaded cluster from a file.
+
+    Args:
+        path: The file; see `read_bench`. Its other columns are ignored.
+        columns: Names in the header of quantities that it calls otherwise.
+        units: Units of quantities, instead of the header's.
+
+    Returns:
+        Capacitances by input, shape (N, 4) [pF].
+
+    Raises:
+        CalibrationError: If the file is wrong, naming the line and the column.
+    """
+    found = find_columns(read_table(path), INPUTS, (), columns, units)
+    return np.column_stack([found[name].values(*_CAPACITANCE_RANGE) for name in INPUTS])
+
+
+def _time(column: BenchColumn) -> FloatArray:
+    time = column.numbers() * column.scale
+    steps = np.diff(time)
+    backwards = np.flatnonzero(steps <= 0.0)
+    if len(backwards):
+        raise CalibrationError(
+            f"{column.table.name}: '{column.title}' does not increase at line"
+            f" {column.table.lines[backwards[0] + 1]}",
+            "give the readings in their order, and each run as a file of its own",
+        )
+    usual = float(np.median(steps)) if len(steps) else _STEP_RANGE[0]
+    if not _STEP_RANGE[0] <= usual <= _STEP_RANGE[1]:
+        other = "ms" if column.unit == "s" else "s"
+        raise CalibrationError(
+            f"{column.table.name}: the steps of '{column.title}' are {usual / column.scale:.3g}"
+            f" {column.unit} in the median, which no bench reads at",
+            f"correct the header, or give --units time={other} if these are {other}",
+        )
+    return time
+
+
+def _cycles(column: BenchColumn) -> IntArray:
+    return np.unique(column.texts(), return_inverse=True)[1].astype(np.int64)
+
+
+def _changing_capacitance(column: BenchColumn) -> FloatArray:
+    values = column.values(*_CAPACITANCE_RANGE)
+    if np.ptp(values) == 0.0:
+        raise CalibrationError(
+            f"{column.table.name}: '{column.title}' is {values[0] / column.scale:g} {column.unit}"
+            " in every row",
+            "check this input's wire, or name the column that holds it",
+        )
+    return values
+
+
+def _stress(column: BenchColumn, area: float | None) -> FloatArray:
+    if column.unit == NEWTON:
+        if area is None:
+            raise CalibrationError(
+                f"{column.table.name}: '{column.title}' is a force in N",
+                "give the area it acts on with --area, in m^2, or with --geometry",
+            )
+        column = replace(column, scale=1.0 / area)
+    return column.values(*_STRESS_RANGES[column.quantity])
+
+
 _NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?", flags=re.ASCII)
 _SEPARATORS = "\t;,"
 
 
 @dataclass(frozen=True)
-class Table:
-    """The cells of a file, column by column.
+class BenchTable:
+    """The cells of a bench file.
 
     Attributes:
         name: Name of the file, for errors and reports.
-        header: Names of the columns as the file has them.
+        header: Titles of the columns as the file has them.
         lines: Line of the file that each of the N rows stands on, shape (N,).
         columns: The cells of each column, as text.
         decimal_comma: Whether numbers may have a comma; not where commas separate the cells.
@@ -37,43 +229,83 @@ class Table:
     columns: tuple[tuple[str, ...], ...]
     decimal_comma: bool
 
-    def __len__(self) -> int:
-        return len(self.lines)
 
-    def texts(self, column: int) -> tuple[str, ...]:
-        """The cells of a column as text.
+@dataclass(frozen=True)
+class BenchColumn:
+    """The column of a quantity in a table.
+
+    Attributes:
+        table: The table.
+        quantity: The quantity, one of `UNITS`.
+        index: The column of the table.
+        unit: The quantity's unit; empty where it has none.
+        scale: Size of the unit in s, pF, Pa or N.
+    """
+
+    table: BenchTable
+    quantity: str
+    index: int
+    unit: str = ""
+    scale: float = 1.0
+
+    @property
+    def title(self) -> str:
+        """Its title in the header."""
+        return self.table.header[self.index]
+
+    def texts(self) -> tuple[str, ...]:
+        """The cells as text.
 
         Raises:
             CalibrationError: If one of them is empty.
         """
-        for line, cell in zip(self.lines, self.columns[column], strict=True):
-            if not cell:
-                raise CalibrationError(
-                    f"{self.name}: '{self.header[column]}' is empty in line {line}",
-                    "fill the cell or remove the line",
-                )
-        return self.columns[column]
+        cells = self.table.columns[self.index]
+        if "" in cells:
+            raise CalibrationError(
+                f"{self.table.name}: '{self.title}' is empty in line"
+                f" {self.table.lines[cells.index('')]}",
+                "fill the cell or remove the line",
+            )
+        return cells
 
-    def numbers(self, column: int) -> FloatArray:
-        """The cells of a column as numbers, shape (N,).
+    def numbers(self) -> FloatArray:
+        """The cells as numbers, in the column's unit, shape (N,).
 
         Raises:
             CalibrationError: If one of them is none.
         """
-        cells = self.texts(column)
-        if self.decimal_comma:
-            cells = tuple(cell.replace(",", ".") for cell in cells)
-        for row, cell in enumerate(cells):
-            if not _NUMBER.fullmatch(cell):
+        values = []
+        for cell, line in zip(self.texts(), self.table.lines, strict=True):
+            written = cell.replace(",", ".") if self.table.decimal_comma else cell
+            if not _NUMBER.fullmatch(written):
                 raise CalibrationError(
-                    f"{self.name}: '{self.header[column]}' holds '{self.columns[column][row]}' in"
-                    f" line {self.lines[row]}, which is no number",
+                    f"{self.table.name}: '{self.title}' holds '{cell}' in line {line}, which is no"
+                    " number",
                     "give a number there; a unit belongs into the header",
                 )
-        return np.array([float(cell) for cell in cells])
+            values.append(float(written))
+        return np.array(values)
+
+    def values(self, least: float, largest: float) -> FloatArray:
+        """The cells as numbers in s, pF or Pa, shape (N,).
+
+        Raises:
+            CalibrationError: If one of them is none, or outside of the limits [s, pF or Pa].
+        """
+        numbers = self.numbers()
+        low, high = least / self.scale, largest / self.scale
+        outside = np.flatnonzero((numbers < low) | (numbers > high))
+        if len(outside):
+            raise CalibrationError(
+                f"{self.table.name}: '{self.title}' is {numbers[outside[0]]:g} {self.unit} in line"
+                f" {self.table.lines[outside[0]]}, outside {low:g} to {high:g} {self.unit}",
+                f"check the value, its sign and its unit; --units {self.quantity}=UNIT names"
+                " another",
+            )
+        return numbers * self.scale
 
 
-def read_table(path: Path) -> Table:
+def read_table(path: Path) -> BenchTable:
     """Read a table whose cells are separated by commas, semicolons or tabs.
 
     Lines without any content are left out.
@@ -105,10 +337,10 @@ def read_table(path: Path) -> Table:
         ) from None
     if not rows:
         raise CalibrationError(
-            f"{path}: holds no row of data", "give a header and below it a row a reading"
+            f"{path}: holds no row of data", "give a header and below it a row per reading"
         )
     columns = tuple(zip(*rows, strict=True))
-    return Table(path.name, header, np.array(lines, dtype=np.int64), columns, separator != ",")
+    return BenchTable(path.name, header, np.array(lines, dtype=np.int64), columns, separator != ",")
 
 
 def _read_text(path: Path) -> str:
@@ -144,43 +376,10 @@ def _check_row(
     )
 
 
-NEWTON = "N"  # a stress may be given as the force on the cluster's area
-
-_CAPACITANCE = {"pF": 1.0, "fF": 1e-3, "nF": 1e3}  # [pF]
-_STRESS = {"Pa": 1.0, "kPa": 1e3, "MPa": 1e6, NEWTON: 1.0}  # [Pa], [N]
-_TIME = {"s": 1.0, "ms": 1e-3}  # [s]
-
-INPUTS = ("c0", "c1", "c2", "c3")
-STRESSES = ("normal", "shear_x", "shear_y")
-UNITS: dict[str, dict[str, float]] = {
-    "time": _TIME,
-    "cycle": {},
-    **dict.fromkeys(STRESSES, _STRESS),
-    **dict.fromkeys(INPUTS, _CAPACITANCE),
-}
-"""The units of each quantity, with their size in s, Pa (or N) and pF; a cycle has none."""
-
 _SUFFIXES = "|".join(sorted({unit for units in UNITS.values() for unit in units}))
 _BRACKETED = re.compile(r"(.*?)[\s_]*[\[(]([^\])]*)[\])]")
 _SUFFIXED = re.compile(rf"(.*?)[\s_]+({_SUFFIXES})", flags=re.IGNORECASE)
 _SHOWN = 8  # names of a header that an error lists
-
-
-@dataclass(frozen=True)
-class Column:
-    """Where a quantity stands in a table.
-
-    Attributes:
-        index: The column of the table.
-        title: Its name in the header.
-        unit: The quantity's unit; empty where it has none.
-        scale: Size of the unit in s, pF, Pa or N.
-    """
-
-    index: int
-    title: str
-    unit: str
-    scale: float
 
 
 def split_title(title: str) -> tuple[str, str]:
@@ -194,12 +393,12 @@ def split_title(title: str) -> tuple[str, str]:
 
 
 def find_columns(
-    table: Table,
+    table: BenchTable,
     required: Sequence[str],
     optional: Sequence[str],
     titles: Mapping[str, str],
     units: Mapping[str, str],
-) -> dict[str, Column]:
+) -> dict[str, BenchColumn]:
     """Find quantities in the columns of a table.
 
     Args:
@@ -225,7 +424,7 @@ def find_columns(
             f"name it with --columns {' '.join(f'{name}=NAME' for name in missing)}",
         )
     columns = {
-        name: _column(table, name, index, units)
+        name: _with_unit(BenchColumn(table, name, index), units)
         for name, index in places.items()
         if index is not None
     }
@@ -238,11 +437,18 @@ def find_columns(
             f"write it into the header, such as '{columns[name].title} [{example}]', or give"
             f" --units {name}={example}",
         )
-    _refuse_shared(table, columns)
+    owners: dict[int, str] = {}
+    for name, column in columns.items():
+        owner = owners.setdefault(column.index, name)
+        if owner != name:
+            raise CalibrationError(
+                f"{table.name}: '{column.title}' is both {owner} and {name}",
+                "name a column of its own for each with --columns",
+            )
     return columns
 
 
-def _find(table: Table, name: str, titles: Mapping[str, str]) -> int | None:
+def _find(table: BenchTable, name: str, titles: Mapping[str, str]) -> int | None:
     wanted = titles.get(name)
     if wanted is None:
         matches = [i for i, t in enumerate(table.header) if split_title(t)[0].lower() == name]
@@ -265,264 +471,23 @@ def _find(table: Table, name: str, titles: Mapping[str, str]) -> int | None:
     return matches[0] if matches else None
 
 
-def _column(table: Table, name: str, index: int, units: Mapping[str, str]) -> Column:
-    title = table.header[index]
-    written = units.get(name) or split_title(title)[1]
-    if not written or not UNITS[name]:
-        return Column(index, title, "", 1.0)
-    unit = _known_unit(written, UNITS[name])
-    if unit is None:
-        raise CalibrationError(
-            f"{table.name}: {name} is in '{written}', which is no unit of it",
-            f"name one of {', '.join(UNITS[name])} in the header or with --units {name}=UNIT",
-        )
-    return Column(index, title, unit, UNITS[name][unit])
-
-
-def _known_unit(written: str, known: Collection[str]) -> str | None:
-    if written in known:
-        return written
-    alike = [unit for unit in known if unit.lower() == written.lower()]
+def _with_unit(column: BenchColumn, units: Mapping[str, str]) -> BenchColumn:
+    """The column with the unit of its title, or the one that is named instead."""
+    known = UNITS[column.quantity]
+    written = units.get(column.quantity) or split_title(column.title)[1]
+    if not written or not known:
+        return column
     # mPa is a thousandth, not a million: MPa has to be written as it is.
-    return alike[0] if alike and alike[0] != "MPa" else None
+    alike = [u for u in known if u == written or (u.lower() == written.lower() and u != "MPa")]
+    if not alike:
+        raise CalibrationError(
+            f"{column.table.name}: {column.quantity} is in '{written}', which is no unit of it",
+            f"name one of {', '.join(known)} in the header or with --units {column.quantity}=UNIT",
+        )
+    return replace(column, unit=alike[0], scale=known[alike[0]])
 
 
-def _refuse_shared(table: Table, columns: Mapping[str, Column]) -> None:
-    owners: dict[int, str] = {}
-    for name, column in columns.items():
-        if column.index in owners:
-            raise CalibrationError(
-                f"{table.name}: '{column.title}' is both {owners[column.index]} and {name}",
-                "name a column of its own for each with --columns",
-            )
-        owners[column.index] = name
-
-
-def _shown(table: Table) -> str:
+def _shown(table: BenchTable) -> str:
     named = [f"'{title}'" for title in table.header if title]
     more = ", ..." if len(named) > _SHOWN else ""
     return ", ".join(named[:_SHOWN]) + more
-
-
-UNNAMED = -1  # the cycle of a row in a file that names none
-_SOUND = 99.0  # [%] of the rows, at least
-
-
-@dataclass(frozen=True)
-class BenchData:
-    """Bench data of one cluster, one row a reading.
-
-    Attributes:
-        files: Names of the files.
-        file: Which of them each row is from, shape (N,).
-        line: The line it stands on there, shape (N,).
-        time: Time within its file, shape (N,) [s]; NaN where the file has none.
-        cycle: Which cycle of its file a row belongs to, shape (N,); `UNNAMED` where the file
-            names none.
-        capacitance: Capacitances by input of the converter, shape (N, 4) [pF].
-        stress: Known normal stress (positive in compression), shear x and shear y in the
-            cluster's frame, shape (N, 3) [Pa].
-    """
-
-    files: tuple[str, ...]
-    file: IntArray
-    line: IntArray
-    time: FloatArray
-    cycle: IntArray
-    capacitance: FloatArray
-    stress: FloatArray
-
-    def __len__(self) -> int:
-        return len(self.file)
-
-    def __getitem__(self, rows: BoolArray | IntArray) -> BenchData:
-        """Some of the rows."""
-        return BenchData(
-            self.files,
-            self.file[rows],
-            self.line[rows],
-            self.time[rows],
-            self.cycle[rows],
-            self.capacitance[rows],
-            self.stress[rows],
-        )
-
-    @property
-    def full_scale(self) -> FloatArray:
-        """Largest size of each known stress, shape (3,) [Pa]."""
-        return np.abs(self.stress).max(axis=0)
-
-    def place(self, row: int) -> str:
-        """Where a row stands, in words."""
-        return f"{self.files[self.file[row]]} line {self.line[row]}"
-
-
-def scaled_stress(stress: FloatArray) -> FloatArray:
-    """Stresses as parts of the largest ones, from -1 to 1, however wrong one in a hundred is.
-
-    Args:
-        stress: Normal stress, shear x and shear y, shape (N, 3) [Pa].
-
-    Returns:
-        Parts, shape (N, 3) [-]; zero for a stress that is hardly ever applied.
-    """
-    scale = np.percentile(np.abs(stress), _SOUND, axis=0, method="lower")
-    return np.clip(stress / np.where(scale > 0.0, scale, np.inf), -1.0, 1.0)
-
-
-def join_benches(parts: Sequence[BenchData]) -> BenchData:
-    """Put the data of several files together, in their order."""
-    offsets = np.cumsum([0, *(len(part.files) for part in parts[:-1])])
-    return BenchData(
-        files=tuple(name for part in parts for name in part.files),
-        file=np.concatenate([p.file + o for p, o in zip(parts, offsets, strict=True)]),
-        line=np.concatenate([part.line for part in parts]),
-        time=np.concatenate([part.time for part in parts]),
-        cycle=np.concatenate([part.cycle for part in parts]),
-        capacitance=np.concatenate([part.capacitance for part in parts]),
-        stress=np.concatenate([part.stress for part in parts]),
-    )
-
-
-# What a reading can be; beyond it, the unit is not the one that is named.
-_CAPACITANCE_RANGE = (0.01, 100.0)  # [pF]
-_STRESS_RANGES = {
-    "normal": (-1e3, 2e6),  # [Pa]; a load cell's zero may be a little off
-    "shear_x": (-1e6, 1e6),
-    "shear_y": (-1e6, 1e6),
-}
-_STEP_RANGE = (1e-3, 60.0)  # [s] between readings, in the median
-
-
-def read_bench(
-    path: Path,
-    columns: Mapping[str, str],
-    units: Mapping[str, str],
-    area: float | None = None,
-) -> BenchData:
-    """Read a bench file.
-
-    It has a header and a row a reading, with the columns `normal`, `shear_x`, `shear_y` and
-    `c0` to `c3` (the converter's inputs), and, if it likes, `time` and `cycle`. Their units
-    stand in the header, such as `normal [kPa]`. Other columns are ignored.
-
-    Args:
-        path: The file; commas, semicolons or tabs separate its columns.
-        columns: Names in the header of quantities that it calls otherwise.
-        units: Units of quantities, instead of the header's: pF, fF or nF; Pa, kPa, MPa or N;
-            s or ms.
-        area: Area on which a stress in N acts [m^2].
-
-    Raises:
-        CalibrationError: If the file is not as it must be, naming line, column and hint.
-    """
-    table = read_table(path)
-    found = find_columns(table, (*STRESSES, *INPUTS), ("time", "cycle"), columns, units)
-    rows = len(table)
-    return BenchData(
-        files=(table.name,),
-        file=np.zeros(rows, dtype=np.int64),
-        line=table.lines,
-        time=_time(table, found),
-        cycle=_cycles(table, found),
-        capacitance=_capacitances(table, found, refuse_constant=True),
-        stress=np.column_stack([_stress(table, name, found[name], area) for name in STRESSES]),
-    )
-
-
-def read_unloaded(path: Path, columns: Mapping[str, str], units: Mapping[str, str]) -> FloatArray:
-    """Read a file of baseline readings: the capacitances `c0` to `c3` of the unloaded cluster.
-
-    Args:
-        path: The file; see `read_bench`. All but its capacitances is ignored.
-        columns: Names in the header of quantities that it calls otherwise.
-        units: Units of quantities, instead of the header's.
-
-    Returns:
-        Capacitances by input, shape (N, 4) [pF].
-
-    Raises:
-        CalibrationError: If the file is not as it must be, naming line, column and hint.
-    """
-    table = read_table(path)
-    found = find_columns(table, INPUTS, (), columns, units)
-    return _capacitances(table, found, refuse_constant=False)
-
-
-def _time(table: Table, columns: Mapping[str, Column]) -> FloatArray:
-    if "time" not in columns:
-        return np.full(len(table), np.nan)
-    column = columns["time"]
-    time = table.numbers(column.index) * column.scale
-    steps = np.diff(time)
-    backwards = np.flatnonzero(steps <= 0.0)
-    if len(backwards):
-        raise CalibrationError(
-            f"{table.name}: '{column.title}' does not increase at line"
-            f" {table.lines[backwards[0] + 1]}",
-            "give the readings in their order, and each run as a file of its own",
-        )
-    usual = float(np.median(steps)) if len(steps) else _STEP_RANGE[0]
-    if not _STEP_RANGE[0] <= usual <= _STEP_RANGE[1]:
-        other = "ms" if column.unit == "s" else "s"
-        raise CalibrationError(
-            f"{table.name}: the steps of '{column.title}' are {usual / column.scale:.3g}"
-            f" {column.unit} in the median, which no bench reads at",
-            f"correct the header, or give --units time={other} if these are {other}",
-        )
-    return time
-
-
-def _cycles(table: Table, columns: Mapping[str, Column]) -> IntArray:
-    if "cycle" not in columns:
-        return np.full(len(table), UNNAMED)
-    _, cycles = np.unique(table.texts(columns["cycle"].index), return_inverse=True)
-    return cycles.astype(np.int64)
-
-
-def _capacitances(table: Table, columns: Mapping[str, Column], refuse_constant: bool) -> FloatArray:
-    readings = []
-    for name in INPUTS:
-        column = columns[name]
-        reading = table.numbers(column.index)
-        _refuse_impossible(table, name, column, reading, _CAPACITANCE_RANGE, column.scale)
-        if refuse_constant and np.ptp(reading) == 0.0:
-            raise CalibrationError(
-                f"{table.name}: '{column.title}' is {reading[0]:g} {column.unit} in every row",
-                "check this input's wire, or name the column that holds it",
-            )
-        readings.append(reading * column.scale)
-    return np.column_stack(readings)
-
-
-def _stress(table: Table, name: str, column: Column, area: float | None) -> FloatArray:
-    scale = column.scale
-    if column.unit == NEWTON:
-        if area is None:
-            raise CalibrationError(
-                f"{table.name}: '{column.title}' is a force in N",
-                "give the area it acts on with --area, in m^2, or with --geometry",
-            )
-        scale = 1.0 / area
-    reading = table.numbers(column.index)
-    _refuse_impossible(table, name, column, reading, _STRESS_RANGES[name], scale)
-    return reading * scale
-
-
-def _refuse_impossible(
-    table: Table,
-    name: str,
-    column: Column,
-    reading: FloatArray,
-    limits: tuple[float, float],
-    scale: float,
-) -> None:
-    low, high = (limit / scale for limit in limits)
-    outside = np.flatnonzero((reading < low) | (reading > high))
-    if not len(outside):
-        return
-    raise CalibrationError(
-        f"{table.name}: '{column.title}' is {reading[outside[0]]:g} {column.unit} in line"
-        f" {table.lines[outside[0]]}, outside {low:g} to {high:g} {column.unit}",
-        f"check the value, its sign and its unit; --units {name}=UNIT names another",
-    )

@@ -7,10 +7,11 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+import pandas as pd
 from scipy.special import stdtrit
 
-from socket_testbed.arrays import BoolArray, FloatArray, IntArray
-from socket_testbed.calibration.bench_data import BenchData
+from socket_testbed.arrays import FloatArray, IntArray
+from socket_testbed.calibration.bench_data import STRESSES, BenchData
 from socket_testbed.calibration.drift import FALLING, RISING, cycle_ids
 from socket_testbed.calibration.polynomials import design_matrices, excitation_terms, find_lack
 from socket_testbed.errors import CalibrationError
@@ -73,26 +74,25 @@ def hysteresis(bench: BenchData, residual: FloatArray, branches: IntArray) -> Fl
         branches: `find_branches` of the data, shape (N, 3).
 
     Returns:
-        One figure a stress, shape (3,) [%]; NaN for one that did not rise and fall between
+        One figure per stress, shape (3,) [%]; NaN for one that did not rise and fall between
         equal stresses.
     """
-    levels = _levels(bench)
-    _, cells = np.unique(levels, axis=0, return_inverse=True)
-    cells = cells.ravel()
+    cells = _levels(bench)
     widest = np.full(3, np.nan)
-    for axis in range(3):
-        up, rising = _means(cells, residual[:, axis], branches[:, axis] == RISING)
-        down, falling = _means(cells, residual[:, axis], branches[:, axis] == FALLING)
-        both = (rising > 0) & (falling > 0)
-        if not both.any():
-            continue
-        level_of_cell = np.zeros(len(up), dtype=np.int64)
-        level_of_cell[cells] = levels[:, axis] - levels[:, axis].min()
-        weight = np.minimum(rising, falling)[both]
-        total = np.bincount(level_of_cell[both], weight * (up - down)[both])
-        weights = np.bincount(level_of_cell[both], weight)
-        gaps = np.abs(total[weights > 0] / weights[weights > 0])
-        widest[axis] = 100.0 * gaps.max() / bench.full_scale[axis]
+    for axis, stress in enumerate(STRESSES):
+        cells["residual"] = residual[:, axis]
+        up, down = (
+            cells[branches[:, axis] == branch]
+            .groupby([*STRESSES])["residual"]
+            .agg(["mean", "size"])
+            .add_suffix(suffix)
+            for branch, suffix in ((RISING, "_up"), (FALLING, "_down"))
+        )
+        both = up.join(down, how="inner")
+        weight = both[["size_up", "size_down"]].min(axis=1)
+        gap = (both["mean_up"] - both["mean_down"]) * weight
+        gaps = gap.groupby(stress).sum() / weight.groupby(stress).sum()
+        widest[axis] = 100.0 * gaps.abs().max() / bench.full_scale[axis]
     return widest
 
 
@@ -111,33 +111,25 @@ def repeatability(
         cycles: `cycle_ids` of the data, shape (N,).
 
     Returns:
-        One figure a stress, shape (3,) [%]; NaN for one that no two cycles repeated.
+        One figure per stress, shape (3,) [%]; NaN for one that no two cycles repeated.
     """
-    levels = _levels(bench)
+    cells = _levels(bench).assign(cycle=cycles)
     spread = np.full(3, np.nan)
     for axis in range(3):
-        keys = np.column_stack([levels, branches[:, axis], cycles])
-        visits, visit = np.unique(keys, axis=0, return_inverse=True)
-        mean, _ = _means(visit.ravel(), residual[:, axis], np.ones(len(bench), dtype=bool))
-        _, cell = np.unique(visits[:, :4], axis=0, return_inverse=True)
-        centre, count = _means(cell.ravel(), mean, np.ones(len(mean), dtype=bool))
-        freedom = (count - 1).sum()
+        cells["branch"], cells["residual"] = branches[:, axis], residual[:, axis]
+        means = cells.groupby([*STRESSES, "branch", "cycle"])["residual"].mean()
+        of_cell = means.groupby([*STRESSES, "branch"])
+        freedom = (of_cell.size() - 1).sum()
         if freedom > 0:
-            variance = ((mean - centre[cell.ravel()]) ** 2).sum() / freedom
+            variance = ((means - of_cell.transform("mean")) ** 2).sum() / freedom
             spread[axis] = 100.0 * np.sqrt(variance) / bench.full_scale[axis]
     return spread
 
 
-def _levels(bench: BenchData) -> IntArray:
-    """Level of each stress in each row; the one of no stress is not cut in two, shape (N, 3)."""
-    return np.round(bench.stress / (_LEVEL * bench.full_scale)).astype(np.int64)
-
-
-def _means(cells: IntArray, values: FloatArray, rows: BoolArray) -> tuple[FloatArray, IntArray]:
-    """Mean of some rows in each cell, zero where there is none, and their number."""
-    count = np.bincount(cells[rows], minlength=int(cells.max()) + 1)
-    total = np.bincount(cells[rows], values[rows], minlength=len(count))
-    return total / np.maximum(count, 1), count
+def _levels(bench: BenchData) -> pd.DataFrame:
+    """Level of each stress in each row; the one of no stress is not cut in two."""
+    levels = np.round(bench.stress / (_LEVEL * bench.full_scale)).astype(np.int64)
+    return pd.DataFrame(levels, columns=STRESSES)
 
 
 _LEAST_GROUPS = 3
@@ -189,9 +181,9 @@ class CrossValidation:
 def choose_groups(bench: BenchData) -> Groups:
     """The largest groups without each of which the rest still determines the fit.
 
-    Three files or more, else three cycles or more (the file's own, or found where the load
-    turns), else ten blocks of successive rows. Cycles that cannot be left out are no reason to
-    fall back to blocks: these would share their cycles and flatter the fit.
+    Three files or more, else three cycles or more (the file's own, or found from the load), else
+    ten blocks of successive rows. Cycles that cannot be left out are no reason to fall back to
+    blocks: these would share their cycles and flatter the fit.
 
     Raises:
         CalibrationError: If the rest does not determine the fit, naming the group.

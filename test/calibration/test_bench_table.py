@@ -3,7 +3,12 @@
 import numpy as np
 import pytest
 
-from socket_testbed.calibration.bench_data import find_columns, read_table, split_title
+from socket_testbed.calibration.bench_data import (
+    BenchColumn,
+    find_columns,
+    read_table,
+    split_title,
+)
 from socket_testbed.errors import CalibrationError
 
 
@@ -34,8 +39,8 @@ def refusal(call, *arguments) -> CalibrationError:
 def test_a_table_is_the_same_however_it_is_written(tmp_path, text):
     table = table_of(tmp_path, text)
     assert table.header == ("a", "b")
-    np.testing.assert_array_equal(table.numbers(0), [1.5, 0.25])
-    np.testing.assert_array_equal(table.numbers(1), [-2000.0, 7.0])
+    np.testing.assert_array_equal(BenchColumn(table, "a", 0).numbers(), [1.5, 0.25])
+    np.testing.assert_array_equal(BenchColumn(table, "b", 1).numbers(), [-2000.0, 7.0])
 
 
 def test_lines_are_those_of_the_file(tmp_path):
@@ -76,7 +81,7 @@ def test_a_bad_shape_is_named(tmp_path, text, fact, hint):
 )
 def test_a_cell_that_is_no_number_is_named(tmp_path, cell, words):
     table = table_of(tmp_path, f"a;load\n1;2\n3;{cell}\n")
-    error = refusal(table.numbers, 1)
+    error = refusal(BenchColumn(table, "load", 1).numbers)
     assert words in error.fact and "line 3" in error.fact and "'load'" in error.fact
 
 
