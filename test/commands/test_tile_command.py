@@ -128,7 +128,7 @@ def test_points_and_landmarks_place_the_same_frame(
     lines = [f"  {k}: {{scan: {scan[k]}, load_cell: {load_cell[k]}}}" for k in scan]
     (tmp_path / "l.yaml").write_text("landmarks:\n" + "\n".join(lines) + "\n")
     points = [" ".join(map(str, scan[k])) for k in "oxy"]
-    common = ("--rounds", 0, "--size", 40, "--flatness", 15)
+    common = ("--rounds", 0, "--size", 60, "--flatness", 15)
     for name, words in (("p", ("--points", *points)), ("l", ("--landmarks", tmp_path / "l.yaml"))):
         code, _, err = call(
             capsys, "tile", cup, "-o", tmp_path / f"{name}_socket.yaml", *common, *words
