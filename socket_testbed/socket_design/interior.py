@@ -8,19 +8,19 @@ from functools import cached_property
 import numpy as np
 import trimesh
 from scipy.spatial import cKDTree
+from trimesh.graph import connected_component_labels
+from trimesh.util import diagonal_dot
 
 from socket_testbed.arrays import BoolArray, FloatArray, IntArray
 from socket_testbed.errors import ScanError
 from socket_testbed.socket_design.mesh import (
     Axis,
-    Surface,
+    area_vectors,
+    boundary_half_edges,
     boundary_loops,
-    dots,
     fit_axis,
-    label_pieces,
-    lengths,
     loop_length,
-    match_edges,
+    plain_mesh,
     sample_surface,
     separate,
     wind_alike,
@@ -52,7 +52,7 @@ class Spine:
         return self.axis.origin + along[:, None] * self.axis.direction
 
 
-def lay_spine(axis: Axis, wall: Surface, open_above: bool = False) -> Spine:
+def lay_spine(axis: Axis, wall: trimesh.Trimesh, open_above: bool = False) -> Spine:
     """Lay the segment so that it ends a radius before the ends of a wall.
 
     What is much closer to the axis than the wall does not count: a bore in the distal end would
@@ -64,9 +64,10 @@ def lay_spine(axis: Axis, wall: Surface, open_above: bool = False) -> Spine:
         open_above: Whether the wall's far end is an opening: there it is looked at from
             beside, up to its edge.
     """
-    along = (wall.centres - axis.origin) @ axis.direction
-    distance = lengths(wall.centres - axis.origin - along[:, None] * axis.direction)
-    radius = _weighted_median(distance, wall.areas)
+    along = (wall.triangles_center - axis.origin) @ axis.direction
+    off_axis = wall.triangles_center - axis.origin - along[:, None] * axis.direction
+    distance = np.linalg.norm(off_axis, axis=1)
+    radius = _weighted_median(distance, wall.area_faces)
     wide = along[distance >= _NARROW * radius]
     low, high = float(wide.min()), float(wide.max())
     radius = min(radius, _LONGEST_ROUND * (high - low))
@@ -85,7 +86,7 @@ _GRAZING = 0.2  # [-]; cosine below which a face is seen from neither side
 
 
 @dataclass(frozen=True)
-class Sight:
+class Visibility:
     """What is seen of every face.
 
     Attributes:
@@ -120,23 +121,23 @@ class Samples:
         return 2 * np.bincount(self.owners, votes) > np.bincount(self.owners)
 
 
-def spread_samples(surface: Surface) -> Samples:
+def spread_samples(mesh: trimesh.Trimesh) -> Samples:
     """Points on a surface, close enough together for its shape as a whole."""
-    spacing = float(np.sqrt(surface.areas.sum())) / _FINENESS
-    return Samples(*sample_surface(surface, spacing), spacing)
+    spacing = float(np.sqrt(mesh.area)) / _FINENESS
+    return Samples(*sample_surface(mesh, spacing), spacing)
 
 
-def look(surface: Surface, samples: Samples, spine: Spine) -> Sight:
+def look(mesh: trimesh.Trimesh, samples: Samples, spine: Spine) -> Visibility:
     """Look around from the spine.
 
     Args:
-        surface: The surface; the normals of a shell point out of its material.
+        mesh: The surface; the normals of a shell point out of its material.
         samples: Points on all of its faces.
         spine: From where to look.
     """
     rays = samples.points - spine.feet(samples.points)
-    depth = np.fmax(lengths(rays), _NO_DEPTH)
-    facing = -dots(surface.normals[samples.owners], rays) / depth
+    depth = np.fmax(np.linalg.norm(rays, axis=1), _NO_DEPTH)
+    facing = -diagonal_dot(mesh.face_normals[samples.owners], rays) / depth
     # Every direction is a point of the capsule around the spine: no poles, no seam.
     capsule = samples.points + rays * (spine.radius / depth - 1.0)[:, None]
     cell = _cells(capsule - spine.axis.origin, samples.spacing)
@@ -144,17 +145,18 @@ def look(surface: Surface, samples: Samples, spine: Spine) -> Sight:
     first_front = _nearest(cell, depth, front)
     first_back = _nearest(cell, depth, back)
     any_seen = np.isfinite(np.fmin(first_front, first_back))
-    return Sight(
-        facing=-_cosine(surface, spine),
+    return Visibility(
+        facing=-_cosine(mesh, spine),
         seen=samples.majority(front & (depth <= first_back[cell] + samples.spacing)),
         hidden=samples.majority(back & (first_front[cell] < depth)),
         front_share=float((first_front < first_back).sum() / max(any_seen.sum(), 1)),
     )
 
 
-def _cosine(surface: Surface, spine: Spine) -> FloatArray:
-    rays = surface.centres - spine.feet(surface.centres)
-    return dots(surface.normals, rays) / np.fmax(lengths(rays), _NO_DEPTH)
+def _cosine(mesh: trimesh.Trimesh, spine: Spine) -> FloatArray:
+    rays = mesh.triangles_center - spine.feet(mesh.triangles_center)
+    depth = np.fmax(np.linalg.norm(rays, axis=1), _NO_DEPTH)
+    return diagonal_dot(mesh.face_normals, rays) / depth
 
 
 def _cells(points: FloatArray, size: float) -> IntArray:
@@ -182,62 +184,62 @@ _REAL_OUTSIDE = 0.01  # [-]; of the seen area, for an outer wall that is worth t
 _PROBES = 2000  # of the thickness
 
 
-def inner_wall(surface: Surface, samples: Samples, sight: Sight) -> BoolArray:
+def inner_wall(mesh: trimesh.Trimesh, samples: Samples, visibility: Visibility) -> BoolArray:
     """Faces of the inner wall, in one piece without holes of shadow, shape (F,).
 
     Args:
-        surface: The surface.
+        mesh: The surface.
         samples: Points on all of its faces.
-        sight: What the spine sees of it.
+        visibility: What the spine sees of it.
     """
-    if not sight.seen.any():
-        return sight.seen
-    face_on = sight.seen & (sight.facing > _FACE_ON)
-    seen_area = float(surface.areas @ sight.seen)
-    pockets = _pockets(surface, face_on, _POCKET * seen_area)
-    outside = sight.hidden & ~pockets
-    if surface.areas @ outside < _REAL_OUTSIDE * seen_area:
-        return main_piece(surface, np.ones(len(surface.faces), bool))
-    kept = _without_rims(surface, samples, sight.seen, face_on | pockets, outside)
-    return _fill(surface, main_piece(surface, kept), outside)
+    if not visibility.seen.any():
+        return visibility.seen
+    face_on = visibility.seen & (visibility.facing > _FACE_ON)
+    seen_area = float(mesh.area_faces @ visibility.seen)
+    pockets = _pockets(mesh, face_on, _POCKET * seen_area)
+    outside = visibility.hidden & ~pockets
+    if mesh.area_faces @ outside < _REAL_OUTSIDE * seen_area:
+        return main_piece(mesh, np.ones(len(mesh.faces), bool))
+    kept = _without_rims(mesh, samples, visibility.seen, face_on | pockets, outside)
+    return _fill(mesh, main_piece(mesh, kept), outside)
 
 
-def main_piece(surface: Surface, chosen: BoolArray) -> BoolArray:
+def main_piece(mesh: trimesh.Trimesh, chosen: BoolArray) -> BoolArray:
     """The largest connected piece of the chosen faces, shape (F,)."""
-    labels = _pieces(surface, chosen)
-    areas = np.bincount(labels, surface.areas * chosen)
+    labels = _pieces(mesh, chosen)
+    areas = np.bincount(labels, mesh.area_faces * chosen)
     return chosen & (labels == np.argmax(areas))
 
 
-def _pockets(surface: Surface, face_on: BoolArray, largest: float) -> BoolArray:
+def _pockets(mesh: trimesh.Trimesh, face_on: BoolArray, largest: float) -> BoolArray:
     """Faces that those seen face-on surround, in pieces up to an area [m^2], shape (F,)."""
-    labels = _pieces(surface, ~face_on)
-    small = np.bincount(labels, surface.areas) < largest
-    return ~face_on & (small & ~_reach_edge(surface, labels))[labels]
+    labels = _pieces(mesh, ~face_on)
+    small = np.bincount(labels, mesh.area_faces) < largest
+    return ~face_on & (small & ~_reach_edge(mesh, labels))[labels]
 
 
-def _fill(surface: Surface, wall: BoolArray, outside: BoolArray) -> BoolArray:
+def _fill(mesh: trimesh.Trimesh, wall: BoolArray, outside: BoolArray) -> BoolArray:
     """The wall with the pieces that it surrounds and that hold nothing of the outside, (F,)."""
-    labels = _pieces(surface, ~wall)
-    within = (np.bincount(labels, outside) == 0) & ~_reach_edge(surface, labels)
+    labels = _pieces(mesh, ~wall)
+    within = (np.bincount(labels, outside) == 0) & ~_reach_edge(mesh, labels)
     return wall | within[labels]
 
 
-def _reach_edge(surface: Surface, labels: IntArray) -> BoolArray:
+def _reach_edge(mesh: trimesh.Trimesh, labels: IntArray) -> BoolArray:
     """Whether each numbered piece has an edge of the surface, shape (pieces,)."""
     reach = np.zeros(int(labels.max()) + 1, bool)
-    reach[labels[surface.edges.boundary // 3]] = True
+    reach[labels[boundary_half_edges(mesh.faces) // 3]] = True
     return reach
 
 
-def _pieces(surface: Surface, chosen: BoolArray) -> IntArray:
+def _pieces(mesh: trimesh.Trimesh, chosen: BoolArray) -> IntArray:
     """Numbers of the pieces; every face that is not chosen is a piece of its own."""
-    pairs = surface.edges.neighbours
-    return label_pieces(len(chosen), pairs[chosen[pairs].all(axis=1)])
+    pairs = mesh.face_adjacency
+    return connected_component_labels(pairs[chosen[pairs].all(axis=1)], node_count=len(chosen))
 
 
 def _without_rims(
-    surface: Surface, samples: Samples, seen: BoolArray, sure: BoolArray, outside: BoolArray
+    mesh: trimesh.Trimesh, samples: Samples, seen: BoolArray, sure: BoolArray, outside: BoolArray
 ) -> BoolArray:
     """The faces that belong to a wall, not to the rim of its brim or to a cut, shape (F,).
 
@@ -250,22 +252,22 @@ def _without_rims(
     front = cKDTree(samples.points[sure[samples.owners]])
     thickness = float(np.median(front.query(some)[0]))
 
-    near_border = _within(_BAND * thickness, _border(surface, sure, outside), surface.centres)
+    near_border = _within(_BAND * thickness, _border(mesh, sure, outside), mesh.triangles_center)
     band = np.flatnonzero((seen | sure) & near_border)
-    near = _within(_NEAR * thickness, samples.points[back], surface.centres[band])
-    opposite = _opposite(surface, samples, band, back, thickness)
+    near = _within(_NEAR * thickness, samples.points[back], mesh.triangles_center[band])
+    opposite = _opposite(mesh, samples, band, back, thickness)
     kept = sure.copy()
     kept[band] = np.where(sure[band], ~near | opposite, near & opposite)
     return kept
 
 
-def _border(surface: Surface, sure: BoolArray, outside: BoolArray) -> FloatArray:
+def _border(mesh: trimesh.Trimesh, sure: BoolArray, outside: BoolArray) -> FloatArray:
     """Centres of the faces where what is sure meets what leads outside, shape (B, 3) [m]."""
-    labels = _pieces(surface, ~sure)
+    labels = _pieces(mesh, ~sure)
     leads_out = ~sure & (np.bincount(labels, outside) > 0)[labels]
-    one, other = surface.edges.neighbours.T
+    one, other = mesh.face_adjacency.T
     meet = (sure[one] & leads_out[other]) | (sure[other] & leads_out[one])
-    return surface.centres[np.unique(surface.edges.neighbours[meet])]
+    return mesh.triangles_center[np.unique(mesh.face_adjacency[meet])]
 
 
 def _within(reach: float, places: FloatArray, points: FloatArray) -> BoolArray:
@@ -274,16 +276,16 @@ def _within(reach: float, places: FloatArray, points: FloatArray) -> BoolArray:
 
 
 def _opposite(
-    surface: Surface, samples: Samples, faces: IntArray, back: IntArray, thickness: float
+    mesh: trimesh.Trimesh, samples: Samples, faces: IntArray, back: IntArray, thickness: float
 ) -> BoolArray:
     """Whether the part of the outer wall that suits a face best is turned the other way, (M,)."""
-    normals = surface.normals[samples.owners[back]]
+    normals = mesh.face_normals[samples.owners[back]]
     turn = 2.0 * thickness  # a normal that is off counts as much as this distance
-    own = surface.normals[faces]
+    own = mesh.face_normals[faces]
     _, partner = cKDTree(np.hstack([samples.points[back], turn * normals])).query(
-        np.hstack([surface.centres[faces], -turn * own])
+        np.hstack([mesh.triangles_center[faces], -turn * own])
     )
-    return dots(normals[partner], own) < _OPPOSITE
+    return diagonal_dot(normals[partner], own) < _OPPOSITE
 
 
 _SOLID = 0.5  # [-]; share of directions in which a cavity sees the front of something first
@@ -297,21 +299,23 @@ class Cavity:
     """A surface with its normals into the cavity, as its spine sees it.
 
     Attributes:
-        surface: The surface.
+        mesh: The surface.
         samples: Points on all of its faces.
         spine: The spine.
-        sight: What it sees.
+        visibility: What it sees.
     """
 
-    surface: Surface
+    mesh: trimesh.Trimesh
     samples: Samples
     spine: Spine
-    sight: Sight
+    visibility: Visibility
 
     @cached_property
-    def wall(self) -> Surface:
+    def wall(self) -> trimesh.Trimesh:
         """The largest piece of what is seen from its front."""
-        return self.surface.subset(main_piece(self.surface, self.sight.seen))
+        return plain_mesh(
+            self.mesh.vertices, self.mesh.faces[main_piece(self.mesh, self.visibility.seen)]
+        )
 
     @cached_property
     def net_opening(self) -> float:
@@ -321,7 +325,7 @@ class Cavity:
         point inwards, add up to those of the caps that would close it, turned outwards. An
         opening at the spine's beginning counts against one at its end; one at its side not.
         """
-        return float(self.wall.area_vectors.sum(axis=0) @ self.spine.axis.direction)
+        return float(area_vectors(self.wall).sum(axis=0) @ self.spine.axis.direction)
 
     @property
     def has_clear_end(self) -> bool:
@@ -331,36 +335,36 @@ class Cavity:
     @property
     def has_wall(self) -> bool:
         """Whether what is seen from its front is large and not flat."""
-        area = float(self.wall.areas.sum())
-        caps = float(np.linalg.norm(self.wall.area_vectors.sum(axis=0)))
-        return area > _LEAST_WALL * float(self.surface.areas.sum()) and caps < _FLAT * area
+        area = float(self.wall.area)
+        caps = float(np.linalg.norm(area_vectors(self.wall).sum(axis=0)))
+        return area > _LEAST_WALL * float(self.mesh.area) and caps < _FLAT * area
 
     def along(self, axis: Axis, open_above: bool = False) -> Cavity:
         """The same cavity seen from another axis; see `lay_spine`."""
         spine = lay_spine(axis, self.wall, open_above)
-        return Cavity(self.surface, self.samples, spine, look(self.surface, self.samples, spine))
+        return Cavity(self.mesh, self.samples, spine, look(self.mesh, self.samples, spine))
 
     def refined(self) -> Cavity:
         """The same cavity seen from the axis of its wall alone."""
         return self.along(fit_axis(self.wall).near(self.spine.axis.direction))
 
 
-def find_cavity(name: str, surface: Surface) -> Cavity:
+def find_cavity(name: str, mesh: trimesh.Trimesh) -> Cavity:
     """Find the cavity of a surface.
 
     Args:
         name: What names the surface in an error.
-        surface: Wound alike; if it is watertight, with its normals out of the material.
+        mesh: Wound alike; if it is watertight, with its normals out of the material.
 
     Raises:
         ScanError: If it has none.
     """
-    samples = spread_samples(surface)
+    samples = spread_samples(mesh)
     likeliest = None
-    for axis in fit_axis(surface).likely():
-        cavity = _see(surface, samples, axis)
+    for axis in fit_axis(mesh).likely():
+        cavity = _see(mesh, samples, axis)
         cavity = cavity.refined() if cavity.has_wall else cavity
-        if cavity.has_wall and cavity.sight.front_share > _SOLID:
+        if cavity.has_wall and cavity.visibility.front_share > _SOLID:
             likeliest = likeliest or cavity
             # A shallow oval cup is nearly round about its long side, too; but both ends of that
             # axis are closed.
@@ -374,13 +378,13 @@ def find_cavity(name: str, surface: Surface) -> Cavity:
     return likeliest
 
 
-def _see(surface: Surface, samples: Samples, axis: Axis) -> Cavity:
-    spine = lay_spine(axis, surface)
-    sight = look(surface, samples, spine)
-    if sight.front_share < _SOLID and not surface.is_watertight:
-        surface = surface.flipped()  # an open surface may be wound either way
-        sight = look(surface, samples, spine)
-    return Cavity(surface, samples, spine, sight)
+def _see(mesh: trimesh.Trimesh, samples: Samples, axis: Axis) -> Cavity:
+    spine = lay_spine(axis, mesh)
+    visibility = look(mesh, samples, spine)
+    if visibility.front_share < _SOLID and not mesh.is_watertight:
+        mesh = _flipped(mesh)  # an open surface may be wound either way
+        visibility = look(mesh, samples, spine)
+    return Cavity(mesh, samples, spine, visibility)
 
 
 _NARROWEST = 2.0  # [-]; around a brim, of the radius of the cavity
@@ -410,8 +414,8 @@ def find_interior(mesh: trimesh.Trimesh, proximal: FloatArray | None = None) -> 
     """Find the surface that a limb touches: of a shell the inner wall, or all of one surface.
 
     The faces that are seen from a spine within the cavity are the wall; those seen from behind,
-    behind the wall, are the outside. Where there is an outside, rims and cut faces are told from
-    the wall by what lies behind them.
+    behind the wall, are the outside. Where there is an outside, what lies behind a face tells
+    the wall from rims and cuts.
 
     Args:
         mesh: One body in metres, as `read_scan` gives it.
@@ -422,18 +426,21 @@ def find_interior(mesh: trimesh.Trimesh, proximal: FloatArray | None = None) -> 
         ScanError: If there is no cavity or no opening, or if it is not clear which end of the
             cavity is proximal and no direction was given.
     """
-    name = str(mesh.metadata.get("file_name", "the scan"))
+    name, metadata = str(mesh.metadata.get("file_name", "the scan")), dict(mesh.metadata)
     given = None if proximal is None else _unit(proximal)
     cavity = find_cavity(name, _outward(name, mesh))
     decided = cavity.has_clear_end
     axis = _aim(cavity, given)
     cavity = cavity.along(axis, open_above=True)
-    surface, seen = cavity.surface, cavity.sight.seen
-    kept = inner_wall(surface, cavity.samples, cavity.sight)
+    mesh = cavity.mesh
+    kept = inner_wall(mesh, cavity.samples, cavity.visibility)
 
-    vertices, faces = separate(surface.vertices, surface.faces[kept])
-    openings, lengths = _openings(vertices, faces)
-    if not lengths or lengths[0] < _NARROWEST * cavity.spine.radius:
+    interior = plain_mesh(*separate(np.asarray(mesh.vertices), np.asarray(mesh.faces)[kept]))
+    interior.metadata.update(metadata)
+    loops = boundary_loops(np.asarray(interior.faces))
+    around = [loop_length(np.asarray(interior.vertices), loop) for loop in loops]
+    order = np.argsort(around)[::-1]  # the brim is the longest
+    if not loops or around[order[0]] < _NARROWEST * cavity.spine.radius:
         raise ScanError(
             f"{name}: the cavity is closed, no hole in it is as wide as a brim",
             "cut the scan open at the brim",
@@ -443,16 +450,19 @@ def find_interior(mesh: trimesh.Trimesh, proximal: FloatArray | None = None) -> 
             f"{name}: the two ends of the cavity are equally open, either may be proximal",
             "give --proximal, the direction to the brim",
         )
-    notes = [_note_on_walls(surface, kept), _note_on_openings(lengths)]
-    notes += _notes_on_losses(surface, kept, seen)
+    shown = ", ".join(f"{1e3 * around[i]:.0f}" for i in order)
+    notes = [
+        *_notes_on_area(mesh, kept, cavity.visibility.seen),
+        f"openings: {len(loops)}, the brim first, {shown} mm around",
+    ]
     if given is not None:
         notes += _notes_on_direction(given, axis, decided)
-    elif not fit_axis(Surface(vertices, faces)).is_sharp:
+    elif not fit_axis(interior).is_sharp:
         notes.append("no axis of the cavity stands out: check the proximal direction or give it")
     return Interior(
-        mesh=trimesh.Trimesh(vertices, faces, process=False, metadata=dict(mesh.metadata)),
+        mesh=interior,
         proximal=axis.direction if given is None else given,
-        openings=openings,
+        openings=tuple(loops[i] for i in order),
         notes=tuple(notes),
     )
 
@@ -468,14 +478,18 @@ def _unit(proximal: FloatArray) -> FloatArray:
     return direction / length
 
 
-def _outward(name: str, mesh: trimesh.Trimesh) -> Surface:
+def _outward(name: str, mesh: trimesh.Trimesh) -> trimesh.Trimesh:
     """The mesh wound alike; if it is watertight, with the normals out of its material."""
     faces, _, one_sided = wind_alike(np.asarray(mesh.faces, dtype=np.int64))
-    surface = Surface(np.asarray(mesh.vertices, dtype=float), faces)
-    if one_sided.any() or not surface.areas.any():
+    mesh = plain_mesh(np.asarray(mesh.vertices, dtype=float), faces)
+    if one_sided.any() or not mesh.area_faces.any():
         raise ScanError(f"{name}: is no surface with two sides", "repair it in a mesh editor")
-    inside_out = surface.is_watertight and surface.volume < 0.0
-    return surface.flipped() if inside_out else surface
+    return _flipped(mesh) if mesh.is_watertight and mesh.volume < 0.0 else mesh
+
+
+def _flipped(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
+    """The same surface with its normals reversed."""
+    return plain_mesh(mesh.vertices, mesh.faces[:, ::-1])
 
 
 def _aim(cavity: Cavity, given: FloatArray | None) -> Axis:
@@ -483,34 +497,23 @@ def _aim(cavity: Cavity, given: FloatArray | None) -> Axis:
     axis, towards = cavity.spine.axis, cavity.net_opening
     if given is not None and not cavity.has_clear_end:
         towards = float(given @ axis.direction)
-    return axis if towards > 0.0 else axis.turned()
+    return axis if towards > 0.0 else Axis(axis.origin, -axis.direction)
 
 
-def _openings(vertices: FloatArray, faces: IntArray) -> tuple[tuple[IntArray, ...], list[float]]:
-    """Boundary loops and how long they are around [m], the longest first."""
-    loops = boundary_loops(faces, match_edges(faces).boundary)
-    lengths = [loop_length(vertices, loop) for loop in loops]
-    order = np.argsort(lengths)[::-1]
-    return tuple(loops[i] for i in order), [lengths[i] for i in order]
-
-
-def _note_on_walls(surface: Surface, kept: BoolArray) -> str:
-    area, whole = 1e4 * surface.areas[kept].sum(), 1e4 * surface.areas.sum()
+def _notes_on_area(mesh: trimesh.Trimesh, kept: BoolArray, seen: BoolArray) -> list[str]:
+    """What was kept, and what was left out although the cavity sees it."""
+    area, total = mesh.area_faces[kept].sum(), mesh.area
+    lost = mesh.area_faces[seen & ~kept].sum()
     if kept.all():
-        return f"the scan is one surface: all of it is the interior, {area:.0f} cm2"
-    return f"kept the inner wall, {area:.0f} of {whole:.0f} cm2: no outer wall, rim or cut"
-
-
-def _note_on_openings(lengths: list[float]) -> str:
-    shown = ", ".join(f"{1e3 * length:.0f}" for length in lengths)
-    return f"openings: {len(lengths)}, the brim first, {shown} mm around"
-
-
-def _notes_on_losses(surface: Surface, kept: BoolArray, seen: BoolArray) -> list[str]:
-    lost, area = surface.areas[seen & ~kept].sum(), surface.areas[kept].sum()
-    if lost < _WORTH_A_NOTE * area:
-        return []
-    return [f"left out {1e4 * lost:.0f} cm2 that are seen from the cavity but are no part of it"]
+        return [f"the scan is one surface: all of it is the interior, {1e4 * area:.0f} cm2"]
+    notes = [
+        f"kept the inner wall, {1e4 * area:.0f} of {1e4 * total:.0f} cm2: no outer wall, rim or cut"
+    ]
+    if lost >= _WORTH_A_NOTE * area:
+        notes.append(
+            f"left out {1e4 * lost:.0f} cm2 that are seen from the cavity but are no part of it"
+        )
+    return notes
 
 
 def _notes_on_direction(given: FloatArray, axis: Axis, decided: bool) -> list[str]:

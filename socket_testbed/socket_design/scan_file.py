@@ -15,106 +15,23 @@ import numpy as np
 import trimesh
 from trimesh.exchange.ply import load_ply
 from trimesh.exchange.stl import load_stl_ascii, load_stl_binary
+from trimesh.graph import connected_component_labels
+from trimesh.grouping import unique_rows
 
 from socket_testbed.arrays import FloatArray, IntArray
 from socket_testbed.errors import ScanError
 from socket_testbed.files import closest
 from socket_testbed.socket_design.mesh import (
-    Surface,
-    are_finite,
-    are_first,
     are_slivers,
-    are_triangles,
+    boundary_half_edges,
     fill_holes,
     flip_slivers,
-    label_pieces,
-    match_edges,
+    plain_mesh,
     separate,
+    twin_half_edges,
     weld,
     wind_alike,
 )
-
-_MEND = "export the scan again, as OBJ with plain triangles or as binary STL"
-
-
-class ObjReader:
-    """Reads the lines that make the surface; all others (normals, textures, ...) pass by.
-
-    A polygon is cut into a fan of triangles. A negative index counts back from the last vertex
-    before its line.
-
-    Args:
-        path: The file, for errors.
-
-    Attributes:
-        names: Names of the objects and groups, in the order of the file.
-    """
-
-    def __init__(self, path: Path) -> None:
-        self.names: list[str] = []
-        self._path = path
-        self._vertices: list[tuple[float, float, float]] = []
-        self._faces: list[tuple[int, int, int]] = []
-        self._labels: list[tuple[int, int]] = []
-        self._object = self._group = -1
-
-    def read(self, text: str) -> tuple[FloatArray, IntArray, IntArray]:
-        """Read a whole file.
-
-        Args:
-            text: Its content.
-
-        Returns:
-            Vertices, shape (V, 3); faces, shape (F, 3); the numbers of the name of each face's
-            object and of its group, -1 for none, shape (F, 2).
-
-        Raises:
-            ScanError: If a line cannot be understood, or a face names a vertex that is not there.
-        """
-        for number, line in enumerate(text.replace("\\\n", " ").splitlines(), start=1):
-            word, _, rest = line.strip().partition(" ")
-            try:
-                self._take(word, rest)
-            except (ValueError, IndexError):
-                raise ScanError(
-                    f"{self._path}: line {number} is no valid OBJ ('{line.strip()[:40]}')", _MEND
-                ) from None
-        return (
-            np.array(self._vertices, dtype=float).reshape(-1, 3),
-            np.array(self._faces, dtype=np.int64).reshape(-1, 3),
-            np.array(self._labels, dtype=np.int64).reshape(-1, 2),
-        )
-
-    def _take(self, word: str, rest: str) -> None:
-        if word == "v":
-            x, y, z = map(float, rest.split()[:3])
-            self._vertices.append((x, y, z))
-        elif word == "f":
-            corners = [self._index(corner) for corner in rest.split()]
-            if len(corners) < 3:
-                raise ValueError
-            for b, c in pairwise(corners[1:]):
-                self._faces.append((corners[0], b, c))
-                self._labels.append((self._object, self._group))
-        elif word == "o":
-            self._object, self._group = self._number(rest.strip()), -1
-        elif word == "g":
-            self._group = self._number(rest.strip())
-
-    def _index(self, corner: str) -> int:
-        index = int(corner.partition("/")[0])
-        index += len(self._vertices) if index < 0 else -1
-        if index < 0:
-            raise IndexError
-        return index
-
-    def _number(self, name: str) -> int:
-        if not name:
-            return -1
-        if name not in self.names:
-            self.names.append(name)
-        return self.names.index(name)
-
 
 _Loaded = TypeVar("_Loaded")
 
@@ -130,7 +47,7 @@ class Triangles:
     Attributes:
         vertices: Shape (V, 3), in the file's unit; may be not finite, and not welded.
         faces: Indices of existing vertices, shape (F, 3), F > 0.
-        comment: What the file says of itself in words.
+        comment: The file's header or comments.
         labels: Numbers of the names of each face, -1 for none, shape (F, any).
         names: The names.
     """
@@ -151,11 +68,8 @@ def read_triangles(path: Path) -> Triangles:
     Raises:
         ScanError: If the file is missing, empty, of another kind, damaged, or without faces.
     """
-    readers: dict[str, Callable[[Path, bytes], Triangles]] = {
-        ".stl": _read_stl,
-        ".ply": _read_ply,
-        ".obj": _read_obj,
-    }
+    readers: dict[str, Callable[[Path, bytes], Triangles]]
+    readers = {".stl": _read_stl, ".ply": _read_ply, ".obj": _read_obj}
     if path.suffix.lower() not in readers:
         raise ScanError(
             f"{path}: '{path.suffix}' is no kind of scan that can be read",
@@ -249,14 +163,69 @@ def _load_ply(stream: io.BytesIO) -> tuple[FloatArray, IntArray]:
     return vertices, np.concatenate(fan)
 
 
+class _ObjReader:
+    """Reads the lines that make the surface; all others (normals, textures, ...) are skipped.
+
+    A polygon becomes a fan of triangles. A negative index counts back from the last vertex
+    before its line. Each face has two labels: the numbers of its object and of its group.
+    """
+
+    def __init__(self) -> None:
+        self.names: list[str] = []
+        self.vertices: list[list[float]] = []
+        self.faces: list[tuple[int, int, int]] = []
+        self.labels: list[tuple[int, int]] = []
+        self._object = self._group = -1
+
+    def take(self, line: str) -> None:
+        """Read a line; one that makes no sense raises ValueError or IndexError."""
+        word, _, rest = line.strip().partition(" ")
+        if word == "v":
+            x, y, z = map(float, rest.split()[:3])
+            self.vertices.append([x, y, z])
+        elif word == "f":
+            first, *others = map(self._index, rest.split())
+            if len(others) < 2:
+                raise ValueError
+            self.faces += [(first, b, c) for b, c in pairwise(others)]
+            self.labels += [(self._object, self._group)] * (len(others) - 1)
+        elif word == "o":
+            self._object, self._group = self._number(rest.strip()), -1
+        elif word == "g":
+            self._group = self._number(rest.strip())
+
+    def _index(self, corner: str) -> int:
+        index = int(corner.partition("/")[0])
+        index += len(self.vertices) if index < 0 else -1
+        if index < 0:
+            raise IndexError
+        return index
+
+    def _number(self, name: str) -> int:
+        if name and name not in self.names:
+            self.names.append(name)
+        return self.names.index(name) if name else -1
+
+
 def _read_obj(path: Path, data: bytes) -> Triangles:
     if b"\0" in data:
         raise _damaged(path)
-    text = data.decode("utf-8", "replace")
-    reader = ObjReader(path)
-    vertices, faces, labels = reader.read(text)
-    comment = "\n".join(re.findall(r"^\s*#(.*)$", text, re.MULTILINE))
-    return Triangles(vertices, faces, comment, labels, tuple(reader.names))
+    text, reader = data.decode("utf-8", "replace"), _ObjReader()
+    for number, line in enumerate(text.replace("\\\n", " ").splitlines(), start=1):
+        try:
+            reader.take(line)
+        except (ValueError, IndexError):
+            raise ScanError(
+                f"{path}: line {number} is no valid OBJ ('{line.strip()[:40]}')",
+                f"{_AGAIN}, as OBJ with plain triangles or as binary STL",
+            ) from None
+    return Triangles(
+        np.array(reader.vertices, dtype=float).reshape(-1, 3),
+        np.array(reader.faces, dtype=np.int64).reshape(-1, 3),
+        "\n".join(re.findall(r"^\s*#(.*)$", text, re.MULTILINE)),
+        np.array(reader.labels, dtype=np.int64).reshape(-1, 2),
+        tuple(reader.names),
+    )
 
 
 def _quietly(path: Path, data: bytes, load: Callable[[io.BytesIO], _Loaded]) -> _Loaded:
@@ -280,9 +249,9 @@ def _damaged(path: Path) -> ScanError:
 
 METRES = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254}
 
-Source = Literal["given", "stated", "inferred"]
+UnitSource = Literal["given", "stated", "inferred"]
 
-_SOCKET = (0.1, 0.6)  # [m]; length of what is taken for a socket unasked
+_SOCKET = (0.1, 0.6)  # [m]; length of what is taken for a socket when the unit is not known
 _POSSIBLE = (0.03, 2.0)  # [m]; length of what is believed when the unit is known
 _WORDS = {
     prefix + word: short + "m"
@@ -297,11 +266,7 @@ _STATED = re.compile(
 
 
 def stated_unit(comment: str) -> str | None:
-    """The unit that a file's own words name, as in 'units: mm', if they do.
-
-    Args:
-        comment: Header or comments of the file.
-    """
+    """The unit that a file's header or comments name, as in 'units: mm', if they do."""
     found = _STATED.search(comment.lower())
     if not found:
         return None
@@ -309,17 +274,9 @@ def stated_unit(comment: str) -> str | None:
     return _WORDS.get(word, word)
 
 
-def check_unit(unit: str) -> None:
-    """Refuse a unit that is none.
-
-    Raises:
-        ScanError: If the unit is not one of `METRES`.
-    """
-    if unit not in METRES:
-        raise ScanError(f"the unit '{unit}' is unknown", closest(unit, METRES))
-
-
-def find_unit(name: str, size: float, given: str | None, stated: str | None) -> tuple[str, Source]:
+def find_unit(
+    name: str, size: float, given: str | None, stated: str | None
+) -> tuple[str, UnitSource]:
     """The unit of a body's lengths.
 
     Args:
@@ -332,16 +289,24 @@ def find_unit(name: str, size: float, given: str | None, stated: str | None) -> 
         ScanError: If the unit makes the body no possible size, or if none was
             given or stated and not exactly one makes it the size of a socket.
     """
+    lengths = {unit: size * metres for unit, metres in METRES.items()}
     known = given or stated
-    if known is None:
-        return _infer(name, size), "inferred"
-    length = size * METRES[known]
-    if not _POSSIBLE[0] <= length <= _POSSIBLE[1]:
+    if known is not None:
+        if not _POSSIBLE[0] <= lengths[known] <= _POSSIBLE[1]:
+            raise ScanError(
+                f"{name}: is {lengths[known]:.3g} m long in {known}, which no socket is",
+                f"give its unit with --unit ({', '.join(METRES)})",
+            )
+        return known, "given" if given else "stated"
+    fits = [unit for unit, length in lengths.items() if _SOCKET[0] <= length <= _SOCKET[1]]
+    if len(fits) != 1:
+        shown = ", ".join(f"{length:.3g} m in {unit}" for unit, length in lengths.items())
         raise ScanError(
-            f"{name}: is {length:.3g} m long in {known}, which no socket is",
-            f"give its unit with --unit ({', '.join(METRES)})",
+            f"{name}: {'more than one' if fits else 'no'} unit makes its length {size:.4g} that of"
+            f" a socket, {_SOCKET[0]:g} to {_SOCKET[1]:g} m ({shown})",
+            "give its unit with --unit",
         )
-    return known, "given" if given else "stated"
+    return fits[0], "inferred"
 
 
 def refuse_normalised(name: str, vertices: FloatArray) -> None:
@@ -352,7 +317,7 @@ def refuse_normalised(name: str, vertices: FloatArray) -> None:
         vertices: Shape (V, 3), in the file's unit.
 
     Raises:
-        ScanError: If the vertices just fill [0, 1] or [-1, 1] in their largest extent.
+        ScanError: If the vertices just fill [0, 1], [-0.5, 0.5] or [-1, 1] in their largest extent.
     """
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     for start, size in (0.0, 1.0), (-0.5, 1.0), (-1.0, 2.0):
@@ -364,25 +329,11 @@ def refuse_normalised(name: str, vertices: FloatArray) -> None:
             )
 
 
-def _infer(name: str, size: float) -> str:
-    lengths = {unit: size * metres for unit, metres in METRES.items()}
-    fits = [unit for unit, length in lengths.items() if _SOCKET[0] <= length <= _SOCKET[1]]
-    if len(fits) == 1:
-        return fits[0]
-    shown = ", ".join(f"{length:.3g} m in {unit}" for unit, length in lengths.items())
-    why = "more than one unit makes" if fits else "no unit makes"
-    raise ScanError(
-        f"{name}: {why} its length {size:.4g} that of a socket, {_SOCKET[0]:g} to {_SOCKET[1]:g} m"
-        f" ({shown})",
-        "give its unit with --unit",
-    )
-
-
 _SPECK = 0.01  # [-]; of the area of the largest piece
 
 
 @dataclass(frozen=True)
-class Body:
+class ScanBody:
     """A connected piece of a scan.
 
     Attributes:
@@ -404,34 +355,34 @@ class Body:
 
 
 def find_bodies(
-    surface: Surface, labels: IntArray, names: Sequence[str]
-) -> tuple[list[Body], IntArray]:
+    mesh: trimesh.Trimesh, labels: IntArray, names: Sequence[str]
+) -> tuple[list[ScanBody], IntArray]:
     """Find the bodies of a scan; edges that more than two faces share do not connect.
 
     Args:
-        surface: All of the scan, in the file's unit.
+        mesh: All of the scan, in the file's unit.
         labels: Numbers of the names of each face, -1 for none, shape (F, any).
         names: The names.
 
     Returns:
         The bodies, and the faces of the pieces too small to be one, shape (any,).
     """
-    pieces = label_pieces(len(surface.faces), surface.edges.neighbours)
-    areas = np.bincount(pieces, surface.areas)
+    pieces = connected_component_labels(mesh.face_adjacency, node_count=len(mesh.faces))
+    areas = np.bincount(pieces, mesh.area_faces)
     specks = areas < _SPECK * areas.max()
     order = np.argsort(pieces, kind="stable")
     members = np.split(order, np.cumsum(np.bincount(pieces))[:-1])
     real = [faces for faces, speck in zip(members, specks, strict=True) if not speck]
     bodies = [
-        Body(index, _names(labels[faces], names), faces, _extents(surface, faces))
+        ScanBody(index, _names(labels[faces], names), faces, _extents(mesh.triangles[faces]))
         for index, faces in enumerate(real)
     ]
     return bodies, np.flatnonzero(specks[pieces])
 
 
 def choose_body(
-    file: str, bodies: Sequence[Body], wanted: str | None, metres: float | None
-) -> Body:
+    file: str, bodies: Sequence[ScanBody], wanted: str | None, metres: float | None
+) -> ScanBody:
     """The body that is wanted, or the only one.
 
     Args:
@@ -460,7 +411,7 @@ def choose_body(
     )
 
 
-def _show(body: Body, metres: float | None) -> str:
+def _show(body: ScanBody, metres: float | None) -> str:
     scale, unit = (1e3 * metres, "mm") if metres else (1.0, "of the file's units")
     size = " x ".join(f"{scale * extent:.4g}" for extent in body.extents)
     called = "".join(f"'{name}' " for name in body.names)
@@ -477,8 +428,9 @@ def _names(labels: IntArray, names: Sequence[str]) -> tuple[str, ...]:
     return tuple(found)
 
 
-def _extents(surface: Surface, faces: IntArray) -> FloatArray:
-    return np.ptp(surface.vertices[surface.faces[faces].ravel()], axis=0)
+def _extents(triangles: FloatArray) -> FloatArray:
+    """Size of some triangles, shape (F, 3, 3), along the axes, shape (3,)."""
+    return np.ptp(triangles.reshape(-1, 3), axis=0)
 
 
 _SMALL_HOLE = 0.020  # [m]; around
@@ -500,7 +452,7 @@ class Scan:
     mesh: trimesh.Trimesh
     body: str
     unit: str
-    unit_source: Source
+    unit_source: UnitSource
     notes: tuple[str, ...]
 
 
@@ -516,13 +468,13 @@ def read_scan(path: Path, unit: str | None = None, body: str | None = None) -> S
     Raises:
         ScanError: If the file cannot be read as a surface, or its unit or the body is not clear.
     """
-    if unit is not None:
-        check_unit(unit)
+    if unit not in {None, *METRES}:
+        raise ScanError(f"the unit '{unit}' is unknown", closest(str(unit), METRES))
     triangles = read_triangles(path)
     notes: list[str] = []
-    surface, labels = _clean(path, triangles, notes)
-    refuse_normalised(str(path), surface.vertices)
-    bodies, specks = find_bodies(surface, labels, triangles.names)
+    mesh, labels = _clean(path, triangles, notes)
+    refuse_normalised(str(path), np.asarray(mesh.vertices))
+    bodies, specks = find_bodies(mesh, labels, triangles.names)
     _note(notes, len(specks), "dropped {} faces of pieces too small to be a body")
     stated = stated_unit(triangles.comment)
     chosen = choose_body(str(path), bodies, body, _show_scale(bodies, unit, stated))
@@ -531,32 +483,35 @@ def read_scan(path: Path, unit: str | None = None, body: str | None = None) -> S
     notes.append(f"{source} unit {found}: the body is {size * METRES[found]:.3g} m long")
     if stated and stated != found:
         notes.append(f"the file states the unit {stated}, which is passed over")
-    vertices, faces = surface.vertices * METRES[found], surface.faces[chosen.faces]
-    mesh = _mend(f"{path}: body {chosen.name}", vertices, faces, notes)
-    mesh.metadata["file_name"] = str(path)
-    return Scan(mesh, chosen.name, found, source, tuple(notes))
+    vertices = np.asarray(mesh.vertices) * METRES[found]
+    faces = np.asarray(mesh.faces)[chosen.faces]
+    body_mesh = _repair(f"{path}: body {chosen.name}", vertices, faces, notes)
+    body_mesh.metadata["file_name"] = str(path)
+    return Scan(body_mesh, chosen.name, found, source, tuple(notes))
 
 
-def _clean(path: Path, triangles: Triangles, notes: list[str]) -> tuple[Surface, IntArray]:
+def _clean(path: Path, triangles: Triangles, notes: list[str]) -> tuple[trimesh.Trimesh, IntArray]:
     """The welded surface of the sound faces, and their labels."""
     vertices, faces, labels = triangles.vertices, triangles.faces, triangles.labels
-    finite = are_finite(vertices, faces)
+    finite = np.isfinite(vertices[faces]).all(axis=(1, 2))
     _note(notes, (~finite).sum(), "removed {} faces with a corner that is not finite")
     if not finite.any():
         raise ScanError(f"{path}: no face has finite corners", "export the scan again")
     vertices, faces = weld(vertices, faces[finite])
-    plain = are_triangles(faces)
+    plain = (faces != np.roll(faces, 1, axis=1)).all(axis=1)
     _note(notes, (~plain).sum(), "removed {} faces without area, of fewer than three vertices")
-    first = are_first(faces)
+    first = np.zeros(len(faces), dtype=bool)
+    first[unique_rows(np.sort(faces, axis=1))[0]] = True
     _note(notes, (plain & ~first).sum(), "removed {} duplicate faces")
     kept = plain & first
-    surface = Surface(vertices, faces[kept])
-    if are_slivers(vertices, surface.faces).all():
+    faces = faces[kept]
+    if are_slivers(vertices, faces).all():
         raise ScanError(f"{path}: no face has an area", "export the scan again, as a surface")
-    return surface, labels[finite][kept] if len(labels) else np.empty((int(kept.sum()), 0), int)
+    labels = labels[finite][kept] if len(labels) else np.empty((len(faces), 0), np.int64)
+    return plain_mesh(vertices, faces), labels
 
 
-def _show_scale(bodies: list[Body], given: str | None, stated: str | None) -> float | None:
+def _show_scale(bodies: list[ScanBody], given: str | None, stated: str | None) -> float | None:
     """Metres a unit for the list of the bodies, by the largest of them, if that is clear."""
     try:
         size = max(float(body.extents.max()) for body in bodies)
@@ -565,7 +520,7 @@ def _show_scale(bodies: list[Body], given: str | None, stated: str | None) -> fl
         return None
 
 
-def _mend(name: str, vertices: FloatArray, faces: IntArray, notes: list[str]) -> trimesh.Trimesh:
+def _repair(name: str, vertices: FloatArray, faces: IntArray, notes: list[str]) -> trimesh.Trimesh:
     """A body in metres with one winding, no crowded edges, small holes or slivers."""
     faces, turned, one_sided = wind_alike(faces)
     _note(notes, turned, "turned {} faces so that all wind the same way")
@@ -574,7 +529,7 @@ def _mend(name: str, vertices: FloatArray, faces: IntArray, notes: list[str]) ->
             f"{name}: is one-sided, as a Moebius band is; no winding fits its faces",
             "repair the surface in a mesh editor",
         )
-    crowded = len(match_edges(faces).crowded)
+    crowded = faces.size - 2 * len(twin_half_edges(faces)) - len(boundary_half_edges(faces))
     _note(notes, crowded, "cut at edges that more than two faces share, {} sides in all")
     vertices, faces = separate(vertices, faces)
     vertices, faces, closed, left = fill_holes(vertices, faces, _SMALL_HOLE)
@@ -584,7 +539,7 @@ def _mend(name: str, vertices: FloatArray, faces: IntArray, notes: list[str]) ->
     if flat:
         notes.append(f"removed {flat} faces without area, of three vertices on a line")
         vertices, faces = separate(vertices, faces)
-    return trimesh.Trimesh(vertices, faces, process=False)
+    return plain_mesh(vertices, faces)
 
 
 def _note(notes: list[str], count: int, text: str) -> None:

@@ -8,26 +8,21 @@ from support.meshes import FULL, open_cone, shell
 
 from socket_testbed.socket_design.interior import (
     Samples,
-    Sight,
+    Visibility,
     inner_wall,
     lay_spine,
     look,
     spread_samples,
 )
-from socket_testbed.socket_design.mesh import Surface, fit_axis, sample_surface
+from socket_testbed.socket_design.mesh import fit_axis, sample_surface
 
 UP = np.array([0.0, 0.0, 1.0])
 
 
-def surface_of(*meshes: trimesh.Trimesh) -> Surface:
-    mesh = trimesh.util.concatenate(list(meshes))
-    return Surface(mesh.vertices.view(np.ndarray), mesh.faces.view(np.ndarray))
-
-
 @pytest.mark.parametrize("spacing", [0.5, 0.04, 0.011])
-def test_samples_lie_in_their_faces_evenly_and_as_close_as_told(spacing):
+def test_samples_lie_in_their_faces_evenly_and_as_close_as_asked(spacing):
     corners = np.random.default_rng(2).uniform(0.0, 0.1, (5, 3, 3))
-    surface = Surface(corners.reshape(-1, 3), np.arange(15).reshape(5, 3))
+    surface = trimesh.Trimesh(corners.reshape(-1, 3), np.arange(15).reshape(5, 3), process=False)
     owners, points = sample_surface(surface, spacing)
     for face, triangle in enumerate(corners):
         own = points[owners == face]
@@ -53,7 +48,7 @@ def test_samples_lie_in_their_faces_evenly_and_as_close_as_told(spacing):
 def test_the_axis_of_a_surface_of_revolution_is_found_in_any_pose(mesh):
     turn, shift = Rotation.random(random_state=8), np.array([0.3, -0.2, 0.5])
     posed = trimesh.Trimesh(turn.apply(mesh.vertices) + shift, mesh.faces, process=False)
-    best = fit_axis(surface_of(posed)).likely()[0]
+    best = fit_axis(posed).likely()[0]
     axis = turn.apply(UP)
     assert np.linalg.norm(np.cross(best.direction, axis)) < 0.01
     assert np.linalg.norm(np.cross(best.origin - shift, axis)) < 0.001
@@ -79,23 +74,23 @@ def test_of_nested_tubes_the_first_front_is_seen_and_backs_behind_it_are_hidden(
     fronts, seen, hidden, share
 ):
     tubes = [tube(0.04 + 0.01 * i, front) for i, front in enumerate(fronts)]
-    surface = surface_of(*tubes)
+    surface = trimesh.util.concatenate(tubes)
     which = np.repeat(np.arange(len(tubes)), [len(mesh.faces) for mesh in tubes])
     samples = Samples(*sample_surface(surface, 0.003), 0.003)
     (axis, *_) = fit_axis(surface).likely()
-    sight = look(surface, samples, lay_spine(axis, surface))
+    visibility = look(surface, samples, lay_spine(axis, surface))
     # The tubes' edges are seen past each other: what counts lies between them.
-    amid = np.abs(surface.centres[:, 2] - 0.1) < 0.05
-    np.testing.assert_array_equal(sight.seen[amid], np.isin(which, seen)[amid])
-    np.testing.assert_array_equal(sight.hidden[amid], np.isin(which, hidden)[amid])
-    assert sight.front_share == pytest.approx(share, abs=0.1)
+    amid = np.abs(surface.triangles_center[:, 2] - 0.1) < 0.05
+    np.testing.assert_array_equal(visibility.seen[amid], np.isin(which, seen)[amid])
+    np.testing.assert_array_equal(visibility.hidden[amid], np.isin(which, hidden)[amid])
+    assert visibility.front_share == pytest.approx(share, abs=0.1)
     np.testing.assert_allclose(
-        sight.facing[amid], np.where(np.array(fronts)[which[amid]], 1.0, -1.0), atol=0.01
+        visibility.facing[amid], np.where(np.array(fronts)[which[amid]], 1.0, -1.0), atol=0.01
     )
 
 
 def test_where_nothing_is_seen_there_is_no_wall():
-    surface = surface_of(tube(0.05, True))
+    surface = tube(0.05, True)
     samples = spread_samples(surface)
     nothing = np.zeros(len(surface.faces), bool)
-    assert not inner_wall(surface, samples, Sight(nothing + 0.0, nothing, nothing, 0.0)).any()
+    assert not inner_wall(surface, samples, Visibility(nothing + 0.0, nothing, nothing, 0.0)).any()
