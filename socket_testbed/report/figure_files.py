@@ -12,7 +12,6 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from markupsafe import Markup
 from matplotlib.figure import Figure
 
 from socket_testbed.arrays import FloatArray
@@ -266,7 +265,7 @@ def surface_scene(results: Results) -> dict[str, object]:
     return {
         "models": [candidate.label for candidate in results.candidates],
         "quantities": list(dict.fromkeys(key.partition(" ")[2] for key in values)),
-        "picture": Markup(picture),  # the viewer's own HTML, in which names are escaped
+        "picture": picture,
         "visible": visible,
     }
 

@@ -1,4 +1,4 @@
-"""What was found in a trial and how far it can be trusted, in words with numbers."""
+"""What was found in a trial and how far to trust it, in words with numbers."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ def _offsets(results: Results, without: Candidate, with_offsets: Candidate) -> s
         f"Without offsets the mean moment RMSE is {number(plain.moment_rmse)} N m, the mean"
         f" force RMSE {number(plain.force_rmse)} N and the median local RMSE"
         f" {number(plain.local_rmse)} N; over all clusters sigma is {number(share, '.2g')} of"
-        f" the RMSE, so their residuals are {steady}. With one constant a channel these RMSE are"
+        f" the RMSE, so their residuals are {steady}. With one constant per channel these RMSE are"
         f" {number(bias.moment_rmse)} N m, {number(bias.force_rmse)} N and"
         f" {number(bias.local_rmse)} N." + _borne(results, with_offsets)
     )

@@ -417,8 +417,9 @@ def magnify(document: dict) -> None:
 def nasty(spoilt: Path, tmp_path_factory) -> tuple[Path, str, str]:
     """The page of the spoilt trial, and what the command printed."""
     path = tmp_path_factory.mktemp("nasty") / "page.html"
-    with pytest.MonkeyPatch.context() as patch:  # drawing takes its time, and is tested above
+    with pytest.MonkeyPatch.context() as patch:  # saving takes its time, and is tested above
         patch.setattr("socket_testbed.report.figure_files.ReportFigure.write", lambda *_: None)
+        patch.setattr("socket_testbed.report.figure_files.svg_of", lambda _: "<svg/>")
         out, err = call(spoilt, "-o", path, "--thetas", 3)
     return path, out, err
 

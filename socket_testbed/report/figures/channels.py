@@ -22,14 +22,14 @@ from socket_testbed.report.figures.style import (
 )
 from socket_testbed.samples import WRENCH_CHANNELS
 
-MOST_POINTS = 2000  # a line
+MOST_POINTS = 2000  # per line
 _PANEL = (4.4, 2.75)  # [inch]
 _QUANTITIES = {"N m": "moment", "N": "force"}
 
 
 @dataclass(frozen=True)
 class Prediction:
-    """What a model says of a channel.
+    """What a model predicts of a channel.
 
     Attributes:
         label: Name of the model.
@@ -149,7 +149,7 @@ def wrench_figure(
     rows: BoolArray,
     title: str,
 ) -> Figure:
-    """Measured against predicted wrench, a panel a channel, with the errors in the panels.
+    """Measured against predicted wrench, a panel per channel, with the errors in the panels.
 
     Args:
         time: Times, shape (N,) [s].
@@ -178,7 +178,7 @@ def wrench_figure(
     return panels_figure(panels, 3, f"{title}; errors over the shaded span")
 
 
-_WIDTH, _LOAD, _ROW, _REST = 7.0, 1.7, 0.2, 1.2  # [inch]
+_OVERVIEW_WIDTH, _LOAD, _DROP_OUTS, _DROP_OUTS_AXIS = 7.0, 1.7, 0.2, 1.2  # [inch]
 _BINS = 400  # of the trial's time
 _CHOSEN, _OTHER = "0.80", "0.93"  # greys
 
@@ -199,8 +199,8 @@ def overview_figure(
         chosen: Start and end of the segment in use [s].
         unusable: Samples in which a measurement cannot be used, shape (N,), by its name.
     """
-    raster = _ROW * len(unusable) + _REST
-    figure = Figure(figsize=(_WIDTH, 2.0 * _LOAD + raster), layout="constrained")
+    raster = _DROP_OUTS * len(unusable) + _DROP_OUTS_AXIS
+    figure = Figure(figsize=(_OVERVIEW_WIDTH, 2.0 * _LOAD + raster), layout="constrained")
     axes = figure.subplots(3, 1, sharex=True, height_ratios=(_LOAD, _LOAD, raster))
     for axis, columns, label, colour in (
         (axes[0], slice(3, 6), "force [N]", "#0072B2"),
@@ -238,12 +238,12 @@ def _draw_raster(
     bar.set_label("not usable [-]", fontsize=9)
 
 
-_BIAS_WIDTH, _BIAS_ROW, _BIAS_REST = 5.6, 0.24, 0.8  # [inch]
+_OFFSETS_WIDTH, _BAR, _BARS_AXIS = 5.6, 0.24, 0.8  # [inch]
 _TITLES = ("moment [N m]", "force [N]", "force on a cluster, in its frame [N]")
 
 
 def offsets_figure(channels: Sequence[str], offsets: Mapping[str, FloatArray]) -> Figure:
-    """Offsets of every channel, a bar a model: moments, forces, the clusters' forces.
+    """Offsets of every channel, a bar per model: moments, forces, the clusters' forces.
 
     Args:
         channels: Names of the m channels.
@@ -251,15 +251,15 @@ def offsets_figure(channels: Sequence[str], offsets: Mapping[str, FloatArray]) -
     """
     count = len(WRENCH_CHANNELS)
     groups = [[0, 1, 2], [3, 4, 5], [*range(count, len(channels))]]
-    heights = [_BIAS_ROW * len(indices) + _BIAS_REST for indices in groups]
-    figure = Figure(figsize=(_BIAS_WIDTH, sum(heights)), layout="constrained")
+    heights = [_BAR * len(indices) + _BARS_AXIS for indices in groups]
+    figure = Figure(figsize=(_OFFSETS_WIDTH, sum(heights)), layout="constrained")
     axes = figure.subplots(3, 1, height_ratios=heights)
     thickness = 0.8 / len(offsets)
     for axis, title, indices in zip(axes, _TITLES, groups, strict=True):
         places = np.arange(len(indices))
         for number, (label, values) in enumerate(offsets.items()):
             shift = (number - 0.5 * (len(offsets) - 1)) * thickness
-            colour = MODEL_STYLES[-1 - number]["color"]
+            colour = MODEL_STYLES[1 + number]["color"]  # the first is of the model without
             axis.barh(places + shift, values[indices], thickness, color=colour, label=label)
         axis.axvline(0.0, color="0.3", linewidth=0.8)
         axis.set_yticks(places, [channels[i] for i in indices], fontsize=9, parse_math=False)

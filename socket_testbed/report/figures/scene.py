@@ -1,4 +1,4 @@
-"""Pictures that turn under the mouse, alone or in a report; lengths in mm in {S}."""
+"""3D scenes of a socket, on a page of their own or in a report; lengths in mm in {S}."""
 
 from __future__ import annotations
 
@@ -40,28 +40,22 @@ from socket_testbed.report.figures.tiles import (
 )
 from socket_testbed.report.page import render
 
-# Two triangles a square would meet at a seam; four around its centre also let the pointer
+# Two triangles per square would meet at a seam; four around its centre also let the pointer
 # find the tile wherever it is on it.
 _FAN = np.array([[4, 0, 1], [4, 1, 2], [4, 2, 3], [4, 3, 0]])
 _UNSHADED = {"ambient": 1.0, "diffuse": 0.0, "specular": 0.0, "fresnel": 0.0}
 _HEAD = 0.25  # [-]; of an arrow's length
-# Beside a narrow scene there is no room for it.
-_COLOUR_BAR = {"orientation": "h", "y": 0.0, "yanchor": "bottom", "thickness": 12, "len": 0.8}
 _LABEL_AT = 0.8  # [-]; likewise, from its start
+_MOST_FACES = 60_000
+# Beside a narrow scene there is no space for it.
+_COLOUR_BAR_HEIGHT = 0.15  # [-]; of the picture
+_COLOUR_BAR = {"orientation": "h", "y": 0.0, "yanchor": "bottom", "thickness": 12, "len": 0.8}
 
 
 def surface_trace(surface: trimesh.Trimesh) -> go.Mesh3d:
     """The interior surface, which one sees through."""
-    i, j, k = surface.faces.astype(np.int32).T
-    return go.Mesh3d(
-        **_coordinates(surface.vertices),
-        **{"i": i, "j": j, "k": k},
-        color=VEIL,
-        opacity=0.3,
-        hoverinfo="skip",
-        name="interior surface",
-        showlegend=True,
-    )
+    veil = {"color": VEIL, "opacity": 0.3, "hoverinfo": "skip"}
+    return _mesh(surface.vertices, surface.faces, "interior surface", **veil)
 
 
 def tile_traces(
@@ -75,7 +69,7 @@ def tile_traces(
 
     Args:
         geometry: The socket.
-        values: One value a tile in `unit`, shape (n,); NaN, left white, where there is none.
+        values: One value per tile in `unit`, shape (n,); NaN, left white, where there is none.
         unit: What the values are, with their unit, such as `pressure [kPa]`.
 
     Raises:
@@ -98,8 +92,8 @@ def tile_traces(
     facts = _tile_facts(geometry, values, unit)
     traces = [
         *(_filled(geometry, chosen, facts, name, paint) for name, chosen, paint in kinds),
-        _outlines(geometry, ~covered, "outlines", color=EDGE, width=3),
-        _outlines(geometry, covered, "outlines of the clusters", color=around_cluster, width=6),
+        _outlines(geometry, ~covered, "outlines", EDGE, 3),
+        _outlines(geometry, covered, "outlines of the clusters", around_cluster, 6),
     ]
     return [trace for trace in traces if trace is not None]
 
@@ -125,14 +119,8 @@ def cluster_names(geometry: SocketGeometry) -> list[dict[str, Any]]:
 
 def neighbour_trace(geometry: SocketGeometry) -> go.Scatter3d:
     """Lines between neighbouring tiles, hidden until they are chosen in the legend."""
-    return go.Scatter3d(
-        **_lines(geometry.anchors[geometry.neighbours]),
-        mode="lines",
-        line={"color": "#555555", "width": 2},
-        hoverinfo="skip",
-        name="neighbours",
-        visible="legendonly",
-    )
+    lines = geometry.anchors[geometry.neighbours]
+    return _lines(lines, "#555555", 2, name="neighbours", visible="legendonly")
 
 
 def axes_traces(axes: AxesOfS) -> list[Any]:
@@ -167,17 +155,15 @@ def _filled(
         return None
     squares = tile_squares(geometry)[chosen]
     points = np.concatenate([squares, geometry.anchors[chosen][:, None]], axis=1)
-    i, j, k = (_FAN + 5 * np.arange(len(squares))[:, None, None]).reshape(-1, 3).T
-    return go.Mesh3d(
-        **_coordinates(points.reshape(-1, 3)),
-        **{"i": i, "j": j, "k": k},
+    return _mesh(
+        points.reshape(-1, 3),
+        (_FAN + 5 * np.arange(len(squares))[:, None, None]).reshape(-1, 3),
+        name,
         **paint,
         lighting=_UNSHADED,
         text=[facts[tile] for tile in np.flatnonzero(chosen) for _ in range(5)],
         hovertemplate="%{text}<extra></extra>",
         hoverlabel={"bgcolor": "white", "bordercolor": EDGE, "font": {"color": "black"}},
-        name=name,
-        showlegend=True,
         legendgroup=name,
     )
 
@@ -211,31 +197,20 @@ def _tile_facts(geometry: SocketGeometry, values: FloatArray | None, unit: str) 
 
 
 def _outlines(
-    geometry: SocketGeometry, chosen: BoolArray, name: str, **line: Any
+    geometry: SocketGeometry, chosen: BoolArray, name: str, colour: str, width: int
 ) -> go.Scatter3d | None:
     if not chosen.any():
         return None
-    return go.Scatter3d(
-        **_lines(tile_squares(geometry)[chosen][:, [0, 1, 2, 3, 0]]),
-        mode="lines",
-        line=line,
-        hoverinfo="skip",
-        name=name,
-        showlegend=False,
-    )
+    squares = tile_squares(geometry)[chosen][:, [0, 1, 2, 3, 0]]
+    return _lines(squares, colour, width, name=name, showlegend=False)
 
 
 def _arrow(
     start: FloatArray, tip: FloatArray, text: str, colour: str, name: str, shown: bool = True
 ) -> list[Any]:
-    shared = {"legendgroup": name, "name": name, "hoverinfo": "skip"}
-    shaft = go.Scatter3d(
-        **_coordinates(np.array([start, tip])),
-        mode="lines",
-        line={"color": colour, "width": 6},
-        showlegend=shown,
-        **shared,
-    )
+    group = {"legendgroup": name, "name": name}
+    shaft = _lines(np.array([[start, tip]]), colour, 6, showlegend=shown, **group)
+    shared = {**group, "hoverinfo": "skip"}
     label = go.Scatter3d(
         **_coordinates((start + _LABEL_AT * (tip - start))[None]),
         mode="text",
@@ -259,10 +234,18 @@ def _arrow(
     return [shaft, head, label]
 
 
-def _lines(polylines: FloatArray) -> dict[str, FloatArray]:
-    """Coordinates [mm] of polylines of shape (m, k, 3) [m], with gaps between them."""
+def _lines(polylines: FloatArray, colour: str, width: int, **more: Any) -> go.Scatter3d:
+    """Polylines of shape (m, k, 3) [m], with gaps between them."""
     gaps = np.full((len(polylines), 1, 3), np.nan)
-    return _coordinates(np.concatenate([polylines, gaps], axis=1).reshape(-1, 3))
+    points = np.concatenate([polylines, gaps], axis=1).reshape(-1, 3)[:-1]
+    line = {"color": colour, "width": width}
+    return go.Scatter3d(**_coordinates(points), mode="lines", line=line, hoverinfo="skip", **more)
+
+
+def _mesh(points: FloatArray, faces: IntArray, name: str, **more: Any) -> go.Mesh3d:
+    """Triangles between points, shape (m, 3) [m]."""
+    corners = dict(zip("ijk", faces.astype(np.int32).T, strict=True))
+    return go.Mesh3d(**_coordinates(points), **corners, name=name, showlegend=True, **more)
 
 
 def _coordinates(points: FloatArray) -> dict[str, FloatArray]:
@@ -291,20 +274,20 @@ _AXIS = {
 }
 
 
-def scene_html(
+def _scene_html(
     traces: Sequence[Any],
     geometry: SocketGeometry,
     name: str,
-    domain: Mapping[str, Any] | None = None,
+    lowest: float = 0.0,
     legend: Mapping[str, Any] | None = None,
-) -> str:
-    """The HTML of a scene in {S}, in mm, with the viewer inlined.
+) -> Markup:
+    """The HTML of a scene in {S}, in mm, with the viewer inlined; it escapes every name.
 
     Args:
         traces: What is drawn.
         geometry: The socket, whose clusters are named.
         name: Its id in the page.
-        domain: Which part of the picture the scene takes; None for all of it.
+        lowest: Share of the height below the scene [-].
         legend: Where the legend is; None for none.
     """
     scene: dict[str, Any] = {
@@ -312,7 +295,7 @@ def scene_html(
     }
     scene |= {
         "aspectmode": "data",
-        "domain": domain or {},
+        "domain": {"y": [lowest, 1.0]},
         "camera": _camera(traces),
         "annotations": cluster_names(geometry),
     }
@@ -324,12 +307,13 @@ def scene_html(
         "font": {"family": FONT, "size": 13},
         "paper_bgcolor": "white",
     }
-    return go.Figure([*traces], layout).to_html(
+    page = go.Figure([*traces], layout).to_html(
         full_html=False,
         include_plotlyjs=True,
         div_id=name,
         config={"responsive": True, "displaylogo": False, "modeBarButtons": [_BUTTONS]},
     )
+    return Markup(page)
 
 
 def _camera(traces: Sequence[Any]) -> dict[str, Any]:
@@ -341,9 +325,6 @@ def _camera(traces: Sequence[Any]) -> dict[str, Any]:
         name: dict(zip(AXIS_NAMES, (diagonal * place).tolist(), strict=True))
         for name, place in (("eye", _EYE), ("center", _CENTRE))
     }
-
-
-_MOST_FACES = 60_000
 
 
 def socket_page(
@@ -369,14 +350,6 @@ def socket_page(
         ConfigurationError: If the file cannot be written.
     """
     surface = drawable_surface(vertices, faces, _MOST_FACES)
-    scene = Markup(_scene(surface, geometry))  # the viewer's own HTML, in which names are escaped
-    page = render("socket.html", title=title, facts=facts, scene=scene)
-    with atomic_output(path) as output:
-        output.write_text(page, encoding="utf-8")
-
-
-def _scene(surface: trimesh.Trimesh, geometry: SocketGeometry) -> str:
-    """The turning picture with the viewer itself, as HTML."""
     axes = place_axes(*drawn_bounds(geometry, surface))
     traces = [
         surface_trace(surface),
@@ -386,20 +359,20 @@ def _scene(surface: trimesh.Trimesh, geometry: SocketGeometry) -> str:
         *proximal_traces(geometry, axes.length),
     ]
     legend = {"orientation": "h", "yref": "container", "y": 0, "yanchor": "bottom"}
-    return scene_html(traces, geometry, "socket", legend=legend)
-
-
-_ABOVE_COLOUR_BAR = [0.15, 1.0]  # [-]; of the height
+    scene = _scene_html(traces, geometry, "socket", legend=legend)
+    page = render("socket.html", title=title, facts=facts, scene=scene)
+    with atomic_output(path) as output:
+        output.write_text(page, encoding="utf-8")
 
 
 def value_scene(
     geometry: SocketGeometry, values: Mapping[str, tuple[FloatArray, str]]
-) -> tuple[str, dict[str, list[bool]]]:
+) -> tuple[Markup, dict[str, list[bool]]]:
     """A scene with the tiles in the colours of the first set of values.
 
     Args:
         geometry: The socket.
-        values: One value a tile, shape (n,), NaN where there is none, and what they are
+        values: One value per tile, shape (n,), NaN where there is none, and what they are
             with their unit, by a key.
 
     Returns:
@@ -419,4 +392,4 @@ def value_scene(
     visible = {key: [name in ("", key) for name in owner] for key in values}
     for trace, shown in zip(traces, visible[next(iter(values))], strict=True):
         trace.visible = shown
-    return scene_html(traces, geometry, "scene", domain={"y": _ABOVE_COLOUR_BAR}), visible
+    return _scene_html(traces, geometry, "scene", lowest=_COLOUR_BAR_HEIGHT), visible

@@ -24,6 +24,7 @@ from socket_testbed.report.figures.style import (
     EDGE,
     SURFACE,
     TILE,
+    check_picture,
     lay_out,
     save_figure,
 )
@@ -381,6 +382,7 @@ def socket_picture(
         ScanError: If this is no surface, or not in metres.
         ConfigurationError: If the suffix is another, or the file cannot be written.
     """
+    check_picture(path)
     surface = drawable_surface(vertices, faces, _MOST_FACES)
     save_figure(_draw_socket(surface, geometry, title), path, _DPI)
 

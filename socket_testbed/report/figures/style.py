@@ -56,6 +56,18 @@ def lay_out(figure: Figure) -> Figure:
     return figure
 
 
+def check_picture(path: Path) -> None:
+    """Refuse a file whose suffix names no format of a picture.
+
+    Raises:
+        ConfigurationError: If it is neither `.png` nor `.pdf`.
+    """
+    if path.suffix.lower() not in _SUFFIXES:
+        raise ConfigurationError(
+            f"{path}: a picture cannot be a '{path.suffix}' file", "name a .png or .pdf file"
+        )
+
+
 def save_figure(figure: Figure, path: Path, dpi: int = 150) -> None:
     """Write a figure; text stays text in a PDF.
 
@@ -67,10 +79,7 @@ def save_figure(figure: Figure, path: Path, dpi: int = 150) -> None:
     Raises:
         ConfigurationError: If the suffix is another, or the file cannot be written.
     """
-    if path.suffix.lower() not in _SUFFIXES:
-        raise ConfigurationError(
-            f"{path}: a picture cannot be a '{path.suffix}' file", "name a .png or .pdf file"
-        )
+    check_picture(path)
     with mpl.rc_context(_TYPES), atomic_output(path) as staging:
         figure.savefig(staging, dpi=dpi)
 
