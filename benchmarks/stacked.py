@@ -59,7 +59,7 @@ def smoothness_rows(stage: StageTwoInput) -> FloatArray:
     difference[np.arange(len(pairs)), pairs[:, 0]] = 1.0
     difference[np.arange(len(pairs)), pairs[:, 1]] = -1.0
     expected = stage.settings.stiffness_difference
-    weight = stage.objective.smoothness / (3.0 * len(pairs) * expected**2)
+    weight = stage.settings.smoothness / (3.0 * len(pairs) * expected**2)
     return np.sqrt(weight) * np.kron(difference, np.eye(3))
 
 

@@ -67,16 +67,15 @@ def is_definite(matrix: FloatArray, least: float) -> bool:
         return False
 
 
-# OSQP's own interval for adapting rho comes from a timer: a fixed one makes the answer
-# reproducible. It need not run to its end: pivoting takes over.
+# OSQP gives a start, from which pivoting takes over. Its own rule for adapting rho may come from
+# a timer, and the same trial is to give the same answer.
 _OPTIONS: dict[str, dict[str, Any]] = {
     "osqp": {
         "eps_abs": 1e-5,
         "eps_rel": 0.0,
         "max_iter": 25,
         "polishing": False,
-        "adaptive_rho_interval": 50,
-        "adaptive_rho_tolerance": 2.0,
+        "adaptive_rho": False,
     }
 }
 _EXCHANGES = 300
@@ -163,13 +162,13 @@ class BoxQP:
 
 @dataclass(frozen=True)
 class BoxSolution:
-    """A certified solution of a box QP.
+    """A solution of a box QP with its certificate.
 
     Attributes:
         x: The solution, shape (p,) [-].
         certificate: Its residuals.
         determined: Whether no other point is optimal.
-        found_by: The solver's name.
+        found_by: The solver that gave the start, or `warm start`.
     """
 
     x: FloatArray
@@ -198,28 +197,16 @@ class UncertifiedSolutionError(IdentificationError):
         self.x = x
 
 
-@dataclass(frozen=True)
-class Pivoted:
-    """Where pivoting from a point led.
-
-    Attributes:
-        x: The point with the smallest residuals on the way, shape (p,) [-]; at worst the start.
-        certificate: Its residuals.
-        definite: Whether P was definite over the last free variables.
-    """
-
-    x: FloatArray
-    certificate: Certificate
-    definite: bool
-
-
-def pivot(problem: BoxQP, start: FloatArray) -> Pivoted:
+def pivot(problem: BoxQP, start: FloatArray) -> BoxSolution:
     """Move a point inside the box to the exact optimum near it, by its active set.
 
     Block principal pivoting (Judice & Pires 1994, doi:10.1016/0305-0548(94)90106-6): all
     variables on the wrong side change sides at once, or, when that stops helping, one at a
     time, which cannot cycle. From a solver's answer a few steps reach the optimum to
     rounding. It needs P to be definite over the free variables.
+
+    Returns:
+        The point with the smallest residuals on the way, at worst the start.
     """
     x, certificate = start, problem.certificate(start)
     trial = start - (problem.P @ start + problem.q)
@@ -229,7 +216,8 @@ def pivot(problem: BoxQP, start: FloatArray) -> Pivoted:
         try:
             candidate, gradient, least = _solve_on_sides(problem, side)
         except np.linalg.LinAlgError:
-            return Pivoted(x, certificate, definite=False)
+            least = 0.0
+            break
         inside = np.clip(candidate, problem.lower, problem.upper)
         residuals = problem.certificate(inside)
         if residuals.worst < certificate.worst:
@@ -245,10 +233,11 @@ def pivot(problem: BoxQP, start: FloatArray) -> Pivoted:
         else:
             wrong = wrong[-1:]
         side[wrong] = change[wrong]
-    return Pivoted(x, certificate, least > _FLAT)
+    determined = least > _FLAT or problem.is_determined_at(x)
+    return BoxSolution(x, certificate, determined, "pivoting")
 
 
-def pivot_regularised(problem: BoxQP, start: FloatArray) -> Pivoted:
+def pivot_regularised(problem: BoxQP, start: FloatArray) -> BoxSolution:
     r"""Pivot, and where P is singular, or nearly so, with a ridge that falls tenfold each time.
 
     Each regularised program adds :math:`\tfrac12 \rho |x - x'|^2` with x' the optimum of the
@@ -324,7 +313,7 @@ def solve_box_qp(
     if near is not None:
         found = pivot(problem, np.clip(near, problem.lower, problem.upper))
         if found.certificate.worst <= tolerance:
-            return _solution(problem, found, "warm start")
+            return replace(found, found_by="warm start")
     start = _call_solver(problem, solver)
     found = pivot_regularised(problem, np.clip(start, problem.lower, problem.upper))
     if not found.certificate.worst <= tolerance:
@@ -335,12 +324,7 @@ def solve_box_qp(
             problem,
             found.x,
         )
-    return _solution(problem, found, solver)
-
-
-def _solution(problem: BoxQP, found: Pivoted, found_by: str) -> BoxSolution:
-    determined = found.definite or problem.is_determined_at(found.x)
-    return BoxSolution(found.x, found.certificate, determined, found_by)
+    return replace(found, found_by=solver)
 
 
 def _check_finite(problem: BoxQP) -> None:
