@@ -1,1 +1,11 @@
-"""Drivers of the testbed's hardware, without ROS: each is given its bus, line or socket."""
+"""What talks to hardware, a folder per instrument, the same with a simulated bus behind it.
+
+A chip has a file of its own name (`clusters/fdc1004.py`, `load_cell/ads131m0x.py`,
+`natnet/messages.py` for a protocol): its registers and frames, every answer checked, a
+`DeviceError` with a hint for whatever is wrong. It is given its bus: the protocol of the bus is
+beside it (`I2cBus`, `SpiDevice`, `Lines`), so that a simulated chip fits behind.
+
+A reader beside it (`clusters/reader.py`, `load_cell/load_cell.py`, `natnet/client.py`) decides
+when to read, starts again after a failure, and answers two questions: what belongs to a trigger,
+and how the instrument is. It never raises for what the hardware does.
+"""

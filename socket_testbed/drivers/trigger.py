@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from datetime import timedelta
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeAlias
 
 from socket_testbed import clocks
 from socket_testbed.errors import DeviceError
@@ -31,31 +31,8 @@ class Lines(Protocol):
         """Give the lines back."""
 
 
-class Trigger(Protocol):
-    """What makes a trigger.
-
-    Attributes:
-        stray: Number of edges that belonged to no pulse.
-    """
-
-    stray: int
-
-    def fire(self) -> float:
-        """Trigger; returns its time on the steady clock [s].
-
-        Raises:
-            DeviceError: If there was none.
-        """
-
-    def rest(self) -> None:
-        """End the pulse."""
-
-    def close(self) -> None:
-        """Give back what it holds."""
-
-
 class TimerTrigger:
-    """A trigger without a wire: its time is that of the call."""
+    """A trigger without a wire: it has no pulse, and its time is that of the call."""
 
     def __init__(self, clock: Callable[[], float] = clocks.monotonic) -> None:
         self.fire = clock
@@ -109,13 +86,15 @@ class GpioTrigger:
             # The line rises while this process sets it, which a busy machine may hold up.
             deadline = self._clock() + self._settings.edge_within
             left = self._settings.edge_within
-            while left >= 0.0:
+            while True:
                 for edge in self._lines.edges(left):
                     if self._begun <= edge <= deadline:
                         return edge
                     self.stray += 1
-                # Whenever this process gets to it, the kernel's stamp is what counts.
-                left = max(0.0, deadline - self._clock()) if left > 0.0 else -1.0
+                if left == 0.0:
+                    break
+                # Look once more after the deadline: the kernel's stamp is what counts.
+                left = max(0.0, deadline - self._clock())
         except OSError as error:
             raise DeviceError(
                 f"the GPIO lines cannot be used ({error.strerror or error})",
@@ -134,11 +113,14 @@ class GpioTrigger:
         try:
             self._lines.set(False)
         except OSError:
-            return  # the next pulse says so
+            return  # the next pulse reports it
 
     def close(self) -> None:
         """Give the lines back."""
         self._lines.close()
+
+
+Trigger: TypeAlias = TimerTrigger | GpioTrigger
 
 
 class GpiodLines:
@@ -178,7 +160,7 @@ class GpiodLines:
             raise _not_permitted(path) from None
         except (OSError, ValueError) as error:
             raise DeviceError(
-                f"{path}: lines {self._output} and {self._input} cannot be had ({error})",
+                f"{path}: lines {self._output} and {self._input} cannot be used ({error})",
                 "check that no other program or overlay uses them",
             ) from None
 
@@ -201,7 +183,7 @@ class GpiodLines:
 def _chip(gpiod: Any, label: str) -> str:
     """Path of the chip with a label; its number differs from kernel to kernel."""
     labels = []
-    refused: str | None = None
+    refused = ""
     for path in sorted(Path("/dev").glob("gpiochip*")):
         try:
             with gpiod.Chip(str(path)) as chip:
@@ -213,7 +195,7 @@ def _chip(gpiod: Any, label: str) -> str:
             continue
         if labels[-1] == label:
             return str(path)
-    if refused is not None:
+    if refused:
         raise _not_permitted(refused)
     raise DeviceError(
         f"there is no GPIO chip '{label}' (there is {', '.join(labels) or 'none'})",

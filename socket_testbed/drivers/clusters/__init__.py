@@ -1,1 +1,1 @@
-"""The clusters: converters of capacitance behind a multiplexer, on I2C."""
+"""The clusters: FDC1004 converters of capacitance on I2C, behind a multiplexer or not."""

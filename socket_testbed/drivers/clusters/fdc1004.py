@@ -45,7 +45,7 @@ class Fdc1004:
     """The converter in repeat mode, four single-ended inputs.
 
     Attributes:
-        where: Its place in words.
+        where: Where it is wired, for messages.
         capdac: Offset of each input in steps of 3.125 pF, 0..31 [1]; a reset keeps them.
     """
 
@@ -60,7 +60,7 @@ class Fdc1004:
         """Check that this is an FDC1004.
 
         Raises:
-            WrongChipError: If it says otherwise.
+            WrongChipError: If its identity is another.
             BusError: If a transfer failed.
         """
         for register, (what, expected) in _IDENTITY.items():

@@ -93,7 +93,7 @@ class I2cPort:
         part: What a person has to check when it does not answer.
 
     Attributes:
-        where: Its place in words, such as "0x50 behind channel 2 of 0x70 on i2c-1".
+        where: Where it is wired, such as "0x50 behind channel 2 of 0x70 on i2c-1".
     """
 
     def __init__(

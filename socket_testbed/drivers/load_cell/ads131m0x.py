@@ -286,7 +286,7 @@ class Ads131m0x:
         ]
         # Reserved bits read differently from one edition of the datasheet to the next.
         masks = [0xFFFF, enabled | 0x1F, *existing]
-        # The checksum may change its kind within the frame that says so.
+        # The checksum may change its kind within the frame that sets it.
         self._transfer(_WRITE | _MODE << 7 | len(values) - 1, *values)
         self._crc = self._wanted_crc
         written = _response(self._exchange(_READ | _MODE << 7))

@@ -37,7 +37,7 @@ _CHECK_WIRING = "check the wiring, or lower load_cell_node's spi_clock"
 class ConversionClock:
     """Infers when conversions ended, from when frames were read.
 
-    A frame without new data says that no conversion waits; the next conversion ends within a
+    A frame without new data means that no conversion waits; the next conversion ends within a
     period of it, and ahead of the frame that brings it. Conversions follow each other in equal
     steps, so the bounds of all of them together are much closer than a reader's pace.
 

@@ -59,7 +59,7 @@ class NatNetClient:
         try:
             self._sockets.open()
         except OSError as error:
-            self._session.network_failed(error, clocks.monotonic())
+            self._session.network_failed(error)
         self._thread = threading.Thread(target=self._run, name="natnet", daemon=True)
         self._thread.start()
 
@@ -171,7 +171,7 @@ class NatNetClient:
                 if self._session.takes.settled or now > deadline:
                     break
             self._receive(now)
-        self._session.send(encode_message(DISCONNECT), now)
+        self._session.send(encode_message(DISCONNECT))
 
     def _receive(self, now: float) -> None:
         """Take what comes, and do what is due."""

@@ -164,7 +164,7 @@ def split_datagram(datagram: bytes) -> tuple[int, bytes]:
     """Id and payload of a datagram.
 
     Raises:
-        MalformedDatagram: If it is shorter than its header says.
+        MalformedDatagram: If it is shorter than its header demands.
     """
     reader = Reader(datagram, "datagram")
     message, size = reader.unpack(_HEADER)

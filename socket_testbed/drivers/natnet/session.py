@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections import OrderedDict
+from collections import deque
 from collections.abc import Callable
 from typing import TypeAlias
 
@@ -47,7 +47,7 @@ _SUBSCRIPTIONS = ("SubscribeToData,RigidBody,All", "SubscribeToData,LabeledMarke
 
 _RETRY = 0.25  # [s]; from a command that failed to the next
 _IN_FLIGHT = 0.1  # [s]; after which no frame is from before a command
-_EVIDENCE = 0.3  # [s]; how long the frames of a new session are given to show a recording
+_EVIDENCE = 0.3  # [s]; for the frames of a new session to show a recording
 _CONTRADICTED = 1.0  # [s]
 
 CONNECTING, CONNECTED, LOST = "connecting", "connected", "lost"
@@ -97,7 +97,7 @@ class TakeKeeper:
         self._idle_since = None
 
     def saw(self, recording: bool, now: float) -> None:
-        """A frame says whether the server records."""
+        """Take from a frame whether the server records."""
         if recording:
             self._idle_since = None
             if self._started is not None and now > self._moment:
@@ -200,7 +200,7 @@ class Session:
         self._connecting = Backoff()
         self._awaiting = False
         self._heard = self._next_echo = self._next_keepalive = 0.0
-        self._pending: OrderedDict[int, float] = OrderedDict()
+        self._pending: deque[int] = deque(maxlen=_PENDING)  # echoes by when they were sent [ns]
         self._models_wanted = False
         self._next_models = 0.0
         self._models_changed = False
@@ -210,7 +210,7 @@ class Session:
             FRAME: self._take_frame,
             MODELDEF: self._take_models,
             ECHORESPONSE: self._take_echo,
-            DISCONNECT: lambda payload, now: self._restart(now),
+            DISCONNECT: lambda payload, now: self._restart(),
             RESPONSE: lambda payload, now: commands.answer(RESPONSE, payload, now),
             UNRECOGNIZED: lambda payload, now: commands.answer(UNRECOGNIZED, payload, now),
         }
@@ -218,21 +218,21 @@ class Session:
     def step(self, now: float) -> None:
         """Do what is due at a time of the steady clock [s]."""
         if self.state == CONNECTED and now - self._heard > SILENCE:
-            self._lose(now)
+            self._lose()
         silent = now - self.last_frame > SILENCE
         # A server that answers but streams nothing may have forgotten this client.
         if (self.state != CONNECTED or silent) and self._connecting.due(now):
             self._connect(now)
         if self.state == CONNECTED:
             self._stay(now)
-        self._commands.step(now, lambda datagram: self.send(datagram, now))
+        self._commands.step(now, self.send)
         self.takes.step(now, self.state == CONNECTED and self.streaming)
 
     def take(self, datagram: bytes, now: float) -> None:
         """Take a datagram of the server.
 
         Raises:
-            MalformedDatagram: If it does not hold what it says.
+            MalformedDatagram: If it does not hold what its counts demand.
         """
         self._heard = now
         message, payload = split_datagram(datagram)
@@ -240,28 +240,28 @@ class Session:
         if handler is not None:
             handler(payload, now)
 
-    def send(self, datagram: bytes, now: float) -> None:
+    def send(self, datagram: bytes) -> None:
         """Send a datagram; a network that does not take it is a lost server."""
         try:
             self._sockets.send(datagram)
             self.network = ""
         except OSError as error:
-            self.network_failed(error, now)
+            self.network_failed(error)
 
-    def network_failed(self, error: OSError, now: float) -> None:
-        """The network is not there."""
+    def network_failed(self, error: OSError) -> None:
+        """Note that the network is not there, and open the sockets anew later."""
         self.network = error.strerror or str(error)
-        self._lose(now)
+        self._lose()
         self._sockets.close()
 
-    def _lose(self, now: float) -> None:
+    def _lose(self) -> None:
         if self.state == CONNECTED:
             self.state = LOST
         self._forget()
         if self.settings.multicast:  # the membership may have gone with the network
             self._sockets.close()
 
-    def _restart(self, now: float) -> None:
+    def _restart(self) -> None:
         """The server is another one, or leaves."""
         self.state = CONNECTING
         self._forget()
@@ -282,31 +282,29 @@ class Session:
             except (OSError, DeviceError) as error:
                 self.network = str(error)
                 return
-        self.send(encode_connect("socket_testbed", self._bitstream), now)
+        self.send(encode_connect("socket_testbed", self._bitstream))
 
     def _stay(self, now: float) -> None:
         """Keep the session alive and its knowledge fresh."""
         if now >= self._next_keepalive:
             self._next_keepalive = now + _KEEPALIVE
-            self.send(encode_message(KEEPALIVE), now)
+            self.send(encode_message(KEEPALIVE))
         if now >= self._next_echo:
             quick = len(self.echoes) < _QUICK_ECHOES
             quiet = now - self.last_frame > 0.5 * SILENCE
             self._next_echo = now + (_ECHO_QUICK if quick else _ECHO_QUIET if quiet else _ECHO)
             stamp = round(now * 1e9)
-            self._pending[stamp] = now
-            if len(self._pending) > _PENDING:
-                self._pending.popitem(last=False)
-            self.send(encode_echo(stamp), now)
+            self._pending.append(stamp)
+            self.send(encode_echo(stamp))
         if self._models_wanted and self.streaming and now >= self._next_models:
             self._next_models = now + _MODELS_RETRY
-            self.send(encode_message(REQUEST_MODELDEF), now)
+            self.send(encode_message(REQUEST_MODELDEF))
 
     def _take_server_info(self, payload: bytes, now: float) -> None:
         info = parse_server_info(payload)
         if not self._awaiting:
             if self.state == CONNECTED and info != self.server:
-                self._restart(now)
+                self._restart()
             return
         self._awaiting = False
         if self.state != CONNECTED or info != self.server:
@@ -326,7 +324,7 @@ class Session:
         self.takes.restarted(now)
 
     def _negotiate(self, info: ServerInfo) -> None:
-        """Settle the version of the stream; what Wi-Fi must carry is little."""
+        """Settle the version of the stream, and subscribe to what is needed: Wi-Fi is slow."""
         if self.settings.multicast or info.version < (4, 1):
             self._version, self.streaming = info.version, True
             return
@@ -366,9 +364,10 @@ class Session:
 
     def _take_echo(self, payload: bytes, now: float) -> None:
         stamp, ticks = parse_echo(payload)
-        request = self._pending.pop(stamp, None)
-        if request is not None and not self.echoes.add(request, ticks, now):
-            self._restart(now)
+        if stamp in self._pending:
+            self._pending.remove(stamp)
+            if not self.echoes.add(stamp * 1e-9, ticks, now):
+                self._restart()
 
     def _take_frame(self, payload: bytes, now: float) -> None:
         if not self.streaming:
@@ -388,7 +387,7 @@ class Session:
                 self._on_frame(frame, moment, self.models)
                 self.statistics.delivered(now)
         if not taken and self._filter.suspects(now):
-            self._restart(now)
+            self._restart()
 
     def _watch_models(self, frame: MocapFrame) -> None:
         changed = frame.models_changed and not self._models_changed
