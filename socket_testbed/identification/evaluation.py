@@ -1,9 +1,10 @@
-"""Errors of a model on samples, channel by channel, and the figures the paper quotes of them."""
+"""Errors of a model on samples, per channel, and the figures that the paper quotes of them."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -11,6 +12,9 @@ from socket_testbed.arrays import FloatArray
 from socket_testbed.errors import ConfigurationError
 from socket_testbed.identification.contact import ContactModel
 from socket_testbed.samples import WRENCH_CHANNELS, Samples, channel_unit
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 _ROUNDING = 1e-12  # [-]; spread of a channel that is constant, against its size
 _CHUNK = 4096  # samples; predicting takes memory by the samples times the tiles
@@ -73,6 +77,31 @@ def channel_errors(
     )
 
 
+def errors_to_dataframe(errors: Iterable[ChannelErrors]) -> pd.DataFrame:
+    """Errors as a pandas table, a row per channel, indexed by its name.
+
+    Returns:
+        Columns: `unit` (of RMSE, MAE and sigma), `RMSE`, `MAE`, `sigma`, `skill` [-],
+        `samples` and `in objective`; see `ChannelErrors`.
+    """
+    import pandas as pd
+
+    rows = [
+        {
+            "channel": error.name,
+            "unit": error.unit,
+            "RMSE": error.rmse,
+            "MAE": error.mae,
+            "sigma": error.sigma,
+            "skill": error.skill,
+            "samples": error.samples,
+            "in objective": error.in_objective,
+        }
+        for error in errors
+    ]
+    return pd.DataFrame(rows).set_index("channel")
+
+
 @dataclass(frozen=True)
 class ErrorSummary:
     """What the paper quotes of the errors of all channels; NaN where there is no channel.
@@ -84,8 +113,8 @@ class ErrorSummary:
         local_unsteadiness: Root mean square sigma of the clusters' channels over their root
             mean square error [-]: far below 1, the residuals are steady offsets.
         skill: Median skill of all channels [-].
-        without_value: Channels that were never measured and predicted at once; they count
-            in none of the figures.
+        without_value: Channels that no sample has both measured and predicted; no figure
+            includes them.
     """
 
     moment_rmse: float
@@ -118,7 +147,7 @@ def summarise_errors(errors: Sequence[ChannelErrors]) -> ErrorSummary:
 def predict_channels(
     model: ContactModel, position: FloatArray, clusters: Sequence[str]
 ) -> FloatArray:
-    """Predict every channel in the order of `channel_names`, a chunk of samples at a time.
+    """Predict every channel in the order of `channel_names`.
 
     Args:
         model: The contact model.
@@ -135,7 +164,7 @@ def predict_channels(
     lacking = [name for name in clusters if name not in model.cluster_points]
     if lacking:
         raise ConfigurationError(
-            f"the model knows no cluster {', '.join(lacking)}", "fit one on a trial with it"
+            f"the model has no cluster {', '.join(lacking)}", "fit a model on a trial that has it"
         )
     predicted = np.empty((len(position), 6 + 3 * len(clusters)))
     for start in range(0, len(position), _CHUNK):
@@ -157,7 +186,7 @@ def evaluate(
         leave_out: Channels that were not in the objective of its fit.
 
     Returns:
-        Errors of the wrench's six channels, then three a cluster in its frame.
+        Errors of the wrench's six channels, then of three per cluster in its frame.
 
     Raises:
         ConfigurationError: If the model lacks a cluster of the samples.

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from support.problems import moving_limb, random_bed, random_socket, samples_of_bed
 
-from socket_testbed.identification.evaluation import channel_errors, evaluate
+from socket_testbed.identification.evaluation import channel_errors, errors_to_dataframe, evaluate
 from socket_testbed.samples import channel_unit
 
 
@@ -114,3 +114,15 @@ def test_an_unknown_limb_position_counts_in_no_channel(case):
     position[[2, 9]] = np.nan
     errors = evaluate(dataclasses.replace(samples, position=position), bed)
     assert {e.samples for e in errors} == {28}
+
+
+def test_the_errors_are_a_table_by_channel(case):
+    samples, bed = case
+    shifted = dataclasses.replace(samples, wrench=samples.wrench + 2.0)
+    errors = evaluate(shifted, bed, ("My",))
+    table = errors_to_dataframe(errors)
+    assert tuple(table.index) == samples.channels and table.index.name == "channel"
+    np.testing.assert_allclose(table.loc["Mx":"Fz", "RMSE"], 2.0)
+    assert table.loc["Mz", "unit"] == "N m" and table.loc["cluster_0.Fz", "unit"] == "N"
+    assert table["skill"].tolist() == pytest.approx([e.skill for e in errors])
+    assert table.index[~table["in objective"]].tolist() == ["My"]
