@@ -1,20 +1,20 @@
-"""The identification from samples to a fitted model.
+"""From samples to a fitted model, and which channels look implausible.
 
 The paper leaves channels out whose reconstructed magnitudes lie far above the applied load.
-The rule, over the samples of a segment, with the load L the median magnitude of the measured
-force:
+`find_implausible` proposes channels to leave out, over the samples of a segment. With the
+load L the median magnitude of the measured force, it proposes
 
-- a local force whose median magnitude exceeds L: one tile would bear more than all that is
-  applied;
-- a local normal force (Fz) that is in tension by more than `TENSION_SHARE` of L and
-  `LEAST_TENSION` in the median: a wall pushes, it does not pull;
-- all three channels of a cluster that is saturated or out of its calibrated range in more
-  than `OUTSIDE_SHARE` of the samples in which it was read;
 - a moment whose median magnitude exceeds L at twice the distance of the farthest tile from
-  the load cell: no force between limb and socket has such a lever.
+  the load cell: no force between limb and socket has such a lever;
+- a local force whose median magnitude exceeds L: one tile would carry more than all that is
+  applied;
+- a local normal force (Fz) in tension by more than `TENSION_SHARE` of L and `LEAST_TENSION` in
+  the median: a wall pushes, it does not pull;
+- all three channels of a cluster that is saturated or out of its calibrated range in more
+  than `OUTSIDE_SHARE` of the samples in which it was read.
 
-The first, second and last need a load of `LEAST_LOAD`: without one they say nothing. Nothing
-is left out by itself. The user decides with `--leave-out`.
+The first three need a load of at least `LEAST_LOAD`. Nothing is left out automatically: the
+user decides with `--leave-out`.
 """
 
 from __future__ import annotations
@@ -54,11 +54,11 @@ OUTSIDE_SHARE = 0.5  # [-]; of the samples
 
 @dataclass(frozen=True)
 class Implausible:
-    """A channel that is proposed to be left out of the objective.
+    """A channel that `find_implausible` proposes to leave out of the objective.
 
     Attributes:
         channel: Name of the channel, such as Mx or distal.Fz.
-        reason: What is implausible of it, with the numbers.
+        reason: Why, with the numbers.
     """
 
     channel: str
@@ -69,26 +69,25 @@ def find_implausible(samples: Samples, geometry: SocketGeometry) -> tuple[Implau
     """Propose channels to leave out of the objective, by the rule of this module.
 
     Args:
-        samples: Samples of the segment, the reconstructed forces whatever their status.
+        samples: Samples of the segment, with the reconstructed forces of any status.
         geometry: Geometry of the socket.
 
     Returns:
-        The proposals in the order of the channels, one a channel and reason.
+        The proposals in the order of the channels, one per channel and reason.
     """
     load = _median(np.linalg.norm(samples.wrench[:, 3:], axis=1))
     found: list[Implausible] = []
     if load >= LEAST_LOAD:
-        found += _long_levers(samples, geometry, load)
-        found += _large_forces(samples, load)
-        found += _tension(samples, load)
-    found += _outside(samples)
+        found += _implausible_moments(samples, geometry, load)
+        found += _implausible_forces(samples, load)
+    found += _outside_range(samples)
     return tuple(sorted(found, key=lambda proposal: samples.channels.index(proposal.channel)))
 
 
 def implausible_notes(
     samples: Samples, geometry: SocketGeometry, leave_out: tuple[str, ...]
 ) -> list[str]:
-    """The proposals as notes, one a channel and reason, whether left out already or not.
+    """The proposals as notes, even for channels that are left out already.
 
     Args:
         samples: Samples of the segment.
@@ -103,12 +102,13 @@ def implausible_notes(
     return notes
 
 
-def _long_levers(samples: Samples, geometry: SocketGeometry, load: float) -> Iterator[Implausible]:
+def _implausible_moments(
+    samples: Samples, geometry: SocketGeometry, load: float
+) -> Iterator[Implausible]:
     reach = float(np.linalg.norm(geometry.anchors, axis=1).max())
-    limit = LEVER_FACTOR * reach * load
-    for i, name in enumerate(WRENCH_CHANNELS[:3]):
-        moment = _median(np.abs(samples.wrench[:, i]))
-        if moment > limit:
+    for name, values in zip(WRENCH_CHANNELS[:3], samples.wrench.T, strict=False):
+        moment = _median(np.abs(values))
+        if moment > LEVER_FACTOR * reach * load:
             yield Implausible(
                 name,
                 f"the median magnitude of {moment:.3g} N m would take the load of {load:.3g} N at a"
@@ -116,22 +116,17 @@ def _long_levers(samples: Samples, geometry: SocketGeometry, load: float) -> Ite
             )
 
 
-def _large_forces(samples: Samples, load: float) -> Iterator[Implausible]:
-    for name, force in _local_channels(samples):
-        size = _median(np.abs(force))
+def _implausible_forces(samples: Samples, load: float) -> Iterator[Implausible]:
+    limit = max(LEAST_TENSION, TENSION_SHARE * load)
+    for name, force in zip(samples.channels[6:], samples.values[:, 6:].T, strict=True):
+        # In a cluster's frame z points inwards, so that compression is along -z.
+        size, pull = _median(np.abs(force)), _median(force)
         if size > load:
             yield Implausible(
                 name,
                 f"the median magnitude of {size:.3g} N on one tile is {size / load:.2g} times the"
-                f" whole load of {load:.3g} N",
+                f" total load of {load:.3g} N",
             )
-
-
-def _tension(samples: Samples, load: float) -> Iterator[Implausible]:
-    limit = max(LEAST_TENSION, TENSION_SHARE * load)
-    for name, force in _local_channels(samples):
-        # In a cluster's frame z points inwards, so that compression is along -z.
-        pull = _median(force)
         if name.endswith(".Fz") and pull > limit:
             yield Implausible(
                 name,
@@ -140,9 +135,8 @@ def _tension(samples: Samples, load: float) -> Iterator[Implausible]:
             )
 
 
-def _outside(samples: Samples) -> Iterator[Implausible]:
-    for column, cluster in enumerate(samples.clusters):
-        status = samples.status[:, column]
+def _outside_range(samples: Samples) -> Iterator[Implausible]:
+    for cluster, status in zip(samples.clusters, samples.status.T, strict=True):
         read = int((status != Status.MISSING).sum())
         outside = int(((status == Status.SATURATED) | (status == Status.OUT_OF_RANGE)).sum())
         if outside > OUTSIDE_SHARE * read:
@@ -153,14 +147,8 @@ def _outside(samples: Samples) -> Iterator[Implausible]:
                 )
 
 
-def _local_channels(samples: Samples) -> Iterator[tuple[str, FloatArray]]:
-    for column, cluster in enumerate(samples.clusters):
-        for axis, channel in enumerate(LOCAL_CHANNELS):
-            yield f"{cluster}.{channel}", samples.local_forces[:, column, axis]
-
-
 def _median(values: FloatArray) -> float:
-    """Median of the finite values; NaN, which exceeds nothing, if there is none."""
+    """Median of the finite values; NaN, which exceeds nothing, without any."""
     finite = values[np.isfinite(values)]
     return float(np.median(finite)) if len(finite) else float("nan")
 
@@ -197,10 +185,10 @@ class Fit:
 
 
 def check_names(settings: IdentificationSettings, clusters: tuple[str, ...]) -> None:
-    """Refuse settings that name no channel of these clusters, or no solver.
+    """Check that settings name channels of these clusters and an installed solver.
 
     Raises:
-        ConfigurationError: Naming the likely one.
+        ConfigurationError: With the likely name.
     """
     check_solver(settings.solver)
     check_channels(settings.leave_out, channel_names(clusters))

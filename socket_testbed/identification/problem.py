@@ -1,4 +1,4 @@
-r"""The two stages, each as a scaled quadratic program: which channels count, weights, smoothness.
+r"""The two stages, each as a scaled quadratic program in bounds.
 
 The objective of both stages is
 
@@ -7,9 +7,9 @@ The objective of both stages is
 with J_w and J_f the mean squares of the wrench's and the clusters' errors, each divided by
 the size of its group of channels (moments, forces, cluster forces) so that newton metres and
 newtons count alike, and J_s the mean square difference between neighbouring tiles, divided
-by the difference that one expects. See docs/identification.md.
+by the expected difference. See docs/identification.md.
 
-Stage 1 finds the rest positions with linear springs of one stiffness; Stage 2 the
+Stage 1 finds the rest positions with linear springs of one stiffness. Stage 2 finds the
 stiffnesses with the unilateral gate, and with constant offsets in the bias variant. The
 offsets are free, so they drop out by centring and are recovered afterwards.
 """
@@ -31,6 +31,10 @@ from socket_testbed.identification.moments import GatedMoments, Group, Method, M
 from socket_testbed.samples import LOCAL_CHANNELS, WRENCH_CHANNELS, Samples
 from socket_testbed.settings.identification import IdentificationSettings
 
+MILLIMETRE = 1e-3  # [m]; scale of the rest positions in Stage 1
+KILONEWTON_PER_METRE = 1e3  # [N/m]; scale of the stiffnesses in Stage 2
+
+_JITTER = 1e-12  # [-]; keeps a factorisation of a flat problem defined
 _LEAST_MOMENT = 0.1  # [N m]; a channel group smaller than this is normalised by it
 _LEAST_FORCE = 1.0  # [N]
 
@@ -114,31 +118,17 @@ class Objective:
 
 
 def check_channels(leave_out: tuple[str, ...], names: tuple[str, ...]) -> None:
-    """Refuse a name that is no channel.
+    """Check that every name is a channel.
 
     Raises:
-        ConfigurationError: Naming the likely one.
+        ConfigurationError: With the likely name.
     """
     for name in leave_out:
         if name not in names:
             raise ConfigurationError(f"leave_out: no channel '{name}'", closest(name, names))
 
 
-def channels_in_objective(
-    samples: Samples, leave_out: tuple[str, ...]
-) -> tuple[BoolArray, BoolArray]:
-    """Which channels of the wrench, shape (6,), and of the clusters, shape (c, 3), count.
-
-    Raises:
-        ConfigurationError: For a name that is no channel.
-    """
-    names = samples.channels
-    check_channels(leave_out, names)
-    counted = np.array([name not in leave_out for name in names])
-    return counted[:6], counted[6:].reshape(-1, 3)
-
-
-def usable_rows(samples: Samples, wrench_counts: BoolArray) -> BoolArray:
+def _usable_rows(samples: Samples, wrench_counts: BoolArray) -> BoolArray:
     """Samples with a limb position and every wrench channel that counts, shape (N,).
 
     Raises:
@@ -177,8 +167,10 @@ def build_objective(
         ConfigurationError: For an unknown channel or cluster.
         IdentificationError: If there are no samples, or no value in a channel that counts.
     """
-    wrench_counts, cluster_counts = channels_in_objective(samples, settings.leave_out)
-    rows = usable_rows(samples, wrench_counts)
+    check_channels(settings.leave_out, samples.channels)
+    counts = np.array([name not in settings.leave_out for name in samples.channels])
+    wrench_counts, cluster_counts = counts[:6], counts[6:].reshape(-1, 3)
+    rows = _usable_rows(samples, wrench_counts)
     samples = samples[rows]
     wrench = np.where(wrench_counts, samples.wrench, 0.0)
     channels = _cluster_channels(samples, geometry, cluster_counts)
@@ -233,7 +225,7 @@ def _cluster_channels(
 
 
 def smoothness_matrix(points: int, neighbours: IntArray) -> FloatArray:
-    r"""Matrix of J_s: :math:`D^T D / e` for one axis, the graph's Laplacian over its edges.
+    r"""Matrix of J_s for one axis, :math:`D^T D / e` with D the differences of neighbours.
 
     Args:
         points: Number n of points of interest.
@@ -242,28 +234,17 @@ def smoothness_matrix(points: int, neighbours: IntArray) -> FloatArray:
     Returns:
         Array of shape (n, n) [-].
     """
-    laplacian = np.zeros((points, points))
-    a, b = neighbours.T
-    np.add.at(laplacian, (a, a), 1.0)
-    np.add.at(laplacian, (b, b), 1.0)
-    np.add.at(laplacian, (a, b), -1.0)
-    np.add.at(laplacian, (b, a), -1.0)
-    return laplacian / max(len(neighbours), 1)
+    D = np.eye(points)[neighbours[:, 0]] - np.eye(points)[neighbours[:, 1]]
+    return D.T @ D / max(len(neighbours), 1)
 
 
 def _rms(values: FloatArray) -> float:
     return float(np.sqrt(np.mean(values**2))) if values.size else 0.0
 
 
-_JITTER = 1e-12  # [-]; keeps a factorisation of a flat problem defined
-
-MILLIMETRE = 1e-3  # [m]; scale of the rest positions in Stage 1
-KILONEWTON_PER_METRE = 1e3  # [N/m]; scale of the stiffnesses in Stage 2
-
-
 @dataclass(frozen=True)
 class StageTwoMoments:
-    """What Stage 2 needs of the data at given rest positions, whatever the weights.
+    """What Stage 2 needs of the data at given rest positions, for any weights.
 
     Attributes:
         wrench: Moments of the gated displacements of all points and the wrench.
@@ -349,7 +330,7 @@ def build_stage_one(objective: Objective) -> BoxQP:
 
     The residual of the wrench is :math:`A q_r - (w_0 - w)` with :math:`A = k_0 C` and
     :math:`w_0 = k_0 C (1 \otimes q)`; only the means of the samples enter. The paper prints
-    this residual with the sign of w mirrored.
+    this residual with the opposite sign of w.
 
     Returns:
         The program in the offsets ``q_r - q_ref`` [mm] from the mean limb position, shape
@@ -446,14 +427,10 @@ def recover_offsets(
 
 def _smoothness(objective: Objective, difference: float) -> FloatArray:
     """Quadratic term of the smoothness, shape (3n, 3n), for an expected difference."""
-    # The mean over the three axes:
-    weight = objective.settings.smoothness / (3.0 * difference**2)
-    points = len(objective.geometry)
-    laplacian = weight * smoothness_matrix(points, objective.geometry.neighbours)
-    P = np.zeros((points, 3, points, 3))
-    for axis in range(3):
-        P[:, axis, :, axis] = laplacian
-    return P.reshape(3 * points, 3 * points)
+    weight = objective.settings.smoothness / (3.0 * difference**2)  # the mean over the axes
+    laplacian = smoothness_matrix(len(objective.geometry), objective.geometry.neighbours)
+    P: FloatArray = np.kron(weight * laplacian, np.eye(3)).astype(np.float64, copy=False)
+    return P
 
 
 def _normalisation(P: FloatArray) -> float:
