@@ -103,7 +103,7 @@ class Visibility:
 
 
 @dataclass(frozen=True)
-class Samples:
+class SurfaceSamples:
     """Points on the faces of a surface.
 
     Attributes:
@@ -121,13 +121,13 @@ class Samples:
         return 2 * np.bincount(self.owners, votes) > np.bincount(self.owners)
 
 
-def spread_samples(mesh: trimesh.Trimesh) -> Samples:
+def spread_samples(mesh: trimesh.Trimesh) -> SurfaceSamples:
     """Points on a surface, close enough together for its shape as a whole."""
     spacing = float(np.sqrt(mesh.area)) / _FINENESS
-    return Samples(*sample_surface(mesh, spacing), spacing)
+    return SurfaceSamples(*sample_surface(mesh, spacing), spacing)
 
 
-def look(mesh: trimesh.Trimesh, samples: Samples, spine: Spine) -> Visibility:
+def look(mesh: trimesh.Trimesh, samples: SurfaceSamples, spine: Spine) -> Visibility:
     """Look around from the spine.
 
     Args:
@@ -184,7 +184,7 @@ _REAL_OUTSIDE = 0.01  # [-]; of the seen area, for an outer wall that is worth t
 _PROBES = 2000  # of the thickness
 
 
-def inner_wall(mesh: trimesh.Trimesh, samples: Samples, visibility: Visibility) -> BoolArray:
+def inner_wall(mesh: trimesh.Trimesh, samples: SurfaceSamples, visibility: Visibility) -> BoolArray:
     """Faces of the inner wall, in one piece without holes of shadow, shape (F,).
 
     Args:
@@ -239,7 +239,11 @@ def _pieces(mesh: trimesh.Trimesh, chosen: BoolArray) -> IntArray:
 
 
 def _without_rims(
-    mesh: trimesh.Trimesh, samples: Samples, seen: BoolArray, sure: BoolArray, outside: BoolArray
+    mesh: trimesh.Trimesh,
+    samples: SurfaceSamples,
+    seen: BoolArray,
+    sure: BoolArray,
+    outside: BoolArray,
 ) -> BoolArray:
     """The faces that belong to a wall, not to the rim of its brim or to a cut, shape (F,).
 
@@ -276,7 +280,11 @@ def _within(reach: float, places: FloatArray, points: FloatArray) -> BoolArray:
 
 
 def _opposite(
-    mesh: trimesh.Trimesh, samples: Samples, faces: IntArray, back: IntArray, thickness: float
+    mesh: trimesh.Trimesh,
+    samples: SurfaceSamples,
+    faces: IntArray,
+    back: IntArray,
+    thickness: float,
 ) -> BoolArray:
     """Whether the part of the outer wall that suits a face best is turned the other way, (M,)."""
     normals = mesh.face_normals[samples.owners[back]]
@@ -306,7 +314,7 @@ class Cavity:
     """
 
     mesh: trimesh.Trimesh
-    samples: Samples
+    samples: SurfaceSamples
     spine: Spine
     visibility: Visibility
 
@@ -378,7 +386,7 @@ def find_cavity(name: str, mesh: trimesh.Trimesh) -> Cavity:
     return likeliest
 
 
-def _see(mesh: trimesh.Trimesh, samples: Samples, axis: Axis) -> Cavity:
+def _see(mesh: trimesh.Trimesh, samples: SurfaceSamples, axis: Axis) -> Cavity:
     spine = lay_spine(axis, mesh)
     visibility = look(mesh, samples, spine)
     if visibility.front_share < _SOLID and not mesh.is_watertight:

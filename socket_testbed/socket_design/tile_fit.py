@@ -13,139 +13,53 @@ from trimesh.intersections import slice_faces_plane
 from socket_testbed.arrays import BoolArray, FloatArray, IntArray
 from socket_testbed.socket_design.squares import Squares, SurfacePoints, blocks_of, gaps
 
+FACING_WALL = -0.5  # [-]; cosine below which a surface is the wall on the other side
+LEAST_FACING = 0.5  # [-]; cosine to a tile's normal below which a surface is folded away
+_SMALL_AREA = 0.1  # [edges]; triangles larger than it are looked at for every square
+_COVER = 0.003  # [-]; a footprint that differs more from its square is cut, folded or double
+_CLOSE = 0.1  # [edges]; gap from which on footprints cannot share anything
+_SHARED = 1e-8  # [m^2]; what rounding may make of two footprints that touch
+
 
 @dataclass(frozen=True)
 class Footprint:
     """A piece of the surface: what projects onto a square along its normal.
 
     Attributes:
-        vertices: Vertices, shape (v, 3) [m].
-        faces: Triangles, shape (f, 3).
+        triangles: Corners of its triangles, shape (f, 3, 3) [m].
         area: Area of the surface [m^2].
         cover: Part of the square that it covers; 1 for a whole one, more where it is double [-].
         fold: Area that is folded away from the square, in areas of the square [-].
         flatness: Largest distance from the square's plane [m].
     """
 
-    vertices: FloatArray
-    faces: IntArray
+    triangles: FloatArray
     area: float
     cover: float
     fold: float
     flatness: float
 
 
-class FootprintCutter:
-    """Cuts footprints out of a surface.
+class Footprints:
+    """The footprints of squares on a surface, each cut out of its triangles once.
 
     Args:
         mesh: The surface, its normals inwards [m].
         squares: The squares.
-        flatness: How far from a square's plane the surface under it is looked for [m].
-    """
-
-    def __init__(self, mesh: trimesh.Trimesh, squares: Squares, flatness: float) -> None:
-        self._vertices = np.asarray(mesh.vertices)
-        self._faces = np.asarray(mesh.faces)
-        self._normals = np.asarray(mesh.face_normals)
-        centres = np.asarray(mesh.triangles_center)
-        spread = np.asarray(mesh.triangles) - centres[:, None]
-        radii = np.linalg.norm(spread, axis=2).max(axis=1)
-        self._large = np.flatnonzero(radii > _SMALL_AREA * squares.edge)
-        self._tree = KDTree(centres)
-        self._squares = squares
-        self._flatness = flatness
-
-    def footprint(self, index: int) -> Footprint:
-        """The footprint of a square."""
-        squares = self._squares
-        frame, anchor = squares.rotations[index], squares.anchors[index]
-        reach = np.hypot(squares.edge / np.sqrt(2.0), self._flatness)
-        reach += _SMALL_AREA * squares.edge
-        near = np.union1d(self._tree.query_ball_point(anchor, reach), self._large).astype(np.int64)
-        faces = self._faces[near[self._normals[near] @ frame[:, 2] > FACING_WALL]]
-        height = (self._vertices[faces] - anchor) @ frame[:, 2]
-        in_band = (height.min(axis=1) < self._flatness) & (height.max(axis=1) > -self._flatness)
-        vertices, faces = self._cut(self._vertices, faces[in_band], index)
-        height = (vertices - anchor) @ frame[:, 2]
-        doubled = _doubled_areas(vertices, faces)
-        areas, projected = 0.5 * np.linalg.norm(doubled, axis=1), 0.5 * doubled @ frame[:, 2]
-        steep = projected < LEAST_FACING * areas
-        return Footprint(
-            vertices,
-            faces,
-            area=float(areas.sum()),
-            cover=float(projected[~steep].sum()) / squares.edge**2,
-            fold=float(areas[steep].sum()) / squares.edge**2,
-            flatness=float(np.abs(height[faces]).max(initial=0.0)),
-        )
-
-    def shared_area(self, footprint: Footprint, other: int) -> float:
-        """Area of a footprint that lies under another square, too [m^2]."""
-        frame, anchor = self._squares.rotations[other], self._squares.anchors[other]
-        faces = footprint.faces
-        facing = _doubled_areas(footprint.vertices, faces) @ frame[:, 2] > 0.0
-        height = np.abs((footprint.vertices[faces] - anchor) @ frame[:, 2]).min(axis=1)
-        reached = faces[facing & (height < 2.0 * self._flatness)]
-        vertices, faces = self._cut(footprint.vertices, reached, other)
-        return 0.5 * float(np.linalg.norm(_doubled_areas(vertices, faces), axis=1).sum())
-
-    def _cut(
-        self, vertices: FloatArray, faces: IntArray, index: int
-    ) -> tuple[FloatArray, IntArray]:
-        """Triangles cut to the column over a square."""
-        anchor, half = self._squares.anchors[index], 0.5 * self._squares.edge
-        for axis in self._squares.rotations[index].T[:2]:
-            for outward in (axis, -axis):
-                if not len(faces):
-                    return np.zeros((0, 3)), np.zeros((0, 3), dtype=np.int64)
-                used, faces = np.unique(faces, return_inverse=True)
-                vertices, faces = vertices[used], faces.reshape(-1, 3)
-                vertices, faces, _ = slice_faces_plane(
-                    vertices, faces, -outward, anchor + half * outward
-                )
-        return vertices, faces
-
-
-def _doubled_areas(vertices: FloatArray, faces: IntArray) -> FloatArray:
-    """Normals of triangles, twice their area long, shape (f, 3) [m^2]."""
-    a, b, c = vertices[faces].swapaxes(0, 1)
-    return np.cross(b - a, c - a)
-
-
-_SMALL_AREA = 0.1  # [edges]; triangles larger than it are looked at for every square
-
-
-_COVER = 0.003  # [-]; a footprint that differs more from its square is cut, folded or double
-
-
-_CLOSE = 0.1  # [edges]; gap from which on footprints cannot share anything
-
-
-_SHARED = 1e-8  # [m^2]; what rounding may make of two footprints that touch
-
-
-class Verification:
-    """Judges sets of tiles by their footprints, each of which is cut out once.
-
-    Args:
-        mesh: The surface, its normals inwards [m].
-        squares: The squares that the tiles are taken from.
         flatness: Largest distance of the surface from a tile's plane [m].
     """
 
     def __init__(self, mesh: trimesh.Trimesh, squares: Squares, flatness: float) -> None:
+        self._triangles = np.asarray(mesh.triangles)
+        self._normals = np.asarray(mesh.face_normals)
+        centres = np.asarray(mesh.triangles_center)
+        radii = np.linalg.norm(self._triangles - centres[:, None], axis=2).max(axis=1)
+        self._large = np.flatnonzero(radii > _SMALL_AREA * squares.edge)
+        self._tree = KDTree(centres)
         self._squares = squares
         self._flatness = flatness
-        self._cutter = FootprintCutter(mesh, squares, flatness)
         self._footprints: dict[int, Footprint] = {}
         self._shared: dict[tuple[int, int], float] = {}
-
-    def footprint(self, tile: int) -> Footprint:
-        """The footprint of a tile."""
-        if tile not in self._footprints:
-            self._footprints[tile] = self._cutter.footprint(tile)
-        return self._footprints[tile]
 
     def unfit(self, tiles: IntArray) -> list[int]:
         """Tiles that are cut, folded, double or too far from flat."""
@@ -171,29 +85,68 @@ class Verification:
             pairs += [(o, tile) for o in map(int, close) if self.shared_area(o, tile) > _SHARED]
         return pairs
 
+    def footprint(self, tile: int) -> Footprint:
+        """The footprint of a square."""
+        if tile not in self._footprints:
+            self._footprints[tile] = self._find_footprint(tile)
+        return self._footprints[tile]
+
     def shared_area(self, tile: int, other: int) -> float:
-        """Area of the surface under both of two tiles [m^2]."""
+        """Area of the surface under both of two squares [m^2]."""
         pair = (min(tile, other), max(tile, other))
         if pair not in self._shared:
-            self._shared[pair] = self._cutter.shared_area(self.footprint(pair[0]), pair[1])
+            self._shared[pair] = self._find_shared_area(*pair)
         return self._shared[pair]
 
+    def _find_footprint(self, tile: int) -> Footprint:
+        squares = self._squares
+        normal, anchor = squares.rotations[tile][:, 2], squares.anchors[tile]
+        reach = np.hypot(squares.edge / np.sqrt(2.0), self._flatness) + _SMALL_AREA * squares.edge
+        near = np.union1d(self._tree.query_ball_point(anchor, reach), self._large).astype(np.int64)
+        triangles = self._triangles[near[self._normals[near] @ normal > FACING_WALL]]
+        height = (triangles - anchor) @ normal
+        in_band = (height.min(axis=1) < self._flatness) & (height.max(axis=1) > -self._flatness)
+        triangles = self._cut(triangles[in_band], tile)
+        height = (triangles - anchor) @ normal
+        crosses = trimesh.triangles.cross(triangles)
+        areas, projected = 0.5 * np.linalg.norm(crosses, axis=1), 0.5 * crosses @ normal
+        steep = projected < LEAST_FACING * areas
+        return Footprint(
+            triangles,
+            area=float(areas.sum()),
+            cover=float(projected[~steep].sum()) / squares.edge**2,
+            fold=float(areas[steep].sum()) / squares.edge**2,
+            flatness=float(np.abs(height).max(initial=0.0)),
+        )
 
-FACING_WALL = -0.5  # [-]; cosine below which a surface is the wall on the other side
+    def _find_shared_area(self, tile: int, other: int) -> float:
+        normal, anchor = self._squares.rotations[other][:, 2], self._squares.anchors[other]
+        triangles = self.footprint(tile).triangles
+        facing = trimesh.triangles.cross(triangles) @ normal > 0.0
+        height = np.abs((triangles - anchor) @ normal).min(axis=1)
+        triangles = self._cut(triangles[facing & (height < 2.0 * self._flatness)], other)
+        return 0.5 * float(np.linalg.norm(trimesh.triangles.cross(triangles), axis=1).sum())
 
-
-LEAST_FACING = 0.5  # [-]; cosine to a tile's normal below which a surface is folded away
+    def _cut(self, triangles: FloatArray, tile: int) -> FloatArray:
+        """Triangles, shape (f, 3, 3), cut to the column over a square."""
+        anchor, half = self._squares.anchors[tile], 0.5 * self._squares.edge
+        for axis in self._squares.rotations[tile].T[:2]:
+            for outward in (axis, -axis):
+                if not len(triangles):
+                    return triangles
+                vertices, faces, _ = slice_faces_plane(
+                    triangles.reshape(-1, 3),
+                    np.arange(3 * len(triangles)).reshape(-1, 3),
+                    -outward,
+                    anchor + half * outward,
+                )
+                triangles = vertices[faces]
+        return triangles
 
 
 _END = 10.0  # [deg]; a normal this close to the proximal direction has no proximal tangent
-
-
 _SAME_SHEET = 0.3  # [-]; cosine between normals that are averaged
-
-
 _LEAST_COVER = 0.85  # [-]; coverage of a square, as far as the points' areas can tell
-
-
 _SAFE = 0.95  # [-]; the points miss the farthest corners
 
 
@@ -216,7 +169,7 @@ class Surroundings:
 
 def rim_points(mesh: trimesh.Trimesh, spacing: float) -> FloatArray:
     """Points along every edge that has one face only or more than two, shape (b, 3) [m]."""
-    faces_of_edge = np.bincount(mesh.edges_unique_inverse, minlength=len(mesh.edges_unique))
+    faces_of_edge = np.bincount(mesh.edges_unique_inverse)
     start, end = np.asarray(mesh.vertices)[mesh.edges_unique[faces_of_edge != 2]].swapaxes(0, 1)
     count = np.ceil(np.linalg.norm(end - start, axis=1) / spacing).astype(int).clip(min=1)
     edge = np.repeat(np.arange(len(count)), count)
@@ -260,7 +213,7 @@ def tile_frames(normals: FloatArray, surroundings: Surroundings) -> FloatArray:
     """
     on_end = np.abs(normals @ surroundings.proximal) > np.cos(np.radians(_END))
     towards = np.where(on_end[:, None], surroundings.anterior, surroundings.proximal)
-    x = towards - np.einsum("mi,mi->m", towards, normals)[:, None] * normals
+    x = towards - (towards * normals).sum(axis=1, keepdims=True) * normals
     x /= np.linalg.norm(x, axis=1, keepdims=True)
     return np.stack([x, np.cross(normals, x), normals], axis=2)
 

@@ -27,8 +27,8 @@ from socket_testbed.socket_design.squares import (
     spread_points,
 )
 from socket_testbed.socket_design.tile_fit import (
+    Footprints,
     Surroundings,
-    Verification,
     fitting_squares,
     rim_points,
 )
@@ -99,19 +99,19 @@ _SEARCH_AROUND = 0.003  # [m]; and around there
 class Search:
     """Greedy placement and its improvement.
 
-    The search sees squares as plane; each set of tiles that it keeps is verified on the surface
+    The search sees squares as plane; each set of tiles that it keeps is checked on the surface
     itself, and what it got wrong it does not try again.
 
     Args:
         squares: The squares that fit.
         points: The surface.
-        verification: Of the same squares.
+        footprints: Of the same squares.
     """
 
-    def __init__(self, squares: Squares, points: SurfacePoints, verification: Verification) -> None:
+    def __init__(self, squares: Squares, points: SurfacePoints, footprints: Footprints) -> None:
         self._squares = squares
         self._borders = border_points(squares, points)
-        self._verification = verification
+        self._footprints = footprints
         self._clearance = np.full(len(squares), _CLEARANCE)
         self._alive = np.ones(len(squares), dtype=bool)
         self._tree = KDTree(squares.anchors)
@@ -192,9 +192,9 @@ class Search:
             tiles: The tiles.
             known: So many of the first are known to be whole and to share nothing.
         """
-        wrong = set(self._verification.unfit(tiles[known:]))
+        wrong = set(self._footprints.unfit(tiles[known:]))
         self._alive[list(wrong)] = False
-        for pair in self._verification.overlapping(tiles, known):
+        for pair in self._footprints.overlapping(tiles, known):
             if not wrong.intersection(pair):
                 wrong.add(pair[1])
                 for tile in pair:
@@ -323,17 +323,17 @@ def tile_interior(
             f" ({1e4 * mesh.area:.1f} cm^2) within {1e3 * settings.flatness:g} mm of flat",
             "check the unit of the scan, or give a smaller --size or a larger --flatness",
         )
-    verification = Verification(mesh, fitting, settings.flatness)
-    search = Search(fitting, points, verification)
+    footprints = Footprints(mesh, fitting, settings.flatness)
+    search = Search(fitting, points, footprints)
     tiles = search.improve(search.fill(), settings.rounds, rng, progress)
-    footprints = [verification.footprint(int(tile)) for tile in tiles]
+    kept = [footprints.footprint(int(tile)) for tile in tiles]
     squares = fitting.take(tiles)
     covered = _covered(points, squares)
     inside = _distance(points.positions, surroundings.rim) > 0.5 * settings.edge
     return Tiling(
         squares=squares,
-        footprint_areas=np.array([footprint.area for footprint in footprints]),
-        flatness=np.array([footprint.flatness for footprint in footprints]),
+        footprint_areas=np.array([footprint.area for footprint in kept]),
+        flatness=np.array([footprint.flatness for footprint in kept]),
         neighbours=nearby_pairs(squares),
         interior_area=float(mesh.area),
         cover_inside=float(points.areas[covered & inside].sum() / points.areas[inside].sum()),

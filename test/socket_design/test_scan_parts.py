@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 from support.meshes import FULL, open_cone, shell
 
 from socket_testbed.socket_design.interior import (
-    Samples,
+    SurfaceSamples,
     Visibility,
     inner_wall,
     lay_spine,
@@ -76,7 +76,7 @@ def test_of_nested_tubes_the_first_front_is_seen_and_backs_behind_it_are_hidden(
     tubes = [tube(0.04 + 0.01 * i, front) for i, front in enumerate(fronts)]
     surface = trimesh.util.concatenate(tubes)
     which = np.repeat(np.arange(len(tubes)), [len(mesh.faces) for mesh in tubes])
-    samples = Samples(*sample_surface(surface, 0.003), 0.003)
+    samples = SurfaceSamples(*sample_surface(surface, 0.003), 0.003)
     (axis, *_) = fit_axis(surface).likely()
     visibility = look(surface, samples, lay_spine(axis, surface))
     # The tubes' edges are seen past each other: what counts lies between them.

@@ -23,7 +23,7 @@ from socket_testbed.socket_design.placement import (
     place_by_points,
 )
 from socket_testbed.socket_design.squares import Squares, gaps, spread_points
-from socket_testbed.socket_design.tile_fit import FootprintCutter
+from socket_testbed.socket_design.tile_fit import Footprints
 
 Z = np.array([0.0, 0.0, 1.0])
 X = np.array([1.0, 0.0, 0.0])
@@ -88,20 +88,20 @@ def test_gaps_are_the_same_from_both_sides() -> None:
 
 def test_footprints_on_a_plane_are_the_squares() -> None:
     squares = on_plane([(0.003, -0.002, 0.3), (0.013, 0.004, 0.3), (0.06, 0.0, 0.0)])
-    cutter = FootprintCutter(plane(), squares, 0.005)
-    first = cutter.footprint(0)
+    footprints = Footprints(plane(), squares, 0.005)
+    first = footprints.footprint(0)
     assert first.area == pytest.approx(9e-4, rel=1e-9)
     assert first.cover == pytest.approx(1.0, rel=1e-9)
     assert first.flatness == pytest.approx(0.0, abs=1e-12)
     offset = squares.rotations[0].T @ (squares.anchors[1] - squares.anchors[0])
     shared = (0.03 - abs(offset[0])) * (0.03 - abs(offset[1]))
-    assert cutter.shared_area(first, 1) == pytest.approx(shared, rel=1e-9)
-    assert cutter.shared_area(first, 2) == 0.0
+    assert footprints.shared_area(0, 1) == pytest.approx(shared, rel=1e-9)
+    assert footprints.shared_area(0, 2) == 0.0
 
 
 def test_a_footprint_over_the_rim_is_not_whole() -> None:
-    cutter = FootprintCutter(plane(), on_plane([(0.095, 0.0, 0.0)]), 0.005)
-    assert cutter.footprint(0).cover == pytest.approx(20.0 / 30.0, rel=1e-9)
+    footprints = Footprints(plane(), on_plane([(0.095, 0.0, 0.0)]), 0.005)
+    assert footprints.footprint(0).cover == pytest.approx(20.0 / 30.0, rel=1e-9)
 
 
 def test_points_are_spread_evenly() -> None:
