@@ -60,5 +60,5 @@ def run(options: argparse.Namespace) -> None:
         return
     settings = estimator_settings(options, trial.estimator)
     if options.model is not None:
-        settings = predict_with(options.model, settings)
+        settings = predict_with(options.model, settings, trial.geometry)
     replay_with_estimator(trial, replay, settings)

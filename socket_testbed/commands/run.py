@@ -17,6 +17,7 @@ from socket_testbed.commands.hardware_options import (
 from socket_testbed.commands.options import add_model_choice, choose_model
 from socket_testbed.errors import ConfigurationError
 from socket_testbed.files import check_number, refuse_existing
+from socket_testbed.geometry.socket import read_socket
 from socket_testbed.identification.fit import check_names
 from socket_testbed.live.bringup import Simulation, Testbed, end, predict_with, start, summary
 from socket_testbed.live.processes import Graph
@@ -117,7 +118,7 @@ def _testbed(options: argparse.Namespace, simulation: Simulation | None) -> Test
     estimator = choose_model(options, testbed.settings.estimator_node)
     check_names(estimator.identification, testbed.settings.cluster_node.names)
     if options.model is not None:
-        estimator = predict_with(options.model, estimator)
+        estimator = predict_with(options.model, estimator, read_socket(testbed.geometry))
     return dataclasses.replace(
         testbed,
         settings=dataclasses.replace(

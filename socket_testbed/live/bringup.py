@@ -18,7 +18,7 @@ from socket_testbed.drivers.load_cell import bridges
 from socket_testbed.drivers.natnet.connection import server_address
 from socket_testbed.errors import ConfigurationError, TestbedError
 from socket_testbed.files import closest, packaged
-from socket_testbed.geometry.socket import read_socket
+from socket_testbed.geometry.socket import SocketGeometry, read_socket
 from socket_testbed.identification.fit import check_names
 from socket_testbed.identification.model_file import read_model
 from socket_testbed.live.processes import Graph, GraphNode
@@ -251,13 +251,15 @@ def simulate_hardware(
     return replace(testbed, settings=settings), world
 
 
-def predict_with(model: Path, estimator: EstimatorSettings) -> EstimatorSettings:
+def predict_with(
+    model: Path, estimator: EstimatorSettings, geometry: SocketGeometry
+) -> EstimatorSettings:
     """An estimator's settings with which it predicts with a stored model and fits none.
 
     Raises:
-        ConfigurationError: If the model cannot be read.
+        ConfigurationError: If the model cannot be read, or was fitted on another socket.
     """
-    read_model(model)
+    read_model(model, geometry)
     return replace(estimator, model=str(model.resolve()), auto_fit=False)
 
 

@@ -30,7 +30,7 @@ class Pacer:
 
     @property
     def stopped(self) -> bool:
-        """Whether it was told to stop."""
+        """Whether it is stopped."""
         return self._stopping.is_set()
 
     def pause(self) -> None:

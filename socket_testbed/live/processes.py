@@ -1,4 +1,7 @@
-"""The graph as processes: each started with its settings, watched, and ended cleanly."""
+"""The graph as processes: each is started with its settings, watched, and ended cleanly.
+
+They end with the command that started them, even if that is killed.
+"""
 
 from __future__ import annotations
 
@@ -22,9 +25,13 @@ from socket_testbed.clocks import Backoff, shared_environment
 from socket_testbed.errors import ConfigurationError, TestbedError
 from socket_testbed.settings.fields import Settings, parameter_values
 
-PARENT = "SOCKET_TESTBED_PARENT"
+PARENT = "SOCKET_TESTBED_PARENT"  # environment variable: the process that started this one
 
 _PR_SET_PDEATHSIG = 1
+_GRACE = 8.0  # [s]; for a node to end by itself
+_LOOK = 0.05  # [s]
+_EARLY = 10.0  # [s]; a process that fails within this time was given something wrong
+_LONGEST_WAIT = 10.0  # [s]; before a process that ends again and again is started again
 
 
 def end_with_parent(number: signal.Signals) -> None:
@@ -32,19 +39,14 @@ def end_with_parent(number: signal.Signals) -> None:
     ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, number)
 
 
-def follow_starter() -> None:
-    """End cleanly with the command that started this node, if one did."""
+def end_with_starter() -> None:
+    """End cleanly with the command that started this process, if one did."""
     starter = os.environ.get(PARENT)
     if starter is None:
         return
     end_with_parent(signal.SIGTERM)
     if os.getppid() != int(starter):  # it ended before the kernel was asked
         os.kill(os.getpid(), signal.SIGTERM)
-
-
-_GRACE = 8.0  # [s]; for a node to end by itself
-_LOOK = 0.05  # [s]
-_LONGEST_WAIT = 10.0  # [s]; before a process that ends again and again is started again
 
 
 class NodeFailedError(TestbedError):
@@ -201,19 +203,15 @@ class Graph:
             if (code := member.exit_code()) is not None:
                 raise _failure(name, code)
 
-    def watch(
-        self, done: Callable[[], bool], say: Callable[[str], None], patience: float = 10.0
-    ) -> None:
+    def watch(self, done: Callable[[], bool], notify: Callable[[str], None]) -> None:
         """Keep the processes running until something is done: what is killed is started again.
 
         Args:
             done: Called to know whether it is.
-            say: Called with a line about what was restarted.
-            patience: A process that ends by itself within this time of the graph's start was
-                given something wrong [s].
+            notify: Called with a line about each restart.
 
         Raises:
-            NodeFailedError: If a process ends with an error soon after it was started first.
+            NodeFailedError: If a process ends with an error in the first seconds.
         """
         began = time.monotonic()
         while not done():
@@ -221,13 +219,13 @@ class Graph:
             for name, member in self._members.items():
                 code = member.exit_code()
                 if code is None:
-                    if now - member.started > patience:
+                    if now - member.started > _EARLY:
                         member.backoff.succeeded()
                     continue
-                if code > 0 and now - began < patience:
+                if code > 0 and now - began < _EARLY:
                     raise _failure(name, code)
                 if member.backoff.due(now):
-                    say(f"{name} {_ending(code)}: started again")
+                    notify(f"{name} {_ending(code)}: started again")
                     member.backoff.failed(now)
                     member.process = self._spawn(member.command)
                     member.started = now

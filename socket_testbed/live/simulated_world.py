@@ -19,7 +19,7 @@ from socket_testbed.arrays import FloatArray
 from socket_testbed.calibration.model import Calibration, read_calibration
 from socket_testbed.clocks import SteadyClock
 from socket_testbed.geometry.socket import SocketGeometry, read_socket
-from socket_testbed.live.processes import follow_starter
+from socket_testbed.live.processes import end_with_starter
 from socket_testbed.simulation.devices.natnet_server import NatNetServer
 from socket_testbed.simulation.limb import SCENARIOS, LoadedLimb, Scenario, load_history
 from socket_testbed.simulation.sensors import (
@@ -144,7 +144,7 @@ def main() -> None:
     ended = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: ended.set())
-    follow_starter()
+    end_with_starter()
     clock = SteadyClock()
     world = World(options.world)
     errors = SensorErrors()

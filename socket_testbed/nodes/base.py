@@ -122,6 +122,7 @@ class TestbedNode(Node, Generic[S]):
         self._outputs: list[tuple[Publisher, bool]] = []
         self._settled_at = clocks.monotonic() + settle
         self._level, self._message = OK, "started"
+        self._has_worked = False
         self._waiting: list[str] | None = None
         self._looks = 0
         self._diagnostics = self.create_publisher(
@@ -199,8 +200,10 @@ class TestbedNode(Node, Generic[S]):
             return
         # Figures in a message change all the time: they are no news for the log.
         known = _without_figures(message) == _without_figures(self._message)
+        recovered = level == OK != self._level and self._has_worked
         if level == OK:
             self._settled_at = 0.0
+            self._has_worked = True
         changed = level != self._level
         self._level, self._message = level, message
         logger = self.get_logger()
@@ -215,7 +218,7 @@ class TestbedNode(Node, Generic[S]):
         elif level == WARN:
             logger.warning(message)
         else:
-            logger.info(message)
+            logger.info(f"recovered: {message}" if recovered else message)
         if changed:
             self._publish_diagnostics()
 

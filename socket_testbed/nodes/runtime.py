@@ -17,7 +17,7 @@ from rclpy.node import Node
 from rclpy.task import Future
 
 from socket_testbed.errors import TestbedError
-from socket_testbed.live.processes import follow_starter
+from socket_testbed.live.processes import end_with_starter
 from socket_testbed.nodes.base import TestbedNode
 
 _SWITCH = 5e-4  # [s]; a thread that is due waits no longer for one that computes
@@ -39,7 +39,7 @@ def _run(makes: tuple[Callable[[], TestbedNode[Any]], ...]) -> int:
     signal.signal(signal.SIGINT, lambda number, frame: None)
     sys.setswitchinterval(_SWITCH)
     rclpy.init()
-    follow_starter()
+    end_with_starter()
     nodes: list[TestbedNode[Any]] = []
     try:
         try:
