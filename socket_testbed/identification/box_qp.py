@@ -21,50 +21,7 @@ from socket_testbed.arrays import FloatArray, IntArray
 from socket_testbed.errors import ConfigurationError, IdentificationError
 from socket_testbed.files import closest
 
-_ROWS = 48  # at a time; fewer cost calls, more cost arithmetic
-
-
-def factorise(matrix: FloatArray) -> FloatArray:
-    """Cholesky factor L of a symmetric matrix, shape (p, p).
-
-    Raises:
-        LinAlgError: Unless the matrix is positive definite.
-    """
-    return np.linalg.cholesky(matrix).astype(np.float64, copy=False)
-
-
-def solve_factored(factor: FloatArray, target: FloatArray) -> FloatArray:
-    """Solve ``L L' x = b`` by substitution.
-
-    numpy has no triangular solve, and scipy's brings a thread pool of its own: where both have
-    one, the two stall each other.
-
-    Args:
-        factor: Lower triangular L, shape (p, p).
-        target: Right-hand side b, shape (p,).
-    """
-    x = target.copy()
-    blocks = [slice(start, start + _ROWS) for start in range(0, len(x), _ROWS)]
-    for rows in blocks:
-        known = factor[rows, : rows.start] @ x[: rows.start]
-        x[rows] = np.linalg.solve(factor[rows, rows], x[rows] - known)
-    for rows in reversed(blocks):
-        known = x[rows.stop :] @ factor[rows.stop :, rows]
-        x[rows] = np.linalg.solve(factor[rows, rows].T, x[rows] - known)
-    return x
-
-
-def least_pivot(factor: FloatArray) -> float:
-    """Least pivot of a Cholesky factor, shape (p, p); infinite without any."""
-    return float(np.diagonal(factor).min(initial=np.inf) ** 2)
-
-
-def is_definite(matrix: FloatArray, least: float) -> bool:
-    """Whether a symmetric matrix, shape (p, p), is positive definite with pivots above `least`."""
-    try:
-        return least_pivot(factorise(matrix)) > least
-    except np.linalg.LinAlgError:
-        return False
+_ROWS = 48  # of a substitution at a time; fewer cost calls, more cost arithmetic
 
 
 # OSQP gives a start, from which pivoting takes over. Its own rule for adapting rho may come from
@@ -197,6 +154,109 @@ class UncertifiedSolutionError(IdentificationError):
         self.x = x
 
 
+def check_solver(solver: str) -> None:
+    """Check that qpsolvers finds a solver.
+
+    Raises:
+        ConfigurationError: With the likely name.
+    """
+    if solver not in qpsolvers.available_solvers:
+        raise ConfigurationError(
+            f"solver '{solver}' is not installed", closest(solver, qpsolvers.available_solvers)
+        )
+
+
+def solve_box_qp(
+    problem: BoxQP, solver: str, tolerance: float, near: FloatArray | None = None
+) -> BoxSolution:
+    """Solve a box QP and certify the answer; a solver's own verdict does not count.
+
+    Args:
+        problem: The problem, in scaled units.
+        solver: Any solver that qpsolvers finds.
+        tolerance: Largest residual of the certificate [-].
+        near: Solution of a similar problem, shape (p,) [-]. Where pivoting reaches the optimum
+            from it, which takes a few steps, the solver is not called.
+
+    Raises:
+        ConfigurationError: If there is no such solver.
+        UncertifiedSolutionError: If the answer misses the tolerance; it carries the problem.
+    """
+    check_solver(solver)
+    _check_finite(problem)
+
+    if near is not None:  # a warm start
+        found = pivot(problem, np.clip(near, problem.lower, problem.upper))
+        if found.certificate.worst <= tolerance:
+            return replace(found, found_by="warm start")
+
+    start = _call_solver(problem, solver)
+    found = pivot_regularised(problem, np.clip(start, problem.lower, problem.upper))
+
+    if not found.certificate.worst <= tolerance:
+        raise UncertifiedSolutionError(
+            f"{problem.name}: the answer of {solver} misses the KKT tolerance"
+            f" ({found.certificate.worst:.1e} > {tolerance:.0e})",
+            "try more smoothness, another solver or a longer segment",
+            problem,
+            found.x,
+        )
+    return replace(found, found_by=solver)
+
+
+def _check_finite(problem: BoxQP) -> None:
+    if not (np.isfinite(problem.P).all() and np.isfinite(problem.q).all()):
+        raise UncertifiedSolutionError(
+            f"{problem.name}: holds values that are not finite", "check the samples", problem, None
+        )
+
+
+def _call_solver(problem: BoxQP, solver: str) -> FloatArray:
+    """The answer of a solver, certified or not."""
+    try:
+        with warnings.catch_warnings():
+            # The certificate judges the answer: the solver's warnings say nothing new.
+            warnings.simplefilter("ignore")
+            answer = qpsolvers.solve_problem(
+                problem.to_qpsolvers(sparse=solver not in qpsolvers.dense_solvers),
+                solver,
+                **_OPTIONS.get(solver, {}),
+            )
+    except Exception as error:  # each backend has errors of its own
+        raise UncertifiedSolutionError(
+            f"{problem.name}: {solver} failed ({error})", "try another solver", problem, None
+        ) from error
+    if answer.x is None or not np.isfinite(answer.x).all():
+        raise UncertifiedSolutionError(
+            f"{problem.name}: {solver} gave no answer", "try another solver", problem, None
+        )
+    x: FloatArray = answer.x
+    return x
+
+
+def pivot_regularised(problem: BoxQP, start: FloatArray) -> BoxSolution:
+    r"""Pivot; where P is singular, or nearly so, with a ridge that falls tenfold each time.
+
+    Each regularised program adds :math:`\tfrac12 \rho |x - x'|^2` with x' the optimum of the
+    one before (the proximal point method: Rockafellar 1976, doi:10.1137/0314056), which makes
+    P definite; its active set is near that of the next. Once the active set is the problem's
+    own and leaves P definite over the free variables, pivoting is exact; otherwise the ridge
+    vanishes. The first x' is the point of the box nearest to zero: of all optima one near zero
+    is found.
+    """
+    best = pivot(problem, start)
+    x, centre = best.x, np.clip(np.zeros_like(start), problem.lower, problem.upper)
+    for ridge in _RIDGES:
+        if best.certificate.worst <= _ROUNDING:
+            break
+        P = problem.P + ridge * np.eye(len(x))
+        x = centre = pivot(replace(problem, P=P, q=problem.q - ridge * centre), x).x
+        found = pivot(problem, x)
+        if found.certificate.worst < best.certificate.worst:
+            best = found
+    return best
+
+
 def pivot(problem: BoxQP, start: FloatArray) -> BoxSolution:
     """Move a point inside the box to the exact optimum near it, by its active set.
 
@@ -233,31 +293,10 @@ def pivot(problem: BoxQP, start: FloatArray) -> BoxSolution:
         else:
             wrong = wrong[-1:]
         side[wrong] = change[wrong]
+    else:
+        least = 0.0
     determined = least > _FLAT or problem.is_determined_at(x)
     return BoxSolution(x, certificate, determined, "pivoting")
-
-
-def pivot_regularised(problem: BoxQP, start: FloatArray) -> BoxSolution:
-    r"""Pivot, and where P is singular, or nearly so, with a ridge that falls tenfold each time.
-
-    Each regularised program adds :math:`\tfrac12 \rho |x - x'|^2` with x' the optimum of the
-    one before (the proximal point method: Rockafellar 1976, doi:10.1137/0314056), which makes
-    P definite; its active set is near that of the next. Once the active set is the problem's
-    own and leaves P definite over the free variables, pivoting is exact; otherwise the ridge
-    vanishes. The first x' is the point of the box nearest to zero: of all optima one near zero
-    is found.
-    """
-    best = pivot(problem, start)
-    x, centre = best.x, np.clip(np.zeros_like(start), problem.lower, problem.upper)
-    for ridge in _RIDGES:
-        if best.certificate.worst <= _ROUNDING:
-            break
-        P = problem.P + ridge * np.eye(len(x))
-        x = centre = pivot(replace(problem, P=P, q=problem.q - ridge * centre), x).x
-        found = pivot(problem, x)
-        if found.certificate.worst < best.certificate.worst:
-            best = found
-    return best
 
 
 def _solve_on_sides(problem: BoxQP, side: IntArray) -> tuple[FloatArray, FloatArray, float]:
@@ -280,78 +319,44 @@ def _wrong_side(problem: BoxQP, side: IntArray, x: FloatArray, gradient: FloatAr
     return change
 
 
-def check_solver(solver: str) -> None:
-    """Refuse a solver that qpsolvers does not find.
+def factorise(matrix: FloatArray) -> FloatArray:
+    """Cholesky factor L of a symmetric matrix, shape (p, p).
 
     Raises:
-        ConfigurationError: Naming the likely one.
+        LinAlgError: Unless the matrix is positive definite.
     """
-    if solver not in qpsolvers.available_solvers:
-        raise ConfigurationError(
-            f"solver '{solver}' is not installed", closest(solver, qpsolvers.available_solvers)
-        )
+    return np.linalg.cholesky(matrix).astype(np.float64, copy=False)
 
 
-def solve_box_qp(
-    problem: BoxQP, solver: str, tolerance: float, near: FloatArray | None = None
-) -> BoxSolution:
-    """Solve a box QP and certify the answer, whatever the solver says of it.
+def solve_factored(factor: FloatArray, target: FloatArray) -> FloatArray:
+    """Solve ``L L' x = b`` by substitution.
+
+    numpy has no triangular solve, and scipy's brings a thread pool of its own: where both have
+    one, the two stall each other.
 
     Args:
-        problem: The problem, in scaled units.
-        solver: Any solver that qpsolvers finds.
-        tolerance: Largest residual of the certificate [-].
-        near: Solution of a similar problem, shape (p,) [-]. Where pivoting reaches the optimum
-            from it, which takes a few steps, the solver is not called.
-
-    Raises:
-        ConfigurationError: If there is no such solver.
-        UncertifiedSolutionError: If the answer misses the tolerance; it carries the problem.
+        factor: Lower triangular L, shape (p, p).
+        target: Right-hand side b, shape (p,).
     """
-    check_solver(solver)
-    _check_finite(problem)
-    if near is not None:
-        found = pivot(problem, np.clip(near, problem.lower, problem.upper))
-        if found.certificate.worst <= tolerance:
-            return replace(found, found_by="warm start")
-    start = _call_solver(problem, solver)
-    found = pivot_regularised(problem, np.clip(start, problem.lower, problem.upper))
-    if not found.certificate.worst <= tolerance:
-        raise UncertifiedSolutionError(
-            f"{problem.name}: the answer of {solver} misses the KKT tolerance"
-            f" ({found.certificate.worst:.1e} > {tolerance:.0e})",
-            "name another solver, more smoothness or a longer segment",
-            problem,
-            found.x,
-        )
-    return replace(found, found_by=solver)
-
-
-def _check_finite(problem: BoxQP) -> None:
-    if not (np.isfinite(problem.P).all() and np.isfinite(problem.q).all()):
-        raise UncertifiedSolutionError(
-            f"{problem.name}: holds values that are not finite", "check the samples", problem, None
-        )
-
-
-def _call_solver(problem: BoxQP, solver: str) -> FloatArray:
-    """A solver's answer, whatever it says of it."""
-    try:
-        with warnings.catch_warnings():
-            # The certificate judges the answer; the solver's own doubts are not printed.
-            warnings.simplefilter("ignore")
-            answer = qpsolvers.solve_problem(
-                problem.to_qpsolvers(sparse=solver not in qpsolvers.dense_solvers),
-                solver,
-                **_OPTIONS.get(solver, {}),
-            )
-    except Exception as error:  # each backend has errors of its own
-        raise UncertifiedSolutionError(
-            f"{problem.name}: {solver} failed ({error})", "name another solver", problem, None
-        ) from error
-    if answer.x is None or not np.isfinite(answer.x).all():
-        raise UncertifiedSolutionError(
-            f"{problem.name}: {solver} gave no answer", "name another solver", problem, None
-        )
-    x: FloatArray = answer.x
+    x = target.copy()
+    blocks = [slice(start, start + _ROWS) for start in range(0, len(x), _ROWS)]
+    for rows in blocks:
+        known = factor[rows, : rows.start] @ x[: rows.start]
+        x[rows] = np.linalg.solve(factor[rows, rows], x[rows] - known)
+    for rows in reversed(blocks):
+        known = x[rows.stop :] @ factor[rows.stop :, rows]
+        x[rows] = np.linalg.solve(factor[rows, rows].T, x[rows] - known)
     return x
+
+
+def least_pivot(factor: FloatArray) -> float:
+    """Least pivot of a Cholesky factor, shape (p, p); infinite without any."""
+    return float(np.diagonal(factor).min(initial=np.inf) ** 2)
+
+
+def is_definite(matrix: FloatArray, least: float) -> bool:
+    """Whether a symmetric matrix, shape (p, p), is positive definite with pivots above `least`."""
+    try:
+        return least_pivot(factorise(matrix)) > least
+    except np.linalg.LinAlgError:
+        return False
