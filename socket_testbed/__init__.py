@@ -1,3 +1,56 @@
-"""Software of an instrumented prosthetic-socket testbed."""
+"""Software of an instrumented prosthetic-socket testbed.
+
+The public names, such as `socket_testbed.fit`, are those of `socket_testbed.api`.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
 
 __version__ = "0.1.0"
+
+if TYPE_CHECKING:
+    from socket_testbed.api import (
+        TestbedError,
+        calibrate,
+        evaluate,
+        export,
+        fit,
+        open_trial,
+        pareto,
+        predict,
+        read_model,
+        register,
+        select_segment,
+        simulate,
+        tile,
+        write_report,
+    )
+
+__all__ = [
+    "TestbedError",
+    "__version__",
+    "calibrate",
+    "evaluate",
+    "export",
+    "fit",
+    "open_trial",
+    "pareto",
+    "predict",
+    "read_model",
+    "register",
+    "select_segment",
+    "simulate",
+    "tile",
+    "write_report",
+]
+
+
+def __getattr__(name: str) -> Any:
+    # Importing the package stays light: its libraries come with the first name that needs them.
+    if name in __all__:
+        return getattr(import_module("socket_testbed.api"), name)
+    raise AttributeError(f"module 'socket_testbed' has no attribute '{name}'")
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

@@ -62,6 +62,13 @@ class Samples:
     def __len__(self) -> int:
         return len(self.stamps)
 
+    def __repr__(self) -> str:
+        duration = self.time[-1] if len(self) else 0.0
+        return (
+            f"Samples({len(self)} samples in {duration:.2f} s, {self.complete.sum()} complete;"
+            f" clusters {', '.join(self.clusters)})"
+        )
+
     def __getitem__(self, rows: slice | BoolArray | IntArray) -> Samples:
         """The samples of some rows."""
         return Samples(

@@ -3,132 +3,22 @@
 from __future__ import annotations
 
 import argparse
-import dataclasses
-import difflib
 from collections.abc import Sequence
-from datetime import date
 from pathlib import Path
 
-import numpy as np
-
-from socket_testbed.arrays import FloatArray, IntArray
-from socket_testbed.calibration.bench_data import (
-    STRESSES,
-    UNITS,
-    BenchData,
-    join_benches,
-    read_bench,
-    read_unloaded,
-)
-from socket_testbed.calibration.calibrate import BenchCalibration, bench_record, calibrate_bench
-from socket_testbed.calibration.drift import (
-    DRIFT_LIMIT,
-    Baseline,
-    Drift,
-    average_baseline,
-    correct_bench,
-    measure_drift,
-)
-from socket_testbed.calibration.model import (
-    SHEAR_TERMS,
-    Calibration,
-    ClusterCalibration,
-    read_calibration,
-    write_calibration,
-)
+from socket_testbed import api
+from socket_testbed.arrays import FloatArray
+from socket_testbed.calibration.bench_data import STRESSES, UNITS
+from socket_testbed.calibration.calibrate import BenchCalibration, CalibratedCluster
+from socket_testbed.calibration.drift import DRIFT_LIMIT, Drift
+from socket_testbed.calibration.model import SHEAR_TERMS
 from socket_testbed.commands.text import number, table
 from socket_testbed.errors import ConfigurationError
-from socket_testbed.files import atomic_output, check_number, closest, refuse_existing
-from socket_testbed.geometry.socket import read_socket
+from socket_testbed.files import check_number, closest
 
 _SHOWN = 10  # outliers
-_UNITS = ("Pa", *["Pa/pF"] * 2, *["Pa/pF^2"] * 3)
-
-
-def quality_report(name: str, calibrated: BenchCalibration, drift: Drift | None) -> str:
-    """All that is to be known of a cluster's calibration."""
-    bench = calibrated.bench
-    cluster = calibrated.cluster
-    parts = [
-        f"{name}: {len(bench)} readings of {', '.join(bench.files)};"
-        f" {calibrated.cross_validation.groups} held out in turn",
-        _coefficients(calibrated),
-        _errors(calibrated),
-        f"calibrated range: mean {_span(cluster.mean_range)} pF, differences"
-        f" {_span(cluster.difference_range)} pF",
-        _outliers(calibrated),
-    ]
-    if drift is not None:
-        parts.append(_drift(drift))
-    return "\n\n".join(parts)
-
-
-def _coefficients(calibrated: BenchCalibration) -> str:
-    cluster = calibrated.cluster
-    groups = [
-        ("normal", ("1", "mean"), cluster.normal, calibrated.normal_half_width),
-        ("shear_x", SHEAR_TERMS, cluster.shear[0], calibrated.shear_half_width[0]),
-        ("shear_y", SHEAR_TERMS, cluster.shear[1], calibrated.shear_half_width[1]),
-    ]
-    rows = [
-        [stress, term, number(value, 1), number(width, 1), unit]
-        for stress, terms, values, widths in groups
-        for term, value, width, unit in zip(terms, values, widths, _UNITS, strict=False)
-    ]
-    return table(["stress", "term", "coefficient", "+- (95 %)", "unit"], rows)
-
-
-def _errors(calibrated: BenchCalibration) -> str:
-    ranges = calibrated.stress_range
-    rows = [
-        [
-            name,
-            number(float(ranges[axis, 0]), 0),
-            number(float(ranges[axis, 1]), 0),
-            number(held_out.rmse, 1),
-            number(held_out.percent, 2),
-            number(held_out.mae, 1),
-            number(held_out.r2, 4),
-            number(calibrated.training[axis].rmse, 1),
-            number(float(calibrated.hysteresis[axis]), 2),
-            number(float(calibrated.repeatability[axis]), 2),
-        ]
-        for axis, (name, held_out) in enumerate(zip(STRESSES, calibrated.held_out, strict=True))
-    ]
-    header = ["stress", "from Pa", "to Pa", "held-out RMSE Pa", "% FS", "MAE Pa", "R2"]
-    header += ["training RMSE Pa", "hysteresis % FS", "repeatability % FS"]
-    return table(header, rows)
-
-
-def _outliers(calibrated: BenchCalibration) -> str:
-    outliers = calibrated.outliers
-    if not outliers:
-        return "no outliers"
-    rows = [
-        [o.place, STRESSES[o.axis], number(o.known, 0), number(o.fitted, 0)]
-        for o in outliers[:_SHOWN]
-    ]
-    fate = "left out of the fit" if calibrated.dropped else "kept in the fit, but not in its range"
-    more = f"\nand {len(outliers) - _SHOWN} more" if len(outliers) > _SHOWN else ""
-    listed = table(["reading", "stress", "known Pa", "by robust fit Pa"], rows)
-    return f"{len(outliers)} outliers, {fate}:\n{listed}{more}"
-
-
-def _drift(drift: Drift) -> str:
-    verdict = "above" if drift.flagged else "within"
-    inputs = " ".join(f"{value:+.4f}" for value in drift.capacitance)
-    stress = ", ".join(
-        f"{name} {value:+.0f} Pa" for name, value in zip(STRESSES, drift.stress, strict=True)
-    )
-    return f"drift, taken off: {inputs} pF, {stress}: {verdict} the limit of {DRIFT_LIMIT:g} Pa"
-
-
-def _span(limits: FloatArray) -> str:
-    return f"{limits[0]:.3f} to {limits[1]:.3f}"
-
-
 _AREAS = (1e-6, 0.05)  # [m^2]
-_FIGURES = (".png", ".pdf")
+_UNITS = ("Pa", *["Pa/pF"] * 2, *["Pa/pF^2"] * 3)
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -199,69 +89,34 @@ def _add_reading(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> None:
-    """Read, fit, judge, report and write."""
+    """Fit, report and write."""
     check_number(options.limit, "--limit", 0.0, 100.0)
-    if options.figure is not None and options.figure.suffix not in _FIGURES:
-        raise ConfigurationError(f"{options.figure}: is no figure", "name a .png or a .pdf")
-    existing = _existing(options)
-    if existing is not None:
-        _check_cluster(options.cluster, existing)
-    bench, baselines = _read(options)
-    wiring = _wiring(options, existing)
-    stated = options.wiring is not None
-    calibrated = calibrate_bench(bench, wiring, stated, options.drop_outliers)
-    drift = measure_drift(calibrated.cluster, *baselines) if len(baselines) == 2 else None
-
-    print(quality_report(options.cluster, calibrated, drift))
+    if options.area is not None:
+        check_number(options.area, "--area", *_AREAS)
     if options.figure is not None:
-        _draw(calibrated, options.cluster, options.figure)
-    calibrated.require_gain()
-    forced = bool(calibrated.above(options.limit))
-    if not options.force:
-        calibrated.require_accuracy(options.limit)
-    today = date.today().isoformat()
-    cluster = dataclasses.replace(
-        calibrated.cluster,
-        baseline=baselines[0].capacitance if baselines else None,
-        bench=bench_record(calibrated, today, options.limit, forced, drift),
+        api.check_figure(options.figure)
+    into = options.into or (options.output if options.output.exists() else None)
+    found = api.calibrate(
+        options.bench,
+        options.cluster,
+        into=into,
+        baseline=options.baseline,
+        columns=_assignments(options.columns, "--columns"),
+        units=_assignments(options.units, "--units"),
+        area=options.area,
+        geometry=options.geometry,
+        wiring=options.wiring,
+        drop_outliers=options.drop_outliers,
     )
-    _write(options, existing, cluster)
-
-
-def _existing(options: argparse.Namespace) -> Calibration | None:
-    if options.into is None:
-        return read_calibration(options.output) if options.output.exists() else None
-    if options.into.resolve() != options.output.resolve():
-        refuse_existing(options.output)
-    return read_calibration(options.into)
-
-
-def _check_cluster(name: str, existing: Calibration) -> None:
-    """Refuse what is most likely a typing error for a cluster that is there."""
-    near = difflib.get_close_matches(name, existing.clusters, n=1, cutoff=0.9)
-    if near and name not in existing.clusters:
-        raise ConfigurationError(
-            f"--cluster is '{name}', which the calibration does not hold",
-            f"did you mean '{near[0]}'? For a new cluster choose a name less like it",
-        )
-
-
-def _read(options: argparse.Namespace) -> tuple[BenchData, list[Baseline]]:
-    """The bench data, with the drift between two baselines taken off, and the baselines."""
-    columns = _assignments(options.columns, "--columns")
-    units = _assignments(options.units, "--units")
-    area = _area(options)
-    bench = join_benches([read_bench(path, columns, units, area) for path in options.bench])
-    if len(options.baseline) > 2:
-        raise ConfigurationError(
-            f"--baseline: {len(options.baseline)} files", "give one before and at most one after"
-        )
-    ends = (bench.time[0], bench.time[-1])
-    baselines = [
-        average_baseline(time, read_unloaded(path, columns, units), str(path))
-        for path, time in zip(options.baseline, ends, strict=False)
-    ]
-    return correct_bench(bench, *baselines) if len(baselines) == 2 else bench, baselines
+    print(_report(found))
+    if options.figure is not None:
+        _draw(found, options.figure)
+    found.save(options.output, options.limit, options.force)
+    old = found.existing.clusters if found.existing else {}
+    others = [name for name in old if name != found.name]
+    kept = f"; kept: {', '.join(others)}" if others else ""
+    verb = "replaced" if found.name in old else "added"
+    print(f"\n{found.name} {verb} in {options.output}{kept}")
 
 
 def _assignments(words: Sequence[str], option: str) -> dict[str, str]:
@@ -281,53 +136,91 @@ def _assignments(words: Sequence[str], option: str) -> dict[str, str]:
     return found
 
 
-def _area(options: argparse.Namespace) -> float | None:
-    if options.area is not None:
-        return check_number(options.area, "--area", *_AREAS)
-    if options.geometry is None:
-        return None
-    geometry = read_socket(options.geometry)
-    if options.cluster not in geometry.clusters:
-        raise ConfigurationError(
-            f"{options.geometry}: has no cluster '{options.cluster}'",
-            closest(options.cluster, geometry.clusters),
-        )
-    return float(geometry.areas[geometry.clusters[options.cluster]])
-
-
-def _wiring(options: argparse.Namespace, existing: Calibration | None) -> IntArray:
-    if options.wiring is not None:
-        if sorted(options.wiring) != [0, 1, 2, 3]:
-            raise ConfigurationError(
-                f"--wiring is {options.wiring}", "give each of 0, 1, 2, 3 once"
-            )
-        return np.array(options.wiring)
-    known = existing.clusters.get(options.cluster) if existing else None
-    return known.wiring if known else np.arange(4)
-
-
-def _draw(calibrated: BenchCalibration, cluster: str, path: Path) -> None:
+def _draw(found: CalibratedCluster, path: Path) -> None:
     # matplotlib takes its time to import.
     from socket_testbed.report.figures.calibration import bench_figure
     from socket_testbed.report.figures.style import save_figure
 
-    save_figure(bench_figure(calibrated, cluster), path)
+    save_figure(bench_figure(found.quality, found.name), path)
 
 
-def _write(
-    options: argparse.Namespace, existing: Calibration | None, cluster: ClusterCalibration
-) -> None:
-    old = existing.clusters if existing else {}
-    clusters = {**old, options.cluster: cluster}
-    if existing is not None and not all(c.bench for c in clusters.values()):
-        # Date and source stay those of the clusters that have none of their own.
-        calibration = dataclasses.replace(existing, clusters=clusters)
-    else:
-        sources = [f"{name}: {c.bench.get('source')}" for name, c in clusters.items()]
-        calibration = Calibration(clusters, cluster.bench["date"], "; ".join(sources))
-    with atomic_output(options.output) as staging:
-        write_calibration(calibration, staging)
-    others = [name for name in old if name != options.cluster]
-    kept = f"; kept: {', '.join(others)}" if others else ""
-    verb = "replaced" if options.cluster in old else "added"
-    print(f"\n{options.cluster} {verb} in {options.output}{kept}")
+def _report(found: CalibratedCluster) -> str:
+    """The quality of a cluster's calibration."""
+    calibrated = found.quality
+    bench, cluster = calibrated.bench, calibrated.cluster
+    parts = [
+        f"{found.name}: {len(bench)} readings of {', '.join(bench.files)};"
+        f" {calibrated.cross_validation.groups} held out in turn",
+        _coefficients(calibrated),
+        _errors(calibrated),
+        f"calibrated range: mean {_span(cluster.mean_range)} pF, differences"
+        f" {_span(cluster.difference_range)} pF",
+        _outliers(calibrated),
+    ]
+    if found.drift is not None:
+        parts.append(_drift(found.drift))
+    return "\n\n".join(parts)
+
+
+def _coefficients(calibrated: BenchCalibration) -> str:
+    cluster = calibrated.cluster
+    groups = [
+        ("normal", ("1", "mean"), cluster.normal, calibrated.normal_half_width),
+        ("shear_x", SHEAR_TERMS, cluster.shear[0], calibrated.shear_half_width[0]),
+        ("shear_y", SHEAR_TERMS, cluster.shear[1], calibrated.shear_half_width[1]),
+    ]
+    rows = [
+        [stress, term, number(value, 1), number(width, 1), unit]
+        for stress, terms, values, widths in groups
+        for term, value, width, unit in zip(terms, values, widths, _UNITS, strict=False)
+    ]
+    return table(["stress", "term", "coefficient", "+- (95 %)", "unit"], rows)
+
+
+def _errors(calibrated: BenchCalibration) -> str:
+    ranges = calibrated.stress_range
+    rows = [
+        [
+            name,
+            number(float(ranges[axis, 0]), 0),
+            number(float(ranges[axis, 1]), 0),
+            number(held_out.rmse, 1),
+            number(held_out.percent, 2),
+            number(held_out.mae, 1),
+            number(held_out.r2, 4),
+            number(calibrated.training[axis].rmse, 1),
+            number(float(calibrated.hysteresis[axis]), 2),
+            number(float(calibrated.repeatability[axis]), 2),
+        ]
+        for axis, (name, held_out) in enumerate(zip(STRESSES, calibrated.held_out, strict=True))
+    ]
+    header = ["stress", "from Pa", "to Pa", "held-out RMSE Pa", "% FS", "MAE Pa", "R2"]
+    header += ["training RMSE Pa", "hysteresis % FS", "repeatability % FS"]
+    return table(header, rows)
+
+
+def _outliers(calibrated: BenchCalibration) -> str:
+    outliers = calibrated.outliers
+    if not outliers:
+        return "no outliers"
+    rows = [
+        [o.place, STRESSES[o.axis], number(o.known, 0), number(o.fitted, 0)]
+        for o in outliers[:_SHOWN]
+    ]
+    fate = "left out of the fit" if calibrated.dropped else "kept in the fit, but not in its range"
+    more = f"\nand {len(outliers) - _SHOWN} more" if len(outliers) > _SHOWN else ""
+    listed = table(["reading", "stress", "known Pa", "by robust fit Pa"], rows)
+    return f"{len(outliers)} outliers, {fate}:\n{listed}{more}"
+
+
+def _drift(drift: Drift) -> str:
+    verdict = "above" if drift.flagged else "within"
+    inputs = " ".join(f"{value:+.4f}" for value in drift.capacitance)
+    stress = ", ".join(
+        f"{name} {value:+.0f} Pa" for name, value in zip(STRESSES, drift.stress, strict=True)
+    )
+    return f"drift, corrected: {inputs} pF, {stress}: {verdict} the limit of {DRIFT_LIMIT:g} Pa"
+
+
+def _span(limits: FloatArray) -> str:
+    return f"{limits[0]:.3f} to {limits[1]:.3f}"

@@ -1,19 +1,26 @@
-"""Arguments that several verbs share, and what they mean."""
+"""Arguments that several verbs share, and a verb's work on one trial or on a folder of them."""
 
 from __future__ import annotations
 
 import argparse
-import dataclasses
 import sys
-from functools import cache
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache, partial
 from pathlib import Path
+from typing import Any, Generic, TypeVar
 
-from socket_testbed.batch.pool import Pool
+from socket_testbed.batch import Job, Pool, Row, Task, find_trials, plan_jobs, run_batch
 from socket_testbed.files import check_number
+from socket_testbed.settings import testbed
 from socket_testbed.settings.identification import VARIANTS
-from socket_testbed.settings.testbed import EstimatorSettings, read_testbed
+from socket_testbed.settings.testbed import EstimatorSettings
 from socket_testbed.trials.synchronise import parse_unloaded
 from socket_testbed.trials.trial import Trial
+
+_FILES = ("geometry", "calibration", "params", "model")
+_CHOICES = ("variant", "theta", "smoothness", "leave_out", "solver")
+R = TypeVar("R")
 
 
 def add_trial(parser: argparse.ArgumentParser, what: str = "folder of the trial") -> None:
@@ -31,61 +38,17 @@ def add_trial(parser: argparse.ArgumentParser, what: str = "folder of the trial"
 
 
 def add_trials(parser: argparse.ArgumentParser) -> None:
-    """A trial, or a folder of trials and how they are worked on."""
+    """A trial, or a folder of trials and where they are worked on."""
     add_trial(parser, "folder of the trial, or a folder of trials")
     many = parser.add_argument_group("for a folder of trials")
     where = many.add_mutually_exclusive_group()
     where.add_argument(
-        "--jobs", type=int, metavar="N", help="trials at a time (default: one a core)"
+        "--jobs", type=int, metavar="N", help="trials at a time (default: one per core)"
     )
     where.add_argument(
         "--dask", metavar="ADDRESS", help="scheduler of a Dask cluster whose workers do it instead"
     )
-    many.add_argument("--again", action="store_true", help="do again what is done already")
-
-
-def pool_of(options: argparse.Namespace) -> Pool:
-    """Where the trials of a folder are worked on."""
-    if options.jobs is not None:
-        check_number(options.jobs, "--jobs", 1)
-    return Pool(options.jobs, options.dask)
-
-
-def absolute_paths(options: argparse.Namespace) -> argparse.Namespace:
-    """The same options for a worker that has another working directory."""
-    return argparse.Namespace(
-        **{
-            name: value.absolute() if isinstance(value, Path) else value
-            for name, value in vars(options).items()
-        }
-    )
-
-
-def trial_of(options: argparse.Namespace) -> Trial:
-    """The trial that is meant; each note on it goes to standard error once."""
-    spans = getattr(options, "unloaded", None) or []
-    return Trial(
-        options.trial,
-        options.geometry,
-        options.calibration,
-        cache(tell_note),
-        parse_unloaded(spans),
-    )
-
-
-def tell_note(note: str) -> None:
-    """Print a note on standard error."""
-    warn(f"note: {note}")
-
-
-def say(line: str) -> None:
-    """Print a line on standard output at once, however it is buffered."""
-    print(line, flush=True)
-
-
-def warn(line: str) -> None:
-    """Print a line on standard error."""
-    print(line, file=sys.stderr)
+    many.add_argument("--again", action="store_true", help="repeat finished trials")
 
 
 def add_segment(parser: argparse.ArgumentParser, default: str = "plateau") -> None:
@@ -105,7 +68,7 @@ def add_unloaded(parser: argparse.ArgumentParser) -> None:
         "--unloaded",
         nargs="+",
         metavar="T0:T1",
-        help="seconds without load before, and after: the clusters' drift is taken off by them",
+        help="seconds without load before, and after: the clusters' drift is corrected by them",
     )
 
 
@@ -147,19 +110,90 @@ def add_model_choice(
     parser.add_argument("--solver", help="any solver that qpsolvers finds (default: osqp)")
 
 
+def add_thetas(parser: argparse.ArgumentParser) -> None:
+    """Number of thetas of a front."""
+    parser.add_argument(
+        "--thetas", type=int, default=101, metavar="N", help="values from 0 to 1 (default: 101)"
+    )
+
+
+def choices(options: argparse.Namespace) -> dict[str, Any]:
+    """What `add_identification` was given, as keywords of the API."""
+    return {name: getattr(options, name, None) for name in ("params", *_CHOICES)}
+
+
 def estimator_settings(options: argparse.Namespace, stored: EstimatorSettings) -> EstimatorSettings:
     """The estimator's settings: the command line's over the file's over the stored ones."""
-    if options.params is not None:
-        stored = read_testbed(options.params).estimator_node
-    return choose_model(options, stored)
+    return testbed.estimator_settings(stored, **choices(options))
 
 
 def choose_model(options: argparse.Namespace, settings: EstimatorSettings) -> EstimatorSettings:
     """The estimator's settings with what `add_model_choice` was given."""
-    given = {
-        name: value
-        for name in ("variant", "theta", "smoothness", "leave_out", "solver")
-        if (value := getattr(options, name, None)) is not None
-    }
-    identification = dataclasses.replace(settings.identification, **given)
-    return dataclasses.replace(settings, identification=identification)
+    given = {name: getattr(options, name, None) for name in _CHOICES}
+    return testbed.estimator_settings(settings, **given)
+
+
+def trial_of(options: argparse.Namespace) -> Trial:
+    """The trial of the options; each note on it goes to standard error once."""
+    spans = parse_unloaded(getattr(options, "unloaded", None) or [])
+    notify = cache(print_note)
+    return Trial(options.trial, options.geometry, options.calibration, notify, spans)
+
+
+def print_note(note: str) -> None:
+    """Print a note on standard error."""
+    _warn(f"note: {note}")
+
+
+def _report(line: str) -> None:
+    print(line, flush=True)  # at once, however standard output is buffered
+
+
+def _warn(line: str) -> None:
+    print(line, file=sys.stderr)
+
+
+@dataclass(frozen=True)
+class TrialVerb(Generic[R]):
+    """A verb that works on one trial, or on every trial of a folder in parallel.
+
+    The work takes the verb's options and the trial; `options.alone` says whether it is a single
+    one. All functions are of a module, so that workers can import them.
+
+    Attributes:
+        name: Name of the verb.
+        suffix: End of the names of the outputs of a folder of trials.
+        settings: Options that the results depend on, besides files.
+        work: Works on a trial and writes `options.output`.
+        row: The result's row of the summary.
+        show: Prints the result for a single trial.
+    """
+
+    name: str
+    suffix: str
+    settings: tuple[str, ...]
+    work: Callable[[argparse.Namespace, Trial], R]
+    row: Callable[[R], Row]
+    show: Callable[[argparse.Namespace, R], None]
+
+    def run(self, options: argparse.Namespace) -> None:
+        """Do the work on the trial of the options, or on all trials below that folder."""
+        trials = find_trials(options.trial)
+        options = argparse.Namespace(**vars(options), alone=not trials)
+        if not trials:
+            self.show(options, self.work(options, trial_of(options)))
+            return
+        estimator_settings(options, EstimatorSettings())  # wrong for all is reported once
+        files = {f"--{name}": getattr(options, name, None) for name in _FILES}
+        spans = parse_unloaded(options.unloaded or [])
+        jobs = plan_jobs(trials, options.output, self.suffix, files, spans)
+        settings = {name: getattr(options, name) for name in self.settings}
+        task = Task(self.name, options.output, partial(self._do, options), settings, options.again)
+        if options.jobs is not None:
+            check_number(options.jobs, "--jobs", 1)
+        run_batch(task, jobs, Pool(options.jobs, options.dask), _report, _warn)
+
+    def _do(self, options: argparse.Namespace, job: Job) -> Row:
+        files = {name: job.files.get(f"--{name}") for name in _FILES}
+        own = argparse.Namespace(**{**vars(options), **files, "output": job.output})
+        return self.row(self.work(own, job.trial))

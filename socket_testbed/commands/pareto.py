@@ -7,33 +7,19 @@ import json
 from collections.abc import Sequence
 from pathlib import Path
 
-import numpy as np
-
+from socket_testbed import api
 from socket_testbed.commands.options import (
     add_identification,
     add_segment,
+    add_thetas,
     add_trial,
     add_unloaded,
-    estimator_settings,
+    choices,
     trial_of,
 )
 from socket_testbed.commands.text import Progress, number, table
-from socket_testbed.errors import ConfigurationError
-from socket_testbed.files import check_number
-from socket_testbed.identification.pareto import (
-    KNEE,
-    SENSOR_ONLY,
-    WRENCH_ONLY,
-    Front,
-    front_document,
-    pareto_front,
-    write_fronts,
-)
-from socket_testbed.trials.segment import select_segment
-from socket_testbed.trials.synchronise import read_samples
+from socket_testbed.identification.pareto import KNEE, SENSOR_ONLY, WRENCH_ONLY, Front
 
-_MOST_THETAS = 10_001
-_FIGURES = (".png", ".pdf")
 _HEADER = (
     *("variant", "solution", "theta", "wrench error", "local error"),
     *("moment [N m]", "force [N]", "local [N]", ""),
@@ -51,9 +37,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     add_segment(parser)
     add_unloaded(parser)
     add_identification(parser, variant=False, theta=False)  # the fronts go through both
-    parser.add_argument(
-        "--thetas", type=int, default=101, metavar="N", help="values from 0 to 1 (default: 101)"
-    )
+    add_thetas(parser)
     parser.add_argument(
         "-o", "--output", type=Path, metavar="FRONT.csv", help="table of every solution"
     )
@@ -64,58 +48,27 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> None:
     """Identify along theta, write and print."""
-    check_number(options.thetas, "--thetas", 2, _MOST_THETAS)
-    _check_figure(options.figure)
-    trial = trial_of(options)
-    settings = estimator_settings(options, trial.estimator)
-    samples = read_samples(trial)
-    segment = select_segment(samples, options.segment, settings.plateau)
-    fronts = pareto_front(
-        samples[segment.rows],
-        trial.geometry,
-        settings.identification,
-        np.linspace(0.0, 1.0, options.thetas),
-        progress=Progress("solving for every theta"),
-    )
-    _write(options, f"{trial.name}, {segment}", [*fronts.values()])
-    if options.json:
-        report = {
-            "trial": trial.name,
-            "segment": {"kind": segment.kind, "start": segment.start, "end": segment.end},
-            "fronts": [front_document(front) for front in fronts.values()],
-        }
-        print(json.dumps(report, indent=1, allow_nan=False))
-        return
-    print(f"{trial.name}: {segment}, theta from 0 to 1 in {options.thetas} values\n")
-    _print_fronts([*fronts.values()])
-    for path in filter(None, (options.output, options.figure)):
-        print(f"written: {path}")
-
-
-def _write(options: argparse.Namespace, title: str, fronts: Sequence[Front]) -> None:
-    if options.output is not None:
-        write_fronts(fronts, options.output)
     if options.figure is not None:
-        # matplotlib takes its time to import.
-        from socket_testbed.report.figures.pareto import pareto_figure
-        from socket_testbed.report.figures.style import save_figure
-
-        figure = pareto_figure(fronts, f"{title}: trade-off between wrench and clusters")
-        save_figure(figure, options.figure)
-
-
-def _check_figure(path: Path | None) -> None:
-    if path is not None and path.suffix.lower() not in _FIGURES:
-        raise ConfigurationError(
-            f"--figure {path}: no such format", f"let it end in {' or '.join(_FIGURES)}"
-        )
-
-
-def _print_fronts(fronts: Sequence[Front]) -> None:
+        api.check_figure(options.figure)
+    trial = trial_of(options)
+    found = api.pareto(
+        trial, options.segment, thetas=options.thetas, progress=Progress, **choices(options)
+    )
+    if options.output is not None:
+        found.save(options.output)
+    if options.figure is not None:
+        found.draw(options.figure)
+    if options.json:
+        print(json.dumps(found.document(), indent=1, allow_nan=False))
+        return
+    print(f"{trial.name}: {found.segment}, theta from 0 to 1 in {options.thetas} values\n")
+    fronts = [*found.fronts.values()]
     print(_solutions_table(fronts))
     print(f"\n{_LEGEND}\n")
     for front in fronts:
         print(_describe(front))
+    for path in filter(None, (options.output, options.figure)):
+        print(f"written: {path}")
 
 
 def _solutions_table(fronts: Sequence[Front]) -> str:

@@ -9,20 +9,15 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from socket_testbed import api
 from socket_testbed.arrays import FloatArray
 from socket_testbed.commands.text import number, table
 from socket_testbed.geometry.pose import Pose
-from socket_testbed.geometry.socket import (
-    read_socket,
-    write_socket,
-)
-from socket_testbed.socket_design.landmarks import LANDMARK_FILE_HELP, read_landmarks
+from socket_testbed.socket_design.landmarks import LANDMARK_FILE_HELP
 from socket_testbed.socket_design.registration import (
     MOST_RESIDUAL,
     RegisteredBody,
     Registration,
-    read_static_take,
-    register_take,
 )
 
 _MM = 1e3
@@ -62,15 +57,13 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> None:
     """Register, print and write."""
-    landmarks = read_landmarks(options.landmarks)
-    geometry = read_socket(options.socket)
-    take = read_static_take(options.take)
-    registration = register_take(take, landmarks, geometry, options.force)
-    for note in registration.notes:
-        print(f"note: {note}", file=sys.stderr)
-    print(_report(registration))
     output = options.output or options.socket
-    write_socket(registration.geometry, output)
+    found = api.register(
+        options.take, options.landmarks, options.socket, output, force=options.force
+    )
+    for note in found.notes:
+        print(f"note: {note}", file=sys.stderr)
+    print(_report(found))
     print(f"\nregistered socket in {output}")
 
 

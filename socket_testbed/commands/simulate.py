@@ -5,14 +5,10 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from socket_testbed.calibration.model import read_calibration
+from socket_testbed import api
 from socket_testbed.commands.text import Progress
-from socket_testbed.files import check_number, packaged, refuse_existing
-from socket_testbed.geometry.socket import read_socket
 from socket_testbed.simulation.limb import SCENARIOS
-from socket_testbed.simulation.trial import TRUTH_FILE, simulate, write_simulated_trial
-
-_MOST_TRIGGERS = 1_000_000
+from socket_testbed.simulation.trial import TRUTH_FILE, read_truth
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -24,7 +20,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--scenario",
         choices=SCENARIOS,
         default="static_hold",
-        help="load history (default: the paper's static hold)",
+        help="load history (default: static_hold)",
     )
     parser.add_argument("--seed", type=int, default=0, help="seed of all that is random")
     parser.add_argument(
@@ -42,25 +38,19 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> None:
     """Simulate and write."""
-    check_number(options.duration, "--duration", 1.0, 36000.0)
-    check_number(options.rate, "--rate", 0.1, 1000.0)
-    check_number(options.seed, "--seed", 0)
-    check_number(options.duration * options.rate, "--duration times --rate", 2, _MOST_TRIGGERS)
-    refuse_existing(options.output)
-    geometry = read_socket(options.geometry or packaged("config", "socket.yaml"))
-    calibration = read_calibration(options.calibration or packaged("config", "calibration.yaml"))
-    trial = simulate(
-        geometry,
-        calibration,
+    trial = api.simulate(
+        options.output,
         options.scenario,
-        options.duration,
-        options.rate,
-        options.seed,
-        progress=Progress("simulating"),
+        duration=options.duration,
+        rate=options.rate,
+        seed=options.seed,
+        geometry=options.geometry,
+        calibration=options.calibration,
+        progress=Progress,
     )
-    write_simulated_trial(trial, options.output, options.geometry, options.calibration)
+    geometry = trial.geometry
     print(
-        f"{options.output}: {options.scenario}, {len(trial.stamps)} triggers at"
+        f"{options.output}: {options.scenario}, {len(read_truth(trial.path).wrench)} triggers at"
         f" {options.rate:g} Hz, {len(geometry)} tiles, {len(geometry.clusters)} clusters,"
         f" seed {options.seed}; truth in {options.output / TRUTH_FILE}"
     )

@@ -1,4 +1,4 @@
-"""Tables and progress for a terminal."""
+"""Tables and progress for a terminal, and the columns of summaries."""
 
 from __future__ import annotations
 
@@ -7,7 +7,10 @@ import sys
 import time
 from collections.abc import Sequence
 
+from socket_testbed.batch import Row
 from socket_testbed.identification.evaluation import ChannelErrors, summarise_errors
+from socket_testbed.identification.model_file import finite_or_null
+from socket_testbed.trials.segment import Segment
 
 _PROGRESS_PERIOD = 0.5  # [s]
 _LOGGED_PERIOD = 10.0  # [s]; where it is not overwritten
@@ -38,7 +41,7 @@ def number(value: float, digits: int = 3) -> str:
 
 
 class Progress:
-    """A line on standard error that says how far long work is.
+    """A line on standard error with the progress of long work.
 
     Args:
         what: What is being done.
@@ -50,7 +53,7 @@ class Progress:
         self._shown = False
 
     def __call__(self, done: int, total: int) -> None:
-        """Say how many steps are done."""
+        """Report how many steps are done."""
         now = time.monotonic()
         end = done == total
         terminal = sys.stderr.isatty()
@@ -63,7 +66,7 @@ class Progress:
 
 
 def errors_table(errors: Sequence[ChannelErrors]) -> str:
-    """RMSE, MAE, sigma and skill a channel, with the means and the median the paper quotes."""
+    """RMSE, MAE, sigma and skill per channel, with their means and the median."""
     rows = [
         [
             error.name,
@@ -85,3 +88,30 @@ def errors_table(errors: Sequence[ChannelErrors]) -> str:
     if summary.without_value:
         lines.append(f"without a value, in none of these: {', '.join(summary.without_value)}")
     return "\n".join(lines)
+
+
+def segment_columns(segment: Segment) -> Row:
+    """The segment of a trial, for a summary."""
+    return {
+        "segment": segment.kind,
+        "segment_start [s]": segment.start,
+        "segment_end [s]": segment.end,
+    }
+
+
+def error_columns(errors: Sequence[ChannelErrors]) -> Row:
+    """The means and the median of the errors, then those of every channel, for a summary."""
+    summary = summarise_errors(errors)
+    row: Row = {
+        "mean_moment_rmse [N m]": summary.moment_rmse,
+        "mean_force_rmse [N]": summary.force_rmse,
+        "median_local_rmse [N]": summary.local_rmse,
+    }
+    for error in errors:
+        row |= {
+            f"{error.name}_rmse [{error.unit}]": error.rmse,
+            f"{error.name}_mae [{error.unit}]": error.mae,
+            f"{error.name}_sigma [{error.unit}]": error.sigma,
+            f"{error.name}_skill [-]": error.skill,
+        }
+    return {name: finite_or_null(value) for name, value in row.items()}

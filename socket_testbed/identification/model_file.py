@@ -57,6 +57,12 @@ class StoredModel:
     trial: str
     unloaded: tuple[tuple[float, float], ...]
 
+    def __repr__(self) -> str:
+        return (
+            f"StoredModel({self.model.variant} of {self.trial}, {self.samples} samples,"
+            f" {len(self.geometry)} tiles)"
+        )
+
     def require_socket(self, geometry: SocketGeometry) -> None:
         """Check that the model was fitted on the socket that it is used on.
 

@@ -131,6 +131,12 @@ class Front:
     non_dominated: BoolArray
     knee: Knee
 
+    def __repr__(self) -> str:
+        return (
+            f"Front({self.variant}, {len(self.theta)} solutions, {self.non_dominated.sum()} not"
+            f" dominated; {self.knee.verdict})"
+        )
+
     @property
     def sound(self) -> BoolArray:
         """Solutions without flaw: certified in both stages, and determined, shape (T,)."""

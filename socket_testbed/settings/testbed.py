@@ -146,6 +146,24 @@ def read_testbed(path: Path, defaults: TestbedSettings | None = None) -> Testbed
     return replace(defaults, **given)
 
 
+def estimator_settings(
+    stored: EstimatorSettings, params: Path | None = None, **choices: Any
+) -> EstimatorSettings:
+    """The estimator's settings: single choices over those of a file over the stored ones.
+
+    Args:
+        stored: Settings that are stored with the trial.
+        params: A `testbed.yaml` to use instead of them.
+        choices: Fields of `IdentificationSettings`, such as `theta`; None for no choice.
+
+    Raises:
+        ConfigurationError: If the file or a choice is wrong.
+    """
+    settings = stored if params is None else read_testbed(params).estimator_node
+    given = {name: value for name, value in choices.items() if value is not None}
+    return replace(settings, identification=replace(settings.identification, **given))
+
+
 def write_testbed(nodes: dict[str, Settings], path: Path) -> None:
     """Write settings of nodes, by their names, as a `testbed.yaml` for other runs and machines."""
     document = {

@@ -338,6 +338,11 @@ class Registration:
     single: FloatArray
     notes: tuple[str, ...]
 
+    def __repr__(self) -> str:
+        fits = (self.socket.landmarks, self.pylon.landmarks)
+        residuals = " and ".join(f"{1e3 * fit.rms:.2f}" for fit in fits)
+        return f"Registration({self.take.path}: {len(self.take)} frames; {residuals} mm rms)"
+
     def socket_body_covariances(self) -> tuple[FloatArray, FloatArray]:
         """Covariances of `socket_body`: position [m^2] and rotation [rad^2], in {S}."""
         position = self.socket.covariance_at(self.geometry.socket_body.translation)

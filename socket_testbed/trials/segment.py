@@ -34,6 +34,9 @@ class Segment:
     def __str__(self) -> str:
         return f"{self.kind} {self.start:.2f} s to {self.end:.2f} s"
 
+    def __repr__(self) -> str:
+        return f"Segment({self})"
+
 
 def select_segment(samples: Samples, specification: str, settings: PlateauSettings) -> Segment:
     """Select a part of a trial.

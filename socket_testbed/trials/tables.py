@@ -2,26 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import pandas as pd
 
-from socket_testbed import tables
 from socket_testbed.calibration.bench_data import STRESSES
 from socket_testbed.identification.contact import ContactModel
 from socket_testbed.identification.evaluation import predict_channels
 from socket_testbed.samples import LOCAL_CHANNELS, Samples, channel_unit
-from socket_testbed.tables import check_format, split_unit
 from socket_testbed.trials.segment import Segment
 from socket_testbed.trials.synchronise import Measurements
 from socket_testbed.trials.trial import Trial
 
 _SHARED = 1 + 6 + 3  # columns besides the clusters': time, wrench, limb position
-
-__all__ = ["Column", "check_format", "sample_columns", "sample_table", "write_table"]
 
 
 def sample_table(
@@ -66,34 +59,3 @@ def sample_table(
         for channel, values in zip(samples.channels, predicted.T, strict=True):
             columns[f"predicted.{channel} [{channel_unit(channel)}]"] = values
     return pd.DataFrame(columns)
-
-
-@dataclass(frozen=True)
-class Column:
-    """A column of a table, for callers that have no data frame yet."""
-
-    name: str
-    unit: str
-    values: Any
-
-    @property
-    def title(self) -> str:
-        """The name with the unit, such as `distal.Fz [N]`."""
-        return f"{self.name} [{self.unit}]" if self.unit else self.name
-
-
-def sample_columns(*arguments: Any) -> list[Column]:
-    """The columns of `sample_table`."""
-    return [
-        Column(*split_unit(title), column) for title, column in sample_table(*arguments).items()
-    ]
-
-
-def write_table(columns: Sequence[Column], path: Path) -> None:
-    """Write columns: see `tables.write_table`."""
-    frame = pd.DataFrame({c.title: pd.Series(c.values, dtype=_kind(c.values)) for c in columns})
-    tables.write_table(frame, path)
-
-
-def _kind(values: Any) -> Any:
-    return object if isinstance(values, list) else None

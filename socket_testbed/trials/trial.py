@@ -14,6 +14,7 @@ from socket_testbed.calibration.model import Calibration, read_calibration
 from socket_testbed.errors import TrialError
 from socket_testbed.files import packaged
 from socket_testbed.geometry.socket import SocketGeometry, read_socket
+from socket_testbed.samples import Samples
 from socket_testbed.settings.testbed import EstimatorSettings, read_testbed
 from socket_testbed.trials.bag import BagReader, sync
 from socket_testbed.trials.topics import REQUIRED, TOPICS, TRIGGER, Topic, match_topics
@@ -43,6 +44,9 @@ class Trial:
     tell: Callable[[str], None] | None = None
     unloaded: tuple[tuple[float, float], ...] = ()
 
+    def __repr__(self) -> str:
+        return f"Trial({str(self.path)!r})"
+
     @property
     def name(self) -> str:
         """Name of the trial: that of its folder."""
@@ -56,6 +60,16 @@ class Trial:
                 for note in bag.notes:
                     self.tell(note)
             yield bag
+
+    def samples(self) -> Samples:
+        """The synchronised samples, one per trigger, read once: see `read_samples`."""
+        return self._samples
+
+    @cached_property
+    def _samples(self) -> Samples:
+        from socket_testbed.trials.synchronise import read_samples  # it reads trials
+
+        return read_samples(self)
 
     @property
     def geometry_path(self) -> Path:

@@ -175,7 +175,7 @@ def test_baselines_are_stored_and_take_the_drift_off(call, tmp_path, output):
     after = unloaded(tmp_path / "after.csv", rest + drift)
 
     out = call(path, *WIRING, "--baseline", before, after)
-    assert "drift, taken off" in out and "above the limit" in out
+    assert "drift, corrected" in out and "above the limit" in out
     corrected = read_calibration(output).clusters["distal"]
     np.testing.assert_allclose(corrected.baseline, rest, rtol=1e-8)
     assert corrected.bench["drift"]["flagged"] is True
@@ -226,7 +226,7 @@ def test_a_figure_is_drawn_even_of_a_fit_that_is_refused(refused, tmp_path, suff
         ((*WIRING, "--columns", "normal=load"), ("no column 'load' for normal", "")),
         ((*WIRING, "--limit", -1), ("--limit", "check")),
         ((*WIRING, "--area", 900), ("--area is 900", "unit")),
-        ((*WIRING, "--figure", "fit.txt"), ("fit.txt", ".png or a .pdf")),
+        ((*WIRING, "--figure", "fit.txt"), ("fit.txt", ".png or .pdf")),
         ((*WIRING, "--baseline", "a", "b", "c"), ("--baseline: 3 files", "before")),
         ((*WIRING, "--baseline", "none.csv"), ("none.csv", "no such file")),
         ((*WIRING, "--into", "none.yaml"), ("none.yaml", "no such file")),

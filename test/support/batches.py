@@ -4,7 +4,7 @@ import json
 import os
 from pathlib import Path
 
-from socket_testbed.batch.jobs import Job, Row
+from socket_testbed.batch import Job, Row
 from socket_testbed.errors import TrialError
 
 

@@ -14,10 +14,18 @@ import pandas as pd
 import pytest
 from support.batches import count, make_trial, own_column
 
-from socket_testbed.batch import jobs as inputs
-from socket_testbed.batch.jobs import Job, Status, Task, find_trials, plan_jobs, record_path
-from socket_testbed.batch.pool import Pool
-from socket_testbed.batch.run import execute, run_batch
+from socket_testbed import batch
+from socket_testbed.batch import (
+    Job,
+    Pool,
+    Status,
+    Task,
+    execute,
+    find_trials,
+    plan_jobs,
+    record_path,
+    run_batch,
+)
 from socket_testbed.errors import ConfigurationError, TestbedError, TrialError
 
 HERE = Pool(jobs=1)
@@ -37,7 +45,8 @@ def task(tmp_path: Path) -> Task:
 
 
 def jobs_of(study: Path, task: Task, **files: Path) -> list[Job]:
-    return plan_jobs(find_trials(study), task.folder, ".json", **files)
+    given = {f"--{name}": path for name, path in files.items()}
+    return plan_jobs(find_trials(study), task.folder, ".json", given)
 
 
 class Heard(list[str]):
@@ -140,7 +149,7 @@ def remove_output(study: Path, task: Task, job: Job) -> tuple[Task, Job]:
 )
 def test_whatever_changed_is_named_and_the_work_done_again(change, named, study, task) -> None:
     (study / "calibration.yaml").write_text("coefficients")
-    job = jobs_of(study, task, calibration_file=study / "calibration.yaml")[0]
+    job = jobs_of(study, task, calibration=study / "calibration.yaml")[0]
     assert execute(task, job).status is Status.OK
     assert execute(task, job).status is Status.SKIPPED
     changed_task, changed_job = change(study, task, job)
@@ -152,10 +161,10 @@ def test_whatever_changed_is_named_and_the_work_done_again(change, named, study,
 
 def test_another_version_of_the_software_does_it_again(study, task, monkeypatch) -> None:
     job = jobs_of(study, task)[0]
-    software = {**inputs._software()}
+    software = {**batch._software()}
     assert len(software["socket_testbed"]) == 64
     execute(task, job)
-    monkeypatch.setattr(inputs, "_software", lambda: {**software, "scipy": "0.1"})
+    monkeypatch.setattr(batch, "_software", lambda: {**software, "scipy": "0.1"})
     assert execute(task, job).changed == ("scipy",)
 
 
@@ -248,7 +257,7 @@ def test_tables_of_trials_with_other_columns_become_one(study: Path, task: Task)
 
 def test_an_unreachable_or_missing_dask_is_one_line(study, task, monkeypatch) -> None:
     pool = Pool(dask="tcp://127.0.0.1:1")
-    monkeypatch.setattr("socket_testbed.batch.pool._PATIENCE", "100ms")
+    monkeypatch.setattr("socket_testbed.batch._PATIENCE", "100ms")
     with pytest.raises(TestbedError, match="no scheduler with a worker answers"):
         run(study, task, pool)
     with pytest.raises(TestbedError, match="no scheduler with a worker answers"):

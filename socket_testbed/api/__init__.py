@@ -1,0 +1,50 @@
+"""The public Python API: what the command line uses, for notebooks and scripts.
+
+`import socket_testbed as st` gives all these names; the first use of one imports its libraries.
+Every function works under the conditions of the verb of the same name: it reports the same notes
+(here as warnings), computes in one thread of linear algebra, so that the same trial gives the same
+numbers on every machine, and writes the same files.
+
+Lengths are in metres, forces in newtons, times in seconds. An error is a `TestbedError` whose one
+line says what is wrong and how to fix it. The examples run in a folder with two simulated trials.
+"""
+
+from socket_testbed.api.design import calibrate, register, tile
+from socket_testbed.api.models import (
+    Evaluation,
+    Tradeoff,
+    TrialFit,
+    check_figure,
+    check_thetas,
+    evaluate,
+    export,
+    fit,
+    pareto,
+    predict,
+    read_model,
+    write_report,
+)
+from socket_testbed.api.trials import open_trial, select_segment, simulate
+from socket_testbed.errors import TestbedError
+
+__all__ = [
+    "Evaluation",
+    "TestbedError",
+    "Tradeoff",
+    "TrialFit",
+    "calibrate",
+    "check_figure",
+    "check_thetas",
+    "evaluate",
+    "export",
+    "fit",
+    "open_trial",
+    "pareto",
+    "predict",
+    "read_model",
+    "register",
+    "select_segment",
+    "simulate",
+    "tile",
+    "write_report",
+]

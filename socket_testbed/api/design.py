@@ -1,0 +1,262 @@
+"""The socket and its sensors before any trial: tiles, marker bodies, calibration."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from socket_testbed.arrays import FloatArray
+from socket_testbed.calibration.bench_data import join_benches, read_bench, read_unloaded
+from socket_testbed.calibration.calibrate import CalibratedCluster, calibrate_cluster
+from socket_testbed.calibration.drift import average_baseline
+from socket_testbed.errors import ConfigurationError
+from socket_testbed.files import closest, packaged
+from socket_testbed.geometry.socket import read_socket, write_socket
+
+if TYPE_CHECKING:
+    from socket_testbed.socket_design.design import SocketDesign
+    from socket_testbed.socket_design.registration import Registration
+    from socket_testbed.socket_design.tiling import TilingSettings
+from socket_testbed.api.trials import PathLike, Progress, as_path, started
+
+
+def calibrate(
+    bench: PathLike | Sequence[PathLike],
+    cluster: str,
+    *,
+    into: PathLike | None = None,
+    baseline: Sequence[PathLike] = (),
+    columns: Mapping[str, str] | None = None,
+    units: Mapping[str, str] | None = None,
+    area: float | None = None,
+    geometry: PathLike | None = None,
+    wiring: Sequence[int] | None = None,
+    drop_outliers: bool = False,
+) -> CalibratedCluster:
+    """Fit the coefficients of a cluster to bench data and judge them on data held out.
+
+    `save` of the result writes them into a calibration.
+
+    Args:
+        bench: CSV files of bench data: see docs/calibration.md.
+        cluster: Name of the cluster.
+        into: A calibration whose other clusters are kept.
+        baseline: CSV files of readings without load before the bench run and, to correct its
+            drift, after it.
+        columns: The header's name of a quantity, by the quantity.
+        units: The unit of a quantity instead of the header's, by the quantity.
+        area: Area of stresses that are given as forces [m^2].
+        geometry: A `socket.yaml` that gives the area of the cluster's tile instead.
+        wiring: Input of each channel (-x,+y), (+x,+y), (-x,-y), (+x,-y); None for the existing
+            cluster's, else 0, 1, 2, 3.
+        drop_outliers: Whether outliers are left out of the fit.
+
+    Raises:
+        ConfigurationError: For a wrong file, name or setting.
+        CalibrationError: If the data does not determine the fit.
+
+    >>> found = st.calibrate("bench.csv", "distal", wiring=(2, 3, 0, 1))
+    >>> found
+    CalibratedCluster(distal: 1062 readings; held-out RMSE of full scale: normal ... %, ...)
+    >>> found.save("calibration.yaml", limit=10.0)
+    """
+    paths = [bench] if isinstance(bench, str | os.PathLike) else list(bench)
+    columns, units = columns or {}, units or {}
+    if area is None and geometry is not None:
+        area = _tile_area(Path(geometry), cluster)
+    if len(baseline) > 2:
+        raise ConfigurationError(
+            f"--baseline: {len(baseline)} files", "give one before and at most one after"
+        )
+    if wiring is not None and sorted(wiring) != [0, 1, 2, 3]:
+        raise ConfigurationError(f"--wiring is {[*wiring]}", "give each of 0, 1, 2, 3 once")
+    with threadpool_limits(1):
+        data = join_benches([read_bench(Path(path), columns, units, area) for path in paths])
+        ends = (data.time[0], data.time[-1])
+        baselines = [
+            average_baseline(time, read_unloaded(Path(path), columns, units), str(path))
+            for path, time in zip(baseline, ends, strict=False)
+        ]
+        inputs = None if wiring is None else np.array(wiring)
+        return calibrate_cluster(cluster, data, baselines, as_path(into), inputs, drop_outliers)
+
+
+def _tile_area(geometry: Path, cluster: str) -> float:
+    """Area of the tile that a cluster is on [m^2]."""
+    socket = read_socket(geometry)
+    if cluster not in socket.clusters:
+        raise ConfigurationError(
+            f"{geometry}: has no cluster '{cluster}'", closest(cluster, socket.clusters)
+        )
+    return float(socket.areas[socket.clusters[cluster]])
+
+
+def tile(
+    scan: PathLike,
+    output: PathLike | None = None,
+    *,
+    unit: str | None = None,
+    body: str | None = None,
+    proximal: str | None = None,
+    anterior: str | None = None,
+    height: float = 0.08,
+    landmarks: PathLike | None = None,
+    points: FloatArray | None = None,
+    clusters: PathLike | None = None,
+    bodies: PathLike | None = None,
+    settings: TilingSettings | None = None,
+    progress: Progress | None = None,
+) -> SocketDesign:
+    """Lay tiles out on a scan of the socket's interior.
+
+    Args:
+        scan: STL, PLY or OBJ file.
+        output: The `socket.yaml` to write, with a picture (.png) and a page (.html) beside it; None
+            to write nothing.
+        unit: Unit of the scan's lengths; None to infer it.
+        body: Name or number of the body, where there are several.
+        proximal: Direction of the opening in the scan, such as `+z` or `0 0.1 1`; None to find it.
+        anterior: Direction of x of {S} in the scan.
+        height: Height of the distal end above the load cell [m].
+        landmarks: YAML file of points known in the scan and in {S}.
+        points: Origin of {S}, a point on its +x, one towards its +y: picked in the scan, in its
+            unit, shape (3, 3).
+        clusters: YAML file with the places of the clusters in {S}; None for the usual ones.
+        bodies: A registered `socket.yaml` whose marker bodies are kept; None for nominal ones.
+        settings: Settings of the tiling.
+        progress: See `Progress`.
+
+    Returns:
+        The design: `geometry` is the socket, `facts()` describes it, `notes` need a look.
+
+    Raises:
+        ConfigurationError: For a wrong file or setting, or if the output holds registered marker
+            bodies that would be lost.
+        ScanError: If the scan cannot be read, or has no interior that takes tiles.
+
+    >>> design = st.tile("scan.stl", "socket.yaml", proximal="+y", anterior="+z")
+    >>> design
+    SocketDesign(scan.stl: ... tiles on ...% of ... cm^2)
+    >>> len(design.geometry) > 40
+    True
+    """
+    from socket_testbed.socket_design.design import design_socket  # trimesh takes its time
+    from socket_testbed.socket_design.layout import read_cluster_places
+    from socket_testbed.socket_design.placement import (
+        Placement,
+        parse_direction,
+        place_by_directions,
+        place_by_landmarks,
+        place_by_points,
+    )
+    from socket_testbed.socket_design.scan_file import read_scan
+    from socket_testbed.socket_design.tiling import TilingSettings
+
+    if output is not None:
+        _check_socket_output(Path(output), bodies)
+    places = read_cluster_places(Path(clusters)) if clusters else None
+    kept = read_socket(as_path(bodies) or packaged("config", "socket.yaml"))
+    kept = kept if bodies else dataclasses.replace(kept, registration="")
+    upwards = parse_direction(proximal, "--proximal") if proximal else None
+    front = parse_direction(anterior, "--anterior") if anterior else None
+
+    def place(vertices: FloatArray, upwards: FloatArray, metres: float) -> Placement:
+        if landmarks is not None:
+            return place_by_landmarks(Path(landmarks), metres)
+        if points is not None:
+            return place_by_points(np.asarray(points) * metres)
+        return place_by_directions(vertices, upwards, front, height)
+
+    path = Path(scan)
+    with threadpool_limits(1):
+        design = design_socket(
+            path.name,
+            read_scan(path, unit, body),
+            place,
+            upwards,
+            places,
+            kept,
+            settings or TilingSettings(),
+            started(progress, "tiling"),
+        )
+    if landmarks is None and points is None and front is None:
+        note = "x of the scan is assumed to be anterior: look, or give --anterior"
+        design = dataclasses.replace(design, notes=(*design.notes, note))
+    if output is not None:
+        _write_design(design, Path(output))
+    return design
+
+
+def _check_socket_output(output: Path, bodies: PathLike | None) -> None:
+    if output.suffix not in {".yaml", ".yml"}:
+        raise ConfigurationError(f"{output}: is no .yaml file", "name the output so")
+    if output.exists() and not bodies:
+        registration = read_socket(output).registration
+        if registration:
+            raise ConfigurationError(
+                f"{output} holds registered marker bodies ({registration})",
+                f"keep them with --bodies {output}, or name another output",
+            )
+
+
+def _write_design(design: SocketDesign, output: Path) -> None:
+    """Write the geometry, and a picture and a page beside it."""
+    from socket_testbed.report.figures.scene import socket_page
+    from socket_testbed.report.figures.socket_picture import socket_picture
+
+    vertices, faces = np.asarray(design.mesh.vertices), np.asarray(design.mesh.faces)
+    title = f"{design.name}: {len(design.geometry)} tiles"
+    write_socket(design.geometry, output)
+    socket_picture(vertices, faces, design.geometry, output.with_suffix(".png"), title)
+    page = output.with_suffix(".html")
+    socket_page(vertices, faces, design.geometry, page, title, design.facts())
+
+
+def register(
+    take: PathLike,
+    landmarks: PathLike,
+    socket: PathLike,
+    output: PathLike | None = None,
+    *,
+    force: bool = False,
+) -> Registration:
+    """Register the marker bodies and the limb of a socket with a static take.
+
+    Args:
+        take: The take, exported from Motive as CSV.
+        landmarks: YAML file: which marker is what, and where the landmarks are.
+        socket: The `socket.yaml` to register.
+        output: The `socket.yaml` to write; None to write nothing.
+        force: Whether landmarks that are far off are accepted.
+
+    Returns:
+        The registration with its uncertainty; `geometry` is the registered socket.
+
+    Raises:
+        RegistrationError: If a marker is missing, the take is not static, or the landmarks do not
+            fit.
+        ConfigurationError: For a wrong file.
+
+    >>> found = st.register("take.csv", "landmarks.yaml", "old_socket.yaml", "new_socket.yaml")
+    >>> found
+    Registration(take.csv: ... frames; residuals ... mm rms)
+    """
+    from socket_testbed.socket_design.landmarks import read_landmarks
+    from socket_testbed.socket_design.registration import read_static_take, register_take
+
+    with threadpool_limits(1):
+        found = register_take(
+            read_static_take(Path(take)),
+            read_landmarks(Path(landmarks)),
+            read_socket(Path(socket)),
+            force,
+        )
+    if output is not None:
+        write_socket(found.geometry, Path(output))
+    return found

@@ -1,0 +1,542 @@
+"""Models: fitted on a trial, judged on trials, traded off, and reported."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import shutil
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from socket_testbed.errors import ConfigurationError
+from socket_testbed.files import atomic_output, check_number
+from socket_testbed.identification.evaluation import (
+    ChannelErrors,
+    evaluate_predictions,
+    predict_channels,
+    summarise_errors,
+)
+from socket_testbed.identification.fit import Fit, fit_contact_model, implausible_notes
+from socket_testbed.identification.model_file import (
+    StoredModel,
+    errors_document,
+    write_model,
+)
+from socket_testbed.identification.model_file import read_model as _read_model
+from socket_testbed.identification.pareto import (
+    Front,
+    front_document,
+    pareto_front,
+    write_fronts,
+)
+from socket_testbed.samples import Samples, channel_unit
+from socket_testbed.settings.identification import Variant
+from socket_testbed.settings.testbed import estimator_settings
+from socket_testbed.tables import check_format, write_table
+from socket_testbed.trials.segment import Segment
+from socket_testbed.trials.synchronise import make_samples, read_measurements
+from socket_testbed.trials.tables import sample_table
+from socket_testbed.trials.trial import Trial
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from socket_testbed.report.results import Results
+from socket_testbed.api.trials import PathLike, Progress, as_path, select, started
+
+_MOST_THETAS = 10_001
+_FIGURES = (".png", ".pdf")
+
+
+@dataclass(frozen=True, repr=False)
+class TrialFit:
+    """A contact model fitted on a segment of a trial.
+
+    Attributes:
+        trial: The trial.
+        segment: The segment.
+        fit: The fit with its certificates.
+    """
+
+    trial: Trial
+    segment: Segment
+    fit: Fit
+
+    def __repr__(self) -> str:
+        model = self.fit.model
+        return (
+            f"TrialFit({model.variant} on {self.trial.name}, {self.segment}, theta"
+            f" {self.fit.settings.theta:g}; {_means(self.fit.errors)})"
+        )
+
+    def save(self, path: PathLike) -> None:
+        """Write the model with its geometry, settings, certificates and the trial's identity.
+
+        Args:
+            path: The JSON file; an older one is replaced.
+
+        Raises:
+            ConfigurationError: If the file cannot be written.
+        """
+        samples = self.trial.samples()
+        identity = {
+            "name": self.trial.name,
+            "first_stamp": int(samples.stamps[0]),
+            "last_stamp": int(samples.stamps[-1]),
+            "samples": len(samples),
+            "unloaded": [list(span) for span in self.trial.unloaded],
+        }
+        write_model(self.fit, self.trial.geometry, identity, str(self.segment), Path(path))
+
+    def stored(self) -> StoredModel:
+        """The model as it is read from the file that `save` writes."""
+        fit = self.fit
+        return StoredModel(
+            model=fit.model,
+            geometry=self.trial.geometry,
+            settings=fit.settings,
+            samples=fit.samples,
+            last_stamp=fit.last_stamp,
+            wrench_rmse=np.array([error.rmse for error in fit.errors[:6]]),
+            status=fit.status,
+            trial=self.trial.name,
+            unloaded=self.trial.unloaded,
+        )
+
+    def to_dataframe(self) -> pd.DataFrame:
+        """Errors on the samples of the fit, one row per channel in the channel's unit."""
+        return _errors_frame(self.fit.errors)
+
+
+Model: TypeAlias = TrialFit | StoredModel | PathLike
+
+
+@dataclass(frozen=True, repr=False)
+class Evaluation:
+    """A model judged on a segment of a trial.
+
+    Attributes:
+        trial: The trial.
+        model: The model.
+        segment: The segment.
+        samples: Number of its samples with a wrench and a limb position.
+        errors: Errors of every channel.
+    """
+
+    trial: Trial
+    model: StoredModel
+    segment: Segment
+    samples: int
+    errors: tuple[ChannelErrors, ...]
+
+    def __repr__(self) -> str:
+        return (
+            f"Evaluation({self.model.model.variant} of {self.model.trial} on {self.trial.name},"
+            f" {self.segment}; {_means(self.errors)})"
+        )
+
+    @property
+    def in_sample(self) -> bool:
+        """Whether the model was fitted on this trial."""
+        return self.model.trial == self.trial.name
+
+    def to_dataframe(self) -> pd.DataFrame:
+        """Errors, one row per channel in the channel's unit."""
+        return _errors_frame(self.errors)
+
+    def document(self) -> dict[str, Any]:
+        """The evaluation for JSON."""
+        return {
+            "trial": self.trial.name,
+            "model": {"trial": self.model.trial, "variant": self.model.model.variant},
+            "segment": _segment_document(self.segment),
+            "samples": self.samples,
+            "channels": [errors_document(error) for error in self.errors],
+        }
+
+    def save(self, path: PathLike) -> None:
+        """Write the errors as JSON; an older file is replaced."""
+        with atomic_output(Path(path)) as staging:
+            text = json.dumps(self.document(), indent=1, allow_nan=False)
+            staging.write_text(text, encoding="utf-8")
+
+
+def _segment_document(segment: Segment) -> dict[str, Any]:
+    return {"kind": segment.kind, "start": segment.start, "end": segment.end}
+
+
+def _means(errors: Sequence[ChannelErrors]) -> str:
+    summary = summarise_errors(errors)
+    return (
+        f"mean RMSE {summary.moment_rmse:.3g} N m, {summary.force_rmse:.3g} N;"
+        f" median local RMSE {summary.local_rmse:.3g} N"
+    )
+
+
+def _errors_frame(errors: Iterable[ChannelErrors]) -> pd.DataFrame:
+    import pandas as pd
+
+    frame = pd.DataFrame([dataclasses.asdict(error) for error in errors])
+    return frame.set_index("name").rename_axis("channel")
+
+
+def fit(
+    trial: Trial,
+    segment: str | Segment = "plateau",
+    *,
+    params: PathLike | None = None,
+    variant: Variant | None = None,
+    theta: float | None = None,
+    smoothness: float | None = None,
+    leave_out: Sequence[str] | None = None,
+    solver: str | None = None,
+) -> TrialFit:
+    """Identify the contact model on a segment of a trial.
+
+    Each setting that is not given comes from `params`, or from what the trial was recorded with.
+
+    Args:
+        trial: The trial.
+        segment: The segment, or its specification: `plateau`, `all`, or `T0:T1` in seconds.
+        params: A `testbed.yaml` to use instead of the trial's own.
+        variant: `stiffness`, or `stiffness_bias` with constant offsets.
+        theta: Weight of the wrench against the clusters, 0 to 1 [-].
+        smoothness: Weight of the smoothness over neighbouring tiles [-].
+        leave_out: Channels to leave out of the objective, such as `distal.Fx` or `Mz`.
+        solver: A solver that qpsolvers finds.
+
+    Raises:
+        ConfigurationError: For a wrong setting.
+        TrialError: If the trial cannot be read or holds no such segment.
+        IdentificationError: If the samples do not allow a fit.
+
+    >>> trial = st.open_trial("trials/hold")
+    >>> fitted = st.fit(trial, variant="stiffness_bias", theta=0.5)
+    >>> fitted
+    TrialFit(stiffness_bias on hold, plateau ... s, theta 0.5; mean RMSE ...; median local RMSE ...)
+    >>> fitted.to_dataframe().loc["Fz", ["unit", "rmse"]].to_dict()
+    {'unit': 'N', 'rmse': ...}
+    >>> fitted.save("hold.json")
+    """
+    settings = estimator_settings(
+        trial.estimator,
+        as_path(params),
+        variant=variant,
+        theta=theta,
+        smoothness=smoothness,
+        leave_out=leave_out,
+        solver=solver,
+    )
+    samples = trial.samples()
+    chosen = select(trial, segment, settings)
+    _note_implausible(trial, samples[chosen.rows], settings.identification.leave_out)
+    # With more threads a sum is rounded otherwise: the same trial is to give the same model on
+    # every machine. These programs are small, and no slower for it.
+    with threadpool_limits(1):
+        found = fit_contact_model(samples[chosen.rows], trial.geometry, settings.identification)
+    return TrialFit(trial, chosen, found)
+
+
+def _note_implausible(trial: Trial, chosen: Samples, leave_out: tuple[str, ...]) -> None:
+    if trial.tell is not None:
+        for note in implausible_notes(chosen, trial.geometry, leave_out):
+            trial.tell(note)
+
+
+def read_model(path: PathLike) -> StoredModel:
+    """Read a model that `fit` wrote.
+
+    Raises:
+        ConfigurationError: If the file is missing or is no model.
+
+    >>> st.fit(st.open_trial("trials/hold")).save("hold.json")
+    >>> model = st.read_model("hold.json")
+    >>> model
+    StoredModel(stiffness... of hold, ... samples, ... tiles)
+    >>> model.model.stiffness.shape == (len(model.geometry), 3)  # [N/m]
+    True
+    """
+    return _read_model(Path(path))
+
+
+def _stored(model: Model) -> StoredModel:
+    if isinstance(model, StoredModel):
+        return model
+    return model.stored() if isinstance(model, TrialFit) else read_model(model)
+
+
+def _model_for(trial: Trial, model: Model) -> StoredModel:
+    """A model that is to be used on a trial; an error if it is of another socket."""
+    stored = _stored(model)
+    stored.require_socket(trial.geometry)
+    return stored
+
+
+def predict(trial: Trial, model: Model) -> pd.DataFrame:
+    """Predict every channel of a trial from its limb positions.
+
+    Args:
+        trial: The trial.
+        model: A fit, a model that `read_model` read, or the path of its file.
+
+    Returns:
+        A table with the index and the names of `trial.samples().to_dataframe()`: the wrench in
+        {S} and the force on each cluster in its frame. NaN where the limb position is missing.
+
+    Raises:
+        ConfigurationError: If the model was fitted on another socket.
+
+    >>> trial = st.open_trial("trials/hold")
+    >>> predicted = st.predict(trial, st.fit(trial))
+    >>> measured = trial.samples().to_dataframe()
+    >>> (predicted - measured)["Fz [N]"].abs().median() < 20
+    True
+    """
+    import pandas as pd
+
+    stored = _model_for(trial, model).model
+    samples = trial.samples()
+    with threadpool_limits(1):
+        values = predict_channels(stored, samples.position, samples.clusters)
+    names = [f"{name} [{channel_unit(name)}]" for name in samples.channels]
+    return pd.DataFrame(values, pd.Index(samples.time, name="time [s]"), names)
+
+
+def evaluate(trial: Trial, model: Model, segment: str | Segment = "plateau") -> Evaluation:
+    """Errors of a model on a segment of a trial, channel by channel.
+
+    Args:
+        trial: The trial, preferably another one than that of the fit.
+        model: A fit, a model that `read_model` read, or the path of its file.
+        segment: The segment, or its specification.
+
+    Raises:
+        TrialError: If the trial cannot be read, holds no such segment, or is of another socket.
+        ConfigurationError: If the file is no model, or the model lacks a cluster of the trial.
+
+    >>> fitted = st.fit(st.open_trial("trials/hold"))
+    >>> found = st.evaluate(st.open_trial("trials/walk"), fitted, segment="all")
+    >>> found
+    Evaluation(stiffness... of hold on walk, all 0.00 s to 39.75 s; mean RMSE ...)
+    >>> found.to_dataframe().loc["Fz", "skill"] < 1.0
+    True
+    """
+    stored = _model_for(trial, model)
+    samples = trial.samples()
+    chosen = select(trial, segment, trial.estimator)
+    rows = samples[chosen.rows]
+    leave_out = stored.settings.leave_out
+    _note_implausible(trial, rows, leave_out)
+    if trial.tell is not None and bool(trial.unloaded) != bool(stored.unloaded):
+        fitted = "with" if stored.unloaded else "without"
+        trial.tell(f"the model was fitted {fitted} --unloaded: its offsets are others")
+    with threadpool_limits(1):
+        predicted = predict_channels(stored.model, rows.position, rows.clusters)
+    errors = evaluate_predictions(rows, predicted, leave_out)
+    return Evaluation(trial, stored, chosen, int(rows.complete.sum()), errors)
+
+
+@dataclass(frozen=True, repr=False)
+class Tradeoff:
+    """The trade-off between the wrench and the clusters on a segment of a trial.
+
+    Attributes:
+        trial: The trial.
+        segment: The segment.
+        fronts: The solutions along theta, by variant.
+    """
+
+    trial: Trial
+    segment: Segment
+    fronts: dict[Variant, Front]
+
+    def __repr__(self) -> str:
+        fronts = "; ".join(map(repr, self.fronts.values()))
+        return f"Tradeoff({self.trial.name}, {self.segment}; {fronts})"
+
+    def document(self) -> dict[str, Any]:
+        """The fronts for JSON."""
+        return {
+            "trial": self.trial.name,
+            "segment": _segment_document(self.segment),
+            "fronts": [front_document(front) for front in self.fronts.values()],
+        }
+
+    def save(self, path: PathLike) -> None:
+        """Write a CSV table of every solution; an older file is replaced."""
+        write_fronts(self.fronts.values(), Path(path))
+
+    def draw(self, path: PathLike) -> None:
+        """Draw both fronts as a `.png` or a `.pdf`; an older file is replaced."""
+        # matplotlib takes its time to import.
+        from socket_testbed.report.figures.pareto import pareto_figure
+        from socket_testbed.report.figures.style import save_figure
+
+        title = f"{self.trial.name}, {self.segment}: trade-off between wrench and clusters"
+        save_figure(pareto_figure([*self.fronts.values()], title), check_figure(Path(path)))
+
+
+def check_figure(path: Path) -> Path:
+    """Refuse a figure that is neither a `.png` nor a `.pdf`, before long work."""
+    if path.suffix.lower() not in _FIGURES:
+        raise ConfigurationError(
+            f"--figure {path}: no such format", f"let it end in {' or '.join(_FIGURES)}"
+        )
+    return path
+
+
+def check_thetas(thetas: int) -> None:
+    """Refuse a number of thetas, before long work."""
+    check_number(thetas, "--thetas", 2, _MOST_THETAS)
+
+
+def pareto(
+    trial: Trial,
+    segment: str | Segment = "plateau",
+    *,
+    thetas: int = 101,
+    params: PathLike | None = None,
+    progress: Progress | None = None,
+    **choices: Any,
+) -> Tradeoff:
+    """Identify the contact model along theta, for both variants, and find the knees.
+
+    Args:
+        trial: The trial.
+        segment: The segment, or its specification.
+        thetas: Number of values of theta from 0 to 1.
+        params: As in `fit`.
+        progress: See `Progress`.
+        choices: `smoothness`, `leave_out` and `solver` as in `fit`.
+
+    Raises:
+        TestbedError: As `fit`; also if one of the two groups has no channel in the objective.
+
+    >>> tradeoff = st.pareto(st.open_trial("trials/hold"), thetas=11)
+    >>> tradeoff.fronts["stiffness"]
+    Front(stiffness, 11 solutions, ... not dominated; knee of depth ...)
+    >>> tradeoff.draw("front.png")
+    """
+    check_thetas(thetas)
+    settings = estimator_settings(trial.estimator, as_path(params), **choices)
+    chosen = select(trial, segment, settings)
+    with threadpool_limits(1):
+        fronts = pareto_front(
+            trial.samples()[chosen.rows],
+            trial.geometry,
+            settings.identification,
+            np.linspace(0.0, 1.0, thetas),
+            progress=started(progress, "solving for every theta"),
+        )
+    return Tradeoff(trial, chosen, fronts)
+
+
+def write_report(
+    trial: Trial,
+    page: PathLike,
+    segment: str = "plateau",
+    *,
+    model: Model | None = None,
+    thetas: int = 101,
+    params: PathLike | None = None,
+    command: str = "socket_testbed.write_report",
+    replace: bool = False,
+    progress: Progress | None = None,
+    **choices: Any,
+) -> Results:
+    """Write the results of a trial as one page, and a folder of its figures and data beside it.
+
+    Both variants are fitted, and the trade-off is walked along theta.
+
+    Args:
+        trial: The trial.
+        page: The page, ending in `.html`.
+        segment: The specification of the segment.
+        model: A model that is shown as well.
+        thetas: Number of values of theta from 0 to 1.
+        params: As in `fit`.
+        command: What made the page, for the record.
+        replace: Whether an older page and its folder are replaced; else they are an error.
+        progress: See `Progress`.
+        choices: `theta`, `smoothness`, `leave_out` and `solver` as in `fit`.
+
+    Returns:
+        All that the page shows.
+
+    Raises:
+        TestbedError: As `fit`; also if the page exists or cannot be written.
+
+    >>> results = st.write_report(st.open_trial("trials/hold"), "hold.html", thetas=5)
+    >>> list(results.fitted)
+    ['stiffness', 'stiffness_bias']
+    """
+    # matplotlib and plotly take their time to import.
+    from socket_testbed.report.results import compute_results
+    from socket_testbed.report.write import check_page_path, files_folder
+    from socket_testbed.report.write import write_report as write_page
+
+    page = Path(page)
+    check_thetas(thetas)
+    if not replace:
+        check_page_path(page)
+    settings = estimator_settings(trial.estimator, as_path(params), **choices)
+    stored = None if model is None else _stored(model)
+    with threadpool_limits(1):
+        results = compute_results(
+            trial,
+            segment,
+            settings,
+            np.linspace(0.0, 1.0, thetas),
+            stored,
+            started(progress, "solving for every theta"),
+        )
+    chosen = results.samples[results.segment.rows]
+    _note_implausible(trial, chosen, settings.identification.leave_out)
+    if trial.tell is not None:
+        for note in results.bag_notes:
+            trial.tell(note)
+    if replace:  # only now that there is something to replace them by
+        page.unlink(missing_ok=True)
+        shutil.rmtree(files_folder(page), ignore_errors=True)
+    write_page(results, page, command, datetime.now(UTC), started(progress, "drawing"))
+    return results
+
+
+def export(
+    trial: Trial, path: PathLike, segment: str | Segment = "all", model: Model | None = None
+) -> pd.DataFrame:
+    """Write the synchronised samples of a trial, with what they were computed from, as a table.
+
+    Args:
+        trial: The trial.
+        path: The file; its suffix, `.csv`, `.parquet` or `.mat`, selects the format.
+        segment: The part of the trial.
+        model: A model whose predictions are added as `predicted.*`.
+
+    Returns:
+        The table, with a unit in the name of every column; its `attrs` name the segment.
+
+    Raises:
+        ConfigurationError: If the suffix is no format or the file cannot be written.
+        ConfigurationError: If the model was fitted on another socket.
+
+    >>> table = st.export(st.open_trial("trials/hold"), "hold.csv", segment="10:20")
+    >>> "distal.C0 [pF]" in table.columns, len(table)
+    (True, 41)
+    """
+    path = Path(path)
+    check_format(path)
+    stored = None if model is None else _model_for(trial, model).model
+    measured = read_measurements(trial)
+    samples = make_samples(trial, measured)
+    chosen = select(trial, segment, trial.estimator)
+    table = sample_table(trial, measured, samples, chosen, stored)
+    write_table(table, path)
+    table.attrs["segment"] = str(chosen)
+    return table

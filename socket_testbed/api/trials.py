@@ -1,0 +1,169 @@
+"""Trials: opened, simulated, and their segments."""
+
+from __future__ import annotations
+
+import os
+import warnings
+from collections.abc import Callable, Iterable
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING, TypeAlias
+
+from socket_testbed.calibration.model import read_calibration
+from socket_testbed.files import check_number, packaged, refuse_existing
+from socket_testbed.geometry.socket import read_socket
+from socket_testbed.samples import Samples
+from socket_testbed.settings.identification import PlateauSettings
+from socket_testbed.settings.testbed import EstimatorSettings
+from socket_testbed.trials import segment as segments
+from socket_testbed.trials.segment import Segment
+from socket_testbed.trials.trial import Trial
+
+if TYPE_CHECKING:
+    from socket_testbed.simulation.limb import Scenario
+
+PathLike: TypeAlias = str | os.PathLike[str]
+Progress: TypeAlias = Callable[[str], Callable[[int, int], None]]
+"""Called with what is being done; the result is called with the steps done and their number."""
+
+_MOST_TRIGGERS = 1_000_000
+
+
+def as_path(path: PathLike | None) -> Path | None:
+    """The path, if there is one."""
+    return None if path is None else Path(path)
+
+
+def started(progress: Progress | None, what: str) -> Callable[[int, int], None] | None:
+    """A progress that has started, if there is one."""
+    return None if progress is None else progress(what)
+
+
+def open_trial(
+    path: PathLike,
+    geometry: PathLike | None = None,
+    calibration: PathLike | None = None,
+    unloaded: Iterable[tuple[float, float]] = (),
+    notify: Callable[[str], None] | None = None,
+) -> Trial:
+    """Open a trial: a folder that `record`, `run --record` or `simulate` wrote.
+
+    Args:
+        path: Folder of the trial.
+        geometry: A `socket.yaml` to use instead of the trial's own.
+        calibration: A `calibration.yaml` to use instead of the trial's own.
+        unloaded: Spans without load, before and after, by which the drift of the clusters is
+            corrected; seconds since the first sample.
+        notify: Called with each note on the trial once, such as on channels that look implausible;
+            None for warnings.
+
+    Returns:
+        The trial. `trial.samples()` are its synchronised samples, `trial.geometry` is its socket.
+
+    Raises:
+        TrialError: If there is no such trial.
+
+    >>> trial = st.open_trial("trials/hold")
+    >>> trial
+    Trial('trials/hold')
+    >>> trial.samples()
+    Samples(160 samples in 39.75 s, 160 complete; clusters brim_lateral, ..., distal)
+    >>> trial.samples().to_dataframe()["Fz [N]"].abs().max() < 400
+    True
+    """
+    spans = tuple((float(start), float(end)) for start, end in unloaded)
+    notify = cache(notify or _warn)
+    trial = Trial(Path(path), as_path(geometry), as_path(calibration), notify, spans)
+    if not trial.path.is_dir():
+        with trial.open():
+            pass  # says what is wrong
+    return trial
+
+
+def _warn(note: str) -> None:
+    warnings.warn(note, stacklevel=2)
+
+
+def select_segment(samples: Samples, specification: str = "plateau") -> Segment:
+    """Select a part of a trial: its plateau, all of it, or a span of seconds.
+
+    The functions below take a specification as well, and then find the plateau by the limits that
+    are stored in the trial.
+
+    Args:
+        samples: The samples of the trial.
+        specification: `plateau`, `all`, or `T0:T1` in seconds since the first sample.
+
+    Raises:
+        ConfigurationError: If the specification cannot be read.
+        TrialError: If there is no such part.
+
+    >>> samples = st.open_trial("trials/hold").samples()
+    >>> segment = st.select_segment(samples, "10:20")
+    >>> segment
+    Segment(span 10.00 s to 20.00 s)
+    >>> len(samples[segment.rows])
+    41
+    """
+    return segments.select_segment(samples, specification, PlateauSettings())
+
+
+def select(trial: Trial, segment: str | Segment, settings: EstimatorSettings) -> Segment:
+    """The segment of a trial that is given itself or by its specification."""
+    if isinstance(segment, Segment):
+        return segment
+    return segments.select_segment(trial.samples(), segment, settings.plateau)
+
+
+def simulate(
+    path: PathLike,
+    scenario: Scenario = "static_hold",
+    *,
+    duration: float = 120.0,
+    rate: float = 4.0,
+    seed: int = 0,
+    geometry: PathLike | None = None,
+    calibration: PathLike | None = None,
+    progress: Progress | None = None,
+) -> Trial:
+    """Write a simulated trial with its ground truth.
+
+    Its physics is not the estimator's law: see docs/trials.md.
+
+    Args:
+        path: Folder of the new trial.
+        scenario: The load history, such as `static_hold`.
+        duration: Duration [s].
+        rate: Rate of the trigger [Hz].
+        seed: Seed of everything that is random.
+        geometry: A `socket.yaml`; None for the package's own.
+        calibration: A `calibration.yaml`; None for the package's own.
+        progress: See `Progress`.
+
+    Raises:
+        ConfigurationError: If the folder exists or cannot be written, or a number is out of range.
+        CalibrationError: If the calibration lacks a cluster of the socket.
+
+    >>> st.simulate("trials/short", "ramp", duration=30, seed=1)
+    Trial('trials/short')
+    """
+    from socket_testbed.simulation.trial import simulate as simulate_trial
+    from socket_testbed.simulation.trial import write_simulated_trial
+
+    folder, socket_file, calibration_file = Path(path), as_path(geometry), as_path(calibration)
+    check_number(duration, "--duration", 1.0, 36000.0)
+    check_number(rate, "--rate", 0.1, 1000.0)
+    check_number(seed, "--seed", 0)
+    check_number(duration * rate, "--duration times --rate", 2, _MOST_TRIGGERS)
+    refuse_existing(folder)
+    simulated = simulate_trial(
+        read_socket(socket_file or packaged("config", "socket.yaml")),
+        read_calibration(calibration_file or packaged("config", "calibration.yaml")),
+        scenario,
+        duration,
+        rate,
+        seed,
+        progress=started(progress, "simulating"),
+    )
+    write_simulated_trial(simulated, folder, socket_file, calibration_file)
+    return open_trial(folder)
