@@ -18,7 +18,7 @@ LOCAL_CHANNELS = ("Fx", "Fy", "Fz")
 
 
 class Status(IntEnum):
-    """Status of a cluster's stress; the first three are also those of a channel."""
+    """Status of a cluster's stress; a channel has one of the first three."""
 
     OK = 0
     SATURATED = 1

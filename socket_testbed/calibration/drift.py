@@ -1,7 +1,7 @@
 """Load cycles, and the drift of a cluster between readings without load.
 
 A cluster's channels drift by additive capacitances (temperature, humidity, creep of the
-dielectric), so the unloaded capacitances tell what to subtract.
+dielectric), so the capacitances without load give the correction.
 """
 
 from __future__ import annotations
@@ -18,15 +18,18 @@ from socket_testbed.calibration.model import ClusterCalibration
 from socket_testbed.calibration.polynomials import predict_stress
 from socket_testbed.errors import CalibrationError
 
-_CYCLE = 0.25  # [-] of the load's span; what turns by less is no cycle
-_BRANCH = 0.2  # [-] of the full scale; what turns by less is no loading
+_CYCLE = 0.25  # [-] of the load's span; a smaller move is no cycle
+_BRANCH = 0.2  # [-] of the full scale; a smaller move is no branch
 _ENDS = 0.05  # [-] of a branch at either end, where the stress may dwell
 
+_LEAST_READINGS = 3  # of a baseline
+
 RISING, FALLING, NEITHER = 1, -1, 0
+DRIFT_LIMIT = 1000.0  # [Pa]; a larger drift during a run is flagged
 
 
-def find_turns(values: FloatArray, least: float) -> IntArray:
-    """Indices of the extremes between which a signal moves by a least amount, in turn up and down.
+def find_extremes(values: FloatArray, least: float) -> IntArray:
+    """Indices of the alternating extremes between which a signal moves by a least amount.
 
     Args:
         values: The signal, shape (N,).
@@ -35,23 +38,23 @@ def find_turns(values: FloatArray, least: float) -> IntArray:
     Returns:
         Indices from the first extreme to the last one; a single one if nothing moves so much.
     """
-    turns: list[int] = []
+    extremes: list[int] = []
     lowest = highest = direction = 0
     for i, value in enumerate(values.tolist()):
         lowest = i if value < values[lowest] else lowest
         highest = i if value > values[highest] else highest
         if direction <= 0 and value - values[lowest] >= least:
-            turns.append(lowest)
+            extremes.append(lowest)
             direction, highest = 1, i
         elif direction >= 0 and values[highest] - value >= least:
-            turns.append(highest)
+            extremes.append(highest)
             direction, lowest = -1, i
-    turns.append(highest if direction > 0 else lowest)
-    return np.array(turns, dtype=np.int64)
+    extremes.append(highest if direction > 0 else lowest)
+    return np.array(extremes, dtype=np.int64)
 
 
 def find_cycles(stress: FloatArray) -> IntArray:
-    """Cycles of one file: from one low point of the load to the next.
+    """Load cycles of one file: from one low point of the load to the next.
 
     The load is the length of the stress in parts of each one's full scale.
 
@@ -62,9 +65,11 @@ def find_cycles(stress: FloatArray) -> IntArray:
         Cycle of each row, 0, 1, ..., shape (N,).
     """
     load = median_filter(np.linalg.norm(scaled_stress(stress), axis=1), 3)  # a spike is no cycle
-    turns = find_turns(load, _CYCLE * float(np.ptp(load)))
+    extremes = find_extremes(load, _CYCLE * float(np.ptp(load)))
     low = [
-        i for k, i in enumerate(turns) if 0 < k < len(turns) - 1 and load[i] < load[turns[k - 1]]
+        i
+        for k, i in enumerate(extremes)
+        if 0 < k < len(extremes) - 1 and load[i] < load[extremes[k - 1]]
     ]
     return np.searchsorted(low, np.arange(len(load)), side="right").astype(np.int64)
 
@@ -99,17 +104,12 @@ def find_branches(bench: BenchData) -> IntArray:
 
 def _branches_of(values: FloatArray, least: float) -> IntArray:
     branches = np.full(len(values), NEITHER)
-    turns = find_turns(values, least)
-    for start, end in pairwise(turns):
+    for start, end in pairwise(find_extremes(values, least)):
         travel = values[end] - values[start]
         progress = (values[start:end] - values[start]) / travel
         moving = (progress > _ENDS) & (progress < 1.0 - _ENDS)
         branches[start:end][moving] = RISING if travel > 0.0 else FALLING
     return branches
-
-
-DRIFT_LIMIT = 1000.0  # [Pa]; a cluster that drifts more during a run is flagged
-_LEAST_READINGS = 3
 
 
 @dataclass(frozen=True)
@@ -152,15 +152,15 @@ def average_baseline(time: float, capacitance: FloatArray, where: str) -> Baseli
         where: The readings, for the error.
 
     Raises:
-        CalibrationError: If fewer than three readings are whole.
+        CalibrationError: If fewer than three readings are complete.
     """
-    whole = capacitance[np.isfinite(capacitance).all(axis=1)]
-    if len(whole) < _LEAST_READINGS:
+    complete = capacitance[np.isfinite(capacitance).all(axis=1)]
+    if len(complete) < _LEAST_READINGS:
         raise CalibrationError(
-            f"{where}: {len(whole)} whole readings are too few for a baseline",
+            f"{where}: {len(complete)} complete readings are too few for a baseline",
             f"read the unloaded cluster {_LEAST_READINGS} times or more",
         )
-    return Baseline(time, np.median(whole, axis=0))
+    return Baseline(time, np.median(complete, axis=0))
 
 
 def measure_drift(cluster: ClusterCalibration, before: Baseline, after: Baseline) -> Drift:
@@ -179,15 +179,15 @@ def correct_drift(
     """Bring readings to the baseline that a calibration was made at.
 
     ``c(t) - (b(t) - reference)``, with b the baseline: linear in time from before to after and
-    constant outside of them, or all the time the one before.
+    constant outside of them; without a baseline after, it is the one before.
 
     Args:
         capacitance: Capacitances by input, shape (N, 4) [pF]; NaN stays NaN.
         time: Their times, shape (N,) [s].
         before: The baseline before.
-        after: The baseline after; None if there was none.
+        after: The baseline after; None if there is none.
         reference: Baseline of the calibration by input, shape (4,) [pF]; None takes the one
-            before, so that only the drift since then is taken off.
+            before, so that only the drift since then is removed.
 
     Returns:
         Corrected capacitances, shape (N, 4) [pF].
@@ -211,7 +211,7 @@ def correct_drift(
 
 
 def correct_bench(bench: BenchData, before: Baseline, after: Baseline) -> BenchData:
-    """Take the drift over a bench run off its readings, which come to the baseline before.
+    """Correct the readings of a bench run for its drift, to the baseline before.
 
     Raises:
         CalibrationError: If the run is not one file with times.
@@ -223,7 +223,7 @@ def correct_bench(bench: BenchData, before: Baseline, after: Baseline) -> BenchD
         )
     if np.isnan(bench.time).any():
         raise CalibrationError(
-            f"{bench.files[0]}: has no time, by which the drift would be taken off",
+            f"{bench.files[0]}: has no time, which the correction of the drift needs",
             "add a column 'time [s]', or give the baseline before only",
         )
     corrected = correct_drift(bench.capacitance, bench.time, before, after)

@@ -70,7 +70,7 @@ def solve_least_squares(design: FloatArray, target: FloatArray) -> FloatArray:
 def fit_cluster(
     capacitance: FloatArray, stress: FloatArray, wiring: IntArray, in_range: BoolArray
 ) -> ClusterCalibration:
-    """Fit a cluster's calibration, with the range of capacitances that it is good for.
+    """Fit a cluster's calibration, with the range of capacitances that it covers.
 
     The range of the pair differences is the one that both of them went through.
 
@@ -109,17 +109,10 @@ def predict_stress(cluster: ClusterCalibration, capacitance: FloatArray) -> Floa
     return stress
 
 
-_LEAST_ROWS = 30  # five a coefficient of a shear stress
-
-
+_LEAST_ROWS = 30  # five per coefficient of a shear stress
 _LEAST_SPANS = (1000.0, 200.0, 200.0)  # [Pa]; less is noise, or in another unit
-
-
 _LEAST_INDEPENDENCE = 0.01  # [-] RMS of a term that the others do not explain
-
-
 _ROUNDING = 1e-12  # [-]
-
 
 # The second-degree terms of the shear: what their lack means and what fixes it.
 _SECOND_DEGREE = (
@@ -160,7 +153,7 @@ def check_excitation(stress: FloatArray, where: str) -> None:
 
 
 def excitation_terms(stress: FloatArray) -> FloatArray:
-    """Terms that the stresses must tell apart, of scaled stresses, shape (N, 7) [-].
+    """Terms that the stresses must distinguish, of scaled stresses, shape (N, 7) [-].
 
     They are 1, the three stresses n, x, y, and the second degree of the shear, x^2, xy, y^2.
     """
@@ -169,10 +162,10 @@ def excitation_terms(stress: FloatArray) -> FloatArray:
 
 
 def find_lack(products: FloatArray, rows: int) -> tuple[str, str] | None:
-    """What keeps some stresses from determining the polynomials, and its hint.
+    """What keeps some stresses from determining the polynomials, and the hint.
 
     A term is determined if the others do not explain it: the linear ones of all three
-    stresses, since a stress that always comes with another cannot be told from it, and the
+    stresses, since a stress that always comes with another cannot be separated from it, and the
     second-degree ones of the shear.
 
     Args:

@@ -1,7 +1,7 @@
 """Bags: rosbag2 folders (MCAP or SQLite) and their message types, without ROS.
 
 A folder's storage files are read directly, because a reader that trusts `metadata.yaml`
-yields nothing, without an error, where the two disagree on a topic's quality of service.
+yields nothing, without an error, if the two disagree on a topic's quality of service.
 The counts of both are compared instead.
 """
 
@@ -98,18 +98,18 @@ class RawMessage:
 class BagReader:
     """A bag, read message by message in the order of the recording; a context manager.
 
-    A recording that was cut short is read up to its last whole chunk, and a note says so.
+    A recording that was cut short is read up to its last complete chunk, and a note says so.
 
     Args:
         path: Folder of the bag, or one storage file.
 
     Attributes:
         path: Folder of the bag, or one storage file.
-        notes: What the user should know of the bag, a line each; complete after entry.
+        notes: What the user should know about the bag, one line per note; complete after entry.
 
     Raises:
         TrialError: On entry, if the bag is missing, unreadable, holds other counts than its
-            metadata says, or was cut short before its first whole chunk.
+            metadata says, or was cut short before its first complete chunk.
     """
 
     def __init__(self, path: Path) -> None:
@@ -183,7 +183,7 @@ class BagReader:
             assert isinstance(information, dict)
         except (OSError, UnicodeDecodeError, yaml.YAMLError, KeyError, TypeError, AssertionError):
             raise TrialError(
-                f"{file}: is no rosbag2 metadata", "make it anew with 'ros2 bag reindex'"
+                f"{file}: is no rosbag2 metadata", "write it again with 'ros2 bag reindex'"
             ) from None
         return information
 
@@ -205,7 +205,7 @@ class BagReader:
             if not file.is_file():
                 raise TrialError(
                     f"{file}: is named in metadata.yaml but is not there",
-                    "copy the whole folder, or make metadata.yaml anew with 'ros2 bag reindex'",
+                    "copy all of the folder, or write metadata.yaml again with 'ros2 bag reindex'",
                 )
         return files
 
@@ -231,12 +231,12 @@ class BagReader:
             name = entry["topic_metadata"]["name"]
             held, written_count = counts.get(name, 0), entry["message_count"]
             promised += written_count
-            # Of what was cut short, fewer are there: a note says so.
+            # A recording that was cut short has fewer; a note says so.
             if held != written_count and not (self._cut_short and held < written_count):
                 raise TrialError(
                     f"{self.path}: metadata.yaml says {written_count} messages on {name},"
                     f" the storage file holds {held}",
-                    "copy the trial again, or make metadata.yaml anew with 'ros2 bag reindex'",
+                    "copy the trial again, or write metadata.yaml again with 'ros2 bag reindex'",
                 )
             written = parse_qos(entry["topic_metadata"].get("offered_qos_profiles", []))
             stored = [
@@ -253,8 +253,8 @@ class BagReader:
                 )
         if promised > sum(counts.values()):
             self.notes.append(
-                f"metadata.yaml says {promised} messages: copy the trial again if it is whole"
-                " elsewhere"
+                f"metadata.yaml says {promised} messages: copy the trial again if it is"
+                " complete elsewhere"
             )
 
 
@@ -320,13 +320,13 @@ class BagWriter:
         return self
 
     def __exit__(self, *error: object) -> None:
-        # Also after an error: what was recorded so far makes a whole bag.
+        # Even after an error: what was recorded so far is a complete bag.
         self._writer.close()
         for file in (self.path / f"{self.path.name}.mcap", self._writer.metapath):
             sync(file)
 
     def abandon(self) -> None:
-        """Leave the bag without an end, after its storage failed: a reader saves what it holds."""
+        """Leave the bag without an end after its storage failed; a reader salvages its content."""
         with suppress(OSError):
             self._writer.abort()
 
@@ -341,10 +341,10 @@ class BagWriter:
         self._writer.write(self._connections[name], time, data)
 
     def flush(self) -> None:
-        """Bring everything written so far to the disk, as a chunk of its own.
+        """Write everything so far to the disk, as a chunk of its own.
 
-        A power cut after it takes nothing of that. The library keeps up to 1 MiB in memory,
-        minutes of a trial at 4 Hz; it is pinned, because this reaches into its storage.
+        A power cut does not lose it. The library keeps up to 1 MiB in memory, minutes of a trial
+        at 4 Hz; its version is pinned, because this uses its storage directly.
         """
         storage = self._writer.storage
         assert storage is not None
@@ -355,7 +355,7 @@ class BagWriter:
 
 
 def sync(path: Path) -> None:
-    """Bring a file or the entries of a folder to the disk."""
+    """Flush a file or the entries of a folder to the disk."""
     descriptor = os.open(path, os.O_RDONLY)
     try:
         os.fsync(descriptor)

@@ -85,16 +85,16 @@ def _span(samples: Samples, specification: str) -> Segment:
 def find_plateaus(samples: Samples, settings: PlateauSettings) -> list[Segment]:
     """Find the steady stretches of a trial, the longest first.
 
-    The paper's three criteria: no intended change of load (the means before and after a
-    sample agree), a steady mean wrench (its spread over the stretch is small) and few
-    missing channels. An unloaded stretch is none, because it says nothing about contact.
+    The three criteria of the published study: no intended change of load (the means before and
+    after a sample agree), a steady mean wrench (its spread over the stretch is small) and few
+    missing channels. A stretch without load is none, because it says nothing about the contact.
     """
     if len(samples) < 3:
         return []
     width = _width(samples, settings.smoothing)
     if 2 * width > len(samples):
         return []
-    # A channel that never had a value cannot say that the load changes; it counts as missing.
+    # A channel without any value shows no change of load; it counts as missing.
     dead = np.isnan(samples.wrench).all(axis=0)
     mean = moving_mean(np.where(dead, 0.0, samples.wrench), width)
     steady = ~_load_changes(mean, width, settings)
@@ -134,7 +134,7 @@ def _width(samples: Samples, duration: float) -> int:
 
 
 def _load_changes(mean: FloatArray, width: int, settings: PlateauSettings) -> BoolArray:
-    """Samples whose wrench before and after differ, shape (N,); so do samples without one."""
+    """Samples whose wrench before and after differ, shape (N,); and samples without a value."""
     before = mean[np.maximum(np.arange(len(mean)) - (width + 1) // 2, 0)]
     after = mean[np.minimum(np.arange(len(mean)) + (width + 1) // 2, len(mean) - 1)]
     change = after - before

@@ -34,7 +34,7 @@ from socket_testbed.trials.trial import Trial, required_topics
 def read_samples(trial: Trial) -> Samples:
     """Read a trial as synchronised samples, one per trigger.
 
-    The stresses are computed anew from the capacitances with the trial's calibration.
+    The stresses are computed from the capacitances with the trial's calibration.
 
     Args:
         trial: The trial.

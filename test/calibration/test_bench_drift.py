@@ -27,7 +27,7 @@ def test_a_baseline_is_the_median_of_the_whole_readings():
     readings = np.array([REST, REST + 0.1, REST - 0.1, REST, REST + 9.0])
     readings = np.vstack([readings, np.where(np.arange(4) == 2, np.nan, REST + 5.0)])
     np.testing.assert_array_equal(average_baseline(3.0, readings, "x").capacitance, REST)
-    with pytest.raises(CalibrationError, match=r"before.csv: 2 whole readings are too few"):
+    with pytest.raises(CalibrationError, match=r"before.csv: 2 complete readings are too few"):
         average_baseline(0.0, readings[-3:], "before.csv")
 
 
