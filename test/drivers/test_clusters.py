@@ -683,7 +683,7 @@ def test_pairs_of_faults_give_no_wrong_value_and_are_repaired(
     bench = Bench()
     bench.faults.add(pair[0], value_of(pair[0], rng), START + 0.5, START + 1.5)
     bench.faults.add(pair[1], value_of(pair[1], rng), START + 1.0, START + 2.0)
-    readings = bench.run(rate, round(5 * rate))
+    readings = bench.run(rate, round(3.5 * rate))
     assert (readings[-1].status == OK).all() and not readings[-1].faults
 
 

@@ -165,7 +165,7 @@ def recover(names: list[str], seed: int) -> None:
     assert all(bench.valid(start=off + 0.5))
     if {"unplugged", "frozen", "rail"} & set(names):
         assert not any(bench.valid(off - 0.15, off - 0.02))
-    bench.run(1.2)
+    bench.run(0.4)
     assert bench.cell.health(bench.now)[0] == 0
 
 

@@ -99,14 +99,10 @@ class ConversionRing:
     Args:
         period: Time from one conversion to the next [s].
         span: Time that is kept, as far as there is room [s].
-
-    Attributes:
-        span: Time that is kept [s].
     """
 
     def __init__(self, period: float, span: float) -> None:
         self._size = min(math.ceil(span / period), _ROWS)
-        self.span = self._size * period
         # Every row stands twice, so that the rows kept are always in one piece.
         self._times = np.full(2 * self._size, -np.inf)
         self._ratios = np.zeros((2 * self._size, _BRIDGES))
