@@ -1,8 +1,8 @@
 """Takes as Motive exports them to CSV, format versions 1.20 to 1.25.
 
 The rows of names stand between the header and the row of axes ('Frame, Time, X, Y, Z, ...').
-Formats 1.20 and 1.21 tell them by their order: type, name, id, property. Later ones say in the
-second column what a row holds, with a row 'Parent' besides since 1.25. Columns without a type,
+Formats 1.20 and 1.21 order them: type, name, id, property. Later ones name in the second
+column what a row holds, with a row 'Parent' besides since 1.25. Columns without a type,
 such as the time code, and those of bones are left alone.
 
 The format is described at docs.optitrack.com (Data Export: CSV): a line of keys and values, the
@@ -17,7 +17,6 @@ import math
 from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass
 from itertools import pairwise, zip_longest
-from operator import itemgetter
 from pathlib import Path
 
 import numpy as np
@@ -127,19 +126,19 @@ class MotiveTake:
 
 _OLDEST, _NEWEST = 1.2, 1.25
 _METRES = {"meters": 1.0, "centimeters": 1e-2, "millimeters": 1e-3}
-_HEADER_HINT = "export the take from Motive again"
+_AGAIN = "export the take from Motive again"
 
 
 @dataclass(frozen=True)
 class MotiveHeader:
-    """What the header says of a take.
+    """The header of a take.
 
     Attributes:
         version: Version of the format.
         frame_rate: Frame rate of the export [Hz].
         units: Unit of length, as written.
         scale: Unit of length [m].
-        exported: Number of frames that were exported; None where it is not said.
+        exported: Number of frames that were exported; None where the header does not state it.
         notes: What a person should know of it.
     """
 
@@ -167,55 +166,44 @@ def read_header(cells: list[str], path: Path) -> MotiveHeader:
     values = dict(pairwise(cells))
     for key in ("Format Version", "Length Units", "Rotation Type"):
         if not values.get(key):
-            raise RegistrationError(f"{path}: the header has no '{key}'", _HEADER_HINT)
-    _require_conventions(values, path)
-    units = values["Length Units"]
+            raise RegistrationError(f"{path}: the header has no '{key}'", _AGAIN)
+    version, units = values["Format Version"], values["Length Units"]
+    space = values.get("Coordinate Space", "Global")
+    kind, too_old = values["Rotation Type"], not _header_number(version) >= _OLDEST
+    for wrong, what, hint in (
+        (kind != "Quaternion", f"rotations of the type {kind}", "export quaternions"),
+        (
+            units.lower() not in _METRES,
+            f"lengths in '{units}'",
+            "export metres, centimetres or millimetres",
+        ),
+        (
+            space != "Global",
+            f"coordinates in the space '{space}'",
+            "export global (world) coordinates",
+        ),
+        (
+            too_old,
+            f"the format version {version}",
+            "export the take from a newer Motive (format 1.20 to 1.25)",
+        ),
+    ):
+        if wrong:
+            raise RegistrationError(f"{path}: has {what}", hint)
+    rates = [_header_number(values.get(f"{rate} Frame Rate", "")) for rate in ("Export", "Capture")]
+    rate = next((rate for rate in rates if 0.0 < rate < math.inf), None)
+    if rate is None:
+        raise RegistrationError(f"{path}: the header has no frame rate", _AGAIN)
+    unknown = f"{path}: the format version {version} is not known; read as {_NEWEST}"
     exported = values.get("Total Exported Frames", "")
     return MotiveHeader(
-        version=values["Format Version"],
-        frame_rate=_frame_rate(values, path),
+        version=version,
+        frame_rate=rate,
         units=units,
         scale=_METRES[units.lower()],
         exported=int(exported) if exported.isdecimal() else None,
-        notes=_version_notes(values["Format Version"], path),
+        notes=(unknown,) if _header_number(version) > _NEWEST else (),
     )
-
-
-def _require_conventions(values: dict[str, str], path: Path) -> None:
-    if values["Rotation Type"] != "Quaternion":
-        raise RegistrationError(
-            f"{path}: has rotations of the type {values['Rotation Type']}", "export quaternions"
-        )
-    if values["Length Units"].lower() not in _METRES:
-        raise RegistrationError(
-            f"{path}: has lengths in '{values['Length Units']}'",
-            "export metres, centimetres or millimetres",
-        )
-    space = values.get("Coordinate Space", "Global")
-    if space != "Global":
-        raise RegistrationError(
-            f"{path}: has coordinates in the space '{space}'", "export global (world) coordinates"
-        )
-
-
-def _version_notes(version: str, path: Path) -> tuple[str, ...]:
-    number = _header_number(version)
-    if not number >= _OLDEST:
-        raise RegistrationError(
-            f"{path}: has the format version {version}",
-            "export the take from a newer Motive (format 1.20 to 1.25)",
-        )
-    if number > _NEWEST:
-        return (f"{path}: the format version {version} is not known; read as {_NEWEST}",)
-    return ()
-
-
-def _frame_rate(values: dict[str, str], path: Path) -> float:
-    for key in ("Export Frame Rate", "Capture Frame Rate"):
-        rate = _header_number(values.get(key, ""))
-        if 0.0 < rate < math.inf:
-            return rate
-    raise RegistrationError(f"{path}: the header has no frame rate", _HEADER_HINT)
 
 
 def _header_number(text: str) -> float:
@@ -241,7 +229,7 @@ Row = tuple[int, list[str]]  # number of the line and cells
 
 
 @dataclass(frozen=True)
-class Columns:
+class TakeColumns:
     """Columns of a take.
 
     Attributes:
@@ -258,6 +246,10 @@ class Columns:
         """Names of the things of a type, with their columns."""
         return ((name, parts) for (own, name), parts in self.things.items() if own == kind)
 
+    def read(self) -> list[int]:
+        """All columns that are read: the frame, the time, and those of the things."""
+        return sorted({0, 1}.union(*(parts.values() for parts in self.things.values())))
+
     def title(self, column: int) -> str:
         """What names a column in an error."""
         for (kind, name), parts in self.things.items():
@@ -267,12 +259,7 @@ class Columns:
         return f"column {column + 1} ({('frame', 'time')[column]})"
 
 
-def error_column(parts: dict[Part, int]) -> int | None:
-    """Column of a body's mean error of a marker, where there is one."""
-    return next((parts[part] for part in _ERRORS if part in parts), None)
-
-
-def read_columns(rows: list[Row], path: Path) -> tuple[Columns, int]:
+def read_columns(rows: list[Row], path: Path) -> tuple[TakeColumns, int]:
     """Columns of a file, and which of its rows holds the first frame.
 
     Raises:
@@ -284,44 +271,28 @@ def read_columns(rows: list[Row], path: Path) -> tuple[Columns, int]:
             f"{path}: has no rows of types, names, properties and axes above its frames",
             "export the take again, with the header information",
         )
-    names_rows = [row for _, row in rows[1:axes_row]]
-    axes = rows[axes_row][1]
-    width = max(len(_without_blanks(row)) for row in (*names_rows, axes))
-    kinds, names = _types_and_names(names_rows)
-    titles = list(zip_longest(kinds, names, names_rows[-1], axes, fillvalue=""))
-    things, doubled = _group([tuple(cell.strip() for cell in title) for title in titles[:width]])
-    if not things:
-        raise RegistrationError(
-            f"{path}: has neither rigid bodies nor markers",
-            "export rigid bodies and markers from Motive",
-        )
-    _require_parts(things, path)
-    return Columns(width, things, doubled), axes_row + 1
-
-
-def _types_and_names(rows: list[list[str]]) -> tuple[list[str], list[str]]:
-    labelled = {row[1].strip(): row for row in rows if len(row) > 1}
-    return labelled.get("Type", rows[0]), labelled.get("Name", rows[1])
-
-
-def _group(
-    titles: list[tuple[str, ...]],
-) -> tuple[dict[tuple[str, str], dict[Part, int]], frozenset[str]]:
-    """The columns of each thing, and the names of those whose columns stand twice."""
+    title_rows = [[cell.strip() for cell in row] for _, row in rows[1 : axes_row + 1]]
+    *names_rows, properties, axes = title_rows
+    labelled = {row[1]: row for row in (*names_rows, properties) if len(row) > 1}
+    kinds = labelled.get("Type", title_rows[0])
+    names = labelled.get("Name", title_rows[1])
+    width = max(i + 1 for row in title_rows for i, cell in enumerate(row) if cell)
     things: dict[tuple[str, str], dict[Part, int]] = {}
     doubled = set()
-    for column, (kind, name, meaning, axis) in enumerate(titles):
+    titles = list(zip_longest(kinds, names, properties, axes, fillvalue=""))
+    for column, (kind, name, meaning, axis) in enumerate(titles[:width]):
         if column < _FIRST_DATA or kind not in _NEEDED:
             continue
         parts = things.setdefault((kind, name), {})
         if (meaning, axis) in parts:
             doubled.add((kind, name))
         parts[meaning, axis] = column
-    single = {key: parts for key, parts in things.items() if key not in doubled}
-    return single, frozenset(name for _, name in doubled)
-
-
-def _require_parts(things: dict[tuple[str, str], dict[Part, int]], path: Path) -> None:
+    things = {key: parts for key, parts in things.items() if key not in doubled}
+    if not things:
+        raise RegistrationError(
+            f"{path}: has neither rigid bodies nor markers",
+            "export rigid bodies and markers from Motive",
+        )
     for (kind, name), parts in things.items():
         for meaning, axis in _NEEDED[kind]:
             if (meaning, axis) not in parts:
@@ -329,14 +300,9 @@ def _require_parts(things: dict[tuple[str, str], dict[Part, int]], path: Path) -
                     f"{path}: the {kind.lower()} '{name}' has no column {meaning} {axis}",
                     "export the take again, with all its columns",
                 )
+    return TakeColumns(width, things, frozenset(name for _, name in doubled)), axes_row + 1
 
 
-def _without_blanks(row: list[str]) -> list[str]:
-    """A row without the blank cells at its end."""
-    return row[: max((i + 1 for i, cell in enumerate(row) if cell.strip()), default=0)]
-
-
-_AGAIN = "export the take from Motive again"
 _LARGEST = 1e9  # nothing that Motive writes is larger, frame numbers included
 _UNIT_LENGTH = 1e-3  # [-]; the quaternions have six decimals
 
@@ -351,11 +317,23 @@ def read_motive_csv(path: Path) -> MotiveTake:
     rows = _split(text, path)
     header = read_header(rows[0][1], path)
     columns, first = read_columns(rows, path)
-    frames, notes = _whole_frames(rows[first:], columns, text.endswith(("\n", "\r")), header, path)
+    ended = text.endswith(("\n", "\r"))
+    frames, notes = _complete_frames(rows[first:], columns, ended, header, path)
     table = _read_numbers(frames, columns, path)
     _require_order(table, frames, path)
-    bodies = {name: _read_body(parts, table, header.scale) for name, parts in columns.of(BODY)}
     _require_unit_quaternions(columns, table, frames, path)
+
+    def positions(parts: dict[Part, int]) -> FloatArray:
+        return header.scale * table[:, [parts[part] for part in POSITION]]
+
+    def body(parts: dict[Part, int]) -> TrackedBody:
+        quaternion = table[:, [parts[part] for part in ROTATION]]
+        errors = [header.scale * table[:, parts[part]] for part in _ERRORS if part in parts]
+        return TrackedBody(
+            Pose.from_quaternion(positions(parts), quaternion),
+            errors[0] if errors else np.full(len(table), np.nan),
+        )
+
     return MotiveTake(
         path=path,
         version=header.version,
@@ -363,9 +341,9 @@ def read_motive_csv(path: Path) -> MotiveTake:
         units=header.units,
         frames=table[:, 0].astype(np.int64),
         times=table[:, 1],
-        bodies=bodies,
-        markers={name: _take(table, p, POSITION, header.scale) for name, p in columns.of(MARKER)},
-        solved={name: _take(table, p, POSITION, header.scale) for name, p in columns.of(SOLVED)},
+        bodies={name: body(parts) for name, parts in columns.of(BODY)},
+        markers={name: positions(parts) for name, parts in columns.of(MARKER)},
+        solved={name: positions(parts) for name, parts in columns.of(SOLVED)},
         doubled=columns.doubled,
         notes=(*header.notes, *notes),
     )
@@ -398,10 +376,10 @@ def _split(text: str, path: Path) -> list[Row]:
         ) from None
 
 
-def _whole_frames(
-    rows: list[Row], columns: Columns, ended: bool, header: MotiveHeader, path: Path
+def _complete_frames(
+    rows: list[Row], columns: TakeColumns, ended: bool, header: MotiveHeader, path: Path
 ) -> tuple[list[Row], list[str]]:
-    """The rows of whole frames, and notes on what is missing."""
+    """The rows of complete frames, and notes on what is missing."""
     notes = []
     # Without its line end even a last line of full width may lack digits of its last number.
     if rows and (not ended or len(rows[-1][1]) < columns.width):
@@ -419,18 +397,17 @@ def _whole_frames(
     return rows, notes
 
 
-def _read_numbers(rows: list[Row], columns: Columns, path: Path) -> FloatArray:
+def _read_numbers(rows: list[Row], columns: TakeColumns, path: Path) -> FloatArray:
     """A table as wide as the file, NaN where a cell is blank or in a column that is not read."""
-    read = sorted({0, 1}.union(*(parts.values() for parts in columns.things.values())))
-    pick = itemgetter(*read)
+    read = columns.read()
     table = np.full((len(rows), columns.width), np.nan)
     for i, (line, row) in enumerate(rows):
+        column = 0
         try:
-            table[i, read] = [_number(cell) for cell in pick(row)]
+            table[i, read] = [_number(row[column := place]) for place in read]
         except ValueError:
-            wrong = next(column for column in read if not _is_number(row[column]))
             raise RegistrationError(
-                f"{path}: line {line}, {columns.title(wrong)} holds '{row[wrong]}'",
+                f"{path}: line {line}, {columns.title(column)} holds '{row[column]}'",
                 f"{_AGAIN}, or put the number there",
             ) from None
     return table
@@ -445,14 +422,6 @@ def _number(cell: str) -> float:
     return number
 
 
-def _is_number(cell: str) -> bool:
-    try:
-        _number(cell)
-    except ValueError:
-        return False
-    return True
-
-
 def _require_order(table: FloatArray, rows: list[Row], path: Path) -> None:
     for column, what in enumerate(("frame", "time")):
         rising = np.diff(table[:, column], prepend=-np.inf) > 0.0
@@ -464,26 +433,11 @@ def _require_order(table: FloatArray, rows: list[Row], path: Path) -> None:
             )
 
 
-def _take(
-    table: FloatArray, parts: dict[Part, int], wanted: tuple[Part, ...], scale: float
-) -> FloatArray:
-    return scale * table[:, [parts[part] for part in wanted]]
-
-
-def _read_body(parts: dict[Part, int], table: FloatArray, scale: float) -> TrackedBody:
-    quaternion = _take(table, parts, ROTATION, 1.0)
-    error = error_column(parts)
-    return TrackedBody(
-        Pose.from_quaternion(_take(table, parts, POSITION, scale), quaternion),
-        np.full(len(table), np.nan) if error is None else scale * table[:, error],
-    )
-
-
 def _require_unit_quaternions(
-    columns: Columns, table: FloatArray, rows: list[Row], path: Path
+    columns: TakeColumns, table: FloatArray, rows: list[Row], path: Path
 ) -> None:
     for name, parts in columns.of(BODY):
-        length = np.linalg.norm(_take(table, parts, ROTATION, 1.0), axis=1)
+        length = np.linalg.norm(table[:, [parts[part] for part in ROTATION]], axis=1)
         off = np.abs(length - 1.0) > _UNIT_LENGTH
         if off.any():
             raise RegistrationError(

@@ -112,31 +112,31 @@ def average_still(
     occluded = np.isnan(positions).any(axis=2).sum(axis=0)
     seen = np.isfinite(positions).all(axis=(1, 2))
     candidates = seen & fits
-    mislabelled = int((seen & ~fits).sum())
-    _require_frames(names, candidates, occluded, mislabelled, where)
+    count, mislabelled = int(candidates.sum()), int((seen & ~fits).sum())
+    if count < _FEWEST_FRAMES:
+        worst = int(occluded.argmax())
+        raise RegistrationError(
+            f"{where}: {count} of {len(positions)} frames show all of {', '.join(names)}"
+            f" ({names[worst]} is occluded in {int(occluded[worst])}, the triad's edges are not its"
+            f" usual ones in {mislabelled})",
+            f"record {_FEWEST_FRAMES} frames or more in which the cameras see them all",
+        )
     usual = np.median(positions[candidates], axis=0)
     far = np.linalg.norm(positions - usual, axis=2) > _JUMP  # False where occluded
     used = candidates & ~far.any(axis=1)
-    _require_few_jumps(names, far[candidates], where)
-    jumped = int((candidates & ~used).sum())
-    still = _average(names, positions[used], used, occluded, mislabelled, jumped)
-    _require_still(still, where)
-    return still
-
-
-def _average(
-    names: Sequence[str],
-    positions: FloatArray,
-    used: BoolArray,
-    occluded: IntArray,
-    mislabelled: int,
-    jumped: int,
-) -> StillMarkers:
-    mean = positions.mean(axis=0)
-    third = len(positions) // 3
+    jumped = count - int(used.sum())
+    if jumped > _MOST_JUMPS * count:
+        worst = int(far[candidates].sum(axis=0).argmax())
+        raise RegistrationError(
+            f"{where}: in {jumped} of {count} frames a marker, mostly {names[worst]}, is more than"
+            f" {1e3 * _JUMP:g} mm from its usual place",
+            "record a take in which nothing moves, and check its labels",
+        )
+    positions = positions[used]
+    mean, third = positions.mean(axis=0), len(positions) // 3
     drift = positions[-third:].mean(axis=0) - positions[:third].mean(axis=0)
     blocks = np.array([block.mean(axis=0) for block in np.array_split(positions, _BLOCKS)])
-    return StillMarkers(
+    still = StillMarkers(
         names=tuple(names),
         mean=mean,
         spread=root_mean_square(np.linalg.norm(positions - mean, axis=2), axis=0),
@@ -147,41 +147,15 @@ def _average(
         mislabelled=mislabelled,
         jumped=jumped,
     )
-
-
-def _require_frames(
-    names: Sequence[str], candidates: BoolArray, occluded: IntArray, mislabelled: int, where: str
-) -> None:
-    if candidates.sum() < _FEWEST_FRAMES:
-        worst = int(occluded.argmax())
-        raise RegistrationError(
-            f"{where}: {int(candidates.sum())} of {len(candidates)} frames show all of"
-            f" {', '.join(names)} ({names[worst]} is occluded in {int(occluded[worst])}, the"
-            f" triad's edges are not its usual ones in {mislabelled})",
-            f"record {_FEWEST_FRAMES} frames or more in which the cameras see them all",
-        )
-
-
-def _require_few_jumps(names: Sequence[str], far: BoolArray, where: str) -> None:
-    jumps = int(far.any(axis=1).sum())
-    if jumps > _MOST_JUMPS * len(far):
-        worst = names[int(far.sum(axis=0).argmax())]
-        raise RegistrationError(
-            f"{where}: in {jumps} of {len(far)} frames a marker, mostly {worst}, is more than"
-            f" {1e3 * _JUMP:g} mm from its usual place",
-            "record a take in which nothing moves, and check its labels",
-        )
-
-
-def _require_still(still: StillMarkers, where: str) -> None:
     for what, motion, _ in still.motions():
         worst = int(motion.argmax())
         if motion[worst] > MOST_MOTION:
             raise RegistrationError(
-                f"{where}: {still.names[worst]} {what} by {1e3 * motion[worst]:.2f} mm over the"
-                f" take (at most {1e3 * MOST_MOTION:g} mm)",
+                f"{where}: {names[worst]} {what} by {1e3 * motion[worst]:.2f} mm over the take"
+                f" (at most {1e3 * MOST_MOTION:g} mm)",
                 "record a take in which nothing moves, or export its still part",
             )
+    return still
 
 
 def own_frame(markers: FloatArray) -> Pose:
@@ -275,6 +249,11 @@ NOTED_RESIDUAL = 0.002  # [m]
 MOST_RESIDUAL = 0.010  # [m]
 
 
+def in_axes(covariance: FloatArray, rotation: FloatArray) -> FloatArray:
+    """A covariance in the axes to which a rotation maps, shape (3, 3)."""
+    return rotation @ covariance @ rotation.T
+
+
 @dataclass(frozen=True)
 class RegisteredBody:
     """A marker body and the frame that the landmarks beside it give.
@@ -301,16 +280,21 @@ class RegisteredBody:
         Args:
             point: The point in the frame of the landmarks, shape (3,) [m].
         """
-        in_body = self.in_frame.inverse().apply(point)
-        return self.landmarks.uncertainty.at(point) + _turn(
-            self.reference.at(in_body), self.in_frame.rotation
-        )
+        return self.landmarks.uncertainty.at(point) + self._in_frame(self.reference, point)
+
+    def single_covariance_at(self, point: FloatArray) -> FloatArray:
+        """What the noise of a single frame adds to `covariance_at`, shape (3, 3) [m^2]."""
+        return self._in_frame(self.single, point)
 
     def rotation_covariance(self) -> FloatArray:
         """Covariance of the rotation between body and frame, in the frame's axes [rad^2]."""
-        return self.landmarks.uncertainty.rotation + _turn(
+        return self.landmarks.uncertainty.rotation + in_axes(
             self.reference.rotation, self.in_frame.rotation
         )
+
+    def _in_frame(self, body: PoseUncertainty, point: FloatArray) -> FloatArray:
+        """Covariance of a point of the frame by an uncertainty of the body."""
+        return in_axes(body.at(self.in_frame.inverse().apply(point)), self.in_frame.rotation)
 
 
 @dataclass(frozen=True)
@@ -352,7 +336,7 @@ class Registration:
         """Covariances of `limb`: position [m^2] and rotation [rad^2], in the pylon's body."""
         to_body = self.geometry.limb.rotation
         position = self.pylon.covariance_at(np.zeros(3))
-        return _turn(position, to_body), _turn(self.pylon.rotation_covariance(), to_body)
+        return in_axes(position, to_body), in_axes(self.pylon.rotation_covariance(), to_body)
 
 
 def read_static_take(path: Path) -> MotiveTake:
@@ -393,7 +377,7 @@ def register_take(
         bodies.append(body)
     socket, pylon = bodies
     limb_in_cell = socket.landmarks.pose.inverse() @ pylon.landmarks.pose
-    covariance, single = _limb_covariances(socket, pylon, limb_in_cell)
+    q, turn, origin = limb_in_cell.translation, limb_in_cell.rotation, np.zeros(3)
     return Registration(
         take=take,
         geometry=dataclasses.replace(
@@ -407,9 +391,9 @@ def register_take(
         ),
         socket=socket,
         pylon=pylon,
-        limb_position=limb_in_cell.translation,
-        covariance=covariance,
-        single=single,
+        limb_position=q,
+        covariance=socket.covariance_at(q) + in_axes(pylon.covariance_at(origin), turn),
+        single=socket.single_covariance_at(q) + in_axes(pylon.single_covariance_at(origin), turn),
         notes=tuple(notes),
     )
 
@@ -483,25 +467,3 @@ def _notes(body: RegisteredBody) -> list[str]:
         if residual > NOTED_RESIDUAL
     ]
     return [*body.still.notes, *off, *fit.blind]
-
-
-def _limb_covariances(
-    socket: RegisteredBody, pylon: RegisteredBody, limb_in_cell: Pose
-) -> tuple[FloatArray, FloatArray]:
-    """Covariances of q in {S}: from the registration, and from the noise of a single frame."""
-    q = limb_in_cell.translation
-    registered = socket.covariance_at(q) + _turn(
-        pylon.covariance_at(np.zeros(3)), limb_in_cell.rotation
-    )
-    in_socket = socket.in_frame.inverse().apply(q)
-    in_pylon = pylon.in_frame.inverse().translation
-    pylon_in_cell = limb_in_cell.rotation @ pylon.in_frame.rotation
-    single = _turn(socket.single.at(in_socket), socket.in_frame.rotation) + _turn(
-        pylon.single.at(in_pylon), pylon_in_cell
-    )
-    return registered, single
-
-
-def _turn(covariance: FloatArray, rotation: FloatArray) -> FloatArray:
-    """A covariance in other axes."""
-    return rotation @ covariance @ rotation.T
