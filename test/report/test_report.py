@@ -1,180 +1,32 @@
-"""The report as its readers open it: what it says is what the evaluation says, and it is whole."""
+"""What a report says of a trial, and what it refuses."""
 
 from __future__ import annotations
 
-import argparse
-import base64
-import csv
 import dataclasses
-import io
-import json
-import math
 import re
 import shutil
-from datetime import UTC, datetime
-from html.parser import HTMLParser
 from pathlib import Path
-from urllib.parse import unquote
 
 import numpy as np
 import pytest
-import yaml
-from markupsafe import escape
-from matplotlib.image import imread
 from support.bags import rewrite
+from support.pages import MADE, NASTY, THETAS
 
-from socket_testbed.commands import report
 from socket_testbed.errors import ConfigurationError, TestbedError
-from socket_testbed.identification.evaluation import evaluate, summarise_errors, trusted_values
+from socket_testbed.identification.evaluation import summarise_errors
 from socket_testbed.identification.model_file import read_model
-from socket_testbed.identification.pareto import KNEE, SENSOR_ONLY, WRENCH_ONLY
-from socket_testbed.report.results import Results, compute_results
-from socket_testbed.report.sections import PAPER_FIGURES, provenance
+from socket_testbed.report.results import compute_results
+from socket_testbed.report.sections import provenance
 from socket_testbed.report.summary import list_notes, summarise
-from socket_testbed.report.write import check_page_path, files_folder, write_report
+from socket_testbed.report.write import check_page_path, write_report
 from socket_testbed.settings.identification import VARIANTS
 from socket_testbed.trials.trial import Trial
 
 PLAIN, BIAS = VARIANTS
-THETAS = np.linspace(0.0, 1.0, 5)
-MADE = datetime(2026, 2, 3, 4, 5, 6, tzinfo=UTC)
-NASTY = "<b>a & \"b\" 'c' $\\frac$"
-MOST_BYTES = 12e6
-
-
-class Page(HTMLParser):
-    """Tags with their attributes, texts, and the cells of the tables by the table's id."""
-
-    def __init__(self, text: str) -> None:
-        super().__init__()
-        self.tags: list[tuple[str, dict[str, str | None]]] = []
-        self.text = ""
-        self.tables: dict[str, list[list[str]]] = {}
-        self._rows: list[list[str]] | None = None
-        self._in_cell = self._silent = False
-        self.feed(text)
-
-    def handle_starttag(self, tag, attributes):
-        self.tags.append((tag, dict(attributes)))
-        if tag == "table":
-            self._rows = self.tables[dict(attributes)["id"]] = []
-        elif tag == "tr" and self._rows is not None:
-            self._rows.append([])
-        elif tag in ("td", "th") and self._rows is not None:
-            self._rows[-1].append("")
-            self._in_cell = True
-        self._silent = tag in ("script", "style")
-
-    def handle_endtag(self, tag):
-        self._in_cell = self._in_cell and tag not in ("td", "th")
-        self._rows = None if tag == "table" else self._rows
-        self._silent = False
-
-    def handle_data(self, data):
-        if not self._silent:
-            self.text += data
-        if self._in_cell:
-            self._rows[-1][-1] += data
-
-    def attributes(self, name: str) -> list[str]:
-        return [a[name] or "" for _, a in self.tags if name in a]
-
-    def rows(self, table: str) -> dict[str, list[str]]:
-        """Rows of a table by their first cell."""
-        return {row[0]: row[1:] for row in self.tables[table]}
-
-
-def columns(path: Path) -> dict[str, list[str]]:
-    """Columns of a CSV by their header."""
-    with path.open(newline="", encoding="utf-8") as stream:
-        header, *rows = csv.reader(stream)
-    return dict(zip(header, map(list, zip(*rows, strict=True)), strict=True))
-
-
-def numbers(cells: list[str]) -> np.ndarray:
-    return np.array([float(cell) if cell else math.nan for cell in cells])
 
 
 def settings_of(path: Path):
     return Trial(path).estimator
-
-
-@pytest.fixture(scope="module")
-def results(hold: Path, hold_model: Path) -> Results:
-    return compute_results(
-        Trial(hold), "plateau", settings_of(hold), THETAS, read_model(hold_model)
-    )
-
-
-@pytest.fixture(scope="module")
-def page_path(results: Results, tmp_path_factory) -> Path:
-    path = tmp_path_factory.mktemp("report") / "my report.html"
-    write_report(results, path, "socket-testbed report <hold>", MADE)
-    return path
-
-
-@pytest.fixture(scope="module")
-def page(page_path: Path) -> Page:
-    return Page(page_path.read_text(encoding="utf-8"))
-
-
-def test_the_page_loads_nothing_and_could_not(page, page_path):
-    policy = next(a["content"] for tag, a in page.tags if a.get("http-equiv"))
-    assert policy.startswith("default-src 'none'")
-    assert "http" not in policy and "*" not in policy
-    assert not {tag for tag, _ in page.tags} & {"link", "iframe", "object", "embed", "base"}
-    sources = page.attributes("src")
-    assert sources and all(source.startswith("data:image/svg+xml;base64,") for source in sources)
-    for link in page.attributes("href"):
-        target = link.removeprefix("#")
-        if link.startswith("#"):
-            assert target in page.attributes("id")
-        else:
-            assert (page_path.parent / unquote(link)).is_file()
-    styles = re.findall(r"<style>(.*?)</style>", page_path.read_text(), re.DOTALL)
-    assert "url(" not in styles[0] and "@import" not in styles[0]
-    assert page_path.stat().st_size < MOST_BYTES
-
-
-def test_every_section_is_in_the_contents_and_every_picture_says_what_it_shows(page):
-    ids = page.attributes("id")
-    assert len(ids) == len(set(ids))
-    sections = [a["id"] for tag, a in page.tags if tag == "section"]
-    links = [a["href"] for tag, a in page.tags if tag == "a" and a["href"].startswith("#")]
-    assert [f"#{name}" for name in sections] == links
-    pictures = [a for tag, a in page.tags if tag == "img"]
-    assert len(pictures) >= 6 + 12 + 5 and all(len(a["alt"]) > 20 for a in pictures)
-    assert dict(page.tags)["html"]["lang"] == "en"
-
-
-def test_every_channel_has_a_panel_with_its_unit_and_errors(page, results):
-    alts = [a["alt"] for tag, a in page.tags if tag == "img"]
-    for i, name in enumerate(results.samples.channels):
-        error = results.candidates[0].errors[i]
-        (alt,) = [alt for alt in alts if alt.startswith(f"{name} [{error.unit}] ")]
-        assert f"stiffness RMSE {error.rmse:.3g} {error.unit}" in alt
-
-
-@pytest.mark.parametrize("table", ["errors", "held-out"])
-def test_the_errors_on_the_page_are_those_of_the_evaluation(page, results, table):
-    rows = page.rows(table)
-    samples, inside = results.samples, results.in_segment
-    chosen = samples[inside if table == "errors" else ~inside]
-    for column, candidate in enumerate(results.candidates):
-        errors = evaluate(chosen, candidate.model, candidate.leave_out)
-        for error in errors:
-            unit, *cells = rows[error.name]
-            shown = numbers(cells[4 * column : 4 * column + 4])
-            expected = [error.rmse, error.mae, error.sigma, error.skill]
-            assert unit == error.unit
-            np.testing.assert_allclose(shown, expected, rtol=0.0, atol=5.001e-4)
-        summary = summarise_errors(errors)
-        for title, value in (
-            ("mean of the moments", summary.moment_rmse),
-            ("mean of the forces", summary.force_rmse),
-            ("median of the local forces", summary.local_rmse),
-        ):
-            assert float(rows[title][1 + 4 * column]) == pytest.approx(value, abs=5.001e-4)
 
 
 def test_the_given_model_is_the_one_that_was_given(results, hold_model):
@@ -185,46 +37,6 @@ def test_the_given_model_is_the_one_that_was_given(results, hold_model):
     np.testing.assert_allclose(given.predicted, fitted.predicted, rtol=1e-6, atol=1e-6)
 
 
-def test_this_trial_stands_beside_the_paper(page, results):
-    rows = page.rows("paper")
-    by_paper = {"mean moment RMSE [N m]": (1.69, 0.44), "median local RMSE [N]": (90.07, 3.76)}
-    for name, figures in (by_paper | {"RMSE of Mx [N m]": (3.99, 0.95)}).items():
-        assert tuple(map(float, rows[name][2:])) == figures
-    assert len(PAPER_FIGURES) == 3
-    own = [summarise_errors(results.fitted[v].errors).moment_rmse for v in VARIANTS]
-    np.testing.assert_allclose(
-        numbers(rows["mean moment RMSE [N m]"][:2]), own, rtol=0.0, atol=5.001e-4
-    )
-
-
-def test_the_solutions_that_stand_out_are_in_the_table(page, results):
-    rows = [row for row in page.tables["marks"] if row[0] in VARIANTS]
-    assert [row[1] for row in rows] == [SENSOR_ONLY, KNEE, WRENCH_ONLY] * 2
-    front = results.fronts[PLAIN]
-    for row in rows[:3]:
-        index = front.marks[row[1]]
-        assert float(row[2]) == pytest.approx(front.theta[index])
-        assert float(row[3]) == pytest.approx(front.wrench_error[index], rel=1e-3)
-
-
-def test_the_page_tells_where_it_comes_from(page, results):
-    rows = page.rows("provenance-table")
-    assert rows["report made"] == ["2026-02-03 04:05:06 UTC"]
-    assert rows["command"] == ["socket-testbed report <hold>"]
-    assert np.__version__ in rows["version of numpy"][0]
-    assert "nominal" in rows["geometry, registration"][0]
-    assert page.rows("settings")["identification.theta"] == ["0.5"]
-    kkt = [row for row in page.tables["kkt"] if row[0] in VARIANTS]
-    solutions = [
-        stage.certificate
-        for variant in VARIANTS
-        for stage in (results.fitted[variant].fit.stage_one, results.fitted[variant].fit.stage_two)
-    ]
-    assert [float(row[3]) for row in kkt] == pytest.approx(
-        [c.stationarity for c in solutions], rel=0.06
-    )
-
-
 def test_the_digests_are_those_of_the_files(results, hold, tmp_path):
     before = dict(provenance(results, "", MADE))
     copy = Path(shutil.copytree(hold, tmp_path / "copy"))
@@ -233,100 +45,6 @@ def test_the_digests_are_those_of_the_files(results, hold, tmp_path):
     after = dict(provenance(changed, "", MADE))
     assert before["geometry"] != after["geometry"]
     assert before["calibration"] == after["calibration"]
-
-
-def test_every_figure_is_there_as_pdf_and_png_with_its_data(page, page_path):
-    folder = files_folder(page_path)
-    assert folder.name == "my report_files"
-    figures = {path.stem for path in folder.glob("*.pdf")}
-    assert figures == {path.stem for path in folder.glob("*.png")}
-    assert figures == {path.stem for path in folder.glob("*.csv")} - {"errors", "residuals"}
-    assert {"wrench", "local_forces", "pareto", "overview", "offsets", "rest_positions"} <= figures
-    linked = {unquote(link) for link in page.attributes("href") if not link.startswith("#")}
-    for name in figures:
-        assert (folder / f"{name}.pdf").read_bytes().startswith(b"%PDF")
-        image = imread(folder / f"{name}.png")[..., :3]
-        assert image.shape[1] > 700 and image.mean() > 0.6 and image.std() > 0.05, name
-        for suffix in ("pdf", "png", "csv"):
-            assert f"{folder.name}/{name}.{suffix}" in linked
-
-
-def test_series_read_back_are_the_arrays(page_path, results):
-    samples, folder = results.samples, files_folder(page_path)
-    measured = trusted_values(samples)
-    local = columns(folder / "local_forces.csv")
-    wrench = columns(folder / "wrench.csv")
-    for i, name in enumerate(samples.channels):
-        found, unit = (wrench if i < 6 else local), results.candidates[0].errors[i].unit
-        np.testing.assert_allclose(
-            numbers(found[f"{name} measured [{unit}]"]), measured[:, i], rtol=1e-9
-        )
-        for candidate in results.candidates:
-            np.testing.assert_allclose(
-                numbers(found[f"{name} predicted {candidate.label} [{unit}]"]),
-                candidate.predicted[:, i],
-                rtol=1e-9,
-            )
-    for found in (wrench, local, columns(folder / "overview.csv")):
-        assert [int(cell) for cell in found["stamp [ns]"]] == samples.stamps.tolist()
-        np.testing.assert_allclose(numbers(found["time [s]"]), samples.time)
-        assert [cell == "1" for cell in found["in segment"]] == results.in_segment.tolist()
-
-
-def test_tiles_read_back_are_the_parameters(page_path, results):
-    folder = files_folder(page_path)
-    for candidate in results.candidates:
-        found = columns(folder / f"tile_stiffness_{candidate.label}.csv")
-        assert found["tile"] == list(results.trial.geometry.names)
-        axes = [numbers(found[f"stiffness {axis} [N/m]"]) for axis in "xyz"]
-        np.testing.assert_allclose(np.transpose(axes), candidate.model.stiffness, rtol=1e-9)
-    rest = columns(folder / "rest_positions.csv")
-    quantity = "rest position from the mean limb position"
-    axes = [1e-3 * numbers(rest[f"{quantity} {axis} [mm]"]) for axis in "xyz"]
-    mean = np.nanmean(results.samples.position[results.in_segment], axis=0)
-    for variant in VARIANTS:
-        expected = results.fitted[variant].model.rest_positions - mean
-        np.testing.assert_allclose(np.transpose(axes), expected, rtol=1e-6, atol=1e-12)
-    offsets = columns(folder / "offsets.csv")
-    bias = results.fitted[BIAS].model
-    expected = np.concatenate(
-        [bias.wrench_bias, *(bias.force_bias[name] for name in results.samples.clusters)]
-    )
-    found = numbers(offsets["offset stiffness_bias [unit of the row]"])
-    np.testing.assert_allclose(found, expected, rtol=1e-9)
-    assert offsets["unit"] == ["N m"] * 3 + ["N"] * 15
-
-
-def test_errors_read_back_are_the_errors(page_path, results):
-    found = columns(files_folder(page_path) / "errors.csv")
-    every = [e for c in results.candidates for part in (c.errors, c.held_out) for e in part]
-    np.testing.assert_allclose(numbers(found["RMSE"]), [e.rmse for e in every], rtol=1e-9)
-    np.testing.assert_allclose(numbers(found["skill [-]"]), [e.skill for e in every], rtol=1e-9)
-    assert found["channel"] == [e.name for e in every]
-
-
-def test_the_scene_shows_each_set_of_values_on_the_tiles(page_path, results):
-    text = page_path.read_text(encoding="utf-8")
-    visible = json.loads(re.search(r"const visible = (\{.*?\});", text)[1])
-    start = re.search(r'Plotly\.newPlot\(\s*"scene",\s*', text).end()
-    traces, _ = json.JSONDecoder().raw_decode(text, start)
-    for candidate in results.candidates:
-        for i, axis in enumerate("xyz"):
-            mask = visible[f"{candidate.label} stiffness {axis} [N/m]"]
-            assert len(mask) == len(traces)
-            shown = [t for t, on in zip(traces, mask, strict=True) if on and "intensity" in t]
-            values = decoded(shown[0]["intensity"]).reshape(-1, 5)
-            np.testing.assert_allclose(values, candidate.model.stiffness[:, [i] * 5])
-            assert "[N/m]" in shown[0]["colorbar"]["title"]["text"]
-    assert f"{PLAIN} offset Fz [N]" not in visible and f"{BIAS} offset Fz [N]" in visible
-    first = next(iter(visible.values()))
-    assert [t.get("visible", True) for t in traces] == first
-
-
-def decoded(packed) -> np.ndarray:
-    if isinstance(packed, list):
-        return np.array(packed)
-    return np.frombuffer(base64.b64decode(packed["bdata"]), packed["dtype"])
 
 
 def test_the_paper_s_story_shows_on_a_hold(results):
@@ -374,95 +92,6 @@ def test_a_dead_channel_that_was_left_out_costs_no_sample(hold, tmp_path, monkey
     said = " ".join(summarise(results))
     assert "mean force of" in said and "mean moment of" not in said
     assert all(candidate.held_out for candidate in results.candidates)
-
-
-@pytest.fixture(scope="module")
-def spoilt(hold: Path, tmp_path_factory) -> Path:
-    """The hold with one cluster of a nasty name, gaps, drop-outs and an implausible channel."""
-    count = 0
-
-    def spoil(topic: str, message):
-        nonlocal count
-        count += topic == "/trigger"
-        if 100 <= count < 108:
-            return None  # a gap
-        if topic == "/load_cell/wrench" and count % 20 == 0:
-            message.wrench.torque.z = float("nan")
-        if topic == "/clusters/capacitance":
-            message.clusters = [message.clusters[3]]
-            message.clusters[0].name = NASTY
-            state = 2 if count % 10 == 0 else 0
-            message.clusters[0].status = np.full(4, state, dtype=np.uint8)
-        return message
-
-    path = rewrite(hold, tmp_path_factory.mktemp("spoilt") / NASTY, spoil)
-    for name, change in (("socket.yaml", rename_cluster), ("calibration.yaml", magnify)):
-        document = yaml.safe_load((path / name).read_text())
-        change(document)
-        (path / name).write_text(yaml.safe_dump(document))
-    return path
-
-
-def rename_cluster(document: dict) -> None:
-    document["clusters"] = {NASTY: document["clusters"]["distal"]}
-
-
-def magnify(document: dict) -> None:
-    cluster = document["clusters"].pop("distal")
-    cluster["shear_x"] = [5e5, 0, 0, 0, 0, 0]  # 450 N on a tile
-    document["clusters"] = {NASTY: cluster}
-
-
-@pytest.fixture(scope="module")
-def nasty(spoilt: Path, tmp_path_factory) -> tuple[Path, str, str]:
-    """The page of the spoilt trial, and what the command printed."""
-    path = tmp_path_factory.mktemp("nasty") / "page.html"
-    with pytest.MonkeyPatch.context() as patch:  # saving takes its time, and is tested above
-        patch.setattr("socket_testbed.report.figure_files.ReportFigure.write", lambda *_: None)
-        patch.setattr("socket_testbed.report.figure_files.svg_of", lambda _: "<svg/>")
-        out, err = call(spoilt, "-o", path, "--thetas", 3)
-    return path, out, err
-
-
-def call(*words: object) -> tuple[str, str]:
-    """What the verb prints on standard output and standard error."""
-    parser = argparse.ArgumentParser()
-    report.configure(parser)
-    options = parser.parse_args([str(word) for word in words])
-    out, err = io.StringIO(), io.StringIO()
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("sys.stdout", out)
-        patch.setattr("sys.stderr", err)
-        options.run(options)
-    return out.getvalue(), err.getvalue()
-
-
-def test_names_are_no_markup(nasty):
-    text = nasty[0].read_text(encoding="utf-8")
-    page = Page(text)
-    assert f"Report on {NASTY}" in page.text
-    assert f"{NASTY}.Fx" in page.rows("errors")
-    assert not [tag for tag, _ in page.tags if tag == "b"]
-    assert NASTY not in text
-    assert str(escape(NASTY)) in text and escape(NASTY).unescape() == NASTY
-
-
-def test_gaps_and_drop_outs_are_told(nasty):
-    page = Page(nasty[0].read_text(encoding="utf-8"))
-    assert "The triggers have 1 gap, the longest of 2.25 s" in page.text
-    rows = page.rows("drop-outs")
-    cells = rows[f"{NASTY} (Fx, Fy, Fz)"]
-    assert int(cells[0]) > 10 and float(cells[1]) == pytest.approx(100 * int(cells[0]) / 232, 0.01)
-    assert int(rows["Mz"][0]) > 5 and int(rows["Mx"][0]) == 0
-
-
-def test_an_implausible_channel_is_printed_and_shown_and_still_fitted(nasty):
-    path, out, err = nasty
-    assert f"note: {NASTY}.Fx looks implausible" in err and "--leave-out" in err
-    page = Page(path.read_text(encoding="utf-8"))
-    assert f"{NASTY}.Fx looks implausible" in page.text
-    assert "not in objective" not in page.rows("errors")[f"{NASTY}.Fx"]
-    assert out.count("\n- ") + out.startswith("- ") >= 3 and str(path) in out
 
 
 def test_what_is_left_out_is_marked_and_its_note_stays(spoilt, monkeypatch):

@@ -6,7 +6,6 @@ import base64
 import dataclasses
 import html
 import json
-from html.parser import HTMLParser
 
 import matplotlib as mpl
 import numpy as np
@@ -17,6 +16,7 @@ from matplotlib.figure import Figure
 from matplotlib.image import imread
 from scipy.spatial.transform import Rotation
 from support import SHARED_DATA
+from support.pages import Page
 from support.problems import random_socket
 from support.ring_socket import ring_socket
 
@@ -483,35 +483,6 @@ def test_a_picture_of_another_kind_is_refused(geometry, tmp_path):
 
 
 # --- the page
-
-
-class Page(HTMLParser):
-    """What a page would load, what it says, and whether its elements close."""
-
-    def __init__(self, text: str) -> None:
-        super().__init__()
-        self.loads: list[str] = []
-        self.open: list[str] = []
-        self.said: dict[str, list[str]] = {}
-        self.policy = ""
-        self.feed(text)
-        self.close()
-
-    def handle_starttag(self, tag, attributes):
-        given = dict(attributes)
-        self.loads += [v for k, v in given.items() if k in ("src", "href", "srcset", "data")]
-        if given.get("http-equiv") == "Content-Security-Policy":
-            self.policy = given["content"]
-        if tag != "meta":
-            self.open.append(tag)
-            self.said.setdefault(tag, []).append("")
-
-    def handle_endtag(self, tag):
-        assert self.open.pop() == tag
-
-    def handle_data(self, data):
-        if self.open:
-            self.said[self.open[-1]][-1] += data
 
 
 def scene(page: Page) -> tuple[list[dict], dict, dict]:

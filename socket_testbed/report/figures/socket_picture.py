@@ -470,7 +470,7 @@ def tile_map_figure(
         wall_axis.set_title("")
         frame_view(end_axis, DISTAL, low, high)
         draw_view(end_axis, DISTAL, geometry, paint, end)
-        end_axis.set_title("distal end, from inside", fontsize=9)
+        end_axis.set_title("distal end, from inside", fontsize=8)
     assert paint.scale is not None
     figure.colorbar(paint.scale, ax=[*axes.flat], label=unit, shrink=0.8, pad=0.01)
     return lay_out(figure)

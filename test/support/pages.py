@@ -1,0 +1,91 @@
+"""Pages and tables as their readers open them."""
+
+import csv
+import math
+from datetime import UTC, datetime
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+
+MADE = datetime(2026, 2, 3, 4, 5, 6, tzinfo=UTC)
+THETAS = np.linspace(0.0, 1.0, 5)
+NASTY = "<b>a & \"b\" 'c' $\\frac$"
+
+
+class Page(HTMLParser):
+    """What a page holds; its elements must be closed in their order.
+
+    Attributes:
+        tags: All tags, with their attributes.
+        text: All that is read, without scripts and styles.
+        said: Texts of the elements by tag, scripts and styles too.
+        tables: Cells of the tables by their id, row by row.
+        open: Elements that were never closed.
+    """
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.tags: list[tuple[str, dict[str, str | None]]] = []
+        self.text = ""
+        self.said: dict[str, list[str]] = {}
+        self.tables: dict[str, list[list[str]]] = {}
+        self.open: list[str] = []
+        self._rows: list[list[str]] = []
+        self.feed(text)
+        self.close()
+
+    def handle_starttag(self, tag: str, attributes: list[tuple[str, str | None]]) -> None:
+        self.tags.append((tag, dict(attributes)))
+        if tag == "table":
+            self._rows = self.tables[dict(attributes).get("id") or ""] = []
+        elif tag == "tr":
+            self._rows.append([])
+        elif tag in ("td", "th"):
+            self._rows[-1].append("")
+        if tag not in ("meta", "img"):
+            self.open.append(tag)
+            self.said.setdefault(tag, []).append("")
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+    def handle_data(self, data: str) -> None:
+        if not self.open:
+            return
+        tag = self.open[-1]
+        self.said[tag][-1] += data
+        if tag not in ("script", "style"):
+            self.text += data
+        if tag in ("td", "th"):
+            self._rows[-1][-1] += data
+
+    def attributes(self, *names: str) -> list[str]:
+        """Values of some attributes, whatever the tag."""
+        return [a[name] or "" for _, a in self.tags for name in names if name in a]
+
+    @property
+    def loads(self) -> list[str]:
+        """What the page would load or link to."""
+        return self.attributes("src", "href", "srcset", "data")
+
+    @property
+    def policy(self) -> str:
+        """The content security policy."""
+        return next(a["content"] or "" for _, a in self.tags if a.get("http-equiv"))
+
+    def rows(self, table: str) -> dict[str, list[str]]:
+        """Rows of a table by their first cell."""
+        return {row[0]: row[1:] for row in self.tables[table]}
+
+
+def columns(path: Path) -> dict[str, list[str]]:
+    """Columns of a CSV by their header."""
+    with path.open(newline="", encoding="utf-8") as stream:
+        header, *rows = csv.reader(stream)
+    return dict(zip(header, map(list, zip(*rows, strict=True)), strict=True))
+
+
+def numbers(cells: list[str]) -> np.ndarray:
+    """Cells as numbers; NaN for an empty one."""
+    return np.array([float(cell) if cell else math.nan for cell in cells])
