@@ -1,4 +1,4 @@
-"""The simulated testbed in real time: the physics moves a world on that simulated chips are in.
+"""The simulated testbed live: the physics advances a world that the simulated chips sense.
 
 Run as a process, `python -m socket_testbed.live.simulated_world`, beside the nodes.
 """
@@ -9,6 +9,7 @@ import argparse
 import signal
 import sys
 import threading
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -34,7 +35,7 @@ from socket_testbed.simulation.trial import GroundTruth, random_streams, save_tr
 from socket_testbed.simulation.world import World
 
 _PERIOD = 0.04  # [s]; of the physics; between two states the world is linear
-_LEAD = 0.2  # [s]; of the physics ahead of time: a busy machine does not stop the world
+_LEAD = 0.2  # [s]; of the physics ahead of the clock: a busy machine does not stop the world
 _BODIES = ("socket", "pylon")
 
 
@@ -45,11 +46,11 @@ class LiveTestbed:
         world: Where the states go.
         geometry: What the lab believes of the socket.
         calibration: What the lab believes of its clusters.
-        scenario: The load history; it starts anew when it is over.
+        scenario: The load history; it starts again when it is over.
         duration: Duration of the load history [s].
         seed: Seed of everything that is random.
         pace: How much faster the load changes than in the scenario [-].
-        sway: How far the whole stand sways in the world [m].
+        sway: How far the stand sways in the world [m].
         errors: Sizes of the sensors' errors.
     """
 
@@ -81,7 +82,7 @@ class LiveTestbed:
         self._bodies = MarkerBodies(geometry, errors, marker_rng)
         self._start = clocks.monotonic()
         self._last = self._start
-        self._history: list[tuple[Any, ...]] = []
+        self._history: list[dict[str, Any]] = []
 
     def advance(self, moment: float) -> None:
         """Move the world on to a time of the steady clock [s]."""
@@ -110,25 +111,35 @@ class LiveTestbed:
         )
         self._world.push(moment, capacitance, load + self._offset, markers, poses)
         self._history.append(
-            (
-                *(np.array(moment), forces.astype(np.float32), load, position, rotation),
-                *(capacitance, load + self._offset, markers, np.array(clocks.monotonic() - moment)),
-            )
+            {
+                "moment": moment,
+                "forces": forces.astype(np.float32),
+                "wrench": load,
+                "position": position,
+                "rotation": rotation,
+                "felt_capacitance": capacitance,
+                "felt_wrench": load + self._offset,
+                "felt_markers": markers,
+                "lateness": clocks.monotonic() - moment,
+            }
         )
 
     def save(self, path: Path, clock: SteadyClock) -> None:
         """Write what really happened, and what the sensors felt of it but for their noise."""
-        moments, forces, load, position, rotation, *felt = (
-            np.array(column, dtype=float) for column in zip(*self._history, strict=True)
-        )
+        columns = {
+            name: np.array([state[name] for state in self._history], dtype=float)
+            for name in self._history[0]
+        }
+        moments = columns.pop("moment").tolist()
         stamps = np.array([clock.to_epoch(moment) for moment in moments], dtype=np.int64)
-        truth = GroundTruth(forces, load, position, rotation)
-        names = ("felt_capacitance", "felt_wrench", "felt_markers", "lateness")
-        save_truth(path, self._geometry.names, stamps, truth, **dict(zip(names, felt, strict=True)))
+        truth = GroundTruth(
+            **{field.name: columns.pop(field.name) for field in fields(GroundTruth)}
+        )
+        save_truth(path, self._geometry.names, stamps, truth, **columns)
 
 
 def main() -> None:
-    """Move a world on in real time until told to end."""
+    """Advance a world with the testbed's clock until this process is ended."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("world", type=Path, help="folder of the world; it is made there")
     parser.add_argument("--geometry", type=Path, required=True)

@@ -6,7 +6,7 @@ A simulated trial is a bag like a recorded one, with the ground truth beside it.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -42,7 +42,6 @@ from socket_testbed.trials.topics import (
 from socket_testbed.trials.trial import store_configuration
 
 TRUTH_FILE = "ground_truth.npz"
-_TRUTH = ("forces", "wrench", "position", "rotation")
 
 # When each measurement is recorded after its trigger [ns].
 _DELAYS = {
@@ -213,8 +212,7 @@ def save_truth(
     **more: FloatArray,
 ) -> None:
     """Write a ground truth with the names of its tiles, its times [ns], shape (N,), and more."""
-    arrays: dict[str, Any] = {name: getattr(truth, name) for name in _TRUTH}
-    arrays |= {"names": np.array(tiles), "stamps": stamps, **more}
+    arrays: dict[str, Any] = {**vars(truth), "names": np.array(tiles), "stamps": stamps, **more}
     np.savez_compressed(path, **arrays)
 
 
@@ -232,7 +230,8 @@ def read_truth(path: Path, stamps: IntArray | None = None) -> GroundTruth:
         after = np.clip(np.searchsorted(times, stamps), 1, len(times) - 1)
         span = times[after] - times[after - 1]
         share = np.clip((stamps - times[after - 1]) / span, 0.0, 1.0)
-        return GroundTruth(*(_between(data[name], after, share) for name in _TRUTH))
+        names = (field.name for field in fields(GroundTruth))
+        return GroundTruth(*(_between(data[name], after, share) for name in names))
 
 
 def _between(values: FloatArray, after: IntArray, share: FloatArray) -> FloatArray:
@@ -244,10 +243,9 @@ def _messages(trial: SimulatedTrial, k: int) -> Iterator[tuple[Topic, Any]]:
     """The messages of one trigger, in the order of their recording."""
     stamp = int(trial.stamps[k])
     yield TRIGGER, _make(TRIGGER.type, header=_header(stamp), sequence=k)
-    yield (
-        WRENCH,
-        _make(WRENCH.type, header=_header(stamp, "load_cell"), wrench=_wrench(trial.wrench[k])),
-    )
+    moment, force = _vector(trial.wrench[k, :3]), _vector(trial.wrench[k, 3:])
+    wrench = _make("geometry_msgs/msg/Wrench", force=force, torque=moment)
+    yield WRENCH, _make(WRENCH.type, header=_header(stamp, "load_cell"), wrench=wrench)
     for topic, pose in ((SOCKET_POSE, trial.socket_pose), (PYLON_POSE, trial.pylon_pose)):
         yield topic, _make(topic.type, header=_header(stamp, "world"), pose=_pose(pose, k))
     bodies = [
@@ -255,22 +253,16 @@ def _messages(trial: SimulatedTrial, k: int) -> Iterator[tuple[Topic, Any]]:
         for name, markers in (("socket", trial.socket_markers), ("pylon", trial.pylon_markers))
     ]
     yield MARKERS, _make(MARKERS.type, header=_header(stamp, "world"), bodies=bodies)
-    clusters = [
-        _make(
-            "socket_testbed_msgs/msg/ClusterCapacitance",
-            name=name,
-            capacitance=capacitance[k],
-            status=np.where(np.isfinite(capacitance[k]), Status.OK, Status.MISSING).astype(
-                np.uint8
-            ),
-        )
-        for name, capacitance in trial.capacitance.items()
-    ]
+    clusters = []
+    for name, capacitance in trial.capacitance.items():
+        status = np.where(np.isfinite(capacitance[k]), Status.OK, Status.MISSING).astype(np.uint8)
+        kind = "socket_testbed_msgs/msg/ClusterCapacitance"
+        clusters.append(_make(kind, name=name, capacitance=capacitance[k], status=status))
     yield CAPACITANCE, _make(CAPACITANCE.type, header=_header(stamp), clusters=clusters)
 
 
-def _make(message_type: str, **fields: Any) -> Any:
-    return message_class(message_type)(**fields)
+def _make(message_type: str, **content: Any) -> Any:
+    return message_class(message_type)(**content)
 
 
 def _header(stamp: int, frame: str = "") -> Any:
@@ -282,10 +274,6 @@ def _header(stamp: int, frame: str = "") -> Any:
 def _vector(values: FloatArray) -> Any:
     x, y, z = values.tolist()
     return _make("geometry_msgs/msg/Vector3", x=x, y=y, z=z)
-
-
-def _wrench(wrench: FloatArray) -> Any:
-    return _make("geometry_msgs/msg/Wrench", force=_vector(wrench[3:]), torque=_vector(wrench[:3]))
 
 
 def _points(markers: FloatArray) -> list[Any]:

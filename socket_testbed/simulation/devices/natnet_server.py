@@ -1,4 +1,4 @@
-"""A NatNet server on real sockets, with what its cameras see, and its faults."""
+"""A NatNet server on real sockets: what its cameras see, how its network fails, its commands."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import socket
 import threading
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from struct import pack
 from typing import TypeAlias
 
@@ -46,10 +46,16 @@ from socket_testbed.simulation.devices.natnet_encoding import (
     encode_server_info,
 )
 
-# Name, markers in the world (m, 3) [m], position (3,) [m], quaternion (4,), each body's.
+# Name, markers in the world (m, 3) [m], position (3,) [m], quaternion (4,) of each body.
 Bodies: TypeAlias = Callable[[float], Sequence[tuple[str, FloatArray, FloatArray, FloatArray]]]
+Address: TypeAlias = tuple[str, int]
 
+CLOCK = 10_000_000  # [Hz]
+_LATENCY = 0.004  # [s]; from mid-exposure to transmission
+_BEHIND = 0.25  # [s]; frames that are later than this are left out
+_SILENCE = 10.0  # [s]; after which a client is forgotten
 _CHANGED = 24  # frames that say that the rigid bodies have changed
+_VERSIONS = ((3, 0), (3, 1), (4, 0), (4, 1), (4, 2), (4, 3), (4, 4))  # a stream can be asked for
 
 
 class Scene:
@@ -130,7 +136,7 @@ class Scene:
         hidden = np.zeros(len(markers), dtype=bool)
         occluded = round(self._faults.get("mocap.occlude", 0.0)) - 1
         for k in range(len(markers)):
-            if k == occluded:  # its last position is told on, as Motive does
+            if k == occluded:  # its last position goes out, as from Motive
                 hidden[k] = True
                 markers[k] = self._seen.get((name, k), markers[k])
             else:
@@ -157,9 +163,9 @@ class FaultyNetwork:
         self._socket = udp
         self._faults = faults
         self._rng = rng
-        self._held: list[tuple[bytes, tuple[str, int]]] = []
+        self._held: list[tuple[bytes, Address]] = []
 
-    def send(self, message: Message, address: tuple[str, int]) -> None:
+    def send(self, message: Message, address: Address) -> None:
         """Send a message, or what becomes of it."""
         if self._faults.get("mocap.unplugged", 0.0):
             self._held.clear()
@@ -183,18 +189,9 @@ class FaultyNetwork:
         probability = self._faults.get(f"mocap.{fault}", 0.0)
         return bool(probability) and self._rng.random() < probability
 
-    def _put(self, data: bytes, address: tuple[str, int]) -> None:
+    def _put(self, data: bytes, address: Address) -> None:
         with suppress(OSError):  # a client that is gone, a buffer that is full
             self._socket.sendto(data, address)
-
-
-CLOCK = 10_000_000  # [Hz]
-_LATENCY = 0.004  # [s]; from mid-exposure to transmission
-_BEHIND = 0.25  # [s]; frames that are later than this are left out
-_SILENCE = 10.0  # [s]; after which a client is forgotten
-_VERSIONS = ((3, 0), (3, 1), (4, 0), (4, 1), (4, 2), (4, 3), (4, 4))  # a stream can be asked for
-
-Address = tuple[str, int]
 
 
 @dataclass
@@ -260,10 +257,10 @@ class NatNetServer:
         self._answers: dict[int, Callable[[bytes, Address, float], None]] = {
             CONNECT: self._connect,
             REQUEST: self._request,
-            REQUEST_MODELDEF: self._tell_models,
+            REQUEST_MODELDEF: self._send_models,
             KEEPALIVE: lambda payload, client, now: None,
             ECHOREQUEST: self._echo,
-            DISCONNECT: lambda payload, client, now: self._forget(client),
+            DISCONNECT: self._disconnect,
         }
         self._restarts = self._faults.get("mocap.restart", 0.0)
         self._start_anew(clocks.monotonic())
@@ -278,7 +275,7 @@ class NatNetServer:
         return host, port
 
     def close(self) -> None:
-        """End without a word."""
+        """End without notice to the clients."""
         self._closing.set()
         self._thread.join()
         self._socket.close()
@@ -347,7 +344,7 @@ class NatNetServer:
         )
         self._network.send(encode_server_info(info), client)
 
-    def _forget(self, client: Address) -> None:
+    def _disconnect(self, payload: bytes, client: Address, now: float) -> None:
         self._clients.pop(client, None)
 
     def _echo(self, payload: bytes, client: Address, now: float) -> None:
@@ -355,10 +352,10 @@ class NatNetServer:
             reply = payload[:8] + pack("<Q", self._ticks(now))
             self._network.send(Message.of(ECHORESPONSE, reply), client)
 
-    def _tell_models(self, payload: bytes, client: Address, now: float) -> None:
+    def _send_models(self, payload: bytes, client: Address, now: float) -> None:
         known = self._clients.get(client)
         version = known.version if known else self._version
-        definitions: Sequence[Definition] = self._scene.definitions(now)
+        definitions = self._scene.definitions(now)
         self._network.send(encode_model_definitions(definitions, version), client)
 
     def _request(self, payload: bytes, client: Address, now: float) -> None:
@@ -370,7 +367,7 @@ class NatNetServer:
         self._network.send(message, client)
 
     def _obey(self, name: str, argument: str, client: _Client | None) -> bytes | None:
-        """The reply to a command; None: it is not known."""
+        """The reply to a command; None for an unknown one."""
         done = bytes(4)
         if name == "StartRecording":
             if not self.recording:
@@ -407,16 +404,13 @@ class NatNetServer:
 
     def _stream(self, now: float) -> None:
         moment = self._origin + self._number / self._rate
-        targets: list[tuple[Address, _Client]]
+        self._clients = {a: c for a, c in self._clients.items() if now - c.heard <= _SILENCE}
+        targets = self._clients
         if self._multicast is not None:
-            targets = [(self._multicast, _Client(now, self._version))]
-        else:
-            for address in [a for a, c in self._clients.items() if now - c.heard > _SILENCE]:
-                self._forget(address)
-            targets = list(self._clients.items())
+            targets = {self._multicast: _Client(now, self._version)}
         ticks = (self._ticks(moment), self._ticks(moment + 0.5 * _LATENCY), self._ticks(now))
         content = self._scene.content(moment, self._number, ticks, self.recording)
-        for address, client in targets:
+        for address, client in targets.items():
             self._network.send(encode_frame(_subscribed(content, client), client.version), address)
 
 
@@ -425,12 +419,10 @@ def _subscribed(content: Content, client: _Client) -> Content:
     if not client.subscribed:
         return content
     every = "AllTypes" in client.subscriptions
-    return Content(
-        number=content.number,
-        ticks=content.ticks,
-        timestamp=content.timestamp,
+    return replace(
+        content,
         bodies=content.bodies if every or "RigidBody" in client.subscriptions else (),
         markers=content.markers if every or "LabeledMarkers" in client.subscriptions else (),
-        recording=content.recording,
-        models_changed=content.models_changed,
+        marker_sets={},
+        others=np.empty((0, 3)),
     )
