@@ -1,3 +1,4 @@
+import math
 import os
 import subprocess
 import sys
@@ -8,7 +9,7 @@ import numpy as np
 import pytest
 
 from socket_testbed import clocks as clocks_module
-from socket_testbed.clocks import BEGINNING, TIME_SCALE, SteadyClock
+from socket_testbed.clocks import BEGINNING, TIME_SCALE, SteadyClock, TriggerTime
 
 START = 1_760_000_000_123_456_789  # [ns]
 
@@ -122,3 +123,43 @@ def test_a_scaled_testbed_s_time_begins_now() -> None:
     beginning = int(clocks_module.shared_environment(0.25)[BEGINNING])
     now = beginning + 0.25 * time.monotonic_ns()
     assert now == pytest.approx(time.time_ns(), abs=60e9)
+
+
+def clock_of(wall: list[int], steady: list[int]) -> SteadyClock:
+    return SteadyClock(lambda: wall[0], lambda: steady[0])
+
+
+def test_a_stamp_finds_its_time_whatever_the_travel() -> None:
+    wall, steady = [1_700_000_000_000_000_000], [50_000_000_000]
+    time = TriggerTime(clock_of(wall, steady))
+    stamp = wall[0] + 3_000_000_000
+    for travel in (0.0002, 0.02, 0.3):
+        assert time.steady(stamp, 53.0 + travel) == pytest.approx(53.0, abs=1e-6)
+    assert time.shift == 0.0
+
+
+@pytest.mark.parametrize("step", [-3600.0, -2.0, 2.0, 86400.0])
+def test_a_clock_set_between_two_starts_is_found_by_the_arrival(step: float) -> None:
+    wall, steady = [1_700_000_000_000_000_000], [50_000_000_000]
+    time = TriggerTime(clock_of(wall, steady))
+    found = []
+    for k in range(10):
+        sent = 60.0 + k
+        stamp = wall[0] + round((sent - 50.0 + step) * 1e9)
+        found.append(time.steady(stamp, sent + 0.0004 + 0.0003 * (k % 3)) - sent)
+    assert found[:4] == [-math.inf] * 4
+    assert found[4:] == pytest.approx([0.0] * 6, abs=1e-3)
+    assert time.shift == pytest.approx(-step, abs=1e-3)
+    # The trigger's node starts again, too: the clocks agree once more.
+    assert time.steady(wall[0] + 30_000_000_000, 80.0004) == pytest.approx(80.0, abs=1e-6)
+    assert time.shift == 0.0
+
+
+def test_triggers_that_were_held_up_are_not_taken_for_another_clock() -> None:
+    wall, steady = [1_700_000_000_000_000_000], [50_000_000_000]
+    time = TriggerTime(clock_of(wall, steady))
+    stamps = [wall[0] + round((3.0 + 0.05 * k) * 1e9) for k in range(40)]
+    for k, stamp in enumerate(stamps):  # all at once, when the node begins to listen
+        found = time.steady(stamp, 55.0 + 1e-5 * k)
+        assert found in (-math.inf, pytest.approx(53.0 + 0.05 * k, abs=1e-6))
+    assert time.shift == 0.0

@@ -552,9 +552,9 @@ def test_a_fault_is_reported_and_overcome(
     bench.faults.add(fault, value, begin, begin + 2.0)
     struck = bench.run(rate, round(2.0 * rate), begin)
     # Some readings come too late where a bus hangs; apart from that the others go on.
-    told = [r for r in struck if r.faults and "too late" not in "".join(r.faults.values())]
-    assert told and all(missing(reading) == rows for reading in told)
-    assert all(text in reading.faults[reading.names[row]] for reading in told for row in rows)
+    reported = [r for r in struck if r.faults and "too late" not in "".join(r.faults.values())]
+    assert reported and all(missing(reading) == rows for reading in reported)
+    assert all(text in reading.faults[reading.names[row]] for reading in reported for row in rows)
     after = bench.run(rate, round(2.0 * rate), begin + 2.0)
     good = [not reading.faults for reading in after]
     assert all(good[round(1.0 * rate) :])

@@ -165,7 +165,7 @@ def test_nothing_is_bridged_over_more_than_the_largest_gap():
 
 @pytest.mark.parametrize("labels", [(0, 1, 2), (2, 0, 1)])
 def test_of_a_lasting_occlusion_the_other_markers_keep_their_places(labels):
-    """By the order of the labels that the fits before it told; without one, none is told."""
+    """By the order of the labels in the fits before it; without one, none is used."""
     hidden = ((0, 0), (0, 1))
     tracker = tracker_of(
         frames(200), labels=lambda _: labels, hidden=lambda i: hidden if i >= 10 else ()

@@ -1,13 +1,11 @@
-"""The trigger's driver against simulated lines, and where a stamp is on the steady clock."""
+"""The trigger's driver against simulated lines."""
 
 import builtins
-import math
 from pathlib import Path
 
 import pytest
 from support.clocks import FakeClock
 
-from socket_testbed.clocks import SteadyClock, TriggerTime
 from socket_testbed.drivers.trigger import GpiodLines, GpioTrigger, TimerTrigger
 from socket_testbed.errors import DeviceError
 from socket_testbed.settings.acquisition import TriggerSettings
@@ -80,7 +78,7 @@ def test_a_timer_needs_no_wire() -> None:
     assert 0.25 <= trigger.fire() - first < 0.2501
 
 
-def test_without_the_chip_its_label_and_the_mend_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_the_chip_its_label_and_the_hint_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Path, "glob", lambda *_: iter(()))
     with pytest.raises(DeviceError, match=r"'pinctrl-rp1' \(there is none\): set trigger_node's"):
         GpiodLines(SETTINGS)
@@ -100,7 +98,7 @@ def test_a_chip_that_may_not_be_used_names_the_group(
         GpiodLines(SETTINGS)
 
 
-def test_without_gpiod_the_mend_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_gpiod_the_hint_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     original = builtins.__import__
 
     def refuse(name: str, *rest: object, **more: object) -> object:
@@ -111,43 +109,3 @@ def test_without_gpiod_the_mend_is_named(monkeypatch: pytest.MonkeyPatch) -> Non
     monkeypatch.setattr(builtins, "__import__", refuse)
     with pytest.raises(DeviceError, match=r"hardware\.txt"):
         GpiodLines(SETTINGS)
-
-
-def clock_of(wall: list[int], steady: list[int]) -> SteadyClock:
-    return SteadyClock(lambda: wall[0], lambda: steady[0])
-
-
-def test_a_stamp_finds_its_time_whatever_the_travel() -> None:
-    wall, steady = [1_700_000_000_000_000_000], [50_000_000_000]
-    time = TriggerTime(clock_of(wall, steady))
-    stamp = wall[0] + 3_000_000_000
-    for travel in (0.0002, 0.02, 0.3):
-        assert time.steady(stamp, 53.0 + travel) == pytest.approx(53.0, abs=1e-6)
-    assert time.shift == 0.0
-
-
-@pytest.mark.parametrize("step", [-3600.0, -2.0, 2.0, 86400.0])
-def test_a_clock_set_between_two_starts_is_found_by_the_arrival(step: float) -> None:
-    wall, steady = [1_700_000_000_000_000_000], [50_000_000_000]
-    time = TriggerTime(clock_of(wall, steady))
-    told = []
-    for k in range(10):
-        sent = 60.0 + k
-        stamp = wall[0] + round((sent - 50.0 + step) * 1e9)
-        told.append(time.steady(stamp, sent + 0.0004 + 0.0003 * (k % 3)) - sent)
-    assert told[:4] == [-math.inf] * 4
-    assert told[4:] == pytest.approx([0.0] * 6, abs=1e-3)
-    assert time.shift == pytest.approx(-step, abs=1e-3)
-    # The trigger's node starts again, too: the clocks agree once more.
-    assert time.steady(wall[0] + 30_000_000_000, 80.0004) == pytest.approx(80.0, abs=1e-6)
-    assert time.shift == 0.0
-
-
-def test_triggers_that_were_held_up_are_not_taken_for_another_clock() -> None:
-    wall, steady = [1_700_000_000_000_000_000], [50_000_000_000]
-    time = TriggerTime(clock_of(wall, steady))
-    stamps = [wall[0] + round((3.0 + 0.05 * k) * 1e9) for k in range(40)]
-    for k, stamp in enumerate(stamps):  # all at once, when the node begins to listen
-        told = time.steady(stamp, 55.0 + 1e-5 * k)
-        assert told in (-math.inf, pytest.approx(53.0 + 0.05 * k, abs=1e-6))
-    assert time.shift == 0.0
