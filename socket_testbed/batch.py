@@ -345,7 +345,7 @@ def _do_once(task: Task, job: Job) -> Outcome:
 def _work(task: Task, job: Job) -> Row:
     start = time.perf_counter()
     notes: dict[str, None] = {}
-    trial = replace(job.trial, tell=lambda note: notes.update({note: None}))
+    trial = replace(job.trial, notify=lambda note: notes.update({note: None}))
     with threadpool_limits(1):  # the cores are for as many trials, not for one's linear algebra
         row = task.work(replace(job, trial=trial))
     elapsed = round(time.perf_counter() - start, 3)

@@ -244,9 +244,9 @@ def fit(
 
 
 def _note_implausible(trial: Trial, chosen: Samples, leave_out: tuple[str, ...]) -> None:
-    if trial.tell is not None:
+    if trial.notify is not None:
         for note in implausible_notes(chosen, trial.geometry, leave_out):
-            trial.tell(note)
+            trial.notify(note)
 
 
 def read_model(path: PathLike) -> StoredModel:
@@ -333,9 +333,9 @@ def evaluate(trial: Trial, model: Model, segment: str | Segment = "plateau") -> 
     rows = samples[chosen.rows]
     leave_out = stored.settings.leave_out
     _note_implausible(trial, rows, leave_out)
-    if trial.tell is not None and bool(trial.unloaded) != bool(stored.unloaded):
+    if trial.notify is not None and bool(trial.unloaded) != bool(stored.unloaded):
         fitted = "with" if stored.unloaded else "without"
-        trial.tell(f"the model was fitted {fitted} --unloaded: its offsets are others")
+        trial.notify(f"the model was fitted {fitted} --unloaded: its offsets are others")
     with threadpool_limits(1):
         predicted = predict_channels(stored.model, rows.position, rows.clusters)
     errors = evaluate_predictions(rows, predicted, leave_out)
@@ -498,9 +498,9 @@ def write_report(
         )
     chosen = results.samples[results.segment.rows]
     _note_implausible(trial, chosen, settings.identification.leave_out)
-    if trial.tell is not None:
+    if trial.notify is not None:
         for note in results.bag_notes:
-            trial.tell(note)
+            trial.notify(note)
     if replace:  # only now that there is something to replace them by
         page.unlink(missing_ok=True)
         shutil.rmtree(files_folder(page), ignore_errors=True)

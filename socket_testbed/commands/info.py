@@ -23,7 +23,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> None:
     """Print topics, rates, gaps, missing data, plateaus and configuration."""
-    trial = dataclasses.replace(trial_of(options), tell=None)  # the notes are part of the report
+    trial = dataclasses.replace(trial_of(options), notify=None)  # the notes are part of the report
     print(_topics(trial))
     samples = read_samples(trial)
     print()

@@ -383,7 +383,7 @@ def compute_results(
     if given is not None:
         given.require_socket(trial.geometry)
     notes: list[str] = []
-    samples = read_samples(replace(trial, tell=notes.append))
+    samples = read_samples(replace(trial, notify=notes.append))
     segment = select_segment(samples, specification, settings.plateau)
     chosen = samples[segment.rows]
     candidates = [_fit(samples, segment, trial, settings, variant) for variant in VARIANTS]

@@ -195,8 +195,8 @@ def correct_measurements(trial: Trial, measured: Measurements) -> Measurements:
         cluster = trial.calibration.clusters[name]
         before, after = baselines[0], baselines[1] if len(baselines) > 1 else None
         capacitance[:, column] = correct_drift(readings, time, before, after, cluster.baseline)
-        if after is not None and trial.tell is not None:
-            trial.tell(f"{name} {_describe(measure_drift(cluster, before, after))}")
+        if after is not None and trial.notify is not None:
+            trial.notify(f"{name} {_describe(measure_drift(cluster, before, after))}")
     return dataclasses.replace(measured, capacitance=capacitance)
 
 

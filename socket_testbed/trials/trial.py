@@ -33,15 +33,15 @@ class Trial:
         path: Folder of the trial.
         socket_file: A `socket.yaml` to use instead of the trial's own.
         calibration_file: A `calibration.yaml` to use instead of the trial's own.
-        tell: Called with each note on the bag, whenever it is opened.
-        unloaded: Spans without load, before and after, by which the clusters' drift is taken
-            off; seconds since the first sample.
+        notify: Called with each note on the trial: on its bag, whenever it is opened, and on drift.
+        unloaded: Spans without load, before and after, by which the clusters' drift is
+            corrected; seconds since the first sample.
     """
 
     path: Path
     socket_file: Path | None = None
     calibration_file: Path | None = None
-    tell: Callable[[str], None] | None = None
+    notify: Callable[[str], None] | None = None
     unloaded: tuple[tuple[float, float], ...] = ()
 
     def __repr__(self) -> str:
@@ -54,11 +54,11 @@ class Trial:
 
     @contextmanager
     def open(self) -> Iterator[BagReader]:
-        """The trial's bag, open; what is to be known of it is told."""
+        """The trial's bag, open; its notes go to `notify`."""
         with BagReader(self.path) as bag:
-            if self.tell is not None:
+            if self.notify is not None:
                 for note in bag.notes:
-                    self.tell(note)
+                    self.notify(note)
             yield bag
 
     def samples(self) -> Samples:

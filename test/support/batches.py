@@ -26,8 +26,8 @@ def count(job: Job) -> Row:
         raise KeyboardInterrupt
     if content == "deadly":
         os._exit(1)
-    assert job.trial.tell is not None
-    job.trial.tell("cut short")
+    assert job.trial.notify is not None
+    job.trial.notify("cut short")
     job.output.parent.mkdir(parents=True, exist_ok=True)
     job.output.write_text(content)
     return {"size [byte]": len(content)}

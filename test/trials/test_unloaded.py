@@ -33,7 +33,7 @@ def measured(hold: Path) -> Measurements:
 def test_drift_between_two_spans_is_taken_off(hold: Path, measured: Measurements) -> None:
     time = (measured.stamps - measured.stamps[0]) * 1e-9
     end, said = time[-1], []
-    trial = Trial(hold, tell=said.append, unloaded=((0.0, 8.0), (end - 8.0, end)))
+    trial = Trial(hold, notify=said.append, unloaded=((0.0, 8.0), (end - 8.0, end)))
     drift = 0.2 * (time - 4.0) / (end - 8.0)
     drifted = dataclasses.replace(measured, capacitance=measured.capacitance + drift[:, None, None])
     corrected = correct_measurements(trial, drifted)
