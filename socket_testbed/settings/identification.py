@@ -17,7 +17,7 @@ class IdentificationSettings(Settings):
 
     variant: str = setting(
         "stiffness_bias",
-        "which offsets the model carries: stiffness has none, stiffness_bias one a channel [-]",
+        "which offsets the model has: stiffness none, stiffness_bias one per channel [-]",
         choices=VARIANTS,
     )
     theta: float = setting(
@@ -30,7 +30,7 @@ class IdentificationSettings(Settings):
         3000.0, "stiffness k0 of every spring in Stage 1 [N/m]", 1.0, 1e7
     )
     rest_position_limit: float = setting(
-        0.008, "largest distance of a rest position from the mean limb position, an axis [m]",
+        0.008, "largest distance of a rest position from the mean limb position, per axis [m]",
         1e-5, 0.1,
     )  # fmt: skip
     smoothness: float = setting(
@@ -45,7 +45,7 @@ class IdentificationSettings(Settings):
     leave_out: tuple[str, ...] = setting(
         (), "channels left out of the objective, such as distal.Fx or Mz [-]"
     )
-    solver: str = setting("osqp", "any solver that qpsolvers knows and finds [-]")
+    solver: str = setting("osqp", "any installed solver that qpsolvers supports [-]")
     solver_tolerance: float = setting(
         1e-8, "largest KKT residual that a solution may have, in scaled units [-]", 1e-12, 1e-2
     )
