@@ -73,7 +73,7 @@ def read_rotation(section: Section, key: str) -> FloatArray:
     """A right-handed orthonormal frame, rows of R = [x y z], shape (3, 3) [-].
 
     Raises:
-        ConfigurationError: If it is none.
+        ConfigurationError: If it is no such frame.
     """
     rotation = section.array(key, (3, 3))
     error = np.abs(rotation.T @ rotation - np.eye(3)).max()
@@ -89,7 +89,7 @@ def read_pose(section: Section, farthest: float) -> Pose:
     """A pose, its translation at most so far along any axis [m].
 
     Raises:
-        ConfigurationError: If it is none, or has other keys.
+        ConfigurationError: If it is no pose, or has other keys.
     """
     section.expect(("rotation", "translation"))
     translation = section.array("translation", (3,), limit=farthest)

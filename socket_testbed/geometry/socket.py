@@ -133,7 +133,7 @@ _HEADER = """\
 
 
 def write_socket(geometry: SocketGeometry, path: Path) -> None:
-    """Write `socket.yaml`, whole or not at all.
+    """Write `socket.yaml` atomically.
 
     Raises:
         ConfigurationError: If it could not be read again, or the file cannot be written.

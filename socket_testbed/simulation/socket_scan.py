@@ -1,4 +1,4 @@
-"""A scan of a socket's interior as a scanner would give it, of a socket that nobody wears.
+"""A made-up scan of a socket's interior, as a scanner would give it.
 
     python -m socket_testbed.simulation.socket_scan SCAN.stl
 

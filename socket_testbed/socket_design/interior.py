@@ -92,7 +92,7 @@ class Visibility:
     Attributes:
         facing: Cosine between the normal of a face and the direction to the spine, shape (F,).
         seen: Faces whose front is the first thing in its direction, shape (F,).
-        hidden: Faces whose back is turned to the spine behind the front of another, shape (F,).
+        hidden: Faces that show the spine their back, behind the front of another, shape (F,).
         front_share: Share of the directions with anything in them whose first thing is a front.
     """
 
@@ -122,7 +122,7 @@ class SurfaceSamples:
 
 
 def spread_samples(mesh: trimesh.Trimesh) -> SurfaceSamples:
-    """Points on a surface, close enough together for its shape as a whole."""
+    """Points on a surface, close enough together for its overall shape."""
     spacing = float(np.sqrt(mesh.area)) / _FINENESS
     return SurfaceSamples(*sample_surface(mesh, spacing), spacing)
 
@@ -177,7 +177,7 @@ def _nearest(cell: IntArray, depth: FloatArray, chosen: BoolArray) -> FloatArray
 
 _FACE_ON = 0.4  # [-]; cosine from which on a seen face needs no other witness
 _OPPOSITE = -0.75  # [-]; cosine between the normals of the two sides of a wall
-_NEAR = 1.5  # [-]; of the thickness: here the outer wall bears witness
+_NEAR = 1.5  # [-]; of the thickness: here the outer wall decides
 _BAND = 3.0  # [-]; of the thickness: farther from the border nothing is rim
 _POCKET = 0.2  # [-]; of the seen area, for a piece in the shadow of the wall itself
 _REAL_OUTSIDE = 0.01  # [-]; of the seen area, for an outer wall that is worth the name
@@ -286,7 +286,7 @@ def _opposite(
     back: IntArray,
     thickness: float,
 ) -> BoolArray:
-    """Whether the part of the outer wall that suits a face best is turned the other way, (M,)."""
+    """Whether the part of the outer wall that suits a face best faces the other way, (M,)."""
     normals = mesh.face_normals[samples.owners[back]]
     turn = 2.0 * thickness  # a normal that is off counts as much as this distance
     own = mesh.face_normals[faces]
@@ -422,8 +422,8 @@ def find_interior(mesh: trimesh.Trimesh, proximal: FloatArray | None = None) -> 
     """Find the surface that a limb touches: of a shell the inner wall, or all of one surface.
 
     The faces that are seen from a spine within the cavity are the wall; those seen from behind,
-    behind the wall, are the outside. Where there is an outside, what lies behind a face tells
-    the wall from rims and cuts.
+    behind the wall, are the outside. Where there is an outside, what lies behind a face
+    separates the wall from rims and cuts.
 
     Args:
         mesh: One body in metres, as `read_scan` gives it.
@@ -480,7 +480,7 @@ def _unit(proximal: FloatArray) -> FloatArray:
     length = float(np.linalg.norm(direction))
     if direction.shape != (3,) or not 0.0 < length < np.inf:
         raise ScanError(
-            f"the proximal direction {np.array2string(direction)} is none",
+            f"the proximal direction {np.array2string(direction)} is no direction",
             "give three numbers, not all zero",
         )
     return direction / length

@@ -1,7 +1,7 @@
 """Landmarks: the file that names them, the frame they place, and names that are swapped.
 
-A residual shows a mix-up only as far as the landmarks' places differ: what it would not show is
-said, so that a person looks.
+A residual shows a mix-up only as far as the landmarks' places differ. What it would not show is
+reported, so that a person looks.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from socket_testbed.geometry.marker_bodies import (
 )
 from socket_testbed.geometry.pose import Pose
 
-LANDMARK_FILE_HELP = """The file that says which marker is what: LANDMARKS.yaml.
+LANDMARK_FILE_HELP = """LANDMARKS.yaml names the markers and gives the landmarks' coordinates.
 
     bodies:                # the triads that stay on the bodies, as the take names their markers
       socket: [Socket:Marker1, Socket:Marker2, Socket:Marker3]
@@ -48,7 +48,7 @@ All keys are required; load_cell and limb name three landmarks or more, as the t
 _SUSPECT = 0.001  # [m]; a smaller residual raises no question
 _TELLING = 3.0  # [-]; how many times better another explanation must fit
 _AS_GOOD = 2.0  # [-]; two explanations that fit alike
-_UNSEEN = 0.002  # [m]; a residual that nobody is warned of
+_UNSEEN = 0.002  # [m]; a mix-up with a smaller residual goes unnoticed
 _MOST_ORDERED = 6  # landmarks of which every order is tried
 
 
@@ -62,7 +62,7 @@ def refuse_mix_ups(known: FloatArray, measured: FloatArray, names: Sequence[str]
 
     Raises:
         RegistrationError: Naming the landmarks whose exchange fixes it, as far as the residual
-            tells.
+            shows.
     """
     orders = _orders(len(names))
     misfits = _misfits(known, measured[orders])

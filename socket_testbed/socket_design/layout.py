@@ -23,7 +23,7 @@ def tile_names(
     """Names such as `h092_a045`: 92 mm above the distal end, 45 degrees from anterior.
 
     The angle is about the axis through the end, counterclockwise seen from above. Tiles at one
-    place to the millimetre and the degree are told apart by a letter.
+    place to the millimetre and the degree differ by a letter.
 
     Args:
         anchors: Centres of the tiles, shape (n, 3) [m].
@@ -158,8 +158,8 @@ def assign_clusters(
 def _notes(
     place: ClusterPlace, squares: Squares, names: tuple[str, ...], nearest: int
 ) -> list[str]:
-    """What a user must know of a cluster that lies beside its tile."""
-    if place.frame is None:  # a point only says which tile
+    """How a cluster lies that is not on one tile."""
+    if place.frame is None:  # a point only chooses the tile
         return []
     shares = _shares(place.centre, place.frame, squares)
     others = [int(i) for i in np.argsort(-shares) if i != nearest and shares[i] > _LEAST_SHARE]
@@ -196,7 +196,7 @@ def tiled_socket(
 ) -> tuple[SocketGeometry, list[str]]:
     """The geometry of a tiled socket in {S}, its tiles in the order of their names.
 
-    A tile that a cluster is on bears the cluster's name.
+    A tile that a cluster is on has the cluster's name.
 
     Args:
         tiling: The tiles in {S}.

@@ -57,7 +57,7 @@ class MotiveTake:
         bodies: Rigid bodies by name.
         markers: Measured markers by name, in `world`, shape (N, 3) [m]; NaN where occluded.
         solved: Markers where Motive's rigid bodies expect them, likewise.
-        doubled: Names that stand twice among the bodies, markers or solved markers; what has
+        doubled: Names that occur twice among the bodies, markers or solved markers; what has
             such a name is not read.
         notes: What a person should know of the file.
     """
@@ -118,7 +118,7 @@ class MotiveTake:
     def _missing(self, what: str, name: str, known: Collection[str]) -> RegistrationError:
         if name in self.doubled:
             return RegistrationError(
-                f"{self.path}: the name '{name}' stands twice", "rename one in Motive"
+                f"{self.path}: the name '{name}' occurs twice", "rename one in Motive"
             )
         labelled = [word for word in known if not word.startswith(_UNNAMED)]
         return RegistrationError(f"{self.path}: has no {what} '{name}'", closest(name, labelled))
@@ -235,7 +235,7 @@ class TakeColumns:
     Attributes:
         width: Number of columns.
         things: By type and name, the column of each property and axis.
-        doubled: Names that stand twice for a type; they are not among the things.
+        doubled: Names that occur twice for a type; they are not among the things.
     """
 
     width: int

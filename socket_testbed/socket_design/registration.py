@@ -343,7 +343,7 @@ def read_static_take(path: Path) -> MotiveTake:
     """Read a take to register with.
 
     Raises:
-        RegistrationError: If it is none, as a trial is, which has triads but no landmarks.
+        RegistrationError: If it is a trial, which has no landmarks, or no file of Motive.
     """
     if path.is_dir():
         raise RegistrationError(
@@ -365,8 +365,8 @@ def register_take(
         force: Accept landmarks whose residual is above `MOST_RESIDUAL`.
 
     Raises:
-        RegistrationError: If a marker is missing, the take is not static, shows too few whole
-            frames, or the landmarks do not fit.
+        RegistrationError: If a marker is missing, the take is not static, shows too few
+            complete frames, or the landmarks do not fit.
     """
     notes = [*take.notes]
     bodies = []

@@ -102,9 +102,9 @@ def _content(path: Path) -> bytes:
 
 def _read_stl(path: Path, data: bytes) -> Triangles:
     # Many binary files begin with 'solid', too: the length decides before the words do.
-    said = int.from_bytes(data[_STL_HEADER - 4 : _STL_HEADER], "little")
-    whole = _STL_HEADER + _STL_FACE * said
-    if len(data) == whole:
+    count = int.from_bytes(data[_STL_HEADER - 4 : _STL_HEADER], "little")
+    size = _STL_HEADER + _STL_FACE * count
+    if len(data) == size:
         corners = _quietly(path, data, lambda stream: _corners(load_stl_binary(stream)))
         comment = data[:80].decode("ascii", "replace")
     elif b"\0" not in data and data[:200].lstrip().lower().startswith(b"solid"):
@@ -112,7 +112,7 @@ def _read_stl(path: Path, data: bytes) -> Triangles:
         corners, comment = _text_corners(path, text), text.partition("\n")[0]
     elif b"\0" in data and len(data) > _STL_HEADER:
         raise ScanError(
-            f"{path}: has {len(data)} bytes, but its {said} faces take {whole}", _CUT_OFF
+            f"{path}: has {len(data)} bytes, but its {count} faces take {size}", _CUT_OFF
         )
     else:
         raise _damaged(path)
@@ -120,7 +120,7 @@ def _read_stl(path: Path, data: bytes) -> Triangles:
 
 
 def _text_corners(path: Path, text: str) -> FloatArray:
-    """The corners of all facets of an STL in words, whole or not at all, shape (3 F, 3)."""
+    """The corners of all facets of a text STL, which must be complete, shape (3 F, 3)."""
     facets = len(re.findall(r"^\s*endfacet\b", text, re.MULTILINE | re.IGNORECASE))
     last = text.rstrip().rpartition("\n")[2].split()
     if not last or last[0].lower() != "endsolid":
@@ -141,12 +141,12 @@ def _corners(found: dict[str, Any]) -> FloatArray:
 def _read_ply(path: Path, data: bytes) -> Triangles:
     vertices, faces = _quietly(path, data, _load_ply)
     header = data.partition(b"end_header")[0].decode("ascii", "replace")
-    # A text that is cut off is read up to there without a word.
+    # The reader of a text file that is cut off reports nothing.
     for name, have in ("vertex", len(vertices)), ("face", len(faces)):
-        said = re.search(rf"^\s*element\s+{name}\s+(\d+)", header, re.MULTILINE)
-        if said and have < int(said[1]):
+        stated = re.search(rf"^\s*element\s+{name}\s+(\d+)", header, re.MULTILINE)
+        if stated and have < int(stated[1]):
             raise ScanError(
-                f"{path}: holds {have} of the {said[1]} elements '{name}' that it names", _CUT_OFF
+                f"{path}: holds {have} of the {stated[1]} elements '{name}' that it names", _CUT_OFF
             )
     comment = "\n".join(re.findall(r"^\s*comment(.*)$", header, re.MULTILINE))
     return Triangles(vertices, faces, comment)
@@ -522,8 +522,8 @@ def _show_scale(bodies: list[ScanBody], given: str | None, stated: str | None) -
 
 def _repair(name: str, vertices: FloatArray, faces: IntArray, notes: list[str]) -> trimesh.Trimesh:
     """A body in metres with one winding, no crowded edges, small holes or slivers."""
-    faces, turned, one_sided = wind_alike(faces)
-    _note(notes, turned, "turned {} faces so that all wind the same way")
+    faces, flipped, one_sided = wind_alike(faces)
+    _note(notes, flipped, "reversed {} faces so that all wind the same way")
     if one_sided.any():
         raise ScanError(
             f"{name}: is one-sided, as a Moebius band is; no winding fits its faces",

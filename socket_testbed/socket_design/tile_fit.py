@@ -28,7 +28,7 @@ class Footprint:
     Attributes:
         triangles: Corners of its triangles, shape (f, 3, 3) [m].
         area: Area of the surface [m^2].
-        cover: Part of the square that it covers; 1 for a whole one, more where it is double [-].
+        cover: Part of the square that it covers; 1 for a complete one, more where it is double [-].
         fold: Area that is folded away from the square, in areas of the square [-].
         flatness: Largest distance from the square's plane [m].
     """
@@ -66,8 +66,8 @@ class Footprints:
         unfit = []
         for tile in map(int, tiles):
             footprint = self.footprint(tile)
-            whole = abs(footprint.cover - 1.0) < _COVER and footprint.fold < _COVER
-            if not whole or footprint.flatness > self._flatness:
+            complete = abs(footprint.cover - 1.0) < _COVER and footprint.fold < _COVER
+            if not complete or footprint.flatness > self._flatness:
                 unfit.append(tile)
         return unfit
 
@@ -146,7 +146,7 @@ class Footprints:
 
 _END = 10.0  # [deg]; a normal this close to the proximal direction has no proximal tangent
 _SAME_SHEET = 0.3  # [-]; cosine between normals that are averaged
-_LEAST_COVER = 0.85  # [-]; coverage of a square, as far as the points' areas can tell
+_LEAST_COVER = 0.85  # [-]; coverage of a square, as well as the points' areas can show
 _SAFE = 0.95  # [-]; the points miss the farthest corners
 
 
@@ -182,7 +182,7 @@ def fitting_squares(
 ) -> Squares:
     """The squares that fit the surface, of all that are centred on the given places.
 
-    A square fits if the whole of it lies on the surface: no rim inside, the surface nowhere
+    A square fits if all of it lies on the surface: no rim inside, the surface nowhere
     farther from its plane than the flatness, nor folded away from it.
 
     Args:

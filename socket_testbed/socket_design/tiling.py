@@ -90,7 +90,7 @@ def border_gaps(squares: Squares, borders: FloatArray, index: int, others: IntAr
 _WASTE_SPACING = 0.15  # [edges]; of the squares by which waste is counted
 _CHANCE = (0.0, 0.02, 0.1, 0.3)  # [-]; how far a recreation strays from least waste
 _FEWEST_RUINED, _MOST_RUINED = 3, 14
-_PLANE = 0.002  # [m]; gaps smaller than it are seen to on the surface itself
+_PLANE = 0.002  # [m]; gaps smaller than it are measured on the surface itself
 _CLEARANCE = 0.0001  # [m]; between tiles, for what the plane geometry of the search leaves out
 _MORE = 0.0001  # [m]; it grows where footprints overlap all the same,
 _SEARCH_AROUND = 0.003  # [m]; and around there
@@ -186,11 +186,11 @@ class Search:
         return np.bincount(np.concatenate([none, *squares]), minlength=len(self._squares))
 
     def _wrong(self, tiles: IntArray, known: int = 0) -> set[int]:
-        """Tiles that must go, so that the others are whole and share nothing.
+        """Tiles that must go, so that the others are complete and share nothing.
 
         Args:
             tiles: The tiles.
-            known: So many of the first are known to be whole and to share nothing.
+            known: So many of the first are known to be complete and to share nothing.
         """
         wrong = set(self._footprints.unfit(tiles[known:]))
         self._alive[list(wrong)] = False

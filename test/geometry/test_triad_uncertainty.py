@@ -44,7 +44,7 @@ def test_occluded_frames_do_not_count_as_noise(rng):
     assert fit_triad(SOCKET_TRIAD, observed).noise == pytest.approx(seen, rel=1e-12)
 
 
-def test_no_frame_tells_no_noise():
+def test_without_a_frame_the_noise_is_unknown():
     assert math.isnan(fit_triad(SOCKET_TRIAD, np.full((4, 3, 3), np.nan)).noise)
 
 

@@ -182,7 +182,7 @@ def test_a_name_that_stands_twice_is_not_read(scene, tmp_path):
     lines[3] = lines[3].replace("Socket:Marker3", "Socket:Marker1")
     take = read_motive_csv(write_lines(lines, tmp_path / "take.csv"))
     assert "Socket:Marker1" not in take.markers and "Socket:Marker2" in take.markers
-    with pytest.raises(RegistrationError, match="'Socket:Marker1' stands twice"):
+    with pytest.raises(RegistrationError, match="'Socket:Marker1' occurs twice"):
         take.stack(["Socket:Marker1"])
 
 

@@ -197,8 +197,8 @@ def test_every_covariance_has_the_size_and_direction_of_the_errors(tmp_path):
         found = register(bench, tmp_path)
         for name, error in errors_of(found, bench).items():
             errors[name].append(error)
-        said = (*found.socket_body_covariances(), *found.limb_covariances(), found.covariance)
-        for name, covariance in zip(errors, said, strict=True):
+        stated_now = (*found.socket_body_covariances(), *found.limb_covariances(), found.covariance)
+        for name, covariance in zip(errors, stated_now, strict=True):
             stated[name].append(covariance)
     for name, samples in errors.items():
         factor = np.linalg.cholesky(np.mean(stated[name], axis=0))
@@ -226,7 +226,7 @@ def test_the_noise_of_a_single_frame_is_stated(rng, tmp_path):
         for _ in range(400)
     ]
     white = np.linalg.solve(np.linalg.cholesky(found.single), np.transpose(trials))
-    # The limb has turned a little since the take, and 400 trials tell a variance to 7 %.
+    # The limb has turned a little since the take, and 400 trials give a variance to 7 %.
     sizes = np.linalg.eigvalsh(np.cov(white))
     assert sizes.min() > 0.7 and sizes.max() < 1.35
 

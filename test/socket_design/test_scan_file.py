@@ -314,4 +314,6 @@ def test_a_real_limb_needs_no_repair(shared_data):
     scan = read_scan(path)
     raw = trimesh.load_mesh(io.BytesIO(path.read_bytes()), file_type="stl")
     assert_same_surface(scan.mesh, scaled(raw, 0.001))
-    assert not any(word in note for note in scan.notes for word in ("removed", "closed", "turned"))
+    assert not any(
+        word in note for note in scan.notes for word in ("removed", "closed", "reversed")
+    )

@@ -1,4 +1,4 @@
-"""Repairs of scans: each undoes a known damage, and tells so."""
+"""Repairs of scans: each undoes a known damage and is reported."""
 
 from pathlib import Path
 
@@ -28,7 +28,7 @@ def noted(scan: Scan, words: str) -> bool:
     return any(words in note for note in scan.notes)
 
 
-def test_specks_are_dropped_and_told(cone, path):
+def test_specks_are_dropped_and_reported(cone, path):
     specks = [shifted(trimesh.creation.icosphere(1, 0.001), 0.2 + 0.01 * i) for i in range(3)]
     scan = read_scan(write_stl(trimesh.util.concatenate([specks[0], cone, *specks[1:]]), path))
     assert_same_surface(scan.mesh, cone)
@@ -93,7 +93,7 @@ def test_the_winding_is_made_consistent_with_the_fewest_turns(path, share):
     scan = read_scan(write_stl(with_faces(solid, faces), path))
     assert scan.mesh.is_winding_consistent
     assert abs(scan.mesh.volume) == pytest.approx(solid.volume, rel=1e-5)
-    assert noted(scan, f"turned {flip.sum()} faces")
+    assert noted(scan, f"reversed {flip.sum()} faces")
 
 
 def test_a_one_sided_surface_is_refused(path):

@@ -283,7 +283,7 @@ def test_a_real_limb_is_kept_whole_and_turned_inside_out(shared_data: Path):
     assert mesh.vertices[interior.openings[0]][:, 2].min() > 0.03
 
 
-def test_a_shell_around_a_real_limb_is_told_from_the_limb(shared_data: Path):
+def test_a_shell_around_a_real_limb_is_separated_from_the_limb(shared_data: Path):
     limb = find_interior(read_scan(shared_data / "ampscan" / "stl_file.stl").mesh).mesh
     interior = find_interior(thickened(limb, 0.006))
     assert_same_faces(interior.mesh, limb, 2e-3)
