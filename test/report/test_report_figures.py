@@ -145,3 +145,12 @@ def test_tiles_of_all_rows_are_on_one_scale(rng):
         lightness = colours[:, :3] @ [0.2126, 0.7152, 0.0722]
         assert (np.diff(lightness[order]) > -0.01).all()
     assert NASTY in figure.get_suptitle()
+
+
+def test_tiles_on_the_distal_end_alone_have_a_map(rng):
+    geometry = random_socket(rng, rings=3, columns=6)
+    upwards = np.tile(np.diag([-1.0, -1.0, 1.0]), (18, 1, 1))
+    geometry = dataclasses.replace(geometry, rotations=upwards)
+    figure = tile_map_figure(geometry, {"along x": rng.uniform(0.0, 1.0, 18)}, "N/m", "")
+    wall, end = (axis.collections[-1] for axis in figure.axes[:2])
+    assert len(wall.get_paths()) == 0 and len(end.get_paths()) == 18

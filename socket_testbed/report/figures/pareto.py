@@ -1,4 +1,4 @@
-"""The trade-off fronts as a figure for a paper."""
+"""The trade-off fronts as a figure."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _HOLLOW: dict[str, Any] = {
     "markeredgewidth": 1.3,
 }
 _FAINT = 0.3  # opacity
-_ROOM = 0.08  # [-]; around the solutions
+_MARGIN = 0.08  # [-]; around the solutions
 _LEAST_ERROR = 1e-8  # [-]; zero has no place on a logarithmic axis, and errors no more digits
 _WIDE = 5.0  # [-]; ratio of an axis' ends above which its numbers go by 1, 2, 5
 _WRENCH_LABEL = r"wrench error $e_w$ [-]: each RMSE over the RMS of the measured moments or forces"
@@ -87,7 +87,7 @@ def _mark_legend() -> list[Line2D]:
 def _scale(axes: Axes) -> None:
     axes.set_xscale("log")
     axes.set_yscale("log")
-    axes.margins(_ROOM)
+    axes.margins(_MARGIN)
     axes.set_xlabel(_WRENCH_LABEL, fontsize=9)
     axes.set_ylabel(_LOCAL_LABEL, fontsize=9)
     _write_plain_numbers(axes.xaxis, axes.get_xlim())

@@ -87,12 +87,12 @@ def _break(label: str) -> list[str]:
 
 
 def _points_per_unit(axis: Axes) -> FloatArray:
-    """Size of a unit of the panel's two axes on paper, shape (2,) [pt]."""
-    paper = np.array(axis.figure.bbox.size) * 72.0 / axis.figure.dpi
-    room = axis.get_position(original=True).size * paper
+    """Printed size of a unit of the panel's two axes, shape (2,) [pt]."""
+    figure = np.array(axis.figure.bbox.size) * 72.0 / axis.figure.dpi
+    panel = axis.get_position(original=True).size * figure
     span = np.abs([np.subtract(*axis.get_xlim()), np.subtract(*axis.get_ylim())])
     aspect = axis.get_aspect()
-    per_x = min(room[0] / span[0], room[1] / (span[1] * aspect))
+    per_x = min(panel[0] / span[0], panel[1] / (span[1] * aspect))
     return np.array([per_x, per_x * aspect])
 
 
@@ -133,7 +133,7 @@ class View:
 
 
 # By REP 103, x of {S} is anterior, y left and z proximal. Which of left and right is lateral
-# depends on the leg, which the geometry does not tell.
+# depends on the leg, which the geometry does not say.
 SIDES = (
     View("anterior side\nseen from +x", towards=1, right=2, up=3),
     View("left side (lateral on a left leg)\nseen from +y", towards=2, right=-1, up=3),
@@ -283,12 +283,13 @@ def draw_unrolled(
         surface: The interior surface in {S}; None where it is not known.
     """
     tiles = np.flatnonzero(wall_tiles(geometry, middle))
-    squares = _unroll(tile_squares(geometry)[tiles], geometry.anchors[tiles], middle)
+    corners = tile_squares(geometry)
+    squares = _unroll(corners[tiles], geometry.anchors[tiles], middle)
     faces = np.zeros((0, 3, 2)) if surface is None else _faces_around(surface, middle)
     around = geometry.anchors[tiles if len(tiles) else slice(None)]
     radius = float(np.median(_radii(around, middle)))
-    drawn = np.concatenate([faces.reshape(-1, 2), squares.reshape(-1, 2)])
-    _frame(axis, drawn, squares, radius)
+    heights = np.concatenate([faces[..., 1].ravel(), 1e3 * corners[..., 2].ravel()])
+    _frame(axis, squares[..., 0], heights, radius)
     wall = PolyCollection(
         list(faces), facecolors=SURFACE, edgecolors=SURFACE, linewidths=0.3, rasterized=True
     )
@@ -298,11 +299,10 @@ def draw_unrolled(
     _label_tiles(axis, paint, tiles, squares)
 
 
-def _frame(axis: Axes, drawn: FloatArray, squares: FloatArray, radius: float) -> None:
-    """Limits, an aspect that is equal at the radius [m], and names of the axes."""
-    angles = squares[..., 0]
+def _frame(axis: Axes, angles: FloatArray, heights: FloatArray, radius: float) -> None:
+    """Limits [deg, mm], an aspect that is equal at the radius [m], and names of the axes."""
     left, right = min(-180.0, angles.min(initial=0.0)), max(180.0, angles.max(initial=0.0))
-    low, high = drawn[:, 1].min(), drawn[:, 1].max()
+    low, high = heights.min(), heights.max()
     margin = _ABOVE * (high - low)
     axis.set_xlim(left - _BESIDE, right + _BESIDE)
     axis.set_ylim(low - margin, high + margin)

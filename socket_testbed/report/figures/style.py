@@ -1,4 +1,4 @@
-"""What figures share: colours, lines told apart in grey, plain frames, file formats, thinning."""
+"""What figures share: colours, lines that differ in grey, plain axes, files, thinning."""
 
 from __future__ import annotations
 
