@@ -1,4 +1,4 @@
-"""A whole front over theta, both variants: ours against the same work done otherwise, in one run.
+"""A front over theta, both variants: ours against the same work done otherwise, in one run.
 
 Usage:
     python benchmarks/benchmark_pareto.py [--quick] [--points 100] [--samples 1000 10000]

@@ -43,9 +43,7 @@ def parts_of_fit(stage: StageTwoInput) -> dict[str, Callable[[], object]]:
         "stage 2: build": lambda: build_stage_two(objective, taken),
         "stage 2: solve_box_qp": lambda: solve_box_qp(built.program, *solver),
         "stage 2: recover_offsets": lambda: recover_offsets(objective, taken, stiffness),
-        "fit_contact_model, whole": lambda: fit_contact_model(
-            stage.samples, stage.geometry, settings
-        ),
+        "fit_contact_model": lambda: fit_contact_model(stage.samples, stage.geometry, settings),
         "moments, series": lambda: moments("series"),
         "moments, direct": lambda: moments("direct"),
         "gate pass alone (S)": lambda: gated_displacement(*gate),

@@ -1,4 +1,4 @@
-"""The ways to a whole front: the package's own, the same programs cold, single fits, CVXPY."""
+"""The ways to a front: the package's own, the same programs cold, single fits, CVXPY."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ class FrontMeasurement:
     """What came out of it.
 
     Attributes:
-        seconds: Median processor time of the whole front [s], scaled up where few thetas were
+        seconds: Median processor time of the front [s], scaled up where few thetas were
             measured.
         spread: Fastest and slowest run [s], likewise.
         runs: Runs in the median.
@@ -115,8 +115,8 @@ def measure_front(task: FrontTask) -> FrontMeasurement:
 def repeat_on_cpu(run: Callable[[], object], budget: float) -> list[float]:
     """Processor times of repeated runs after a warm-up; of one run alone where it is slow [s].
 
-    With one thread it is the time that a run takes on an idle machine, nearly whatever else
-    runs on this one.
+    With one thread it is the time that a run takes on an idle machine, nearly independent of
+    what else runs on this one.
     """
     times = [_cpu_seconds(run)]
     if times[0] > budget / 3.0:
@@ -136,7 +136,7 @@ def _cpu_seconds(run: Callable[[], object]) -> float:
 def few_of(thetas: int) -> list[int]:
     """Which of the thetas a slow method is measured on: none of the two ends.
 
-    There a group bears no weight, and the columns of its offsets have no length.
+    There a group has no weight, and the columns of its offsets have no length.
     """
     return np.round((thetas - 1) * np.array([0.1, 0.3, 0.5, 0.7, 0.9])).astype(int).tolist()
 
@@ -153,7 +153,7 @@ def solve_ours(problem: StageTwoInput, thetas: FloatArray) -> Stiffness:
 
 
 def solve_by_single_fits(problem: StageTwoInput, thetas: FloatArray) -> Stiffness:
-    """A fit for each theta and variant, which knows nothing of the others."""
+    """A fit for each theta and variant, independent of the others."""
     found: Stiffness = {}
     for theta in thetas.tolist():
         for variant in VARIANTS:
@@ -183,7 +183,7 @@ def walk_with(solve: Solve) -> Callable[[StageTwoInput, FloatArray], Stiffness]:
     return walk
 
 
-def _ask(solver: str, program: BoxQP, near: FloatArray | None, **options: object) -> FloatArray:
+def _call(solver: str, program: BoxQP, near: FloatArray | None, **options: object) -> FloatArray:
     sparse = solver == "osqp"
     answer = qpsolvers.solve_problem(program.to_qpsolvers(sparse), solver, initvals=near, **options)
     if answer.x is None:
@@ -235,17 +235,17 @@ METHODS: dict[str, FrontMethod] = {
     "osqp warm": FrontMethod(
         "the same programs, OSQP warm",
         "likewise, OSQP alone from the last solution: eps_abs 1e-9, eps_rel 0, polish",
-        walk_with(lambda program, near: _ask("osqp", program, near, **OSQP_TIGHT)),
+        walk_with(lambda program, near: _call("osqp", program, near, **OSQP_TIGHT)),
     ),
     "osqp cold": FrontMethod(
         "the same programs, OSQP cold",
         "likewise, without a start",
-        walk_with(lambda program, _: _ask("osqp", program, None, **OSQP_TIGHT)),
+        walk_with(lambda program, _: _call("osqp", program, None, **OSQP_TIGHT)),
     ),
     "daqp": FrontMethod(
         "the same programs, DAQP cold",
         "likewise, at its defaults; it takes no start",
-        walk_with(lambda program, _: _ask("daqp", program, None)),
+        walk_with(lambda program, _: _call("daqp", program, None)),
     ),
     "fits": FrontMethod(
         "single fits, cold",

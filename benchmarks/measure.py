@@ -118,8 +118,8 @@ def measure_apart(task: Task, time_limit: float) -> Measurement | str:
 
 
 def _measure(task: Task, sender: Connection) -> None:
-    # The solvers' doubts about their answers show in the accuracy; printed, they split the
-    # table. OSQP prints from C, past sys.stdout.
+    # What the solvers warn of shows in the accuracy; printed, it splits the table. OSQP prints
+    # from C, past sys.stdout.
     warnings.simplefilter("ignore")
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
     method = METHODS[task.method]

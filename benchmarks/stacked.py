@@ -1,4 +1,4 @@
-r"""Stage 2 as everyone writes it first: one row a sample and channel, offsets as variables.
+r"""Stage 2 as everyone writes it first: one row per sample and channel, offsets as variables.
 
 The rows are weighted so that the objective is :math:`\|A z - y\|^2`, the same as the
 package's own: z holds the 3n stiffnesses, then an offset for each channel of the wrench,
@@ -64,7 +64,7 @@ def smoothness_rows(stage: StageTwoInput) -> FloatArray:
 
 
 def row_blocks(stage: StageTwoInput) -> Iterator[RowBlock]:
-    """All rows, a channel at a time."""
+    """All rows, one channel after the other."""
     objective, points = stage.objective, len(stage.geometry)
     count = len(objective.position)
     s = gated_displacement(

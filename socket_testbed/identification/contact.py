@@ -80,7 +80,7 @@ class ContactModel:
     """A bed of unilateral tri-axial springs, with the constant offsets of the sensors.
 
     Attributes:
-        variant: Which offsets the model carries.
+        variant: Which offsets the model has.
         names: Names of the n points of interest.
         anchors: Points of application a_i, shape (n, 3) [m].
         rotations: Frames {L_i} of the points, R_i maps {L_i} to {S}, shape (n, 3, 3) [-].
@@ -131,7 +131,7 @@ class ContactModel:
         return springs @ wrench_map(self.anchors).T + self.wrench_bias
 
     def predict(self, position: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Wrenches and forces at once: see `wrench` and `forces`."""
+        """Wrenches and forces in one pass: see `wrench` and `forces`."""
         springs = self._spring_forces(position)
         wrench = springs.reshape(len(position), -1) @ wrench_map(self.anchors).T
         return wrench + self.wrench_bias, springs + self._bias_in_socket_frame()

@@ -180,7 +180,7 @@ class Fit:
 
     @property
     def status(self) -> str:
-        """The solver's verdict with the certificate of both stages, in words."""
+        """The solver and the certificate of both stages, in words."""
         return f"stage 1 {self.stage_one.status}; stage 2 {self.stage_two.status}"
 
 

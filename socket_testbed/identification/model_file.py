@@ -42,7 +42,7 @@ class StoredModel:
         samples: Number of samples of its fit.
         last_stamp: Stamp of the newest of them [ns].
         wrench_rmse: Errors of its fit, shape (6,) [N m, N].
-        status: The solver's verdict, in words.
+        status: The solver and the certificate of both stages, in words.
         trial: Name of the trial it was fitted on.
         unloaded: Spans of it by which the clusters' drift was corrected [s].
     """
@@ -88,7 +88,7 @@ def write_model(
     Args:
         fit: The fit.
         geometry: Geometry of the socket.
-        trial: What identifies the trial; its `name` at least.
+        trial: Identity of the trial; at least its `name`.
         segment: The segment of the trial.
         path: The file; an older one is replaced.
 
@@ -127,7 +127,7 @@ def write_model(
 
 
 def errors_document(errors: ChannelErrors) -> dict[str, Any]:
-    """The errors of a channel for JSON."""
+    """The errors of one channel for JSON."""
     return {key: finite_or_null(value) for key, value in dataclasses.asdict(errors).items()}
 
 

@@ -88,7 +88,7 @@ class Knee:
     """Where a front bends most, or why it has no knee.
 
     Attributes:
-        index: Which solution it is; None without a knee.
+        index: Index of the solution; None without a knee.
         depth: Distance below the chord between the front's ends, in units of the ends' own
             differences [-]: 0 on the chord, 1 where both errors are at their best at once.
         span: Differences of e_w and e_f between the ends [-].
@@ -106,7 +106,7 @@ class Front:
     """The solutions of one variant along theta.
 
     Attributes:
-        variant: Which offsets the models carry.
+        variant: Which offsets the models have.
         channels: Names of the m channels in the objective, the wrench's first.
         theta: Weights of the wrench against the clusters, rising, shape (T,) [-].
         wrench_error: Normalised errors e_w of the wrench, shape (T,) [-].
@@ -144,7 +144,7 @@ class Front:
 
     @property
     def marks(self) -> dict[str, int]:
-        """The solutions that stand out, by name, where there are such."""
+        """The solutions that stand out, by name; without those that do not exist."""
         marks = {SENSOR_ONLY: np.flatnonzero(self.sound & (self.theta == 0.0))}
         if self.knee.index is not None:
             marks[KNEE] = np.array([self.knee.index])
@@ -172,10 +172,10 @@ class Front:
         return np.median(self.rmse[:, ["." in name for name in self.channels]], axis=1)
 
     def to_dataframe(self) -> pd.DataFrame:
-        """The solutions as a pandas table, a row per theta, with the units in the names.
+        """The solutions as a pandas table, one row per theta, with the units in the names.
 
         Errors are NaN where there is no solution; `mark` names the solutions that stand out and
-        `flaw` says why a solution is not to be used.
+        `flaw` is why a solution is not to be used.
         """
         import pandas as pd
 
@@ -224,7 +224,7 @@ def pareto_front(
         geometry: Geometry of the socket.
         settings: Settings of the identification; its theta and variant do not matter.
         thetas: Weights of the wrench against the clusters, in [0, 1] and rising [-].
-        variants: Which offsets the models carry, a front each.
+        variants: Which offsets the models have, one front per variant.
         progress: Called with the number of thetas done and of all.
 
     Raises:
@@ -430,7 +430,7 @@ def find_non_dominated(
 def find_knee(wrench_error: FloatArray, local_error: FloatArray, kept: BoolArray) -> Knee:
     """The solution that lies farthest below the chord between the ends of a front.
 
-    The farthest is the same one whatever the axes are scaled by.
+    Scaling the axes does not change which one that is.
 
     Args:
         wrench_error: Normalised errors e_w, shape (T,) [-].

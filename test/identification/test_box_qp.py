@@ -243,7 +243,7 @@ def test_from_a_near_solution_the_optimum_needs_no_solver(monkeypatch):
         assert warm.determined and cold.determined
 
 
-def test_where_a_near_solution_leads_nowhere_the_solver_is_asked():
+def test_where_a_near_solution_leads_nowhere_the_solver_is_called():
     problem = near_problem()
     P, q = problem.P.copy(), problem.q.copy()
     P[:, 0] = P[0] = q[0] = 0.0

@@ -1,4 +1,4 @@
-"""The whole fit: from samples to a model, against the stacked problems and known truths."""
+"""The fit, from samples to a model, against the stacked problems and known truths."""
 
 import copy
 import dataclasses

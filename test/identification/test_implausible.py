@@ -57,7 +57,7 @@ def test_a_tile_that_bears_ten_times_the_load_is_proposed_with_its_numbers(sampl
     assert "10 times" in proposal.reason and "N" in proposal.reason
 
 
-def test_the_border_is_the_whole_load(samples, geometry):
+def test_the_border_is_the_total_load(samples, geometry):
     load = np.median(np.linalg.norm(samples.wrench[:, 3:], axis=1))
     size = np.median(np.abs(samples.local_forces[:, 0, 2]))
     assert found(scaled(samples, 0, 2, 0.99 * load / size), geometry) == []
@@ -81,7 +81,9 @@ def test_a_wall_does_not_pull(samples, geometry):
 
 
 @pytest.mark.parametrize("state", [1, 3])  # saturated, out of range
-def test_a_cluster_outside_its_range_most_of_the_time_is_proposed_whole(samples, geometry, state):
+def test_a_cluster_outside_its_range_most_of_the_time_is_proposed_with_all_channels(
+    samples, geometry, state
+):
     status = samples.status.copy()
     status[:10, 0] = 2  # missing ones say nothing of the range
     status[10:54, 0] = state  # 44 of 90

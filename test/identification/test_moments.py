@@ -129,7 +129,7 @@ def test_one_pass_gives_the_moments_at_any_rest_positions(kind):
         assert_same_moments(found, expected, 1e-6 if "hold" in kind else 1e-9)
 
 
-def test_a_series_knows_the_whole_gram_matrix_as_symmetric():
+def test_the_gram_matrix_of_a_series_is_symmetric():
     rng = np.random.default_rng(2)
     position = moving_limb(rng, 100, 5e-4)
     rest = rng.uniform(-0.001, 0.001, (4, 3))

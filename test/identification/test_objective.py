@@ -72,7 +72,7 @@ def test_a_channel_without_any_value_may_be_left_out():
     ],
     ids=["value", "status", "wrench"],
 )
-def test_a_channel_without_any_value_is_named_with_the_mend(array, place, value, channel, advice):
+def test_a_channel_without_any_value_is_named_with_a_hint(array, place, value, channel, advice):
     geometry, _, samples, settings = make_case(71)
     getattr(samples, array)[place] = value
     with pytest.raises(IdentificationError) as caught:

@@ -158,19 +158,19 @@ def test_a_left_out_channel_that_is_dead_does_not_matter():
         assert not {"Fy", "cluster_2.Fx"} & set(front.channels)
 
 
-def test_progress_is_told_of_every_theta():
+def test_progress_is_reported_for_every_theta():
     geometry, _, samples, settings = make_case(33)
-    told = []
-    pareto_front(samples, geometry, settings, THETAS, progress=lambda *step: told.append(step))
-    assert told == [(i, len(THETAS)) for i in range(1, len(THETAS) + 1)]
+    steps = []
+    pareto_front(samples, geometry, settings, THETAS, progress=lambda *step: steps.append(step))
+    assert steps == [(i, len(THETAS)) for i in range(1, len(THETAS) + 1)]
 
 
-def test_the_solver_is_asked_at_the_first_theta_alone(monkeypatch):
+def test_the_solver_is_called_at_the_first_theta_alone(monkeypatch):
     geometry, _, samples, settings = make_hold(3)
-    asked, steps, solve = [], [], qpsolvers.solve_problem
+    called, steps, solve = [], [], qpsolvers.solve_problem
 
     def count(*args, **kwargs):
-        asked.append(len(steps))
+        called.append(len(steps))
         return solve(*args, **kwargs)
 
     monkeypatch.setattr(qpsolvers, "solve_problem", count)
@@ -178,7 +178,7 @@ def test_the_solver_is_asked_at_the_first_theta_alone(monkeypatch):
     fronts = pareto_front(
         samples, geometry, settings, thetas, progress=lambda *step: steps.append(step)
     )
-    assert set(asked) == {0} and len(asked) >= 3
+    assert set(called) == {0} and len(called) >= 3
     assert all(front.sound.all() for front in fronts.values())
 
 

@@ -31,14 +31,14 @@ def test_what_nothing_decides_is_not_on_the_front():
     assert all(front.sound.all() for front in whole.values())
 
 
-def test_without_any_smoothness_the_front_is_refused_with_the_mend():
+def test_without_any_smoothness_the_front_is_refused_with_a_hint():
     geometry, _, samples, settings = make_case(41, smoothness=0.0)
     with pytest.raises(IdentificationError, match=r"determine.*more smoothness"):
         pareto_front(samples, geometry, settings, THETAS)
 
 
 def fail_where(monkeypatch, fails, answer=True):
-    """A solver path that gives up on some programs; `fails` is asked of name and count."""
+    """A solver path that gives up on some programs; `fails` gets the name and the count."""
     counts = {}
 
     def solve(problem, solver, tolerance, near=None):
