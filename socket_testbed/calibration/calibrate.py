@@ -1,10 +1,10 @@
-"""From bench data to a cluster's calibration and all that is to be known of it."""
+"""From bench data to a cluster's calibration, its quality, and its section of the file."""
 
 from __future__ import annotations
 
 import difflib
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, replace
 from datetime import date
 from os import PathLike
@@ -32,9 +32,9 @@ from socket_testbed.calibration.model import (
     ClusterCalibration,
     channel_features,
     read_calibration,
-    shear_terms,
     write_calibration,
 )
+from socket_testbed.calibration.outliers import Outlier, find_outliers
 from socket_testbed.calibration.polynomials import (
     check_excitation,
     fit_cluster,
@@ -54,155 +54,7 @@ from socket_testbed.calibration.quality import (
 from socket_testbed.errors import CalibrationError, ConfigurationError
 from socket_testbed.files import atomic_output, refuse_existing
 
-_SCALES = 5.0  # residuals beyond as many scaled median absolute deviations
-_MAD = 1.4826  # [-] makes the median absolute deviation of normal noise its standard deviation
-_LEAST = 0.05  # [-] of the full scale; a smaller residual does no harm
-_LOADED = 0.1  # [-] of the full scale; many rows at rest would make any load an outlier
-_KEPT = 0.9  # [-] of the rows that the robust fit looks at
-_STARTS, _START_ROWS, _FINALISTS, _STEPS, _MOST_ROWS = 30, 24, 4, 20, 3000
 _MOST_DROPPED = 0.05  # [-]; more than that are no outliers but another law
-
-
-@dataclass(frozen=True)
-class Outlier:
-    """A reading far from the robust fit.
-
-    Attributes:
-        row: Row of the bench data.
-        place: Where it stands: file and line.
-        axis: The stress that is farthest off, in scaled deviations: 0, 1 or 2.
-        known: Its known value [Pa].
-        fitted: What the robust fit makes of the capacitances [Pa].
-    """
-
-    row: int
-    place: str
-    axis: int
-    known: float
-    fitted: float
-
-
-def find_outliers(bench: BenchData, wiring: IntArray) -> tuple[Outlier, ...]:
-    """Find readings whose residual exceeds five scaled median absolute deviations.
-
-    The residuals are those of a polynomial of total degree 2 in the mean and the differences,
-    by least trimmed squares over 90 % of the rows (Rousseeuw and Van Driessen 2006,
-    doi:10.1007/s10618-005-0024-4), which neither a wrong stress nor a wrong capacitance can
-    pull to itself. The deviation is taken over the loaded rows, and residuals below 5 % of the
-    full scale never count.
-
-    Args:
-        bench: The bench data.
-        wiring: Input that holds each channel, shape (4,).
-    """
-    basis = _rich_basis(bench.capacitance[:, wiring])
-    fits = [fit_least_trimmed(basis, known) for known in bench.stress.T]
-    fitted = basis @ np.column_stack(fits)
-    residual = np.abs(fitted - bench.stress)
-    excess = residual / _limits(residual, bench.stress)
-    return tuple(
-        _outlier(bench, fitted, int(row), int(excess[row].argmax()))
-        for row in np.flatnonzero((excess > 1.0).any(axis=1))
-    )
-
-
-def _rich_basis(capacitance: FloatArray) -> FloatArray:
-    """Orthonormal basis of all terms up to total degree 2 of mean and differences, (N, 10).
-
-    What a calibration's polynomials miss, such as a normal stress that makes a difference, is no
-    reason to call a reading an outlier.
-    """
-    mean, along_x, along_y = channel_features(capacitance)
-    of_differences = shear_terms(along_x, along_y)
-    terms = np.column_stack([of_differences, mean[:, None] * of_differences[:, :3], mean**2])
-    return np.linalg.qr(terms / np.abs(terms).max(axis=0))[0]
-
-
-def _limits(residual: FloatArray, stress: FloatArray) -> FloatArray:
-    """Largest residual that is none of an outlier, shape (3,) [Pa]."""
-    loaded = (np.abs(scaled_stress(stress)) > _LOADED).any(axis=1)
-    limits = _SCALES * _MAD * np.median(residual[loaded], axis=0)
-    # Again without those found, because a wrong stress makes a wrong full scale.
-    for _ in range(2):
-        sound = (residual <= np.maximum(limits, _LEAST * np.abs(stress).max(axis=0))).all(axis=1)
-        stress, residual = stress[sound], residual[sound]
-    return np.maximum(limits, _LEAST * np.abs(stress).max(axis=0))
-
-
-def _outlier(bench: BenchData, fitted: FloatArray, row: int, axis: int) -> Outlier:
-    known, value = float(bench.stress[row, axis]), float(fitted[row, axis])
-    return Outlier(row, bench.place(row), axis, known, value)
-
-
-def fit_least_trimmed(basis: FloatArray, target: FloatArray) -> FloatArray:
-    """Coefficients with the least sum of the smallest 90 % of the squared residuals.
-
-    Random starts, concentrated twice on the rows they fit best, and the best of them until
-    nothing changes; always with the same seed.
-
-    Args:
-        basis: Design matrix with orthonormal columns, shape (N, p).
-        target: Values to explain, shape (N,).
-
-    Returns:
-        Coefficients, shape (p,).
-    """
-    rng = np.random.default_rng(0)
-    if len(target) > _MOST_ROWS:
-        some = rng.choice(len(target), _MOST_ROWS, replace=False)
-        basis, target = basis[some], target[some]
-    size = min(_START_ROWS, len(target))
-    starts = [np.arange(len(target))]
-    starts += [rng.choice(len(target), size, replace=False) for _ in range(_STARTS)]
-    tried = [_concentrate(basis, target, rows, steps=2) for rows in starts]
-    tried.sort(key=lambda trial: trial.objective)
-    ended = [_concentrate(basis, target, trial.rows, _STEPS) for trial in tried[:_FINALISTS]]
-    return min(ended, key=lambda trial: trial.objective).coefficients
-
-
-@dataclass(frozen=True)
-class _Trial:
-    objective: float
-    rows: IntArray
-    coefficients: FloatArray
-
-
-def _concentrate(basis: FloatArray, target: FloatArray, rows: IntArray, steps: int) -> _Trial:
-    """Fit some rows, take those that are fitted best, and again; it never gets worse."""
-    kept = int(np.ceil(_KEPT * len(target)))
-    trial = _Trial(np.inf, rows, np.zeros(basis.shape[1]))
-    for _ in range(steps):
-        part = basis[trial.rows]
-        solution = np.linalg.lstsq(part.T @ part, part.T @ target[trial.rows], rcond=None)[0]
-        squares = (basis @ solution - target) ** 2
-        best = np.argpartition(squares, kept - 1)[:kept]
-        objective = float(squares[best].sum())
-        if objective >= trial.objective:
-            break
-        trial = _Trial(objective, best, np.asarray(solution, dtype=np.float64))
-    return trial
-
-
-def rows_without(bench: BenchData, outliers: tuple[Outlier, ...]) -> BoolArray:
-    """Rows that are no outliers, shape (N,)."""
-    rows = np.ones(len(bench), dtype=bool)
-    rows[[outlier.row for outlier in outliers]] = False
-    return rows
-
-
-def check_droppable(bench: BenchData, outliers: tuple[Outlier, ...]) -> None:
-    """Refuse to drop so many readings that they are no outliers.
-
-    Raises:
-        CalibrationError: If they are more than 5 %.
-    """
-    if len(outliers) > _MOST_DROPPED * len(bench):
-        raise CalibrationError(
-            f"{len(outliers)} of {len(bench)} readings would be dropped, more than"
-            f" {100 * _MOST_DROPPED:g} %: these are no outliers",
-            "look at them with --figure, and leave --drop-outliers away",
-        )
-
 
 _CORNERS = np.sign(np.column_stack(channel_features(np.eye(4))[1:]))  # (4, 2), sides of channels
 _BULK = (1.0, 99.0)  # [%]; a spike beyond them must not decide
@@ -257,8 +109,8 @@ class BenchCalibration:
         dropped: Whether they were left out of the fit and of `bench`.
         fitted: Stress by the calibration, shape (N, 3) [Pa].
         cross_validation: The fits without each group.
-        training: Errors on the data of the fit, one a stress.
-        held_out: Errors on data that the fit had not seen, one a stress.
+        training: Errors on the data of the fit, one per stress.
+        held_out: Errors on held-out data, one per stress.
         normal_half_width: Half widths of the 95 % intervals of `normal`, shape (2,).
         shear_half_width: The same of `shear`, shape (2, 6).
         branches: `find_branches` of the sound rows; no branch of the others, shape (N, 3).
@@ -353,20 +205,16 @@ def calibrate_bench(
         require_wiring(bench, wiring)
     fit_polynomials(bench.capacitance[:, wiring], bench.stress)  # refuses what is singular
     outliers = find_outliers(bench, wiring)
-    sound = rows_without(bench, outliers)
+    sound = np.ones(len(bench), dtype=bool)
+    sound[[outlier.row for outlier in outliers]] = False
     if drop_outliers:
-        check_droppable(bench, outliers)
+        if len(outliers) > _MOST_DROPPED * len(bench):
+            raise CalibrationError(
+                f"{len(outliers)} of {len(bench)} readings would be dropped, more than"
+                f" {100 * _MOST_DROPPED:g} %: these are no outliers",
+                "look at them with --figure, and leave --drop-outliers away",
+            )
         bench, sound = bench[sound], sound[sound]
-    return _judge(bench, wiring, outliers, drop_outliers, sound)
-
-
-def _judge(
-    bench: BenchData,
-    wiring: IntArray,
-    outliers: tuple[Outlier, ...],
-    dropped: bool,
-    sound: BoolArray,
-) -> BenchCalibration:
     cluster = fit_cluster(bench.capacitance, bench.stress, wiring, sound)
     fitted = predict_stress(cluster, bench.capacitance)
     groups = choose_groups(bench)
@@ -380,7 +228,7 @@ def _judge(
         bench=bench,
         sound=sound,
         outliers=outliers,
-        dropped=dropped,
+        dropped=drop_outliers,
         fitted=fitted,
         cross_validation=checked,
         training=stress_errors(bench.stress, fitted, full_scale),
@@ -395,7 +243,7 @@ def _judge(
     )
 
 
-_DIGITS = 4  # of an error; more would say more than a bench knows
+_DIGITS = 4  # of an error; a bench does not determine more
 
 
 def bench_record(
@@ -410,7 +258,7 @@ def bench_record(
         forced: Whether it is kept although it exceeds the limit.
         drift: Drift over the bench run that was taken off; None if no baseline followed it.
     """
-    record = {
+    record: dict[str, Any] = {
         "date": date,
         "source": ", ".join(calibrated.bench.files),
         "readings": len(calibrated.bench),
@@ -418,47 +266,45 @@ def bench_record(
         "forced": forced,
         "limit_percent": limit,
         "full_scale": _by_stress(calibrated.full_scale),
-        "stress_range": dict(zip(STRESSES, map(_shorts, calibrated.stress_range), strict=True)),
+        "stress_range": _by_stress(calibrated.stress_range),
         "held_out_by": str(calibrated.cross_validation.groups),
-        "held_out": _errors(calibrated.held_out),
-        "training": _errors(calibrated.training),
+        "held_out": _by_stress(calibrated.held_out),
+        "training": _by_stress(calibrated.training),
         "hysteresis_percent": _by_stress(calibrated.hysteresis),
         "repeatability_percent": _by_stress(calibrated.repeatability),
         "interval_95": {
-            "normal": _shorts(calibrated.normal_half_width),
-            "shear_x": _shorts(calibrated.shear_half_width[0]),
-            "shear_y": _shorts(calibrated.shear_half_width[1]),
+            "normal": calibrated.normal_half_width,
+            "shear_x": calibrated.shear_half_width[0],
+            "shear_y": calibrated.shear_half_width[1],
         },
         "outliers": [outlier.place for outlier in calibrated.outliers],
         "outliers_dropped": calibrated.dropped,
     }
     if drift is not None:
         record["drift"] = {
-            "capacitance": _shorts(drift.capacitance),
+            "capacitance": drift.capacitance,
             "stress": _by_stress(drift.stress),
             "limit": DRIFT_LIMIT,
             "flagged": drift.flagged,
         }
-    return record
+    return {**_plain(record), "limit_percent": limit}
 
 
-def _errors(errors: tuple[Any, ...]) -> dict[str, Any]:
-    return {
-        name: {key: _short(value) for key, value in asdict(error).items()}
-        for name, error in zip(STRESSES, errors, strict=True)
-    }
+def _by_stress(values: Iterable[Any]) -> dict[str, Any]:
+    return dict(zip(STRESSES, values, strict=True))
 
 
-def _by_stress(values: FloatArray) -> dict[str, float | None]:
-    return dict(zip(STRESSES, _shorts(values), strict=True))
-
-
-def _shorts(values: FloatArray) -> list[float | None]:
-    return [_short(value) for value in values.tolist()]
-
-
-def _short(value: float) -> float | None:
-    return float(f"{value:.{_DIGITS}g}") if math.isfinite(value) else None
+def _plain(value: Any) -> Any:
+    """A value as YAML has it: numbers of a few digits, lists, dictionaries; None for NaN."""
+    if isinstance(value, StressErrors):
+        value = asdict(value)
+    if isinstance(value, dict):
+        return {key: _plain(entry) for key, entry in value.items()}
+    if isinstance(value, list | np.ndarray):
+        return [_plain(entry) for entry in value]
+    if isinstance(value, float):
+        return float(f"{value:.{_DIGITS}g}") if math.isfinite(value) else None
+    return value
 
 
 @dataclass(frozen=True)

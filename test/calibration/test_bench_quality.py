@@ -7,8 +7,9 @@ import pytest
 from support.benches import FULL_SCALE, bench_of, exact_bench, nominal, sensor_bench
 
 from socket_testbed.calibration.bench_data import BenchData, join_benches
-from socket_testbed.calibration.calibrate import calibrate_bench, find_outliers
+from socket_testbed.calibration.calibrate import calibrate_bench
 from socket_testbed.calibration.drift import cycle_ids, find_branches, find_extremes
+from socket_testbed.calibration.outliers import find_outliers
 from socket_testbed.calibration.polynomials import design_matrices, fit_polynomials
 from socket_testbed.calibration.quality import (
     Groups,

@@ -10,8 +10,9 @@ from matplotlib.figure import Figure
 
 from socket_testbed.arrays import FloatArray, IntArray
 from socket_testbed.calibration.bench_data import STRESSES
-from socket_testbed.calibration.calibrate import BenchCalibration, Outlier
+from socket_testbed.calibration.calibrate import BenchCalibration
 from socket_testbed.calibration.drift import FALLING, RISING
+from socket_testbed.calibration.outliers import Outlier
 from socket_testbed.report.figures.style import dress, lay_out
 
 # Okabe & Ito's colours; the marks tell the branches apart in grey, too.
