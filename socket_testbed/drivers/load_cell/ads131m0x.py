@@ -30,7 +30,7 @@ _RESET_BIT = 0x0400
 _WORDS_OF_24_BITS, _TIMEOUT, _ANSI = 0x0100, 0x0010, 0x0800
 _HIGH_RESOLUTION = 0x0002
 
-_CHECK_WIRING = "check the wiring, or lower load_cell_node's spi_clock"
+CHECK_WIRING = "check the wiring, or lower load_cell_node's spi_clock"
 _CHECK_DIN = "check DIN, or lower load_cell_node's spi_clock"
 
 
@@ -325,7 +325,7 @@ class Ads131m0x:
         if checksum(answer[:-_WORD], self._crc) != int.from_bytes(answer[-_WORD:-1], "big"):
             raise ChecksumError(
                 f"{self._name}: a frame does not match its checksum",
-                _CHECK_WIRING,
+                CHECK_WIRING,
             )
 
     def _transfer(self, *words: int) -> bytes:

@@ -11,6 +11,7 @@ import numpy as np
 from socket_testbed import clocks
 from socket_testbed.arrays import BoolArray, FloatArray, IntArray
 from socket_testbed.drivers.load_cell.ads131m0x import (
+    CHECK_WIRING,
     Ads131m0x,
     ChecksumError,
     SpiDevice,
@@ -31,7 +32,6 @@ _PAUSE = 1.95  # periods; two conversions wait, a third would be lost
 _BRIDGES = 6
 _ROWS = 200_000  # 11 MB
 _CHECK_CLOCK = "check the converter's clock and its supply"
-_CHECK_WIRING = "check the wiring, or lower load_cell_node's spi_clock"
 
 
 class ConversionClock:
@@ -260,7 +260,7 @@ class ConverterReader:
             elif fault is not None and now - self._failed < _RECENT:
                 level, fact, hint = 1, f"{fault.fact}, and is read again", fault.hint
             elif now - self._corrupted < _RECENT:
-                level, hint = 1, _CHECK_WIRING
+                level, hint = 1, CHECK_WIRING
                 fact = f"{self._name}: frames do not match their checksums and are left out"
             elif not self._counts["conversions"]:
                 level, fact, hint = 1, f"{self._name}: no conversion yet", "wait for the first"
@@ -308,7 +308,7 @@ class ConverterReader:
         if now - max(self._arrived, self._connected) <= self.silence:
             return
         if now - self._matched > self.silence:
-            raise ChecksumError(f"{self._name}: no frame matches its checksum", _CHECK_WIRING)
+            raise ChecksumError(f"{self._name}: no frame matches its checksum", CHECK_WIRING)
         raise DeviceError(f"{self._name}: converts no more", _CHECK_CLOCK)
 
     def _fail(self, error: DeviceError) -> None:
