@@ -15,7 +15,7 @@ from socket_testbed.trials.segment import find_plateaus
 from socket_testbed.trials.synchronise import read_samples
 from socket_testbed.trials.trial import Trial
 
-TIMEOUT = 30.0  # [s]
+TIMEOUT = 60.0  # [s]
 SETTINGS = IdentificationSettings()
 
 

@@ -93,7 +93,7 @@ def test_another_process_subscribes_while_the_command_replays_and_estimates(hold
             [*command, "--rate", "10", "--estimate", "--variant", "stiffness_bias"],
             check=False,
             capture_output=True,
-            timeout=90,
+            timeout=180,
         )
         assert done.returncode == 0, done.stderr.decode()
         probe.wait(lambda: len(wrenches) > 0 and len(forces) == len(wrenches), "estimates")
@@ -279,7 +279,7 @@ def test_a_killed_command_leaves_no_node(hold: Path) -> None:
         probe.wait(lambda: len(last(diagnostics, "estimator_node")) > 0, "the estimator")
         replay.kill()
         # The pipe closes when the last process that holds it has ended.
-        replay.communicate(timeout=30)
+        replay.communicate(timeout=60)
 
 
 def test_a_trial_recorded_in_a_namespace_is_estimated_there(
