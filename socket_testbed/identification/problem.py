@@ -270,21 +270,21 @@ class StageTwoData:
 
     def __init__(self, objective: Objective, sets: int = 1, method: Method = "auto") -> None:
         complete = np.ones(len(objective.position), dtype=bool)
-        rows, targets = [complete], [[*objective.wrench.T]]
-        points = [list(range(len(objective.geometry)))]
+        every_point = list(range(len(objective.geometry)))
+        gathered = [(complete, [*objective.wrench.T], every_point)]
         numbers = {complete.tobytes(): 0}
         self._places: list[tuple[int, int, int]] = []  # of each channel: group, point, target
         for channel in objective.channels:
-            number = numbers.setdefault(channel.rows.tobytes(), len(numbers))
-            if number == len(rows):
-                rows, targets, points = [*rows, channel.rows], [*targets, []], [*points, []]
-            if channel.point not in points[number]:
-                points[number].append(channel.point)
-            place = points[number].index(channel.point)
-            self._places.append((number, place, len(targets[number])))
-            targets[number].append(channel.force)
+            number = numbers.setdefault(channel.rows.tobytes(), len(gathered))
+            if number == len(gathered):
+                gathered.append((channel.rows, [], []))
+            _, targets, points = gathered[number]
+            if channel.point not in points:
+                points.append(channel.point)
+            self._places.append((number, points.index(channel.point), len(targets)))
+            targets.append(channel.force)
         groups = [
-            Group(rows[i], np.stack(targets[i], axis=1), points[i]) for i in range(len(numbers))
+            Group(rows, np.stack(targets, axis=1), points) for rows, targets, points in gathered
         ]
         sharpness = objective.settings.gate_sharpness
         self._moments = GatedMoments(objective.position, sharpness, groups, sets, method)
