@@ -128,7 +128,7 @@ class Task:
     again: bool = False
 
 
-class Status(StrEnum):
+class JobStatus(StrEnum):
     """The state of a job at the end."""
 
     OK = "ok"
@@ -150,14 +150,14 @@ class Outcome:
     """
 
     name: str
-    status: Status
+    status: JobStatus
     row: Row = field(default_factory=dict)
     error: str | None = None
     changed: tuple[str, ...] = ()
 
     def __str__(self) -> str:
         words = f"{self.name}: {self.status.value}"
-        if self.status is Status.FAILED:
+        if self.status is JobStatus.FAILED:
             return f"{words}: {self.error}"
         if self.changed:
             words += f" again (changed: {', '.join(self.changed)})"
@@ -235,7 +235,7 @@ def run_batch(
     """
     task = replace(task, folder=task.folder.absolute())  # a worker may be elsewhere
     _require_own_folder(task)
-    outcomes = [Outcome(job.name, Status.NOT_REACHED) for job in jobs]
+    outcomes = [Outcome(job.name, JobStatus.NOT_REACHED) for job in jobs]
     done = 0
     try:
         with closing(spread(partial(execute, task), jobs, pool)) as results:
@@ -249,7 +249,7 @@ def run_batch(
         if done:  # else an older summary stays, as its results do
             _write_summary(outcomes, task.folder)
     report(f"summary in {task.folder / SUMMARY}.csv and {SUMMARY}.parquet")
-    failed = [outcome for outcome in outcomes if outcome.status is Status.FAILED]
+    failed = [outcome for outcome in outcomes if outcome.status is JobStatus.FAILED]
     for outcome in failed:
         warn(f"{outcome.name}: {outcome.error}")
     if failed:
@@ -277,7 +277,7 @@ def _require_own_folder(task: Task) -> None:
 def _lost(job: Job, error: Exception) -> Outcome:
     return Outcome(
         job.name,
-        Status.FAILED,
+        JobStatus.FAILED,
         error=f"{job.trial.path}: its worker failed ({_one_line(error)}): check that the worker has"
         " this package and memory enough, or give fewer --jobs",
     )
@@ -297,7 +297,9 @@ def _write_summary(outcomes: Sequence[Outcome], folder: Path) -> None:
     rows = [
         {
             "trial": outcome.name,
-            "status": (Status.OK if outcome.status is Status.SKIPPED else outcome.status).value,
+            "status": (
+                JobStatus.OK if outcome.status is JobStatus.SKIPPED else outcome.status
+            ).value,
             "error": outcome.error,
             **outcome.row,
         }
@@ -313,11 +315,11 @@ def execute(task: Task, job: Job) -> Outcome:
     try:
         return _do_once(task, job)
     except TestbedError as error:
-        return Outcome(job.name, Status.FAILED, error=str(error))
+        return Outcome(job.name, JobStatus.FAILED, error=str(error))
     except Exception as error:
         return Outcome(
             job.name,
-            Status.FAILED,
+            JobStatus.FAILED,
             error=f"{job.trial.path}: unexpected {_one_line(error)}: run '{task.verb}' on this"
             " trial alone and report what it says",
         )
@@ -331,7 +333,7 @@ def _do_once(task: Task, job: Job) -> Outcome:
     if record is not None:
         changed = _changes(record, inputs, job.output)
         if not changed and not task.again:
-            return Outcome(job.name, Status.SKIPPED, record.row)
+            return Outcome(job.name, JobStatus.SKIPPED, record.row)
         # A result of other inputs must not stay and pass for this one if the work now fails.
         job.output.unlink(missing_ok=True)
         path.unlink()
@@ -339,7 +341,7 @@ def _do_once(task: Task, job: Job) -> Outcome:
     record = Record(inputs, file_digest(job.output), row)
     with atomic_output(path) as staging:
         staging.write_text(json.dumps(asdict(record), indent=1, allow_nan=False), encoding="utf-8")
-    return Outcome(job.name, Status.OK, row, changed=changed)
+    return Outcome(job.name, JobStatus.OK, row, changed=changed)
 
 
 def _work(task: Task, job: Job) -> Row:

@@ -17,8 +17,8 @@ from support.batches import count, make_trial, own_column
 from socket_testbed import batch
 from socket_testbed.batch import (
     Job,
+    JobStatus,
     Pool,
-    Status,
     Task,
     execute,
     find_trials,
@@ -150,13 +150,13 @@ def remove_output(study: Path, task: Task, job: Job) -> tuple[Task, Job]:
 def test_whatever_changed_is_named_and_the_work_done_again(change, named, study, task) -> None:
     (study / "calibration.yaml").write_text("coefficients")
     job = jobs_of(study, task, calibration=study / "calibration.yaml")[0]
-    assert execute(task, job).status is Status.OK
-    assert execute(task, job).status is Status.SKIPPED
+    assert execute(task, job).status is JobStatus.OK
+    assert execute(task, job).status is JobStatus.SKIPPED
     changed_task, changed_job = change(study, task, job)
     outcome = execute(changed_task, changed_job)
-    assert (outcome.status, outcome.changed) == (Status.OK, named)
+    assert (outcome.status, outcome.changed) == (JobStatus.OK, named)
     assert changed_job.output.read_text() == (job.trial.path / "hold.mcap").read_text()
-    assert execute(changed_task, changed_job).status is Status.SKIPPED
+    assert execute(changed_task, changed_job).status is JobStatus.SKIPPED
 
 
 def test_another_version_of_the_software_does_it_again(study, task, monkeypatch) -> None:
@@ -173,8 +173,8 @@ def test_a_torn_record_is_none(text: str, study: Path, task: Task) -> None:
     job = jobs_of(study, task)[0]
     execute(task, job)
     record_path(task, job).write_text(text)
-    assert execute(task, job).status is Status.OK
-    assert execute(task, job).status is Status.SKIPPED
+    assert execute(task, job).status is JobStatus.OK
+    assert execute(task, job).status is JobStatus.SKIPPED
 
 
 def test_an_older_result_does_not_pass_for_one_that_failed(study: Path, task: Task) -> None:
@@ -182,7 +182,7 @@ def test_an_older_result_does_not_pass_for_one_that_failed(study: Path, task: Ta
     execute(task, job)
     (job.trial.path / "hold.mcap").write_text("wrong")
     for _ in range(2):
-        assert execute(task, job).status is Status.FAILED
+        assert execute(task, job).status is JobStatus.FAILED
         assert not job.output.exists()
 
 

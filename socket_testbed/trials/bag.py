@@ -13,7 +13,7 @@ from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, NamedTuple, Self
 
 import yaml
 from rosbags.interfaces import (
@@ -120,12 +120,12 @@ class BagReader:
         self.notes: list[str] = []
 
     def __enter__(self) -> Self:
-        metadata = self._metadata()
+        metadata = _read_metadata(self.path)
         try:
             for file in self._storage_files(metadata):
                 self._readers.append(self._open(file))
             if metadata is not None:
-                self._compare(metadata)
+                self._compare(metadata.topics)
         except BaseException:
             self._stack.close()
             raise
@@ -171,32 +171,14 @@ class BagReader:
             if any(left.values()):
                 raise _lacking(reader.path, sum(left.values()))
 
-    def _metadata(self) -> dict[str, object] | None:
-        if not self.path.exists():
-            raise TrialError(f"{self.path}: no such trial", "check the path")
-        file = self.path / "metadata.yaml"
-        if self.path.is_file() or not file.exists():
-            return None
-        try:
-            content = yaml.safe_load(file.read_text(encoding="utf-8"))
-            information = content["rosbag2_bagfile_information"]
-            assert isinstance(information, dict)
-        except (OSError, UnicodeDecodeError, yaml.YAMLError, KeyError, TypeError, AssertionError):
-            raise TrialError(
-                f"{file}: is no rosbag2 metadata", "write it again with 'ros2 bag reindex'"
-            ) from None
-        return information
-
-    def _storage_files(self, metadata: dict[str, object] | None) -> list[Path]:
+    def _storage_files(self, metadata: _Metadata | None) -> list[Path]:
         if self.path.is_file():
             return [self.path]
         if metadata is None:
             files = sorted(p for p in self.path.iterdir() if p.suffix in _SUFFIXES)
             self.notes.append("no metadata.yaml: the storage files were read as they are")
         else:
-            named = metadata.get("relative_file_paths")
-            named = named if isinstance(named, list) else []
-            files = [self.path / Path(str(name)).name for name in named]
+            files = [self.path / name for name in metadata.files]
         if not files:
             raise TrialError(
                 f"{self.path}: holds no .mcap or .db3 file", "give the folder of a trial"
@@ -223,22 +205,17 @@ class BagReader:
             self.notes.append(salvaged.note)
         return reader
 
-    def _compare(self, metadata: dict[str, object]) -> None:
+    def _compare(self, topics: Collection[_TopicMetadata]) -> None:
         counts = self.counts
-        entries = metadata.get("topics_with_message_count")
-        promised = 0
-        for entry in entries if isinstance(entries, list) else []:
-            name = entry["topic_metadata"]["name"]
-            held, written_count = counts.get(name, 0), entry["message_count"]
-            promised += written_count
+        for name, count, profiles in topics:
+            held = counts.get(name, 0)
             # A recording that was cut short has fewer; a note says so.
-            if held != written_count and not (self._cut_short and held < written_count):
+            if held != count and not (self._cut_short and held < count):
                 raise TrialError(
-                    f"{self.path}: metadata.yaml says {written_count} messages on {name},"
+                    f"{self.path}: metadata.yaml says {count} messages on {name},"
                     f" the storage file holds {held}",
                     "copy the trial again, or write metadata.yaml again with 'ros2 bag reindex'",
                 )
-            written = parse_qos(entry["topic_metadata"].get("offered_qos_profiles", []))
             stored = [
                 profile
                 for reader in self._readers
@@ -246,16 +223,57 @@ class BagReader:
                 if connection.topic == name and isinstance(connection.ext, ConnectionExtRosbag2)
                 for profile in connection.ext.offered_qos_profiles
             ]
-            if any(profile not in written for profile in stored):
+            if any(profile not in profiles for profile in stored):
                 self.notes.append(
                     f"metadata.yaml and the storage file disagree on the QoS of {name}:"
                     " the file's messages are read"
                 )
+        promised = sum(topic.messages for topic in topics)
         if promised > sum(counts.values()):
             self.notes.append(
                 f"metadata.yaml says {promised} messages: copy the trial again if it is"
                 " complete elsewhere"
             )
+
+
+class _TopicMetadata(NamedTuple):
+    """What metadata.yaml says of a topic."""
+
+    name: str
+    messages: int
+    profiles: list[Qos]
+
+
+class _Metadata(NamedTuple):
+    """Names of the storage files, and the topics, of metadata.yaml."""
+
+    files: list[str]
+    topics: list[_TopicMetadata]
+
+
+def _read_metadata(bag: Path) -> _Metadata | None:
+    """The metadata of a bag; None if it is one storage file, or has no metadata.yaml."""
+    if not bag.exists():
+        raise TrialError(f"{bag}: no such trial", "check the path")
+    file = bag / "metadata.yaml"
+    if bag.is_file() or not file.exists():
+        return None
+    try:
+        content = yaml.safe_load(file.read_text(encoding="utf-8"))["rosbag2_bagfile_information"]
+        topics = [
+            _TopicMetadata(
+                str(entry["topic_metadata"]["name"]),
+                int(entry["message_count"]),
+                parse_qos(entry["topic_metadata"].get("offered_qos_profiles", [])),
+            )
+            for entry in content.get("topics_with_message_count") or []
+        ]
+        files = [Path(str(name)).name for name in content.get("relative_file_paths") or []]
+    except Exception:  # the libraries raise whatever the text leads them to
+        raise TrialError(
+            f"{file}: is no rosbag2 metadata", "write it again with 'ros2 bag reindex'"
+        ) from None
+    return _Metadata(files, topics)
 
 
 def _next(

@@ -147,6 +147,15 @@ def test_metadata_that_promises_other_counts_is_refused(hold: Path, tmp_path: Pa
         read_samples(Trial(target))
 
 
+@pytest.mark.parametrize("entry", ["text", {"message_count": 7}, {"topic_metadata": {"name": "x"}}])
+def test_metadata_without_topics_and_counts_is_refused(entry, tmp_path: Path) -> None:
+    content = {"relative_file_paths": [], "topics_with_message_count": [entry]}
+    text = yaml.safe_dump({"rosbag2_bagfile_information": content})
+    (tmp_path / "metadata.yaml").write_text(text)
+    with pytest.raises(TrialError, match=r"is no rosbag2 metadata: .*reindex"):
+        read_samples(Trial(tmp_path))
+
+
 def test_a_trial_without_metadata_is_read_from_its_files(hold: Path, tmp_path: Path) -> None:
     target = tmp_path / "hold"
     shutil.copytree(hold, target)
