@@ -40,8 +40,7 @@ from socket_testbed.settings.identification import Variant
 from socket_testbed.settings.testbed import estimator_settings
 from socket_testbed.tables import check_format, write_table
 from socket_testbed.trials.segment import Segment
-from socket_testbed.trials.synchronise import make_samples, read_measurements
-from socket_testbed.trials.tables import sample_table
+from socket_testbed.trials.synchronise import make_samples, read_measurements, sample_table
 from socket_testbed.trials.trial import Trial
 
 if TYPE_CHECKING:

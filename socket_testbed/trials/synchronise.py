@@ -1,8 +1,9 @@
-"""Samples of a trial: what was recorded, put together by the stamp of the trigger.
+"""Samples of a trial: the recorded values, put together by the stamp of the trigger.
 
-`read_measurements` puts the recorded values in rows, one per trigger. `correct_measurements` takes
-the drift of the clusters off, if spans without load are known. `make_samples` computes the stresses
-and forces, with the trial's calibration, and the limb position. `read_samples` does all of it.
+`read_measurements` puts the recorded values in rows, one per trigger. `correct_measurements`
+removes the drift of the clusters, if spans without load are known. `make_samples` computes the
+stresses and forces, with the trial's calibration, and the limb position. `read_samples` does all
+of it, and `sample_table` shows the values of every step.
 """
 
 from __future__ import annotations
@@ -11,11 +12,12 @@ import dataclasses
 from array import array
 from collections.abc import Collection
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from socket_testbed.arrays import FloatArray, IntArray, StatusArray
+from socket_testbed.calibration.bench_data import STRESSES
 from socket_testbed.calibration.drift import (
     DRIFT_LIMIT,
     Drift,
@@ -25,10 +27,16 @@ from socket_testbed.calibration.drift import (
 )
 from socket_testbed.errors import ConfigurationError, TrialError
 from socket_testbed.geometry.pose import Pose
-from socket_testbed.samples import Samples, Status
+from socket_testbed.identification.contact import ContactModel
+from socket_testbed.identification.evaluation import predict_channels
+from socket_testbed.samples import LOCAL_CHANNELS, Samples, Status, channel_unit
 from socket_testbed.trials.bag import RawMessage, decode, stamp_of
+from socket_testbed.trials.segment import Segment
 from socket_testbed.trials.topics import CAPACITANCE, PYLON_POSE, SOCKET_POSE, TRIGGER, WRENCH
 from socket_testbed.trials.trial import Trial, required_topics
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 
 def read_samples(trial: Trial) -> Samples:
@@ -249,6 +257,55 @@ def _require_clusters(clusters: Collection[str], trial: Trial) -> None:
                 f" (which has {', '.join(trial.geometry.clusters)})",
                 "give the socket.yaml of this trial with --geometry",
             )
+
+
+_SHARED = 1 + 6 + 3  # columns besides the clusters': time, wrench, limb position
+
+
+def sample_table(
+    trial: Trial,
+    measured: Measurements,
+    samples: Samples,
+    segment: Segment,
+    model: ContactModel | None = None,
+) -> pd.DataFrame:
+    """The samples of a trial as a table, with what the clusters' forces were computed from.
+
+    Args:
+        trial: The trial.
+        measured: All that was measured.
+        samples: All samples made of it.
+        segment: Which of them are wanted.
+        model: A model whose predictions are added as `predicted.*`.
+
+    Returns:
+        A row per sample, with the units in the titles: stamp [ns], time since the trial's first
+        sample [s], wrench and limb position in {S}; for each cluster its capacitances by the
+        converter's input [pF], its status (0 ok, 1 saturated, 2 missing, 3 out of the calibrated
+        range), and its stress [Pa] and force [N] in its own frame. NaN where there is none.
+
+    Raises:
+        ConfigurationError: If the model lacks a cluster of the samples.
+    """
+    import pandas as pd
+
+    table = samples.to_dataframe().iloc[segment.rows].reset_index()
+    stamps = samples.stamps[segment.rows]
+    capacitance, status = measured.capacitance[segment.rows], measured.status[segment.rows]
+    columns: dict[str, Any] = {"stamp [ns]": stamps, **table.iloc[:, :_SHARED]}
+    for number, name in enumerate(samples.clusters):
+        readings = capacitance[:, number]
+        stress, _ = trial.calibration.clusters[name].apply(readings, status[:, number])
+        columns |= {f"{name}.C{i} [pF]": readings[:, i] for i in range(4)}
+        columns[f"{name}.status [-]"] = table[f"{name}.status [-]"]
+        columns |= {f"{name}.{axis} [Pa]": stress[:, i] for i, axis in enumerate(STRESSES)}
+        columns |= {title: table[title] for title in (f"{name}.{f} [N]" for f in LOCAL_CHANNELS)}
+    if model is not None:
+        position = samples.position[segment.rows]
+        predicted = predict_channels(model, position, samples.clusters)
+        for channel, values in zip(samples.channels, predicted.T, strict=True):
+            columns[f"predicted.{channel} [{channel_unit(channel)}]"] = values
+    return pd.DataFrame(columns)
 
 
 def check_trial(trial: Trial) -> tuple[str, ...]:
