@@ -1,11 +1,11 @@
 """The testbed's clock: its scale, its relation to the epoch, and when to try again.
 
 A simulated testbed may run slower than real time, so that a busy machine keeps up: everything
-that waits or tells the time in it (trigger, chips, bus transfers, NatNet, physics, nodes) uses
+that waits or reads the time in it (trigger, chips, bus transfers, NatNet, physics, nodes) uses
 `monotonic`, `sleep` and `real` of this module. On hardware the scale is 1.
 
 The processes of one graph share where it begins, in an environment variable: one that is started
-again later, when the system clock has been set, still tells the same time as the others.
+again later, when the system clock has been set, still reads the same time as the others.
 """
 
 from __future__ import annotations
@@ -115,7 +115,7 @@ class TriggerTime:
 
     Processes that were not started together take the system clock each at its own start. If that
     clock was set in between, stamps seem to come from the future or from long ago, all by the same
-    difference: then their arrival tells it. Triggers that were held up come from long ago, too,
+    difference: then their arrival shows it. Triggers that were held up come from long ago, too,
     but each by another difference.
 
     Attributes:
@@ -128,7 +128,7 @@ class TriggerTime:
         self.shift = 0.0
 
     def steady(self, stamp: int, arrival: float) -> float:
-        """Time of a trigger on the steady clock [s]; minus infinity while it cannot be told.
+        """Time of a trigger on the steady clock [s]; minus infinity while it is unknown.
 
         Args:
             stamp: Its stamp since the epoch [ns].

@@ -64,7 +64,7 @@ def run(options: argparse.Namespace) -> None:
     trial = Trial(folder / "trial")
     samples, scale = _record(trial, options.seed, folder / "live.log")
 
-    speed = scale * _SPEED
+    speed = _SPEED * min(scale, measure_speed().time_scale())
     print(f"2. the trial replayed through calibration and estimator at {speed:g} times speed")
     estimates: dict[str, Estimate] = {}
     for variant in VARIANTS:
@@ -106,23 +106,26 @@ def _record(trial: Trial, seed: int, log: Path) -> tuple[Samples, float]:
     scale = measure_speed().time_scale()
     if note := busy_note(scale):
         print(f"   {note}")
-    _run_live(trial.path, seed, scale, log)
-    samples = read_samples(trial)
-    whole = _complete(samples)
-    if whole < _COMPLETE and scale > SLOWEST:
-        scale *= 0.5
-        print(f"   only {whole:.0%} of the samples are complete: again at {pace(scale)}")
-        shutil.rmtree(trial.path)
+    while True:
         _run_live(trial.path, seed, scale, log)
-        samples = read_samples(trial)
+        complete = _complete(trial)
+        if complete >= _COMPLETE or scale <= SLOWEST:
+            break
+        scale *= 0.5
+        print(f"   only {complete:.0%} of the samples are complete: again at {pace(scale)}")
+        shutil.rmtree(trial.path)
     print("   " + summary(trial.path))
-    return samples, scale
+    return read_samples(trial), scale
 
 
-def _complete(samples: Samples) -> float:
-    """Fraction of the samples that hold all measurements [-]."""
+def _complete(trial: Trial) -> float:
+    """Fraction of a trial's samples that hold all measurements [-]."""
+    try:
+        samples = read_samples(trial)
+    except TrialError:  # the nodes were not up before the hold was over
+        return 0.0
     forces = np.isfinite(samples.local_forces).all(axis=(1, 2))
-    return float((samples.complete & forces).mean()) if len(samples) else 0.0
+    return float((samples.complete & forces).mean())
 
 
 def _run_live(path: Path, seed: int, scale: float, log: Path) -> None:

@@ -35,7 +35,7 @@ FAULTS = {
     "mocap.truncate": "probability that a datagram is cut somewhere [-]",
     "mocap.duplicate": "probability that a datagram comes twice [-]",
     "mocap.reorder": "probability that a datagram comes after the next one [-]",
-    "mocap.corrupt": "probability that a datagram's counts lie [-]",
+    "mocap.corrupt": "probability that a count in a datagram is wrong [-]",
     "mocap.restart": "each new number restarts the server: clients forgotten, another clock",
     "mocap.occlude": "1 + the marker that is occluded on both bodies",
     "mocap.swap": "probability that two labels of a body are swapped in a frame [-]",
@@ -137,7 +137,7 @@ class World:
             poses: Positions [m] and quaternions (x, y, z, w) of the two bodies, shape (2, 7).
         """
         state = np.concatenate([a.ravel() for a in (capacitance, wrench, markers, poses)])
-        # An odd count of changes tells the readers that a change is under way.
+        # While the count of changes is odd, readers know that a change is under way.
         self._changes[0] += 1
         if self._changes[0] == 1:  # before the first state it was as it is then
             self._time[:] = moment - np.arange(_KEPT, 0, -1)

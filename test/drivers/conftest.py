@@ -1,15 +1,15 @@
 """Drivers on real threads and sockets run in testbed time, as slow as this machine needs."""
 
 import pytest
+from support.pace import careful_time_scale
 
 from socket_testbed import clocks
-from socket_testbed.live.time_scale import measure_speed
 
 
 @pytest.fixture(scope="session")
 def time_scale() -> float:
     """Testbed seconds per real second that this machine manages [-]."""
-    return measure_speed().time_scale()
+    return careful_time_scale()
 
 
 @pytest.fixture(autouse=True)

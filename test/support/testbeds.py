@@ -15,7 +15,7 @@ import numpy as np
 from socket_testbed.geometry.marker_bodies import fit_triad
 from socket_testbed.live.bringup import Simulation, Testbed, end, simulated_testbed, start
 from socket_testbed.live.processes import Graph
-from socket_testbed.live.time_scale import SLOWEST, busy_note, measure_speed
+from socket_testbed.live.time_scale import SLOWEST, busy_note
 from socket_testbed.nodes.conversions import stamp_from_ros
 from socket_testbed.simulation.trial import TRUTH_FILE
 from socket_testbed.simulation.world import World
@@ -32,6 +32,7 @@ from socket_testbed.trials.topics import (
 )
 from socket_testbed.trials.trial import Trial
 from support.graph import DEADLINE, Probe
+from support.pace import careful_time_scale
 
 MEASURED = (CAPACITANCE, WRENCH, SOCKET_POSE, PYLON_POSE, MARKERS)
 
@@ -47,7 +48,7 @@ def manageable(simulation: Simulation, rate: float) -> Simulation:
 
     Tests that run side by side leave some of the machine to each other.
     """
-    scale = measure_speed().time_scale()
+    scale = careful_time_scale()
     if "PYTEST_XDIST_WORKER" in os.environ:
         scale = min(scale, 0.5)
     if rate > _USUAL_RATE:

@@ -74,7 +74,7 @@ class AdcRegisters:
         """Write registers from an address on; what is read-only or beyond stays as it is.
 
         Returns:
-            How many were written, and whether the conversions begin anew by it.
+            How many were written, and whether that restarts the conversions.
         """
         before = self._values[CLOCK : GAIN2 + 1]
         written = 0
@@ -113,7 +113,7 @@ class SimulatedAds131m0x:
         volts: Called with a time of the steady clock [s] for the voltages at the inputs,
             shape (channels,) [V].
         channels: 6 (M06) or 8 (M08).
-        faults: The faults that are on; see `simulation.world`.
+        faults: The faults of `simulation.world`, looked up at each frame.
         clock: The steady clock [s].
         clock_in: Clock of the converter [Hz].
         seed: Seed of the flipped bits.
@@ -140,7 +140,7 @@ class SimulatedAds131m0x:
         self._power_on(clock())
 
     def close(self) -> None:
-        """Nothing: the chip stays where it is."""
+        """The chip keeps running."""
 
     def xfer2(self, data: list[int], /) -> list[int]:
         """Exchange one frame."""
@@ -178,7 +178,7 @@ class SimulatedAds131m0x:
         self._start(now)
 
     def _start(self, now: float) -> None:
-        """Begin to convert anew, at the rate and gain that are set."""
+        """Restart the conversions at the rate and gain that are set."""
         self._began = now
         self._count = 0
         self._fifo: list[list[int]] = []
@@ -256,8 +256,8 @@ class SimulatedAds131m0x:
         elif self._registers.locked:
             return
         elif command & 0xE000 == _WREG:
-            written, anew = self._registers.write(address, words[1 : 1 + count])
-            if anew:
+            written, restarts = self._registers.write(address, words[1 : 1 + count])
+            if restarts:
                 self._start(now)
             self._response = [0x4000 | address << 7 | written - 1 & 0x7F]
         elif command == _RESET:
@@ -278,7 +278,7 @@ class SimulatedLoadCellHardware:
         wrench: Called with a time of the steady clock [s] for what the cell feels, [M; F],
             shape (6,) [N m, N].
         settings: What its driver believes of it.
-        faults: The faults that are on; see `simulation.world`.
+        faults: The faults of `simulation.world`, looked up at each frame.
         clock: The steady clock [s].
         seed: Seed of the flipped bits.
 

@@ -77,8 +77,8 @@ class SimulatedFdc1004:
         self._end = math.inf  # when that one ends [s]
 
     def host_restarted(self) -> None:
-        """The host opened its bus anew, which can shift the chip's inputs by one."""
-        if self._is_struck_by("shifted"):
+        """The host opened its bus again, which can shift the chip's inputs by one."""
+        if self._has("shifted"):
             self._shift = 1
 
     def write(self, data: bytes) -> None:
@@ -155,20 +155,20 @@ class SimulatedFdc1004:
         """Catch up with the time and the faults since the last transfer."""
         now = self._clock()
         self._convert(now)
-        stuck = self._is_struck_by("stuck_done")
+        stuck = self._has("stuck_done")
         if stuck and not self._stuck_before:
             self._sequence, self._end = [], math.inf  # with what is done left as it is
         self._stuck_before = stuck
-        if self._is_struck_by("brown_out") and now - self._browned_out >= _BROWN_OUT_PERIOD:
+        if self._has("brown_out") and now - self._browned_out >= _BROWN_OUT_PERIOD:
             self._browned_out = now
             self.power_up()
-        if self._is_struck_by("nack"):
+        if self._has("nack"):
             raise _no_answer()
 
     def _convert(self, now: float) -> None:
         if now < self._end:
             return
-        # Whole rounds that nobody read leave no trace: only the last one is computed.
+        # Rounds that nobody read leave no trace: only the last one is computed.
         behind = math.floor((now - self._end) / self._period) + 1
         skipped = max(0, behind - len(self._sequence)) if self._conf & _REPEAT else 0
         if skipped:
@@ -191,7 +191,7 @@ class SimulatedFdc1004:
         self._settings = self._kept[_CONF_MEAS + self._sequence[self._next]]
 
     def _code(self, moment: float) -> int:
-        if self._is_struck_by("rail"):
+        if self._has("rail"):
             return _HIGHEST
         positive, negative = self._settings >> 13 & 7, self._settings >> 10 & 7
         difference = self._input(positive, moment)
@@ -204,7 +204,7 @@ class SimulatedFdc1004:
     def _input(self, n: int, moment: float) -> float:
         return self._capacitance((n + self._shift) % 4, moment)
 
-    def _is_struck_by(self, fault: str) -> bool:
+    def _has(self, fault: str) -> bool:
         return self._faults.get(f"clusters.{fault}", 0.0) == 1 + self._channel
 
 
@@ -234,7 +234,7 @@ class SimulatedTca9548a:
 class SimulatedI2cBus:
     """The bus as a host has it open, with the one method of `smbus2.SMBus` that drivers use.
 
-    Opening it restarts the host, as far as the chips can tell.
+    Opening it restarts the host, as the chips see it.
 
     Args:
         chips: The chip on each channel; without a multiplexer all are on the same wires.

@@ -1,4 +1,4 @@
-"""What a NatNet server sends, of versions 2.6 to 4.4, and how it comes to lie."""
+"""What a NatNet server sends, in versions 2.6 to 4.4, and how its counts go wrong."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ OCCLUDED, SOLVED, MODEL_FILLED, HAS_MODEL, UNLABELLED = 1, 2, 4, 8, 16
 _HEADER = Struct("<HH")
 _BODY = Struct("<i8fh")
 _MARKER = Struct("<i4fh")
-_LIES = (-1, 0, 1, 2, 7, 1000, 0x7FFFFFFF, -0x80000000)
+_WRONG_COUNTS = (-1, 0, 1, 2, 7, 1000, 0x7FFFFFFF, -0x80000000)
 
 
 @dataclass(frozen=True)
@@ -97,11 +97,11 @@ class Message:
         return cls(bytearray(_HEADER.pack(message, len(payload)) + payload))
 
     def finished(self) -> Message:
-        """The message, its header told its size."""
+        """The message with its size in the header."""
         pack_into("<H", self.data, 2, len(self.data) - 4)
         return self
 
-    def lying(self, rng: np.random.Generator) -> bytes:
+    def corrupted(self, rng: np.random.Generator) -> bytes:
         """Its bytes with one count changed; its header's size if there is no other."""
         data = bytearray(self.data)
         if not self.counts:
@@ -109,8 +109,8 @@ class Message:
             return bytes(data)
         at = int(rng.choice(self.counts))
         true = int.from_bytes(data[at : at + 4], "little", signed=True)
-        lies = [lie for lie in (*_LIES, true - 1, true + 1) if lie != true]
-        pack_into("<i", data, at, int(rng.choice(lies)))
+        wrong = [count for count in (*_WRONG_COUNTS, true - 1, true + 1) if count != true]
+        pack_into("<i", data, at, int(rng.choice(wrong)))
         return bytes(data)
 
     def add(self, data: bytes) -> None:
@@ -127,7 +127,7 @@ class Message:
         self.data += pack("<i", number)
 
     def section(self, number: int, sized: bool, content: Message) -> None:
-        """Append a section: its number of elements, its size if it tells that, its content."""
+        """Append a section: number of elements, size where the version has it, content."""
         self.count(number)
         if sized:
             self.count(len(content.data))
@@ -219,15 +219,15 @@ def _floats(values: FloatArray) -> bytes:
 def _bodies(bodies: Iterable[Body], version: Version) -> Message:
     part = Message(bytearray())
     for body in bodies:
-        whole = _BODY.pack(body.id, *body.position, *body.quaternion, 1e-4, int(body.tracked))
+        packed = _BODY.pack(body.id, *body.position, *body.quaternion, 1e-4, int(body.tracked))
         if version >= (3, 0):
-            part.add(whole)
+            part.add(packed)
             continue
-        part.add(whole[:32])
+        part.add(packed[:32])
         number = len(body.markers)
         part.count(number)
         part.add(_floats(body.markers) + pack(f"<{number}i", *range(1, number + 1)))
-        part.add(pack(f"<{number}f", *[0.014] * number) + whole[32:])
+        part.add(pack(f"<{number}f", *[0.014] * number) + packed[32:])
     return part
 
 

@@ -80,8 +80,8 @@ class Scene:
         self._seen: dict[tuple[str, int], FloatArray] = {}
         self._changed = 0
 
-    def start_anew(self) -> None:
-        """Forget what was seen."""
+    def restart(self) -> None:
+        """Forget what was seen, as a server that restarts."""
         self._seen.clear()
         self._names = ()
 
@@ -172,7 +172,7 @@ class FaultyNetwork:
             return
         if self._happens("drop"):
             return
-        data = message.lying(self._rng) if self._happens("corrupt") else bytes(message.data)
+        data = message.corrupted(self._rng) if self._happens("corrupt") else bytes(message.data)
         if self._happens("truncate"):
             data = data[: int(self._rng.integers(len(data)))]
         if not self._held and self._happens("reorder"):
@@ -203,7 +203,7 @@ class _Client:
 
 
 class NatNetServer:
-    """Streams bodies to whom asks, from its construction on until it is closed.
+    """Streams bodies to its clients, from its construction until it is closed.
 
     Args:
         bodies: The rigid bodies at a time of the steady clock [s]: each its name, its markers
@@ -263,7 +263,7 @@ class NatNetServer:
             DISCONNECT: self._disconnect,
         }
         self._restarts = self._faults.get("mocap.restart", 0.0)
-        self._start_anew(clocks.monotonic())
+        self._restart(clocks.monotonic())
         self._closing = threading.Event()
         self._thread = threading.Thread(target=self._run, name="natnet-server", daemon=True)
         self._thread.start()
@@ -280,13 +280,13 @@ class NatNetServer:
         self._thread.join()
         self._socket.close()
 
-    def _start_anew(self, now: float) -> None:
+    def _restart(self, now: float) -> None:
         self._clients: dict[Address, _Client] = {}
         self._origin = now
         self._offset = int(self._rng.integers(10**9, 10**14))
         self._number = 0
         self.recording = False
-        self._scene.start_anew()
+        self._scene.restart()
 
     def _ticks(self, moment: float) -> int:
         return self._offset + round((moment - self._origin) * CLOCK)
@@ -299,7 +299,7 @@ class NatNetServer:
             now = clocks.monotonic()
             restarts = self._faults.get("mocap.restart", 0.0)
             if restarts and restarts != self._restarts:
-                self._start_anew(now)
+                self._restart(now)
             self._restarts = restarts
             if readable:
                 self._listen()
