@@ -79,6 +79,7 @@ class Objective:
             count, shape (6,) [1/(N m)^2, 1/N^2].
         channels: Channels of the clusters in the objective.
         channel_share: Weight of each squared cluster error in J_f [1/N^2].
+        laplacian: Matrix of J_s for one axis, shape (n, n) [-]: see `smoothness_matrix`.
     """
 
     geometry: SocketGeometry
@@ -91,6 +92,7 @@ class Objective:
     wrench_shares: FloatArray
     channels: tuple[ClusterChannel, ...]
     channel_share: float
+    laplacian: FloatArray
 
     @property
     def wrench_weights(self) -> FloatArray:
@@ -192,6 +194,7 @@ def build_objective(
         wrench_shares=weights / max(int(wrench_counts.sum()), 1),
         channels=channels,
         channel_share=1.0 / (local**2 * max(len(channels), 1)),
+        laplacian=smoothness_matrix(len(geometry), geometry.neighbours),
     )
 
 
@@ -428,9 +431,11 @@ def recover_offsets(
 def _smoothness(objective: Objective, difference: float) -> FloatArray:
     """Quadratic term of the smoothness, shape (3n, 3n), for an expected difference."""
     weight = objective.settings.smoothness / (3.0 * difference**2)  # the mean over the axes
-    laplacian = smoothness_matrix(len(objective.geometry), objective.geometry.neighbours)
-    P: FloatArray = np.kron(weight * laplacian, np.eye(3)).astype(np.float64, copy=False)
-    return P
+    points = len(objective.geometry)
+    P = np.zeros((points, 3, points, 3))
+    for axis in range(3):
+        P[:, axis, :, axis] = weight * objective.laplacian
+    return P.reshape(3 * points, 3 * points)
 
 
 def _normalisation(P: FloatArray) -> float:

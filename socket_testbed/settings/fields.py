@@ -5,12 +5,19 @@ from __future__ import annotations
 import dataclasses
 import math
 from dataclasses import dataclass, field
+from functools import cache
 from typing import Any, TypeVar, get_args, get_origin, get_type_hints
 
 from socket_testbed.errors import ConfigurationError
 from socket_testbed.files import check_number, closest
 
 S = TypeVar("S", bound="Settings")
+
+_resolve = cache(get_type_hints)  # a front makes hundreds of settings
+
+
+def _type_hints(kind: Any) -> dict[str, Any]:
+    return _resolve(kind)
 
 
 def setting(
@@ -46,7 +53,7 @@ class Settings:
     """Base of the settings: every field is checked for type and range on construction."""
 
     def __post_init__(self) -> None:
-        hints = get_type_hints(type(self))
+        hints = _type_hints(type(self))
         for item in dataclasses.fields(self):
             if item.metadata:
                 checked = _check(getattr(self, item.name), hints[item.name], item)
@@ -56,7 +63,7 @@ class Settings:
     def flat(cls, prefix: str = "") -> dict[str, dataclasses.Field[Any]]:
         """All fields by their dotted names, those of the settings below included."""
         names: dict[str, dataclasses.Field[Any]] = {}
-        hints = get_type_hints(cls)
+        hints = _type_hints(cls)
         for item in dataclasses.fields(cls):
             kind = hints[item.name]
             if issubclass(get_origin(kind) or kind, Settings):
@@ -82,7 +89,7 @@ class Settings:
             for name in values:
                 if name not in known:
                     raise ConfigurationError(f"{where}: unknown key '{name}'", closest(name, known))
-        hints = get_type_hints(cls)
+        hints = _type_hints(cls)
         arguments: dict[str, Any] = {}
         for item in dataclasses.fields(cls):
             kind = hints[item.name]
