@@ -47,7 +47,7 @@ setup(
     entry_points={
         "console_scripts": [
             f"socket-testbed = {NAME}.__main__:main",
-            *(f"{node}_node = {NAME}.nodes.{node}_node:main" for node in NODES),
+            *(f"{node}_node = {NAME}.nodes.__main__:main" for node in NODES),
         ]
     },
 )

@@ -1,25 +1,91 @@
-"""Nodes in one process: `python -m socket_testbed.nodes NODE... --ros-args ...`."""
+"""Runs nodes: one executor, clean ends, errors in one line.
+
+`python -m socket_testbed.nodes NODE... --ros-args ...` runs one node or several in one process; a
+program with the name of a node, such as `ros2 run socket_testbed cluster_node`, runs that node.
+"""
 
 from __future__ import annotations
 
+import gc
+import signal
 import sys
+from collections.abc import Callable
 from importlib import import_module
+from pathlib import Path
+from typing import Any
 
-from socket_testbed.nodes.runtime import run_node
+import rclpy
+from rclpy.experimental.events_executor import EventsExecutor
+
+from socket_testbed.errors import ConfigurationError, TestbedError
+from socket_testbed.files import closest
+from socket_testbed.live.processes import end_with_starter
+from socket_testbed.nodes.base import TestbedNode, spin
+from socket_testbed.settings.testbed import TestbedSettings
+
+_SWITCH = 5e-4  # [s]; a thread that is due waits no longer for one that computes
 
 
 def main() -> None:
-    """Run the nodes named on the command line, such as trigger_node cluster_node."""
-    names = sys.argv[1:]
-    if "--ros-args" in names:
-        names = names[: names.index("--ros-args")]
-    classes = ["".join(part.capitalize() for part in name.split("_")) for name in names]
-    run_node(
-        *(
-            getattr(import_module(f"socket_testbed.nodes.{name}"), kind)
-            for name, kind in zip(names, classes, strict=True)
-        )
+    """Run the nodes that are named until one has finished or the process is to end, and exit."""
+    program, *words = sys.argv
+    known = TestbedSettings().nodes()
+    if Path(program).name in known:
+        words = [Path(program).name, *words]
+    names = words[: words.index("--ros-args")] if "--ros-args" in words else words
+    sys.exit(_run(names))
+
+
+def _node_class(name: str) -> Callable[[], TestbedNode[Any]]:
+    """Class of a node: CalibrationNode of calibration_node."""
+    known = TestbedSettings().nodes()
+    if name not in known:
+        raise ConfigurationError(f"there is no node '{name}'", closest(name, known))
+    kind = "".join(part.capitalize() for part in name.split("_"))
+    found: Callable[[], TestbedNode[Any]] = getattr(
+        import_module(f"socket_testbed.nodes.{name}"), kind
     )
+    return found
+
+
+def _run(names: list[str]) -> int:
+    # ROS ends its context on SIGINT. Python's KeyboardInterrupt on top of it could strike in the
+    # middle of a callback, where nothing can catch it.
+    signal.signal(signal.SIGINT, lambda number, frame: None)
+    sys.setswitchinterval(_SWITCH)
+    rclpy.init()
+    end_with_starter()
+    nodes: list[TestbedNode[Any]] = []
+    try:
+        try:
+            for name in names:
+                nodes.append(_node_class(name)())  # noqa: PERF401 - those made must be closed
+            _spin(nodes)
+        finally:
+            for node in nodes:
+                node.close()
+            for node in nodes:
+                node.destroy_node()
+    except TestbedError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 1
+    except Exception:
+        # Ended while it starts or closes, a node finds ROS gone at any of its calls.
+        if rclpy.ok():
+            raise
+    finally:
+        rclpy.try_shutdown()
+    return 0
+
+
+def _spin(nodes: list[TestbedNode[Any]]) -> None:
+    # What is there now stays: looking through it for garbage would hold up a trigger by 30 ms.
+    gc.collect()
+    gc.freeze()
+    executor = EventsExecutor()
+    for node in nodes:
+        executor.add_node(node)
+    spin(executor, [node.finished for node in nodes])
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""What every node of the testbed shares: settings, topics, diagnostics.
+"""What every node of the testbed shares: settings, topics, services, diagnostics.
 
 A node declares the parameters of its settings class, advertises and listens to topics, and reports
 how it is: on /diagnostics at 1 Hz, and at once on a change of level.
@@ -9,10 +9,13 @@ from __future__ import annotations
 import math
 import re
 import sys
+import threading
 from collections.abc import Callable
+from contextlib import suppress
 from importlib import import_module
 from typing import Any, Generic, TypeVar
 
+import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rcl_interfaces.msg import (
     FloatingPointRange,
@@ -21,6 +24,7 @@ from rcl_interfaces.msg import (
     SetParametersResult,
 )
 from rclpy.clock import Clock, ClockType
+from rclpy.executors import ExternalShutdownException, ShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
@@ -29,7 +33,7 @@ from rclpy.subscription import Subscription
 from rclpy.task import Future
 
 from socket_testbed import clocks
-from socket_testbed.errors import ConfigurationError
+from socket_testbed.errors import ConfigurationError, TestbedError
 from socket_testbed.settings.fields import Settings, parameter_values
 from socket_testbed.trials.topics import DIAGNOSTICS, PUBLISHER_DEPTH, Topic
 
@@ -44,6 +48,7 @@ _SUBSCRIBER_DEPTH = 2000  # [messages]; a fast replay or a busy moment loses not
 _PERIOD = 1.0  # [s]
 _LOOK = 0.1  # [s]; how often the links and the node are looked at
 _RECENT = 0.5  # [s]
+_END = 0.2  # [s]; how often the executor looks whether it is to end
 
 S = TypeVar("S", bound=Settings)
 
@@ -87,10 +92,52 @@ class RecentFault:
         return text if clocks.monotonic() - when < recent else ""
 
 
-class TestbedNode(Node, Generic[S]):
-    """A node with settings, topics and diagnostics.
+def spin(executor: Any, futures: list[Future]) -> None:
+    """Work until a future is done, the first of which is noticed at once, or until ROS ends."""
+    with suppress(ExternalShutdownException):
+        # spin() of the events executor overflows its wait in Jazzy's release; this does not.
+        while rclpy.ok() and not any(future.done() for future in futures):
+            executor.spin_until_future_complete(futures[0], timeout_sec=_END)
 
-    Nodes override `figures`, `look` and `ready` as they need, and `close`.
+
+class _Service:
+    """A service on a node and a thread of its own: the events executor knows no coroutines."""
+
+    def __init__(self, node: Node, kind: Any, name: str, callback: Callable[..., Any]) -> None:
+        self._node = Node(
+            f"{node.get_name()}_services",
+            namespace=node.get_namespace(),
+            context=node.context,
+            start_parameter_services=False,
+            use_global_arguments=False,
+        )
+        self._service = self._node.create_service(kind, name, callback)
+        self._executor = SingleThreadedExecutor(context=node.context)
+        self._executor.add_node(self._node)
+        self._thread = threading.Thread(target=self._spin, name=name)
+        self._thread.start()
+
+    def close(self) -> None:
+        """Stop answering."""
+        self._executor.shutdown()
+        self._thread.join()
+        self._node.destroy_node()
+
+    def _spin(self) -> None:
+        try:
+            self._executor.spin()
+        except (ExternalShutdownException, ShutdownException):
+            return
+        except Exception:
+            # ROS may have ended in the middle of a wait.
+            if self._node.context.ok():
+                raise
+
+
+class TestbedNode(Node, Generic[S]):
+    """A node with settings, topics, services and diagnostics.
+
+    Nodes override `figures`, `look`, `ready` and `close` as they need.
 
     Args:
         name: Name of the node.
@@ -120,6 +167,7 @@ class TestbedNode(Node, Generic[S]):
 
         self._inputs: list[Subscription] = []
         self._outputs: list[tuple[Publisher, bool]] = []
+        self._slow_services: list[_Service] = []
         self._settled_at = clocks.monotonic() + settle
         self._level, self._message = OK, "started"
         self._has_worked = False
@@ -147,6 +195,8 @@ class TestbedNode(Node, Generic[S]):
 
     def close(self) -> None:
         """End what the node has begun: called once, before it is destroyed."""
+        for service in self._slow_services:
+            service.close()
 
     # What a node calls.
 
@@ -186,6 +236,31 @@ class TestbedNode(Node, Generic[S]):
         )
         if needed:
             self._inputs.append(subscription)
+
+    def serve(self, kind: Any, name: str, answer: Callable[..., str], slow: bool = False) -> None:
+        """Offer a service of the type SetBool or Trigger.
+
+        Args:
+            kind: Its type.
+            name: Its name, relative to the node's namespace.
+            answer: Called with the request's data, if it has any; returns the response's message.
+                A TestbedError makes the response a failure with this message.
+            slow: Whether it takes its time: it is then called in a thread of its own.
+        """
+
+        def respond(request: Any, response: Any) -> Any:
+            given = (request.data,) if hasattr(request, "data") else ()
+            try:
+                response.message = answer(*given)
+                response.success = True
+            except TestbedError as error:
+                response.message = str(error)
+            return response
+
+        if slow:
+            self._slow_services.append(_Service(self, kind, name, respond))
+        else:
+            self.create_service(kind, name, respond)
 
     def report(self, level: int, message: str) -> None:
         """Report how the node is; a new level or message goes out at once.

@@ -14,7 +14,6 @@ from socket_testbed.calibration.model import read_calibration
 from socket_testbed.files import packaged
 from socket_testbed.nodes.base import ERROR, NEWEST_STAMP, OK, WARN, TestbedNode
 from socket_testbed.nodes.conversions import stamp_from_ros, stress_to_ros
-from socket_testbed.nodes.runtime import run_node
 from socket_testbed.samples import Status
 from socket_testbed.settings.testbed import CalibrationNodeSettings
 from socket_testbed.trials.topics import CAPACITANCE, STRESS
@@ -66,12 +65,3 @@ class CalibrationNode(TestbedNode[CalibrationNodeSettings]):
         if faults:
             return WARN, ", ".join(faults)
         return OK, f"{len(names)} clusters calibrated"
-
-
-def main() -> None:
-    """Run the node."""
-    run_node(CalibrationNode)
-
-
-if __name__ == "__main__":
-    main()

@@ -10,7 +10,6 @@ from socket_testbed.drivers.clusters.reader import ClusterReader, ClusterReading
 from socket_testbed.live.hardware import i2c_opener
 from socket_testbed.nodes.base import ERROR, OK
 from socket_testbed.nodes.conversions import capacitance_to_ros
-from socket_testbed.nodes.runtime import run_node
 from socket_testbed.nodes.sensor_node import SensorNode
 from socket_testbed.settings.acquisition import ClusterSettings
 from socket_testbed.trials.topics import CAPACITANCE
@@ -64,12 +63,3 @@ class ClusterNode(SensorNode[ClusterSettings]):
         if fault := self.fault.text():
             return ERROR, fault
         return (OK, f"{len(self.settings.names)} clusters answer") if self._answering else None
-
-
-def main() -> None:
-    """Run the node."""
-    run_node(ClusterNode)
-
-
-if __name__ == "__main__":
-    main()

@@ -13,9 +13,8 @@ from rclpy.task import Future
 from socket_testbed_msgs.msg import ContactModel, LocalForceArray
 
 from socket_testbed.arrays import FloatArray
-from socket_testbed.nodes.base import TestbedNode
+from socket_testbed.nodes.base import TestbedNode, spin
 from socket_testbed.nodes.conversions import stamp_from_ros, vectors_from_ros, wrench_from_ros
-from socket_testbed.nodes.runtime import spin
 from socket_testbed.settings.fields import Settings
 from socket_testbed.trials.topics import ESTIMATED_WRENCH, LOCAL_FORCES, PARAMETERS
 
@@ -47,7 +46,7 @@ class EstimateListener:
         self._executor.add_node(self._node)
         self._done = Future()
         self._thread = threading.Thread(
-            target=spin, args=(self._executor, self._done.done, self._done), name="listener"
+            target=spin, args=(self._executor, [self._done]), name="listener"
         )
         self._thread.start()
         return self

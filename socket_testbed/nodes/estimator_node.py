@@ -17,7 +17,6 @@ from typing import Any
 from geometry_msgs.msg import WrenchStamped
 from std_srvs.srv import Trigger as TriggerService
 
-from socket_testbed.errors import TestbedError
 from socket_testbed.files import packaged
 from socket_testbed.geometry.socket import read_socket
 from socket_testbed.identification.contact import ContactModel
@@ -39,7 +38,6 @@ from socket_testbed.nodes.conversions import (
     wrench_from_ros,
     wrench_to_ros,
 )
-from socket_testbed.nodes.runtime import BlockingService, run_node
 from socket_testbed.settings.testbed import EstimatorSettings
 from socket_testbed.trials.topics import (
     ESTIMATED_WRENCH,
@@ -83,14 +81,14 @@ class EstimatorNode(TestbedNode[EstimatorSettings]):
         for topic in _FROM_ROS:
             self.listen(topic, partial(self._on_measured, topic))
         self.listen(TRIGGER, self._on_trigger)
-        self._fit = BlockingService(self, TriggerService, "estimator/fit", self._on_fit)
+        self.serve(TriggerService, "estimator/fit", self._on_fit, slow=True)
         if self.settings.model:
             self._estimator.load(Path(self.settings.model))
 
     def close(self) -> None:
         """End the process of the fits and the service that waits for them."""
         self._worker.close()
-        self._fit.close()
+        super().close()
 
     def figures(self) -> dict[str, object]:
         """The estimator's counts, and the newest stamp."""
@@ -129,25 +127,7 @@ class EstimatorNode(TestbedNode[EstimatorSettings]):
         message = fit_to_ros(model) if isinstance(model, Fit) else stored_model_to_ros(model)
         self._model.publish(message)
 
-    def _on_fit(
-        self, request: TriggerService.Request, response: TriggerService.Response
-    ) -> TriggerService.Response:
-        """Fit on the complete window, and answer when it is done, in the service's thread."""
-        del request
-        try:
-            fit = self._estimator.fit()
-        except TestbedError as error:
-            response.message = str(error)
-            return response
-        response.success = True
-        response.message = f"fitted {fit.samples} samples; {fit.status}"
-        return response
-
-
-def main() -> None:
-    """Run the node."""
-    run_node(EstimatorNode)
-
-
-if __name__ == "__main__":
-    main()
+    def _on_fit(self) -> str:
+        """Fit on the complete window, and answer when it is done."""
+        fit = self._estimator.fit()
+        return f"fitted {fit.samples} samples; {fit.status}"

@@ -13,11 +13,9 @@ from std_srvs.srv import Trigger as TriggerService
 
 from socket_testbed import clocks
 from socket_testbed.drivers.load_cell.load_cell import LoadCell
-from socket_testbed.errors import TestbedError
 from socket_testbed.live.hardware import spi_opener
 from socket_testbed.nodes.base import OK, WARN
 from socket_testbed.nodes.conversions import LOAD_CELL_FRAME, header_to_ros, wrench_to_ros
-from socket_testbed.nodes.runtime import BlockingService, run_node
 from socket_testbed.nodes.sensor_node import SensorNode
 from socket_testbed.settings.acquisition import LoadCellSettings
 from socket_testbed.trials.topics import WRENCH
@@ -37,14 +35,13 @@ class LoadCellNode(SensorNode[LoadCellSettings]):
         self._polling = threading.Thread(target=self._poll, name="load_cell")
         self._polling.start()
         self.follow_triggers()
-        self._tare = BlockingService(self, TriggerService, "load_cell/tare", self._on_tare)
+        self.serve(TriggerService, "load_cell/tare", self._cell.tare, slow=True)
 
     def close(self) -> None:
         """Stop reading and close the converter."""
         super().close()
         self._stopping.set()
         self._polling.join()
-        self._tare.close()
         self._cell.close()
 
     def figures(self) -> dict[str, object]:
@@ -72,17 +69,6 @@ class LoadCellNode(SensorNode[LoadCellSettings]):
         header = header_to_ros(stamp, LOAD_CELL_FRAME)
         self._wrench.publish(WrenchStamped(header=header, wrench=wrench_to_ros(reading.wrench)))
 
-    def _on_tare(
-        self, request: TriggerService.Request, response: TriggerService.Response
-    ) -> TriggerService.Response:
-        del request
-        try:
-            response.message = self._cell.tare()
-            response.success = True
-        except TestbedError as error:
-            response.message = str(error)
-        return response
-
     def health(self) -> tuple[int, str]:
         """That of the converter, or what the last wrenches lack."""
         self._cell.settings = self.settings
@@ -90,12 +76,3 @@ class LoadCellNode(SensorNode[LoadCellSettings]):
         if level == OK and (fault := self.fault.text()):
             return WARN, f"{fault}: missing; relieve the computer if this comes often"
         return level, message
-
-
-def main() -> None:
-    """Run the node."""
-    run_node(LoadCellNode)
-
-
-if __name__ == "__main__":
-    main()

@@ -18,7 +18,6 @@ from socket_testbed.files import packaged
 from socket_testbed.geometry.socket import read_socket
 from socket_testbed.nodes.base import ERROR, OK, WARN
 from socket_testbed.nodes.conversions import header_to_ros, markers_to_ros, pose_to_ros
-from socket_testbed.nodes.runtime import run_node
 from socket_testbed.nodes.sensor_node import SensorNode
 from socket_testbed.settings.acquisition import MocapSettings
 from socket_testbed.trials.topics import MARKERS, PYLON_POSE, RECORDED_TRIAL, SOCKET_POSE
@@ -87,12 +86,3 @@ class MocapNode(SensorNode[MocapSettings]):
         if level == OK and (fault := self._client.recording_fault):
             return WARN, fault
         return level, message
-
-
-def main() -> None:
-    """Run the node."""
-    run_node(MocapNode)
-
-
-if __name__ == "__main__":
-    main()

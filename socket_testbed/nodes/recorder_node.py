@@ -27,7 +27,6 @@ from socket_testbed.clocks import SteadyClock
 from socket_testbed.errors import ConfigurationError
 from socket_testbed.files import refuse_existing
 from socket_testbed.nodes.base import ERROR, OK, WARN, TestbedNode
-from socket_testbed.nodes.runtime import run_node
 from socket_testbed.settings.testbed import RecorderSettings
 from socket_testbed.trials.bag import BagWriter
 from socket_testbed.trials.topics import RECORDED_TRIAL, TOPICS
@@ -49,7 +48,7 @@ class RecorderNode(TestbedNode[RecorderSettings]):
         for name, topic in self._topics.items():
             callback = partial(self._on_message, name)
             self.listen(topic, callback, name, needed=topic.required, raw=True)
-        self._record = self.create_service(SetBool, "recorder/record", self._on_record)
+        self.serve(SetBool, "recorder/record", self._on_record)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._flusher = self.create_timer(settings.flush_period, self._flush, clock=steady)
         self._announce()
@@ -64,19 +63,13 @@ class RecorderNode(TestbedNode[RecorderSettings]):
         """The trial, and the number of messages of each topic."""
         return {"trial": self._path or "", **self._counts}
 
-    def _on_record(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
-        try:
-            if request.data and self._bag is None:
-                name = datetime.now().strftime("trial_%Y%m%d_%H%M%S")
-                self._start(Path(self.settings.directory) / name)
-            elif not request.data:
-                self._finish()
-        except ConfigurationError as error:
-            response.message = str(error)
-            return response
-        response.success = True
-        response.message = f"{'recording' if self._bag else 'recorded'} {self._path}"
-        return response
+    def _on_record(self, wanted: bool) -> str:
+        if wanted and self._bag is None:
+            name = datetime.now().strftime("trial_%Y%m%d_%H%M%S")
+            self._start(Path(self.settings.directory) / name)
+        elif not wanted:
+            self._finish()
+        return f"{'recording' if self._bag else 'recorded'} {self._path}"
 
     def _start_over(self, directory: Path) -> None:
         """Record into a folder, or beside it where an earlier recorder was cut short."""
@@ -164,12 +157,3 @@ class RecorderNode(TestbedNode[RecorderSettings]):
         if self.context.ok():
             name = self._path.name if self._bag is not None and self._path is not None else ""
             self._announcer.publish(String(data=name))
-
-
-def main() -> None:
-    """Run the node."""
-    run_node(RecorderNode)
-
-
-if __name__ == "__main__":
-    main()

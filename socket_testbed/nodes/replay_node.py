@@ -19,7 +19,6 @@ from socket_testbed.live.pacing import Pacer
 from socket_testbed.nodes.base import ERROR, OK, WARN, TestbedNode
 from socket_testbed.nodes.conversions import stamp_to_ros
 from socket_testbed.nodes.followers import Followers
-from socket_testbed.nodes.runtime import run_node
 from socket_testbed.settings.testbed import ReplaySettings
 from socket_testbed.trials.bag import BagReader, RawMessage, decode, stamp_of
 from socket_testbed.trials.topics import DIAGNOSTICS, TRIGGER, Topic, match_topics
@@ -52,7 +51,7 @@ class ReplayNode(TestbedNode[ReplaySettings]):
         self._clock_publisher = self.create_publisher(Clock, "/clock", 10)
         self._pacer = Pacer(settings.rate, self._tick, settings.paused)
         self._followers = Followers(self, settings.wait_for, lambda: self._pacer.stopped)
-        self._pause = self.create_service(SetBool, "replay/pause", self._on_pause)
+        self.serve(SetBool, "replay/pause", self._on_pause)
         self._thread = threading.Thread(target=self._replay, name="replay")
         self._thread.start()
 
@@ -85,14 +84,12 @@ class ReplayNode(TestbedNode[ReplaySettings]):
             )
         return topics
 
-    def _on_pause(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
-        if request.data:
+    def _on_pause(self, paused: bool) -> str:
+        if paused:
             self._pacer.pause()
-        else:
-            self._pacer.resume()
-        response.success = True
-        response.message = "paused" if request.data else "going on"
-        return response
+            return "paused"
+        self._pacer.resume()
+        return "going on"
 
     def _replay(self) -> None:
         try:
@@ -177,12 +174,3 @@ class ReplayNode(TestbedNode[ReplaySettings]):
         left = self._followers.catch_up(behind, _DONE_WITHIN)
         if left:
             self.report(WARN, f"{left} triggers were not worked off in time")
-
-
-def main() -> None:
-    """Run the node."""
-    run_node(ReplayNode)
-
-
-if __name__ == "__main__":
-    main()

@@ -65,6 +65,7 @@ class SensorNode(TestbedNode[S]):
         if self._measuring.is_alive():
             self._due.put(None)
             self._measuring.join()
+        super().close()
 
     def figures(self) -> dict[str, object]:
         """Number of measurements, and of those that are missing."""

@@ -23,7 +23,6 @@ from socket_testbed.live.hardware import make_trigger, wall_clock
 from socket_testbed.nodes.base import ERROR, OK, WARN, RecentFault, TestbedNode
 from socket_testbed.nodes.conversions import header_to_ros, stamp_from_ros
 from socket_testbed.nodes.followers import Followers
-from socket_testbed.nodes.runtime import run_node
 from socket_testbed.settings.acquisition import TriggerSettings
 from socket_testbed.trials.topics import TRIGGER
 
@@ -56,7 +55,7 @@ class TriggerNode(TestbedNode[TriggerSettings]):
         self._output = self.advertise(TRIGGER)
         self.listen(TRIGGER, self._on_trigger, needed=False)
         self._followers = Followers(self, settings.wait_for, self._stopping.is_set)
-        self._enable = self.create_service(SetBool, "trigger/enable", self._on_enable)
+        self.serve(SetBool, "trigger/enable", self._on_enable)
         self._thread = threading.Thread(target=self._run, name="trigger")
         self._thread.start()
 
@@ -80,14 +79,12 @@ class TriggerNode(TestbedNode[TriggerSettings]):
         if stamp_from_ros(message.header.stamp) not in self._own:
             self._foreign = clocks.monotonic()
 
-    def _on_enable(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
-        if request.data:
+    def _on_enable(self, enabled: bool) -> str:
+        if enabled:
             self._enabled.set()
-        else:
-            self._enabled.clear()
-        response.success = True
-        response.message = "triggering" if request.data else "not triggering"
-        return response
+            return "triggering"
+        self._enabled.clear()
+        return "not triggering"
 
     def _run(self) -> None:
         try:
@@ -161,12 +158,3 @@ class TriggerNode(TestbedNode[TriggerSettings]):
             )
         elif self._sequence:
             self.report(OK, f"triggering at {rate:g} Hz")
-
-
-def main() -> None:
-    """Run the node."""
-    run_node(TriggerNode)
-
-
-if __name__ == "__main__":
-    main()

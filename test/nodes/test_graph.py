@@ -241,7 +241,7 @@ def test_parameters_are_described_checked_and_changed_at_run_time() -> None:
 def test_a_node_that_cannot_start_says_why_in_one_line(node, parameters, names) -> None:
     words = [word for k, v in parameters.items() for word in ("-p", f"{k}:={v}")]
     done = subprocess.run(
-        [sys.executable, "-m", f"socket_testbed.nodes.{node}", "--ros-args", *words],
+        [sys.executable, "-m", "socket_testbed.nodes", node, "--ros-args", *words],
         check=False,
         capture_output=True,
         text=True,

@@ -56,7 +56,7 @@ def count(diagnostics: list, key: str, node: str = "recorder_node") -> int:
 def recorder(*parameters: str, limit: str = "unlimited") -> Iterator[subprocess.Popen]:
     """A recorder of its own, with a limit on the size of a file [KiB]; killed at the end."""
     words = [word for parameter in parameters for word in ("-p", parameter)]
-    command = [sys.executable, "-m", "socket_testbed.nodes.recorder_node", "--ros-args", *words]
+    command = [sys.executable, "-m", "socket_testbed.nodes", "recorder_node", "--ros-args", *words]
     process = subprocess.Popen(
         ["bash", "-c", f'ulimit -f {limit}; exec "$@"', "recorder", *command],
         stderr=subprocess.DEVNULL,
