@@ -29,10 +29,10 @@ def summarise(results: Results) -> list[str]:
     """Three to six statements: what was found, and how far to trust it."""
     plain, bias = results.fitted[_PLAIN], results.fitted[_BIAS]
     lines = [
-        _what(results, bias),
+        _what(results),
         _offsets(results, plain, bias),
         _skill(bias),
-        _trust(bias),
+        _trust(results, bias),
     ]
     if results.fronts:
         lines.append(_fronts(results.fronts[_PLAIN], results.fronts[_BIAS]))
@@ -46,8 +46,7 @@ def list_notes(results: Results) -> list[str]:
     return [*results.bag_notes, *_implausible(results), *_gaps(results), *_configuration(results)]
 
 
-def _what(results: Results, bias: Candidate) -> str:
-    assert bias.fit is not None
+def _what(results: Results) -> str:
     load = measure_steadiness(results.samples[results.segment.rows])
     sizes = [(load.force, "force", "N"), (load.moment, "moment", "N m")]
     under = " and ".join(
@@ -56,9 +55,9 @@ def _what(results: Results, bias: Candidate) -> str:
         if math.isfinite(size)
     )
     return (
-        f"Both variants were fitted to {bias.fit.samples} of {len(results.samples)} samples:"
-        f" {results.segment}{', under ' if under else ''}{under}. Errors over this segment are"
-        " in-sample."
+        f"Both variants were fitted to {results.fits[_BIAS].samples} of {len(results.samples)}"
+        f" samples: {results.segment}{', under ' if under else ''}{under}. Errors over this"
+        " segment are in-sample."
     )
 
 
@@ -101,16 +100,16 @@ def _borne(results: Results, bias: Candidate) -> str:
     offset = float(np.linalg.norm(bias.model.wrench_bias[3:]))
     beside = f", beside a mean force of {number(load.force)} N" * math.isfinite(load.force)
     return (
-        f" The constant of the wrench's force is {number(offset)} N{beside}: what it stands"
-        " for is borne by no tile of the map."
+        f" The constant of the wrench's force is {number(offset)} N{beside}: no tile"
+        " of the map bears that part."
     )
 
 
-def _trust(bias: Candidate) -> str:
-    assert bias.fit is not None
+def _trust(results: Results, bias: Candidate) -> str:
+    fit = results.fits[_BIAS]
     directions = bias.model.stiffness.size
     least, median = effective_samples(bias)
-    few = bias.fit.determined < _FEW * directions
+    few = fit.determined < _FEW * directions
     reading = (
         "the smoothness decides the others, so read the stiffness map as an assumption, not as a"
         " measurement"
@@ -118,12 +117,12 @@ def _trust(bias: Candidate) -> str:
         else "the smoothness decides the others"
     )
     text = (
-        f"With offsets, the data determine {bias.fit.determined:.0f} of {directions} stiffness"
+        f"With offsets, the data determine {fit.determined:.0f} of {directions} stiffness"
         f" directions; {reading}."
     )
     if math.isfinite(median):
         text += (
-            f" By the autocorrelation of the residuals the {bias.fit.samples} samples are worth"
+            f" By the autocorrelation of the residuals the {fit.samples} samples are worth"
             f" {median:.0f} independent ones in the median channel, {least:.0f} in the worst."
         )
     return text
@@ -182,8 +181,7 @@ def _gaps(results: Results) -> list[str]:
             f"The triggers have {counted(len(triggers.gaps), 'gap')}, the longest of"
             f" {longest.duration:.2f} s after {longest.start:.2f} s."
         )
-    fit = results.fitted[_BIAS].fit
-    assert fit is not None
+    fit = results.fits[_BIAS]
     inside = int(results.in_segment.sum())
     if fit.samples < inside:
         lines.append(
