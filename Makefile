@@ -14,7 +14,7 @@ unexport PYTHONPATH AMENT_PREFIX_PATH CMAKE_PREFIX_PATH COLCON_PREFIX_PATH LD_LI
 unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE
 
 .DELETE_ON_ERROR:
-.PHONY: demo test quick setup lint benchmark colcon clean
+.PHONY: demo test quick docs setup lint benchmark colcon clean
 
 demo: setup
 	$(BIN)/socket-testbed demo
@@ -33,6 +33,11 @@ lint: setup
 	$(BIN)/ruff check
 	$(BIN)/ruff format --check
 	$(BIN)/mypy
+
+# The reference of the Python API, from the docstrings.
+docs: setup
+	$(BIN)/pdoc --docformat google --output-directory build/docs socket_testbed.api
+	@echo "open build/docs/socket_testbed/api.html"
 
 setup: $(VENV)/.messages $(VENV)/.package
 

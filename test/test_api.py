@@ -1,0 +1,179 @@
+"""The public Python API: its examples run, and the command line gives the same."""
+
+import contextlib
+import doctest
+import os
+import subprocess
+import sys
+import warnings
+from pathlib import Path
+
+import matplotlib as mpl
+import nbformat
+import numpy as np
+import pandas as pd
+import pytest
+from nbclient import NotebookClient
+from support import CHECKOUT, meshes
+from support.bags import rewrite
+from support.benches import sensor_bench, write_bench
+from support.motive_takes import make_bench, write_landmarks, write_take
+
+import socket_testbed as st
+from socket_testbed.__main__ import run
+from socket_testbed.files import packaged
+from socket_testbed.socket_design.tiling import TilingSettings
+
+FUNCTIONS = [name for name in st.__all__ if name not in {"TestbedError", "__version__"}]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of the examples: two simulated trials, bench data, a scan and a static take."""
+    path = tmp_path_factory.mktemp("api")
+    st.simulate(path / "trials" / "hold", duration=40, seed=3)
+    st.simulate(path / "trials" / "walk", "multi_direction", duration=40, seed=4)
+    write_bench(path / "bench.csv", sensor_bench(play=0.04))
+    meshes.write_stl(meshes.open_cone(0.05, 0.058, 0.12, 0.004), path / "scan.stl")
+    bench = make_bench(np.random.default_rng(23))
+    write_take(bench.take, path / "take.csv")
+    write_landmarks(bench.document, path / "landmarks.yaml")
+    (path / "old_socket.yaml").write_text(packaged("config", "socket.yaml").read_text())
+    return path
+
+
+def run_example(name: str, folder: Path) -> None:
+    (test,) = doctest.DocTestFinder(recurse=False).find(getattr(st, name), name, globs={"st": st})
+    assert test.examples, f"{name} has no example"
+    flags = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE | doctest.REPORT_NDIFF
+    said: list[str] = []
+    with contextlib.chdir(folder):
+        failed = doctest.DocTestRunner(optionflags=flags).run(test, out=said.append).failed
+    assert failed == 0, "".join(said)
+
+
+@pytest.mark.parametrize("name", sorted({*FUNCTIONS} - {"write_report"}))
+def test_an_example_runs(name: str, folder: Path) -> None:
+    run_example(name, folder)
+
+
+def verb(*words: object) -> None:
+    assert run([str(word) for word in words]) == 0
+
+
+def test_the_verbs_write_the_same_bytes(folder, tmp_path, monkeypatch, capsys) -> None:
+    monkeypatch.chdir(tmp_path)
+    hold, walk = folder / "trials" / "hold", folder / "trials" / "walk"
+    trial = st.open_trial(hold)
+
+    fitted = st.fit(trial, "20:35", variant="stiffness", leave_out=["Mz"])
+    fitted.save("api.json")
+    chosen = ["--segment", "20:35", "--variant", "stiffness", "--leave-out", "Mz"]
+    verb("fit", hold, "-o", "verb.json", *chosen)
+
+    found = st.evaluate(st.open_trial(walk), fitted, "all")
+    found.save("api.errors")
+    verb("evaluate", walk, "--model", "api.json", "--segment", "all", "-o", "verb.errors")
+    assert st.evaluate(st.open_trial(walk), "api.json", "all").errors == found.errors
+
+    st.pareto(trial, thetas=3).save("api.front.csv")
+    verb("pareto", hold, "--thetas", 3, "-o", "verb.front.csv")
+
+    st.export(trial, "api.csv", "20:35", fitted)
+    verb("export", hold, "--segment", "20:35", "--model", "api.json", "-o", "verb.csv")
+
+    st.calibrate(folder / "bench.csv", "distal", wiring=(2, 3, 0, 1)).save("api.calibration")
+    words = ["--cluster", "distal", "--wiring", 2, 3, 0, 1, "-o", "verb.calibration"]
+    verb("calibrate", folder / "bench.csv", *words)
+
+    inputs = [folder / name for name in ("take.csv", "landmarks.yaml", "old_socket.yaml")]
+    st.register(*inputs, "api.socket")
+    words = ["--landmarks", inputs[1], "--socket", inputs[2], "-o", "verb.socket"]
+    verb("register", inputs[0], *words)
+
+    written = sorted(path.name for path in tmp_path.glob("api.*"))
+    assert len(written) == 6
+    for name in written:
+        assert Path(name).read_bytes() == Path(name.replace("api", "verb", 1)).read_bytes(), name
+
+
+def test_simulate_and_tile_are_those_of_the_verbs(folder, tmp_path, monkeypatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    verb("simulate", "-o", "hold", "--duration", 40, "--seed", 3)
+    same = st.open_trial(folder / "trials" / "hold").samples().to_dataframe()
+    pd.testing.assert_frame_equal(st.open_trial("hold").samples().to_dataframe(), same)
+
+    settings = TilingSettings(edge=0.04, flatness=0.015, rounds=0)
+    assert st.tile(folder / "scan.stl", "api.yaml", settings=settings).facts()
+    words = ["--size", 40, "--flatness", 15, "--rounds", 0]
+    verb("tile", folder / "scan.stl", "-o", "verb.yaml", *words)
+    assert Path("api.yaml").read_bytes() == Path("verb.yaml").read_bytes()
+
+
+def test_the_example_of_a_report_is_that_of_the_verb(folder, tmp_path) -> None:
+    run_example("write_report", folder)
+    verb("report", folder / "trials" / "hold", "-o", tmp_path / "hold.html", "--thetas", 5)
+    for name in ("errors.csv", "residuals.csv"):
+        file = Path("hold_files", name)
+        assert (folder / file).read_bytes() == (tmp_path / file).read_bytes()
+
+
+def test_notes_are_warnings_or_go_where_they_are_wanted(folder, tmp_path) -> None:
+    def spoil(topic: str, message):
+        if topic == "/load_cell/wrench":
+            message.wrench.torque.z += 300.0
+        return message
+
+    path = rewrite(folder / "trials" / "hold", tmp_path / "spoilt", spoil)
+    with pytest.warns(UserWarning, match="looks implausible"):
+        st.fit(st.open_trial(path))
+    heard: list[str] = []
+    trial = st.open_trial(path, notify=heard.append)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        st.fit(trial)
+        st.evaluate(trial, st.fit(trial))
+    assert heard and len(heard) == len(set(heard))
+
+
+def test_wrong_input_is_a_testbed_error(folder) -> None:
+    with pytest.raises(st.TestbedError, match="no such trial"):
+        st.open_trial(folder / "nowhere")
+    trial = st.open_trial(folder / "trials" / "hold")
+    with pytest.raises(st.TestbedError, match=r"theta.*\[0, 1\]"):
+        st.fit(trial, theta=5.0)
+    with pytest.raises(AttributeError, match="no attribute 'fitt'"):
+        _ = st.fitt  # type: ignore[attr-defined]
+
+
+def test_importing_the_package_is_light() -> None:
+    script = (
+        "import sys, socket_testbed as st\n"
+        "assert 'numpy' not in sys.modules and set(st.__all__) <= set(dir(st))\n"
+        "st.fit\n"
+        "assert not {'rclpy', 'matplotlib', 'plotly', 'pandas'} & set(sys.modules)\n"
+    )
+    environment = {**os.environ, "PYTHONPATH": str(CHECKOUT)}
+    subprocess.run([sys.executable, "-c", script], check=True, env=environment)
+
+
+def test_the_example_notebook_runs(tmp_path: Path) -> None:
+    path = CHECKOUT / "examples" / "first_trial.ipynb"
+    notebook = nbformat.read(path, as_version=4)
+    assert all(not cell.get("outputs") for cell in notebook.cells), "strip the outputs"
+    NotebookClient(notebook, kernel_name="python3", timeout=120).execute(
+        env={**os.environ, "PYTHONPATH": str(CHECKOUT)}, cwd=str(tmp_path)
+    )
+    assert (tmp_path / "hold.html").is_file()
+    shown = [out for cell in notebook.cells for out in cell.get("outputs", [])]
+    assert any("image/png" in out.get("data", {}) for out in shown)
+
+
+def test_the_readme_s_lines_run(tmp_path, monkeypatch, capsys) -> None:
+    text = (CHECKOUT / "README.md").read_text()
+    program = text.partition("```python\nimport socket_testbed")[2].partition("```")[0]
+    monkeypatch.chdir(tmp_path)
+    mpl.use("Agg")
+    exec(compile("import socket_testbed" + program, "README.md", "exec"), {})
+    assert (tmp_path / "hold.png").stat().st_size > 5000
+    assert "skill" in capsys.readouterr().out
