@@ -52,7 +52,16 @@ def run_example(name: str, folder: Path) -> None:
     assert failed == 0, "".join(said)
 
 
-@pytest.mark.parametrize("name", sorted({*FUNCTIONS} - {"write_report"}))
+SLOW = {"tile"}
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(name, marks=[pytest.mark.slow] if name in SLOW else [])
+        for name in sorted({*FUNCTIONS} - {"write_report"})
+    ],
+)
 def test_an_example_runs(name: str, folder: Path) -> None:
     run_example(name, folder)
 
@@ -97,6 +106,7 @@ def test_the_verbs_write_the_same_bytes(folder, tmp_path, monkeypatch, capsys) -
         assert Path(name).read_bytes() == Path(name.replace("api", "verb", 1)).read_bytes(), name
 
 
+@pytest.mark.slow
 def test_simulate_and_tile_are_those_of_the_verbs(folder, tmp_path, monkeypatch) -> None:
     monkeypatch.chdir(tmp_path)
     verb("simulate", "-o", "hold", "--duration", 40, "--seed", 3)
@@ -110,6 +120,7 @@ def test_simulate_and_tile_are_those_of_the_verbs(folder, tmp_path, monkeypatch)
     assert Path("api.yaml").read_bytes() == Path("verb.yaml").read_bytes()
 
 
+@pytest.mark.slow
 def test_the_example_of_a_report_is_that_of_the_verb(folder, tmp_path) -> None:
     run_example("write_report", folder)
     verb("report", folder / "trials" / "hold", "-o", tmp_path / "hold.html", "--thetas", 5)
@@ -157,6 +168,7 @@ def test_importing_the_package_is_light() -> None:
     subprocess.run([sys.executable, "-c", script], check=True, env=environment)
 
 
+@pytest.mark.slow
 def test_the_example_notebook_runs(tmp_path: Path) -> None:
     path = CHECKOUT / "examples" / "first_trial.ipynb"
     notebook = nbformat.read(path, as_version=4)
@@ -169,6 +181,7 @@ def test_the_example_notebook_runs(tmp_path: Path) -> None:
     assert any("image/png" in out.get("data", {}) for out in shown)
 
 
+@pytest.mark.slow
 def test_the_readme_s_lines_run(tmp_path, monkeypatch, capsys) -> None:
     text = (CHECKOUT / "README.md").read_text()
     program = text.partition("```python\nimport socket_testbed")[2].partition("```")[0]
