@@ -413,7 +413,7 @@ def find_columns(
         The columns of the quantities that are there.
 
     Raises:
-        CalibrationError: If a quantity is missing, stands twice, shares its column with
+        CalibrationError: If a quantity is missing, appears twice, shares its column with
             another one, or has no unit or an unknown one.
     """
     places = {name: _find(table, name, titles) for name in (*required, *optional)}
@@ -464,7 +464,7 @@ def _find(table: BenchTable, name: str, titles: Mapping[str, str]) -> int | None
             )
     if len(matches) > 1:
         raise CalibrationError(
-            f"{table.name}: {name} stands in {len(matches)} columns:"
+            f"{table.name}: {name} is in {len(matches)} columns:"
             f" {', '.join(repr(table.header[i]) for i in matches)}",
             f"rename all but one, or name it with --columns {name}=NAME",
         )

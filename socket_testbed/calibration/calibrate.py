@@ -79,7 +79,7 @@ def find_wiring(capacitance: FloatArray, stress: FloatArray) -> IntArray:
 
 
 def require_wiring(bench: BenchData, wiring: IntArray) -> None:
-    """Refuse a wiring that nobody stated for this bench and that its data contradicts.
+    """Refuse a default wiring that the bench data contradicts.
 
     Raises:
         CalibrationError: Naming the wiring that agrees with the data.
@@ -192,8 +192,8 @@ def calibrate_bench(
     Args:
         bench: The bench data.
         wiring: Input that holds each channel, shape (4,).
-        wiring_stated: Whether somebody stated it for this bench, so that it stands even if the
-            data contradicts it.
+        wiring_stated: Whether it was given for this bench, so that it is kept even if the data
+            contradicts it.
         drop_outliers: Whether outliers are left out.
 
     Raises:
@@ -256,7 +256,7 @@ def bench_record(
         date: Its date.
         limit: Limit of the held-out errors [% of the full scale].
         forced: Whether it is kept although it exceeds the limit.
-        drift: Drift over the bench run that was taken off; None if no baseline followed it.
+        drift: Drift over the bench run that was corrected; None if no baseline followed it.
     """
     record: dict[str, Any] = {
         "date": date,

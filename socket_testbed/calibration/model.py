@@ -60,7 +60,7 @@ class ClusterCalibration:
         wiring: Input of the converter that holds each channel, shape (4,).
         baseline: Capacitances by input of the unloaded cluster on the bench, shape (4,) [pF];
             None if they were not recorded.
-        bench: What the bench says of these coefficients: date, source, errors. It is kept for
+        bench: The bench record of these coefficients: date, source, errors. It is kept for
             people; nothing is computed from it. Empty if there is no such record.
     """
 
@@ -184,7 +184,7 @@ def read_calibration(path: Path) -> Calibration:
     """Read `calibration.yaml`.
 
     Raises:
-        ConfigurationError: If the file is missing or anything in it is not as it must be.
+        ConfigurationError: If the file is missing or has a wrong entry.
     """
     document = read_document(path).expect(("date", "source", "clusters"))
     clusters = {

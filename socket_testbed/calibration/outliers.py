@@ -77,7 +77,7 @@ def _rich_basis(capacitance: FloatArray) -> FloatArray:
 
 
 def _limits(residual: FloatArray, stress: FloatArray) -> FloatArray:
-    """Largest residual that is none of an outlier, shape (3,) [Pa]."""
+    """Largest residual of a sound reading, shape (3,) [Pa]."""
     loaded = (np.abs(scaled_stress(stress)) > _LOADED).any(axis=1)
     limits = _SCALES * _MAD * np.median(residual[loaded], axis=0)
     # Again without those found, because a wrong stress makes a wrong full scale.

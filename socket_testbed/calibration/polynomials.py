@@ -126,7 +126,7 @@ _SECOND_DEGREE = (
 
 
 def check_excitation(stress: FloatArray, where: str) -> None:
-    """Refuse bench data that says too little.
+    """Refuse bench data that does not determine the coefficients.
 
     Args:
         stress: Known normal stress, shear x and shear y, shape (N, 3) [Pa].
@@ -193,6 +193,6 @@ def find_lack(products: FloatArray, rows: int) -> tuple[str, str] | None:
 
 
 def _independent_parts(moments: FloatArray) -> FloatArray:
-    """RMS of what the other terms leave of each: a Schur complement a term."""
+    """RMS of what the other terms leave of each: a Schur complement per term."""
     regular = moments + _ROUNDING * np.eye(len(moments))
     return np.asarray(1.0 / np.sqrt(np.diag(np.linalg.inv(regular))))

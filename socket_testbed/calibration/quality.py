@@ -138,7 +138,7 @@ _BLOCKS = 10
 
 @dataclass(frozen=True)
 class Groups:
-    """Readings that are held out together, because neighbours know of each other.
+    """Readings that are held out together, because neighbours are correlated.
 
     Attributes:
         unit: What a group is: file, cycle or block.
@@ -163,7 +163,7 @@ class Groups:
 
 @dataclass(frozen=True)
 class CrossValidation:
-    """What the fits without each group say.
+    """The fits without each group.
 
     Attributes:
         groups: The groups.
@@ -271,8 +271,8 @@ def half_widths(full: FloatArray, without: FloatArray) -> FloatArray:
 
     ``t(0.975, G - 1) sqrt((G - 1) / G sum_g (b_g - b)^2)``, the variance CV3 of MacKinnon,
     Nielsen and Webb (2023), "Fast and reliable jackknife and bootstrap methods for
-    cluster-robust inference", arXiv:2301.04527. The residuals within a group may hang together
-    in any way; those of different groups are taken as independent. It says how well this bench
+    cluster-robust inference", arXiv:2301.04527. The residuals within a group may be correlated
+    in any way; those of different groups are taken as independent. It states how well this bench
     determines the coefficients, not whether the polynomial is the law of the sensor.
 
     Args:

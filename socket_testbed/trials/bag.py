@@ -109,7 +109,7 @@ class BagReader:
 
     Raises:
         TrialError: On entry, if the bag is missing, unreadable, holds other counts than its
-            metadata says, or was cut short before its first complete chunk.
+            metadata lists, or was cut short before its first complete chunk.
     """
 
     def __init__(self, path: Path) -> None:
@@ -212,7 +212,7 @@ class BagReader:
             # A recording that was cut short has fewer; a note says so.
             if held != count and not (self._cut_short and held < count):
                 raise TrialError(
-                    f"{self.path}: metadata.yaml says {count} messages on {name},"
+                    f"{self.path}: metadata.yaml lists {count} messages on {name},"
                     f" the storage file holds {held}",
                     "copy the trial again, or write metadata.yaml again with 'ros2 bag reindex'",
                 )
@@ -231,13 +231,13 @@ class BagReader:
         promised = sum(topic.messages for topic in topics)
         if promised > sum(counts.values()):
             self.notes.append(
-                f"metadata.yaml says {promised} messages: copy the trial again if it is"
+                f"metadata.yaml lists {promised} messages: copy the trial again if it is"
                 " complete elsewhere"
             )
 
 
 class _TopicMetadata(NamedTuple):
-    """What metadata.yaml says of a topic."""
+    """A topic of metadata.yaml."""
 
     name: str
     messages: int
@@ -298,7 +298,7 @@ def _damaged(file: Path | object, error: Exception) -> TrialError:
 
 def _lacking(file: Path | object, messages: int) -> TrialError:
     return TrialError(
-        f"{file}: is damaged, its index says {messages} messages more than can be read",
+        f"{file}: is damaged: its index lists {messages} messages more than can be read",
         "copy the trial again, or save what is there with 'mcap recover'",
     )
 

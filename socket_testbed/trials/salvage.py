@@ -306,7 +306,7 @@ def _connections(chunks: list[_Chunk], owner: object) -> list[Connection]:
     ]
 
 
-@cache  # YAML is slow, and all channels say the same
+@cache  # YAML is slow, and the channels share their profiles
 def _qos(profiles: str) -> list[Qos]:
     return parse_qos(profiles) if profiles else []
 

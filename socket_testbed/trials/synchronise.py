@@ -178,7 +178,7 @@ def correct_measurements(trial: Trial, measured: Measurements) -> Measurements:
     """Bring the clusters' readings to the baseline of their calibration.
 
     The drift is linear between the trial's two spans without load. If the calibration stores no
-    baseline, only the drift since the first span is taken off. The trial reports the drift between
+    baseline, only the drift since the first span is removed. The trial reports the drift between
     two spans, and flags a large one.
 
     Args:
@@ -213,7 +213,7 @@ def _describe(drift: Drift) -> str:
     flag = f", more than {1e-3 * DRIFT_LIMIT:g} kPa" if drift.flagged else ""
     return (
         f"drifted by {normal:+.2f} kPa normal, {shear_x:+.2f} and {shear_y:+.2f} kPa shear without"
-        f" load, taken off{flag}"
+        f" load, corrected{flag}"
     )
 
 

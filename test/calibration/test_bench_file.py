@@ -114,11 +114,11 @@ def with_column(column: int, value: str):
         (with_cell(3, 5, ""), ("'c1 [pF]' is empty in line 4",), "fill"),
         (with_cell(3, 5, "O.5"), ("'O.5' in line 4",), "number"),
         (lambda rows: [row[:-1] for row in rows], ("no column for c3",), "c3=NAME"),
-        (with_title(7, "c2 [pF]"), ("c2 stands in 2 columns",), "rename"),
+        (with_title(7, "c2 [pF]"), ("c2 is in 2 columns",), "rename"),
         (with_title(7, "c3"), ("no unit for c3",), "c3=pF"),
     ],
 )
-def test_a_bad_file_is_named_with_its_mend(bench_file, change, facts, hint):
+def test_a_bad_file_is_named_with_its_hint(bench_file, change, facts, hint):
     error = refusal(edit(bench_file, change))
     for fact in facts:
         assert fact in error.fact
@@ -167,9 +167,7 @@ def test_a_real_log_s_seconds_are_not_taken_for_milliseconds(shared_data, tmp_pa
 
 def test_a_real_sheet_is_refused_until_its_columns_are_named(shared_data):
     path = shared_data / "fdc1004_orthosis" / "Book1.csv"
-    assert "c1 stands in 3 columns: 'C1 pF', 'C1 (2)', 'C1(3)'" in refusal(path).fact.replace(
-        "  ", " "
-    )
+    assert "c1 is in 3 columns: 'C1 pF', 'C1 (2)', 'C1(3)'" in refusal(path).fact.replace("  ", " ")
     columns = {"normal": "Distance_diminué", "shear_x": "Tour", "shear_y": "d"}
     columns |= {"c0": "C1  pF", "c1": "C1 (2)", "c2": "C1(3)", "c3": "C2 avce C1 (2)"}
     assert "c1 is in '2', which is no unit" in refusal(path, columns).fact

@@ -232,9 +232,9 @@ def test_metadata_that_promises_more_is_told_and_less_is_refused(hold, tmp_path)
         assert len(bag.notes) == 1 and "cut short" in bag.notes[0]
     (target / "metadata.yaml").write_text(text.replace("message_count: 240", "message_count: 241"))
     with BagReader(target) as bag:
-        assert "metadata.yaml says" in bag.notes[1] and "copy the trial again" in bag.notes[1]
+        assert "metadata.yaml lists" in bag.notes[1] and "copy the trial again" in bag.notes[1]
     (target / "metadata.yaml").write_text(text.replace("message_count: 240", "message_count: 239"))
-    with pytest.raises(TrialError, match="says 239 messages"):
+    with pytest.raises(TrialError, match="lists 239 messages"):
         read(target)
 
 

@@ -143,7 +143,7 @@ def test_metadata_that_promises_other_counts_is_refused(hold: Path, tmp_path: Pa
     entry = metadata["rosbag2_bagfile_information"]["topics_with_message_count"][0]
     entry["message_count"] += 7
     (target / "metadata.yaml").write_text(yaml.safe_dump(metadata))
-    with pytest.raises(TrialError, match=r"metadata.yaml says 247 messages.*holds 240.*reindex"):
+    with pytest.raises(TrialError, match=r"metadata.yaml lists 247 messages.*holds 240.*reindex"):
         read_samples(Trial(target))
 
 
