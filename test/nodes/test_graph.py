@@ -236,6 +236,7 @@ def test_parameters_are_described_checked_and_changed_at_run_time() -> None:
         ("replay_node", {}, ["trial is empty"]),
         ("replay_node", {"trial": "nowhere"}, ["nowhere", "no such trial"]),
         ("recorder_node", {"record": "true", "directory": "/proc/trial"}, ["/proc/trial"]),
+        ("recoder_node", {}, ["there is no node", "did you mean 'recorder_node'?"]),
     ],
 )
 def test_a_node_that_cannot_start_says_why_in_one_line(node, parameters, names) -> None:
@@ -251,6 +252,18 @@ def test_a_node_that_cannot_start_says_why_in_one_line(node, parameters, names) 
     assert "Traceback" not in done.stderr and done.stderr.count("error: ") == 1, done.stderr
     for name in names:
         assert name in done.stderr
+
+
+def test_a_program_with_a_node_s_name_runs_that_node() -> None:
+    """What `ros2 run socket_testbed calibration_node` does."""
+    words = ["/bin/calibration_node", "--ros-args", "-p", "calibration:=nowhere.yaml"]
+    script = (
+        f"import sys; sys.argv = {words}\nfrom socket_testbed.nodes.__main__ import main\nmain()"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", script], check=False, capture_output=True, text=True, timeout=60
+    )
+    assert done.returncode == 1 and "nowhere.yaml" in done.stderr, done.stderr
 
 
 def test_a_trial_that_breaks_off_ends_its_replay_with_one_line(hold, tmp_path: Path) -> None:
