@@ -230,7 +230,6 @@ def _require_spread(points: FloatArray, names: Sequence[str], how: str) -> None:
 
 
 _FARTHEST = 2.0  # [m]; what is farther is in another unit
-_FEWEST_IN_FILE = 3
 
 TriadLabels: TypeAlias = str | tuple[str, ...]
 
@@ -311,9 +310,9 @@ def _labels(bodies: Section, body: str) -> TriadLabels:
 
 def _coordinates(section: Section) -> dict[str, FloatArray]:
     names = section.names()
-    if len(names) < _FEWEST_IN_FILE:
+    if len(names) < _FEWEST:
         raise ConfigurationError(
             f"{section.where}: {len(names)} landmarks hold no frame",
-            f"give {_FEWEST_IN_FILE} or more that are not on one line",
+            f"give {_FEWEST} or more that are not on one line",
         )
     return {name: section.array(name, (3,), limit=_FARTHEST) for name in names}

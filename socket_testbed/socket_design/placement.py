@@ -12,7 +12,7 @@ from socket_testbed.arrays import FloatArray
 from socket_testbed.errors import ConfigurationError, RegistrationError
 from socket_testbed.files import read_document
 from socket_testbed.geometry.pose import Pose
-from socket_testbed.socket_design.landmarks import LandmarkFit, register_landmarks
+from socket_testbed.socket_design.landmarks import register_landmarks
 
 _AXES = {"x": 0, "y": 1, "z": 2}
 _SMALLEST_SINE = 0.1  # [-]; directions closer to each other than some 6 degrees span no plane
@@ -27,12 +27,10 @@ class Placement:
     Attributes:
         scan_in_load_cell: Pose of the scan's frame (in metres) in {S}.
         source: How it was found.
-        fit: The landmarks' fit, where landmarks gave it.
     """
 
     scan_in_load_cell: Pose
     source: str
-    fit: LandmarkFit | None = None
 
 
 def parse_direction(text: str, where: str) -> FloatArray:
@@ -164,4 +162,4 @@ def place_by_landmarks(path: Path, scale: float) -> Placement:
             f"{path}: the landmarks fit by {1e3 * fit.rms:.1f} mm only",
             f"check the scan's unit and the coordinates, first of {worst}",
         )
-    return Placement(fit.pose, f"{len(sections)} landmarks, rms {1e3 * fit.rms:.2f} mm", fit)
+    return Placement(fit.pose, f"{len(sections)} landmarks, rms {1e3 * fit.rms:.2f} mm")
