@@ -20,6 +20,7 @@ from socket_testbed.socket_design.mesh import (
     boundary_loops,
     fit_axis,
     loop_length,
+    number_cells,
     plain_mesh,
     sample_surface,
     separate,
@@ -140,7 +141,8 @@ def look(mesh: trimesh.Trimesh, samples: SurfaceSamples, spine: Spine) -> Visibi
     facing = -diagonal_dot(mesh.face_normals[samples.owners], rays) / depth
     # Every direction is a point of the capsule around the spine: no poles, no seam.
     capsule = samples.points + rays * (spine.radius / depth - 1.0)[:, None]
-    cell = _cells(capsule - spine.axis.origin, samples.spacing)
+    # A cell's middle, not its corner, is on the axis.
+    cell = number_cells(capsule - spine.axis.origin + 0.5 * samples.spacing, samples.spacing)
     front, back = facing > _GRAZING, facing < -_GRAZING
     first_front = _nearest(cell, depth, front)
     first_back = _nearest(cell, depth, back)
@@ -157,15 +159,6 @@ def _cosine(mesh: trimesh.Trimesh, spine: Spine) -> FloatArray:
     rays = mesh.triangles_center - spine.feet(mesh.triangles_center)
     depth = np.fmax(np.linalg.norm(rays, axis=1), _NO_DEPTH)
     return diagonal_dot(mesh.face_normals, rays) / depth
-
-
-def _cells(points: FloatArray, size: float) -> IntArray:
-    """Numbers of the cubes that the points are in, shape (P,)."""
-    cube = np.round(points / size).astype(np.int64)
-    cube -= cube.min(axis=0)
-    x, y, z = cube.T
-    width = cube.max(axis=0) + 1
-    return np.unique((x * width[1] + y) * width[2] + z, return_inverse=True)[1]
 
 
 def _nearest(cell: IntArray, depth: FloatArray, chosen: BoolArray) -> FloatArray:

@@ -162,6 +162,22 @@ def sample_surface(mesh: trimesh.Trimesh, spacing: float) -> tuple[IntArray, Flo
     return np.concatenate(owners), np.concatenate(points)
 
 
+def number_cells(points: FloatArray, size: float) -> IntArray:
+    """Number the cells of a cubic grid that hold points, by x, then y, then z.
+
+    Args:
+        points: Shape (P, 3) [m].
+        size: Edge of a cell [m].
+
+    Returns:
+        The number of the cell of each point, shape (P,).
+    """
+    cell = np.floor(points / size).astype(np.int64)
+    x, y, z = (cell - cell.min(axis=0)).T
+    key = (x * (y.max() + 1) + y) * (z.max() + 1) + z
+    return np.unique(key, return_inverse=True)[1]
+
+
 def _centres_of_parts(count: int) -> FloatArray:
     """Barycentric coordinates of the centres of count^2 equal parts, shape (count^2, 3)."""
     i, j = np.mgrid[:count, :count].reshape(2, -1)

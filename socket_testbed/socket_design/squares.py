@@ -11,6 +11,7 @@ from scipy.spatial import KDTree
 from scipy.spatial.distance import cdist
 
 from socket_testbed.arrays import BoolArray, FloatArray, IntArray
+from socket_testbed.socket_design.mesh import number_cells
 
 _SMALL = 1e-12  # in place of a zero that is divided by
 REACH = 1.45  # [edges]; squares that overlap have their centres within it
@@ -130,7 +131,7 @@ def blocks_of(
     if not len(points) or not len(centres):
         return
     tree = KDTree(points)
-    block = np.unique(np.floor(centres / (_BLOCK * radius)), axis=0, return_inverse=True)[1].ravel()
+    block = number_cells(centres, _BLOCK * radius)
     order = np.argsort(block, kind="stable")
     for rows in np.split(order, np.flatnonzero(np.diff(block[order])) + 1):
         middle = centres[rows].mean(axis=0)
@@ -197,7 +198,7 @@ def _one_a_cell(points: FloatArray, spacing: float) -> IntArray:
     """Of the points in each cell of a cubic grid, the one closest to the cell's centre."""
     cell = np.floor(points / spacing)
     off = ((points - (cell + 0.5) * spacing) ** 2).sum(axis=1)
-    index = np.unique(cell, axis=0, return_inverse=True)[1].reshape(-1)
+    index = number_cells(points, spacing)
     order = np.lexsort((off, index))
     first = np.concatenate([[True], np.diff(index[order]) > 0])
     return order[first]

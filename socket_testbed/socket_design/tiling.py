@@ -18,6 +18,7 @@ from scipy.spatial import KDTree
 
 from socket_testbed.arrays import BoolArray, FloatArray, IntArray
 from socket_testbed.errors import ScanError
+from socket_testbed.socket_design.mesh import number_cells
 from socket_testbed.socket_design.squares import (
     REACH,
     Squares,
@@ -116,8 +117,8 @@ class Search:
         self._alive = np.ones(len(squares), dtype=bool)
         self._tree = KDTree(squares.anchors)
         self._overlaps_of_tile: dict[int, IntArray] = {}
-        cell = np.floor(squares.anchors / (_WASTE_SPACING * squares.edge))
-        self._witnesses = np.unique(cell, axis=0, return_index=True)[1]
+        cell = number_cells(squares.anchors, _WASTE_SPACING * squares.edge)
+        self._witnesses = np.unique(cell, return_index=True)[1]
         self._overlapping_witness = overlapping(squares, self._witnesses, _CLEARANCE)
 
     def fill(self) -> IntArray:
