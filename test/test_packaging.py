@@ -1,12 +1,16 @@
 """The same sources as a colcon workspace, and as an installed package."""
 
 import os
+import re
 import shutil
 import subprocess
 import sys
 from pathlib import Path
+from zipfile import ZipFile
 
 import pytest
+
+from socket_testbed import __version__
 
 pytestmark = pytest.mark.slow
 
@@ -101,3 +105,47 @@ def test_a_plain_colcon_build_gives_a_package_that_works_anywhere(
     )
     assert all(str(path) in out for path in paths)
     assert (tmp_path / "trial" / "trial.mcap").is_file()
+
+
+@pytest.mark.slow
+def test_a_wheel_holds_all_that_the_offline_verbs_need(workspace: Path, tmp_path: Path) -> None:
+    pip = (sys.executable, "-m", "pip", "--disable-pip-version-check", "--quiet")
+    build = ("--no-deps", "--no-build-isolation", "--no-index")
+    call(workspace, *pip, "wheel", *build, "--wheel-dir", str(tmp_path), ".")
+    (wheel,) = tmp_path.glob("*.whl")
+    assert wheel.name.startswith(f"socket_testbed-{__version__}-")
+    needed = {re.split(r"[^A-Za-z0-9]", line)[0] for line in requirements_of(wheel)}
+    assert {"numpy", "qpsolvers", "rosbags", "matplotlib", "pandas"} <= needed
+
+    site = tmp_path / "site"
+    call(tmp_path, *pip, "install", "--no-deps", "--no-index", "--target", str(site), str(wheel))
+    script = (
+        "import sys, socket_testbed;"
+        "print(socket_testbed.__file__);"
+        "from socket_testbed.__main__ import run;"
+        "sys.exit(any([run(words.split()) for words in sys.argv[1:]]))"
+    )
+    verbs = (
+        "simulate -o hold --duration 40",
+        "info hold",
+        "fit hold -o hold.json",
+        "evaluate hold --model hold.json",
+        "report hold -o hold.html --thetas 3",
+        "export hold -o hold.csv",
+    )
+    out = call(tmp_path, sys.executable, "-c", script, *verbs, PYTHONPATH=str(site))
+    assert str(site) in out and "mean moment RMSE" in out
+    assert (tmp_path / "hold.html").stat().st_size > 10_000
+
+
+def requirements_of(wheel: Path) -> list[str]:
+    """What a wheel requires, as its metadata states it."""
+    with ZipFile(wheel) as archive:
+        name = next(name for name in archive.namelist() if name.endswith("/METADATA"))
+        lines = archive.read(name).decode().splitlines()
+    return [line.removeprefix("Requires-Dist: ") for line in lines if "Requires-Dist" in line]
+
+
+def test_the_version_has_one_home() -> None:
+    for path in (ROOT / "package.xml", ROOT / "msg_defs" / "package.xml"):
+        assert f"<version>{__version__}</version>" in path.read_text()
