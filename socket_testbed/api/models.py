@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import dataclasses
 import json
 import shutil
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -18,6 +17,7 @@ from socket_testbed.errors import ConfigurationError
 from socket_testbed.files import atomic_output, check_number
 from socket_testbed.identification.evaluation import (
     ChannelErrors,
+    errors_to_dataframe,
     evaluate_predictions,
     predict_channels,
     summarise_errors,
@@ -110,7 +110,7 @@ class TrialFit:
 
     def to_dataframe(self) -> pd.DataFrame:
         """Errors on the samples of the fit, one row per channel in the channel's unit."""
-        return _errors_frame(self.fit.errors)
+        return errors_to_dataframe(self.fit.errors)
 
 
 Model: TypeAlias = TrialFit | StoredModel | PathLike
@@ -147,7 +147,7 @@ class Evaluation:
 
     def to_dataframe(self) -> pd.DataFrame:
         """Errors, one row per channel in the channel's unit."""
-        return _errors_frame(self.errors)
+        return errors_to_dataframe(self.errors)
 
     def document(self) -> dict[str, Any]:
         """The evaluation for JSON."""
@@ -176,13 +176,6 @@ def _means(errors: Sequence[ChannelErrors]) -> str:
         f"mean RMSE {summary.moment_rmse:.3g} N m, {summary.force_rmse:.3g} N;"
         f" median local RMSE {summary.local_rmse:.3g} N"
     )
-
-
-def _errors_frame(errors: Iterable[ChannelErrors]) -> pd.DataFrame:
-    import pandas as pd
-
-    frame = pd.DataFrame([dataclasses.asdict(error) for error in errors])
-    return frame.set_index("name").rename_axis("channel")
 
 
 def fit(
@@ -324,7 +317,7 @@ def evaluate(trial: Trial, model: Model, segment: str | Segment = "plateau") -> 
     >>> found
     Evaluation(stiffness... of hold on walk, all 0.00 s to 39.75 s; mean RMSE ...)
     >>> list(found.to_dataframe())
-    ['unit', 'in_objective', 'samples', 'rmse', 'mae', 'sigma', 'skill']
+    ['unit', 'RMSE', 'MAE', 'sigma', 'skill', 'samples', 'in objective']
     """
     stored = _model_for(trial, model)
     samples = trial.samples()
