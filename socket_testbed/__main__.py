@@ -13,7 +13,7 @@ from socket_testbed.errors import TestbedError
 
 VERBS = {
     "demo": "the simulated testbed live, its trial replayed: errors and a figure",
-    "run": "bring the whole testbed up, on hardware or simulated, and record it",
+    "run": "bring the testbed up, on hardware or simulated, and record it",
     "doctor": "what is wired and what is not, as a table",
     "tile": "from a scan of the socket to tiles, frames and neighbours",
     "register": "from a static take and landmarks to the marker bodies' frames",

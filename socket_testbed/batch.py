@@ -305,7 +305,7 @@ def _write_summary(outcomes: Sequence[Outcome], folder: Path) -> None:
         }
         for outcome in outcomes
     ]
-    table = pd.DataFrame(rows, dtype=object)  # counts stay whole where one is missing
+    table = pd.DataFrame(rows, dtype=object)  # counts stay integers even where one is missing
     for suffix in (".csv", ".parquet"):
         write_table(table, folder / f"{SUMMARY}{suffix}")
 

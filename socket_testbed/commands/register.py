@@ -14,11 +14,7 @@ from socket_testbed.arrays import FloatArray
 from socket_testbed.commands.text import number, table
 from socket_testbed.geometry.pose import Pose
 from socket_testbed.socket_design.landmarks import LANDMARK_FILE_HELP
-from socket_testbed.socket_design.registration import (
-    MOST_RESIDUAL,
-    RegisteredBody,
-    Registration,
-)
+from socket_testbed.socket_design.registration import MOST_RESIDUAL, RegisteredBody, Registration
 
 _MM = 1e3
 
