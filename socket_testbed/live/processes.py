@@ -234,7 +234,7 @@ class Graph:
     def stop(self, *names: str) -> None:
         """End some processes, or all of them: ask, then insist."""
         members = [self._members[name] for name in names] or self._members.values()
-        # Before ROS has taken over, SIGTERM ends a node without a word; afterwards cleanly.
+        # Before ROS has taken over, SIGTERM ends a node at once; afterwards cleanly.
         for number in (signal.SIGTERM, signal.SIGKILL):
             running = [member for member in members if member.exit_code() is None]
             for member in running:

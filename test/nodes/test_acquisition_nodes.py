@@ -1,4 +1,4 @@
-"""The acquisition nodes one by one: their services, their parameters, what they tell Motive."""
+"""The acquisition nodes one by one: services, parameters, and what Motive gets from them."""
 
 from pathlib import Path
 
