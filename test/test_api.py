@@ -189,4 +189,4 @@ def test_the_readme_s_lines_run(tmp_path, monkeypatch, capsys) -> None:
     mpl.use("Agg")
     exec(compile("import socket_testbed" + program, "README.md", "exec"), {})
     assert (tmp_path / "hold.png").stat().st_size > 5000
-    assert "skill" in capsys.readouterr().out
+    assert "RMSE" in capsys.readouterr().out
