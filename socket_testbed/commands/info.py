@@ -23,10 +23,14 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> None:
     """Print topics, rates, gaps, missing data, plateaus and configuration."""
-    trial = dataclasses.replace(trial_of(options), notify=None)  # the notes are part of the report
+    notes: dict[str, None] = {}  # part of the output, each once
+    trial = dataclasses.replace(trial_of(options), notify=lambda note: notes.update({note: None}))
     print(_topics(trial))
+    shown = len(notes)
     samples = read_samples(trial)
     print()
+    for note in list(notes)[shown:]:
+        print(f"note: {note}")
     print(_triggers(samples))
     print()
     print(_missing(samples))

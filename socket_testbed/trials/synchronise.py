@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import dataclasses
 from array import array
-from collections.abc import Collection
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -87,6 +87,9 @@ class Measurements:
         return (self.stamps - self.stamps[0]) * 1e-9
 
 
+_NAMED = 3  # how many stamps a note names
+
+
 class _Series:
     """Values by stamp, packed: an hour at 100 Hz is 360,000 of them."""
 
@@ -113,6 +116,8 @@ class _Series:
 def read_measurements(trial: Trial) -> Measurements:
     """Read all measurements of a trial.
 
+    The trial reports stamps that jump back, and stamps that a topic holds more than once.
+
     Raises:
         TrialError: If the trial cannot be read or lacks a topic.
     """
@@ -136,8 +141,12 @@ def read_measurements(trial: Trial) -> Measurements:
                 columns[topic].add(stamp, ())
             else:
                 columns[topic].add(stamp, pose_vector(message.pose))
-    every = [column.stamps for column in (*columns.values(), *clusters.values())]
-    stamps = np.unique(np.concatenate(every))
+    every = {topic.name: column.stamps for topic, column in columns.items()}
+    every |= {name: column.stamps for name, column in clusters.items()}
+    if trial.notify is not None:
+        for note in _stamp_notes(every):
+            trial.notify(note)
+    stamps = np.unique(np.concatenate([*every.values()]))
     readings = np.array([column.at(stamps) for column in clusters.values()])
     readings = readings.reshape(len(clusters), len(stamps), 8).swapaxes(0, 1)
     status = np.nan_to_num(readings[:, :, 4:], nan=float(Status.MISSING))
@@ -150,6 +159,43 @@ def read_measurements(trial: Trial) -> Measurements:
         capacitance=readings[:, :, :4],
         status=status.astype(np.uint8),
     )
+
+
+def _stamp_notes(every: dict[str, IntArray]) -> Iterator[str]:
+    """Notes on stamps out of order and on doubled stamps.
+
+    Args:
+        every: Stamps of each topic or cluster in the order of recording [ns].
+    """
+    first = min(int(stamps.min()) for stamps in every.values())
+    backward: dict[str, list[str]] = {}
+    doubled: dict[str, list[str]] = {}
+    for name, stamps in every.items():
+        time = (stamps - first) * 1e-9
+        back = np.flatnonzero(np.diff(stamps) < 0)
+        if len(back):
+            jumps = [f"from {time[i]:.2f} s to {time[i + 1]:.2f} s" for i in back[:_NAMED]]
+            backward.setdefault(_listed(jumps, len(back)), []).append(name)
+        values, counts = np.unique(stamps, return_counts=True)
+        again = (values[counts > 1] - first) * 1e-9
+        if len(again):
+            times = [f"at {at:.2f} s" for at in again[:_NAMED]]
+            lost = int((counts - 1).sum())
+            text = f"{_listed(times, len(again))}: {lost} earlier values are replaced by later ones"
+            doubled.setdefault(text, []).append(name)
+    for text, names in backward.items():
+        yield (
+            f"the stamps of {', '.join(names)} jump back, {text}; samples are in the order of their"
+            " stamps: check the clock of the recording"
+        )
+    for text, names in doubled.items():
+        yield f"the stamps of {', '.join(names)} are doubled, {text}"
+
+
+def _listed(parts: list[str], count: int) -> str:
+    more = f" and {count - len(parts)} more" if count > len(parts) else ""
+    times = "once" if count == 1 else f"{count} times"
+    return f"{times} ({', '.join(parts)}{more})"
 
 
 def _decode(trial: Trial, raw: RawMessage) -> Any:

@@ -1,11 +1,13 @@
 import shutil
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import yaml
 from support.bags import move_to_namespace, rewrite
 
+from socket_testbed.__main__ import run
 from socket_testbed.errors import CalibrationError, ConfigurationError, TrialError
 from socket_testbed.files import atomic_output
 from socket_testbed.samples import Status
@@ -238,3 +240,58 @@ def test_an_output_that_fails_leaves_nothing(tmp_path: Path) -> None:
         atomic_output(Path("/proc/out")) as staging,
     ):
         staging.write_text("x")
+
+
+def shift_stamps(source: Path, target: Path, topics: set[str], first: int, by: int) -> Path:
+    """Copy a trial with the stamps of some topics shifted by `by` [ns] from message `first` on."""
+    seen = dict.fromkeys(topics, 0)
+
+    def change(topic: str, message: Any) -> Any:
+        if topic in seen:
+            seen[topic] += 1
+            if seen[topic] > first:
+                stamp = message.header.stamp
+                total = stamp_of(message) + by
+                stamp.sec, stamp.nanosec = divmod(total, 10**9)
+        return message
+
+    return rewrite(source, target, change)
+
+
+def test_stamps_that_jump_back_are_counted_and_named(
+    hold: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    wrench = "/load_cell/wrench"
+    target = shift_stamps(hold, tmp_path / "back", {wrench}, 40, -5 * 10**9)
+    notes: list[str] = []
+    read_samples(Trial(target, notify=notes.append))
+    back, doubled = notes
+    assert back.startswith("the stamps of load_cell/wrench jump back, once (from 9.75 s to 5.0")
+    assert doubled.startswith("the stamps of load_cell/wrench are doubled, 20 times (at 5.00 s")
+    assert "20 earlier values are replaced" in doubled and "and 17 more" in doubled
+    capsys.readouterr()
+    assert run(["info", str(target)]) == 0
+    assert capsys.readouterr().out.count("note: ") == 2
+
+
+def test_a_doubled_stamp_is_named(hold: Path, tmp_path: Path) -> None:
+    seen = []
+
+    def double(topic: str, message: Any) -> Any:
+        if topic == "/load_cell/wrench":
+            seen.append(message.header.stamp)
+            if len(seen) == 13:
+                message.header.stamp = seen[-2]
+        return message
+
+    notes: list[str] = []
+    target = rewrite(hold, tmp_path / "doubled", double)
+    read_samples(Trial(target, notify=notes.append))
+    (note,) = notes
+    assert note.startswith("the stamps of load_cell/wrench are doubled, once (at 2.75 s)")
+
+
+def test_a_trial_with_sound_stamps_has_no_note(hold: Path) -> None:
+    notes: list[str] = []
+    read_samples(Trial(hold, notify=notes.append))
+    assert notes == []
