@@ -7,6 +7,7 @@ import subprocess
 import sys
 import warnings
 from pathlib import Path
+from typing import Any
 
 import matplotlib as mpl
 import nbformat
@@ -190,3 +191,44 @@ def test_the_readme_s_lines_run(tmp_path, monkeypatch, capsys) -> None:
     exec(compile("import socket_testbed" + program, "README.md", "exec"), {})
     assert (tmp_path / "hold.png").stat().st_size > 5000
     assert "RMSE" in capsys.readouterr().out
+
+
+def spoilt(source: Path, target: Path, change) -> tuple[Any, list[str], str]:
+    """A copy of a trial with changed wrenches, fitted: the fit, the notes and the refusal."""
+    count = iter(range(10**6))
+
+    def spoil(topic: str, message):
+        if topic == "/load_cell/wrench":
+            change(next(count), message.wrench.force)
+        return message
+
+    notes: list[str] = []
+    trial = st.open_trial(rewrite(source, target, spoil), notify=notes.append)
+    try:
+        return st.fit(trial, "20:35"), notes, ""
+    except st.TestbedError as error:
+        return None, notes, str(error)
+
+
+def scale_force(factor: float, only: int | None = None):
+    def change(number: int, force) -> None:
+        if only in (None, number):
+            force.x, force.y, force.z = (factor * value for value in (force.x, force.y, force.z))
+
+    return change
+
+
+def test_a_fit_is_never_silently_of_wrong_values(folder, tmp_path) -> None:
+    hold = folder / "trials" / "hold"
+    fitted, notes, _ = spoilt(hold, tmp_path / "negated", scale_force(-1.0))
+    assert fitted is not None and any("the wrench looks negated" in note for note in notes)
+    _, _, refusal = spoilt(hold, tmp_path / "milli", scale_force(1e3))
+    assert "Fz is" in refusal and "millinewtons" in refusal
+    _, _, refusal = spoilt(hold, tmp_path / "zero", scale_force(0.0))
+    assert "exceeds 0 N" in refusal and "holds no load" in refusal
+    fitted, notes, _ = spoilt(hold, tmp_path / "spike", scale_force(1e7, only=100))
+    (note,) = [note for note in notes if note.startswith("Fz")]
+    assert "an outlier (-2.7" in note and "at 25.00 s" in note
+    assert fitted is not None and fitted.fit.errors[5].rmse < 50.0
+    with pytest.raises(st.TestbedError, match=r"only 4 of 5 samples .* needs 12"):
+        st.fit(st.open_trial(hold), "20:21")

@@ -35,6 +35,11 @@ from socket_testbed.identification.pareto import (
     pareto_front,
     write_fronts,
 )
+from socket_testbed.identification.plausibility import (
+    find_outliers,
+    require_position,
+    without_outliers,
+)
 from socket_testbed.samples import Samples, channel_unit
 from socket_testbed.settings.identification import Variant
 from socket_testbed.settings.testbed import estimator_settings
@@ -237,7 +242,8 @@ def fit(
 
 def _note_implausible(trial: Trial, chosen: Samples, leave_out: tuple[str, ...]) -> None:
     if trial.notify is not None:
-        for note in implausible_notes(chosen, trial.geometry, leave_out):
+        start = int(trial.samples().stamps[0])
+        for note in implausible_notes(chosen, trial.geometry, leave_out, start):
             trial.notify(note)
 
 
@@ -310,6 +316,7 @@ def evaluate(trial: Trial, model: Model, segment: str | Segment = "plateau") -> 
 
     Raises:
         TrialError: If the trial cannot be read, holds no such segment, or is of another socket.
+        IdentificationError: If the limb positions are in another unit or frame.
         ConfigurationError: If the file is no model, or the model lacks a cluster of the trial.
 
     >>> fitted = st.fit(st.open_trial("trials/hold"))
@@ -324,7 +331,9 @@ def evaluate(trial: Trial, model: Model, segment: str | Segment = "plateau") -> 
     chosen = select(trial, segment, trial.estimator)
     rows = samples[chosen.rows]
     leave_out = stored.settings.leave_out
+    require_position(rows, trial.geometry)
     _note_implausible(trial, rows, leave_out)
+    rows = without_outliers(rows, find_outliers(rows, trial.geometry, leave_out))
     if trial.notify is not None and bool(trial.unloaded) != bool(stored.unloaded):
         fitted = "with" if stored.unloaded else "without"
         trial.notify(f"the model was fitted {fitted} --unloaded: its offsets are others")
@@ -418,6 +427,7 @@ def pareto(
     check_thetas(thetas)
     settings = estimator_settings(trial.estimator, as_path(params), **choices)
     chosen = select(trial, segment, settings)
+    _note_implausible(trial, trial.samples()[chosen.rows], settings.identification.leave_out)
     with threadpool_limits(1):
         fronts = pareto_front(
             trial.samples()[chosen.rows],

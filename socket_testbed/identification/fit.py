@@ -30,6 +30,12 @@ from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification.box_qp import BoxSolution, check_solver, solve_box_qp
 from socket_testbed.identification.contact import ContactModel
 from socket_testbed.identification.evaluation import ChannelErrors, evaluate
+from socket_testbed.identification.plausibility import (
+    find_outliers,
+    outlier_notes,
+    sign_note,
+    without_outliers,
+)
 from socket_testbed.identification.problem import (
     KILONEWTON_PER_METRE,
     Objective,
@@ -85,16 +91,23 @@ def find_implausible(samples: Samples, geometry: SocketGeometry) -> tuple[Implau
 
 
 def implausible_notes(
-    samples: Samples, geometry: SocketGeometry, leave_out: tuple[str, ...]
+    samples: Samples,
+    geometry: SocketGeometry,
+    leave_out: tuple[str, ...],
+    start: int | None = None,
 ) -> list[str]:
-    """The proposals as notes, even for channels that are left out already.
+    """Outliers, a negated wrench, and the proposals even for channels that are left out already.
 
     Args:
         samples: Samples of the segment.
         geometry: Geometry of the socket.
         leave_out: Channels that are not in the objective.
+        start: Stamp of the trial's first sample [ns]; None for that of the segment.
     """
-    notes = []
+    outliers = find_outliers(samples, geometry, leave_out)
+    notes = outlier_notes(samples, outliers, start)
+    sign = sign_note(samples, geometry)
+    notes += [sign] if sign else []
     for proposal in find_implausible(samples, geometry):
         name = proposal.channel
         advice = "is left out" if name in leave_out else f"consider --leave-out {name}"
@@ -201,7 +214,7 @@ def fit_contact_model(
 
     Args:
         samples: Samples of the segment; those without a wrench or a limb position are
-            passed over.
+            passed over, and so are outliers.
         geometry: Geometry of the socket.
         settings: Settings of the identification.
 
@@ -211,7 +224,8 @@ def fit_contact_model(
             KKT tolerance.
     """
     objective = build_objective(samples, geometry, settings)
-    samples = samples[objective.rows]
+    outliers = find_outliers(samples, geometry, settings.leave_out)
+    samples = without_outliers(samples, outliers)[objective.rows]
 
     stage_one = build_stage_one(objective)
     rest = solve_box_qp(stage_one, settings.solver, settings.solver_tolerance)

@@ -28,6 +28,16 @@ from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification.box_qp import BoxQP
 from socket_testbed.identification.contact import wrench_map
 from socket_testbed.identification.moments import GatedMoments, Group, Method, Moments
+from socket_testbed.identification.plausibility import (
+    LEAST_FORCE,
+    LEAST_MOMENT,
+    MOST_OUTLIERS,
+    find_outliers,
+    outlier_notes,
+    require_load,
+    require_units,
+    without_outliers,
+)
 from socket_testbed.samples import LOCAL_CHANNELS, WRENCH_CHANNELS, Samples
 from socket_testbed.settings.identification import IdentificationSettings
 
@@ -35,8 +45,7 @@ MILLIMETRE = 1e-3  # [m]; scale of the rest positions in Stage 1
 KILONEWTON_PER_METRE = 1e3  # [N/m]; scale of the stiffnesses in Stage 2
 
 _JITTER = 1e-12  # [-]; keeps a factorisation of a flat problem defined
-_LEAST_MOMENT = 0.1  # [N m]; a channel group smaller than this is normalised by it
-_LEAST_FORCE = 1.0  # [N]
+LEAST_SAMPLES = 12  # [1]; 3 s at the trigger's default rate
 
 
 @dataclass(frozen=True)
@@ -134,7 +143,7 @@ def _usable_rows(samples: Samples, wrench_counts: BoolArray) -> BoolArray:
     """Samples with a limb position and every wrench channel that counts, shape (N,).
 
     Raises:
-        IdentificationError: If fewer than two are left, naming what is missing.
+        IdentificationError: If fewer than `LEAST_SAMPLES` are left, naming what is missing.
     """
     position = np.isfinite(samples.position).all(axis=1)
     measured = np.isfinite(samples.wrench)
@@ -146,13 +155,27 @@ def _usable_rows(samples: Samples, wrench_counts: BoolArray) -> BoolArray:
             f"leave it out of the objective (--leave-out {name}) or check the load cell",
         )
     rows = np.asarray(position & (measured | ~wrench_counts).all(axis=1))
-    if rows.sum() < 2:
+    if rows.sum() < LEAST_SAMPLES:
         raise IdentificationError(
             f"only {int(rows.sum())} of {len(samples)} samples have a limb position"
-            f" ({int(position.sum())}) and a wrench",
+            f" ({int(position.sum())}) and a wrench, and a fit needs {LEAST_SAMPLES}",
             "check the markers and the load cell with 'info', or give another segment",
         )
     return rows
+
+
+def _without_outliers(
+    samples: Samples, geometry: SocketGeometry, leave_out: tuple[str, ...]
+) -> Samples:
+    outliers = find_outliers(samples, geometry, leave_out)
+    count = int(outliers.rows.sum())
+    if count > MOST_OUTLIERS * len(samples):
+        raise IdentificationError(
+            f"{count} of {len(samples)} samples are outliers:"
+            f" {'; '.join(outlier_notes(samples, outliers))}",
+            "check these channels, leave them out (--leave-out), or give another segment",
+        )
+    return without_outliers(samples, outliers)
 
 
 def build_objective(
@@ -161,28 +184,34 @@ def build_objective(
     """Choose, check and normalise the channels of a fit.
 
     Args:
-        samples: Samples; those without a wrench or a limb position are passed over.
+        samples: Samples; those without a wrench or a limb position are passed over, and so are
+            outliers (see `plausibility`).
         geometry: Geometry of the socket.
         settings: Settings of the identification.
 
     Raises:
         ConfigurationError: For an unknown channel or cluster.
-        IdentificationError: If there are no samples, or no value in a channel that counts.
+        IdentificationError: If there are too few samples, no value in a channel that counts, no
+            load, many outliers, or sizes that no limb in a socket gives.
     """
     check_channels(settings.leave_out, samples.channels)
     counts = np.array([name not in settings.leave_out for name in samples.channels])
     wrench_counts, cluster_counts = counts[:6], counts[6:].reshape(-1, 3)
+    _usable_rows(samples, wrench_counts)
+    require_units(samples, geometry, settings.leave_out)
+    samples = _without_outliers(samples, geometry, settings.leave_out)
     rows = _usable_rows(samples, wrench_counts)
     samples = samples[rows]
+    require_load(samples, wrench_counts)
     wrench = np.where(wrench_counts, samples.wrench, 0.0)
     channels = _cluster_channels(samples, geometry, cluster_counts)
     if not wrench_counts.any() and not channels:
         raise IdentificationError("every channel is left out", "leave fewer channels out")
 
-    moment = max(_rms(wrench[:, :3][:, wrench_counts[:3]]), _LEAST_MOMENT)
-    force = max(_rms(wrench[:, 3:][:, wrench_counts[3:]]), _LEAST_FORCE)
+    moment = max(_rms(wrench[:, :3][:, wrench_counts[:3]]), LEAST_MOMENT)
+    force = max(_rms(wrench[:, 3:][:, wrench_counts[3:]]), LEAST_FORCE)
     weights = wrench_counts / np.repeat([moment, force], 3) ** 2
-    local = max(_rms(np.concatenate([c.force for c in channels] or [np.zeros(1)])), _LEAST_FORCE)
+    local = max(_rms(np.concatenate([c.force for c in channels] or [np.zeros(1)])), LEAST_FORCE)
     return Objective(
         geometry=geometry,
         settings=settings,

@@ -11,6 +11,7 @@ from functools import partial
 
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification.fit import Fit, fit_contact_model
+from socket_testbed.identification.problem import LEAST_SAMPLES
 from socket_testbed.live.processes import end_with_parent
 from socket_testbed.samples import Samples
 from socket_testbed.settings.identification import IdentificationSettings, PlateauSettings
@@ -92,6 +93,6 @@ def _fit(
     if not plateaus:
         return None
     steady = samples[plateaus[0].rows]
-    if int(steady.complete.sum()) < least_samples:
+    if int(steady.complete.sum()) < max(least_samples, LEAST_SAMPLES):
         return None
     return fit_contact_model(steady, geometry, settings)

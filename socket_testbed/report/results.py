@@ -30,6 +30,12 @@ from socket_testbed.identification.evaluation import (
 from socket_testbed.identification.fit import Fit, Implausible, find_implausible, fit_contact_model
 from socket_testbed.identification.model_file import StoredModel
 from socket_testbed.identification.pareto import Front, pareto_front
+from socket_testbed.identification.plausibility import (
+    find_outliers,
+    outlier_notes,
+    sign_note,
+    without_outliers,
+)
 from socket_testbed.samples import LOCAL_CHANNELS, WRENCH_CHANNELS, Samples, Status
 from socket_testbed.settings.identification import VARIANTS, Variant
 from socket_testbed.settings.testbed import EstimatorSettings
@@ -385,6 +391,11 @@ def compute_results(
     notes: list[str] = []
     samples = read_samples(replace(trial, notify=notes.append))
     segment = select_segment(samples, specification, settings.plateau)
+    leave_out = settings.identification.leave_out
+    sign = sign_note(samples[segment.rows], trial.geometry)
+    outliers = find_outliers(samples, trial.geometry, leave_out)
+    notes += [*outlier_notes(samples, outliers), *([sign] if sign else [])]
+    samples = without_outliers(samples, outliers)
     chosen = samples[segment.rows]
     candidates = [_fit(samples, segment, trial, settings, variant) for variant in VARIANTS]
     if given is not None:

@@ -1,0 +1,259 @@
+"""Whether samples have the size and the sign that a limb in a socket allows.
+
+- Units: where a quarter of the samples exceeds what a person applies to a socket, or where the limb
+  lies outside it, the samples are in another unit or frame, and a fit is refused.
+- Load: a wrench that is zero throughout says nothing about contact, and a fit is refused.
+- Outliers: a single value beyond the same limits, or far above the root mean square of its group
+  of channels (moments, forces, cluster forces: `OUTLIER_RATIO`, `OUTLIER_SHARE`), would take the
+  group out of the normalised objective. It is left out with a note; many of them are refused.
+- Sign: a wall pushes and a socket opens at its proximal end, so that the force of the limb on the
+  socket points to the distal end. Where it points the other way and is larger than the weight of
+  a prosthesis that hangs on the limb, while the clusters are pressed, the wrench is negated.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+
+import numpy as np
+
+from socket_testbed.arrays import BoolArray, FloatArray
+from socket_testbed.errors import IdentificationError
+from socket_testbed.geometry.socket import SocketGeometry
+from socket_testbed.samples import Samples, channel_unit
+
+LARGEST_FORCE = 5000.0  # [N]; three times the weight of a person of 170 kg
+LARGEST_MOMENT = 500.0  # [N m]; more than a leg transmits below the knee
+LARGEST_STRESS = 2e6  # [Pa]; several times the highest pressures reported in sockets
+LARGEST_DISTANCE = 2.0  # [-]; of the limb from the load cell, in distances of the farthest tile
+UNIT_QUANTILE = 75.0  # [%]; of the sizes, which has to be within the limits
+OUTLIER_RATIO = 200.0  # [-]; of a value's square to the mean square of its group of channels,
+OUTLIER_SHARE = 1.0 / 3.0  # [-]; or of it to the sum of squares, whichever is less
+LEAST_VALUES = 30  # [1]; in a group, to judge one by the others
+MOST_OUTLIERS = 0.1  # [-]; of the samples
+LEAST_MOMENT = 0.1  # [N m]; a channel group smaller than this is normalised by it
+LEAST_FORCE = 1.0  # [N]
+HANGING = 50.0  # [N]; weight of a prosthesis below the load cell
+_WRENCH_GROUPS = (slice(0, 3), slice(3, 6))  # moments, forces
+_NAMED = 3  # how many outliers of a channel a note names
+
+
+@dataclass(frozen=True)
+class Outliers:
+    """Single values that no limb in a socket gives.
+
+    Attributes:
+        position: Samples with such a limb position, shape (N,).
+        values: Such values of the channels, shape (N, 6 + 3c).
+    """
+
+    position: BoolArray
+    values: BoolArray
+
+    @property
+    def rows(self) -> BoolArray:
+        """Samples with an outlier, shape (N,)."""
+        return np.asarray(self.position | self.values.any(axis=1))
+
+
+def find_outliers(
+    samples: Samples, geometry: SocketGeometry, leave_out: tuple[str, ...] = ()
+) -> Outliers:
+    """Find single outliers by the rule of this module.
+
+    Args:
+        samples: Samples of the segment.
+        geometry: Geometry of the socket.
+        leave_out: Channels that do not count.
+    """
+    values = _counted(samples, leave_out)
+    limits = _limits(samples, geometry)
+    single = [_size(column) <= limit for column, limit in zip(values.T, limits, strict=True)]
+    found = (np.abs(values) > limits) & single  # else it is the channel: see `require_units`
+    for group in (*_WRENCH_GROUPS, slice(6, None)):
+        squares = np.where(found[:, group], 0.0, np.nan_to_num(values[:, group])) ** 2
+        count = int(np.count_nonzero(squares))
+        share = min(OUTLIER_SHARE, OUTLIER_RATIO / max(count, 1))
+        while count >= LEAST_VALUES and squares.max() > share * squares.sum():
+            place = np.unravel_index(squares.argmax(), squares.shape)
+            squares[place] = 0.0
+            found[:, group][place] = True
+    return Outliers(_beyond(samples.position, geometry), found)
+
+
+def without_outliers(samples: Samples, outliers: Outliers) -> Samples:
+    """The samples with their outliers marked as not measured."""
+    shape = samples.local_forces.shape
+    return dataclasses.replace(
+        samples,
+        position=np.where(outliers.position[:, None], np.nan, samples.position),
+        wrench=np.where(outliers.values[:, :6], np.nan, samples.wrench),
+        local_forces=np.where(outliers.values[:, 6:].reshape(shape), np.nan, samples.local_forces),
+    )
+
+
+def outlier_notes(samples: Samples, outliers: Outliers, start: int | None = None) -> list[str]:
+    """A note per channel with outliers, with their values and times.
+
+    Args:
+        samples: The samples.
+        outliers: Their outliers.
+        start: Stamp from which the times are counted [ns]; None for the first sample's.
+    """
+    time = (samples.stamps - (samples.stamps[0] if start is None else start)) * 1e-9
+    distance = np.linalg.norm(samples.position, axis=1)
+    columns = [("limb position", "m", distance, outliers.position)]
+    for name, values, found in zip(
+        samples.channels, samples.values.T, outliers.values.T, strict=True
+    ):
+        columns.append((name, channel_unit(name), values, found))
+    notes = []
+    for name, unit, values, found in columns:
+        rows = np.flatnonzero(found)
+        if len(rows):
+            parts = [f"{values[i]:.3g} {unit} at {time[i]:.2f} s" for i in rows[:_NAMED]]
+            more = f" and {len(rows) - _NAMED} more" if len(rows) > _NAMED else ""
+            number = "an outlier" if len(rows) == 1 else f"{len(rows)} outliers"
+            notes.append(f"{name} has {number} ({', '.join(parts)}{more}): left out")
+    return notes
+
+
+def sign_note(samples: Samples, geometry: SocketGeometry) -> str | None:
+    """A note where the wrench looks negated; None without clear evidence.
+
+    Args:
+        samples: Samples of the segment.
+        geometry: Geometry of the socket; the x axes of its tiles point to the proximal end.
+    """
+    proximal = geometry.rotations[:, :, 0].mean(axis=0)
+    opening = geometry.rotations[:, :, 2].mean(axis=0) @ proximal
+    force = samples.wrench[:, 3:]
+    force = force[np.isfinite(force).all(axis=1)]
+    normal = samples.trusted_forces[:, :, 2]
+    pressed = [-float(np.median(f[np.isfinite(f)])) for f in normal.T if np.isfinite(f).any()]
+    if not len(force) or not pressed or opening <= 0.0:
+        return None
+    pull = float(np.median(force @ proximal / np.linalg.norm(proximal)))
+    pressing = sum(p > 0.0 for p in pressed)
+    if pull <= HANGING or 2 * pressing <= len(pressed) or sum(pressed) <= 0.0:
+        return None
+    return (
+        f"the wrench looks negated: its force would pull the socket towards the proximal end with"
+        f" {pull:.3g} N in the median, while {pressing} of {len(pressed)} clusters are pressed"
+        f" ({sum(pressed):.3g} N), and walls only push; check the sign of the load cell"
+    )
+
+
+def require_position(samples: Samples, geometry: SocketGeometry) -> None:
+    """Refuse limb positions in another unit or frame.
+
+    Raises:
+        IdentificationError: With the likely unit.
+    """
+    position = samples.position[np.isfinite(samples.position).all(axis=1)]
+    if not len(position):
+        return
+    centre = np.median(position, axis=0)
+    reach = _reach(geometry)
+    distance = float(np.linalg.norm(centre))
+    spread = _size(np.linalg.norm(position - centre, axis=1))
+    if distance <= LARGEST_DISTANCE * reach and spread <= reach:
+        return
+    likely = "it is likely in millimetres: divide it by 1000, or"
+    fits = distance <= 1e3 * LARGEST_DISTANCE * reach and spread <= 1e3 * reach
+    raise IdentificationError(
+        f"the limb position is {distance:.3g} m from the load cell and moves by {spread:.3g} m,"
+        f" where the farthest tile is {reach:.3g} m away",
+        f"{likely if fits else ''} check the marker bodies and their frames in socket.yaml",
+    )
+
+
+def require_units(
+    samples: Samples, geometry: SocketGeometry, leave_out: tuple[str, ...] = ()
+) -> None:
+    """Refuse samples in another unit or frame.
+
+    Raises:
+        IdentificationError: With the likely unit.
+    """
+    require_position(samples, geometry)
+    values = _counted(samples, leave_out)
+    for name, column, limit in zip(
+        samples.channels, values.T, _limits(samples, geometry), strict=True
+    ):
+        size = _size(column)
+        if size > limit:
+            unit = channel_unit(name)
+            likely = {"N": "millinewtons", "N m": "newton millimetres"}[unit]
+            raise IdentificationError(
+                f"{name} is {size:.3g} {unit} in size in a quarter of the samples or more, where"
+                f" no person applies more than {limit:.3g} {unit}",
+                f"it is likely in {likely}: divide it by 1000 (or leave it out with --leave-out"
+                f" {name})",
+            )
+
+
+def require_load(samples: Samples, wrench_counts: BoolArray) -> None:
+    """Refuse a wrench that is no larger than a load cell's noise, or without any force or moment.
+
+    Args:
+        samples: Samples with a wrench.
+        wrench_counts: Channels of the wrench that are in the objective, shape (6,).
+
+    Raises:
+        IdentificationError: With the size of the wrench.
+    """
+    if not wrench_counts.any():
+        return
+    sizes = np.where(wrench_counts, np.abs(samples.wrench).max(axis=0), 0.0)
+    moment, force = (float(sizes[group].max()) for group in _WRENCH_GROUPS)
+    dead = [wrench_counts[group].any() and not sizes[group].any() for group in _WRENCH_GROUPS]
+    if any(dead) or (moment < LEAST_MOMENT and force < LEAST_FORCE):
+        raise IdentificationError(
+            f"the wrench never exceeds {force:.3g} N and {moment:.3g} N m in {len(samples)} samples"
+            " and so holds no load",
+            "check the load cell and that its values are in N and N m, give a loaded segment, or"
+            " leave its channels out (--leave-out)",
+        )
+
+
+def _beyond(position: FloatArray, geometry: SocketGeometry) -> BoolArray:
+    """Samples whose limb position is outside the socket, shape (N,)."""
+    known = np.isfinite(position).all(axis=1)
+    if not known.any():
+        return np.zeros(len(position), dtype=bool)
+    reach = _reach(geometry)
+    shift = np.linalg.norm(position - np.median(position[known], axis=0), axis=1)
+    far = np.linalg.norm(position, axis=1) > LARGEST_DISTANCE * reach
+    return np.asarray(known & ((shift > reach) | far))
+
+
+def _reach(geometry: SocketGeometry) -> float:
+    """Distance of the farthest tile from the load cell [m]."""
+    return float(np.linalg.norm(geometry.anchors, axis=1).max())
+
+
+def _limits(samples: Samples, geometry: SocketGeometry) -> FloatArray:
+    """Largest size of each channel, shape (6 + 3c,) [N m, N]."""
+    wrench = np.repeat([LARGEST_MOMENT, LARGEST_FORCE], 3)
+    tiles = [geometry.clusters[name] for name in samples.clusters if name in geometry.clusters]
+    if len(tiles) < len(samples.clusters):  # another socket's, which is an error of its own
+        return np.full(6 + 3 * len(samples.clusters), np.inf)
+    areas = geometry.areas[np.array(tiles, dtype=np.int64)]
+    return np.concatenate([wrench, np.repeat(LARGEST_STRESS * areas, 3)])
+
+
+def _counted(samples: Samples, leave_out: tuple[str, ...]) -> FloatArray:
+    """Values of the channels that count, NaN elsewhere, shape (N, 6 + 3c) [N m, N]."""
+    values = np.hstack(
+        [samples.wrench, samples.trusted_forces.reshape(len(samples), 3 * len(samples.clusters))]
+    )
+    counts = np.array([name not in leave_out for name in samples.channels])
+    return np.where(counts & np.isfinite(values), values, np.nan)
+
+
+def _size(values: FloatArray) -> float:
+    """Size that a quarter of the finite values exceeds; 0 without any."""
+    finite = values[np.isfinite(values)]
+    return float(np.percentile(np.abs(finite), UNIT_QUANTILE)) if len(finite) else 0.0
