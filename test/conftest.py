@@ -43,5 +43,6 @@ def shared_data() -> Iterator[Path]:
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Start the longest modules first, so that no worker is left with one at the end."""
-    long = {item.path for item in items if any(map(item.get_closest_marker, ("graph", "slow")))}
-    items.sort(key=lambda item: item.path not in long)
+    graphs = {item.path for item in items if item.get_closest_marker("graph")}
+    slow = {item.path for item in items if item.get_closest_marker("slow")}
+    items.sort(key=lambda item: (item.path not in graphs, item.path not in slow))

@@ -158,6 +158,7 @@ def test_wrong_input_is_a_testbed_error(folder) -> None:
         _ = st.fitt  # type: ignore[attr-defined]
 
 
+@pytest.mark.slow
 def test_importing_the_package_is_light() -> None:
     script = (
         "import sys, socket_testbed as st\n"

@@ -223,6 +223,7 @@ def test_an_interruption_before_anything_leaves_the_older_summary(study, task) -
     assert (task.folder / "summary.csv").read_bytes() == table
 
 
+@pytest.mark.slow
 def test_a_worker_that_dies_costs_its_own_trial_only(study: Path, task: Task) -> None:
     (study / "s02" / "hold" / "hold.mcap").write_text("deadly")
     with pytest.raises(TrialError, match="1 of 3 trials failed"):

@@ -111,6 +111,7 @@ def test_each_group_is_predicted_by_a_fit_to_the_others():
         np.testing.assert_allclose(found.predicted[held], expected, rtol=1e-8, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_held_out_errors_exceed_training_errors_and_meet_those_on_fresh_data():
     excess, ratio = [], []
     for seed in range(8):

@@ -16,6 +16,8 @@ from distributed import LocalCluster
 
 from socket_testbed.__main__ import run
 
+pytestmark = pytest.mark.graph  # worker processes, interrupted and killed
+
 GOOD = ("s01/hold", "s02/hold", "walk")
 BROKEN = "s01/broken"
 

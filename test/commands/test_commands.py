@@ -127,6 +127,7 @@ def test_a_model_predicts_another_load_in_the_truth_s_units(hold, tmp_path, caps
     assert np.ptp(read_truth(trial).wrench[:, 5]) > 150.0
 
 
+@pytest.mark.slow
 def test_all_but_the_graph_works_without_ros(tmp_path: Path) -> None:
     script = (
         "import sys\n"
@@ -146,6 +147,7 @@ def test_all_but_the_graph_works_without_ros(tmp_path: Path) -> None:
     assert "rclpy cannot be imported: run 'make setup'" in done.stderr
 
 
+@pytest.mark.slow
 def test_a_full_disk_leaves_nothing_that_looks_whole(tmp_path: Path) -> None:
     # A limit on the size of a file stands for the disk: writing fails in the middle.
     command = f"ulimit -f 64; {sys.executable} -m socket_testbed simulate -o hold --duration 60"

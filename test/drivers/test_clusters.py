@@ -374,6 +374,7 @@ def test_slow_triggers_get_new_conversions_within_about_a_cycle(
         assert bench.clock.now - trigger < 1.1 * 4 / sample_rate + 8e-3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("speeds", [(1.03, 0.97, 0.999, 1.001), (1.0, 0.99, 1.0, 0.985)])
 @pytest.mark.parametrize("overhead", [0.0, 1e-3])
 def test_at_100_hz_nothing_is_lost_nor_falls_behind(
@@ -396,6 +397,7 @@ def test_at_100_hz_nothing_is_lost_nor_falls_behind(
     assert max(delays) < 0.9 * CYCLE
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rate", [33.0, 50.0, 77.0])
 def test_triggers_of_any_rate_lose_nothing(rate: float) -> None:
     bench = Bench()
@@ -687,6 +689,7 @@ def test_pairs_of_faults_give_no_wrong_value_and_are_repaired(
     assert (readings[-1].status == OK).all() and not readings[-1].faults
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("rate", [4.0, 50.0, 100.0])
 def test_random_faults_give_no_wrong_value_and_are_repaired(rate: float, seed: int) -> None:

@@ -15,6 +15,8 @@ from socket_testbed.trials.segment import find_plateaus
 from socket_testbed.trials.synchronise import read_samples
 from socket_testbed.trials.trial import Trial
 
+pytestmark = pytest.mark.graph
+
 TIMEOUT = 60.0  # [s]
 SETTINGS = IdentificationSettings()
 

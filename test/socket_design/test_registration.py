@@ -154,6 +154,7 @@ def test_the_errors_are_within_the_stated_uncertainty(rng, tmp_path, landmarks):
     assert 0.35 < np.mean(np.array(shares["q"]) < 0.5) < 0.75
 
 
+@pytest.mark.slow
 def test_the_uncertainty_of_perfect_landmarks_is_that_of_the_markers(rng, tmp_path):
     """Nothing but the markers' noise, which comes in by the landmarks and by the triads."""
     squares, stated = [], []
@@ -188,6 +189,7 @@ def errors_of(found: Registration, bench: Bench) -> dict[str, np.ndarray]:
     }
 
 
+@pytest.mark.slow
 def test_every_covariance_has_the_size_and_direction_of_the_errors(tmp_path):
     """One bench, measured again and again, with as much noise by the triads as by landmarks."""
     rng, count = np.random.default_rng(7), 250

@@ -316,8 +316,8 @@ def test_a_trial_cut_short_gives_the_samples_of_the_whole_one(hold, cut_trial) -
         ["info", "TRIAL"],
         ["fit", "TRIAL", "-o", "MODEL"],
         ["evaluate", "TRIAL", "--model", "HOLD_MODEL", "--json"],
-        ["replay", "TRIAL", "--rate", "100"],
-        ["replay", "TRIAL", "--rate", "100", "--estimate"],
+        pytest.param(["replay", "TRIAL", "--rate", "100"], marks=pytest.mark.graph),
+        pytest.param(["replay", "TRIAL", "--rate", "100", "--estimate"], marks=pytest.mark.graph),
     ],
     ids=lambda words: "-".join(words[:1] + words[4:]),
 )
