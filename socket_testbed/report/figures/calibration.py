@@ -13,7 +13,7 @@ from socket_testbed.calibration.bench_data import STRESSES
 from socket_testbed.calibration.calibrate import BenchCalibration
 from socket_testbed.calibration.drift import FALLING, RISING
 from socket_testbed.calibration.outliers import Outlier
-from socket_testbed.report.figures.style import dress, lay_out
+from socket_testbed.report.figures.style import lay_out, style_axes
 
 # Okabe & Ito's colours; the marks tell the branches apart in grey, too.
 _BRANCHES = (
@@ -62,7 +62,7 @@ def bench_figure(calibrated: BenchCalibration, cluster: str) -> Figure:
     for axis, label in zip(axes[:, 0], ("calibrated", "residual", "mean residual"), strict=True):
         axis.set_ylabel(f"{label} [kPa]")
     for axis in axes.flat:
-        dress(axis)
+        style_axes(axis)
     for axis in axes[1:, 0]:
         axis.legend(frameon=False, fontsize=8)
     return lay_out(figure)

@@ -16,8 +16,8 @@ from socket_testbed.report.figures.style import (
     MEASURED_STYLE,
     MODEL_STYLES,
     SEGMENT_STYLE,
-    dress,
     lay_out,
+    style_axes,
     thin,
 )
 from socket_testbed.samples import WRENCH_CHANNELS
@@ -104,7 +104,7 @@ def draw_panel(axis: Axes, panel: Panel) -> None:
         axis.plot(*line, label=_describe(prediction), **style)
     axis.set_ylabel(f"{_QUANTITIES[panel.unit]} [{panel.unit}]", fontsize=9)
     axis.tick_params(labelsize=8.5)
-    dress(axis)
+    style_axes(axis)
     _add_key(axis, panel)
 
 
@@ -212,7 +212,7 @@ def overview_figure(
         magnitude = np.linalg.norm(wrench[:, columns], axis=1)
         axis.plot(*thin(time, magnitude, MOST_POINTS), color=colour, linewidth=1.0)
         axis.set_ylabel(f"magnitude of the\n{label}", fontsize=9)
-        dress(axis)
+        style_axes(axis)
     _draw_raster(figure, axes[2], time, unusable)
     for axis in axes:
         axis.tick_params(labelsize=9)
@@ -266,7 +266,7 @@ def offsets_figure(channels: Sequence[str], offsets: Mapping[str, FloatArray]) -
         axis.invert_yaxis()
         axis.set_xlabel(f"offset of the {title}", fontsize=9)
         axis.tick_params(axis="x", labelsize=9)
-        dress(axis)
+        style_axes(axis)
     if len(offsets) > 1:
         for text in axes[0].legend(frameon=False, fontsize=8).get_texts():
             text.set_parse_math(False)

@@ -13,7 +13,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator
 
 from socket_testbed.identification.pareto import KNEE, SENSOR_ONLY, WRENCH_ONLY, Front
-from socket_testbed.report.figures.style import MODEL_STYLES, dress, lay_out
+from socket_testbed.report.figures.style import MODEL_STYLES, lay_out, style_axes
 
 _MARKS: dict[str, dict[str, Any]] = {
     SENSOR_ONLY: {"marker": "s", "markersize": 8},
@@ -49,7 +49,7 @@ def pareto_figure(fronts: Iterable[Front], title: str) -> Figure:
     for front, style in zip(fronts, MODEL_STYLES, strict=False):
         _draw_front(axes, front, style)
     _scale(axes)
-    dress(axes)
+    style_axes(axes)
     handles = [*axes.get_legend_handles_labels()[0], *_mark_legend()]
     figure.legend(handles=handles, loc="outside lower center", ncols=2, frameon=False, fontsize=9)
     return lay_out(figure)

@@ -40,7 +40,7 @@ _TYPES = {"pdf.fonttype": 42, "svg.fonttype": "path", "svg.hashsalt": "figure"}
 _SUFFIXES = (".png", ".pdf")
 
 
-def dress(axis: Axes) -> None:
+def style_axes(axis: Axes) -> None:
     """A light grid behind the lines, and no frame above and to the right."""
     axis.grid(color="0.9")
     axis.set_axisbelow(True)
