@@ -12,21 +12,21 @@ from socket_testbed import __version__
 from socket_testbed.errors import TestbedError
 
 VERBS = {
-    "demo": "the simulated testbed live, its trial replayed: errors and a figure",
-    "run": "bring the testbed up, on hardware or simulated, and record it",
-    "doctor": "what is wired and what is not, as a table",
-    "tile": "from a scan of the socket to tiles, frames and neighbours",
-    "register": "from a static take and landmarks to the marker bodies' frames",
-    "calibrate": "from bench data to a cluster's coefficients, with their quality",
+    "demo": "run the simulated testbed live, replay its trial, and show the errors",
+    "run": "bring up the testbed, on hardware or simulated, and record it",
+    "doctor": "list what is wired, what is not, and how to fix it",
+    "tile": "turn a scan into tiles, frames and neighbours",
+    "register": "locate the marker bodies' frames from a static take and landmarks",
+    "calibrate": "fit a cluster's coefficients to bench data and show their quality",
     "simulate": "write a simulated trial with its ground truth",
     "record": "record the graph as a trial",
-    "replay": "publish a trial with /clock; with --estimate the estimator runs too",
-    "info": "what a trial holds: topics, rates, gaps, plateau",
+    "replay": "publish a trial with /clock; --estimate runs the estimator on it",
+    "info": "show what a trial holds: topics, rates, gaps, plateau",
     "fit": "identify the contact model on a trial, or on every trial of a folder",
-    "evaluate": "errors of a model on a trial, or on every trial of a folder",
-    "pareto": "the trade-off of wrench against clusters over theta, and its knee",
-    "report": "one page with the results of a trial: figures, errors, data quality",
-    "export": "synchronised samples of a trial as CSV, Parquet or MAT",
+    "evaluate": "compute a model's errors on a trial, or on every trial of a folder",
+    "pareto": "trace the trade-off of wrench against clusters over theta",
+    "report": "write a page with a trial's results: figures, errors, data quality",
+    "export": "write a trial's synchronised samples as CSV, Parquet or MAT",
 }
 
 
