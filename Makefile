@@ -19,8 +19,9 @@ unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE
 demo: setup
 	$(BIN)/socket-testbed demo
 
-# Side by side, a module at a time; the graphs of each worker have a ROS domain of their own.
-PYTEST := $(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder --durations 15
+# Side by side, a module at a time: one worker more than two cores, because graphs wait. The graphs
+# of each worker have a ROS domain of their own.
+PYTEST := $(BIN)/python -m pytest -n 3 --dist loadfile --no-loadscope-reorder --durations 15
 
 test: lint
 	$(PYTEST)

@@ -42,7 +42,12 @@ def shared_data() -> Iterator[Path]:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Start the longest modules first, so that no worker is left with one at the end."""
-    graphs = {item.path for item in items if item.get_closest_marker("graph")}
-    slow = {item.path for item in items if item.get_closest_marker("slow")}
-    items.sort(key=lambda item: (item.path not in graphs, item.path not in slow))
+    """Run the long modules first, those that wait for graphs beside those that compute."""
+    turn: dict[Path, int] = {}
+    counts = {"graph": 0, "slow": 0}
+    for item in items:
+        kind = next((kind for kind in counts if item.get_closest_marker(kind)), None)
+        if kind is not None and item.path not in turn:
+            turn[item.path] = counts[kind]
+            counts[kind] += 1
+    items.sort(key=lambda item: (turn.get(item.path, len(turn)), item.path))
