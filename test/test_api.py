@@ -233,3 +233,21 @@ def test_a_fit_is_never_silently_of_wrong_values(folder, tmp_path) -> None:
     assert fitted is not None and fitted.fit.errors[5].rmse < 50.0
     with pytest.raises(st.TestbedError, match=r"only 4 of 5 samples .* needs 12"):
         st.fit(st.open_trial(hold), "20:21")
+
+
+def test_limb_positions_in_millimetres_are_refused(folder, tmp_path) -> None:
+    hold = folder / "trials" / "hold"
+    fitted = st.fit(st.open_trial(hold))
+
+    def scale(topic: str, message):
+        if topic in {"/mocap/socket/pose", "/mocap/pylon/pose"}:
+            p = message.pose.position
+            p.x, p.y, p.z = 1e3 * p.x, 1e3 * p.y, 1e3 * p.z
+        return message
+
+    notes: list[str] = []
+    trial = st.open_trial(rewrite(hold, tmp_path / "milli", scale), notify=notes.append)
+    for use in (st.fit, lambda t: st.predict(t, fitted), lambda t: st.evaluate(t, fitted)):
+        with pytest.raises(st.TestbedError, match=r"limb position is .* likely in millimetres"):
+            use(trial)
+    assert notes == []

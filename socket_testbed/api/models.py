@@ -289,6 +289,7 @@ def predict(trial: Trial, model: Model) -> pd.DataFrame:
 
     Raises:
         ConfigurationError: If the model was fitted on another socket.
+        IdentificationError: If the limb positions are in another unit or frame.
 
     >>> trial = st.open_trial("trials/hold")
     >>> predicted = st.predict(trial, st.fit(trial))
@@ -300,6 +301,7 @@ def predict(trial: Trial, model: Model) -> pd.DataFrame:
 
     stored = _model_for(trial, model).model
     samples = trial.samples()
+    require_position(samples, trial.geometry)
     with threadpool_limits(1):
         values = predict_channels(stored, samples.position, samples.clusters)
     names = [f"{name} [{channel_unit(name)}]" for name in samples.channels]

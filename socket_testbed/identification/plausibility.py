@@ -219,14 +219,15 @@ def require_load(samples: Samples, wrench_counts: BoolArray) -> None:
 
 
 def _beyond(position: FloatArray, geometry: SocketGeometry) -> BoolArray:
-    """Samples whose limb position is outside the socket, shape (N,)."""
+    """Single samples whose limb position is outside the socket, shape (N,)."""
     known = np.isfinite(position).all(axis=1)
-    if not known.any():
-        return np.zeros(len(position), dtype=bool)
     reach = _reach(geometry)
-    shift = np.linalg.norm(position - np.median(position[known], axis=0), axis=1)
+    centre = np.median(position[known], axis=0) if known.any() else np.full(3, np.nan)
+    shift = np.linalg.norm(position - centre, axis=1)
     far = np.linalg.norm(position, axis=1) > LARGEST_DISTANCE * reach
-    return np.asarray(known & ((shift > reach) | far))
+    found = known & ((shift > reach) | far)
+    single = 2 * found.sum() < known.sum()  # else it is all of them: see `require_position`
+    return np.asarray(found & single)
 
 
 def _reach(geometry: SocketGeometry) -> float:
