@@ -264,7 +264,7 @@ def _require_own_folder(task: Task) -> None:
     """Refuse a folder of outputs that is a file or another verb's."""
     if task.folder.exists() and not task.folder.is_dir():
         raise ConfigurationError(
-            f"{task.folder} is no folder", "give a folder for the results of many trials"
+            f"{task.folder} is not a folder", "give a folder for the results of many trials"
         )
     records = task.folder / _RECORDS
     for verb in sorted(records.iterdir()) if records.is_dir() else []:

@@ -69,7 +69,7 @@ def atomic_output(path: Path) -> Iterator[Path]:
     """
     path = path.resolve()  # a link stays a link
     if path.exists() and not (path.is_file() or path.is_dir()):
-        raise ConfigurationError(f"{path} is no ordinary file", "name a file for the output")
+        raise ConfigurationError(f"{path} is not an ordinary file", "name a file for the output")
     staging = None
     try:
         path.parent.mkdir(parents=True, exist_ok=True)

@@ -24,7 +24,7 @@ def check_format(path: Path) -> None:
     """
     if path.suffix.lower() not in _WRITERS:
         raise ConfigurationError(
-            f"{path}: '{path.suffix}' is no format of a table", closest(path.suffix, _WRITERS)
+            f"{path}: '{path.suffix}' is not a table format", closest(path.suffix, _WRITERS)
         )
 
 

@@ -239,7 +239,7 @@ def test_the_folder_of_another_verb_or_a_file_is_refused(study: Path, task: Task
         run(study, replace(task, verb="fit"))
     shutil.rmtree(task.folder)
     task.folder.write_text("")
-    with pytest.raises(ConfigurationError, match="is no folder"):
+    with pytest.raises(ConfigurationError, match="is not a folder"):
         run(study, task)
 
 

@@ -197,7 +197,7 @@ def tile(
 
 def _check_socket_output(output: Path, bodies: PathLike | None) -> None:
     if output.suffix not in {".yaml", ".yml"}:
-        raise ConfigurationError(f"{output}: is no .yaml file", "name the output so")
+        raise ConfigurationError(f"{output}: is not a .yaml file", "name the output so")
     if output.exists() and not bodies:
         registration = read_socket(output).registration
         if registration:

@@ -251,7 +251,7 @@ def read_model(path: PathLike) -> StoredModel:
     """Read a model that `fit` wrote.
 
     Raises:
-        ConfigurationError: If the file is missing or is no model.
+        ConfigurationError: If the file is missing or is not a model.
 
     >>> st.fit(st.open_trial("trials/hold")).save("hold.json")
     >>> model = st.read_model("hold.json")
@@ -319,7 +319,7 @@ def evaluate(trial: Trial, model: Model, segment: str | Segment = "plateau") -> 
     Raises:
         TrialError: If the trial cannot be read, holds no such segment, or is of another socket.
         IdentificationError: If the limb positions are in another unit or frame.
-        ConfigurationError: If the file is no model, or the model lacks a cluster of the trial.
+        ConfigurationError: If the file is not a model, or the model lacks a cluster of the trial.
 
     >>> fitted = st.fit(st.open_trial("trials/hold"))
     >>> found = st.evaluate(st.open_trial("trials/walk"), fitted, segment="all")

@@ -333,7 +333,7 @@ def read_table(path: Path) -> BenchTable:
             lines.append(reader.line_num)
     except csv.Error as error:
         raise CalibrationError(
-            f"{path}: line {reader.line_num} is no row of a table ({error})", "correct that line"
+            f"{path}: line {reader.line_num} cannot be read as a row ({error})", "correct that line"
         ) from None
     if not rows:
         raise CalibrationError(
@@ -350,7 +350,7 @@ def _read_text(path: Path) -> str:
         raise CalibrationError(f"{path}: no such file", "check the path") from None
     except UnicodeDecodeError:
         raise CalibrationError(
-            f"{path}: is no UTF-8 text", "save it as CSV (UTF-8) from the spreadsheet"
+            f"{path}: is not UTF-8 text", "save it as CSV (UTF-8) from the spreadsheet"
         ) from None
     except OSError as error:
         raise CalibrationError(
@@ -481,7 +481,7 @@ def _with_unit(column: BenchColumn, units: Mapping[str, str]) -> BenchColumn:
     alike = [u for u in known if u == written or (u.lower() == written.lower() and u != "MPa")]
     if not alike:
         raise CalibrationError(
-            f"{column.table.name}: {column.quantity} is in '{written}', which is no unit of it",
+            f"{column.table.name}: {column.quantity} is in '{written}', not one of its units",
             f"name one of {', '.join(known)} in the header or with --units {column.quantity}=UNIT",
         )
     return replace(column, unit=alike[0], scale=known[alike[0]])

@@ -125,7 +125,7 @@ def _assignments(words: Sequence[str], option: str) -> dict[str, str]:
         name, equals, value = word.partition("=")
         if not equals or not value:
             raise ConfigurationError(
-                f"{option}: '{word}' is no QUANTITY=VALUE",
+                f"{option}: '{word}' is not QUANTITY=VALUE",
                 "write it such as normal=kPa, and the bench files before the options",
             )
         if name not in UNITS:

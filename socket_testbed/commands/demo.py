@@ -152,7 +152,7 @@ def _make_room(folder: Path) -> None:
     if trial.exists():
         if not (trial / TRUTH_FILE).is_file():
             raise ConfigurationError(
-                f"{trial} is no trial of the demo", "name another folder with -o"
+                f"{trial} is not a trial of the demo", "name another folder with -o"
             )
         shutil.rmtree(trial)
     try:

@@ -53,7 +53,7 @@ def _fault(text: str) -> tuple[str, float]:
         return name, check_number(float(value), f"--fault {name}", -1e6, 1e6)
     except ValueError:
         raise ConfigurationError(
-            f"--fault {text}: '{value}' is no number", f"{name} takes {FAULTS[name]}"
+            f"--fault {text}: '{value}' is not a number", f"{name} takes {FAULTS[name]}"
         ) from None
 
 

@@ -98,7 +98,7 @@ def _time_scale(text: str) -> float:
         scale = check_number(float(text), "--time-scale", 0.01, 1.0)
     except ValueError:
         raise ConfigurationError(
-            f"--time-scale: '{text}' is no number", "give a number up to 1, or auto"
+            f"--time-scale: '{text}' is not a number", "give a number up to 1, or auto"
         ) from None
     if scale != 1.0:
         _say(f"the simulated testbed runs at {pace(scale)}")

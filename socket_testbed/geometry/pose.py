@@ -79,7 +79,7 @@ def read_rotation(section: Section, key: str) -> FloatArray:
     error = np.abs(rotation.T @ rotation - np.eye(3)).max()
     if error > _ORTHONORMAL or np.linalg.det(rotation) < 0.0:
         raise ConfigurationError(
-            f"{section.where}: {key} is no right-handed orthonormal frame (off by {error:.1g})",
+            f"{section.where}: {key} is not a right-handed orthonormal frame (off by {error:.1g})",
             "give columns x, y, z of unit length with y = z x x",
         )
     return rotation

@@ -199,12 +199,12 @@ def _neighbours(document: Section, index: dict[str, int]) -> IntArray:
     where = f"{document.where}: neighbours"
     pairs = document.take("neighbours")
     if not isinstance(pairs, list):
-        raise ConfigurationError(f"{where} is no list", "give pairs of tile names")
+        raise ConfigurationError(f"{where} is not a list", "give pairs of tile names")
     found = set()
     for pair in pairs:
         names = [str(name) for name in pair] if isinstance(pair, list) else []
         if len(names) != 2 or names[0] == names[1]:
-            raise ConfigurationError(f"{where}: {pair} is no pair", "give two different tiles")
+            raise ConfigurationError(f"{where}: {pair} is not a pair", "give two different tiles")
         for name in names:
             if name not in index:
                 raise ConfigurationError(f"{where}: no tile '{name}'", closest(name, index))
@@ -219,7 +219,7 @@ def _clusters(section: Section, index: dict[str, int]) -> dict[str, int]:
         tile = section.text(name)
         if tile not in index:
             raise ConfigurationError(
-                f"{section.where}: {name} is on '{tile}', which is no tile", closest(tile, index)
+                f"{section.where}: {name} is on '{tile}', which is not a tile", closest(tile, index)
             )
         if index[tile] in clusters.values():
             raise ConfigurationError(

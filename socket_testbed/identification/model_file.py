@@ -144,7 +144,7 @@ def read_model(path: Path, geometry: SocketGeometry | None = None) -> StoredMode
         geometry: Geometry of the socket that the model is used on, to check that it fits.
 
     Raises:
-        ConfigurationError: If the file is missing, is no model, or is of another socket.
+        ConfigurationError: If the file is missing, is not a model, or is of another socket.
     """
     try:
         data = json.loads(path.read_text(encoding="utf-8"))
@@ -152,7 +152,7 @@ def read_model(path: Path, geometry: SocketGeometry | None = None) -> StoredMode
         raise ConfigurationError(f"{path}: no such model", "check the path") from None
     except (OSError, ValueError) as error:
         raise ConfigurationError(
-            f"{path}: is no model ({error})", "give a file that 'fit' wrote"
+            f"{path}: is not a model ({error})", "give a file that 'fit' wrote"
         ) from None
     document = Section(data, str(path)).expect(_KEYS)
     if document.text("format") != _FORMAT:

@@ -31,7 +31,7 @@ def check_page_path(page: Path) -> None:
     """Refuse a page that cannot be written, before long work.
 
     Raises:
-        ConfigurationError: If it is no HTML file, or it or its folder exists.
+        ConfigurationError: If it is not an HTML file, or it or its folder exists.
     """
     if page.suffix.lower() not in _SUFFIXES:
         raise ConfigurationError(f"{page}: a report is a page", "let it end in .html")

@@ -473,7 +473,7 @@ def _unit(proximal: FloatArray) -> FloatArray:
     length = float(np.linalg.norm(direction))
     if direction.shape != (3,) or not 0.0 < length < np.inf:
         raise ScanError(
-            f"the proximal direction {np.array2string(direction)} is no direction",
+            f"the proximal direction {np.array2string(direction)} has no length",
             "give three numbers, not all zero",
         )
     return direction / length
@@ -484,7 +484,7 @@ def _outward(name: str, mesh: trimesh.Trimesh) -> trimesh.Trimesh:
     faces, _, one_sided = wind_alike(np.asarray(mesh.faces, dtype=np.int64))
     mesh = plain_mesh(np.asarray(mesh.vertices, dtype=float), faces)
     if one_sided.any() or not mesh.area_faces.any():
-        raise ScanError(f"{name}: is no surface with two sides", "repair it in a mesh editor")
+        raise ScanError(f"{name}: is not a surface with two sides", "repair it in a mesh editor")
     return _flipped(mesh) if mesh.is_watertight and mesh.volume < 0.0 else mesh
 
 

@@ -42,7 +42,7 @@ def boundary_half_edges(faces: IntArray) -> IntArray:
 
 
 def separate(vertices: FloatArray, faces: IntArray) -> tuple[FloatArray, IntArray]:
-    """Cut a mesh wherever it is no plain surface, and drop the vertices that no face uses.
+    """Cut a mesh wherever it is not a plain surface, and drop the vertices that no face uses.
 
     Faces stay joined across edges that exactly two of them share. Where more meet in an edge,
     or where two fans of faces meet in a vertex alone, each gets vertices of its own; so every

@@ -159,7 +159,7 @@ def read_header(cells: list[str], path: Path) -> MotiveHeader:
     cells = [cell.strip() for cell in cells]
     if cells[0] != "Format Version":
         raise RegistrationError(
-            f"{path}: is no export of Motive, which begins with 'Format Version'",
+            f"{path}: is not a Motive export, which begins with 'Format Version'",
             "export the take to CSV from Motive, with the header information",
         )
     # A comma in the name of the take shifts the pairs: what follows a key is its value.
@@ -355,7 +355,7 @@ def _read_text(path: Path) -> str:
     except FileNotFoundError:
         raise RegistrationError(f"{path}: no such file", "check the path") from None
     except UnicodeDecodeError:
-        raise RegistrationError(f"{path}: is no UTF-8 text", _AGAIN) from None
+        raise RegistrationError(f"{path}: is not UTF-8 text", _AGAIN) from None
     except OSError as error:
         raise RegistrationError(
             f"{path}: cannot be read ({error.strerror})", "check the file"
@@ -372,7 +372,7 @@ def _split(text: str, path: Path) -> list[Row]:
         return [(reader.line_num, row) for row in reader if any(map(str.strip, row))]
     except csv.Error as error:
         raise RegistrationError(
-            f"{path}: line {reader.line_num} is no CSV ({error})", _AGAIN
+            f"{path}: line {reader.line_num} is not CSV ({error})", _AGAIN
         ) from None
 
 

@@ -41,7 +41,7 @@ def parse_direction(text: str, where: str) -> FloatArray:
         where: What names it in an error.
 
     Raises:
-        ConfigurationError: If it is no direction.
+        ConfigurationError: If it is not a direction.
     """
     axis = re.fullmatch(r"([+-]?)([xyz])", text.strip().lower())
     if axis:

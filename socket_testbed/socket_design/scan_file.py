@@ -72,7 +72,7 @@ def read_triangles(path: Path) -> Triangles:
     readers = {".stl": _read_stl, ".ply": _read_ply, ".obj": _read_obj}
     if path.suffix.lower() not in readers:
         raise ScanError(
-            f"{path}: '{path.suffix}' is no kind of scan that can be read",
+            f"{path}: '{path.suffix}' is not a supported scan format",
             "export the scan as STL, PLY or OBJ",
         )
     data = _content(path)
@@ -216,7 +216,7 @@ def _read_obj(path: Path, data: bytes) -> Triangles:
             reader.take(line)
         except (ValueError, IndexError):
             raise ScanError(
-                f"{path}: line {number} is no valid OBJ ('{line.strip()[:40]}')",
+                f"{path}: line {number} is not valid OBJ ('{line.strip()[:40]}')",
                 f"{_AGAIN}, as OBJ with plain triangles or as binary STL",
             ) from None
     return Triangles(
@@ -233,7 +233,7 @@ def _quietly(path: Path, data: bytes, load: Callable[[io.BytesIO], _Loaded]) -> 
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            # numpy stops at the first word that is no number, and only warns.
+            # numpy stops at the first word that is not a number, and only warns.
             warnings.filterwarnings("error", message=".*could not be read to its end")
             return load(io.BytesIO(data))
     except Exception:  # it raises whatever its parsing meets
@@ -242,9 +242,7 @@ def _quietly(path: Path, data: bytes, load: Callable[[io.BytesIO], _Loaded]) -> 
 
 def _damaged(path: Path) -> ScanError:
     kind = path.suffix[1:].upper()
-    return ScanError(
-        f"{path}: is no {kind} file that can be read", f"{_AGAIN}, as {kind} or as binary STL"
-    )
+    return ScanError(f"{path}: is not a valid {kind} file", f"{_AGAIN}, as {kind} or as binary STL")
 
 
 METRES = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254}

@@ -271,7 +271,7 @@ def _read_metadata(bag: Path) -> _Metadata | None:
         files = [Path(str(name)).name for name in content.get("relative_file_paths") or []]
     except Exception:  # the libraries raise whatever the text leads them to
         raise TrialError(
-            f"{file}: is no rosbag2 metadata", "write it again with 'ros2 bag reindex'"
+            f"{file}: is not rosbag2 metadata", "write it again with 'ros2 bag reindex'"
         ) from None
     return _Metadata(files, topics)
 

@@ -190,7 +190,7 @@ def salvage(path: Path) -> SalvagedRecording | None:
         path: The file; it is only read.
 
     Returns:
-        Its complete part, to be closed; None for a file that has its end or is no MCAP file.
+        Its complete part, to be closed; None for a file that has its end or is not an MCAP file.
 
     Raises:
         TrialError: As `SalvagedRecording`.

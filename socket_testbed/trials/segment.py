@@ -71,7 +71,7 @@ def _span(samples: Samples, specification: str) -> Segment:
         start, end = (float(part) for part in specification.split(":"))
     except ValueError:
         raise ConfigurationError(
-            f"the segment '{specification}' is none", "give plateau, all, or T0:T1 in seconds"
+            f"unknown segment '{specification}'", "give plateau, all, or T0:T1 in seconds"
         ) from None
     rows = np.flatnonzero((samples.time >= start) & (samples.time <= end))
     if len(rows) < 2:

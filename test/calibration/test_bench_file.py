@@ -170,7 +170,7 @@ def test_a_real_sheet_is_refused_until_its_columns_are_named(shared_data):
     assert "c1 is in 3 columns: 'C1 pF', 'C1 (2)', 'C1(3)'" in refusal(path).fact.replace("  ", " ")
     columns = {"normal": "Distance_diminué", "shear_x": "Tour", "shear_y": "d"}
     columns |= {"c0": "C1  pF", "c1": "C1 (2)", "c2": "C1(3)", "c3": "C2 avce C1 (2)"}
-    assert "c1 is in '2', which is no unit" in refusal(path, columns).fact
+    assert "c1 is in '2', not one of its units" in refusal(path, columns).fact
     units = dict.fromkeys(("c1", "c2", "c3"), "pF")
     assert "no unit for normal, shear_x, shear_y" in refusal(path, columns, units).fact
     units |= dict.fromkeys(("normal", "shear_x", "shear_y"), "kPa")

@@ -223,7 +223,7 @@ DELETE = object()
         (("source",), None, "source", "text"),
     ],
 )
-def test_a_bad_file_is_named_with_its_field_and_the_mend(
+def test_a_bad_file_is_named_with_its_field_and_the_hint(
     calibration, tmp_path, keys, value, field, hint
 ):
     document = copy.deepcopy(calibration.to_document())

@@ -253,7 +253,7 @@ def test_bad_input_gets_one_line_that_names_it(
         (["fit", "HOLD", "-o", "m", "--solver", "osqpp"], ["osqpp", "did you mean 'osqp'?"]),
         (["fit", "HOLD", "-o", "m", "--params", "none.yaml"], ["none.yaml", "no such file"]),
         (["evaluate", "HOLD", "--model", "none.json"], ["none.json", "no such model"]),
-        (["evaluate", "HOLD", "--model", "HOLD/socket.yaml"], ["socket.yaml", "is no model"]),
+        (["evaluate", "HOLD", "--model", "HOLD/socket.yaml"], ["socket.yaml", "is not a model"]),
         (["simulate", "-o", "HOLD"], ["exists already"]),
         (["simulate", "-o", "x", "--rate", "0"], ["--rate", "[0.1, 1000]"]),
         (["simulate", "-o", "x", "--seed", "-1"], ["--seed"]),

@@ -74,7 +74,7 @@ def test_doctor_finds_all_that_is_simulated(capsys: pytest.CaptureFixture[str]) 
     assert "failed" not in table
 
 
-def test_doctor_names_what_fails_and_the_mend(capsys: pytest.CaptureFixture[str]) -> None:
+def test_doctor_names_what_fails_and_the_hint(capsys: pytest.CaptureFixture[str]) -> None:
     faults = ["trigger.missing=1", "clusters.nack=2", "load_cell.unplugged=1", "mocap.unplugged=1"]
     words = [word for fault in faults for word in ("--fault", fault)]
     assert run(["doctor", "--simulated", *words]) == 1
@@ -115,7 +115,7 @@ def test_doctor_without_hardware(capsys: pytest.CaptureFixture[str], tmp_path: P
     [
         (["--fault", "mocap.drop=1"], "add --simulated"),
         (["--simulated", "--fault", "mocap.dorp=1"], "did you mean 'mocap.drop'?"),
-        (["--simulated", "--fault", "mocap.drop=often"], "'often' is no number"),
+        (["--simulated", "--fault", "mocap.drop=often"], "'often' is not a number"),
         (["--simulated", "--record", "."], "exists already"),
         (["--simulated", "--record", "/proc/trial"], "name another folder"),
         (["--simulated", "--fault", "clusters.nack=nan"], "clusters.nack"),
@@ -123,7 +123,7 @@ def test_doctor_without_hardware(capsys: pytest.CaptureFixture[str], tmp_path: P
         (["--simulated", "--rate", "1e6"], "rate"),
         (["--simulated", "--leave-out", "distal.Fq"], "distal.F"),
         (["--simulated", "--time-scale", "2"], "--time-scale is 2"),
-        (["--simulated", "--time-scale", "slow"], "'slow' is no number"),
+        (["--simulated", "--time-scale", "slow"], "'slow' is not a number"),
         (["--time-scale", "0.5"], "add --simulated"),
         (["--duration", "1"], "load_cell_node: "),
     ],

@@ -452,7 +452,10 @@ class TestMulticast:
         ({}, "mocap_node: server is empty: give the address of the computer that runs Motive"),
         ({"server": "no such host.invalid"}, "mocap_node: server 'no such host.invalid' is not"),
         ({"server": "127.0.0.1", "bitstream": "four"}, "bitstream is 'four'"),
-        ({"server": "127.0.0.1", "multicast": "10.0.0.1"}, "'10.0.0.1', which is no group"),
+        (
+            {"server": "127.0.0.1", "multicast": "10.0.0.1"},
+            "'10.0.0.1', which is not a multicast group",
+        ),
         ({"server": "127.0.0.1", "interface": "wlan0"}, "interface is 'wlan0'"),
     ],
 )

@@ -269,7 +269,7 @@ TILE = ("tiles", "tile_0_1")
         (("bodies", "socket", "in_load_cell", "rotation"), DELETE, "rotation", "add"),
     ],
 )
-def test_a_bad_file_is_named_with_its_field_and_the_mend(
+def test_a_bad_file_is_named_with_its_field_and_the_hint(
     document, tmp_path, keys, value, field, hint
 ):
     document = copy.deepcopy(document)

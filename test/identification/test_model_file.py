@@ -63,7 +63,7 @@ def test_a_spoilt_model_is_refused(hold_model: Path, tmp_path: Path, change, nam
 def test_half_a_model_is_refused(hold_model: Path, tmp_path: Path) -> None:
     text = hold_model.read_text()
     (tmp_path / "model.json").write_text(text[: len(text) // 2])
-    with pytest.raises(ConfigurationError, match="is no model"):
+    with pytest.raises(ConfigurationError, match="is not a model"):
         read_model(tmp_path / "model.json")
 
 

@@ -53,6 +53,6 @@ def test_faults_are_switched_for_all(tmp_path: Path) -> None:
         world.faults.switch("mocap.dorp", 1.0)
 
 
-def test_without_a_world_the_mend_is_named(tmp_path: Path) -> None:
+def test_without_a_world_the_hint_is_named(tmp_path: Path) -> None:
     with pytest.raises(ConfigurationError, match="no simulated world: start one with"):
         World(tmp_path)

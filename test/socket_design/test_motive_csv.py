@@ -211,8 +211,8 @@ def exchange(line: int):
     [
         (lambda lines: [], "is empty", "export"),
         (lambda lines: [""] * 3, "is empty", "export"),
-        (lambda lines: ["x,y,z", "1,2,3"], "no export of Motive", "header information"),
-        (lambda lines: lines[FIRST_FRAME - 1 :], "no export of Motive", "header information"),
+        (lambda lines: ["x,y,z", "1,2,3"], "not a Motive export", "header information"),
+        (lambda lines: lines[FIRST_FRAME - 1 :], "not a Motive export", "header information"),
         (lambda lines: lines[:1], "no rows of types", "header information"),
         (lambda lines: lines[:1] + lines[6:], "no rows of types", "header information"),
         (lambda lines: lines[:FIRST_FRAME], "holds no frame", "export"),
@@ -240,10 +240,10 @@ def exchange(line: int):
         (replace_cell(11, 2, "7.0"), "line 12: the quaternion of 'Socket'", "export"),
         (lambda lines: [*lines[:9], lines[9] + ",1.0", *lines[10:]], "line 10 has", "export"),
         (lambda lines: [*lines[:9], lines[9][:30], *lines[10:]], "line 10 has", "export"),
-        (replace_text("Total", "x" * 140_000), "line 1 is no CSV", "export"),
+        (replace_text("Total", "x" * 140_000), "line 1 is not CSV", "export"),
     ],
 )
-def test_a_bad_file_is_named_with_its_place_and_the_mend(scene, tmp_path, change, fact, hint):
+def test_a_bad_file_is_named_with_its_place_and_the_hint(scene, tmp_path, change, fact, hint):
     path = write_lines(change(motive_lines(scene)), tmp_path / "take.csv")
     with pytest.raises(RegistrationError) as caught:
         read_motive_csv(path)
@@ -257,7 +257,7 @@ def test_what_is_no_text_or_not_there_is_named(tmp_path):
     with pytest.raises(RegistrationError, match="no such file"):
         read_motive_csv(path)
     path.write_bytes(b"Format Version,1.21\xff\xfe\x00")
-    with pytest.raises(RegistrationError, match="no UTF-8 text"):
+    with pytest.raises(RegistrationError, match="not UTF-8 text"):
         read_motive_csv(path)
     with pytest.raises(RegistrationError, match="cannot be read"):
         read_motive_csv(tmp_path)

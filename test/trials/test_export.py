@@ -187,7 +187,7 @@ def test_any_text_and_number_survives(suffix: str, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", ["out.xlsx", "out", "out.cvs", "out.csv.gz"])
 def test_another_suffix_is_refused_before_any_work(name: str, tmp_path: Path) -> None:
-    with pytest.raises(ConfigurationError, match=r"no format of a table: .*\.csv|one of"):
+    with pytest.raises(ConfigurationError, match=r"is not a table format: .*\.csv|one of"):
         call(tmp_path / "nowhere", "-o", tmp_path / name)
 
 

@@ -154,7 +154,7 @@ def test_metadata_without_topics_and_counts_is_refused(entry, tmp_path: Path) ->
     content = {"relative_file_paths": [], "topics_with_message_count": [entry]}
     text = yaml.safe_dump({"rosbag2_bagfile_information": content})
     (tmp_path / "metadata.yaml").write_text(text)
-    with pytest.raises(TrialError, match=r"is no rosbag2 metadata: .*reindex"):
+    with pytest.raises(TrialError, match=r"is not rosbag2 metadata: .*reindex"):
         read_samples(Trial(tmp_path))
 
 

@@ -77,7 +77,8 @@ def _check_address(name: str, value: str) -> None:
         ) from None
     if name == "multicast" and not address.is_multicast:
         raise ConfigurationError(
-            f"mocap_node: multicast is '{value}', which is no group", "give 239.255.42.99, say"
+            f"mocap_node: multicast is '{value}', which is not a multicast group",
+            "give 239.255.42.99, say",
         )
 
 

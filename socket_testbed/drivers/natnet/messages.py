@@ -311,7 +311,7 @@ class LabelledMarker(NamedTuple):
         model: Streaming id of the body that it belongs to; 0: none.
         member: Its number in the body, from 1.
         position: Its position [m]; where it is occluded, the last or an assumed one.
-        occluded: Whether no camera sees it, or its position is no number.
+        occluded: Whether no camera sees it, or its position is not a number.
         model_filled: Whether the position is that of the body's model, not of the marker.
     """
 
