@@ -183,8 +183,8 @@ def draw_surface(axis: Axes, view: View, surface: trimesh.Trimesh) -> None:
     brightness = np.abs(surface.face_normals[order] @ light)
     greys = np.repeat(_DARKEST + (_LIGHTEST - _DARKEST) * brightness[:, None], 3, axis=1)
     axis.add_collection(
-        PolyCollection(
-            list(view.project(surface.triangles[order])),
+        _polygons(
+            view.project(surface.triangles[order]),
             facecolors=greys,
             edgecolors=greys,  # no hairlines between the faces
             linewidths=0.2,
@@ -193,10 +193,16 @@ def draw_surface(axis: Axes, view: View, surface: trimesh.Trimesh) -> None:
     )
 
 
+def _polygons(corners: FloatArray, **style: Any) -> PolyCollection:
+    """Polygons of k corners, shape (m, k, 2); an array is ten times faster than a list."""
+    array: Any = corners  # matplotlib takes an array, too, but its types name sequences only
+    return PolyCollection(array, **style)
+
+
 def _add_tiles(axis: Axes, paint: TilePaint, tiles: IntArray, squares: FloatArray) -> None:
     axis.add_collection(
-        PolyCollection(
-            list(squares),
+        _polygons(
+            squares,
             facecolors=paint.fills[tiles],
             edgecolors=paint.edges[tiles],
             linewidths=paint.widths[tiles],
@@ -290,9 +296,7 @@ def draw_unrolled(
     radius = float(np.median(_radii(around, middle)))
     heights = np.concatenate([faces[..., 1].ravel(), 1e3 * corners[..., 2].ravel()])
     _frame(axis, squares[..., 0], heights, radius)
-    wall = PolyCollection(
-        list(faces), facecolors=SURFACE, edgecolors=SURFACE, linewidths=0.3, rasterized=True
-    )
+    wall = _polygons(faces, facecolors=SURFACE, edgecolors=SURFACE, linewidths=0.3, rasterized=True)
     axis.add_collection(wall)
     wall.set_clip_path(Rectangle((-180.0, 0.0), 360.0, 1.0, transform=axis.get_xaxis_transform()))
     _add_tiles(axis, paint, tiles, squares)
@@ -388,7 +392,7 @@ def socket_picture(
 
 
 def _draw_socket(surface: trimesh.Trimesh, geometry: SocketGeometry, title: str) -> Figure:
-    figure = Figure(figsize=_SIZE, layout="constrained")
+    figure = Figure(figsize=_SIZE, dpi=_DPI, layout="constrained")
     figure.suptitle(textwrap.fill(title, _LINE_OF_TITLE), fontsize=12, parse_math=False)
     grid = figure.add_gridspec(2, 4)
     paint = paint_tiles(geometry)
@@ -411,7 +415,7 @@ def _draw_socket(surface: trimesh.Trimesh, geometry: SocketGeometry, title: str)
         draw_view(panel, view, geometry, paint, tiles)
         draw_axes(panel, view, arrows)
     _add_legend(figure, axes)
-    return figure
+    return lay_out(figure)
 
 
 def _add_legend(figure: Figure, axes: AxesOfS) -> None:

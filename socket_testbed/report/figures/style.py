@@ -37,6 +37,7 @@ MEASURED_STYLE: dict[str, Any] = {"color": "0.72", "linewidth": 2.4}
 SEGMENT_STYLE: dict[str, Any] = {"color": "0.94", "linewidth": 0.0, "zorder": 0.5}
 
 _TYPES = {"pdf.fonttype": 42, "svg.fonttype": "path", "svg.hashsalt": "figure"}
+_NO_LAYOUT = {"figure.autolayout": False, "figure.constrained_layout.use": False}
 _SUFFIXES = (".png", ".pdf")
 
 
@@ -48,11 +49,12 @@ def style_axes(axis: Axes) -> None:
 
 
 def lay_out(figure: Figure) -> Figure:
-    """The same figure with its layout done, which every saving would do anew otherwise."""
+    """The same figure with its layout done once; every saving would repeat it."""
     engine = figure.get_layout_engine()
     if engine is not None:
         engine.execute(figure)
-        figure.set_layout_engine("none")
+        with mpl.rc_context(_NO_LAYOUT):
+            figure.set_layout_engine(None)  # "none" leaves a placeholder: savefig draws twice
     return figure
 
 
