@@ -9,6 +9,7 @@ from pathlib import Path
 from zipfile import ZipFile
 
 import pytest
+from support.pages import ONE_FIGURE
 
 from socket_testbed import __version__
 
@@ -118,8 +119,19 @@ def test_a_wheel_holds_all_that_the_offline_verbs_need(workspace: Path, tmp_path
     assert {"numpy", "qpsolvers", "rosbags", "matplotlib", "pandas"} <= needed
 
     site = tmp_path / "site"
-    call(tmp_path, *pip, "install", "--no-deps", "--no-index", "--target", str(site), str(wheel))
+    call(
+        tmp_path,
+        *pip,
+        "install",
+        "--no-deps",
+        "--no-index",
+        "--no-compile",
+        "--target",
+        str(site),
+        str(wheel),
+    )
     script = (
+        f"{ONE_FIGURE}\n"
         "import sys, socket_testbed;"
         "print(socket_testbed.__file__);"
         "from socket_testbed.__main__ import run;"
