@@ -189,12 +189,13 @@ def draw_surface(axis: Axes, view: View, surface: trimesh.Trimesh) -> None:
             edgecolors=greys,  # no hairlines between the faces
             linewidths=0.2,
             rasterized=True,
-        )
+        ),
+        autolim=False,
     )
 
 
 def _polygons(corners: FloatArray, **style: Any) -> PolyCollection:
-    """Polygons of k corners, shape (m, k, 2); an array is ten times faster than a list."""
+    """Polygons of k corners, shape (m, k, 2); matplotlib makes them faster from an array."""
     array: Any = corners  # matplotlib takes an array, too, but its types name sequences only
     return PolyCollection(array, **style)
 
@@ -297,7 +298,7 @@ def draw_unrolled(
     heights = np.concatenate([faces[..., 1].ravel(), 1e3 * corners[..., 2].ravel()])
     _frame(axis, squares[..., 0], heights, radius)
     wall = _polygons(faces, facecolors=SURFACE, edgecolors=SURFACE, linewidths=0.3, rasterized=True)
-    axis.add_collection(wall)
+    axis.add_collection(wall, autolim=False)
     wall.set_clip_path(Rectangle((-180.0, 0.0), 360.0, 1.0, transform=axis.get_xaxis_transform()))
     _add_tiles(axis, paint, tiles, squares)
     _label_tiles(axis, paint, tiles, squares)
