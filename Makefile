@@ -57,7 +57,7 @@ colcon: $(VENV)/.packages
 $(VENV)/.packages: $(REQUIREMENTS) requirements/dask.txt scripts/fix_ros_wheels.py
 	@test -n "$(PYTHON)" || { echo "error: no Python 3.11, 3.12 or 3.13 with venv: install one, or give PYTHON=..."; exit 1; }
 	@test "$$(uname -m)" = x86_64 || { echo "error: the ROS wheels are for x86-64: on $$(uname -m) use a ROS installation (README)"; exit 1; }
-	@echo "setting up $(VENV) with $(PYTHON) (about a minute, once)"
+	@echo "setting up $(VENV) with $(PYTHON) (about two minutes, once)"
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
 	$(PIP) install "setuptools>=65,<80" wheel
 	$(PIP) install $(addprefix -r ,$(REQUIREMENTS))

@@ -164,6 +164,8 @@ def test_wrong_input_is_a_testbed_error(folder) -> None:
         st.fit(trial, theta=5.0)
     with pytest.raises(AttributeError, match="no attribute 'fitt'"):
         _ = st.fitt  # type: ignore[attr-defined]
+    with pytest.raises(st.TestbedError, match="unknown scenario 'walk'"):
+        st.simulate(folder / "walking", "walk")
 
 
 @pytest.mark.slow
@@ -199,7 +201,7 @@ def test_the_readme_s_lines_run(tmp_path, monkeypatch, capsys) -> None:
     monkeypatch.chdir(tmp_path)
     mpl.use("Agg")
     exec(compile("import socket_testbed" + program, "README.md", "exec"), {})
-    assert (tmp_path / "hold.png").stat().st_size > 5000
+    assert (tmp_path / "stand.png").stat().st_size > 5000
     assert "RMSE" in capsys.readouterr().out
 
 

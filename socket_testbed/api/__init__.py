@@ -1,9 +1,9 @@
 """The public Python API: what the command line uses, for notebooks and scripts.
 
-`import socket_testbed as st` gives all these names; the first use of one imports its libraries.
-Every function works under the conditions of the verb of the same name: it reports the same notes
-(here as warnings), computes in one thread of linear algebra, so that the same trial gives the same
-numbers on every machine, and writes the same files.
+`import socket_testbed as st` gives the functions; the first use of one imports its libraries. A
+function works under the same conditions as its verb: it reports the same notes (here as warnings),
+computes in one thread of linear algebra, so that the same trial gives the same numbers on every
+machine, and writes the same files.
 
 Lengths are in metres, forces in newtons, times in seconds. An error is a `TestbedError` whose one
 line says what is wrong and how to fix it. The examples run in a folder with two simulated trials.

@@ -10,7 +10,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
 
 from socket_testbed.calibration.model import read_calibration
-from socket_testbed.files import check_number, packaged, refuse_existing
+from socket_testbed.errors import ConfigurationError
+from socket_testbed.files import check_number, closest, packaged, refuse_existing
 from socket_testbed.geometry.socket import read_socket
 from socket_testbed.samples import Samples
 from socket_testbed.settings.identification import PlateauSettings
@@ -128,29 +129,34 @@ def simulate(
 ) -> Trial:
     """Write a simulated trial with its ground truth.
 
-    Its physics is not the estimator's law: see docs/trials.md.
+    Its physics is not the estimator's law: stiffening, sticking, creeping tissue, see
+    `socket_testbed.simulation.limb`.
 
     Args:
         path: Folder of the new trial.
-        scenario: The load history, such as `static_hold`.
+        scenario: The load history: `static_hold`, `ramp` or `multi_direction`.
         duration: Duration [s].
         rate: Rate of the trigger [Hz].
-        seed: Seed of everything that is random.
+        seed: Seed of the random numbers.
         geometry: A `socket.yaml`; None for the package's own.
         calibration: A `calibration.yaml`; None for the package's own.
         progress: See `Progress`.
 
     Raises:
-        ConfigurationError: If the folder exists or cannot be written, or a number is out of range.
+        ConfigurationError: If the folder exists or cannot be written, the scenario is unknown, or a
+            number is out of range.
         CalibrationError: If the calibration lacks a cluster of the socket.
 
     >>> st.simulate("trials/short", "ramp", duration=30, seed=1)
     Trial('trials/short')
     """
+    from socket_testbed.simulation.limb import SCENARIOS
     from socket_testbed.simulation.trial import simulate as simulate_trial
     from socket_testbed.simulation.trial import write_simulated_trial
 
     folder, socket_file, calibration_file = Path(path), as_path(geometry), as_path(calibration)
+    if scenario not in SCENARIOS:
+        raise ConfigurationError(f"unknown scenario '{scenario}'", closest(scenario, SCENARIOS))
     check_number(duration, "--duration", 1.0, 36000.0)
     check_number(rate, "--rate", 0.1, 1000.0)
     check_number(seed, "--seed", 0)

@@ -87,19 +87,28 @@ def add_model_choice(
 ) -> None:
     """Settings of the identification that are often chosen for one run.
 
+    Not given, they are those of the trial's own testbed.yaml, which holds the defaults that the
+    help names unless it was recorded with others.
+
     Args:
         parser: The verb's parser.
         variant: Whether the verb leaves the choice of the variant.
         theta: Whether it leaves the choice of theta.
     """
     if variant:
-        parser.add_argument("--variant", choices=VARIANTS, help="which offsets the model carries")
+        parser.add_argument(
+            "--variant", choices=VARIANTS, help="the model's offsets (default: stiffness_bias)"
+        )
     if theta:
         parser.add_argument(
-            "--theta", type=float, help="weight of the wrench against the clusters, 0 to 1"
+            "--theta",
+            type=float,
+            help="weight of the wrench against the clusters, 0 to 1 (default: 0.5)",
         )
     parser.add_argument(
-        "--smoothness", type=float, help="weight of the smoothness over neighbouring tiles"
+        "--smoothness",
+        type=float,
+        help="weight of the smoothness over neighbouring tiles (default: 1e-3)",
     )
     parser.add_argument(
         "--leave-out",
@@ -113,7 +122,7 @@ def add_model_choice(
 def add_thetas(parser: argparse.ArgumentParser) -> None:
     """Number of thetas of a front."""
     parser.add_argument(
-        "--thetas", type=int, default=101, metavar="N", help="values from 0 to 1 (default: 101)"
+        "--thetas", type=int, default=101, metavar="N", help="thetas on the front (default: 101)"
     )
 
 

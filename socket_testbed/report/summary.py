@@ -16,13 +16,14 @@ from socket_testbed.report.results import (
     effective_samples,
     measure_steadiness,
 )
-from socket_testbed.settings.identification import VARIANTS
+from socket_testbed.settings.identification import Variant
 
 _LITTLE_SKILL = 0.1  # [-]; below it, a model says no more than a mean
 _STEADY = 0.5  # [-]; sigma over RMSE, below which residuals are mostly an offset
 _COLLAPSE = 2.0  # [-]; of the fronts' sizes
 _FEW = 0.5  # [-]; of the directions, below which the smoothness decides most
-_PLAIN, _BIAS = VARIANTS
+_PLAIN: Variant = "stiffness"
+_BIAS: Variant = "stiffness_bias"
 
 
 def summarise(results: Results) -> list[str]:
