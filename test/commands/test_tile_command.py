@@ -166,7 +166,7 @@ BAD: dict[str, tuple[bytes | trimesh.Trimesh | None, tuple[str, ...], str]] = {
     "proximal": (CUP, ("--proximal", "up"), "--proximal is 'up'"),
     "anterior": (CUP, ("--anterior", "+z"), "--anterior is along"),
     "line": (CUP, ("--points", "0 0 0", "1 0 0", "2 0 0"), "on one line"),
-    "output": (CUP, (), "no .yaml"),
+    "output": (CUP, (), "not a .yaml file"),
 }
 
 
