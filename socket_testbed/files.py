@@ -50,6 +50,18 @@ def refuse_existing(path: Path) -> None:
         raise ConfigurationError(f"{path} exists already", "name another output or remove it")
 
 
+def check_picture(path: Path) -> None:
+    """Refuse a file whose suffix names no format of a picture.
+
+    Raises:
+        ConfigurationError: If it is neither `.png` nor `.pdf`.
+    """
+    if path.suffix.lower() not in _PICTURES:
+        raise ConfigurationError(
+            f"{path}: a picture cannot be a '{path.suffix}' file", "name a .png or .pdf file"
+        )
+
+
 @contextmanager
 def atomic_output(path: Path) -> Iterator[Path]:
     """Write an output in a folder beside it; it gets its name only when it is complete.
@@ -117,6 +129,7 @@ def _runs(process: int) -> bool:
     return True
 
 
+_PICTURES = (".png", ".pdf")
 _FLOAT = re.compile(r"[-+]?(\.\d+|\d+(\.\d*)?)[eE][-+]?\d+$")
 
 

@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from socket_testbed.errors import ConfigurationError
 from socket_testbed.files import atomic_output, check_number
 from socket_testbed.identification.evaluation import (
     ChannelErrors,
@@ -55,7 +54,6 @@ if TYPE_CHECKING:
 from socket_testbed.api.trials import PathLike, Progress, as_path, select, started
 
 _MOST_THETAS = 10_001
-_FIGURES = (".png", ".pdf")
 
 
 @dataclass(frozen=True, repr=False)
@@ -382,16 +380,7 @@ class Tradeoff:
         from socket_testbed.report.figures.style import save_figure
 
         title = f"{self.trial.name}, {self.segment}: trade-off between wrench and clusters"
-        save_figure(pareto_figure([*self.fronts.values()], title), check_figure(Path(path)))
-
-
-def check_figure(path: Path) -> Path:
-    """Refuse a figure that is neither a `.png` nor a `.pdf`, before long work."""
-    if path.suffix.lower() not in _FIGURES:
-        raise ConfigurationError(
-            f"--figure {path}: no such format", f"let it end in {' or '.join(_FIGURES)}"
-        )
-    return path
+        save_figure(pareto_figure([*self.fronts.values()], title), Path(path))
 
 
 def check_thetas(thetas: int) -> None:

@@ -14,7 +14,7 @@ from socket_testbed.calibration.drift import DRIFT_LIMIT, Drift
 from socket_testbed.calibration.model import SHEAR_TERMS
 from socket_testbed.commands.text import number, table
 from socket_testbed.errors import ConfigurationError
-from socket_testbed.files import check_number, closest
+from socket_testbed.files import check_number, check_picture, closest
 
 _SHOWN = 10  # outliers
 _AREAS = (1e-6, 0.05)  # [m^2]
@@ -94,7 +94,7 @@ def run(options: argparse.Namespace) -> None:
     if options.area is not None:
         check_number(options.area, "--area", *_AREAS)
     if options.figure is not None:
-        api.check_figure(options.figure)
+        check_picture(options.figure)
     into = options.into or (options.output if options.output.exists() else None)
     found = api.calibrate(
         options.bench,

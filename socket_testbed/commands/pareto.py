@@ -18,6 +18,7 @@ from socket_testbed.commands.options import (
     trial_of,
 )
 from socket_testbed.commands.text import Progress, number, table
+from socket_testbed.files import check_picture
 from socket_testbed.identification.pareto import KNEE, SENSOR_ONLY, WRENCH_ONLY, Front
 
 _HEADER = (
@@ -49,7 +50,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> None:
     """Identify along theta, write and print."""
     if options.figure is not None:
-        api.check_figure(options.figure)
+        check_picture(options.figure)
     trial = trial_of(options)
     found = api.pareto(
         trial, options.segment, thetas=options.thetas, progress=Progress, **choices(options)

@@ -17,6 +17,7 @@ from matplotlib.patches import Patch, Rectangle
 from matplotlib.patheffects import withStroke
 
 from socket_testbed.arrays import BoolArray, FloatArray, IntArray
+from socket_testbed.files import check_picture
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.report.figures.style import (
     AXES,
@@ -24,7 +25,6 @@ from socket_testbed.report.figures.style import (
     EDGE,
     SURFACE,
     TILE,
-    check_picture,
     lay_out,
     save_figure,
 )

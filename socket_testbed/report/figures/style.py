@@ -12,8 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from socket_testbed.arrays import FloatArray
-from socket_testbed.errors import ConfigurationError
-from socket_testbed.files import atomic_output
+from socket_testbed.files import atomic_output, check_picture
 
 FONT = "system-ui, -apple-system, 'Segoe UI', Roboto, sans-serif"  # of the pages
 SURFACE = "#D9D9D9"
@@ -38,7 +37,6 @@ SEGMENT_STYLE: dict[str, Any] = {"color": "0.94", "linewidth": 0.0, "zorder": 0.
 
 _TYPES = {"pdf.fonttype": 42, "svg.fonttype": "path", "svg.hashsalt": "figure"}
 _NO_LAYOUT = {"figure.autolayout": False, "figure.constrained_layout.use": False}
-_SUFFIXES = (".png", ".pdf")
 
 
 def style_axes(axis: Axes) -> None:
@@ -56,18 +54,6 @@ def lay_out(figure: Figure) -> Figure:
         with mpl.rc_context(_NO_LAYOUT):
             figure.set_layout_engine(None)  # "none" leaves a placeholder: savefig draws twice
     return figure
-
-
-def check_picture(path: Path) -> None:
-    """Refuse a file whose suffix names no format of a picture.
-
-    Raises:
-        ConfigurationError: If it is neither `.png` nor `.pdf`.
-    """
-    if path.suffix.lower() not in _SUFFIXES:
-        raise ConfigurationError(
-            f"{path}: a picture cannot be a '{path.suffix}' file", "name a .png or .pdf file"
-        )
 
 
 def save_figure(figure: Figure, path: Path, dpi: int = 150) -> None:
