@@ -162,10 +162,13 @@ class ReplayNode(TestbedNode[ReplaySettings]):
             )
 
     def _await_done(self) -> None:
-        """Wait until the last message is received and worked off."""
+        """Wait until the last message is received and worked off.
+
+        Not every follower reports how far it is, and what is not acknowledged when the publishers
+        go is lost.
+        """
         if self._followers:
             self._catch_up(0)
-            return
         for publisher in self._by_topic.values():
             if publisher.get_subscription_count() > 0:
                 publisher.wait_for_all_acked(Duration(seconds=_DONE_WITHIN))
