@@ -136,7 +136,8 @@ def simulate(
     local += _FORCE_NOISE * random.standard_normal(local.shape)
     stamps = np.round(np.arange(count) / _RATE * 1e9).astype(np.int64)
     status = np.zeros((count, len(CLUSTERS)), dtype=np.uint8)
-    return Samples(stamps, position, wrench, CLUSTERS, local, status)
+    rotation = np.zeros_like(position)
+    return Samples(stamps, position, rotation, wrench, CLUSTERS, local, status)
 
 
 def _unit_motion(count: int, random: np.random.Generator) -> FloatArray:

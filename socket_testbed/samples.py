@@ -45,6 +45,7 @@ class Samples:
     Attributes:
         stamps: Times of the triggers since the epoch, shape (N,) [ns].
         position: Limb position q in {S}, shape (N, 3) [m].
+        rotation: Rotation vector of the limb's frame in {S}, shape (N, 3) [rad].
         wrench: Measured wrench [M; F] in {S}, shape (N, 6) [N m, N].
         clusters: Names of the c clusters.
         local_forces: Measured force on each cluster in the cluster's frame, shape
@@ -54,6 +55,7 @@ class Samples:
 
     stamps: IntArray
     position: FloatArray
+    rotation: FloatArray
     wrench: FloatArray
     clusters: tuple[str, ...]
     local_forces: FloatArray
@@ -74,6 +76,7 @@ class Samples:
         return Samples(
             self.stamps[rows],
             self.position[rows],
+            self.rotation[rows],
             self.wrench[rows],
             self.clusters,
             self.local_forces[rows],
@@ -86,6 +89,11 @@ class Samples:
         if len(self) == 0:
             return np.zeros(0)
         return (self.stamps - self.stamps[0]) * 1e-9
+
+    @property
+    def pose(self) -> FloatArray:
+        """Pose of the limb in {S}: position, then rotation vector, shape (N, 6) [m, rad]."""
+        return np.hstack([self.position, self.rotation])
 
     @property
     def complete(self) -> BoolArray:
@@ -118,9 +126,10 @@ class Samples:
 
         Returns:
             A row per sample, indexed by `time [s]`. Columns: the wrench in {S}, such as `Mx [N m]`
-            and `Fz [N]`; the limb position in {S}, such as `q_x [m]`; for each cluster its force
-            in its own frame, such as `distal.Fx [N]`, and its status, such as `distal.status [-]`
-            (see `Status`). What was not measured is NaN.
+            and `Fz [N]`; the limb position and rotation vector in {S}, such as `q_x [m]` and
+            `phi_x [rad]`; for each cluster its force in its own frame, such as `distal.Fx [N]`,
+            and its status, such as `distal.status [-]` (see `Status`). What was not measured is
+            NaN.
         """
         import pandas as pd
 
@@ -131,6 +140,7 @@ class Samples:
         columns: dict[str, FloatArray | StatusArray] = {}
         titled("", WRENCH_CHANNELS, self.wrench)
         columns |= {f"q_{axis} [m]": self.position[:, i] for i, axis in enumerate("xyz")}
+        columns |= {f"phi_{axis} [rad]": self.rotation[:, i] for i, axis in enumerate("xyz")}
         for number, cluster in enumerate(self.clusters):
             titled(f"{cluster}.", LOCAL_CHANNELS, self.local_forces[:, number])
             columns[f"{cluster}.status [-]"] = self.status[:, number]

@@ -301,7 +301,7 @@ def predict(trial: Trial, model: Model) -> pd.DataFrame:
     samples = trial.samples()
     require_position(samples, trial.geometry)
     with threadpool_limits(1):
-        values = predict_channels(stored, samples.position, samples.clusters)
+        values = predict_channels(stored, samples.pose, samples.clusters)
     names = [f"{name} [{channel_unit(name)}]" for name in samples.channels]
     return pd.DataFrame(values, pd.Index(samples.time, name="time [s]"), names)
 
@@ -338,7 +338,7 @@ def evaluate(trial: Trial, model: Model, segment: str | Segment = "plateau") -> 
         fitted = "with" if stored.unloaded else "without"
         trial.notify(f"the model was fitted {fitted} --unloaded: its offsets are others")
     with threadpool_limits(1):
-        predicted = predict_channels(stored.model, rows.position, rows.clusters)
+        predicted = predict_channels(stored.model, rows.pose, rows.clusters)
     errors = evaluate_predictions(rows, predicted, leave_out)
     return Evaluation(trial, stored, chosen, int(rows.complete.sum()), errors)
 

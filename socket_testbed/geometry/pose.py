@@ -48,6 +48,14 @@ class Pose:
             quaternion[usable] = Rotation.from_matrix(self.rotation[usable]).as_quat()
         return quaternion
 
+    def rotation_vector(self) -> FloatArray:
+        """Rotation vectors, shape (3,) or (N, 3) [rad]; NaN where the pose is NaN."""
+        usable = np.isfinite(self.rotation).all(axis=(-2, -1))
+        vector = np.full(self.rotation.shape[:-1], np.nan)
+        if usable.any():
+            vector[usable] = Rotation.from_matrix(self.rotation[usable]).as_rotvec()
+        return vector
+
     def inverse(self) -> Pose:
         """Pose of the frame in the body."""
         rotation = np.swapaxes(self.rotation, -1, -2)

@@ -65,18 +65,17 @@ class SocketGeometry:
             and np.allclose(self.rotations, other.rotations, rtol=0.0, atol=1e-3)
         )
 
-    def limb_position(self, socket_in_world: Pose, pylon_in_world: Pose) -> FloatArray:
-        """Limb position q in {S} from the poses of the two marker bodies.
+    def limb_pose(self, socket_in_world: Pose, pylon_in_world: Pose) -> Pose:
+        """Pose of the limb in {S} from the poses of the two marker bodies; its origin is q.
 
         Args:
             socket_in_world: Poses of the socket's marker body, N of them.
             pylon_in_world: Poses of the pylon's marker body, N of them.
 
         Returns:
-            Positions, shape (N, 3) [m]; NaN where a pose is NaN.
+            N poses; NaN where a pose is NaN.
         """
-        limb_in_world = pylon_in_world.apply(self.limb.translation)
-        return self.socket_body.apply(socket_in_world.inverse().apply(limb_in_world))
+        return self.socket_body @ socket_in_world.inverse() @ pylon_in_world @ self.limb
 
     def cluster_force(self, cluster: str, stress: FloatArray) -> FloatArray:
         """Force on a cluster in its frame from its stresses, ``A [tau_x, tau_y, -sigma]``.

@@ -104,43 +104,45 @@ class ContactModel:
     force_bias: dict[str, FloatArray]
     cluster_points: dict[str, int]
 
-    def forces(self, position: FloatArray) -> FloatArray:
+    def forces(self, pose: FloatArray) -> FloatArray:
         """Forces k_i o s_i + b_i on the socket at the points of interest.
 
         Args:
-            position: Limb positions q, shape (N, 3) [m].
+            pose: Poses of the limb, position q and rotation vector, shape (N, 6) [m, rad]; the
+                paper's law reads the first three columns.
 
         Returns:
-            Forces in {S}, shape (N, n, 3) [N]; NaN where the position is NaN.
+            Forces in {S}, shape (N, n, 3) [N]; NaN where the pose is NaN.
         """
-        return self._spring_forces(position) + self._bias_in_socket_frame()
+        return self._spring_forces(pose) + self._bias_in_socket_frame()
 
-    def wrench(self, position: FloatArray) -> FloatArray:
+    def wrench(self, pose: FloatArray) -> FloatArray:
         """Wrench ``C (k o s) + b_w`` at the load cell.
 
         The offsets of the clusters belong to the clusters' sensors: they are no part of
         the wrench.
 
         Args:
-            position: Limb positions q, shape (N, 3) [m].
+            pose: Poses of the limb, position q and rotation vector, shape (N, 6) [m, rad]; the
+                paper's law reads the first three columns.
 
         Returns:
             Wrenches [M; F] in {S}, shape (N, 6) [N m, N].
         """
-        springs = self._spring_forces(position).reshape(len(position), -1)
+        springs = self._spring_forces(pose).reshape(len(pose), -1)
         return springs @ wrench_map(self.anchors).T + self.wrench_bias
 
-    def predict(self, position: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def predict(self, pose: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Wrenches and forces in one pass: see `wrench` and `forces`."""
-        springs = self._spring_forces(position)
-        wrench = springs.reshape(len(position), -1) @ wrench_map(self.anchors).T
+        springs = self._spring_forces(pose)
+        wrench = springs.reshape(len(pose), -1) @ wrench_map(self.anchors).T
         return wrench + self.wrench_bias, springs + self._bias_in_socket_frame()
 
-    def cluster_forces(self, position: FloatArray) -> dict[str, FloatArray]:
+    def cluster_forces(self, pose: FloatArray) -> dict[str, FloatArray]:
         """Forces on the clusters, each in its cluster's frame, shape (N, 3) each [N]."""
         points = list(self.cluster_points.values())
         springs = self.stiffness[points] * gated_displacement(
-            position, self.rest_positions[points], self.sharpness
+            pose[:, :3], self.rest_positions[points], self.sharpness
         )
         no_bias = np.zeros(3)
         return {
@@ -148,8 +150,8 @@ class ContactModel:
             for column, (name, point) in enumerate(self.cluster_points.items())
         }
 
-    def _spring_forces(self, position: FloatArray) -> FloatArray:
-        return self.stiffness * gated_displacement(position, self.rest_positions, self.sharpness)
+    def _spring_forces(self, pose: FloatArray) -> FloatArray:
+        return self.stiffness * gated_displacement(pose[:, :3], self.rest_positions, self.sharpness)
 
     def _bias_in_socket_frame(self) -> FloatArray:
         bias = np.zeros_like(self.anchors)

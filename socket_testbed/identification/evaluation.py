@@ -144,19 +144,17 @@ def summarise_errors(errors: Sequence[ChannelErrors]) -> ErrorSummary:
     )
 
 
-def predict_channels(
-    model: ContactModel, position: FloatArray, clusters: Sequence[str]
-) -> FloatArray:
+def predict_channels(model: ContactModel, pose: FloatArray, clusters: Sequence[str]) -> FloatArray:
     """Predict every channel in the order of `channel_names`.
 
     Args:
         model: The contact model.
-        position: Limb positions q, shape (N, 3) [m].
+        pose: Poses of the limb, position and rotation vector, shape (N, 6) [m, rad].
         clusters: Names of the c clusters.
 
     Returns:
         The wrench, then the force on each cluster in its frame, shape (N, 6 + 3c)
-        [N m, N]; NaN where the position is NaN.
+        [N m, N]; NaN where the pose is NaN.
 
     Raises:
         ConfigurationError: If the model lacks a cluster.
@@ -166,12 +164,12 @@ def predict_channels(
         raise ConfigurationError(
             f"the model has no cluster {', '.join(lacking)}", "fit a model on a trial that has it"
         )
-    predicted = np.empty((len(position), 6 + 3 * len(clusters)))
-    for start in range(0, len(position), _CHUNK):
+    predicted = np.empty((len(pose), 6 + 3 * len(clusters)))
+    for start in range(0, len(pose), _CHUNK):
         rows = slice(start, start + _CHUNK)
-        local = model.cluster_forces(position[rows])
+        local = model.cluster_forces(pose[rows])
         forces = [local[name] for name in clusters]
-        predicted[rows] = np.hstack([model.wrench(position[rows]), *forces])
+        predicted[rows] = np.hstack([model.wrench(pose[rows]), *forces])
     return predicted
 
 
@@ -191,7 +189,7 @@ def evaluate(
     Raises:
         ConfigurationError: If the model lacks a cluster of the samples.
     """
-    predicted = predict_channels(model, samples.position, samples.clusters)
+    predicted = predict_channels(model, samples.pose, samples.clusters)
     return evaluate_predictions(samples, predicted, leave_out)
 
 

@@ -83,9 +83,15 @@ class Sample:
 
     stamp: int
     position: FloatArray
+    rotation: FloatArray
     wrench: FloatArray
     local_forces: FloatArray
     status: StatusArray
+
+    @property
+    def pose(self) -> FloatArray:
+        """Pose of the limb in {S}: position, then rotation vector, shape (6,) [m, rad]."""
+        return np.concatenate([self.position, self.rotation])
 
 
 class SampleWindow:
@@ -105,6 +111,7 @@ class SampleWindow:
             dtype=[
                 ("stamp", np.int64),
                 ("position", np.float64, (3,)),
+                ("rotation", np.float64, (3,)),
                 ("wrench", np.float64, (6,)),
                 ("local_forces", np.float64, (width, 3)),
                 ("status", np.uint8, (width,)),
@@ -122,6 +129,7 @@ class SampleWindow:
         self._buffer[self._end] = (
             sample.stamp,
             sample.position,
+            sample.rotation,
             sample.wrench,
             sample.local_forces,
             sample.status,
@@ -141,6 +149,7 @@ class SampleWindow:
         return Samples(
             stamps=rows["stamp"],
             position=rows["position"],
+            rotation=rows["rotation"],
             wrench=rows["wrench"],
             clusters=self._clusters,
             local_forces=rows["local_forces"],
@@ -273,7 +282,7 @@ class OnlineEstimator:
         self._counts["samples"] += 1
         estimate = None
         if (model := self._model) is not None:
-            wrench, forces = model.predict(sample.position[None])
+            wrench, forces = model.predict(sample.pose[None])
             estimate = Estimate(stamp, model, wrench[0], forces[0])
             self._counts["predictions"] += 1
         self.newest = max(self.newest, stamp)
@@ -313,9 +322,11 @@ class OnlineEstimator:
             self._geometry.cluster_force(name, stress)
             for name, (stress, _) in zip(self._clusters, stresses, strict=True)
         ]
+        limb = self._geometry.limb_pose(socket, pylon)
         return Sample(
             stamp=stamp,
-            position=self._geometry.limb_position(socket, pylon)[0],
+            position=limb.translation[0],
+            rotation=limb.rotation_vector()[0],
             wrench=measured[WRENCH.name],
             local_forces=np.array(forces),
             status=np.array([status for _, status in stresses], dtype=np.uint8),

@@ -433,7 +433,7 @@ def _fit(
 
 def _judge(samples: Samples, segment: Segment, label: str, source: Fit | StoredModel) -> Candidate:
     model, leave_out = source.model, source.settings.leave_out
-    predicted = predict_channels(model, samples.position, samples.clusters)
+    predicted = predict_channels(model, samples.pose, samples.clusters)
     outside = np.ones(len(samples), dtype=bool)
     outside[segment.rows] = False
     held_out = evaluate_predictions(samples[outside], predicted[outside], leave_out)

@@ -272,9 +272,11 @@ def make_samples(trial: Trial, measured: Measurements) -> Samples:
     socket, pylon = (
         Pose.from_quaternion(pose[:, :3], pose[:, 3:]) for pose in (measured.socket, measured.pylon)
     )
+    limb = trial.geometry.limb_pose(socket, pylon)
     return Samples(
         stamps=measured.stamps,
-        position=trial.geometry.limb_position(socket, pylon),
+        position=limb.translation,
+        rotation=limb.rotation_vector(),
         wrench=measured.wrench,
         clusters=measured.clusters,
         local_forces=local_forces,
@@ -305,7 +307,7 @@ def _require_clusters(clusters: Collection[str], trial: Trial) -> None:
             )
 
 
-_SHARED = 1 + 6 + 3  # columns besides the clusters': time, wrench, limb position
+_SHARED = 1 + 6 + 6  # columns besides the clusters': time, wrench, the limb's pose
 
 
 def sample_table(
@@ -326,7 +328,7 @@ def sample_table(
 
     Returns:
         A row per sample, with the units in the titles: stamp [ns], time since the trial's first
-        sample [s], wrench and limb position in {S}; for each cluster its capacitances by the
+        sample [s], wrench and the limb's pose in {S}; for each cluster its capacitances by the
         converter's input [pF], its status (0 ok, 1 saturated, 2 missing, 3 out of the calibrated
         range), and its stress [Pa] and force [N] in its own frame. NaN where there is none.
 
@@ -347,8 +349,7 @@ def sample_table(
         columns |= {f"{name}.{axis} [Pa]": stress[:, i] for i, axis in enumerate(STRESSES)}
         columns |= {title: table[title] for title in (f"{name}.{f} [N]" for f in LOCAL_CHANNELS)}
     if model is not None:
-        position = samples.position[segment.rows]
-        predicted = predict_channels(model, position, samples.clusters)
+        predicted = predict_channels(model, samples.pose[segment.rows], samples.clusters)
         for channel, values in zip(samples.channels, predicted.T, strict=True):
             columns[f"predicted.{channel} [{channel_unit(channel)}]"] = values
     return pd.DataFrame(columns)

@@ -112,37 +112,40 @@ def test_a_single_pose_composes_with_a_batch(rng):
 # --- from marker bodies to q, from stresses to forces
 
 
-def test_limb_position_composes_the_four_poses(rng):
+def test_limb_pose_composes_the_four_poses(rng):
     geometry = random_socket(rng)
     socket, pylon = random_pose(rng, 2.0, 25), random_pose(rng, 2.0, 25)
-    found = geometry.limb_position(socket, pylon)
-    limb = homogeneous(geometry.limb) @ [0.0, 0.0, 0.0, 1.0]
-    for q, in_socket, in_pylon in zip(found, rows(socket), rows(pylon), strict=True):
+    found = geometry.limb_pose(socket, pylon)
+    limb = homogeneous(geometry.limb)
+    for pose, in_socket, in_pylon in zip(rows(found), rows(socket), rows(pylon), strict=True):
         world_to_load_cell = homogeneous(geometry.socket_body) @ np.linalg.inv(
             homogeneous(in_socket)
         )
         expected = world_to_load_cell @ homogeneous(in_pylon) @ limb
-        np.testing.assert_allclose(q, expected[:3], atol=1e-13)
+        np.testing.assert_allclose(homogeneous(pose), expected, atol=1e-13)
+        turned = Rotation.from_rotvec(pose.rotation_vector()).as_matrix()
+        np.testing.assert_allclose(turned, expected[:3, :3], atol=1e-13)
 
 
-def test_limb_position_does_not_depend_on_where_the_world_is(rng):
+def test_limb_pose_does_not_depend_on_where_the_world_is(rng):
     geometry = random_socket(rng)
     socket, pylon, move = random_pose(rng, count=8), random_pose(rng, count=8), random_pose(rng)
     np.testing.assert_allclose(
-        geometry.limb_position(move @ socket, move @ pylon),
-        geometry.limb_position(socket, pylon),
+        geometry.limb_pose(move @ socket, move @ pylon).translation,
+        geometry.limb_pose(socket, pylon).translation,
         atol=1e-13,
     )
 
 
 @pytest.mark.parametrize("lost", ["socket", "pylon"])
-def test_limb_position_is_unknown_where_a_body_is(rng, lost):
+def test_limb_pose_is_unknown_where_a_body_is(rng, lost):
     geometry = random_socket(rng)
     poses = {"socket": random_pose(rng, count=3), "pylon": random_pose(rng, count=3)}
     poses[lost].rotation[1], poses[lost].translation[1] = np.nan, np.nan
-    q = geometry.limb_position(poses["socket"], poses["pylon"])
-    np.testing.assert_array_equal(np.isnan(q).all(axis=1), [False, True, False])
-    assert np.isfinite(q[[0, 2]]).all()
+    limb = geometry.limb_pose(poses["socket"], poses["pylon"])
+    for values in (limb.translation, limb.rotation_vector()):
+        np.testing.assert_array_equal(np.isnan(values).all(axis=1), [False, True, False])
+        assert np.isfinite(values[[0, 2]]).all()
 
 
 def test_cluster_force_is_the_area_times_shear_and_inward_pull(rng):

@@ -122,7 +122,9 @@ def wait(condition: Callable[[], Any]) -> None:
 
 
 def sample(stamp: int) -> Sample:
-    return Sample(stamp, np.zeros(3), np.zeros(6), np.zeros((2, 3)), np.zeros(2, dtype=np.uint8))
+    return Sample(
+        stamp, np.zeros(3), np.zeros(3), np.zeros(6), np.zeros((2, 3)), np.zeros(2, dtype=np.uint8)
+    )
 
 
 def test_measurements_of_a_stamp_come_together_whatever_their_order() -> None:
@@ -176,6 +178,7 @@ def test_a_long_window_holds_what_a_list_would() -> None:
         entry = Sample(
             stamp,
             rng.normal(size=3),
+            np.zeros(3),
             np.full(6, float(stamp)),
             rng.normal(size=(2, 3)),
             np.array([k % 4, 0], dtype=np.uint8),
@@ -197,7 +200,7 @@ def test_the_shapes_of_a_window_hold_for_any_number(count: int) -> None:
     for stamp in range(count):
         window.add(sample(stamp))
     samples = window.samples()
-    assert samples.position.shape == (count, 3)
+    assert samples.pose.shape == (count, 6)
     assert samples.local_forces.shape == (count, 2, 3)
     assert samples.status.shape == (count, 2)
 
@@ -209,10 +212,10 @@ def test_a_complete_sample_is_estimated_whatever_the_order(bench: Bench, fit: Fi
     bench.send(20)
     bench.fitter.requests[0].future.set_result(fit)
     values = bench.values(2e-3)
-    position = bench.geometry.limb_position(
+    limb = bench.geometry.limb_pose(
         *(Pose.from_quaternion(v[None, :3], v[None, 3:]) for v in list(values.values())[2:])
     )
-    wrench, forces = fit.model.predict(position)
+    wrench, forces = fit.model.predict(limb.translation)
     for k, order in enumerate((MEASURED, MEASURED[::-1], (*MEASURED[2:], *MEASURED[:2]))):
         stamp = (100 + k) * PERIOD
         *waiting, last = (bench.estimator.add(topic, stamp, values[topic]) for topic in order)

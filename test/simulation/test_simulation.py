@@ -134,9 +134,10 @@ def test_the_static_hold_is_the_paper_s(geometry) -> None:
 def test_perfect_sensors_see_the_truth(geometry, calibration) -> None:
     trial = simulate(geometry, calibration, "ramp", 5.0, 4.0, 0, errors=PERFECT)
     np.testing.assert_allclose(trial.wrench, trial.truth.wrench)
-    position = geometry.limb_position(trial.socket_pose, trial.pylon_pose)
+    limb = geometry.limb_pose(trial.socket_pose, trial.pylon_pose)
     # The stand moves the whole testbed, not the limb in the socket.
-    np.testing.assert_allclose(position, trial.truth.position, atol=1e-9)
+    np.testing.assert_allclose(limb.translation, trial.truth.position, atol=1e-9)
+    np.testing.assert_allclose(limb.rotation_vector(), trial.truth.rotation, atol=1e-9)
     for cluster, tile in geometry.clusters.items():
         stress, status = calibration.clusters[cluster].apply(
             trial.capacitance[cluster], np.zeros((len(trial.stamps), 4), dtype=np.uint8)

@@ -73,7 +73,7 @@ def limb_position(found: Registration, socket: np.ndarray, pylon: np.ndarray) ->
         fit_triad(triad, observed[None]).pose
         for triad, observed in ((geometry.socket_markers, socket), (geometry.pylon_markers, pylon))
     ]
-    return geometry.limb_position(*in_world)[0]
+    return geometry.limb_pose(*in_world).translation[0]
 
 
 @pytest.mark.parametrize("swap", [False, True])
@@ -185,7 +185,7 @@ def errors_of(found: Registration, bench: Bench) -> dict[str, np.ndarray]:
         "socket's turn": Rotation.from_matrix(no_motion.rotation).as_rotvec(),
         "limb": geometry.limb.translation - limb.translation,
         "limb's turn": Rotation.from_matrix(geometry.limb.rotation @ limb.rotation.T).as_rotvec(),
-        "q": geometry.limb_position(fitted["socket"], fitted["pylon"]) - bench.q,
+        "q": geometry.limb_pose(fitted["socket"], fitted["pylon"]).translation - bench.q,
     }
 
 

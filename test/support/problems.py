@@ -114,6 +114,7 @@ def make_samples(
     return Samples(
         stamps=np.int64(10**18) + 250_000_000 * np.arange(count, dtype=np.int64),
         position=position,
+        rotation=np.zeros((count, 3)),
         wrench=wrench,
         clusters=tuple(forces),
         local_forces=np.stack([*forces.values()], axis=1) if forces else np.zeros((count, 0, 3)),

@@ -20,6 +20,7 @@ def samples_of_force(force: np.ndarray, seed: int = 0) -> Samples:
     return Samples(
         stamps=np.arange(count) * round(1e9 / RATE),
         position=rng.normal(0.0, 1e-4, (count, 3)),
+        rotation=np.zeros((count, 3)),
         wrench=wrench,
         clusters=("a",),
         local_forces=np.zeros((count, 1, 3)),
