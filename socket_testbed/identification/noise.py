@@ -1,0 +1,138 @@
+r"""The noise of every channel, estimated from a trial itself.
+
+The estimate takes the fast content of a channel alone. With samples at equal intervals, the third
+difference
+
+.. math:: d_k = y_{k+3} - 3 y_{k+2} + 3 y_{k+1} - y_k
+
+removes motion that is locally quadratic in time, and white noise of standard deviation
+:math:`\sigma` leaves :math:`\sqrt{20}\,\sigma` in it (Rice, Annals of Statistics 12, 1984, for the
+principle). A motion with period T at the sampling interval h keeps :math:`(2 \pi h / T)^3` of its
+amplitude: 0.3 % for 11 s at 4 Hz. What moves from sample to sample, such as the sway of a person at
+4 Hz, cannot be told from noise, and is counted as noise.
+
+Differences beyond `CUT` times the spread that their median gives are left out: steps, single
+outliers and swapped markers. Differences across a gap or a missing value do not count.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from socket_testbed.arrays import BoolArray, FloatArray
+from socket_testbed.samples import Samples
+
+LEAST_DIFFERENCES = 12  # [1]; of a channel, to state its noise
+CUT = 3.0  # [-]; largest size of a difference, in standard deviations
+_KERNEL = np.array([-1.0, 3.0, -3.0, 1.0])
+_GAIN = math.sqrt(20.0)  # [-]; root of the sum of the kernel's squares
+_MEDIAN = 0.67449  # [-]; median size of a standard normal variable
+_TRUNCATED = 0.98658  # [-]; standard deviation of a standard normal variable within +-CUT
+_QUANTISED = math.sqrt(1.0 / 12.0)  # [-]; standard deviation of rounding, in steps
+_ROUNDING = 1e-12  # [-]; smallest step of a channel, relative to its largest value
+_REGULAR = 1.5  # [-]; longest interval between neighbours, relative to the usual one
+
+
+@dataclass(frozen=True)
+class ChannelNoise:
+    """Standard deviation of the noise of one sample; NaN where the samples do not show it.
+
+    Attributes:
+        wrench: Noise of the wrench [M; F] in {S}, shape (6,) [N m, N].
+        local_forces: Noise of the force on each of the c clusters in its frame, shape (c, 3) [N].
+        pose: Noise of the limb's position and rotation vector in {S}, shape (6,) [m, rad].
+        pose_correlation: Correlation of the noise of the pose's components, shape (6, 6) [-]:
+            both come from the same markers.
+    """
+
+    wrench: FloatArray
+    local_forces: FloatArray
+    pose: FloatArray
+    pose_correlation: FloatArray
+
+    @property
+    def values(self) -> FloatArray:
+        """Noise in the order of `Samples.channels`, shape (6 + 3c,) [N m, N]."""
+        return np.concatenate([self.wrench, self.local_forces.reshape(-1)])
+
+    @property
+    def pose_covariance(self) -> FloatArray:
+        """Covariance of the noise of the pose, shape (6, 6) [m^2, m rad, rad^2]."""
+        return self.pose_correlation * np.outer(self.pose, self.pose)
+
+
+def channel_noise(samples: Samples) -> ChannelNoise:
+    """Estimate the noise of every channel from its third differences: see this module.
+
+    Args:
+        samples: Samples of a trial or a segment, in the order of their stamps. Forces whose
+            status is not OK do not count.
+
+    Returns:
+        The noise; NaN for a channel with fewer than `LEAST_DIFFERENCES` usable differences, or
+        with a single value throughout.
+    """
+    clusters = len(samples.clusters)
+    local = samples.trusted_forces.reshape(len(samples), 3 * clusters)
+    regular = _regular(samples)
+    sensors = np.array([_deviation(y, regular) for y in np.hstack([samples.wrench, local]).T])
+    pose = np.array([_deviation(y, regular) for y in samples.pose.T])
+    return ChannelNoise(
+        wrench=sensors[:6],
+        local_forces=sensors[6:].reshape(clusters, 3),
+        pose=pose,
+        pose_correlation=_correlation(samples.pose, regular, pose),
+    )
+
+
+def _regular(samples: Samples) -> BoolArray:
+    """Differences whose samples follow each other without a gap, shape (max(N - 3, 0),)."""
+    intervals = np.diff(samples.stamps)
+    if len(intervals) < len(_KERNEL) - 1:
+        return np.zeros(0, dtype=bool)
+    usual = intervals <= _REGULAR * np.median(intervals)
+    return np.asarray(usual[:-2] & usual[1:-1] & usual[2:])
+
+
+def _differences(values: FloatArray, regular: BoolArray) -> FloatArray:
+    """Third differences over their gain, NaN across a gap, shape (max(N - 3, 0), ...)."""
+    count = len(regular)
+    terms = [weight * values[k : k + count] for k, weight in enumerate(_KERNEL)]
+    found = np.sum(terms, axis=0) / _GAIN
+    found[~regular] = np.nan
+    return np.asarray(found)
+
+
+def _deviation(values: FloatArray, regular: BoolArray) -> float:
+    """Standard deviation of the noise of one channel, from its N values."""
+    sizes = np.abs(_differences(values, regular))
+    sizes = sizes[np.isfinite(sizes)]
+    step = _step(values)
+    if len(sizes) < LEAST_DIFFERENCES or step == 0.0:
+        return float("nan")
+    rounding = _QUANTISED * step
+    rough = max(float(np.median(sizes)) / _MEDIAN, rounding)
+    kept = sizes[sizes <= CUT * rough]
+    return max(float(np.sqrt(np.mean(kept**2))) / _TRUNCATED, rounding)
+
+
+def _step(values: FloatArray) -> float:
+    """Smallest distance of two different values of a channel; 0 where all are the same."""
+    finite = np.unique(values[np.isfinite(values)])
+    gaps = np.diff(finite)
+    gaps = gaps[gaps > _ROUNDING * np.abs(finite).max(initial=0.0)]
+    return float(gaps.min()) if len(gaps) else 0.0
+
+
+def _correlation(pose: FloatArray, regular: BoolArray, deviation: FloatArray) -> FloatArray:
+    """Correlation of the noise of the pose's components, shape (6, 6) [-]."""
+    scaled = _differences(pose, regular) / deviation
+    scaled = scaled[(np.abs(scaled) <= CUT).all(axis=1)]  # none where a component is NaN
+    if len(scaled) < LEAST_DIFFERENCES:
+        return np.eye(6)
+    products = scaled.T @ scaled
+    size = np.sqrt(np.diag(products))
+    return np.asarray(products / np.outer(size, size))

@@ -1,0 +1,130 @@
+"""The noise of every channel: what is known of it comes back, what is no noise does not matter."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from socket_testbed.identification.noise import LEAST_DIFFERENCES, channel_noise
+from socket_testbed.samples import Samples, Status
+
+WRENCH_NOISE = np.array([0.01, 0.02, 0.03, 0.1, 0.2, 0.4])  # [N m, N]
+LOCAL_NOISE = np.array([[0.05, 0.06, 0.02], [0.5, 0.1, 0.3]])  # [N]
+POSE_NOISE = np.array([2e-4, 1e-4, 5e-5, 1e-3, 2e-3, 5e-4])  # [m, rad]
+WITHIN = 0.15  # [-]
+PERIOD = 250_000_000  # [ns]
+
+
+def moving(rng: np.random.Generator, count: int, noise: np.ndarray) -> np.ndarray:
+    """Slow motion, 100 times larger than its white noise; shape (count, *noise.shape)."""
+    time = 0.25 * np.arange(count).reshape(-1, *[1] * noise.ndim)
+    phase = rng.uniform(0.0, 2.0 * np.pi, noise.shape)
+    slow = np.sin(2.0 * np.pi * time / 20.0 + phase) + 0.02 * time
+    return noise * (100.0 * slow + rng.normal(size=(count, *noise.shape)))
+
+
+def noisy_samples(seed: int, count: int = 800) -> Samples:
+    rng = np.random.default_rng(seed)
+    pose = moving(rng, count, POSE_NOISE)
+    return Samples(
+        stamps=10**18 + PERIOD * np.arange(count, dtype=np.int64),
+        position=pose[:, :3],
+        rotation=pose[:, 3:],
+        wrench=moving(rng, count, WRENCH_NOISE),
+        clusters=("brim", "distal"),
+        local_forces=moving(rng, count, LOCAL_NOISE),
+        status=np.zeros((count, 2), dtype=np.uint8),
+    )
+
+
+def assert_known_noise(samples: Samples, within: float = WITHIN) -> None:
+    found = channel_noise(samples)
+    np.testing.assert_allclose(found.wrench, WRENCH_NOISE, rtol=within)
+    np.testing.assert_allclose(found.local_forces, LOCAL_NOISE, rtol=within)
+    np.testing.assert_allclose(found.pose, POSE_NOISE, rtol=within)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_known_noise_comes_back_under_slow_motion(seed):
+    assert_known_noise(noisy_samples(seed))
+
+
+def test_outliers_steps_and_untrusted_forces_do_not_matter():
+    samples = noisy_samples(10)
+    rng = np.random.default_rng(11)
+    values = {
+        name: getattr(samples, name).copy()
+        for name in ("position", "rotation", "wrench", "local_forces")
+    }
+    for array in values.values():
+        array[rng.choice(800, 24, replace=False)] += 1e3 * array.std(axis=0)  # 3 %
+        array[300:] += 50.0 * array.std(axis=0)
+    status = samples.status.copy()
+    status[100:180, 0] = Status.OUT_OF_RANGE
+    values["local_forces"][100:180, 0] = rng.normal(0.0, 1e3, (80, 3))
+    assert_known_noise(dataclasses.replace(samples, status=status, **values))
+
+
+def test_gaps_and_missing_values_do_not_count():
+    samples = noisy_samples(20, 1600)
+    rng = np.random.default_rng(21)
+    wrench, position = samples.wrench.copy(), samples.position.copy()
+    wrench[rng.random(wrench.shape) < 0.05] = np.nan
+    position[rng.random(1600) < 0.05] = np.nan
+    kept = np.sort(rng.choice(1600, 1500, replace=False))  # triggers were lost
+    kept = kept[(kept < 400) | (kept > 900)]
+    assert_known_noise(dataclasses.replace(samples, wrench=wrench, position=position)[kept])
+
+
+def test_noise_scales_with_the_values_and_ignores_where_they_are():
+    samples = noisy_samples(30)
+    scaled = dataclasses.replace(
+        samples, wrench=3.0 * samples.wrench - 40.0, position=0.5 * samples.position + 0.1
+    )
+    found, expected = channel_noise(scaled), channel_noise(samples)
+    np.testing.assert_allclose(found.wrench, 3.0 * expected.wrench, rtol=1e-9)
+    np.testing.assert_allclose(found.pose[:3], 0.5 * expected.pose[:3], rtol=1e-6)
+    np.testing.assert_allclose(found.pose[3:], expected.pose[3:], rtol=0.0)
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.05, 0.3, 1.0])
+def test_a_quantised_channel_has_at_least_the_noise_of_its_steps(noise):
+    step = 0.1  # [N]
+    samples = noisy_samples(40)
+    rng = np.random.default_rng(41)
+    slow = np.sin(2.0 * np.pi * samples.time / 60.0)
+    read = np.round((slow + step * rng.normal(0.0, noise, 800)) / step) * step
+    found = channel_noise(dataclasses.replace(samples, wrench=np.tile(read[:, None], 6))).wrench
+    assert (found >= 0.999 * step / np.sqrt(12.0)).all()
+    np.testing.assert_allclose(found, step * np.hypot(noise, np.sqrt(1.0 / 12.0)), rtol=0.25)
+
+
+@pytest.mark.parametrize("count", [0, 1, 3, LEAST_DIFFERENCES + 2])
+def test_too_few_samples_state_no_noise(count):
+    found = channel_noise(noisy_samples(50)[:count])
+    assert np.isnan(found.values).all() and np.isnan(found.pose).all()
+    assert np.isfinite(channel_noise(noisy_samples(50)[: LEAST_DIFFERENCES + 3]).values).all()
+
+
+def test_a_channel_with_one_value_or_none_states_no_noise():
+    samples = noisy_samples(60)
+    wrench = samples.wrench.copy()
+    wrench[:, 0], wrench[:, 1] = 0.0, np.nan
+    found = channel_noise(dataclasses.replace(samples, wrench=wrench))
+    assert np.isnan(found.wrench).tolist() == [True, True, False, False, False, False]
+
+
+def test_the_poses_components_keep_their_correlation():
+    samples = noisy_samples(70, 2000)
+    lever = 0.1  # [m]; the position's noise comes in part from the rotation's
+    position = samples.position.copy()
+    position[:, 0] += lever * samples.rotation[:, 1]
+    covariance = channel_noise(dataclasses.replace(samples, position=position)).pose_covariance
+    expected = np.diag(POSE_NOISE**2)
+    expected[0, 4] = expected[4, 0] = lever * POSE_NOISE[4] ** 2
+    expected[0, 0] += (lever * POSE_NOISE[4]) ** 2
+    size = np.sqrt(np.diag(expected))
+    np.testing.assert_allclose(
+        covariance / np.outer(size, size), expected / np.outer(size, size), atol=0.12
+    )
+    assert np.linalg.eigvalsh(covariance / np.outer(size, size)).min() > 0.0
