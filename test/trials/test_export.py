@@ -99,6 +99,7 @@ def test_samples_are_read_back_as_they_are(suffix, gappy, samples, tmp_path) -> 
         assert_column(name, "N m" if name[0] == "M" else "N", samples.wrench[:, i])
     for i, axis in enumerate("xyz"):
         assert_column(f"q_{axis}", "m", samples.position[:, i])
+        assert_column(f"phi_{axis}", "rad", samples.rotation[:, i])
     for k, cluster in enumerate(samples.clusters):
         assert_column(f"{cluster}.status", "-", samples.status[:, k])
         for i, axis in enumerate("xyz"):
@@ -107,7 +108,7 @@ def test_samples_are_read_back_as_they_are(suffix, gappy, samples, tmp_path) -> 
     assert np.isnan(samples.wrench[:, 0]).sum() == 4
     assert set(np.unique(samples.status)) >= {0, 1, 2}
     assert np.isnan(samples.position).any(axis=1).sum() >= 4  # the simulation occludes markers, too
-    assert len(columns) == 2 + 6 + 3 + 4 * (4 + 1 + 3 + 3)
+    assert len(columns) == 2 + 6 + 6 + 4 * (4 + 1 + 3 + 3)
 
 
 def test_forces_follow_from_the_exported_stresses_and_capacitances(
@@ -161,7 +162,7 @@ def test_predictions_have_the_errors_that_evaluate_finds(
             measured[columns[f"{cluster}.status [-]"] != 0] = np.nan
         residual = columns[f"predicted.{error.name} [{error.unit}]"] - measured
         assert np.sqrt(np.nanmean(residual**2)) == pytest.approx(error.rmse, rel=1e-12)
-    assert len(columns) == 55 + 18
+    assert len(columns) == 58 + 18
 
 
 def test_names_are_such_as_matlab_can_have() -> None:
