@@ -9,6 +9,7 @@ import numpy as np
 
 from socket_testbed.commands.options import add_trial, trial_of
 from socket_testbed.commands.text import number, table
+from socket_testbed.identification.noise import channel_noise, noise_groups
 from socket_testbed.samples import Samples, Status
 from socket_testbed.trials.segment import find_plateaus
 from socket_testbed.trials.synchronise import read_samples
@@ -22,7 +23,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> None:
-    """Print topics, rates, gaps, missing data, plateaus and configuration."""
+    """Print topics, rates, gaps, missing data, noise, plateaus and configuration."""
     notes: dict[str, None] = {}  # part of the output, each once
     trial = dataclasses.replace(trial_of(options), notify=lambda note: notes.update({note: None}))
     print(_topics(trial))
@@ -34,6 +35,8 @@ def run(options: argparse.Namespace) -> None:
     print(_triggers(samples))
     print()
     print(_missing(samples))
+    print()
+    print(_noise(samples))
     print()
     for segment in find_plateaus(samples, trial.estimator.plateau):
         mean = np.nanmean(samples[segment.rows].wrench[:, 3:], axis=0)
@@ -87,3 +90,9 @@ def _missing(samples: Samples) -> str:
             ]
         )
     return table(["measurement", "missing", "saturated", "out of range"], rows)
+
+
+def _noise(samples: Samples) -> str:
+    groups = noise_groups(channel_noise(samples), samples.clusters)
+    rows = [[name, *(number(value, 4) for value in noise)] for name, noise in groups.items()]
+    return table(["noise of one sample", "x", "y", "z"], rows)

@@ -88,6 +88,27 @@ def channel_noise(samples: Samples) -> ChannelNoise:
     )
 
 
+def noise_groups(noise: ChannelNoise, clusters: tuple[str, ...]) -> dict[str, FloatArray]:
+    """The noise along x, y and z of each group of channels, with the unit in the group's name.
+
+    Args:
+        noise: The noise.
+        clusters: Names of the c clusters.
+
+    Returns:
+        An array of shape (3,) for the moment [N m], the force [N], the limb's position [mm] and
+        rotation [mrad] in {S}, and for the force on each cluster in its frame [N].
+    """
+    local = zip(clusters, noise.local_forces, strict=True)
+    return {
+        "moment [N m]": noise.wrench[:3],
+        "force [N]": noise.wrench[3:],
+        "limb position [mm]": 1e3 * noise.pose[:3],
+        "limb rotation [mrad]": 1e3 * noise.pose[3:],
+        **{f"{name} [N]": deviations for name, deviations in local},
+    }
+
+
 def _regular(samples: Samples) -> BoolArray:
     """Differences whose samples follow each other without a gap, shape (max(N - 3, 0),)."""
     intervals = np.diff(samples.stamps)

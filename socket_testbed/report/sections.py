@@ -14,6 +14,7 @@ import numpy as np
 import pandas as pd
 
 from socket_testbed.identification.evaluation import ChannelErrors, summarise_errors
+from socket_testbed.identification.noise import channel_noise, noise_groups
 from socket_testbed.identification.pareto import KNEE, SENSOR_ONLY, WRENCH_ONLY
 from socket_testbed.report.page import Table, counted, number
 from socket_testbed.report.results import (
@@ -58,6 +59,7 @@ def page_content(results: Results, command: str, made: datetime) -> dict[str, An
         ),
         _plateaus(results),
         _drop_outs(results),
+        _noise(results),
         _residuals(results),
         _certificates(results),
         _pairs("provenance-table", "What the report was made from and with", origin),
@@ -353,6 +355,15 @@ def _drop_outs(results: Results) -> Table:
     frame = find_drop_outs(results.samples, results.segment)
     formats = dict.fromkeys(frame, ".0f") | {"missing [%]": ".2f", "longest [s]": ".2f"}
     return Table("drop-outs", "Samples of the trial without a measurement", frame, formats)
+
+
+def _noise(results: Results) -> Table:
+    samples = results.samples
+    frame = pd.DataFrame.from_dict(
+        noise_groups(channel_noise(samples), samples.clusters), "index", columns=["x", "y", "z"]
+    ).rename_axis("measurement")
+    caption = "Standard deviation of the noise of one sample, along each axis"
+    return Table("noise", caption, frame, dict.fromkeys(frame, ".2g"))
 
 
 def _residuals(results: Results) -> Table:

@@ -50,6 +50,9 @@ def test_info_says_what_a_trial_holds(hold: Path, capsys) -> None:
     assert code == 0
     assert "/load_cell/wrench" in out and "240 samples at 4.00 Hz" in out
     assert "plateau" in out and "socket.yaml, calibration.yaml, testbed.yaml" in out
+    noise = {line.split("  ")[0]: line.split()[-1] for line in out.splitlines() if line}
+    assert float(noise["force [N]"]) == pytest.approx(0.15, rel=0.2)  # the simulated load cell's
+    assert 0.05 < float(noise["limb position [mm]"]) < 0.3
 
 
 def test_the_offsets_vanish_with_the_bias_variant(hold: Path, tmp_path: Path, capsys) -> None:

@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from socket_testbed.identification.noise import LEAST_DIFFERENCES, channel_noise
+from socket_testbed.identification.noise import LEAST_DIFFERENCES, channel_noise, noise_groups
 from socket_testbed.samples import Samples, Status
 
 WRENCH_NOISE = np.array([0.01, 0.02, 0.03, 0.1, 0.2, 0.4])  # [N m, N]
@@ -128,3 +128,12 @@ def test_the_poses_components_keep_their_correlation():
         covariance / np.outer(size, size), expected / np.outer(size, size), atol=0.12
     )
     assert np.linalg.eigvalsh(covariance / np.outer(size, size)).min() > 0.0
+
+
+def test_groups_have_the_units_of_their_names():
+    samples = noisy_samples(80)
+    groups = noise_groups(channel_noise(samples), samples.clusters)
+    np.testing.assert_allclose(groups["moment [N m]"], WRENCH_NOISE[:3], rtol=WITHIN)
+    np.testing.assert_allclose(groups["limb position [mm]"], 1e3 * POSE_NOISE[:3], rtol=WITHIN)
+    np.testing.assert_allclose(groups["limb rotation [mrad]"], 1e3 * POSE_NOISE[3:], rtol=WITHIN)
+    np.testing.assert_allclose(groups["distal [N]"], LOCAL_NOISE[1], rtol=WITHIN)

@@ -278,6 +278,9 @@ def test_gaps_and_drop_outs_are_told(nasty):
     cells = rows[f"{NASTY} (Fx, Fy, Fz)"]
     assert int(cells[0]) > 10 and float(cells[1]) == pytest.approx(100 * int(cells[0]) / 232, 0.01)
     assert int(rows["Mz"][0]) > 5 and int(rows["Mx"][0]) == 0
+    noise = page.rows("noise")
+    assert float(noise["force [N]"][2]) == pytest.approx(0.15, rel=0.2)  # the simulated load cell's
+    assert f"{NASTY} [N]" in noise
 
 
 def test_an_implausible_channel_is_printed_and_shown_and_still_fitted(nasty):
