@@ -2,6 +2,7 @@
 
 import contextlib
 import doctest
+import json
 import os
 import subprocess
 import sys
@@ -244,6 +245,26 @@ def test_a_fit_is_never_silently_of_wrong_values(folder, tmp_path) -> None:
     assert fitted is not None and fitted.fit.errors[5].rmse < 50.0
     with pytest.raises(st.TestbedError, match=r"only 4 of 5 samples .* needs 12"):
         st.fit(st.open_trial(hold), "20:21")
+
+
+def test_a_model_is_judged_on_poses_averaged_as_in_its_fit(folder, tmp_path) -> None:
+    hold = str(folder / "trials" / "hold")
+    model, errors = str(tmp_path / "model.json"), tmp_path / "errors.json"
+    assert run(["fit", hold, "--pose-smoothing", "2", "-o", model]) == 0
+    trial = st.open_trial(hold)
+    stored = st.read_model(model)
+    assert stored.settings.pose_smoothing == 2.0
+    fitted = st.fit(trial, pose_smoothing=2.0)
+    judged = st.evaluate(trial, model)
+    pd.testing.assert_frame_equal(judged.to_dataframe(), fitted.to_dataframe(), rtol=1e-9)
+    raw = st.evaluate(trial, stored, pose_smoothing=0.0)
+    assert raw.to_dataframe().loc["Fz", "RMSE"] != judged.to_dataframe().loc["Fz", "RMSE"]
+    words = ["evaluate", hold, "--model", model, "--pose-smoothing", "0", "-o", str(errors)]
+    assert run(words) == 0 and json.loads(errors.read_text()) == raw.document()
+    shown = st.export(trial, tmp_path / "table.csv", model=stored)["predicted.Fz [N]"]
+    np.testing.assert_allclose(shown, st.predict(trial, stored)["Fz [N]"])
+    with pytest.raises(st.TestbedError, match="pose_smoothing is -1"):
+        st.evaluate(trial, model, pose_smoothing=-1.0)
 
 
 def test_limb_positions_in_millimetres_are_refused(folder, tmp_path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import shutil
 from collections.abc import Sequence
@@ -13,6 +14,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from socket_testbed.arrays import FloatArray
 from socket_testbed.files import atomic_output, check_number
 from socket_testbed.identification.evaluation import (
     ChannelErrors,
@@ -28,6 +30,7 @@ from socket_testbed.identification.model_file import (
     write_model,
 )
 from socket_testbed.identification.model_file import read_model as _read_model
+from socket_testbed.identification.noise import smooth_poses
 from socket_testbed.identification.pareto import (
     Front,
     front_document,
@@ -190,6 +193,7 @@ def fit(
     theta: float | None = None,
     smoothness: float | None = None,
     leave_out: Sequence[str] | None = None,
+    pose_smoothing: float | None = None,
     solver: str | None = None,
 ) -> TrialFit:
     """Identify the contact model on a segment of a trial.
@@ -204,6 +208,7 @@ def fit(
         theta: Weight of the wrench against the clusters, 0 to 1 [-].
         smoothness: Weight of the smoothness over neighbouring tiles [-].
         leave_out: Channels to leave out of the objective, such as `distal.Fx` or `Mz`.
+        pose_smoothing: Centred window over which the poses are averaged [s].
         solver: A solver that qpsolvers finds.
 
     Raises:
@@ -226,6 +231,7 @@ def fit(
         theta=theta,
         smoothness=smoothness,
         leave_out=leave_out,
+        pose_smoothing=pose_smoothing,
         solver=solver,
     )
     samples = trial.samples()
@@ -274,8 +280,17 @@ def _model_for(trial: Trial, model: Model) -> StoredModel:
     return stored
 
 
+def _predictions(samples: Samples, stored: StoredModel) -> FloatArray:
+    """What a model predicts for samples, (N, 6 + 3c), from poses averaged as in its fit."""
+    smooth = smooth_poses(samples, stored.settings.pose_smoothing)
+    with threadpool_limits(1):
+        return predict_channels(stored.model, smooth.pose, samples.clusters)
+
+
 def predict(trial: Trial, model: Model) -> pd.DataFrame:
     """Predict every channel of a trial from its limb positions.
+
+    The poses are averaged over the window of the model's fit, if that has one.
 
     Args:
         trial: The trial.
@@ -297,22 +312,29 @@ def predict(trial: Trial, model: Model) -> pd.DataFrame:
     """
     import pandas as pd
 
-    stored = _model_for(trial, model).model
+    stored = _model_for(trial, model)
     samples = trial.samples()
     require_position(samples, trial.geometry)
-    with threadpool_limits(1):
-        values = predict_channels(stored, samples.pose, samples.clusters)
+    values = _predictions(samples, stored)
     names = [f"{name} [{channel_unit(name)}]" for name in samples.channels]
     return pd.DataFrame(values, pd.Index(samples.time, name="time [s]"), names)
 
 
-def evaluate(trial: Trial, model: Model, segment: str | Segment = "plateau") -> Evaluation:
+def evaluate(
+    trial: Trial,
+    model: Model,
+    segment: str | Segment = "plateau",
+    *,
+    pose_smoothing: float | None = None,
+) -> Evaluation:
     """Errors of a model on a segment of a trial, channel by channel.
 
     Args:
         trial: The trial, preferably another one than that of the fit.
         model: A fit, a model that `read_model` read, or the path of its file.
         segment: The segment, or its specification.
+        pose_smoothing: Centred window over which the poses are averaged [s]; None for that of
+            the model's fit.
 
     Raises:
         TrialError: If the trial cannot be read, holds no such segment, or is of another socket.
@@ -327,6 +349,9 @@ def evaluate(trial: Trial, model: Model, segment: str | Segment = "plateau") -> 
     ['unit', 'RMSE', 'MAE', 'sigma', 'skill', 'samples', 'in objective']
     """
     stored = _model_for(trial, model)
+    if pose_smoothing is not None:
+        changed = dataclasses.replace(stored.settings, pose_smoothing=pose_smoothing)
+        stored = dataclasses.replace(stored, settings=changed)
     samples = trial.samples()
     chosen = select(trial, segment, trial.estimator)
     rows = samples[chosen.rows]
@@ -337,9 +362,7 @@ def evaluate(trial: Trial, model: Model, segment: str | Segment = "plateau") -> 
     if trial.notify is not None and bool(trial.unloaded) != bool(stored.unloaded):
         fitted = "with" if stored.unloaded else "without"
         trial.notify(f"the model was fitted {fitted} --unloaded: its offsets are others")
-    with threadpool_limits(1):
-        predicted = predict_channels(stored.model, rows.pose, rows.clusters)
-    errors = evaluate_predictions(rows, predicted, leave_out)
+    errors = evaluate_predictions(rows, _predictions(rows, stored), leave_out)
     return Evaluation(trial, stored, chosen, int(rows.complete.sum()), errors)
 
 
@@ -405,7 +428,7 @@ def pareto(
         thetas: Number of values of theta from 0 to 1.
         params: As in `fit`.
         progress: See `Progress`.
-        choices: `smoothness`, `leave_out` and `solver` as in `fit`.
+        choices: `smoothness`, `leave_out`, `pose_smoothing` and `solver` as in `fit`.
 
     Raises:
         TestbedError: As `fit`; also if one of the two groups has no channel in the objective.
@@ -457,7 +480,7 @@ def write_report(
         command: What made the page, for the record.
         replace: Whether an older page and its folder are replaced; else they are an error.
         progress: See `Progress`.
-        choices: `theta`, `smoothness`, `leave_out` and `solver` as in `fit`.
+        choices: `theta`, `smoothness`, `leave_out`, `pose_smoothing` and `solver` as in `fit`.
 
     Returns:
         All that the page shows.
@@ -525,11 +548,12 @@ def export(
     """
     path = Path(path)
     check_format(path)
-    stored = None if model is None else _model_for(trial, model).model
+    stored = None if model is None else _model_for(trial, model)
     measured = read_measurements(trial)
     samples = make_samples(trial, measured)
     chosen = select(trial, segment, trial.estimator)
-    table = sample_table(trial, measured, samples, chosen, stored)
+    predicted = None if stored is None else _predictions(samples, stored)
+    table = sample_table(trial, measured, samples, chosen, predicted)
     write_table(table, path)
     table.attrs["segment"] = str(chosen)
     return table

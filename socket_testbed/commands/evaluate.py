@@ -9,7 +9,13 @@ from pathlib import Path
 from socket_testbed import api
 from socket_testbed.api import Evaluation
 from socket_testbed.batch import Row, find_trials
-from socket_testbed.commands.options import TrialVerb, add_segment, add_trials, add_unloaded
+from socket_testbed.commands.options import (
+    TrialVerb,
+    add_pose_smoothing,
+    add_segment,
+    add_trials,
+    add_unloaded,
+)
 from socket_testbed.commands.text import error_columns, errors_table, segment_columns
 from socket_testbed.errors import ConfigurationError
 from socket_testbed.trials.trial import Trial
@@ -27,6 +33,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         metavar="MODEL",
         help="a model that 'fit' wrote; for a folder of trials even the folder of their models",
     )
+    add_pose_smoothing(parser, "that of the model's fit")
     parser.add_argument("--json", action="store_true", help="print JSON on standard output")
     parser.add_argument(
         "-o",
@@ -47,12 +54,13 @@ def run(options: argparse.Namespace) -> None:
         )
     if trials and not options.model.is_dir():
         api.read_model(options.model)  # a wrong one is reported once
-    settings = ("segment", "unloaded")
+    settings = ("segment", "unloaded", "pose_smoothing")
     TrialVerb("evaluate", ".errors.json", settings, _evaluate, _row, _show).run(options)
 
 
 def _evaluate(options: argparse.Namespace, trial: Trial) -> Evaluation:
-    found = api.evaluate(trial, options.model, options.segment)
+    smoothing = options.pose_smoothing
+    found = api.evaluate(trial, options.model, options.segment, pose_smoothing=smoothing)
     if options.output is not None:
         found.save(options.output)
     return found

@@ -9,8 +9,10 @@ from socket_testbed import api
 from socket_testbed.api import TrialFit
 from socket_testbed.batch import Row
 from socket_testbed.commands.options import (
+    CHOICES,
     TrialVerb,
     add_identification,
+    add_pose_smoothing,
     add_segment,
     add_trials,
     add_unloaded,
@@ -26,6 +28,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     add_segment(parser)
     add_unloaded(parser)
     add_identification(parser)
+    add_pose_smoothing(parser)
     parser.add_argument(
         "-o",
         "--output",
@@ -34,7 +37,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         metavar="MODEL",
         help="file of the model, or the folder of the models of a folder of trials",
     )
-    settings = ("segment", "unloaded", "variant", "theta", "smoothness", "leave_out", "solver")
+    settings = ("segment", "unloaded", *CHOICES)
     parser.set_defaults(run=TrialVerb("fit", ".json", settings, _fit, _row, _show).run)
 
 

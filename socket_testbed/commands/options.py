@@ -19,7 +19,7 @@ from socket_testbed.trials.synchronise import parse_unloaded
 from socket_testbed.trials.trial import Trial
 
 _FILES = ("geometry", "calibration", "params", "model")
-_CHOICES = ("variant", "theta", "smoothness", "leave_out", "solver")
+CHOICES = ("variant", "theta", "smoothness", "leave_out", "pose_smoothing", "solver")
 R = TypeVar("R")
 
 
@@ -119,6 +119,16 @@ def add_model_choice(
     parser.add_argument("--solver", help="any solver that qpsolvers finds (default: osqp)")
 
 
+def add_pose_smoothing(parser: argparse.ArgumentParser, default: str = "0, none") -> None:
+    """The window over which poses are averaged, and where it comes from unless it is given."""
+    parser.add_argument(
+        "--pose-smoothing",
+        type=float,
+        metavar="SECONDS",
+        help=f"centred window over which the poses are averaged (default: {default})",
+    )
+
+
 def add_thetas(parser: argparse.ArgumentParser) -> None:
     """Number of thetas of a front."""
     parser.add_argument(
@@ -128,7 +138,7 @@ def add_thetas(parser: argparse.ArgumentParser) -> None:
 
 def choices(options: argparse.Namespace) -> dict[str, Any]:
     """What `add_identification` was given, as keywords of the API."""
-    return {name: getattr(options, name, None) for name in ("params", *_CHOICES)}
+    return {name: getattr(options, name, None) for name in ("params", *CHOICES)}
 
 
 def estimator_settings(options: argparse.Namespace, stored: EstimatorSettings) -> EstimatorSettings:
@@ -138,7 +148,7 @@ def estimator_settings(options: argparse.Namespace, stored: EstimatorSettings) -
 
 def choose_model(options: argparse.Namespace, settings: EstimatorSettings) -> EstimatorSettings:
     """The estimator's settings with what `add_model_choice` was given."""
-    given = {name: getattr(options, name, None) for name in _CHOICES}
+    given = {name: getattr(options, name, None) for name in CHOICES}
     return testbed.estimator_settings(settings, **given)
 
 

@@ -10,6 +10,7 @@ from pathlib import Path
 from socket_testbed import api
 from socket_testbed.commands.options import (
     add_identification,
+    add_pose_smoothing,
     add_segment,
     add_thetas,
     add_trial,
@@ -38,6 +39,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     add_segment(parser)
     add_unloaded(parser)
     add_identification(parser, variant=False, theta=False)  # the fronts go through both
+    add_pose_smoothing(parser)
     add_thetas(parser)
     parser.add_argument(
         "-o", "--output", type=Path, metavar="FRONT.csv", help="table of every solution"

@@ -11,8 +11,10 @@ from typing import TYPE_CHECKING
 from socket_testbed import api
 from socket_testbed.batch import Row
 from socket_testbed.commands.options import (
+    CHOICES,
     TrialVerb,
     add_identification,
+    add_pose_smoothing,
     add_segment,
     add_thetas,
     add_trials,
@@ -32,6 +34,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     add_segment(parser)
     add_unloaded(parser)
     add_identification(parser, variant=False)  # both are shown
+    add_pose_smoothing(parser)
     add_thetas(parser)
     parser.add_argument(
         "--model", type=Path, metavar="MODEL", help="a model that 'fit' wrote, shown as well"
@@ -52,7 +55,7 @@ def run(options: argparse.Namespace) -> None:
     api.check_thetas(options.thetas)
     # The command as it was typed, but for where the program lies.
     options.command = shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]])
-    settings = ("segment", "unloaded", "theta", "smoothness", "leave_out", "solver", "thetas")
+    settings = ("segment", "unloaded", *(n for n in CHOICES if n != "variant"), "thetas")
     TrialVerb("report", ".html", settings, _report, _row, _show).run(options)
 
 

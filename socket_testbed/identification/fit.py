@@ -30,6 +30,7 @@ from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification.box_qp import BoxSolution, check_solver, solve_box_qp
 from socket_testbed.identification.contact import ContactModel
 from socket_testbed.identification.evaluation import ChannelErrors, evaluate
+from socket_testbed.identification.noise import smooth_poses
 from socket_testbed.identification.plausibility import (
     find_outliers,
     outlier_notes,
@@ -225,7 +226,8 @@ def fit_contact_model(
     """
     objective = build_objective(samples, geometry, settings)
     outliers = find_outliers(samples, geometry, settings.leave_out)
-    samples = without_outliers(samples, outliers)[objective.rows]
+    samples = smooth_poses(without_outliers(samples, outliers), settings.pose_smoothing)
+    samples = samples[objective.rows]
 
     stage_one = build_stage_one(objective)
     rest = solve_box_qp(stage_one, settings.solver, settings.solver_tolerance)

@@ -1,4 +1,4 @@
-r"""The noise of every channel, estimated from a trial itself.
+r"""The noise of every channel, estimated from a trial itself, and poses averaged against it.
 
 The estimate takes the fast content of a channel alone. With samples at equal intervals, the third
 difference
@@ -18,11 +18,12 @@ outliers and swapped markers. Differences across a gap or a missing value do not
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
-from socket_testbed.arrays import BoolArray, FloatArray
+from socket_testbed.arrays import BoolArray, FloatArray, IntArray
 from socket_testbed.samples import Samples
 
 LEAST_DIFFERENCES = 12  # [1]; of a channel, to state its noise
@@ -34,6 +35,7 @@ _TRUNCATED = 0.98658  # [-]; standard deviation of a standard normal variable wi
 _QUANTISED = math.sqrt(1.0 / 12.0)  # [-]; standard deviation of rounding, in steps
 _ROUNDING = 1e-12  # [-]; smallest step of a channel, relative to its largest value
 _REGULAR = 1.5  # [-]; longest interval between neighbours, relative to the usual one
+_WINDOW_END = 1e-6  # [s]; samples at the end of a window belong to it
 
 
 @dataclass(frozen=True)
@@ -111,11 +113,16 @@ def noise_groups(noise: ChannelNoise, clusters: tuple[str, ...]) -> dict[str, Fl
 
 def _regular(samples: Samples) -> BoolArray:
     """Differences whose samples follow each other without a gap, shape (max(N - 3, 0),)."""
-    intervals = np.diff(samples.stamps)
-    if len(intervals) < len(_KERNEL) - 1:
-        return np.zeros(0, dtype=bool)
-    usual = intervals <= _REGULAR * np.median(intervals)
+    usual = ~_gaps(samples)
     return np.asarray(usual[:-2] & usual[1:-1] & usual[2:])
+
+
+def _gaps(samples: Samples) -> BoolArray:
+    """Intervals between samples that are longer than usual, shape (max(N - 1, 0),)."""
+    intervals = np.diff(samples.stamps)
+    if len(intervals) == 0:
+        return np.zeros(0, dtype=bool)
+    return np.asarray(intervals > _REGULAR * np.median(intervals))
 
 
 def _differences(values: FloatArray, regular: BoolArray) -> FloatArray:
@@ -157,3 +164,68 @@ def _correlation(pose: FloatArray, regular: BoolArray, deviation: FloatArray) ->
     products = scaled.T @ scaled
     size = np.sqrt(np.diag(products))
     return np.asarray(products / np.outer(size, size))
+
+
+def smooth_poses(samples: Samples, window: float) -> Samples:
+    """The samples with each pose replaced by the mean of the poses around it.
+
+    The window is centred, so that the mean does not lag: near a gap, and near the first and the
+    last sample, it is shorter on both sides. A pose that is missing stays missing.
+
+    Args:
+        samples: Samples in the order of their stamps.
+        window: Length of the window [s]; 0 to change nothing.
+
+    Returns:
+        The samples with the mean position and the mean rotation; that is taken about the mean
+        rotation of all samples, so that it holds for any orientation of the frames.
+    """
+    known = _known(samples)
+    if window == 0.0 or not known.any():
+        return samples
+    middle = Rotation.from_rotvec(samples.rotation[known]).mean()
+    pose = np.zeros((len(samples), 6))
+    pose[known, :3] = samples.position[known]
+    pose[known, 3:] = (middle.inv() * Rotation.from_rotvec(samples.rotation[known])).as_rotvec()
+    first, end = _windows(samples, window)
+    mean = _sums(pose, first, end)[known] / _sums(known, first, end)[known, None]
+    position, rotation = np.full((2, len(samples), 3), np.nan)
+    position[known] = mean[:, :3]
+    rotation[known] = (middle * Rotation.from_rotvec(mean[:, 3:])).as_rotvec()
+    return replace(samples, position=position, rotation=rotation)
+
+
+def smoothing_gain(samples: Samples, window: float) -> float:
+    """What `smooth_poses` leaves of the variance of white noise, in the mean over the samples [-].
+
+    Args:
+        samples: Samples in the order of their stamps.
+        window: Length of the window [s].
+    """
+    known = _known(samples)
+    if window == 0.0 or not known.any():
+        return 1.0
+    return float(np.mean(1.0 / _sums(known, *_windows(samples, window))[known]))
+
+
+def _known(samples: Samples) -> BoolArray:
+    """Samples with a pose, shape (N,)."""
+    return np.asarray(np.isfinite(samples.pose).all(axis=1))
+
+
+def _windows(samples: Samples, window: float) -> tuple[IntArray, IntArray]:
+    """The first sample of the window around each sample, and the one after its last, (N,) each."""
+    time = samples.time
+    run = np.concatenate([[0], np.cumsum(_gaps(samples))])  # of samples without a gap
+    start = time[np.searchsorted(run, run, "left")]
+    stop = time[np.searchsorted(run, run, "right") - 1]
+    reach = np.minimum(0.5 * window, np.minimum(time - start, stop - time)) + _WINDOW_END
+    first = np.searchsorted(time, time - reach, "left")
+    return first, np.searchsorted(time, time + reach, "right")
+
+
+def _sums(values: FloatArray | BoolArray, first: IntArray, end: IntArray) -> FloatArray:
+    """Sums of the rows of values from `first` to before `end`, shape (N, ...)."""
+    total = np.cumsum(values, axis=0, dtype=np.float64)
+    total = np.concatenate([np.zeros_like(total[:1]), total])
+    return np.asarray(total[end] - total[first])

@@ -28,6 +28,7 @@ from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification.box_qp import BoxQP
 from socket_testbed.identification.contact import wrench_map
 from socket_testbed.identification.moments import GatedMoments, Group, Method, Moments
+from socket_testbed.identification.noise import smooth_poses
 from socket_testbed.identification.plausibility import (
     LEAST_FORCE,
     LEAST_MOMENT,
@@ -200,6 +201,7 @@ def build_objective(
     _usable_rows(samples, wrench_counts)
     require_units(samples, geometry, settings.leave_out)
     samples = _without_outliers(samples, geometry, settings.leave_out)
+    samples = smooth_poses(samples, settings.pose_smoothing)
     rows = _usable_rows(samples, wrench_counts)
     samples = samples[rows]
     require_load(samples, wrench_counts)

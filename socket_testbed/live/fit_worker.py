@@ -7,6 +7,7 @@ import os
 import signal
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
+from dataclasses import replace
 from functools import partial
 
 from socket_testbed.geometry.socket import SocketGeometry
@@ -87,6 +88,7 @@ def _fit(
     plateau: PlateauSettings | None,
     least_samples: int,
 ) -> Fit | None:
+    settings = replace(settings, pose_smoothing=0.0)  # live, every pose is predicted by itself
     if plateau is None:
         return fit_contact_model(samples, geometry, settings)
     plateaus = find_plateaus(samples, plateau)

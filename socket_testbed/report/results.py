@@ -29,6 +29,7 @@ from socket_testbed.identification.evaluation import (
 )
 from socket_testbed.identification.fit import Fit, Implausible, find_implausible, fit_contact_model
 from socket_testbed.identification.model_file import StoredModel
+from socket_testbed.identification.noise import smooth_poses
 from socket_testbed.identification.pareto import Front, pareto_front
 from socket_testbed.identification.plausibility import (
     find_outliers,
@@ -433,7 +434,8 @@ def _fit(
 
 def _judge(samples: Samples, segment: Segment, label: str, source: Fit | StoredModel) -> Candidate:
     model, leave_out = source.model, source.settings.leave_out
-    predicted = predict_channels(model, samples.pose, samples.clusters)
+    smooth = smooth_poses(samples, source.settings.pose_smoothing)
+    predicted = predict_channels(model, smooth.pose, samples.clusters)
     outside = np.ones(len(samples), dtype=bool)
     outside[segment.rows] = False
     held_out = evaluate_predictions(samples[outside], predicted[outside], leave_out)

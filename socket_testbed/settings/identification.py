@@ -45,6 +45,10 @@ class IdentificationSettings(Settings):
     leave_out: tuple[str, ...] = setting(
         (), "channels left out of the objective, such as distal.Fx or Mz [-]"
     )
+    pose_smoothing: float = setting(
+        0.0, "centred window of the mean pose in offline fits and evaluations; 0: none [s]",
+        0.0, 60.0,
+    )  # fmt: skip
     solver: str = setting("osqp", "any installed solver that qpsolvers supports [-]")
     solver_tolerance: float = setting(
         1e-8, "largest KKT residual that a solution may have, in scaled units [-]", 1e-12, 1e-2

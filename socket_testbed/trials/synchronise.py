@@ -27,8 +27,6 @@ from socket_testbed.calibration.drift import (
 )
 from socket_testbed.errors import ConfigurationError, TrialError
 from socket_testbed.geometry.pose import Pose
-from socket_testbed.identification.contact import ContactModel
-from socket_testbed.identification.evaluation import predict_channels
 from socket_testbed.samples import LOCAL_CHANNELS, Samples, Status, channel_unit
 from socket_testbed.trials.bag import RawMessage, decode, stamp_of
 from socket_testbed.trials.segment import Segment
@@ -315,7 +313,7 @@ def sample_table(
     measured: Measurements,
     samples: Samples,
     segment: Segment,
-    model: ContactModel | None = None,
+    predicted: FloatArray | None = None,
 ) -> pd.DataFrame:
     """The samples of a trial as a table, with what the clusters' forces were computed from.
 
@@ -324,16 +322,14 @@ def sample_table(
         measured: All that was measured.
         samples: All samples made of it.
         segment: Which of them are wanted.
-        model: A model whose predictions are added as `predicted.*`.
+        predicted: What a model predicts for all samples, added as `predicted.*`; see
+            `predict_channels`.
 
     Returns:
         A row per sample, with the units in the titles: stamp [ns], time since the trial's first
         sample [s], wrench and the limb's pose in {S}; for each cluster its capacitances by the
         converter's input [pF], its status (0 ok, 1 saturated, 2 missing, 3 out of the calibrated
         range), and its stress [Pa] and force [N] in its own frame. NaN where there is none.
-
-    Raises:
-        ConfigurationError: If the model lacks a cluster of the samples.
     """
     import pandas as pd
 
@@ -348,9 +344,8 @@ def sample_table(
         columns[f"{name}.status [-]"] = table[f"{name}.status [-]"]
         columns |= {f"{name}.{axis} [Pa]": stress[:, i] for i, axis in enumerate(STRESSES)}
         columns |= {title: table[title] for title in (f"{name}.{f} [N]" for f in LOCAL_CHANNELS)}
-    if model is not None:
-        predicted = predict_channels(model, samples.pose[segment.rows], samples.clusters)
-        for channel, values in zip(samples.channels, predicted.T, strict=True):
+    if predicted is not None:
+        for channel, values in zip(samples.channels, predicted[segment.rows].T, strict=True):
             columns[f"predicted.{channel} [{channel_unit(channel)}]"] = values
     return pd.DataFrame(columns)
 

@@ -27,6 +27,7 @@ from support.stacked import (
 
 from socket_testbed.identification.evaluation import evaluate
 from socket_testbed.identification.fit import fit_contact_model
+from socket_testbed.identification.noise import smooth_poses
 from socket_testbed.settings.identification import VARIANTS, IdentificationSettings
 
 
@@ -66,6 +67,20 @@ def test_the_fit_says_what_it_rests_on(variant):
         assert solution.certificate.worst <= settings.solver_tolerance
         assert solution.status in fit.status
     assert fit.model.stiffness.min() >= 0.0
+
+
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_the_fit_averages_the_poses_without_their_outliers(variant):
+    geometry, _, samples, settings = make_case(95, variant)
+    expected = fit_contact_model(smooth_poses(samples, 1.5), geometry, settings)
+    settings = dataclasses.replace(settings, pose_smoothing=1.5)
+    fit = fit_contact_model(samples, geometry, settings)
+    np.testing.assert_allclose(fit.model.stiffness, expected.model.stiffness)
+    assert fit.errors == expected.errors
+    samples.position[7] = 1e9
+    spoilt = fit_contact_model(samples, geometry, settings)
+    assert spoilt.samples == fit.samples - 1
+    assert np.abs(spoilt.model.rest_positions - fit.model.rest_positions).max() < 1e-3
 
 
 def test_the_fit_does_not_change_the_samples():

@@ -4,8 +4,15 @@ import dataclasses
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
-from socket_testbed.identification.noise import LEAST_DIFFERENCES, channel_noise, noise_groups
+from socket_testbed.identification.noise import (
+    LEAST_DIFFERENCES,
+    channel_noise,
+    noise_groups,
+    smooth_poses,
+    smoothing_gain,
+)
 from socket_testbed.samples import Samples, Status
 
 WRENCH_NOISE = np.array([0.01, 0.02, 0.03, 0.1, 0.2, 0.4])  # [N m, N]
@@ -137,3 +144,58 @@ def test_groups_have_the_units_of_their_names():
     np.testing.assert_allclose(groups["limb position [mm]"], 1e3 * POSE_NOISE[:3], rtol=WITHIN)
     np.testing.assert_allclose(groups["limb rotation [mrad]"], 1e3 * POSE_NOISE[3:], rtol=WITHIN)
     np.testing.assert_allclose(groups["distal [N]"], LOCAL_NOISE[1], rtol=WITHIN)
+
+
+def turned(samples: Samples, rotation: Rotation) -> Samples:
+    """The same motion seen from a limb's frame that is turned by a constant rotation."""
+    vectors = (rotation * Rotation.from_rotvec(samples.rotation)).as_rotvec()
+    return dataclasses.replace(samples, rotation=vectors)
+
+
+def test_smoothing_keeps_linear_motion_and_averages_the_noise():
+    rng = np.random.default_rng(90)
+    samples = noisy_samples(91)
+    drift = np.outer(samples.time, POSE_NOISE)
+    noise = POSE_NOISE * rng.normal(size=(800, 6))
+    still, steady = (
+        dataclasses.replace(samples, position=pose[:, :3], rotation=pose[:, 3:])
+        for pose in (noise, drift)
+    )
+    # Rotations about different axes do not add up exactly: (0.4 rad)^2 of some mrad.
+    np.testing.assert_allclose(smooth_poses(steady, 2.0).pose, drift, atol=2e-5)
+    ratio = smooth_poses(still, 2.0).pose.std(axis=0) / noise.std(axis=0)
+    np.testing.assert_allclose(ratio, 1.0 / 3.0, rtol=0.15)  # nine samples at 4 Hz
+    assert smoothing_gain(still, 2.0) == pytest.approx(1.0 / 9.0, rel=0.05)
+    assert smooth_poses(still, 0.0) is still and smoothing_gain(still, 0.0) == 1.0
+
+
+def test_smoothing_does_not_reach_across_a_gap_and_fills_nothing():
+    samples = noisy_samples(92, 40)
+    position = np.where(np.arange(40)[:, None] < 20, 0.0, 0.01) * np.ones(3)
+    position[30] = np.nan
+    stamps = samples.stamps + np.where(np.arange(40) < 20, 0, 2 * PERIOD)
+    smooth = smooth_poses(dataclasses.replace(samples, stamps=stamps, position=position), 4.0)
+    np.testing.assert_allclose(smooth.position, position, atol=1e-15)
+    assert np.isnan(smooth.rotation[30]).all() and np.isfinite(smooth.rotation[29]).all()
+    np.testing.assert_array_equal(smooth.wrench, samples.wrench)
+
+
+def test_smoothing_is_the_same_in_any_orientation_of_the_frames():
+    samples = noisy_samples(93, 100)
+    around = Rotation.from_rotvec([0.0, 0.0, np.pi])  # rotation vectors jump there
+    expected = turned(smooth_poses(samples, 2.0), around)
+    found = smooth_poses(turned(samples, around), 2.0)
+    difference = Rotation.from_rotvec(expected.rotation).inv() * Rotation.from_rotvec(
+        found.rotation
+    )
+    assert difference.magnitude().max() < 1e-12
+
+
+def test_smoothing_does_not_lag():
+    samples = noisy_samples(94, 60)
+    reverse = dataclasses.replace(
+        samples[::-1], stamps=samples.stamps[0] + samples.stamps[-1] - samples.stamps[::-1]
+    )
+    np.testing.assert_allclose(
+        smooth_poses(reverse, 1.5).pose, smooth_poses(samples, 1.5).pose[::-1], atol=1e-12
+    )

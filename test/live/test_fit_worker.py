@@ -1,3 +1,4 @@
+import dataclasses
 import os
 import signal
 from collections.abc import Iterator
@@ -36,6 +37,16 @@ def test_a_fit_is_the_same_in_a_process_of_its_own(worker: FitWorker, hold: Path
     steady = samples[find_plateaus(samples, PlateauSettings())[0].rows]
     here = fit_contact_model(steady, trial.geometry, SETTINGS)
     assert fit is not None and worker.ready
+    np.testing.assert_allclose(fit.model.stiffness, here.model.stiffness, rtol=1e-6, atol=1e-3)
+
+
+def test_live_fits_do_not_average_the_poses(worker: FitWorker, hold: Path) -> None:
+    trial = Trial(hold)
+    samples = read_samples(trial)
+    settings = dataclasses.replace(SETTINGS, pose_smoothing=2.0)
+    fit = worker.submit(samples, trial.geometry, settings, None, 50).result(TIMEOUT)
+    here = fit_contact_model(samples, trial.geometry, SETTINGS)
+    assert fit is not None and fit.settings.pose_smoothing == 0.0
     np.testing.assert_allclose(fit.model.stiffness, here.model.stiffness, rtol=1e-6, atol=1e-3)
 
 
