@@ -113,7 +113,8 @@ def select(trial: Trial, segment: str | Segment, settings: EstimatorSettings) ->
     """The segment of a trial that is given itself or by its specification."""
     if isinstance(segment, Segment):
         return segment
-    return segments.select_segment(trial.samples(), segment, settings.plateau)
+    leave_out = settings.identification.leave_out
+    return segments.select_segment(trial.samples(), segment, settings.plateau, leave_out)
 
 
 def simulate(

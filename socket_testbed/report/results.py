@@ -391,8 +391,8 @@ def compute_results(
         given.require_socket(trial.geometry)
     notes: list[str] = []
     samples = read_samples(replace(trial, notify=notes.append))
-    segment = select_segment(samples, specification, settings.plateau)
     leave_out = settings.identification.leave_out
+    segment = select_segment(samples, specification, settings.plateau, leave_out)
     sign = sign_note(samples[segment.rows], trial.geometry)
     outliers = find_outliers(samples, trial.geometry, leave_out)
     notes += [*outlier_notes(samples, outliers), *([sign] if sign else [])]
@@ -419,7 +419,7 @@ def compute_results(
         fronts=fronts,
         no_fronts=no_fronts,
         implausible=find_implausible(chosen, trial.geometry),
-        plateaus=tuple(find_plateaus(samples, settings.plateau)),
+        plateaus=tuple(find_plateaus(samples, settings.plateau, leave_out)),
         bag_notes=tuple(dict.fromkeys(notes)),
     )
 

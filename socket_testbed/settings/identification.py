@@ -72,6 +72,12 @@ class PlateauSettings(Settings):
     moment_drift: float = setting(
         1.0, "largest spread of the mean moment within a plateau [N m]", 0.01, 1e3
     )
+    cluster_change: float = setting(
+        3.0, "difference of the mean force on a cluster that counts as a change [N]", 0.01, 1e4
+    )
+    cluster_drift: float = setting(
+        5.0, "largest spread of the mean force on a cluster within a plateau [N]", 0.01, 1e4
+    )
     missing_fraction: float = setting(
         0.2, "largest fraction of missing channels within the moving window [-]", 0.0, 1.0
     )

@@ -38,13 +38,19 @@ class Segment:
         return f"Segment({self})"
 
 
-def select_segment(samples: Samples, specification: str, settings: PlateauSettings) -> Segment:
+def select_segment(
+    samples: Samples,
+    specification: str,
+    settings: PlateauSettings,
+    leave_out: tuple[str, ...] = (),
+) -> Segment:
     """Select a part of a trial.
 
     Args:
         samples: The samples of the trial.
         specification: `plateau`, `all`, or `T0:T1` in seconds since the first sample.
         settings: What counts as a plateau.
+        leave_out: Channels of clusters that do not count for a plateau.
 
     Raises:
         ConfigurationError: If the specification cannot be read.
@@ -55,7 +61,7 @@ def select_segment(samples: Samples, specification: str, settings: PlateauSettin
     if specification == "all":
         return _segment("all", samples, 0, len(samples))
     if specification == "plateau":
-        plateaus = find_plateaus(samples, settings)
+        plateaus = find_plateaus(samples, settings, leave_out)
         if not plateaus:
             raise TrialError(
                 f"no plateau of {settings.least_duration:g} s or more in the"
@@ -82,35 +88,91 @@ def _span(samples: Samples, specification: str) -> Segment:
     return _segment("span", samples, int(rows[0]), int(rows[-1]) + 1)
 
 
-def find_plateaus(samples: Samples, settings: PlateauSettings) -> list[Segment]:
+def find_plateaus(
+    samples: Samples, settings: PlateauSettings, leave_out: tuple[str, ...] = ()
+) -> list[Segment]:
     """Find the steady stretches of a trial, the longest first.
 
     The three criteria of the published study: no intended change of load (the means before and
     after a sample agree), a steady mean wrench (its spread over the stretch is small) and few
-    missing channels. A stretch without load is none, because it says nothing about the contact.
+    missing channels. Two are added: the force on every cluster is as steady, because a cluster
+    that slips or drifts is no longer described by the same offset; and the stretch is under load,
+    because one without load says nothing about the contact.
+
+    Args:
+        samples: The samples of the trial.
+        settings: What counts as a plateau.
+        leave_out: Channels of clusters that do not count, such as distal.Fz.
     """
-    if len(samples) < 3:
-        return []
+    steady = _steadiness(samples, settings, leave_out)
+    found = []
+    for start, end in steady.runs:
+        first, last = _longest_within(steady.mean[start:end], steady.limits)
+        found.append(_segment("plateau", samples, start + first, start + last))
+    lasting = [part for part in found if part.end - part.start >= settings.least_duration]
+    return sorted(lasting, key=lambda part: part.start - part.end)
+
+
+def find_newest_plateaus(
+    samples: Samples, settings: PlateauSettings, leave_out: tuple[str, ...] = ()
+) -> list[Segment]:
+    """Find the steady stretches of a trial that runs, the newest first.
+
+    The criteria are those of `find_plateaus`. Of a stretch that drifts, the newest part counts
+    rather than the longest.
+
+    Args:
+        samples: The samples of the trial so far.
+        settings: What counts as a plateau.
+        leave_out: Channels of clusters that do not count.
+    """
+    steady = _steadiness(samples, settings, leave_out)
+    found = []
+    for start, end in reversed(steady.runs):
+        backwards = steady.mean[start:end][::-1]
+        spread = np.maximum.accumulate(backwards) - np.minimum.accumulate(backwards)
+        count = int((spread <= steady.limits).all(axis=1).sum())  # it only grows
+        found.append(_segment("plateau", samples, end - count, end))
+    return [part for part in found if part.end - part.start >= settings.least_duration]
+
+
+@dataclass(frozen=True)
+class _Steadiness:
+    """Where samples are steady.
+
+    Attributes:
+        runs: Half-open index ranges without a change of load.
+        mean: Moving mean of the m channels that must not drift, shape (N, m) [N m, N].
+        limits: Largest spread of each over a plateau, shape (m,) [N m, N].
+    """
+
+    runs: list[tuple[int, int]]
+    mean: FloatArray
+    limits: FloatArray
+
+
+def _steadiness(
+    samples: Samples, settings: PlateauSettings, leave_out: tuple[str, ...]
+) -> _Steadiness:
+    local = samples.trusted_forces.reshape(len(samples), 3 * len(samples.clusters))
+    counts = np.array([name not in leave_out for name in samples.channels[6:]], dtype=bool)
+    limits = np.repeat(
+        [settings.moment_drift, settings.force_drift, settings.cluster_drift], [3, 3, counts.sum()]
+    )
     width = _width(samples, settings.smoothing)
     if 2 * width > len(samples):
-        return []
+        return _Steadiness([], np.empty((0, len(limits))), limits)
     # A channel without any value shows no change of load; it counts as missing.
     dead = np.isnan(samples.wrench).all(axis=0)
-    mean = moving_mean(np.where(dead, 0.0, samples.wrench), width)
-    steady = ~_load_changes(mean, width, settings)
+    wrench = moving_mean(np.where(dead, 0.0, samples.wrench), width)
+    clusters = _held(moving_mean(np.where(counts, local, 0.0), width))
+    steady = ~_load_changes(wrench, width, settings)
+    steady &= ~_cluster_changes(clusters, width, settings)
     channels = np.hstack([samples.position, samples.values])
     missing = np.isnan(channels).mean(axis=1, keepdims=True)
     steady &= moving_mean(missing, width)[:, 0] <= settings.missing_fraction
-    steady &= np.linalg.norm(mean[:, 3:], axis=1) >= settings.least_force
-
-    limits = np.repeat([settings.moment_drift, settings.force_drift], 3)
-    found = []
-    for start, end in _runs(steady):
-        first, last = _longest_within(mean[start:end], limits)
-        segment = _segment("plateau", samples, start + first, start + last)
-        if segment.end - segment.start >= settings.least_duration:
-            found.append(segment)
-    return sorted(found, key=lambda segment: segment.start - segment.end)
+    steady &= np.linalg.norm(wrench[:, 3:], axis=1) >= settings.least_force
+    return _Steadiness(_runs(steady), np.hstack([wrench, clusters[:, counts]]), limits)
 
 
 def moving_mean(values: FloatArray, width: int) -> FloatArray:
@@ -129,18 +191,41 @@ def moving_mean(values: FloatArray, width: int) -> FloatArray:
 
 
 def _width(samples: Samples, duration: float) -> int:
+    """Number of samples that last so long [s], three at least."""
+    if len(samples) < 3:
+        return 3
     period = float(np.median(np.diff(samples.stamps))) * 1e-9
     return max(3, round(duration / period))
 
 
-def _load_changes(mean: FloatArray, width: int, settings: PlateauSettings) -> BoolArray:
-    """Samples whose wrench before and after differ, shape (N,); and samples without a value."""
+def _held(values: FloatArray) -> FloatArray:
+    """The values of each column; over a gap the last one before it, at the start the first one."""
+    known = np.isfinite(values)
+    last = np.maximum.accumulate(np.where(known, np.arange(len(values))[:, None], 0), axis=0)
+    first = values[known.argmax(axis=0), np.arange(values.shape[1])]
+    held = np.take_along_axis(values, last, axis=0)
+    return np.nan_to_num(np.where(np.isfinite(held), held, first))
+
+
+def _differences(mean: FloatArray, width: int) -> FloatArray:
+    """Means after a sample less those before it, of the same shape."""
     before = mean[np.maximum(np.arange(len(mean)) - (width + 1) // 2, 0)]
     after = mean[np.minimum(np.arange(len(mean)) + (width + 1) // 2, len(mean) - 1)]
-    change = after - before
+    return np.asarray(after - before)
+
+
+def _load_changes(mean: FloatArray, width: int, settings: PlateauSettings) -> BoolArray:
+    """Samples whose wrench before and after differ, shape (N,); and samples without a value."""
+    change = _differences(mean, width)
     moment = np.linalg.norm(change[:, :3], axis=1)
     force = np.linalg.norm(change[:, 3:], axis=1)
     return ~((moment <= settings.moment_change) & (force <= settings.force_change))
+
+
+def _cluster_changes(mean: FloatArray, width: int, settings: PlateauSettings) -> BoolArray:
+    """Samples whose force on a cluster before and after differs, shape (N,)."""
+    change = _differences(mean, width).reshape(len(mean), -1, 3)
+    return np.asarray((np.linalg.norm(change, axis=2) > settings.cluster_change).any(axis=1))
 
 
 def _runs(flags: BoolArray) -> list[tuple[int, int]]:

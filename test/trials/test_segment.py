@@ -6,7 +6,12 @@ import pytest
 from socket_testbed.errors import ConfigurationError, TrialError
 from socket_testbed.samples import Samples
 from socket_testbed.settings.identification import PlateauSettings
-from socket_testbed.trials.segment import find_plateaus, moving_mean, select_segment
+from socket_testbed.trials.segment import (
+    find_newest_plateaus,
+    find_plateaus,
+    moving_mean,
+    select_segment,
+)
 
 RATE = 4.0
 
@@ -108,3 +113,59 @@ def test_the_moving_mean_passes_over_nan_and_keeps_constants() -> None:
     mean = moving_mean(values, 7)
     assert np.allclose(mean[:, 0], 3.0)
     assert np.isnan(mean[30, 1]) and mean[0, 1] == pytest.approx(3.0)
+
+
+# --- changes of a cluster, and the newest stretch
+
+
+def with_cluster(samples: Samples, force: np.ndarray) -> Samples:
+    """The samples with this normal force on their cluster, shape (N,) [N]."""
+    local = np.zeros((len(samples), 1, 3))
+    local[:, 0, 2] = -force
+    return dataclasses.replace(samples, local_forces=local)
+
+
+@pytest.mark.parametrize("missing", [0, 16])
+def test_a_step_of_a_cluster_ends_a_plateau(missing: int) -> None:
+    force = seconds((30, 10), (50, 18))
+    samples = with_cluster(samples_of_force(seconds((80, 280))), force)
+    samples.local_forces[120 : 120 + missing] = np.nan  # a gap hides no step
+    settings = dataclasses.replace(PlateauSettings(), missing_fraction=0.5)
+    longest, other = find_plateaus(samples, settings)
+    assert longest.start >= 29.0 and other.end <= 31.0 + missing / RATE
+    (left_out,) = find_plateaus(samples, settings, leave_out=("a.Fz",))
+    assert left_out.end - left_out.start > 75.0
+
+
+def test_a_drift_of_a_cluster_is_cut_where_it_exceeds_the_limit() -> None:
+    force = 10 + 0.2 * np.arange(0, 100, 1 / RATE)  # 20 N in 100 s
+    settings = PlateauSettings()
+    plateaus = find_plateaus(with_cluster(samples_of_force(seconds((100, 280))), force), settings)
+    for segment in plateaus:
+        assert np.ptp(force[segment.rows]) <= settings.cluster_drift + 0.5
+    assert plateaus
+
+
+def test_a_cluster_out_of_its_range_or_dead_ends_no_plateau() -> None:
+    samples = with_cluster(samples_of_force(seconds((80, 280))), seconds((40, 0), (40, 50)))
+    samples.status[160:] = 3
+    assert find_plateaus(samples, PlateauSettings())[0].end > 75.0
+    samples.local_forces[:] = np.nan
+    lenient = dataclasses.replace(PlateauSettings(), missing_fraction=0.5)
+    assert find_plateaus(samples, lenient)[0].end > 75.0
+
+
+def test_the_newest_stretches_come_first_and_end_at_their_newest_sample() -> None:
+    samples = samples_of_force(seconds((60, 280), (20, 90)))
+    newest, older = find_newest_plateaus(samples, PlateauSettings())
+    assert newest.start >= 59.0 and newest.end == samples.time[-1]
+    assert older.end - older.start > 55.0
+
+
+def test_of_a_drift_the_newest_part_counts() -> None:
+    drift = seconds((60, 200)) + np.maximum(0.0, np.arange(0, 60, 1 / RATE) - 30.0)  # [N]
+    samples = samples_of_force(drift)
+    longest = find_plateaus(samples, PlateauSettings())[0]
+    (newest,) = find_newest_plateaus(samples, PlateauSettings())
+    assert longest.end < 45.0 and newest.end == samples.time[-1]
+    assert np.ptp(drift[newest.rows]) <= PlateauSettings().force_drift + 2.0
