@@ -21,7 +21,7 @@ from socket_testbed.trials.segment import Segment
 from socket_testbed.trials.trial import Trial
 
 if TYPE_CHECKING:
-    from socket_testbed.simulation.limb import Scenario
+    from socket_testbed.simulation.limb import Scenario, TissueKind
 
 PathLike: TypeAlias = str | os.PathLike[str]
 Progress: TypeAlias = Callable[[str], Callable[[int, int], None]]
@@ -121,6 +121,7 @@ def simulate(
     path: PathLike,
     scenario: Scenario = "static_hold",
     *,
+    tissue: TissueKind = "soft",
     duration: float = 120.0,
     rate: float = 4.0,
     seed: int = 0,
@@ -136,6 +137,7 @@ def simulate(
     Args:
         path: Folder of the new trial.
         scenario: The load history: `static_hold`, `ramp` or `multi_direction`.
+        tissue: The limb's tissue: `soft` like the published experiment's silicone, or `stiff`.
         duration: Duration [s].
         rate: Rate of the trigger [Hz].
         seed: Seed of the random numbers.
@@ -144,20 +146,22 @@ def simulate(
         progress: See `Progress`.
 
     Raises:
-        ConfigurationError: If the folder exists or cannot be written, the scenario is unknown, or a
-            number is out of range.
+        ConfigurationError: If the folder exists or cannot be written, the scenario or the tissue is
+            unknown, or a number is out of range.
         CalibrationError: If the calibration lacks a cluster of the socket.
 
     >>> st.simulate("trials/short", "ramp", duration=30, seed=1)
     Trial('trials/short')
     """
-    from socket_testbed.simulation.limb import SCENARIOS
+    from socket_testbed.simulation.limb import SCENARIOS, TISSUES
     from socket_testbed.simulation.trial import simulate as simulate_trial
     from socket_testbed.simulation.trial import write_simulated_trial
 
     folder, socket_file, calibration_file = Path(path), as_path(geometry), as_path(calibration)
     if scenario not in SCENARIOS:
         raise ConfigurationError(f"unknown scenario '{scenario}'", closest(scenario, SCENARIOS))
+    if tissue not in TISSUES:
+        raise ConfigurationError(f"unknown tissue '{tissue}'", closest(tissue, TISSUES))
     check_number(duration, "--duration", 1.0, 36000.0)
     check_number(rate, "--rate", 0.1, 1000.0)
     check_number(seed, "--seed", 0)
@@ -171,6 +175,7 @@ def simulate(
         rate,
         seed,
         progress=started(progress, "simulating"),
+        tissue=tissue,
     )
     write_simulated_trial(simulated, folder, socket_file, calibration_file)
     return open_trial(folder)

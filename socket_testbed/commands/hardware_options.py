@@ -11,7 +11,7 @@ from socket_testbed.files import check_number, closest, packaged
 from socket_testbed.geometry.socket import read_socket
 from socket_testbed.live.bringup import Simulation, Testbed
 from socket_testbed.settings.testbed import TestbedSettings, read_testbed
-from socket_testbed.simulation.limb import SCENARIOS
+from socket_testbed.simulation.limb import SCENARIOS, TISSUES
 from socket_testbed.simulation.world import FAULTS
 
 
@@ -24,6 +24,9 @@ def add_simulation(parser: argparse.ArgumentParser) -> argparse._ArgumentGroup:
     )
     group.add_argument(
         "--period", type=float, default=120.0, metavar="S", help="of the scenario (default: 120 s)"
+    )
+    group.add_argument(
+        "--tissue", choices=TISSUES, default="soft", help="of the limb (default: soft)"
     )
     group.add_argument("--seed", type=int, default=0, help="seed of all that is random")
     group.add_argument(
@@ -42,7 +45,9 @@ def simulation_of(options: argparse.Namespace) -> tuple[Simulation | None, dict[
         return None, {}
     check_number(options.period, "--period", 5.0, 3600.0)
     check_number(options.seed, "--seed", 0)
-    return Simulation(options.scenario, options.period, options.seed), faults
+    return Simulation(
+        options.scenario, options.period, options.seed, tissue=options.tissue
+    ), faults
 
 
 def _fault(text: str) -> tuple[str, float]:

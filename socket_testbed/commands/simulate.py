@@ -7,7 +7,7 @@ from pathlib import Path
 
 from socket_testbed import api
 from socket_testbed.commands.text import Progress
-from socket_testbed.simulation.limb import SCENARIOS
+from socket_testbed.simulation.limb import SCENARIOS, TISSUES
 from socket_testbed.simulation.trial import TRUTH_FILE, read_truth
 
 
@@ -21,6 +21,12 @@ def configure(parser: argparse.ArgumentParser) -> None:
         choices=SCENARIOS,
         default="static_hold",
         help="load history (default: static_hold)",
+    )
+    parser.add_argument(
+        "--tissue",
+        choices=TISSUES,
+        default="soft",
+        help="of the limb: soft silicone as published, or stiff (default: soft)",
     )
     parser.add_argument("--seed", type=int, default=0, help="seed of all that is random")
     parser.add_argument(
@@ -41,6 +47,7 @@ def run(options: argparse.Namespace) -> None:
     trial = api.simulate(
         options.output,
         options.scenario,
+        tissue=options.tissue,
         duration=options.duration,
         rate=options.rate,
         seed=options.seed,
@@ -50,7 +57,7 @@ def run(options: argparse.Namespace) -> None:
     )
     geometry = trial.geometry
     print(
-        f"{options.output}: {options.scenario}, {len(read_truth(trial.path).wrench)} triggers at"
+        f"{options.output}: {options.scenario}, {options.tissue} tissue, {len(read_truth(trial.path).wrench)} triggers at"
         f" {options.rate:g} Hz, {len(geometry)} tiles, {len(geometry.clusters)} clusters,"
         f" seed {options.seed}; truth in {options.output / TRUTH_FILE}"
     )

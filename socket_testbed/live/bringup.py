@@ -32,7 +32,7 @@ from socket_testbed.settings.testbed import (
     read_testbed,
     write_testbed,
 )
-from socket_testbed.simulation.limb import Scenario
+from socket_testbed.simulation.limb import Scenario, TissueKind
 from socket_testbed.simulation.trial import TRUTH_FILE
 from socket_testbed.simulation.world import World
 from socket_testbed.trials.synchronise import check_trial, read_samples
@@ -54,6 +54,7 @@ class Simulation:
         pace: How much faster the load changes than in the scenario [-].
         sway: How far the stand sways in the world [m].
         time_scale: Testbed seconds per real second, in (0, 1] [-].
+        tissue: Kind of the limb's tissue.
     """
 
     scenario: Scenario = "static_hold"
@@ -62,6 +63,7 @@ class Simulation:
     pace: float = 1.0
     sway: float = 0.0
     time_scale: float = 1.0
+    tissue: TissueKind = "soft"
 
 
 @dataclass(frozen=True)
@@ -224,6 +226,7 @@ def simulate_hardware(
     folder = graph.folder
     world = World(folder, create=True)
     arguments = [str(folder), "--scenario", simulation.scenario]
+    arguments += ["--tissue", simulation.tissue]
     arguments += ["--duration", str(simulation.period), "--seed", str(simulation.seed)]
     arguments += ["--pace", str(simulation.pace), "--sway", str(simulation.sway)]
     arguments += ["--geometry", str(testbed.geometry), "--calibration", str(testbed.calibration)]

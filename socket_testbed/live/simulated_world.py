@@ -22,7 +22,14 @@ from socket_testbed.clocks import SteadyClock
 from socket_testbed.geometry.socket import SocketGeometry, read_socket
 from socket_testbed.live.processes import end_with_starter
 from socket_testbed.simulation.devices.natnet_server import NatNetServer
-from socket_testbed.simulation.limb import SCENARIOS, LoadedLimb, Scenario, load_history
+from socket_testbed.simulation.limb import (
+    SCENARIOS,
+    TISSUES,
+    LoadedLimb,
+    Scenario,
+    TissueKind,
+    load_history,
+)
 from socket_testbed.simulation.sensors import (
     ClusterSensor,
     MarkerBodies,
@@ -52,6 +59,7 @@ class LiveTestbed:
         pace: How much faster the load changes than in the scenario [-].
         sway: How far the stand sways in the world [m].
         errors: Sizes of the sensors' errors.
+        tissue: Kind of the limb's tissue, see `simulation.limb.make_tissue`.
     """
 
     def __init__(
@@ -65,6 +73,7 @@ class LiveTestbed:
         pace: float,
         sway: float,
         errors: SensorErrors,
+        tissue: TissueKind,
     ) -> None:
         calibration.require(geometry.clusters, "the socket")
         tissue_rng, load_rng, cell_rng, cluster_rng, marker_rng = random_streams(seed)
@@ -73,7 +82,7 @@ class LiveTestbed:
         self._times = np.arange(0.0, duration, _PERIOD)
         self._loads = load_history(scenario, pace * self._times, load_rng)
         self._sway = sway
-        self._limb = LoadedLimb(geometry, self._loads[0], tissue_rng)
+        self._limb = LoadedLimb(geometry, self._loads[0], tissue_rng, tissue)
         self._offset = wrench_offset(errors, cell_rng)
         self._sensors = {
             name: ClusterSensor(calibration.clusters[name], errors, cluster_rng)
@@ -145,6 +154,7 @@ def main() -> None:
     parser.add_argument("--geometry", type=Path, required=True)
     parser.add_argument("--calibration", type=Path, required=True)
     parser.add_argument("--scenario", choices=SCENARIOS, required=True)
+    parser.add_argument("--tissue", choices=TISSUES, required=True)
     parser.add_argument("--duration", type=float, required=True, help="of the scenario [s]")
     parser.add_argument("--seed", type=int, required=True)
     parser.add_argument("--pace", type=float, required=True, help="of the load, relative [-]")
@@ -169,6 +179,7 @@ def main() -> None:
         options.pace,
         options.sway,
         errors,
+        options.tissue,
     )
 
     def bodies(moment: float) -> list[tuple[str, FloatArray, FloatArray, FloatArray]]:

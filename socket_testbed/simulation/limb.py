@@ -20,6 +20,8 @@ from socket_testbed.geometry.socket import SocketGeometry
 
 Scenario = Literal["static_hold", "ramp", "multi_direction"]
 SCENARIOS: tuple[Scenario, ...] = get_args(Scenario)
+TissueKind = Literal["soft", "stiff"]
+TISSUES: tuple[TissueKind, ...] = get_args(TissueKind)
 
 _GRAVITY = 9.81  # [m/s^2]
 _PYLON_MASS = 9.3  # [kg]; as published
@@ -126,13 +128,59 @@ class Tissue:
     creep_time: float
 
 
-def make_tissue(geometry: SocketGeometry, rng: np.random.Generator) -> Tissue:
+@dataclass(frozen=True)
+class _Stiffness:
+    """What the kinds of tissue differ in, see `Tissue`: means and spreads over the surface."""
+
+    modulus: float
+    shear_modulus: float
+    variation: float
+    stiffening: float
+    fit: float
+    fit_spread: float
+
+
+_STIFFNESS: dict[TissueKind, _Stiffness] = {
+    "soft": _Stiffness(1.5e6, 2.7e5, 0.25, 0.015, 0.002, 0.001),
+    "stiff": _Stiffness(6.0e6, 2.7e6, 0.45, 0.004, 0.0008, 0.0006),
+}
+
+
+def make_tissue(
+    geometry: SocketGeometry, rng: np.random.Generator, kind: TissueKind = "soft"
+) -> Tissue:
     """Tissue with properties that vary smoothly over a socket's surface.
+
+    The `soft` tissue is the published experiment's cast silicone around a rigid bone:
+
+    - Silicone of Shore 00-30 bears 69 kPa at 100 % elongation (data sheet of Ecoflex 00-30,
+      Smooth-On: 10 psi). A neo-Hookean solid bears G (l - 1 / l^2) at the stretch l, 1.75 G at 2,
+      so G is 39 kPa up to there; small strains show less, E = 3 G = 70 to 80 kPa. Here E = 75 kPa,
+      G = 25 kPa, incompressible.
+    - The limb is a cylinder of radius b = 54 mm, the mean of the package's socket, around a bone
+      of radius a = 10 mm.
+    - Axial load shears the silicone between bone and socket: per surface, G / (b ln(b / a))
+      = 0.27 MPa/m (Adkins and Gent, Br. J. Appl. Phys. 5 (1954) 354).
+    - Across the axis the silicone flows around the bone. In plane strain with a wall that it slides
+      on (a sock), the creeping-flow stream function (A r^3 + B r + C / r + D r ln r) sin(theta)
+      gives the stiffness K = 4 pi G D of a unit length, and a bed of springs of modulus m has
+      pi b m: m = 1.5 MPa/m. Bonded to both, it would be 2.4 (long) or 1.1 MPa/m (short) in all
+      (Horton, Gover and Tupholme, Rubber Chem. Technol. 73 (2000) 253).
+    - The true stress of the neo-Hookean layer of 44 mm has a tangent that grows by
+      (1 + 2 / l^3) / 3, to 1.9 times at 25 % compression: e times over 15 mm of compression.
+    - The layer is not equally thick, so the moduli vary by a quarter over the surface. Donning
+      compresses it by 2 mm, give or take 1 mm.
+
+    Under the published load it settles 7 mm (5 to 10 mm, by seed); measured were about 8 mm.
+
+    The `stiff` tissue is a thin, firm layer: four times the normal and ten times the shear modulus.
 
     Args:
         geometry: Geometry of the socket.
         rng: Source of the variation.
+        kind: The published silicone, or a firmer tissue.
     """
+    stiffness = _STIFFNESS[kind]
     edges = np.sqrt(geometry.areas)
     offsets = (np.arange(_GRID) + 0.5) / _GRID - 0.5
     grid = np.array([[x, y, 0.0] for x in offsets for y in offsets])
@@ -150,7 +198,7 @@ def make_tissue(geometry: SocketGeometry, rng: np.random.Generator) -> Tissue:
     points = np.vstack([on_tiles.reshape(-1, 3), between])
     tile = np.full(len(points), -1)
     tile[:count] = np.repeat(np.arange(len(geometry)), _GRID**2)
-    modulus = 6.0e6 * np.exp(0.45 * _smooth_field(points, rng))
+    variation = np.exp(stiffness.variation * _smooth_field(points, rng))
     return Tissue(
         points=points,
         normals=np.vstack([np.repeat(normals, _GRID**2, axis=0), between_normals]),
@@ -158,11 +206,11 @@ def make_tissue(geometry: SocketGeometry, rng: np.random.Generator) -> Tissue:
             [np.repeat(geometry.areas / _GRID**2, _GRID**2), np.full(len(a), gap_area)]
         ),
         tile=tile,
-        modulus=modulus,
-        stiffening=0.004,
-        shear_modulus=0.45 * modulus,
+        modulus=stiffness.modulus * variation,
+        stiffening=stiffness.stiffening,
+        shear_modulus=stiffness.shear_modulus * variation,
         friction=0.5,
-        fit=0.0008 + 0.0006 * _smooth_field(points, rng),
+        fit=stiffness.fit + stiffness.fit_spread * _smooth_field(points, rng),
         creep=0.18,
         creep_time=35.0,
     )
@@ -270,6 +318,7 @@ class LoadedLimb:
         geometry: Geometry of the socket.
         load: The first load [M; F], shape (6,) [N m, N].
         rng: Source of the tissue's variation.
+        kind: Kind of the tissue.
 
     Attributes:
         position: Limb position q in {S}, shape (3,) [m].
@@ -277,9 +326,13 @@ class LoadedLimb:
     """
 
     def __init__(
-        self, geometry: SocketGeometry, load: FloatArray, rng: np.random.Generator
+        self,
+        geometry: SocketGeometry,
+        load: FloatArray,
+        rng: np.random.Generator,
+        kind: TissueKind = "soft",
     ) -> None:
-        tissue = make_tissue(geometry, rng)
+        tissue = make_tissue(geometry, rng, kind)
         self._centre = geometry.anchors.mean(axis=0)
         self._limb = LimbInSocket(tissue, self._centre)
         self._covered = tissue.tile >= 0

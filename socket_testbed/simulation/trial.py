@@ -19,7 +19,7 @@ from socket_testbed.geometry.marker_bodies import fit_triad
 from socket_testbed.geometry.pose import Pose
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.samples import Status
-from socket_testbed.simulation.limb import LoadedLimb, Scenario, load_history
+from socket_testbed.simulation.limb import LoadedLimb, Scenario, TissueKind, load_history
 from socket_testbed.simulation.sensors import (
     ClusterSensor,
     MarkerBodies,
@@ -118,6 +118,7 @@ def simulate(
     seed: int,
     errors: SensorErrors | None = None,
     progress: Progress | None = None,
+    tissue: TissueKind = "soft",
 ) -> SimulatedTrial:
     """Simulate a trial.
 
@@ -130,6 +131,7 @@ def simulate(
         seed: Seed of everything that is random.
         errors: Sizes of the sensors' errors; None for the usual ones.
         progress: Called with the steps done and their number.
+        tissue: Kind of the limb's tissue, see `make_tissue`.
 
     Raises:
         CalibrationError: If the calibration lacks a cluster of the socket.
@@ -140,7 +142,7 @@ def simulate(
     count = max(2, round(duration * rate))
     time = np.arange(count) / rate
     load = load_history(scenario, time, load_rng)
-    limb = LoadedLimb(geometry, load[0], tissue_rng)
+    limb = LoadedLimb(geometry, load[0], tissue_rng, tissue)
     forces = np.zeros((count, len(geometry), 3))
     position, rotation = np.zeros((2, count, 3))
     for k, wrench in enumerate(load):

@@ -10,8 +10,10 @@ from socket_testbed.files import packaged
 from socket_testbed.geometry.socket import read_socket, write_socket
 from socket_testbed.simulation.limb import (
     SCENARIOS,
+    TISSUES,
     EquilibriumError,
     LimbInSocket,
+    LoadedLimb,
     load_history,
     make_tissue,
 )
@@ -103,6 +105,84 @@ def test_a_held_load_creeps_and_loading_is_not_retraced(geometry) -> None:
     for share in (1.2, 1.4, 1.2, 1.0):
         limb.step(share * load, 1e-6)
     assert np.linalg.norm(limb.displacement[:3] - before[:3]) > 1e-6
+
+
+def follow(geometry, scenario, seed: int, tissue, rate: float = 1.0) -> tuple[np.ndarray, ...]:
+    """Times [s], positions [mm] and rotations [mrad] of a limb in 120 s of a scenario."""
+    rng = np.random.default_rng(seed)
+    time = np.arange(0.0, 120.0, 1.0 / rate)
+    load = load_history(scenario, time, rng)
+    limb = LoadedLimb(geometry, load[0], rng, tissue)
+    moved = []
+    for wrench in load:
+        limb.step(wrench, 1.0 / rate)
+        moved.append(np.concatenate([limb.position, limb.rotation]))
+    return time, *np.hsplit(1e3 * np.array(moved), 2)
+
+
+def silicone_around_a_bone() -> tuple[float, float]:
+    """Moduli of a bed of springs [Pa/m] that an incompressible cylinder around a bone acts like.
+
+    Across: plane strain, the bone moved by 1, the silicone slides on the wall. Along: pure shear.
+    """
+    shear, bone, wall = 75e3 / 3.0, 0.010, 0.054
+
+    def radial(r: float) -> list[float]:
+        return [r**2, 1.0, r**-2, np.log(r)]
+
+    def around(r: float) -> list[float]:
+        return [3.0 * r**2, 1.0, -(r**-2), np.log(r) + 1.0]
+
+    def shear_strain(r: float) -> list[float]:
+        slope = [6.0 * r, 0.0, 2.0 * r**-3, 1.0 / r]
+        return [s - (g - f) / r for s, g, f in zip(slope, around(r), radial(r), strict=True)]
+
+    conditions = [radial(bone), around(bone), radial(wall), shear_strain(wall)]
+    stiffness = 4.0 * np.pi * shear * abs(np.linalg.solve(conditions, [1.0, 1.0, 0.0, 0.0])[3])
+    return stiffness / (np.pi * wall), shear / (wall * np.log(wall / bone))
+
+
+def test_the_soft_tissue_is_the_published_silicone(geometry) -> None:
+    across, along = silicone_around_a_bone()
+    tissues = [make_tissue(geometry, np.random.default_rng(seed), "soft") for seed in range(20)]
+    assert np.median([t.modulus for t in tissues]) == pytest.approx(across, rel=0.05)
+    assert np.median([t.shear_modulus for t in tissues]) == pytest.approx(along, rel=0.05)
+    centre = geometry.anchors.mean(axis=0)
+    sides = np.abs(geometry.rotations[:, 2, 2]) < 0.3
+    radius = np.linalg.norm((geometry.anchors - centre)[sides, :2], axis=1).mean()
+    assert radius == pytest.approx(0.054, rel=0.02)
+
+
+@pytest.mark.parametrize(("tissue", "least", "most"), [("soft", 6.0, 9.0), ("stiff", 0.6, 1.4)])
+def test_the_limb_settles_under_the_paper_s_load(geometry, tissue, least, most) -> None:
+    settled = []
+    for seed in range(7):
+        time, position, _ = follow(geometry, "static_hold", seed, tissue, rate=0.5)
+        before, held = (time > 5) & (time < 15), (time > 60) & (time < 95)
+        settled.append(position[before].mean(axis=0) - position[held].mean(axis=0))
+    down = np.array(settled)[:, 2]
+    assert least < np.median(down) < most
+    assert 0.6 * least < down.min() and down.max() < 1.4 * most
+    assert np.abs(np.array(settled)[:, :2]).max() < 0.15 * most
+
+
+def test_the_soft_limb_answers_pushes_by_turning(geometry) -> None:
+    time, position, rotation = follow(geometry, "multi_direction", 0, "soft")
+    pushed = (time > 10) & (time < 110)
+    assert 20.0 < np.ptp(rotation[pushed, :2], axis=0).max() < 100.0
+    assert np.ptp(position[pushed, :2], axis=0).max() < 1.5
+
+
+@pytest.mark.parametrize("tissue", TISSUES)
+@pytest.mark.parametrize("scenario", SCENARIOS)
+@pytest.mark.parametrize("rate", [0.5, 10.0])
+def test_the_limb_is_held_however_long_the_steps(geometry, scenario, tissue, rate) -> None:
+    rng = np.random.default_rng(7)
+    load = load_history(scenario, np.arange(0.0, 20.0, 1.0 / rate), rng)
+    limb = LoadedLimb(geometry, load[0], rng, tissue)
+    for wrench in load:
+        carried = limb.step(wrench, 1.0 / rate).sum(axis=0)
+    assert carried[2] < 0.6 * load[-1, 5]  # what the tiles carry, without what is between them
 
 
 def test_a_load_that_pulls_the_limb_out_is_refused(geometry) -> None:
