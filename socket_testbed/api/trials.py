@@ -136,7 +136,7 @@ def simulate(
 
     Args:
         path: Folder of the new trial.
-        scenario: The load history: `static_hold`, `ramp` or `multi_direction`.
+        scenario: The load history: `static_hold`, `ramp`, `multi_direction` or `protocol`.
         tissue: The limb's tissue: `soft` like the published experiment's silicone, or `stiff`.
         duration: Duration [s].
         rate: Rate of the trigger [Hz].

@@ -45,9 +45,7 @@ def simulation_of(options: argparse.Namespace) -> tuple[Simulation | None, dict[
         return None, {}
     check_number(options.period, "--period", 5.0, 3600.0)
     check_number(options.seed, "--seed", 0)
-    return Simulation(
-        options.scenario, options.period, options.seed, tissue=options.tissue
-    ), faults
+    return Simulation(options.scenario, options.period, options.seed, tissue=options.tissue), faults
 
 
 def _fault(text: str) -> tuple[str, float]:

@@ -57,7 +57,8 @@ def run(options: argparse.Namespace) -> None:
     )
     geometry = trial.geometry
     print(
-        f"{options.output}: {options.scenario}, {options.tissue} tissue, {len(read_truth(trial.path).wrench)} triggers at"
-        f" {options.rate:g} Hz, {len(geometry)} tiles, {len(geometry.clusters)} clusters,"
+        f"{options.output}: {options.scenario}, {options.tissue} tissue,"
+        f" {len(read_truth(trial.path).wrench)} triggers at {options.rate:g} Hz,"
+        f" {len(geometry)} tiles, {len(geometry.clusters)} clusters,"
         f" seed {options.seed}; truth in {options.output / TRUTH_FILE}"
     )

@@ -18,7 +18,7 @@ from socket_testbed.arrays import FloatArray, IntArray
 from socket_testbed.errors import TestbedError
 from socket_testbed.geometry.socket import SocketGeometry
 
-Scenario = Literal["static_hold", "ramp", "multi_direction"]
+Scenario = Literal["static_hold", "ramp", "multi_direction", "protocol"]
 SCENARIOS: tuple[Scenario, ...] = get_args(Scenario)
 TissueKind = Literal["soft", "stiff"]
 TISSUES: tuple[TissueKind, ...] = get_args(TissueKind)
@@ -31,6 +31,12 @@ _ADDED_POINT = np.array([0.010, 0.007, 0.50])  # [m]; where the mass is placed
 _PLACING = 2.0  # [s]; to place or remove the mass
 _SWAY_FORCE = 0.4  # [N]
 _SWAY_TIME = 0.6  # [s]
+_PUSH = 35.0  # [N]; of the hands, largest
+_PUSH_HEIGHT, _PUSH_TRAVEL = 0.35, 0.15  # [m]; above the load cell, and up and down from there
+_LEAN = _ADDED_MASS * _GRAVITY  # [N]; of the hands on the pylon, largest
+_LEAN_ARM = 0.03  # [m]; of the leaning about the axis
+_TWIST = 1.5  # [N m]; of the hands about the axis, largest
+_HAND_PERIODS = np.array([11.0, 23.0, 7.3, 17.0, 9.1, 13.0])  # [s]
 _GRID = 3  # points along the edge of a tile
 _GAP_AREA = 0.25  # [-]; area between the tiles, relative to that of the tiles
 _LENGTH = 0.1  # [m]; turns rotations into lengths for the solver
@@ -43,22 +49,28 @@ def load_history(scenario: Scenario, time: FloatArray, rng: np.random.Generator)
 
     - `static_hold`: the pylon alone, the mass placed, held, removed, as published;
     - `ramp`: the mass put on and taken off slowly, again and again;
-    - `multi_direction`: the mass on, and pushed around from all sides.
+    - `multi_direction`: the mass on, and pushed around from all sides;
+    - `protocol`: pushed, leaned on and twisted for the first half, then the hold, then the pylon
+      alone: the protocol that `docs/protocol.md` recommends.
 
     Args:
         scenario: Which history.
         time: Times since the start, shape (N,) [s].
-        rng: Source of the sway of pylon and mass.
+        rng: Source of the sway of pylon and mass, and of how the hands move.
 
     Returns:
         Wrenches [M; F], shape (N, 6) [N m, N].
     """
     duration = float(time[-1]) if len(time) else 0.0
     added = np.zeros((len(time), 3))
+    hands = np.zeros((len(time), 6))
     if scenario == "static_hold":
         share = _trapezoid(time, 0.15 * duration, 0.85 * duration)
     elif scenario == "ramp":
         share = 0.5 - 0.5 * np.cos(2.0 * np.pi * time / min(30.0, max(duration, 1e-9)))
+    elif scenario == "protocol":
+        share = _trapezoid(time, 0.52 * duration, 0.9 * duration)
+        hands += _trapezoid(time, 0.04 * duration, 0.5 * duration)[:, None] * _hands(time, rng)
     else:
         share = _trapezoid(time, 0.05 * duration, 0.95 * duration)
         around, up = 2.0 * np.pi * time / 11.0, 2.0 * np.pi * time / 17.0
@@ -71,7 +83,26 @@ def load_history(scenario: Scenario, time: FloatArray, rng: np.random.Generator)
 
     pylon = np.tile([0.0, 0.0, -_PYLON_MASS * _GRAVITY], (len(time), 1))
     moment = np.cross(_PYLON_POINT, pylon) + np.cross(_ADDED_POINT, added)
-    return np.hstack([moment, pylon + added])
+    return np.hstack([moment, pylon + added]) + hands
+
+
+def _hands(time: FloatArray, rng: np.random.Generator) -> FloatArray:
+    """Wrench of hands that push, lean and twist, [M; F], shape (N, 6) [N m, N].
+
+    They push from all sides at a height that changes, lean on the pylon's top off its axis, and
+    twist. Each changes at its own pace, so that no two stay in step; the phases are random.
+    """
+    phases = 2.0 * np.pi * (time[:, None] / _HAND_PERIODS + rng.uniform(0.0, 1.0, 6))
+    around, strength, height, lean, side, twist = phases.T
+    zero = np.zeros(len(time))
+    sides = np.column_stack([np.cos(around), np.sin(around), zero])
+    push = _PUSH * (0.6 + 0.4 * np.sin(strength))[:, None] * sides
+    push_point = np.column_stack([zero, zero, _PUSH_HEIGHT + _PUSH_TRAVEL * np.sin(height)])
+    down = np.column_stack([zero, zero, -_LEAN * (0.5 + 0.5 * np.sin(lean))])
+    down_point = _LEAN_ARM * np.column_stack([np.cos(side), np.sin(side), zero])
+    moment = np.cross(push_point, push) + np.cross(down_point, down)
+    moment[:, 2] += _TWIST * np.sin(twist)
+    return np.hstack([moment, push + down])
 
 
 def _trapezoid(time: FloatArray, on: float, off: float) -> FloatArray:

@@ -211,6 +211,43 @@ def test_the_static_hold_is_the_paper_s(geometry) -> None:
     assert np.allclose(load[time > 110, 5], -9.3 * 9.81, atol=1e-9)
 
 
+def test_the_protocol_pushes_then_holds_then_unloads() -> None:
+    time = np.arange(0, 120, 0.25)
+    load = load_history("protocol", time, np.random.default_rng(0))
+    pylon, mass = 9.3 * 9.81, 19.0 * 9.81
+    assert np.allclose(load[time < 4, 5], -pylon, atol=1e-9)
+    assert np.allclose(load[(time > 66) & (time < 105), 5], -pylon - mass, atol=1e-9)
+    assert np.allclose(load[time > 109, 5], -pylon, atol=1e-9)
+    pushed = load[(time > 7) & (time < 57)]
+    for axis in (0, 1):  # from all sides
+        assert pushed[:, 3 + axis].min() < -20.0 and pushed[:, 3 + axis].max() > 20.0
+    assert np.ptp(pushed[:, 5]) > 0.9 * mass
+    assert np.ptp(pushed[:, 2]) > 2.0
+
+
+def alone(values: np.ndarray) -> np.ndarray:
+    """What of each column's changes the other columns do not explain linearly, rms."""
+    centred = values - values.mean(axis=0)
+    left = []
+    for k in range(centred.shape[1]):
+        others = np.delete(centred, k, axis=1)
+        fitted = others @ np.linalg.lstsq(others, centred[:, k], rcond=None)[0]
+        left.append(np.sqrt(np.mean((centred[:, k] - fitted) ** 2)))
+    return np.array(left)
+
+
+@pytest.mark.parametrize("tissue", TISSUES)
+def test_the_protocol_excites_all_six_numbers_of_the_pose(geometry, tissue) -> None:
+    motion = {}
+    for scenario in ("protocol", "static_hold"):
+        time, position, rotation = follow(geometry, scenario, 1, tissue, rate=0.5)
+        motion[scenario] = np.hstack([position, rotation])[(time > 6) & (time < 60)]
+    found, held = alone(motion["protocol"]), alone(motion["static_hold"])
+    least = {"soft": [0.08, 0.08, 1.0, 3.0, 3.0, 3.0], "stiff": [0.02, 0.02, 0.1, 0.4, 0.4, 0.2]}
+    assert (found > least[tissue]).all()  # [mm, mrad]
+    assert (found > 10.0 * held).all()
+
+
 def test_perfect_sensors_see_the_truth(geometry, calibration) -> None:
     trial = simulate(geometry, calibration, "ramp", 5.0, 4.0, 0, errors=PERFECT)
     np.testing.assert_allclose(trial.wrench, trial.truth.wrench)
