@@ -85,3 +85,54 @@ class PlateauSettings(Settings):
         20.0, "smallest mean force: an unloaded stretch says nothing about contact [N]", 0.0, 1e4
     )
     least_duration: float = setting(5.0, "shortest plateau [s]", 0.1, 1e5)
+
+
+@dataclass(frozen=True)
+class ForceMapSettings(Settings):
+    """The prior of the force map: sizes of forces on tiles and of the channels' errors."""
+
+    normal_deviation: float = setting(
+        3.0, "usual size of a tile's own normal force; the data scales it [N]", 1e-3, 1e4
+    )
+    length: float = setting(
+        0.05, "length along the surface over which forces are alike [m]", 1e-3, 1.0
+    )
+    shear: float = setting(
+        0.25, "tangential forces against normal forces of the field, median [-]", 1e-3, 1e2
+    )
+    preload: float = setting(
+        1.0, "common normal force of all tiles against a tile's own, median [-]", 1e-3, 1e2
+    )
+    bed: float = setting(
+        0.5, "forces of a bed of springs under a motion of the limb, median [-]", 1e-3, 1e2
+    )
+    bed_variation: float = setting(
+        0.5, "variation of the stiffness of the bed over the surface, median [-]", 1e-3, 1e1
+    )
+    bed_shear: float = setting(
+        0.15, "tangential stiffness of the bed against its normal stiffness [-]", 0.0, 1e1
+    )
+    arm: float = setting(
+        0.06, "distance at which a rotation counts like a translation [m]", 1e-3, 1.0
+    )
+    drag: float = setting(
+        0.25, "distal force on a tile as a share of its normal force [-]", -1.0, 1.0
+    )
+    share: float = setting(0.85, "share of the load that the tiles bear, mean [-]", 0.2, 1.0)
+    share_spread: float = setting(0.05, "its standard deviation [-]", 0.0, 0.2)
+    spread: float = setting(
+        0.5, "standard deviation of the logarithms of the ratios with a median [-]", 0.0, 2.0
+    )
+    draws: int = setting(16, "draws of the ratios, a power of 2 [1]", 1, 256)
+    moment_error: float = setting(
+        0.05, "noise and offset of a moment, standard deviation [N m]", 1e-6, 1e2
+    )
+    force_error: float = setting(
+        1.0, "noise and offset of a force of the load cell, standard deviation [N]", 1e-6, 1e3
+    )
+    cluster_error: float = setting(
+        0.5, "noise and offset of a force on a cluster, standard deviation [N]", 1e-6, 1e3
+    )
+    cluster_gain_error: float = setting(
+        0.05, "error of a cluster's gain, standard deviation [-]", 0.0, 1.0
+    )

@@ -21,6 +21,7 @@ from socket_testbed.settings.acquisition import (
 )
 from socket_testbed.settings.fields import Settings, setting
 from socket_testbed.settings.identification import (
+    ForceMapSettings,
     IdentificationSettings,
     PlateauSettings,
 )
@@ -52,6 +53,7 @@ class EstimatorSettings(Settings):
     identification: IdentificationSettings = IdentificationSettings()
     plateau: PlateauSettings = PlateauSettings()
     window: WindowSettings = WindowSettings()
+    force_map: ForceMapSettings = field(default_factory=ForceMapSettings)
 
 
 @dataclass(frozen=True)

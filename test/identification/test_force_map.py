@@ -1,0 +1,116 @@
+"""The force map against an independent conditioning, and its properties."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from socket_testbed.files import packaged
+from socket_testbed.geometry.socket import read_socket
+from socket_testbed.identification.contact import wrench_map
+from socket_testbed.identification.force_map import ForceMap, MapEstimate, surface_correlation
+from socket_testbed.samples import Samples, Status
+from socket_testbed.settings.identification import ForceMapSettings
+
+GEOMETRY = read_socket(packaged("config", "socket.yaml"))
+CLUSTERS = tuple(GEOMETRY.clusters)
+
+
+def some_samples(count: int = 6, seed: int = 0) -> Samples:
+    """Samples without a physical meaning: what holds for the map holds for any values."""
+    rng = np.random.default_rng(seed)
+    wrench = rng.normal(0.0, [1.0, 1.0, 0.3, 5.0, 5.0, 50.0], (count, 6)) - [0, 0, 0, 0, 0, 200.0]
+    return Samples(
+        stamps=np.arange(count) * 250_000_000,
+        position=np.zeros((count, 3)),
+        rotation=np.zeros((count, 3)),
+        wrench=wrench,
+        clusters=CLUSTERS,
+        local_forces=rng.normal(0.0, [1.0, 1.0, 3.0], (count, 4, 3)) - [0.0, 0.0, 6.0],
+        status=np.zeros((count, 4), dtype=np.uint8),
+    )
+
+
+@pytest.fixture(scope="module")
+def force_map() -> ForceMap:
+    return ForceMap(GEOMETRY, CLUSTERS)
+
+
+def fields(estimate: MapEstimate) -> list[np.ndarray]:
+    return [value for value in vars(estimate).values() if isinstance(value, np.ndarray)]
+
+
+def test_the_correlation_of_the_surface_is_positive_definite() -> None:
+    for length in (0.01, 0.05, 0.3):
+        correlation = surface_correlation(GEOMETRY, length)
+        assert np.linalg.eigvalsh(correlation).min() > 0.0
+        np.testing.assert_allclose(np.diag(correlation), 1.0)
+
+
+def test_live_and_offline_agree(force_map: ForceMap) -> None:
+    samples = some_samples()
+    samples.status[2, 1] = Status.SATURATED
+    samples.wrench[3, 4] = np.nan
+    together = force_map.estimate(samples)
+    for k in range(len(samples)):
+        alone = force_map.update(samples.wrench[k], samples.local_forces[k], samples.status[k])
+        for one, many in zip(fields(alone), fields(together), strict=True):
+            np.testing.assert_allclose(one[0], many[k], rtol=1e-9, atol=1e-9)
+
+
+def test_a_dropped_channel_is_as_if_it_never_was() -> None:
+    """The downdates agree with a socket that has one cluster less."""
+    samples = some_samples()
+    samples.status[:, 3] = Status.MISSING
+    dropped = ForceMap(GEOMETRY, CLUSTERS).estimate(samples)
+    fewer = replace(GEOMETRY, clusters={c: GEOMETRY.clusters[c] for c in CLUSTERS[:3]})
+    three = replace(
+        samples,
+        clusters=CLUSTERS[:3],
+        local_forces=samples.local_forces[:, :3],
+        status=samples.status[:, :3],
+    )
+    never = ForceMap(fewer, CLUSTERS[:3]).estimate(three)
+    for one, other in zip(fields(dropped), fields(never), strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-6, atol=1e-7)
+
+
+def test_measured_tiles_and_the_wrench_are_met(force_map: ForceMap) -> None:
+    samples = some_samples()
+    estimate = force_map.estimate(samples)
+    tiles = list(GEOMETRY.clusters.values())
+    local = np.einsum("cji,kcj->kci", GEOMETRY.rotations[tiles], estimate.forces[:, tiles])
+    assert np.abs(local - samples.local_forces).mean() < 1.0
+    total = estimate.forces.reshape(len(samples), -1) @ wrench_map(GEOMETRY.anchors).T
+    assert np.all(total[:, 5] < 0.6 * samples.wrench[:, 5])
+
+
+def test_pressure_and_shear_are_those_of_the_forces(force_map: ForceMap) -> None:
+    estimate = force_map.estimate(some_samples())
+    local = np.einsum("nji,knj->kni", GEOMETRY.rotations, estimate.forces)
+    np.testing.assert_allclose(estimate.normal_pressure, -local[..., 2] / GEOMETRY.areas)
+    np.testing.assert_allclose(
+        estimate.shear, np.linalg.norm(local[..., :2], axis=-1) / GEOMETRY.areas
+    )
+    for value in fields(estimate):
+        assert np.isfinite(value).all()
+
+
+def test_less_is_known_with_less_measured(force_map: ForceMap) -> None:
+    samples = some_samples()
+    settings = ForceMapSettings(draws=1, spread=0.0)
+    single = ForceMap(GEOMETRY, CLUSTERS, settings)
+    complete = single.estimate(samples)
+    samples.status[:, 0] = Status.OUT_OF_RANGE
+    tile = GEOMETRY.clusters[CLUSTERS[0]]
+    without = single.estimate(samples)
+    ratio = without.standard_deviations[:, tile] / complete.standard_deviations[:, tile]
+    assert ratio.min() > 1.2
+    assert ratio.mean() > 2.0
+    assert CLUSTERS[0] in complete.source
+    assert CLUSTERS[0] not in without.source
+    samples.status[:] = Status.MISSING
+    samples.wrench[:] = np.nan
+    nothing = force_map.estimate(samples)
+    assert np.all(nothing.forces == 0.0)
+    assert np.all(nothing.standard_deviations > 0.0)
