@@ -23,6 +23,7 @@ if TYPE_CHECKING:
         select_segment,
         simulate,
         tile,
+        validate,
         write_report,
     )
 
@@ -41,6 +42,7 @@ __all__ = [
     "select_segment",
     "simulate",
     "tile",
+    "validate",
     "write_report",
 ]
 

@@ -24,6 +24,7 @@ VERBS = {
     "info": "show what a trial holds: topics, rates, gaps, plateau",
     "fit": "identify the contact model on a trial, or on every trial of a folder",
     "evaluate": "compute a model's errors on a trial, or on every trial of a folder",
+    "validate": "judge estimates on data they have not seen, beside simple rivals",
     "pareto": "trace the trade-off of wrench against clusters over theta",
     "report": "write a page with a trial's results: figures, errors, data quality",
     "export": "write a trial's synchronised samples as CSV, Parquet or MAT",

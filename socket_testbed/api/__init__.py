@@ -24,6 +24,7 @@ from socket_testbed.api.models import (
     write_report,
 )
 from socket_testbed.api.trials import open_trial, select_segment, simulate
+from socket_testbed.api.validation import Validation, validate
 from socket_testbed.errors import TestbedError
 
 __all__ = [
@@ -31,6 +32,7 @@ __all__ = [
     "TestbedError",
     "Tradeoff",
     "TrialFit",
+    "Validation",
     "calibrate",
     "check_thetas",
     "evaluate",
@@ -44,5 +46,6 @@ __all__ = [
     "select_segment",
     "simulate",
     "tile",
+    "validate",
     "write_report",
 ]

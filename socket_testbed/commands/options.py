@@ -23,9 +23,11 @@ CHOICES = ("variant", "theta", "smoothness", "leave_out", "pose_smoothing", "sol
 R = TypeVar("R")
 
 
-def add_trial(parser: argparse.ArgumentParser, what: str = "folder of the trial") -> None:
-    """A trial and what is used instead of the configuration stored in it."""
-    parser.add_argument("trial", type=Path, metavar="TRIAL", help=what)
+def add_trial(
+    parser: argparse.ArgumentParser, what: str = "folder of the trial", count: str | None = None
+) -> None:
+    """A trial, or several, and what is used instead of the configuration stored in it."""
+    parser.add_argument("trial", type=Path, metavar="TRIAL", help=what, nargs=count)
     parser.add_argument(
         "--geometry", type=Path, metavar="SOCKET.yaml", help="instead of the trial's socket.yaml"
     )

@@ -15,22 +15,33 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from functools import partial
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
+from scipy.stats import norm
 
-from socket_testbed.arrays import BoolArray, FloatArray
+from socket_testbed.arrays import BoolArray, FloatArray, IntArray
+from socket_testbed.errors import IdentificationError
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification.contact import ContactModel, wrench_map
 from socket_testbed.identification.evaluation import predict_channels
+from socket_testbed.identification.fit import fit_contact_model
+from socket_testbed.identification.noise import channel_noise
+from socket_testbed.identification.problem import LEAST_SAMPLES
 from socket_testbed.samples import Samples, Status
+from socket_testbed.settings.identification import VARIANTS, IdentificationSettings
+from socket_testbed.settings.testbed import EstimatorSettings
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 LEVELS = (0.5, 0.8, 0.95)  # [-]; of the intervals whose coverage is judged
 INVERSE_DISTANCE = "inverse distance"
 CLOSED = "inverse distance, wrench met"
 CONSTANT = "best constant"
 REGRESSION = "linear regression on the pose"
-FIRST_HALF, SECOND_HALF = "first half", "second half"
+MOST_SAMPLES = 1000  # of a trial, on which forces on tiles are judged
 
 _EXPONENT = 2.0  # [-]; Shepard's
 _NEAR = 1e-6  # [m]; a tile nearer than this to a cluster's is that tile
@@ -39,6 +50,7 @@ _ROUNDING = 1e-12  # [-]; spread of a pose's component that is constant, against
 _UNKNOWN = (float("nan"),) * len(LEVELS)
 
 Question = Literal["cluster", "wrench", "tiles"]
+Test = Literal["left out", "in-sample", "second half", "other trial"]
 
 
 @dataclass(frozen=True)
@@ -48,27 +60,29 @@ class Judgement:
     Attributes:
         question: `cluster`, `wrench` or `tiles`: see this module.
         predictor: An estimate or a rival.
-        fitted_on: The samples that it was fitted on; empty for what needs no fit.
-        tested_on: The samples that it was judged on.
+        test: What the predictor has not seen: the cluster that it was judged on (`left out`), the
+            `second half` of a trial that it was fitted on the first of, or an `other trial`; or
+            that it was fitted on the same samples (`in-sample`).
+        fitted_on: Name of the trial that it was fitted on; empty for what needs no fit.
+        tested_on: Name of the trial that it was judged on.
         cluster: The cluster that was left out; empty for all of them.
-        in_sample: Whether it was fitted on the samples that it is judged on.
         samples: Number of samples.
-        error: Root mean square error of the forces over their root mean square [-]; 1 is what
-            predicting zero has.
+        error: Root mean square error of the forces over the root mean square of them all [-]; 1
+            is what predicting zero has.
         moment_rmse: Mean RMSE of the moments [N m].
         force_rmse: Mean RMSE of the forces [N].
         moment_skill: 1 - `moment_rmse` over that of the constants which fit these samples
             best [-].
         force_skill: The same of `force_rmse` [-].
-        coverage: Share of the values that the intervals of `LEVELS` hold [-].
+        coverage: Share of the values within the intervals of `LEVELS` [-].
     """
 
     question: Question
     predictor: str
+    test: Test
     fitted_on: str
     tested_on: str
     cluster: str = ""
-    in_sample: bool = False
     samples: int = 0
     error: float = float("nan")
     moment_rmse: float = float("nan")
@@ -188,46 +202,40 @@ def wrench_rivals(samples: Samples) -> dict[str, WrenchPredictor]:
     }
 
 
-def model_predictor(model: ContactModel) -> WrenchPredictor:
-    """The wrench that a contact model predicts."""
-    return lambda pose: predict_channels(model, pose, ())
-
-
 def judge_wrench(
     samples: Samples,
     predictors: Mapping[str, WrenchPredictor],
-    fitted_on: str,
-    tested_on: str,
-    in_sample: bool = False,
+    test: Test,
+    fitted_on: str = "",
+    tested_on: str = "",
 ) -> list[Judgement]:
     """Judge predictions of the wrench from the pose alone.
 
     Args:
         samples: The samples to predict; those without a wrench or a pose are passed over.
         predictors: What predicts the wrench, by name.
-        fitted_on: What the predictors were fitted on.
-        tested_on: What the samples are.
-        in_sample: Whether that is the same.
+        test: How these samples stand to those of the fit.
+        fitted_on: Name of the trial of the fit.
+        tested_on: Name of the trial of the samples.
     """
     samples = samples[samples.complete]
-    sizes = samples.wrench.std(axis=0)
+    constant = samples.wrench.std(axis=0)
     found = []
     for name, predict in predictors.items():
-        residual = predict(samples.pose) - samples.wrench
-        rmse = np.sqrt(np.mean(residual**2, axis=0))
+        rmse = np.sqrt(np.mean((predict(samples.pose) - samples.wrench) ** 2, axis=0))
         moment, force = float(rmse[:3].mean()), float(rmse[3:].mean())
         found.append(
             Judgement(
-                question="wrench",
-                predictor=name,
-                fitted_on=fitted_on,
-                tested_on=tested_on,
-                in_sample=in_sample,
+                "wrench",
+                name,
+                test,
+                fitted_on,
+                tested_on,
                 samples=len(samples),
                 moment_rmse=moment,
                 force_rmse=force,
-                moment_skill=_skill(moment, float(sizes[:3].mean())),
-                force_skill=_skill(force, float(sizes[3:].mean())),
+                moment_skill=_skill(moment, float(constant[:3].mean())),
+                force_skill=_skill(force, float(constant[3:].mean())),
             )
         )
     return found
@@ -250,3 +258,308 @@ def without_cluster(samples: Samples, cluster: str) -> Samples:
     forces[:, column] = np.nan
     status[:, column] = Status.MISSING
     return dataclasses.replace(samples, local_forces=forces, status=status)
+
+
+FieldEstimator = Callable[[Samples], tuple[FloatArray, FloatArray | None]]
+"""From samples to the forces on the tiles in {S}, shape (N, n, 3) [N], and their standard
+deviations by axis of {S}, or None."""
+
+
+def field_rivals(geometry: SocketGeometry) -> dict[str, FieldEstimator]:
+    """Inverse-distance interpolation of the clusters, without and with the wrench met; by name."""
+
+    def interpolate(samples: Samples) -> tuple[FloatArray, None]:
+        return inverse_distance(geometry, samples.clusters, samples.trusted_forces), None
+
+    def closed(samples: Samples) -> tuple[FloatArray, None]:
+        read = np.isfinite(samples.trusted_forces).any(axis=(0, 2))
+        held = [geometry.clusters[name] for name in np.array(samples.clusters)[read]]
+        return close_wrench(geometry, interpolate(samples)[0], samples.wrench, held), None
+
+    return {INVERSE_DISTANCE: interpolate, CLOSED: closed}
+
+
+def judge_clusters(
+    samples: Samples,
+    geometry: SocketGeometry,
+    estimators: Mapping[str, FieldEstimator],
+    noise: FloatArray,
+    tested_on: str = "",
+) -> list[Judgement]:
+    """Predict the three forces on each cluster from the other clusters and the wrench.
+
+    The intervals are those of a measurement: they hold the noise of the cluster's own channels.
+
+    Args:
+        samples: Samples with a wrench; where a cluster has no trusted value it is not judged.
+        geometry: Geometry of the socket.
+        estimators: What estimates the forces on the tiles, by name.
+        noise: Standard deviation of a cluster's forces in its frame, shape (c, 3) [N].
+        tested_on: Name of the trial.
+
+    Returns:
+        A judgement per cluster and estimator, then one of all clusters per estimator.
+    """
+    by_name: dict[str, list[_Residuals]] = {name: [] for name in estimators}
+    judged = []
+    for column, cluster in enumerate(samples.clusters):
+        tile = geometry.clusters[cluster]
+        rotation = geometry.rotations[tile]
+        truth = samples.trusted_forces[:, column] @ rotation.T
+        if not np.isfinite(truth).all(axis=1).any():
+            continue
+        judged.append(cluster)
+        hidden = without_cluster(samples, cluster)
+        # Noise along the axes of {S}: the diagonal of R diag(noise^2) R'.
+        variance = rotation**2 @ np.nan_to_num(noise[column]) ** 2
+        for name, estimate in estimators.items():
+            forces, deviations = estimate(hidden)
+            spread = None if deviations is None else np.sqrt(deviations[:, tile] ** 2 + variance)
+            by_name[name].append(_Residuals.of(truth, forces[:, tile], spread))
+    size = _size(samples.trusted_forces)
+    found = []
+    for row, cluster in enumerate([*judged, ""]):
+        for name, residuals in by_name.items():
+            chosen = residuals[row : row + 1] if cluster else residuals
+            if chosen:
+                judgement = Judgement("cluster", name, "left out", "", tested_on, cluster)
+                found.append(_judged(judgement, _Residuals.joined(chosen), size))
+    return found
+
+
+def judge_tiles(
+    samples: Samples,
+    geometry: SocketGeometry,
+    truth: FloatArray,
+    estimators: Mapping[str, FieldEstimator],
+    test: Test,
+    tested_on: str = "",
+) -> list[Judgement]:
+    """Judge the forces on the tiles without a sensor where a simulation knows them.
+
+    Args:
+        samples: Samples with a wrench.
+        geometry: Geometry of the socket.
+        truth: The forces in {S}, shape (N, n, 3) [N].
+        estimators: What estimates the forces on the tiles, by name.
+        test: How these samples stand to those of a fit.
+        tested_on: Name of the trial.
+    """
+    bare = np.setdiff1d(np.arange(len(geometry)), [*geometry.clusters.values()])
+    if not len(bare):
+        return []
+    truth = truth[:, bare]
+    found = []
+    for name, estimate in estimators.items():
+        forces, deviations = estimate(samples)
+        spread = None if deviations is None else deviations[:, bare]
+        judgement = Judgement("tiles", name, test, "", tested_on)
+        found.append(
+            _judged(judgement, _Residuals.of(truth, forces[:, bare], spread), _size(truth))
+        )
+    return found
+
+
+@dataclass(frozen=True)
+class _Residuals:
+    """Errors of forces, and over their standard deviations, of all axes in one row each."""
+
+    samples: int
+    errors: FloatArray
+    scaled: FloatArray
+
+    @classmethod
+    def of(cls, truth: FloatArray, forces: FloatArray, spread: FloatArray | None) -> _Residuals:
+        errors = forces - truth
+        known = np.isfinite(errors)
+        scaled = np.full(0, np.nan) if spread is None else np.abs(errors[known] / spread[known])
+        count = int(known.reshape(len(known), -1).any(axis=1).sum())
+        return cls(count, errors[known], scaled)
+
+    @classmethod
+    def joined(cls, parts: Sequence[_Residuals]) -> _Residuals:
+        errors = np.concatenate([part.errors for part in parts])
+        scaled = np.concatenate([part.scaled for part in parts])
+        return cls(max(part.samples for part in parts), errors, scaled)
+
+
+def _judged(judgement: Judgement, residuals: _Residuals, size: float) -> Judgement:
+    error = _size(residuals.errors) / size if size > 0.0 else float("nan")
+    coverage = _UNKNOWN
+    if len(residuals.scaled):
+        limits = norm.ppf(0.5 + 0.5 * np.array(LEVELS))
+        coverage = tuple(float(np.mean(residuals.scaled <= limit)) for limit in limits)
+    return dataclasses.replace(judgement, samples=residuals.samples, error=error, coverage=coverage)
+
+
+def _size(values: FloatArray) -> float:
+    """Root mean square of the finite values; NaN without any."""
+    finite = values[np.isfinite(values)]
+    return float(np.sqrt(np.mean(finite**2))) if len(finite) else float("nan")
+
+
+def fit_variants(
+    samples: Samples, geometry: SocketGeometry, settings: IdentificationSettings
+) -> dict[str, ContactModel]:
+    """Fit every variant of the contact model, by its name.
+
+    Raises:
+        IdentificationError: As `fit_contact_model`.
+    """
+    return {
+        variant: fit_contact_model(
+            samples, geometry, dataclasses.replace(settings, variant=variant)
+        ).model
+        for variant in VARIANTS
+    }
+
+
+def wrench_predictors(
+    samples: Samples, models: Mapping[str, ContactModel]
+) -> dict[str, WrenchPredictor]:
+    """The rivals fitted on samples, then the models that were fitted on them."""
+    of_models = {
+        name: partial(predict_channels, model, clusters=()) for name, model in models.items()
+    }
+    return wrench_rivals(samples) | of_models
+
+
+def split(samples: Samples, least_force: float) -> tuple[BoolArray, BoolArray]:
+    """First and second half of the samples under load, shape (N,) each.
+
+    Raises:
+        IdentificationError: If a half is too short for a fit.
+    """
+    loaded = np.flatnonzero(loaded_rows(samples, least_force))
+    if len(loaded) < 2 * LEAST_SAMPLES:
+        raise IdentificationError(
+            f"only {len(loaded)} of {len(samples)} samples are complete and under load"
+            f" ({least_force:g} N or more), and two halves to fit and to test need"
+            f" {2 * LEAST_SAMPLES}",
+            "give a longer trial",
+        )
+    middle = len(loaded) // 2
+    first, second = np.zeros((2, len(samples)), dtype=bool)
+    first[loaded[:middle]] = True
+    second[loaded[middle:]] = True
+    return first, second
+
+
+def thinned(rows: BoolArray) -> IntArray:
+    """At most `MOST_SAMPLES` of some rows, evenly spread over them."""
+    numbers = np.flatnonzero(rows)
+    chosen = np.linspace(0, len(numbers) - 1, min(len(numbers), MOST_SAMPLES))
+    return np.asarray(numbers[np.round(chosen).astype(np.int64)])
+
+
+def judge_samples(
+    samples: Samples,
+    geometry: SocketGeometry,
+    settings: EstimatorSettings,
+    truth: FloatArray | None = None,
+    name: str = "",
+) -> list[Judgement]:
+    """Answer all three questions on the loaded part of one trial.
+
+    The variants and their rivals are fitted on its first half and judged on its second. The tiles
+    without a sensor are judged on the second half for every estimate.
+
+    Args:
+        samples: Samples of the trial.
+        geometry: Geometry of the socket.
+        settings: Settings of the estimator; the variant does not matter.
+        truth: Simulated force on every tile in {S}, shape (N, n, 3) [N]; None where unknown.
+        name: Name of the trial.
+
+    Raises:
+        IdentificationError: If a half is too short, or does not allow a fit.
+    """
+    first, second = split(samples, settings.plateau.least_force)
+    found = judge_map(samples, geometry, settings, name)
+    models = fit_variants(samples[first], geometry, settings.identification)
+    predictors = wrench_predictors(samples[first], models)
+    found += judge_wrench(samples[first], predictors, "in-sample", name, name)
+    found += judge_wrench(samples[second], predictors, "second half", name, name)
+    if truth is not None:
+        rows = thinned(second)
+        estimators = field_estimators(geometry, settings) | {
+            variant: partial(_model_forces, model) for variant, model in models.items()
+        }
+        found += judge_tiles(samples[rows], geometry, truth[rows], estimators, "second half", name)
+    return found
+
+
+def judge_map(
+    samples: Samples, geometry: SocketGeometry, settings: EstimatorSettings, name: str = ""
+) -> list[Judgement]:
+    """Judge what estimates forces on tiles without a fit by clusters that are left out.
+
+    Args:
+        samples: Samples of the trial.
+        geometry: Geometry of the socket.
+        settings: Settings of the estimator.
+        name: Name of the trial.
+    """
+    rows = thinned(loaded_rows(samples, settings.plateau.least_force))
+    noise = channel_noise(samples).local_forces
+    estimators = field_estimators(geometry, settings)
+    return judge_clusters(samples[rows], geometry, estimators, noise, name)
+
+
+def field_estimators(
+    geometry: SocketGeometry, settings: EstimatorSettings
+) -> dict[str, FieldEstimator]:
+    """What estimates the forces on the tiles without a fit, by name."""
+    return field_rivals(geometry)
+
+
+def _model_forces(model: ContactModel, samples: Samples) -> tuple[FloatArray, None]:
+    return model.forces(samples.pose), None
+
+
+def judgements_table(judgements: Sequence[Judgement]) -> pd.DataFrame:
+    """Judgements as a pandas table, a row each, with the units in the names.
+
+    Returns:
+        Columns: `question`, `predictor`, `test`, `fitted on`, `tested on`, `cluster`, `samples
+        [1]`, `error [-]`, `moment RMSE [N m]`, `force RMSE [N]`, `moment skill [-]`, `force skill
+        [-]`, and the share of the values `within 50 % [-]`, `80 %` and `95 %`: see `Judgement`.
+    """
+    import pandas as pd
+
+    return pd.DataFrame(
+        {
+            "question": j.question,
+            "predictor": j.predictor,
+            "test": j.test,
+            "fitted on": j.fitted_on,
+            "tested on": j.tested_on,
+            "cluster": j.cluster,
+            "samples [1]": j.samples,
+            "error [-]": j.error,
+            "moment RMSE [N m]": j.moment_rmse,
+            "force RMSE [N]": j.force_rmse,
+            "moment skill [-]": j.moment_skill,
+            "force skill [-]": j.force_skill,
+            **{
+                f"within {100 * level:g} % [-]": share
+                for level, share in zip(LEVELS, j.coverage, strict=True)
+            },
+        }
+        for j in judgements
+    )
+
+
+def summarise_judgements(judgements: Sequence[Judgement]) -> pd.DataFrame:
+    """Means over the trials, a row per question, test and predictor, in their order.
+
+    Returns:
+        Indexed by `question`, `test` and `predictor`, with the columns of `judgements_table` that
+        are numbers, `judged [1]`, the number of judgements, and `worst error [-]`.
+    """
+    table = judgements_table([j for j in judgements if not j.cluster])
+    grouped = table.groupby(["question", "test", "predictor"], sort=False)
+    means = grouped.mean(numeric_only=True)
+    means.insert(0, "judged [1]", grouped.size())
+    means.insert(3, "worst error [-]", grouped["error [-]"].max())
+    return means

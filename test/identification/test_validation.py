@@ -9,15 +9,25 @@ import pytest
 from scipy.optimize import minimize
 from support.problems import make_samples, random_socket
 
+from socket_testbed.errors import IdentificationError
 from socket_testbed.identification.contact import wrench_map
 from socket_testbed.identification.validation import (
+    CLOSED,
     CONSTANT,
+    INVERSE_DISTANCE,
+    MOST_SAMPLES,
     REGRESSION,
     close_wrench,
+    field_rivals,
     fit_regression,
     inverse_distance,
+    judge_clusters,
+    judge_tiles,
     judge_wrench,
     loaded_rows,
+    split,
+    summarise_judgements,
+    thinned,
     without_cluster,
     wrench_rivals,
 )
@@ -128,16 +138,16 @@ def test_the_wrench_s_rivals_have_the_skill_that_they_must():
     samples, slope = moving_samples(rng, 200, noise=0.5)
     samples.wrench[3] = np.nan  # passed over
     rivals = wrench_rivals(samples)
-    found = {j.predictor: j for j in judge_wrench(samples, rivals, "a", "a", in_sample=True)}
+    found = {j.predictor: j for j in judge_wrench(samples, rivals, "in-sample")}
     assert found[CONSTANT].moment_skill == pytest.approx(0.0, abs=1e-12)
     assert found[CONSTANT].force_skill == pytest.approx(0.0, abs=1e-12)
     assert found[REGRESSION].force_rmse == pytest.approx(0.5, rel=0.1)
     assert found[REGRESSION].moment_skill > 0.9
-    assert all(j.in_sample and j.samples == 199 for j in found.values())
+    assert all(j.test == "in-sample" and j.samples == 199 for j in found.values())
 
     other, _ = moving_samples(rng, slope=slope)
     by_hand = other.wrench - np.nanmean(samples.wrench, axis=0)
-    found = {j.predictor: j for j in judge_wrench(other, rivals, "a", "b")}
+    found = {j.predictor: j for j in judge_wrench(other, rivals, "other trial")}
     rmse = np.sqrt(np.mean(by_hand**2, axis=0))
     assert found[CONSTANT].moment_rmse == pytest.approx(rmse[:3].mean())
     assert found[CONSTANT].force_skill == pytest.approx(
@@ -162,3 +172,122 @@ def test_a_left_out_cluster_is_missing_and_nothing_else_changes():
     assert np.isnan(less.trusted_forces[:, 1]).all()
     assert np.array_equal(less.trusted_forces[:, 0], samples.trusted_forces[:, 0])
     assert np.isfinite(samples.trusted_forces).all()
+
+
+def samples_of_forces(geometry, forces, noise=0.0, rng=None):
+    """Samples of clusters and wrench that measure forces in {S}, shape (N, n, 3)."""
+    local = {
+        name: forces[:, tile] @ geometry.rotations[tile]
+        + (noise * rng.normal(size=(len(forces), 3)) if noise else 0.0)
+        for name, tile in geometry.clusters.items()
+    }
+    wrench = forces.reshape(len(forces), -1) @ wrench_map(geometry.anchors).T
+    return make_samples(np.zeros((len(forces), 3)), wrench, local)
+
+
+def test_a_left_out_cluster_is_judged_on_what_the_others_say():
+    rng = np.random.default_rng(8)
+    geometry = random_socket(rng)
+    uniform = local_to_socket(geometry, np.tile([1.0, -2.0, -10.0], (6, len(geometry), 1)))
+    samples = samples_of_forces(geometry, uniform)
+    noise = np.zeros((3, 3))
+    found = judge_clusters(samples, geometry, field_rivals(geometry), noise, "here")
+    assert len(found) == 2 * (3 + 1)
+    assert all(j.error < 1e-9 and np.isnan(j.coverage).all() for j in found)
+    assert {j.cluster for j in found} == {*geometry.clusters, ""}
+
+    # One cluster has nothing in common with the others: by hand, its error and that of all.
+    samples.local_forces[:, 0] = [5.0, 5.0, 5.0]
+    samples.status[2:4, 1] = 3  # neither used nor judged
+    found = judge_clusters(samples, geometry, field_rivals(geometry), noise)
+    chosen = {j.cluster: j for j in found if j.predictor == INVERSE_DISTANCE}
+    values = samples.trusted_forces
+    size = np.sqrt(np.nanmean(values**2))
+    wrong = np.sqrt(np.mean((np.array([1.0, -2.0, -10.0]) - 5.0) ** 2))
+    assert chosen["cluster_0"].error == pytest.approx(wrong / size)
+    assert chosen["cluster_1"].samples == 4 and chosen["cluster_0"].samples == 6
+    squares = sum(chosen[c].error ** 2 * chosen[c].samples for c in geometry.clusters)
+    assert chosen[""].error == pytest.approx(np.sqrt(squares / (6 + 4 + 6)))
+
+
+def test_intervals_hold_what_they_say():
+    rng = np.random.default_rng(9)
+    geometry = random_socket(rng)
+    count, spread, noise = 4000, 2.0, 1.5
+    truth = rng.normal(size=(count, len(geometry), 3))
+    samples = samples_of_forces(geometry, truth, noise, rng)
+
+    def estimate(_):
+        forces = truth + spread * rng.normal(size=truth.shape)
+        return forces, np.full(truth.shape, spread)
+
+    tiles = judge_tiles(samples, geometry, truth, {"map": estimate}, "second half")[0]
+    assert tiles.coverage == pytest.approx((0.5, 0.8, 0.95), abs=0.01)
+    assert tiles.error == pytest.approx(spread, rel=0.05)
+    stated = np.full((3, 3), noise)
+    clusters = judge_clusters(samples, geometry, {"map": estimate}, stated)[-1]
+    assert clusters.coverage == pytest.approx((0.5, 0.8, 0.95), abs=0.01)
+    too_sure = judge_clusters(samples, geometry, {"map": estimate}, 0.0 * stated)[-1]
+    assert too_sure.coverage[2] < 0.93
+
+
+def test_tiles_with_a_sensor_do_not_count():
+    rng = np.random.default_rng(10)
+    geometry = random_socket(rng)
+    truth = rng.normal(size=(5, len(geometry), 3))
+    samples = samples_of_forces(geometry, truth)
+    found = {
+        j.predictor: j
+        for j in judge_tiles(
+            samples,
+            geometry,
+            truth,
+            field_rivals(geometry) | {"zero": lambda s: (np.zeros_like(truth), None)},
+            "second half",
+        )
+    }
+    assert found["zero"].error == pytest.approx(1.0)
+    sensed = [*geometry.clusters.values()]
+    bare = np.setdiff1d(np.arange(len(geometry)), sensed)
+    forces = field_rivals(geometry)[CLOSED](samples)[0]
+    assert np.allclose(forces[:, sensed], truth[:, sensed], rtol=1e-6, atol=1e-6)
+    error = np.sqrt(np.mean((forces - truth)[:, bare] ** 2) / np.mean(truth[:, bare] ** 2))
+    assert found[CLOSED].error == pytest.approx(error)
+
+
+def test_halves_are_those_of_the_load():
+    rng = np.random.default_rng(11)
+    samples, _ = moving_samples(rng, 60)
+    samples.wrench[:, 3:] = [0.0, 0.0, -100.0]
+    samples.wrench[:10, 3:] = 0.0
+    first, second = split(samples, 20.0)
+    assert np.flatnonzero(first).tolist() == [*range(10, 35)]
+    assert np.flatnonzero(second).tolist() == [*range(35, 60)]
+    with pytest.raises(IdentificationError, match=r"only 20 of 30 samples .* need 24"):
+        split(samples[:30], 20.0)
+
+
+def test_thinned_samples_are_spread_evenly():
+    rows = np.ones(10 * MOST_SAMPLES, dtype=bool)
+    rows[:50] = False
+    chosen = thinned(rows)
+    assert len(chosen) == MOST_SAMPLES and chosen[0] == 50 and chosen[-1] == len(rows) - 1
+    assert set(np.diff(chosen)) <= {9, 10}
+    assert thinned(rows[:60]).tolist() == [*range(50, 60)]
+
+
+def test_a_summary_is_the_mean_over_the_trials():
+    rng = np.random.default_rng(12)
+    geometry = random_socket(rng)
+    judgements = []
+    for name in ("a", "b"):
+        samples = samples_of_forces(geometry, rng.normal(size=(4, len(geometry), 3)))
+        judgements += judge_clusters(
+            samples, geometry, field_rivals(geometry), np.zeros((3, 3)), name
+        )
+    rows = summarise_judgements(judgements)
+    errors = [j.error for j in judgements if j.predictor == CLOSED and not j.cluster]
+    row = rows.loc[("cluster", "left out", CLOSED)]
+    assert row["judged [1]"] == 2
+    assert row["error [-]"] == pytest.approx(np.mean(errors))
+    assert row["worst error [-]"] == max(errors)

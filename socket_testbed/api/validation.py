@@ -1,0 +1,249 @@
+"""Validation: estimates judged on what they have not seen, beside simple rivals."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from socket_testbed.api.trials import PathLike, Progress, as_path, started
+from socket_testbed.errors import ConfigurationError, IdentificationError, TrialError
+from socket_testbed.identification.model_file import finite_or_null
+from socket_testbed.identification.plausibility import (
+    find_outliers,
+    require_position,
+    without_outliers,
+)
+from socket_testbed.identification.problem import LEAST_SAMPLES
+from socket_testbed.identification.validation import (
+    LEVELS,
+    Judgement,
+    fit_variants,
+    judge_map,
+    judge_samples,
+    judge_wrench,
+    judgements_table,
+    loaded_rows,
+    summarise_judgements,
+    wrench_predictors,
+)
+from socket_testbed.samples import Samples
+from socket_testbed.settings.testbed import EstimatorSettings, estimator_settings
+from socket_testbed.simulation.trial import TRUTH_FILE, read_truth
+from socket_testbed.trials.trial import Trial
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+T = TypeVar("T")
+_MOST_FITTED = 12  # trials that models are fitted on; and trials that each of them is tested on
+
+
+@dataclass(frozen=True, repr=False)
+class Validation:
+    """Estimates judged on what they have not seen.
+
+    Attributes:
+        trials: Names of the trials.
+        fitted: Names of those that models were fitted on.
+        judgements: Every judgement.
+    """
+
+    trials: tuple[str, ...]
+    fitted: tuple[str, ...]
+    judgements: tuple[Judgement, ...]
+
+    def __repr__(self) -> str:
+        return (
+            f"Validation({len(self.trials)} trial{'s'[: len(self.trials) > 1]}, models fitted on"
+            f" {len(self.fitted)}; {len(self.judgements)} judgements)"
+        )
+
+    def to_dataframe(self) -> pd.DataFrame:
+        """Every judgement, a row each: see `judgements_table`."""
+        return judgements_table(self.judgements)
+
+    def summary(self) -> pd.DataFrame:
+        """Means over the trials, a row per question, test and predictor."""
+        return summarise_judgements(self.judgements)
+
+    def document(self) -> dict[str, Any]:
+        """The validation for JSON."""
+        return {
+            "trials": list(self.trials),
+            "fitted": list(self.fitted),
+            "levels": list(LEVELS),
+            "judgements": [
+                {
+                    key: [*map(finite_or_null, value)]
+                    if isinstance(value, tuple)
+                    else finite_or_null(value)
+                    for key, value in dataclasses.asdict(judgement).items()
+                }
+                for judgement in self.judgements
+            ],
+        }
+
+    def to_json(self) -> str:
+        """The validation as JSON."""
+        return json.dumps(self.document(), indent=1, allow_nan=False)
+
+
+def validate(
+    *trials: Trial,
+    params: PathLike | None = None,
+    progress: Progress | None = None,
+    **choices: Any,
+) -> Validation:
+    """Judge the force on tiles and the wrench on what their estimates have not seen.
+
+    - Each cluster is left out and its force is predicted from the other clusters and the wrench.
+    - Every variant of the model is fitted on the first half of the part of a trial under load and
+      predicts the wrench of the second half from the pose alone; with several trials, it is also
+      fitted on all of that part and predicts the others. Of more than 12 trials, models are fitted
+      on 12 spread evenly over them, and each predicts 12 others.
+    - Where a trial has a simulated ground truth, the forces on the tiles without a sensor are
+      compared with it.
+
+    Simple rivals answer the same questions; see `socket_testbed.identification.validation`.
+
+    Args:
+        trials: Trials of one socket.
+        params: A `testbed.yaml` to use instead of each trial's own.
+        progress: See `Progress`.
+        choices: `theta`, `smoothness`, `leave_out` and `solver` as in `fit`.
+
+    Raises:
+        ConfigurationError: If the trials are of different sockets, a trial is given twice, or a
+            setting is wrong.
+        TrialError: If a trial cannot be read.
+        IdentificationError: If a single trial is too short or does not allow a fit. Among several
+            trials it is passed over with a note.
+
+    >>> found = st.validate(st.open_trial("trials/hold"), st.open_trial("trials/walk"))
+    >>> found
+    Validation(2 trials, models fitted on 2; ... judgements)
+    >>> left_out = found.summary().query("question == 'cluster'")
+    >>> bool((left_out["error [-]"] > 0.0).all())
+    True
+    """
+    recordings = _recordings(trials, as_path(params), choices)
+    several = len(trials) > 1
+    chosen = _spread(range(len(recordings)), _MOST_FITTED)
+    report = started(progress, "validating") or (lambda done, total: None)
+    total = len(recordings) + several * len(chosen)
+    judgements: list[Judgement] = []
+    fitted = []
+    with threadpool_limits(1):
+        for number, recording in enumerate(recordings):
+            try:
+                judgements += recording.judge(with_models=number in chosen)
+                fitted += [number] if number in chosen else []
+            except IdentificationError as error:
+                if not several:
+                    raise
+                _note(recording.trial, f"{recording.name} is passed over: {error}")
+            report(number + 1, total)
+        if not judgements:
+            raise TrialError(f"none of the {len(trials)} trials can be judged", "see the notes")
+        for done, number in enumerate(chosen if several else ()):
+            if number in fitted:
+                others = [other for other in recordings if other is not recordings[number]]
+                judgements += recordings[number].judge_others(_spread(others, _MOST_FITTED))
+            report(len(recordings) + done + 1, total)
+    names = tuple(recording.name for recording in recordings)
+    return Validation(names, tuple(names[number] for number in fitted), tuple(judgements))
+
+
+def _spread(items: Sequence[T], most: int) -> list[T]:
+    """At most so many of the items, evenly spread over them."""
+    numbers = np.linspace(0, len(items) - 1, min(len(items), most))
+    return [items[round(number)] for number in numbers]
+
+
+@dataclass(frozen=True)
+class _Recording:
+    """A trial that is ready to be judged."""
+
+    name: str
+    trial: Trial
+    settings: EstimatorSettings
+    samples: Samples
+
+    def judge(self, with_models: bool) -> list[Judgement]:
+        """What the trial says alone; with fits of the models, or of estimates without a fit."""
+        geometry = self.trial.geometry
+        if not with_models:
+            return judge_map(self.samples, geometry, self.settings, self.name)
+        simulated = (self.trial.path / TRUTH_FILE).is_file()
+        truth = read_truth(self.trial.path, self.samples.stamps).forces if simulated else None
+        return judge_samples(self.samples, geometry, self.settings, truth, self.name)
+
+    def judge_others(self, others: Sequence[_Recording]) -> list[Judgement]:
+        """How models that are fitted on all of this trial predict other trials."""
+        samples = self.loaded
+        models = fit_variants(samples, self.trial.geometry, self.settings.identification)
+        predictors = wrench_predictors(samples, models)
+        return [
+            judgement
+            for other in others
+            if len(other.loaded) >= LEAST_SAMPLES
+            for judgement in judge_wrench(
+                other.loaded, predictors, "other trial", self.name, other.name
+            )
+        ]
+
+    @property
+    def loaded(self) -> Samples:
+        """The samples under load."""
+        return self.samples[loaded_rows(self.samples, self.settings.plateau.least_force)]
+
+
+def _recordings(
+    trials: Sequence[Trial], params: Path | None, choices: dict[str, Any]
+) -> list[_Recording]:
+    """Read the trials; refuse what cannot be compared."""
+    if not trials:
+        raise ConfigurationError("no trial to validate on", "give one or more trials")
+    paths = [trial.path.resolve() for trial in trials]
+    names = [trial.name for trial in trials]
+    found = []
+    for number, (trial, path) in enumerate(zip(trials, paths, strict=True)):
+        if path in paths[:number]:
+            raise ConfigurationError(f"{trial.path} is given twice", "give each trial once")
+        name = trial.name if names.count(trial.name) == 1 else str(trial.path)
+        try:
+            found.append(_recording(name, trial, params, choices))
+        except (IdentificationError, TrialError) as error:
+            if len(trials) == 1:
+                raise
+            _note(trial, f"{name} is passed over: {error}")
+    first = found[0].trial if found else trials[0]
+    for trial in (recording.trial for recording in found):
+        if not trial.geometry.same_tiles(first.geometry):
+            raise ConfigurationError(
+                f"{trial.path} is of another socket ({len(trial.geometry)} tiles) than"
+                f" {first.path} ({len(first.geometry)} tiles)",
+                "validate the trials of one socket at a time",
+            )
+    return found
+
+
+def _recording(name: str, trial: Trial, params: Path | None, choices: dict[str, Any]) -> _Recording:
+    settings = estimator_settings(trial.estimator, params, **choices)
+    samples = trial.samples()
+    require_position(samples, trial.geometry)
+    leave_out = settings.identification.leave_out
+    samples = without_outliers(samples, find_outliers(samples, trial.geometry, leave_out))
+    return _Recording(name, trial, settings, samples)
+
+
+def _note(trial: Trial, text: str) -> None:
+    if trial.notify is not None:
+        trial.notify(text)

@@ -1,0 +1,89 @@
+"""`validate`: estimates judged on what they have not seen, beside simple rivals."""
+
+from __future__ import annotations
+
+import argparse
+
+import pandas as pd
+
+from socket_testbed import api
+from socket_testbed.api import Validation
+from socket_testbed.batch import find_trials
+from socket_testbed.commands.options import add_identification, add_trial, choices, trial_of
+from socket_testbed.commands.text import Progress, number, table
+
+_ERROR, _WORST = "error [-]", "worst error [-]"
+_COVERAGE = ("within 50 % [-]", "within 80 % [-]", "within 95 % [-]")
+_WRENCH = {
+    "moment RMSE [N m]": 3,
+    "force RMSE [N]": 2,
+    "moment skill [-]": 2,
+    "force skill [-]": 2,
+}
+_HEADINGS = (
+    ("cluster", "left out", "Force on a cluster that was left out, from the others and the wrench"),
+    ("tiles", "second half", "Force on the tiles without a sensor, against the simulated truth"),
+    ("wrench", "second half", "Wrench from the pose alone, fitted on the other half of the trial"),
+    ("wrench", "other trial", "Wrench from the pose alone, fitted on another trial"),
+    ("wrench", "in-sample", "Wrench from the pose alone, IN-SAMPLE: on the half that was fitted"),
+)
+_LEGEND = (
+    "error: rms error over the rms of the forces, 1 is predicting zero; 50, 80, 95 %: share of the"
+    "\nvalues within these intervals of the estimate; RMSE: mean of three channels; skill: 1 - RMSE"
+    "\nover that of the constants that fit these samples best, below 0 worse than a constant"
+)
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of the verb."""
+    add_trial(parser, "folders of the trials, or folders of trials, of one socket", "+")
+    add_identification(parser, variant=False)  # all are judged
+    parser.add_argument("--json", action="store_true", help="print JSON on standard output")
+    parser.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace) -> None:
+    """Validate and print."""
+    trials = [
+        trial_of(argparse.Namespace(**{**vars(options), "trial": path}))
+        for folder in options.trial
+        for path in [*find_trials(folder).values()] or [folder]
+    ]
+    found = api.validate(*trials, progress=Progress, **choices(options))
+    if options.json:
+        print(found.to_json())
+        return
+    print(_title(found))
+    tables = dict([*found.summary().groupby(level=["question", "test"])])
+    for question, test, heading in _HEADINGS:
+        if (question, test) in tables:
+            rows = tables[question, test].droplevel([0, 1])
+            print(f"\n{heading}\n\n{_table(rows, question)}")
+    print(f"\n{_LEGEND}")
+
+
+def _title(found: Validation) -> str:
+    if len(found.trials) == 1:
+        return f"{found.trials[0]}: the part under load, in two halves"
+    return (
+        f"{len(found.trials)} trials, means over them; models fitted on {len(found.fitted)}:"
+        f" {', '.join(found.fitted)}"
+    )
+
+
+def _table(rows: pd.DataFrame, question: str) -> str:
+    if question == "wrench":
+        header = ["predictor", *_WRENCH]
+        cells = [
+            [number(row[title], digits) for title, digits in _WRENCH.items()]
+            for _, row in rows.iterrows()
+        ]
+    else:
+        several = bool((rows["judged [1]"] > 1).any())
+        header = ["predictor", _ERROR, *([_WORST] if several else []), "50 %", "80 %", "95 %"]
+        cells = [
+            [number(row[title], 2) for title in (_ERROR, *([_WORST] if several else []))]
+            + [number(100.0 * row[title], 0) for title in _COVERAGE]
+            for _, row in rows.iterrows()
+        ]
+    return table(header, [[str(name), *row] for name, row in zip(rows.index, cells, strict=True)])

@@ -1,0 +1,104 @@
+"""`validate` as a user calls it, on one trial and on several."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+import yaml
+
+import socket_testbed as st
+from socket_testbed.__main__ import run
+
+
+def call(capsys, *words: object) -> tuple[int, str, str]:
+    code = run([str(word) for word in words])
+    return code, *capsys.readouterr()
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Three short trials that move."""
+    path = tmp_path_factory.mktemp("moving")
+    for seed in range(3):
+        st.simulate(path / f"s{seed}", "multi_direction", duration=20, seed=seed)
+    return path
+
+
+def rows_of(out: str, heading: str) -> dict[str, list[str]]:
+    """The cells of the table below a heading, by their first column."""
+    _, _, below = out.partition(heading)
+    lines = below.strip().splitlines()
+    end = next((i for i, line in enumerate(lines) if i > 2 and not line), len(lines))
+    rows = [line.split("  ") for line in lines[3 if not lines[0].startswith("pred") else 2 : end]]
+    return {cells[0]: [cell.strip() for cell in cells[1:] if cell] for cells in rows}
+
+
+def test_one_trial_is_judged_on_its_other_half(folder: Path, capsys) -> None:
+    code, out, err = call(capsys, "validate", folder / "s0")
+    assert code == 0 and err == ""
+    assert out.startswith("s0: ")
+    for heading in ("left out", "without a sensor", "other half", "IN-SAMPLE"):
+        assert heading in out, heading
+    assert "another trial" not in out
+    wrench = rows_of(out, "fitted on the other half of the trial")
+    assert {"best constant", "linear regression on the pose", "stiffness"} <= set(wrench)
+    assert float(wrench["best constant"][2]) <= 0.0  # no constant beats the best one
+    tiles = rows_of(out, "simulated truth")
+    closed, plain = (
+        float(tiles[name][0]) for name in ("inverse distance, wrench met", "inverse distance")
+    )
+    assert 0.2 < closed < plain < 1.0
+
+
+def test_several_trials_predict_each_other_and_json_holds_it_all(folder: Path, capsys) -> None:
+    code, out, _ = call(capsys, "validate", folder, "--json")  # a folder of trials
+    assert code == 0
+    document = json.loads(out)
+    assert document["trials"] == document["fitted"] == ["s0", "s1", "s2"]
+    judged = document["judgements"]
+    pairs = {(j["fitted_on"], j["tested_on"]) for j in judged if j["test"] == "other trial"}
+    assert pairs == {(a, b) for a in document["trials"] for b in document["trials"] if a != b}
+    found = st.validate(*(st.open_trial(folder / name) for name in document["trials"]))
+    assert found.document() == document
+    assert repr(found).startswith("Validation(3 trials, models fitted on 3; ")
+
+
+def test_a_recorded_trial_has_no_truth_to_compare_with(folder: Path, tmp_path, capsys) -> None:
+    recorded = shutil.copytree(folder / "s1", tmp_path / "recorded")
+    (recorded / "ground_truth.npz").unlink()
+    code, out, _ = call(capsys, "validate", recorded)
+    assert code == 0 and "without a sensor" not in out and "left out" in out
+
+
+def test_trials_of_different_sockets_are_refused_by_name(folder: Path, tmp_path, capsys) -> None:
+    other = shutil.copytree(folder / "s2", tmp_path / "other")
+    document = yaml.safe_load((other / "socket.yaml").read_text())
+    tile = next(iter(document["tiles"].values()))
+    tile["anchor"][2] += 0.01
+    (other / "socket.yaml").write_text(yaml.safe_dump(document))
+    code, out, err = call(capsys, "validate", folder / "s0", other)
+    assert code == 1 and out == "" and err.count("\n") == 1
+    assert "/other is of another socket" in err and "/s0" in err
+
+
+def test_a_trial_that_is_too_short_is_refused_alone_and_passed_over_among_others(
+    folder: Path, tmp_path, capsys
+) -> None:
+    short = tmp_path / "short"
+    st.simulate(short, "multi_direction", duration=5, seed=7)
+    code, out, err = call(capsys, "validate", short)
+    assert code == 1 and out == "" and "only 20 of 20 samples" in err and "longer" in err
+    broken = tmp_path / "broken"
+    broken.mkdir()
+    code, out, err = call(capsys, "validate", folder / "s0", broken, folder / "s1", short)
+    assert code == 0 and "note: short is passed over: only 20 of 20 samples" in err
+    assert "note: broken is passed over: " in err
+    assert out.startswith("3 trials, means over them; models fitted on 2: s0, s1")
+
+
+def test_a_trial_given_twice_is_refused(folder: Path, capsys) -> None:
+    code, _, err = call(capsys, "validate", folder / "s0", folder)
+    assert code == 1 and "s0 is given twice" in err
