@@ -15,6 +15,7 @@ import os
 import time
 from collections import deque
 from collections.abc import Callable
+from statistics import median_low
 
 BEGINNING = "SOCKET_TESTBED_BEGINNING"  # of the steady clock, since the epoch [ns]
 TIME_SCALE = "SOCKET_TESTBED_TIME_SCALE"  # testbed seconds per real second, in (0, 1] [-]
@@ -146,6 +147,37 @@ class TriggerTime:
             return -math.inf
         self.shift = min(self._differences) - _TRAVEL
         return plain + self.shift
+
+
+_INTERVALS = 5
+
+
+class TriggerPeriod:
+    """Time between triggers: the median of the last intervals.
+
+    A pulse that was not seen leaves a gap in the sequence and is allowed for; a pause, a late
+    trigger and a short interval after it do not count.
+    """
+
+    def __init__(self) -> None:
+        self._last: tuple[int, int] | None = None
+        self._intervals: deque[float] = deque(maxlen=_INTERVALS)
+
+    def add(self, stamp: int, sequence: int) -> float:
+        """Add a trigger; returns the period [s], 0 after the first one.
+
+        Args:
+            stamp: Its stamp since the epoch [ns].
+            sequence: Its number; numbers that do not rise are those of another trigger node.
+        """
+        if self._last is not None:
+            duration, pulses = stamp - self._last[0], sequence - self._last[1]
+            if duration > 0 and pulses > 0:
+                self._intervals.append(1e-9 * duration / pulses)
+            else:
+                self._intervals.clear()
+        self._last = stamp, sequence
+        return median_low(self._intervals) if self._intervals else 0.0
 
 
 _FIRST = 0.05  # [s]

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from socket_testbed import clocks as clocks_module
-from socket_testbed.clocks import BEGINNING, TIME_SCALE, SteadyClock, TriggerTime
+from socket_testbed.clocks import BEGINNING, TIME_SCALE, SteadyClock, TriggerPeriod, TriggerTime
 
 START = 1_760_000_000_123_456_789  # [ns]
 
@@ -163,3 +163,32 @@ def test_triggers_that_were_held_up_are_not_taken_for_another_clock() -> None:
         found = time.steady(stamp, 55.0 + 1e-5 * k)
         assert found in (-math.inf, pytest.approx(53.0 + 0.05 * k, abs=1e-6))
     assert time.shift == 0.0
+
+
+def periods_of(triggers: list[tuple[float, int]]) -> list[float]:
+    """The periods after triggers with these times [s] and numbers."""
+    period = TriggerPeriod()
+    return [period.add(1_700_000_000_000_000_000 + round(t * 1e9), n) for t, n in triggers]
+
+
+def test_the_period_is_known_from_the_second_trigger_on() -> None:
+    assert periods_of([(0.25 * k, k) for k in range(4)]) == pytest.approx([0.0, 0.25, 0.25, 0.25])
+
+
+def test_jitter_missed_pulses_and_pauses_leave_the_period() -> None:
+    rng = np.random.default_rng(3)
+    seen = [k for k in range(200) if rng.random() > 0.4]
+    jittery = [(0.05 * k + rng.uniform(0.0, 2e-3), k) for k in seen]
+    assert periods_of(jittery)[6:] == pytest.approx([0.05] * (len(seen) - 6), abs=2.5e-3)
+    # A trigger that was late by most of a period, and a pause between two pulses.
+    uneven = [(0.05 * k + 0.04 * (k == 10) + 60.0 * (k > 20), k) for k in range(30)]
+    assert periods_of(uneven)[5:] == pytest.approx([0.05] * 25)
+
+
+def test_another_rate_or_another_trigger_node_is_followed() -> None:
+    faster = [(0.25 * k, k) for k in range(9)] + [(2.0 + 0.01 * k, 8 + k) for k in range(1, 9)]
+    assert periods_of(faster)[-5:] == pytest.approx([0.01] * 5)
+    restarted = [(0.05 * k, 100 + k) for k in range(9)] + [(3.0 + 0.1 * k, k) for k in range(3)]
+    assert periods_of(restarted)[-3:] == pytest.approx([0.0, 0.1, 0.1])
+    stepped_back = [(10.0, 1), (10.1, 2), (5.0, 3), (5.1, 4)]
+    assert periods_of(stepped_back) == pytest.approx([0.0, 0.1, 0.0, 0.1])

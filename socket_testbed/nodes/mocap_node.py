@@ -2,6 +2,9 @@
 
 Subscribes: trigger, recorder/trial. Publishes: mocap/socket/pose, mocap/pylon/pose,
 mocap/markers, /diagnostics.
+
+A pose is the mean of the frames in a window centred on the trigger, and published half a window
+after it; the markers are interpolated at the trigger.
 """
 
 from __future__ import annotations
@@ -12,6 +15,7 @@ from geometry_msgs.msg import PoseStamped
 from std_msgs.msg import String
 
 from socket_testbed import clocks
+from socket_testbed.drivers.averaging import averaging_span
 from socket_testbed.drivers.natnet.client import NatNetClient
 from socket_testbed.drivers.natnet.tracker import BodyTracker, MocapSample
 from socket_testbed.files import packaged
@@ -26,7 +30,7 @@ _WORLD = "world"
 
 
 class MocapNode(SensorNode[MocapSettings]):
-    """Interpolates the bodies to each trigger's time; what is not seen is missing."""
+    """Averages the bodies' poses around each trigger; what is not seen is missing."""
 
     def __init__(self) -> None:
         super().__init__("mocap_node", MocapSettings)
@@ -38,6 +42,7 @@ class MocapNode(SensorNode[MocapSettings]):
         self._client = NatNetClient(settings, self._tracker.add)
         self._poses = [self.advertise(topic) for topic in (SOCKET_POSE, PYLON_POSE)]
         self._markers = self.advertise(MARKERS)
+        self._averaged, self._delay = 0, 0.0
         self._client.start()
         self.follow_triggers()
         self.listen(RECORDED_TRIAL, self._on_recorded, needed=False)
@@ -48,27 +53,35 @@ class MocapNode(SensorNode[MocapSettings]):
         self._client.close()
 
     def figures(self) -> dict[str, object]:
-        """Those of the measurements and of the stream."""
-        return {**super().figures(), **self._client.figures()}
+        """Those of the measurements, of the stream and of the last poses.
+
+        `averaged_frames` is the number of frames that made them, the smaller one of the bodies;
+        `delay` is how long after its trigger the last pose was published [s].
+        """
+        last = {"averaged_frames": self._averaged, "delay": round(self._delay, 4)}
+        return {**super().figures(), **last, **self._client.figures()}
 
     def measure(self, stamp: int, moment: float) -> None:
-        """Wait for the frames around the trigger and interpolate."""
-        self._tracker.wait(moment, moment + self._stale)
-        sample = self._sample(moment)
+        """Wait for the frames around the trigger and average them."""
+        window = averaging_span(self.settings.window, self.period)
+        self._tracker.wait(moment, moment + 0.5 * window + self._stale, window)
+        sample = self._sample(moment, window)
+        self._averaged = min(sample.frames)
         header = header_to_ros(stamp, _WORLD)
         for publisher, position, quaternion in zip(
             self._poses, sample.positions, sample.quaternions, strict=True
         ):
             publisher.publish(PoseStamped(header=header, pose=pose_to_ros(position, quaternion)))
         self._markers.publish(markers_to_ros(stamp, _WORLD, ("socket", "pylon"), sample.markers))
+        self._delay = clocks.monotonic() - moment
         self.missing += any(sample.faults)
 
     def idle(self) -> None:
         """See how the bodies are."""
         self._sample(clocks.monotonic() - self._stale)
 
-    def _sample(self, moment: float) -> MocapSample:
-        sample = self._tracker.sample(moment)
+    def _sample(self, moment: float, window: float = 0.0) -> MocapSample:
+        sample = self._tracker.sample(moment, window)
         faults = dict.fromkeys(fault for fault in sample.faults if fault)
         if faults:
             self.fault.saw("; ".join(faults))

@@ -8,7 +8,7 @@ import threading
 from socket_testbed_msgs.msg import Trigger
 
 from socket_testbed import clocks
-from socket_testbed.clocks import SteadyClock, TriggerTime
+from socket_testbed.clocks import SteadyClock, TriggerPeriod, TriggerTime
 from socket_testbed.nodes.base import OK, WARN, RecentFault, S, TestbedNode
 from socket_testbed.nodes.conversions import stamp_from_ros
 from socket_testbed.trials.topics import TRIGGER
@@ -27,6 +27,7 @@ class SensorNode(TestbedNode[S]):
         samples: Number of measurements.
         missing: Number of them, or of their channels, that are missing.
         busy_since: When the measurement in hand began on the steady clock [s], or None.
+        period: Time between the triggers up to the one in hand [s]; 0: not known yet.
     """
 
     def __init__(self, name: str, kind: type[S]) -> None:
@@ -35,8 +36,10 @@ class SensorNode(TestbedNode[S]):
         self.samples = 0
         self.missing = 0
         self.busy_since: float | None = None
+        self.period = 0.0
         self._trigger_time = TriggerTime(SteadyClock())
-        self._due: queue.SimpleQueue[tuple[int, float] | None] = queue.SimpleQueue()
+        self._trigger_period = TriggerPeriod()
+        self._due: queue.SimpleQueue[tuple[int, float, float] | None] = queue.SimpleQueue()
         self._measuring = threading.Thread(target=self._run, name="measure")
 
     def measure(self, stamp: int, moment: float) -> None:
@@ -86,7 +89,8 @@ class SensorNode(TestbedNode[S]):
 
     def _on_trigger(self, message: Trigger) -> None:
         stamp = stamp_from_ros(message.header.stamp)
-        self._due.put((stamp, self._trigger_time.steady(stamp, clocks.monotonic())))
+        moment = self._trigger_time.steady(stamp, clocks.monotonic())
+        self._due.put((stamp, moment, self._trigger_period.add(stamp, message.sequence)))
 
     def _run(self) -> None:
         try:
@@ -99,7 +103,8 @@ class SensorNode(TestbedNode[S]):
                 if entry is None:
                     return
                 self.busy_since = clocks.monotonic()
-                self.measure(*entry)
+                stamp, moment, self.period = entry
+                self.measure(stamp, moment)
                 self.samples += 1
                 self.busy_since = None
         except Exception:

@@ -107,8 +107,15 @@ class LoadCellSettings(Settings):
         "", "folder of a simulated world; empty: the hardware [-]", fixed=True
     )
     window: float = setting(
-        0.02, "span of conversions, a quarter after a trigger, that makes its wrench [s]", 1e-3, 1.0
+        0.02,
+        "shortest span of conversions for a wrench, a quarter after its trigger [s]",
+        1e-3,
+        1.0,
     )
+    average_over: float = setting(
+        -1.0, "span centred on a trigger that its wrench averages, where the window is shorter;"
+        " negative: the trigger's period, at most 0.25; 0: the window alone [s]", -1.0, 0.5,
+    )  # fmt: skip
     tare_duration: float = setting(1.0, "span that a tare averages [s]", 0.1, 60.0)
     tare_force: float = setting(
         2.0, "largest standard deviation of a force while taring [N]", 1e-3, 1e3
@@ -145,4 +152,8 @@ class MocapSettings(Settings):
     stale: float = setting(
         0.05, "largest gap between the frames around a trigger, and wait for them [s]", 1e-3, 1.0
     )
+    window: float = setting(
+        -1.0, "span of frames centred on a trigger whose mean is its pose; negative: the trigger's"
+        " period, at most 0.25; 0: between the two frames around it [s]", -1.0, 0.5,
+    )  # fmt: skip
     record_takes: bool = setting(True, "have Motive record when the recorder records [-]")

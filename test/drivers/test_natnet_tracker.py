@@ -4,7 +4,7 @@ import threading
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
+from scipy.spatial.transform import Rotation, Slerp
 from support.natnet import NAMES, TRIADS, markers_at, pose_at
 
 from socket_testbed import clocks
@@ -290,6 +290,171 @@ def test_waiting_ends_with_the_frame_or_the_deadline():
     assert tracker.wait(start, start + 10.0)
     sender.join()
     assert tracker.sample(start).faults == ("", "")
+
+
+class Walk:
+    """Two bodies that move and turn steadily, seen with noise; frames may be missing.
+
+    Args:
+        times: Times of the frames [s].
+        noise: Noise of a marker's coordinate [m].
+        speed: Speed of the bodies against the usual one [-].
+        hidden: Times [s] at which a marker of the socket is occluded.
+    """
+
+    def __init__(self, times, noise=0.0, seed=0, speed=1.0, hidden=()) -> None:
+        self._speed = speed
+        self._rng = np.random.default_rng(seed)
+        self.tracker = BodyTracker(SETTINGS, *TRIADS)
+        self._seen = []  # of the socket
+        for time in times:
+            markers = []
+            for body, identity in enumerate(IDS):
+                position, rotation = self.pose(body, time)
+                seen = rotation.apply(TRIADS[body]) + position
+                seen += self._rng.normal(0.0, noise, (3, 3))
+                if body == 0:
+                    self._seen.append(seen)
+                occluded = body == 0 and time in hidden
+                markers += [
+                    LabelledMarker(identity, k + 1, tuple(seen[k]), occluded and k == 1, False)
+                    for k in range(3)
+                ]
+            frame = MocapFrame(0, (), tuple(markers), time, 0, False, False, False)
+            self.tracker.add(frame, time, MODELS)
+
+    def pose(self, body, time):
+        velocity, rate = np.array([0.2, -0.1, 0.3]), np.array([0.5, 0.8, -0.6])  # [m/s], [rad/s]
+        place = np.array([0.4, -0.3, 0.7 + 0.2 * body])
+        first = Rotation.from_rotvec([0.3, 0.2 * body, -0.4])
+        moved = self._speed * time
+        return place + velocity * moved, first * Rotation.from_rotvec(rate * moved)
+
+    def errors(self, sample, body=0):
+        """Errors of position [m] and orientation [rad]."""
+        position, rotation = self.pose(body, sample.time)
+        turn = Rotation.from_quat(sample.quaternions[body]).inv() * rotation
+        return np.linalg.norm(sample.positions[body] - position), turn.magnitude()
+
+    def fitted(self, first, last):
+        """Positions [m] and orientations of the socket in some frames, by another method."""
+        arms = TRIADS[0] - TRIADS[0].mean(axis=0)
+        positions, rotations = [], []
+        for seen in self._seen[first:last]:
+            rotation, _ = Rotation.align_vectors(seen - seen.mean(axis=0), arms)
+            rotations.append(rotation)
+            positions.append(seen.mean(axis=0) - rotation.apply(TRIADS[0].mean(axis=0)))
+        return np.array(positions), rotations
+
+
+def quaternion_mean(rotations) -> Rotation:
+    """Markley et al. 2007, doi:10.2514/1.28949: largest eigenvector of the sum of q q^T."""
+    quaternions = np.array([rotation.as_quat() for rotation in rotations])
+    return Rotation.from_quat(np.linalg.eigh(quaternions.T @ quaternions)[1][:, -1])
+
+
+def test_the_pose_is_the_mean_of_the_frames_in_the_window():
+    walk = Walk(0.005 * np.arange(-40, 41), noise=1e-4, speed=0.0)
+    sample = walk.tracker.sample(0.0, 0.251)
+    assert sample.frames == (51, 51) and sample.faults == ("", "")
+    positions, rotations = walk.fitted(15, 66)
+    np.testing.assert_allclose(sample.positions[0], positions.mean(axis=0), atol=1e-9)
+    turn = Rotation.from_quat(sample.quaternions[0]).inv() * quaternion_mean(rotations)
+    assert turn.magnitude() < 1e-8
+
+
+@pytest.mark.parametrize("window", [0.01, 0.05, 0.25])
+@pytest.mark.parametrize("seed", range(4))
+def test_a_mean_does_not_lag_behind_a_steady_motion(window, seed):
+    """Wherever the trigger is between frames, and whichever of them are missing."""
+    rng = np.random.default_rng(seed)
+    times = np.arange(-0.3, 0.3, PERIOD)
+    times = times[rng.random(len(times)) < (1.0, 1.0, 0.7, 0.5)[seed]]
+    walk = Walk(times)
+    for trigger in rng.uniform(-0.1, 0.1, 20):
+        sample = walk.tracker.sample(trigger, window)
+        if sample.faults == ("", ""):
+            for body in range(2):
+                position, angle = walk.errors(sample, body)
+                assert position < 1e-9 and angle < 1e-7
+
+
+def test_a_mean_of_a_bent_path_is_that_of_the_path():
+    tracker = tracker_of(frames(240))
+    for trigger in (0.3, 0.4567, 0.7):
+        sample = tracker.sample(trigger, 0.25)
+        assert sample.frames[0] in (59, 60, 61)
+        path = [pose_at(0, t) for t in trigger + np.linspace(-0.125, 0.125, 1001)]
+        position = np.mean([position for position, _ in path], axis=0)
+        assert np.linalg.norm(sample.positions[0] - position) < 5e-5
+        turn = Rotation.from_quat(sample.quaternions[0]).inv() * quaternion_mean(
+            [rotation for _, rotation in path]
+        )
+        assert turn.magnitude() < 5e-4
+        # And the markers are those at the trigger's time.
+        np.testing.assert_array_equal(sample.markers, tracker.sample(trigger).markers)
+
+
+def test_noise_falls_with_the_root_of_the_number_of_frames():
+    errors = {1: [], 5: [], 15: [], 61: []}
+    for seed in range(60):
+        walk = Walk(PERIOD * np.arange(-31, 32), noise=5e-5, seed=seed, speed=0.0)
+        position, rotation = walk.pose(0, 0.0)
+        for count, found in errors.items():
+            # At the time of a frame, where the interpolation is that frame.
+            sample = walk.tracker.sample(0.0, (count - 0.5) * PERIOD if count > 1 else 0.0)
+            assert count == 1 or sample.frames[0] == count
+            turn = Rotation.from_quat(sample.quaternions[0]).inv() * rotation
+            found.append(np.concatenate([sample.positions[0] - position, turn.as_rotvec()]))
+    single = np.sqrt(np.mean(np.square(errors[1]), axis=0))
+    for count, found in errors.items():
+        spread = np.sqrt(np.mean(np.square(found), axis=0))
+        np.testing.assert_allclose(spread * np.sqrt(count), single, rtol=0.35)
+
+
+def test_occluded_frames_are_left_out_of_the_mean_and_nothing_lags():
+    times = PERIOD * np.arange(-60, 60)
+    late = times[times > 2.5 * PERIOD]
+    walk = Walk(times, hidden=late)
+    sample = walk.tracker.sample(0.4 * PERIOD, 0.25)
+    assert sample.frames == (32, 60) and sample.faults == ("", "")
+    assert max(walk.errors(sample)) < 1e-7
+    # All frames around the trigger are occluded: there is no pose, though the window has frames.
+    around = times[np.abs(times) < 0.04]
+    walk = Walk(times, hidden=around)
+    sample = walk.tracker.sample(0.0, 0.25)
+    assert sample.frames[0] == 0 and np.isnan(sample.positions[0]).all()
+    assert sample.faults == ("marker 2 of rigid body 'socket' is occluded", "")
+
+
+@pytest.mark.parametrize("window", [0.0, 0.5 * PERIOD, 1.9 * PERIOD])
+def test_with_a_frame_or_none_in_the_window_the_pose_is_interpolated(window):
+    walk = Walk(PERIOD * np.arange(-5, 6), noise=1e-4)
+    sample = walk.tracker.sample(0.2 * PERIOD, window)
+    positions, rotations = walk.fitted(5, 7)
+    np.testing.assert_allclose(sample.positions[0], [0.8, 0.2] @ positions, atol=1e-12)
+    between = Slerp([0.0, 1.0], Rotation.concatenate(rotations))(0.2)
+    assert (Rotation.from_quat(sample.quaternions[0]).inv() * between).magnitude() < 1e-7
+    assert sample.frames == (2, 2)
+
+
+def test_a_mean_is_never_noisier_than_the_interpolation():
+    """Two frames at the end of a window, carried to the trigger's time, would be."""
+    walk = Walk(np.array([-0.02, 0.004, 0.005]), noise=1e-4)
+    sample, interpolated = walk.tracker.sample(0.0, 0.012), walk.tracker.sample(0.0)
+    np.testing.assert_array_equal(sample.positions, interpolated.positions)
+    np.testing.assert_array_equal(sample.quaternions, interpolated.quaternions)
+    assert sample.frames == interpolated.frames == (2, 2)
+
+
+def test_a_window_is_waited_for_to_its_last_frame():
+    tracker = tracker_of(frames(20))  # the last at 19, the next at 20
+    assert tracker.ready(10.2 * PERIOD, 19.0 * PERIOD)
+    assert not tracker.ready(10.2 * PERIOD, 20.0 * PERIOD)
+    assert not tracker.wait(10.2 * PERIOD, clocks.monotonic(), 20.0 * PERIOD)
+    tracker.add(frame_at(20 * PERIOD), 20 * PERIOD, MODELS)
+    assert tracker.wait(10.2 * PERIOD, clocks.monotonic(), 20.0 * PERIOD)
+    assert not BodyTracker(SETTINGS, *TRIADS).ready(0.0, 0.25)
 
 
 @pytest.mark.parametrize("seed", range(8))

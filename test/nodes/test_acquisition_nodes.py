@@ -61,3 +61,20 @@ def test_a_take_s_stamps_are_even_and_match_the_wrenches() -> None:
         triggers = {(m.header.stamp.sec, m.header.stamp.nanosec) for m in live.triggers}
     assert {stamp for stamp in wrenches if stamp >= min(triggers)} <= triggers
     assert np.median(np.diff(stamps)) == pytest.approx(0.05, abs=2e-3)
+
+
+def test_poses_and_wrenches_are_averages_over_the_trigger_s_period() -> None:
+    """50 ms at 240 frames and 500 conversions a second, half of it after the trigger."""
+    with LiveTestbed(simulation=Simulation("static_hold", 60.0)) as live:
+
+        def figure(node: str, name: str) -> float:
+            found = [s.values for m in live.diagnostics for s in m.status if s.name == node]
+            return float({v.key: v.value for v in found[-1]}[name])
+
+        live.probe.wait(lambda: figure("mocap_node", "averaged_frames") >= 10, "the mean poses")
+        live.probe.wait(
+            lambda: figure("load_cell_node", "averaged_conversions") >= 22, "the mean wrenches"
+        )
+        assert figure("mocap_node", "averaged_frames") <= 14
+        assert figure("load_cell_node", "averaged_conversions") <= 28
+        assert figure("mocap_node", "delay") > 0.02

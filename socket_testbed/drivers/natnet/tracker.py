@@ -1,4 +1,4 @@
-"""Markers and poses of the two bodies at a trigger's time, between the frames around it."""
+"""Markers and poses of the two bodies at a trigger's time, from the frames around it."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import threading
 from collections import Counter, deque
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import islice
 from typing import TypeAlias
 
 import numpy as np
@@ -13,6 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from socket_testbed import clocks
 from socket_testbed.arrays import FloatArray, IntArray
+from socket_testbed.drivers.averaging import line_weights
 from socket_testbed.drivers.natnet.messages import BodiesByName, MocapFrame
 from socket_testbed.geometry.marker_bodies import EDGE_TOLERANCE, TriadFit, edge_lengths, fit_triad
 from socket_testbed.settings.acquisition import MocapSettings
@@ -34,6 +36,7 @@ class MocapSample:
         quaternions: Their orientations (x, y, z, w), shape (2, 4) [-].
         markers: Their markers in the bodies' order, shape (2, 3, 3) [m].
         faults: Why a body has no pose; empty if it has one.
+        frames: Number of frames that make each pose [1]; 0 where there is none.
     """
 
     time: float
@@ -41,12 +44,14 @@ class MocapSample:
     quaternions: FloatArray
     markers: FloatArray
     faults: tuple[str, str]
+    frames: tuple[int, int]
 
 
 class BodyTracker:
-    """Keeps the frames of the last second and interpolates between them.
+    """Keeps the frames of the last second, and interpolates between them or averages them.
 
-    Any thread may call any method.
+    A window [s] is the span around a trigger whose frames are averaged; with 0 a pose is
+    interpolated between two frames. Any thread may call any method.
 
     Args:
         settings: The settings.
@@ -84,33 +89,43 @@ class BodyTracker:
                 self._frames.popleft()
             self._changed.notify_all()
 
-    def ready(self, trigger: float) -> bool:
+    def ready(self, trigger: float, window: float = 0.0) -> bool:
         """Whether no later frame will make the sample of a trigger [s] better."""
         with self._changed:
-            return self._is_ready(trigger)
+            return self._is_ready(trigger, window)
 
-    def wait(self, trigger: float, deadline: float) -> bool:
+    def wait(self, trigger: float, deadline: float, window: float = 0.0) -> bool:
         """Wait until `ready`, or until a time of the steady clock [s]; whether it is ready."""
         with self._changed:
-            while not self._is_ready(trigger):
+            while not self._is_ready(trigger, window):
                 left = deadline - clocks.monotonic()
                 if left <= 0.0:
                     return False
                 self._changed.wait(clocks.real(left))
             return True
 
-    def sample(self, trigger: float) -> MocapSample:
-        """The bodies at a time of the steady clock [s], from the frames there are."""
+    def sample(self, trigger: float, window: float = 0.0) -> MocapSample:
+        """The bodies at a time of the steady clock [s], from the frames there are.
+
+        A pose is the mean on SE(3) of the frames in the window: positions by their mean,
+        rotations by the mean of their matrices (chordal). Frames are not even about the trigger,
+        less so where some are missing; therefore the mean is carried to the trigger's time with
+        the window's mean velocity, and does not lag. A body has a pose whenever it can be
+        interpolated; the interpolated one stays if the frames would make a noisier mean.
+        Markers are always interpolated.
+        """
         with self._changed:
             before, after = self._around(trigger)
-            bodies = [body.between(before, after, trigger, self._stale) for body in self._bodies]
-        positions, quaternions, markers, faults = zip(*bodies, strict=True)
+            inside = self._inside(trigger, window) if window > 0.0 else []
+            bodies = [body.at(trigger, before, after, inside, self._stale) for body in self._bodies]
+        positions, quaternions, markers, faults, frames = zip(*bodies, strict=True)
         return MocapSample(
             trigger,
             np.array(positions),
             np.array(quaternions),
             np.array(markers),
             (faults[0], faults[1]),
+            (frames[0], frames[1]),
         )
 
     def _around(self, trigger: float) -> tuple[list[_Entry], list[_Entry]]:
@@ -126,7 +141,18 @@ class BodyTracker:
                     break
         return before, after[:2]
 
-    def _is_ready(self, trigger: float) -> bool:
+    def _inside(self, trigger: float, window: float) -> list[_Entry]:
+        """The frames at most half a window from a time."""
+        return [entry for entry in self._frames if abs(entry[0] - trigger) <= 0.5 * window]
+
+    def _is_over(self, end: float) -> bool:
+        """Whether the next frame will come after a time, as they follow each other at present."""
+        times = [entry[0] for entry in islice(reversed(self._frames), 2)]
+        return bool(times) and 2.0 * times[0] - times[-1] > end
+
+    def _is_ready(self, trigger: float, window: float) -> bool:
+        if window > 0.0 and not self._is_over(trigger + 0.5 * window):
+            return False
         _, after = self._around(trigger)
         if not after or len(after) == 2 or after[-1][0] >= trigger + self._stale:
             return bool(after)
@@ -135,7 +161,7 @@ class BodyTracker:
         return all(body.is_seen(frame, models) for body in self._bodies)
 
 
-_Result: TypeAlias = tuple[FloatArray, FloatArray, FloatArray, str]
+_Result: TypeAlias = tuple[FloatArray, FloatArray, FloatArray, str, int]
 
 
 class _TrackedBody:
@@ -152,16 +178,21 @@ class _TrackedBody:
         """Whether all its markers are seen, or never will be."""
         return bool(self._unknown(models) or np.isfinite(self._triad(frame, models)).all())
 
-    def between(
-        self, before: Sequence[_Entry], after: Sequence[_Entry], trigger: float, stale: float
+    def at(
+        self,
+        trigger: float,
+        before: Sequence[_Entry],
+        after: Sequence[_Entry],
+        inside: Sequence[_Entry],
+        stale: float,
     ) -> _Result:
-        """Position [m], quaternion, markers [m] and fault at a time between frames [s]."""
+        """Position [m], quaternion, markers [m], fault and number of frames at a time [s]."""
         nothing = (np.full(3, np.nan), np.full(4, np.nan), np.full((3, 3), np.nan))
         if not before or not after or after[0][0] - before[0][0] > stale:
-            return *nothing, f"no two frames within {stale:g} s around the trigger"
+            return *nothing, f"no two frames within {stale:g} s around the trigger", 0
         for _, _, models in (before[0], after[0]):
             if fault := self._unknown(models):
-                return *nothing, fault
+                return *nothing, fault, 0
         entries = [*before, *after]
         times = [time for time, _, _ in entries]
         triads = np.array([self._triad(frame, models) for _, frame, models in entries])
@@ -171,10 +202,13 @@ class _TrackedBody:
             for b in range(first, len(entries)):
                 if fit.order[a, 0] >= 0 <= fit.order[b, 0] and times[b] - times[a] <= stale:
                     weight = (trigger - times[a]) / (times[b] - times[a])
-                    return *self._interpolate(fit, triads, (a, b), weight), ""
+                    interpolated = self._interpolate(fit, triads, (a, b), weight)
+                    mean = self._mean(inside, trigger, weight**2 + (1.0 - weight) ** 2)
+                    pose, used = (interpolated[:2], 2) if mean is None else mean
+                    return *pose, interpolated[2], "", used
         weight = (trigger - times[0]) / (times[first] - times[0])
         markers = self._by_label(fit, triads, (0, first), weight)
-        return *nothing[:2], markers, self._fault(triads[[0, first]])
+        return *nothing[:2], markers, self._fault(triads[[0, first]]), 0
 
     def _unknown(self, models: BodiesByName | None) -> str:
         """Why none of the server's rigid bodies is this one; empty: one is."""
@@ -222,6 +256,26 @@ class _TrackedBody:
             rotation.as_quat(),
             markers + weight * (triads[b][fit.order[b]] - markers),
         )
+
+    def _mean(
+        self, entries: Sequence[_Entry], trigger: float, largest: float
+    ) -> tuple[tuple[FloatArray, FloatArray], int] | None:
+        """Position [m] and quaternion at a time from all frames with a pose, and their number.
+
+        None if noise would have a larger variance in it than this part of a frame's [-].
+        """
+        if not entries:
+            return None
+        triads = np.array([self._triad(frame, models) for _, frame, models in entries])
+        fit = fit_triad(self._reference, triads)
+        fitted = fit.order[:, 0] >= 0
+        weights = line_weights(np.array([entry[0] - trigger for entry in entries])[fitted])
+        if len(weights) < 2 or weights @ weights > largest:
+            return None
+        rotations = Rotation.from_matrix(fit.pose.rotation[fitted])
+        mean = rotations.mean()
+        turn = Rotation.from_rotvec(weights @ (mean.inv() * rotations).as_rotvec())
+        return (weights @ fit.pose.translation[fitted], (mean * turn).as_quat()), len(weights)
 
     def _by_label(
         self, fit: TriadFit, triads: FloatArray, pair: tuple[int, int], weight: float
