@@ -1,4 +1,4 @@
-"""Load-cell node: the wrench at each trigger, averaged over a window around it.
+"""Load-cell node: the wrench at each trigger, averaged around it.
 
 Subscribes: trigger. Publishes: load_cell/wrench, /diagnostics. Service: load_cell/tare.
 """
@@ -12,6 +12,7 @@ from geometry_msgs.msg import WrenchStamped
 from std_srvs.srv import Trigger as TriggerService
 
 from socket_testbed import clocks
+from socket_testbed.drivers.averaging import averaging_span
 from socket_testbed.drivers.load_cell.load_cell import LoadCell
 from socket_testbed.live.hardware import spi_opener
 from socket_testbed.nodes.base import OK, WARN
@@ -31,6 +32,7 @@ class LoadCellNode(SensorNode[LoadCellSettings]):
         super().__init__("load_cell_node", LoadCellSettings)
         self._cell = LoadCell(self.settings, spi_opener(self.settings))
         self._wrench = self.advertise(WRENCH)
+        self._averaged = 0  # conversions around the last trigger
         self._stopping = threading.Event()
         self._polling = threading.Thread(target=self._poll, name="load_cell")
         self._polling.start()
@@ -45,8 +47,9 @@ class LoadCellNode(SensorNode[LoadCellSettings]):
         self._cell.close()
 
     def figures(self) -> dict[str, object]:
-        """Those of the measurements and of the converter."""
-        return {**super().figures(), **self._cell.figures()}
+        """Those of the measurements and of the converter, and what the last wrench averages."""
+        own = {"averaged_conversions": self._averaged}
+        return {**super().figures(), **own, **self._cell.figures()}
 
     def _poll(self) -> None:
         """Read the converter at its pace; a pause costs nothing but conversions."""
@@ -58,11 +61,13 @@ class LoadCellNode(SensorNode[LoadCellSettings]):
 
     def measure(self, stamp: int, moment: float) -> None:
         """Wait for the conversions around the trigger and average them."""
-        over = self._cell.over(moment)
+        span = averaging_span(self.settings.average_over, self.period)
+        over = self._cell.over(moment, span)
         clocks.sleep(max(0.0, over - clocks.monotonic()))
-        while not self._cell.ready(moment) and clocks.monotonic() < over + _PATIENCE:
+        while not self._cell.ready(moment, span) and clocks.monotonic() < over + _PATIENCE:
             clocks.sleep(_LOOK)
-        reading = self._cell.wrench_at(moment)
+        reading = self._cell.wrench_at(moment, span)
+        self._averaged = reading.conversions
         if reading.fault:
             self.missing += bool(np.isnan(reading.wrench).any())
             self.fault.saw(reading.fault)

@@ -13,6 +13,7 @@ import numpy as np
 
 from socket_testbed import clocks
 from socket_testbed.arrays import BoolArray, FloatArray
+from socket_testbed.drivers.averaging import line_weights
 from socket_testbed.drivers.load_cell.ads131m0x import SpiDevice
 from socket_testbed.drivers.load_cell.bridges import AXES, UNITS, Bridges
 from socket_testbed.drivers.load_cell.converter_reader import ConverterReader
@@ -24,6 +25,7 @@ _LARGEST = 1e3  # [mV/V]; no bridge comes near it
 _BROKEN_WIRE = 5  # conversions in a row at a rail
 _AFTER = 0.25  # part of the window that is after the trigger
 _WORST = 3.0  # variance of a wrench from what is left of a window, against the complete one's
+_NEARLY_ALL = 0.9  # part of the conversions in a span that are averaged, at least
 _RECENT = 0.8  # [s]; what a report of health looks back at
 
 
@@ -163,37 +165,48 @@ class LoadCell:
         """Numbers of conversions, of corrupted frames and of restarts."""
         return dict(self._reader.counts())
 
-    def over(self, moment: float) -> float:
-        """When the last conversion is made that makes the wrench at a time [s]."""
-        return moment + _AFTER * self.settings.window
+    def over(self, moment: float, span: float = 0.0) -> float:
+        """When the last conversion is made that makes the wrench at a time [s].
 
-    def ready(self, moment: float) -> bool:
-        """Whether waiting adds nothing to the wrench at a time [s].
+        Args:
+            moment: The time on the steady clock [s].
+            span: Span centred on it that is averaged where the window is shorter [s].
+        """
+        return moment + self._reach(span)[1]
+
+    def ready(self, moment: float, span: float = 0.0) -> bool:
+        """Whether waiting adds nothing to the wrench at a time; arguments as of `over`.
 
         Either all conversions around it are in, or they are over and the converter fails.
         """
-        end = self.over(moment)
+        end = self.over(moment, span)
         if self._reader.has_all(end):
             return True
         now = self._clock()
         return now >= end and self._reader.trouble(now)[0] > 1
 
-    def wrench_at(self, moment: float) -> WrenchReading:
-        """The wrench at a time of the steady clock [s].
+    def wrench_at(self, moment: float, span: float = 0.0) -> WrenchReading:
+        """The wrench at a time; arguments as of `over`.
 
         It is the value there of the line through the conversions of the window, three quarters
         of which are before it: that is as little late as a mean over half of the window around
         it, and twice as many conversions may be missing. Less than half of them, too few near
         the time, or one at a rail make it NaN.
+
+        A span that reaches further than the window widens it, if nearly all of its conversions
+        are there: once it is centred on the time, the line's value is their mean.
         """
-        window = self.settings.window
-        end = self.over(moment)
+        before, after = self._reach(span)
+        window = before + after
+        end = moment + after
         times, ratios, rails = self._reader.between(end - window, end)
+        if span > 0.0 and (rails.any() or len(times) < _NEARLY_ALL * window / self.period):
+            return self.wrench_at(moment)
         missing = np.full(6, np.nan)
         if rails.any():
             return WrenchReading(missing, len(times), self._saturated(rails))
         expected = window / self.period
-        weights = _line_weights(times - moment)
+        weights = line_weights(times - moment)
         # The line of all conversions has a variance of 1.75 / expected of theirs: see _AFTER.
         uncertain = weights @ weights > _WORST * 1.75 / expected
         if len(times) < max(1.0, 0.5 * expected) or uncertain:
@@ -274,19 +287,13 @@ class LoadCell:
         values = zip(AXES, removed, UNITS, strict=True)
         return "tared: removed " + ", ".join(f"{a} {v:.4g} {unit}" for a, v, unit in values)
 
+    def _reach(self, span: float) -> tuple[float, float]:
+        """How far before and after a time the conversions are that make its wrench [s]."""
+        window, half = self.settings.window, 0.5 * span
+        return max((1.0 - _AFTER) * window, half), max(_AFTER * window, half)
+
     def _saturated(self, rails: BoolArray) -> str:
         """Says which bridges are at a rail, shape (6,) or (n, 6)."""
         which = np.flatnonzero(np.atleast_2d(rails).any(axis=0))
         names = [f"bridge {k + 1} (input {self._bridges.inputs[k]})" for k in which]
         return ", ".join(names) + (" is at its rail" if len(names) == 1 else " are at their rails")
-
-
-def _line_weights(offsets: FloatArray) -> FloatArray:
-    """Weights, shape (n,), that make of n values a least-squares line's value at offset 0."""
-    if len(offsets) == 0:
-        return offsets
-    mean = offsets.mean()
-    centred = offsets - mean
-    spread = float(centred @ centred)
-    weights = np.full(len(offsets), 1.0 / len(offsets))
-    return weights - centred * (mean / spread) if spread > 0.0 else weights
