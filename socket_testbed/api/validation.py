@@ -15,6 +15,7 @@ from threadpoolctl import threadpool_limits
 from socket_testbed.api.trials import PathLike, Progress, as_path, started
 from socket_testbed.errors import ConfigurationError, IdentificationError, TrialError
 from socket_testbed.identification.model_file import finite_or_null
+from socket_testbed.identification.noise import smooth_poses
 from socket_testbed.identification.plausibility import (
     find_outliers,
     require_position,
@@ -117,7 +118,7 @@ def validate(
         trials: Trials of one socket.
         params: A `testbed.yaml` to use instead of each trial's own.
         progress: See `Progress`.
-        choices: `theta`, `smoothness`, `leave_out` and `solver` as in `fit`.
+        choices: `theta`, `smoothness`, `leave_out`, `pose_smoothing` and `solver` as in `fit`.
 
     Raises:
         ConfigurationError: If the trials are of different sockets, a trial is given twice, or a
@@ -187,15 +188,14 @@ class _Recording:
 
     def judge_others(self, others: Sequence[_Recording]) -> list[Judgement]:
         """How models that are fitted on all of this trial predict other trials."""
-        samples = self.loaded
-        models = fit_variants(samples, self.trial.geometry, self.settings.identification)
-        predictors = wrench_predictors(samples, models)
+        models = fit_variants(self.loaded, self.trial.geometry, self.settings.identification)
+        predictors = wrench_predictors(self.smooth, models)
         return [
             judgement
             for other in others
             if len(other.loaded) >= LEAST_SAMPLES
             for judgement in judge_wrench(
-                other.loaded, predictors, "other trial", self.name, other.name
+                other.smooth, predictors, "other trial", self.name, other.name
             )
         ]
 
@@ -203,6 +203,11 @@ class _Recording:
     def loaded(self) -> Samples:
         """The samples under load."""
         return self.samples[loaded_rows(self.samples, self.settings.plateau.least_force)]
+
+    @property
+    def smooth(self) -> Samples:
+        """The same with their poses averaged as a fit averages them."""
+        return smooth_poses(self.loaded, self.settings.identification.pose_smoothing)
 
 
 def _recordings(

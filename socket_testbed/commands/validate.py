@@ -9,7 +9,13 @@ import pandas as pd
 from socket_testbed import api
 from socket_testbed.api import Validation
 from socket_testbed.batch import find_trials
-from socket_testbed.commands.options import add_identification, add_trial, choices, trial_of
+from socket_testbed.commands.options import (
+    add_identification,
+    add_pose_smoothing,
+    add_trial,
+    choices,
+    trial_of,
+)
 from socket_testbed.commands.text import Progress, number, table
 
 _ERROR, _WORST = "error [-]", "worst error [-]"
@@ -38,6 +44,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of the verb."""
     add_trial(parser, "folders of the trials, or folders of trials, of one socket", "+")
     add_identification(parser, variant=False)  # all are judged
+    add_pose_smoothing(parser)
     parser.add_argument("--json", action="store_true", help="print JSON on standard output")
     parser.set_defaults(run=run)
 

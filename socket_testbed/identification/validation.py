@@ -27,10 +27,15 @@ from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification.contact import ContactModel, wrench_map
 from socket_testbed.identification.evaluation import predict_channels
 from socket_testbed.identification.fit import fit_contact_model
-from socket_testbed.identification.noise import channel_noise
+from socket_testbed.identification.force_map import ForceMap
+from socket_testbed.identification.noise import channel_noise, smooth_poses
 from socket_testbed.identification.problem import LEAST_SAMPLES
 from socket_testbed.samples import Samples, Status
-from socket_testbed.settings.identification import VARIANTS, IdentificationSettings
+from socket_testbed.settings.identification import (
+    VARIANTS,
+    ForceMapSettings,
+    IdentificationSettings,
+)
 from socket_testbed.settings.testbed import EstimatorSettings
 
 if TYPE_CHECKING:
@@ -39,6 +44,7 @@ if TYPE_CHECKING:
 LEVELS = (0.5, 0.8, 0.95)  # [-]; of the intervals whose coverage is judged
 INVERSE_DISTANCE = "inverse distance"
 CLOSED = "inverse distance, wrench met"
+FORCE_MAP = "force map"
 CONSTANT = "best constant"
 REGRESSION = "linear regression on the pose"
 MOST_SAMPLES = 1000  # of a trial, on which forces on tiles are judged
@@ -288,13 +294,13 @@ def judge_clusters(
 ) -> list[Judgement]:
     """Predict the three forces on each cluster from the other clusters and the wrench.
 
-    The intervals are those of a measurement: they hold the noise of the cluster's own channels.
+    The intervals are those of a measurement: they hold the errors of the cluster's own channels.
 
     Args:
         samples: Samples with a wrench; where a cluster has no trusted value it is not judged.
         geometry: Geometry of the socket.
         estimators: What estimates the forces on the tiles, by name.
-        noise: Standard deviation of a cluster's forces in its frame, shape (c, 3) [N].
+        noise: Standard deviation of the errors of a cluster's forces in its frame, (c, 3) [N].
         tested_on: Name of the trial.
 
     Returns:
@@ -417,7 +423,7 @@ def fit_variants(
 def wrench_predictors(
     samples: Samples, models: Mapping[str, ContactModel]
 ) -> dict[str, WrenchPredictor]:
-    """The rivals fitted on samples, then the models that were fitted on them."""
+    """The rivals fitted on samples, then the models that were fitted on the same."""
     of_models = {
         name: partial(predict_channels, model, clusters=()) for name, model in models.items()
     }
@@ -477,10 +483,13 @@ def judge_samples(
     first, second = split(samples, settings.plateau.least_force)
     found = judge_map(samples, geometry, settings, name)
     models = fit_variants(samples[first], geometry, settings.identification)
-    predictors = wrench_predictors(samples[first], models)
-    found += judge_wrench(samples[first], predictors, "in-sample", name, name)
-    found += judge_wrench(samples[second], predictors, "second half", name, name)
+    window = settings.identification.pose_smoothing
+    seen, unseen = (smooth_poses(samples[half], window) for half in (first, second))
+    predictors = wrench_predictors(seen, models)
+    found += judge_wrench(seen, predictors, "in-sample", name, name)
+    found += judge_wrench(unseen, predictors, "second half", name, name)
     if truth is not None:
+        samples = smooth_poses(samples, window)
         rows = thinned(second)
         estimators = field_estimators(geometry, settings) | {
             variant: partial(_model_forces, model) for variant, model in models.items()
@@ -501,16 +510,43 @@ def judge_map(
         name: Name of the trial.
     """
     rows = thinned(loaded_rows(samples, settings.plateau.least_force))
-    noise = channel_noise(samples).local_forces
+    samples = samples[rows]
+    noise = measurement_errors(samples, channel_noise(samples).local_forces, settings.force_map)
     estimators = field_estimators(geometry, settings)
-    return judge_clusters(samples[rows], geometry, estimators, noise, name)
+    return judge_clusters(samples, geometry, estimators, noise, name)
+
+
+def measurement_errors(
+    samples: Samples, noise: FloatArray, settings: ForceMapSettings
+) -> FloatArray:
+    r"""Standard deviation of what a cluster measures about the force on it, shape (c, 3) [N].
+
+    .. math:: \sqrt{\max(\sigma_{noise}, \sigma_{offset})^2 + (\sigma_{gain} f_{rms})^2}
+
+    with the offset (which includes the usual noise) and the gain as uncertain as the force map
+    takes them to be, and the size f_rms of the channel.
+
+    Args:
+        samples: Samples of the trial.
+        noise: Standard deviation of the noise of each channel, shape (c, 3) [N]; NaN if unknown.
+        settings: Settings of the force map.
+    """
+    forces = samples.trusted_forces
+    sizes = [[_size(channel) for channel in cluster.T] for cluster in forces.swapaxes(0, 1)]
+    offset = np.fmax(noise, settings.cluster_error)
+    return np.hypot(offset, settings.cluster_gain_error * np.nan_to_num(np.array(sizes)))
 
 
 def field_estimators(
     geometry: SocketGeometry, settings: EstimatorSettings
 ) -> dict[str, FieldEstimator]:
     """What estimates the forces on the tiles without a fit, by name."""
-    return field_rivals(geometry)
+
+    def force_map(samples: Samples) -> tuple[FloatArray, FloatArray]:
+        found = ForceMap(geometry, samples.clusters, settings.force_map).estimate(samples)
+        return found.forces, found.standard_deviations
+
+    return field_rivals(geometry) | {FORCE_MAP: force_map}
 
 
 def _model_forces(model: ContactModel, samples: Samples) -> tuple[FloatArray, None]:

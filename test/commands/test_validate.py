@@ -47,10 +47,10 @@ def test_one_trial_is_judged_on_its_other_half(folder: Path, capsys) -> None:
     assert {"best constant", "linear regression on the pose", "stiffness"} <= set(wrench)
     assert float(wrench["best constant"][2]) <= 0.0  # no constant beats the best one
     tiles = rows_of(out, "simulated truth")
-    closed, plain = (
-        float(tiles[name][0]) for name in ("inverse distance, wrench met", "inverse distance")
-    )
-    assert 0.2 < closed < plain < 1.0
+    names = ("force map", "inverse distance, wrench met", "inverse distance")
+    errors = [float(tiles[name][0]) for name in names]
+    assert 0.1 < errors[0] < errors[1] < errors[2] < 1.0
+    assert all(40 <= float(share) <= 100 for share in tiles["force map"][1:])
 
 
 def test_several_trials_predict_each_other_and_json_holds_it_all(folder: Path, capsys) -> None:

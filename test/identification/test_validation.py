@@ -25,12 +25,14 @@ from socket_testbed.identification.validation import (
     judge_tiles,
     judge_wrench,
     loaded_rows,
+    measurement_errors,
     split,
     summarise_judgements,
     thinned,
     without_cluster,
     wrench_rivals,
 )
+from socket_testbed.settings.identification import ForceMapSettings
 
 
 def local_to_socket(geometry, local):
@@ -229,6 +231,18 @@ def test_intervals_hold_what_they_say():
     assert clusters.coverage == pytest.approx((0.5, 0.8, 0.95), abs=0.01)
     too_sure = judge_clusters(samples, geometry, {"map": estimate}, 0.0 * stated)[-1]
     assert too_sure.coverage[2] < 0.93
+
+
+def test_a_measurement_is_uncertain_by_noise_or_offset_and_by_gain():
+    rng = np.random.default_rng(13)
+    geometry = random_socket(rng)
+    forces = local_to_socket(geometry, np.tile([3.0, 0.0, -40.0], (5, len(geometry), 1)))
+    samples = samples_of_forces(geometry, forces)
+    noise = np.array([[0.1, 0.2, 3.0], [np.nan] * 3, [0.1] * 3])
+    settings = ForceMapSettings(cluster_error=0.5, cluster_gain_error=0.1)
+    found = measurement_errors(samples, noise, settings)
+    assert np.allclose(found[0], [np.hypot(0.5, 0.3), 0.5, 5.0])
+    assert np.allclose(found[1:], [np.hypot(0.5, 0.3), 0.5, np.hypot(0.5, 4.0)])
 
 
 def test_tiles_with_a_sensor_do_not_count():
