@@ -31,6 +31,7 @@ from socket_testbed.simulation.limb import (
     load_history,
 )
 from socket_testbed.simulation.sensors import (
+    CAMERA_RATE,
     ClusterSensor,
     MarkerBodies,
     SensorErrors,
@@ -191,7 +192,12 @@ def main() -> None:
     # Started again, it is where the clients look for it.
     address = ("127.0.0.1", world.port)
     server = NatNetServer(
-        bodies, address=address, faults=world.faults, noise=errors.marker_noise, seed=options.seed
+        bodies,
+        rate=CAMERA_RATE,
+        address=address,
+        faults=world.faults,
+        noise=errors.marker_noise,
+        seed=options.seed,
     )
     world.port = server.address[1]
     try:

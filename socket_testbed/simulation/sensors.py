@@ -13,6 +13,7 @@ from socket_testbed.calibration.model import ClusterCalibration, shear_terms
 from socket_testbed.geometry.pose import Pose
 from socket_testbed.geometry.socket import SocketGeometry
 
+CAMERA_RATE = 240.0  # [Hz]
 _CONVERTER_STEP = 2.0**-19  # [pF]; of the FDC1004
 # Signs of a cluster's four channels in its two differences.
 _SIGNS = np.array([[-1.0, 1.0, -1.0, 1.0], [1.0, 1.0, -1.0, -1.0]])
@@ -39,7 +40,9 @@ class SensorErrors:
         moment_noise: Noise of the load cell's moments [N m].
         force_offset: Spread of the forces' offsets after taring [N].
         moment_offset: Spread of the moments' offsets after taring [N m].
-        marker_noise: Noise of a marker's coordinate [m].
+        marker_noise: Noise of a marker's coordinate [m]; white from frame to frame, measured on
+            the body at rest of `sample_optitrack_take.csv` (120 Hz, a triad of 0.2 m;
+            cmuphyscomp/hmv-s16 on GitHub). Long lenses and large rooms have more.
         drop_out: Chance that a marker is occluded in a frame [-].
         label_swap: Chance that two labels of a body are swapped in a frame [-].
         registration: Spread of the error of a body's registration [m].
@@ -56,7 +59,7 @@ class SensorErrors:
     moment_noise: float = 0.01
     force_offset: float = 0.8
     moment_offset: float = 0.05
-    marker_noise: float = 5.0e-5
+    marker_noise: float = 8.0e-6
     drop_out: float = 0.002
     label_swap: float = 0.002
     registration: float = 5.0e-4

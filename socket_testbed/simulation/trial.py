@@ -21,6 +21,7 @@ from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.samples import Status
 from socket_testbed.simulation.limb import LoadedLimb, Scenario, TissueKind, load_history
 from socket_testbed.simulation.sensors import (
+    CAMERA_RATE,
     ClusterSensor,
     MarkerBodies,
     SensorErrors,
@@ -52,6 +53,7 @@ _DELAYS = {
     MARKERS: 8_200_000,
     CAPACITANCE: 17_000_000,
 }
+_FRAMES_AT_ONCE = 50_000
 _START = 1_767_258_000_000_000_000  # [ns]; 2026-01-01 09:00 UTC
 
 Progress = Callable[[int, int], None]
@@ -83,9 +85,11 @@ class SimulatedTrial:
         stamps: Times of the triggers since the epoch, shape (N,) [ns].
         capacitance: Capacitances by cluster and input, shape (N, 4) each [pF].
         wrench: Measured wrench [M; F], shape (N, 6) [N m, N].
-        socket_markers: Observed triad of the socket in the world, shape (N, 3, 3) [m].
-        pylon_markers: Observed triad of the pylon in the world, shape (N, 3, 3) [m].
-        socket_pose: Pose of the socket's body from its triad; NaN where there is none.
+        socket_markers: Observed triad of the socket in the world, in the frame at the trigger,
+            shape (N, 3, 3) [m].
+        pylon_markers: The same of the pylon.
+        socket_pose: Mean pose of the socket's body in the frames around the trigger; NaN where
+            none of them shows it.
         pylon_pose: The same for the pylon's body.
         truth: The ground truth.
     """
@@ -119,6 +123,7 @@ def simulate(
     errors: SensorErrors | None = None,
     progress: Progress | None = None,
     tissue: TissueKind = "soft",
+    mocap_window: float = 0.25,
 ) -> SimulatedTrial:
     """Simulate a trial.
 
@@ -132,6 +137,8 @@ def simulate(
         errors: Sizes of the sensors' errors; None for the usual ones.
         progress: Called with the steps done and their number.
         tissue: Kind of the limb's tissue, see `make_tissue`.
+        mocap_window: Longest span around a trigger, at most its period, whose frames make a mean
+            pose; 0 for one frame [s].
 
     Raises:
         CalibrationError: If the calibration lacks a cluster of the socket.
@@ -159,21 +166,69 @@ def simulate(
         capacitance[cluster] = sensor.read(stress, time, cluster_rng)
     offset = wrench_offset(errors, cell_rng)
 
-    bodies = MarkerBodies(geometry, errors, marker_rng)
-    socket_in_world, pylon_in_world = bodies.poses(position, rotation, load)
-    socket_seen = observe_markers(socket_in_world, geometry.socket_markers, errors, marker_rng)
-    pylon_seen = observe_markers(pylon_in_world, geometry.pylon_markers, errors, marker_rng)
+    window = min(mocap_window, 1.0 / rate)
+    markers, poses = _motion_capture(geometry, truth, rate, window, errors, marker_rng)
     return SimulatedTrial(
         tiles=geometry.names,
         stamps=_START + np.round(time * 1e9).astype(np.int64),
         capacitance=capacitance,
         wrench=load + offset + wrench_noise(errors, count, cell_rng),
-        socket_markers=socket_seen,
-        pylon_markers=pylon_seen,
-        socket_pose=fit_triad(geometry.socket_markers, socket_seen).pose,
-        pylon_pose=fit_triad(geometry.pylon_markers, pylon_seen).pose,
+        socket_markers=markers[0],
+        pylon_markers=markers[1],
+        socket_pose=poses[0],
+        pylon_pose=poses[1],
         truth=truth,
     )
+
+
+def _motion_capture(
+    geometry: SocketGeometry,
+    truth: GroundTruth,
+    rate: float,
+    window: float,
+    errors: SensorErrors,
+    rng: np.random.Generator,
+) -> tuple[FloatArray, list[Pose]]:
+    """Markers of both bodies at each trigger and their mean poses in the window around it.
+
+    Between the triggers the limb moves linearly, and so on before the first and after the last.
+
+    Returns:
+        Markers of socket and pylon, shape (2, N, 3, 3) [m], and N poses of each.
+    """
+    bodies = MarkerBodies(geometry, errors, rng)
+    references = (geometry.socket_markers, geometry.pylon_markers)
+    reach = int(0.5 * window * CAMERA_RATE)
+    offsets = np.arange(-reach, reach + 1) * rate / CAMERA_RATE  # [triggers]
+    count = len(truth.wrench)
+    markers = np.empty((2, count, 3, 3))
+    poses = [Pose(np.empty((count, 3, 3)), np.empty((count, 3))) for _ in references]
+    pieces = 1 + count * len(offsets) // _FRAMES_AT_ONCE
+    for rows in np.array_split(np.arange(count), pieces):
+        at = (rows[:, None] + offsets).ravel()
+        after = np.clip(np.ceil(at).astype(int), 1, count - 1)
+        moved = (truth.position, truth.rotation, truth.wrench)
+        true = bodies.poses(*(_between(values, after, at - after + 1.0) for values in moved))
+        for i, reference in enumerate(references):
+            seen = observe_markers(true[i], reference, errors, rng)
+            markers[i, rows] = seen[reach :: len(offsets)]
+            mean = _mean_poses(fit_triad(reference, seen).pose, len(rows))
+            poses[i].rotation[rows], poses[i].translation[rows] = mean.rotation, mean.translation
+    return markers, poses
+
+
+def _mean_poses(pose: Pose, count: int) -> Pose:
+    """Means of `count` equal groups of poses, without NaN: of positions, and chordal of rotations.
+
+    The chordal mean is the rotation nearest to the mean of the matrices.
+    """
+    translation = pose.translation.reshape(count, -1, 3)
+    seen = np.isfinite(translation[:, :, 0]).sum(axis=1)
+    left, _, right = np.linalg.svd(np.nansum(pose.rotation.reshape(count, -1, 3, 3), axis=1))
+    rotation = left @ right
+    rotation[seen == 0] = np.nan
+    with np.errstate(invalid="ignore"):  # none seen: 0 / 0
+        return Pose(rotation, np.nansum(translation, axis=1) / seen[:, None])
 
 
 def write_simulated_trial(
