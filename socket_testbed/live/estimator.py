@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterable
 from concurrent.futures import CancelledError, Future
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -23,8 +24,9 @@ from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification.contact import ContactModel
 from socket_testbed.identification.fit import Fit
 from socket_testbed.identification.model_file import StoredModel, read_model
+from socket_testbed.live.fit_worker import Refit, Steady
 from socket_testbed.samples import Samples, Status
-from socket_testbed.settings.identification import IdentificationSettings, PlateauSettings
+from socket_testbed.settings.identification import IdentificationSettings
 from socket_testbed.settings.testbed import EstimatorSettings
 from socket_testbed.trials.topics import PYLON_POSE, SOCKET_POSE, STRESS, WRENCH, Topic
 
@@ -32,6 +34,7 @@ MEASURED = (STRESS, WRENCH, SOCKET_POSE, PYLON_POSE)  # what makes a sample
 
 _SMALLEST_BUFFER = 256  # samples
 _FIRST_ATTEMPT = 10  # samples between attempts at the first model
+_COUNT_PERIOD = 2_000_000_000  # [ns]; between counts of the outliers
 
 
 class StampSynchroniser:
@@ -183,17 +186,21 @@ class Estimate:
 
 
 class Fitter(Protocol):
-    """What fits a model; see `FitWorker.submit`."""
+    """What fits models and finds outliers; see `FitWorker`."""
 
     def submit(
         self,
         samples: Samples,
         geometry: SocketGeometry,
         settings: IdentificationSettings,
-        plateau: PlateauSettings | None,
-        least_samples: int,
-    ) -> Future[Fit | None]:
-        """Fit on the plateau of some samples, or on all of them."""
+        steady: Steady | None,
+    ) -> Future[Refit | None]:
+        """Fit on the newest steady stretch of some samples, or on all of them."""
+
+    def count_outliers(
+        self, samples: Samples, geometry: SocketGeometry, leave_out: tuple[str, ...]
+    ) -> Future[dict[str, int]]:
+        """Count the outliers of some samples by channel."""
 
 
 class OnlineEstimator:
@@ -207,7 +214,6 @@ class OnlineEstimator:
             `StoredModel` that was loaded.
 
     Attributes:
-        state: How it is: 0 OK, 1 warning or 2 error, and why, in one line.
         newest: Newest stamp of which the sample was predicted [ns]; 0 at first and after a jump
             back in time.
     """
@@ -232,9 +238,24 @@ class OnlineEstimator:
         self._since_attempt = 0  # samples
         self._last_trigger = 0
         self._model: ContactModel | None = None
-        self._counts = {"triggers": 0, "samples": 0, "predictions": 0, "fits": 0}
-        self.state = (1, "no model yet: waiting for steady data or estimator/fit")
+        self._last_stamp = 0  # of the samples that the model was fitted on [ns]
+        self._fitted_with = settings().identification
+        self._origin = ""  # of the model, in words
+        self._counting = False
+        self._last_count = 0  # [ns]
+        self._outliers: dict[str, int] = {}
+        self._counts = {"triggers": 0, "samples": 0, "predictions": 0, "fits": 0, "refused": 0}
+        self._state = (1, "no model yet: waiting for steady data or estimator/fit")
         self.newest = 0
+
+    @property
+    def state(self) -> tuple[int, str]:
+        """How it is: 0 OK, 1 warning or 2 error, and why, in one line."""
+        level, text = self._state
+        if not self._outliers:
+            return level, text
+        found = ", ".join(f"{name} {count}" for name, count in self._outliers.items())
+        return max(level, 1), f"{text}; outliers in the window, left out of fits: {found}"
 
     def figures(self) -> dict[str, object]:
         """Counts for the diagnostics, by name."""
@@ -248,8 +269,9 @@ class OnlineEstimator:
             ConfigurationError: If it cannot be read, or was fitted on another socket.
         """
         stored = read_model(path, self._geometry)
-        self._model = stored.model
-        self.state = (0, f"predicting with the model of {stored.trial}")
+        self._model, self._last_stamp = stored.model, 0
+        self._origin = f"predicting with the model of {stored.trial}"
+        self._state = (0, self._origin)
         self._notify(stored)
 
     def trigger(self, stamp: int) -> None:
@@ -258,7 +280,8 @@ class OnlineEstimator:
             self._synchroniser.clear()
             with self._lock:
                 self._window.clear()
-            self.newest = 0
+            self.newest = self._last_count = self._last_stamp = 0
+            self._outliers = {}
         self._last_trigger = stamp
         self._counts["triggers"] += 1
 
@@ -290,7 +313,9 @@ class OnlineEstimator:
             self._window.add(sample)
         self._since_attempt += 1
         if self._fit_is_due():
-            self._start_fit(self._settings().plateau)
+            self._start_fit(steady=True)
+        if stamp - self._last_count >= _COUNT_PERIOD and not self._counting:
+            self._count_outliers(stamp)
         return estimate
 
     def fit(self) -> Fit:
@@ -300,16 +325,16 @@ class OnlineEstimator:
             IdentificationError: If a fit is running, if this one is ended, or if the samples do
                 not determine a model.
         """
-        started = self._start_fit(plateau=None)
+        started = self._start_fit(steady=False)
         if started is None:
             raise IdentificationError("a fit is running already", "ask again when it is done")
         try:
-            fit = started.result()
+            refit = started.result()
         except (CancelledError, BrokenProcessPool):
             raise IdentificationError("the fit was ended", "ask again") from None
-        if fit is None:
+        if refit is None:
             raise IdentificationError("no samples to fit on", "ask again when there are some")
-        return fit
+        return refit.fit
 
     def _sample(self, stamp: int, measured: dict[str, Any]) -> Sample:
         socket, pylon = (
@@ -346,8 +371,12 @@ class OnlineEstimator:
             and len(self._window) >= settings.window.least_samples
         )
 
-    def _start_fit(self, plateau: PlateauSettings | None) -> Future[Fit | None] | None:
-        """Start a fit on the window's plateau, or on all of it; None while another runs."""
+    def _start_fit(self, steady: bool) -> Future[Refit | None] | None:
+        """Start a fit on the window's newest steady stretch, or on all of it.
+
+        Returns:
+            The fit to come; None while another runs.
+        """
         settings = self._settings()
         with self._lock:
             if self._fitting:
@@ -355,30 +384,63 @@ class OnlineEstimator:
             self._fitting = True
             self._since_attempt = 0
             samples = self._window.samples()
-        least = settings.window.least_samples
-        future = self._fitter.submit(
-            samples, self._geometry, settings.identification, plateau, least
-        )
-        future.add_done_callback(self._take_over)
+        condition = self._condition(settings) if steady else None
+        future = self._fitter.submit(samples, self._geometry, settings.identification, condition)
+        future.add_done_callback(partial(self._take_over, settings.identification))
         return future
 
-    def _take_over(self, future: Future[Fit | None]) -> None:
-        """Predict with a fitted model from now on; called in a thread of the fitter's."""
+    def _condition(self, settings: EstimatorSettings) -> Steady:
+        """What a fit by itself needs; with changed settings it is compared with no model."""
+        changed = settings.identification != self._fitted_with
+        return Steady(
+            plateau=settings.plateau,
+            least_samples=settings.window.least_samples,
+            after=0 if changed else self._last_stamp,
+            rival=None if changed else self._model,
+        )
+
+    def _take_over(self, settings: IdentificationSettings, future: Future[Refit | None]) -> None:
+        """Predict with a fitted model from now on, unless the present one predicts better.
+
+        Called in a thread of the fitter's.
+        """
         self._fitting = False
         if future.cancelled():
             return
         try:
-            fit = future.result()
+            refit = future.result()
         except (TestbedError, BrokenProcessPool) as error:
-            self.state = (2, f"no fit: {error}")
+            self._state = (2, f"no fit: {error}")
             return
-        if fit is None:
+        if refit is None:
             return
-        self._model = fit.model
+        if refit.is_worse:
+            self._counts["refused"] += 1
+            self._state = (0, f"{self._origin}; it stays: {refit.comparison}")
+            return
+        fit = refit.fit
+        self._model, self._last_stamp = fit.model, fit.last_stamp
+        self._fitted_with = settings
         self._counts["fits"] += 1
-        self.state = (
-            0,
+        self._origin = (
             f"model {fit.model.variant} from {fit.samples} samples, "
-            f"{fit.determined:.0f} of {fit.model.stiffness.size} directions determined",
+            f"{fit.determined:.0f} of {fit.model.stiffness.size} directions determined"
         )
+        compared = f"; it replaced another: {refit.comparison}" if refit.comparison else ""
+        self._state = (0, self._origin + compared)
         self._notify(fit)
+
+    def _count_outliers(self, stamp: int) -> None:
+        """Have the outliers of the window counted for the state."""
+        self._counting, self._last_count = True, stamp
+        with self._lock:
+            samples = self._window.samples()
+        leave_out = self._settings().identification.leave_out
+        future = self._fitter.count_outliers(samples, self._geometry, leave_out)
+        future.add_done_callback(self._take_outliers)
+
+    def _take_outliers(self, future: Future[dict[str, int]]) -> None:
+        """Name the outliers in the state; called in a thread of the fitter's."""
+        self._counting = False
+        if not future.cancelled() and future.exception() is None:
+            self._outliers = future.result()

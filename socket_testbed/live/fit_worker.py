@@ -5,20 +5,93 @@ from __future__ import annotations
 import multiprocessing
 import os
 import signal
+from collections.abc import Callable
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
+from typing import TypeVar
 
+import numpy as np
+
+from socket_testbed.arrays import FloatArray
+from socket_testbed.errors import IdentificationError
 from socket_testbed.geometry.socket import SocketGeometry
+from socket_testbed.identification.contact import ContactModel
+from socket_testbed.identification.evaluation import predict_channels, trusted_values
 from socket_testbed.identification.fit import Fit, fit_contact_model
+from socket_testbed.identification.plausibility import (
+    LEAST_FORCE,
+    LEAST_MOMENT,
+    find_outliers,
+    require_load,
+    sign_note,
+    without_outliers,
+)
 from socket_testbed.identification.problem import LEAST_SAMPLES
 from socket_testbed.live.processes import end_with_parent
 from socket_testbed.samples import Samples
 from socket_testbed.settings.identification import IdentificationSettings, PlateauSettings
-from socket_testbed.trials.segment import find_plateaus
+from socket_testbed.trials.segment import find_newest_plateaus
 
+HELD_OUT = 0.2  # [-]; newest share of a steady stretch, by which a refit is judged
+LEAST_HELD_OUT = 10  # [1]
 _NICENESS = 10
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True)
+class Steady:
+    """What a fit by itself, on steady data, depends on.
+
+    Attributes:
+        plateau: What counts as a plateau.
+        least_samples: Smallest number of samples to fit on.
+        after: Stamp that the newest of these samples has to exceed [ns].
+        rival: The model that the fit is to replace, if the two are to be compared.
+    """
+
+    plateau: PlateauSettings
+    least_samples: int
+    after: int = 0
+    rival: ContactModel | None = None
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Two models judged by the newest samples, which the fit of the new one left out.
+
+    Attributes:
+        samples: Number of these samples.
+        old: Error of the model to be replaced [-]: root mean square over the channels of the
+            objective, relative to the size of their group, the wrench and the clusters weighed by
+            theta.
+        new: The same of the new one [-].
+    """
+
+    samples: int
+    old: float
+    new: float
+
+    def __str__(self) -> str:
+        return (
+            f"on the newest {self.samples} samples a refit has an error of {self.new:.2g},"
+            f" the model before it {self.old:.2g}"
+        )
+
+
+@dataclass(frozen=True)
+class Refit:
+    """A fit, with its comparison with the model that it is to replace."""
+
+    fit: Fit
+    comparison: Comparison | None = None
+
+    @property
+    def is_worse(self) -> bool:
+        """Whether it predicts the newest samples worse than the model that it is to replace."""
+        return self.comparison is not None and self.comparison.new > self.comparison.old
 
 
 class FitWorker:
@@ -44,22 +117,34 @@ class FitWorker:
         samples: Samples,
         geometry: SocketGeometry,
         settings: IdentificationSettings,
-        plateau: PlateauSettings | None,
-        least_samples: int,
-    ) -> Future[Fit | None]:
-        """Fit on the plateau of some samples, or on all of them.
+        steady: Steady | None,
+    ) -> Future[Refit | None]:
+        """Fit on the newest steady stretch of some samples, or on all of them.
 
         Args:
             samples: The samples.
             geometry: Geometry of the socket.
             settings: Settings of the identification.
-            plateau: What counts as a plateau; None to fit on all samples.
-            least_samples: Smallest plateau to fit on.
+            steady: What counts as steady; None to fit on all samples.
 
         Returns:
-            The fit to come; None where there is no plateau large enough.
+            The fit to come; None where there is no steady stretch that is large and new enough.
         """
-        work = partial(_fit, samples, geometry, settings, plateau, least_samples)
+        return self._submit(partial(_fit, samples, geometry, settings, steady))
+
+    def count_outliers(
+        self, samples: Samples, geometry: SocketGeometry, leave_out: tuple[str, ...]
+    ) -> Future[dict[str, int]]:
+        """Count the outliers of some samples by channel; see `plausibility`.
+
+        Args:
+            samples: The samples.
+            geometry: Geometry of the socket.
+            leave_out: Channels that do not count.
+        """
+        return self._submit(partial(_count_outliers, samples, geometry, leave_out))
+
+    def _submit(self, work: Callable[[], T]) -> Future[T]:
         try:
             return self._pool.submit(work)
         except BrokenProcessPool:  # it was killed: the next one takes its place
@@ -85,16 +170,75 @@ def _fit(
     samples: Samples,
     geometry: SocketGeometry,
     settings: IdentificationSettings,
-    plateau: PlateauSettings | None,
-    least_samples: int,
-) -> Fit | None:
-    settings = replace(settings, pose_smoothing=0.0)  # live, every pose is predicted by itself
-    if plateau is None:
-        return fit_contact_model(samples, geometry, settings)
-    plateaus = find_plateaus(samples, plateau)
-    if not plateaus:
-        return None
-    steady = samples[plateaus[0].rows]
-    if int(steady.complete.sum()) < max(least_samples, LEAST_SAMPLES):
-        return None
-    return fit_contact_model(steady, geometry, settings)
+    steady: Steady | None,
+) -> Refit | None:
+    settings = replace(settings, pose_smoothing=0.0)  # live, a centred window would lag
+    if steady is None:
+        return Refit(_plausible_fit(samples, geometry, settings))
+    if len(samples) and not samples.wrench.any():
+        require_load(samples, np.ones(6, dtype=bool))
+    cleaned = without_outliers(samples, find_outliers(samples, geometry, settings.leave_out))
+    complete = cleaned.complete
+    for stretch in find_newest_plateaus(cleaned, steady.plateau, settings.leave_out):
+        used = np.zeros(len(samples), dtype=bool)
+        used[stretch.rows] = complete[stretch.rows]
+        held_out = max(LEAST_HELD_OUT, round(HELD_OUT * used.sum()))
+        newest = np.flatnonzero(complete)[-held_out:]
+        if steady.rival is not None:
+            used[newest[0] :] = False
+        if used.sum() < max(steady.least_samples, LEAST_SAMPLES):
+            continue
+        if samples.stamps[used][-1] <= steady.after:
+            return None  # and the other stretches are older
+        fit = _plausible_fit(samples[used], geometry, settings)
+        if steady.rival is None:
+            return Refit(fit)
+        return Refit(fit, _compare(steady.rival, fit.model, cleaned[newest], settings))
+    return None
+
+
+def _plausible_fit(
+    samples: Samples, geometry: SocketGeometry, settings: IdentificationSettings
+) -> Fit:
+    """A fit that refuses a negated wrench: live, nobody reads a note before the model is used."""
+    fit = fit_contact_model(samples, geometry, settings)
+    note = sign_note(samples, geometry)
+    if note is not None:
+        raise IdentificationError(note, "nothing is fitted until it is right")
+    return fit
+
+
+def _compare(
+    old: ContactModel, new: ContactModel, samples: Samples, settings: IdentificationSettings
+) -> Comparison:
+    """Compare two models by their errors on samples, relative to the size of each group."""
+    measured = trusted_values(samples)
+    counts = np.array([name not in settings.leave_out for name in samples.channels])
+    measured[:, ~counts] = np.nan
+    groups = (measured[:, :3], measured[:, 3:6], measured[:, 6:])
+    floors = (LEAST_MOMENT, LEAST_FORCE, LEAST_FORCE)
+    sizes = [max(_rms(group), floor) for group, floor in zip(groups, floors, strict=True)]
+    size = np.repeat(sizes, [group.shape[1] for group in groups])
+
+    def error(model: ContactModel) -> float:
+        predicted = predict_channels(model, samples.pose, samples.clusters)
+        relative = (predicted - measured) / size
+        wrench, clusters = _rms(relative[:, :6]), _rms(relative[:, 6:])
+        return float(np.sqrt(settings.theta * wrench**2 + (1.0 - settings.theta) * clusters**2))
+
+    return Comparison(len(samples), error(old), error(new))
+
+
+def _rms(values: FloatArray) -> float:
+    """Root mean square of the finite values; 0 without any."""
+    finite = values[np.isfinite(values)]
+    return float(np.sqrt(np.mean(finite**2))) if len(finite) else 0.0
+
+
+def _count_outliers(
+    samples: Samples, geometry: SocketGeometry, leave_out: tuple[str, ...]
+) -> dict[str, int]:
+    outliers = find_outliers(samples, geometry, leave_out)
+    counts = {"limb position": int(outliers.position.sum())}
+    counts |= zip(samples.channels, outliers.values.sum(axis=0).tolist(), strict=True)
+    return {name: count for name, count in counts.items() if count > 0}

@@ -26,9 +26,9 @@ from socket_testbed.live.estimator import (
     SampleWindow,
     StampSynchroniser,
 )
-from socket_testbed.live.fit_worker import FitWorker
+from socket_testbed.live.fit_worker import Comparison, FitWorker, Refit, Steady
 from socket_testbed.samples import Samples
-from socket_testbed.settings.identification import IdentificationSettings, PlateauSettings
+from socket_testbed.settings.identification import IdentificationSettings
 from socket_testbed.settings.testbed import EstimatorSettings, WindowSettings
 from socket_testbed.trials.synchronise import read_measurements, read_samples
 from socket_testbed.trials.topics import PYLON_POSE, SOCKET_POSE, STRESS, WRENCH, Topic
@@ -44,9 +44,8 @@ class Request:
 
     samples: Samples
     settings: IdentificationSettings
-    plateau: PlateauSettings | None
-    least_samples: int
-    future: "Future[Fit | None]"
+    steady: Steady | None
+    future: "Future[Refit | None]"
 
 
 class FakeFitter:
@@ -54,10 +53,16 @@ class FakeFitter:
 
     def __init__(self) -> None:
         self.requests: list[Request] = []
+        self.counts: list[tuple[Samples, Future[dict[str, int]]]] = []
 
-    def submit(self, samples, geometry, settings, plateau, least_samples) -> "Future[Fit | None]":
-        future: Future[Fit | None] = Future()
-        self.requests.append(Request(samples, settings, plateau, least_samples, future))
+    def submit(self, samples, geometry, settings, steady) -> "Future[Refit | None]":
+        future: Future[Refit | None] = Future()
+        self.requests.append(Request(samples, settings, steady, future))
+        return future
+
+    def count_outliers(self, samples, geometry, leave_out) -> "Future[dict[str, int]]":
+        future: Future[dict[str, int]] = Future()
+        self.counts.append((samples, future))
         return future
 
 
@@ -210,7 +215,7 @@ def test_the_shapes_of_a_window_hold_for_any_number(count: int) -> None:
 
 def test_a_complete_sample_is_estimated_whatever_the_order(bench: Bench, fit: Fit) -> None:
     bench.send(20)
-    bench.fitter.requests[0].future.set_result(fit)
+    bench.fitter.requests[0].future.set_result(Refit(fit))
     values = bench.values(2e-3)
     limb = bench.geometry.limb_pose(
         *(Pose.from_quaternion(v[None, :3], v[None, 3:]) for v in list(values.values())[2:])
@@ -259,7 +264,7 @@ def test_a_cluster_that_is_not_in_the_message_is_missing(trial: Trial) -> None:
 
 def test_a_jump_back_in_time_clears_what_was_measured(bench: Bench, fit: Fit) -> None:
     bench.send(20)
-    bench.fitter.requests[0].future.set_result(fit)
+    bench.fitter.requests[0].future.set_result(Refit(fit))
     bench.send(5, start=1000)
     bench.estimator.add(WRENCH, 2 * PERIOD, np.zeros(6))  # pending
     bench.estimator.trigger(2 * PERIOD)
@@ -282,8 +287,8 @@ def test_it_fits_by_itself_once_the_window_holds_enough(bench: Bench) -> None:
     assert not bench.fitter.requests
     bench.send(1, start=19)
     (request,) = bench.fitter.requests
-    assert len(request.samples) == request.least_samples == 20
-    assert request.plateau == bench.settings.plateau
+    assert len(request.samples) == 20
+    assert request.steady == Steady(bench.settings.plateau, least_samples=20)
     assert request.settings == bench.settings.identification
     bench.send(50, start=20)
     assert len(bench.fitter.requests) == 1  # one at a time
@@ -301,7 +306,7 @@ def test_without_a_plateau_it_tries_again_every_ten_samples(bench: Bench) -> Non
 
 def test_with_a_model_it_fits_again_after_refit_after_new_samples(bench: Bench, fit: Fit) -> None:
     bench.send(20)
-    bench.fitter.requests[0].future.set_result(fit)
+    bench.fitter.requests[0].future.set_result(Refit(fit))
     bench.send(29, start=20)
     assert len(bench.fitter.requests) == 1
     bench.send(1, start=49)
@@ -311,7 +316,7 @@ def test_with_a_model_it_fits_again_after_refit_after_new_samples(bench: Bench, 
 def test_refit_after_of_zero_keeps_the_first_model(trial: Trial, fit: Fit) -> None:
     bench = Bench(trial, least_samples=20, refit_after=0)
     bench.send(20)
-    bench.fitter.requests[0].future.set_result(fit)
+    bench.fitter.requests[0].future.set_result(Refit(fit))
     bench.send(500, start=20)
     assert len(bench.fitter.requests) == 1
 
@@ -330,7 +335,7 @@ def test_auto_fit_is_switched_while_it_runs(bench: Bench) -> None:
 
 def test_a_fitted_model_is_taken_over_and_reported(bench: Bench, fit: Fit) -> None:
     bench.send(20)
-    bench.fitter.requests[0].future.set_result(fit)
+    bench.fitter.requests[0].future.set_result(Refit(fit))
     assert bench.models == [fit]
     level, text = bench.estimator.state
     assert level == 0 and f"{fit.model.variant} from {fit.samples} samples" in text
@@ -348,13 +353,13 @@ def test_a_fit_that_fails_leaves_the_model_and_is_named(
     bench: Bench, fit: Fit, error: Exception
 ) -> None:
     bench.send(20)
-    bench.fitter.requests[0].future.set_result(fit)
+    bench.fitter.requests[0].future.set_result(Refit(fit))
     bench.send(30, start=20)
     bench.fitter.requests[1].future.set_exception(error)
     assert bench.estimator.state == (2, f"no fit: {error}")
     bench.send(30, start=50)
     assert bench.estimates[-1].model is fit.model
-    bench.fitter.requests[2].future.set_result(fit)  # the next one is tried all the same
+    bench.fitter.requests[2].future.set_result(Refit(fit))  # the next one is tried all the same
     assert bench.estimator.state[0] == 0 and len(bench.models) == 2
 
 
@@ -363,6 +368,84 @@ def test_a_cancelled_fit_changes_nothing(bench: Bench) -> None:
     before = bench.estimator.state
     assert bench.fitter.requests[0].future.cancel()
     assert bench.estimator.state == before and not bench.models
+
+
+# --- which model stays
+
+
+def test_a_refit_is_to_be_newer_than_the_model_and_compared_with_it(bench: Bench, fit: Fit) -> None:
+    bench.send(20)
+    bench.fitter.requests[0].future.set_result(Refit(fit))
+    bench.send(30, start=20)
+    steady = bench.fitter.requests[1].steady
+    assert steady is not None
+    assert steady.rival is fit.model and steady.after == fit.last_stamp
+
+
+@pytest.mark.parametrize("worse", [False, True])
+def test_the_model_that_is_better_on_the_newest_samples_stays(
+    bench: Bench, fit: Fit, worse: bool
+) -> None:
+    bench.send(20)
+    bench.fitter.requests[0].future.set_result(Refit(fit))
+    bench.send(30, start=20)
+    other = dataclasses.replace(fit, model=dataclasses.replace(fit.model), samples=7)
+    comparison = Comparison(24, old=0.05, new=0.06 if worse else 0.04)
+    bench.fitter.requests[1].future.set_result(Refit(other, comparison))
+    bench.send(1, start=50)
+    assert bench.estimates[-1].model is (fit.model if worse else other.model)
+    assert len(bench.models) == bench.figure("fits") == 2 - worse
+    assert bench.figure("refused") == worse
+    level, text = bench.estimator.state
+    stays = f"from {fit.samples} samples" if worse else "from 7 samples"
+    assert level == 0 and stays in text and ("it stays" in text) == worse
+    assert "the newest 24 samples a refit has an error of 0.0" in text and "before it 0.05" in text
+
+
+def test_with_changed_settings_a_refit_is_compared_with_no_model(bench: Bench, fit: Fit) -> None:
+    bench.send(20)
+    bench.fitter.requests[0].future.set_result(Refit(fit))
+    theta = dataclasses.replace(bench.settings.identification, theta=0.1)
+    bench.settings = dataclasses.replace(bench.settings, identification=theta)
+    bench.send(30, start=20)
+    bench.fitter.requests[1].future.set_result(Refit(fit))
+    bench.send(30, start=50)
+    without, compared = (request.steady for request in bench.fitter.requests[1:])
+    assert without is not None and without.rival is None and without.after == 0
+    assert compared is not None and compared.rival is fit.model
+
+
+def test_after_a_jump_back_in_time_older_stamps_are_new(bench: Bench, fit: Fit) -> None:
+    bench.send(20, start=1000)
+    bench.fitter.requests[0].future.set_result(Refit(fit))
+    bench.send(30)
+    steady = bench.fitter.requests[1].steady
+    assert steady is not None and steady.after == 0 and steady.rival is fit.model
+
+
+# --- outliers
+
+
+def test_outliers_are_a_warning_that_names_channel_and_number(bench: Bench) -> None:
+    bench.send(20)
+    ((samples, future),) = bench.fitter.counts  # one at a time
+    assert len(samples) == 9
+    future.set_result({"Fx": 2, "distal.Fz": 1})
+    level, text = bench.estimator.state
+    assert level == 1 and "no model yet" in text and "outliers" in text
+    assert "Fx 2, distal.Fz 1" in text
+    bench.send(1, start=20)
+    bench.fitter.counts[1][1].set_result({})
+    assert "outliers" not in bench.estimator.state[1]
+
+
+def test_outliers_are_counted_every_two_seconds_with_or_without_fits(bench: Bench) -> None:
+    bench.settings = dataclasses.replace(bench.settings, auto_fit=False)
+    for k in range(80):
+        bench.send(1, start=k)
+        for _, future in bench.fitter.counts:
+            future.cancel()
+    assert [len(samples) for samples, _ in bench.fitter.counts] == [*range(9, 81, 8)]
 
 
 # --- on request
@@ -376,8 +459,8 @@ def test_a_fit_on_request_takes_all_of_the_window(bench: Bench, fit: Fit) -> Non
     thread.start()
     wait(lambda: bench.fitter.requests)
     (request,) = bench.fitter.requests
-    assert len(request.samples) == 7 and request.plateau is None
-    request.future.set_result(fit)
+    assert len(request.samples) == 7 and request.steady is None
+    request.future.set_result(Refit(fit))
     thread.join(DEADLINE)
     assert answers == bench.models == [fit]
 
@@ -387,13 +470,13 @@ def test_a_request_while_a_fit_runs_is_refused(bench: Bench, fit: Fit) -> None:
     with pytest.raises(IdentificationError, match="a fit is running already: ask again"):
         bench.estimator.fit()
     assert len(bench.fitter.requests) == 1
-    bench.fitter.requests[0].future.set_result(fit)
+    bench.fitter.requests[0].future.set_result(Refit(fit))
     assert bench.models == [fit]
 
 
 def test_a_request_is_answered_with_the_error_or_the_end(trial: Trial) -> None:
     class Failing(FakeFitter):
-        def submit(self, *arguments) -> "Future[Fit | None]":
+        def submit(self, *arguments) -> "Future[Refit | None]":
             future = super().submit(*arguments)
             if len(self.requests) == 1:
                 future.set_exception(IdentificationError("only 0 of 0 samples", "record more"))

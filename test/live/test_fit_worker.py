@@ -9,8 +9,10 @@ import numpy as np
 import pytest
 
 from socket_testbed.errors import IdentificationError
+from socket_testbed.identification.contact import ContactModel
 from socket_testbed.identification.fit import fit_contact_model
-from socket_testbed.live.fit_worker import FitWorker
+from socket_testbed.live.fit_worker import FitWorker, Refit, Steady
+from socket_testbed.samples import Samples
 from socket_testbed.settings.identification import IdentificationSettings, PlateauSettings
 from socket_testbed.trials.segment import find_plateaus
 from socket_testbed.trials.synchronise import read_samples
@@ -20,6 +22,8 @@ pytestmark = pytest.mark.graph
 
 TIMEOUT = 60.0  # [s]
 SETTINGS = IdentificationSettings()
+PLATEAU = PlateauSettings()
+STEADY = Steady(PLATEAU, least_samples=30)
 
 
 @pytest.fixture(scope="module")
@@ -29,24 +33,124 @@ def worker() -> Iterator[FitWorker]:
     worker.close()
 
 
-def test_a_fit_is_the_same_in_a_process_of_its_own(worker: FitWorker, hold: Path) -> None:
-    trial = Trial(hold)
+@pytest.fixture(scope="module")
+def trial(hold: Path) -> Trial:
+    return Trial(hold)
+
+
+@pytest.fixture(scope="module")
+def samples(trial: Trial) -> Samples:
+    """A hold under load, without the ramps at its ends."""
     samples = read_samples(trial)
-    submitted = worker.submit(samples, trial.geometry, SETTINGS, PlateauSettings(), 50)
-    fit = submitted.result(TIMEOUT)
-    steady = samples[find_plateaus(samples, PlateauSettings())[0].rows]
+    return samples[find_plateaus(samples, PLATEAU)[0].rows]
+
+
+@pytest.fixture
+def slipped(samples: Samples) -> tuple[Samples, int]:
+    """The hold with a cluster that slips by 20 N, and the row of the first sample after it."""
+    row = len(samples) // 2
+    local = samples.local_forces.copy()
+    local[row:, 1, 2] -= 20.0
+    return dataclasses.replace(samples, local_forces=local), row
+
+
+def test_a_fit_is_the_same_in_a_process_of_its_own(
+    worker: FitWorker, trial: Trial, samples: Samples
+) -> None:
+    refit = worker.submit(samples, trial.geometry, SETTINGS, STEADY).result(TIMEOUT)
+    steady = samples[find_plateaus(samples, PLATEAU)[0].rows]
     here = fit_contact_model(steady, trial.geometry, SETTINGS)
-    assert fit is not None and worker.ready
-    np.testing.assert_allclose(fit.model.stiffness, here.model.stiffness, rtol=1e-6, atol=1e-3)
+    assert refit is not None and refit.comparison is None and worker.ready
+    np.testing.assert_allclose(
+        refit.fit.model.stiffness, here.model.stiffness, rtol=1e-6, atol=1e-3
+    )
+
+
+# --- what is fitted
+
+
+def test_the_newest_stretch_is_fitted_and_none_across_a_slip_of_a_cluster(
+    worker: FitWorker, trial: Trial, slipped: tuple[Samples, int]
+) -> None:
+    samples, row = slipped
+    refit = worker.submit(samples, trial.geometry, SETTINGS, STEADY).result(TIMEOUT)
+    assert refit is not None
+    assert row - 8 <= len(samples) - refit.fit.samples <= row + 8
+    assert refit.fit.last_stamp == samples.stamps[-1]
+    slip = samples.clusters[1]
+    (error,) = (e for e in refit.fit.errors if e.name == f"{slip}.Fz")
+    assert error.rmse < 1.0
+
+
+def test_a_refit_is_judged_by_the_newest_samples_which_it_left_out(
+    worker: FitWorker, trial: Trial, slipped: tuple[Samples, int]
+) -> None:
+    samples, row = slipped
+    before, after = (
+        fit_contact_model(part, trial.geometry, SETTINGS).model
+        for part in (samples[:row], samples[row:])
+    )
+
+    def refit(window: Samples, rival: ContactModel) -> Refit:
+        steady = dataclasses.replace(STEADY, rival=rival)
+        found = worker.submit(window, trial.geometry, SETTINGS, steady).result(TIMEOUT)
+        assert found is not None and found.comparison is not None
+        newest = window.complete.sum() - found.comparison.samples
+        assert found.fit.last_stamp < window.stamps[window.complete][newest]
+        return found
+
+    # It replaces a model of the time before the slip; a model of the time after it stays while
+    # steady data from before it is all that can be fitted.
+    assert not refit(samples, before).is_worse
+    assert refit(samples[: row + 16], after).is_worse
+
+
+def test_older_data_than_the_model_s_is_not_fitted(
+    worker: FitWorker, trial: Trial, samples: Samples
+) -> None:
+    steady = dataclasses.replace(STEADY, after=int(samples.stamps[-1]))
+    assert worker.submit(samples, trial.geometry, SETTINGS, steady).result(TIMEOUT) is None
+
+
+def test_an_all_zero_or_negated_wrench_is_refused(
+    worker: FitWorker, trial: Trial, samples: Samples
+) -> None:
+    for wrench, text in ((0.0 * samples.wrench, "no load"), (-samples.wrench, "negated")):
+        wrong = dataclasses.replace(samples, wrench=wrench)
+        for steady in (STEADY, None):
+            submitted = worker.submit(wrong, trial.geometry, SETTINGS, steady)
+            with pytest.raises(IdentificationError, match=text):
+                submitted.result(TIMEOUT)
+
+
+def test_outliers_are_counted_by_channel_and_do_not_end_a_stretch(
+    worker: FitWorker, trial: Trial, samples: Samples
+) -> None:
+    wrench, position = samples.wrench.copy(), samples.position.copy()
+    wrench[[20, 30], 3] = 1e9
+    position[40] = 5.0
+    wrong = dataclasses.replace(samples, wrench=wrench, position=position)
+    counts = worker.count_outliers(wrong, trial.geometry, ()).result(TIMEOUT)
+    assert counts == {"limb position": 1, "Fx": 2}
+    assert worker.count_outliers(wrong, trial.geometry, ("Fx",)).result(TIMEOUT) == {
+        "limb position": 1
+    }
+    clean, found = (
+        worker.submit(some, trial.geometry, SETTINGS, STEADY).result(TIMEOUT)
+        for some in (samples, wrong)
+    )
+    assert clean is not None and found is not None
+    assert found.fit.samples == clean.fit.samples - 3
 
 
 def test_live_fits_do_not_average_the_poses(worker: FitWorker, hold: Path) -> None:
     trial = Trial(hold)
     samples = read_samples(trial)
     settings = dataclasses.replace(SETTINGS, pose_smoothing=2.0)
-    fit = worker.submit(samples, trial.geometry, settings, None, 50).result(TIMEOUT)
+    refit = worker.submit(samples, trial.geometry, settings, None).result(TIMEOUT)
     here = fit_contact_model(samples, trial.geometry, SETTINGS)
-    assert fit is not None and fit.settings.pose_smoothing == 0.0
+    assert refit is not None and refit.fit.settings.pose_smoothing == 0.0
+    fit = refit.fit
     np.testing.assert_allclose(fit.model.stiffness, here.model.stiffness, rtol=1e-6, atol=1e-3)
 
 
@@ -54,7 +158,7 @@ def test_without_enough_steady_data_there_is_no_fit(worker: FitWorker, hold: Pat
     trial = Trial(hold)
     samples = read_samples(trial)
     for some, least in ((samples, 10_000), (samples[:20], 5)):
-        submitted = worker.submit(some, trial.geometry, SETTINGS, PlateauSettings(), least)
+        submitted = worker.submit(some, trial.geometry, SETTINGS, Steady(PLATEAU, least))
         assert submitted.result(TIMEOUT) is None
 
 
@@ -62,7 +166,7 @@ def test_an_error_comes_back_as_it_was_raised(worker: FitWorker, hold: Path) -> 
     trial = Trial(hold)
     none = read_samples(trial)[:0]
     with pytest.raises(IdentificationError, match="only 0 of 0 samples") as raised:
-        worker.submit(none, trial.geometry, SETTINGS, None, 1).result(TIMEOUT)
+        worker.submit(none, trial.geometry, SETTINGS, None).result(TIMEOUT)
     assert raised.value.hint
 
 
@@ -71,13 +175,13 @@ def test_a_killed_worker_is_replaced(hold: Path) -> None:
     samples = read_samples(trial)
     worker = FitWorker()
     try:
-        worker.submit(samples, trial.geometry, SETTINGS, None, 1).result(TIMEOUT)
+        worker.submit(samples, trial.geometry, SETTINGS, None).result(TIMEOUT)
         (process,) = worker._pool._processes
         os.kill(process, signal.SIGKILL)
         with pytest.raises(BrokenProcessPool):
             while True:  # until the pool has noticed
                 worker._pool.submit(os.getpid).result(TIMEOUT)
-        submitted = worker.submit(samples, trial.geometry, SETTINGS, None, 1)
+        submitted = worker.submit(samples, trial.geometry, SETTINGS, None)
         assert submitted.result(TIMEOUT) is not None
     finally:
         worker.close()
