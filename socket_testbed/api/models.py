@@ -24,6 +24,12 @@ from socket_testbed.identification.evaluation import (
     summarise_errors,
 )
 from socket_testbed.identification.fit import Fit, fit_contact_model, implausible_notes
+from socket_testbed.identification.information import (
+    LoadShare,
+    Motion,
+    load_shares,
+    measure_motion,
+)
 from socket_testbed.identification.model_file import (
     StoredModel,
     errors_document,
@@ -113,6 +119,22 @@ class TrialFit:
             trial=self.trial.name,
             unloaded=self.trial.unloaded,
         )
+
+    def load_shares(self) -> tuple[LoadShare, ...]:
+        """Shares of Fz, of the force and of the moment that springs and offsets bear."""
+        window = self.fit.settings.pose_smoothing
+        return load_shares(smooth_poses(self._samples(), window), self.fit.model)
+
+    def motion(self) -> Motion:
+        """How the pose moves over the segment, against its noise."""
+        window = self.fit.settings.pose_smoothing
+        return measure_motion(self._samples(), self.trial.geometry, window)
+
+    def _samples(self) -> Samples:
+        """The samples of the segment without outliers."""
+        chosen = self.trial.samples()[self.segment.rows]
+        leave_out = self.fit.settings.leave_out
+        return without_outliers(chosen, find_outliers(chosen, self.trial.geometry, leave_out))
 
     def to_dataframe(self) -> pd.DataFrame:
         """Errors on the samples of the fit, one row per channel in the channel's unit."""

@@ -18,7 +18,9 @@ from socket_testbed.commands.options import (
     add_unloaded,
     choices,
 )
-from socket_testbed.commands.text import error_columns, errors_table, segment_columns
+from socket_testbed.commands.text import error_columns, errors_table, number, segment_columns
+from socket_testbed.identification.information import LEAST_RATIO, share_warning
+from socket_testbed.identification.model_file import finite_or_null
 from socket_testbed.trials.trial import Trial
 
 
@@ -59,7 +61,26 @@ def _show(options: argparse.Namespace, found: TrialFit) -> None:
     print(fit.status)
     print()
     print(errors_table(fit.errors))
+    print()
+    print(_information(found))
     print(f"\nmodel in {options.output}")
+
+
+def _information(found: TrialFit) -> str:
+    """Who bears the load, and which motion the data holds."""
+    shares = found.load_shares()
+    motion = found.motion()
+    lines = [
+        "share of the measured load that the springs bear: "
+        + ", ".join(f"{share.name} {number(100 * share.springs, 0)} %" for share in shares)
+    ]
+    warning = share_warning(shares)
+    lines += [f"warning: {warning}"] if warning else []
+    lines.append(
+        f"the pose moves by {LEAST_RATIO:g} times its noise or more in {motion.directions} of 6"
+        " independent directions"
+    )
+    return "\n".join([*lines, *(f"  {excitation}" for excitation in motion.excitations)])
 
 
 def _row(found: TrialFit) -> Row:
@@ -70,6 +91,7 @@ def _row(found: TrialFit) -> Row:
         **segment_columns(found.segment),
         "variant": fit.model.variant,
         "theta [-]": fit.settings.theta,
+        "force_on_springs [-]": finite_or_null(found.load_shares()[1].springs),
         "kkt_residual [-]": max(c.stationarity for c in certificates),
         "duality_gap [-]": max(c.gap for c in certificates),
         **error_columns(fit.errors),

@@ -85,6 +85,8 @@ def errors_table(errors: Sequence[ChannelErrors]) -> str:
         f"mean moment RMSE {number(summary.moment_rmse)} N m, mean force RMSE"
         f" {number(summary.force_rmse)} N, median local RMSE {number(summary.local_rmse)} N"
     )
+    if any(error.skill < 0.0 for error in errors):
+        lines.append("negative skill: the channel's mean would have been a better prediction")
     if summary.without_value:
         lines.append(f"without a value, in none of these: {', '.join(summary.without_value)}")
     return "\n".join(lines)

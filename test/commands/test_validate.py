@@ -102,3 +102,19 @@ def test_a_trial_that_is_too_short_is_refused_alone_and_passed_over_among_others
 def test_a_trial_given_twice_is_refused(folder: Path, capsys) -> None:
     code, _, err = call(capsys, "validate", folder / "s0", folder)
     assert code == 1 and "s0 is given twice" in err
+
+
+def test_fit_says_who_bears_the_load_and_what_would_move_the_pose_more(
+    hold: Path, folder: Path, tmp_path, capsys
+) -> None:
+    code, out, _ = call(capsys, "fit", hold, "-o", tmp_path / "hold.json")
+    assert code == 0
+    assert "warning: the springs bear only" in out  # the offsets explain a hold
+    assert "of noise: twist the limb in the socket" in out and "of 6 independent directions" in out
+    assert ("negative skill:" in out) is ("  -0." in out)
+    code, out, _ = call(
+        capsys,
+        *("fit", folder / "s0", "-o", tmp_path / "moving.json"),
+        *("--segment", "all", "--variant", "stiffness"),
+    )
+    assert code == 0 and "warning" not in out

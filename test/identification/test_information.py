@@ -1,0 +1,97 @@
+"""Who bears the load, and how far the pose moves beyond its noise."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from support.problems import make_samples, moving_limb, random_bed, random_socket, samples_of_bed
+
+from socket_testbed.identification.information import (
+    LoadShare,
+    load_shares,
+    measure_motion,
+    share_warning,
+)
+
+
+def moving(rng, geometry, motion, noise, count=400):
+    """Samples whose six pose numbers move slowly by `motion` and have `noise` (sd), (6,) each."""
+    phase = np.linspace(0.0, 2.0 * np.pi, count)[:, None] * [3, 4, 5, 6, 7, 8]
+    pose = np.sqrt(2.0) * np.array(motion) * np.sin(phase) + rng.normal(0.0, noise, (count, 6))
+    samples = make_samples(pose[:, :3], np.zeros((count, 6)), {})
+    return dataclasses.replace(samples, rotation=pose[:, 3:])
+
+
+@pytest.mark.parametrize("variant", ["stiffness", "stiffness_bias"])
+def test_the_shares_of_a_bed_are_its_own(variant):
+    rng = np.random.default_rng(1)
+    geometry = random_socket(rng)
+    bed = random_bed(rng, geometry, variant)
+    samples = samples_of_bed(rng, bed, moving_limb(rng, 30))
+    shares = {share.name: share for share in load_shares(samples, bed)}
+    assert set(shares) == {"Fz", "force", "moment"}
+    for name, part in (("Fz", [5]), ("force", [3, 4, 5]), ("moment", [0, 1, 2])):
+        share = shares[name]
+        assert share.springs + share.offsets + share.residual == pytest.approx(1.0)
+        assert share.residual == pytest.approx(0.0, abs=1e-9)
+        measured = samples.wrench[:, part]
+        by_hand = np.sum(bed.wrench_bias[part] * measured) / np.sum(measured**2)
+        assert share.offsets == pytest.approx(by_hand)
+        assert (share.offsets == 0.0) is (variant == "stiffness")
+
+
+def test_springs_that_bear_less_than_half_get_a_warning():
+    moment = LoadShare("moment", 0.1, 0.8, 0.1)
+    little = (LoadShare("Fz", 0.02, 0.97, 0.01), LoadShare("force", 0.12, 0.87, 0.01), moment)
+    assert "only 12 % of the measured force (2 % of Fz), the offsets 87 %" in share_warning(little)
+    much = (little[0], LoadShare("force", 0.6, 0.3, 0.1), moment)
+    assert share_warning(much) == ""
+
+
+def test_motion_and_noise_are_told_apart():
+    rng = np.random.default_rng(2)
+    geometry = random_socket(rng)  # along z
+    motion = np.array([1e-4, 2e-3, 1e-3, 2e-3, 2e-2, 0.0])
+    noise = np.array([2e-4, 2e-4, 1e-4, 1e-3, 1e-3, 1e-3])
+    found = measure_motion(moving(rng, geometry, motion, noise), geometry)
+    for excitation, moved, noisy in zip(found.excitations, motion, noise, strict=True):
+        assert excitation.noise == pytest.approx(noisy, rel=0.15)
+        assert excitation.motion == pytest.approx(moved, rel=0.15, abs=0.5 * noisy)
+    enough = [excitation.sufficient for excitation in found.excitations]
+    assert enough == [False, True, True, False, True, False]
+    assert found.directions == 3
+    text = [str(excitation) for excitation in found.excitations]
+    assert text[0].startswith("position x: 0.") and text[0].endswith("noise: push from the sides")
+    assert "mrad of motion" in text[3] and "high and low" in text[3]
+    assert text[5].endswith("twist the limb in the socket")
+    assert text[4].endswith("of noise")
+
+
+def test_numbers_that_move_together_are_one_direction():
+    rng = np.random.default_rng(3)
+    geometry = random_socket(rng)
+    samples = moving(rng, geometry, [1e-3, 0, 0, 0, 0, 0], [1e-5] * 6)
+    samples.rotation[:, 1] += 10.0 * samples.position[:, 0]
+    found = measure_motion(samples, geometry)
+    assert sum(excitation.sufficient for excitation in found.excitations) == 2
+    assert found.directions == 1
+
+
+def test_averaged_poses_have_less_noise():
+    rng = np.random.default_rng(4)
+    geometry = random_socket(rng)
+    samples = moving(rng, geometry, [1e-3] * 6, [1e-3] * 6)
+    raw, averaged = (measure_motion(samples, geometry, window) for window in (0.0, 2.25))
+    assert raw.directions == 0
+    for before, after in zip(raw.excitations, averaged.excitations, strict=True):
+        assert after.noise == pytest.approx(before.noise / 3.0, rel=0.1)  # nine samples
+
+
+def test_without_a_known_noise_no_motion_counts():
+    rng = np.random.default_rng(5)
+    geometry = random_socket(rng)
+    found = measure_motion(moving(rng, geometry, [1e-3] * 6, [0.0] * 6, 8), geometry)
+    assert found.directions == 0
+    assert all("unknown noise" in str(excitation) for excitation in found.excitations)
