@@ -82,7 +82,7 @@ def row_blocks(stage: StageTwoInput) -> Iterator[RowBlock]:
             root * objective.wrench[:, row],
         )
     for number, channel in enumerate(objective.channels):
-        root = np.sqrt(objective.channel_weight / len(channel.force))
+        root = np.sqrt(objective.channel_weights[number] / len(channel.force))
         columns = 3 * channel.point + np.arange(3)
         springs = s[np.ix_(channel.rows, columns)] * (root * channel.direction)
         offset = np.full((len(springs), 1), root)
@@ -164,6 +164,6 @@ def objective_value(stage: StageTwoInput, solution: Solution) -> float:
     for number, channel in enumerate(objective.channels):
         model = channel_forces[channel.rows, number] @ channel.direction
         error = model + solution.channel_bias[number] - channel.force
-        value += objective.channel_weight * float(np.mean(error**2))
+        value += objective.channel_weights[number] * float(np.mean(error**2))
     roughness = smoothness_rows(stage) @ solution.stiffness
     return value + float(roughness @ roughness)

@@ -49,7 +49,7 @@ from socket_testbed.identification.plausibility import (
     without_outliers,
 )
 from socket_testbed.samples import Samples, channel_unit
-from socket_testbed.settings.identification import Variant
+from socket_testbed.settings.identification import Variant, Weights
 from socket_testbed.settings.testbed import estimator_settings
 from socket_testbed.tables import check_format, write_table
 from socket_testbed.trials.segment import Segment
@@ -213,6 +213,7 @@ def fit(
     params: PathLike | None = None,
     variant: Variant | None = None,
     theta: float | None = None,
+    weights: Weights | None = None,
     smoothness: float | None = None,
     leave_out: Sequence[str] | None = None,
     pose_smoothing: float | None = None,
@@ -228,6 +229,7 @@ def fit(
         params: A `testbed.yaml` to use instead of the trial's own.
         variant: `stiffness`, or `stiffness_bias` with constant offsets.
         theta: Weight of the wrench against the clusters, 0 to 1 [-].
+        weights: What weighs the channels of each of these groups: `size`, `noise` or `raw`.
         smoothness: Weight of the smoothness over neighbouring tiles [-].
         leave_out: Channels to leave out of the objective, such as `distal.Fx` or `Mz`.
         pose_smoothing: Centred window over which the poses are averaged [s].
@@ -251,6 +253,7 @@ def fit(
         as_path(params),
         variant=variant,
         theta=theta,
+        weights=weights,
         smoothness=smoothness,
         leave_out=leave_out,
         pose_smoothing=pose_smoothing,
@@ -450,7 +453,7 @@ def pareto(
         thetas: Number of values of theta from 0 to 1.
         params: As in `fit`.
         progress: See `Progress`.
-        choices: `smoothness`, `leave_out`, `pose_smoothing` and `solver` as in `fit`.
+        choices: `weights`, `smoothness`, `leave_out`, `pose_smoothing` and `solver` as in `fit`.
 
     Raises:
         TestbedError: As `fit`; also if one of the two groups has no channel in the objective.
@@ -502,7 +505,8 @@ def write_report(
         command: What made the page, for the record.
         replace: Whether an older page and its folder are replaced; else they are an error.
         progress: See `Progress`.
-        choices: `theta`, `smoothness`, `leave_out`, `pose_smoothing` and `solver` as in `fit`.
+        choices: `theta`, `weights`, `smoothness`, `leave_out`, `pose_smoothing` and `solver` as
+            in `fit`.
 
     Returns:
         All that the page shows.

@@ -53,10 +53,11 @@ def _show(options: argparse.Namespace, found: TrialFit) -> None:
     fit = found.fit
     samples = f"{fit.samples} of {len(found.trial.samples())} samples"
     print(f"{found.trial.name}: {found.segment}, {samples}")
+    size = fit.model.stiffness.size
     print(
-        f"variant {fit.model.variant}, theta {fit.settings.theta:g}; the data determine"
-        f" {fit.determined:.0f} of {fit.model.stiffness.size} stiffness directions, the smoothness"
-        " the others"
+        f"variant {fit.model.variant}, theta {fit.settings.theta:g}, weights by"
+        f" {fit.settings.weights}; the data determine {fit.determined:.0f} of {size} stiffness"
+        " directions, the smoothness the others"
     )
     print(fit.status)
     print()

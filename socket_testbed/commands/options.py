@@ -13,13 +13,13 @@ from typing import Any, Generic, TypeVar
 from socket_testbed.batch import Job, Pool, Row, Task, find_trials, plan_jobs, run_batch
 from socket_testbed.files import check_number
 from socket_testbed.settings import testbed
-from socket_testbed.settings.identification import VARIANTS
+from socket_testbed.settings.identification import VARIANTS, WEIGHTS
 from socket_testbed.settings.testbed import EstimatorSettings
 from socket_testbed.trials.synchronise import parse_unloaded
 from socket_testbed.trials.trial import Trial
 
 _FILES = ("geometry", "calibration", "params", "model")
-CHOICES = ("variant", "theta", "smoothness", "leave_out", "pose_smoothing", "solver")
+CHOICES = ("variant", "theta", "weights", "smoothness", "leave_out", "pose_smoothing", "solver")
 R = TypeVar("R")
 
 
@@ -107,6 +107,12 @@ def add_model_choice(
             type=float,
             help="weight of the wrench against the clusters, 0 to 1 (default: 0.5)",
         )
+    parser.add_argument(
+        "--weights",
+        choices=WEIGHTS,
+        help="what weighs the channels of the wrench, and of the clusters, against each other"
+        " (default: size)",
+    )
     parser.add_argument(
         "--smoothness",
         type=float,

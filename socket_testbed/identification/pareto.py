@@ -297,7 +297,7 @@ class _Walk:
             model=model,
             rmse=np.sqrt(np.concatenate([wrench[objective.wrench_counts], local])),
             wrench_error=float(np.sqrt(objective.wrench_shares @ wrench)),
-            local_error=float(np.sqrt(objective.channel_share * local.sum())),
+            local_error=float(np.sqrt(objective.channel_shares @ local)),
             residual=springs.certificate.worst,
             flaw=_undetermined(program, springs),
         )

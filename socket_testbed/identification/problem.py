@@ -4,10 +4,19 @@ The objective of both stages is
 
 .. math:: \theta J_w + (1 - \theta) J_f + \lambda J_s
 
-with J_w and J_f the mean squares of the wrench's and the clusters' errors, each divided by
-the size of its group of channels (moments, forces, cluster forces) so that newton metres and
-newtons count alike, and J_s the mean square difference between neighbouring tiles, divided
-by the expected difference. See docs/identification.md.
+with J_w and J_f the weighted squares of the wrench's and the clusters' errors, and J_s the mean
+square difference between neighbouring tiles, divided by the expected difference. See
+docs/identification.md. The setting `weights` names what weighs the channels:
+
+- `size`: J_w and J_f are means over their channels of the mean square error, divided by the mean
+  square of its group of channels (moments, forces, cluster forces): newton metres and newtons
+  count alike;
+- `noise`: every channel is weighed by 1 / (noise^2 + e^2) with its `channel_noise` and a floor e
+  for what no spring bed explains: `MODEL_ERROR` of the RMS force, for a moment at the root mean
+  square distance of the tiles. A common factor of each group makes predicting zero cost 1, as
+  with `size`;
+- `raw`: sums of squares in N^2 and (N m)^2 as the paper prints them, with one common factor that
+  makes predicting zero cost 2 in J_w + J_f, as with `size`.
 
 Stage 1 finds the rest positions with linear springs of one stiffness. Stage 2 finds the
 stiffnesses with the unilateral gate, and with constant offsets in the bias variant. The
@@ -28,7 +37,7 @@ from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification.box_qp import BoxQP
 from socket_testbed.identification.contact import wrench_map
 from socket_testbed.identification.moments import GatedMoments, Group, Method, Moments
-from socket_testbed.identification.noise import smooth_poses
+from socket_testbed.identification.noise import ChannelNoise, channel_noise, smooth_poses
 from socket_testbed.identification.plausibility import (
     LEAST_FORCE,
     LEAST_MOMENT,
@@ -42,9 +51,11 @@ from socket_testbed.identification.plausibility import (
 from socket_testbed.samples import LOCAL_CHANNELS, WRENCH_CHANNELS, Samples
 from socket_testbed.settings.identification import IdentificationSettings
 
+MODEL_ERROR = 0.01  # [-]; of the RMS of the forces
 MILLIMETRE = 1e-3  # [m]; scale of the rest positions in Stage 1
 KILONEWTON_PER_METRE = 1e3  # [N/m]; scale of the stiffnesses in Stage 2
 
+_GROUPS = (slice(0, 3), slice(3, 6))  # moments, forces
 _JITTER = 1e-12  # [-]; keeps a factorisation of a flat problem defined
 LEAST_SAMPLES = 12  # [1]; 3 s at the trigger's default rate
 
@@ -88,7 +99,7 @@ class Objective:
         wrench_shares: Weight of each squared wrench error in J_w, zero where it does not
             count, shape (6,) [1/(N m)^2, 1/N^2].
         channels: Channels of the clusters in the objective.
-        channel_share: Weight of each squared cluster error in J_f [1/N^2].
+        channel_shares: Weight of each channel's squared error in J_f, shape (m,) [1/N^2].
         laplacian: Matrix of J_s for one axis, shape (n, n) [-]: see `smoothness_matrix`.
     """
 
@@ -101,7 +112,7 @@ class Objective:
     wrench_counts: BoolArray
     wrench_shares: FloatArray
     channels: tuple[ClusterChannel, ...]
-    channel_share: float
+    channel_shares: FloatArray
     laplacian: FloatArray
 
     @property
@@ -110,9 +121,9 @@ class Objective:
         return self.settings.theta * self.wrench_shares
 
     @property
-    def channel_weight(self) -> float:
-        """Weight of each squared cluster error [1/N^2]."""
-        return (1.0 - self.settings.theta) * self.channel_share
+    def channel_weights(self) -> FloatArray:
+        """Weight of each cluster channel's squared error, shape (m,) [1/N^2]."""
+        return (1.0 - self.settings.theta) * self.channel_shares
 
     @property
     def with_bias(self) -> bool:
@@ -201,6 +212,7 @@ def build_objective(
     _usable_rows(samples, wrench_counts)
     require_units(samples, geometry, settings.leave_out)
     samples = _without_outliers(samples, geometry, settings.leave_out)
+    noise = channel_noise(samples) if settings.weights == "noise" else None
     samples = smooth_poses(samples, settings.pose_smoothing)
     rows = _usable_rows(samples, wrench_counts)
     samples = samples[rows]
@@ -210,10 +222,9 @@ def build_objective(
     if not wrench_counts.any() and not channels:
         raise IdentificationError("every channel is left out", "leave fewer channels out")
 
-    moment = max(_rms(wrench[:, :3][:, wrench_counts[:3]]), LEAST_MOMENT)
-    force = max(_rms(wrench[:, 3:][:, wrench_counts[3:]]), LEAST_FORCE)
-    weights = wrench_counts / np.repeat([moment, force], 3) ** 2
-    local = max(_rms(np.concatenate([c.force for c in channels] or [np.zeros(1)])), LEAST_FORCE)
+    wrench_shares, channel_shares = _shares(
+        samples, geometry, settings.weights, wrench_counts, channels, noise
+    )
     return Objective(
         geometry=geometry,
         settings=settings,
@@ -222,9 +233,9 @@ def build_objective(
         position=samples.position,
         wrench=wrench,
         wrench_counts=wrench_counts,
-        wrench_shares=weights / max(int(wrench_counts.sum()), 1),
+        wrench_shares=wrench_shares,
         channels=channels,
-        channel_share=1.0 / (local**2 * max(len(channels), 1)),
+        channel_shares=channel_shares,
         laplacian=smoothness_matrix(len(geometry), geometry.neighbours),
     )
 
@@ -270,6 +281,55 @@ def smoothness_matrix(points: int, neighbours: IntArray) -> FloatArray:
     """
     D = np.eye(points)[neighbours[:, 0]] - np.eye(points)[neighbours[:, 1]]
     return D.T @ D / max(len(neighbours), 1)
+
+
+def _shares(
+    samples: Samples,
+    geometry: SocketGeometry,
+    weights: str,
+    wrench_counts: BoolArray,
+    channels: tuple[ClusterChannel, ...],
+    noise: ChannelNoise | None,
+) -> tuple[FloatArray, FloatArray]:
+    """Weights of the channels' squared errors: see this module.
+
+    Args:
+        samples: Samples of the fit.
+        geometry: Geometry of the socket.
+        weights: What weighs the channels.
+        wrench_counts: Channels of the wrench that are in the objective, shape (6,).
+        channels: The m channels of the clusters in the objective.
+        noise: Noise of every channel, for the weights `noise`.
+
+    Returns:
+        Those of the wrench, shape (6,) [1/(N m)^2, 1/N^2], and of the clusters, shape (m,) [1/N^2].
+    """
+    least = np.repeat([LEAST_MOMENT, LEAST_FORCE], 3)
+    power = np.where(wrench_counts, (samples.wrench**2).mean(axis=0), 0.0)
+    local_power = np.array([np.mean(channel.force**2) for channel in channels])
+    if weights == "raw":
+        factor = 2.0 / max(power.sum() + local_power.sum(), LEAST_FORCE**2)
+        return factor * wrench_counts, np.full(len(channels), factor)
+
+    # The mean square of each channel's group, which is at least that of the smallest group.
+    moment, force = (
+        max(power[g].sum() / max(wrench_counts[g].sum(), 1), least[g][0] ** 2) for g in _GROUPS
+    )
+    local = max(_rms(np.concatenate([c.force for c in channels] or [np.zeros(1)])), LEAST_FORCE)
+    if noise is None:
+        shares = wrench_counts / np.repeat([moment, force], 3)
+        local_shares = np.full(len(channels), 1.0 / local**2)
+        return shares / max(wrench_counts.sum(), 1), local_shares / max(len(channels), 1)
+
+    lever = _rms(np.linalg.norm(geometry.anchors, axis=1))
+    floor = MODEL_ERROR**2 * force * np.repeat([lever**2, 1.0], 3)
+    shares = wrench_counts / (np.nan_to_num(noise.wrench) ** 2 + floor)
+    places = [(samples.clusters.index(c.cluster), c.axis) for c in channels]
+    deviations = np.array([noise.local_forces[place] for place in places])
+    local_shares = 1.0 / (np.nan_to_num(deviations) ** 2 + (MODEL_ERROR * local) ** 2)
+    zero = max(shares @ power, shares @ least**2, _JITTER)
+    local_zero = max(local_shares @ local_power, local_shares.sum() * LEAST_FORCE**2, _JITTER)
+    return shares / zero, local_shares / local_zero
 
 
 def _rms(values: FloatArray) -> float:
@@ -381,11 +441,11 @@ def build_stage_one(objective: Objective) -> BoxQP:
     target = at_reference - objective.wrench.mean(axis=0)
     P = (k0 * scale) ** 2 * (mapping.T @ weighted)
     q = -(k0 * scale) * (weighted.T @ target)
-    for channel in objective.channels:
+    for channel, channel_weight in zip(objective.channels, objective.channel_weights, strict=True):
         offset = channel.mean_position - reference
         local_target = k0 * channel.direction @ offset - channel.force.mean()
         block = slice(3 * channel.point, 3 * channel.point + 3)
-        weight = objective.channel_weight * k0 * scale
+        weight = channel_weight * k0 * scale
         outer = np.outer(channel.direction, channel.direction)
         P[block, block] += weight * k0 * scale * outer
         q[block] -= weight * local_target * channel.direction
@@ -420,10 +480,12 @@ def build_stage_two(objective: Objective, moments: StageTwoMoments) -> StageTwo:
     P = (mapping.T @ weighted) * used.gram
     P *= scale**2 / used.count
     q = -scale / used.count * np.einsum("jc,cj->j", used.cross, weighted)
-    for channel, centred in zip(objective.channels, moments.channels, strict=True):
+    for channel, centred, channel_weight in zip(
+        objective.channels, moments.channels, objective.channel_weights, strict=True
+    ):
         used = centred if with_bias else centred.about_zero()
         along = scale * channel.direction
-        weight = objective.channel_weight / used.count
+        weight = channel_weight / used.count
         block = slice(3 * channel.point, 3 * channel.point + 3)
         P[block, block] += weight * np.outer(along, along) * used.gram
         q[block] -= weight * along * used.cross[:, 0]

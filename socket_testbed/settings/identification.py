@@ -9,6 +9,8 @@ from socket_testbed.settings.fields import Settings, setting
 
 Variant = Literal["stiffness", "stiffness_bias"]
 VARIANTS: tuple[Variant, ...] = get_args(Variant)
+Weights = Literal["size", "noise", "raw"]
+WEIGHTS: tuple[Weights, ...] = get_args(Weights)
 
 
 @dataclass(frozen=True)
@@ -23,6 +25,10 @@ class IdentificationSettings(Settings):
     theta: float = setting(
         0.5, "weight of the wrench against the clusters, on normalised errors [-]", 0.0, 1.0
     )
+    weights: str = setting(
+        "size", "what weighs the channels of a group: their size, their noise, or nothing, raw [-]",
+        choices=WEIGHTS,
+    )  # fmt: skip
     gate_sharpness: float = setting(
         2000.0, "sharpness alpha of the unilateral gate [1/m]", 1.0, 1e6
     )

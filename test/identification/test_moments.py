@@ -195,13 +195,14 @@ def test_a_perfect_prediction_leaves_nothing():
     assert (np.sqrt(found) <= 1e-7 * targets.std(axis=0)).all()
 
 
+@pytest.mark.parametrize("weights", ["size", "noise"])
 @pytest.mark.parametrize("leave_out", [(), ("Mx", "My", "Mz"), ("Fy", "cluster_0.Fz")])
 @pytest.mark.parametrize("variant", VARIANTS)
-def test_predicting_zero_makes_both_normalised_errors_one(variant, leave_out):
-    geometry, bed, samples, settings = make_case(7, variant, leave_out=leave_out)
+def test_predicting_zero_makes_both_normalised_errors_one(variant, leave_out, weights):
+    geometry, bed, samples, settings = make_case(7, variant, leave_out=leave_out, weights=weights)
     objective = build_objective(samples, geometry, settings)
     moments = StageTwoData(objective).moments(bed.rest_positions)
     nothing = np.zeros((len(geometry), 3))
     wrench, local = channel_mean_squares(objective, moments, nothing, with_bias=False)
     assert objective.wrench_shares @ wrench == pytest.approx(1.0)
-    assert objective.channel_share * local.sum() == pytest.approx(1.0)
+    assert objective.channel_shares @ local == pytest.approx(1.0)

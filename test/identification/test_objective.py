@@ -4,11 +4,11 @@ import dataclasses
 
 import numpy as np
 import pytest
-from support.problems import make_case, random_socket
+from support.problems import make_case, make_samples, random_socket
 
 from socket_testbed.errors import ConfigurationError, IdentificationError
 from socket_testbed.identification.fit import fit_contact_model
-from socket_testbed.identification.problem import smoothness_matrix
+from socket_testbed.identification.problem import build_objective, smoothness_matrix
 from socket_testbed.settings.identification import VARIANTS, IdentificationSettings
 
 
@@ -25,6 +25,26 @@ def test_smoothness_is_the_mean_square_difference_between_neighbours():
 def test_a_socket_without_neighbours_is_not_smoothed():
     matrix = smoothness_matrix(4, np.zeros((0, 2), dtype=np.int64))
     np.testing.assert_array_equal(matrix, np.zeros((4, 4)))
+
+
+def test_weights_by_noise_follow_the_noise_above_the_models_error():
+    rng = np.random.default_rng(15)
+    geometry = random_socket(rng)
+    noise = np.array([1.0, 2.0, 4.0, 10.0, 20.0, 40.0])  # [N m, N]; far above 1 % of the size
+    local = np.array([0.5, 1.0, 2.0])  # [N]
+    size = (1000, len(geometry.clusters), 3)
+    samples = make_samples(
+        rng.normal(0.0, 1e-3, (1000, 3)),
+        rng.normal(0.0, noise, (1000, 6)),
+        dict(zip(geometry.clusters, rng.normal(0.0, local, size).swapaxes(0, 1), strict=True)),
+    )
+    settings = IdentificationSettings(weights="noise")
+    objective = build_objective(samples, geometry, settings)
+    np.testing.assert_allclose(
+        objective.wrench_shares / objective.wrench_shares[0], (noise[0] / noise) ** 2, rtol=0.2
+    )
+    shares = objective.channel_shares.reshape(-1, 3)
+    np.testing.assert_allclose(shares / shares[0, 0], [(local[0] / local) ** 2] * 3, rtol=0.2)
 
 
 def test_samples_without_a_wrench_or_a_position_do_not_count():

@@ -106,6 +106,26 @@ def test_the_wrench_map_of_the_stack_is_the_packages():
     assert rows.cost(bed.stiffness.reshape(-1) / KILONEWTON_PER_METRE) < 1e-20
 
 
+@pytest.mark.parametrize("leave_out", LEFT_OUT)
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_raw_weights_are_the_sums_that_the_paper_prints(variant, leave_out):
+    geometry, bed, samples, settings = make_case(
+        22, variant, gaps=True, leave_out=leave_out, weights="raw", theta=0.3
+    )
+    rng = np.random.default_rng(24)
+    programs = (
+        build_stage_one(build_objective(samples, geometry, settings)),
+        stage_two_at(build_objective(samples, geometry, settings), bed.rest_positions).program,
+    )
+    rows = (
+        stack_stage_one(samples, geometry, settings),
+        stack_stage_two(samples, geometry, settings, bed.rest_positions),
+    )
+    for program, stacked in zip(programs, rows, strict=True):
+        points = rng.uniform(0.0, 8.0, (12, 3 * len(geometry)))  # [mm], [kN/m]
+        assert_same_up_to_scale_and_constant(program, stacked, points)
+
+
 @pytest.mark.parametrize("gaps", [False, True])
 @pytest.mark.parametrize("leave_out", LEFT_OUT)
 def test_stage_one_is_the_stacked_objective_up_to_scale_and_constant(leave_out, gaps):

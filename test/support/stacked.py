@@ -129,6 +129,11 @@ def _stack(samples, geometry, settings, springs, difference, bounds, with_bias) 
         values = measured[:, group][usable[:, group]]
         size = max(np.sqrt(np.mean(values**2)) if values.size else 0.0, floor)
         root[group] = np.sqrt(share / usable[:, group].sum(axis=0)) / size
+    if settings.weights == "raw":
+        power = np.nansum(np.where(usable, measured, np.nan) ** 2, axis=0) / usable.sum(axis=0)
+        group_weight = np.where(np.arange(len(names)) < 6, settings.theta, 1.0 - settings.theta)
+        raw = group_weight * 2.0 / power[kept].sum() / usable.sum(axis=0)
+        root[kept] = np.sqrt(raw[kept])
 
     maps = [_channel_row(samples, geometry, i) for i in range(len(names))]
     offset_rows = np.zeros((len(names), len(kept) if with_bias else 0))
