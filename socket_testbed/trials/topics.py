@@ -40,6 +40,7 @@ ESTIMATED_WRENCH = Topic("estimate/wrench", "geometry_msgs/msg/WrenchStamped", c
 LOCAL_FORCES = Topic(
     "estimate/local_forces", "socket_testbed_msgs/msg/LocalForceArray", computed=True
 )
+FORCE_MAP = Topic("estimate/force_map", "socket_testbed_msgs/msg/ForceMap", computed=True)
 PARAMETERS = Topic(
     "estimate/parameters", "socket_testbed_msgs/msg/ContactModel", computed=True, latched=True
 )
@@ -56,6 +57,7 @@ TOPICS = (
     STRESS,
     ESTIMATED_WRENCH,
     LOCAL_FORCES,
+    FORCE_MAP,
     PARAMETERS,
     PRESSURE_MAP,
     DIAGNOSTICS,

@@ -20,6 +20,12 @@ CONTRACT = {
     ),
     "ClusterStressArray": "std_msgs/Header header; ClusterStress[] clusters",
     "LocalForceArray": ("std_msgs/Header header; string[] names; geometry_msgs/Vector3[] forces"),
+    "ForceMap": (
+        "std_msgs/Header header; string[] names; geometry_msgs/Vector3[] forces;"
+        " geometry_msgs/Vector3[] standard_deviations; float64[] normal_pressure;"
+        " float64[] normal_pressure_standard_deviation; float64[] shear;"
+        " float64[] shear_standard_deviation; string source"
+    ),
     "ContactModel": (
         "std_msgs/Header header; string variant; string[] names;"
         " geometry_msgs/Vector3[] stiffness; geometry_msgs/Vector3[] rest_positions;"
