@@ -32,7 +32,7 @@ evidence in the sample.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.special import i0e, i1e
@@ -75,58 +75,79 @@ class MapEstimate:
 
 
 @dataclass(frozen=True)
-class _Ratios:
-    """One draw of what the evidence chooses among; M of them as arrays of shape (M,)."""
-
-    shear: FloatArray
-    preload: FloatArray
-    bed: FloatArray
-    bed_variation: FloatArray
-    share: FloatArray
-
-
-@dataclass(frozen=True)
 class _Conditioned:
-    """The draws conditioned on the channels that are present.
+    """The draws of the prior, conditioned on the channels that are present.
+
+    A tile's force has four components here: along x, y, z of {S} and along the tile's normal.
 
     Attributes:
         present: Indices of the d channels that are present.
-        gain: K H' S^-1 in the tiles' frames, shape (M, 3n, d).
+        gain: K H' S^-1 of the M draws, from the channels to the forces, shape (M, n, 4, d).
         precision: S^-1, shape (M, d, d).
         log_determinant: Of S, shape (M,).
-        covariance: Of each tile's force in its frame, shape (M, n, 3, 3) [N^2].
+        variances: Of the forces, shape (M, n, 4) [N^2].
     """
 
     present: list[int]
     gain: FloatArray
     precision: FloatArray
     log_determinant: FloatArray
-    covariance: FloatArray
+    variances: FloatArray
 
     def without(self, channel: int) -> _Conditioned:
         """The same without one channel: a downdate of rank one.
 
-        With j the place of the channel in y, and P the precision: P - P_j P_j' / P_jj without
-        row and column j is the precision of the other channels (block inversion).
+        With P the precision and j the place of the channel, P - P_j P_j' / P_jj without row and
+        column j is the precision of the others (inverse of a partitioned matrix).
 
         Args:
             channel: Index of the channel.
         """
         j = self.present.index(channel)
         kept = [place for place in range(len(self.present)) if place != j]
-        row, pivot = self.precision[:, j], self.precision[:, j, j]
-        lost = self.gain[:, :, j] / pivot[:, None]
-        precision = self.precision - row[:, :, None] * (row / pivot[:, None])[:, None]
-        gain = self.gain - lost[:, :, None] * row[:, None]
-        per_tile = lost.reshape(len(lost), -1, 3)
+        pivot = self.precision[:, j, j]
+        row = self.precision[:, j] / np.sqrt(pivot)[:, None]
+        lost = self.gain[..., j] / np.sqrt(pivot)[:, None, None]
+        precision = self.precision - row[:, :, None] * row[:, None]
+        gain = self.gain - lost[..., None] * row[:, None, None]
         return _Conditioned(
             present=[self.present[place] for place in kept],
-            gain=np.ascontiguousarray(gain[:, :, kept]),
+            gain=np.ascontiguousarray(gain[..., kept]),
             precision=np.ascontiguousarray(precision[:, kept][:, :, kept]),
             log_determinant=self.log_determinant + np.log(pivot),
-            covariance=self.covariance
-            + pivot[:, None, None, None] * per_tile[..., :, None] * per_tile[..., None, :],
+            variances=self.variances + lost**2,
         )
+
+    def average(self, measured: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Mean and variances of the forces over the draws, weighted by their evidence.
+
+        With the amplitude's prior, the channels have a multivariate t distribution under each
+        draw, and the square of the amplitude the posterior mean (f + y' S^-1 y) / (f + d - 2).
+
+        Args:
+            measured: The channels that are present, shape (N, d).
+
+        Returns:
+            Forces, shape (N, n, 4) [N], and their variances, shape (N, n, 4) [N^2].
+        """
+        count, channels = measured.shape
+        draws, tiles = self.variances.shape[:2]
+        # One product over all draws: a batch of small ones takes several times as long.
+        whitened = measured @ self.precision.reshape(draws * channels, channels).T
+        whitened = whitened.reshape(count, draws, channels)
+        distance = (whitened * measured[:, None]).sum(axis=2)
+        freedom = _AMPLITUDE_FREEDOM
+        evidence = self.log_determinant + (freedom + channels) * np.log1p(distance / freedom)
+        weights = np.exp(0.5 * (evidence.min(axis=1, keepdims=True) - evidence))
+        weights /= weights.sum(axis=1, keepdims=True)
+        scales = weights * (freedom + distance) / max(freedom + channels - 2.0, 1.0)
+
+        forces = measured @ self.gain.reshape(draws * tiles * 4, channels).T
+        forces = forces.reshape(count, draws, tiles * 4)
+        mean = (weights[:, None] @ forces)[:, 0]
+        between = (weights[:, None] @ forces**2)[:, 0] - mean**2
+        variances = scales @ self.variances.reshape(draws, -1) + np.maximum(between, 0.0)
+        return mean.reshape(count, tiles, 4), variances.reshape(count, tiles, 4)
 
 
 class ForceMap:
@@ -144,13 +165,10 @@ class ForceMap:
         clusters: tuple[str, ...],
         settings: ForceMapSettings | None = None,
     ) -> None:
-        self._geometry = geometry
         self._clusters = clusters
         self._areas = geometry.areas
-        settings = settings or ForceMapSettings()
-        complete = _condition(geometry, clusters, settings)
+        self._complete = _condition(geometry, clusters, settings or ForceMapSettings())
         self._patterns: dict[bytes, _Conditioned] = {}
-        self._complete = complete
 
     def estimate(self, samples: Samples) -> MapEstimate:
         """The map at every sample.
@@ -162,15 +180,15 @@ class ForceMap:
             The estimate; where a sample has no channel at all, that of the prior.
         """
         values, present = _channels(samples.wrench, samples.local_forces, samples.status)
-        parts = np.empty((len(samples), len(self._geometry), 3))
-        covariance = np.empty((len(samples), len(self._geometry), 3, 3))
+        forces = np.empty((len(samples), len(self._areas), 4))
+        variances = np.empty((len(samples), len(self._areas), 4))
         for pattern, rows in _by_pattern(present):
             conditioned = self._conditioned(pattern)
             for start in range(0, len(rows), _CHUNK):
                 chunk = rows[start : start + _CHUNK]
                 measured = values[chunk][:, conditioned.present]
-                parts[chunk], covariance[chunk] = _average(conditioned, measured)
-        return self._describe(parts, covariance, self._words(present))
+                forces[chunk], variances[chunk] = conditioned.average(measured)
+        return self._describe(forces, variances, present)
 
     def update(
         self, wrench: FloatArray, local_forces: FloatArray, status: StatusArray
@@ -187,8 +205,8 @@ class ForceMap:
         """
         values, present = _channels(wrench[None], local_forces[None], status[None])
         conditioned = self._conditioned(present[0])
-        forces, covariance = _average(conditioned, values[:, conditioned.present])
-        return self._describe(forces, covariance, self._words(present))
+        measured = values[:, conditioned.present]
+        return self._describe(*conditioned.average(measured), present)
 
     def _conditioned(self, present: BoolArray) -> _Conditioned:
         """The draws conditioned on a pattern of channels; a pattern is computed once."""
@@ -202,29 +220,31 @@ class ForceMap:
             self._patterns[key] = conditioned
         return self._patterns[key]
 
-    def _describe(self, local: FloatArray, covariance: FloatArray, source: str) -> MapEstimate:
-        """The estimate from forces (N, n, 3) and covariances (N, n, 3, 3) in the tiles' frames."""
-        rotations, areas = self._geometry.rotations, self._areas
-        forces = (rotations @ local[..., None])[..., 0]
-        variances = ((rotations @ covariance) * rotations).sum(axis=-1)
-        tangential = 0.5 * (covariance[..., 0, 0] + covariance[..., 1, 1])
-        shear = np.hypot(local[..., 0], local[..., 1])
+    def _describe(
+        self, forces: FloatArray, variances: FloatArray, present: BoolArray
+    ) -> MapEstimate:
+        """The estimate from forces and variances, (N, n, 4), and the present channels."""
+        areas, deviations = self._areas, np.sqrt(variances)
+        vectors, normal = forces[..., :3], forces[..., 3]
+        shear = np.sqrt(np.maximum((vectors**2).sum(axis=-1) - normal**2, 0.0))
+        tangential = np.maximum(variances[..., :3].sum(axis=-1) - variances[..., 3], 0.0)
         return MapEstimate(
-            forces=forces,
-            standard_deviations=np.sqrt(variances),
-            normal_pressure=-local[..., 2] / areas,
-            normal_pressure_standard_deviation=np.sqrt(covariance[..., 2, 2]) / areas,
+            forces=vectors,
+            standard_deviations=deviations[..., :3],
+            normal_pressure=-normal / areas,
+            normal_pressure_standard_deviation=deviations[..., 3] / areas,
             shear=shear / areas,
-            shear_standard_deviation=_rice_deviation(shear, np.sqrt(tangential)) / areas,
-            source=source,
+            shear_standard_deviation=_rice_deviation(shear, np.sqrt(0.5 * tangential)) / areas,
+            source=self._words(present),
         )
 
     def _words(self, present: BoolArray) -> str:
         """What the estimate was conditioned on."""
-        wrench = present[:, : len(WRENCH_CHANNELS)].any()
-        of_clusters = present[:, len(WRENCH_CHANNELS) :].reshape(len(present), -1, 3)
-        parts = ["wrench"] if wrench else []
-        parts += [c for k, c in enumerate(self._clusters) if of_clusters[:, k].any()]
+        wrench = len(WRENCH_CHANNELS)
+        parts = ["wrench"] if present[:, :wrench].any() else []
+        for number, cluster in enumerate(self._clusters):
+            if present[:, wrench + 3 * number : wrench + 3 * (number + 1)].any():
+                parts.append(cluster)
         return "prior: mean zero; measured: " + (", ".join(parts) or "nothing")
 
 
@@ -232,9 +252,10 @@ def _channels(
     wrench: FloatArray, local_forces: FloatArray, status: StatusArray
 ) -> tuple[FloatArray, BoolArray]:
     """Values of all channels, shape (N, 6 + 3c), and which of them count."""
-    trusted = np.where((status == Status.OK)[:, :, None], local_forces, np.nan)
-    values = np.hstack([wrench, trusted.reshape(len(wrench), -1)])
-    return values, np.isfinite(values)
+    values = np.concatenate([wrench, local_forces.reshape(len(wrench), -1)], axis=1)
+    present = np.isfinite(values)
+    present[:, wrench.shape[1] :] &= np.repeat(status == Status.OK, 3, axis=1)
+    return values, present
 
 
 def _by_pattern(present: BoolArray) -> Iterator[tuple[BoolArray, IntArray]]:
@@ -244,39 +265,6 @@ def _by_pattern(present: BoolArray) -> Iterator[tuple[BoolArray, IntArray]]:
         yield pattern, np.flatnonzero(which.reshape(-1) == number)
 
 
-def _average(conditioned: _Conditioned, measured: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Mean and covariance of the tiles' forces over the draws, weighted by their evidence.
-
-    With the amplitude's prior, the channels have a multivariate t distribution under each draw,
-    and the amplitude's square the posterior mean (f + y' S^-1 y) / (f + d - 2).
-
-    Args:
-        conditioned: The M draws.
-        measured: The d channels that are present, shape (N, d).
-
-    Returns:
-        Forces in the tiles' frames, shape (N, n, 3) [N], and covariances, (N, n, 3, 3) [N^2].
-    """
-    count, freedom = measured.shape[1], _AMPLITUDE_FREEDOM
-    whitened = measured @ conditioned.precision
-    distance = np.einsum("mkd,kd->km", whitened, measured)
-    evidence = -0.5 * (
-        conditioned.log_determinant + (freedom + count) * np.log1p(distance / freedom)
-    )
-    weights = np.exp(evidence - evidence.max(axis=1, keepdims=True))
-    weights /= weights.sum(axis=1, keepdims=True)
-    scales = weights * (freedom + distance) / max(freedom + count - 2.0, 1.0)
-
-    draws, tiles = conditioned.covariance.shape[:2]
-    # (N, M, n, 3)
-    forces = np.einsum("mfd,kd->kmf", conditioned.gain, measured, optimize=True)
-    mean = np.einsum("km,kmf->kf", weights, forces).reshape(-1, tiles, 3)
-    spread = forces.reshape(-1, draws, tiles, 3) - mean[:, None]
-    covariance = np.tensordot(scales, conditioned.covariance, axes=1)
-    covariance += np.einsum("km,kmni,kmnj->knij", weights, spread, spread, optimize=True)
-    return mean, covariance
-
-
 def _rice_deviation(size: FloatArray, sigma: FloatArray) -> FloatArray:
     """Root mean square difference of a Rice-distributed magnitude to `size`.
 
@@ -284,8 +272,7 @@ def _rice_deviation(size: FloatArray, sigma: FloatArray) -> FloatArray:
     the magnitude `size`, has the mean sigma sqrt(pi/2) L_1/2(-x), x = size^2 / (2 sigma^2), and
     the mean square size^2 + 2 sigma^2 (Rice, Bell System Technical Journal 24, 1945).
     """
-    sigma = np.maximum(sigma, np.finfo(float).tiny)
-    half = 0.25 * (size / sigma) ** 2  # x / 2
+    half = 0.25 * (size / np.maximum(sigma, np.finfo(float).tiny)) ** 2  # x / 2
     laguerre = (1.0 + 2.0 * half) * i0e(half) + 2.0 * half * i1e(half)
     mean = sigma * np.sqrt(0.5 * np.pi) * laguerre
     square = 2.0 * (size**2 + sigma**2 - size * mean)
@@ -312,32 +299,49 @@ def surface_correlation(geometry: SocketGeometry, length: float) -> FloatArray:
     return np.asarray(covariance / (scale * scale[:, None]))
 
 
+def _proximal(geometry: SocketGeometry) -> FloatArray:
+    """Direction from the distal to the proximal end in {S}, shape (3,) [-]."""
+    mean = geometry.rotations[:, :, 0].mean(axis=0)
+    return np.asarray(mean / np.linalg.norm(mean))
+
+
 def _rigid_motions(geometry: SocketGeometry, arm: float) -> FloatArray:
     """Displacements of the tiles in their frames under six motions of the limb, (n, 3, 6) [-].
 
-    Three translations, and three rotations about the mean anchor whose displacement at the
-    distance `arm` [m] is 1.
+    Translations along two directions across the socket and the proximal one, and rotations about
+    them and the mean anchor, whose displacement at the distance `arm` [m] is 1.
     """
+    axes = np.linalg.svd(_proximal(geometry)[None])[2][[1, 2, 0]]
     arms = (geometry.anchors - geometry.anchors.mean(axis=0)) / arm
-    in_socket = np.zeros((len(geometry), 3, 6))
-    in_socket[:, :, :3] = np.eye(3)
-    for axis, unit in enumerate(np.eye(3)):
-        in_socket[:, :, 3 + axis] = np.cross(unit, arms)
+    in_socket = np.empty((len(geometry), 3, 6))
+    in_socket[:, :, :3] = axes.T
+    in_socket[:, :, 3:] = np.swapaxes(np.cross(axes, arms[:, None]), 1, 2)
     return np.swapaxes(geometry.rotations, 1, 2) @ in_socket
 
 
-def _draw(settings: ForceMapSettings) -> _Ratios:
-    """Ratios drawn evenly from their log-normal priors (a Sobol sequence)."""
-    medians = (
-        settings.shear, settings.preload, settings.bed, settings.bed_variation,
-    )  # fmt: skip
-    draws = settings.draws
-    points = qmc.Sobol(len(medians) + 1, rng=0).random(draws)
-    logs = settings.spread * norm.ppf(points)
-    drawn = np.array(medians) * np.exp(logs[:, : len(medians)])
-    share = settings.share + settings.share_spread * norm.ppf(points[:, -1])
-    shear, preload, bed, bed_variation = drawn.T
-    return _Ratios(shear, preload, bed, bed_variation, share)
+_DRAWN = (
+    "shear",
+    "preload",
+    "bed",
+    "sinking",
+    "rotation",
+    "bed_shear",
+    "bed_variation",
+    "cluster_error",
+)
+
+
+def _draw(settings: ForceMapSettings) -> Iterator[ForceMapSettings]:
+    """Settings whose ratios are drawn evenly from their priors (a Sobol sequence)."""
+    if settings.draws == 1:
+        yield settings
+        return
+    points = norm.ppf(qmc.Sobol(len(_DRAWN) + 1, rng=0).random(settings.draws))
+    for point in points:
+        factors = np.exp(settings.spread * point)
+        ratios = {k: getattr(settings, k) * f for k, f in zip(_DRAWN, factors, strict=False)}
+        share = settings.share + settings.share_spread * point[-1]
+        yield replace(settings, **ratios, share=float(np.clip(share, 0.2, 1.0)))
 
 
 def _condition(
@@ -345,51 +349,54 @@ def _condition(
 ) -> _Conditioned:
     """The draws of the prior, conditioned on all channels."""
     count, channels = len(geometry), len(WRENCH_CHANNELS) + 3 * len(clusters)
-    ratios = _draw(settings)
-    draws = len(ratios.shear)
-    gain = np.empty((draws, 3 * count, channels))
-    precision = np.empty((draws, channels, channels))
-    log_determinant = np.empty(draws)
-    covariance = np.empty((draws, count, 3, 3))
+    gain = np.empty((settings.draws, count, 4, channels))
+    precision = np.empty((settings.draws, channels, channels))
+    log_determinant = np.empty(settings.draws)
+    variances = np.empty((settings.draws, count, 4))
 
+    # From a tile's frame to x, y, z of {S} and the normal.
+    along_normal = np.broadcast_to([[0.0, 0.0, 1.0]], (count, 1, 3))
+    turned = np.concatenate([geometry.rotations, along_normal], axis=1)
+    tile = np.arange(3 * count).reshape(count, 3)
     correlation = surface_correlation(geometry, settings.length)
     motions = _rigid_motions(geometry, settings.arm)
-    blocks = np.arange(3 * count).reshape(count, 3)
-    for m in range(draws):
-        prior = _prior(correlation, motions, settings, ratios, m)
-        mapping = _mapping(geometry, clusters, ratios.share[m])
+    for m, drawn in enumerate(_draw(settings)):
+        prior = _prior(geometry, correlation, motions, drawn)
+        mapping = _mapping(geometry, clusters, drawn.share)
         mapped = prior @ mapping.T
-        noise = _noise(mapping @ mapped, settings)
-        precision[m] = np.linalg.inv(mapping @ mapped + noise)
-        gain[m] = mapped @ precision[m]
+        signal = mapping @ mapped
+        precision[m] = np.linalg.inv(signal + _noise(signal, drawn))
         log_determinant[m] = -np.linalg.slogdet(precision[m])[1]
-        covariance[m] = prior[blocks[:, :, None], blocks[:, None, :]]
-        covariance[m] -= gain[m][blocks] @ np.swapaxes(mapped[blocks], 1, 2)
-    return _Conditioned(list(range(channels)), gain, precision, log_determinant, covariance)
+        of_tiles = turned @ mapped.reshape(count, 3, channels)
+        gain[m] = of_tiles @ precision[m]
+        before = turned @ prior[tile[:, :, None], tile[:, None]]
+        variances[m] = (before * turned).sum(axis=2) - (gain[m] * of_tiles).sum(axis=2)
+    return _Conditioned(list(range(channels)), gain, precision, log_determinant, variances)
 
 
 def _prior(
+    geometry: SocketGeometry,
     correlation: FloatArray,
     motions: FloatArray,
     settings: ForceMapSettings,
-    ratios: _Ratios,
-    m: int,
 ) -> FloatArray:
     """Covariance K of all forces in the tiles' frames, shape (3n, 3n) [N^2]."""
-    count = len(correlation)
-    tangential = np.array([settings.bed_shear, settings.bed_shear, 1.0])
-    bed = motions * tangential[:, None]
+    count = len(geometry)
+    bed = motions * np.array([settings.bed_shear, settings.bed_shear, 1.0])[:, None]
     bed = bed / np.sqrt((bed**2).sum(axis=1).mean(axis=0))
-    bed = (ratios.bed[m] * bed).reshape(3 * count, 6)
-    varying = 1.0 + ratios.bed_variation[m] ** 2 * correlation
+    sizes = [settings.bed, settings.bed, settings.sinking, *[settings.rotation] * 3]
+    bed = (bed * sizes).reshape(3 * count, 6)
+    varying = 1.0 + settings.bed_variation**2 * correlation
     prior = (bed @ bed.T) * np.kron(varying, np.ones((3, 3)))
-    for axis, size in enumerate((ratios.shear[m], ratios.shear[m], 1.0)):
+    for axis, size in enumerate((settings.shear, settings.shear, 1.0)):
         prior[axis::3, axis::3] += size**2 * correlation
-    prior[2::3, 2::3] += ratios.preload[m] ** 2
-    drag = np.eye(3)
-    drag[0, 2] = settings.drag
-    dragged = np.einsum("ai,nimj,bj->namb", drag, prior.reshape(count, 3, count, 3), drag)
-    return settings.normal_deviation**2 * dragged.reshape(3 * count, 3 * count)
+    prior[2::3, 2::3] += settings.preload**2
+
+    drag = np.tile(np.eye(3), (count, 1, 1))
+    drag[:, :2, 2] = settings.drag * (_proximal(geometry) @ geometry.rotations)[:, :2]
+    prior = drag @ prior.reshape(count, 3, 3 * count)
+    prior = drag @ np.moveaxis(prior.reshape(3 * count, count, 3), 0, 2)
+    return settings.normal_deviation**2 * prior.reshape(3 * count, 3 * count)
 
 
 def _mapping(geometry: SocketGeometry, clusters: tuple[str, ...], share: float) -> FloatArray:
@@ -410,13 +417,8 @@ def _noise(signal: FloatArray, settings: ForceMapSettings) -> FloatArray:
         signal: Prior covariance H K H' of the channels.
         settings: Sizes of the errors.
     """
-    clusters = len(signal) - 6
-    offset = np.concatenate(
-        [
-            np.full(3, settings.moment_error),
-            np.full(3, settings.force_error),
-            np.full(clusters, settings.cluster_error),
-        ]
-    )
-    gain = np.concatenate([np.zeros(6), np.full(clusters, settings.cluster_gain_error)])
+    clusters = len(signal) - len(WRENCH_CHANNELS)
+    errors = (settings.moment_error, settings.force_error, settings.cluster_error)
+    offset = np.repeat(errors, (3, 3, clusters))
+    gain = np.repeat([0.0, settings.cluster_gain_error], (len(WRENCH_CHANNELS), clusters))
     return np.diag(offset**2 + gain**2 * np.diag(signal))

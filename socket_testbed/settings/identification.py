@@ -95,50 +95,52 @@ class PlateauSettings(Settings):
 
 @dataclass(frozen=True)
 class ForceMapSettings(Settings):
-    """The prior of the force map: sizes of forces on tiles and of the channels' errors."""
+    """The prior of the force map: sizes of the forces on tiles and of the channels' errors.
+
+    Medians and means where the data chooses; sizes are standard deviations.
+    """
 
     normal_deviation: float = setting(
-        3.0, "usual size of a tile's own normal force; the data scales it [N]", 1e-3, 1e4
+        2.3, "usual size of a tile's own normal force; the data scales it [N]", 1e-3, 1e4
     )
     length: float = setting(
-        0.05, "length along the surface over which forces are alike [m]", 1e-3, 1.0
+        0.065, "length along the surface over which forces are alike [m]", 1e-3, 1.0
     )
     shear: float = setting(
-        0.25, "tangential forces against normal forces of the field, median [-]", 1e-3, 1e2
+        0.25, "a tile's own tangential force, relative to its own normal force [-]", 1e-3, 1e2
     )
-    preload: float = setting(
-        1.0, "common normal force of all tiles against a tile's own, median [-]", 1e-3, 1e2
-    )
+    preload: float = setting(0.7, "normal force common to all tiles, relative to it [-]", 1e-3, 1e2)
     bed: float = setting(
-        0.5, "forces of a bed of springs under a motion of the limb, median [-]", 1e-3, 1e2
+        0.6, "forces of a bed of springs as the limb moves sideways, relative to it [-]", 1e-3, 1e2
+    )
+    sinking: float = setting(1.1, "the same as the limb sinks, relative to it [-]", 1e-3, 1e2)
+    rotation: float = setting(0.2, "the same as the limb turns, relative to it [-]", 1e-3, 1e2)
+    bed_shear: float = setting(
+        0.06, "tangential stiffness of the bed, relative to its normal stiffness [-]", 1e-3, 1e1
     )
     bed_variation: float = setting(
-        0.5, "variation of the stiffness of the bed over the surface, median [-]", 1e-3, 1e1
-    )
-    bed_shear: float = setting(
-        0.15, "tangential stiffness of the bed against its normal stiffness [-]", 0.0, 1e1
-    )
+        0.5, "variation of the bed's stiffness over the surface, relative to its mean [-]",
+        1e-3, 1e1,
+    )  # fmt: skip
     arm: float = setting(
         0.06, "distance at which a rotation counts like a translation [m]", 1e-3, 1.0
     )
     drag: float = setting(
-        0.25, "distal force on a tile as a share of its normal force [-]", -1.0, 1.0
+        0.23, "distal force on a tile by friction, relative to its normal force [-]", -1.0, 1.0
     )
     share: float = setting(0.85, "share of the load that the tiles bear, mean [-]", 0.2, 1.0)
     share_spread: float = setting(0.05, "its standard deviation [-]", 0.0, 0.2)
-    spread: float = setting(
-        0.5, "standard deviation of the logarithms of the ratios with a median [-]", 0.0, 2.0
-    )
-    draws: int = setting(16, "draws of the ratios, a power of 2 [1]", 1, 256)
     moment_error: float = setting(
-        0.05, "noise and offset of a moment, standard deviation [N m]", 1e-6, 1e2
-    )
-    force_error: float = setting(
-        1.0, "noise and offset of a force of the load cell, standard deviation [N]", 1e-6, 1e3
-    )
-    cluster_error: float = setting(
-        0.5, "noise and offset of a force on a cluster, standard deviation [N]", 1e-6, 1e3
-    )
-    cluster_gain_error: float = setting(
-        0.05, "error of a cluster's gain, standard deviation [-]", 0.0, 1.0
+        0.4, "offset of a moment, and what the surface between the tiles adds to it [N m]",
+        1e-6, 1e2,
+    )  # fmt: skip
+    force_error: float = setting(4.0, "the same of a force of the load cell [N]", 1e-6, 1e3)
+    cluster_error: float = setting(0.5, "offset of a force on a cluster [N]", 1e-6, 1e3)
+    cluster_gain_error: float = setting(0.05, "error of a cluster's gain [-]", 0.0, 1.0)
+    spread: float = setting(
+        0.7, "standard deviation of the logarithms of the relative sizes, of bed_shear, of"
+        " bed_variation and of cluster_error; 0: they are as given [-]", 0.0, 2.0,
+    )  # fmt: skip
+    draws: int = setting(
+        32, "draws of these, each weighted by its evidence; a power of 2 is best [1]", 1, 256
     )
