@@ -17,6 +17,7 @@ from socket_testbed.arrays import FloatArray, IntArray
 from socket_testbed.drivers.averaging import line_weights
 from socket_testbed.drivers.natnet.messages import BodiesByName, MocapFrame
 from socket_testbed.geometry.marker_bodies import EDGE_TOLERANCE, TriadFit, edge_lengths, fit_triad
+from socket_testbed.geometry.pose import Pose
 from socket_testbed.settings.acquisition import MocapSettings
 
 _KEPT = 1.0  # [s]
@@ -193,19 +194,20 @@ class _TrackedBody:
         for _, _, models in (before[0], after[0]):
             if fault := self._unknown(models):
                 return *nothing, fault, 0
-        entries = [*before, *after]
-        times = [time for time, _, _ in entries]
+        entries = [*before, *after, *inside]
+        times = np.array([time for time, _, _ in entries])
         triads = np.array([self._triad(frame, models) for _, frame, models in entries])
         fit = fit_triad(self._reference, triads)
-        first = len(before)
+        first, around = len(before), len(before) + len(after)
         for a in range(first):
-            for b in range(first, len(entries)):
+            for b in range(first, around):
                 if fit.order[a, 0] >= 0 <= fit.order[b, 0] and times[b] - times[a] <= stale:
                     weight = (trigger - times[a]) / (times[b] - times[a])
-                    interpolated = self._interpolate(fit, triads, (a, b), weight)
-                    mean = self._mean(inside, trigger, weight**2 + (1.0 - weight) ** 2)
-                    pose, used = (interpolated[:2], 2) if mean is None else mean
-                    return *pose, interpolated[2], "", used
+                    markers = self._interpolate_markers(fit, triads, (a, b), weight)
+                    noise = weight**2 + (1.0 - weight) ** 2
+                    mean = _mean(fit.pose, times - trigger, slice(around, None), noise)
+                    position, quaternion, used = mean or _interpolate(fit.pose, (a, b), weight)
+                    return position, quaternion, markers, "", used
         weight = (trigger - times[0]) / (times[first] - times[0])
         markers = self._by_label(fit, triads, (0, first), weight)
         return *nothing[:2], markers, self._fault(triads[[0, first]]), 0
@@ -241,41 +243,13 @@ class _TrackedBody:
                 triad[slot] = marker.position
         return triad
 
-    def _interpolate(
+    def _interpolate_markers(
         self, fit: TriadFit, triads: FloatArray, pair: tuple[int, int], weight: float
-    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+    ) -> FloatArray:
         a, b = pair
         self._orders += [tuple(fit.order[row].tolist()) for row in pair]
-        start, end = fit.pose.translation[a], fit.pose.translation[b]
-        before, after = Rotation.from_matrix(fit.pose.rotation[[a, b]])
-        # Slerp (Shoemake 1985, doi:10.1145/325165.325242); scipy's Slerp costs twice as much.
-        rotation = before * (before.inv() * after) ** weight
         markers = triads[a][fit.order[a]]
-        return (
-            start + weight * (end - start),
-            rotation.as_quat(),
-            markers + weight * (triads[b][fit.order[b]] - markers),
-        )
-
-    def _mean(
-        self, entries: Sequence[_Entry], trigger: float, largest: float
-    ) -> tuple[tuple[FloatArray, FloatArray], int] | None:
-        """Position [m] and quaternion at a time from all frames with a pose, and their number.
-
-        None if noise would have a larger variance in it than this part of a frame's [-].
-        """
-        if not entries:
-            return None
-        triads = np.array([self._triad(frame, models) for _, frame, models in entries])
-        fit = fit_triad(self._reference, triads)
-        fitted = fit.order[:, 0] >= 0
-        weights = line_weights(np.array([entry[0] - trigger for entry in entries])[fitted])
-        if len(weights) < 2 or weights @ weights > largest:
-            return None
-        rotations = Rotation.from_matrix(fit.pose.rotation[fitted])
-        mean = rotations.mean()
-        turn = Rotation.from_rotvec(weights @ (mean.inv() * rotations).as_rotvec())
-        return (weights @ fit.pose.translation[fitted], (mean * turn).as_quat()), len(weights)
+        return np.asarray(markers + weight * (triads[b][fit.order[b]] - markers))
 
     def _by_label(
         self, fit: TriadFit, triads: FloatArray, pair: tuple[int, int], weight: float
@@ -318,3 +292,41 @@ class _TrackedBody:
             f"the markers of rigid body '{self._name}' do not fit its triad: check the geometry"
             " file, or that no other marker is taken for one of them"
         )
+
+
+def _interpolate(
+    poses: Pose, pair: tuple[int, int], weight: float
+) -> tuple[FloatArray, FloatArray, int]:
+    """Position [m] and quaternion between two of N poses, and 2, their number."""
+    start, end = poses.translation[list(pair)]
+    before, after = Rotation.from_matrix(poses.rotation[list(pair)])
+    # Slerp (Shoemake 1985, doi:10.1145/325165.325242); scipy's Slerp costs twice as much.
+    rotation = before * (before.inv() * after) ** weight
+    return start + weight * (end - start), rotation.as_quat(), 2
+
+
+def _mean(
+    poses: Pose, offsets: FloatArray, rows: slice, largest: float
+) -> tuple[FloatArray, FloatArray, int] | None:
+    """Mean of those of N poses that are in some rows and not NaN, at offset 0.
+
+    Args:
+        poses: The poses.
+        offsets: Their times from that of the mean, shape (N,) [s].
+        rows: Which to average.
+        largest: Largest variance of the mean's noise, where a pose's is 1 [-].
+
+    Returns:
+        Position [m], quaternion and number of poses; None if the mean would be noisier.
+    """
+    usable = np.isfinite(poses.translation[rows, 0])
+    weights = line_weights(offsets[rows][usable])
+    if len(weights) < 2 or weights @ weights > largest:
+        return None
+    rotations = poses.rotation[rows][usable]
+    # The rotation nearest to all: the chordal mean (Hartley 2013, doi:10.1007/s11263-012-0601-0).
+    left, _, right = np.linalg.svd(rotations.mean(axis=0))
+    mean = left @ np.diag([1.0, 1.0, np.linalg.det(left @ right)]) @ right
+    turns = Rotation.from_matrix(mean.T @ rotations).as_rotvec()
+    rotation = Rotation.from_matrix(mean) * Rotation.from_rotvec(weights @ turns)
+    return weights @ poses.translation[rows][usable], rotation.as_quat(), len(weights)
