@@ -68,7 +68,7 @@ def find_outliers(
         leave_out: Channels that do not count.
     """
     values = _counted(samples, leave_out)
-    limits = _limits(samples, geometry)
+    limits = channel_limits(geometry, samples.clusters)
     single = [_size(column) <= limit for column, limit in zip(values.T, limits, strict=True)]
     found = (np.abs(values) > limits) & single  # else it is the channel: see `require_units`
     for group in (*_WRENCH_GROUPS, slice(6, None)):
@@ -180,7 +180,7 @@ def require_units(
     require_position(samples, geometry)
     values = _counted(samples, leave_out)
     for name, column, limit in zip(
-        samples.channels, values.T, _limits(samples, geometry), strict=True
+        samples.channels, values.T, channel_limits(geometry, samples.clusters), strict=True
     ):
         size = _size(column)
         if size > limit:
@@ -235,12 +235,20 @@ def _reach(geometry: SocketGeometry) -> float:
     return float(np.linalg.norm(geometry.anchors, axis=1).max())
 
 
-def _limits(samples: Samples, geometry: SocketGeometry) -> FloatArray:
-    """Largest size of each channel, shape (6 + 3c,) [N m, N]."""
+def channel_limits(geometry: SocketGeometry, clusters: tuple[str, ...]) -> FloatArray:
+    """Largest size of each channel that a person in a socket can apply.
+
+    Args:
+        geometry: Geometry of the socket.
+        clusters: Names of the c clusters.
+
+    Returns:
+        The limits in the order of `channel_names`, shape (6 + 3c,) [N m, N].
+    """
     wrench = np.repeat([LARGEST_MOMENT, LARGEST_FORCE], 3)
-    tiles = [geometry.clusters[name] for name in samples.clusters if name in geometry.clusters]
-    if len(tiles) < len(samples.clusters):  # another socket's, which is an error of its own
-        return np.full(6 + 3 * len(samples.clusters), np.inf)
+    tiles = [geometry.clusters[name] for name in clusters if name in geometry.clusters]
+    if len(tiles) < len(clusters):  # another socket's, which is an error of its own
+        return np.full(6 + 3 * len(clusters), np.inf)
     areas = geometry.areas[np.array(tiles, dtype=np.int64)]
     return np.concatenate([wrench, np.repeat(LARGEST_STRESS * areas, 3)])
 

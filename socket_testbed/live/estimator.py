@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import threading
 from collections import OrderedDict
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import CancelledError, Future
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
@@ -168,6 +168,28 @@ class SampleWindow:
         self._start, self._end = 0, len(kept)
 
 
+def cluster_forces(
+    geometry: SocketGeometry, stresses: Mapping[str, tuple[FloatArray, int]]
+) -> tuple[FloatArray, StatusArray]:
+    """The force on every cluster of a socket, in the cluster's frame.
+
+    Args:
+        geometry: Geometry of the socket, with c clusters.
+        stresses: Normal stress, shear x and y, shape (3,) [Pa], and status by cluster; a cluster
+            that is not there is missing.
+
+    Returns:
+        Forces, shape (c, 3) [N], NaN where missing, and statuses, shape (c,).
+    """
+    missing = (np.full(3, np.nan), Status.MISSING)
+    found = [stresses.get(name, missing) for name in geometry.clusters]
+    forces = [
+        geometry.cluster_force(name, stress)
+        for name, (stress, _) in zip(geometry.clusters, found, strict=True)
+    ]
+    return np.array(forces), np.array([status for _, status in found], dtype=np.uint8)
+
+
 @dataclass(frozen=True)
 class Estimate:
     """What the model says of one sample, from the pose alone.
@@ -274,9 +296,14 @@ class OnlineEstimator:
         self._state = (0, self._origin)
         self._notify(stored)
 
-    def trigger(self, stamp: int) -> None:
-        """Count a trigger; after a jump back in time [ns] forget what was measured before."""
-        if stamp < self._last_trigger:
+    def trigger(self, stamp: int) -> bool:
+        """Count a trigger; after a jump back in time [ns] forget what was measured before.
+
+        Returns:
+            Whether time jumped back.
+        """
+        jumped = stamp < self._last_trigger
+        if jumped:
             self._synchroniser.clear()
             with self._lock:
                 self._window.clear()
@@ -284,6 +311,7 @@ class OnlineEstimator:
             self._outliers = {}
         self._last_trigger = stamp
         self._counts["triggers"] += 1
+        return jumped
 
     def add(self, topic: Topic, stamp: int, value: Any) -> Estimate | None:
         """Add a measurement.
@@ -341,20 +369,15 @@ class OnlineEstimator:
             Pose.from_quaternion(pose[None, :3], pose[None, 3:])
             for pose in (measured[SOCKET_POSE.name], measured[PYLON_POSE.name])
         )
-        missing = (np.full(3, np.nan), Status.MISSING)
-        stresses = [measured[STRESS.name].get(name, missing) for name in self._clusters]
-        forces = [
-            self._geometry.cluster_force(name, stress)
-            for name, (stress, _) in zip(self._clusters, stresses, strict=True)
-        ]
+        forces, status = cluster_forces(self._geometry, measured[STRESS.name])
         limb = self._geometry.limb_pose(socket, pylon)
         return Sample(
             stamp=stamp,
             position=limb.translation[0],
             rotation=limb.rotation_vector()[0],
             wrench=measured[WRENCH.name],
-            local_forces=np.array(forces),
-            status=np.array([status for _, status in stresses], dtype=np.uint8),
+            local_forces=forces,
+            status=status,
         )
 
     def _fit_is_due(self) -> bool:

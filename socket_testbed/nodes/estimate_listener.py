@@ -10,13 +10,18 @@ import rclpy
 from geometry_msgs.msg import WrenchStamped
 from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.task import Future
-from socket_testbed_msgs.msg import ContactModel, LocalForceArray
+from socket_testbed_msgs.msg import ContactModel, ForceMap, LocalForceArray
 
 from socket_testbed.arrays import FloatArray
 from socket_testbed.nodes.base import TestbedNode, spin
 from socket_testbed.nodes.conversions import stamp_from_ros, vectors_from_ros, wrench_from_ros
 from socket_testbed.settings.fields import Settings
-from socket_testbed.trials.topics import ESTIMATED_WRENCH, LOCAL_FORCES, PARAMETERS
+from socket_testbed.trials.topics import (
+    ESTIMATED_WRENCH,
+    FORCE_MAP,
+    LOCAL_FORCES,
+    PARAMETERS,
+)
 
 
 class EstimateListener:
@@ -25,6 +30,8 @@ class EstimateListener:
     Attributes:
         wrench: Predicted wrench [M; F] by stamp [ns], shape (6,) each [N m, N].
         forces: Predicted forces in {S} by stamp [ns], shape (n, 3) each [N].
+        maps: Forces of the force map in {S} and their standard deviations by axis of {S}, by stamp
+            [ns], shape (2, n, 3) each [N].
         models: Number of models published.
     """
 
@@ -33,6 +40,7 @@ class EstimateListener:
     def __init__(self) -> None:
         self.wrench: dict[int, FloatArray] = {}
         self.forces: dict[int, FloatArray] = {}
+        self.maps: dict[int, FloatArray] = {}
         self.models = 0
 
     def __enter__(self) -> Self:
@@ -41,6 +49,7 @@ class EstimateListener:
         self._node = TestbedNode(self.NAME, Settings)
         self._node.listen(ESTIMATED_WRENCH, self._on_wrench)
         self._node.listen(LOCAL_FORCES, self._on_forces)
+        self._node.listen(FORCE_MAP, self._on_map)
         self._node.listen(PARAMETERS, self._on_model)
         self._executor = EventsExecutor()
         self._executor.add_node(self._node)
@@ -65,6 +74,11 @@ class EstimateListener:
     def _on_forces(self, message: LocalForceArray) -> None:
         self.forces[stamp_from_ros(message.header.stamp)] = vectors_from_ros(message.forces)
 
+    def _on_map(self, message: ForceMap) -> None:
+        vectors = (message.forces, message.standard_deviations)
+        stamp = stamp_from_ros(message.header.stamp)
+        self.maps[stamp] = np.array([vectors_from_ros(v) for v in vectors])
+
     def _on_model(self, message: ContactModel) -> None:
         self.models += 1
 
@@ -82,3 +96,17 @@ class EstimateListener:
         wrench = np.array([self.wrench.get(stamp, no_wrench) for stamp in stamps])
         forces = np.array([self.forces.get(stamp, no_forces) for stamp in stamps])
         return wrench, forces
+
+    def map_series(self, stamps: list[int], points: int) -> tuple[FloatArray, FloatArray]:
+        """The force maps at some stamps, NaN where there is none.
+
+        Args:
+            stamps: Stamps [ns], N of them.
+            points: Number n of tiles.
+
+        Returns:
+            Forces in {S} and their standard deviations by axis of {S}, shape (N, n, 3) each [N].
+        """
+        none = np.full((2, points, 3), np.nan)
+        found = np.array([self.maps.get(stamp, none) for stamp in stamps])
+        return found[:, 0], found[:, 1]

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
+from geometry_msgs.msg import WrenchStamped
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import DescribeParameters, SetParameters
 from socket_testbed_msgs.msg import ClusterCapacitance, ClusterCapacitanceArray
@@ -20,13 +21,18 @@ from support.graph import Probe
 from socket_testbed.calibration.model import read_calibration
 from socket_testbed.errors import TestbedError
 from socket_testbed.files import packaged
+from socket_testbed.geometry.socket import read_socket
+from socket_testbed.identification.force_map import ForceMap
 from socket_testbed.identification.model_file import read_model
 from socket_testbed.live.bringup import replay_with_estimator
 from socket_testbed.live.processes import Graph
 from socket_testbed.nodes.conversions import (
+    header_to_ros,
     stamp_from_ros,
+    stress_to_ros,
     vectors_from_ros,
     wrench_from_ros,
+    wrench_to_ros,
 )
 from socket_testbed.nodes.estimate_listener import EstimateListener
 from socket_testbed.settings.testbed import (
@@ -40,10 +46,12 @@ from socket_testbed.trials.topics import (
     CAPACITANCE,
     DIAGNOSTICS,
     ESTIMATED_WRENCH,
+    FORCE_MAP,
     LOCAL_FORCES,
     PARAMETERS,
     PRESSURE_MAP,
     STRESS,
+    WRENCH,
 )
 from socket_testbed.trials.trial import Trial
 
@@ -69,8 +77,10 @@ def test_every_sample_is_predicted_as_the_model_does_offline(hold: Path, hold_mo
     replay = ReplaySettings(trial=str(hold), rate=50.0, wait_for=(EstimateListener.NAME,))
     with EstimateListener() as listener:
         replay_with_estimator(trial, replay, settings)
-        wrench, forces = listener.series(read_samples(trial).stamps.tolist(), len(trial.geometry))
-        assert len(listener.wrench) == len(listener.forces) == 240
+        stamps = read_samples(trial).stamps.tolist()
+        wrench, forces = listener.series(stamps, len(trial.geometry))
+        mapped, deviations = listener.map_series(stamps, len(trial.geometry))
+        assert len(listener.wrench) == len(listener.forces) == len(listener.maps) == 240
         assert listener.models == 1
     model = read_model(hold_model).model
     position = read_samples(trial).position
@@ -78,6 +88,47 @@ def test_every_sample_is_predicted_as_the_model_does_offline(hold: Path, hold_mo
     np.testing.assert_allclose(forces, model.forces(position), atol=1e-9)
     # Where a marker was occluded the prediction is NaN, never an old one.
     assert np.isnan(wrench[np.isnan(position).any(axis=1)]).all()
+    # The force map is the same as offline, and asks for no marker.
+    samples = read_samples(trial)
+    offline = ForceMap(trial.geometry, samples.clusters).estimate(samples)
+    np.testing.assert_allclose(mapped, offline.forces, atol=1e-9)
+    np.testing.assert_allclose(deviations, offline.standard_deviations, atol=1e-9)
+
+
+def test_a_map_needs_neither_a_model_nor_the_motion_capture() -> None:
+    """Two topics of one stamp are enough for the force map and its picture."""
+    geometry = read_socket(packaged("config", "socket.yaml"))
+    count = len(geometry.clusters)
+    stress = np.tile([1e4, 500.0, -500.0], (count, 1))
+    wrench = np.array([1.0, 2.0, 0.0, 5.0, 0.0, -200.0])
+    with Graph() as graph, Probe() as probe:
+        maps, pictures = probe.listen(FORCE_MAP), probe.listen(PRESSURE_MAP)
+        graph.start("estimator_node", NO_FIT)
+        publishers = [probe.publisher(topic) for topic in (STRESS, WRENCH)]
+        sent = 0
+
+        def send_until_heard() -> bool:
+            nonlocal sent
+            sent += 1
+            stamp = sent * 250_000_000
+            header = header_to_ros(stamp, "load_cell")
+            status = np.zeros(count, dtype=np.uint8)
+            publishers[0].publish(stress_to_ros(stamp, list(geometry.clusters), stress, status))
+            publishers[1].publish(WrenchStamped(header=header, wrench=wrench_to_ros(wrench)))
+            return len(maps) > 0 and len(pictures) > 0
+
+        probe.wait(send_until_heard, "a map")
+    found = maps[0]
+    forces = np.array(
+        [geometry.cluster_force(c, s) for c, s in zip(geometry.clusters, stress, strict=True)]
+    )
+    expected = ForceMap(geometry, tuple(geometry.clusters)).update(
+        wrench, forces, np.zeros(count, dtype=np.uint8)
+    )
+    assert found.header.frame_id == "load_cell" and tuple(found.names) == geometry.names
+    np.testing.assert_allclose(vectors_from_ros(found.forces), expected.forces[0])
+    np.testing.assert_allclose(found.normal_pressure, expected.normal_pressure[0])
+    assert len(pictures[0].markers) == 2 * len(geometry)
 
 
 def test_another_process_subscribes_while_the_command_replays_and_estimates(hold: Path) -> None:

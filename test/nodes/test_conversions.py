@@ -1,0 +1,78 @@
+"""The messages of the force map and its picture."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from visualization_msgs.msg import Marker
+
+from socket_testbed.files import packaged
+from socket_testbed.geometry.socket import read_socket
+from socket_testbed.identification.force_map import MapEstimate
+from socket_testbed.nodes.conversions import (
+    ForceMapMessage,
+    PressureMap,
+    stamp_from_ros,
+    vectors_from_ros,
+)
+
+GEOMETRY = read_socket(packaged("config", "socket.yaml"))
+STAMP = 1_700_000_000_250_000_000
+
+
+def made_up_map(seed: int = 0) -> MapEstimate:
+    rng = np.random.default_rng(seed)
+    count = len(GEOMETRY)
+    scalars = (rng.uniform(0.0, 4e4, (1, count)) for _ in range(4))
+    return MapEstimate(
+        rng.normal(size=(1, count, 3)), rng.uniform(size=(1, count, 3)), *scalars, "made up"
+    )
+
+
+def test_the_message_holds_the_map_and_nothing_of_the_one_before() -> None:
+    message = ForceMapMessage(GEOMETRY.names)
+    message.filled(1, made_up_map(1))
+    estimate = made_up_map(2)
+    found = message.filled(STAMP, estimate)
+    assert stamp_from_ros(found.header.stamp) == STAMP and found.header.frame_id == "load_cell"
+    assert tuple(found.names) == GEOMETRY.names and found.source == "made up"
+    for field in ("forces", "standard_deviations"):
+        values = vectors_from_ros(getattr(found, field))
+        np.testing.assert_array_equal(values, getattr(estimate, field)[0])
+    for field in dataclasses.fields(MapEstimate)[2:-1]:
+        values = getattr(found, field.name)
+        np.testing.assert_array_equal(values, getattr(estimate, field.name)[0])
+
+
+def markers(pressure: float, deviation: float) -> list[Marker]:
+    count = len(GEOMETRY)
+    estimate = dataclasses.replace(
+        made_up_map(),
+        normal_pressure=np.full((1, count), pressure),
+        normal_pressure_standard_deviation=np.full((1, count), deviation),
+    )
+    return PressureMap(GEOMETRY).markers(STAMP, estimate).markers
+
+
+def test_uncertain_tiles_look_uncertain() -> None:
+    opacity = [markers(1e4, deviation)[0].color.a for deviation in (0.0, 2e3, 5e3, 9e3, 5e4)]
+    assert opacity == sorted(opacity, reverse=True)
+    assert opacity[0] == 1.0 and opacity[-1] == pytest.approx(0.1)
+
+
+def test_the_colour_is_the_normal_pressure() -> None:
+    green = [markers(pressure, 1e3)[0].color.g for pressure in (-1e4, 0.0, 1e4, 2e4, 3e4, 9e4)]
+    assert green == sorted(green, reverse=True)
+    assert green[0] == green[1] and green[-1] == green[-2] == 0.0
+
+
+def test_a_picture_ends_by_itself_and_its_arrows_start_at_the_tiles() -> None:
+    drawn = markers(1e4, 1e3)
+    assert len(drawn) == 2 * len(GEOMETRY)
+    for marker in drawn:
+        assert 0 < marker.lifetime.sec < 10 and marker.header.frame_id == "load_cell"
+    forces = made_up_map().forces[0]
+    for arrow, anchor, force in zip(drawn[1::2], GEOMETRY.anchors, forces, strict=True):
+        (start, tip) = ([p.x, p.y, p.z] for p in arrow.points)
+        np.testing.assert_allclose(start, anchor)
+        np.testing.assert_allclose(np.subtract(tip, start), 0.002 * force)
