@@ -216,6 +216,7 @@ def fit(
     weights: Weights | None = None,
     smoothness: float | None = None,
     leave_out: Sequence[str] | None = None,
+    noise_correction: bool | None = None,
     pose_smoothing: float | None = None,
     solver: str | None = None,
 ) -> TrialFit:
@@ -232,6 +233,8 @@ def fit(
         weights: What weighs the channels of each of these groups: `size`, `noise` or `raw`.
         smoothness: Weight of the smoothness over neighbouring tiles [-].
         leave_out: Channels to leave out of the objective, such as `distal.Fx` or `Mz`.
+        noise_correction: Whether the share of the pose's noise is subtracted: for stiffness
+            rather than prediction.
         pose_smoothing: Centred window over which the poses are averaged [s].
         solver: A solver that qpsolvers finds.
 
@@ -256,6 +259,7 @@ def fit(
         weights=weights,
         smoothness=smoothness,
         leave_out=leave_out,
+        noise_correction=noise_correction,
         pose_smoothing=pose_smoothing,
         solver=solver,
     )
@@ -453,7 +457,8 @@ def pareto(
         thetas: Number of values of theta from 0 to 1.
         params: As in `fit`.
         progress: See `Progress`.
-        choices: `weights`, `smoothness`, `leave_out`, `pose_smoothing` and `solver` as in `fit`.
+        choices: `weights`, `smoothness`, `leave_out`, `noise_correction`, `pose_smoothing` and
+            `solver` as in `fit`.
 
     Raises:
         TestbedError: As `fit`; also if one of the two groups has no channel in the objective.
@@ -505,8 +510,8 @@ def write_report(
         command: What made the page, for the record.
         replace: Whether an older page and its folder are replaced; else they are an error.
         progress: See `Progress`.
-        choices: `theta`, `weights`, `smoothness`, `leave_out`, `pose_smoothing` and `solver` as
-            in `fit`.
+        choices: `theta`, `weights`, `smoothness`, `leave_out`, `noise_correction`,
+            `pose_smoothing` and `solver` as in `fit`.
 
     Returns:
         All that the page shows.

@@ -19,7 +19,16 @@ from socket_testbed.trials.synchronise import parse_unloaded
 from socket_testbed.trials.trial import Trial
 
 _FILES = ("geometry", "calibration", "params", "model")
-CHOICES = ("variant", "theta", "weights", "smoothness", "leave_out", "pose_smoothing", "solver")
+CHOICES = (
+    "variant",
+    "theta",
+    "weights",
+    "smoothness",
+    "leave_out",
+    "noise_correction",
+    "pose_smoothing",
+    "solver",
+)
 R = TypeVar("R")
 
 
@@ -123,6 +132,12 @@ def add_model_choice(
         nargs="+",
         metavar="CHANNEL",
         help="channels to leave out of the objective, such as distal.Fx or Mz",
+    )
+    parser.add_argument(
+        "--noise-correction",
+        action=argparse.BooleanOptionalAction,
+        help="subtract the share of the pose's noise, for stiffness rather than prediction"
+        " (default: no)",
     )
     parser.add_argument("--solver", help="any solver that qpsolvers finds (default: osqp)")
 

@@ -52,6 +52,24 @@ def gated_displacement(
     return displacement
 
 
+def gated_slope(position: FloatArray, rest_positions: FloatArray, sharpness: float) -> FloatArray:
+    r"""Slope of the gated displacement, :math:`ds/dq = g(\delta) + \delta\, g'(\delta)`.
+
+    With the gate's own slope, :math:`g' = -2 \alpha g (1 - g)`.
+
+    Args:
+        position: Limb positions q, shape (N, 3) [m].
+        rest_positions: Rest positions q_r, shape (n, 3) [m].
+        sharpness: Sharpness alpha of the gate [1/m].
+
+    Returns:
+        Slopes per axis, shape (N, n, 3) [-].
+    """
+    displacement = position[:, None, :] - rest_positions[None, :, :]
+    gates = gate(displacement, sharpness)
+    return np.asarray(gates * (1.0 - 2.0 * sharpness * displacement * (1.0 - gates)))
+
+
 def wrench_map(anchors: FloatArray) -> FloatArray:
     r"""Constant map C of the point forces onto the wrench, ``[M; F] = C F``.
 

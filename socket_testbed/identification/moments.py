@@ -17,18 +17,21 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
+import scipy.linalg
 from numpy.polynomial.chebyshev import chebpts1, chebvander
 
 from socket_testbed.arrays import BoolArray, FloatArray
-from socket_testbed.identification.contact import gated_displacement
+from socket_testbed.identification.contact import gated_displacement, gated_slope
 
 Method = Literal["auto", "direct", "series"]
 
 _BLOCK = 512  # rows; keeps the products within the cache at any N
+LEAST_KEPT = 0.1  # [-]; of the products in any direction, where the noise is subtracted
+_RIDGE = 1e-10  # [-]; of the mean product, which makes directions without data defined
 _PRECISION = 1e-14  # [-]; of the series
 
 # Times on one thread, by which `series_is_cheaper` compares the two ways.
@@ -49,6 +52,8 @@ class Moments:
         target_mean: Means of Y, shape (m,).
         cross: Centred products of S with Y, shape (p, m).
         target_power: Centred sums of squares of Y, shape (m,).
+        noise: What the noise of the pose adds to `gram`, shape (p, p) [m^2]: see `noise_products`.
+            None where it is not to be subtracted.
     """
 
     count: int
@@ -57,6 +62,12 @@ class Moments:
     target_mean: FloatArray
     cross: FloatArray
     target_power: FloatArray
+    noise: FloatArray | None = None
+
+    @property
+    def corrected_gram(self) -> FloatArray:
+        """`gram` without what the noise of the pose adds, shape (p, p) [m^2]."""
+        return self.gram if self.noise is None else subtract_noise(self.gram, self.noise)
 
     def about_zero(self) -> Moments:
         """The same moments without centring, as a model without offsets needs them."""
@@ -67,6 +78,7 @@ class Moments:
             np.zeros_like(self.target_mean),
             self.cross + self.count * np.outer(self.mean, self.target_mean),
             self.target_power + self.count * self.target_mean**2,
+            self.noise,
         )
 
     def select(self, columns: slice, targets: slice) -> Moments:
@@ -78,6 +90,7 @@ class Moments:
             self.target_mean[targets],
             self.cross[columns, targets],
             self.target_power[targets],
+            None if self.noise is None else self.noise[columns, columns],
         )
 
     def mean_square_residuals(self, rows: FloatArray, with_offset: bool) -> FloatArray:
@@ -100,6 +113,50 @@ class Moments:
         if not with_offset:
             squares += (self.target_mean - rows @ self.mean) ** 2
         return squares
+
+
+def noise_products(
+    position: FloatArray, rest_positions: FloatArray, sharpness: float, covariance: FloatArray
+) -> FloatArray:
+    r"""What the noise of the limb position adds to the products of the gated displacements.
+
+    To first order in the noise e, :math:`s(q + e) = s(q) + D e` with the slopes D = ds/dq, so that
+    the expected products grow by :math:`\sum_k D_k \Sigma D_k^T` over the samples (Fuller,
+    Measurement Error Models, 1987, 1.2).
+
+    Args:
+        position: Limb positions q, shape (N, 3) [m].
+        rest_positions: Rest positions q_r, shape (n, 3) [m].
+        sharpness: Sharpness alpha of the gate [1/m].
+        covariance: Covariance of the noise of one position, shape (3, 3) [m^2].
+
+    Returns:
+        Array of shape (3n, 3n) [m^2], ordered point by point.
+    """
+    points = len(rest_positions)
+    products = np.zeros((3 * points, 3 * points))
+    for start in range(0, len(position), _BLOCK):
+        block = gated_slope(position[start : start + _BLOCK], rest_positions, sharpness)
+        slopes = block.reshape(len(block), -1)
+        products += slopes.T @ slopes
+    return products * np.tile(covariance, (points, points))
+
+
+def subtract_noise(gram: FloatArray, noise: FloatArray) -> FloatArray:
+    r"""Products G without the share E of the noise: positive definite, so that a fit stays convex.
+
+    In the directions u with :math:`E u = \mu G u`, the noise makes up the share mu of the products.
+    At most 1 - `LEAST_KEPT` of them is subtracted: a share above that is not known well enough
+    (noise is estimated to some percent), and more than all would make the program non-convex.
+
+    Args:
+        gram: Products G, positive semidefinite, shape (p, p).
+        noise: What noise adds to them, E, positive semidefinite, shape (p, p).
+    """
+    regular = gram + _RIDGE * np.trace(gram) / len(gram) * np.eye(len(gram))
+    shares, directions = scipy.linalg.eigh(noise, regular)
+    scaled = regular @ directions
+    return np.asarray(gram - (scaled * np.clip(shares, 0.0, 1.0 - LEAST_KEPT)) @ scaled.T)
 
 
 @dataclass(frozen=True)
@@ -127,6 +184,8 @@ class GatedMoments:
         sets: How many sets of rest positions are expected.
         method: `direct` multiplies the displacements out, `series` goes through the Chebyshev
             series, `auto` takes for each group what `series_is_cheaper` names.
+        noise: Covariance of the noise of a limb position, shape (3, 3) [m^2], for
+            `Moments.noise`; None for none.
     """
 
     def __init__(
@@ -136,7 +195,10 @@ class GatedMoments:
         groups: Sequence[Group],
         sets: int = 1,
         method: Method = "auto",
+        noise: FloatArray | None = None,
     ) -> None:
+        self._position, self._sharpness, self._noise = position, sharpness, noise
+        self._rows = [group.rows for group in groups]
         self._groups: list[tuple[list[int], Callable[[FloatArray], Moments]]] = []
         for group in groups:
             rows, points = position[group.rows], list(group.points)
@@ -152,7 +214,14 @@ class GatedMoments:
         Args:
             rest_positions: Rest positions q_r of all points of interest, shape (n, 3) [m].
         """
-        return tuple(moments(rest_positions[points]) for points, moments in self._groups)
+        found = (moments(rest_positions[points]) for points, moments in self._groups)
+        if (noise := self._noise) is None:
+            return tuple(found)
+        products = (
+            noise_products(self._position[rows], rest_positions[points], self._sharpness, noise)
+            for rows, (points, _) in zip(self._rows, self._groups, strict=True)
+        )
+        return tuple(replace(of, noise=e) for of, e in zip(found, products, strict=True))
 
 
 def series_is_cheaper(position: FloatArray, sharpness: float, points: int, sets: int = 1) -> bool:

@@ -37,7 +37,12 @@ from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification.box_qp import BoxQP
 from socket_testbed.identification.contact import wrench_map
 from socket_testbed.identification.moments import GatedMoments, Group, Method, Moments
-from socket_testbed.identification.noise import ChannelNoise, channel_noise, smooth_poses
+from socket_testbed.identification.noise import (
+    ChannelNoise,
+    channel_noise,
+    smooth_poses,
+    smoothing_gain,
+)
 from socket_testbed.identification.plausibility import (
     LEAST_FORCE,
     LEAST_MOMENT,
@@ -93,6 +98,8 @@ class Objective:
         clusters: Names of the clusters of the samples.
         rows: Which of the samples given are used.
         position: Limb positions q, shape (N, 3) [m].
+        pose_noise: Covariance of the noise of a pose, shape (6, 6) [m^2, m rad, rad^2], to be
+            subtracted from what the poses' products give; None for no correction.
         wrench: Measured wrenches, zero where a channel does not count, shape (N, 6)
             [N m, N].
         wrench_counts: Channels of the wrench that are in the objective, shape (6,).
@@ -108,6 +115,7 @@ class Objective:
     clusters: tuple[str, ...]
     rows: BoolArray
     position: FloatArray
+    pose_noise: FloatArray | None
     wrench: FloatArray
     wrench_counts: BoolArray
     wrench_shares: FloatArray
@@ -190,6 +198,22 @@ def _without_outliers(
     return without_outliers(samples, outliers)
 
 
+def _pose_noise(samples: Samples, settings: IdentificationSettings) -> FloatArray:
+    """Covariance of the noise of an averaged pose, shape (6, 6) [m^2, m rad, rad^2].
+
+    Raises:
+        IdentificationError: If the samples do not show the noise of the limb position.
+    """
+    covariance = channel_noise(samples).pose_covariance
+    if not np.isfinite(covariance[:3, :3]).all():
+        raise IdentificationError(
+            f"the noise of the limb position is not known from {len(samples)} samples",
+            "give a longer segment, or switch noise_correction off",
+        )
+    # A rotation that never changes has no noise to subtract.
+    return np.nan_to_num(covariance) * smoothing_gain(samples, settings.pose_smoothing)
+
+
 def build_objective(
     samples: Samples, geometry: SocketGeometry, settings: IdentificationSettings
 ) -> Objective:
@@ -213,6 +237,7 @@ def build_objective(
     require_units(samples, geometry, settings.leave_out)
     samples = _without_outliers(samples, geometry, settings.leave_out)
     noise = channel_noise(samples) if settings.weights == "noise" else None
+    pose_noise = _pose_noise(samples, settings) if settings.noise_correction else None
     samples = smooth_poses(samples, settings.pose_smoothing)
     rows = _usable_rows(samples, wrench_counts)
     samples = samples[rows]
@@ -231,6 +256,7 @@ def build_objective(
         clusters=samples.clusters,
         rows=rows,
         position=samples.position,
+        pose_noise=pose_noise,
         wrench=wrench,
         wrench_counts=wrench_counts,
         wrench_shares=wrench_shares,
@@ -381,7 +407,8 @@ class StageTwoData:
             Group(rows, np.stack(targets, axis=1), points) for rows, targets, points in gathered
         ]
         sharpness = objective.settings.gate_sharpness
-        self._moments = GatedMoments(objective.position, sharpness, groups, sets, method)
+        noise = None if objective.pose_noise is None else objective.pose_noise[:3, :3]
+        self._moments = GatedMoments(objective.position, sharpness, groups, sets, method, noise)
 
     def moments(self, rest_positions: FloatArray) -> StageTwoMoments:
         """Moments at rest positions q_r, shape (n, 3) [m]."""
@@ -477,7 +504,7 @@ def build_stage_two(objective: Objective, moments: StageTwoMoments) -> StageTwo:
     weighted = objective.wrench_weights[:, None] * mapping
 
     used = moments.wrench if with_bias else moments.wrench.about_zero()
-    P = (mapping.T @ weighted) * used.gram
+    P = (mapping.T @ weighted) * used.corrected_gram
     P *= scale**2 / used.count
     q = -scale / used.count * np.einsum("jc,cj->j", used.cross, weighted)
     for channel, centred, channel_weight in zip(
@@ -487,7 +514,7 @@ def build_stage_two(objective: Objective, moments: StageTwoMoments) -> StageTwo:
         along = scale * channel.direction
         weight = channel_weight / used.count
         block = slice(3 * channel.point, 3 * channel.point + 3)
-        P[block, block] += weight * np.outer(along, along) * used.gram
+        P[block, block] += weight * np.outer(along, along) * used.corrected_gram
         q[block] -= weight * along * used.cross[:, 0]
     smoothness = _smoothness(objective, objective.settings.stiffness_difference / scale)
     lower, upper = np.zeros(len(q)), np.full(len(q), np.inf)

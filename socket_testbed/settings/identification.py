@@ -55,6 +55,9 @@ class IdentificationSettings(Settings):
         0.0, "centred window of the mean pose in offline fits and evaluations; 0: none [s]",
         0.0, 60.0,
     )  # fmt: skip
+    noise_correction: bool = setting(
+        False, "subtract the share of the pose's noise from the products of Stage 2 [-]"
+    )
     solver: str = setting("osqp", "any installed solver that qpsolvers supports [-]")
     solver_tolerance: float = setting(
         1e-8, "largest KKT residual that a solution may have, in scaled units [-]", 1e-12, 1e-2

@@ -6,7 +6,12 @@ import numpy as np
 import pytest
 from support.problems import moving_limb, naive_gated, random_bed, random_socket
 
-from socket_testbed.identification.contact import gate, gated_displacement, wrench_map
+from socket_testbed.identification.contact import (
+    gate,
+    gated_displacement,
+    gated_slope,
+    wrench_map,
+)
 from socket_testbed.settings.identification import VARIANTS
 
 ALPHA = 2000.0  # [1/m]
@@ -48,6 +53,18 @@ def test_gated_displacement_survives_a_metre(sharpness, metre, expected):
     with np.errstate(over="raise"):  # the law itself must keep its overflow quiet
         s = gated_displacement(np.full((2, 3), metre), np.zeros((1, 3)), sharpness)
     np.testing.assert_array_equal(s, np.full((2, 1, 3), expected))
+
+
+@pytest.mark.parametrize("sharpness", [300.0, 2000.0])
+def test_gated_slope_is_the_derivative_of_the_gated_displacement(rng, sharpness):
+    position = rng.uniform(-0.004, 0.004, (50, 3))
+    rest = rng.uniform(-0.004, 0.004, (7, 3))
+    step = 1e-7  # [m]
+    after, before = (gated_displacement(position + s, rest, sharpness) for s in (step, -step))
+    found = gated_slope(position, rest, sharpness)
+    np.testing.assert_allclose(found, (after - before) / (2.0 * step), atol=1e-6)
+    far = gated_slope(np.array([[1.0, -1.0, 0.0]]), np.zeros((1, 3)), sharpness)
+    np.testing.assert_array_equal(far, [[[0.0, 1.0, 0.5]]])
 
 
 def test_gated_displacement_does_not_change_its_arguments(rng):

@@ -25,6 +25,7 @@ from support.stacked import (
     stacked_offsets,
 )
 
+from socket_testbed.errors import IdentificationError
 from socket_testbed.identification.evaluation import evaluate
 from socket_testbed.identification.fit import fit_contact_model
 from socket_testbed.identification.noise import smooth_poses
@@ -81,6 +82,41 @@ def test_the_fit_averages_the_poses_without_their_outliers(variant):
     spoilt = fit_contact_model(samples, geometry, settings)
     assert spoilt.samples == fit.samples - 1
     assert np.abs(spoilt.model.rest_positions - fit.model.rest_positions).max() < 1e-3
+
+
+@pytest.mark.parametrize("variant", VARIANTS)
+@pytest.mark.parametrize("window", [0.0, 0.5])
+def test_the_noise_correction_gives_back_the_stiffness_that_noise_shrinks(variant, window):
+    rng = np.random.default_rng(96)
+    geometry = random_socket(rng)
+    bed = random_bed(rng, geometry, variant)
+    time = np.arange(1200) / 4.0
+    slow = np.sin(2.0 * np.pi * time[:, None] / [23.0, 31.0, 41.0])
+    samples = samples_of_bed(rng, bed, -0.006 + 0.0004 * slow)  # all tiles stay in contact
+    noisy = dataclasses.replace(
+        samples, position=samples.position + rng.normal(0.0, 2e-4, slow.shape)
+    )
+    settings = IdentificationSettings(
+        variant=variant, smoothness=1e-6, rest_position_limit=0.02, pose_smoothing=window
+    )
+    corrected = dataclasses.replace(settings, noise_correction=True)
+    # The slope of the force with the position, which the data determine.
+    exact, shrunk, found = (
+        fit_contact_model(*case).model.stiffness.sum(axis=0)
+        for case in (
+            (samples, geometry, settings),
+            (noisy, geometry, settings),
+            (noisy, geometry, corrected),
+        )
+    )
+    assert np.abs(found - exact).max() < 0.3 * np.abs(shrunk - exact).max()
+
+
+def test_without_known_noise_there_is_no_correction():
+    geometry, _, samples, settings = make_case(97)
+    settings = dataclasses.replace(settings, noise_correction=True)
+    with pytest.raises(IdentificationError, match="noise of the limb position is not known"):
+        fit_contact_model(samples[:14], geometry, settings)
 
 
 def test_the_fit_does_not_change_the_samples():

@@ -4,11 +4,15 @@ import numpy as np
 import pytest
 from support.problems import FAR, make_case, moving_limb, naive_gated
 
+from socket_testbed.identification.contact import gated_displacement
 from socket_testbed.identification.moments import (
+    LEAST_KEPT,
     GatedMoments,
     Group,
     Moments,
+    noise_products,
     series_is_cheaper,
+    subtract_noise,
 )
 from socket_testbed.identification.pareto import channel_mean_squares
 from socket_testbed.identification.problem import StageTwoData, build_objective
@@ -206,3 +210,67 @@ def test_predicting_zero_makes_both_normalised_errors_one(variant, leave_out, we
     wrench, local = channel_mean_squares(objective, moments, nothing, with_bias=False)
     assert objective.wrench_shares @ wrench == pytest.approx(1.0)
     assert objective.channel_shares @ local == pytest.approx(1.0)
+
+
+def random_covariance(rng, size=1e-4):
+    """Covariance of a noise of about this size [m]."""
+    root = size * rng.normal(size=(3, 3))
+    return root @ root.T
+
+
+def test_noise_products_are_what_noise_adds_to_the_gram():
+    rng = np.random.default_rng(50)
+    rest, position = rng.uniform(-0.002, 0.002, (4, 3)), moving_limb(rng, 40)
+    covariance = random_covariance(rng, 2e-5)
+
+    def products(q):
+        s = gated_displacement(q, rest, 2000.0).reshape(len(q), -1)
+        return s.T @ s
+
+    # Noise of either sign: the parts of odd order cancel.
+    noise = rng.multivariate_normal(np.zeros(3), covariance, (4000, 40))
+    grown = np.mean(
+        [0.5 * (products(position + e) + products(position - e)) for e in noise], axis=0
+    )
+    expected = noise_products(position, rest, 2000.0, covariance)
+    curvature = np.mean([bent(position, rest, e) for e in noise[:500]], axis=0)
+    found = grown - products(position) - curvature
+    assert np.abs(found - expected).max() < 0.05 * np.abs(expected).max()
+
+
+def bent(position, rest, noise):
+    """What the mean of the gated displacements gains where they bend, in the products."""
+    here, up, down = (
+        gated_displacement(q, rest, 2000.0).reshape(len(position), -1)
+        for q in (position, position + noise, position - noise)
+    )
+    gain = 0.5 * (up + down) - here
+    return here.T @ gain + gain.T @ here
+
+
+@pytest.mark.parametrize("size", [1e-6, 1e-4, 1e-3])
+def test_a_gram_without_its_noise_stays_positive_and_keeps_a_share(size):
+    rng = np.random.default_rng(51)
+    rest, position = rng.uniform(-0.002, 0.002, (6, 3)), moving_limb(rng, 200)
+    moments = moments_at(position, rest, 2000.0, np.zeros((200, 1)))
+    noise = noise_products(position, rest, 2000.0, random_covariance(rng, size))
+    corrected = subtract_noise(moments.gram, noise)
+    for x in np.vstack([np.eye(18), rng.normal(size=(200, 18)), np.linalg.eigh(noise)[1].T]):
+        whole, kept = x @ moments.gram @ x, x @ corrected @ x
+        assert LEAST_KEPT * whole * (1.0 - 1e-6) <= kept <= whole * (1.0 + 1e-12)
+    if size == 1e-6:  # no share is near its limit: all of it is subtracted
+        np.testing.assert_allclose(corrected, moments.gram - noise, atol=1e-9 * noise.max())
+
+
+@pytest.mark.parametrize("centred", [True, False])
+def test_the_noise_of_a_channel_is_the_block_of_its_point(centred):
+    rng = np.random.default_rng(52)
+    rest, position = rng.uniform(-0.002, 0.002, (4, 3)), moving_limb(rng, 100)
+    covariance = random_covariance(rng)
+    group = every_sample(position, np.zeros((100, 2)), range(4))
+    (found,) = GatedMoments(position, 2000.0, [group], noise=covariance).at(rest)
+    found = found if centred else found.about_zero()
+    block = found.select(slice(3, 6), slice(1, 2)).noise
+    assert block is not None
+    np.testing.assert_allclose(block, noise_products(position, rest[1:2], 2000.0, covariance))
+    assert moments_at(position, rest, 2000.0, np.zeros((100, 1))).noise is None
