@@ -17,6 +17,7 @@ from matplotlib.figure import Figure
 from socket_testbed.arrays import FloatArray
 from socket_testbed.identification.evaluation import trusted_values
 from socket_testbed.identification.pareto import front_table
+from socket_testbed.identification.validation import judgements_table
 from socket_testbed.report.figures.channels import (
     FORCES_FIRST,
     MOST_POINTS,
@@ -30,6 +31,7 @@ from socket_testbed.report.figures.pareto import pareto_figure
 from socket_testbed.report.figures.scene import value_scene
 from socket_testbed.report.figures.socket_picture import tile_map_figure
 from socket_testbed.report.figures.style import save_figure, svg_of
+from socket_testbed.report.figures.validation import validation_figure
 from socket_testbed.report.results import Candidate, Results, unusable
 from socket_testbed.samples import LOCAL_CHANNELS, WRENCH_CHANNELS, channel_unit
 from socket_testbed.tables import write_table
@@ -144,6 +146,27 @@ def pareto(results: Results) -> Iterator[ReportFigure]:
         )
 
 
+def validation(results: Results) -> Iterator[ReportFigure]:
+    """Errors of forces that the estimates have not seen, if they were judged."""
+    if results.validation:
+        yield ReportFigure(
+            name="validation",
+            caption=(
+                "Left: error of the forces on each cluster that was left out, over the root mean"
+                " square of all clusters' forces, and on the tiles without a sensor where a"
+                " simulation knows them. Right: share of the values within the force map's"
+                " intervals; on the line, its uncertainty is right."
+            ),
+            drawn=validation_figure(results.validation, f"{results.trial.name}: Validation"),
+            description=(
+                "Bars of the relative error by cluster for the force map and inverse distance, and"
+                " the coverage of the force map's intervals"
+            ),
+            data=judgements_table(results.validation),
+            layout="wide",
+        )
+
+
 def tile_maps(results: Results) -> Iterator[ReportFigure]:
     """The stiffnesses of every model, and its rest positions unless they are the last one's."""
     shown: FloatArray | None = None
@@ -203,6 +226,7 @@ def offsets(results: Results) -> Iterator[ReportFigure]:
 FIGURES: dict[str, tuple[Callable[[Results], Iterator[ReportFigure]], ...]] = {
     "wrench": (wrench,),
     "local": (local_forces,),
+    "validation": (validation,),
     "fronts": (pareto,),
     "surface": (tile_maps, offsets),
     "quality": (overview,),

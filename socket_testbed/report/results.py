@@ -28,6 +28,12 @@ from socket_testbed.identification.evaluation import (
     trusted_values,
 )
 from socket_testbed.identification.fit import Fit, Implausible, find_implausible, fit_contact_model
+from socket_testbed.identification.information import (
+    LoadShare,
+    Motion,
+    load_shares,
+    measure_motion,
+)
 from socket_testbed.identification.model_file import StoredModel
 from socket_testbed.identification.noise import smooth_poses
 from socket_testbed.identification.pareto import Front, pareto_front
@@ -37,9 +43,11 @@ from socket_testbed.identification.plausibility import (
     sign_note,
     without_outliers,
 )
+from socket_testbed.identification.validation import Judgement, judge_samples
 from socket_testbed.samples import LOCAL_CHANNELS, WRENCH_CHANNELS, Samples, Status
 from socket_testbed.settings.identification import VARIANTS, Variant
 from socket_testbed.settings.testbed import EstimatorSettings
+from socket_testbed.simulation.trial import TRUTH_FILE, read_truth
 from socket_testbed.trials.segment import Segment, find_plateaus, select_segment
 from socket_testbed.trials.synchronise import read_samples
 from socket_testbed.trials.trial import Trial
@@ -296,6 +304,7 @@ class Candidate:
         errors: Its errors over the segment.
         held_out: Its errors over the rest of the trial; empty where there is too little.
         residuals: What its residuals over the segment have in common, per channel.
+        shares: Shares of the load over the segment that its springs and offsets bear.
         fit: The fit over the segment; None for a model that was given.
         given: The model that was given; None for one that was fitted here.
     """
@@ -307,6 +316,7 @@ class Candidate:
     errors: tuple[ChannelErrors, ...]
     held_out: tuple[ChannelErrors, ...]
     residuals: tuple[Autocorrelation, ...]
+    shares: tuple[LoadShare, ...]
     fit: Fit | None = None
     given: StoredModel | None = None
 
@@ -327,6 +337,10 @@ class Results:
         implausible: Channels that are proposed to be left out.
         plateaus: Steady stretches of the trial, the longest first.
         bag_notes: What a reader must know of the trial's bag.
+        motion: How the pose moves over the segment, against its noise.
+        validation: Estimates judged on what they have not seen of the trial; empty where it does
+            not allow that.
+        no_validation: Why not; empty where it does.
     """
 
     trial: Trial
@@ -340,6 +354,9 @@ class Results:
     implausible: tuple[Implausible, ...]
     plateaus: tuple[Segment, ...]
     bag_notes: tuple[str, ...]
+    motion: Motion
+    validation: tuple[Judgement, ...]
+    no_validation: str
 
     @property
     def in_segment(self) -> BoolArray:
@@ -409,6 +426,7 @@ def compute_results(
         )
     except IdentificationError as error:  # the rest of the report stands without it
         no_fronts = str(error)
+    validation, no_validation = _validate(trial, samples, settings)
     return Results(
         trial=trial,
         samples=samples,
@@ -421,7 +439,22 @@ def compute_results(
         implausible=find_implausible(chosen, trial.geometry),
         plateaus=tuple(find_plateaus(samples, settings.plateau, leave_out)),
         bag_notes=tuple(dict.fromkeys(notes)),
+        motion=measure_motion(chosen, trial.geometry, settings.identification.pose_smoothing),
+        validation=validation,
+        no_validation=no_validation,
     )
+
+
+def _validate(
+    trial: Trial, samples: Samples, settings: EstimatorSettings
+) -> tuple[tuple[Judgement, ...], str]:
+    """The trial's judgements, or why there are none."""
+    simulated = (trial.path / TRUTH_FILE).is_file()
+    truth = read_truth(trial.path, samples.stamps).forces if simulated else None
+    try:
+        return tuple(judge_samples(samples, trial.geometry, settings, truth, trial.name)), ""
+    except IdentificationError as error:
+        return (), str(error)
 
 
 def _fit(
@@ -450,6 +483,7 @@ def _judge(samples: Samples, segment: Segment, label: str, source: Fit | StoredM
         errors=evaluate_predictions(chosen, predicted[segment.rows], leave_out),
         held_out=held_out if enough else (),
         residuals=tuple(autocorrelation(chosen.time, column) for column in residuals.T),
+        shares=load_shares(smooth[segment.rows], model),
         fit=source if isinstance(source, Fit) else None,
         given=source if isinstance(source, StoredModel) else None,
     )

@@ -14,8 +14,10 @@ import numpy as np
 import pandas as pd
 
 from socket_testbed.identification.evaluation import ChannelErrors, summarise_errors
+from socket_testbed.identification.information import LEAST_RATIO
 from socket_testbed.identification.noise import channel_noise, noise_groups
 from socket_testbed.identification.pareto import KNEE, SENSOR_ONLY, WRENCH_ONLY
+from socket_testbed.identification.validation import LEVELS, summarise_judgements
 from socket_testbed.report.page import Table, counted, number
 from socket_testbed.report.results import (
     Results,
@@ -33,6 +35,7 @@ PAPER_FIGURES = {
     "RMSE of Mx [N m]": (3.99, 0.95),
 }
 
+_TRUTH = "tiles without a sensor (simulated truth)"
 _MEASURES = {"RMSE": "rmse", "MAE": "mae", "sigma": "sigma", "skill [-]": "skill"}
 _LIBRARIES = ("socket_testbed", "numpy", "scipy", "osqp", "qpsolvers", "matplotlib", "plotly")
 _DIGEST = 16  # hexadecimal digits: enough to tell files apart
@@ -61,6 +64,7 @@ def page_content(results: Results, command: str, made: datetime) -> dict[str, An
         _drop_outs(results),
         _noise(results),
         _residuals(results),
+        _shares(results),
         _certificates(results),
         _pairs("provenance-table", "What the report was made from and with", origin),
         _pairs("settings", "Settings by their names in parameters.yaml", _settings(results)),
@@ -71,6 +75,7 @@ def page_content(results: Results, command: str, made: datetime) -> dict[str, An
         tables.append(_errors(results, "held-out", caption, held_out))
     if results.fronts:
         tables.append(_marks(results))
+    tables += _validation(results)
     return {
         "summary": summarise(results),
         "notes": list_notes(results),
@@ -83,6 +88,10 @@ def page_content(results: Results, command: str, made: datetime) -> dict[str, An
         "limits": results.settings.plateau,
         "solver_tolerance": results.settings.identification.solver_tolerance,
         "certificates": _certificate_lines(results),
+        "no_validation": results.no_validation,
+        "directions": results.motion.directions,
+        "least_ratio": LEAST_RATIO,
+        "motion": [str(excitation) for excitation in results.motion.excitations],
     }
 
 
@@ -250,6 +259,69 @@ def _marks(results: Results) -> Table:
     frame["remark"] = frame.pop("remark")  # the last column
     formats = {"theta [-]": ".3g", "wrench error [-]": ".4g", "local error [-]": ".4g"}
     return Table("marks", "The solutions that stand out on each front", frame, formats)
+
+
+def _validation(results: Results) -> list[Table]:
+    """Forces on left-out clusters and bare tiles, and the wrench from the pose alone."""
+    if not results.validation:
+        return []
+    summary = summarise_judgements(results.validation)
+    percent = {f"within {100 * level:g} % [-]": f"in {100 * level:g} % [%]" for level in LEVELS}
+    forces = summary[["error [-]", *percent]].rename(columns=percent)
+    forces[[*percent.values()]] *= 100.0
+    figures = [title for title in summary if title.startswith(("moment", "force"))]
+    formats = {"error [-]": ".2f", **dict.fromkeys(percent.values(), ".0f")}
+    skills = {title: "z.2f" for title in figures if "skill" in title}
+    return [
+        _side_by_side(
+            "validation-forces",
+            "Forces estimated without having seen them",
+            {"a cluster left out": ("cluster", "left out"), _TRUTH: ("tiles", "second half")},
+            forces,
+            formats,
+        ),
+        _side_by_side(
+            "validation-wrench",
+            "The wrench predicted from the pose alone, fitted on the first half under load",
+            {
+                "the other half": ("wrench", "second half"),
+                "the half that was fitted (in-sample)": ("wrench", "in-sample"),
+            },
+            summary[figures],
+            skills,
+        ),
+    ]
+
+
+def _side_by_side(
+    name: str,
+    caption: str,
+    groups: dict[str, tuple[str, str]],
+    summary: pd.DataFrame,
+    formats: dict[str, str],
+) -> Table:
+    """A row per predictor, a group of columns per question and test that was answered."""
+    parts = {
+        title: summary[[place == key for place in summary.index.droplevel("predictor")]]
+        for title, key in groups.items()
+    }
+    parts = {title: part.droplevel([0, 1]) for title, part in parts.items() if len(part)}
+    longest = max(parts.values(), key=len)
+    return Table(name, caption, pd.concat(parts, axis=1).reindex(longest.index), formats)
+
+
+def _shares(results: Results) -> Table:
+    columns = {
+        (candidate.label, f"{part} [%]"): [
+            100.0 * getattr(share, part) for share in candidate.shares
+        ]
+        for candidate in results.candidates
+        for part in ("springs", "offsets", "residual")
+    }
+    names = [share.name for share in results.candidates[0].shares]
+    frame = pd.DataFrame(columns, index=pd.Index(names, name="measured"))
+    formats = dict.fromkeys((title for _, title in columns), ".0f")
+    return Table("shares", "Who bears the measured load over the segment", frame, formats)
 
 
 def _certificates(results: Results) -> Table:

@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from socket_testbed.identification.evaluation import summarise_errors
+from socket_testbed.identification.information import share_warning
 from socket_testbed.identification.pareto import Front
 from socket_testbed.report.page import counted, number
 from socket_testbed.report.results import (
@@ -44,7 +45,13 @@ def summarise(results: Results) -> list[str]:
 
 def list_notes(results: Results) -> list[str]:
     """What a reader must know of the trial before using the figures."""
-    return [*results.bag_notes, *_implausible(results), *_gaps(results), *_configuration(results)]
+    return [
+        *results.bag_notes,
+        *_implausible(results),
+        *_gaps(results),
+        *_unborne(results),
+        *_configuration(results),
+    ]
 
 
 def _what(results: Results) -> str:
@@ -171,6 +178,11 @@ def _implausible(results: Results) -> list[str]:
         )
         lines.append(f"{name} looks implausible: {proposal.reason}. {state}")
     return lines
+
+
+def _unborne(results: Results) -> list[str]:
+    warnings = {c.label: share_warning(c.shares) for c in results.candidates}
+    return [f"{label}: {warning}." for label, warning in warnings.items() if warning]
 
 
 def _gaps(results: Results) -> list[str]:

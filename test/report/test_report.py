@@ -15,8 +15,9 @@ from support.pages import MADE, NASTY, THETAS
 from socket_testbed.errors import ConfigurationError, TestbedError
 from socket_testbed.identification.evaluation import summarise_errors
 from socket_testbed.identification.model_file import read_model
+from socket_testbed.identification.validation import CONSTANT, FORCE_MAP, REGRESSION
 from socket_testbed.report.results import compute_results
-from socket_testbed.report.sections import provenance
+from socket_testbed.report.sections import page_content, provenance
 from socket_testbed.report.summary import list_notes, summarise
 from socket_testbed.report.write import check_page_path, write_report
 from socket_testbed.settings.identification import VARIANTS
@@ -63,6 +64,35 @@ def test_the_paper_s_story_shows_on_a_hold(results):
         and "hardly more of most channels" in said
     )
     assert 3 <= len(summarise(results)) <= 6
+
+
+def test_what_was_not_seen_is_judged_beside_rivals(results):
+    content = page_content(results, "", MADE)
+    found = {(j.question, j.test, j.predictor): j for j in results.validation if not j.cluster}
+    forces = content["tables"]["validation-forces"].frame["a cluster left out"]
+    chosen = found["cluster", "left out", FORCE_MAP]
+    assert forces.loc[FORCE_MAP].tolist() == [chosen.error, *(100.0 * np.array(chosen.coverage))]
+    wrench = content["tables"]["validation-wrench"].frame["the other half"]
+    chosen = found["wrench", "second half", REGRESSION]
+    assert wrench.loc[REGRESSION].tolist()[:2] == [chosen.moment_rmse, chosen.force_rmse]
+    assert set(wrench.index) == {CONSTANT, REGRESSION, *VARIANTS}
+
+
+def test_a_trial_that_is_too_short_says_so_and_the_rest_stands(hold, monkeypatch):
+    monkeypatch.setattr("socket_testbed.report.results.pareto_front", lambda *_, **__: {})
+    monkeypatch.setattr("socket_testbed.identification.validation.LEAST_SAMPLES", 500)
+    results = compute_results(Trial(hold), "plateau", settings_of(hold), THETAS)
+    assert results.validation == () and "two halves" in results.no_validation
+    tables = page_content(results, "", MADE)["tables"]
+    assert "validation-forces" not in tables and "shares" in tables
+
+
+def test_springs_that_bear_little_are_noted(results):
+    springs = results.fitted[BIAS].shares[1].springs
+    assert springs < 0.5  # a hold
+    note, given = [note for note in list_notes(results) if "springs bear" in note]
+    assert given.startswith("given: ")
+    assert note.startswith(f"{BIAS}: ") and f"only {100 * springs:.0f} %" in note
 
 
 def test_the_summary_says_what_the_constants_bear(results):

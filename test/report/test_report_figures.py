@@ -11,6 +11,7 @@ from matplotlib.patches import Rectangle
 from support.problems import random_socket
 
 from socket_testbed.identification.evaluation import channel_errors
+from socket_testbed.identification.validation import CLOSED, FORCE_MAP, INVERSE_DISTANCE, Judgement
 from socket_testbed.report.figures.channels import (
     MOST_POINTS,
     Panel,
@@ -22,6 +23,7 @@ from socket_testbed.report.figures.channels import (
 )
 from socket_testbed.report.figures.socket_picture import tile_map_figure
 from socket_testbed.report.figures.style import save_figure, svg_of
+from socket_testbed.report.figures.validation import validation_figure
 from socket_testbed.samples import channel_names
 
 NASTY = "a$_b <i>"
@@ -154,3 +156,30 @@ def test_tiles_on_the_distal_end_alone_have_a_map(rng):
     figure = tile_map_figure(geometry, {"along x": rng.uniform(0.0, 1.0, 18)}, "N/m", "")
     wall, end = (axis.collections[-1] for axis in figure.axes[:2])
     assert len(wall.get_paths()) == 0 and len(end.get_paths()) == 18
+
+
+def test_the_validation_shows_every_error_and_the_coverage():
+    judgements = [
+        Judgement(question, predictor, "left out", "", "a", cluster, 9, error, coverage=coverage)
+        for question, cluster, errors in (
+            ("cluster", NASTY, (0.8, 0.7, 0.5)),
+            ("cluster", "", (0.9, 0.6, 0.4)),
+            ("tiles", "", (0.5, 0.45, 0.3)),
+        )
+        for predictor, error, coverage in zip(
+            (INVERSE_DISTANCE, CLOSED, FORCE_MAP),
+            errors,
+            ((np.nan,) * 3, (np.nan,) * 3, (0.5, 0.7, 0.9)),
+            strict=True,
+        )
+    ]
+    bars, coverage = validation_figure(judgements, NASTY).axes
+    assert [text.get_text() for text in bars.get_yticklabels()] == [
+        NASTY,
+        "all clusters",
+        "tiles without a sensor",
+    ]
+    widths = [[bar.get_width() for bar in shown] for shown in bars.containers]
+    assert widths == [[0.8, 0.9, 0.5], [0.7, 0.6, 0.45], [0.5, 0.4, 0.3]]
+    drawn = [line.get_xydata().tolist() for line in coverage.lines[1:]]
+    assert drawn == [[[50.0, 50.0], [80.0, 70.0], [95.0, 90.0]]] * 2

@@ -1,0 +1,78 @@
+"""What estimates are worth on what they have not seen, as a figure."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from socket_testbed.identification.validation import (
+    CLOSED,
+    FORCE_MAP,
+    INVERSE_DISTANCE,
+    LEVELS,
+    Judgement,
+)
+from socket_testbed.report.figures.style import MODEL_STYLES, lay_out, style_axes
+
+_COLOURS = {INVERSE_DISTANCE: "0.75", CLOSED: "0.5", FORCE_MAP: MODEL_STYLES[1]["color"]}
+_QUESTIONS = {"cluster": "all clusters", "tiles": "tiles without a sensor"}
+_MARKERS = {"cluster": "o", "tiles": "s"}
+
+
+def validation_figure(judgements: Sequence[Judgement], title: str) -> Figure:
+    """Draw the errors of forces by left-out cluster, and the coverage of the map's intervals.
+
+    Args:
+        judgements: Judgements of one trial.
+        title: What is shown.
+    """
+    figure = Figure(figsize=(9.0, 4.2), layout="constrained")
+    figure.suptitle(title, fontsize=11).set_parse_math(False)  # a name may hold a dollar
+    errors, coverage = figure.subplots(1, 2, width_ratios=(3, 2))
+    _draw_errors(errors, judgements)
+    _draw_coverage(coverage, judgements)
+    return lay_out(figure)
+
+
+def _draw_errors(axes: Axes, judgements: Sequence[Judgement]) -> None:
+    found = {
+        (j.cluster or _QUESTIONS[j.question], j.predictor): j.error
+        for j in judgements
+        if j.question in _QUESTIONS and j.predictor in _COLOURS
+    }
+    rows = list(dict.fromkeys(row for row, _ in found))
+    thickness = 0.8 / len(_COLOURS)
+    places = np.arange(len(rows))
+    for number, (predictor, colour) in enumerate(_COLOURS.items()):
+        shift = (number - 0.5 * (len(_COLOURS) - 1)) * thickness
+        widths = [found.get((row, predictor), np.nan) for row in rows]
+        axes.barh(places + shift, widths, thickness, color=colour, label=predictor)
+    axes.axvline(1.0, color="0.3", linewidth=0.8)
+    axes.set_yticks(places, rows, fontsize=9, parse_math=False)
+    axes.invert_yaxis()
+    axes.set_xlabel("error over the rms of the forces [-]; 1: predicting zero", fontsize=9)
+    style_axes(axes)
+    axes.legend(frameon=False, fontsize=8)
+
+
+def _draw_coverage(axes: Axes, judgements: Sequence[Judgement]) -> None:
+    levels = 100.0 * np.array(LEVELS)
+    axes.plot([40.0, 100.0], [40.0, 100.0], color="0.3", linewidth=0.8)
+    for judgement in judgements:
+        if judgement.predictor == FORCE_MAP and not judgement.cluster:
+            axes.plot(
+                levels,
+                100.0 * np.array(judgement.coverage),
+                color=_COLOURS[FORCE_MAP],
+                marker=_MARKERS[judgement.question],
+                markerfacecolor="white",
+                label=_QUESTIONS[judgement.question],
+            )
+    axes.set_xlabel("stated probability of the interval [%]", fontsize=9)
+    axes.set_ylabel("values within the force map's interval [%]", fontsize=9)
+    axes.set_xticks(levels)
+    style_axes(axes)
+    axes.legend(frameon=False, fontsize=8)
