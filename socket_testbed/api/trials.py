@@ -122,6 +122,7 @@ def simulate(
     scenario: Scenario = "static_hold",
     *,
     tissue: TissueKind = "soft",
+    like_paper: bool = False,
     duration: float = 120.0,
     rate: float = 4.0,
     seed: int = 0,
@@ -138,11 +139,14 @@ def simulate(
         path: Folder of the new trial.
         scenario: The load history: `static_hold`, `ramp`, `multi_direction` or `protocol`.
         tissue: The limb's tissue: `soft` like the published experiment's silicone, or `stiff`.
+        like_paper: Whether the load cell creeps and the clusters have offsets as large as in the
+            published experiment, with a calibration whose ranges admit them.
         duration: Duration [s].
         rate: Rate of the trigger [Hz].
         seed: Seed of the random numbers.
         geometry: A `socket.yaml`; None for the package's own.
-        calibration: A `calibration.yaml`; None for the package's own.
+        calibration: A `calibration.yaml`; None for the package's own, `config/like_paper.yaml` with
+            `like_paper`.
         progress: See `Progress`.
 
     Raises:
@@ -154,6 +158,7 @@ def simulate(
     Trial('trials/short')
     """
     from socket_testbed.simulation.limb import SCENARIOS, TISSUES
+    from socket_testbed.simulation.sensors import LIKE_PAPER
     from socket_testbed.simulation.trial import simulate as simulate_trial
     from socket_testbed.simulation.trial import write_simulated_trial
 
@@ -167,6 +172,8 @@ def simulate(
     check_number(seed, "--seed", 0)
     check_number(duration * rate, "--duration times --rate", 2, _MOST_TRIGGERS)
     refuse_existing(folder)
+    if like_paper and calibration_file is None:
+        calibration_file = packaged("config", "like_paper.yaml")
     simulated = simulate_trial(
         read_socket(socket_file or packaged("config", "socket.yaml")),
         read_calibration(calibration_file or packaged("config", "calibration.yaml")),
@@ -174,6 +181,7 @@ def simulate(
         duration,
         rate,
         seed,
+        LIKE_PAPER if like_paper else None,
         progress=started(progress, "simulating"),
         tissue=tissue,
     )

@@ -28,6 +28,11 @@ def configure(parser: argparse.ArgumentParser) -> None:
         default="soft",
         help="of the limb: soft silicone as published, or stiff (default: soft)",
     )
+    parser.add_argument(
+        "--like-paper",
+        action="store_true",
+        help="errors as large as published: the load cell creeps, clusters have offsets to 150 N",
+    )
     parser.add_argument("--seed", type=int, default=0, help="seed of all that is random")
     parser.add_argument(
         "--duration", type=float, default=120.0, metavar="S", help="duration [s] (default: 120)"
@@ -48,6 +53,7 @@ def run(options: argparse.Namespace) -> None:
         options.output,
         options.scenario,
         tissue=options.tissue,
+        like_paper=options.like_paper,
         duration=options.duration,
         rate=options.rate,
         seed=options.seed,

@@ -15,6 +15,7 @@ from socket_testbed.geometry.socket import SocketGeometry
 
 CAMERA_RATE = 240.0  # [Hz]
 _CONVERTER_STEP = 2.0**-19  # [pF]; of the FDC1004
+_CREEP_TIME = 40.0  # [s]; of the load cell
 # Signs of a cluster's four channels in its two differences.
 _SIGNS = np.array([[-1.0, 1.0, -1.0, 1.0], [1.0, 1.0, -1.0, -1.0]])
 _SOCKET_IN_WORLD = Pose(
@@ -35,11 +36,15 @@ class SensorErrors:
         cross_talk: Part of a neighbouring channel's change that a channel picks up [-].
         capacitance_drift: Spread of the drift of a channel [pF/s].
         capacitance_noise: Noise of a channel [pF].
+        stress_offset: Largest offset of a cluster's three stresses, as a cluster has that is built
+            into a socket after its calibration; a fifth of it is the smallest [Pa].
         placement: Spread of a cluster's rotation about its normal [rad].
         force_noise: Noise of the load cell's forces [N].
         moment_noise: Noise of the load cell's moments [N m].
         force_offset: Spread of the forces' offsets after taring [N].
         moment_offset: Spread of the moments' offsets after taring [N m].
+        force_creep: By how much each force creeps under the largest load [N].
+        moment_creep: By how much each moment creeps under the largest load [N m].
         marker_noise: Noise of a marker's coordinate [m]; white from frame to frame, measured on
             the body at rest of `sample_optitrack_take.csv` (120 Hz, a triad of 0.2 m;
             cmuphyscomp/hmv-s16 on GitHub). Long lenses and large rooms have more.
@@ -54,16 +59,24 @@ class SensorErrors:
     cross_talk: float = 0.03
     capacitance_drift: float = 1.0e-4
     capacitance_noise: float = 0.002
+    stress_offset: float = 0.0
     placement: float = 0.05
     force_noise: float = 0.15
     moment_noise: float = 0.01
     force_offset: float = 0.8
     moment_offset: float = 0.05
+    force_creep: float = 0.0
+    moment_creep: float = 0.0
     marker_noise: float = 8.0e-6
     drop_out: float = 0.002
     label_swap: float = 0.002
     registration: float = 5.0e-4
     registration_angle: float = 0.003
+
+
+# What the published experiment's errors look like: the load cell creeps by 8 N and 0.9 N m, and
+# the clusters have offsets of up to 150 N on their 9 cm^2.
+LIKE_PAPER = SensorErrors(stress_offset=150.0 / 9e-4, force_creep=8.0, moment_creep=0.9)
 
 
 def invert_calibration(calibration: ClusterCalibration, stress: FloatArray) -> FloatArray:
@@ -116,6 +129,10 @@ class ClusterSensor:
         self._offsets = rng.normal(0.0, errors.offset, 4)
         self._drift = rng.normal(0.0, errors.capacitance_drift, 4)
         self._rest = invert_calibration(calibration, np.zeros((1, 3)))
+        if errors.stress_offset > 0.0:
+            size = errors.stress_offset * rng.uniform(0.2, 1.0, 3)
+            stress = rng.choice([-1.0, 1.0], 3) * size
+            self._offsets += (invert_calibration(calibration, stress[None]) - self._rest)[0]
 
     def respond(self, stress: FloatArray, time: FloatArray) -> FloatArray:
         """Capacitances by input under a stress, shape (N, 4) [pF].
@@ -160,6 +177,31 @@ def wrench_noise(errors: SensorErrors, count: int, rng: np.random.Generator) -> 
     return rng.normal(0.0, 1.0, (count, 6)) * np.repeat(
         [errors.moment_noise, errors.force_noise], 3
     )
+
+
+def wrench_creep(
+    errors: SensorErrors, load: FloatArray, time: FloatArray, rng: np.random.Generator
+) -> FloatArray:
+    """How the load cell creeps under a load, [M; F], shape (N, 6) [N m, N].
+
+    Each channel follows the vertical force with a lag, up or down, and has crept by all of its
+    creep at most.
+
+    Args:
+        errors: Sizes of the errors.
+        load: Loads [M; F], shape (N, 6) [N m, N].
+        time: Times, shape (N,) [s].
+        rng: Source of the directions.
+    """
+    size = np.abs(load[:, 5])
+    share = (size - size.min()) / max(float(np.ptp(size)), 1e-9)
+    crept = np.zeros(len(time))
+    for k in range(1, len(time)):
+        rate = (time[k] - time[k - 1]) / _CREEP_TIME
+        crept[k] = (crept[k - 1] + rate * share[k]) / (1.0 + rate)
+    crept /= max(float(crept.max()), 1e-9)
+    creep = rng.choice([-1.0, 1.0], 6) * np.repeat([errors.moment_creep, errors.force_creep], 3)
+    return np.outer(crept, creep)
 
 
 class MarkerBodies:

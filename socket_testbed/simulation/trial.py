@@ -27,6 +27,7 @@ from socket_testbed.simulation.sensors import (
     SensorErrors,
     cluster_stress,
     observe_markers,
+    wrench_creep,
     wrench_noise,
     wrench_offset,
 )
@@ -164,7 +165,8 @@ def simulate(
         sensor = ClusterSensor(calibration.clusters[cluster], errors, cluster_rng)
         stress = cluster_stress(geometry, cluster, forces)
         capacitance[cluster] = sensor.read(stress, time, cluster_rng)
-    offset = wrench_offset(errors, cell_rng)
+    felt = load + wrench_offset(errors, cell_rng) + wrench_noise(errors, count, cell_rng)
+    felt += wrench_creep(errors, load, time, cell_rng)
 
     window = min(mocap_window, 1.0 / rate)
     markers, poses = _motion_capture(geometry, truth, rate, window, errors, marker_rng)
@@ -172,7 +174,7 @@ def simulate(
         tiles=geometry.names,
         stamps=_START + np.round(time * 1e9).astype(np.int64),
         capacitance=capacitance,
-        wrench=load + offset + wrench_noise(errors, count, cell_rng),
+        wrench=felt,
         socket_markers=markers[0],
         pylon_markers=markers[1],
         socket_pose=poses[0],
