@@ -54,19 +54,19 @@ def load_shares(samples: Samples, model: ContactModel) -> tuple[LoadShare, ...]:
     """Shares of Fz, of the force and of the moment that the springs of a model bear.
 
     Args:
-        samples: Samples with the poses that the model predicts from; those without a wrench or a
-            pose do not count.
+        samples: Samples with the poses that the model predicts from. Those without a pose or a
+            channel of the part do not count; a share without any is NaN.
         model: The model.
     """
-    samples = samples[samples.complete]
     offsets = np.broadcast_to(model.wrench_bias, samples.wrench.shape)
     springs = predict_channels(model, samples.pose, ()) - offsets
     found = []
     for name, part in (("Fz", slice(5, 6)), ("force", slice(3, 6)), ("moment", slice(0, 3))):
         measured = samples.wrench[:, part]
-        power = float(np.sum(measured**2))
+        rows = np.isfinite(measured + springs[:, part]).all(axis=1)
+        power = float(np.sum(measured[rows] ** 2))
         borne, constant = (
-            float(np.sum(values[:, part] * measured)) / power if power > 0.0 else float("nan")
+            float(np.sum(values[rows, part] * measured[rows])) / power if power > 0.0 else math.nan
             for values in (springs, offsets)
         )
         found.append(LoadShare(name, borne, constant, 1.0 - borne - constant))

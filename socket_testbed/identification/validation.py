@@ -184,13 +184,14 @@ def fit_regression(pose: FloatArray, wrench: FloatArray) -> PoseRegression:
 
     Args:
         pose: Position and rotation vector of the limb in {S}, shape (N, 6) [m, rad].
-        wrench: Measured wrenches, shape (N, 6) [N m, N].
+        wrench: Measured wrenches, shape (N, 6) [N m, N]; a channel that is NaN stays NaN.
     """
     mean = pose.mean(axis=0)
     spread = pose.std(axis=0)
     spread = np.where(spread > _ROUNDING * np.abs(pose).max(axis=0), spread, np.inf)
     constant = wrench.mean(axis=0)
-    slope = np.linalg.lstsq((pose - mean) / spread, wrench - constant, rcond=_RANK)[0]
+    known = np.nan_to_num(wrench - constant)
+    slope = np.linalg.lstsq((pose - mean) / spread, known, rcond=_RANK)[0]
     return PoseRegression(mean, constant, slope / spread[:, None])
 
 
@@ -199,9 +200,12 @@ WrenchPredictor = Callable[[FloatArray], FloatArray]
 
 
 def wrench_rivals(samples: Samples) -> dict[str, WrenchPredictor]:
-    """The best constant and linear regression on the pose, fitted on samples; by name."""
-    complete = samples[samples.complete]
-    regression = fit_regression(complete.pose, complete.wrench)
+    """The best constant and linear regression on the pose, fitted on samples; by name.
+
+    Args:
+        samples: Samples with a pose and a wrench, as `loaded_rows` finds them.
+    """
+    regression = fit_regression(samples.pose, samples.wrench)
     return {
         CONSTANT: lambda pose: np.tile(regression.constant, (len(pose), 1)),
         REGRESSION: regression.predict,
@@ -218,18 +222,18 @@ def judge_wrench(
     """Judge predictions of the wrench from the pose alone.
 
     Args:
-        samples: The samples to predict; those without a wrench or a pose are passed over.
+        samples: The samples to predict, with a pose and a wrench, as `loaded_rows` finds them.
+            A channel of the wrench without a value counts in no mean.
         predictors: What predicts the wrench, by name.
         test: How these samples stand to those of the fit.
         fitted_on: Name of the trial of the fit.
         tested_on: Name of the trial of the samples.
     """
-    samples = samples[samples.complete]
     constant = samples.wrench.std(axis=0)
     found = []
     for name, predict in predictors.items():
         rmse = np.sqrt(np.mean((predict(samples.pose) - samples.wrench) ** 2, axis=0))
-        moment, force = float(rmse[:3].mean()), float(rmse[3:].mean())
+        moment, force = _mean(rmse[:3]), _mean(rmse[3:])
         found.append(
             Judgement(
                 "wrench",
@@ -240,11 +244,17 @@ def judge_wrench(
                 samples=len(samples),
                 moment_rmse=moment,
                 force_rmse=force,
-                moment_skill=_skill(moment, float(constant[:3].mean())),
-                force_skill=_skill(force, float(constant[3:].mean())),
+                moment_skill=_skill(moment, _mean(constant[:3])),
+                force_skill=_skill(force, _mean(constant[3:])),
             )
         )
     return found
+
+
+def _mean(values: FloatArray) -> float:
+    """Mean of the finite values; NaN without any."""
+    finite = values[np.isfinite(values)]
+    return float(finite.mean()) if len(finite) else float("nan")
 
 
 def _skill(error: float, constant: float) -> float:
@@ -252,9 +262,15 @@ def _skill(error: float, constant: float) -> float:
 
 
 def loaded_rows(samples: Samples, least_force: float) -> BoolArray:
-    """Complete samples under load, shape (N,): a force of at least `least_force` [N]."""
-    force = np.linalg.norm(samples.wrench[:, 3:], axis=1)
-    return np.asarray(samples.complete & (force >= least_force))
+    """Samples under load, shape (N,): with a pose, a wrench, and a force of `least_force` [N].
+
+    A channel of the wrench that never has a value is not asked for.
+    """
+    measured = np.isfinite(samples.wrench)
+    measured |= ~measured.any(axis=0)
+    force = np.linalg.norm(np.nan_to_num(samples.wrench[:, 3:]), axis=1)
+    posed = np.isfinite(samples.pose).all(axis=1)
+    return np.asarray(posed & measured.all(axis=1) & (force >= least_force))
 
 
 def without_cluster(samples: Samples, cluster: str) -> Samples:
@@ -439,7 +455,7 @@ def split(samples: Samples, least_force: float) -> tuple[BoolArray, BoolArray]:
     loaded = np.flatnonzero(loaded_rows(samples, least_force))
     if len(loaded) < 2 * LEAST_SAMPLES:
         raise IdentificationError(
-            f"only {len(loaded)} of {len(samples)} samples are complete and under load"
+            f"only {len(loaded)} of {len(samples)} samples have a pose and a wrench under load"
             f" ({least_force:g} N or more), and two halves to fit and to test need"
             f" {2 * LEAST_SAMPLES}",
             "give a longer trial",

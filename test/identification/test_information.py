@@ -40,6 +40,10 @@ def test_the_shares_of_a_bed_are_its_own(variant):
         by_hand = np.sum(bed.wrench_bias[part] * measured) / np.sum(measured**2)
         assert share.offsets == pytest.approx(by_hand)
         assert (share.offsets == 0.0) is (variant == "stiffness")
+    samples.wrench[:, 1] = np.nan  # My was never measured
+    samples.position[3] = np.nan
+    assert np.isnan(load_shares(samples, bed)[2].springs)
+    assert load_shares(samples, bed)[0].residual == pytest.approx(0.0, abs=1e-9)
 
 
 def test_springs_that_bear_less_than_half_get_a_warning():

@@ -138,14 +138,13 @@ def test_the_regression_finds_a_linear_law_and_ignores_a_pose_that_does_not_move
 def test_the_wrench_s_rivals_have_the_skill_that_they_must():
     rng = np.random.default_rng(5)
     samples, slope = moving_samples(rng, 200, noise=0.5)
-    samples.wrench[3] = np.nan  # passed over
     rivals = wrench_rivals(samples)
     found = {j.predictor: j for j in judge_wrench(samples, rivals, "in-sample")}
     assert found[CONSTANT].moment_skill == pytest.approx(0.0, abs=1e-12)
     assert found[CONSTANT].force_skill == pytest.approx(0.0, abs=1e-12)
     assert found[REGRESSION].force_rmse == pytest.approx(0.5, rel=0.1)
     assert found[REGRESSION].moment_skill > 0.9
-    assert all(j.test == "in-sample" and j.samples == 199 for j in found.values())
+    assert all(j.test == "in-sample" and j.samples == 200 for j in found.values())
 
     other, _ = moving_samples(rng, slope=slope)
     by_hand = other.wrench - np.nanmean(samples.wrench, axis=0)
@@ -157,12 +156,21 @@ def test_the_wrench_s_rivals_have_the_skill_that_they_must():
     )
     assert found[CONSTANT].force_skill <= 0.0
 
+    samples.wrench[:, 2] = np.nan  # Mz was never measured: the others count
+    found = {j.predictor: j for j in judge_wrench(samples, wrench_rivals(samples), "in-sample")}
+    residual = fit_regression(samples.pose, samples.wrench).predict(samples.pose) - samples.wrench
+    by_hand = np.sqrt(np.mean(residual[:, :2] ** 2, axis=0)).mean()
+    assert found[REGRESSION].moment_rmse == pytest.approx(by_hand)
+    assert found[REGRESSION].force_rmse == pytest.approx(0.5, rel=0.1)
+
 
 def test_loaded_samples_are_complete_and_pressed():
     rng = np.random.default_rng(6)
     samples, _ = moving_samples(rng, 5)
     samples.wrench[:, 3:] = [[0, 0, -30], [0, 0, -5], [30, 0, 0], [0, np.nan, -40], [0, 0, -40]]
     samples.position[4, 0] = np.nan
+    assert loaded_rows(samples, 20.0).tolist() == [True, False, True, False, False]
+    samples.wrench[:, 0] = np.nan  # a channel that is never measured is not asked for
     assert loaded_rows(samples, 20.0).tolist() == [True, False, True, False, False]
 
 
