@@ -27,7 +27,7 @@ _HEADER = (
     *("moment [N m]", "force [N]", "local [N]", ""),
 )
 _LEGEND = (
-    "wrench error, local error: every RMSE over the RMS of what was measured, as in the objective;"
+    "wrench error, local error: roots of the weighted squares of the objective, J_w and J_f;"
     "\nmoment, force, local: mean, mean and median RMSE of the channels in the objective;"
     "\ndominated: another theta is better in both, which two stages one after the other allow"
 )

@@ -30,8 +30,8 @@ _FAINT = 0.3  # opacity
 _MARGIN = 0.08  # [-]; around the solutions
 _LEAST_ERROR = 1e-8  # [-]; zero has no place on a logarithmic axis, and errors no more digits
 _WIDE = 5.0  # [-]; ratio of an axis' ends above which its numbers go by 1, 2, 5
-_WRENCH_LABEL = r"wrench error $e_w$ [-]: each RMSE over the RMS of the measured moments or forces"
-_LOCAL_LABEL = r"local error $e_f$ [-]: each RMSE over the RMS of the cluster forces"
+_WRENCH_LABEL = r"wrench error $e_w = \sqrt{J_w}$ [-]"
+_LOCAL_LABEL = r"local error $e_f = \sqrt{J_f}$ [-]"
 
 
 def pareto_figure(fronts: Iterable[Front], title: str) -> Figure:
