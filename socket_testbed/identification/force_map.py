@@ -45,7 +45,7 @@ from socket_testbed.samples import WRENCH_CHANNELS, Samples, Status
 from socket_testbed.settings.identification import ForceMapSettings
 
 _SMOOTHNESS = 1.5  # [-]; nu of the Matern covariance
-_AMPLITUDE_FREEDOM = 2.0  # [1]; degrees of freedom of the prior of the amplitude
+_AMPLITUDE_FREEDOM = 6.0  # [1]; degrees of freedom of the prior of the amplitude
 _CHUNK = 256  # samples
 _MOST_PATTERNS = 64  # of present channels that are kept
 

@@ -104,10 +104,10 @@ class ForceMapSettings(Settings):
     """
 
     normal_deviation: float = setting(
-        2.3, "usual size of a tile's own normal force; the data scales it [N]", 1e-3, 1e4
+        3.3, "usual size of a tile's own normal force; the data scales it [N]", 1e-3, 1e4
     )
     length: float = setting(
-        0.065, "length along the surface over which forces are alike [m]", 1e-3, 1.0
+        0.06, "length along the surface over which forces are alike [m]", 1e-3, 1.0
     )
     shear: float = setting(
         0.25, "a tile's own tangential force, relative to its own normal force [-]", 1e-3, 1e2
@@ -129,7 +129,7 @@ class ForceMapSettings(Settings):
         0.06, "distance at which a rotation counts like a translation [m]", 1e-3, 1.0
     )
     drag: float = setting(
-        0.23, "distal force on a tile by friction, relative to its normal force [-]", -1.0, 1.0
+        0.18, "distal force on a tile by friction, relative to its normal force [-]", -1.0, 1.0
     )
     share: float = setting(0.85, "share of the load that the tiles bear, mean [-]", 0.2, 1.0)
     share_spread: float = setting(0.05, "its standard deviation [-]", 0.0, 0.2)
@@ -138,12 +138,12 @@ class ForceMapSettings(Settings):
         1e-6, 1e2,
     )  # fmt: skip
     force_error: float = setting(4.0, "the same of a force of the load cell [N]", 1e-6, 1e3)
-    cluster_error: float = setting(0.5, "offset of a force on a cluster [N]", 1e-6, 1e3)
+    cluster_error: float = setting(1.0, "offset of a force on a cluster [N]", 1e-6, 1e3)
     cluster_gain_error: float = setting(0.05, "error of a cluster's gain [-]", 0.0, 1.0)
     spread: float = setting(
-        0.7, "standard deviation of the logarithms of the relative sizes, of bed_shear, of"
+        1.0, "standard deviation of the logarithms of the relative sizes, of bed_shear, of"
         " bed_variation and of cluster_error; 0: they are as given [-]", 0.0, 2.0,
     )  # fmt: skip
     draws: int = setting(
-        32, "draws of these, each weighted by its evidence; a power of 2 is best [1]", 1, 256
+        16, "draws of these, each weighted by its evidence; a power of 2 is best [1]", 1, 256
     )
