@@ -8,14 +8,14 @@ prior has the mean zero and the covariance
 
 - M is the Matern covariance of the graph of neighbouring tiles,
   :math:`(2\nu/\ell^2 + L)^{-(\nu+1)}` scaled to a unit diagonal, with L the graph's Laplacian
-  weighted by 1/d^2, d the distance of the tiles: the distance counts along the surface
-  (Borovitskiy et al., Matern Gaussian processes on graphs, AISTATS 2021);
-- the field has its own amplitude for the normal and for the two tangents, the preload is common
-  to all tiles;
+  weighted by 1/d^2, d the distance of the tiles: forces are alike along the surface, not through
+  the air (Borovitskiy et al., Matern Gaussian processes on graphs, AISTATS 2021);
+- the field has this correlation, with one amplitude for the normal and one for both tangents; the
+  preload is a normal force that all tiles have in common;
 - the six columns of U are the forces of a bed of springs under a small motion of the rigid limb,
-  with tangential springs that are weaker; the stiffness of the bed varies by kappa;
-- T adds to the force along x (proximal) the share of the normal force by which a sinking limb
-  drags the socket.
+  with weak tangential springs; the bed's stiffness varies by kappa;
+- T adds a tangential force along the socket's axis, by which a sinking limb drags the socket: it is
+  a share of the normal force.
 
 Every term is positive semidefinite, and the field is definite. H maps the forces F to the channels
 y: the wrench [M; F], which the surface between the tiles bears as well, and each cluster's force
@@ -23,14 +23,15 @@ in its frame. With the noise R of the channels
 
 .. math:: F = m + K H^T (H K H^T + R)^{-1} (y - H m)
 
-(Rasmussen & Williams, Gaussian Processes for Machine Learning, 2006, section 2.2). The amplitude
-and the ratios of the parts are uncertain. The amplitude has an inverse-gamma prior, and is
-integrated out; the ratios are drawn from stated log-normal priors, and every draw counts by its
-evidence in the sample.
+(Rasmussen & Williams, Gaussian Processes for Machine Learning, 2006, section 2.2). The sizes of
+the parts are uncertain. The common amplitude has an inverse-gamma prior and is integrated out; the
+sizes relative to it and the clusters' offsets are drawn from stated log-normal priors, and every
+draw counts by its evidence in the sample.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
@@ -319,29 +320,27 @@ def _rigid_motions(geometry: SocketGeometry, arm: float) -> FloatArray:
     return np.swapaxes(geometry.rotations, 1, 2) @ in_socket
 
 
-_DRAWN = (
-    "shear",
-    "preload",
-    "bed",
-    "sinking",
-    "rotation",
-    "bed_shear",
-    "bed_variation",
-    "cluster_error",
-)
+_RELATIVE = ("shear", "preload", "bed", "sinking", "rotation", "bed_shear", "bed_variation")
 
 
 def _draw(settings: ForceMapSettings) -> Iterator[ForceMapSettings]:
-    """Settings whose ratios are drawn evenly from their priors (a Sobol sequence)."""
+    """Settings whose uncertain sizes are drawn evenly from their priors (a Sobol sequence)."""
     if settings.draws == 1:
         yield settings
         return
-    points = norm.ppf(qmc.Sobol(len(_DRAWN) + 1, rng=0).random(settings.draws))
-    for point in points:
-        factors = np.exp(settings.spread * point)
-        ratios = {k: getattr(settings, k) * f for k, f in zip(_DRAWN, factors, strict=False)}
-        share = settings.share + settings.share_spread * point[-1]
-        yield replace(settings, **ratios, share=float(np.clip(share, 0.2, 1.0)))
+    sequence = qmc.Sobol(len(_RELATIVE) + 2, rng=0)
+    points = sequence.random_base2((settings.draws - 1).bit_length())[: settings.draws]
+    for *relative, of_clusters, of_share in norm.ppf(points).tolist():
+        factors = zip(_RELATIVE, np.exp(settings.spread * np.array(relative)), strict=True)
+        sizes = {name: getattr(settings, name) * factor for name, factor in factors}
+        share = settings.share + settings.share_spread * of_share
+        yield replace(
+            settings,
+            **sizes,
+            cluster_error=settings.cluster_error
+            * math.exp(settings.cluster_error_spread * of_clusters),
+            share=float(np.clip(share, 0.2, 1.0)),
+        )
 
 
 def _condition(

@@ -138,12 +138,14 @@ class ForceMapSettings(Settings):
         1e-6, 1e2,
     )  # fmt: skip
     force_error: float = setting(4.0, "the same of a force of the load cell [N]", 1e-6, 1e3)
-    cluster_error: float = setting(1.0, "offset of a force on a cluster [N]", 1e-6, 1e3)
+    cluster_error: float = setting(0.6, "offset of a force on a cluster [N]", 1e-6, 1e3)
     cluster_gain_error: float = setting(0.05, "error of a cluster's gain [-]", 0.0, 1.0)
+    cluster_error_spread: float = setting(
+        1.5, "standard deviation of the logarithm of cluster_error [-]", 0.0, 3.0
+    )
     spread: float = setting(
-        1.0, "standard deviation of the logarithms of the relative sizes, of bed_shear, of"
-        " bed_variation and of cluster_error; 0: they are as given [-]", 0.0, 2.0,
-    )  # fmt: skip
+        0.7, "the same of bed_shear, bed_variation and the relative sizes [-]", 0.0, 2.0
+    )
     draws: int = setting(
-        16, "draws of these, each weighted by its evidence; a power of 2 is best [1]", 1, 256
+        16, "draws of these, each weighted by its evidence; 1: all are as given [1]", 1, 256
     )
