@@ -1,0 +1,47 @@
+"""The physics of the live simulated testbed, without processes and without a clock that runs."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from socket_testbed import clocks
+from socket_testbed.calibration.model import read_calibration
+from socket_testbed.clocks import SteadyClock
+from socket_testbed.files import packaged
+from socket_testbed.geometry.socket import read_socket
+from socket_testbed.live.simulated_world import LiveTestbed
+from socket_testbed.simulation.limb import SCENARIOS, TISSUES
+from socket_testbed.simulation.sensors import SensorErrors
+from socket_testbed.simulation.trial import GroundTruth
+from socket_testbed.simulation.world import World
+
+PERIOD = 10.0  # [s]; of the scenario
+
+
+@pytest.mark.parametrize("tissue", TISSUES)
+@pytest.mark.parametrize("scenario", SCENARIOS)
+def test_the_limb_follows_a_scenario_again_and_again(tmp_path: Path, scenario, tissue) -> None:
+    world = World(tmp_path, create=True)
+    testbed = LiveTestbed(
+        world,
+        read_socket(packaged("config", "socket.yaml")),
+        read_calibration(packaged("config", "calibration.yaml")),
+        scenario,
+        PERIOD,
+        seed=1,
+        pace=6.0,
+        sway=0.05,
+        errors=SensorErrors(),
+        tissue=tissue,
+    )
+    start = clocks.monotonic()
+    for moment in np.arange(0.0, 2.2 * PERIOD, 0.2):  # a busy machine makes long steps
+        testbed.advance(start + moment)
+        assert np.isfinite(world.markers(start + moment)).all()
+    testbed.save(tmp_path / "truth.npz", SteadyClock())
+    with np.load(tmp_path / "truth.npz") as data:
+        truth = GroundTruth(*(data[n] for n in ("forces", "wrench", "position", "rotation")))
+    carried = truth.forces.sum(axis=1)[:, 2] / truth.wrench[:, 5]
+    assert (carried > 0.4).all() and (carried < 1.0).all()  # the rest is between the tiles
+    assert np.ptp(truth.position[:, 2]) > {"soft": 2e-3, "stiff": 3e-4}[tissue]
