@@ -18,6 +18,7 @@ from std_srvs.srv import Trigger as TriggerService
 from support.bags import move_to_namespace
 from support.graph import Probe
 
+from socket_testbed.api import simulate
 from socket_testbed.calibration.model import read_calibration
 from socket_testbed.errors import TestbedError
 from socket_testbed.files import packaged
@@ -131,8 +132,19 @@ def test_a_map_needs_neither_a_model_nor_the_motion_capture() -> None:
     assert len(pictures[0].markers) == 2 * len(geometry)
 
 
-def test_another_process_subscribes_while_the_command_replays_and_estimates(hold: Path) -> None:
+@pytest.fixture(scope="module")
+def stiff_hold(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A hold of a limb that hardly creeps, which a model of its first half predicts."""
+    path = tmp_path_factory.mktemp("stiff") / "hold"
+    simulate(path, duration=60.0, seed=3, tissue="stiff")
+    return path
+
+
+def test_another_process_subscribes_while_the_command_replays_and_estimates(
+    stiff_hold: Path,
+) -> None:
     """What the README says: `replay --estimate` in one terminal, a subscriber in another."""
+    hold = stiff_hold
     with Probe() as probe:
         wrenches = probe.listen(ESTIMATED_WRENCH)
         forces = probe.listen(LOCAL_FORCES)
