@@ -24,7 +24,7 @@ from socket_testbed.identification.problem import (
     build_stage_two,
     rest_positions_of,
 )
-from socket_testbed.settings.identification import VARIANTS
+from socket_testbed.settings.identification import PAPER_VARIANTS
 
 _MOST_RUNS = 15
 
@@ -156,7 +156,7 @@ def solve_by_single_fits(problem: StageTwoInput, thetas: FloatArray) -> Stiffnes
     """A fit for each theta and variant, independent of the others."""
     found: Stiffness = {}
     for theta in thetas.tolist():
-        for variant in VARIANTS:
+        for variant in PAPER_VARIANTS:
             settings = replace(problem.settings, theta=theta, variant=variant)
             fit = fit_contact_model(problem.samples, problem.geometry, settings)
             found[variant, theta] = fit.model.stiffness.ravel()
@@ -174,7 +174,7 @@ def walk_with(solve: Solve) -> Callable[[StageTwoInput, FloatArray], Stiffness]:
             objective = problem.objective.with_settings(theta=theta)
             last["rest"] = solve(build_stage_one(objective), last.get("rest"))
             moments = data.moments(rest_positions_of(objective, last["rest"]))
-            for variant in VARIANTS:
+            for variant in PAPER_VARIANTS:
                 stage = build_stage_two(objective.with_settings(variant=variant), moments)
                 last[variant] = solve(stage.program, last.get(variant))
                 found[variant, theta] = KILONEWTON_PER_METRE * last[variant]

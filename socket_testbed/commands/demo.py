@@ -28,7 +28,7 @@ from socket_testbed.live.time_scale import SLOWEST, busy_note, measure_speed, pa
 from socket_testbed.report.figures.channels import wrench_figure
 from socket_testbed.report.figures.style import save_figure
 from socket_testbed.samples import LOCAL_CHANNELS, WRENCH_CHANNELS, Samples, channel_unit
-from socket_testbed.settings.identification import VARIANTS
+from socket_testbed.settings.identification import PAPER_VARIANTS
 from socket_testbed.settings.testbed import EstimatorSettings, ReplaySettings
 from socket_testbed.simulation.trial import TRUTH_FILE, GroundTruth, read_truth
 from socket_testbed.trials.segment import select_segment
@@ -67,7 +67,7 @@ def run(options: argparse.Namespace) -> None:
     speed = _SPEED * min(scale, measure_speed().time_scale())
     print(f"2. the trial replayed through calibration and estimator at {speed:g} times speed")
     estimates: dict[str, Estimate] = {}
-    for variant in VARIANTS:
+    for variant in PAPER_VARIANTS:
         log = folder / f"{variant}.log"
         estimates[variant] = _estimate(trial, samples, variant, speed, log)
 

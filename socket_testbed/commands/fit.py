@@ -86,7 +86,8 @@ def _information(found: TrialFit) -> str:
 
 def _row(found: TrialFit) -> Row:
     fit = found.fit
-    certificates = (fit.stage_one.certificate, fit.stage_two.certificate)
+    solutions = (fit.stage_one, fit.stage_two, fit.joint)
+    certificates = [solution.certificate for solution in solutions if solution is not None]
     return {
         "samples": fit.samples,
         **segment_columns(found.segment),

@@ -6,12 +6,18 @@ frame of the load cell, {S}, unless a name says otherwise. A wrench is ordered [
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
 from socket_testbed.arrays import FloatArray
-from socket_testbed.settings.identification import Variant
+from socket_testbed.identification.rigid_bed import (
+    displacement_map,
+    relative_pose,
+    spring_displacements,
+)
+from socket_testbed.settings.identification import RIGID_VARIANTS, Variant
 
 
 def gate(displacement: FloatArray, sharpness: float) -> FloatArray:
@@ -97,18 +103,26 @@ def wrench_map(anchors: FloatArray) -> FloatArray:
 class ContactModel:
     """A bed of unilateral tri-axial springs, with the constant offsets of the sensors.
 
+    The paper's variants read the position of the limb alone: see `gated_displacement`. The rigid
+    variants read its pose and work in the tiles' frames: see `rigid_bed`.
+
     Attributes:
-        variant: Which offsets the model has.
+        variant: The law, and which offsets the model has.
         names: Names of the n points of interest.
         anchors: Points of application a_i, shape (n, 3) [m].
         rotations: Frames {L_i} of the points, R_i maps {L_i} to {S}, shape (n, 3, 3) [-].
-        stiffness: Stiffness k_i along x, y, z of {S}, shape (n, 3) [N/m].
-        rest_positions: Rest positions q_r,i, shape (n, 3) [m].
+        stiffness: Stiffness k_i along x, y, z of {S} (rigid: of {L_i}), shape (n, 3) [N/m].
+        rest_positions: Rest positions q_r,i in {S} (rigid: rest displacements r_i in {L_i} since
+            the reference pose), shape (n, 3) [m].
         sharpness: Sharpness alpha of the gate [1/m].
         wrench_bias: Offset b_w of the wrench, shape (6,) [N m, N].
         force_bias: Offset b_f of each cluster's force in the cluster's frame, by the
             name of the cluster, shape (3,) each [N].
         cluster_points: Index of the point of interest under each cluster, by its name.
+        reference_pose: Pose that the rigid variants count displacements from, shape (6,)
+            [m, rad].
+        wrench_slope: What `rigid_bias` adds to the wrench per relative pose, shape (6, 6)
+            [N m, N per m, rad].
     """
 
     variant: Variant
@@ -121,13 +135,20 @@ class ContactModel:
     wrench_bias: FloatArray
     force_bias: dict[str, FloatArray]
     cluster_points: dict[str, int]
+    reference_pose: FloatArray = field(default_factory=lambda: np.zeros(6))
+    wrench_slope: FloatArray = field(default_factory=lambda: np.zeros((6, 6)))
+
+    @property
+    def is_rigid(self) -> bool:
+        """Whether the model reads the limb's rotation and works in the tiles' frames."""
+        return self.variant in RIGID_VARIANTS
 
     def forces(self, pose: FloatArray) -> FloatArray:
-        """Forces k_i o s_i + b_i on the socket at the points of interest.
+        """Forces F_i + b_i on the socket at the points of interest.
 
         Args:
             pose: Poses of the limb, position q and rotation vector, shape (N, 6) [m, rad]; the
-                paper's law reads the first three columns.
+                paper's variants read the position alone.
 
         Returns:
             Forces in {S}, shape (N, n, 3) [N]; NaN where the pose is NaN.
@@ -135,41 +156,56 @@ class ContactModel:
         return self._spring_forces(pose) + self._bias_in_socket_frame()
 
     def wrench(self, pose: FloatArray) -> FloatArray:
-        """Wrench ``C (k o s) + b_w`` at the load cell.
+        """Wrench ``C F + b_w`` at the load cell, in `rigid_bias` with its slope over the pose.
 
         The offsets of the clusters belong to the clusters' sensors: they are no part of
         the wrench.
 
         Args:
             pose: Poses of the limb, position q and rotation vector, shape (N, 6) [m, rad]; the
-                paper's law reads the first three columns.
+                paper's variants read the position alone.
 
         Returns:
             Wrenches [M; F] in {S}, shape (N, 6) [N m, N].
         """
-        springs = self._spring_forces(pose).reshape(len(pose), -1)
-        return springs @ wrench_map(self.anchors).T + self.wrench_bias
+        return self.predict(pose)[0]
 
     def predict(self, pose: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Wrenches and forces in one pass: see `wrench` and `forces`."""
         springs = self._spring_forces(pose)
-        wrench = springs.reshape(len(pose), -1) @ wrench_map(self.anchors).T
-        return wrench + self.wrench_bias, springs + self._bias_in_socket_frame()
+        wrench = springs.reshape(len(pose), -1) @ self._wrench_map.T + self.wrench_bias
+        if self.variant == "rigid_bias":
+            wrench += relative_pose(pose, self.reference_pose) @ self.wrench_slope.T
+        return wrench, springs + self._bias_in_socket_frame()
 
     def cluster_forces(self, pose: FloatArray) -> dict[str, FloatArray]:
         """Forces on the clusters, each in its cluster's frame, shape (N, 3) each [N]."""
-        points = list(self.cluster_points.values())
-        springs = self.stiffness[points] * gated_displacement(
-            pose[:, :3], self.rest_positions[points], self.sharpness
-        )
+        springs = self._spring_forces(pose, list(self.cluster_points.values()))
         no_bias = np.zeros(3)
         return {
             name: springs[:, column] @ self.rotations[point] + self.force_bias.get(name, no_bias)
             for column, (name, point) in enumerate(self.cluster_points.items())
         }
 
-    def _spring_forces(self, pose: FloatArray) -> FloatArray:
-        return self.stiffness * gated_displacement(pose[:, :3], self.rest_positions, self.sharpness)
+    def _spring_forces(
+        self, pose: FloatArray, points: list[int] | slice = slice(None)
+    ) -> FloatArray:
+        """Forces of the springs at some points in {S}, shape (N, points, 3) [N]."""
+        stiffness, rest = self.stiffness[points], self.rest_positions[points]
+        if not self.is_rigid:
+            return stiffness * gated_displacement(pose[:, :3], rest, self.sharpness)
+        moved = relative_pose(pose, self.reference_pose) @ self._displacement_map.T
+        moved = moved.reshape(len(pose), -1, 3)[:, points]
+        local = stiffness * spring_displacements(moved, rest, self.sharpness)
+        return np.matmul(self.rotations[points], local[..., None])[..., 0]
+
+    @cached_property
+    def _displacement_map(self) -> FloatArray:
+        return displacement_map(self.anchors, self.rotations, self.reference_pose[:3])
+
+    @cached_property
+    def _wrench_map(self) -> FloatArray:
+        return wrench_map(self.anchors)
 
     def _bias_in_socket_frame(self) -> FloatArray:
         bias = np.zeros_like(self.anchors)

@@ -49,8 +49,13 @@ from socket_testbed.identification.problem import (
     recover_offsets,
     rest_positions_of,
 )
+from socket_testbed.identification.rigid_fit import solve_rigid
 from socket_testbed.samples import LOCAL_CHANNELS, WRENCH_CHANNELS, Samples, Status, channel_names
-from socket_testbed.settings.identification import IdentificationSettings, Variant
+from socket_testbed.settings.identification import (
+    RIGID_VARIANTS,
+    IdentificationSettings,
+    Variant,
+)
 
 LEAST_LOAD = 20.0  # [N]
 LEVER_FACTOR = 2.0  # [-]; of the farthest tile's distance
@@ -181,6 +186,7 @@ class Fit:
         errors: Errors of every channel on the samples of the fit.
         stage_one: Certified solution of Stage 1.
         stage_two: Certified solution of Stage 2.
+        joint: Certified joint refinement of both in the rigid variants, otherwise None.
     """
 
     model: ContactModel
@@ -191,11 +197,13 @@ class Fit:
     errors: tuple[ChannelErrors, ...]
     stage_one: BoxSolution
     stage_two: BoxSolution
+    joint: BoxSolution | None = None
 
     @property
     def status(self) -> str:
-        """The solver and the certificate of both stages, in words."""
-        return f"stage 1 {self.stage_one.status}; stage 2 {self.stage_two.status}"
+        """The solver and the certificate of both stages, and of their refinement, in words."""
+        stages = f"stage 1 {self.stage_one.status}; stage 2 {self.stage_two.status}"
+        return stages if self.joint is None else f"{stages}; {self.joint.status}"
 
 
 def check_names(settings: IdentificationSettings, clusters: tuple[str, ...]) -> None:
@@ -228,6 +236,19 @@ def fit_contact_model(
     outliers = find_outliers(samples, geometry, settings.leave_out)
     samples = smooth_poses(without_outliers(samples, outliers), settings.pose_smoothing)
     samples = samples[objective.rows]
+    if settings.variant in RIGID_VARIANTS:
+        found = solve_rigid(objective)
+        return Fit(
+            model=found.model,
+            settings=settings,
+            samples=len(samples),
+            last_stamp=int(samples.stamps[-1]),
+            determined=found.determined,
+            errors=evaluate(samples, found.model, settings.leave_out),
+            stage_one=found.stage_one,
+            stage_two=found.stage_two,
+            joint=found.joint,
+        )
 
     stage_one = build_stage_one(objective)
     rest = solve_box_qp(stage_one, settings.solver, settings.solver_tolerance)

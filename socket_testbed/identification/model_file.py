@@ -28,6 +28,8 @@ _PARAMETERS = (
     "wrench_bias",
     "force_bias",
     "clusters",
+    "reference_pose",
+    "wrench_slope",
 )
 
 
@@ -110,6 +112,8 @@ def write_model(
             "wrench_bias": model.wrench_bias.tolist(),
             "force_bias": {name: bias.tolist() for name, bias in model.force_bias.items()},
             "clusters": list(model.cluster_points),
+            "reference_pose": model.reference_pose.tolist(),
+            "wrench_slope": model.wrench_slope.tolist(),
         },
         "quality": {
             "samples": fit.samples,
@@ -119,6 +123,7 @@ def write_model(
             "wrench_rmse": [finite_or_null(error.rmse) for error in fit.errors[:6]],
             "stage_1": dataclasses.asdict(fit.stage_one.certificate),
             "stage_2": dataclasses.asdict(fit.stage_two.certificate),
+            "joint": None if fit.joint is None else dataclasses.asdict(fit.joint.certificate),
             "errors": [errors_document(error) for error in fit.errors],
         },
     }
@@ -205,7 +210,15 @@ def _model(parameters: Section, geometry: SocketGeometry) -> ContactModel:
         wrench_bias=parameters.array("wrench_bias", (6,)),
         force_bias={name: bias.array(name, (3,)) for name in bias.names()},
         cluster_points={name: geometry.clusters[name] for name in clusters},
+        **_rigid_parameters(parameters),
     )
+
+
+def _rigid_parameters(parameters: Section) -> dict[str, FloatArray]:
+    """What older files lack, whose variants need none of it."""
+    shapes = {"reference_pose": (6,), "wrench_slope": (6, 6)}
+    known = set(parameters.names())
+    return {name: parameters.array(name, shape) for name, shape in shapes.items() if name in known}
 
 
 def _unloaded(trial: Section) -> tuple[tuple[float, float], ...]:

@@ -48,7 +48,12 @@ from socket_testbed.identification.problem import (
     rest_positions_of,
 )
 from socket_testbed.samples import LOCAL_CHANNELS, WRENCH_CHANNELS, Samples, channel_unit
-from socket_testbed.settings.identification import VARIANTS, IdentificationSettings, Variant
+from socket_testbed.settings.identification import (
+    PAPER_VARIANTS,
+    RIGID_VARIANTS,
+    IdentificationSettings,
+    Variant,
+)
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -209,7 +214,7 @@ def pareto_front(
     geometry: SocketGeometry,
     settings: IdentificationSettings,
     thetas: Sequence[float] | FloatArray,
-    variants: Sequence[Variant] = VARIANTS,
+    variants: Sequence[Variant] = PAPER_VARIANTS,
     progress: Callable[[int, int], None] | None = None,
 ) -> dict[Variant, Front]:
     """Identify the contact model for every theta and variant.
@@ -224,7 +229,7 @@ def pareto_front(
         geometry: Geometry of the socket.
         settings: Settings of the identification; its theta and variant do not matter.
         thetas: Weights of the wrench against the clusters, in [0, 1] and rising [-].
-        variants: Which offsets the models have, one front per variant.
+        variants: Of the paper's variants those that are wanted, one front each.
         progress: Called with the number of thetas done and of all.
 
     Raises:
@@ -233,6 +238,12 @@ def pareto_front(
             no channel in the objective, or if no solution at all is without flaw.
     """
     _check_thetas(thetas)
+    for variant in set(variants) & set(RIGID_VARIANTS):
+        raise ConfigurationError(
+            f"the front over theta is defined for the paper's two stages, not for {variant}",
+            f"choose of {', '.join(PAPER_VARIANTS)}",
+        )
+    settings = replace(settings, variant=PAPER_VARIANTS[0])
     objective = build_objective(samples, geometry, settings)
     _require_both_groups(objective)
     walk = _Walk(objective, len(thetas))

@@ -98,6 +98,7 @@ class Objective:
         clusters: Names of the clusters of the samples.
         rows: Which of the samples given are used.
         position: Limb positions q, shape (N, 3) [m].
+        rotation: Rotation vectors of the limb, shape (N, 3) [rad].
         pose_noise: Covariance of the noise of a pose, shape (6, 6) [m^2, m rad, rad^2], to be
             subtracted from what the poses' products give; None for no correction.
         wrench: Measured wrenches, zero where a channel does not count, shape (N, 6)
@@ -115,6 +116,7 @@ class Objective:
     clusters: tuple[str, ...]
     rows: BoolArray
     position: FloatArray
+    rotation: FloatArray
     pose_noise: FloatArray | None
     wrench: FloatArray
     wrench_counts: BoolArray
@@ -256,6 +258,7 @@ def build_objective(
         clusters=samples.clusters,
         rows=rows,
         position=samples.position,
+        rotation=samples.rotation,
         pose_noise=pose_noise,
         wrench=wrench,
         wrench_counts=wrench_counts,

@@ -34,6 +34,7 @@ from socket_testbed.report.figures.style import save_figure, svg_of
 from socket_testbed.report.figures.validation import validation_figure
 from socket_testbed.report.results import Candidate, Results, unusable
 from socket_testbed.samples import LOCAL_CHANNELS, WRENCH_CHANNELS, channel_unit
+from socket_testbed.settings.identification import BIAS_VARIANTS
 from socket_testbed.tables import write_table
 
 _PICTURES = (".pdf", ".png")
@@ -176,20 +177,22 @@ def tile_maps(results: Results) -> Iterator[ReportFigure]:
             results,
             f"tile_stiffness_{label}",
             f"Stiffness, model {label}",
-            f"Stiffness of every tile along the axes of {{S}}, model {label}, on one scale; the"
+            f"Stiffness of every tile along the axes of {_frame(candidate)}, model {label}, on one"
+            " scale; the"
             " wall is unrolled and seen from outside. Tiles with a cluster are outlined.",
             model.stiffness,
             ("k", "stiffness", "N/m"),
         )
         if shown is None or not np.array_equal(model.rest_positions, shown):
             shown = model.rest_positions
-            fitted = candidate.fit is not None
+            fitted = candidate.fit is not None and not model.is_rigid
             whose = "the same for both variants" if fitted else f"model {label}"
             yield _tile_map(
                 results,
                 "rest_positions" if fitted else f"rest_positions_{label}",
                 f"Rest positions, {whose}",
-                "Rest positions along the axes of {S} from the mean limb position of the segment"
+                f"Rest positions along the axes of {_frame(candidate)} from the"
+                f" {'reference pose' if model.is_rigid else 'mean limb position of the segment'}"
                 f" ({whose}): where a tile would begin to press.",
                 _rest_offsets(results, candidate),
                 ("q_r", "rest position from the mean limb position", "mm"),
@@ -205,14 +208,14 @@ def offsets(results: Results) -> Iterator[ReportFigure]:
             [model.wrench_bias, *(model.force_bias.get(name, zero) for name in samples.clusters)]
         )
         for label, model in ((c.label, c.model) for c in results.candidates)
-        if model.variant == "stiffness_bias"
+        if model.variant in BIAS_VARIANTS
     }
     columns = {f"offset {label} [unit of the row]": values for label, values in by_label.items()}
     units = [channel_unit(name) for name in samples.channels]
     yield ReportFigure(
         name="offsets",
         caption=(
-            "The constant offsets of the variant stiffness_bias: of the wrench, and of each cluster"
+            "The constant offsets of the models with offsets: of the wrench, and of each cluster"
             " in its own frame. They are added to what the springs predict; a channel that is not"
             " in the objective has none."
         ),
@@ -296,17 +299,17 @@ def surface_scene(results: Results) -> dict[str, object]:
 
 def _scene_values(results: Results, candidate: Candidate) -> dict[str, tuple[FloatArray, str]]:
     """Values of the tiles and what they are, by the name of the choice."""
-    model = candidate.model
+    model, frame = candidate.model, _frame(candidate)
     kinds = [
         ("stiffness", "N/m", model.stiffness),
         ("rest position", "mm", _rest_offsets(results, candidate)),
     ]
     values = {
-        f"{kind} {axis} [{unit}]": (of_tiles[:, i], f"{kind} along {axis} of {{S}} [{unit}]")
+        f"{kind} {axis} [{unit}]": (of_tiles[:, i], f"{kind} along {axis} of {frame} [{unit}]")
         for kind, unit, of_tiles in kinds
         for i, axis in enumerate(_AXES)
     }
-    if model.variant == "stiffness_bias":
+    if model.variant in BIAS_VARIANTS:
         bias = np.full_like(model.stiffness, np.nan)
         for cluster, force in model.force_bias.items():
             bias[model.cluster_points[cluster]] = force
@@ -316,8 +319,15 @@ def _scene_values(results: Results, candidate: Candidate) -> dict[str, tuple[Flo
     return values
 
 
+def _frame(candidate: Candidate) -> str:
+    """The frame of a model's stiffnesses and rest positions."""
+    return "the tile's frame" if candidate.model.is_rigid else "{S}"
+
+
 def _rest_offsets(results: Results, candidate: Candidate) -> FloatArray:
-    """Rest positions from the mean limb position of the segment, in {S}, shape (n, 3) [mm]."""
+    """Rest positions from the mean limb position, in `_frame`, shape (n, 3) [mm]."""
+    if candidate.model.is_rigid:
+        return 1e3 * candidate.model.rest_positions
     return 1e3 * (candidate.model.rest_positions - results.mean_position)
 
 

@@ -45,7 +45,7 @@ from socket_testbed.identification.plausibility import (
 )
 from socket_testbed.identification.validation import Judgement, judge_samples
 from socket_testbed.samples import LOCAL_CHANNELS, WRENCH_CHANNELS, Samples, Status
-from socket_testbed.settings.identification import VARIANTS, Variant
+from socket_testbed.settings.identification import PAPER_VARIANTS, VARIANTS, Variant
 from socket_testbed.settings.testbed import EstimatorSettings
 from socket_testbed.simulation.trial import TRUTH_FILE, read_truth
 from socket_testbed.trials.segment import Segment, find_plateaus, select_segment
@@ -330,7 +330,7 @@ class Results:
         samples: Its samples.
         segment: The segment that was fitted.
         specification: How the segment was asked for.
-        settings: Settings of the estimator; the variant does not matter.
+        settings: Settings of the estimator; a rigid variant is fitted beside the paper's.
         candidates: The models: both variants, then one that was given, if any.
         fronts: The trade-off fronts by variant; empty where there are none.
         no_fronts: Why there are none; empty where there are.
@@ -394,7 +394,7 @@ def compute_results(
     Args:
         trial: The trial.
         specification: The segment: `plateau`, `all`, or `T0:T1` in seconds.
-        settings: Settings of the estimator; the variant does not matter.
+        settings: Settings of the estimator; a rigid variant is fitted beside the paper's.
         thetas: Weights of the wrench against the clusters, rising [-].
         given: A model to be shown as well.
         progress: Called with the number of thetas done and of all.
@@ -415,7 +415,9 @@ def compute_results(
     notes += [*outlier_notes(samples, outliers), *([sign] if sign else [])]
     samples = without_outliers(samples, outliers)
     chosen = samples[segment.rows]
-    candidates = [_fit(samples, segment, trial, settings, variant) for variant in VARIANTS]
+    chosen_variant = settings.identification.variant
+    variants = [v for v in VARIANTS if v in PAPER_VARIANTS or v == chosen_variant]
+    candidates = [_fit(samples, segment, trial, settings, variant) for variant in variants]
     if given is not None:
         candidates.append(_judge(samples, segment, GIVEN, given))
     fronts: dict[Variant, Front] = {}

@@ -339,7 +339,9 @@ def _certificates(results: Results) -> Table:
         for stage, solution in (
             ("1, rest positions", fit.stage_one),
             ("2, stiffnesses", fit.stage_two),
+            ("joint", fit.joint),
         )
+        if solution is not None
     ]
     frame = pd.DataFrame(rows).set_index("variant")
     caption = "Residuals of both stages of each fit"

@@ -7,8 +7,11 @@ from typing import Literal, get_args
 
 from socket_testbed.settings.fields import Settings, setting
 
-Variant = Literal["stiffness", "stiffness_bias"]
+Variant = Literal["stiffness", "stiffness_bias", "rigid", "rigid_bias"]
 VARIANTS: tuple[Variant, ...] = get_args(Variant)
+PAPER_VARIANTS: tuple[Variant, ...] = ("stiffness", "stiffness_bias")
+BIAS_VARIANTS: tuple[Variant, ...] = ("stiffness_bias", "rigid_bias")
+RIGID_VARIANTS: tuple[Variant, ...] = ("rigid", "rigid_bias")
 Weights = Literal["size", "noise", "raw"]
 WEIGHTS: tuple[Weights, ...] = get_args(Weights)
 
@@ -19,7 +22,7 @@ class IdentificationSettings(Settings):
 
     variant: str = setting(
         "stiffness_bias",
-        "which offsets the model has: stiffness none, stiffness_bias one per channel [-]",
+        "the law: stiffness as published, rigid by the limb's pose; _bias with offsets [-]",
         choices=VARIANTS,
     )
     theta: float = setting(
@@ -47,6 +50,12 @@ class IdentificationSettings(Settings):
     )
     rest_position_difference: float = setting(
         0.002, "expected difference of rest position between neighbours [m]", 1e-6, 0.1
+    )
+    contact_sharpness: float = setting(
+        300.0, "sharpness alpha of the rigid variants' contact [1/m]", 1.0, 1e6
+    )
+    prior: float = setting(
+        1e-4, "weight of the rigid variants' prior over the tiles against the errors [-]", 1e-9, 1e6
     )
     leave_out: tuple[str, ...] = setting(
         (), "channels left out of the objective, such as distal.Fx or Mz [-]"

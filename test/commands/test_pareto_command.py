@@ -12,7 +12,7 @@ from socket_testbed.api import models
 from socket_testbed.commands import pareto as verb
 from socket_testbed.errors import TestbedError
 from socket_testbed.identification.pareto import KNEE, SENSOR_ONLY, WRENCH_ONLY
-from socket_testbed.settings.identification import VARIANTS
+from socket_testbed.settings.identification import PAPER_VARIANTS
 
 
 def call(*words):
@@ -27,7 +27,16 @@ def test_the_verb_prints_and_writes_both_fronts(hold, tmp_path, capsys):
     table, figure = tmp_path / "front.csv", tmp_path / "front.png"
     call(hold, "--thetas", 11, "-o", table, "--figure", figure)
     out = capsys.readouterr().out
-    for text in (*VARIANTS, SENSOR_ONLY, KNEE, WRENCH_ONLY, "[N m]", "of 11", "KKT", "plateau"):
+    for text in (
+        *PAPER_VARIANTS,
+        SENSOR_ONLY,
+        KNEE,
+        WRENCH_ONLY,
+        "[N m]",
+        "of 11",
+        "KKT",
+        "plateau",
+    ):
         assert text in out
     with table.open(newline="") as stream:
         rows = list(csv.DictReader(stream))

@@ -12,7 +12,7 @@ from socket_testbed.identification.contact import (
     gated_slope,
     wrench_map,
 )
-from socket_testbed.settings.identification import VARIANTS
+from socket_testbed.settings.identification import PAPER_VARIANTS
 
 ALPHA = 2000.0  # [1/m]
 
@@ -87,7 +87,7 @@ def test_wrench_map_sums_the_moments_and_the_forces(rng):
     np.testing.assert_allclose(wrench_map(anchors) @ forces.reshape(-1), expected, rtol=1e-12)
 
 
-@pytest.mark.parametrize("variant", VARIANTS)
+@pytest.mark.parametrize("variant", PAPER_VARIANTS)
 def test_wrench_is_that_of_the_spring_forces_and_its_own_offset(rng, variant):
     geometry = random_socket(rng)
     bed = random_bed(rng, geometry, variant)
@@ -98,7 +98,7 @@ def test_wrench_is_that_of_the_spring_forces_and_its_own_offset(rng, variant):
     np.testing.assert_allclose(bed.wrench(q), np.hstack([moment, force]), atol=1e-10)
 
 
-@pytest.mark.parametrize("variant", VARIANTS)
+@pytest.mark.parametrize("variant", PAPER_VARIANTS)
 def test_cluster_forces_are_in_their_frame_with_their_offset(rng, variant):
     geometry = random_socket(rng)
     bed = random_bed(rng, geometry, variant)
@@ -151,7 +151,7 @@ def test_force_of_a_compressed_spring_grows_with_the_stiffness_and_the_depth(rng
     np.testing.assert_allclose(force, -depth[:, None] * bed.stiffness[2], rtol=1e-6)
 
 
-@pytest.mark.parametrize("variant", VARIANTS)
+@pytest.mark.parametrize("variant", PAPER_VARIANTS)
 def test_predict_is_the_wrench_and_the_forces(rng, variant):
     bed = random_bed(rng, random_socket(rng), variant)
     q = moving_limb(rng, 10)
@@ -160,7 +160,7 @@ def test_predict_is_the_wrench_and_the_forces(rng, variant):
     np.testing.assert_allclose(forces, bed.forces(q), rtol=1e-12)
 
 
-@pytest.mark.parametrize("variant", VARIANTS)
+@pytest.mark.parametrize("variant", PAPER_VARIANTS)
 def test_an_unknown_position_gives_no_force(rng, variant):
     bed = random_bed(rng, random_socket(rng), variant)
     q = moving_limb(rng, 3)

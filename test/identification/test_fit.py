@@ -29,11 +29,11 @@ from socket_testbed.errors import IdentificationError
 from socket_testbed.identification.evaluation import evaluate
 from socket_testbed.identification.fit import fit_contact_model
 from socket_testbed.identification.noise import smooth_poses
-from socket_testbed.settings.identification import VARIANTS, IdentificationSettings
+from socket_testbed.settings.identification import PAPER_VARIANTS, IdentificationSettings
 
 
 @pytest.mark.parametrize("leave_out", LEFT_OUT[:3])
-@pytest.mark.parametrize("variant", VARIANTS)
+@pytest.mark.parametrize("variant", PAPER_VARIANTS)
 def test_the_fit_is_both_stages_of_the_stacked_problem(variant, leave_out):
     geometry, _, samples, settings = make_case(91, variant, gaps=True, leave_out=leave_out)
     u = stack_stage_one(samples, geometry, settings).solve()
@@ -51,7 +51,7 @@ def test_the_fit_is_both_stages_of_the_stacked_problem(variant, leave_out):
     )
 
 
-@pytest.mark.parametrize("variant", VARIANTS)
+@pytest.mark.parametrize("variant", PAPER_VARIANTS)
 def test_the_fit_says_what_it_rests_on(variant):
     geometry, _, samples, settings = make_case(92, variant, leave_out=("Mz",))
     samples.wrench[-2:, 3] = np.nan
@@ -70,7 +70,7 @@ def test_the_fit_says_what_it_rests_on(variant):
     assert fit.model.stiffness.min() >= 0.0
 
 
-@pytest.mark.parametrize("variant", VARIANTS)
+@pytest.mark.parametrize("variant", PAPER_VARIANTS)
 def test_the_fit_averages_the_poses_without_their_outliers(variant):
     geometry, _, samples, settings = make_case(95, variant)
     expected = fit_contact_model(smooth_poses(samples, 1.5), geometry, settings)
@@ -127,7 +127,7 @@ def test_the_fit_does_not_change_the_samples():
         np.testing.assert_array_equal(getattr(samples, field.name), getattr(before, field.name))
 
 
-@pytest.mark.parametrize("variant", VARIANTS)
+@pytest.mark.parametrize("variant", PAPER_VARIANTS)
 @pytest.mark.parametrize(("theta", "ignored"), [(1.0, "local_forces"), (0.0, "wrench")])
 def test_at_its_ends_theta_ignores_the_other_group(variant, theta, ignored):
     geometry, _, samples, settings = make_case(95, variant, theta=theta)
@@ -155,7 +155,7 @@ def compressed_bed(rng, geometry, variant, rest_spread):
 @pytest.mark.parametrize(
     ("clusters", "rest_spread", "smoothness"), [(8, 0.001, 0.0), (0, 0.0, 1e-3), (3, 0.0, 1e-3)]
 )
-@pytest.mark.parametrize("variant", VARIANTS)
+@pytest.mark.parametrize("variant", PAPER_VARIANTS)
 def test_the_fit_recovers_a_truth_that_both_stages_can_express(
     variant, clusters, rest_spread, smoothness
 ):
@@ -174,7 +174,7 @@ def test_the_fit_recovers_a_truth_that_both_stages_can_express(
 
 
 @pytest.mark.parametrize("seed", range(3))
-@pytest.mark.parametrize("variant", VARIANTS)
+@pytest.mark.parametrize("variant", PAPER_VARIANTS)
 def test_the_fit_predicts_most_of_the_force_of_the_truth_on_another_motion(variant, seed):
     geometry, bed, samples, settings = make_case(seed, variant, noise=0.1)
     model = fit_contact_model(samples, geometry, settings).model

@@ -9,7 +9,7 @@ from support.problems import make_case, make_samples, random_socket
 from socket_testbed.errors import ConfigurationError, IdentificationError
 from socket_testbed.identification.fit import fit_contact_model
 from socket_testbed.identification.problem import build_objective, smoothness_matrix
-from socket_testbed.settings.identification import VARIANTS, IdentificationSettings
+from socket_testbed.settings.identification import PAPER_VARIANTS, IdentificationSettings
 
 
 def test_smoothness_is_the_mean_square_difference_between_neighbours():
@@ -59,7 +59,7 @@ def test_samples_without_a_wrench_or_a_position_do_not_count():
     np.testing.assert_array_equal(found.rest_positions, expected.rest_positions)
 
 
-@pytest.mark.parametrize("variant", VARIANTS)
+@pytest.mark.parametrize("variant", PAPER_VARIANTS)
 @pytest.mark.parametrize("lost", [("Mz",), ("Mx", "My", "Mz", "Fx", "Fy", "Fz")])
 def test_what_a_left_out_wrench_channel_measured_does_not_matter(variant, lost):
     geometry, _, samples, settings = make_case(77, variant, leave_out=lost)

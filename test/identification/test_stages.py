@@ -35,7 +35,7 @@ from socket_testbed.identification.problem import (
     build_stage_two,
     recover_offsets,
 )
-from socket_testbed.settings.identification import VARIANTS, IdentificationSettings
+from socket_testbed.settings.identification import PAPER_VARIANTS, IdentificationSettings
 
 WRONG = 5e-4  # [m]; a bed beside the true one, so that bounds become active
 STACKED_OPTIONS = {
@@ -107,7 +107,7 @@ def test_the_wrench_map_of_the_stack_is_the_packages():
 
 
 @pytest.mark.parametrize("leave_out", LEFT_OUT)
-@pytest.mark.parametrize("variant", VARIANTS)
+@pytest.mark.parametrize("variant", PAPER_VARIANTS)
 def test_raw_weights_are_the_sums_that_the_paper_prints(variant, leave_out):
     geometry, bed, samples, settings = make_case(
         22, variant, gaps=True, leave_out=leave_out, weights="raw", theta=0.3
@@ -138,7 +138,7 @@ def test_stage_one_is_the_stacked_objective_up_to_scale_and_constant(leave_out, 
 
 @pytest.mark.parametrize("gaps", [False, True])
 @pytest.mark.parametrize("leave_out", LEFT_OUT)
-@pytest.mark.parametrize("variant", VARIANTS)
+@pytest.mark.parametrize("variant", PAPER_VARIANTS)
 def test_stage_two_is_the_stacked_objective_up_to_scale_and_constant(variant, leave_out, gaps):
     geometry, bed, samples, settings = make_case(21, variant, gaps, leave_out=leave_out)
     objective = build_objective(samples, geometry, settings)
@@ -149,7 +149,7 @@ def test_stage_two_is_the_stacked_objective_up_to_scale_and_constant(variant, le
     assert_same_up_to_scale_and_constant(program, rows, points)
 
 
-@pytest.mark.parametrize("variant", VARIANTS)
+@pytest.mark.parametrize("variant", PAPER_VARIANTS)
 def test_programs_are_symmetric_and_convex(variant):
     geometry, bed, samples, settings = make_case(25, variant, gaps=True)
     objective = build_objective(samples, geometry, settings)
@@ -161,7 +161,7 @@ def test_programs_are_symmetric_and_convex(variant):
         assert np.linalg.eigvalsh(program.P).min() > -1e-12
 
 
-@pytest.mark.parametrize("variant", VARIANTS)
+@pytest.mark.parametrize("variant", PAPER_VARIANTS)
 def test_stage_one_recovers_linear_springs_and_does_not_mirror_them(variant):
     rng = np.random.default_rng(31)
     geometry = random_socket(rng, clusters=8)  # a cluster on every tile determines it
@@ -207,7 +207,7 @@ def test_stage_one_agrees_with_bounded_least_squares_on_the_rows(seed, limit):
 
 @pytest.mark.parametrize("gaps", [False, True])
 @pytest.mark.parametrize("leave_out", LEFT_OUT)
-@pytest.mark.parametrize("variant", VARIANTS)
+@pytest.mark.parametrize("variant", PAPER_VARIANTS)
 def test_stage_two_agrees_with_bounded_least_squares_on_the_rows(variant, leave_out, gaps):
     geometry, bed, samples, settings = make_case(41, variant, gaps, leave_out=leave_out)
     rest = bed.rest_positions + WRONG
@@ -222,7 +222,7 @@ def test_stage_two_agrees_with_bounded_least_squares_on_the_rows(variant, leave_
 
 
 @pytest.mark.parametrize("seed", range(50, 56))
-@pytest.mark.parametrize("variant", VARIANTS)
+@pytest.mark.parametrize("variant", PAPER_VARIANTS)
 def test_stage_two_agrees_with_the_rows_on_many_beds(variant, seed):
     geometry, bed, samples, settings = make_case(seed, variant, gaps=True)
     rng = np.random.default_rng(seed + 1000)
@@ -233,7 +233,7 @@ def test_stage_two_agrees_with_the_rows_on_many_beds(variant, seed):
 
 
 @pytest.mark.parametrize("theta", [0.0, 0.1, 0.9, 1.0])
-@pytest.mark.parametrize("variant", VARIANTS)
+@pytest.mark.parametrize("variant", PAPER_VARIANTS)
 def test_stage_two_agrees_with_the_rows_for_every_theta(variant, theta):
     geometry, bed, samples, settings = make_case(57, variant, gaps=True, theta=theta)
     x, _, stacked = solve_both_ways(samples, geometry, settings, bed.rest_positions)
@@ -241,7 +241,7 @@ def test_stage_two_agrees_with_the_rows_for_every_theta(variant, theta):
 
 
 @pytest.mark.parametrize("backend", installed("daqp", "clarabel"))
-@pytest.mark.parametrize("variant", VARIANTS)
+@pytest.mark.parametrize("variant", PAPER_VARIANTS)
 def test_stage_two_agrees_with_another_backend_on_the_stacked_rows(variant, backend):
     geometry, bed, samples, settings = make_case(58, variant)
     rest = bed.rest_positions + WRONG
@@ -254,7 +254,7 @@ def test_stage_two_agrees_with_another_backend_on_the_stacked_rows(variant, back
 
 
 @pytest.mark.parametrize("solver", installed("osqp", "daqp", "clarabel"))
-@pytest.mark.parametrize("variant", VARIANTS)
+@pytest.mark.parametrize("variant", PAPER_VARIANTS)
 def test_every_installed_solver_finds_the_same_optimum(variant, solver):
     geometry, bed, samples, settings = make_case(59, variant, gaps=True, solver=solver)
     rest = bed.rest_positions + WRONG
@@ -262,7 +262,7 @@ def test_every_installed_solver_finds_the_same_optimum(variant, solver):
     assert relative(x, stacked[: len(x)]) < OPTIMUM
 
 
-@pytest.mark.parametrize("variant", VARIANTS)
+@pytest.mark.parametrize("variant", PAPER_VARIANTS)
 def test_stage_two_recovers_the_truth_at_the_true_rest_positions(variant):
     geometry, bed, samples, settings = make_case(61, variant, clusters=8, noise=0.0, smoothness=0.0)
     x, offsets = solve_stage_two(samples, geometry, settings, bed.rest_positions)
@@ -304,7 +304,7 @@ def test_theta_trades_the_wrench_against_the_clusters():
     assert (np.diff([mean_square(0.0, x) for x in answers]) > 0.0).all()  # the clusters'
 
 
-@pytest.mark.parametrize("variant", VARIANTS)
+@pytest.mark.parametrize("variant", PAPER_VARIANTS)
 def test_determined_directions_are_the_trace_of_the_hat_matrix(variant):
     geometry, bed, samples, settings = make_case(64, variant)
     rest = bed.rest_positions + WRONG

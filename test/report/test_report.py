@@ -20,10 +20,10 @@ from socket_testbed.report.results import compute_results
 from socket_testbed.report.sections import page_content, provenance
 from socket_testbed.report.summary import list_notes, summarise
 from socket_testbed.report.write import check_page_path, write_report
-from socket_testbed.settings.identification import VARIANTS
+from socket_testbed.settings.identification import PAPER_VARIANTS
 from socket_testbed.trials.trial import Trial
 
-PLAIN, BIAS = VARIANTS
+PLAIN, BIAS = PAPER_VARIANTS
 
 
 def settings_of(path: Path):
@@ -49,13 +49,13 @@ def test_the_digests_are_those_of_the_files(results, hold, tmp_path):
 
 
 def test_the_paper_s_story_shows_on_a_hold(results):
-    plain, bias = (summarise_errors(results.fitted[v].errors) for v in VARIANTS)
+    plain, bias = (summarise_errors(results.fitted[v].errors) for v in PAPER_VARIANTS)
     # Without bias steady offsets and a knee; with bias neither.
     assert plain.local_unsteadiness < 0.5
     assert bias.local_unsteadiness == pytest.approx(1.0, abs=1e-3)
     assert bias.moment_rmse <= plain.moment_rmse and bias.force_rmse < 0.2 * plain.force_rmse
     assert bias.local_rmse < 0.3 * plain.local_rmse
-    spans = [np.hypot(*results.fronts[v].knee.span) for v in VARIANTS]
+    spans = [np.hypot(*results.fronts[v].knee.span) for v in PAPER_VARIANTS]
     assert results.fronts[PLAIN].knee.index is not None and spans[1] < 1e-2 * spans[0]
     said = " ".join(summarise(results))
     assert (

@@ -22,9 +22,9 @@ from socket_testbed.identification.pareto import KNEE, SENSOR_ONLY, WRENCH_ONLY
 from socket_testbed.report.results import Results
 from socket_testbed.report.sections import PAPER_FIGURES
 from socket_testbed.report.write import files_folder, write_report
-from socket_testbed.settings.identification import VARIANTS
+from socket_testbed.settings.identification import PAPER_VARIANTS
 
-PLAIN, BIAS = VARIANTS
+PLAIN, BIAS = PAPER_VARIANTS
 MOST_BYTES = 12e6
 
 pytestmark = pytest.mark.slow  # all figures are drawn and saved
@@ -109,14 +109,14 @@ def test_this_trial_stands_beside_the_paper(page, results):
     for name, figures in (by_paper | {"RMSE of Mx [N m]": (3.99, 0.95)}).items():
         assert tuple(map(float, rows[name][2:])) == figures
     assert len(PAPER_FIGURES) == 3
-    own = [summarise_errors(results.fitted[v].errors).moment_rmse for v in VARIANTS]
+    own = [summarise_errors(results.fitted[v].errors).moment_rmse for v in PAPER_VARIANTS]
     np.testing.assert_allclose(
         numbers(rows["mean moment RMSE [N m]"][:2]), own, rtol=0.0, atol=5.001e-4
     )
 
 
 def test_the_solutions_that_stand_out_are_in_the_table(page, results):
-    rows = [row for row in page.tables["marks"] if row[0] in VARIANTS]
+    rows = [row for row in page.tables["marks"] if row[0] in PAPER_VARIANTS]
     assert [row[1] for row in rows] == [SENSOR_ONLY, KNEE, WRENCH_ONLY] * 2
     front = results.fronts[PLAIN]
     for row in rows[:3]:
@@ -132,10 +132,10 @@ def test_the_page_tells_where_it_comes_from(page, results):
     assert np.__version__ in rows["version of numpy"][0]
     assert "nominal" in rows["geometry, registration"][0]
     assert page.rows("settings")["identification.theta"] == ["0.5"]
-    kkt = [row for row in page.tables["kkt"] if row[0] in VARIANTS]
+    kkt = [row for row in page.tables["kkt"] if row[0] in PAPER_VARIANTS]
     solutions = [
         stage.certificate
-        for variant in VARIANTS
+        for variant in PAPER_VARIANTS
         for stage in (results.fitted[variant].fit.stage_one, results.fitted[variant].fit.stage_two)
     ]
     assert [float(row[3]) for row in kkt] == pytest.approx(
@@ -192,7 +192,7 @@ def test_tiles_read_back_are_the_parameters(page_path, results):
     quantity = "rest position from the mean limb position"
     axes = [1e-3 * numbers(rest[f"{quantity} {axis} [mm]"]) for axis in "xyz"]
     mean = np.nanmean(results.samples.position[results.in_segment], axis=0)
-    for variant in VARIANTS:
+    for variant in PAPER_VARIANTS:
         expected = results.fitted[variant].model.rest_positions - mean
         np.testing.assert_allclose(np.transpose(axes), expected, rtol=1e-6, atol=1e-12)
     offsets = columns(folder / "offsets.csv")

@@ -1,0 +1,96 @@
+r"""The contact law of the `rigid` variants: tiles that a rigid limb presses on.
+
+With the pose of the limb relative to a reference pose (position c, rotation R_ref), that is its
+displacement q - c and its rotation vector phi, the tile at a_i is displaced by
+
+.. math:: u_i = q - c + \phi \times (a_i - c), \qquad v_i = R_i^T u_i, \qquad
+          \delta_i = v_i - r_i
+
+with v_i in the tile's own frame {L_i} (z along the inward normal) and r_i its rest displacement,
+at which the tile bears nothing. Compression along the normal gates normal and shear alike:
+
+.. math:: F_i = \left( k_x g \delta_x,\; k_y g \delta_y,\; -k_z p \right), \qquad
+          p = \frac{\ln(1 + e^{-2 \alpha \delta_z})}{2 \alpha}, \qquad
+          g = -\frac{dp}{d\delta_z} = \frac{1}{1 + e^{2 \alpha \delta_z}}
+
+g is the paper's gate; p is its integral, so that a tile never pulls, and its stiffness grows over
+the first 1 / alpha of compression as that of a layer that comes into contact bit by bit.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from socket_testbed.arrays import FloatArray
+
+
+def mean_pose(pose: FloatArray) -> FloatArray:
+    """Mean of poses on SE(3), shape (6,) [m, rad].
+
+    Args:
+        pose: Position and rotation vector, shape (N, 6), without NaN [m, rad].
+    """
+    rotation = Rotation.from_rotvec(pose[:, 3:]).mean().as_rotvec()
+    return np.concatenate([pose[:, :3].mean(axis=0), rotation])
+
+
+def relative_pose(pose: FloatArray, reference: FloatArray) -> FloatArray:
+    """Displacement and rotation vector since a reference pose, both in {S}.
+
+    Args:
+        pose: Position and rotation vector, shape (N, 6) [m, rad].
+        reference: The same of the reference, shape (6,) [m, rad].
+
+    Returns:
+        ``[q - c, phi]`` with ``R = exp(phi) R_ref``, shape (N, 6) [m, rad]; NaN where the pose is.
+    """
+    known = np.isfinite(pose).all(axis=1, keepdims=True)
+    rotation = Rotation.from_rotvec(np.where(known, pose[:, 3:], 0.0))
+    turned = (rotation * Rotation.from_rotvec(reference[3:]).inv()).as_rotvec()
+    return np.where(known, np.hstack([pose[:, :3] - reference[:3], turned]), np.nan)
+
+
+def displacement_map(anchors: FloatArray, rotations: FloatArray, centre: FloatArray) -> FloatArray:
+    """Map of a relative pose onto the tiles' displacements in their frames, ``v = J [d, phi]``.
+
+    Args:
+        anchors: Tiles' centres a_i, shape (n, 3) [m].
+        rotations: Frames {L_i} of the tiles, shape (n, 3, 3) [-].
+        centre: Position c of the reference pose, shape (3,) [m].
+
+    Returns:
+        Array of shape (3n, 6) [-, m].
+    """
+    arms = np.cross(np.eye(3)[None], (anchors - centre)[:, None])  # (n, 3, 3): e_j x arm
+    turns = np.einsum("nia,nji->naj", rotations, arms)
+    return np.concatenate([rotations.transpose(0, 2, 1), turns], axis=2).reshape(-1, 6)
+
+
+def compression(displacement: FloatArray, sharpness: float) -> tuple[FloatArray, FloatArray]:
+    """Compression p [m] and gate g [-] for normal displacements from rest of any shape [m]."""
+    growth = (2.0 * sharpness) * displacement
+    with np.errstate(over="ignore", invalid="ignore"):
+        gate = 1.0 / (1.0 + np.exp(growth))
+        pressed = np.logaddexp(0.0, -growth) / (2.0 * sharpness)
+    return pressed, gate
+
+
+def spring_displacements(
+    displacement: FloatArray, rest: FloatArray, sharpness: float
+) -> FloatArray:
+    """Gated displacements (g delta_x, g delta_y, -p), by which the stiffness is multiplied.
+
+    Args:
+        displacement: Tiles' displacements v in their frames, shape (N, n, 3) [m].
+        rest: Rest displacements r, shape (n, 3) [m].
+        sharpness: Sharpness alpha of the gate [1/m].
+
+    Returns:
+        Array of shape (N, n, 3) [m].
+    """
+    gated = displacement - rest
+    pressed, gate = compression(gated[..., 2], sharpness)
+    gated[..., :2] *= gate[..., None]
+    gated[..., 2] = -pressed
+    return gated

@@ -1,0 +1,163 @@
+"""The rigid variants: the law, the joint refinement and what it recovers."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from support.problems import make_samples, random_socket
+
+from socket_testbed.errors import ConfigurationError
+from socket_testbed.identification.contact import ContactModel
+from socket_testbed.identification.evaluation import predict_channels
+from socket_testbed.identification.fit import fit_contact_model
+from socket_testbed.identification.model_file import read_model, write_model
+from socket_testbed.identification.pareto import pareto_front
+from socket_testbed.identification.problem import build_objective
+from socket_testbed.identification.rigid_bed import relative_pose
+from socket_testbed.identification.rigid_fit import RigidProblem
+from socket_testbed.settings.identification import RIGID_VARIANTS, IdentificationSettings
+
+
+def rigid_bed(rng: np.random.Generator, geometry, variant="rigid") -> ContactModel:
+    """A rigid bed that presses everywhere a little: a limb that settled."""
+    n = len(geometry)
+    rest = rng.normal([-0.0, 0.0, 0.003], 0.001, (n, 3)) - 0.004 * geometry.rotations[:, 2]
+    return ContactModel(
+        variant=variant,
+        names=geometry.names,
+        anchors=geometry.anchors,
+        rotations=geometry.rotations,
+        stiffness=rng.uniform(0.5, 1.5, (n, 3)) * [2000.0, 2000.0, 6000.0],
+        rest_positions=rest,
+        sharpness=300.0,
+        wrench_bias=np.zeros(6),
+        force_bias={},
+        cluster_points=dict(geometry.clusters),
+        reference_pose=np.array([0.01, -0.02, 0.15, 0.02, 0.1, -0.05]),
+    )
+
+
+def rigid_motion(rng: np.random.Generator, count: int, bed: ContactModel) -> np.ndarray:
+    """Poses that move along all six directions, (N, 6) [m, rad]."""
+    phase = np.linspace(0.0, 2.0 * np.pi, count)[:, None] * [1.0, 2.0, 3.0, 2.0, 3.0, 1.0]
+    way = np.sin(phase + rng.uniform(0.0, 2.0 * np.pi, 6)) * ([0.002] * 3 + [0.03] * 3)
+    turned = Rotation.from_rotvec(way[:, 3:]) * Rotation.from_rotvec(bed.reference_pose[3:])
+    return np.hstack([bed.reference_pose[:3] + way[:, :3], turned.as_rotvec()])
+
+
+def rigid_case(seed: int, variant="rigid", count: int = 80, **changes):
+    rng = np.random.default_rng(seed)
+    geometry = random_socket(rng, rings=3, columns=5)
+    bed = rigid_bed(rng, geometry, variant)
+    pose = rigid_motion(rng, count, bed)
+    samples = make_samples(pose[:, :3], bed.wrench(pose), bed.cluster_forces(pose))
+    samples = dataclasses.replace(samples, rotation=pose[:, 3:])
+    return geometry, bed, samples, IdentificationSettings(variant=variant, **changes)
+
+
+def test_forces_follow_the_rigid_displacement_in_the_tile_s_frame():
+    _, bed, samples, _ = rigid_case(0, count=3)
+    forces = bed.forces(samples.pose)
+    for k, pose in enumerate(samples.pose):
+        turn = Rotation.from_rotvec(pose[3:]) * Rotation.from_rotvec(bed.reference_pose[3:]).inv()
+        for i, (anchor, frame) in enumerate(zip(bed.anchors, bed.rotations, strict=True)):
+            c = bed.reference_pose[:3]
+            moved = pose[:3] - c + np.cross(turn.as_rotvec(), anchor - c)
+            d = frame.T @ moved - bed.rest_positions[i]
+            gate = 0.5 - 0.5 * np.tanh(300.0 * d[2])
+            local = bed.stiffness[i] * [gate * d[0], gate * d[1], 0.0]
+            local[2] = -bed.stiffness[i, 2] * np.log1p(np.exp(-600.0 * d[2])) / 600.0
+            np.testing.assert_allclose(forces[k, i], frame @ local, rtol=1e-9, atol=1e-9)
+
+
+def test_no_tile_pulls():
+    geometry, bed, samples, _ = rigid_case(1)
+    far = samples.pose + 0.03 * np.eye(6)[2]
+    normal = np.einsum("tni,ni->tn", bed.forces(far), geometry.rotations[:, :, 2])
+    assert normal.max() <= 0.0
+
+
+def test_forces_do_not_depend_on_the_frame_of_the_load_cell():
+    """The bed in a rotated {S} gives the rotated forces."""
+    _, bed, samples, _ = rigid_case(2, count=5)
+    turn = Rotation.from_rotvec([0.3, -0.8, 0.5])
+    R = turn.as_matrix()
+
+    def turned(pose):
+        rotated = (turn * Rotation.from_rotvec(pose[..., 3:])).as_rotvec()
+        return np.concatenate([pose[..., :3] @ R.T, rotated], axis=-1)
+
+    other = dataclasses.replace(
+        bed,
+        anchors=bed.anchors @ R.T,
+        rotations=R @ bed.rotations,
+        reference_pose=turned(bed.reference_pose),
+    )
+    expected = bed.forces(samples.pose) @ R.T
+    np.testing.assert_allclose(other.forces(turned(samples.pose)), expected, atol=1e-9)
+
+
+def test_a_missing_pose_predicts_nothing():
+    _, bed, samples, _ = rigid_case(3, count=4)
+    pose = samples.pose
+    pose[1] = np.nan
+    assert np.isnan(bed.wrench(pose)[1]).all() and np.isfinite(bed.wrench(pose)[[0, 2, 3]]).all()
+    assert np.isnan(relative_pose(pose, bed.reference_pose)[1]).all()
+
+
+@pytest.mark.parametrize("variant", RIGID_VARIANTS)
+def test_derivatives_agree_with_differences(variant):
+    geometry, _, samples, settings = rigid_case(4, variant)
+    problem = RigidProblem(build_objective(samples, geometry, settings))
+    rng = np.random.default_rng(0)
+    x = problem.start + 0.3 * rng.normal(size=problem.start.shape)
+    way = rng.normal(size=x.shape)
+    step = 1e-5 * way
+    terms = problem.evaluate(x)
+    slope = (problem.value(x + step) - problem.value(x - step)) / 2e-5
+    assert terms.gradient @ way.reshape(-1) == pytest.approx(slope, rel=1e-5)
+    change = problem.evaluate(x + step).gradient - problem.evaluate(x - step).gradient
+    hessian = terms.gauss_newton + problem.prior + terms.curvature
+    scale = np.abs(change).max() / 2e-5
+    np.testing.assert_allclose(hessian @ way.reshape(-1), change / 2e-5, atol=1e-6 * scale)
+
+
+@pytest.mark.parametrize("variant", RIGID_VARIANTS)
+def test_joint_refinement_recovers_what_the_bed_bears(variant):
+    geometry, bed, samples, settings = rigid_case(5, variant, prior=1e-6)
+    fit = fit_contact_model(samples, geometry, settings)
+    assert fit.joint is not None and fit.joint.certificate.worst <= settings.solver_tolerance
+    assert "joint refinement: KKT" in fit.status
+    unseen = rigid_motion(np.random.default_rng(6), 50, bed)
+    error = fit.model.wrench(unseen) - bed.wrench(unseen)
+    spread = bed.wrench(unseen).std(axis=0)
+    assert (np.sqrt((error**2).mean(axis=0)) < 0.02 * spread).all()
+
+
+def test_refinement_only_improves_the_two_stages():
+    geometry, _, samples, settings = rigid_case(7)
+    problem = RigidProblem(build_objective(samples, geometry, settings))
+    fit = fit_contact_model(samples, geometry, settings)
+    x = problem.start.copy()
+    x[3:] = fit.stage_one.x.reshape(3, -1)
+    x[:3] = fit.stage_two.x.reshape(3, -1)
+    assert fit.joint is not None
+    assert problem.value(fit.joint.x.reshape(x.shape)) < problem.value(x)
+    assert (fit.model.stiffness >= 0.0).all()
+
+
+def test_file_keeps_the_model(tmp_path):
+    geometry, _, samples, settings = rigid_case(8, "rigid_bias")
+    fit = fit_contact_model(samples, geometry, settings)
+    write_model(fit, geometry, {"name": "case"}, "all", tmp_path / "model.json")
+    stored = read_model(tmp_path / "model.json").model
+    expected = predict_channels(fit.model, samples.pose, samples.clusters)
+    found = predict_channels(stored, samples.pose, samples.clusters)
+    np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-4)
+
+
+def test_front_names_the_variants_that_it_is_defined_for():
+    geometry, _, samples, settings = rigid_case(9)
+    with pytest.raises(ConfigurationError, match="not for rigid"):
+        pareto_front(samples, geometry, settings, [0.0, 1.0], ("rigid",))
