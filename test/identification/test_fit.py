@@ -84,7 +84,7 @@ def test_the_fit_averages_the_poses_without_their_outliers(variant):
     assert np.abs(spoilt.model.rest_positions - fit.model.rest_positions).max() < 1e-3
 
 
-@pytest.mark.parametrize("variant", VARIANTS)
+@pytest.mark.parametrize("variant", PAPER_VARIANTS)
 @pytest.mark.parametrize("window", [0.0, 0.5])
 def test_the_noise_correction_gives_back_the_stiffness_that_noise_shrinks(variant, window):
     rng = np.random.default_rng(96)
