@@ -27,7 +27,6 @@ from socket_testbed.identification.fit import Fit, fit_contact_model, implausibl
 from socket_testbed.identification.information import (
     LoadShare,
     Motion,
-    known_directions,
     load_shares,
     measure_motion,
 )
@@ -130,20 +129,6 @@ class TrialFit:
         """How the pose moves over the segment, against its noise."""
         window = self.fit.settings.pose_smoothing
         return measure_motion(self._samples(), self.trial.geometry, window)
-
-    def known_directions(self) -> float:
-        """Number of stiffness directions that the data show despite all noise [-].
-
-        Those count whose standard deviation is below `stiffness_difference`: see
-        `socket_testbed.identification.information.known_directions`.
-        """
-        settings = self.fit.settings
-        return known_directions(
-            self._samples(),
-            self.fit.model,
-            settings.stiffness_difference,
-            settings.pose_smoothing,
-        )
 
     def _samples(self) -> Samples:
         """The samples of the segment without outliers."""

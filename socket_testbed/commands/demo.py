@@ -1,20 +1,23 @@
-"""`demo`: the simulated testbed live, its trial replayed, and the errors beside the truth."""
+"""`demo`: the simulated testbed live, its trial replayed, and the estimates beside the truth."""
 
 from __future__ import annotations
 
 import argparse
-import dataclasses
 import shutil
 import time
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from matplotlib.figure import Figure
 
-from socket_testbed.arrays import BoolArray, FloatArray
+from socket_testbed import api
+from socket_testbed.arrays import FloatArray
 from socket_testbed.commands.text import Progress, number, table
 from socket_testbed.errors import ConfigurationError, TrialError
 from socket_testbed.geometry.socket import SocketGeometry
-from socket_testbed.identification.evaluation import channel_errors
+from socket_testbed.identification.force_map import ForceMap
+from socket_testbed.identification.validation import judge_tiles, without_cluster
 from socket_testbed.live.bringup import (
     Simulation,
     end,
@@ -25,22 +28,33 @@ from socket_testbed.live.bringup import (
 )
 from socket_testbed.live.processes import Graph
 from socket_testbed.live.time_scale import SLOWEST, busy_note, measure_speed, pace
-from socket_testbed.report.figures.channels import wrench_figure
+from socket_testbed.report.figures.socket_picture import tile_map_figure
 from socket_testbed.report.figures.style import save_figure
-from socket_testbed.samples import LOCAL_CHANNELS, WRENCH_CHANNELS, Samples, channel_unit
-from socket_testbed.settings.identification import PAPER_VARIANTS
+from socket_testbed.samples import Samples
 from socket_testbed.settings.testbed import EstimatorSettings, ReplaySettings
 from socket_testbed.simulation.trial import TRUTH_FILE, GroundTruth, read_truth
 from socket_testbed.trials.segment import select_segment
 from socket_testbed.trials.synchronise import read_samples
 from socket_testbed.trials.trial import Trial
 
-_DURATION = 36.0  # [s] of the testbed; of the trial
+_DURATION = 60.0  # [s] of the testbed; of the trial
+_PACE = 2.0  # [-]; the protocol within that time
 _TRIGGER_RATE = 10.0  # [Hz]
 _SPEED = 5.0  # of the replay, relative to the testbed
 _COMPLETE = 0.9  # [-]; fraction of the samples below which the trial is recorded again, slower
 
-Estimate = tuple[FloatArray, FloatArray]  # wrench (N, 6), forces (N, n, 3)
+
+@dataclass(frozen=True)
+class _Live:
+    """Force maps that a subscriber received; NaN at samples without one.
+
+    Attributes:
+        forces: Forces on the tiles in {S} and their standard deviations, shape (2, N, n, 3) [N].
+        pressure: Normal pressures and their standard deviations, shape (2, N, n) [Pa].
+    """
+
+    forces: FloatArray
+    pressure: FloatArray
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -53,47 +67,27 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> None:
-    """Run the simulated testbed, replay its trial with each variant, compare."""
+    """Run the simulated testbed, replay its trial, draw the map of the socket, judge it."""
     started = time.monotonic()
     folder: Path = options.output
     _make_room(folder)
     print(
         f"1. the testbed live for {_DURATION:g} s: simulated chips, their real drivers, the graph,"
-        f"\n   a recorder. A static hold: 9.3 kg pylon, 19 kg placed, held ({_TRIGGER_RATE:g} Hz)"
+        "\n   a recorder. The limb is pushed from all sides, bears 19 kg, and is unloaded"
+        f" ({_TRIGGER_RATE:g} Hz)"
     )
     trial = Trial(folder / "trial")
     samples, scale = _record(trial, options.seed, folder / "live.log")
 
     speed = _SPEED * min(scale, measure_speed().time_scale())
     print(f"2. the trial replayed through calibration and estimator at {speed:g} times speed")
-    estimates: dict[str, Estimate] = {}
-    for variant in PAPER_VARIANTS:
-        log = folder / f"{variant}.log"
-        estimates[variant] = _estimate(trial, samples, variant, speed, log)
+    live = _estimate(trial, samples, speed, folder / "replay.log")
 
-    plateau = select_segment(samples, "plateau", EstimatorSettings().plateau)
-    rows = np.zeros(len(samples), dtype=bool)
-    rows[plateau.rows] = True
-    for wrench, _ in estimates.values():
-        rows &= np.isfinite(wrench).all(axis=1)
-    if not rows.any():
-        raise TrialError("the graph predicted nothing on the plateau", f"read {folder}/*.log")
+    print("3. every estimate on what it has not seen, against the simulated truth\n")
     truth = read_truth(trial.path, samples.stamps)
-    print(
-        f"3. errors on the {int(rows.sum())} samples of the hold that both variants predicted"
-        " live,\n   against the measurement and against the simulated truth\n"
-    )
-    print(_errors(samples, trial.geometry, truth, estimates, rows))
-    print("\n" + _everywhere(trial.geometry, truth, estimates, rows))
-    figure = folder / "wrench.png"
-    drawn = wrench_figure(
-        samples.time,
-        samples.wrench,
-        {variant: wrench for variant, (wrench, _) in estimates.items()},
-        rows,
-        "Simulated static hold: wrench measured live, predicted while replayed",
-    )
-    save_figure(drawn, figure)
+    print(_judged(api.validate(trial), samples, trial.geometry, truth, live))
+    figure = folder / "force_map.png"
+    save_figure(_draw(trial, samples, truth, live), figure)
     print(f"\ntrial {trial.path}, figure {figure} ({time.monotonic() - started:.0f} s)")
 
 
@@ -130,8 +124,8 @@ def _complete(trial: Trial) -> float:
 
 def _run_live(path: Path, seed: int, scale: float, log: Path) -> None:
     """Record a trial of the simulated testbed at a time scale [-]."""
-    hold = Simulation("static_hold", _DURATION, seed, time_scale=scale)
-    testbed = simulated_testbed(record=path, rate=_TRIGGER_RATE, simulation=hold)
+    protocol = Simulation("protocol", _DURATION, seed, pace=_PACE, time_scale=scale)
+    testbed = simulated_testbed(record=path, rate=_TRIGGER_RATE, simulation=protocol)
     progress = Progress("   running")
     with log.open("w", encoding="utf-8") as output, Graph(output) as graph:
         start(graph, testbed)
@@ -163,75 +157,102 @@ def _make_room(folder: Path) -> None:
         ) from None
 
 
-def _estimate(trial: Trial, samples: Samples, variant: str, speed: float, log: Path) -> Estimate:
-    """What a subscriber receives while the trial is replayed with a variant, at a speed [-]."""
+def _estimate(trial: Trial, samples: Samples, speed: float, log: Path) -> _Live:
+    """What a subscriber receives while the trial is replayed at a speed [-]."""
     # ROS is imported only where a graph runs: the rest works without it.
     from socket_testbed.nodes.estimate_listener import EstimateListener
 
-    settings = EstimatorSettings()
-    settings = dataclasses.replace(
-        settings, identification=dataclasses.replace(settings.identification, variant=variant)
-    )
     replay = ReplaySettings(
         trial=str(trial.path.resolve()), rate=speed, wait_for=(EstimateListener.NAME,)
     )
     with log.open("w", encoding="utf-8") as output, EstimateListener() as listener:
-        replay_with_estimator(trial, replay, settings, output)
+        replay_with_estimator(trial, replay, EstimatorSettings(), output)
         print(
-            f"   {variant}: {len(listener.wrench)} of {len(samples)} samples predicted,"
+            f"   {len(listener.maps)} force maps of {len(samples)} samples received,"
             f" {listener.models} models fitted on the way"
         )
-        return listener.series(samples.stamps.tolist(), len(trial.geometry))
+        if not listener.maps:
+            raise TrialError("the graph published no force map", f"read {log}")
+        return _Live(*listener.map_series(samples.stamps.tolist(), len(trial.geometry)))
 
 
-def _errors(
+_COLUMNS = ("tiles without sensor", "95 % hold", "left-out clusters", "M [N m]", "F [N]")
+
+
+def _judged(
+    found: api.Validation,
     samples: Samples,
     geometry: SocketGeometry,
     truth: GroundTruth,
-    estimates: dict[str, Estimate],
-    rows: BoolArray,
+    live: _Live,
 ) -> str:
-    header = ["RMSE", "unit"]
-    for variant in estimates:
-        header += [f"{variant}", "to truth", "skill"]
-    lines = []
-    for i, name in enumerate(WRENCH_CHANNELS):
-        cells = [name, channel_unit(name)]
-        for wrench, _ in estimates.values():
-            cells += _cells(name, samples.wrench[rows, i], truth.wrench[rows, i], wrench[rows, i])
-        lines.append(cells)
-    for column, cluster in enumerate(samples.clusters):
-        tile = geometry.clusters[cluster]
-        in_cluster = truth.forces[:, tile] @ geometry.rotations[tile]
-        for axis, channel in enumerate(LOCAL_CHANNELS):
-            name = f"{cluster}.{channel}"
-            cells = [name, "N"]
-            for _, forces in estimates.values():
-                predicted = (forces[:, tile] @ geometry.rotations[tile])[rows, axis]
-                measured = samples.local_forces[rows, column, axis]
-                cells += _cells(name, measured, in_cluster[rows, axis], predicted)
-            lines.append(cells)
-    return table(header, lines)
+    """The table of all estimates: on tiles, on clusters left out, of the wrench."""
+    summary = found.summary()
+    cells: dict[str, dict[str, str]] = {}
+    for (question, test, name), row in summary.iterrows():
+        line = cells.setdefault(name, {})
+        if question == "tiles":
+            line[_COLUMNS[0]] = number(row["error [-]"], 2)
+            line[_COLUMNS[1]] = number(100.0 * row["within 95 % [-]"], 0)
+        elif question == "cluster":
+            line[_COLUMNS[2]] = number(row["error [-]"], 2)
+        elif test == "second half":
+            line[_COLUMNS[3]] = number(row["moment RMSE [N m]"], 2)
+            line[_COLUMNS[4]] = number(row["force RMSE [N]"], 1)
+    (received,) = judge_tiles(
+        samples,
+        geometry,
+        truth.forces,
+        {"force map": lambda _: (live.forces[0], live.forces[1])},
+        "second half",
+    )
+    cells["force map, live (all samples)"] = {
+        _COLUMNS[0]: number(received.error, 2),
+        _COLUMNS[1]: number(100.0 * received.coverage[-1], 0),
+    }
+    lines = [[name, *(row.get(title, "-") for title in _COLUMNS)] for name, row in cells.items()]
+    legend = (
+        "tiles, clusters: rms error over the rms of the force, 1 is predicting zero; how many % of"
+        "\nthe values the 95 % intervals hold. M, F: RMSE of the wrench from the pose alone, fitted"
+        "\non the first half (pushed around), judged on the second (held, unloaded)"
+    )
+    return f"{table(['estimate', *_COLUMNS], lines)}\n\n{legend}"
 
 
-def _cells(name: str, measured: FloatArray, truth: FloatArray, predicted: FloatArray) -> list[str]:
-    to_measured = channel_errors(name, measured, predicted)
-    to_truth = channel_errors(name, truth, predicted)
-    return [number(to_measured.rmse), number(to_truth.rmse), number(to_measured.skill, 2)]
+def _draw(trial: Trial, samples: Samples, truth: GroundTruth, live: _Live) -> Figure:
+    """The map over the hold, its uncertainty and the truth, as mean normal pressures."""
+    geometry = trial.geometry
+    rows = select_segment(samples, "plateau", EstimatorSettings().plateau).rows
+    truth_pressure = (
+        -np.einsum("kni,ni->kn", truth.forces[rows], geometry.rotations[:, :, 2]) / geometry.areas
+    )
+    estimate, deviation, actual = (
+        1e-3 * np.nanmean(values, axis=0) for values in (*live.pressure[:, rows], truth_pressure)
+    )
+    return tile_map_figure(
+        geometry,
+        {
+            "estimated live, mean over the hold": estimate,
+            "its standard deviation": deviation,
+            "simulated truth": actual,
+        },
+        "normal pressure [kPa]",
+        "Normal pressure on the socket",
+        notes=_held_out(trial, samples[rows]),
+    )
 
 
-def _everywhere(
-    geometry: SocketGeometry,
-    truth: GroundTruth,
-    estimates: dict[str, Estimate],
-    rows: BoolArray,
-) -> str:
-    """How far the forces are off on the tiles without a sensor, against predicting zero."""
-    bare = np.setdiff1d(np.arange(len(geometry)), list(geometry.clusters.values()))
-    actual = truth.forces[rows][:, bare]
-    size = np.sqrt((actual**2).sum(axis=2).mean())
-    parts = []
-    for variant, (_, forces) in estimates.items():
-        error = np.sqrt(((forces[rows][:, bare] - actual) ** 2).sum(axis=2).mean())
-        parts.append(f"{variant} {error:.2f} N ({error / size:.2f} of predicting zero)")
-    return f"force on the {len(bare)} tiles without a sensor, RMSE to truth: " + ", ".join(parts)
+def _held_out(trial: Trial, hold: Samples) -> dict[str, str]:
+    """What each cluster measured over a hold, and what the map says without it, in words."""
+    notes = {}
+    for column, cluster in enumerate(hold.clusters):
+        tile = trial.geometry.clusters[cluster]
+        hidden = ForceMap(trial.geometry, hold.clusters).estimate(without_cluster(hold, cluster))
+        measured = -np.nanmean(hold.trusted_forces[:, column, 2]) / trial.geometry.areas[tile]
+        predicted = np.nanmean(hidden.normal_pressure[:, tile])
+        deviation = np.nanmean(hidden.normal_pressure_standard_deviation[:, tile])
+        notes[cluster] = (
+            f"{1e-3 * measured:.0f} kPa measured, {1e-3 * predicted:.0f} ± {1e-3 * deviation:.0f}"
+            " without it"
+        )
+    return notes

@@ -32,6 +32,8 @@ class EstimateListener:
         forces: Predicted forces in {S} by stamp [ns], shape (n, 3) each [N].
         maps: Forces of the force map in {S} and their standard deviations by axis of {S}, by stamp
             [ns], shape (2, n, 3) each [N].
+        pressure: The force map's normal pressure and its standard deviation by stamp [ns], shape
+            (2, n) each [Pa].
         models: Number of models published.
     """
 
@@ -41,6 +43,7 @@ class EstimateListener:
         self.wrench: dict[int, FloatArray] = {}
         self.forces: dict[int, FloatArray] = {}
         self.maps: dict[int, FloatArray] = {}
+        self.pressure: dict[int, FloatArray] = {}
         self.models = 0
 
     def __enter__(self) -> Self:
@@ -78,6 +81,9 @@ class EstimateListener:
         vectors = (message.forces, message.standard_deviations)
         stamp = stamp_from_ros(message.header.stamp)
         self.maps[stamp] = np.array([vectors_from_ros(v) for v in vectors])
+        self.pressure[stamp] = np.array(
+            [message.normal_pressure, message.normal_pressure_standard_deviation]
+        )
 
     def _on_model(self, message: ContactModel) -> None:
         self.models += 1
@@ -105,8 +111,10 @@ class EstimateListener:
             points: Number n of tiles.
 
         Returns:
-            Forces in {S} and their standard deviations by axis of {S}, shape (N, n, 3) each [N].
+            Forces in {S} and their standard deviations by axis of {S}, shape (2, N, n, 3) [N];
+            normal pressures and their standard deviations, shape (2, N, n) [Pa].
         """
-        none = np.full((2, points, 3), np.nan)
-        found = np.array([self.maps.get(stamp, none) for stamp in stamps])
-        return found[:, 0], found[:, 1]
+        no_forces, no_pressure = np.full((2, points, 3), np.nan), np.full((2, points), np.nan)
+        forces = np.stack([self.maps.get(stamp, no_forces) for stamp in stamps], axis=1)
+        pressure = np.stack([self.pressure.get(stamp, no_pressure) for stamp in stamps], axis=1)
+        return forces, pressure

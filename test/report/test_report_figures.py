@@ -153,7 +153,10 @@ def test_tiles_on_the_distal_end_alone_have_a_map(rng):
     geometry = random_socket(rng, rings=3, columns=6)
     upwards = np.tile(np.diag([-1.0, -1.0, 1.0]), (18, 1, 1))
     geometry = dataclasses.replace(geometry, rotations=upwards)
-    figure = tile_map_figure(geometry, {"along x": rng.uniform(0.0, 1.0, 18)}, "N/m", "")
+    values = {"along x": rng.uniform(0.0, 1.0, 18)}
+    cluster = next(iter(geometry.clusters))
+    figure = tile_map_figure(geometry, values, "N/m", "", notes={cluster: NASTY})
+    assert f"1 {cluster}: {NASTY}" in figure.get_suptitle()
     wall, end = (axis.collections[-1] for axis in figure.axes[:2])
     assert len(wall.get_paths()) == 0 and len(end.get_paths()) == 18
 

@@ -438,7 +438,11 @@ _WIDTH, _ROW = 7.4, 2.9  # [inch]
 
 
 def tile_map_figure(
-    geometry: SocketGeometry, rows: Mapping[str, FloatArray], unit: str, title: str
+    geometry: SocketGeometry,
+    rows: Mapping[str, FloatArray],
+    unit: str,
+    title: str,
+    notes: Mapping[str, str] | None = None,
 ) -> Figure:
     """Tiles by their values on one colour scale that prints in grey, a row per set of values.
 
@@ -451,18 +455,21 @@ def tile_map_figure(
         rows: One value per tile in `unit`, shape (n,), by what it is; NaN where there is none.
         unit: What the values are, with their unit, such as `stiffness [N/m]`.
         title: What is shown.
+        notes: What to say of a cluster, by its name.
 
     Raises:
         ConfigurationError: If the values are not those of these tiles.
     """
+    notes = notes or {}
     figure = Figure(figsize=(_WIDTH, _ROW * len(rows) + 0.4), layout="constrained")
     labels = [""] * len(geometry)
     legend = []
     for number, (cluster, tile) in enumerate(geometry.clusters.items(), start=1):
         labels[tile] = str(number)
-        legend.append(f"{number} {cluster}")
-    heading = [title, textwrap.fill(", ".join(legend), _LINE_OF_TITLE)]
-    figure.suptitle("\n".join(filter(None, heading)), fontsize=10, parse_math=False)
+        legend.append(f"{number} {cluster}" + (f": {notes[cluster]}" if cluster in notes else ""))
+    heading = [title, *(legend if notes else textwrap.wrap(", ".join(legend), _LINE_OF_TITLE))]
+    size = 8.5 if notes else 10
+    figure.suptitle("\n".join(filter(None, heading)), fontsize=size, parse_math=False)
     axes = figure.subplots(len(rows), 2, width_ratios=(3.2, 1.0), squeeze=False)
     limits = value_range(geometry, np.stack([*rows.values()]))
     low, high = drawn_bounds(geometry)
