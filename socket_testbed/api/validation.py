@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 import json
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -136,30 +137,38 @@ def validate(
     """
     recordings = _recordings(trials, as_path(params), choices)
     several = len(trials) > 1
-    chosen = _spread(range(len(recordings)), _MOST_FITTED)
+    chosen = _spread(recordings, _MOST_FITTED)
     report = started(progress, "validating") or (lambda done, total: None)
     total = len(recordings) + several * len(chosen)
     judgements: list[Judgement] = []
-    fitted = []
+    fitted: list[_Recording] = []
     with threadpool_limits(1):
-        for number, recording in enumerate(recordings):
-            try:
-                judgements += recording.judge(with_models=number in chosen)
-                fitted += [number] if number in chosen else []
-            except IdentificationError as error:
-                if not several:
-                    raise
-                _note(recording.trial, f"{recording.name} is passed over: {error}")
-            report(number + 1, total)
+        for done, recording in enumerate(recordings):
+            with _passed_over(recording, several):
+                judgements += recording.judge(with_models=recording in chosen)
+                fitted += [recording] if recording in chosen else []
+            report(done + 1, total)
         if not judgements:
             raise TrialError(f"none of the {len(trials)} trials can be judged", "see the notes")
-        for done, number in enumerate(chosen if several else ()):
-            if number in fitted:
-                others = [other for other in recordings if other is not recordings[number]]
-                judgements += recordings[number].judge_others(_spread(others, _MOST_FITTED))
+        for done, recording in enumerate(chosen if several else ()):
+            others = [other for other in recordings if other is not recording]
+            if recording in fitted:
+                with _passed_over(recording, several):
+                    judgements += recording.judge_others(_spread(others, _MOST_FITTED))
             report(len(recordings) + done + 1, total)
-    names = tuple(recording.name for recording in recordings)
-    return Validation(names, tuple(names[number] for number in fitted), tuple(judgements))
+    names, fitted_names = ([r.name for r in listed] for listed in (recordings, fitted))
+    return Validation(tuple(names), tuple(fitted_names), tuple(judgements))
+
+
+@contextmanager
+def _passed_over(recording: _Recording, several: bool) -> Iterator[None]:
+    """Among several trials, note the error of one and go on."""
+    try:
+        yield
+    except IdentificationError as error:
+        if not several:
+            raise
+        recording.note(f"passed over: {error}")
 
 
 def _spread(items: Sequence[T], most: int) -> list[T]:
@@ -168,7 +177,7 @@ def _spread(items: Sequence[T], most: int) -> list[T]:
     return [items[round(number)] for number in numbers]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class _Recording:
     """A trial that is ready to be judged."""
 
@@ -184,11 +193,12 @@ class _Recording:
             return judge_map(self.samples, geometry, self.settings, self.name)
         simulated = (self.trial.path / TRUTH_FILE).is_file()
         truth = read_truth(self.trial.path, self.samples.stamps).forces if simulated else None
-        return judge_samples(self.samples, geometry, self.settings, truth, self.name)
+        return judge_samples(self.samples, geometry, self.settings, truth, self.name, self.note)
 
     def judge_others(self, others: Sequence[_Recording]) -> list[Judgement]:
         """How models that are fitted on all of this trial predict other trials."""
-        models = fit_variants(self.loaded, self.trial.geometry, self.settings.identification)
+        settings = self.settings.identification
+        models = fit_variants(self.loaded, self.trial.geometry, settings, self.note)
         predictors = wrench_predictors(self.smooth, models)
         return [
             judgement
@@ -198,6 +208,11 @@ class _Recording:
                 other.smooth, predictors, "other trial", self.name, other.name
             )
         ]
+
+    def note(self, text: str) -> None:
+        """Report what a reader must know of the trial."""
+        if self.trial.notify is not None:
+            self.trial.notify(f"{self.name}: {text}")
 
     @property
     def loaded(self) -> Samples:
@@ -228,7 +243,8 @@ def _recordings(
         except (IdentificationError, TrialError) as error:
             if len(trials) == 1:
                 raise
-            _note(trial, f"{name} is passed over: {error}")
+            if trial.notify is not None:
+                trial.notify(f"{name}: passed over: {error}")
     first = found[0].trial if found else trials[0]
     for trial in (recording.trial for recording in found):
         if not trial.geometry.same_tiles(first.geometry):
@@ -247,8 +263,3 @@ def _recording(name: str, trial: Trial, params: Path | None, choices: dict[str, 
     leave_out = settings.identification.leave_out
     samples = without_outliers(samples, find_outliers(samples, trial.geometry, leave_out))
     return _Recording(name, trial, settings, samples)
-
-
-def _note(trial: Trial, text: str) -> None:
-    if trial.notify is not None:
-        trial.notify(text)

@@ -93,4 +93,8 @@ def _table(rows: pd.DataFrame, question: str) -> str:
             + [number(100.0 * row[title], 0) for title in _COVERAGE]
             for _, row in rows.iterrows()
         ]
+    counts = rows["judged [1]"]
+    if counts.nunique() > 1:  # a variant could not be fitted everywhere
+        header.append("judged")
+        cells = [[*row, f"{count:.0f}"] for row, count in zip(cells, counts, strict=True)]
     return table(header, [[str(name), *row] for name, row in zip(rows.index, cells, strict=True)])

@@ -421,19 +421,36 @@ def _size(values: FloatArray) -> float:
 
 
 def fit_variants(
-    samples: Samples, geometry: SocketGeometry, settings: IdentificationSettings
+    samples: Samples,
+    geometry: SocketGeometry,
+    settings: IdentificationSettings,
+    notify: Callable[[str], None] | None = None,
 ) -> dict[str, ContactModel]:
-    """Fit every variant of the contact model, by its name.
+    """Fit every variant of the contact model that the samples allow, by its name.
+
+    Args:
+        samples: Samples of the fit.
+        geometry: Geometry of the socket.
+        settings: Settings of the identification; the variant does not matter.
+        notify: Called with a note per variant that cannot be fitted.
 
     Raises:
-        IdentificationError: As `fit_contact_model`.
+        IdentificationError: If no variant can be fitted.
     """
-    return {
-        variant: fit_contact_model(
-            samples, geometry, dataclasses.replace(settings, variant=variant)
-        ).model
-        for variant in VARIANTS
-    }
+    models: dict[str, ContactModel] = {}
+    errors: dict[str, IdentificationError] = {}
+    for variant in VARIANTS:
+        chosen = dataclasses.replace(settings, variant=variant)
+        try:
+            models[variant] = fit_contact_model(samples, geometry, chosen).model
+        except IdentificationError as error:
+            errors[variant] = error
+    if not models:
+        raise next(iter(errors.values()))
+    for name, reason in errors.items():
+        if notify is not None:
+            notify(f"{name} is not judged: {reason}")
+    return models
 
 
 def wrench_predictors(
@@ -480,6 +497,7 @@ def judge_samples(
     settings: EstimatorSettings,
     truth: FloatArray | None = None,
     name: str = "",
+    notify: Callable[[str], None] | None = None,
 ) -> list[Judgement]:
     """Answer all three questions on the loaded part of one trial.
 
@@ -492,13 +510,14 @@ def judge_samples(
         settings: Settings of the estimator; the variant does not matter.
         truth: Simulated force on every tile in {S}, shape (N, n, 3) [N]; None where unknown.
         name: Name of the trial.
+        notify: Called with a note per variant that cannot be fitted.
 
     Raises:
-        IdentificationError: If a half is too short, or does not allow a fit.
+        IdentificationError: If a half is too short, or allows no fit.
     """
     first, second = split(samples, settings.plateau.least_force)
     found = judge_map(samples, geometry, settings, name)
-    models = fit_variants(samples[first], geometry, settings.identification)
+    models = fit_variants(samples[first], geometry, settings.identification, notify)
     window = settings.identification.pose_smoothing
     seen, unseen = (smooth_poses(samples[half], window) for half in (first, second))
     predictors = wrench_predictors(seen, models)

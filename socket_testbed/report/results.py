@@ -428,7 +428,7 @@ def compute_results(
         )
     except IdentificationError as error:  # the rest of the report stands without it
         no_fronts = str(error)
-    validation, no_validation = _validate(trial, samples, settings)
+    validation, no_validation = _validate(trial, samples, settings, notes.append)
     return Results(
         trial=trial,
         samples=samples,
@@ -448,13 +448,14 @@ def compute_results(
 
 
 def _validate(
-    trial: Trial, samples: Samples, settings: EstimatorSettings
+    trial: Trial, samples: Samples, settings: EstimatorSettings, notify: Callable[[str], None]
 ) -> tuple[tuple[Judgement, ...], str]:
     """The trial's judgements, or why there are none."""
     simulated = (trial.path / TRUTH_FILE).is_file()
     truth = read_truth(trial.path, samples.stamps).forces if simulated else None
     try:
-        return tuple(judge_samples(samples, trial.geometry, settings, truth, trial.name)), ""
+        judged = judge_samples(samples, trial.geometry, settings, truth, trial.name, notify)
+        return tuple(judged), ""
     except IdentificationError as error:
         return (), str(error)
 

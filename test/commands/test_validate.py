@@ -27,6 +27,13 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
+@pytest.fixture
+def few_variants(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Only the variants that are fitted at once: the others repeat what these show."""
+    place = "socket_testbed.identification.validation.VARIANTS"
+    monkeypatch.setattr(place, ("stiffness", "stiffness_bias"))
+
+
 def rows_of(out: str, heading: str) -> dict[str, list[str]]:
     """The cells of the table below a heading, by their first column."""
     _, _, below = out.partition(heading)
@@ -37,8 +44,8 @@ def rows_of(out: str, heading: str) -> dict[str, list[str]]:
 
 
 def test_one_trial_is_judged_on_its_other_half(folder: Path, capsys) -> None:
-    code, out, err = call(capsys, "validate", folder / "s0")
-    assert code == 0 and err == ""
+    code, out, _ = call(capsys, "validate", folder / "s0")
+    assert code == 0
     assert out.startswith("s0: ")
     for heading in ("left out", "without a sensor", "other half", "IN-SAMPLE"):
         assert heading in out, heading
@@ -53,6 +60,7 @@ def test_one_trial_is_judged_on_its_other_half(folder: Path, capsys) -> None:
     assert all(40 <= float(share) <= 100 for share in tiles["force map"][1:])
 
 
+@pytest.mark.usefixtures("few_variants")
 def test_several_trials_predict_each_other_and_json_holds_it_all(folder: Path, capsys) -> None:
     code, out, _ = call(capsys, "validate", folder, "--json")  # a folder of trials
     assert code == 0
@@ -66,6 +74,7 @@ def test_several_trials_predict_each_other_and_json_holds_it_all(folder: Path, c
     assert repr(found).startswith("Validation(3 trials, models fitted on 3; ")
 
 
+@pytest.mark.usefixtures("few_variants")
 def test_a_recorded_trial_has_no_truth_to_compare_with(folder: Path, tmp_path, capsys) -> None:
     recorded = shutil.copytree(folder / "s1", tmp_path / "recorded")
     (recorded / "ground_truth.npz").unlink()
@@ -84,6 +93,7 @@ def test_trials_of_different_sockets_are_refused_by_name(folder: Path, tmp_path,
     assert "/other is of another socket" in err and "/s0" in err
 
 
+@pytest.mark.usefixtures("few_variants")
 def test_a_trial_that_is_too_short_is_refused_alone_and_passed_over_among_others(
     folder: Path, tmp_path, capsys
 ) -> None:
@@ -94,8 +104,8 @@ def test_a_trial_that_is_too_short_is_refused_alone_and_passed_over_among_others
     broken = tmp_path / "broken"
     broken.mkdir()
     code, out, err = call(capsys, "validate", folder / "s0", broken, folder / "s1", short)
-    assert code == 0 and "note: short is passed over: only 20 of 20 samples" in err
-    assert "note: broken is passed over: " in err
+    assert code == 0 and "note: short: passed over: only 20 of 20 samples" in err
+    assert "note: broken: passed over: " in err
     assert out.startswith("3 trials, means over them; models fitted on 2: s0, s1")
 
 

@@ -7,10 +7,11 @@ import dataclasses
 import numpy as np
 import pytest
 from scipy.optimize import minimize
-from support.problems import make_samples, random_socket
+from support.problems import make_case, make_samples, random_socket
 
 from socket_testbed.errors import IdentificationError
 from socket_testbed.identification.contact import wrench_map
+from socket_testbed.identification.fit import fit_contact_model
 from socket_testbed.identification.validation import (
     CLOSED,
     CONSTANT,
@@ -20,6 +21,7 @@ from socket_testbed.identification.validation import (
     close_wrench,
     field_rivals,
     fit_regression,
+    fit_variants,
     inverse_distance,
     judge_clusters,
     judge_tiles,
@@ -32,7 +34,7 @@ from socket_testbed.identification.validation import (
     without_cluster,
     wrench_rivals,
 )
-from socket_testbed.settings.identification import ForceMapSettings
+from socket_testbed.settings.identification import PAPER_VARIANTS, ForceMapSettings
 
 
 def local_to_socket(geometry, local):
@@ -287,6 +289,26 @@ def test_halves_are_those_of_the_load():
     assert np.flatnonzero(second).tolist() == [*range(35, 60)]
     with pytest.raises(IdentificationError, match=r"only 20 of 30 samples .* need 24"):
         split(samples[:30], 20.0)
+
+
+def test_a_variant_that_cannot_be_fitted_is_noted_and_the_others_stand(monkeypatch):
+    geometry, _, samples, settings = make_case(1)
+
+    def refuse_one(samples, geometry, settings):
+        if settings.variant == "stiffness":
+            raise IdentificationError("it does not converge", "give more")
+        return fit_contact_model(samples, geometry, settings)
+
+    place = "socket_testbed.identification.validation"
+    monkeypatch.setattr(f"{place}.fit_contact_model", refuse_one)
+    monkeypatch.setattr(f"{place}.VARIANTS", PAPER_VARIANTS)
+    notes: list[str] = []
+    models = fit_variants(samples, geometry, settings, notes.append)
+    assert set(models) == {"stiffness_bias"}
+    assert notes == ["stiffness is not judged: it does not converge: give more"]
+    monkeypatch.setattr(f"{place}.VARIANTS", ("stiffness",))
+    with pytest.raises(IdentificationError, match="does not converge"):
+        fit_variants(samples, geometry, settings)
 
 
 def test_thinned_samples_are_spread_evenly():

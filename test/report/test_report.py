@@ -75,7 +75,7 @@ def test_what_was_not_seen_is_judged_beside_rivals(results):
     wrench = content["tables"]["validation-wrench"].frame["the other half"]
     chosen = found["wrench", "second half", REGRESSION]
     assert wrench.loc[REGRESSION].tolist()[:2] == [chosen.moment_rmse, chosen.force_rmse]
-    assert set(wrench.index) == {CONSTANT, REGRESSION, *PAPER_VARIANTS}
+    assert {CONSTANT, REGRESSION, *PAPER_VARIANTS} <= set(wrench.index)
 
 
 def test_a_trial_that_is_too_short_says_so_and_the_rest_stands(hold, monkeypatch):
