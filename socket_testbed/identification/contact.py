@@ -14,6 +14,7 @@ import numpy as np
 from socket_testbed.arrays import FloatArray
 from socket_testbed.identification.rigid_bed import (
     displacement_map,
+    force_changes,
     relative_pose,
     spring_displacements,
 )
@@ -123,6 +124,8 @@ class ContactModel:
             [m, rad].
         wrench_slope: What `rigid_bias` adds to the wrench per relative pose, shape (6, 6)
             [N m, N per m, rad].
+        parameter_factor: Factor of the covariance of the stiffnesses and rest displacements of the
+            rigid variants, shape (6, n, r) [N/m, m]; r = 0 where it is unknown.
     """
 
     variant: Variant
@@ -137,6 +140,7 @@ class ContactModel:
     cluster_points: dict[str, int]
     reference_pose: FloatArray = field(default_factory=lambda: np.zeros(6))
     wrench_slope: FloatArray = field(default_factory=lambda: np.zeros((6, 6)))
+    parameter_factor: FloatArray = field(default_factory=lambda: np.zeros((6, 0, 0)))
 
     @property
     def is_rigid(self) -> bool:
@@ -177,6 +181,25 @@ class ContactModel:
         if self.variant == "rigid_bias":
             wrench += relative_pose(pose, self.reference_pose) @ self.wrench_slope.T
         return wrench, springs + self._bias_in_socket_frame()
+
+    def bed_forces(self, pose: FloatArray) -> tuple[FloatArray, FloatArray]:
+        r"""Forces of the springs alone, with a factor of their covariance: a rigid variant's.
+
+        The parameters' uncertainty, :math:`\Sigma = U U^T`, moves the forces by
+        :math:`J(pose) U` to first order; the covariance of the forces is that times its transpose.
+
+        Args:
+            pose: Poses of the limb, shape (N, 6) [m, rad].
+
+        Returns:
+            Forces in {S} without the offsets of sensors, shape (N, n, 3) [N], and the factor,
+            shape (N, n, 3, r) [N].
+        """
+        moved = relative_pose(pose, self.reference_pose) @ self._displacement_map.T
+        moved = moved.reshape(len(pose), -1, 3)
+        parameters = (self.stiffness.T, self.rest_positions.T, self.sharpness)
+        changed = force_changes(moved, *parameters, self.parameter_factor)
+        return self._spring_forces(pose), np.matmul(self.rotations, changed)
 
     def cluster_forces(self, pose: FloatArray) -> dict[str, FloatArray]:
         """Forces on the clusters, each in its cluster's frame, shape (N, 3) each [N]."""

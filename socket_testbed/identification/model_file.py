@@ -9,6 +9,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from socket_testbed.arrays import FloatArray
 from socket_testbed.errors import ConfigurationError
 from socket_testbed.files import Section, atomic_output, closest
@@ -30,6 +32,7 @@ _PARAMETERS = (
     "clusters",
     "reference_pose",
     "wrench_slope",
+    "parameter_factor",
 )
 
 
@@ -114,6 +117,7 @@ def write_model(
             "clusters": list(model.cluster_points),
             "reference_pose": model.reference_pose.tolist(),
             "wrench_slope": model.wrench_slope.tolist(),
+            "parameter_factor": _packed(model.parameter_factor),
         },
         "quality": {
             "samples": fit.samples,
@@ -210,15 +214,35 @@ def _model(parameters: Section, geometry: SocketGeometry) -> ContactModel:
         wrench_bias=parameters.array("wrench_bias", (6,)),
         force_bias={name: bias.array(name, (3,)) for name in bias.names()},
         cluster_points={name: geometry.clusters[name] for name in clusters},
-        **_rigid_parameters(parameters),
+        **_rigid_parameters(parameters, points),
     )
 
 
-def _rigid_parameters(parameters: Section) -> dict[str, FloatArray]:
+def _packed(factor: FloatArray) -> list[str]:
+    """A line per direction of the parameters' uncertainty, with six digits."""
+    return [" ".join(f"{v:.6g}" for v in way.ravel()) for way in np.moveaxis(factor, 2, 0)]
+
+
+def _unpacked(parameters: Section, points: int) -> FloatArray:
+    lines = parameters.take("parameter_factor")
+    try:
+        ways = [np.array(line.split(), dtype=np.float64).reshape(6, points) for line in lines]
+    except (AttributeError, TypeError, ValueError):
+        raise ConfigurationError(
+            f"{parameters.where}: parameter_factor does not hold 6 numbers per tile and line",
+            "fit the trial again",
+        ) from None
+    return np.stack(ways, axis=2) if ways else np.zeros((6, 0, 0))
+
+
+def _rigid_parameters(parameters: Section, points: int) -> dict[str, FloatArray]:
     """What older files lack, whose variants need none of it."""
     shapes = {"reference_pose": (6,), "wrench_slope": (6, 6)}
     known = set(parameters.names())
-    return {name: parameters.array(name, shape) for name, shape in shapes.items() if name in known}
+    found = {name: parameters.array(name, shape) for name, shape in shapes.items() if name in known}
+    if "parameter_factor" in known:
+        found["parameter_factor"] = _unpacked(parameters, points)
+    return found
 
 
 def _unloaded(trial: Section) -> tuple[tuple[float, float], ...]:

@@ -24,6 +24,10 @@ from scipy.spatial.transform import Rotation
 
 from socket_testbed.arrays import FloatArray
 
+# Axis of a tile's force and the parameter that it depends on: 0 to 2 are the stiffnesses along
+# x, y, z of the tile's frame, 3 to 5 the rest displacements.
+PAIRS = ((0, 0), (0, 3), (0, 5), (1, 1), (1, 4), (1, 5), (2, 2), (2, 5))
+
 
 def mean_pose(pose: FloatArray) -> FloatArray:
     """Mean of poses on SE(3), shape (6,) [m, rad].
@@ -94,3 +98,65 @@ def spring_displacements(
     gated[..., :2] *= gate[..., None]
     gated[..., 2] = -pressed
     return gated
+
+
+def gate_slope(gate: FloatArray, sharpness: float) -> FloatArray:
+    """Derivative of gates g by delta_z, of the same shape [1/m]."""
+    return -2.0 * sharpness * gate * (1.0 - gate)
+
+
+def force_derivatives(
+    moved: FloatArray,
+    pressed: FloatArray,
+    gate: FloatArray,
+    stiffness: FloatArray,
+    sharpness: float,
+) -> FloatArray:
+    """Derivatives of the tiles' forces in their frames by the parameters, in the order of `PAIRS`.
+
+    Args:
+        moved: Displacements delta from rest, shape (N, 3, n) [m].
+        pressed: Compressions p, shape (N, n) [m].
+        gate: Gates g, shape (N, n) [-].
+        stiffness: Stiffnesses, shape (3, n) [N/m].
+        sharpness: Sharpness alpha of the gate [1/m].
+
+    Returns:
+        Array of shape (N, 8, n) [m, N/m].
+    """
+    bend = gate_slope(gate, sharpness)
+    columns = []
+    for axis in (0, 1):
+        columns.append(gate * moved[:, axis])
+        columns.append(-gate * stiffness[axis])
+        columns.append(-bend * moved[:, axis] * stiffness[axis])
+    return np.stack([*columns, -pressed, -gate * stiffness[2]], axis=1)
+
+
+def force_changes(
+    displacement: FloatArray,
+    stiffness: FloatArray,
+    rest: FloatArray,
+    sharpness: float,
+    changes: FloatArray,
+) -> FloatArray:
+    """How small changes of the parameters change the forces, to first order.
+
+    Args:
+        displacement: Tiles' displacements in their frames, shape (N, n, 3) [m].
+        stiffness: Stiffnesses, shape (3, n) [N/m].
+        rest: Rest displacements, shape (3, n) [m].
+        sharpness: Sharpness alpha of the gate [1/m].
+        changes: Changes of stiffnesses and rest displacements, r of them, shape (6, n, r)
+            [N/m, m].
+
+    Returns:
+        Changes of the forces in the tiles' frames, shape (N, n, 3, r) [N].
+    """
+    moved = displacement.transpose(0, 2, 1) - rest
+    pressed, gate = compression(moved[:, 2], sharpness)
+    columns = force_derivatives(moved, pressed, gate, stiffness, sharpness)
+    changed = np.zeros((*displacement.shape, changes.shape[2]))
+    for k, (axis, parameter) in enumerate(PAIRS):
+        changed[:, :, axis] += columns[:, k, :, None] * changes[parameter]
+    return changed

@@ -37,14 +37,20 @@ from socket_testbed.identification.box_qp import (
 from socket_testbed.identification.contact import ContactModel, wrench_map
 from socket_testbed.identification.problem import Objective
 from socket_testbed.identification.rigid_bed import (
+    PAIRS,
     compression,
     displacement_map,
+    force_changes,
+    force_derivatives,
+    gate_slope,
     mean_pose,
     relative_pose,
 )
 from socket_testbed.settings.identification import Variant
 
-MOST_ROWS = 1000  # samples; of more, means over equal blocks are fitted
+MOST_ROWS = 500  # samples; of more, means over equal blocks are fitted
+
+PARAMETER_RANK = 16  # directions of the parameters' uncertainty that a model keeps
 
 _RATIOS = (0.1, 0.15, 0.2, 0.3, 0.45, 0.7, 1.0)  # [-]; of tangential to normal stiffness
 _LARGEST_SETTLING = 0.02  # [m]; of a limb under its load; a bed is at least that stiff
@@ -55,10 +61,6 @@ _STEPS = 200
 _DAMPING = 1e-2  # [-]; of the first step, against the mean curvature
 _ROUNDING = 1e-13  # [-]; of the objective's value
 _FLAT = 1e-10  # [-]; least pivot of a step's program
-
-# Force along an axis of the tile's frame and the parameters that it depends on: 0 to 2 are the
-# stiffnesses along x, y, z, and 3 to 5 the rest displacements.
-_PAIRS = ((0, 0), (0, 3), (0, 5), (1, 1), (1, 4), (1, 5), (2, 2), (2, 5))
 
 
 @dataclass(frozen=True)
@@ -151,8 +153,8 @@ class RigidProblem:
         self.start = np.repeat([1.0, 1.0, 1.0, 0.0, 0.0, 0.0], points).reshape(6, points)
         self.lower = np.repeat([0.0, -np.inf], 3 * points)
         differences = objective.laplacian * max(len(objective.geometry.neighbours), 1)
-        own = _OWN * np.eye(points) + differences
-        self._prior = objective.settings.prior / (3.0 * points) * own
+        self._own = _OWN * np.eye(points) + differences
+        self._prior = objective.settings.prior / (3.0 * points) * self._own
 
     def _gather(self, objective: Objective) -> None:
         geometry = objective.geometry
@@ -285,10 +287,10 @@ class RigidProblem:
         columns = self._columns(x, moved, pressed, gate)
 
         by_pair = columns.reshape(rows, -1)
-        products = (by_pair.T @ by_pair).reshape(len(_PAIRS), points, len(_PAIRS), points) / rows
+        products = (by_pair.T @ by_pair).reshape(len(PAIRS), points, len(PAIRS), points) / rows
         normal = np.zeros((6, points, 6, points))
-        for a, (axis, parameter) in enumerate(_PAIRS):
-            for b, (other_axis, other) in enumerate(_PAIRS):
+        for a, (axis, parameter) in enumerate(PAIRS):
+            for b, (other_axis, other) in enumerate(PAIRS):
                 normal[parameter, :, other] += products[a, :, b] * self._metric[axis, :, other_axis]
         # Forces that would make up for the errors, against which the law's derivatives count.
         lacking = -np.einsum("tc,can->tan", wrench, self._adjoint) / rows
@@ -296,14 +298,14 @@ class RigidProblem:
             point, axis = channel.point, channel.axis
             share = channel.weight / len(residual)
             lacking[channel.rows, axis, point] -= share * self._centred(residual)
-            pairs = [k for k, pair in enumerate(_PAIRS) if pair[0] == axis]
+            pairs = [k for k, pair in enumerate(PAIRS) if pair[0] == axis]
             own = self._centred(columns[channel.rows][:, pairs, point])
             block = share * (own.T @ own)
             for k, row in zip(pairs, block, strict=True):
                 for m, entry in zip(pairs, row.tolist(), strict=True):
-                    normal[_PAIRS[k][1], point, _PAIRS[m][1], point] += entry
+                    normal[PAIRS[k][1], point, PAIRS[m][1], point] += entry
         gradient = self._prior_gradient(x)
-        for k, (axis, parameter) in enumerate(_PAIRS):
+        for k, (axis, parameter) in enumerate(PAIRS):
             gradient[parameter] += np.einsum("tn,tn->n", columns[:, k], lacking[:, axis])
         return _Terms(
             value=value,
@@ -319,27 +321,10 @@ class RigidProblem:
     def _columns(
         self, x: FloatArray, moved: FloatArray, pressed: FloatArray, gate: FloatArray
     ) -> FloatArray:
-        """Derivatives of the tiles' forces by the scaled parameters, (N, pairs, n): `_PAIRS`."""
+        """Derivatives of the tiles' forces by the scaled parameters, (N, pairs, n)."""
         stiffness = x[:3] * self._scale[:3]
-        bend = self._bend(gate)
-        columns = np.stack(
-            [
-                gate * moved[:, 0],
-                -gate * stiffness[0],
-                -bend * moved[:, 0] * stiffness[0],
-                gate * moved[:, 1],
-                -gate * stiffness[1],
-                -bend * moved[:, 1] * stiffness[1],
-                -pressed,
-                -gate * stiffness[2],
-            ],
-            axis=1,
-        )
-        return columns * self._scale[[parameter for _, parameter in _PAIRS]]
-
-    def _bend(self, gate: FloatArray) -> FloatArray:
-        """dg/d delta_z [1/m]."""
-        return -2.0 * self._sharpness * gate * (1.0 - gate)
+        columns = force_derivatives(moved, pressed, gate, stiffness, self._sharpness)
+        return columns * self._scale[[parameter for _, parameter in PAIRS]]
 
     def _curvature(
         self, x: FloatArray, lacking: FloatArray, moved: FloatArray, gate: FloatArray
@@ -347,7 +332,7 @@ class RigidProblem:
         """Second derivatives of the law times what is lacking, shape (6n, 6n): a block per tile."""
         stiffness = x[:3] * self._scale[:3]
         points = gate.shape[1]
-        bend = self._bend(gate)
+        bend = gate_slope(gate, self._sharpness)
         twist = -2.0 * self._sharpness * bend * (1.0 - 2.0 * gate)
         block = np.zeros((6, 6, points))
         for axis in (0, 1):
@@ -397,7 +382,44 @@ class RigidProblem:
             cluster_points={name: geometry.clusters[name] for name in objective.clusters},
             reference_pose=self.reference,
             wrench_slope=slope,
+            parameter_factor=self.parameter_factor(x),
         )
+
+    def parameter_factor(self, x: FloatArray) -> FloatArray:
+        r"""Factor of the covariance of the parameters at a minimum, shape (6, n, r) [N/m, m].
+
+        The posterior of the Gauss-Newton problem:
+
+        .. math:: \Sigma^{-1} = \frac{N_e m}{J} J_x^T W J_x + Q
+
+        with J the data's part of the objective at the minimum, which stands for the noise of the
+        m channels, and N_e the number of independent samples by the autocorrelation of the
+        residuals (a first-order process). The prior's standard deviation is the expected size
+        of a parameter. Of this covariance the r directions that move the forces at the reference
+        pose most are kept.
+        """
+        terms = self.evaluate(x)
+        channels = int(np.count_nonzero(self._weights)) + len(self._channels)
+        precision = np.kron(np.eye(6), self._own)
+        precision += self._independent_samples(x) * channels / terms.data * terms.gauss_newton
+        spread = np.linalg.inv(np.linalg.cholesky(precision)).T  # spread spread' = covariance
+        points = x.shape[1]
+        spread = self._scale[:, :, None] * spread.reshape(6, points, -1)
+        at_rest = np.zeros((1, points, 3))
+        stiffness, rest = (x * self._scale).reshape(2, 3, points)
+        forces = force_changes(at_rest, stiffness, rest, self._sharpness, spread)
+        towards = np.linalg.svd(forces.reshape(3 * points, -1), full_matrices=False)[2]
+        factor: FloatArray = spread @ towards[:PARAMETER_RANK].T
+        return factor
+
+    def _independent_samples(self, x: FloatArray) -> float:
+        """Number of independent samples by the residuals of the wrench, weighted [1]."""
+        residual = self.residuals(x)[0] * np.sqrt(self._weights)
+        residual = residual - residual.mean(axis=0)
+        power = float((residual**2).sum())
+        together = float((residual[1:] * residual[:-1]).sum()) / power if power > 0.0 else 0.0
+        together = min(max(together, 0.0), 1.0 - 1.0 / len(residual))
+        return len(residual) * (1.0 - together) / (1.0 + together)
 
 
 def refine(

@@ -15,7 +15,7 @@ from socket_testbed.identification.model_file import read_model, write_model
 from socket_testbed.identification.pareto import pareto_front
 from socket_testbed.identification.problem import build_objective
 from socket_testbed.identification.rigid_bed import relative_pose
-from socket_testbed.identification.rigid_fit import RigidProblem
+from socket_testbed.identification.rigid_fit import PARAMETER_RANK, RigidProblem
 from socket_testbed.settings.identification import RIGID_VARIANTS, IdentificationSettings
 
 
@@ -53,7 +53,8 @@ def rigid_case(seed: int, variant="rigid", count: int = 80, **changes):
     pose = rigid_motion(rng, count, bed)
     samples = make_samples(pose[:, :3], bed.wrench(pose), bed.cluster_forces(pose))
     samples = dataclasses.replace(samples, rotation=pose[:, 3:])
-    return geometry, bed, samples, IdentificationSettings(variant=variant, **changes)
+    settings = IdentificationSettings(variant=variant, contact_sharpness=bed.sharpness, **changes)
+    return geometry, bed, samples, settings
 
 
 def test_forces_follow_the_rigid_displacement_in_the_tile_s_frame():
@@ -161,3 +162,39 @@ def test_front_names_the_variants_that_it_is_defined_for():
     geometry, _, samples, settings = rigid_case(9)
     with pytest.raises(ConfigurationError, match="not for rigid"):
         pareto_front(samples, geometry, settings, [0.0, 1.0], ("rigid",))
+
+
+def test_bed_forces_state_how_uncertain_they_are():
+    """The factor is the forces' derivative along the parameters' uncertain directions."""
+    geometry, _, samples, settings = rigid_case(10, "rigid_bias")
+    model = fit_contact_model(samples, geometry, settings).model
+    pose = samples.pose[::20]
+    forces, factor = model.bed_forces(pose)
+    assert factor.shape == (*forces.shape, PARAMETER_RANK)
+    np.testing.assert_array_equal(forces, dataclasses.replace(model, force_bias={}).forces(pose))
+    for way in (0, 7):
+        step = 1e-4 * model.parameter_factor[:, :, way]
+        moved = [
+            dataclasses.replace(
+                model,
+                force_bias={},
+                stiffness=model.stiffness + sign * step[:3].T,
+                rest_positions=model.rest_positions + sign * step[3:].T,
+            ).forces(pose)
+            for sign in (1.0, -1.0)
+        ]
+        np.testing.assert_allclose(factor[..., way], (moved[0] - moved[1]) / 2e-4, atol=1e-4)
+
+
+def test_more_data_make_the_bed_more_certain():
+    """The wrench's uncertainty that the bed's parameters cause falls with the noise."""
+    spreads = []
+    for noise in (0.01, 5.0):
+        geometry, _, samples, settings = rigid_case(11)
+        rng = np.random.default_rng(0)
+        wrench = samples.wrench + noise * rng.normal(size=samples.wrench.shape)
+        noisy = dataclasses.replace(samples, wrench=wrench)
+        model = fit_contact_model(noisy, geometry, settings).model
+        total = model.bed_forces(samples.pose[:1])[1][0].sum(axis=0)
+        spreads.append(float(np.linalg.norm(total)))
+    assert spreads[0] < 0.5 * spreads[1]
