@@ -80,7 +80,7 @@ def test_every_sample_is_predicted_as_the_model_does_offline(hold: Path, hold_mo
         replay_with_estimator(trial, replay, settings)
         stamps = read_samples(trial).stamps.tolist()
         wrench, forces = listener.series(stamps, len(trial.geometry))
-        mapped, deviations = listener.map_series(stamps, len(trial.geometry))
+        (mapped, deviations), _ = listener.map_series(stamps, len(trial.geometry))
         assert len(listener.wrench) == len(listener.forces) == len(listener.maps) == 240
         assert listener.models == 1
     model = read_model(hold_model).model
