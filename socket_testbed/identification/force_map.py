@@ -31,13 +31,12 @@ draw counts by its evidence in the sample.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.special import i0e, i1e
-from scipy.stats import norm, qmc
+from scipy.stats import norm
 
 from socket_testbed.arrays import BoolArray, FloatArray, IntArray, StatusArray
 from socket_testbed.geometry.socket import SocketGeometry
@@ -47,6 +46,7 @@ from socket_testbed.settings.identification import ForceMapSettings
 
 _SMOOTHNESS = 1.5  # [-]; nu of the Matern covariance
 _AMPLITUDE_FREEDOM = 6.0  # [1]; degrees of freedom of the prior of the amplitude
+_OFFSETS = 4  # sizes of the clusters' offsets per draw
 _CHUNK = 256  # samples
 _MOST_PATTERNS = 64  # of present channels that are kept
 
@@ -323,24 +323,27 @@ def _rigid_motions(geometry: SocketGeometry, arm: float) -> FloatArray:
 _RELATIVE = ("shear", "preload", "bed", "sinking", "rotation", "bed_shear", "bed_variation")
 
 
-def _draw(settings: ForceMapSettings) -> Iterator[ForceMapSettings]:
-    """Settings whose uncertain sizes are drawn evenly from their priors (a Sobol sequence)."""
-    if settings.draws == 1:
-        yield settings
-        return
-    sequence = qmc.Sobol(len(_RELATIVE) + 2, rng=0)
-    points = sequence.random_base2((settings.draws - 1).bit_length())[: settings.draws]
-    for *relative, of_clusters, of_share in norm.ppf(points).tolist():
+def _draw(settings: ForceMapSettings) -> list[ForceMapSettings]:
+    """The prior's uncertain sizes, drawn evenly (a Latin hypercube; one draw has the medians).
+
+    Each draw comes with several sizes of the clusters' offsets: what matters most.
+    """
+    levels = np.tile(norm.ppf(_levels(settings.draws)), (len(_RELATIVE) + 1, 1))
+    points = np.random.default_rng(0).permuted(levels, axis=1).T
+    offsets = np.exp(settings.cluster_error_spread * norm.ppf(_levels(_OFFSETS)))
+    found = []
+    for *relative, of_share in points.tolist():
         factors = zip(_RELATIVE, np.exp(settings.spread * np.array(relative)), strict=True)
         sizes = {name: getattr(settings, name) * factor for name, factor in factors}
-        share = settings.share + settings.share_spread * of_share
-        yield replace(
-            settings,
-            **sizes,
-            cluster_error=settings.cluster_error
-            * math.exp(settings.cluster_error_spread * of_clusters),
-            share=float(np.clip(share, 0.2, 1.0)),
-        )
+        share = min(max(settings.share + settings.share_spread * of_share, 0.2), 1.0)
+        for offset in settings.cluster_error * offsets:
+            found.append(replace(settings, **sizes, share=share, cluster_error=offset))
+    return found
+
+
+def _levels(count: int) -> FloatArray:
+    """Middles of equally probable parts, shape (count,) [-]."""
+    return np.asarray((np.arange(count) + 0.5) / count)
 
 
 def _condition(
@@ -348,10 +351,11 @@ def _condition(
 ) -> _Conditioned:
     """The draws of the prior, conditioned on all channels."""
     count, channels = len(geometry), len(WRENCH_CHANNELS) + 3 * len(clusters)
-    gain = np.empty((settings.draws, count, 4, channels))
-    precision = np.empty((settings.draws, channels, channels))
-    log_determinant = np.empty(settings.draws)
-    variances = np.empty((settings.draws, count, 4))
+    draws = _draw(settings)
+    gain = np.empty((len(draws), count, 4, channels))
+    precision = np.empty((len(draws), channels, channels))
+    log_determinant = np.empty(len(draws))
+    variances = np.empty((len(draws), count, 4))
 
     # From a tile's frame to x, y, z of {S} and the normal.
     along_normal = np.broadcast_to([[0.0, 0.0, 1.0]], (count, 1, 3))
@@ -359,7 +363,7 @@ def _condition(
     tile = np.arange(3 * count).reshape(count, 3)
     correlation = surface_correlation(geometry, settings.length)
     motions = _rigid_motions(geometry, settings.arm)
-    for m, drawn in enumerate(_draw(settings)):
+    for m, drawn in enumerate(draws):
         prior = _prior(geometry, correlation, motions, drawn)
         mapping = _mapping(geometry, clusters, drawn.share)
         mapped = prior @ mapping.T

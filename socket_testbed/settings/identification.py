@@ -155,6 +155,4 @@ class ForceMapSettings(Settings):
     spread: float = setting(
         0.7, "the same of bed_shear, bed_variation and the relative sizes [-]", 0.0, 2.0
     )
-    draws: int = setting(
-        16, "draws of these, each weighted by its evidence; 1: all are as given [1]", 1, 256
-    )
+    draws: int = setting(4, "draws of these; 1: all are as given [1]", 1, 64)

@@ -98,7 +98,7 @@ def test_pressure_and_shear_are_those_of_the_forces(force_map: ForceMap) -> None
 
 def test_less_is_known_with_less_measured(force_map: ForceMap) -> None:
     samples = some_samples()
-    settings = ForceMapSettings(draws=1, spread=0.0)
+    settings = ForceMapSettings(draws=1, cluster_error_spread=0.0)
     single = ForceMap(GEOMETRY, CLUSTERS, settings)
     complete = single.estimate(samples)
     samples.status[:, 0] = Status.OUT_OF_RANGE
