@@ -41,7 +41,12 @@ from scipy.stats import norm
 from socket_testbed.arrays import BoolArray, FloatArray, IntArray, StatusArray
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification.contact import wrench_map
-from socket_testbed.samples import WRENCH_CHANNELS, Samples, Status
+from socket_testbed.identification.plausibility import (
+    Outliers,
+    find_outliers,
+    without_outliers,
+)
+from socket_testbed.samples import LOCAL_CHANNELS, WRENCH_CHANNELS, Samples, Status
 from socket_testbed.settings.identification import ForceMapSettings
 
 _SMOOTHNESS = 1.5  # [-]; nu of the Matern covariance
@@ -73,6 +78,49 @@ class MapEstimate:
     shear: FloatArray
     shear_standard_deviation: FloatArray
     source: str
+
+    def columns(self, names: tuple[str, ...], prefix: str = "") -> dict[str, FloatArray]:
+        """Columns of a table, a row per sample, by titles with the units.
+
+        Args:
+            names: Names of the n tiles.
+            prefix: What the titles begin with.
+
+        Returns:
+            For each tile: force in {S} and its standard deviations, such as `tile_012.Fz [N]` and
+            `tile_012.Fz.sd [N]`, then `pressure` and `shear` [Pa] with theirs; shape (N,) each.
+        """
+        found = {}
+        for tile, name in enumerate(names):
+            start = prefix + name
+            for axis, force in enumerate(LOCAL_CHANNELS):
+                found[f"{start}.{force} [N]"] = self.forces[:, tile, axis]
+                found[f"{start}.{force}.sd [N]"] = self.standard_deviations[:, tile, axis]
+            found[f"{start}.pressure [Pa]"] = self.normal_pressure[:, tile]
+            found[f"{start}.pressure.sd [Pa]"] = self.normal_pressure_standard_deviation[:, tile]
+            found[f"{start}.shear [Pa]"] = self.shear[:, tile]
+            found[f"{start}.shear.sd [Pa]"] = self.shear_standard_deviation[:, tile]
+        return found
+
+    def mean(self) -> MapEstimate:
+        """The map averaged over the samples, with N = 1.
+
+        What the channels leave open hardly changes from sample to sample, so the mean is as
+        uncertain as a usual sample: its standard deviations are root mean squares.
+        """
+
+        def rms(values: FloatArray) -> FloatArray:
+            return np.asarray(np.sqrt(np.mean(values**2, axis=0, keepdims=True)))
+
+        return MapEstimate(
+            forces=self.forces.mean(axis=0, keepdims=True),
+            standard_deviations=rms(self.standard_deviations),
+            normal_pressure=self.normal_pressure.mean(axis=0, keepdims=True),
+            normal_pressure_standard_deviation=rms(self.normal_pressure_standard_deviation),
+            shear=self.shear.mean(axis=0, keepdims=True),
+            shear_standard_deviation=rms(self.shear_standard_deviation),
+            source=self.source,
+        )
 
 
 @dataclass(frozen=True)
@@ -280,6 +328,26 @@ def _rice_deviation(size: FloatArray, sigma: FloatArray) -> FloatArray:
     return np.asarray(np.sqrt(np.maximum(square, 0.0)))
 
 
+def map_samples(
+    samples: Samples,
+    geometry: SocketGeometry,
+    settings: ForceMapSettings,
+    leave_out: tuple[str, ...] = (),
+) -> MapEstimate:
+    """The map at every sample, without single outliers and without channels that are left out.
+
+    Args:
+        samples: N samples; their poses are not used.
+        geometry: Geometry of the socket.
+        settings: The prior.
+        leave_out: Channels that do not count, such as `distal.Fx`.
+    """
+    ignored = find_outliers(samples, geometry, leave_out).values
+    ignored[:, [name in leave_out for name in samples.channels]] = True
+    trusted = without_outliers(samples, Outliers(np.zeros(len(samples), bool), ignored))
+    return ForceMap(geometry, samples.clusters, settings).estimate(trusted)
+
+
 def surface_correlation(geometry: SocketGeometry, length: float) -> FloatArray:
     """Matern correlation of the tiles along the surface, positive definite, shape (n, n) [-].
 
@@ -331,13 +399,14 @@ def _draw(settings: ForceMapSettings) -> list[ForceMapSettings]:
     levels = np.tile(norm.ppf(_levels(settings.draws)), (len(_RELATIVE) + 1, 1))
     points = np.random.default_rng(0).permuted(levels, axis=1).T
     offsets = np.exp(settings.cluster_error_spread * norm.ppf(_levels(_OFFSETS)))
-    found = []
+    found: list[ForceMapSettings] = []
     for *relative, of_share in points.tolist():
         factors = zip(_RELATIVE, np.exp(settings.spread * np.array(relative)), strict=True)
         sizes = {name: getattr(settings, name) * factor for name, factor in factors}
         share = min(max(settings.share + settings.share_spread * of_share, 0.2), 1.0)
-        for offset in settings.cluster_error * offsets:
-            found.append(replace(settings, **sizes, share=share, cluster_error=offset))
+        drawn = replace(settings, **sizes, share=share)
+        errors = (settings.cluster_error * offsets).tolist()
+        found += [replace(drawn, cluster_error=error) for error in errors]
     return found
 
 

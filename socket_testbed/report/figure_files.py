@@ -29,7 +29,7 @@ from socket_testbed.report.figures.channels import (
 )
 from socket_testbed.report.figures.pareto import pareto_figure
 from socket_testbed.report.figures.scene import value_scene
-from socket_testbed.report.figures.socket_picture import tile_map_figure
+from socket_testbed.report.figures.socket_picture import force_map_figure, tile_map_figure
 from socket_testbed.report.figures.style import save_figure, svg_of
 from socket_testbed.report.figures.validation import validation_figure
 from socket_testbed.report.results import Candidate, Results, unusable
@@ -199,6 +199,29 @@ def tile_maps(results: Results) -> Iterator[ReportFigure]:
             )
 
 
+def force_map(results: Results) -> Iterator[ReportFigure]:
+    """The mean force map over the segment with its uncertainty."""
+    geometry, mean = results.trial.geometry, results.force_map.mean()
+    yield ReportFigure(
+        name="force_map",
+        caption=(
+            "Mean normal pressure over the segment on every tile, and the standard deviation of its"
+            f" error. {mean.source}. Pale tiles are uncertain; tiles with a cluster are outlined."
+        ),
+        drawn=force_map_figure(geometry, mean, _title(results, "Force map")),
+        description="Normal pressure on the unrolled socket, and its standard deviation below",
+        data=pd.DataFrame(
+            {
+                "tile": geometry.names,
+                "pressure [kPa]": 1e-3 * mean.normal_pressure[0],
+                "pressure.sd [kPa]": 1e-3 * mean.normal_pressure_standard_deviation[0],
+                "shear [kPa]": 1e-3 * mean.shear[0],
+                "shear.sd [kPa]": 1e-3 * mean.shear_standard_deviation[0],
+            }
+        ),
+    )
+
+
 def offsets(results: Results) -> Iterator[ReportFigure]:
     """The offsets of the models that have some."""
     samples = results.samples
@@ -227,6 +250,7 @@ def offsets(results: Results) -> Iterator[ReportFigure]:
 
 # The figures by the section of the page that shows them, in their order there.
 FIGURES: dict[str, tuple[Callable[[Results], Iterator[ReportFigure]], ...]] = {
+    "force-map": (force_map,),
     "wrench": (wrench,),
     "local": (local_forces,),
     "validation": (validation,),

@@ -28,6 +28,7 @@ from socket_testbed.identification.evaluation import (
     trusted_values,
 )
 from socket_testbed.identification.fit import Fit, Implausible, find_implausible, fit_contact_model
+from socket_testbed.identification.force_map import MapEstimate, map_samples
 from socket_testbed.identification.information import (
     LoadShare,
     Motion,
@@ -341,6 +342,7 @@ class Results:
         validation: Estimates judged on what they have not seen of the trial; empty where it does
             not allow that.
         no_validation: Why not; empty where it does.
+        force_map: Forces on all tiles at the samples of the segment.
     """
 
     trial: Trial
@@ -357,6 +359,7 @@ class Results:
     motion: Motion
     validation: tuple[Judgement, ...]
     no_validation: str
+    force_map: MapEstimate
 
     @property
     def in_segment(self) -> BoolArray:
@@ -444,6 +447,7 @@ def compute_results(
         motion=measure_motion(chosen, trial.geometry, settings.identification.pose_smoothing),
         validation=validation,
         no_validation=no_validation,
+        force_map=map_samples(chosen, trial.geometry, settings.force_map, leave_out),
     )
 
 

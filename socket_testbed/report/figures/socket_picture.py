@@ -19,6 +19,7 @@ from matplotlib.patheffects import withStroke
 from socket_testbed.arrays import BoolArray, FloatArray, IntArray
 from socket_testbed.files import check_picture
 from socket_testbed.geometry.socket import SocketGeometry
+from socket_testbed.identification.force_map import MapEstimate
 from socket_testbed.report.figures.style import (
     AXES,
     CLUSTER,
@@ -44,6 +45,7 @@ _CENTRED: dict[str, Any] = {"ha": "center", "va": "center"}
 _LARGEST, _SMALLEST = 7.0, 3.0  # [pt]
 _LONGEST_LINE = 9  # characters
 _CHARACTER = 0.62  # [-]; width of a character by the size of the font
+_PALEST = 0.15  # [-]; of a tile's colour: white has no value
 _LINE = 1.25  # [-]; height of a line, likewise
 
 
@@ -443,6 +445,7 @@ def tile_map_figure(
     unit: str,
     title: str,
     notes: Mapping[str, str] | None = None,
+    certainty: Mapping[str, FloatArray] | None = None,
 ) -> Figure:
     """Tiles by their values on one colour scale that prints in grey, a row per set of values.
 
@@ -456,11 +459,13 @@ def tile_map_figure(
         unit: What the values are, with their unit, such as `stiffness [N/m]`.
         title: What is shown.
         notes: What to say of a cluster, by its name.
+        certainty: How certain the values of a row are, see `paint_tiles`, by what it is.
 
     Raises:
         ConfigurationError: If the values are not those of these tiles.
     """
     notes = notes or {}
+    certainty = certainty or {}
     figure = Figure(figsize=(_WIDTH, _ROW * len(rows) + 0.4), layout="constrained")
     labels = [""] * len(geometry)
     legend = []
@@ -476,7 +481,7 @@ def tile_map_figure(
     middle = 0.5 * (low + high)[:2]
     end = np.flatnonzero(~wall_tiles(geometry, middle))
     for (wall_axis, end_axis), (name, values) in zip(axes, rows.items(), strict=True):
-        paint = paint_tiles(geometry, values, limits, labels)
+        paint = paint_tiles(geometry, values, limits, labels, certainty.get(name))
         draw_unrolled(wall_axis, geometry, paint, middle)
         wall_axis.set_title(name, fontsize=9.5, loc="left", fontweight="bold", parse_math=False)
         wall_axis.set_title("")
@@ -486,3 +491,23 @@ def tile_map_figure(
     assert paint.scale is not None
     figure.colorbar(paint.scale, ax=[*axes.flat], label=unit, shrink=0.8, pad=0.01)
     return lay_out(figure)
+
+
+def force_map_figure(geometry: SocketGeometry, estimate: MapEstimate, title: str) -> Figure:
+    """Normal pressure of the first sample of a force map, and below its standard deviation.
+
+    The pressure fades to white where it is uncertain, by the standard deviation relative to the
+    pressure or to half the highest one, whichever is more.
+
+    Args:
+        geometry: The socket.
+        estimate: The map, such as the mean of a segment.
+        title: What is shown.
+    """
+    pressure = 1e-3 * estimate.normal_pressure[0]
+    deviation = 1e-3 * estimate.normal_pressure_standard_deviation[0]
+    size = np.maximum(np.abs(pressure), 0.5 * np.abs(pressure).max())
+    certainty = np.clip(1.0 - deviation / size, _PALEST, 1.0)
+    name = "normal pressure; pale where it is uncertain"
+    rows = {name: pressure, "its standard deviation": deviation}
+    return tile_map_figure(geometry, rows, "pressure [kPa]", title, {name: certainty})

@@ -214,6 +214,7 @@ def paint_tiles(
     values: FloatArray | None = None,
     limits: tuple[float, float] | None = None,
     labels: Sequence[str] | None = None,
+    certainty: FloatArray | None = None,
 ) -> TilePaint:
     """Paint tiles by their values, or else tiles with and without a cluster in two colours.
 
@@ -224,6 +225,8 @@ def paint_tiles(
         values: One value per tile, shape (n,); NaN, left white, where there is none.
         limits: Ends of the colour scale; None for those of the values.
         labels: What is written on each tile; None for its name.
+        certainty: How certain each value is, 0 to 1, shape (n,) [-]: a tile fades to white as it
+            falls; None where that is not known.
 
     Raises:
         ConfigurationError: If the values are not those of these tiles.
@@ -235,6 +238,9 @@ def paint_tiles(
         low, high = value_range(geometry, values)
         scale = ScalarMappable(Normalize(*(limits or (low, high))), SCALE)
         fills = np.where(np.isnan(values)[:, None], to_rgba(NO_VALUE), scale.to_rgba(values))
+        if certainty is not None:
+            white = np.array(to_rgba(NO_VALUE))
+            fills = white + certainty[:, None] * (fills - white)
     edges = _choose(covered, "black" if values is None else CLUSTER, EDGE)
     widths = np.where(covered, 1.6, 0.6)
     return TilePaint(fills, edges, widths, labels or tile_labels(geometry), scale)
