@@ -10,6 +10,7 @@ line says what is wrong and how to fix it. The examples run in a folder with two
 """
 
 from socket_testbed.api.design import calibrate, register, tile
+from socket_testbed.api.maps import TrialMap, force_map
 from socket_testbed.api.models import (
     Evaluation,
     Tradeoff,
@@ -32,12 +33,14 @@ __all__ = [
     "TestbedError",
     "Tradeoff",
     "TrialFit",
+    "TrialMap",
     "Validation",
     "calibrate",
     "check_thetas",
     "evaluate",
     "export",
     "fit",
+    "force_map",
     "open_trial",
     "pareto",
     "predict",

@@ -24,6 +24,7 @@ from socket_testbed.identification.evaluation import (
     summarise_errors,
 )
 from socket_testbed.identification.fit import Fit, fit_contact_model, implausible_notes
+from socket_testbed.identification.force_map import map_samples
 from socket_testbed.identification.information import (
     LoadShare,
     Motion,
@@ -556,7 +557,11 @@ def write_report(
 
 
 def export(
-    trial: Trial, path: PathLike, segment: str | Segment = "all", model: Model | None = None
+    trial: Trial,
+    path: PathLike,
+    segment: str | Segment = "all",
+    model: Model | None = None,
+    force_map: bool = False,
 ) -> pd.DataFrame:
     """Write the synchronised samples of a trial, with what they were computed from, as a table.
 
@@ -565,6 +570,7 @@ def export(
         path: The file; its suffix, `.csv`, `.parquet` or `.mat`, selects the format.
         segment: The part of the trial.
         model: A model whose predictions are added as `predicted.*`.
+        force_map: Whether the force map is added as `map.*`, see `st.force_map`.
 
     Returns:
         The table, with a unit in the name of every column; its `attrs` name the segment.
@@ -577,6 +583,8 @@ def export(
     >>> "distal.C0 [pF]" in table.columns, len(table)
     (True, 41)
     """
+    import pandas as pd
+
     path = Path(path)
     check_format(path)
     stored = None if model is None else _model_for(trial, model)
@@ -585,6 +593,13 @@ def export(
     chosen = select(trial, segment, trial.estimator)
     predicted = None if stored is None else _predictions(samples, stored)
     table = sample_table(trial, measured, samples, chosen, predicted)
+    if force_map:
+        leave_out = trial.estimator.identification.leave_out
+        mapped = map_samples(
+            samples[chosen.rows], trial.geometry, trial.estimator.force_map, leave_out
+        )
+        added = pd.DataFrame(mapped.columns(trial.geometry.names, "map."), index=table.index)
+        table = pd.concat([table, added], axis=1)
     write_table(table, path)
     table.attrs["segment"] = str(chosen)
     return table

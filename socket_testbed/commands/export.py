@@ -25,13 +25,16 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--model", type=Path, metavar="MODEL", help="add the predictions of a model"
     )
+    parser.add_argument(
+        "--map", action="store_true", help="add the force map: every tile with its uncertainty"
+    )
     parser.set_defaults(run=run)
 
 
 def run(options: argparse.Namespace) -> None:
     """Read and write."""
     trial = trial_of(options)
-    table = api.export(trial, options.output, options.segment, options.model)
+    table = api.export(trial, options.output, options.segment, options.model, options.map)
     rows, columns = table.shape
     segment = table.attrs["segment"]
     print(f"{trial.name}: {segment}, {rows} samples, {columns} columns in {options.output}")
