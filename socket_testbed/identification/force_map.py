@@ -53,6 +53,7 @@ _SMOOTHNESS = 1.5  # [-]; nu of the Matern covariance
 _AMPLITUDE_FREEDOM = 6.0  # [1]; degrees of freedom of the prior of the amplitude
 _OFFSETS = 4  # sizes of the clusters' offsets per draw
 _CHUNK = 256  # samples
+_TINY = 1e-12  # [N]
 _MOST_PATTERNS = 64  # of present channels that are kept
 
 
@@ -321,7 +322,7 @@ def _rice_deviation(size: FloatArray, sigma: FloatArray) -> FloatArray:
     the magnitude `size`, has the mean sigma sqrt(pi/2) L_1/2(-x), x = size^2 / (2 sigma^2), and
     the mean square size^2 + 2 sigma^2 (Rice, Bell System Technical Journal 24, 1945).
     """
-    half = 0.25 * (size / np.maximum(sigma, np.finfo(float).tiny)) ** 2  # x / 2
+    half = 0.25 * (size / np.maximum(sigma, _TINY)) ** 2  # x / 2
     laguerre = (1.0 + 2.0 * half) * i0e(half) + 2.0 * half * i1e(half)
     mean = sigma * np.sqrt(0.5 * np.pi) * laguerre
     square = 2.0 * (size**2 + sigma**2 - size * mean)

@@ -7,10 +7,12 @@ import sys
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 import yaml
 from support.bags import rewrite
 
+import socket_testbed as st
 from socket_testbed.__main__ import VERBS, run
 from socket_testbed.simulation.trial import read_truth
 
@@ -303,3 +305,27 @@ def test_a_model_of_another_socket_is_refused(trial, hold_model, capsys) -> None
     edit(trial / "socket.yaml", rename)
     code, _, err = call(capsys, "evaluate", trial, "--model", hold_model)
     assert code == 1 and "another socket" in err
+
+
+def test_the_map_has_every_tile_with_its_uncertainty(hold: Path, tmp_path: Path, capsys) -> None:
+    """The verb, the function and the columns of `export` give the same."""
+    output, figure = tmp_path / "map.csv", tmp_path / "map.png"
+    code, out, _ = call(capsys, "map", hold, "--segment", "20:30", "-o", output, "--figure", figure)
+    assert code == 0
+    assert "measured: wrench, brim_lateral" in out
+    assert figure.stat().st_size > 10_000
+    written = pd.read_csv(output, index_col=0)
+    found = st.force_map(st.open_trial(hold), "20:30")
+    expected = found.to_dataframe()
+    pd.testing.assert_frame_equal(written, expected)
+    assert len(expected.columns) == 10 * len(found.trial.geometry)
+    assert found.summary()["pressure [kPa]"].is_monotonic_decreasing
+    exported = st.export(st.open_trial(hold), tmp_path / "all.csv", "20:30", force_map=True)
+    shown = exported.filter(regex="^map")
+    np.testing.assert_array_equal(shown.to_numpy(), expected.to_numpy())
+
+
+def test_a_map_in_an_unknown_format_is_refused_before_any_work(capsys) -> None:
+    code, _, error = call(capsys, "map", "no_trial", "-o", "map.xlsx")
+    assert code == 1
+    assert "is not a table format" in error

@@ -8,12 +8,21 @@ import pytest
 from socket_testbed.files import packaged
 from socket_testbed.geometry.socket import read_socket
 from socket_testbed.identification.contact import wrench_map
-from socket_testbed.identification.force_map import ForceMap, MapEstimate, surface_correlation
+from socket_testbed.identification.force_map import (
+    ForceMap,
+    MapEstimate,
+    _rice_deviation,
+    map_samples,
+    surface_correlation,
+)
+from socket_testbed.identification.validation import close_wrench, inverse_distance
 from socket_testbed.samples import Samples, Status
 from socket_testbed.settings.identification import ForceMapSettings
+from socket_testbed.simulation.limb import LoadedLimb, TissueKind
 
 GEOMETRY = read_socket(packaged("config", "socket.yaml"))
 CLUSTERS = tuple(GEOMETRY.clusters)
+LOAD = np.array([0.5, 1.5, 0.0, 5.0, -3.0, -270.0])  # [N m, N]
 
 
 def some_samples(count: int = 6, seed: int = 0) -> Samples:
@@ -114,3 +123,69 @@ def test_less_is_known_with_less_measured(force_map: ForceMap) -> None:
     nothing = force_map.estimate(samples)
     assert np.all(nothing.forces == 0.0)
     assert np.all(nothing.standard_deviations > 0.0)
+
+
+@pytest.mark.parametrize("tissue", ["soft", "stiff"])
+def test_the_truth_of_a_simulated_hold_is_within_the_intervals(tissue: TissueKind) -> None:
+    """A seed that the prior was not chosen with, a load that the whole socket bears."""
+    limb = LoadedLimb(GEOMETRY, LOAD, np.random.default_rng(77), tissue)
+    truth = limb.step(LOAD, 5.0)[None]
+    tiles = list(GEOMETRY.clusters.values())
+    local = np.einsum("cji,kcj->kci", GEOMETRY.rotations[tiles], truth[:, tiles])
+    samples = replace(some_samples(1), wrench=LOAD[None], local_forces=local)
+    estimate = ForceMap(GEOMETRY, CLUSTERS).estimate(samples)
+
+    free = np.setdiff1d(np.arange(len(GEOMETRY)), tiles)
+    errors = (estimate.forces - truth)[:, free]
+    rival = close_wrench(
+        GEOMETRY, inverse_distance(GEOMETRY, CLUSTERS, local), samples.wrench, tiles
+    )
+    assert np.linalg.norm(errors) < 0.9 * np.linalg.norm((rival - truth)[:, free])
+    within = np.abs(errors) < 1.96 * estimate.standard_deviations[:, free]
+    assert within.mean() > 0.85
+
+
+def test_the_data_sets_the_amplitude(force_map: ForceMap) -> None:
+    samples = some_samples()
+    ten = replace(samples, wrench=10.0 * samples.wrench, local_forces=10.0 * samples.local_forces)
+    small, large = force_map.estimate(samples), force_map.estimate(ten)
+    ratio = large.standard_deviations / small.standard_deviations
+    assert 4.0 < np.median(ratio) < 11.0
+
+
+def test_a_socket_on_which_nothing_resists_sinking_has_a_map() -> None:
+    """A cylinder: no tile has a normal along the axis."""
+    axis = np.array([0.0, 0.0, 1.0])
+    inward = -GEOMETRY.anchors * [1.0, 1.0, 0.0]
+    inward /= np.linalg.norm(inward, axis=1, keepdims=True)
+    frames = [np.column_stack([axis, np.cross(z, axis), z]) for z in inward]
+    geometry = replace(GEOMETRY, rotations=np.array(frames))
+    for value in fields(ForceMap(geometry, CLUSTERS).estimate(some_samples(2))):
+        assert np.isfinite(value).all()
+
+
+def test_the_shear_s_deviation_is_that_of_a_rice_distribution() -> None:
+    random = np.random.default_rng(1)
+    for size, sigma in ((0.0, 1.0), (1.0, 1.0), (5.0, 0.5)):
+        drawn = random.normal([size, 0.0], sigma, (200_000, 2))
+        expected = np.sqrt(np.mean((np.hypot(*drawn.T) - size) ** 2))
+        found = _rice_deviation(np.array([size]), np.array([sigma]))[0]
+        assert found == pytest.approx(expected, rel=0.01)
+
+
+def test_the_mean_of_a_segment_is_as_uncertain_as_its_samples(force_map: ForceMap) -> None:
+    estimate = force_map.estimate(some_samples(1))
+    twice = force_map.estimate(some_samples(1)[np.array([0, 0])])
+    for one, other in zip(fields(estimate), fields(twice.mean()), strict=True):
+        np.testing.assert_allclose(one, other)
+
+
+def test_outliers_and_channels_left_out_do_not_count() -> None:
+    samples = some_samples(40)
+    samples.local_forces[7, 2, 0] = 1e9
+    samples.wrench[:, 2] += 40.0
+    found = map_samples(samples, GEOMETRY, ForceMapSettings(), ("Mz",))
+    samples.local_forces[7, 2, 0] = np.nan
+    samples.wrench[:, 2] = np.nan
+    expected = ForceMap(GEOMETRY, CLUSTERS).estimate(samples)
+    np.testing.assert_allclose(found.forces, expected.forces)
