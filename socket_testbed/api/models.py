@@ -28,6 +28,7 @@ from socket_testbed.identification.force_map import map_samples
 from socket_testbed.identification.information import (
     LoadShare,
     Motion,
+    known_directions,
     load_shares,
     measure_motion,
 )
@@ -130,6 +131,20 @@ class TrialFit:
         """How the pose moves over the segment, against its noise."""
         window = self.fit.settings.pose_smoothing
         return measure_motion(self._samples(), self.trial.geometry, window)
+
+    def known_directions(self) -> float:
+        """Number of stiffness directions that the data show despite all noise [-].
+
+        Those count whose standard deviation is below `stiffness_difference`: see
+        `socket_testbed.identification.information.known_directions`.
+        """
+        settings = self.fit.settings
+        return known_directions(
+            self._samples(),
+            self.fit.model,
+            settings.stiffness_difference,
+            settings.pose_smoothing,
+        )
 
     def _samples(self) -> Samples:
         """The samples of the segment without outliers."""

@@ -68,7 +68,7 @@ def _show(options: argparse.Namespace, found: TrialFit) -> None:
 
 
 def _information(found: TrialFit) -> str:
-    """Who bears the load, and which motion the data holds."""
+    """Who bears the load, what the data show, and which motion they hold."""
     shares = found.load_shares()
     motion = found.motion()
     lines = [
@@ -77,6 +77,11 @@ def _information(found: TrialFit) -> str:
     ]
     warning = share_warning(shares)
     lines += [f"warning: {warning}"] if warning else []
+    lines.append(
+        f"despite all noise, {number(found.known_directions(), 1)} of"
+        f" {found.fit.model.stiffness.size} stiffness directions are known to"
+        f" {found.fit.settings.stiffness_difference:g} N/m or better"
+    )
     lines.append(
         f"the pose moves by {LEAST_RATIO:g} times its noise or more in {motion.directions} of 6"
         " independent directions"

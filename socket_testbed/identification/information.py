@@ -12,21 +12,29 @@ be told from a constant either: then the offsets bear the load instead of the sp
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import eigh
 
+from socket_testbed.arrays import FloatArray
 from socket_testbed.geometry.socket import SocketGeometry
-from socket_testbed.identification.contact import ContactModel
+from socket_testbed.identification.contact import ContactModel, wrench_map
 from socket_testbed.identification.evaluation import predict_channels
-from socket_testbed.identification.noise import channel_noise, smooth_poses, smoothing_gain
+from socket_testbed.identification.noise import (
+    ChannelNoise,
+    channel_noise,
+    smooth_poses,
+    smoothing_gain,
+)
 from socket_testbed.samples import Samples
 
 LEAST_SHARE = 0.5  # [-]; of the load, which the springs should bear
 LEAST_RATIO = 3.0  # [-]; of motion to noise: noise then shrinks a stiffness by a tenth
 _LEAST_NOISE = 1e-9  # [m, rad]; of a pose without any
 _UNKNOWN_NOISE = 1.0  # [m, rad]; so large that what may be noise counts as no motion
+_MOST_SAMPLES = 300  # of a segment, whose derivatives are taken
+_DRAWS = 200  # of the pose's noise
 _AXES = "xyz"
 
 
@@ -85,6 +93,97 @@ def share_warning(shares: tuple[LoadShare, ...]) -> str:
     )
 
 
+def known_directions(
+    samples: Samples, model: ContactModel, accuracy: float, window: float = 0.0
+) -> float:
+    r"""Effective number of stiffness directions that the data show despite all noise, of 3n [-].
+
+    With the derivatives J_k of all channels of sample k by the stiffnesses, and the noise
+    :math:`\Sigma` of the channels, to which the model adds what it makes of the pose's noise,
+
+    .. math:: \mathrm{tr}\bigl((H + \kappa^{-2} I)^{-1} H\bigr), \qquad
+              H = \sum_k J_k^T \Sigma^{-1} J_k
+
+    counts a direction as known whose standard deviation is below kappa. J_k is taken about its mean
+    if the model has offsets, and at the poses without the directions in which their motion is not
+    `LEAST_RATIO` times their noise.
+
+    Args:
+        samples: Samples of the fit.
+        model: The model, whose forces are linear in its stiffnesses.
+        accuracy: Standard deviation kappa that counts as known [N/m].
+        window: Window over which the poses are averaged [s].
+
+    Returns:
+        The number; NaN where the samples do not show the noise of the wrench.
+    """
+    noise, spread = _noise(samples, window)
+    rows = np.flatnonzero(samples.complete)
+    if not len(rows) or not np.isfinite(noise.wrench).all():
+        return math.nan
+    chosen = rows[np.linspace(0, len(rows) - 1, min(len(rows), _MOST_SAMPLES)).astype(np.int64)]
+    pose = smooth_poses(samples, window).pose[chosen]
+    middle = pose.mean(axis=0)
+    drawn = np.random.default_rng(0).multivariate_normal(np.zeros(6), spread, _DRAWS)
+    sent = predict_channels(model, middle + drawn, samples.clusters).std(axis=0)
+    deviations = np.hypot(np.nan_to_num(noise.values, nan=np.inf), sent)
+    basis, inverse = _moving_directions(pose - middle, spread)
+    moved = middle + (pose - middle) @ basis @ inverse
+    gram = _information(moved, model, samples.clusters, deviations)
+    known = np.linalg.eigvalsh(gram) * len(rows) / len(pose) * accuracy**2
+    return float(np.sum(known / (1.0 + known)))
+
+
+def _noise(samples: Samples, window: float) -> tuple[ChannelNoise, FloatArray]:
+    """Noise of the channels, and the covariance of the averaged poses' noise, shape (6, 6)."""
+    noise = channel_noise(samples)
+    gain = smoothing_gain(samples, window)
+    spread = np.maximum(np.nan_to_num(noise.pose, nan=_UNKNOWN_NOISE), _LEAST_NOISE)
+    return noise, gain * noise.pose_correlation * np.outer(spread, spread)
+
+
+def _moving_directions(deviation: FloatArray, noise: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Directions of the pose in which the motion is `LEAST_RATIO` times the noise, d of them.
+
+    Args:
+        deviation: Poses about their mean, shape (N, 6).
+        noise: Covariance of their noise, shape (6, 6).
+
+    Returns:
+        The map of poses to the motion along them, shape (6, d), and its inverse, shape (d, 6).
+    """
+    covariance = deviation.T @ deviation / max(len(deviation), 1)
+    ratios, vectors = eigh(covariance, noise)
+    chosen = ratios - 1.0 >= LEAST_RATIO**2
+    return vectors[:, chosen], np.linalg.inv(vectors)[chosen]
+
+
+def _information(
+    pose: FloatArray,
+    model: ContactModel,
+    clusters: tuple[str, ...],
+    deviations: FloatArray,
+) -> FloatArray:
+    """Sum of J' Sigma^-1 J over the poses, shape (3n, 3n) [m^2/N^2]."""
+    count = len(model.anchors)
+    mapping = wrench_map(model.anchors).reshape(6, count, 3)
+    columns = np.zeros((len(pose), 6 + 3 * len(clusters), count, 3))
+    for axis, unit in enumerate(np.eye(3)):
+        springs = replace(
+            model, stiffness=np.tile(unit, (count, 1)), wrench_bias=np.zeros(6), force_bias={}
+        )
+        forces = springs.forces(pose)
+        columns[:, :6, :, axis] = np.einsum("wni,kni->kwn", mapping, forces)
+        local = springs.cluster_forces(pose)
+        for number, cluster in enumerate(clusters):
+            place = slice(6 + 3 * number, 9 + 3 * number)
+            columns[:, place, model.cluster_points[cluster], axis] = local[cluster]
+    if model.variant.endswith("_bias"):
+        columns -= columns.mean(axis=0)
+    scaled = (columns.reshape(*columns.shape[:2], -1) / deviations[:, None]).reshape(-1, 3 * count)
+    return np.asarray(scaled.T @ scaled)
+
+
 @dataclass(frozen=True)
 class Excitation:
     """How far one number of the pose moves, against its noise.
@@ -136,23 +235,19 @@ def measure_motion(samples: Samples, geometry: SocketGeometry, window: float = 0
         geometry: Geometry of the socket; the x axes of its tiles point to the proximal end.
         window: Window over which the poses are averaged [s].
     """
-    noise = channel_noise(samples)
-    gain = smoothing_gain(samples, window) if window > 0.0 else 1.0
+    noise, covariance = _noise(samples, window)
     pose = smooth_poses(samples, window).pose
     pose = pose[np.isfinite(pose).all(axis=1)]
-    pose = pose - pose.mean(axis=0)
-    covariance = pose.T @ pose / max(len(pose), 1)
-    spread = np.maximum(noise.pose * np.sqrt(gain), _LEAST_NOISE)
-    motion = np.sqrt(np.maximum(np.diag(covariance) - np.nan_to_num(spread) ** 2, 0.0))
+    deviation = pose - pose.mean(axis=0)
+    spread = np.sqrt(np.diag(covariance))
+    motion = np.sqrt(np.maximum((deviation**2).mean(axis=0) - spread**2, 0.0))
+    spread[np.isnan(noise.pose)] = math.nan
     axis = int(np.abs(geometry.rotations[:, :, 0].mean(axis=0)).argmax())
     excitations = tuple(
         Excitation(name, unit, float(motion[i]), float(spread[i]), advice)
         for i, (name, unit, advice) in enumerate(_numbers(axis))
     )
-    known = np.nan_to_num(spread, nan=_UNKNOWN_NOISE)
-    correlated = noise.pose_correlation * np.outer(known, known)
-    ratios = eigh(covariance, correlated, eigvals_only=True) - 1.0
-    return Motion(excitations, int(np.sum(ratios >= LEAST_RATIO**2)))
+    return Motion(excitations, _moving_directions(deviation, covariance)[0].shape[1])
 
 
 def _numbers(axis: int) -> list[tuple[str, str, str]]:

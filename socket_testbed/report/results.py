@@ -32,6 +32,7 @@ from socket_testbed.identification.force_map import MapEstimate, map_samples
 from socket_testbed.identification.information import (
     LoadShare,
     Motion,
+    known_directions,
     load_shares,
     measure_motion,
 )
@@ -306,6 +307,7 @@ class Candidate:
         held_out: Its errors over the rest of the trial; empty where there is too little.
         residuals: What its residuals over the segment have in common, per channel.
         shares: Shares of the load over the segment that its springs and offsets bear.
+        known: Number of stiffness directions that the segment shows despite all noise [-].
         fit: The fit over the segment; None for a model that was given.
         given: The model that was given; None for one that was fitted here.
     """
@@ -318,6 +320,7 @@ class Candidate:
     held_out: tuple[ChannelErrors, ...]
     residuals: tuple[Autocorrelation, ...]
     shares: tuple[LoadShare, ...]
+    known: float
     fit: Fit | None = None
     given: StoredModel | None = None
 
@@ -491,6 +494,9 @@ def _judge(samples: Samples, segment: Segment, label: str, source: Fit | StoredM
         held_out=held_out if enough else (),
         residuals=tuple(autocorrelation(chosen.time, column) for column in residuals.T),
         shares=load_shares(smooth[segment.rows], model),
+        known=known_directions(
+            chosen, model, source.settings.stiffness_difference, source.settings.pose_smoothing
+        ),
         fit=source if isinstance(source, Fit) else None,
         given=source if isinstance(source, StoredModel) else None,
     )

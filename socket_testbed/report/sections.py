@@ -92,6 +92,12 @@ def page_content(results: Results, command: str, made: datetime) -> dict[str, An
         "directions": results.motion.directions,
         "least_ratio": LEAST_RATIO,
         "motion": [str(excitation) for excitation in results.motion.excitations],
+        "known": [
+            f"{candidate.label}: {number(candidate.known, '.1f')} of"
+            f" {candidate.model.stiffness.size} stiffness directions."
+            for candidate in results.candidates
+        ],
+        "known_to": results.settings.identification.stiffness_difference,
     }
 
 

@@ -8,8 +8,11 @@ import numpy as np
 import pytest
 from support.problems import make_samples, moving_limb, random_bed, random_socket, samples_of_bed
 
+from socket_testbed.identification.evaluation import predict_channels
 from socket_testbed.identification.information import (
     LoadShare,
+    _information,
+    known_directions,
     load_shares,
     measure_motion,
     share_warning,
@@ -99,3 +102,41 @@ def test_without_a_known_noise_no_motion_counts():
     found = measure_motion(moving(rng, geometry, [1e-3] * 6, [0.0] * 6, 8), geometry)
     assert found.directions == 0
     assert all("unknown noise" in str(excitation) for excitation in found.excitations)
+
+
+@pytest.mark.parametrize("variant", ["stiffness", "stiffness_bias"])
+def test_what_is_known_grows_with_motion_and_falls_with_noise(variant):
+    rng = np.random.default_rng(6)
+    geometry = random_socket(rng, rings=4, columns=8, clusters=4)
+    bed = random_bed(rng, geometry, variant)
+    steady = samples_of_bed(rng, bed, rng.normal(0.0, 1e-5, (200, 3)), noise=0.1)
+    few = known_directions(steady, bed, 1e3)
+    if variant == "stiffness_bias":
+        assert few == pytest.approx(0.0, abs=1e-6)  # the offsets take all that one pose says
+    else:
+        assert 10.0 < few <= 18.0  # 6 numbers of the wrench, 12 of the clusters
+    phase = np.linspace(0.0, 2.0 * np.pi, 200)[:, None] * [1.0, 2.0, 3.0]
+    moving = samples_of_bed(rng, bed, 3e-3 * np.sin(phase), noise=0.1)
+    many = known_directions(moving, bed, 1e3)
+    noisy = samples_of_bed(rng, bed, 3e-3 * np.sin(phase), noise=10.0)
+    assert many > known_directions(noisy, bed, 1e3) > few
+    assert many > known_directions(moving, bed, 1e2)
+    assert many <= bed.stiffness.size
+    assert np.isnan(known_directions(moving[:8], bed, 1e3))
+
+
+def test_the_derivatives_are_those_of_the_model():
+    rng = np.random.default_rng(7)
+    geometry = random_socket(rng)
+    bed = random_bed(rng, geometry)
+    pose = samples_of_bed(rng, bed, moving_limb(rng, 5)).pose
+    clusters = tuple(geometry.clusters)
+    deviations = rng.uniform(0.5, 2.0, 6 + 3 * len(clusters))
+    columns = []
+    for i in range(bed.stiffness.size):  # a model is linear in its stiffnesses
+        unit = np.zeros(bed.stiffness.size)
+        unit[i] = 1.0
+        single = dataclasses.replace(bed, stiffness=unit.reshape(-1, 3))
+        columns.append((predict_channels(single, pose, clusters) / deviations).ravel())
+    stacked = np.array(columns)
+    assert np.allclose(_information(pose, bed, clusters, deviations), stacked @ stacked.T)
