@@ -28,12 +28,14 @@ from socket_testbed.identification.noise import (
     smoothing_gain,
 )
 from socket_testbed.samples import Samples
+from socket_testbed.settings.identification import BIAS_VARIANTS
 
 LEAST_SHARE = 0.5  # [-]; of the load, which the springs should bear
 LEAST_RATIO = 3.0  # [-]; of motion to noise: noise then shrinks a stiffness by a tenth
 _LEAST_NOISE = 1e-9  # [m, rad]; of a pose without any
 _UNKNOWN_NOISE = 1.0  # [m, rad]; so large that what may be noise counts as no motion
 _MOST_SAMPLES = 300  # of a segment, whose derivatives are taken
+_RANK = 1e-9  # [-]; smallest singular value of poses that move
 _DRAWS = 200  # of the pose's noise
 _AXES = "xyz"
 
@@ -48,7 +50,7 @@ class LoadShare:
     Attributes:
         name: Fz, force or moment.
         springs: Share of the springs [-].
-        offsets: Share of the constant offsets [-].
+        offsets: Share of the offsets: constant, and with `rigid_bias` linear in the pose [-].
         residual: Share that the model leaves [-].
     """
 
@@ -66,8 +68,9 @@ def load_shares(samples: Samples, model: ContactModel) -> tuple[LoadShare, ...]:
             channel of the part do not count; a share without any is NaN.
         model: The model.
     """
-    offsets = np.broadcast_to(model.wrench_bias, samples.wrench.shape)
-    springs = predict_channels(model, samples.pose, ()) - offsets
+    alone = replace(model, wrench_bias=np.zeros(6), wrench_slope=np.zeros((6, 6)))
+    springs = predict_channels(alone, samples.pose, ())
+    offsets = predict_channels(model, samples.pose, ()) - springs
     found = []
     for name, part in (("Fz", slice(5, 6)), ("force", slice(3, 6)), ("moment", slice(0, 3))):
         measured = samples.wrench[:, part]
@@ -104,9 +107,9 @@ def known_directions(
     .. math:: \mathrm{tr}\bigl((H + \kappa^{-2} I)^{-1} H\bigr), \qquad
               H = \sum_k J_k^T \Sigma^{-1} J_k
 
-    counts a direction as known whose standard deviation is below kappa. J_k is taken about its mean
-    if the model has offsets, and at the poses without the directions in which their motion is not
-    `LEAST_RATIO` times their noise.
+    counts a direction as known whose standard deviation is below kappa. J_k is taken without what
+    the model's offsets could explain of it (`LoadShare`), and at the poses without the directions
+    in which their motion is not `LEAST_RATIO` times their noise.
 
     Args:
         samples: Samples of the fit.
@@ -178,8 +181,12 @@ def _information(
         for number, cluster in enumerate(clusters):
             place = slice(6 + 3 * number, 9 + 3 * number)
             columns[:, place, model.cluster_points[cluster], axis] = local[cluster]
-    if model.variant.endswith("_bias"):
+    if model.variant in BIAS_VARIANTS:
         columns -= columns.mean(axis=0)
+    if model.wrench_slope.any():
+        linear = pose - pose.mean(axis=0)
+        weights = np.linalg.pinv(linear, rcond=_RANK)
+        columns[:, :6] -= np.tensordot(linear @ weights, columns[:, :6], axes=1)
     scaled = (columns.reshape(*columns.shape[:2], -1) / deviations[:, None]).reshape(-1, 3 * count)
     return np.asarray(scaled.T @ scaled)
 

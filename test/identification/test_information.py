@@ -49,6 +49,26 @@ def test_the_shares_of_a_bed_are_its_own(variant):
     assert load_shares(samples, bed)[0].residual == pytest.approx(0.0, abs=1e-9)
 
 
+def test_what_is_linear_in_the_pose_is_no_spring_s():
+    rng = np.random.default_rng(8)
+    geometry = random_socket(rng)
+    bed = random_bed(rng, geometry, "stiffness_bias")
+    moving_pose = np.hstack([moving_limb(rng, 60), moving_limb(rng, 60, 0.03)])
+    sloped = dataclasses.replace(
+        bed, variant="rigid_bias", wrench_slope=rng.normal(0.0, 1e4, (6, 6))
+    )
+    wrench = sloped.wrench(moving_pose) + rng.normal(0.0, 0.1, (60, 6))
+    samples = make_samples(moving_pose[:, :3], wrench, sloped.cluster_forces(moving_pose))
+    samples = dataclasses.replace(samples, rotation=moving_pose[:, 3:])
+    plain = dataclasses.replace(sloped, wrench_slope=np.zeros((6, 6)))
+    for with_slope, without in zip(
+        load_shares(samples, sloped), load_shares(samples, plain), strict=True
+    ):
+        assert with_slope.springs == pytest.approx(without.springs)
+        assert with_slope.offsets != pytest.approx(without.offsets)
+    assert known_directions(samples, sloped, 1e3) < known_directions(samples, plain, 1e3)
+
+
 def test_springs_that_bear_less_than_half_get_a_warning():
     moment = LoadShare("moment", 0.1, 0.8, 0.1)
     little = (LoadShare("Fz", 0.02, 0.97, 0.01), LoadShare("force", 0.12, 0.87, 0.01), moment)
