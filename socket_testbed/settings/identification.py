@@ -119,7 +119,7 @@ class ForceMapSettings(Settings):
         0.06, "length along the surface over which forces are alike [m]", 1e-3, 1.0
     )
     shear: float = setting(
-        0.25, "a tile's own tangential force, relative to its own normal force [-]", 1e-3, 1e2
+        0.3, "a tile's own tangential force, relative to its own normal force [-]", 1e-3, 1e2
     )
     preload: float = setting(0.7, "normal force common to all tiles, relative to it [-]", 1e-3, 1e2)
     bed: float = setting(
@@ -153,6 +153,6 @@ class ForceMapSettings(Settings):
         1.5, "standard deviation of the logarithm of cluster_error [-]", 0.0, 3.0
     )
     spread: float = setting(
-        0.7, "the same of bed_shear, bed_variation and the relative sizes [-]", 0.0, 2.0
+        1.0, "the same of bed_shear, bed_variation and the relative sizes [-]", 0.0, 2.0
     )
     draws: int = setting(4, "draws of these; 1: all are as given [1]", 1, 64)
