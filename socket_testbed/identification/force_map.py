@@ -217,6 +217,7 @@ class ForceMap:
     ) -> None:
         self._clusters = clusters
         self._areas = geometry.areas
+        self._normals = geometry.rotations[:, :, 2]
         self._complete = _condition(geometry, clusters, settings or ForceMapSettings())
         self._patterns: dict[bytes, _Conditioned] = {}
 
@@ -276,7 +277,8 @@ class ForceMap:
         """The estimate from forces and variances, (N, n, 4), and the present channels."""
         areas, deviations = self._areas, np.sqrt(variances)
         vectors, normal = forces[..., :3], forces[..., 3]
-        shear = np.sqrt(np.maximum((vectors**2).sum(axis=-1) - normal**2, 0.0))
+        across = vectors - normal[..., None] * self._normals
+        shear = np.sqrt((across**2).sum(axis=-1))
         tangential = np.maximum(variances[..., :3].sum(axis=-1) - variances[..., 3], 0.0)
         return MapEstimate(
             forces=vectors,
