@@ -449,6 +449,8 @@ class OnlineEstimator:
             f"model {fit.model.variant} from {fit.samples} samples, "
             f"{fit.determined:.0f} of {fit.model.stiffness.size} directions determined"
         )
+        if refit.cause:
+            self._origin += f"; older samples left out: {refit.cause}"
         compared = f"; it replaced another: {refit.comparison}" if refit.comparison else ""
         self._state = (0, self._origin + compared)
         self._notify(fit)

@@ -83,10 +83,17 @@ class Comparison:
 
 @dataclass(frozen=True)
 class Refit:
-    """A fit, with its comparison with the model that it is to replace."""
+    """A fit on a steady stretch or on all samples.
+
+    Attributes:
+        fit: The fit.
+        comparison: Of the fit with the model that it is to replace.
+        cause: Why the stretch begins where it does, if a channel slipped or drifts, in words.
+    """
 
     fit: Fit
     comparison: Comparison | None = None
+    cause: str = ""
 
     @property
     def is_worse(self) -> bool:
@@ -191,9 +198,10 @@ def _fit(
         if samples.stamps[used][-1] <= steady.after:
             return None  # and the other stretches are older
         fit = _plausible_fit(samples[used], geometry, settings)
-        if steady.rival is None:
-            return Refit(fit)
-        return Refit(fit, _compare(steady.rival, fit.model, cleaned[newest], settings))
+        comparison = None
+        if steady.rival is not None:
+            comparison = _compare(steady.rival, fit.model, cleaned[newest], settings)
+        return Refit(fit, comparison, stretch.cause)
     return None
 
 

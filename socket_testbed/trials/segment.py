@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -24,12 +24,15 @@ class Segment:
         start: Start since the first sample [s].
         end: End since the first sample [s].
         rows: The samples.
+        cause: What made it begin where it does, if a channel slipped or drifts; see
+            `find_newest_plateaus`.
     """
 
     kind: str
     start: float
     end: float
     rows: slice
+    cause: str = ""
 
     def __str__(self) -> str:
         return f"{self.kind} {self.start:.2f} s to {self.end:.2f} s"
@@ -119,7 +122,8 @@ def find_newest_plateaus(
     """Find the steady stretches of a trial that runs, the newest first.
 
     The criteria are those of `find_plateaus`. Of a stretch that drifts, the newest part counts
-    rather than the longest.
+    rather than the longest. The cause names the channels that drift, or the clusters' channels that
+    slipped under a steady wrench.
 
     Args:
         samples: The samples of the trial so far.
@@ -131,8 +135,13 @@ def find_newest_plateaus(
     for start, end in reversed(steady.runs):
         backwards = steady.mean[start:end][::-1]
         spread = np.maximum.accumulate(backwards) - np.minimum.accumulate(backwards)
-        count = int((spread <= steady.limits).all(axis=1).sum())  # it only grows
-        found.append(_segment("plateau", samples, end - count, end))
+        within = spread <= steady.limits  # the spread only grows
+        count = int(within.all(axis=1).sum())
+        if count < end - start:
+            cause = ", ".join(f"{steady.names[i]} drifts" for i in np.flatnonzero(~within[count]))
+        else:
+            cause = _slips(steady, start, settings)
+        found.append(replace(_segment("plateau", samples, end - count, end), cause=cause))
     return [part for part in found if part.end - part.start >= settings.least_duration]
 
 
@@ -142,13 +151,17 @@ class _Steadiness:
 
     Attributes:
         runs: Half-open index ranges without a change of load.
-        mean: Moving mean of the m channels that must not drift, shape (N, m) [N m, N].
+        names: Names of the m channels that must not drift: the wrench's, then the clusters'.
+        mean: Their moving means, shape (N, m) [N m, N].
         limits: Largest spread of each over a plateau, shape (m,) [N m, N].
+        width: Number of samples of the moving mean.
     """
 
     runs: list[tuple[int, int]]
+    names: tuple[str, ...]
     mean: FloatArray
     limits: FloatArray
+    width: int
 
 
 def _steadiness(
@@ -156,12 +169,13 @@ def _steadiness(
 ) -> _Steadiness:
     local = samples.trusted_forces.reshape(len(samples), 3 * len(samples.clusters))
     counts = np.array([name not in leave_out for name in samples.channels[6:]], dtype=bool)
+    names = (*samples.channels[:6], *(n for n in samples.channels[6:] if n not in leave_out))
     limits = np.repeat(
         [settings.moment_drift, settings.force_drift, settings.cluster_drift], [3, 3, counts.sum()]
     )
     width = _width(samples, settings.smoothing)
     if 2 * width > len(samples):
-        return _Steadiness([], np.empty((0, len(limits))), limits)
+        return _Steadiness([], names, np.empty((0, len(limits))), limits, width)
     # A channel without any value shows no change of load; it counts as missing.
     dead = np.isnan(samples.wrench).all(axis=0)
     wrench = moving_mean(np.where(dead, 0.0, samples.wrench), width)
@@ -172,7 +186,23 @@ def _steadiness(
     missing = np.isnan(channels).mean(axis=1, keepdims=True)
     steady &= moving_mean(missing, width)[:, 0] <= settings.missing_fraction
     steady &= np.linalg.norm(wrench[:, 3:], axis=1) >= settings.least_force
-    return _Steadiness(_runs(steady), np.hstack([wrench, clusters[:, counts]]), limits)
+    mean = np.hstack([wrench, clusters[:, counts]])
+    return _Steadiness(_runs(steady), names, mean, limits, width)
+
+
+def _slips(steady: _Steadiness, start: int, settings: PlateauSettings) -> str:
+    """Channels of clusters that changed before a run while the wrench did not, in words."""
+    before = start - 2 * steady.width  # the moving means at the two do not overlap
+    if before < 0:
+        return ""
+    change = steady.mean[start] - steady.mean[before]
+    if not (
+        np.linalg.norm(change[:3]) <= settings.moment_change
+        and np.linalg.norm(change[3:6]) <= settings.force_change
+    ):
+        return ""
+    slipped = np.flatnonzero(np.abs(change[6:]) > settings.cluster_change) + 6
+    return ", ".join(f"{steady.names[i]} changed by {change[i]:.1f} N" for i in slipped)
 
 
 def moving_mean(values: FloatArray, width: int) -> FloatArray:

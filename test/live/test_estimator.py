@@ -402,6 +402,14 @@ def test_the_model_that_is_better_on_the_newest_samples_stays(
     assert "the newest 24 samples a refit has an error of 0.0" in text and "before it 0.05" in text
 
 
+def test_the_state_names_what_slipped_before_the_samples_of_the_model(
+    bench: Bench, fit: Fit
+) -> None:
+    bench.send(20)
+    bench.fitter.requests[0].future.set_result(Refit(fit, cause="distal.Fz changed by -20.0 N"))
+    assert "older samples left out: distal.Fz changed by -20.0 N" in bench.estimator.state[1]
+
+
 def test_with_changed_settings_a_refit_is_compared_with_no_model(bench: Bench, fit: Fit) -> None:
     bench.send(20)
     bench.fitter.requests[0].future.set_result(Refit(fit))

@@ -78,6 +78,7 @@ def test_the_newest_stretch_is_fitted_and_none_across_a_slip_of_a_cluster(
     assert row - 8 <= len(samples) - refit.fit.samples <= row + 8
     assert refit.fit.last_stamp == samples.stamps[-1]
     slip = samples.clusters[1]
+    assert f"{slip}.Fz changed by -" in refit.cause
     (error,) = (e for e in refit.fit.errors if e.name == f"{slip}.Fz")
     assert error.rmse < 1.0
 

@@ -168,4 +168,22 @@ def test_of_a_drift_the_newest_part_counts() -> None:
     longest = find_plateaus(samples, PlateauSettings())[0]
     (newest,) = find_newest_plateaus(samples, PlateauSettings())
     assert longest.end < 45.0 and newest.end == samples.time[-1]
+    assert newest.cause == "Fz drifts"
     assert np.ptp(drift[newest.rows]) <= PlateauSettings().force_drift + 2.0
+
+
+def test_a_stretch_names_the_channel_that_slipped_before_it_and_no_change_of_load() -> None:
+    force = seconds((30, 10), (50, 18))
+    slipped = with_cluster(samples_of_force(seconds((80, 280))), force)
+    newest, older = find_newest_plateaus(slipped, PlateauSettings())
+    assert newest.cause == "a.Fz changed by -8.0 N" and older.cause == ""
+    loaded = with_cluster(samples_of_force(seconds((30, 150), (50, 280))), force)
+    newest, older = find_newest_plateaus(loaded, PlateauSettings())
+    assert newest.cause == older.cause == ""
+
+
+def test_a_stretch_names_the_cluster_that_drifts() -> None:
+    force = 10 + 0.2 * np.arange(0, 100, 1 / RATE)  # 20 N in 100 s
+    samples = with_cluster(samples_of_force(seconds((100, 280))), force)
+    (newest,) = find_newest_plateaus(samples, PlateauSettings())
+    assert newest.cause == "a.Fz drifts" and newest.end == samples.time[-1]
