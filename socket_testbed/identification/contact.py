@@ -157,7 +157,7 @@ class ContactModel:
         Returns:
             Forces in {S}, shape (N, n, 3) [N]; NaN where the pose is NaN.
         """
-        return self._spring_forces(pose) + self._bias_in_socket_frame()
+        return self._spring_forces(self._motion(pose)) + self._bias_in_socket_frame()
 
     def wrench(self, pose: FloatArray) -> FloatArray:
         """Wrench ``C F + b_w`` at the load cell, in `rigid_bias` with its slope over the pose.
@@ -176,10 +176,11 @@ class ContactModel:
 
     def predict(self, pose: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Wrenches and forces in one pass: see `wrench` and `forces`."""
-        springs = self._spring_forces(pose)
+        motion = self._motion(pose)
+        springs = self._spring_forces(motion)
         wrench = springs.reshape(len(pose), -1) @ self._wrench_map.T + self.wrench_bias
         if self.variant == "rigid_bias":
-            wrench += relative_pose(pose, self.reference_pose) @ self.wrench_slope.T
+            wrench += motion @ self.wrench_slope.T
         return wrench, springs + self._bias_in_socket_frame()
 
     def bed_forces(self, pose: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -195,30 +196,33 @@ class ContactModel:
             Forces in {S} without the offsets of sensors, shape (N, n, 3) [N], and the factor,
             shape (N, n, 3, r) [N].
         """
-        moved = relative_pose(pose, self.reference_pose) @ self._displacement_map.T
-        moved = moved.reshape(len(pose), -1, 3)
+        motion = self._motion(pose)
+        moved = (motion @ self._displacement_map.T).reshape(len(pose), -1, 3)
         parameters = (self.stiffness.T, self.rest_positions.T, self.sharpness)
         changed = force_changes(moved, *parameters, self.parameter_factor)
-        return self._spring_forces(pose), np.matmul(self.rotations, changed)
+        return self._spring_forces(motion), np.matmul(self.rotations, changed)
 
     def cluster_forces(self, pose: FloatArray) -> dict[str, FloatArray]:
         """Forces on the clusters, each in its cluster's frame, shape (N, 3) each [N]."""
-        springs = self._spring_forces(pose, list(self.cluster_points.values()))
+        springs = self._spring_forces(self._motion(pose), list(self.cluster_points.values()))
         no_bias = np.zeros(3)
         return {
             name: springs[:, column] @ self.rotations[point] + self.force_bias.get(name, no_bias)
             for column, (name, point) in enumerate(self.cluster_points.items())
         }
 
+    def _motion(self, pose: FloatArray) -> FloatArray:
+        """What the law reads of poses: the relative pose in a rigid variant, or the position."""
+        return relative_pose(pose, self.reference_pose) if self.is_rigid else pose[:, :3]
+
     def _spring_forces(
-        self, pose: FloatArray, points: list[int] | slice = slice(None)
+        self, motion: FloatArray, points: list[int] | slice = slice(None)
     ) -> FloatArray:
         """Forces of the springs at some points in {S}, shape (N, points, 3) [N]."""
         stiffness, rest = self.stiffness[points], self.rest_positions[points]
         if not self.is_rigid:
-            return stiffness * gated_displacement(pose[:, :3], rest, self.sharpness)
-        moved = relative_pose(pose, self.reference_pose) @ self._displacement_map.T
-        moved = moved.reshape(len(pose), -1, 3)[:, points]
+            return stiffness * gated_displacement(motion, rest, self.sharpness)
+        moved = (motion @ self._displacement_map.T).reshape(len(motion), -1, 3)[:, points]
         local = stiffness * spring_displacements(moved, rest, self.sharpness)
         return np.matmul(self.rotations[points], local[..., None])[..., 0]
 

@@ -99,6 +99,17 @@ def test_forces_do_not_depend_on_the_frame_of_the_load_cell():
     np.testing.assert_allclose(other.forces(turned(samples.pose)), expected, atol=1e-9)
 
 
+def test_relative_pose_is_that_of_scipy():
+    rng = np.random.default_rng(0)
+    pose = rng.normal(size=(50, 6))
+    for reference in (np.zeros(6), pose[0], np.array([1.0, 2.0, 3.0, 2.0, -1.0, 1.5])):
+        start = Rotation.from_rotvec(reference[3:])
+        turned = (Rotation.from_rotvec(pose[:, 3:]) * start.inv()).as_rotvec()
+        found = relative_pose(pose, reference)
+        np.testing.assert_allclose(found[:, 3:], turned, atol=1e-12)
+        np.testing.assert_allclose(found[:, :3], pose[:, :3] - reference[:3])
+
+
 def test_a_missing_pose_predicts_nothing():
     _, bed, samples, _ = rigid_case(3, count=4)
     pose = samples.pose
