@@ -437,8 +437,8 @@ def refine(
         tolerance: Largest residual of the certificate [-].
 
     Returns:
-        The minimum with its certificate. Where the noise of the poses leaves a long flat valley, the
-        last and best point after `_STEPS` steps, which says so.
+        The minimum with its certificate. Where the noise of the poses leaves a long flat valley,
+        the last and best point after `_STEPS` steps, which says so.
     """
     shape, prior = x.shape, problem.prior
     lower, upper = problem.lower, np.full(x.size, np.inf)
