@@ -243,7 +243,7 @@ def test_a_fit_is_never_silently_of_wrong_values(folder, tmp_path) -> None:
     (note,) = [note for note in notes if note.startswith("Fz")]
     assert "an outlier (-2.7" in note and "at 25.00 s" in note
     assert fitted is not None and fitted.fit.errors[5].rmse < 50.0
-    with pytest.raises(st.TestbedError, match=r"only 4 of 5 samples .* needs 12"):
+    with pytest.raises(st.TestbedError, match=r"only \d of 5 samples .* needs 12"):
         st.fit(st.open_trial(hold), "20:21")
 
 

@@ -8,11 +8,13 @@ from pathlib import Path
 
 import pytest
 import yaml
+from support.graph import Probe
 from support.testbeds import Recorded
 
 from socket_testbed.__main__ import run
 from socket_testbed.files import packaged
 from socket_testbed.settings.testbed import read_testbed
+from socket_testbed.trials.topics import CAPACITANCE, PYLON_POSE, WRENCH
 from socket_testbed.trials.trial import Trial
 
 pytestmark = pytest.mark.graph
@@ -24,13 +26,14 @@ COMMAND = (sys.executable, "-m", "socket_testbed")
 def test_run_records_until_ctrl_c(tmp_path: Path) -> None:
     path = tmp_path / "trial"
     words = ["run", *SIMULATED, "--rate", "20", "--record", str(path), "--variant", "stiffness"]
-    with subprocess.Popen(
-        [*COMMAND, *words], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    ) as process:
-        assert process.stderr is not None
-        for line in process.stderr:
-            if "triggering at 20 Hz" in line:
-                break
+    with (
+        Probe() as probe,
+        subprocess.Popen(
+            [*COMMAND, *words], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        ) as process,
+    ):
+        measured = [probe.listen(topic) for topic in (CAPACITANCE, PYLON_POSE, WRENCH)]
+        probe.wait(lambda: all(len(messages) > 2 for messages in measured), "measurements")
         process.send_signal(signal.SIGINT)
         out, err = process.communicate(timeout=120)
     assert process.returncode == 0, err
@@ -48,7 +51,7 @@ def test_run_ends_by_itself_and_a_fault_is_seen(
     tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     path = tmp_path / "trial"
-    words = ["run", *SIMULATED, "--rate", "20", "--duration", "10", "--record", str(path)]
+    words = ["run", *SIMULATED, "--rate", "20", "--duration", "20", "--record", str(path)]
     assert run([*words, "--fault", "clusters.nack=3", "--one-process"]) == 0
     out, err = capfd.readouterr()
     assert "no answer at 0x50 behind channel 2 of 0x70 on i2c-1: check" in err

@@ -206,7 +206,7 @@ def test_the_figure_shows_every_sound_solution_of_both_fronts(tmp_path):
     save_figure(figure, path)
     (axes,) = figure.axes
     assert axes.get_xscale() == axes.get_yscale() == "log"
-    assert "RMS" in axes.get_xlabel() and "[-]" in axes.get_xlabel()
+    assert "J_w" in axes.get_xlabel() and "[-]" in axes.get_xlabel()
     shown = {(float(x), float(y)) for line in axes.lines for x, y in line.get_xydata()}
     expected = {
         (float(x), float(y))

@@ -146,8 +146,8 @@ class Recorded:
             self.notes = bag.notes
             for raw in bag.messages():
                 topic = raw.topic.lstrip("/")
-                if topic == "diagnostics":
-                    continue
+                if topic in ("diagnostics", "estimate/pressure_map"):
+                    continue  # of no sample
                 message = decode(raw.data, raw.type)
                 stamps = self.by_topic.setdefault(topic, {})
                 assert stamp_of(message) not in stamps, f"{topic}: a stamp came twice"
