@@ -244,7 +244,8 @@ def fit(
         trial: The trial.
         segment: The segment, or its specification: `plateau`, `all`, or `T0:T1` in seconds.
         params: A `testbed.yaml` to use instead of the trial's own.
-        variant: `stiffness`, or `stiffness_bias` with constant offsets.
+        variant: The law: `stiffness` as published, by the limb's position; `rigid` by its pose;
+            `stiffness_bias` and `rigid_bias` with offsets.
         theta: Weight of the wrench against the clusters, 0 to 1 [-].
         weights: What weighs the channels of each of these groups: `size`, `noise` or `raw`.
         smoothness: Weight of the smoothness over neighbouring tiles [-].
@@ -260,9 +261,9 @@ def fit(
         IdentificationError: If the samples do not allow a fit.
 
     >>> trial = st.open_trial("trials/hold")
-    >>> fitted = st.fit(trial, variant="stiffness_bias", theta=0.5)
+    >>> fitted = st.fit(trial, variant="rigid_bias", theta=0.5)
     >>> fitted
-    TrialFit(stiffness_bias on hold, plateau ... s, theta 0.5; mean RMSE ...; median local RMSE ...)
+    TrialFit(rigid_bias on hold, plateau ... s, theta 0.5; mean RMSE ...; median local RMSE ...)
     >>> fitted.to_dataframe().loc["Fz", "unit"]
     'N'
     >>> fitted.save("hold.json")
@@ -305,7 +306,7 @@ def read_model(path: PathLike) -> StoredModel:
     >>> st.fit(st.open_trial("trials/hold")).save("hold.json")
     >>> model = st.read_model("hold.json")
     >>> model
-    StoredModel(stiffness... of hold, ... samples, ... tiles)
+    StoredModel(rigid_bias of hold, ... samples, ... tiles)
     >>> model.model.stiffness.shape == (len(model.geometry), 3)  # [N/m]
     True
     """
@@ -389,7 +390,7 @@ def evaluate(
     >>> fitted = st.fit(st.open_trial("trials/hold"))
     >>> found = st.evaluate(st.open_trial("trials/walk"), fitted, segment="all")
     >>> found
-    Evaluation(stiffness... of hold on walk, all 0.00 s to 39.75 s; mean RMSE ...)
+    Evaluation(rigid_bias of hold on walk, all 0.00 s to 39.75 s; mean RMSE ...)
     >>> list(found.to_dataframe())
     ['unit', 'RMSE', 'MAE', 'sigma', 'skill', 'samples', 'in objective']
     """
@@ -465,7 +466,7 @@ def pareto(
     progress: Progress | None = None,
     **choices: Any,
 ) -> Tradeoff:
-    """Identify the contact model along theta, for both variants, and find the knees.
+    """Identify the contact model along theta, for the paper's variants, and find the knees.
 
     Args:
         trial: The trial.
@@ -514,7 +515,8 @@ def write_report(
 ) -> Results:
     """Write the results of a trial as one page, and a folder of its figures and data beside it.
 
-    Both variants are fitted, and the trade-off is walked along theta.
+    The paper's variants are fitted, and the one of the settings beside them (`rigid_bias` by
+    default); the trade-off of the paper's is walked along theta.
 
     Args:
         trial: The trial.
@@ -537,7 +539,7 @@ def write_report(
 
     >>> results = st.write_report(st.open_trial("trials/hold"), "hold.html", thetas=5)
     >>> list(results.fitted)
-    ['stiffness', 'stiffness_bias']
+    ['stiffness', 'stiffness_bias', 'rigid_bias']
     """
     # matplotlib and plotly take their time to import.
     from socket_testbed.report.results import compute_results

@@ -108,7 +108,10 @@ def add_model_choice(
     """
     if variant:
         parser.add_argument(
-            "--variant", choices=VARIANTS, help="the model's offsets (default: stiffness_bias)"
+            "--variant",
+            choices=VARIANTS,
+            help="the law: stiffness as published, rigid by the limb's pose; _bias with offsets"
+            " (default: rigid_bias)",
         )
     if theta:
         parser.add_argument(

@@ -1,4 +1,4 @@
-"""`pareto`: the trade-off between the wrench and the clusters over theta, for both variants."""
+"""`pareto`: the wrench against the clusters over theta, for the variants of the paper."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     add_trial(parser)
     add_segment(parser)
     add_unloaded(parser)
-    add_identification(parser, variant=False, theta=False)  # the fronts go through both
+    add_identification(parser, variant=False, theta=False)  # both of the paper's
     add_pose_smoothing(parser)
     add_thetas(parser)
     parser.add_argument(

@@ -33,7 +33,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     add_trials(parser)
     add_segment(parser)
     add_unloaded(parser)
-    add_identification(parser, variant=False)  # both are shown
+    add_identification(parser, variant=False)  # the paper's and the default
     add_pose_smoothing(parser)
     add_thetas(parser)
     parser.add_argument(

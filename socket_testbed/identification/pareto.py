@@ -1,7 +1,7 @@
 r"""The trade-off between the wrench and the clusters: both stages, for one theta after another.
 
 Stage 1 depends on theta, so that the gates do, too: each theta has rest positions of its own,
-which both variants share. The samples are reduced once to what all thetas need
+which both of the paper's variants share. The samples are reduced once to what all thetas need
 (`StageTwoData`), and each program starts from the solution of the theta before.
 
 The two errors of a front are normalised by the sizes that the objective is normalised by, so

@@ -127,7 +127,7 @@ def overview(results: Results) -> Iterator[ReportFigure]:
 
 
 def pareto(results: Results) -> Iterator[ReportFigure]:
-    """The fronts of both variants, if there are any."""
+    """The fronts of the paper's variants, if there are any."""
     fronts = [*results.fronts.values()]
     if fronts:
         yield ReportFigure(
@@ -139,7 +139,7 @@ def pareto(results: Results) -> Iterator[ReportFigure]:
             ),
             drawn=pareto_figure(fronts, _title(results, "Trade-off")),
             description=(
-                "Pareto fronts of both variants with the sensor-only, knee and wrench-only"
+                "Pareto fronts of the paper's variants with the sensor-only, knee, wrench-only"
                 " solutions"
             ),
             data=front_table(fronts),
@@ -182,11 +182,12 @@ def tile_maps(results: Results) -> Iterator[ReportFigure]:
             " wall is unrolled and seen from outside. Tiles with a cluster are outlined.",
             model.stiffness,
             ("k", "stiffness", "N/m"),
+            _frame(candidate),
         )
         if shown is None or not np.array_equal(model.rest_positions, shown):
             shown = model.rest_positions
             fitted = candidate.fit is not None and not model.is_rigid
-            whose = "the same for both variants" if fitted else f"model {label}"
+            whose = "the same for the paper's variants" if fitted else f"model {label}"
             yield _tile_map(
                 results,
                 "rest_positions" if fitted else f"rest_positions_{label}",
@@ -196,6 +197,7 @@ def tile_maps(results: Results) -> Iterator[ReportFigure]:
                 f" ({whose}): where a tile would begin to press.",
                 _rest_offsets(results, candidate),
                 ("q_r", "rest position from the mean limb position", "mm"),
+                _frame(candidate),
             )
 
 
@@ -362,8 +364,9 @@ def _tile_map(
     caption: str,
     values: FloatArray,
     kind: tuple[str, str, str],
+    frame: str,
 ) -> ReportFigure:
-    """Maps of values of the tiles, shape (n, 3), of a symbol, a quantity and a unit."""
+    """Maps of values of the tiles, shape (n, 3), of a symbol, a quantity and a unit, in a frame."""
     symbol, quantity, unit = kind
     geometry = results.trial.geometry
     clusters = {tile: cluster for cluster, tile in geometry.clusters.items()}
@@ -374,7 +377,7 @@ def _tile_map(
         caption=caption,
         drawn=tile_map_figure(
             geometry,
-            {f"{symbol} along {axis} of {{S}}": values[:, i] for i, axis in enumerate(_AXES)},
+            {f"{symbol} along {axis} of {frame}": values[:, i] for i, axis in enumerate(_AXES)},
             f"{quantity} [{unit}]",
             f"{results.trial.name}: {title}",
         ),

@@ -334,8 +334,8 @@ class Results:
         samples: Its samples.
         segment: The segment that was fitted.
         specification: How the segment was asked for.
-        settings: Settings of the estimator; a rigid variant is fitted beside the paper's.
-        candidates: The models: both variants, then one that was given, if any.
+        settings: Settings of the estimator; its variant is fitted beside the paper's.
+        candidates: The models: the variants, then one that was given, if any.
         fronts: The trade-off fronts by variant; empty where there are none.
         no_fronts: Why there are none; empty where there are.
         implausible: Channels that are proposed to be left out.
@@ -395,12 +395,12 @@ def compute_results(
     given: StoredModel | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Results:
-    """Fit both variants on a segment of a trial, walk along theta, and judge all of it.
+    """Fit the variants on a segment of a trial, walk along theta, and judge all of it.
 
     Args:
         trial: The trial.
         specification: The segment: `plateau`, `all`, or `T0:T1` in seconds.
-        settings: Settings of the estimator; a rigid variant is fitted beside the paper's.
+        settings: Settings of the estimator; its variant is fitted beside the paper's.
         thetas: Weights of the wrench against the clusters, rising [-].
         given: A model to be shown as well.
         progress: Called with the number of thetas done and of all.

@@ -26,6 +26,7 @@ from socket_testbed.report.results import (
     measure_steadiness,
 )
 from socket_testbed.report.summary import list_notes, summarise
+from socket_testbed.settings.identification import PAPER_VARIANTS
 from socket_testbed.trials.trial import PARAMETERS_FILE
 
 # What the paper quotes, without and with bias.
@@ -175,7 +176,7 @@ def _pairs(name: str, caption: str, pairs: Sequence[tuple[str, str]]) -> Table:
 
 
 def _beside_the_paper(results: Results) -> Table:
-    fitted = [*results.fitted.values()]
+    fitted = [results.fitted[variant] for variant in PAPER_VARIANTS]
     summaries = [summarise_errors(candidate.errors) for candidate in fitted]
     own = (
         [summary.moment_rmse for summary in summaries],
@@ -196,7 +197,7 @@ def _beside_the_paper(results: Results) -> Table:
     frame = pd.DataFrame.from_dict(rows, orient="index")
     frame.columns = pd.MultiIndex.from_product([("this trial", "the paper"), variants])
     frame.index.name = "figure"
-    caption = "The figures that the paper quotes, for both variants"
+    caption = "The figures that the paper quotes, for its variants"
     return Table("paper", caption, frame, {"the paper": ".2f"})
 
 

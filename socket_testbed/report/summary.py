@@ -17,7 +17,7 @@ from socket_testbed.report.results import (
     effective_samples,
     measure_steadiness,
 )
-from socket_testbed.settings.identification import Variant
+from socket_testbed.settings.identification import PAPER_VARIANTS, Variant
 
 _LITTLE_SKILL = 0.1  # [-]; below it, a model says no more than a mean
 _STEADY = 0.5  # [-]; sigma over RMSE, below which residuals are mostly an offset
@@ -30,16 +30,17 @@ _BIAS: Variant = "stiffness_bias"
 def summarise(results: Results) -> list[str]:
     """Three to six statements: what was found, and how far to trust it."""
     plain, bias = results.fitted[_PLAIN], results.fitted[_BIAS]
+    other = _beside_the_paper(results)
     lines = [
         _what(results),
-        _offsets(results, plain, bias),
+        _offsets(results, plain, bias, other),
         _skill(bias),
         _trust(results, bias),
     ]
     if results.fronts:
         lines.append(_fronts(results.fronts[_PLAIN], results.fronts[_BIAS]))
     if bias.held_out:
-        lines.append(_held_out(plain, bias))
+        lines.append(_held_out(plain, bias, other))
     return lines
 
 
@@ -63,13 +64,21 @@ def _what(results: Results) -> str:
         if math.isfinite(size)
     )
     return (
-        f"Both variants were fitted to {results.fits[_BIAS].samples} of {len(results.samples)}"
-        f" samples: {results.segment}{', under ' if under else ''}{under}. Errors over this"
-        " segment are in-sample."
+        f"The variants {', '.join(results.fits)} were fitted to {results.fits[_BIAS].samples} of"
+        f" {len(results.samples)} samples: {results.segment}{', under ' if under else ''}{under}."
+        " Errors over this segment are in-sample."
     )
 
 
-def _offsets(results: Results, without: Candidate, with_offsets: Candidate) -> str:
+def _beside_the_paper(results: Results) -> Candidate | None:
+    """The variant of the settings, if it was fitted beside the paper's."""
+    others = [c for label, c in results.fitted.items() if label not in PAPER_VARIANTS]
+    return others[0] if others else None
+
+
+def _offsets(
+    results: Results, without: Candidate, with_offsets: Candidate, other: Candidate | None
+) -> str:
     plain, bias = summarise_errors(without.errors), summarise_errors(with_offsets.errors)
     share = plain.local_unsteadiness
     steady = "steady offsets" if share < _STEADY else "more than steady offsets"
@@ -80,6 +89,18 @@ def _offsets(results: Results, without: Candidate, with_offsets: Candidate) -> s
         f" the RMSE, so their residuals are {steady}. With one constant per channel these RMSE are"
         f" {number(bias.moment_rmse)} N m, {number(bias.force_rmse)} N and"
         f" {number(bias.local_rmse)} N." + _borne(results, with_offsets)
+    ) + _by_the_pose(other)
+
+
+def _by_the_pose(other: Candidate | None) -> str:
+    """Errors of the variant of the settings beside the paper's."""
+    if other is None:
+        return ""
+    errors = summarise_errors(other.errors)
+    return (
+        f" {other.label}, which reads the limb's complete pose, has"
+        f" {number(errors.moment_rmse)} N m, {number(errors.force_rmse)} N and"
+        f" {number(errors.local_rmse)} N."
     )
 
 
@@ -154,7 +175,7 @@ def _knee(front: Front) -> str:
     return front.knee.verdict + at
 
 
-def _held_out(plain: Candidate, bias: Candidate) -> str:
+def _held_out(plain: Candidate, bias: Candidate, other: Candidate | None) -> str:
     without, with_offsets = (summarise_errors(c.held_out) for c in (plain, bias))
     samples = max(error.samples for error in bias.held_out)
     return (
@@ -163,6 +184,17 @@ def _held_out(plain: Candidate, bias: Candidate) -> str:
         f" {number(with_offsets.moment_rmse)} N m with offsets, the median local RMSE"
         f" {number(without.local_rmse)} N and {number(with_offsets.local_rmse)} N, the"
         f" median skill {number(without.skill, 'z.2f')} and {number(with_offsets.skill, 'z.2f')}."
+        + _held_out_by_the_pose(other)
+    )
+
+
+def _held_out_by_the_pose(other: Candidate | None) -> str:
+    if other is None or not other.held_out:
+        return ""
+    errors = summarise_errors(other.held_out)
+    return (
+        f" {other.label} has {number(errors.moment_rmse)} N m, {number(errors.local_rmse)} N and a"
+        f" median skill of {number(errors.skill, 'z.2f')}."
     )
 
 

@@ -21,7 +21,7 @@ class IdentificationSettings(Settings):
     """How the contact model is identified (the two stages)."""
 
     variant: str = setting(
-        "stiffness_bias",
+        "rigid_bias",
         "the law: stiffness as published, rigid by the limb's pose; _bias with offsets [-]",
         choices=VARIANTS,
     )

@@ -117,7 +117,9 @@ def test_a_trial_given_twice_is_refused(folder: Path, capsys) -> None:
 def test_fit_says_who_bears_the_load_and_what_would_move_the_pose_more(
     hold: Path, folder: Path, tmp_path, capsys
 ) -> None:
-    code, out, _ = call(capsys, "fit", hold, "-o", tmp_path / "hold.json")
+    code, out, _ = call(
+        capsys, "fit", hold, "--variant", "stiffness_bias", "-o", tmp_path / "hold.json"
+    )
     assert code == 0
     assert "warning: the springs bear only" in out  # the offsets explain a hold
     assert "of noise: twist the limb in the socket" in out and "of 6 independent directions" in out

@@ -217,10 +217,11 @@ def test_a_complete_sample_is_estimated_whatever_the_order(bench: Bench, fit: Fi
     bench.send(20)
     bench.fitter.requests[0].future.set_result(Refit(fit))
     values = bench.values(2e-3)
+    values[PYLON_POSE][3:] = [0.01, -0.02, 0.005, np.sqrt(1.0 - 5.25e-4)]  # turned
     limb = bench.geometry.limb_pose(
         *(Pose.from_quaternion(v[None, :3], v[None, 3:]) for v in list(values.values())[2:])
     )
-    wrench, forces = fit.model.predict(limb.translation)
+    wrench, forces = fit.model.predict(np.hstack([limb.translation, limb.rotation_vector()]))
     for k, order in enumerate((MEASURED, MEASURED[::-1], (*MEASURED[2:], *MEASURED[:2]))):
         stamp = (100 + k) * PERIOD
         *waiting, last = (bench.estimator.add(topic, stamp, values[topic]) for topic in order)
@@ -540,7 +541,8 @@ def worker() -> Iterator[FitWorker]:
 def test_a_trial_is_fitted_and_predicted_as_it_is_offline(trial: Trial, worker: FitWorker) -> None:
     samples, measured = read_samples(trial), read_measurements(trial)
     bench = Bench(trial, worker, duration=3600.0)
-    bench.settings = dataclasses.replace(bench.settings, auto_fit=False)
+    published = IdentificationSettings(variant="stiffness_bias")  # within hundredths of a second
+    bench.settings = dataclasses.replace(bench.settings, auto_fit=False, identification=published)
 
     def send_all() -> list[Estimate | None]:
         estimates = []
@@ -562,7 +564,7 @@ def test_a_trial_is_fitted_and_predicted_as_it_is_offline(trial: Trial, worker: 
         return estimates
 
     assert send_all() == [None] * len(samples)
-    offline = fit_contact_model(samples, trial.geometry, IdentificationSettings())
+    offline = fit_contact_model(samples, trial.geometry, published)
     online = bench.estimator.fit()
     assert online.samples == offline.samples
     np.testing.assert_allclose(
@@ -570,7 +572,7 @@ def test_a_trial_is_fitted_and_predicted_as_it_is_offline(trial: Trial, worker: 
     )
     wait(lambda: bench.models)
     estimates = send_all()
-    wrench, forces = online.model.predict(samples.position)
+    wrench, forces = online.model.predict(samples.pose)
     np.testing.assert_allclose([e.wrench for e in estimates], wrench, atol=1e-9)
     np.testing.assert_allclose([e.forces for e in estimates], forces, atol=1e-9)
     # Where a marker was occluded the estimate is NaN, never an old one.
