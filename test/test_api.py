@@ -202,8 +202,9 @@ def test_the_readme_s_lines_run(tmp_path, monkeypatch, capsys) -> None:
     monkeypatch.chdir(tmp_path)
     mpl.use("Agg")
     exec(compile("import socket_testbed" + program, "README.md", "exec"), {})
-    assert (tmp_path / "stand.png").stat().st_size > 5000
-    assert "RMSE" in capsys.readouterr().out
+    assert (tmp_path / "push.png").stat().st_size > 5000
+    printed = capsys.readouterr().out
+    assert "pressure sd [kPa]" in printed and "RMSE" in printed
 
 
 def spoilt(source: Path, target: Path, change) -> tuple[Any, list[str], str]:

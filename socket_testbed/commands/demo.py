@@ -28,7 +28,7 @@ from socket_testbed.live.bringup import (
 )
 from socket_testbed.live.processes import Graph
 from socket_testbed.live.time_scale import SLOWEST, busy_note, measure_speed, pace
-from socket_testbed.report.figures.socket_picture import tile_map_figure
+from socket_testbed.report.figures.socket_picture import certainty_of, tile_map_figure
 from socket_testbed.report.figures.style import save_figure
 from socket_testbed.samples import Samples
 from socket_testbed.settings.testbed import EstimatorSettings, ReplaySettings
@@ -229,16 +229,18 @@ def _draw(trial: Trial, samples: Samples, truth: GroundTruth, live: _Live) -> Fi
     estimate, deviation, actual = (
         1e-3 * np.nanmean(values, axis=0) for values in (*live.pressure[:, rows], truth_pressure)
     )
+    name = "estimated live, mean over the hold; pale where it is uncertain"
     return tile_map_figure(
         geometry,
         {
-            "estimated live, mean over the hold": estimate,
+            name: estimate,
             "its standard deviation": deviation,
             "simulated truth": actual,
         },
         "normal pressure [kPa]",
         "Normal pressure on the socket",
         notes=_held_out(trial, samples[rows]),
+        certainty={name: certainty_of(estimate, deviation)},
     )
 
 

@@ -496,8 +496,7 @@ def tile_map_figure(
 def force_map_figure(geometry: SocketGeometry, estimate: MapEstimate, title: str) -> Figure:
     """Normal pressure of the first sample of a force map, and below its standard deviation.
 
-    The pressure fades to white where it is uncertain, by the standard deviation relative to the
-    pressure or to half the highest one, whichever is more.
+    The pressure fades to white where it is uncertain: see `certainty_of`.
 
     Args:
         geometry: The socket.
@@ -506,8 +505,23 @@ def force_map_figure(geometry: SocketGeometry, estimate: MapEstimate, title: str
     """
     pressure = 1e-3 * estimate.normal_pressure[0]
     deviation = 1e-3 * estimate.normal_pressure_standard_deviation[0]
-    size = np.maximum(np.abs(pressure), 0.5 * np.abs(pressure).max())
-    certainty = np.clip(1.0 - deviation / size, _PALEST, 1.0)
     name = "normal pressure; pale where it is uncertain"
     rows = {name: pressure, "its standard deviation": deviation}
-    return tile_map_figure(geometry, rows, "pressure [kPa]", title, {name: certainty})
+    certainty = {name: certainty_of(pressure, deviation)}
+    return tile_map_figure(geometry, rows, "pressure [kPa]", title, certainty=certainty)
+
+
+def certainty_of(values: FloatArray, deviation: FloatArray) -> FloatArray:
+    """How certain values are, from their standard deviation relative to their size.
+
+    The size is that of the value or half of the largest one, whichever is more.
+
+    Args:
+        values: One value per tile, shape (n,).
+        deviation: Their standard deviations, shape (n,).
+
+    Returns:
+        1 where certain, less where not, never so little that nothing is seen, shape (n,) [-].
+    """
+    size = np.maximum(np.abs(values), 0.5 * np.abs(values).max())
+    return np.asarray(np.clip(1.0 - deviation / size, _PALEST, 1.0))
