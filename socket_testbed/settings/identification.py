@@ -52,10 +52,10 @@ class IdentificationSettings(Settings):
         0.002, "expected difference of rest position between neighbours [m]", 1e-6, 0.1
     )
     contact_sharpness: float = setting(
-        150.0, "sharpness alpha of the rigid variants' contact [1/m]", 1.0, 1e6
+        1000.0, "sharpness alpha of the rigid variants' contact [1/m]", 1.0, 1e6
     )
     prior: float = setting(
-        3e-4, "weight of the rigid variants' prior over the tiles against the errors [-]", 1e-9, 1e6
+        1.0, "weight of the rigid variants' prior over the tiles against the errors [-]", 1e-9, 1e6
     )
     leave_out: tuple[str, ...] = setting(
         (), "channels left out of the objective, such as distal.Fx or Mz [-]"

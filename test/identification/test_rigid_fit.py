@@ -201,7 +201,7 @@ def test_more_data_make_the_bed_more_certain():
     """The wrench's uncertainty that the bed's parameters cause falls with the noise."""
     spreads = []
     for noise in (0.01, 5.0):
-        geometry, _, samples, settings = rigid_case(11)
+        geometry, _, samples, settings = rigid_case(11, prior=1e-4)  # or the prior is the misfit
         rng = np.random.default_rng(0)
         wrench = samples.wrench + noise * rng.normal(size=samples.wrench.shape)
         noisy = dataclasses.replace(samples, wrench=wrench)
