@@ -325,6 +325,17 @@ def test_the_map_has_every_tile_with_its_uncertainty(hold: Path, tmp_path: Path,
     np.testing.assert_array_equal(shown.to_numpy(), expected.to_numpy())
 
 
+def test_a_bed_that_predicts_no_cluster_leaves_the_map_alone(
+    hold: Path, tmp_path: Path, capsys
+) -> None:
+    """Vibration on a hold determines no spring."""
+    options = ("--segment", "20:30", "-o", tmp_path / "map.csv")
+    code, out, error = call(capsys, "map", hold, "--bed", "rigid", *options)
+    assert code == 0
+    assert "the springs of rigid are not the map's mean" in error
+    assert "prior: mean zero; measured: wrench" in out
+
+
 def test_a_map_in_an_unknown_format_is_refused_before_any_work(capsys) -> None:
     code, _, error = call(capsys, "map", "no_trial", "-o", "map.xlsx")
     assert code == 1
