@@ -368,7 +368,7 @@ def uniform_bed_case(seed: int, unexplained: float):
     wrench = bed.wrench(pose) + rng.normal(0.0, [0.1] * 3 + [1.0] * 3, (len(pose), 6))
     samples = make_samples(pose[:, :3], wrench, forces)
     settings = EstimatorSettings(
-        identification=IdentificationSettings(prior=1e-2),
+        identification=IdentificationSettings(prior=1e-2, contact_sharpness=bed.sharpness),
         force_map=ForceMapSettings(share=1.0, share_spread=0.0),
     )
     return geometry, dataclasses.replace(samples, rotation=pose[:, 3:]), settings
