@@ -56,6 +56,7 @@ _LARGEST_SETTLING = 0.02  # [m]; of a limb under its load; a bed is at least tha
 _LEAST_SETTLING = 1e-4  # [m]
 _OWN = 0.3  # [-]; epsilon: how far a tile may be from the common mean, against its neighbours
 _SLOPE_RIDGE = 0.003  # [-]; against the variance of the pose
+_LEAST_CHANGE = 0.01  # [-]; of the force, against its size, that a slope needs
 _STEPS = 100
 _DAMPING = 1e-2  # [-]; of the first step, against the mean curvature
 _ROUNDING = 1e-13  # [-]; of the objective's value
@@ -364,7 +365,7 @@ class RigidProblem:
         bias, slope = np.zeros(6), np.zeros((6, 6))
         force_bias: dict[str, FloatArray] = {}
         if self._with_offsets:
-            bias, slope = _remainder(self._relative, wrench, objective.wrench_counts)
+            bias, slope = self._remainder(wrench)
             for channel, residual in zip(self._channels, local, strict=True):
                 offsets = force_bias.setdefault(channel.cluster, np.zeros(3))
                 offsets[channel.axis] = residual.mean()
@@ -419,6 +420,29 @@ class RigidProblem:
         together = float((residual[1:] * residual[:-1]).sum()) / power if power > 0.0 else 0.0
         together = min(max(together, 0.0), 1.0 - 1.0 / len(residual))
         return len(residual) * (1.0 - together) / (1.0 + together)
+
+    def _remainder(self, residual: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Constant (6,) and slope (6, 6) of what the springs leave of the wrench, over the pose.
+
+        Ridge regression on the standardised pose: no slope along what did not move, and hardly
+        any where the force hardly changed. On a hold the limb creeps under one load, and a slope
+        that fits this would cancel the springs.
+
+        Args:
+            residual: What the springs leave, shape (N, 6) [N m, N].
+        """
+        mean, spread = self._relative.mean(axis=0), self._relative.std(axis=0)
+        inverse = np.where(spread > 0.0, 1.0 / np.where(spread > 0.0, spread, 1.0), 0.0)
+        scaled = (self._relative - mean) * inverse
+        left = np.where(self._objective.wrench_counts, residual, 0.0)
+        force = self._wrench[:, 3:]
+        change = float(np.sqrt(force.var(axis=0).sum()))
+        size = float(np.sqrt((force**2).sum(axis=1).mean()))
+        ridge = _SLOPE_RIDGE + (_LEAST_CHANGE * size / max(change, 1e-9)) ** 2
+        gram = scaled.T @ scaled / len(scaled) + ridge * np.eye(6)
+        slope = np.linalg.solve(gram, scaled.T @ (left - left.mean(axis=0)) / len(scaled)).T
+        slope = slope * inverse
+        return left.mean(axis=0) - slope @ mean, slope
 
 
 def refine(
@@ -482,22 +506,6 @@ def _quadratic(
 ) -> BoxQP:
     q = factor * (gradient - hessian @ x)
     return BoxQP(factor * hessian, q, lower, upper, "joint refinement")
-
-
-def _remainder(
-    relative: FloatArray, residual: FloatArray, counts: BoolArray
-) -> tuple[FloatArray, FloatArray]:
-    """Constant (6,) and slope (6, 6) of what the springs leave of the wrench, over the pose.
-
-    Ridge regression on the standardised pose; no slope along what did not move.
-    """
-    mean, spread = relative.mean(axis=0), relative.std(axis=0)
-    scaled = (relative - mean) / np.where(spread > 0.0, spread, np.inf)
-    left = np.where(counts, residual, 0.0)
-    gram = scaled.T @ scaled / len(scaled) + _SLOPE_RIDGE * np.eye(6)
-    slope = np.linalg.solve(gram, scaled.T @ (left - left.mean(axis=0)) / len(scaled)).T
-    slope = slope / np.where(spread > 0.0, spread, np.inf)
-    return left.mean(axis=0) - slope @ mean, slope
 
 
 def _block_means(values: FloatArray, size: int) -> FloatArray:

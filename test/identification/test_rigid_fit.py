@@ -209,3 +209,18 @@ def test_more_data_make_the_bed_more_certain():
         total = model.bed_forces(samples.pose[:1])[1][0].sum(axis=0)
         spreads.append(float(np.linalg.norm(total)))
     assert spreads[0] < 0.5 * spreads[1]
+
+
+def test_creep_under_one_load_gives_no_slope():
+    """A limb that creeps while its load stays tells nothing about another load."""
+    geometry, bed, samples, settings = rigid_case(12, "rigid_bias")
+    moved = fit_contact_model(samples, geometry, settings).model
+    still = dataclasses.replace(samples, wrench=np.tile(samples.wrench.mean(axis=0), (80, 1)))
+    rng = np.random.default_rng(0)
+    noise = [0.001] * 3 + [0.1] * 3
+    still = dataclasses.replace(still, wrench=still.wrench + noise * rng.normal(size=(80, 6)))
+    held = fit_contact_model(still, geometry, settings).model
+    size = np.abs(bed.wrench(samples.pose) - bed.wrench(samples.pose).mean(axis=0)).max(axis=0)
+    reach = np.abs(samples.pose - held.reference_pose).max(axis=0)
+    assert (np.abs(held.wrench_slope) @ reach < 0.1 * size).all()
+    assert np.isfinite(moved.wrench_slope).all()
