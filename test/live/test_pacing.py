@@ -41,7 +41,7 @@ def test_a_pause_moves_what_follows() -> None:
     threading.Timer(0.2, pacer.resume).start()
     assert pacer.wait_for(0)
     assert pacer.wait_for(100_000_000)
-    assert time.monotonic() - start >= 0.3
+    assert time.monotonic() - start > 0.25  # 0.3; 0.2 if what follows did not move
 
 
 @pytest.mark.parametrize("paused", [False, True])

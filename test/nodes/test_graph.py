@@ -84,13 +84,12 @@ def test_every_sample_is_predicted_as_the_model_does_offline(hold: Path, hold_mo
         assert len(listener.wrench) == len(listener.forces) == len(listener.maps) == 240
         assert listener.models == 1
     model = read_model(hold_model).model
-    position = read_samples(trial).position
-    np.testing.assert_allclose(wrench, model.wrench(position), atol=1e-9)
-    np.testing.assert_allclose(forces, model.forces(position), atol=1e-9)
-    # Where a marker was occluded the prediction is NaN, never an old one.
-    assert np.isnan(wrench[np.isnan(position).any(axis=1)]).all()
-    # The force map is the same as offline, and asks for no marker.
     samples = read_samples(trial)
+    np.testing.assert_allclose(wrench, model.wrench(samples.pose), atol=1e-9)
+    np.testing.assert_allclose(forces, model.forces(samples.pose), atol=1e-9)
+    # Where a marker was occluded the prediction is NaN, never an old one.
+    assert np.isnan(wrench[np.isnan(samples.pose).any(axis=1)]).all()
+    # The force map is the same as offline, and asks for no marker.
     offline = ForceMap(trial.geometry, samples.clusters).estimate(samples)
     np.testing.assert_allclose(mapped, offline.forces, atol=1e-9)
     np.testing.assert_allclose(deviations, offline.standard_deviations, atol=1e-9)

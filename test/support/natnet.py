@@ -15,7 +15,7 @@ from socket_testbed.settings.acquisition import MocapSettings
 from socket_testbed.simulation.devices.natnet_server import NatNetServer
 from support.problems import PYLON_TRIAD, SOCKET_TRIAD
 
-TIMEOUT = 10.0  # [s]; of a machine under load
+TIMEOUT = 30.0  # [s]; of a machine under load
 _POLL = 0.005  # [s]
 TRIADS = (SOCKET_TRIAD, PYLON_TRIAD)
 NAMES = ("socket", "pylon")

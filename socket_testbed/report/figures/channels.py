@@ -259,7 +259,8 @@ def offsets_figure(channels: Sequence[str], offsets: Mapping[str, FloatArray]) -
         places = np.arange(len(indices))
         for number, (label, values) in enumerate(offsets.items()):
             shift = (number - 0.5 * (len(offsets) - 1)) * thickness
-            colour = MODEL_STYLES[1 + number]["color"]  # the first is of the model without
+            # The first colour is that of the model without offsets: it comes last here.
+            colour = MODEL_STYLES[(1 + number) % len(MODEL_STYLES)]["color"]
             axis.barh(places + shift, values[indices], thickness, color=colour, label=label)
         axis.axvline(0.0, color="0.3", linewidth=0.8)
         axis.set_yticks(places, [channels[i] for i in indices], fontsize=9, parse_math=False)

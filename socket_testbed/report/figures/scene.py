@@ -183,15 +183,16 @@ def _tile_facts(geometry: SocketGeometry, values: FloatArray | None, unit: str) 
     """What the pointer shows of each tile."""
     facts = []
     for tile, label in enumerate(tile_labels(geometry)):
-        lines = [
-            f"<b>{_escape(label)}</b>",
-            f"anchor {_vector(1e3 * geometry.anchors[tile], 1)} mm",
-            f"area {1e6 * geometry.areas[tile]:.1f} mm²",
-            f"inward normal {_vector(geometry.rotations[tile, :, 2], 3)}",
-        ]
-        if values is not None:
+        lines = [f"<b>{_escape(label)}</b>"]
+        if values is None:
+            lines += [
+                f"anchor {_vector(1e3 * geometry.anchors[tile], 1)} mm",
+                f"area {1e6 * geometry.areas[tile]:.1f} mm²",
+                f"inward normal {_vector(geometry.rotations[tile, :, 2], 3)}",
+            ]
+        else:  # a page holds many sets of values, each with the facts of every tile
             value = "none" if np.isnan(values[tile]) else f"{values[tile]:.4g}"
-            lines.insert(1, f"{_escape(unit)}: {value}")
+            lines.append(f"{_escape(unit)}: {value}")
         facts.append("<br>".join(lines))
     return facts
 
