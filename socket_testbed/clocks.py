@@ -150,10 +150,11 @@ class TriggerTime:
 
 
 _INTERVALS = 5
+_FEWEST = 3  # intervals; a late trigger makes one of them too long
 
 
 class TriggerPeriod:
-    """Time between triggers: the median of the last intervals.
+    """Time between triggers: the median of the last intervals, of three at least.
 
     A pulse that was not seen leaves a gap in the sequence and is allowed for; a pause, a late
     trigger and a short interval after it do not count.
@@ -164,7 +165,7 @@ class TriggerPeriod:
         self._intervals: deque[float] = deque(maxlen=_INTERVALS)
 
     def add(self, stamp: int, sequence: int) -> float:
-        """Add a trigger; returns the period [s], 0 after the first one.
+        """Add a trigger; returns the period [s], 0 until it is known.
 
         Args:
             stamp: Its stamp since the epoch [ns].
@@ -177,7 +178,7 @@ class TriggerPeriod:
             else:
                 self._intervals.clear()
         self._last = stamp, sequence
-        return median_low(self._intervals) if self._intervals else 0.0
+        return median_low(self._intervals) if len(self._intervals) >= _FEWEST else 0.0
 
 
 _FIRST = 0.05  # [s]

@@ -171,8 +171,10 @@ def periods_of(triggers: list[tuple[float, int]]) -> list[float]:
     return [period.add(1_700_000_000_000_000_000 + round(t * 1e9), n) for t, n in triggers]
 
 
-def test_the_period_is_known_from_the_second_trigger_on() -> None:
-    assert periods_of([(0.25 * k, k) for k in range(4)]) == pytest.approx([0.0, 0.25, 0.25, 0.25])
+def test_the_period_is_known_from_the_fourth_trigger_on() -> None:
+    assert periods_of([(0.25 * k, k) for k in range(5)]) == pytest.approx([0.0] * 3 + [0.25] * 2)
+    late = [(0.05 * k + 0.12 * (k > 0), k) for k in range(5)]  # the first interval is too long
+    assert periods_of(late) == pytest.approx([0.0] * 3 + [0.05] * 2)
 
 
 def test_jitter_missed_pulses_and_pauses_leave_the_period() -> None:
@@ -188,7 +190,7 @@ def test_jitter_missed_pulses_and_pauses_leave_the_period() -> None:
 def test_another_rate_or_another_trigger_node_is_followed() -> None:
     faster = [(0.25 * k, k) for k in range(9)] + [(2.0 + 0.01 * k, 8 + k) for k in range(1, 9)]
     assert periods_of(faster)[-5:] == pytest.approx([0.01] * 5)
-    restarted = [(0.05 * k, 100 + k) for k in range(9)] + [(3.0 + 0.1 * k, k) for k in range(3)]
-    assert periods_of(restarted)[-3:] == pytest.approx([0.0, 0.1, 0.1])
-    stepped_back = [(10.0, 1), (10.1, 2), (5.0, 3), (5.1, 4)]
-    assert periods_of(stepped_back) == pytest.approx([0.0, 0.1, 0.0, 0.1])
+    restarted = [(0.05 * k, 100 + k) for k in range(9)] + [(3.0 + 0.1 * k, k) for k in range(5)]
+    assert periods_of(restarted)[-5:] == pytest.approx([0.0] * 3 + [0.1] * 2)
+    steps = [(10.0 + 0.1 * k, k) for k in range(4)] + [(5.0 + 0.1 * k, 4 + k) for k in range(4)]
+    assert periods_of(steps) == pytest.approx([0.0] * 3 + [0.1] + [0.0] * 3 + [0.1])
