@@ -40,8 +40,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.special import i0e, i1e
-from scipy.stats import norm
+from scipy.special import i0e, i1e, ndtri
 
 from socket_testbed.arrays import BoolArray, FloatArray, IntArray, StatusArray
 from socket_testbed.geometry.socket import SocketGeometry
@@ -491,9 +490,9 @@ def _draw(settings: ForceMapSettings) -> list[ForceMapSettings]:
 
     Each draw comes with several sizes of the clusters' offsets: what matters most.
     """
-    levels = np.tile(norm.ppf(_levels(settings.draws)), (len(_RELATIVE) + 1, 1))
+    levels = np.tile(ndtri(_levels(settings.draws)), (len(_RELATIVE) + 1, 1))
     points = np.random.default_rng(0).permuted(levels, axis=1).T
-    offsets = np.exp(settings.cluster_error_spread * norm.ppf(_levels(_OFFSETS)))
+    offsets = np.exp(settings.cluster_error_spread * ndtri(_levels(_OFFSETS)))
     found: list[ForceMapSettings] = []
     for *relative, of_share in points.tolist():
         factors = zip(_RELATIVE, np.exp(settings.spread * np.array(relative)), strict=True)

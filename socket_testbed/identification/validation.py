@@ -19,7 +19,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
-from scipy.stats import norm
+from scipy.special import ndtri
 
 from socket_testbed.arrays import BoolArray, FloatArray, IntArray
 from socket_testbed.errors import ConfigurationError, IdentificationError
@@ -413,7 +413,7 @@ def _judged(judgement: Judgement, residuals: _Residuals, size: float) -> Judgeme
     error = _size(residuals.errors) / size if size > 0.0 else float("nan")
     coverage = _UNKNOWN
     if len(residuals.scaled):
-        limits = norm.ppf(0.5 + 0.5 * np.array(LEVELS))
+        limits = ndtri(0.5 + 0.5 * np.array(LEVELS))
         coverage = tuple(float(np.mean(residuals.scaled <= limit)) for limit in limits)
     return dataclasses.replace(judgement, samples=residuals.samples, error=error, coverage=coverage)
 
