@@ -30,16 +30,15 @@ from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification.box_qp import BoxSolution, check_solver, solve_box_qp
 from socket_testbed.identification.contact import ContactModel
 from socket_testbed.identification.evaluation import ChannelErrors, evaluate
-from socket_testbed.identification.noise import smooth_poses
 from socket_testbed.identification.plausibility import (
     find_outliers,
     outlier_notes,
     sign_note,
-    without_outliers,
 )
 from socket_testbed.identification.problem import (
     KILONEWTON_PER_METRE,
     Objective,
+    Solution,
     StageTwoData,
     StageTwoMoments,
     build_objective,
@@ -233,38 +232,34 @@ def fit_contact_model(
             KKT tolerance.
     """
     objective = build_objective(samples, geometry, settings)
-    outliers = find_outliers(samples, geometry, settings.leave_out)
-    samples = smooth_poses(without_outliers(samples, outliers), settings.pose_smoothing)
-    samples = samples[objective.rows]
-    if settings.variant in RIGID_VARIANTS:
-        found = solve_rigid(objective)
-        return Fit(
-            model=found.model,
-            settings=settings,
-            samples=len(samples),
-            last_stamp=int(samples.stamps[-1]),
-            determined=found.determined,
-            errors=evaluate(samples, found.model, settings.leave_out),
-            stage_one=found.stage_one,
-            stage_two=found.stage_two,
-            joint=found.joint,
-        )
+    solve = solve_rigid if settings.variant in RIGID_VARIANTS else _solve_stages
+    found = solve(objective)
+    used = objective.samples
+    return Fit(
+        model=found.model,
+        settings=settings,
+        samples=len(used),
+        last_stamp=int(used.stamps[-1]),
+        determined=found.determined,
+        errors=evaluate(used, found.model, settings.leave_out),
+        stage_one=found.stage_one,
+        stage_two=found.stage_two,
+        joint=found.joint,
+    )
 
-    stage_one = build_stage_one(objective)
-    rest = solve_box_qp(stage_one, settings.solver, settings.solver_tolerance)
+
+def _solve_stages(objective: Objective) -> Solution:
+    """Both stages of the paper's variants."""
+    solver, tolerance = objective.settings.solver, objective.settings.solver_tolerance
+    rest = solve_box_qp(build_stage_one(objective), solver, tolerance)
     rest_positions = rest_positions_of(objective, rest.x)
 
     moments = StageTwoData(objective).moments(rest_positions)
     stage_two = build_stage_two(objective, moments)
-    springs = solve_box_qp(stage_two.program, settings.solver, settings.solver_tolerance)
-    model = make_model(objective, rest_positions, moments, springs.x)
-    return Fit(
-        model=model,
-        settings=settings,
-        samples=len(samples),
-        last_stamp=int(samples.stamps[-1]),
+    springs = solve_box_qp(stage_two.program, solver, tolerance)
+    return Solution(
+        model=make_model(objective, rest_positions, moments, springs.x),
         determined=stage_two.determined_directions(springs.x),
-        errors=evaluate(samples, model, settings.leave_out),
         stage_one=rest,
         stage_two=springs,
     )
@@ -294,5 +289,5 @@ def make_model(
         sharpness=settings.gate_sharpness,
         wrench_bias=wrench_bias,
         force_bias=force_bias,
-        cluster_points={name: geometry.clusters[name] for name in objective.clusters},
+        cluster_points={name: geometry.clusters[name] for name in objective.samples.clusters},
     )

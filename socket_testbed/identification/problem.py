@@ -34,8 +34,8 @@ from socket_testbed.arrays import BoolArray, FloatArray, IntArray
 from socket_testbed.errors import ConfigurationError, IdentificationError
 from socket_testbed.files import closest
 from socket_testbed.geometry.socket import SocketGeometry
-from socket_testbed.identification.box_qp import BoxQP
-from socket_testbed.identification.contact import wrench_map
+from socket_testbed.identification.box_qp import BoxQP, BoxSolution
+from socket_testbed.identification.contact import ContactModel, wrench_map
 from socket_testbed.identification.moments import GatedMoments, Group, Method, Moments
 from socket_testbed.identification.noise import (
     ChannelNoise,
@@ -95,10 +95,7 @@ class Objective:
     Attributes:
         geometry: Geometry of the socket.
         settings: Settings of the identification.
-        clusters: Names of the clusters of the samples.
-        rows: Which of the samples given are used.
-        position: Limb positions q, shape (N, 3) [m].
-        rotation: Rotation vectors of the limb, shape (N, 3) [rad].
+        samples: The N samples that are used, without outliers, their poses averaged if asked.
         pose_noise: Covariance of the noise of a pose, shape (6, 6) [m^2, m rad, rad^2], to be
             subtracted from what the poses' products give; None for no correction.
         wrench: Measured wrenches, zero where a channel does not count, shape (N, 6)
@@ -113,10 +110,7 @@ class Objective:
 
     geometry: SocketGeometry
     settings: IdentificationSettings
-    clusters: tuple[str, ...]
-    rows: BoolArray
-    position: FloatArray
-    rotation: FloatArray
+    samples: Samples
     pose_noise: FloatArray | None
     wrench: FloatArray
     wrench_counts: BoolArray
@@ -124,6 +118,11 @@ class Objective:
     channels: tuple[ClusterChannel, ...]
     channel_shares: FloatArray
     laplacian: FloatArray
+
+    @property
+    def position(self) -> FloatArray:
+        """Limb positions q, shape (N, 3) [m]."""
+        return self.samples.position
 
     @property
     def wrench_weights(self) -> FloatArray:
@@ -241,8 +240,7 @@ def build_objective(
     noise = channel_noise(samples) if settings.weights == "noise" else None
     pose_noise = _pose_noise(samples, settings) if settings.noise_correction else None
     samples = smooth_poses(samples, settings.pose_smoothing)
-    rows = _usable_rows(samples, wrench_counts)
-    samples = samples[rows]
+    samples = samples[_usable_rows(samples, wrench_counts)]
     require_load(samples, wrench_counts)
     wrench = np.where(wrench_counts, samples.wrench, 0.0)
     channels = _cluster_channels(samples, geometry, cluster_counts)
@@ -255,10 +253,7 @@ def build_objective(
     return Objective(
         geometry=geometry,
         settings=settings,
-        clusters=samples.clusters,
-        rows=rows,
-        position=samples.position,
-        rotation=samples.rotation,
+        samples=samples,
         pose_noise=pose_noise,
         wrench=wrench,
         wrench_counts=wrench_counts,
@@ -447,6 +442,26 @@ class StageTwo:
         P = self.program.P[np.ix_(free, free)]
         data = P - self.smoothness[np.ix_(free, free)]
         return float(np.trace(np.linalg.solve(P + _JITTER * np.eye(len(free)), data)))
+
+
+@dataclass(frozen=True)
+class Solution:
+    """A model with the certificates of the programs that it solves.
+
+    Attributes:
+        model: The contact model.
+        determined: Effective number of stiffness directions that the data determine, of 3n [-].
+        stage_one: Certified solution of Stage 1.
+        stage_two: Certified solution of Stage 2.
+        joint: Certified solution of the joint refinement of a `rigid` variant, the
+            Karush-Kuhn-Tucker residuals of the objective at the model; None of another.
+    """
+
+    model: ContactModel
+    determined: float
+    stage_one: BoxSolution
+    stage_two: BoxSolution
+    joint: BoxSolution | None = None
 
 
 def build_stage_one(objective: Objective) -> BoxQP:

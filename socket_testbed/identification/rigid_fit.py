@@ -34,7 +34,7 @@ from socket_testbed.identification.box_qp import (
     solve_box_qp,
 )
 from socket_testbed.identification.contact import ContactModel, wrench_map
-from socket_testbed.identification.problem import Objective
+from socket_testbed.identification.problem import Objective, Solution
 from socket_testbed.identification.rigid_bed import (
     PAIRS,
     compression,
@@ -86,27 +86,7 @@ class _Terms:
     curvature: FloatArray
 
 
-@dataclass(frozen=True)
-class RigidSolution:
-    """A fitted model of a `rigid` variant with the certificates of all three programs.
-
-    Attributes:
-        model: The contact model.
-        determined: Effective number of stiffness directions that the data determine, of 3n [-].
-        stage_one: Certified solution of Stage 1.
-        stage_two: Certified solution of Stage 2.
-        joint: Certified solution of the joint refinement: the Karush-Kuhn-Tucker residuals of the
-            whole objective at the model.
-    """
-
-    model: ContactModel
-    determined: float
-    stage_one: BoxSolution
-    stage_two: BoxSolution
-    joint: BoxSolution
-
-
-def solve_rigid(objective: Objective) -> RigidSolution:
+def solve_rigid(objective: Objective) -> Solution:
     """Both stages of a `rigid` variant and the joint refinement of their solutions.
 
     Raises:
@@ -122,7 +102,7 @@ def solve_rigid(objective: Objective) -> RigidSolution:
     springs = solve_box_qp(problem.stage_two(x), settings.solver, tolerance)
     x[:3] = springs.x.reshape(3, -1)
     x, joint = refine(problem, x, tolerance)
-    return RigidSolution(
+    return Solution(
         model=problem.model(x),
         determined=problem.determined_directions(x),
         stage_one=rest,
@@ -158,7 +138,7 @@ class RigidProblem:
 
     def _gather(self, objective: Objective) -> None:
         geometry = objective.geometry
-        pose = np.hstack([objective.position, objective.rotation])
+        pose = objective.samples.pose
         self.reference = mean_pose(pose)
         size = -(-len(pose) // MOST_ROWS)
         relative = _block_means(relative_pose(pose, self.reference), size)
@@ -379,7 +359,7 @@ class RigidProblem:
             sharpness=self._sharpness,
             wrench_bias=bias,
             force_bias=force_bias,
-            cluster_points={name: geometry.clusters[name] for name in objective.clusters},
+            cluster_points={name: geometry.clusters[name] for name in objective.samples.clusters},
             reference_pose=self.reference,
             wrench_slope=slope,
             parameter_factor=self.parameter_factor(x),
