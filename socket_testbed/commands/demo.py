@@ -116,7 +116,7 @@ def _complete(trial: Trial) -> float:
     """Fraction of a trial's samples that hold all measurements [-]."""
     try:
         samples = read_samples(trial)
-    except TrialError:  # the nodes were not up before the hold was over
+    except TrialError:  # the nodes were not up before the time was over
         return 0.0
     forces = np.isfinite(samples.local_forces).all(axis=(1, 2))
     return float((samples.complete & forces).mean())
@@ -247,9 +247,10 @@ def _draw(trial: Trial, samples: Samples, truth: GroundTruth, live: _Live) -> Fi
 def _held_out(trial: Trial, hold: Samples) -> dict[str, str]:
     """What each cluster measured over a hold, and what the map says without it, in words."""
     notes = {}
+    force_map = ForceMap(trial.geometry, hold.clusters)
     for column, cluster in enumerate(hold.clusters):
         tile = trial.geometry.clusters[cluster]
-        hidden = ForceMap(trial.geometry, hold.clusters).estimate(without_cluster(hold, cluster))
+        hidden = force_map.estimate(without_cluster(hold, cluster))
         measured = -np.nanmean(hold.trusted_forces[:, column, 2]) / trial.geometry.areas[tile]
         predicted = np.nanmean(hidden.normal_pressure[:, tile])
         deviation = np.nanmean(hidden.normal_pressure_standard_deviation[:, tile])

@@ -15,7 +15,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
+from functools import cache, partial
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
@@ -651,9 +651,10 @@ def field_estimators(
     geometry: SocketGeometry, settings: EstimatorSettings
 ) -> dict[str, FieldEstimator]:
     """What estimates the forces on the tiles without a fit, by name."""
+    made = cache(partial(ForceMap, geometry, settings=settings.force_map))  # by the clusters
 
     def force_map(samples: Samples) -> tuple[FloatArray, FloatArray]:
-        found = ForceMap(geometry, samples.clusters, settings.force_map).estimate(samples)
+        found = made(samples.clusters).estimate(samples)
         return found.forces, found.standard_deviations
 
     return field_rivals(geometry) | {FORCE_MAP: force_map}
