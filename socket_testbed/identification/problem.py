@@ -11,7 +11,7 @@ docs/identification.md. The setting `weights` names what weighs the channels:
 - `size`: J_w and J_f are means over their channels of the mean square error, divided by the mean
   square of its group of channels (moments, forces, cluster forces): newton metres and newtons
   count alike;
-- `noise`: every channel is weighed by 1 / (noise^2 + e^2) with its `channel_noise` and a floor e
+- `noise`: every channel is weighed by 1 / (noise^2 + e^2) with its `channel_noise` and an error e
   for what no spring bed explains: `MODEL_ERROR` of the RMS force, for a moment at the root mean
   square distance of the tiles. A common factor of each group makes predicting zero cost 1, as
   with `size`;
@@ -30,7 +30,7 @@ from typing import Any
 
 import numpy as np
 
-from socket_testbed.arrays import BoolArray, FloatArray, IntArray
+from socket_testbed.arrays import BoolArray, FloatArray, IntArray, rms
 from socket_testbed.errors import ConfigurationError, IdentificationError
 from socket_testbed.files import closest
 from socket_testbed.geometry.socket import SocketGeometry
@@ -339,25 +339,21 @@ def _shares(
     moment, force = (
         max(power[g].sum() / max(wrench_counts[g].sum(), 1), least[g][0] ** 2) for g in _GROUPS
     )
-    local = max(_rms(np.concatenate([c.force for c in channels] or [np.zeros(1)])), LEAST_FORCE)
+    local = max(rms(np.concatenate([c.force for c in channels] or [np.zeros(1)])), LEAST_FORCE)
     if noise is None:
         shares = wrench_counts / np.repeat([moment, force], 3)
         local_shares = np.full(len(channels), 1.0 / local**2)
         return shares / max(wrench_counts.sum(), 1), local_shares / max(len(channels), 1)
 
-    lever = _rms(np.linalg.norm(geometry.anchors, axis=1))
-    floor = MODEL_ERROR**2 * force * np.repeat([lever**2, 1.0], 3)
-    shares = wrench_counts / (np.nan_to_num(noise.wrench) ** 2 + floor)
+    lever = rms(np.linalg.norm(geometry.anchors, axis=1))
+    model_error = MODEL_ERROR**2 * force * np.repeat([lever**2, 1.0], 3)
+    shares = wrench_counts / (np.nan_to_num(noise.wrench) ** 2 + model_error)
     places = [(samples.clusters.index(c.cluster), c.axis) for c in channels]
     deviations = np.array([noise.local_forces[place] for place in places])
     local_shares = 1.0 / (np.nan_to_num(deviations) ** 2 + (MODEL_ERROR * local) ** 2)
     zero = max(shares @ power, shares @ least**2, _JITTER)
     local_zero = max(local_shares @ local_power, local_shares.sum() * LEAST_FORCE**2, _JITTER)
     return shares / zero, local_shares / local_zero
-
-
-def _rms(values: FloatArray) -> float:
-    return float(np.sqrt(np.mean(values**2))) if values.size else 0.0
 
 
 @dataclass(frozen=True)

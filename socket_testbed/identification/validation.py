@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from scipy.special import ndtri
 
-from socket_testbed.arrays import BoolArray, FloatArray, IntArray
+from socket_testbed.arrays import BoolArray, FloatArray, IntArray, rms
 from socket_testbed.errors import ConfigurationError, IdentificationError
 from socket_testbed.files import closest
 from socket_testbed.geometry.socket import SocketGeometry
@@ -342,7 +342,7 @@ def judge_clusters(
             forces, deviations = estimate(hidden)
             spread = None if deviations is None else np.sqrt(deviations[:, tile] ** 2 + variance)
             by_name[name].append(_Residuals.of(truth, forces[:, tile], spread))
-    size = _size(samples.trusted_forces)
+    size = rms(samples.trusted_forces)
     found = []
     for row, cluster in enumerate([*judged, ""]):
         for name, residuals in by_name.items():
@@ -380,9 +380,7 @@ def judge_tiles(
         forces, deviations = estimate(samples)
         spread = None if deviations is None else deviations[:, bare]
         judgement = Judgement("tiles", name, test, "", tested_on)
-        found.append(
-            _judged(judgement, _Residuals.of(truth, forces[:, bare], spread), _size(truth))
-        )
+        found.append(_judged(judgement, _Residuals.of(truth, forces[:, bare], spread), rms(truth)))
     return found
 
 
@@ -410,18 +408,12 @@ class _Residuals:
 
 
 def _judged(judgement: Judgement, residuals: _Residuals, size: float) -> Judgement:
-    error = _size(residuals.errors) / size if size > 0.0 else float("nan")
+    error = rms(residuals.errors) / size if size > 0.0 else float("nan")
     coverage = _UNKNOWN
     if len(residuals.scaled):
         limits = ndtri(0.5 + 0.5 * np.array(LEVELS))
         coverage = tuple(float(np.mean(residuals.scaled <= limit)) for limit in limits)
     return dataclasses.replace(judgement, samples=residuals.samples, error=error, coverage=coverage)
-
-
-def _size(values: FloatArray) -> float:
-    """Root mean square of the finite values; NaN without any."""
-    finite = values[np.isfinite(values)]
-    return float(np.sqrt(np.mean(finite**2))) if len(finite) else float("nan")
 
 
 def fit_variants(
@@ -622,8 +614,8 @@ def judge_bed(
         raise IdentificationError(
             "no cluster has a trusted force to judge a bed by", "give a trial with clusters"
         )
-    scale = _size(np.array(size))
-    return JudgedBed(bed, _size(np.array(with_bed)) / scale, _size(np.array(without)) / scale)
+    scale = rms(np.array(size))
+    return JudgedBed(bed, rms(np.array(with_bed)) / scale, rms(np.array(without)) / scale)
 
 
 def measurement_errors(
@@ -642,7 +634,7 @@ def measurement_errors(
         settings: Settings of the force map.
     """
     forces = samples.trusted_forces
-    sizes = [[_size(channel) for channel in cluster.T] for cluster in forces.swapaxes(0, 1)]
+    sizes = [[rms(channel) for channel in cluster.T] for cluster in forces.swapaxes(0, 1)]
     offset = np.fmax(noise, settings.cluster_error)
     return np.hypot(offset, settings.cluster_gain_error * np.nan_to_num(np.array(sizes)))
 

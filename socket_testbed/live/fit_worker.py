@@ -14,7 +14,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from socket_testbed.arrays import FloatArray
+from socket_testbed.arrays import rms
 from socket_testbed.errors import IdentificationError
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification.contact import ContactModel
@@ -224,23 +224,17 @@ def _compare(
     counts = np.array([name not in settings.leave_out for name in samples.channels])
     measured[:, ~counts] = np.nan
     groups = (measured[:, :3], measured[:, 3:6], measured[:, 6:])
-    floors = (LEAST_MOMENT, LEAST_FORCE, LEAST_FORCE)
-    sizes = [max(_rms(group), floor) for group, floor in zip(groups, floors, strict=True)]
+    smallest = (LEAST_MOMENT, LEAST_FORCE, LEAST_FORCE)
+    sizes = [max(rms(group, 0.0), least) for group, least in zip(groups, smallest, strict=True)]
     size = np.repeat(sizes, [group.shape[1] for group in groups])
 
     def error(model: ContactModel) -> float:
         predicted = predict_channels(model, samples.pose, samples.clusters)
         relative = (predicted - measured) / size
-        wrench, clusters = _rms(relative[:, :6]), _rms(relative[:, 6:])
+        wrench, clusters = rms(relative[:, :6], 0.0), rms(relative[:, 6:], 0.0)
         return float(np.sqrt(settings.theta * wrench**2 + (1.0 - settings.theta) * clusters**2))
 
     return Comparison(len(samples), error(old), error(new))
-
-
-def _rms(values: FloatArray) -> float:
-    """Root mean square of the finite values; 0 without any."""
-    finite = values[np.isfinite(values)]
-    return float(np.sqrt(np.mean(finite**2))) if len(finite) else 0.0
 
 
 def _count_outliers(
