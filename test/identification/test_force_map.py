@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from support.problems import uniform_bed
 
 from socket_testbed.files import packaged
 from socket_testbed.geometry.socket import read_socket
@@ -196,24 +197,13 @@ def test_outliers_and_channels_left_out_do_not_count() -> None:
     np.testing.assert_allclose(found.forces, expected.forces)
 
 
-def uniform_bed(uncertainty: float) -> ContactModel:
+def uncertain_bed(uncertainty: float) -> ContactModel:
     """A limb on equal springs, known but for a common factor and a rest displacement."""
+    stiffness = [600.0, 600.0, 3000.0]
     factor = np.zeros((6, len(GEOMETRY), 2))
-    factor[:3, :, 0] = uncertainty * np.array([600.0, 600.0, 3000.0])[:, None]
+    factor[:3, :, 0] = uncertainty * np.array(stiffness)[:, None]
     factor[5, :, 1] = uncertainty * 0.001
-    return ContactModel(
-        variant="rigid",
-        names=GEOMETRY.names,
-        anchors=GEOMETRY.anchors,
-        rotations=GEOMETRY.rotations,
-        stiffness=np.tile([600.0, 600.0, 3000.0], (len(GEOMETRY), 1)),
-        rest_positions=np.tile([0.0, 0.0, 0.001], (len(GEOMETRY), 1)),
-        sharpness=150.0,
-        wrench_bias=np.zeros(6),
-        force_bias={},
-        cluster_points=dict(GEOMETRY.clusters),
-        parameter_factor=factor,
-    )
+    return uniform_bed(GEOMETRY, stiffness, parameter_factor=factor)
 
 
 def samples_on(bed: ContactModel, factor: float = 1.0) -> tuple[Samples, np.ndarray]:
@@ -236,7 +226,7 @@ ALL_ON_TILES = ForceMapSettings(share=1.0, share_spread=0.0)
 
 
 def test_a_perfect_bed_takes_over() -> None:
-    bed = uniform_bed(0.1)
+    bed = uncertain_bed(0.1)
     samples, truth = samples_on(bed)
     force_map = ForceMap(GEOMETRY, CLUSTERS, ALL_ON_TILES)
     found, without = force_map.estimate(samples, bed), force_map.estimate(samples)
@@ -248,7 +238,7 @@ def test_a_perfect_bed_takes_over() -> None:
 
 def test_an_uncertain_bed_gives_way_to_the_channels() -> None:
     """Springs twice as stiff as the limb, and known to be that uncertain."""
-    wrong = uniform_bed(1.0)
+    wrong = uncertain_bed(1.0)
     samples, truth = samples_on(wrong, 0.5)
     force_map = ForceMap(GEOMETRY, CLUSTERS, ALL_ON_TILES)
     found, without = force_map.estimate(samples, wrong), force_map.estimate(samples)
@@ -260,7 +250,7 @@ def test_an_uncertain_bed_gives_way_to_the_channels() -> None:
 def test_a_bed_s_uncertainty_joins_the_prior() -> None:
     """Against a direct conditioning with K + V V' and the mean m, in one draw."""
     settings = replace(ALL_ON_TILES, draws=1, cluster_error_spread=0.0)
-    bed = uniform_bed(0.3)
+    bed = uncertain_bed(0.3)
     samples, _ = samples_on(bed, 0.8)
     samples.status[0, 1] = Status.MISSING
     found = ForceMap(GEOMETRY, CLUSTERS, settings).estimate(samples[:1], bed)
@@ -290,7 +280,7 @@ def _columns(bed: ContactModel, samples: Samples) -> tuple[np.ndarray, np.ndarra
 def test_without_a_pose_the_mean_is_zero(force_map: ForceMap) -> None:
     samples = some_samples(3)
     samples.position[1] = np.nan
-    found = force_map.estimate(samples, uniform_bed(0.1))
+    found = force_map.estimate(samples, uncertain_bed(0.1))
     without = force_map.estimate(samples)
     np.testing.assert_allclose(found.forces[1], without.forces[1], rtol=1e-12)
     assert np.abs(found.forces[0] - without.forces[0]).max() > 0.1

@@ -7,10 +7,10 @@ import dataclasses
 import numpy as np
 import pytest
 from scipy.optimize import minimize
-from support.problems import make_case, make_samples, random_socket
+from support.problems import make_case, make_samples, random_socket, uniform_bed
 
 from socket_testbed.errors import ConfigurationError, IdentificationError
-from socket_testbed.identification.contact import ContactModel, wrench_map
+from socket_testbed.identification.contact import wrench_map
 from socket_testbed.identification.fit import fit_contact_model
 from socket_testbed.identification.validation import (
     CLOSED,
@@ -347,18 +347,7 @@ def uniform_bed_case(seed: int, unexplained: float):
     """A limb on equal springs, and forces on the clusters that no spring explains [N]."""
     rng = np.random.default_rng(seed)
     geometry = random_socket(rng, rings=3, columns=5, clusters=4)
-    bed = ContactModel(
-        variant="rigid",
-        names=geometry.names,
-        anchors=geometry.anchors,
-        rotations=geometry.rotations,
-        stiffness=np.tile([400.0, 400.0, 6000.0], (len(geometry), 1)),
-        rest_positions=np.tile([0.0, 0.0, 0.001], (len(geometry), 1)),
-        sharpness=150.0,
-        wrench_bias=np.zeros(6),
-        force_bias={},
-        cluster_points=dict(geometry.clusters),
-    )
+    bed = uniform_bed(geometry, [400.0, 400.0, 6000.0])
     phase = np.linspace(0.0, 2.0 * np.pi, 80)[:, None] * [1.0, 2.0, 3.0, 2.0, 3.0, 1.0]
     pose = np.sin(phase + rng.uniform(0.0, 2.0 * np.pi, 6)) * ([0.002] * 3 + [0.03] * 3)
     forces = {

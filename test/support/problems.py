@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from typing import Any
 
 import numpy as np
 import pytest
@@ -180,3 +181,26 @@ def installed(*solvers: str) -> list:
         )
         for solver in solvers
     ]
+
+
+def uniform_bed(geometry: SocketGeometry, stiffness: list[float], **more: Any) -> ContactModel:
+    """A rigid limb on equal springs, 1 mm from rest.
+
+    Args:
+        geometry: Geometry of the socket.
+        stiffness: Along x, y, z of every tile's frame [N/m].
+        more: Further attributes of the model.
+    """
+    return ContactModel(
+        variant="rigid",
+        names=geometry.names,
+        anchors=geometry.anchors,
+        rotations=geometry.rotations,
+        stiffness=np.tile(stiffness, (len(geometry), 1)),
+        rest_positions=np.tile([0.0, 0.0, 0.001], (len(geometry), 1)),
+        sharpness=150.0,
+        wrench_bias=np.zeros(6),
+        force_bias={},
+        cluster_points=dict(geometry.clusters),
+        **more,
+    )
