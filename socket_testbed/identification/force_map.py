@@ -43,6 +43,7 @@ import numpy as np
 from scipy.special import i0e, i1e, ndtri
 
 from socket_testbed.arrays import BoolArray, FloatArray, IntArray, StatusArray
+from socket_testbed.geometry.axis import proximal_direction
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification.contact import ContactModel, wrench_map
 from socket_testbed.identification.plausibility import (
@@ -462,19 +463,13 @@ def surface_correlation(geometry: SocketGeometry, length: float) -> FloatArray:
     return np.asarray(covariance / (scale * scale[:, None]))
 
 
-def _proximal(geometry: SocketGeometry) -> FloatArray:
-    """Direction from the distal to the proximal end in {S}, shape (3,) [-]."""
-    mean = geometry.rotations[:, :, 0].mean(axis=0)
-    return np.asarray(mean / np.linalg.norm(mean))
-
-
 def _rigid_motions(geometry: SocketGeometry, arm: float) -> FloatArray:
     """Displacements of the tiles in their frames under six motions of the limb, (n, 3, 6) [-].
 
     Translations along two directions across the socket and the proximal one, and rotations about
     them and the mean anchor, whose displacement at the distance `arm` [m] is 1.
     """
-    axes = np.linalg.svd(_proximal(geometry)[None])[2][[1, 2, 0]]
+    axes = np.linalg.svd(proximal_direction(geometry)[None])[2][[1, 2, 0]]
     arms = (geometry.anchors - geometry.anchors.mean(axis=0)) / arm
     in_socket = np.empty((len(geometry), 3, 6))
     in_socket[:, :, :3] = axes.T
@@ -559,7 +554,7 @@ def _prior(
     prior[2::3, 2::3] += settings.preload**2
 
     drag = np.tile(np.eye(3), (count, 1, 1))
-    drag[:, :2, 2] = settings.drag * (_proximal(geometry) @ geometry.rotations)[:, :2]
+    drag[:, :2, 2] = settings.drag * (proximal_direction(geometry) @ geometry.rotations)[:, :2]
     prior = drag @ prior.reshape(count, 3, 3 * count)
     prior = drag @ np.moveaxis(prior.reshape(3 * count, count, 3), 0, 2)
     return settings.normal_deviation**2 * prior.reshape(3 * count, 3 * count)

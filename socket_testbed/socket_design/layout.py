@@ -11,6 +11,7 @@ import numpy as np
 from socket_testbed.arrays import FloatArray, IntArray
 from socket_testbed.errors import ConfigurationError
 from socket_testbed.files import Section, read_document
+from socket_testbed.geometry.axis import axis_through
 from socket_testbed.geometry.pose import read_rotation
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.socket_design.squares import Squares
@@ -31,10 +32,9 @@ def tile_names(
         proximal: Direction towards the proximal end, shape (3,) [-].
         anterior: Direction from which angles count, shape (3,) [-].
     """
-    left = np.cross(proximal, anterior)
-    offset = anchors - end
-    heights = np.maximum(np.round(1e3 * offset @ proximal), 0).astype(int)
-    angles = np.degrees(np.arctan2(offset @ left, offset @ anterior))
+    axis = axis_through(end, proximal, anterior)
+    heights = np.maximum(np.round(1e3 * axis.heights(anchors)), 0).astype(int)
+    angles = np.degrees(axis.angles(anchors))
     names: list[str] = []
     for height, angle in zip(heights, np.round(angles).astype(int) % 360, strict=True):
         name = f"h{height:03d}_a{angle:03d}"
@@ -100,17 +100,15 @@ def nominal_places(
         proximal: Direction towards the proximal end, shape (3,) [-].
         anterior: Direction towards anterior, shape (3,) [-].
     """
-    left = np.cross(proximal, anterior)
-    offset = squares.anchors - end
-    height = offset @ proximal
-    sideways = np.column_stack([offset @ anterior, offset @ left])
-    sideways /= np.maximum(np.linalg.norm(sideways, axis=1, keepdims=True), 1e-9)
+    axis = axis_through(end, proximal, anterior)
+    height, angle = axis.heights(squares.anchors), axis.angles(squares.anchors)
+    sideways = np.column_stack([np.cos(angle), np.sin(angle)])
     level = height / max(float(height.max()), 1e-9)
     score = {
         "brim_lateral": 3.0 * sideways @ [0.0, 1.0] + 4.0 * level,
         "mid_anterior": 3.0 * sideways @ [1.0, 0.0] - 4.0 * np.abs(level - 0.6),
         "posterior_distal": 3.0 * sideways @ [-1.0, 0.0] - 4.0 * np.abs(level - 0.2),
-        "distal": -np.linalg.norm(offset, axis=1),
+        "distal": -np.linalg.norm(squares.anchors - end, axis=1),
     }
     taken: set[int] = set()
     places = []

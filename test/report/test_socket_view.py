@@ -38,7 +38,6 @@ from socket_testbed.report.figures.tiles import (
     drawable_surface,
     paint_tiles,
     place_axes,
-    proximal_direction,
     tile_squares,
     value_range,
 )
@@ -125,21 +124,6 @@ def test_a_square_has_the_tiles_area_and_lies_in_its_plane_along_its_axes(tilted
         np.testing.assert_allclose(corners.mean(axis=0), anchor, atol=1e-15)
         np.testing.assert_allclose(edges[0] / np.sqrt(area), R[:, 0], atol=1e-12)
         np.testing.assert_allclose(edges[1] / np.sqrt(area), R[:, 1], atol=1e-12)
-
-
-def test_the_proximal_direction_turns_with_the_socket(geometry):
-    np.testing.assert_allclose(proximal_direction(geometry), [0.0, 0.0, 1.0], atol=0.03)
-    turn = Rotation.from_euler("xyz", [50.0, -70.0, 120.0], degrees=True).as_matrix()
-    turned = dataclasses.replace(geometry, rotations=turn @ geometry.rotations)
-    np.testing.assert_allclose(
-        proximal_direction(turned), turn @ proximal_direction(geometry), atol=1e-12
-    )
-
-
-def test_tiles_around_a_point_tell_no_proximal_direction(geometry):
-    turns = Rotation.from_euler("z", [[0.0], [90.0], [180.0], [270.0]], degrees=True).as_matrix()
-    end = dataclasses.replace(geometry, rotations=turns)
-    assert proximal_direction(end) is None
 
 
 @pytest.mark.parametrize("offset", [(0.0, 0.0, 0.0), (0.05, 0.0, 0.1), (3.0, -4.0, 0.5)])

@@ -14,6 +14,7 @@ from markupsafe import Markup
 
 from socket_testbed.arrays import BoolArray, FloatArray, IntArray
 from socket_testbed.files import atomic_output
+from socket_testbed.geometry.axis import proximal_direction
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.report.figures.style import (
     AXES,
@@ -33,7 +34,6 @@ from socket_testbed.report.figures.tiles import (
     drawable_surface,
     drawn_bounds,
     place_axes,
-    proximal_direction,
     tile_labels,
     tile_squares,
     value_range,
@@ -133,15 +133,13 @@ def axes_traces(axes: AxesOfS) -> list[Any]:
 
 
 def proximal_traces(geometry: SocketGeometry, length: float) -> list[Any]:
-    """The proximal direction as an arrow above the tiles; nothing where they show none.
+    """The proximal direction as an arrow above the tiles.
 
     Args:
         geometry: The socket.
         length: Of the arrow [m].
     """
     direction = proximal_direction(geometry)
-    if direction is None:
-        return []
     middle = geometry.anchors.mean(axis=0)
     reach = ((geometry.anchors - middle) @ direction).max()
     start = middle + (reach + 0.5 * length) * direction

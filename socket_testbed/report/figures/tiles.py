@@ -101,8 +101,6 @@ def _check(vertices: FloatArray, faces: IntArray) -> None:
 
 # Corners of a square of edge 2 in {L}, counter-clockwise about the inward normal.
 _CORNERS = np.array([[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [1.0, 1.0, 0.0], [-1.0, 1.0, 0.0]])
-_AWAY = 0.5  # [-]; cosine of the angle at which a tile's x is no longer the proximal direction
-_NO_DIRECTION = 0.1  # [-]; length of a mean of unit vectors that cancel
 _DARK = 0.45  # [-]; luminance below which ink is white
 _LUMINANCE = np.array([0.2126, 0.7152, 0.0722])  # ITU-R BT.709
 
@@ -134,26 +132,6 @@ def covered_tiles(geometry: SocketGeometry) -> BoolArray:
     covered = np.zeros(len(geometry), dtype=bool)
     covered[list(geometry.clusters.values())] = True
     return covered
-
-
-def proximal_direction(geometry: SocketGeometry) -> FloatArray | None:
-    """Unit vector in {S} towards the proximal end, the mean x axis of the tiles on the wall.
-
-    On the distal end no tangent is proximal, so tiles whose x axis is far from the mean of
-    all are left out.
-
-    Returns:
-        The direction, shape (3,) [-]; None if the tiles' x axes cancel.
-    """
-    x_axes = geometry.rotations[:, :, 0]
-    mean = x_axes.mean(axis=0)
-    length = np.linalg.norm(mean)
-    if length < _NO_DIRECTION:
-        return None
-    along = x_axes @ (mean / length) >= _AWAY
-    if along.any():
-        mean = x_axes[along].mean(axis=0)
-    return mean / np.linalg.norm(mean)
 
 
 def value_range(geometry: SocketGeometry, values: FloatArray) -> tuple[float, float]:

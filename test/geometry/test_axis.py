@@ -1,0 +1,83 @@
+"""The socket's axis: where a tile is, in height and angle."""
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from support.ring_socket import ring_socket
+
+from socket_testbed.geometry.axis import axis_through, proximal_direction, socket_axis
+from socket_testbed.geometry.socket import read_socket
+
+OWN = Path(__file__).resolve().parents[2] / "config" / "socket.yaml"
+
+
+@pytest.fixture(scope="module")
+def geometry():
+    return ring_socket()
+
+
+def test_tiles_in_rings_are_at_their_heights_and_angles(geometry):
+    axis = socket_axis(geometry)
+    np.testing.assert_allclose(axis.proximal, [0.0, 0.0, 1.0], atol=0.03)
+    wall = [i for i, name in enumerate(geometry.names) if name.startswith("ring")]
+    anchors = geometry.anchors[wall]
+    expected = np.arctan2(anchors[:, 1], anchors[:, 0])
+    turned = (axis.angles(anchors) - expected + np.pi) % (2.0 * np.pi) - np.pi
+    np.testing.assert_allclose(turned, 0.0, atol=np.radians(4.0))
+    heights = anchors[:, 2] - geometry.anchors[:, 2].min()
+    np.testing.assert_allclose(axis.heights(anchors), heights, atol=0.003)
+    np.testing.assert_allclose(axis.radii(anchors), np.hypot(*anchors[:, :2].T), atol=0.004)
+    assert np.isclose(axis.heights(geometry.anchors).min(), 0.0)
+
+
+def test_the_names_of_a_designed_socket_say_the_same():
+    geometry = read_socket(OWN)
+    axis = socket_axis(geometry)
+    heights, angles = axis.heights(geometry.anchors), np.degrees(axis.angles(geometry.anchors))
+    tiles = [i for i, name in enumerate(geometry.names) if name[0] == "h" and name[5:6] == "a"]
+    assert len(tiles) > 70
+    for i in tiles:
+        name = geometry.names[i]
+        assert abs(1e3 * heights[i] - int(name[1:4])) < 3.0
+        if axis.radii(geometry.anchors[i]) > 0.02:
+            assert abs((angles[i] - int(name[6:9]) + 180.0) % 360.0 - 180.0) < 3.0
+
+
+def test_angles_count_from_anterior_towards_left():
+    axis = axis_through(np.array([0.01, 0.02, 0.08]), np.array([0.0, 0.0, 2.0]))
+    steps = np.array([[0.05, 0.0, 0.1], [0.0, 0.05, 0.0], [-0.05, 0.001, 0.0], [0.0, -1.0, 0.0]])
+    around = axis.end + steps
+    np.testing.assert_allclose(np.degrees(axis.angles(around)), [0, 90, 179, -90], atol=0.2)
+    np.testing.assert_allclose(axis.heights(around), [0.1, 0.0, 0.0, 0.0])
+    np.testing.assert_allclose(axis.radii(around[0]), 0.05)
+
+
+def test_the_axis_turns_with_the_socket(geometry):
+    turn = Rotation.from_euler("xyz", [50.0, -70.0, 120.0], degrees=True).as_matrix()
+    turned = dataclasses.replace(
+        geometry, rotations=turn @ geometry.rotations, anchors=geometry.anchors @ turn.T
+    )
+    proximal = proximal_direction(turned)
+    np.testing.assert_allclose(proximal, turn @ proximal_direction(geometry), atol=1e-12)
+    np.testing.assert_allclose(
+        socket_axis(turned).heights(turned.anchors),
+        socket_axis(geometry).heights(geometry.anchors),
+        atol=1e-12,
+    )
+
+
+@pytest.mark.parametrize("proximal", [[1.0, 0.0, 0.0], [-1.0, 0.0, 0.0], [0.6, 0.0, 0.8]])
+def test_anterior_is_across_any_axis(proximal):
+    axis = axis_through(np.zeros(3), np.array(proximal))
+    frame = np.stack([axis.anterior, axis.left, axis.proximal])
+    np.testing.assert_allclose(frame @ frame.T, np.eye(3), atol=1e-12)
+    assert np.linalg.det(frame) == pytest.approx(1.0)
+
+
+def test_tiles_around_a_point_have_the_axis_of_the_load_cell(geometry):
+    turns = Rotation.from_euler("z", [[0.0], [90.0], [180.0], [270.0]], degrees=True).as_matrix()
+    end = dataclasses.replace(geometry, rotations=turns)
+    np.testing.assert_array_equal(proximal_direction(end), [0.0, 0.0, 1.0])
