@@ -55,7 +55,12 @@ from socket_testbed.settings.identification import Variant, Weights
 from socket_testbed.settings.testbed import estimator_settings
 from socket_testbed.tables import check_format, write_table
 from socket_testbed.trials.segment import Segment
-from socket_testbed.trials.synchronise import make_samples, read_measurements, sample_table
+from socket_testbed.trials.synchronise import (
+    correct_measurements,
+    make_samples,
+    read_measurements,
+    sample_table,
+)
 from socket_testbed.trials.trial import Trial
 
 if TYPE_CHECKING:
@@ -605,7 +610,7 @@ def export(
     path = Path(path)
     check_format(path)
     stored = None if model is None else _model_for(trial, model)
-    measured = read_measurements(trial)
+    measured = correct_measurements(trial, read_measurements(trial))
     samples = make_samples(trial, measured)
     chosen = select(trial, segment, trial.estimator)
     predicted = None if stored is None else _predictions(samples, stored)

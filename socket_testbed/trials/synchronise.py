@@ -54,7 +54,7 @@ def read_samples(trial: Trial) -> Samples:
             holds too few readings.
         ConfigurationError: If the stored configuration is wrong.
     """
-    return make_samples(trial, read_measurements(trial))
+    return make_samples(trial, correct_measurements(trial, read_measurements(trial)))
 
 
 @dataclass(frozen=True)
@@ -229,9 +229,16 @@ def correct_measurements(trial: Trial, measured: Measurements) -> Measurements:
         trial: The trial, with its spans without load.
         measured: Its measurements.
 
+    Returns:
+        The corrected measurements; without a span those that were given.
+
     Raises:
-        CalibrationError: If a span holds too few readings of a cluster.
+        CalibrationError: If a span holds too few readings of a cluster, or the calibration lacks
+            a cluster.
     """
+    if not trial.unloaded:
+        return measured
+    _require_clusters(measured.clusters, trial)
     time = measured.time
     capacitance = measured.capacitance.copy()
     for column, name in enumerate(measured.clusters):
@@ -262,10 +269,8 @@ def _describe(drift: Drift) -> str:
 
 
 def make_samples(trial: Trial, measured: Measurements) -> Samples:
-    """Samples from the measurements of a trial; see `read_samples`."""
+    """Samples from the corrected measurements of a trial; see `read_samples`."""
     _require_clusters(measured.clusters, trial)
-    if trial.unloaded:
-        measured = correct_measurements(trial, measured)
     local_forces, status = _local_forces(trial, measured)
     socket, pylon = (
         Pose.from_quaternion(pose[:, :3], pose[:, 3:]) for pose in (measured.socket, measured.pylon)
@@ -319,7 +324,7 @@ def sample_table(
 
     Args:
         trial: The trial.
-        measured: All that was measured.
+        measured: All that was measured, corrected for drift.
         samples: All samples made of it.
         segment: Which of them are wanted.
         predicted: What a model predicts for all samples, added as `predicted.*`; see

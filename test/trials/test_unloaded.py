@@ -5,9 +5,11 @@ import json
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from socket_testbed.__main__ import run
+from socket_testbed.calibration.bench_data import STRESSES
 from socket_testbed.errors import CalibrationError, ConfigurationError
 from socket_testbed.trials.synchronise import (
     Measurements,
@@ -45,7 +47,7 @@ def test_drift_between_two_spans_is_taken_off(hold: Path, measured: Measurements
     # What was not measured stays so.
     assert np.array_equal(np.isnan(corrected.capacitance), np.isnan(measured.capacitance))
     plain = make_samples(dataclasses.replace(trial, unloaded=()), measured)
-    corrected = make_samples(trial, drifted)
+    corrected = make_samples(trial, corrected)
     np.testing.assert_allclose(
         corrected.local_forces[inner], plain.local_forces[inner], atol=0.15, rtol=0.01
     )
@@ -67,6 +69,24 @@ def test_a_stored_baseline_takes_off_what_came_before(hold: Path, measured: Meas
 def test_a_span_without_readings_is_refused(hold: Path, measured: Measurements) -> None:
     with pytest.raises(CalibrationError, match=r"from 900 s to 901 s.*too few"):
         correct_measurements(Trial(hold, unloaded=((900.0, 901.0),)), measured)
+
+
+def test_exported_stresses_are_those_of_the_exported_forces(hold: Path, tmp_path: Path) -> None:
+    """By the calibration, corrected capacitances give the stress, and this times area the force."""
+    output = tmp_path / "hold.csv"
+    assert run(["export", str(hold), "--unloaded", "0:3", "56:59", "-o", str(output)]) == 0
+    plain = tmp_path / "plain.csv"
+    assert run(["export", str(hold), "-o", str(plain)]) == 0
+    table, uncorrected = pd.read_csv(output), pd.read_csv(plain)
+    trial = Trial(hold)
+    for name, cluster in trial.calibration.clusters.items():
+        stress = table[[f"{name}.{axis} [Pa]" for axis in STRESSES]].to_numpy()
+        force = table[[f"{name}.{axis} [N]" for axis in ("Fx", "Fy", "Fz")]].to_numpy()
+        capacitance = table[[f"{name}.C{i} [pF]" for i in range(4)]].to_numpy()
+        expected, _ = cluster.apply(capacitance, np.zeros(capacitance.shape, dtype=np.uint8))
+        np.testing.assert_allclose(stress, expected, rtol=1e-9)
+        np.testing.assert_allclose(force, trial.geometry.cluster_force(name, stress), rtol=1e-9)
+        assert (table[f"{name}.C0 [pF]"] - uncorrected[f"{name}.C0 [pF]"]).abs().max() > 1e-4
 
 
 @pytest.mark.parametrize("spans", [["5"], ["8:2"], ["a:b"], ["0:1", "2:3", "4:5"]])
