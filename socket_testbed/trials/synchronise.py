@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from scipy.ndimage import median_filter
 
 from socket_testbed.arrays import FloatArray, IntArray, StatusArray
 from socket_testbed.calibration.bench_data import STRESSES
@@ -31,7 +32,7 @@ from socket_testbed.samples import LOCAL_CHANNELS, Samples, Status, channel_unit
 from socket_testbed.trials.bag import RawMessage, decode, stamp_of
 from socket_testbed.trials.segment import Segment
 from socket_testbed.trials.topics import CAPACITANCE, PYLON_POSE, SOCKET_POSE, TRIGGER, WRENCH
-from socket_testbed.trials.trial import Trial, required_topics
+from socket_testbed.trials.trial import Trial, check_unloaded, required_topics
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -221,9 +222,11 @@ def pose_vector(pose: Any) -> tuple[float, ...]:
 def correct_measurements(trial: Trial, measured: Measurements) -> Measurements:
     """Bring the clusters' readings to the baseline of their calibration.
 
-    The drift is linear between the trial's two spans without load. If the calibration stores no
-    baseline, only the drift since the first span is removed. The trial reports the drift between
-    two spans, and flags a large one.
+    The drift is linear between the trial's two spans without load. The baseline of a calibration
+    is that of an unloaded cluster. If it stores none, or the load cell measured a load in the
+    first span (a pylon alone has a weight, too), only the drift since the first span is corrected.
+    The trial reports the drift between two spans, flags a large one, and reports what is not
+    corrected.
 
     Args:
         trial: The trial, with its spans without load.
@@ -235,12 +238,16 @@ def correct_measurements(trial: Trial, measured: Measurements) -> Measurements:
     Raises:
         CalibrationError: If a span holds too few readings of a cluster, or the calibration lacks
             a cluster.
+        TrialError: If the load cell measured clearly more in a span than at its least load.
     """
     if not trial.unloaded:
         return measured
     _require_clusters(measured.clusters, trial)
+    free = _require_unloaded(trial, measured)
     time = measured.time
     capacitance = measured.capacitance.copy()
+    notify = trial.notify or _ignore
+    unchanged = []
     for column, name in enumerate(measured.clusters):
         readings = capacitance[:, column]
         baselines = [
@@ -253,10 +260,62 @@ def correct_measurements(trial: Trial, measured: Measurements) -> Measurements:
         ]
         cluster = trial.calibration.clusters[name]
         before, after = baselines[0], baselines[1] if len(baselines) > 1 else None
-        capacitance[:, column] = correct_drift(readings, time, before, after, cluster.baseline)
-        if after is not None and trial.notify is not None:
-            trial.notify(f"{name} {_describe(measure_drift(cluster, before, after))}")
+        reference = cluster.baseline if free else None
+        capacitance[:, column] = correct_drift(readings, time, before, after, reference)
+        if after is not None:
+            notify(f"{name} {_describe(measure_drift(cluster, before, after))}")
+        elif reference is None:
+            unchanged.append(name)
+    if unchanged:
+        notify(
+            f"one span without load and no stored baseline in use: the drift of"
+            f" {', '.join(unchanged)} is not corrected: give a second span, after the load"
+        )
     return dataclasses.replace(measured, capacitance=capacitance)
+
+
+_REST = 1.0  # [s]; what is shorter is no rest
+
+
+def _require_unloaded(trial: Trial, measured: Measurements) -> bool:
+    """Refuse a span that the load cell contradicts.
+
+    Returns:
+        Whether the clusters were free of load in the first span.
+    """
+    force = np.linalg.norm(measured.wrench[:, 3:], axis=1)
+    known = np.isfinite(force)
+    time, force = measured.time[known], force[known]
+    if len(force) == 0:
+        return True
+    width = max(3, int(_REST * len(time) / max(float(time[-1] - time[0]), _REST)))
+    steady = median_filter(force, width, mode="nearest")
+    least = float(steady.min())
+    limit = trial.estimator.plateau.least_force  # [N]; less is no load
+    loads = []
+    for start, end in trial.unloaded:
+        within = force[(time >= start) & (time <= end)]
+        load = float(np.median(within)) if len(within) else least
+        if load > least + limit:
+            raise TrialError(
+                f"{trial.path}: {start:g}:{end:g} is not without load, the load cell measured"
+                f" {load:.0f} N there",
+                f"give a span as at {time[steady.argmin()]:.1f} s, where it measured {least:.0f} N",
+            )
+        loads.append(load)
+    baselines = [trial.calibration.clusters[name].baseline for name in measured.clusters]
+    free = loads[0] <= limit
+    if not free and trial.notify is not None and any(b is not None for b in baselines):
+        start, end = trial.unloaded[0]
+        trial.notify(
+            f"the load cell measured {loads[0]:.0f} N in {start:g}:{end:g}, so the stored baseline"
+            " of the clusters is not used: only their drift since then is corrected"
+        )
+    return free
+
+
+def _ignore(note: str) -> None:
+    pass
 
 
 def _describe(drift: Drift) -> str:
@@ -378,22 +437,18 @@ def parse_unloaded(spans: list[str]) -> tuple[tuple[float, float], ...]:
     """Spans without load written as `T0:T1`, in seconds since the trial's first sample.
 
     Raises:
-        ConfigurationError: If one is none, or there are more than two.
+        ConfigurationError: If one is none, or they are wrong together: see `check_unloaded`.
     """
-    if len(spans) > 2:
-        raise ConfigurationError(
-            f"--unloaded has {len(spans)} spans", "give one before, or one before and one after"
-        )
-    return tuple(_parse(span) for span in spans)
+    parsed = tuple(_parse(span) for span in spans)
+    check_unloaded(parsed)
+    return parsed
 
 
 def _parse(span: str) -> tuple[float, float]:
     try:
         start, end = (float(part) for part in span.split(":"))
     except ValueError:
-        start, end = np.nan, np.nan
-    if not start < end:
         raise ConfigurationError(
             f"--unloaded is '{span}'", "give seconds as T0:T1, with T0 before T1"
-        )
+        ) from None
     return start, end

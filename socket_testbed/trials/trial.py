@@ -11,7 +11,7 @@ from itertools import count
 from pathlib import Path
 
 from socket_testbed.calibration.model import Calibration, read_calibration
-from socket_testbed.errors import TrialError
+from socket_testbed.errors import ConfigurationError, TrialError
 from socket_testbed.files import packaged
 from socket_testbed.geometry.socket import SocketGeometry, read_socket
 from socket_testbed.samples import Samples
@@ -36,6 +36,9 @@ class Trial:
         notify: Called with each note on the trial: on its bag, whenever it is opened, and on drift.
         unloaded: Spans without load, before and after, by which the clusters' drift is
             corrected; seconds since the first sample.
+
+    Raises:
+        ConfigurationError: If the spans are wrong, see `check_unloaded`.
     """
 
     path: Path
@@ -43,6 +46,9 @@ class Trial:
     calibration_file: Path | None = None
     notify: Callable[[str], None] | None = None
     unloaded: tuple[tuple[float, float], ...] = ()
+
+    def __post_init__(self) -> None:
+        check_unloaded(self.unloaded)
 
     def __repr__(self) -> str:
         return f"Trial({str(self.path)!r})"
@@ -104,6 +110,32 @@ class Trial:
         """Settings of the estimator with which the trial was recorded, or the defaults."""
         stored = self.path / PARAMETERS_FILE
         return read_testbed(stored).estimator_node if stored.is_file() else EstimatorSettings()
+
+
+def check_unloaded(spans: tuple[tuple[float, float], ...]) -> None:
+    """Refuse spans without load that are more than two, reversed, overlapping or out of order.
+
+    Args:
+        spans: Their starts and ends [s].
+
+    Raises:
+        ConfigurationError: Naming the spans.
+    """
+    if len(spans) > 2:
+        raise ConfigurationError(
+            f"--unloaded has {len(spans)} spans", "give one before, or one before and one after"
+        )
+    for start, end in spans:
+        if not start < end:
+            raise ConfigurationError(
+                f"--unloaded is '{start:g}:{end:g}'", "give seconds as T0:T1, with T0 before T1"
+            )
+    if len(spans) == 2 and not spans[0][1] < spans[1][0]:
+        first, second = (f"{start:g}:{end:g}" for start, end in spans)
+        raise ConfigurationError(
+            f"--unloaded: {second} does not begin after {first}",
+            "give the span before the load first, the one after it second",
+        )
 
 
 def required_topics(bag: BagReader) -> dict[Topic, str]:

@@ -8,6 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+import socket_testbed as st
 from socket_testbed.__main__ import run
 from socket_testbed.calibration.bench_data import STRESSES
 from socket_testbed.errors import CalibrationError, ConfigurationError
@@ -53,17 +54,60 @@ def test_drift_between_two_spans_is_taken_off(hold: Path, measured: Measurements
     )
 
 
-def test_a_stored_baseline_takes_off_what_came_before(hold: Path, measured: Measurements) -> None:
-    trial = Trial(hold, unloaded=((0.0, 8.0),))
-    reference = np.array([5.0, 5.0, 5.0, 5.0])
+REFERENCE = np.array([5.0, 5.0, 5.0, 5.0])
+
+
+def with_baselines(trial: Trial) -> Trial:
+    """The trial with a baseline in the calibration of every cluster."""
     clusters = {
-        name: dataclasses.replace(cluster, baseline=reference)
+        name: dataclasses.replace(cluster, baseline=REFERENCE)
         for name, cluster in trial.calibration.clusters.items()
     }
     calibration = dataclasses.replace(trial.calibration, clusters=clusters)
     trial.__dict__["calibration"] = calibration
+    return trial
+
+
+def test_a_stored_baseline_takes_off_what_came_before(hold: Path, measured: Measurements) -> None:
+    trial = with_baselines(Trial(hold, unloaded=((0.0, 8.0),)))
+    wrench = measured.wrench.copy()
+    wrench[measured.time <= 8.0] = 0.0
+    corrected = correct_measurements(trial, dataclasses.replace(measured, wrench=wrench))
+    np.testing.assert_allclose(corrected.capacitance[3], np.tile(REFERENCE, (4, 1)))
+
+
+def test_under_the_pylon_s_weight_only_the_drift_since_then_counts(
+    hold: Path, measured: Measurements
+) -> None:
+    """A baseline is of a cluster that bears nothing: it would take off what the pylon presses."""
+    end, notes = measured.time[-1], []
+    spans = ((0.0, 8.0), (end - 8.0, end))
+    trial = with_baselines(Trial(hold, notify=notes.append, unloaded=spans))
     corrected = correct_measurements(trial, measured)
-    np.testing.assert_allclose(corrected.capacitance[3], np.tile(reference, (4, 1)))
+    assert "load cell measured 92 N in 0:8" in notes[0] and "baseline" in notes[0]
+    expected = correct_measurements(Trial(hold, unloaded=spans), measured)
+    np.testing.assert_array_equal(corrected.capacitance, expected.capacitance)
+
+
+@pytest.mark.parametrize("spans", [["25:30"], ["0:5", "25:30"]])
+def test_a_span_under_load_is_refused_with_the_force(
+    spans: list[str], hold: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    model = tmp_path / "m.json"
+    assert run(["fit", str(hold), "--unloaded", *spans, "-o", str(model)]) == 1
+    error = capsys.readouterr().err
+    assert "25:30 is not without load, the load cell measured 279 N there" in error
+    assert "where it measured 92 N" in error and error.count("\n") == 1
+    assert not model.exists()
+
+
+def test_one_span_that_corrects_nothing_is_reported(
+    hold: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    output = tmp_path / "hold.csv"
+    assert run(["export", str(hold), "--unloaded", "0:3", "-o", str(output)]) == 0
+    note = capsys.readouterr().err
+    assert "distal is not corrected: give a second span" in note and note.count("\n") == 1
 
 
 def test_a_span_without_readings_is_refused(hold: Path, measured: Measurements) -> None:
@@ -89,10 +133,18 @@ def test_exported_stresses_are_those_of_the_exported_forces(hold: Path, tmp_path
         assert (table[f"{name}.C0 [pF]"] - uncorrected[f"{name}.C0 [pF]"]).abs().max() > 1e-4
 
 
-@pytest.mark.parametrize("spans", [["5"], ["8:2"], ["a:b"], ["0:1", "2:3", "4:5"]])
+@pytest.mark.parametrize(
+    "spans",
+    [["5"], ["8:2"], ["a:b"], ["nan:1"], ["0:1", "2:3", "4:5"], ["0:5", "3:8"], ["9:10", "0:1"]],
+)
 def test_wrong_spans_are_refused(spans: list[str]) -> None:
     with pytest.raises(ConfigurationError, match="--unloaded"):
         parse_unloaded(spans)
+
+
+def test_overlapping_spans_are_refused_when_a_trial_is_opened(hold: Path) -> None:
+    with pytest.raises(ConfigurationError, match="3:8 does not begin after 0:5"):
+        st.open_trial(hold, unloaded=[(0, 5), (3, 8)])
 
 
 def test_a_model_remembers_the_spans(
