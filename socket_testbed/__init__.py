@@ -11,6 +11,7 @@ __version__ = "0.1.0"
 if TYPE_CHECKING:
     from socket_testbed.api import (
         TestbedError,
+        annotate,
         calibrate,
         evaluate,
         export,
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
 __all__ = [
     "TestbedError",
     "__version__",
+    "annotate",
     "calibrate",
     "evaluate",
     "export",

@@ -20,6 +20,7 @@ VERBS = {
     "calibrate": "fit a cluster's coefficients to bench data and show their quality",
     "simulate": "write a simulated trial with its ground truth",
     "record": "record the graph as a trial",
+    "annotate": "state and show a trial's metadata: subject code, side, socket, liner, ...",
     "replay": "publish a trial with /clock; --estimate runs the estimator on it",
     "info": "show what a trial holds: topics, rates, gaps, plateau",
     "fit": "identify the contact model on a trial, or on every trial of a folder",

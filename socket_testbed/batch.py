@@ -26,6 +26,7 @@ from threadpoolctl import threadpool_limits
 from socket_testbed.errors import ConfigurationError, TestbedError, TrialError
 from socket_testbed.files import atomic_output
 from socket_testbed.tables import split_unit, write_table
+from socket_testbed.trials.metadata import METADATA_FILE
 from socket_testbed.trials.trial import Trial
 
 SUMMARY = "summary"
@@ -119,6 +120,7 @@ class Task:
             that end in their unit, such as `Fx_rmse [N]`; None where there is none.
         settings: What the results depend on besides files, as JSON can hold it.
         again: Whether finished trials are done again.
+        uses_metadata: Whether the results depend on the trials' metadata.
     """
 
     verb: str
@@ -126,6 +128,7 @@ class Task:
     work: Callable[[Job], Row]
     settings: Mapping[str, Any] = field(default_factory=dict)
     again: bool = False
+    uses_metadata: bool = False
 
 
 class JobStatus(StrEnum):
@@ -247,7 +250,8 @@ def run_batch(
                     warn(f"note: {outcome.name}: {outcome.row['notes']}")
     finally:
         if done:  # else an older summary stays, as its results do
-            _write_summary(outcomes, task.folder)
+            metadata = [_metadata_columns(job, warn) for job in jobs]
+            _write_summary(outcomes, metadata, task.folder)
     report(f"summary in {task.folder / SUMMARY}.csv and {SUMMARY}.parquet")
     failed = [outcome for outcome in outcomes if outcome.status is JobStatus.FAILED]
     for outcome in failed:
@@ -287,7 +291,13 @@ def _one_line(error: Exception) -> str:
     return " ".join(f"{type(error).__name__}: {error}".split())
 
 
-def _write_summary(outcomes: Sequence[Outcome], folder: Path) -> None:
+def _metadata_columns(job: Job, warn: Callable[[str], None]) -> Row:
+    """Metadata of a trial as they are now: they may have changed since its result was made."""
+    trial = replace(job.trial, notify=lambda note: warn(f"note: {job.name}: {note}"))
+    return {**trial.metadata.columns()}
+
+
+def _write_summary(outcomes: Sequence[Outcome], metadata: Sequence[Row], folder: Path) -> None:
     """Write the table as `summary.csv` and `summary.parquet`, one row per outcome.
 
     A job that was skipped is `ok`: the table lists the results, not in which run they were made.
@@ -301,9 +311,10 @@ def _write_summary(outcomes: Sequence[Outcome], folder: Path) -> None:
                 JobStatus.OK if outcome.status is JobStatus.SKIPPED else outcome.status
             ).value,
             "error": outcome.error,
+            **stated,
             **outcome.row,
         }
-        for outcome in outcomes
+        for outcome, stated in zip(outcomes, metadata, strict=True)
     ]
     table = pd.DataFrame(rows, dtype=object)  # counts stay integers even where one is missing
     for suffix in (".csv", ".parquet"):
@@ -327,7 +338,7 @@ def execute(task: Task, job: Job) -> Outcome:
 
 def _do_once(task: Task, job: Job) -> Outcome:
     path = record_path(task, job)
-    inputs = fingerprint(job, task.settings)
+    inputs = fingerprint(job, task.settings, task.uses_metadata)
     record = _read_record(path)
     changed: tuple[str, ...] = ()
     if record is not None:
@@ -394,17 +405,29 @@ def _changes(record: Record, inputs: dict[str, str], output: Path) -> tuple[str,
     return tuple(names)
 
 
-def fingerprint(job: Job, settings: Mapping[str, Any]) -> dict[str, str]:
+def fingerprint(
+    job: Job, settings: Mapping[str, Any], uses_metadata: bool = False
+) -> dict[str, str]:
     """What the result of a job depends on, by names for the user.
 
     Contents count, not times: a copied trial is the same, a file restored with an old date is not.
+
+    Args:
+        job: The job.
+        settings: What the result depends on besides files.
+        uses_metadata: Whether it depends on the trial's metadata.
 
     Raises:
         TrialError: If a file cannot be read.
     """
     trial = job.trial.path
+    passed_over = () if uses_metadata else (METADATA_FILE,)
     try:
-        files = sorted(p for p in trial.iterdir() if p.is_file() and not p.name.startswith("."))
+        files = sorted(
+            path
+            for path in trial.iterdir()
+            if path.is_file() and not path.name.startswith(".") and path.name not in passed_over
+        )
     except OSError as error:
         raise _unreadable(trial, error) from None
     return (

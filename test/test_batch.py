@@ -99,6 +99,25 @@ def test_what_is_done_is_skipped_and_the_summary_stays(study: Path, task: Task) 
     assert forced[0] == ["ok"] * 3
 
 
+def test_metadata_show_up_without_a_result_being_made_again(study: Path, task: Task) -> None:
+    run(study, task)
+    summary = task.folder / "summary.csv"
+    assert pd.read_csv(summary)["subject"].isna().all()
+    (study / "walk" / "trial.yaml").write_text('subject: "007"\nmass: 70\n')
+    (study / "s02" / "hold" / "trial.yaml").write_text("side: lft")
+    again, _, warned = run(study, task)
+    assert again == ["skipped"] * 3
+    assert any("s02/hold" in line and "did you mean 'left'" in line for line in warned)
+    table = pd.read_csv(summary, dtype={"subject": str}).set_index("trial")
+    assert table["subject"].dropna().to_dict() == {"walk": "007"}
+    assert table["mass [kg]"].dropna().to_dict() == {"walk": 70.0}
+    assert pd.read_parquet(task.folder / "summary.parquet")["subject"].tolist()[2] == "007"
+    # A result that shows the metadata is another matter.
+    shown = replace(task, uses_metadata=True)
+    assert run(study, shown)[0] == ["skipped", "ok", "ok"]
+    assert run(study, shown)[0] == ["skipped"] * 3
+
+
 def change_trial(study: Path, task: Task, job: Job) -> tuple[Task, Job]:
     file = job.trial.path / "hold.mcap"
     times = file.stat()

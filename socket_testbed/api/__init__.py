@@ -24,7 +24,7 @@ from socket_testbed.api.models import (
     read_model,
     write_report,
 )
-from socket_testbed.api.trials import open_trial, select_segment, simulate
+from socket_testbed.api.trials import annotate, open_trial, select_segment, simulate
 from socket_testbed.api.validation import Validation, validate
 from socket_testbed.errors import TestbedError
 
@@ -35,6 +35,7 @@ __all__ = [
     "TrialFit",
     "TrialMap",
     "Validation",
+    "annotate",
     "calibrate",
     "check_thetas",
     "evaluate",

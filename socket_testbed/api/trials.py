@@ -9,14 +9,23 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
 
+from socket_testbed.batch import is_trial
 from socket_testbed.calibration.model import read_calibration
-from socket_testbed.errors import ConfigurationError
+from socket_testbed.errors import ConfigurationError, TrialError
 from socket_testbed.files import check_number, closest, packaged, refuse_existing
 from socket_testbed.geometry.socket import read_socket
 from socket_testbed.samples import Samples
 from socket_testbed.settings.identification import PlateauSettings
 from socket_testbed.settings.testbed import EstimatorSettings
 from socket_testbed.trials import segment as segments
+from socket_testbed.trials.metadata import (
+    METADATA_FILE,
+    Side,
+    TrialMetadata,
+    change_metadata,
+    read_metadata,
+    write_metadata,
+)
 from socket_testbed.trials.segment import Segment
 from socket_testbed.trials.trial import Trial
 
@@ -79,6 +88,67 @@ def open_trial(
         with trial.open():
             pass  # says what is wrong
     return trial
+
+
+def annotate(
+    trial: Trial,
+    *,
+    subject: str | None = None,
+    side: Side | None = None,
+    socket: str | None = None,
+    liner: str | None = None,
+    mass: float | None = None,
+    operator: str | None = None,
+    protocol: str | None = None,
+    notes: str | None = None,
+    remove: Iterable[str] = (),
+) -> TrialMetadata:
+    """State metadata of a trial, in the `trial.yaml` in its folder; nothing else is written.
+
+    What is not given stays as it is.
+
+    Args:
+        trial: The trial.
+        subject: Code of the subject, such as `S01`; never a name.
+        side: Side of the residual limb, `left` or `right`.
+        socket: The socket, such as `PTB 3`.
+        liner: Liner or sock.
+        mass: Body mass of the subject [kg].
+        operator: Initials or a code of who recorded it.
+        protocol: The protocol that it follows.
+        notes: Anything else.
+        remove: Fields to remove.
+
+    Returns:
+        All metadata of the trial, as `trial.metadata` gives them from now on.
+
+    Raises:
+        ConfigurationError: If a value is wrong, the stored file is broken or cannot be written.
+        TrialError: If the path is no folder of a trial.
+
+    >>> trial = st.open_trial("trials/hold")
+    >>> st.annotate(trial, subject="S01", side="left", mass=82.5).columns()
+    {'subject': 'S01', 'side': 'left', 'socket': None, 'liner': None, 'mass [kg]': 82.5, ...}
+    >>> st.annotate(trial, remove=["mass"]).mass
+    """
+    changes = {
+        "subject": subject,
+        "side": side,
+        "socket": socket,
+        "liner": liner,
+        "mass": mass,
+        "operator": operator,
+        "protocol": protocol,
+        "notes": notes,
+    }
+    if not (trial.path.is_dir() and is_trial(trial.path)):
+        raise TrialError(f"{trial.path}: is no folder of a trial", "give the folder of one trial")
+    path = trial.path / METADATA_FILE
+    stored = read_metadata(path) if path.exists() else TrialMetadata()
+    metadata = change_metadata(stored, changes, remove)
+    if metadata != stored:
+        write_metadata(metadata, path)
+    return metadata
 
 
 def _warn(note: str) -> None:

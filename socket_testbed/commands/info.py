@@ -8,7 +8,7 @@ import dataclasses
 import numpy as np
 
 from socket_testbed.commands.options import add_trial, trial_of
-from socket_testbed.commands.text import number, table
+from socket_testbed.commands.text import metadata_table, number, table
 from socket_testbed.identification.noise import channel_noise, noise_groups
 from socket_testbed.samples import Samples, Status
 from socket_testbed.trials.segment import find_plateaus
@@ -28,7 +28,7 @@ def run(options: argparse.Namespace) -> None:
     trial = dataclasses.replace(trial_of(options), notify=lambda note: notes.update({note: None}))
     print(_topics(trial))
     shown = len(notes)
-    samples = read_samples(trial)
+    samples, metadata = read_samples(trial), trial.metadata
     print()
     for note in list(notes)[shown:]:
         print(f"note: {note}")
@@ -41,6 +41,7 @@ def run(options: argparse.Namespace) -> None:
     for segment in find_plateaus(samples, trial.estimator.plateau):
         mean = np.nanmean(samples[segment.rows].wrench[:, 3:], axis=0)
         print(f"{segment}: mean force {np.linalg.norm(mean):.1f} N")
+    print(f"\n{metadata_table(metadata)}\n")
     stored = [name for name in CONFIGURATION_FILES if (trial.path / name).is_file()]
     print(f"recorded with: {', '.join(stored) or 'nothing stored'}")
     geometry = trial.geometry

@@ -4,17 +4,19 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import cache, partial
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
 from socket_testbed.batch import Job, Pool, Row, Task, find_trials, plan_jobs, run_batch
+from socket_testbed.errors import ConfigurationError
 from socket_testbed.files import check_number
 from socket_testbed.settings import testbed
 from socket_testbed.settings.identification import VARIANTS, WEIGHTS
 from socket_testbed.settings.testbed import EstimatorSettings
+from socket_testbed.trials.metadata import FIELDS, TrialMetadata, change_metadata
 from socket_testbed.trials.synchronise import parse_unloaded
 from socket_testbed.trials.trial import Trial
 
@@ -81,6 +83,35 @@ def add_unloaded(parser: argparse.ArgumentParser) -> None:
         metavar="T0:T1",
         help="seconds without load before, and after: the clusters' drift is corrected by them",
     )
+
+
+def add_metadata(parser: argparse.ArgumentParser) -> None:
+    """Metadata of a trial."""
+    group = parser.add_argument_group("metadata of the trial, each optional")
+    for name, kind, metavar, text in (
+        ("subject", str, "CODE", "code of the subject, such as S01; never a name"),
+        ("side", str, "left|right", "side of the residual limb"),
+        ("socket", str, "TEXT", "the socket, such as 'PTB 3'"),
+        ("liner", str, "TEXT", "liner or sock"),
+        ("mass", float, "KG", "body mass of the subject [kg]"),
+        ("operator", str, "CODE", "initials or a code of who records it"),
+        ("protocol", str, "TEXT", "the protocol that it follows"),
+        ("notes", str, "TEXT", "anything else"),
+    ):
+        group.add_argument(f"--{name}", type=kind, metavar=metavar, help=text)
+
+
+def metadata_of(options: argparse.Namespace, remove: Iterable[str] = ()) -> TrialMetadata:
+    """The metadata that `add_metadata` was given.
+
+    Raises:
+        ConfigurationError: If one is wrong.
+    """
+    given = {name: getattr(options, name) for name in FIELDS}
+    try:
+        return change_metadata(TrialMetadata(), given, remove)
+    except ConfigurationError as error:
+        raise ConfigurationError(f"--{error.fact}", error.hint) from None
 
 
 def add_identification(
@@ -212,6 +243,7 @@ class TrialVerb(Generic[R]):
         work: Works on a trial and writes `options.output`.
         row: The result's row of the summary.
         show: Prints the result for a single trial.
+        uses_metadata: Whether the outputs depend on the trials' metadata.
     """
 
     name: str
@@ -220,6 +252,7 @@ class TrialVerb(Generic[R]):
     work: Callable[[argparse.Namespace, Trial], R]
     row: Callable[[R], Row]
     show: Callable[[argparse.Namespace, R], None]
+    uses_metadata: bool = False
 
     def run(self, options: argparse.Namespace) -> None:
         """Do the work on the trial of the options, or on all trials below that folder."""
@@ -233,7 +266,14 @@ class TrialVerb(Generic[R]):
         spans = parse_unloaded(options.unloaded or [])
         jobs = plan_jobs(trials, options.output, self.suffix, files, spans)
         settings = {name: getattr(options, name) for name in self.settings}
-        task = Task(self.name, options.output, partial(self._do, options), settings, options.again)
+        task = Task(
+            self.name,
+            options.output,
+            partial(self._do, options),
+            settings,
+            options.again,
+            self.uses_metadata,
+        )
         if options.jobs is not None:
             check_number(options.jobs, "--jobs", 1)
         run_batch(task, jobs, Pool(options.jobs, options.dask), _report, _warn)

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import argparse
+import dataclasses
 import sys
 from pathlib import Path
 
 from socket_testbed.calibration.model import read_calibration
+from socket_testbed.commands.options import add_metadata, metadata_of
 from socket_testbed.files import refuse_existing
 from socket_testbed.geometry.socket import read_socket
 from socket_testbed.live.processes import Graph
 from socket_testbed.settings.testbed import RecorderSettings, read_testbed
+from socket_testbed.trials.metadata import METADATA_FILE, write_metadata
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -20,6 +23,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         parser.add_argument(
             f"--{name}", type=Path, metavar="FILE.yaml", help=f"{name} to store in the trial"
         )
+    add_metadata(parser)
     parser.set_defaults(run=run)
 
 
@@ -34,6 +38,7 @@ def run(options: argparse.Namespace) -> None:
     ):
         if file is not None:
             read(file)
+    metadata = metadata_of(options)
     settings = RecorderSettings(
         directory=str(options.directory.resolve()),
         record=True,
@@ -42,6 +47,10 @@ def run(options: argparse.Namespace) -> None:
         parameters=_resolved(options.params),
     )
     with Graph() as graph:
+        if metadata.stated():
+            stored = graph.folder / METADATA_FILE
+            write_metadata(metadata, stored)
+            settings = dataclasses.replace(settings, metadata=str(stored))
         graph.start("recorder_node", settings)
         print(f"recording {options.directory}; Ctrl-C ends it", file=sys.stderr)
         try:

@@ -56,7 +56,7 @@ def run(options: argparse.Namespace) -> None:
     # The command as it was typed, but for where the program lies.
     options.command = shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]])
     settings = ("segment", "unloaded", *(n for n in CHOICES if n != "variant"), "thetas")
-    TrialVerb("report", ".html", settings, _report, _row, _show).run(options)
+    TrialVerb("report", ".html", settings, _report, _row, _show, uses_metadata=True).run(options)
 
 
 def _report(options: argparse.Namespace, trial: Trial) -> Results:

@@ -14,7 +14,12 @@ from socket_testbed.commands.hardware_options import (
     simulation_of,
     testbed_of,
 )
-from socket_testbed.commands.options import add_model_choice, choose_model
+from socket_testbed.commands.options import (
+    add_metadata,
+    add_model_choice,
+    choose_model,
+    metadata_of,
+)
 from socket_testbed.errors import ConfigurationError
 from socket_testbed.files import check_number, refuse_existing
 from socket_testbed.geometry.socket import read_socket
@@ -22,6 +27,7 @@ from socket_testbed.identification.fit import check_names
 from socket_testbed.live.bringup import Simulation, Testbed, end, predict_with, start, summary
 from socket_testbed.live.processes import Graph
 from socket_testbed.live.time_scale import busy_note, measure_speed, pace
+from socket_testbed.trials.metadata import TrialMetadata
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -29,6 +35,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     add_testbed(parser)
     add_model_choice(parser)
     parser.add_argument("--record", type=Path, metavar="DIR", help="record a trial into DIR")
+    add_metadata(parser)
     parser.add_argument("--model", type=Path, metavar="MODEL", help="predict with it, fit none")
     parser.add_argument("--rate", type=float, metavar="HZ", help="rate of the trigger [Hz]")
     parser.add_argument(
@@ -125,5 +132,16 @@ def _testbed(options: argparse.Namespace, simulation: Simulation | None) -> Test
             testbed.settings, trigger_node=trigger, estimator_node=estimator
         ),
         record=options.record,
+        metadata=_metadata(options),
         one_process=options.one_process,
     )
+
+
+def _metadata(options: argparse.Namespace) -> TrialMetadata:
+    """Metadata of the new trial."""
+    metadata = metadata_of(options)
+    if options.record is None and (stated := metadata.stated()):
+        raise ConfigurationError(
+            f"--{next(iter(stated))} is for a trial that is recorded", "add --record DIR"
+        )
+    return metadata

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from socket_testbed.batch import Row
 from socket_testbed.identification.evaluation import ChannelErrors, summarise_errors
 from socket_testbed.identification.model_file import finite_or_null
+from socket_testbed.trials.metadata import TrialMetadata
 from socket_testbed.trials.segment import Segment
 
 _PROGRESS_PERIOD = 0.5  # [s]
@@ -38,6 +39,12 @@ def _is_number(cell: str) -> bool:
 def number(value: float, digits: int = 3) -> str:
     """A number for a table; a dash where there is none."""
     return f"{round(value, digits) + 0.0:.{digits}f}" if math.isfinite(value) else "-"
+
+
+def metadata_table(metadata: TrialMetadata) -> str:
+    """The metadata of a trial, as far as they are stated."""
+    rows = [[name, text] for name, text in metadata.described().items()]
+    return table(["metadata", "value"], rows) if rows else "no metadata: 'annotate' states them"
 
 
 class Progress:

@@ -35,6 +35,13 @@ from socket_testbed.settings.testbed import (
 from socket_testbed.simulation.limb import Scenario, TissueKind
 from socket_testbed.simulation.trial import TRUTH_FILE
 from socket_testbed.simulation.world import World
+from socket_testbed.trials.metadata import (
+    METADATA_FILE,
+    TrialMetadata,
+    change_metadata,
+    read_metadata,
+    write_metadata,
+)
 from socket_testbed.trials.synchronise import check_trial, read_samples
 from socket_testbed.trials.trial import Trial, recorded_namespace
 
@@ -77,6 +84,7 @@ class Testbed:
         simulation: What is simulated; None on hardware.
         record: Folder of the new trial; None to record nothing.
         one_process: Whether all nodes but the trigger's and the recorder's share a process.
+        metadata: Metadata of the new trial, over those of the recorder's settings.
 
     Raises:
         TestbedError: If these do not belong together.
@@ -90,6 +98,7 @@ class Testbed:
     simulation: Simulation | None = None
     record: Path | None = None
     one_process: bool = False
+    metadata: TrialMetadata = field(default_factory=TrialMetadata)
 
     def __post_init__(self) -> None:
         names = self.settings.cluster_node.names
@@ -154,9 +163,20 @@ class Testbed:
             geometry=geometry,
             calibration=calibration,
             parameters=str(stored),
+            metadata=self._store_metadata(folder / METADATA_FILE),
             flush_period=given.recorder_node.flush_period,
         )
         return [GraphNode("recorder_node", recorder), *nodes]
+
+    def _store_metadata(self, path: Path) -> str:
+        """Write the new trial's metadata; the path, or nothing where nothing is stated."""
+        given = self.settings.recorder_node.metadata
+        metadata = read_metadata(Path(given)) if given else TrialMetadata()
+        metadata = change_metadata(metadata, self.metadata.stated())
+        if not metadata.stated():
+            return ""
+        write_metadata(metadata, path)
+        return str(path)
 
 
 def simulated_testbed(

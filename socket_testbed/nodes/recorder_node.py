@@ -29,6 +29,7 @@ from socket_testbed.files import refuse_existing
 from socket_testbed.nodes.base import ERROR, OK, WARN, TestbedNode
 from socket_testbed.settings.testbed import RecorderSettings
 from socket_testbed.trials.bag import BagWriter
+from socket_testbed.trials.metadata import read_metadata
 from socket_testbed.trials.topics import RECORDED_TRIAL, TOPICS
 from socket_testbed.trials.trial import beside_cut_short, store_configuration
 
@@ -81,6 +82,8 @@ class RecorderNode(TestbedNode[RecorderSettings]):
     def _start(self, path: Path) -> None:
         refuse_existing(path)
         settings = self.settings
+        if settings.metadata:
+            read_metadata(Path(settings.metadata))  # refuses a wrong one
         bag = BagWriter(path)
         try:
             bag.__enter__()
@@ -90,7 +93,12 @@ class RecorderNode(TestbedNode[RecorderSettings]):
                 path,
                 *(
                     Path(file) if file else None
-                    for file in (settings.geometry, settings.calibration, settings.parameters)
+                    for file in (
+                        settings.geometry,
+                        settings.calibration,
+                        settings.parameters,
+                        settings.metadata,
+                    )
                 ),
             )
         except OSError as error:

@@ -74,6 +74,8 @@ def page_content(results: Results, command: str, made: datetime) -> dict[str, An
     if all(held_out):
         caption = "Errors over the rest of the trial (held-out), in the unit of the channel"
         tables.append(_errors(results, "held-out", caption, held_out))
+    if stated := results.trial.metadata.described():
+        tables.append(_pairs("metadata", "What is stated about the trial", [*stated.items()]))
     if results.fronts:
         tables.append(_marks(results))
     tables += _validation(results)

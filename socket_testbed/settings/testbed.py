@@ -74,6 +74,7 @@ class RecorderSettings(Settings):
     geometry: str = setting("", "path of the socket.yaml to store; empty: the package's own [-]")
     calibration: str = setting("", "path of the calibration.yaml to store; empty: own [-]")
     parameters: str = setting("", "path of the testbed.yaml to store; empty: none [-]")
+    metadata: str = setting("", "path of the trial.yaml to store; empty: none [-]")
     flush_period: float = setting(
         1.0, "longest time before data is on the disk [s]", 0.05, 60.0, fixed=True
     )
@@ -120,7 +121,7 @@ class TestbedSettings(Settings):
 # What belongs to one run on one machine; a trial does not keep it.
 _OF_A_RUN = (
     *("geometry", "calibration", "parameters", "model", "simulation", "tare_file"),
-    *("directory", "record", "wait_for"),
+    *("directory", "record", "wait_for", "metadata"),
 )
 
 

@@ -17,6 +17,7 @@ from socket_testbed.geometry.socket import SocketGeometry, read_socket
 from socket_testbed.samples import Samples
 from socket_testbed.settings.testbed import EstimatorSettings, read_testbed
 from socket_testbed.trials.bag import BagReader, sync
+from socket_testbed.trials.metadata import METADATA_FILE, TrialMetadata, read_metadata
 from socket_testbed.trials.topics import REQUIRED, TOPICS, TRIGGER, Topic, match_topics
 
 SOCKET_FILE = "socket.yaml"
@@ -76,6 +77,19 @@ class Trial:
         from socket_testbed.trials.synchronise import read_samples  # it reads trials
 
         return read_samples(self)
+
+    @property
+    def metadata(self) -> TrialMetadata:
+        """What is stated about the trial now; nothing, with a note, if `trial.yaml` is broken."""
+        stored = self.path / METADATA_FILE
+        if not stored.is_file():
+            return TrialMetadata()
+        try:
+            return read_metadata(stored)
+        except ConfigurationError as error:
+            if self.notify is not None:
+                self.notify(f"the metadata are left out: {error}")
+            return TrialMetadata()
 
     @property
     def geometry_path(self) -> Path:
@@ -194,15 +208,20 @@ def store_configuration(
     geometry: Path | None = None,
     calibration: Path | None = None,
     parameters: Path | None = None,
+    metadata: Path | None = None,
 ) -> None:
-    """Copy the configuration a trial is recorded with into its folder.
+    """Copy the configuration a trial is recorded with, and its metadata, into its folder.
 
     Args:
         folder: Folder of the trial.
         geometry: A `socket.yaml`; None for the package's own.
         calibration: A `calibration.yaml`; None for the package's own.
         parameters: A `testbed.yaml`; None for the package's own.
+        metadata: A `trial.yaml`; None for none.
     """
     for source, name in zip((geometry, calibration, parameters), CONFIGURATION_FILES, strict=True):
         shutil.copyfile(source or packaged("config", name), folder / name)
         sync(folder / name)
+    if metadata is not None:
+        shutil.copyfile(metadata, folder / METADATA_FILE)
+        sync(folder / METADATA_FILE)

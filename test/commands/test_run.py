@@ -14,6 +14,7 @@ from support.testbeds import Recorded
 from socket_testbed.__main__ import run
 from socket_testbed.files import packaged
 from socket_testbed.settings.testbed import read_testbed
+from socket_testbed.trials.metadata import TrialMetadata
 from socket_testbed.trials.topics import CAPACITANCE, PYLON_POSE, WRENCH
 from socket_testbed.trials.trial import Trial
 
@@ -26,6 +27,7 @@ COMMAND = (sys.executable, "-m", "socket_testbed")
 def test_run_records_until_ctrl_c(tmp_path: Path) -> None:
     path = tmp_path / "trial"
     words = ["run", *SIMULATED, "--rate", "20", "--record", str(path), "--variant", "stiffness"]
+    words += ["--subject", "S01", "--side", "left"]
     with (
         Probe() as probe,
         subprocess.Popen(
@@ -41,6 +43,7 @@ def test_run_records_until_ctrl_c(tmp_path: Path) -> None:
     recorded = Recorded(path)
     assert not recorded.notes and not any(recorded.lacking().values())
     trial = Trial(path)
+    assert trial.metadata == TrialMetadata("S01", "left")
     assert trial.estimator.identification.variant == "stiffness"
     stored = read_testbed(path / "testbed.yaml")
     assert stored.trigger_node.rate == 20.0
@@ -127,6 +130,11 @@ def test_doctor_without_hardware(capsys: pytest.CaptureFixture[str], tmp_path: P
         (["--simulated", "--leave-out", "distal.Fq"], "distal.F"),
         (["--simulated", "--time-scale", "2"], "--time-scale is 2"),
         (["--simulated", "--time-scale", "slow"], "'slow' is not a number"),
+        (["--simulated", "--side", "left"], "--side is for a trial that is recorded"),
+        (
+            ["--simulated", "--record", "new", "--side", "lft"],
+            "--side is 'lft': did you mean 'left'",
+        ),
         (["--time-scale", "0.5"], "add --simulated"),
         (["--duration", "1"], "load_cell_node: "),
     ],

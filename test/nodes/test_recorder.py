@@ -20,6 +20,7 @@ from socket_testbed.live.processes import Graph
 from socket_testbed.nodes.conversions import stamp_from_ros, stamp_to_ros
 from socket_testbed.settings.testbed import RecorderSettings, ReplaySettings
 from socket_testbed.trials.bag import BagReader, decode, stamp_of
+from socket_testbed.trials.metadata import TrialMetadata
 from socket_testbed.trials.synchronise import read_samples
 from socket_testbed.trials.topics import (
     DIAGNOSTICS,
@@ -213,7 +214,9 @@ def test_a_full_disk_ends_the_recording_and_keeps_it(tmp_path: Path) -> None:
 
 
 def test_the_trial_s_name_is_announced_while_it_is_recorded(tmp_path: Path) -> None:
-    with Probe() as probe, recorder(f"directory:={tmp_path}"):
+    stated = tmp_path / "stated.yaml"
+    stated.write_text("subject: S01\nside: left\n")
+    with Probe() as probe, recorder(f"directory:={tmp_path}", f"metadata:={stated}"):
         announced = probe.listen(RECORDED_TRIAL)
         probe.wait(lambda: names(announced) == [""], "that there is none")
         answer = probe.call(SetBool, "recorder/record", SetBool.Request(data=True))
@@ -226,7 +229,11 @@ def test_the_trial_s_name_is_announced_while_it_is_recorded(tmp_path: Path) -> N
             late.wait(lambda: names(heard) == [trial.name], "the name for a late subscriber")
         assert probe.call(SetBool, "recorder/record", SetBool.Request(data=False)).success
         probe.wait(lambda: names(announced) == ["", trial.name, ""], "its end")
+        stated.write_text("side: lft")
+        answer = probe.call(SetBool, "recorder/record", SetBool.Request(data=True))
+        assert not answer.success and "did you mean 'left'?" in answer.message
     assert (trial / "metadata.yaml").is_file()
+    assert Trial(trial).metadata == TrialMetadata("S01", "left")
 
 
 def test_simulated_time_is_recorded_as_it_is(tmp_path: Path) -> None:

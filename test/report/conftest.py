@@ -12,6 +12,7 @@ from support.pages import NASTY, THETAS
 
 from socket_testbed.identification.model_file import read_model
 from socket_testbed.report.results import Results, compute_results
+from socket_testbed.trials.metadata import METADATA_FILE, TrialMetadata, write_metadata
 from socket_testbed.trials.trial import Trial
 
 
@@ -46,6 +47,7 @@ def spoilt(hold: Path, tmp_path_factory) -> Path:
         document = yaml.safe_load((path / name).read_text())
         change(document)
         (path / name).write_text(yaml.safe_dump(document))
+    write_metadata(TrialMetadata(side="left", notes=NASTY), path / METADATA_FILE)
     return path
 
 

@@ -266,6 +266,7 @@ def test_names_are_no_markup(nasty):
     page = Page(text)
     assert f"Report on {NASTY}" in page.text
     assert f"{NASTY}.Fx" in page.rows("errors")
+    assert page.rows("metadata")["notes"] == [NASTY]
     assert not [tag for tag, _ in page.tags if tag == "b"]
     assert NASTY not in text
     assert str(escape(NASTY)) in text and escape(NASTY).unescape() == NASTY

@@ -1,0 +1,152 @@
+"""Metadata of a trial: who wore which socket, and how; the file `trial.yaml` in its folder."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal, TypeAlias, get_args
+
+from socket_testbed.errors import ConfigurationError
+from socket_testbed.files import atomic_output, check_number, closest, read_document
+
+METADATA_FILE = "trial.yaml"
+
+Side: TypeAlias = Literal["left", "right"]
+SIDES: tuple[Side, ...] = get_args(Side)
+MASS_RANGE = (5.0, 400.0)  # [kg]
+
+_LONGEST = {"notes": 2000}  # [characters]; 80 otherwise
+_CODES = {"subject": "a code such as S01, never a name", "operator": "initials or a code"}
+_HEADER = "# Metadata of this trial; the mass in kg. 'socket-testbed annotate' changes it.\n"
+
+
+@dataclass(frozen=True)
+class TrialMetadata:
+    """What a person states about a trial; None for what is not stated.
+
+    Runs of white space in a text become one space.
+
+    Attributes:
+        subject: Code of the subject, such as `S01`; never a name.
+        side: Side of the residual limb, `left` or `right`.
+        socket: The socket, such as `PTB 3`.
+        liner: Liner or sock.
+        mass: Body mass of the subject [kg].
+        operator: Initials or a code of who recorded it.
+        protocol: The protocol that it follows.
+        notes: Anything else.
+
+    Raises:
+        ConfigurationError: For an empty or overlong text, one with control characters, a code with
+            spaces, another side, or a mass outside 5 to 400 kg.
+    """
+
+    subject: str | None = None
+    side: Side | None = None
+    socket: str | None = None
+    liner: str | None = None
+    mass: float | None = None
+    operator: str | None = None
+    protocol: str | None = None
+    notes: str | None = None
+
+    def __post_init__(self) -> None:
+        for name, value in self.stated().items():
+            object.__setattr__(self, name, _checked(name, value))
+
+    def stated(self) -> dict[str, Any]:
+        """The values that are stated, by their fields."""
+        return {name: value for name in FIELDS if (value := getattr(self, name)) is not None}
+
+    def described(self) -> dict[str, str]:
+        """The values that are stated as text with units, by their fields."""
+        texts = {name: str(value) for name, value in self.stated().items()}
+        return texts if self.mass is None else texts | {"mass": f"{self.mass:g} kg"}
+
+    def columns(self) -> dict[str, str | float | None]:
+        """All values by the names of a summary's columns; None where nothing is stated."""
+        return {COLUMNS[name]: getattr(self, name) for name in FIELDS}
+
+
+FIELDS = tuple(item.name for item in dataclasses.fields(TrialMetadata))
+# The software's own notes on a trial are a summary's `notes`.
+COLUMNS = {name: name for name in FIELDS} | {"mass": "mass [kg]", "notes": "trial_notes"}
+
+
+def _checked(name: str, value: Any) -> Any:
+    if name == "mass":
+        return check_number(value, "mass", *MASS_RANGE)
+    if not isinstance(value, str):
+        raise ConfigurationError(f"{name} is {value}, no text", "give a text, in quotes in YAML")
+    text = " ".join(value.split())
+    longest = _LONGEST.get(name, 80)
+    if not text:
+        raise ConfigurationError(f"{name} is empty", "give a text or leave it out")
+    if not text.isprintable():
+        raise ConfigurationError(f"{name} holds a control character", "give printable text")
+    if len(text) > longest:
+        raise ConfigurationError(f"{name} has {len(text)} characters", f"give {longest} at most")
+    if name in _CODES and " " in text:
+        raise ConfigurationError(f"{name} is '{text}', with a space", f"give {_CODES[name]}")
+    if name == "side" and text not in SIDES:
+        raise ConfigurationError(f"side is '{text}'", closest(text, SIDES))
+    return text
+
+
+def read_metadata(path: Path) -> TrialMetadata:
+    """Read the metadata of a trial.
+
+    Args:
+        path: The `trial.yaml`.
+
+    Raises:
+        ConfigurationError: If it is missing or unreadable, or a field is unknown or wrong.
+    """
+    document = read_document(path).expect(FIELDS)
+    try:
+        return TrialMetadata(**{name: document.take(name) for name in document.names()})
+    except ConfigurationError as error:
+        raise ConfigurationError(f"{path}: {error.fact}", error.hint) from None
+
+
+def write_metadata(metadata: TrialMetadata, path: Path) -> None:
+    """Write the metadata of a trial; the file is complete or the older one stays.
+
+    Args:
+        metadata: The metadata.
+        path: The `trial.yaml`.
+
+    Raises:
+        ConfigurationError: If it cannot be written.
+    """
+    # A JSON text is a quoted YAML text: '007' and '1e3' stay texts.
+    lines = [
+        f"{name}: {json.dumps(value, ensure_ascii=False)}\n"
+        for name, value in metadata.stated().items()
+    ]
+    with atomic_output(path) as staging:
+        staging.write_text(_HEADER + "".join(lines), encoding="utf-8")
+
+
+def change_metadata(
+    metadata: TrialMetadata, changes: Mapping[str, Any], remove: Iterable[str] = ()
+) -> TrialMetadata:
+    """Metadata with some fields stated anew, and others no longer stated.
+
+    Args:
+        metadata: The metadata.
+        changes: New values by their fields; None for no change.
+        remove: Fields to remove; what is changed as well stays.
+
+    Raises:
+        ConfigurationError: For an unknown field or a wrong value.
+    """
+    removed = dict.fromkeys(remove)
+    for name in removed:
+        if name not in FIELDS:
+            raise ConfigurationError(f"remove is '{name}'", closest(name, FIELDS))
+    given = {name: value for name, value in changes.items() if value is not None}
+    return dataclasses.replace(metadata, **{**removed, **given})

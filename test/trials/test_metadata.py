@@ -1,0 +1,145 @@
+"""The metadata of a trial: what is stated comes back, what is wrong is refused in one line."""
+
+import shutil
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import socket_testbed as st
+from socket_testbed.__main__ import run
+from socket_testbed.errors import ConfigurationError
+from socket_testbed.trials.metadata import (
+    FIELDS,
+    METADATA_FILE,
+    TrialMetadata,
+    read_metadata,
+    write_metadata,
+)
+from socket_testbed.trials.trial import Trial
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """What passes for a trial: its metadata are all that is read."""
+    path = tmp_path / "hold"
+    path.mkdir()
+    (path / "metadata.yaml").write_text("rosbag2")
+    (path / "hold.mcap").write_bytes(bytes(range(256)))
+    return path
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["S01", "007", "1e3", "yes", "null", "2026-01-01", "a: b # c", "\"'\\", "ü 日本 🦿", "-"],
+)
+def test_any_text_comes_back_as_it_was(text: str, tmp_path: Path) -> None:
+    stated = TrialMetadata(socket=text, notes=text)
+    write_metadata(stated, tmp_path / METADATA_FILE)
+    assert read_metadata(tmp_path / METADATA_FILE) == stated
+
+
+def test_all_fields_come_back_and_are_columns(tmp_path: Path) -> None:
+    stated = TrialMetadata("S01", "right", "PTB 3", "sock", 82.5, "KL", "hold", "new foot")
+    write_metadata(stated, tmp_path / METADATA_FILE)
+    assert read_metadata(tmp_path / METADATA_FILE) == stated
+    assert [*stated.columns().values()] == ["S01", "right", "PTB 3", "sock", 82.5, "KL", "hold",
+                                            "new foot"]  # fmt: skip
+    assert set(stated.columns().values()) - {None} and len(TrialMetadata().columns()) == len(FIELDS)
+    assert TrialMetadata(notes=" on\ntwo\u00a0 lines ").notes == "on two lines"
+
+
+WRONG = [
+    ({"side": "lft"}, "side is 'lft': did you mean 'left'?"),
+    ({"side": "both"}, "use one of left, right"),
+    ({"mass": 82500.0}, "[5, 400]"),
+    ({"mass": float("nan")}, "finite"),
+    ({"mass": "82"}, "mass is '82'"),
+    ({"subject": "Some Body"}, "never a name"),
+    ({"operator": "K L"}, "initials"),
+    ({"socket": 3}, "in quotes"),
+    ({"liner": "  "}, "liner is empty"),
+    ({"notes": "bell\a"}, "control character"),
+    ({"notes": "\udcff"}, "control character"),
+    ({"protocol": "x" * 81}, "81 characters"),
+    ({"notes": "x" * 2001}, "2001 characters"),
+]
+
+
+@pytest.mark.parametrize(("given", "says"), WRONG)
+def test_a_wrong_value_is_refused_by_its_field(
+    given: dict[str, Any], says: str, folder: Path
+) -> None:
+    with pytest.raises(ConfigurationError) as refused:
+        st.annotate(Trial(folder), **given)
+    assert says in str(refused.value) and next(iter(given)) in str(refused.value)
+    assert not (folder / METADATA_FILE).exists()
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("sidee: left", "unknown key 'sidee': did you mean 'side'?"),
+        ("subject: 007", "subject is 7, no text: give a text, in quotes in YAML"),
+        ("side: [left]", "side is ['left'], no text"),
+        ("side: left\nside: right", "the key 'side' is repeated"),
+        ("]", "correct the YAML"),
+        ("a name", "a mapping is expected"),
+        ("\x00\xff", "trial.yaml"),
+    ],
+)
+def test_a_broken_file_is_a_note_and_nothing_is_written_over_it(
+    text: str, says: str, folder: Path
+) -> None:
+    (folder / METADATA_FILE).write_text(text, encoding="latin-1")
+    notes: list[str] = []
+    assert Trial(folder, notify=notes.append).metadata == TrialMetadata()
+    (note,) = notes
+    assert says in note and METADATA_FILE in note and "\n" not in note
+    with pytest.raises(ConfigurationError, match=METADATA_FILE):
+        st.annotate(Trial(folder), subject="S02")
+    assert (folder / METADATA_FILE).read_text(encoding="latin-1") == text
+
+
+def test_empty_fields_written_by_hand_are_not_stated(folder: Path) -> None:
+    (folder / METADATA_FILE).write_text("# to be filled in\nsubject:\nmass: 70\n")
+    assert Trial(folder).metadata == TrialMetadata(mass=70.0)
+
+
+def test_annotate_adds_changes_removes_and_leaves_the_bag_alone(folder: Path) -> None:
+    before = {path.name: path.stat().st_mtime_ns for path in folder.iterdir()}
+    trial = Trial(folder)
+    st.annotate(trial, subject="S01", side="left")
+    st.annotate(trial, side="right", mass=70.0)
+    assert trial.metadata == TrialMetadata("S01", "right", mass=70.0)
+    assert st.annotate(trial, remove=["subject", "mass"]) == TrialMetadata(side="right")
+    with pytest.raises(ConfigurationError, match="did you mean 'socket'"):
+        st.annotate(trial, remove=["sockte"])
+    after = {path.name: path.stat().st_mtime_ns for path in folder.iterdir()}
+    assert after.keys() - before.keys() == {METADATA_FILE}
+    assert {name: after[name] for name in before} == before
+
+
+def test_annotate_refuses_what_is_no_trial(tmp_path: Path, folder: Path) -> None:
+    for path in (tmp_path, folder / "hold.mcap"):
+        with pytest.raises(st.TestbedError, match="no folder of a trial"):
+            st.annotate(Trial(path), subject="S01")
+    assert [*tmp_path.iterdir()] == [folder]
+
+
+def test_the_verb_states_and_info_shows(hold: Path, tmp_path: Path, capsys) -> None:
+    trials = [str(shutil.copytree(hold, tmp_path / name)) for name in ("a", "b")]
+    words = ["--subject", "S07", "--side", "left", "--mass", "81.5", "--notes", "new foot"]
+    assert run(["annotate", *trials, *words]) == 0
+    shown = capsys.readouterr().out
+    assert shown.count("S07") == 2 and shown.count("81.5 kg") == 2
+    assert run(["annotate", trials[0], "--remove", "mass", "--remove", "notes"]) == 0
+    assert "kg" not in capsys.readouterr().out
+    assert run(["info", trials[0]]) == 0
+    shown = capsys.readouterr().out
+    assert "S07" in shown and "left" in shown and "kg" not in shown
+    assert run(["annotate", trials[0], "--side", "lft"]) == 1
+    assert "--side is 'lft': did you mean 'left'?" in capsys.readouterr().err
+    (Path(trials[0]) / METADATA_FILE).write_text("side: lft")
+    assert run(["info", trials[0]]) == 0
+    assert "note: the metadata are left out" in capsys.readouterr().out
