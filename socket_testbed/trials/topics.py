@@ -35,6 +35,7 @@ WRENCH = Topic("load_cell/wrench", "geometry_msgs/msg/WrenchStamped", required=T
 SOCKET_POSE = Topic("mocap/socket/pose", "geometry_msgs/msg/PoseStamped", required=True)
 PYLON_POSE = Topic("mocap/pylon/pose", "geometry_msgs/msg/PoseStamped", required=True)
 MARKERS = Topic("mocap/markers", "socket_testbed_msgs/msg/RigidBodyMarkersArray")
+EVENT = Topic("event", "socket_testbed_msgs/msg/Event")
 STRESS = Topic("clusters/stress", "socket_testbed_msgs/msg/ClusterStressArray", computed=True)
 ESTIMATED_WRENCH = Topic("estimate/wrench", "geometry_msgs/msg/WrenchStamped", computed=True)
 LOCAL_FORCES = Topic(
@@ -54,6 +55,7 @@ TOPICS = (
     SOCKET_POSE,
     PYLON_POSE,
     MARKERS,
+    EVENT,
     STRESS,
     ESTIMATED_WRENCH,
     LOCAL_FORCES,

@@ -33,6 +33,7 @@ CONTRACT = {
         " geometry_msgs/Vector3[] force_bias; geometry_msgs/Wrench wrench_rmse;"
         " uint32 samples; string solver_status"
     ),
+    "Event": "std_msgs/Header header; string label",
 }
 
 
