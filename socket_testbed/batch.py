@@ -167,7 +167,8 @@ class Outcome:
         for title, value in self.row.items():
             if title.startswith(("mean_", "median_")) and isinstance(value, float):
                 name, unit = split_unit(title)
-                words += f", {name.replace('_rmse', ' RMSE').replace('_', ' ')} {value:.3f} {unit}"
+                name = name.replace("_rmse", " RMSE").replace("_", " ")
+                words += f", {name} {value:.3f} {unit}".removesuffix(" -")
         return words
 
 

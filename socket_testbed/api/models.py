@@ -50,6 +50,7 @@ from socket_testbed.identification.plausibility import (
     require_position,
     without_outliers,
 )
+from socket_testbed.identification.validation import judge_unseen_half
 from socket_testbed.samples import Samples, channel_unit
 from socket_testbed.settings.identification import Variant, Weights
 from socket_testbed.settings.testbed import estimator_settings
@@ -150,6 +151,18 @@ class TrialFit:
             settings.stiffness_difference,
             settings.pose_smoothing,
         )
+
+    def unseen_half(self) -> tuple[ChannelErrors, ...]:
+        """Errors on the second half of the segment of a model fitted on its first half.
+
+        The errors on the samples of the fit flatter; these are what to rank trials and settings
+        by. They take another fit, with the same settings.
+
+        Raises:
+            IdentificationError: If a half is too short, or the first allows no fit.
+        """
+        with threadpool_limits(1):
+            return judge_unseen_half(self._samples(), self.trial.geometry, self.fit.settings)
 
     def _samples(self) -> Samples:
         """The samples of the segment without outliers."""

@@ -16,7 +16,7 @@ from socket_testbed.commands.options import (
     add_trials,
     add_unloaded,
 )
-from socket_testbed.commands.text import error_columns, errors_table, segment_columns
+from socket_testbed.commands.text import error_columns, errors_table, segment_columns, skill_columns
 from socket_testbed.errors import ConfigurationError
 from socket_testbed.trials.trial import Trial
 
@@ -86,5 +86,6 @@ def _row(found: Evaluation) -> Row:
         "model": found.model.trial,
         "variant": found.model.model.variant,
         "theta [-]": found.model.settings.theta,
-        **error_columns(found.errors),
+        "in_sample": "yes" if found.in_sample else "no",
+        **error_columns(found.errors, skill_columns(found.errors)),
     }

@@ -18,7 +18,15 @@ from socket_testbed.commands.options import (
     add_unloaded,
     choices,
 )
-from socket_testbed.commands.text import error_columns, errors_table, number, segment_columns
+from socket_testbed.commands.text import (
+    error_columns,
+    errors_table,
+    number,
+    segment_columns,
+    skill_columns,
+)
+from socket_testbed.errors import IdentificationError
+from socket_testbed.identification.evaluation import ChannelErrors
 from socket_testbed.identification.information import LEAST_RATIO, share_warning
 from socket_testbed.identification.model_file import finite_or_null
 from socket_testbed.trials.trial import Trial
@@ -89,6 +97,15 @@ def _information(found: TrialFit) -> str:
     return "\n".join([*lines, *(f"  {excitation}" for excitation in motion.excitations)])
 
 
+def _unseen_half(found: TrialFit) -> tuple[ChannelErrors, ...]:
+    try:
+        return found.unseen_half()
+    except IdentificationError as error:
+        if found.trial.notify is not None:
+            found.trial.notify(f"no skill on an unseen half: {error}")
+        return ()
+
+
 def _row(found: TrialFit) -> Row:
     fit = found.fit
     solutions = (fit.stage_one, fit.stage_two, fit.joint)
@@ -101,5 +118,9 @@ def _row(found: TrialFit) -> Row:
         "force_on_springs [-]": finite_or_null(found.load_shares()[1].springs),
         "kkt_residual [-]": max(c.stationarity for c in certificates),
         "duality_gap [-]": max(c.gap for c in certificates),
-        **error_columns(fit.errors),
+        **error_columns(
+            fit.errors,
+            skill_columns(fit.errors, "_in_sample")
+            | skill_columns(_unseen_half(found), "_unseen_half"),
+        ),
     }

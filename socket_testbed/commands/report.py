@@ -21,7 +21,7 @@ from socket_testbed.commands.options import (
     add_unloaded,
     choices,
 )
-from socket_testbed.commands.text import Progress, error_columns, segment_columns
+from socket_testbed.commands.text import Progress, error_columns, segment_columns, skill_columns
 from socket_testbed.trials.trial import Trial
 
 if TYPE_CHECKING:  # it imports matplotlib, which takes its time
@@ -88,5 +88,8 @@ def _row(results: Results) -> Row:
         **segment_columns(results.segment),
     }
     for label, candidate in results.fitted.items():
-        row |= {f"{label} {name}": value for name, value in error_columns(candidate.errors).items()}
+        skills = skill_columns(candidate.errors, "_in_sample")
+        skills |= skill_columns(candidate.held_out, "_held_out")
+        columns = error_columns(candidate.errors, skills)
+        row |= {f"{label} {name}": value for name, value in columns.items()}
     return row

@@ -92,6 +92,10 @@ def errors_table(errors: Sequence[ChannelErrors]) -> str:
         f"mean moment RMSE {number(summary.moment_rmse)} N m, mean force RMSE"
         f" {number(summary.force_rmse)} N, median local RMSE {number(summary.local_rmse)} N"
     )
+    lines.append(
+        f"median skill of the wrench {number(summary.wrench_skill, 2)}, of the local forces"
+        f" {number(summary.local_skill, 2)}"
+    )
     if any(error.skill < 0.0 for error in errors):
         lines.append("negative skill: the channel's mean would have been a better prediction")
     if summary.without_value:
@@ -108,13 +112,31 @@ def segment_columns(segment: Segment) -> Row:
     }
 
 
-def error_columns(errors: Sequence[ChannelErrors]) -> Row:
-    """The means and the median of the errors, then those of every channel, for a summary."""
+def skill_columns(errors: Sequence[ChannelErrors], suffix: str = "") -> Row:
+    """Median skills of the wrench's and the clusters' channels, for a summary.
+
+    Args:
+        errors: Errors of all channels; none where they are unknown.
+        suffix: What the names of the columns end with, such as `_in_sample`.
+    """
+    summary = summarise_errors(errors)
+    skills = {"wrench": summary.wrench_skill, "local": summary.local_skill}
+    return {f"median_{n}_skill{suffix} [-]": finite_or_null(skill) for n, skill in skills.items()}
+
+
+def error_columns(errors: Sequence[ChannelErrors], skills: Row) -> Row:
+    """Columns of errors for a summary: means and median, skills, then those of every channel.
+
+    Args:
+        errors: Errors of all channels.
+        skills: What `skill_columns` made of these and of others.
+    """
     summary = summarise_errors(errors)
     row: Row = {
         "mean_moment_rmse [N m]": summary.moment_rmse,
         "mean_force_rmse [N]": summary.force_rmse,
         "median_local_rmse [N]": summary.local_rmse,
+        **skills,
     }
     for error in errors:
         row |= {

@@ -113,6 +113,8 @@ class ErrorSummary:
         local_unsteadiness: Root mean square sigma of the clusters' channels over their root
             mean square error [-]: far below 1, the residuals are steady offsets.
         skill: Median skill of all channels [-].
+        wrench_skill: Median skill of the wrench's channels [-].
+        local_skill: Median skill of the clusters' channels [-].
         without_value: Channels that no sample has both measured and predicted; no figure
             includes them.
     """
@@ -122,6 +124,8 @@ class ErrorSummary:
     local_rmse: float
     local_unsteadiness: float
     skill: float
+    wrench_skill: float
+    local_skill: float
     without_value: tuple[str, ...]
 
 
@@ -140,6 +144,8 @@ def summarise_errors(errors: Sequence[ChannelErrors]) -> ErrorSummary:
         local_rmse=_median(error.rmse for error in local),
         local_unsteadiness=_unsteadiness(local),
         skill=_median(error.skill for error in known),
+        wrench_skill=_median(error.skill for error in wrench),
+        local_skill=_median(error.skill for error in local),
         without_value=tuple(error.name for error in errors if error.samples == 0),
     )
 

@@ -26,7 +26,7 @@ from socket_testbed.errors import ConfigurationError, IdentificationError
 from socket_testbed.files import closest
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification.contact import ContactModel, wrench_map
-from socket_testbed.identification.evaluation import predict_channels
+from socket_testbed.identification.evaluation import ChannelErrors, evaluate, predict_channels
 from socket_testbed.identification.fit import fit_contact_model
 from socket_testbed.identification.force_map import ForceMap, without_untrusted
 from socket_testbed.identification.noise import channel_noise, smooth_poses
@@ -478,6 +478,25 @@ def split(samples: Samples, least_force: float) -> tuple[BoolArray, BoolArray]:
     first[loaded[:middle]] = True
     second[loaded[middle:]] = True
     return first, second
+
+
+def judge_unseen_half(
+    samples: Samples, geometry: SocketGeometry, settings: IdentificationSettings
+) -> tuple[ChannelErrors, ...]:
+    """Errors on the second half of samples of a model that is fitted on their first half.
+
+    Args:
+        samples: Samples of a segment, without outliers.
+        geometry: Geometry of the socket.
+        settings: Settings of the identification.
+
+    Raises:
+        IdentificationError: If a half is too short, or the first allows no fit.
+    """
+    first, second = split(samples, 0.0)
+    model = fit_contact_model(samples[first], geometry, settings).model
+    unseen = smooth_poses(samples[second], settings.pose_smoothing)
+    return evaluate(unseen, model, settings.leave_out)
 
 
 def thinned(rows: BoolArray, most: int = MOST_SAMPLES) -> IntArray:

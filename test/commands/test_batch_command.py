@@ -14,6 +14,7 @@ import pytest
 import yaml
 from distributed import LocalCluster
 
+import socket_testbed as st
 from socket_testbed.__main__ import run
 
 pytestmark = pytest.mark.graph  # worker processes, interrupted and killed
@@ -119,8 +120,27 @@ def test_the_summary_says_what_the_models_say(models: Path) -> None:
         local = [error["rmse"] for error in quality["errors"][6:]]
         assert row["mean_moment_rmse [N m]"] == pytest.approx(np.mean(moments))
         assert row["median_local_rmse [N]"] == pytest.approx(np.median(local))
+        skills = [np.nan if e["skill"] is None else e["skill"] for e in quality["errors"]]
+        assert row["median_wrench_skill_in_sample [-]"] == pytest.approx(np.median(skills[:6]))
+        assert row["median_local_skill_in_sample [-]"] == pytest.approx(np.nanmedian(skills[6:]))
         solved = [quality[key] for key in ("stage_1", "stage_2", "joint")]
         assert row["kkt_residual [-]"] == max(each["stationarity"] for each in solved) < 1e-8
+
+
+def test_the_summary_of_fits_judges_each_on_a_half_that_it_has_not_seen(
+    models: Path, whole_study: Path
+) -> None:
+    table = pd.read_csv(models / "summary.csv").set_index("trial")
+    trial = st.open_trial(whole_study / "walk")
+    seen = st.fit(trial)
+    first, last = int(seen.segment.rows.start), int(seen.segment.rows.stop)
+    time = trial.samples().time
+    middle = (first + last) // 2
+    half = f"{time[first]}:{time[middle - 1]}", f"{time[middle]}:{time[last - 1]}"
+    errors = st.evaluate(trial, st.fit(trial, half[0]), half[1]).to_dataframe()["skill"]
+    row = table.loc["walk"]
+    assert row["median_wrench_skill_unseen_half [-]"] == pytest.approx(np.nanmedian(errors[:6]))
+    assert row["median_local_skill_unseen_half [-]"] == pytest.approx(np.nanmedian(errors[6:]))
 
 
 def test_a_changed_setting_or_calibration_is_never_passed_over(study, tmp_path, capsys) -> None:
@@ -168,6 +188,9 @@ def test_trials_are_judged_by_their_own_models_or_all_by_one(
         assert row["model"] == model.rpartition("/")[2]
         assert row["Fz_rmse [N]"] == expected["channels"][5]["rmse"]
         assert row["samples"] == expected["samples"]
+        assert row["in_sample"] == ("yes" if model == "s02/hold" else "no")
+        skills = [c["skill"] for c in expected["channels"][:6]]
+        assert row["median_wrench_skill [-]"] == pytest.approx(np.median(skills))
 
 
 @pytest.mark.parametrize(
