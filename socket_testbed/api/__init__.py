@@ -24,6 +24,7 @@ from socket_testbed.api.models import (
     read_model,
     write_report,
 )
+from socket_testbed.api.pressure import TrialPressure, pressure
 from socket_testbed.api.trials import annotate, open_trial, select_segment, simulate
 from socket_testbed.api.validation import Validation, validate
 from socket_testbed.errors import TestbedError
@@ -34,6 +35,7 @@ __all__ = [
     "Tradeoff",
     "TrialFit",
     "TrialMap",
+    "TrialPressure",
     "Validation",
     "annotate",
     "calibrate",
@@ -45,6 +47,7 @@ __all__ = [
     "open_trial",
     "pareto",
     "predict",
+    "pressure",
     "read_model",
     "register",
     "select_segment",

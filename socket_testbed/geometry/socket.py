@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +15,11 @@ from socket_testbed.files import Section, atomic_output, closest, read_document
 from socket_testbed.geometry.marker_bodies import edge_lengths, triad_fault
 from socket_testbed.geometry.pose import Pose, plain, pose_document, read_pose, read_rotation
 
+HEIGHTS = ("proximal", "middle", "distal")
+SECTORS = ("anterior", "posterior", "medial", "lateral", "left", "right")
+SOCKET = "socket"  # the region of all tiles
+
+_STANDARD_REGIONS = {SOCKET, *(f"{sector} {height}" for sector in SECTORS for height in HEIGHTS)}
 _SAME_PLACE = 1e-4  # [m]
 _LARGEST_SOCKET = 2.0  # [m]; what is farther from the load cell is in another unit
 _LARGEST_BODY = 1.0  # [m]; likewise for a marker in its body
@@ -39,6 +44,7 @@ class SocketGeometry:
         limb: Pose of the limb in the pylon's marker body; its origin is the lumped mass.
         source: What the tiles were made from.
         registration: What the bodies were registered with; empty if they are only nominal.
+        regions: Indices of the tiles of the user's own regions, ascending, by their names.
     """
 
     names: tuple[str, ...]
@@ -53,6 +59,7 @@ class SocketGeometry:
     limb: Pose
     source: str = ""
     registration: str = ""
+    regions: dict[str, tuple[int, ...]] = field(default_factory=dict)
 
     def __len__(self) -> int:
         return len(self.names)
@@ -95,6 +102,7 @@ class SocketGeometry:
         """The content of `socket.yaml`."""
         document: dict[str, Any] = {"source": self.source} if self.source else {}
         registration = {"registration": self.registration} if self.registration else {}
+        regions = {name: [self.names[i] for i in tiles] for name, tiles in self.regions.items()}
         return document | {
             "tiles": {
                 name: {
@@ -106,6 +114,7 @@ class SocketGeometry:
             },
             "neighbours": [[self.names[a], self.names[b]] for a, b in self.neighbours],
             "clusters": {name: self.names[tile] for name, tile in self.clusters.items()},
+            **({"regions": regions} if regions else {}),
             "bodies": registration
             | {
                 "socket": {
@@ -125,6 +134,7 @@ _HEADER = """\
 # frame: rows of R = [x y z], which maps the tile's frame to {S}; z is the inward normal of the
 # surface, x the tangent towards the proximal end, y = z x x.
 # source: what the tiles were made from.
+# regions: your own, each a list of tiles; they may overlap.
 # bodies: the marker triads in their bodies' frames; in_load_cell: the socket body's pose in {S};
 # limb_in_body: the limb's pose in the pylon's body, its origin being the lumped mass;
 # registration: what they were registered with; without it they are nominal.
@@ -155,7 +165,7 @@ def read_socket(path: Path) -> SocketGeometry:
 
 def socket_from_section(document: Section) -> SocketGeometry:
     """Build the geometry from the content of `socket.yaml`, with every check."""
-    document.expect(("source", "tiles", "neighbours", "clusters", "bodies"))
+    document.expect(("source", "tiles", "neighbours", "clusters", "regions", "bodies"))
     tiles = dict(document.sections("tiles"))
     if not tiles:
         raise ConfigurationError(f"{document.where}: tiles is empty", "give at least one tile")
@@ -178,6 +188,7 @@ def socket_from_section(document: Section) -> SocketGeometry:
         limb=read_pose(pylon.section("limb_in_body"), _LARGEST_SOCKET),
         source=document.text("source") if "source" in document.names() else "",
         registration=bodies.text("registration") if "registration" in bodies.names() else "",
+        regions=_regions(document, index),
     )
 
 
@@ -226,6 +237,38 @@ def _clusters(section: Section, index: dict[str, int]) -> dict[str, int]:
             )
         clusters[name] = index[tile]
     return clusters
+
+
+def _regions(document: Section, index: dict[str, int]) -> dict[str, tuple[int, ...]]:
+    if "regions" not in document.names():
+        return {}
+    section = document.section("regions")
+    return {name: read_region(section, name, index) for name in section.names()}
+
+
+def read_region(section: Section, name: str, index: dict[str, int]) -> tuple[int, ...]:
+    """Indices of the tiles of a region, ascending.
+
+    Args:
+        section: Lists of tile names, by the names of the regions.
+        name: Name of the region.
+        index: Indices of the socket's tiles by their names.
+
+    Raises:
+        ConfigurationError: If it has no tile, an unknown one, one twice, or a reserved name.
+    """
+    where, tiles = f"{section.where}: {name}", section.take(name)
+    if name in _STANDARD_REGIONS:
+        raise ConfigurationError(f"{where} is the name of a standard region", "choose another name")
+    if not isinstance(tiles, list | tuple) or not tiles:
+        raise ConfigurationError(f"{where} has no tiles", f"write '{name}: [TILE, TILE]'")
+    for tile in map(str, tiles):
+        if tile not in index:
+            raise ConfigurationError(f"{where}: no tile '{tile}'", closest(tile, index))
+    found = sorted({index[str(tile)] for tile in tiles})
+    if len(found) < len(tiles):
+        raise ConfigurationError(f"{where} holds a tile twice", "name each tile once")
+    return tuple(found)
 
 
 def _triad(section: Section) -> FloatArray:

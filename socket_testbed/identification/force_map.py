@@ -40,7 +40,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.special import i0e, i1e, ndtri
+from scipy.special import chdtri, i0e, i1e, ndtri
 
 from socket_testbed.arrays import BoolArray, FloatArray, IntArray, StatusArray
 from socket_testbed.geometry.axis import proximal_direction
@@ -58,6 +58,7 @@ _SMOOTHNESS = 1.5  # [-]; nu of the Matern covariance
 _AMPLITUDE_FREEDOM = 6.0  # [1]; degrees of freedom of the prior of the amplitude
 _OFFSETS = 4  # sizes of the clusters' offsets per draw
 _CHUNK = 256  # samples
+_MOST_DRAWN = 4_000_000  # numbers of joint draws at a time
 _TINY = 1e-12  # [N]
 _MOST_PATTERNS = 64  # of present channels that are kept
 
@@ -211,12 +212,21 @@ class _Conditioned:
         """
         count, channels = measured.shape
         draws, tiles = self.variances.shape[:2]
-        # One product over all draws: a batch of small ones takes several times as long.
-        whitened = measured @ self.precision.reshape(draws * channels, channels).T
-        whitened = whitened.reshape(count, draws, channels)
         forces = measured @ self.gain.reshape(draws * tiles * 4, channels).T
         forces = forces.reshape(count, draws, tiles * 4)
-        return self._weighted((whitened * measured[:, None]).sum(axis=2), forces)
+        return self._weighted(self.distance(measured), forces)
+
+    def distance(self, measured: FloatArray) -> FloatArray:
+        """Squared size of the channels, y' S^-1 y, under the draws, shape (N, M) [-].
+
+        Args:
+            measured: The channels y that are present, shape (N, d).
+        """
+        draws, channels = self.precision.shape[:2]
+        # One product over all draws: a batch of small ones takes several times as long.
+        whitened = measured @ self.precision.reshape(draws * channels, channels).T
+        whitened = whitened.reshape(len(measured), draws, channels)
+        return np.asarray((whitened * measured[:, None]).sum(axis=2))
 
     def average_about(self, measured: FloatArray) -> tuple[FloatArray, FloatArray]:
         """The same for one sample whose prior mean maps to other channels in each draw.
@@ -232,6 +242,18 @@ class _Conditioned:
         forces = (self.gain @ column[:, None]).reshape(1, len(measured), -1)
         return self._weighted(distance, forces)
 
+    def weights(self, distance: FloatArray) -> FloatArray:
+        """Probabilities of the draws by their evidence, shape (N, M) [-].
+
+        Args:
+            distance: y' S^-1 y of each draw, shape (N, M).
+        """
+        freedom = _AMPLITUDE_FREEDOM
+        exponent = freedom + len(self.present)
+        evidence = self.log_determinant + exponent * np.log1p(distance / freedom)
+        weights = np.exp(0.5 * (evidence.min(axis=1, keepdims=True) - evidence))
+        return np.asarray(weights / weights.sum(axis=1, keepdims=True))
+
     def _weighted(self, distance: FloatArray, forces: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Mean and variances over the draws.
 
@@ -239,12 +261,10 @@ class _Conditioned:
             distance: y' S^-1 y of each draw, shape (N, M).
             forces: Of each draw, shape (N, M, 4n) [N].
         """
-        (count, draws), channels = distance.shape, len(self.present)
+        count, draws = distance.shape
         freedom = _AMPLITUDE_FREEDOM
-        evidence = self.log_determinant + (freedom + channels) * np.log1p(distance / freedom)
-        weights = np.exp(0.5 * (evidence.min(axis=1, keepdims=True) - evidence))
-        weights /= weights.sum(axis=1, keepdims=True)
-        scales = weights * (freedom + distance) / max(freedom + channels - 2.0, 1.0)
+        weights = self.weights(distance)
+        scales = weights * (freedom + distance) / max(freedom + len(self.present) - 2.0, 1.0)
         mean = (weights[:, None] @ forces)[:, 0]
         between = (weights[:, None] @ forces**2)[:, 0] - mean**2
         variances = scales @ self.variances.reshape(draws, -1) + np.maximum(between, 0.0)
@@ -303,6 +323,83 @@ class ForceMap:
                 forces[chunk], variances[chunk] = conditioned.average(measured)
         mean = f"the springs of {bed.variant}" if bed is not None and posed.any() else "mean zero"
         return self._describe(forces, variances, present, mean)
+
+    def sample(self, samples: Samples, count: int = 200) -> Iterator[tuple[IntArray, FloatArray]]:
+        r"""Joint draws of the forces on all tiles, given the channels of each sample.
+
+        A draw of the prior's sizes is chosen by its evidence, and the amplitude s from its
+        posterior, an inverse-gamma distribution. Then with F' and e drawn from the prior of the
+        forces and from the noise of the channels, the forces
+
+        .. math:: F = G y + s \, (F' - G (H F' + e))
+
+        have the posterior distribution (Matheron's rule: Journel & Huijbregts, Mining
+        Geostatistics, 1978, section VII.A). The random numbers are the same in all samples: what
+        the channels leave open stays the same over a trial, so a mean over time is no more certain
+        than its samples. They are seeded, and come in pairs of opposite errors.
+
+        Args:
+            samples: N samples.
+            count: Number D of draws, even.
+
+        Yields:
+            Indices of some of the samples, shape (k,), and the forces in the tiles' frames, shape
+            (k, D, n, 3) [N], until every sample has come once, in whatever order.
+        """
+        half = count // 2
+        rng = np.random.default_rng(0)
+        settings = _draw(self._settings)
+        priors, errors = self._prior_draws(settings, half, rng)
+        levels = _levels(half)
+        chosen, amplitude = rng.permuted(np.tile(levels, (2, 1)), axis=1)
+        values, present = _channels(samples.wrench, samples.local_forces, samples.status)
+        tiles = len(self._areas)
+        chunk = max(1, _MOST_DRAWN // (count * tiles * 3))
+        for pattern, rows in _by_pattern(present):
+            conditioned = self._conditioned(pattern)
+            gain = np.einsum(
+                "nij,mnid->mnjd", self._geometry.rotations, conditioned.gain[:, :, :3]
+            ).reshape(len(settings), 3 * tiles, -1)
+            left = priors - errors[..., conditioned.present] @ np.swapaxes(gain, 1, 2)
+            left = np.concatenate([left, -left], axis=1)  # (M, D, 3n)
+            freedom = _AMPLITUDE_FREEDOM + len(conditioned.present)
+            spread = np.tile(chdtri(freedom, amplitude), 2)
+            for start in range(0, len(rows), chunk):
+                some = rows[start : start + chunk]
+                measured = values[some][:, conditioned.present]
+                distance = conditioned.distance(measured)
+                cumulative = conditioned.weights(distance).cumsum(axis=1)
+                # The hypothesis of each draw at each sample, (k, D).
+                which = (chosen[:, None] > cumulative[:, None, :-1]).sum(axis=2)
+                which = np.tile(which, (1, 2))
+                scale = np.take_along_axis(_AMPLITUDE_FREEDOM + distance, which, axis=1) / spread
+                forces = left[which, np.arange(count)]
+                forces *= np.sqrt(scale)[..., None]
+                means = (measured @ gain.reshape(-1, gain.shape[2]).T).reshape(
+                    len(some), len(settings), 3 * tiles
+                )
+                forces += means[np.arange(len(some))[:, None], which]
+                yield some, forces.reshape(len(some), count, tiles, 3)
+
+    def _prior_draws(
+        self, settings: list[ForceMapSettings], count: int, rng: np.random.Generator
+    ) -> tuple[FloatArray, FloatArray]:
+        """Draws of the prior: forces, (M, count, 3n) [N], and channels with noise, (M, count, c).
+
+        Forces are in the tiles' frames. All draws of the prior's sizes share the random numbers.
+        """
+        geometry = self._geometry
+        correlation = surface_correlation(geometry, self._settings.length)
+        motions = _rigid_motions(geometry, self._settings.arm)
+        of_forces = rng.standard_normal((count, 3 * len(geometry)))
+        of_noise = rng.standard_normal((count, len(WRENCH_CHANNELS) + 3 * len(self._clusters)))
+        forces, channels = [], []
+        for drawn, mapping in zip(settings, self._mappings, strict=True):
+            prior = _prior(geometry, correlation, motions, drawn)
+            noise = _noise(mapping @ prior @ mapping.T, drawn)
+            forces.append(of_forces @ np.linalg.cholesky(prior).T)
+            channels.append(forces[-1] @ mapping.T + of_noise * np.sqrt(np.diag(noise)))
+        return np.array(forces), np.array(channels)
 
     def update(
         self, wrench: FloatArray, local_forces: FloatArray, status: StatusArray

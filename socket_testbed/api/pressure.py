@@ -1,0 +1,292 @@
+"""Pressure as a lab reads it: peak, mean, area, integral, centre, by region and tile."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from socket_testbed.api.maps import TrialMap
+from socket_testbed.api.trials import PathLike, as_path, select
+from socket_testbed.arrays import FloatArray
+from socket_testbed.files import Section, check_number
+from socket_testbed.geometry.regions import Region, all_regions
+from socket_testbed.geometry.socket import read_region
+from socket_testbed.identification.force_map import ForceMap, without_untrusted
+from socket_testbed.identification.model_file import finite_or_null
+from socket_testbed.identification.pressure import (
+    PressureOutputs,
+    Quantity,
+    RegionOutputs,
+    pressure_outputs,
+)
+from socket_testbed.settings.testbed import estimator_settings
+from socket_testbed.tables import split_unit, write_table
+from socket_testbed.trials.segment import Segment
+from socket_testbed.trials.trial import Trial
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+# Title, output and factor from SI.
+_SCALARS = (
+    ("mean pressure [kPa]", "mean", 1e-3),
+    ("peak pressure [kPa]", "peak", 1e-3),
+    ("contact area [cm^2]", "area", 1e4),
+    ("pressure-time integral [kPa s]", "integral", 1e-3),
+    ("shear [kPa]", "shear", 1e-3),
+    ("shear direction [deg]", "direction", 180.0 / np.pi),
+    ("share of load [%]", "share", 100.0),
+)
+_CENTRES = tuple(f"centre of pressure {axis} [mm]" for axis in "xyz")
+TITLES = (
+    *(title for title, _, _ in _SCALARS[:4]),
+    *_CENTRES,
+    *(title for title, _, _ in _SCALARS[4:]),
+)
+"""Columns of the outputs of a region, with their units."""
+_OF_TILES = tuple(title for title in TITLES if title not in (*_CENTRES, "contact area [cm^2]"))
+_OVER_TIME = tuple(title for title in TITLES if not title.startswith("pressure-time"))
+
+
+@dataclass(frozen=True, repr=False)
+class TrialPressure:
+    """Pressure outputs over a segment of a trial, by region and tile, with 95 % intervals.
+
+    Attributes:
+        trial: The trial.
+        segment: The segment.
+        map: The force map that they are computed from.
+        places: The regions; the last one is the socket.
+        outputs: The numbers, in SI units.
+        threshold: Pressure above which a tile is in contact [kPa].
+        share: A value whose interval reaches farther than this share of it is not determined [-].
+    """
+
+    trial: Trial
+    segment: Segment
+    map: TrialMap
+    places: tuple[Region, ...]
+    outputs: PressureOutputs
+    threshold: float
+    share: float
+
+    def __repr__(self) -> str:
+        socket = self.regions.iloc[-1]
+        low, high = socket["peak pressure low [kPa]"], socket["peak pressure high [kPa]"]
+        return (
+            f"TrialPressure({self.trial.name}, {self.segment}; {len(self.places)} regions, peak"
+            f" pressure {low:.1f} to {high:.1f} kPa)"
+        )
+
+    @property
+    def regions(self) -> pd.DataFrame:
+        """Outputs over the segment, a row per region, then `socket`.
+
+        Columns: each of `TITLES`, NaN where it is not determined, with the ends of its 95 %
+        interval, such as `peak pressure low [kPa]`; and `nearest tile` to the centre of pressure.
+        """
+        table = self._table(self.outputs.regions, [place.name for place in self.places], TITLES)
+        table.index.name = "region"
+        centres = table[list(_CENTRES)].to_numpy() * 1e-3
+        table["nearest tile"] = [self._nearest(centre) for centre in centres]
+        return table
+
+    @property
+    def tiles(self) -> pd.DataFrame:
+        """Outputs over the segment, a row per tile, with 95 % intervals as in `regions`."""
+        geometry = self.trial.geometry
+        table = self._table(self.outputs.tiles, list(geometry.names), _OF_TILES)
+        table.index.name = "tile"
+        clusters = {tile: cluster for cluster, tile in geometry.clusters.items()}
+        table.insert(0, "cluster", [clusters.get(tile, "") for tile in range(len(geometry))])
+        return table
+
+    def over_time(self) -> pd.DataFrame:
+        """Outputs of the regions at every sample, indexed by `time [s]`.
+
+        Columns such as `anterior proximal.mean pressure [kPa]` with the ends of their 95 %
+        intervals; NaN where a value is not determined.
+        """
+        import pandas as pd
+
+        columns: dict[str, FloatArray] = {}
+        for number, place in enumerate(self.places):
+            found = self._columns(self.outputs.series, _OVER_TIME, number)
+            columns |= {f"{place.name}.{title}": values for title, values in found.items()}
+        return pd.DataFrame(columns, index=pd.Index(self.map.time, name="time [s]"))
+
+    def to_document(self) -> dict[str, Any]:
+        """The outputs for JSON: a value that is not determined is null beside its interval."""
+        regions = self.regions
+        tiles = {place.name: place.tiles for place in self.places}
+        names = self.trial.geometry.names
+        return {
+            "trial": self.trial.name,
+            "segment": {
+                "kind": self.segment.kind,
+                "start": self.segment.start,
+                "end": self.segment.end,
+            },
+            "samples": len(self.map.time),
+            "threshold [kPa]": self.threshold,
+            "largest reach of an interval [-]": self.share,
+            "integrated time [s]": self.outputs.integrated,
+            "source": self.map.estimate.source,
+            "regions": {
+                name: {
+                    "tiles": [names[tile] for tile in tiles[str(name)]],
+                    "nearest tile": row["nearest tile"] or None,
+                    **_values(row, TITLES),
+                }
+                for name, row in regions.iterrows()
+            },
+            "tiles": {name: _values(row, _OF_TILES) for name, row in self.tiles.iterrows()},
+        }
+
+    def to_json(self) -> str:
+        """The outputs as JSON."""
+        return json.dumps(self.to_document(), indent=1, allow_nan=False)
+
+    def save(self, path: PathLike, over_time: bool = False) -> None:
+        """Write the table of `regions`, or of every sample, as `.csv`, `.parquet` or `.mat`.
+
+        Args:
+            path: The file; its suffix selects the format.
+            over_time: Whether the table is that of `over_time`, rather than of `regions`.
+
+        Raises:
+            ConfigurationError: If the suffix is no format or the file cannot be written.
+        """
+        write_table(self.over_time() if over_time else self.regions, Path(path))
+
+    def _table(
+        self, found: RegionOutputs, names: Sequence[str], titles: Sequence[str]
+    ) -> pd.DataFrame:
+        import pandas as pd
+
+        return pd.DataFrame(self._columns(found, titles, slice(None)), index=pd.Index(names))
+
+    def _columns(
+        self, found: RegionOutputs, titles: Sequence[str], place: int | slice
+    ) -> dict[str, FloatArray]:
+        """Columns by their titles, each with the ends of its interval."""
+        columns = {}
+        for title in titles:
+            quantity, factor = _quantity(found, title)
+            values = np.where(quantity.determined(self.share), quantity.value, np.nan)
+            for name, part in (
+                (title, values),
+                (interval_end(title, "low"), quantity.low),
+                (interval_end(title, "high"), quantity.high),
+            ):
+                columns[name] = factor * part[..., place]
+        return columns
+
+    def _nearest(self, centre: FloatArray) -> str:
+        """Name of the tile nearest to a point [m]; empty if it is not known."""
+        if not np.isfinite(centre).all():
+            return ""
+        geometry = self.trial.geometry
+        return geometry.names[int(np.linalg.norm(geometry.anchors - centre, axis=1).argmin())]
+
+
+def interval_end(title: str, end: str) -> str:
+    """Title of the end, `low` or `high`, of a column's interval: `peak pressure low [kPa]`."""
+    name, unit = split_unit(title)
+    return f"{name} {end} [{unit}]"
+
+
+def _quantity(found: RegionOutputs, title: str) -> tuple[Quantity, float]:
+    """The quantity of a column in SI units, and the factor to the column's unit."""
+    if title in _CENTRES:
+        axis, centre = _CENTRES.index(title), found.centre
+        parts = (centre.value, centre.low, centre.high, centre.scale)
+        return Quantity(*(part[..., axis] for part in parts)), 1e3
+    name, factor = next((name, factor) for known, name, factor in _SCALARS if known == title)
+    quantity: Quantity = getattr(found, name)
+    return quantity, factor
+
+
+def _values(row: pd.Series, titles: Sequence[str]) -> dict[str, Any]:
+    """A row's values with their intervals, for JSON."""
+    return {
+        title: {
+            "value": finite_or_null(row[title]),
+            "low": finite_or_null(row[interval_end(title, "low")]),
+            "high": finite_or_null(row[interval_end(title, "high")]),
+        }
+        for title in titles
+    }
+
+
+def pressure(
+    trial: Trial,
+    segment: str | Segment = "plateau",
+    *,
+    threshold: float = 5.0,
+    share: float = 0.5,
+    regions: Mapping[str, Sequence[str]] | None = None,
+    params: PathLike | None = None,
+    leave_out: Sequence[str] | None = None,
+) -> TrialPressure:
+    """Pressure and shear of a socket as a lab reads them, by region, with 95 % intervals.
+
+    They are computed from the force map, see `st.force_map` and
+    `socket_testbed.identification.pressure`: peak and mean pressure, contact area, pressure-time
+    integral, centre of pressure, shear and share of the load.
+
+    Args:
+        trial: The trial.
+        segment: The segment, or its specification: `plateau`, `all`, or `T0:T1` in seconds.
+        threshold: Pressure above which a tile is in contact [kPa].
+        share: A value whose interval reaches farther than this share of it is not determined: it
+            is NaN, and its interval stands beside it [-].
+        regions: Names of tiles by the names of regions, instead of those of `socket.yaml`.
+        params: A `testbed.yaml` to use instead of the trial's own; its group `force_map` is the
+            prior.
+        leave_out: Channels that do not count, such as `distal.Fx` or `Mz`.
+
+    Raises:
+        ConfigurationError: For a wrong setting, or a region without tiles or with unknown ones.
+        TrialError: If the trial cannot be read or holds no such segment.
+
+    >>> found = st.pressure(st.open_trial("trials/hold"))
+    >>> found
+    TrialPressure(hold, plateau ... s; 13 regions, peak pressure ... to ... kPa)
+    >>> list(found.regions)[:3]
+    ['mean pressure [kPa]', 'mean pressure low [kPa]', 'mean pressure high [kPa]']
+    >>> found.save("pressure.csv")
+    """
+    check_number(threshold, "--threshold", 0.0, 1e4)
+    check_number(share, "--share", 0.0, 1e3)
+    settings = estimator_settings(trial.estimator, as_path(params), leave_out=leave_out)
+    geometry = trial.geometry
+    places = _regions(trial, regions)
+    samples = trial.samples()
+    chosen = select(trial, segment, settings)
+    rows = without_untrusted(samples[chosen.rows], geometry, settings.identification.leave_out)
+    with threadpool_limits(1):
+        force_map = ForceMap(geometry, samples.clusters, settings.force_map)
+        estimate = force_map.estimate(rows)
+        outputs = pressure_outputs(force_map, estimate, rows, geometry, places, 1e3 * threshold)
+    time = np.asarray(samples.time[chosen.rows])
+    found = TrialMap(trial, chosen, time, estimate)
+    return TrialPressure(trial, chosen, found, places, outputs, threshold, share)
+
+
+def _regions(trial: Trial, own: Mapping[str, Sequence[str]] | None) -> tuple[Region, ...]:
+    """The regions of a trial's socket."""
+    geometry = trial.geometry
+    if own is not None:
+        section = Section({name: list(tiles) for name, tiles in own.items()}, "regions")
+        index = {name: i for i, name in enumerate(geometry.names)}
+        given = {name: read_region(section, name, index) for name in section.names()}
+        geometry = dataclasses.replace(geometry, regions=given)
+    return all_regions(geometry)

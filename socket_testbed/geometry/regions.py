@@ -1,0 +1,70 @@
+"""Regions of a socket: the sectors that clinicians name, and the user's own."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from socket_testbed.arrays import IntArray
+from socket_testbed.geometry.axis import socket_axis
+from socket_testbed.geometry.socket import HEIGHTS, SOCKET, SocketGeometry
+
+Side = Literal["left", "right"]
+
+_TINY = 1e-9  # [m]
+# Quarter turns about the axis from anterior towards left, by the leg.
+_SECTORS: dict[Side | None, dict[str, int]] = {
+    "right": {"anterior": 0, "posterior": 2, "medial": 1, "lateral": 3},
+    "left": {"anterior": 0, "posterior": 2, "medial": 3, "lateral": 1},
+    None: {"anterior": 0, "posterior": 2, "left": 1, "right": 3},
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Region:
+    """A part of a socket.
+
+    Attributes:
+        name: Its name.
+        tiles: Indices of its tiles, ascending, shape (k,).
+    """
+
+    name: str
+    tiles: IntArray
+
+
+def anatomical_regions(geometry: SocketGeometry, side: Side | None = None) -> tuple[Region, ...]:
+    """Four sectors by three heights; every tile is in exactly one.
+
+    The sectors are quarter turns about the socket's axis (`geometry.axis.socket_axis`), centred on
+    anterior, left, posterior and right; the heights are thirds of the span of the tiles' centres
+    along the axis.
+
+    Args:
+        geometry: Geometry of the socket.
+        side: The leg. Medial is left of the axis on a right leg, right of it on a left leg; without
+            a side the sectors are called `left` and `right`.
+
+    Returns:
+        Twelve regions such as `anterior proximal`, less those without a tile.
+    """
+    axis = socket_axis(geometry)
+    turns = np.round(axis.angles(geometry.anchors) / (0.5 * np.pi)) % 4
+    heights = axis.heights(geometry.anchors)
+    below = (heights.max() - heights) / max(np.ptp(heights), _TINY)
+    thirds = np.minimum(np.floor(3.0 * below), 2.0)
+    found = []
+    for sector, turn in _SECTORS[side].items():
+        for third, height in enumerate(HEIGHTS):
+            tiles = np.flatnonzero((turns == turn) & (thirds == third))
+            if len(tiles):
+                found.append(Region(f"{sector} {height}", tiles))
+    return tuple(found)
+
+
+def all_regions(geometry: SocketGeometry, side: Side | None = None) -> tuple[Region, ...]:
+    """The anatomical regions, those of `socket.yaml`, and the socket itself, in this order."""
+    own = [Region(name, np.array(tiles)) for name, tiles in geometry.regions.items()]
+    return (*anatomical_regions(geometry, side), *own, Region(SOCKET, np.arange(len(geometry))))

@@ -1,0 +1,74 @@
+"""Regions of a socket: anatomical ones cover it, the user's own are checked."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+import yaml
+from support.ring_socket import ring_socket
+
+from socket_testbed.errors import ConfigurationError
+from socket_testbed.files import Section, packaged
+from socket_testbed.geometry.regions import all_regions, anatomical_regions
+from socket_testbed.geometry.socket import read_socket, socket_from_section, write_socket
+
+GEOMETRY = read_socket(packaged("config", "socket.yaml"))
+
+
+@pytest.mark.parametrize("geometry", [GEOMETRY, ring_socket()], ids=["scan", "rings"])
+@pytest.mark.parametrize("side", ["left", "right", None])
+def test_every_tile_is_in_exactly_one_anatomical_region(geometry, side) -> None:
+    regions = anatomical_regions(geometry, side)
+    assert len(regions) == 12
+    tiles = np.concatenate([region.tiles for region in regions])
+    np.testing.assert_array_equal(np.sort(tiles), np.arange(len(geometry)))
+
+
+def test_regions_are_where_their_names_say() -> None:
+    geometry = ring_socket()
+    centre = {r.name: geometry.anchors[r.tiles].mean(axis=0) for r in anatomical_regions(geometry)}
+    assert centre["anterior middle"][0] > 0.03 > -0.03 > centre["posterior middle"][0]
+    assert centre["left middle"][1] > 0.03 > -0.03 > centre["right middle"][1]
+    for sector in ("anterior", "posterior", "left", "right"):
+        heights = [centre[f"{sector} {height}"][2] for height in ("proximal", "middle", "distal")]
+        assert heights == sorted(heights, reverse=True)
+
+
+def test_medial_is_left_on_a_right_leg_and_right_on_a_left_leg() -> None:
+    def tiles(name: str, side) -> list[int]:
+        found = {r.name: r.tiles.tolist() for r in anatomical_regions(GEOMETRY, side)}
+        return found[name]
+
+    for height in ("proximal", "middle", "distal"):
+        left, right = tiles(f"left {height}", None), tiles(f"right {height}", None)
+        assert tiles(f"medial {height}", "right") == tiles(f"lateral {height}", "left") == left
+        assert tiles(f"lateral {height}", "right") == tiles(f"medial {height}", "left") == right
+
+
+def test_own_regions_stand_in_the_file_and_before_the_socket(tmp_path) -> None:
+    own = {"fibula head": (3, 5), "patellar tendon": (40,)}
+    write_socket(dataclasses.replace(GEOMETRY, regions=own), tmp_path / "socket.yaml")
+    geometry = read_socket(tmp_path / "socket.yaml")
+    assert geometry.regions == own
+    names = [region.name for region in all_regions(geometry)]
+    assert names[-3:] == ["fibula head", "patellar tendon", "socket"]
+    assert len(names) == 15
+
+
+@pytest.mark.parametrize(
+    ("regions", "says"),
+    [
+        ({"heel": []}, "regions: heel has no tiles"),
+        ({"heel": None}, "regions: heel has no tiles"),
+        ({"heel": "distal"}, "regions: heel has no tiles"),
+        ({"heel": ["dstal"]}, "no tile 'dstal': did you mean 'distal'"),
+        ({"heel": ["distal", "distal"]}, "holds a tile twice"),
+        ({"anterior proximal": ["distal"]}, "name of a standard region"),
+        ({"socket": ["distal"]}, "name of a standard region"),
+        (["distal"], "a mapping is expected"),
+    ],
+)
+def test_wrong_regions_are_refused(regions, says) -> None:
+    document = yaml.safe_load(packaged("config", "socket.yaml").read_text()) | {"regions": regions}
+    with pytest.raises(ConfigurationError, match=says):
+        socket_from_section(Section(document, "socket.yaml"))
