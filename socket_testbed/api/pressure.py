@@ -289,4 +289,10 @@ def _regions(trial: Trial, own: Mapping[str, Sequence[str]] | None) -> tuple[Reg
         index = {name: i for i, name in enumerate(geometry.names)}
         given = {name: read_region(section, name, index) for name in section.names()}
         geometry = dataclasses.replace(geometry, regions=given)
-    return all_regions(geometry)
+    side = trial.metadata.side
+    if side is None and trial.notify is not None:
+        trial.notify(
+            "no side of the leg is stated: the regions are left and right, not medial and lateral;"
+            f" state it with 'annotate {trial.name} --side left|right'"
+        )
+    return all_regions(geometry, side)
