@@ -34,7 +34,6 @@ from socket_testbed.live.bringup import Simulation, end, simulated_testbed, star
 from socket_testbed.live.processes import Graph
 from socket_testbed.nodes.base import message_type, subscriber_qos
 from socket_testbed.trials.bag import BagReader
-from socket_testbed.trials.synchronise import read_samples
 from socket_testbed.trials.topics import ESTIMATED_WRENCH, REQUIRED, TRIGGER, match_topics
 from socket_testbed.trials.trial import Trial
 
@@ -121,7 +120,7 @@ def measure(folder: Path, model: Path, rate: float, duration: float, one_process
     cores = (children_seconds() - before) / (time.monotonic() - began)
     with BagReader(path) as bag:
         counts = {t: bag.counts[name] for t, name in match_topics(bag.counts, "").items()}
-    samples = read_samples(Trial(path))
+    samples = Trial(path).samples()
     fine = samples.complete & (samples.status == 0).all(axis=1)
     return Result(
         triggers=counts[TRIGGER],

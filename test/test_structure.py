@@ -2,6 +2,7 @@
 
 import ast
 import inspect
+from graphlib import TopologicalSorter
 from pathlib import Path
 
 import pytest
@@ -51,8 +52,8 @@ def imports(path: Path) -> set[str]:
         elif isinstance(node, ast.ImportFrom):
             assert node.level == 0, f"{path}: a relative import"
             found.add(node.module or "")
-            if node.module == "socket_testbed":
-                found |= {f"socket_testbed.{alias.name}" for alias in node.names}
+            if (node.module or "").split(".")[0] == "socket_testbed":
+                found |= {f"{node.module}.{alias.name}" for alias in node.names}
     return found
 
 
@@ -68,6 +69,12 @@ def test_imports_point_one_way(path: Path) -> None:
     for name in imports(path):
         if name.startswith("socket_testbed.") and top(name) in LAYER_OF:
             assert LAYER_OF[top(name)] <= LAYER_OF[top(own)], f"{own} imports {name}"
+
+
+def test_no_imports_go_round_in_a_circle() -> None:
+    """Not even those inside a function, or for types alone."""
+    known = {module_of(path) for path in FILES}
+    TopologicalSorter({module_of(path): imports(path) & known for path in FILES}).prepare()
 
 
 @pytest.mark.parametrize("path", FILES, ids=lambda p: str(p.relative_to(PACKAGE)))

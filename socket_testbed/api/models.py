@@ -56,12 +56,7 @@ from socket_testbed.settings.identification import Variant, Weights
 from socket_testbed.settings.testbed import estimator_settings
 from socket_testbed.tables import check_format, write_table
 from socket_testbed.trials.segment import Segment
-from socket_testbed.trials.synchronise import (
-    correct_measurements,
-    make_samples,
-    read_measurements,
-    sample_table,
-)
+from socket_testbed.trials.synchronise import sample_table
 from socket_testbed.trials.trial import Trial
 
 if TYPE_CHECKING:
@@ -623,11 +618,10 @@ def export(
     path = Path(path)
     check_format(path)
     stored = None if model is None else _model_for(trial, model)
-    measured = correct_measurements(trial, read_measurements(trial))
-    samples = make_samples(trial, measured)
+    measured, samples = trial.measurements(), trial.samples()
     chosen = select(trial, segment, trial.estimator)
     predicted = None if stored is None else _predictions(samples, stored)
-    table = sample_table(trial, measured, samples, chosen, predicted)
+    table = sample_table(measured, samples, trial.calibration, chosen, predicted)
     if force_map:
         leave_out = trial.estimator.identification.leave_out
         mapped = map_samples(

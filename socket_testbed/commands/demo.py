@@ -34,7 +34,6 @@ from socket_testbed.samples import Samples
 from socket_testbed.settings.testbed import EstimatorSettings, ReplaySettings
 from socket_testbed.simulation.trial import TRUTH_FILE, GroundTruth, read_truth
 from socket_testbed.trials.segment import select_segment
-from socket_testbed.trials.synchronise import read_samples
 from socket_testbed.trials.trial import Trial
 
 _DURATION = 60.0  # [s] of the testbed; of the trial
@@ -109,13 +108,13 @@ def _record(trial: Trial, seed: int, log: Path) -> tuple[Samples, float]:
         print(f"   only {complete:.0%} of the samples are complete: again at {pace(scale)}")
         shutil.rmtree(trial.path)
     print("   " + summary(trial.path))
-    return read_samples(trial), scale
+    return trial.samples(), scale
 
 
 def _complete(trial: Trial) -> float:
     """Fraction of a trial's samples that hold all measurements [-]."""
     try:
-        samples = read_samples(trial)
+        samples = Trial(trial.path).samples()  # the trial itself would keep them
     except TrialError:  # the nodes were not up before the time was over
         return 0.0
     forces = np.isfinite(samples.local_forces).all(axis=(1, 2))

@@ -12,7 +12,6 @@ from socket_testbed.commands.text import metadata_table, number, table
 from socket_testbed.identification.noise import channel_noise, noise_groups
 from socket_testbed.samples import Samples, Status
 from socket_testbed.trials.segment import find_plateaus
-from socket_testbed.trials.synchronise import read_samples
 from socket_testbed.trials.trial import CONFIGURATION_FILES, Trial
 
 
@@ -28,7 +27,7 @@ def run(options: argparse.Namespace) -> None:
     trial = dataclasses.replace(trial_of(options), notify=lambda note: notes.update({note: None}))
     print(_topics(trial))
     shown = len(notes)
-    samples, metadata = read_samples(trial), trial.metadata
+    samples, metadata = trial.samples(), trial.metadata
     print()
     for note in list(notes)[shown:]:
         print(f"note: {note}")

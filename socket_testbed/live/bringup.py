@@ -42,7 +42,6 @@ from socket_testbed.trials.metadata import (
     read_metadata,
     write_metadata,
 )
-from socket_testbed.trials.synchronise import check_trial, read_samples
 from socket_testbed.trials.trial import Trial, recorded_namespace
 
 _UP_WITHIN = 120.0  # [s]; for the simulation, on a busy machine
@@ -220,7 +219,7 @@ def summary(path: Path) -> str:
     Raises:
         TrialError: If it holds no trigger or cannot be read.
     """
-    samples = read_samples(Trial(path))
+    samples = Trial(path).samples()
     missing = {
         "wrench": ~np.isfinite(samples.wrench).all(axis=1),
         "limb position": ~np.isfinite(samples.position).all(axis=1),
@@ -299,7 +298,7 @@ def replay_nodes(
     Raises:
         TestbedError: If the trial or its configuration is wrong.
     """
-    check_names(estimator.identification, check_trial(trial))
+    check_names(estimator.identification, trial.check())
     namespace = recorded_namespace(trial)
     calibration = CalibrationNodeSettings(calibration=str(trial.calibration_path.resolve()))
     estimator = replace(estimator, geometry=str(trial.geometry_path.resolve()))

@@ -51,7 +51,6 @@ from socket_testbed.settings.identification import PAPER_VARIANTS, VARIANTS, Var
 from socket_testbed.settings.testbed import EstimatorSettings
 from socket_testbed.simulation.trial import TRUTH_FILE, read_truth
 from socket_testbed.trials.segment import Segment, find_plateaus, select_segment
-from socket_testbed.trials.synchronise import read_samples
 from socket_testbed.trials.trial import Trial
 
 GIVEN = "given"
@@ -413,7 +412,7 @@ def compute_results(
     if given is not None:
         given.require_socket(trial.geometry)
     notes: list[str] = []
-    samples = read_samples(replace(trial, notify=notes.append))
+    samples = replace(trial, notify=notes.append).samples()
     leave_out = settings.identification.leave_out
     segment = select_segment(samples, specification, settings.plateau, leave_out)
     sign = sign_note(samples[segment.rows], trial.geometry)

@@ -34,7 +34,7 @@ from rosbags.typesys.store import Typestore
 from socket_testbed.errors import TrialError
 from socket_testbed.files import packaged
 from socket_testbed.trials.salvage import SalvagedRecording, salvage
-from socket_testbed.trials.topics import PUBLISHER_DEPTH, Topic
+from socket_testbed.trials.topics import PUBLISHER_DEPTH, REQUIRED, TOPICS, Topic, match_topics
 
 _PACKAGE = "socket_testbed_msgs"
 
@@ -234,6 +234,34 @@ class BagReader:
                 f"metadata.yaml lists {promised} messages: copy the trial again if it is"
                 " complete elsewhere"
             )
+
+
+def required_topics(bag: BagReader) -> dict[Topic, str]:
+    """Names in the bag of the topics that offline work needs, each with messages.
+
+    Raises:
+        TrialError: For an empty bag, a topic that is missing or empty, or one of another
+            type than the testbed's.
+    """
+    topics = match_topics(bag.counts, str(bag.path))
+    if not any(bag.counts.values()):
+        raise TrialError(f"{bag.path}: holds no message", "record the trial again")
+    for topic in REQUIRED:
+        if topic not in topics:
+            raise TrialError(
+                f"{bag.path}: has no topic '{topic.name}'",
+                "record all topics of the testbed with 'record'",
+            )
+        name = topics[topic]
+        if bag.counts[name] == 0:
+            raise TrialError(
+                f"{bag.path}: '{name}' holds no message", "check that its node ran and record again"
+            )
+        if bag.types[name] != topic.type:
+            raise TrialError(
+                f"{bag.path}: '{name}' is a {bag.types[name]}", f"record it as {topic.type}"
+            )
+    return {topic: topics[topic] for topic in TOPICS if topic in topics}
 
 
 class _TopicMetadata(NamedTuple):

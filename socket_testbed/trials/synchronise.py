@@ -2,15 +2,15 @@
 
 `read_measurements` puts the recorded values in rows, one per trigger. `correct_measurements`
 removes the drift of the clusters, if spans without load are known. `make_samples` computes the
-stresses and forces, with the trial's calibration, and the limb position. `read_samples` does all
-of it, and `sample_table` shows the values of every step.
+stresses and forces, with a calibration, and the limb position. `sample_table` shows the values of
+every step. `Trial.samples` does it all with the trial's own configuration.
 """
 
 from __future__ import annotations
 
 import dataclasses
 from array import array
-from collections.abc import Collection, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -26,36 +26,17 @@ from socket_testbed.calibration.drift import (
     correct_drift,
     measure_drift,
 )
+from socket_testbed.calibration.model import Calibration
 from socket_testbed.errors import ConfigurationError, TrialError
 from socket_testbed.geometry.pose import Pose
+from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.samples import LOCAL_CHANNELS, Samples, Status, channel_unit
-from socket_testbed.trials.bag import RawMessage, decode, stamp_of
+from socket_testbed.trials.bag import BagReader, RawMessage, decode, required_topics, stamp_of
 from socket_testbed.trials.segment import Segment
 from socket_testbed.trials.topics import CAPACITANCE, PYLON_POSE, SOCKET_POSE, TRIGGER, WRENCH
-from socket_testbed.trials.trial import Trial, check_unloaded, required_topics
 
 if TYPE_CHECKING:
     import pandas as pd
-
-
-def read_samples(trial: Trial) -> Samples:
-    """Read a trial as synchronised samples, one per trigger.
-
-    The stresses are computed from the capacitances with the trial's calibration.
-
-    Args:
-        trial: The trial.
-
-    Returns:
-        Samples in the order of their stamps; what is missing at a trigger is NaN.
-
-    Raises:
-        TrialError: If the trial cannot be read or lacks a topic.
-        CalibrationError: If the calibration lacks a cluster of the trial, or a span without load
-            holds too few readings.
-        ConfigurationError: If the stored configuration is wrong.
-    """
-    return make_samples(trial, correct_measurements(trial, read_measurements(trial)))
 
 
 @dataclass(frozen=True)
@@ -112,39 +93,40 @@ class _Series:
         return rows
 
 
-def read_measurements(trial: Trial) -> Measurements:
-    """Read all measurements of a trial.
+def read_measurements(bag: BagReader, notify: Callable[[str], None]) -> Measurements:
+    """Read all measurements of a bag.
 
-    The trial reports stamps that jump back, and stamps that a topic holds more than once.
+    Args:
+        bag: The bag, open.
+        notify: Called with a note on stamps that jump back, and on stamps that a topic holds more
+            than once.
 
     Raises:
-        TrialError: If the trial cannot be read or lacks a topic.
+        TrialError: If the bag cannot be read or lacks a topic.
     """
     widths = {TRIGGER: 0, WRENCH: 6, SOCKET_POSE: 7, PYLON_POSE: 7}
     columns = {topic: _Series(width) for topic, width in widths.items()}
     clusters: dict[str, _Series] = {}
-    with trial.open() as bag:
-        topics = required_topics(bag)
-        names = {topics[topic]: topic for topic in topics if topic.required}
-        for raw in bag.messages(names):
-            topic = names[raw.topic]
-            message = _decode(trial, raw)
-            stamp = stamp_of(message)
-            if topic is CAPACITANCE:
-                for cluster in message.clusters:
-                    column = clusters.setdefault(cluster.name, _Series(8))
-                    column.add(stamp, (*cluster.capacitance, *cluster.status))
-            elif topic is WRENCH:
-                columns[topic].add(stamp, wrench_vector(message.wrench))
-            elif topic is TRIGGER:
-                columns[topic].add(stamp, ())
-            else:
-                columns[topic].add(stamp, pose_vector(message.pose))
+    topics = required_topics(bag)
+    names = {topics[topic]: topic for topic in topics if topic.required}
+    for raw in bag.messages(names):
+        topic = names[raw.topic]
+        message = decode_message(raw, bag.path)
+        stamp = stamp_of(message)
+        if topic is CAPACITANCE:
+            for cluster in message.clusters:
+                column = clusters.setdefault(cluster.name, _Series(8))
+                column.add(stamp, (*cluster.capacitance, *cluster.status))
+        elif topic is WRENCH:
+            columns[topic].add(stamp, wrench_vector(message.wrench))
+        elif topic is TRIGGER:
+            columns[topic].add(stamp, ())
+        else:
+            columns[topic].add(stamp, pose_vector(message.pose))
     every = {topic.name: column.stamps for topic, column in columns.items()}
     every |= {name: column.stamps for name, column in clusters.items()}
-    if trial.notify is not None:
-        for note in _stamp_notes(every):
-            trial.notify(note)
+    for note in _stamp_notes(every):
+        notify(note)
     stamps = np.unique(np.concatenate([*every.values()]))
     readings = np.array([column.at(stamps) for column in clusters.values()])
     readings = readings.reshape(len(clusters), len(stamps), 8).swapaxes(0, 1)
@@ -197,12 +179,17 @@ def _listed(parts: list[str], count: int) -> str:
     return f"{times} ({', '.join(parts)}{more})"
 
 
-def _decode(trial: Trial, raw: RawMessage) -> Any:
+def decode_message(raw: RawMessage, where: object) -> Any:
+    """A message of a bag; `where` names the bag in an error.
+
+    Raises:
+        TrialError: If it cannot be decoded.
+    """
     try:
         return decode(raw.data, raw.type)
     except Exception as error:  # the library raises whatever the bytes lead it to
         raise TrialError(
-            f"{trial.path}: a message on {raw.topic} cannot be decoded ({error})",
+            f"{where}: a message on {raw.topic} cannot be decoded ({error})",
             "check that the trial was recorded with this version's messages",
         ) from None
 
@@ -219,34 +206,44 @@ def pose_vector(pose: Any) -> tuple[float, ...]:
     return (p.x, p.y, p.z, q.x, q.y, q.z, q.w)
 
 
-def correct_measurements(trial: Trial, measured: Measurements) -> Measurements:
+def correct_measurements(
+    measured: Measurements,
+    spans: Sequence[tuple[float, float]],
+    calibration: Calibration,
+    least_force: float,
+    where: str,
+    notify: Callable[[str], None],
+) -> Measurements:
     """Bring the clusters' readings to the baseline of their calibration.
 
-    The drift is linear between the trial's two spans without load. The baseline of a calibration
+    The drift is linear between two spans without load. The baseline of a calibration
     is that of an unloaded cluster. If it stores none, or the load cell measured a load in the
     first span (a pylon alone has a weight, too), only the drift since the first span is corrected.
-    The trial reports the drift between two spans, flags a large one, and reports what is not
-    corrected.
 
     Args:
-        trial: The trial, with its spans without load.
-        measured: Its measurements.
-
-    Returns:
-        The corrected measurements; without a span those that were given.
+        measured: The measurements of a trial.
+        spans: One or two spans without load, since the first sample [s].
+        calibration: Calibration of the clusters.
+        least_force: Force that is a load [N].
+        where: Name of the trial in an error.
+        notify: Called with the drift between two spans, a large one flagged, and with what is not
+            corrected.
 
     Raises:
-        CalibrationError: If a span holds too few readings of a cluster, or the calibration lacks
-            a cluster.
+        CalibrationError: If a span holds too few readings of a cluster.
         TrialError: If the load cell measured clearly more in a span than at its least load.
     """
-    if not trial.unloaded:
-        return measured
-    _require_clusters(measured.clusters, trial)
-    free = _require_unloaded(trial, measured)
+    loads = _loads_without_load(measured, spans, least_force, where)
+    stored = any(calibration.clusters[name].baseline is not None for name in measured.clusters)
+    free = not loads or loads[0] <= least_force
+    if not free and stored:
+        start, end = spans[0]
+        notify(
+            f"the load cell measured {loads[0]:.0f} N in {start:g}:{end:g}, so the stored baseline"
+            " of the clusters is not used: only their drift since then is corrected"
+        )
     time = measured.time
     capacitance = measured.capacitance.copy()
-    notify = trial.notify or _ignore
     unchanged = []
     for column, name in enumerate(measured.clusters):
         readings = capacitance[:, column]
@@ -254,11 +251,11 @@ def correct_measurements(trial: Trial, measured: Measurements) -> Measurements:
             average_baseline(
                 0.5 * (start + end),
                 readings[(time >= start) & (time <= end)],
-                f"{trial.path}: {name} from {start:g} s to {end:g} s",
+                f"{where}: {name} from {start:g} s to {end:g} s",
             )
-            for start, end in trial.unloaded
+            for start, end in spans
         ]
-        cluster = trial.calibration.clusters[name]
+        cluster = calibration.clusters[name]
         before, after = baselines[0], baselines[1] if len(baselines) > 1 else None
         reference = cluster.baseline if free else None
         capacitance[:, column] = correct_drift(readings, time, before, after, reference)
@@ -277,45 +274,30 @@ def correct_measurements(trial: Trial, measured: Measurements) -> Measurements:
 _REST = 1.0  # [s]; what is shorter is no rest
 
 
-def _require_unloaded(trial: Trial, measured: Measurements) -> bool:
-    """Refuse a span that the load cell contradicts.
-
-    Returns:
-        Whether the clusters were free of load in the first span.
-    """
+def _loads_without_load(
+    measured: Measurements, spans: Sequence[tuple[float, float]], least_force: float, where: str
+) -> list[float]:
+    """Median force in every span [N], nothing if none is known; a loaded span is refused."""
     force = np.linalg.norm(measured.wrench[:, 3:], axis=1)
     known = np.isfinite(force)
     time, force = measured.time[known], force[known]
     if len(force) == 0:
-        return True
+        return []
     width = max(3, int(_REST * len(time) / max(float(time[-1] - time[0]), _REST)))
     steady = median_filter(force, width, mode="nearest")
     least = float(steady.min())
-    limit = trial.estimator.plateau.least_force  # [N]; less is no load
     loads = []
-    for start, end in trial.unloaded:
+    for start, end in spans:
         within = force[(time >= start) & (time <= end)]
         load = float(np.median(within)) if len(within) else least
-        if load > least + limit:
+        if load > least + least_force:
             raise TrialError(
-                f"{trial.path}: {start:g}:{end:g} is not without load, the load cell measured"
+                f"{where}: {start:g}:{end:g} is not without load, the load cell measured"
                 f" {load:.0f} N there",
                 f"give a span as at {time[steady.argmin()]:.1f} s, where it measured {least:.0f} N",
             )
         loads.append(load)
-    baselines = [trial.calibration.clusters[name].baseline for name in measured.clusters]
-    free = loads[0] <= limit
-    if not free and trial.notify is not None and any(b is not None for b in baselines):
-        start, end = trial.unloaded[0]
-        trial.notify(
-            f"the load cell measured {loads[0]:.0f} N in {start:g}:{end:g}, so the stored baseline"
-            " of the clusters is not used: only their drift since then is corrected"
-        )
-    return free
-
-
-def _ignore(note: str) -> None:
-    pass
+    return loads
 
 
 def _describe(drift: Drift) -> str:
@@ -327,14 +309,15 @@ def _describe(drift: Drift) -> str:
     )
 
 
-def make_samples(trial: Trial, measured: Measurements) -> Samples:
-    """Samples from the corrected measurements of a trial; see `read_samples`."""
-    _require_clusters(measured.clusters, trial)
-    local_forces, status = _local_forces(trial, measured)
+def make_samples(
+    measured: Measurements, calibration: Calibration, geometry: SocketGeometry
+) -> Samples:
+    """Samples from the corrected measurements of a trial, whose clusters both others know."""
+    local_forces, status = _local_forces(measured, calibration, geometry)
     socket, pylon = (
         Pose.from_quaternion(pose[:, :3], pose[:, 3:]) for pose in (measured.socket, measured.pylon)
     )
-    limb = trial.geometry.limb_pose(socket, pylon)
+    limb = geometry.limb_pose(socket, pylon)
     return Samples(
         stamps=measured.stamps,
         position=limb.translation,
@@ -346,45 +329,36 @@ def make_samples(trial: Trial, measured: Measurements) -> Samples:
     )
 
 
-def _local_forces(trial: Trial, measured: Measurements) -> tuple[FloatArray, StatusArray]:
+def _local_forces(
+    measured: Measurements, calibration: Calibration, geometry: SocketGeometry
+) -> tuple[FloatArray, StatusArray]:
     shape = (len(measured.stamps), len(measured.clusters))
     forces = np.full((*shape, 3), np.nan)
     status = np.full(shape, Status.MISSING, dtype=np.uint8)
     for column, name in enumerate(measured.clusters):
-        stress, status[:, column] = trial.calibration.clusters[name].apply(
+        stress, status[:, column] = calibration.clusters[name].apply(
             measured.capacitance[:, column], measured.status[:, column]
         )
-        forces[:, column] = trial.geometry.cluster_force(name, stress)
+        forces[:, column] = geometry.cluster_force(name, stress)
     return forces, status
-
-
-def _require_clusters(clusters: Collection[str], trial: Trial) -> None:
-    trial.calibration.require(clusters, f"the trial {trial.path}")
-    for name in clusters:
-        if name not in trial.geometry.clusters:
-            raise TrialError(
-                f"{trial.path}: its cluster '{name}' is on no tile of the socket"
-                f" (which has {', '.join(trial.geometry.clusters)})",
-                "give the socket.yaml of this trial with --geometry",
-            )
 
 
 _SHARED = 1 + 6 + 6  # columns besides the clusters': time, wrench, the limb's pose
 
 
 def sample_table(
-    trial: Trial,
     measured: Measurements,
     samples: Samples,
+    calibration: Calibration,
     segment: Segment,
     predicted: FloatArray | None = None,
 ) -> pd.DataFrame:
     """The samples of a trial as a table, with what the clusters' forces were computed from.
 
     Args:
-        trial: The trial.
         measured: All that was measured, corrected for drift.
         samples: All samples made of it.
+        calibration: Calibration of the clusters.
         segment: Which of them are wanted.
         predicted: What a model predicts for all samples, added as `predicted.*`; see
             `predict_channels`.
@@ -403,7 +377,7 @@ def sample_table(
     columns: dict[str, Any] = {"stamp [ns]": stamps, **table.iloc[:, :_SHARED]}
     for number, name in enumerate(samples.clusters):
         readings = capacitance[:, number]
-        stress, _ = trial.calibration.clusters[name].apply(readings, status[:, number])
+        stress, _ = calibration.clusters[name].apply(readings, status[:, number])
         columns |= {f"{name}.C{i} [pF]": readings[:, i] for i in range(4)}
         columns[f"{name}.status [-]"] = table[f"{name}.status [-]"]
         columns |= {f"{name}.{axis} [Pa]": stress[:, i] for i, axis in enumerate(STRESSES)}
@@ -414,23 +388,30 @@ def sample_table(
     return pd.DataFrame(columns)
 
 
-def check_trial(trial: Trial) -> tuple[str, ...]:
-    """Refuse a trial that cannot be worked on, before long work or a graph is started.
+def check_unloaded(spans: tuple[tuple[float, float], ...]) -> None:
+    """Refuse spans without load that are more than two, reversed, overlapping or out of order.
 
-    Returns:
-        Names of the trial's clusters.
+    Args:
+        spans: Their starts and ends [s].
 
     Raises:
-        TrialError: If the trial cannot be read or lacks a topic.
-        CalibrationError: If the calibration lacks a cluster of the trial.
-        ConfigurationError: If the stored configuration is wrong.
+        ConfigurationError: Naming the spans.
     """
-    with trial.open() as bag:
-        name = required_topics(bag)[CAPACITANCE]
-        first = next(bag.messages([name]))
-    clusters = tuple(cluster.name for cluster in _decode(trial, first).clusters)
-    _require_clusters(clusters, trial)
-    return clusters
+    if len(spans) > 2:
+        raise ConfigurationError(
+            f"--unloaded has {len(spans)} spans", "give one before, or one before and one after"
+        )
+    for start, end in spans:
+        if not start < end:
+            raise ConfigurationError(
+                f"--unloaded is '{start:g}:{end:g}'", "give seconds as T0:T1, with T0 before T1"
+            )
+    if len(spans) == 2 and not spans[0][1] < spans[1][0]:
+        first, second = (f"{start:g}:{end:g}" for start, end in spans)
+        raise ConfigurationError(
+            f"--unloaded: {second} does not begin after {first}",
+            "give the span before the load first, the one after it second",
+        )
 
 
 def parse_unloaded(spans: list[str]) -> tuple[tuple[float, float], ...]:

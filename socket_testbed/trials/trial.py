@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
@@ -16,9 +16,17 @@ from socket_testbed.files import packaged
 from socket_testbed.geometry.socket import SocketGeometry, read_socket
 from socket_testbed.samples import Samples
 from socket_testbed.settings.testbed import EstimatorSettings, read_testbed
-from socket_testbed.trials.bag import BagReader, sync
+from socket_testbed.trials.bag import BagReader, required_topics, sync
 from socket_testbed.trials.metadata import METADATA_FILE, TrialMetadata, read_metadata
-from socket_testbed.trials.topics import REQUIRED, TOPICS, TRIGGER, Topic, match_topics
+from socket_testbed.trials.synchronise import (
+    Measurements,
+    check_unloaded,
+    correct_measurements,
+    decode_message,
+    make_samples,
+    read_measurements,
+)
+from socket_testbed.trials.topics import CAPACITANCE, TRIGGER
 
 SOCKET_FILE = "socket.yaml"
 CALIBRATION_FILE = "calibration.yaml"
@@ -63,20 +71,79 @@ class Trial:
     def open(self) -> Iterator[BagReader]:
         """The trial's bag, open; its notes go to `notify`."""
         with BagReader(self.path) as bag:
-            if self.notify is not None:
-                for note in bag.notes:
-                    self.notify(note)
+            for note in bag.notes:
+                self._notify(note)
             yield bag
 
+    def measurements(self) -> Measurements:
+        """The measurements, corrected for drift by the spans without load; read anew.
+
+        Raises:
+            TrialError: If the trial cannot be read or lacks a topic, or the load cell measured a
+                load in a span without load.
+            CalibrationError: If the calibration lacks a cluster of the trial, or a span without
+                load holds too few readings.
+        """
+        with self.open() as bag:
+            measured = read_measurements(bag, self._notify)
+        if not self.unloaded:
+            return measured
+        self._require_clusters(measured.clusters)
+        least_force = self.estimator.plateau.least_force
+        return correct_measurements(
+            measured, self.unloaded, self.calibration, least_force, str(self.path), self._notify
+        )
+
     def samples(self) -> Samples:
-        """The synchronised samples, one per trigger, read once: see `read_samples`."""
+        """The synchronised samples, one per trigger, in the order of their stamps; read once.
+
+        The stresses are computed from the capacitances with the trial's calibration. What is
+        missing at a trigger is NaN.
+
+        Raises:
+            TrialError: As `measurements`, or if a cluster of the trial is on no tile.
+            CalibrationError: As `measurements`.
+            ConfigurationError: If the stored configuration is wrong.
+        """
         return self._samples
 
     @cached_property
     def _samples(self) -> Samples:
-        from socket_testbed.trials.synchronise import read_samples  # it reads trials
+        measured = self.measurements()
+        self._require_clusters(measured.clusters)
+        return make_samples(measured, self.calibration, self.geometry)
 
-        return read_samples(self)
+    def check(self) -> tuple[str, ...]:
+        """Refuse a trial that cannot be worked on, before long work or a graph is started.
+
+        Returns:
+            Names of the trial's clusters.
+
+        Raises:
+            TrialError: If the trial cannot be read or lacks a topic.
+            CalibrationError: If the calibration lacks a cluster of the trial.
+            ConfigurationError: If the stored configuration is wrong.
+        """
+        with self.open() as bag:
+            name = required_topics(bag)[CAPACITANCE]
+            first = next(bag.messages([name]))
+        clusters = tuple(cluster.name for cluster in decode_message(first, self.path).clusters)
+        self._require_clusters(clusters)
+        return clusters
+
+    def _require_clusters(self, clusters: Collection[str]) -> None:
+        self.calibration.require(clusters, f"the trial {self.path}")
+        for name in clusters:
+            if name not in self.geometry.clusters:
+                raise TrialError(
+                    f"{self.path}: its cluster '{name}' is on no tile of the socket"
+                    f" (which has {', '.join(self.geometry.clusters)})",
+                    "give the socket.yaml of this trial with --geometry",
+                )
+
+    def _notify(self, note: str) -> None:
+        if self.notify is not None:
+            self.notify(note)
 
     @property
     def metadata(self) -> TrialMetadata:
@@ -87,8 +154,7 @@ class Trial:
         try:
             return read_metadata(stored)
         except ConfigurationError as error:
-            if self.notify is not None:
-                self.notify(f"the metadata are left out: {error}")
+            self._notify(f"the metadata are left out: {error}")
             return TrialMetadata()
 
     @property
@@ -124,60 +190,6 @@ class Trial:
         """Settings of the estimator with which the trial was recorded, or the defaults."""
         stored = self.path / PARAMETERS_FILE
         return read_testbed(stored).estimator_node if stored.is_file() else EstimatorSettings()
-
-
-def check_unloaded(spans: tuple[tuple[float, float], ...]) -> None:
-    """Refuse spans without load that are more than two, reversed, overlapping or out of order.
-
-    Args:
-        spans: Their starts and ends [s].
-
-    Raises:
-        ConfigurationError: Naming the spans.
-    """
-    if len(spans) > 2:
-        raise ConfigurationError(
-            f"--unloaded has {len(spans)} spans", "give one before, or one before and one after"
-        )
-    for start, end in spans:
-        if not start < end:
-            raise ConfigurationError(
-                f"--unloaded is '{start:g}:{end:g}'", "give seconds as T0:T1, with T0 before T1"
-            )
-    if len(spans) == 2 and not spans[0][1] < spans[1][0]:
-        first, second = (f"{start:g}:{end:g}" for start, end in spans)
-        raise ConfigurationError(
-            f"--unloaded: {second} does not begin after {first}",
-            "give the span before the load first, the one after it second",
-        )
-
-
-def required_topics(bag: BagReader) -> dict[Topic, str]:
-    """Names in the bag of the topics that offline work needs, each with messages.
-
-    Raises:
-        TrialError: For an empty bag, a topic that is missing or empty, or one of another
-            type than the testbed's.
-    """
-    topics = match_topics(bag.counts, str(bag.path))
-    if not any(bag.counts.values()):
-        raise TrialError(f"{bag.path}: holds no message", "record the trial again")
-    for topic in REQUIRED:
-        if topic not in topics:
-            raise TrialError(
-                f"{bag.path}: has no topic '{topic.name}'",
-                "record all topics of the testbed with 'record'",
-            )
-        name = topics[topic]
-        if bag.counts[name] == 0:
-            raise TrialError(
-                f"{bag.path}: '{name}' holds no message", "check that its node ran and record again"
-            )
-        if bag.types[name] != topic.type:
-            raise TrialError(
-                f"{bag.path}: '{name}' is a {bag.types[name]}", f"record it as {topic.type}"
-            )
-    return {topic: topics[topic] for topic in TOPICS if topic in topics}
 
 
 def recorded_namespace(trial: Trial) -> str:

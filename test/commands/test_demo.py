@@ -37,7 +37,7 @@ def test_it_records_slower_until_the_samples_are_complete(
     monkeypatch.setattr(demo, "_run_live", run_live)
     monkeypatch.setattr(demo, "_complete", lambda trial: next(fractions))
     monkeypatch.setattr(demo, "summary", lambda path: "all there")
-    monkeypatch.setattr(demo, "read_samples", lambda trial: None)
+    monkeypatch.setattr(Trial, "samples", lambda trial: None)
     _, scale = demo._record(Trial(tmp_path / "trial"), 0, tmp_path / "log")
     assert tried == scales and scale == scales[-1]
     printed = capsys.readouterr().out

@@ -11,14 +11,13 @@ from socket_testbed.identification.fit import fit_contact_model
 from socket_testbed.identification.model_file import read_model, write_model
 from socket_testbed.settings.identification import IdentificationSettings, PlateauSettings
 from socket_testbed.trials.segment import select_segment
-from socket_testbed.trials.synchronise import read_samples
 from socket_testbed.trials.trial import Trial
 
 
 @pytest.mark.parametrize("variant", ["stiffness", "stiffness_bias"])
 def test_a_model_reads_back_as_it_was_written(hold: Path, tmp_path: Path, variant) -> None:
     trial = Trial(hold)
-    samples = read_samples(trial)
+    samples = trial.samples()
     samples = samples[select_segment(samples, "plateau", PlateauSettings()).rows]
     settings = IdentificationSettings(variant=variant, leave_out=("distal.Fy",))
     fit = fit_contact_model(samples, trial.geometry, settings)

@@ -30,7 +30,6 @@ from socket_testbed.live.fit_worker import Comparison, FitWorker, Refit, Steady
 from socket_testbed.samples import Samples
 from socket_testbed.settings.identification import IdentificationSettings
 from socket_testbed.settings.testbed import EstimatorSettings, WindowSettings
-from socket_testbed.trials.synchronise import read_measurements, read_samples
 from socket_testbed.trials.topics import PYLON_POSE, SOCKET_POSE, STRESS, WRENCH, Topic
 from socket_testbed.trials.trial import Trial
 
@@ -73,7 +72,7 @@ def trial(hold: Path) -> Trial:
 
 @pytest.fixture(scope="module")
 def fit(trial: Trial) -> Fit:
-    return fit_contact_model(read_samples(trial), trial.geometry, IdentificationSettings())
+    return fit_contact_model(trial.samples(), trial.geometry, IdentificationSettings())
 
 
 class Bench:
@@ -539,7 +538,7 @@ def worker() -> Iterator[FitWorker]:
 
 
 def test_a_trial_is_fitted_and_predicted_as_it_is_offline(trial: Trial, worker: FitWorker) -> None:
-    samples, measured = read_samples(trial), read_measurements(trial)
+    samples, measured = trial.samples(), trial.measurements()
     bench = Bench(trial, worker, duration=3600.0)
     published = IdentificationSettings(variant="stiffness_bias")  # within hundredths of a second
     bench.settings = dataclasses.replace(bench.settings, auto_fit=False, identification=published)

@@ -15,7 +15,6 @@ from socket_testbed.live.fit_worker import FitWorker, Refit, Steady
 from socket_testbed.samples import Samples
 from socket_testbed.settings.identification import IdentificationSettings, PlateauSettings
 from socket_testbed.trials.segment import find_plateaus
-from socket_testbed.trials.synchronise import read_samples
 from socket_testbed.trials.trial import Trial
 
 pytestmark = pytest.mark.graph
@@ -41,7 +40,7 @@ def trial(hold: Path) -> Trial:
 @pytest.fixture(scope="module")
 def samples(trial: Trial) -> Samples:
     """A hold under load, without the ramps at its ends."""
-    samples = read_samples(trial)
+    samples = trial.samples()
     return samples[find_plateaus(samples, PLATEAU)[0].rows]
 
 
@@ -146,7 +145,7 @@ def test_outliers_are_counted_by_channel_and_do_not_end_a_stretch(
 
 def test_live_fits_do_not_average_the_poses(worker: FitWorker, hold: Path) -> None:
     trial = Trial(hold)
-    samples = read_samples(trial)
+    samples = trial.samples()
     settings = dataclasses.replace(SETTINGS, pose_smoothing=2.0)
     refit = worker.submit(samples, trial.geometry, settings, None).result(TIMEOUT)
     here = fit_contact_model(samples, trial.geometry, SETTINGS)
@@ -157,7 +156,7 @@ def test_live_fits_do_not_average_the_poses(worker: FitWorker, hold: Path) -> No
 
 def test_without_enough_steady_data_there_is_no_fit(worker: FitWorker, hold: Path) -> None:
     trial = Trial(hold)
-    samples = read_samples(trial)
+    samples = trial.samples()
     for some, least in ((samples, 10_000), (samples[:20], 5)):
         submitted = worker.submit(some, trial.geometry, SETTINGS, Steady(PLATEAU, least))
         assert submitted.result(TIMEOUT) is None
@@ -165,7 +164,7 @@ def test_without_enough_steady_data_there_is_no_fit(worker: FitWorker, hold: Pat
 
 def test_an_error_comes_back_as_it_was_raised(worker: FitWorker, hold: Path) -> None:
     trial = Trial(hold)
-    none = read_samples(trial)[:0]
+    none = trial.samples()[:0]
     with pytest.raises(IdentificationError, match="only 0 of 0 samples") as raised:
         worker.submit(none, trial.geometry, SETTINGS, None).result(TIMEOUT)
     assert raised.value.hint
@@ -173,7 +172,7 @@ def test_an_error_comes_back_as_it_was_raised(worker: FitWorker, hold: Path) -> 
 
 def test_a_killed_worker_is_replaced(hold: Path) -> None:
     trial = Trial(hold)
-    samples = read_samples(trial)
+    samples = trial.samples()
     worker = FitWorker()
     try:
         worker.submit(samples, trial.geometry, SETTINGS, None).result(TIMEOUT)

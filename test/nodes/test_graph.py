@@ -42,7 +42,6 @@ from socket_testbed.settings.testbed import (
     ReplaySettings,
     WindowSettings,
 )
-from socket_testbed.trials.synchronise import read_samples
 from socket_testbed.trials.topics import (
     CAPACITANCE,
     DIAGNOSTICS,
@@ -78,13 +77,13 @@ def test_every_sample_is_predicted_as_the_model_does_offline(hold: Path, hold_mo
     replay = ReplaySettings(trial=str(hold), rate=50.0, wait_for=(EstimateListener.NAME,))
     with EstimateListener() as listener:
         replay_with_estimator(trial, replay, settings)
-        stamps = read_samples(trial).stamps.tolist()
+        stamps = trial.samples().stamps.tolist()
         wrench, forces = listener.series(stamps, len(trial.geometry))
         (mapped, deviations), _ = listener.map_series(stamps, len(trial.geometry))
         assert len(listener.wrench) == len(listener.forces) == len(listener.maps) == 240
         assert listener.models == 1
     model = read_model(hold_model).model
-    samples = read_samples(trial)
+    samples = trial.samples()
     np.testing.assert_allclose(wrench, model.wrench(samples.pose), atol=1e-9)
     np.testing.assert_allclose(forces, model.forces(samples.pose), atol=1e-9)
     # Where a marker was occluded the prediction is NaN, never an old one.
@@ -168,10 +167,10 @@ def test_another_process_subscribes_while_the_command_replays_and_estimates(
     assert "osqp" in models[0].solver_status
     assert maps and len(maps[0].markers) == 2 * len(tiles)
     stamps = [stamp_from_ros(m.header.stamp) for m in wrenches]
-    assert stamps == sorted(stamps) and set(stamps) <= set(read_samples(Trial(hold)).stamps)
+    assert stamps == sorted(stamps) and set(stamps) <= set(Trial(hold).samples().stamps)
     assert {m.header.frame_id for m in wrenches + forces} == {"load_cell"}
     # On the hold, the live prediction is the load.
-    samples = read_samples(Trial(hold))
+    samples = Trial(hold).samples()
     measured = dict(zip(samples.stamps.tolist(), samples.wrench, strict=True))
     errors = [
         wrench_from_ros(m.wrench) - measured[s]

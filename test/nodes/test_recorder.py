@@ -21,7 +21,6 @@ from socket_testbed.nodes.conversions import stamp_from_ros, stamp_to_ros
 from socket_testbed.settings.testbed import RecorderSettings, ReplaySettings
 from socket_testbed.trials.bag import BagReader, decode, stamp_of
 from socket_testbed.trials.metadata import TrialMetadata
-from socket_testbed.trials.synchronise import read_samples
 from socket_testbed.trials.topics import (
     DIAGNOSTICS,
     RECORDED_TRIAL,
@@ -128,9 +127,7 @@ def test_a_replay_is_the_recording_in_its_order(hold: Path, tmp_path: Path) -> N
         assert after.counts["/diagnostics"] > 0
     assert clocks == sorted(clocks) and len(clocks) >= 240
     assert (recorded / "metadata.yaml").is_file() and (recorded / "socket.yaml").is_file()
-    np.testing.assert_array_equal(
-        read_samples(Trial(recorded)).values, read_samples(Trial(hold)).values
-    )
+    np.testing.assert_array_equal(Trial(recorded).samples().values, Trial(hold).samples().values)
 
 
 def test_ctrl_c_ends_a_recording_whole(tmp_path: Path) -> None:

@@ -20,7 +20,6 @@ from socket_testbed.identification.model_file import read_model
 from socket_testbed.samples import WRENCH_CHANNELS, Samples
 from socket_testbed.tables import matlab_names, write_table
 from socket_testbed.trials.bag import stamp_of
-from socket_testbed.trials.synchronise import read_samples
 from socket_testbed.trials.trial import Trial
 
 SHIFT = 123_456_789  # [ns]; no stamp is a round number that a float could hold
@@ -59,12 +58,12 @@ def gappy(hold: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def stamp_of_first(trial: Path) -> int:
-    return int(read_samples(Trial(trial)).stamps[0])
+    return int(Trial(trial).samples().stamps[0])
 
 
 @pytest.fixture(scope="module")
 def samples(gappy: Path) -> Samples:
-    return read_samples(Trial(gappy))
+    return Trial(gappy).samples()
 
 
 def read_back(path: Path) -> dict[str, np.ndarray]:

@@ -17,7 +17,6 @@ from socket_testbed.__main__ import run
 from socket_testbed.errors import TrialError
 from socket_testbed.trials.bag import BagReader, BagWriter, RawMessage, typestore
 from socket_testbed.trials.salvage import salvage
-from socket_testbed.trials.synchronise import read_samples
 from socket_testbed.trials.topics import CAPACITANCE, WRENCH, match_topics
 from socket_testbed.trials.trial import Trial, beside_cut_short
 
@@ -304,7 +303,7 @@ def cut_trial(hold: Path, tmp_path: Path) -> Iterator[Path]:
 
 
 def test_a_trial_cut_short_gives_the_samples_of_the_whole_one(hold, cut_trial) -> None:
-    samples, whole = read_samples(Trial(cut_trial)), read_samples(Trial(hold))
+    samples, whole = Trial(cut_trial).samples(), Trial(hold).samples()
     assert 190 <= len(samples) < 200
     np.testing.assert_array_equal(samples.values, whole.values[: len(samples)])
     np.testing.assert_array_equal(samples.stamps, whole.stamps[: len(samples)])

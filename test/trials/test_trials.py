@@ -12,14 +12,20 @@ from socket_testbed.errors import CalibrationError, ConfigurationError, TrialErr
 from socket_testbed.files import atomic_output
 from socket_testbed.samples import Status
 from socket_testbed.simulation.trial import read_truth
-from socket_testbed.trials.bag import BagReader, BagWriter, decode, encode, stamp_of
-from socket_testbed.trials.synchronise import read_samples
+from socket_testbed.trials.bag import (
+    BagReader,
+    BagWriter,
+    decode,
+    encode,
+    required_topics,
+    stamp_of,
+)
 from socket_testbed.trials.topics import REQUIRED, WRENCH, match_topics
-from socket_testbed.trials.trial import Trial, recorded_namespace, required_topics
+from socket_testbed.trials.trial import Trial, recorded_namespace
 
 
 def test_samples_agree_with_the_truth_within_the_sensors_errors(hold: Path) -> None:
-    samples, truth = read_samples(Trial(hold)), read_truth(hold)
+    samples, truth = Trial(hold).samples(), read_truth(hold)
     rows = samples.complete
     assert rows.mean() > 0.95
     assert np.abs(samples.wrench[rows] - truth.wrench[rows]).max() < 5.0
@@ -44,8 +50,8 @@ def test_what_is_missing_at_a_trigger_is_nan_and_not_an_older_value(
                 return None
         return message
 
-    samples = read_samples(Trial(rewrite(hold, tmp_path / "gap", drop)))
-    whole = read_samples(Trial(hold))
+    samples = Trial(rewrite(hold, tmp_path / "gap", drop)).samples()
+    whole = Trial(hold).samples()
     assert len(samples) == len(whole)
     assert np.isnan(samples.wrench[10]).all() and np.isnan(samples.local_forces[10]).all()
     assert (samples.status[10] == Status.MISSING).all()
@@ -65,9 +71,7 @@ def test_the_order_of_recording_does_not_matter(hold: Path, tmp_path: Path) -> N
             new.write(messages[k].topic, messages[k].time, messages[k].data)
     for file in ("socket.yaml", "calibration.yaml"):
         shutil.copy(hold / file, target)
-    np.testing.assert_array_equal(
-        read_samples(Trial(target)).values, read_samples(Trial(hold)).values
-    )
+    np.testing.assert_array_equal(Trial(target).samples().values, Trial(hold).samples().values)
 
 
 @pytest.mark.parametrize("topic", REQUIRED, ids=lambda topic: topic.name)
@@ -82,7 +86,7 @@ def test_a_missing_topic_is_named(hold: Path, tmp_path: Path, topic) -> None:
             if raw.topic != names[topic]:
                 new.write(raw.topic, raw.time, raw.data)
     with pytest.raises(TrialError, match=f"'{topic.name}'"):
-        read_samples(Trial(target))
+        Trial(target).samples()
 
 
 def test_an_empty_topic_is_named(hold: Path, tmp_path: Path) -> None:
@@ -90,7 +94,7 @@ def test_an_empty_topic_is_named(hold: Path, tmp_path: Path) -> None:
         hold, tmp_path / "mute", lambda topic, m: None if topic == "/load_cell/wrench" else m
     )
     with pytest.raises(TrialError, match="'/load_cell/wrench' holds no message"):
-        read_samples(Trial(target))
+        Trial(target).samples()
 
 
 def test_an_empty_bag_is_named(tmp_path: Path) -> None:
@@ -98,7 +102,7 @@ def test_an_empty_bag_is_named(tmp_path: Path) -> None:
         for topic in REQUIRED:
             bag.add_topic("/" + topic.name, topic)
     with pytest.raises(TrialError, match="holds no message"):
-        read_samples(Trial(tmp_path / "empty"))
+        Trial(tmp_path / "empty").samples()
 
 
 def test_a_bag_without_one_whole_chunk_is_named(hold: Path, tmp_path: Path) -> None:
@@ -108,7 +112,7 @@ def test_a_bag_without_one_whole_chunk_is_named(hold: Path, tmp_path: Path) -> N
     for length in (0, 5, 40, len(data) // 2):
         (target / "hold.mcap").write_bytes(data[:length])
         with pytest.raises(TrialError, match=r"hold\.mcap: is truncated"):
-            read_samples(Trial(target))
+            Trial(target).samples()
 
 
 def test_a_bag_that_lacks_its_end_alone_is_read_whole(hold: Path, tmp_path: Path) -> None:
@@ -116,13 +120,11 @@ def test_a_bag_that_lacks_its_end_alone_is_read_whole(hold: Path, tmp_path: Path
     target = tmp_path / "hold"
     shutil.copytree(hold, target)
     (target / "hold.mcap").write_bytes(data[:-1])
-    np.testing.assert_array_equal(
-        read_samples(Trial(target)).values, read_samples(Trial(hold)).values
-    )
+    np.testing.assert_array_equal(Trial(target).samples().values, Trial(hold).samples().values)
 
 
 def test_flipped_bytes_are_an_error_and_never_another_number(hold: Path, tmp_path: Path) -> None:
-    whole = read_samples(Trial(hold)).values
+    whole = Trial(hold).samples().values
     target = tmp_path / "hold"
     shutil.copytree(hold, target)
     data = bytearray((hold / "hold.mcap").read_bytes())
@@ -132,7 +134,7 @@ def test_flipped_bytes_are_an_error_and_never_another_number(hold: Path, tmp_pat
         damaged[start : start + 4] = b"\xff\xff\xff\xff"
         (target / "hold.mcap").write_bytes(damaged)
         try:
-            values = read_samples(Trial(target)).values
+            values = Trial(target).samples().values
         except (TrialError, CalibrationError):
             continue
         np.testing.assert_array_equal(values, whole)
@@ -146,7 +148,7 @@ def test_metadata_that_promises_other_counts_is_refused(hold: Path, tmp_path: Pa
     entry["message_count"] += 7
     (target / "metadata.yaml").write_text(yaml.safe_dump(metadata))
     with pytest.raises(TrialError, match=r"metadata.yaml lists 247 messages.*holds 240.*reindex"):
-        read_samples(Trial(target))
+        Trial(target).samples()
 
 
 @pytest.mark.parametrize("entry", ["text", {"message_count": 7}, {"topic_metadata": {"name": "x"}}])
@@ -155,14 +157,14 @@ def test_metadata_without_topics_and_counts_is_refused(entry, tmp_path: Path) ->
     text = yaml.safe_dump({"rosbag2_bagfile_information": content})
     (tmp_path / "metadata.yaml").write_text(text)
     with pytest.raises(TrialError, match=r"is not rosbag2 metadata: .*reindex"):
-        read_samples(Trial(tmp_path))
+        Trial(tmp_path).samples()
 
 
 def test_a_trial_without_metadata_is_read_from_its_files(hold: Path, tmp_path: Path) -> None:
     target = tmp_path / "hold"
     shutil.copytree(hold, target)
     (target / "metadata.yaml").unlink()
-    assert len(read_samples(Trial(target))) == len(read_samples(Trial(hold)))
+    assert len(Trial(target).samples()) == len(Trial(hold).samples())
 
 
 def test_a_disagreement_on_qos_hides_no_message(shared_data: Path) -> None:
@@ -179,9 +181,7 @@ def test_topics_are_found_in_the_namespace_they_were_recorded_in(
     target = move_to_namespace(hold, tmp_path / "lab", "/lab")
     assert recorded_namespace(Trial(target)) == "/lab"
     assert recorded_namespace(Trial(hold)) == "/"
-    np.testing.assert_array_equal(
-        read_samples(Trial(target)).values, read_samples(Trial(hold)).values
-    )
+    np.testing.assert_array_equal(Trial(target).samples().values, Trial(hold).samples().values)
 
 
 def test_two_testbeds_in_one_bag_are_refused() -> None:
@@ -194,7 +194,7 @@ def test_a_calibration_of_other_clusters_is_refused(hold: Path, tmp_path: Path) 
     other = tmp_path / "calibration.yaml"
     other.write_text(text)
     with pytest.raises(CalibrationError, match="no cluster mid_anterior"):
-        read_samples(Trial(hold, calibration_file=other))
+        Trial(hold, calibration_file=other).samples()
 
 
 def test_a_trial_without_its_configuration_says_what_to_give(hold: Path, tmp_path: Path) -> None:
@@ -202,8 +202,8 @@ def test_a_trial_without_its_configuration_says_what_to_give(hold: Path, tmp_pat
     shutil.copytree(hold, target)
     (target / "socket.yaml").unlink()
     with pytest.raises(TrialError, match=r"no socket\.yaml.*--geometry"):
-        read_samples(Trial(target))
-    assert len(read_samples(Trial(target, socket_file=hold / "socket.yaml"))) == 240
+        Trial(target).samples()
+    assert len(Trial(target, socket_file=hold / "socket.yaml").samples()) == 240
 
 
 def test_messages_survive_a_round_trip(hold: Path) -> None:
@@ -264,7 +264,7 @@ def test_stamps_that_jump_back_are_counted_and_named(
     wrench = "/load_cell/wrench"
     target = shift_stamps(hold, tmp_path / "back", {wrench}, 40, -5 * 10**9)
     notes: list[str] = []
-    read_samples(Trial(target, notify=notes.append))
+    Trial(target, notify=notes.append).samples()
     back, doubled = notes
     assert back.startswith("the stamps of load_cell/wrench jump back, once (from 9.75 s to 5.0")
     assert doubled.startswith("the stamps of load_cell/wrench are doubled, 20 times (at 5.00 s")
@@ -286,12 +286,12 @@ def test_a_doubled_stamp_is_named(hold: Path, tmp_path: Path) -> None:
 
     notes: list[str] = []
     target = rewrite(hold, tmp_path / "doubled", double)
-    read_samples(Trial(target, notify=notes.append))
+    Trial(target, notify=notes.append).samples()
     (note,) = notes
     assert note.startswith("the stamps of load_cell/wrench are doubled, once (at 2.75 s)")
 
 
 def test_a_trial_with_sound_stamps_has_no_note(hold: Path) -> None:
     notes: list[str] = []
-    read_samples(Trial(hold, notify=notes.append))
+    Trial(hold, notify=notes.append).samples()
     assert notes == []

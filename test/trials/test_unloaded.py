@@ -17,7 +17,6 @@ from socket_testbed.trials.synchronise import (
     correct_measurements,
     make_samples,
     parse_unloaded,
-    read_measurements,
 )
 from socket_testbed.trials.trial import Trial
 
@@ -25,12 +24,21 @@ from socket_testbed.trials.trial import Trial
 @pytest.fixture
 def measured(hold: Path) -> Measurements:
     """The trial's measurements; its first and last 10 s made to be without load."""
-    found = read_measurements(Trial(hold))
+    found = Trial(hold).measurements()
     time = (found.stamps - found.stamps[0]) * 1e-9
     rest = (time < 10.0) | (time > time[-1] - 10.0)
     capacitance = found.capacitance.copy()
     capacitance[rest] = np.array([5.1, 5.2, 5.0, 5.3])
     return dataclasses.replace(found, capacitance=capacitance)
+
+
+def correct(trial: Trial, measured: Measurements) -> Measurements:
+    """What `Trial.measurements` does with what it has read."""
+    least_force = trial.estimator.plateau.least_force
+    notify = trial.notify or (lambda note: None)
+    return correct_measurements(
+        measured, trial.unloaded, trial.calibration, least_force, str(trial.path), notify
+    )
 
 
 def test_drift_between_two_spans_is_taken_off(hold: Path, measured: Measurements) -> None:
@@ -39,7 +47,7 @@ def test_drift_between_two_spans_is_taken_off(hold: Path, measured: Measurements
     trial = Trial(hold, notify=said.append, unloaded=((0.0, 8.0), (end - 8.0, end)))
     drift = 0.2 * (time - 4.0) / (end - 8.0)
     drifted = dataclasses.replace(measured, capacitance=measured.capacitance + drift[:, None, None])
-    corrected = correct_measurements(trial, drifted)
+    corrected = correct(trial, drifted)
     inner = (time > 8.0) & (time < end - 8.0)
     np.testing.assert_allclose(
         corrected.capacitance[inner], measured.capacitance[inner], atol=0.003
@@ -47,8 +55,8 @@ def test_drift_between_two_spans_is_taken_off(hold: Path, measured: Measurements
     assert len(said) == 4 and all("more than 1 kPa" in note for note in said)
     # What was not measured stays so.
     assert np.array_equal(np.isnan(corrected.capacitance), np.isnan(measured.capacitance))
-    plain = make_samples(dataclasses.replace(trial, unloaded=()), measured)
-    corrected = make_samples(trial, corrected)
+    plain = make_samples(measured, trial.calibration, trial.geometry)
+    corrected = make_samples(corrected, trial.calibration, trial.geometry)
     np.testing.assert_allclose(
         corrected.local_forces[inner], plain.local_forces[inner], atol=0.15, rtol=0.01
     )
@@ -72,7 +80,7 @@ def test_a_stored_baseline_takes_off_what_came_before(hold: Path, measured: Meas
     trial = with_baselines(Trial(hold, unloaded=((0.0, 8.0),)))
     wrench = measured.wrench.copy()
     wrench[measured.time <= 8.0] = 0.0
-    corrected = correct_measurements(trial, dataclasses.replace(measured, wrench=wrench))
+    corrected = correct(trial, dataclasses.replace(measured, wrench=wrench))
     np.testing.assert_allclose(corrected.capacitance[3], np.tile(REFERENCE, (4, 1)))
 
 
@@ -83,9 +91,9 @@ def test_under_the_pylon_s_weight_only_the_drift_since_then_counts(
     end, notes = measured.time[-1], []
     spans = ((0.0, 8.0), (end - 8.0, end))
     trial = with_baselines(Trial(hold, notify=notes.append, unloaded=spans))
-    corrected = correct_measurements(trial, measured)
+    corrected = correct(trial, measured)
     assert "load cell measured 92 N in 0:8" in notes[0] and "baseline" in notes[0]
-    expected = correct_measurements(Trial(hold, unloaded=spans), measured)
+    expected = correct(Trial(hold, unloaded=spans), measured)
     np.testing.assert_array_equal(corrected.capacitance, expected.capacitance)
 
 
@@ -112,7 +120,7 @@ def test_one_span_that_corrects_nothing_is_reported(
 
 def test_a_span_without_readings_is_refused(hold: Path, measured: Measurements) -> None:
     with pytest.raises(CalibrationError, match=r"from 900 s to 901 s.*too few"):
-        correct_measurements(Trial(hold, unloaded=((900.0, 901.0),)), measured)
+        correct(Trial(hold, unloaded=((900.0, 901.0),)), measured)
 
 
 def test_exported_stresses_are_those_of_the_exported_forces(hold: Path, tmp_path: Path) -> None:
