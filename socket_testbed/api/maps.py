@@ -94,8 +94,8 @@ class TrialMap:
 
     def draw(self, path: PathLike) -> None:
         """Draw the mean pressure and its standard deviation on the tiles, as `.png` or `.pdf`."""
-        from socket_testbed.report.figures.socket_picture import force_map_figure
         from socket_testbed.report.figures.style import save_figure
+        from socket_testbed.report.figures.tile_maps import force_map_figure
 
         check_picture(Path(path))
         title = f"{self.trial.name}, {self.segment}: force map"

@@ -28,8 +28,8 @@ from socket_testbed.live.bringup import (
 )
 from socket_testbed.live.processes import Graph
 from socket_testbed.live.time_scale import SLOWEST, busy_note, measure_speed, pace
-from socket_testbed.report.figures.socket_picture import certainty_of, tile_map_figure
 from socket_testbed.report.figures.style import save_figure
+from socket_testbed.report.figures.tile_maps import certainty_of, tile_map_figure
 from socket_testbed.samples import Samples
 from socket_testbed.settings.testbed import EstimatorSettings, ReplaySettings
 from socket_testbed.simulation.trial import TRUTH_FILE, GroundTruth, read_truth

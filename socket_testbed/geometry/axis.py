@@ -10,6 +10,7 @@ from socket_testbed.arrays import FloatArray
 from socket_testbed.geometry.socket import SocketGeometry
 
 _AWAY = 0.5  # [-]; cosine of the angle at which a tile's x is no longer the proximal direction
+_UP = np.sqrt(0.5)  # [-]; z of the normals of what faces up at 45 degrees or more
 _NO_DIRECTION = 0.1  # [-]; length of a mean of unit vectors that cancel
 _X, _Z = np.eye(3)[[0, 2]]
 
@@ -68,7 +69,7 @@ def proximal_direction(geometry: SocketGeometry) -> FloatArray:
     """Unit vector in {S} towards the proximal end, the mean x axis of the tiles on the wall.
 
     On the distal end no tangent is proximal, so tiles whose x axis is far from the mean of
-    all are left out. Where the x axes cancel it is z of {S}.
+    all are left out. Where the x axes cancel or all tiles face up it is z of {S}.
 
     Returns:
         The direction, shape (3,) [-].
@@ -76,7 +77,7 @@ def proximal_direction(geometry: SocketGeometry) -> FloatArray:
     x_axes = geometry.rotations[:, :, 0]
     mean = x_axes.mean(axis=0)
     length = np.linalg.norm(mean)
-    if length < _NO_DIRECTION:
+    if length < _NO_DIRECTION or (geometry.rotations[:, 2, 2] > _UP).all():
         return _Z.copy()
     along = x_axes @ (mean / length) >= _AWAY
     if along.any():

@@ -29,8 +29,8 @@ from socket_testbed.report.figures.channels import (
 )
 from socket_testbed.report.figures.pareto import pareto_figure
 from socket_testbed.report.figures.scene import value_scene
-from socket_testbed.report.figures.socket_picture import force_map_figure, tile_map_figure
 from socket_testbed.report.figures.style import save_figure, svg_of
+from socket_testbed.report.figures.tile_maps import force_map_figure, tile_map_figure
 from socket_testbed.report.figures.validation import validation_figure
 from socket_testbed.report.results import Candidate, Results, unusable
 from socket_testbed.samples import LOCAL_CHANNELS, WRENCH_CHANNELS, channel_unit

@@ -77,7 +77,10 @@ def test_anterior_is_across_any_axis(proximal):
     assert np.linalg.det(frame) == pytest.approx(1.0)
 
 
-def test_tiles_around_a_point_have_the_axis_of_the_load_cell(geometry):
+def test_tiles_on_the_distal_end_or_around_a_point_have_the_axis_of_the_load_cell(geometry):
+    up = np.tile(np.diag([-1.0, -1.0, 1.0]), (len(geometry), 1, 1))
+    end = dataclasses.replace(geometry, rotations=up)
+    np.testing.assert_array_equal(proximal_direction(end), [0.0, 0.0, 1.0])
     turns = Rotation.from_euler("z", [[0.0], [90.0], [180.0], [270.0]], degrees=True).as_matrix()
     end = dataclasses.replace(geometry, rotations=turns)
     np.testing.assert_array_equal(proximal_direction(end), [0.0, 0.0, 1.0])

@@ -4,6 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from matplotlib import colormaps
 from matplotlib.collections import PolyCollection, QuadMesh
 from matplotlib.colors import Normalize
 from matplotlib.image import imread
@@ -21,8 +22,8 @@ from socket_testbed.report.figures.channels import (
     panels_figure,
     wrench_figure,
 )
-from socket_testbed.report.figures.socket_picture import tile_map_figure
-from socket_testbed.report.figures.style import save_figure, svg_of
+from socket_testbed.report.figures.style import SCALE, save_figure, svg_of
+from socket_testbed.report.figures.tile_maps import tile_map_figure
 from socket_testbed.report.figures.validation import validation_figure
 from socket_testbed.samples import channel_names
 
@@ -129,24 +130,25 @@ def test_the_bars_are_the_offsets(rng):
     assert svg_of(figure).startswith("<?xml")
 
 
-def test_tiles_of_all_rows_are_on_one_scale(rng):
+@pytest.mark.parametrize("larger", [1.5, 9.0])
+def test_tiles_are_on_one_scale_unless_their_ranges_differ(rng, larger):
     geometry = random_socket(rng, rings=3, columns=6)
     geometry = dataclasses.replace(geometry, clusters={NASTY: 4})
-    values = {"along x": rng.uniform(0.0, 1.0, 18), "along y": rng.uniform(0.0, 9.0, 18)}
+    values = {"along x": rng.uniform(0.0, 1.0, 18), "along y": rng.uniform(0.0, larger, 18)}
     figure = tile_map_figure(geometry, values, "stiffness [N/m]", "Stiffness")
-    bar = figure.axes[-1]
-    assert bar.get_ylabel() == "stiffness [N/m]"
-    every = np.concatenate([*values.values()])
-    np.testing.assert_allclose(bar.get_ylim(), [every.min(), every.max()])
-    scale = Normalize(every.min(), every.max())
-    for axis, row in zip(figure.axes[:4:2], values.values(), strict=True):
+    bars = [axis for axis in figure.axes if axis.get_ylabel() == "stiffness [N/m]"]
+    rows = [np.concatenate([*values.values()])] if larger < 2.0 else [*values.values()]
+    ends = [(row.min(), row.max()) for row in rows]
+    np.testing.assert_allclose([bar.get_ylim() for bar in bars], ends)
+    maps = [axis for axis in figure.axes if axis.get_xlim()[0] < -180.0]
+    for axis, row, scale in zip(maps, values.values(), [*ends, *ends], strict=False):
         squares = [c for c in axis.collections if isinstance(c, PolyCollection)][-1]
         colours = squares.get_facecolors()
-        order = np.argsort(scale(row))
-        # cividis grows lighter with the value
+        np.testing.assert_allclose(colours, colormaps[SCALE](Normalize(*scale)(row)))
+        # Its colours grow lighter with the value: they print in grey.
         lightness = colours[:, :3] @ [0.2126, 0.7152, 0.0722]
-        assert (np.diff(lightness[order]) > -0.01).all()
-    assert NASTY in figure.get_suptitle()
+        assert (np.diff(lightness[np.argsort(row)]) > -0.01).all()
+    assert NASTY in figure.get_supxlabel()
 
 
 def test_tiles_on_the_distal_end_alone_have_a_map(rng):
@@ -156,7 +158,7 @@ def test_tiles_on_the_distal_end_alone_have_a_map(rng):
     values = {"along x": rng.uniform(0.0, 1.0, 18)}
     cluster = next(iter(geometry.clusters))
     figure = tile_map_figure(geometry, values, "N/m", "", notes={cluster: NASTY})
-    assert f"1 {cluster}: {NASTY}" in figure.get_suptitle()
+    assert f"1 {cluster}: {NASTY}" in figure.get_supxlabel()
     wall, end = (axis.collections[-1] for axis in figure.axes[:2])
     assert len(wall.get_paths()) == 0 and len(end.get_paths()) == 18
 

@@ -21,17 +21,16 @@ from support.problems import random_socket
 from support.ring_socket import ring_socket
 
 from socket_testbed.errors import ConfigurationError, ScanError, TestbedError
+from socket_testbed.geometry.axis import SocketAxis, axis_through
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.report.figures.scene import neighbour_trace, socket_page, tile_traces
 from socket_testbed.report.figures.socket_picture import (
     DISTAL,
     SIDES,
     draw_surface,
-    draw_unrolled,
     draw_view,
     frame_view,
     socket_picture,
-    wall_tiles,
 )
 from socket_testbed.report.figures.style import CLUSTER, TILE
 from socket_testbed.report.figures.tiles import (
@@ -41,6 +40,7 @@ from socket_testbed.report.figures.tiles import (
     tile_squares,
     value_range,
 )
+from socket_testbed.report.figures.unrolled import draw_unrolled, wall_tiles
 
 SCAN = SHARED_DATA / "ampscan" / "stl_file.stl"
 DISTAL_RADIUS, TAPER, WALL = 0.046, np.radians(6.0), 0.215  # [m], [rad], [m]
@@ -78,9 +78,11 @@ def surface() -> trimesh.Trimesh:
 
 
 @pytest.fixture(scope="module")
-def middle(surface) -> np.ndarray:
-    """The vertical axis through the surface's middle."""
-    return surface.bounds.mean(axis=0)[:2]
+def middle(surface) -> SocketAxis:
+    """The vertical axis through the surface's middle, heights being z of {S}."""
+    return axis_through(
+        np.array([*surface.bounds.mean(axis=0)[:2], 0.0]), np.array([0.0, 0.0, 1.0])
+    )
 
 
 @pytest.fixture

@@ -1,8 +1,10 @@
-"""What figures share: colours, lines that differ in grey, plain axes, files, thinning."""
+"""What figures share: their size in print, type, colours, lines that differ in grey, files."""
 
 from __future__ import annotations
 
 import io
+import textwrap
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +12,8 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.font_manager import FontProperties
+from matplotlib.textpath import TextPath
 
 from socket_testbed.arrays import FloatArray
 from socket_testbed.files import atomic_output, check_picture
@@ -21,6 +25,7 @@ TILE = "#A6CBE3"
 CLUSTER = "#D55E00"  # Okabe & Ito's vermilion
 EDGE = "#2B5C7D"
 NO_VALUE = "#FFFFFF"
+UNKNOWN: dict[str, Any] = {"facecolors": "0.93", "edgecolors": "0.45", "hatch": "////"}
 PROXIMAL = "#333333"
 AXES = ("#B2182B", "#1B7837", "#2166AC")  # x, y, z
 SCALE = "cividis"  # Nunez et al. 2018, doi:10.1371/journal.pone.0199239: even in lightness
@@ -32,11 +37,94 @@ MODEL_STYLES: tuple[dict[str, Any], ...] = (
     {"color": "#0072B2", "linestyle": "-", "linewidth": 1.1},
     {"color": "#222222", "linestyle": (0, (1, 1.2)), "linewidth": 1.3},
 )
+# Of several alike: Okabe & Ito's colours, which differ in lightness, and their own dashes.
+LINE_STYLES: tuple[dict[str, Any], ...] = (
+    {"color": "#0072B2", "linestyle": "-"},
+    {"color": "#D55E00", "linestyle": (0, (5, 1.5))},
+    {"color": "#009E73", "linestyle": (0, (1, 1.2))},
+    {"color": "#222222", "linestyle": (0, (5, 1.5, 1, 1.5))},
+)
 MEASURED_STYLE: dict[str, Any] = {"color": "0.72", "linewidth": 2.4}
 SEGMENT_STYLE: dict[str, Any] = {"color": "0.94", "linewidth": 0.0, "zorder": 0.5}
 
-_TYPES = {"pdf.fonttype": 42, "svg.fonttype": "path", "svg.hashsalt": "figure"}
+COLUMN, PAGE = 88, 180  # [mm]; widths of a paper's column and of its page
+WIDTHS = (COLUMN, PAGE)
+MM = 1.0 / 25.4  # [inch]
+LABEL, SMALL = 8.0, 7.0  # [pt]; nothing is set smaller
+
+_STYLE: dict[str, Any] = {
+    "font.family": "DejaVu Sans",  # comes with matplotlib: the same on every machine
+    "font.size": SMALL,
+    "axes.labelsize": LABEL,
+    "axes.titlesize": LABEL,
+    "xtick.labelsize": SMALL,
+    "ytick.labelsize": SMALL,
+    "legend.fontsize": SMALL,
+    "legend.title_fontsize": LABEL,
+    "figure.titlesize": LABEL,
+    "legend.frameon": False,
+    "axes.linewidth": 0.6,
+    "grid.linewidth": 0.5,
+    "xtick.major.width": 0.6,
+    "ytick.major.width": 0.6,
+    "hatch.linewidth": 0.6,
+    "lines.linewidth": 1.1,
+    "figure.constrained_layout.w_pad": 0.02,
+    "figure.constrained_layout.h_pad": 0.02,
+    "pdf.fonttype": 42,  # TrueType: text stays text
+    "svg.fonttype": "path",
+    "svg.hashsalt": "figure",
+    "savefig.bbox": "standard",  # a tight box would change the width
+    "text.usetex": False,
+}
+# Decorates what draws, so that the user's settings of matplotlib change nothing.
+in_style = mpl.rc_context(_STYLE)
 _NO_LAYOUT = {"figure.autolayout": False, "figure.constrained_layout.use": False}
+
+
+@dataclass(frozen=True)
+class FigureStyle:
+    """How a figure is set for print.
+
+    Attributes:
+        width: Its width [mm], such as `COLUMN` or `PAGE`.
+        titles: Whether it has a title, and its keys errors. In a paper, the caption says these.
+    """
+
+    width: float = PAGE
+    titles: bool = True
+
+    @property
+    def is_narrow(self) -> bool:
+        """Whether it is a column, not a page."""
+        return self.width < 0.5 * (COLUMN + PAGE)
+
+    def figure(self, height: float) -> Figure:
+        """An empty figure of this width and a height [mm]."""
+        return Figure(figsize=(self.width * MM, height * MM), layout="constrained")
+
+    def add_title(self, figure: Figure, *lines: str) -> None:
+        """Title of a figure, in lines that fit, unless it shall have none; no markup."""
+        if self.titles and any(lines):
+            text = "\n".join(wrap(line, 0.96 * self.width) for line in lines if line)
+            figure.suptitle(text, parse_math=False)
+
+
+DEFAULT_STYLE = FigureStyle()
+
+
+@in_style
+def wrap(text: str, width: float, size: float = LABEL) -> str:
+    """Break a text into lines that fit into a width [mm] at a size [pt]; long words, too."""
+    if not text.strip():
+        return text
+    drawn = TextPath((0, 0), text.replace("$", "S"), size=size, prop=FontProperties())
+    needed = drawn.get_extents().width / 72.0 / MM
+    lines = int(np.ceil(needed / width))
+    if lines <= 1:
+        return text
+    # Characters differ in width: a line of narrow ones is followed by one of wide ones.
+    return textwrap.fill(text, max(8, int(0.9 * len(text) * width / needed)))
 
 
 def style_axes(axis: Axes) -> None:
@@ -50,14 +138,16 @@ def lay_out(figure: Figure) -> Figure:
     """The same figure with its layout done once; every saving would repeat it."""
     engine = figure.get_layout_engine()
     if engine is not None:
-        engine.execute(figure)
+        for _ in range(2):  # panels with a fixed aspect find their place in the second
+            engine.execute(figure)
         with mpl.rc_context(_NO_LAYOUT):
             figure.set_layout_engine(None)  # "none" leaves a placeholder: savefig draws twice
     return figure
 
 
-def save_figure(figure: Figure, path: Path, dpi: int = 150) -> None:
-    """Write a figure; text stays text in a PDF.
+@in_style
+def save_figure(figure: Figure, path: Path, dpi: int = 300) -> None:
+    """Write a figure at its printed size; text stays text in a PDF.
 
     Args:
         figure: The figure.
@@ -68,15 +158,15 @@ def save_figure(figure: Figure, path: Path, dpi: int = 150) -> None:
         ConfigurationError: If the suffix is another, or the file cannot be written.
     """
     check_picture(path)
-    with mpl.rc_context(_TYPES), atomic_output(path) as staging:
+    with atomic_output(path) as staging:
         figure.savefig(staging, dpi=dpi)
 
 
+@in_style
 def svg_of(figure: Figure) -> str:
     """A figure as a stand-alone SVG that needs no fonts."""
     buffer = io.StringIO()
-    with mpl.rc_context(_TYPES):
-        figure.savefig(buffer, format="svg", metadata={"Date": None})
+    figure.savefig(buffer, format="svg", metadata={"Date": None})
     return buffer.getvalue()
 
 
@@ -101,6 +191,26 @@ def thin(x: FloatArray, y: FloatArray, most: int) -> tuple[FloatArray, FloatArra
         kept.append(_extremes(y[None, whole:], whole))
     index = np.concatenate(kept)
     return x[index], y[index]
+
+
+def thin_band(
+    x: FloatArray, low: FloatArray, high: FloatArray, most: int
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Keep the outermost ends of an interval of each of equally many samples.
+
+    Args:
+        x: Positions, shape (N,).
+        low: Lower ends, shape (N,); NaN where there is none.
+        high: Upper ends, shape (N,).
+        most: Largest number of points to keep.
+
+    Returns:
+        Positions and ends, shape (M,) each, M <= `most`; all of them if they are no more.
+    """
+    if len(x) <= most:
+        return x, low, high
+    starts = np.arange(0, len(x), -(-len(x) // most))
+    return x[starts], np.fmin.reduceat(low, starts), np.fmax.reduceat(high, starts)
 
 
 def _extremes(rows: FloatArray, first: int) -> FloatArray:

@@ -174,6 +174,7 @@ class TilePaint:
         widths: Widths of the outlines, shape (n,) [pt].
         labels: What is written on each tile.
         scale: The colours' scale; None where they show kinds, not values.
+        unknown: Tiles without a value, shape (n,).
     """
 
     fills: FloatArray
@@ -181,6 +182,7 @@ class TilePaint:
     widths: FloatArray
     labels: Sequence[str]
     scale: ScalarMappable | None
+    unknown: BoolArray
 
     def ink(self, tile: int) -> str:
         """Colour that is legible on a tile."""
@@ -200,7 +202,7 @@ def paint_tiles(
 
     Args:
         geometry: The socket.
-        values: One value per tile, shape (n,); NaN, left white, where there is none.
+        values: One value per tile, shape (n,); NaN, white and hatched, where there is none.
         limits: Ends of the colour scale; None for those of the values.
         labels: What is written on each tile; None for its name.
         certainty: How certain each value is, 0 to 1, shape (n,) [-]: a tile fades to white as it
@@ -212,16 +214,18 @@ def paint_tiles(
     covered = covered_tiles(geometry)
     if values is None:
         fills, scale = _choose(covered, CLUSTER, TILE), None
+        unknown = np.zeros(len(geometry), dtype=bool)
     else:
         low, high = value_range(geometry, values)
+        unknown = np.isnan(values)
         scale = ScalarMappable(Normalize(*(limits or (low, high))), SCALE)
-        fills = np.where(np.isnan(values)[:, None], to_rgba(NO_VALUE), scale.to_rgba(values))
+        fills = np.where(unknown[:, None], to_rgba(NO_VALUE), scale.to_rgba(values))
         if certainty is not None:
             white = np.array(to_rgba(NO_VALUE))
             fills = white + certainty[:, None] * (fills - white)
     edges = _choose(covered, "black" if values is None else CLUSTER, EDGE)
     widths = np.where(covered, 1.6, 0.6)
-    return TilePaint(fills, edges, widths, labels or tile_labels(geometry), scale)
+    return TilePaint(fills, edges, widths, labels or tile_labels(geometry), scale, unknown)
 
 
 def _choose(covered: BoolArray, with_cluster: str, without: str) -> FloatArray:
