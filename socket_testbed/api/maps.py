@@ -116,7 +116,7 @@ def force_map(
 
     Args:
         trial: The trial.
-        segment: The segment, or its specification: `plateau`, `all`, or `T0:T1` in seconds.
+        segment: The segment, or its specification, see `st.select_segment`.
         bed: A `rigid` variant of the contact model, whose spring forces at the limb's pose shall be
             the prior's mean. It is fitted on the loaded part of the trial, and used only if
             clusters that are left out are predicted clearly better with it than without.

@@ -255,7 +255,7 @@ def fit(
 
     Args:
         trial: The trial.
-        segment: The segment, or its specification: `plateau`, `all`, or `T0:T1` in seconds.
+        segment: The segment, or its specification, see `st.select_segment`.
         params: A `testbed.yaml` to use instead of the trial's own.
         variant: The law: `stiffness` as published, by the limb's position; `rigid` by its pose;
             `stiffness_bias` and `rigid_bias` with offsets.

@@ -244,7 +244,7 @@ def pressure(
 
     Args:
         trial: The trial.
-        segment: The segment, or its specification: `plateau`, `all`, or `T0:T1` in seconds.
+        segment: The segment, or its specification, see `st.select_segment`.
         threshold: Pressure above which a tile is in contact [kPa].
         share: A value whose interval reaches farther than this share of it is not determined: it
             is NaN, and its interval stands beside it [-].

@@ -156,14 +156,17 @@ def _warn(note: str) -> None:
 
 
 def select_segment(samples: Samples, specification: str = "plateau") -> Segment:
-    """Select a part of a trial: its plateau, all of it, or a span of seconds.
+    """Select a part of a trial: a plateau, what is under load, a span of seconds or of events.
 
-    The functions below take a specification as well, and then find the plateau by the limits that
-    are stored in the trial.
+    The functions below take a specification as well. They find the plateau by the limits that are
+    stored in the trial, and know its recorded events; here only those in the load are known.
 
     Args:
         samples: The samples of the trial.
-        specification: `plateau`, `all`, or `T0:T1` in seconds since the first sample.
+        specification: `plateau`, the longest; `hold`, the longest while the load is placed; `auto`,
+            the hold or, without one, the part under load; `all`; `T0:T1` in seconds since the first
+            sample; or `event:A:B` between events, such as `event:placed+5:removed-2`, with labels
+            of `trial.events()`, `push#2` for the second push, or seconds at either end.
 
     Raises:
         ConfigurationError: If the specification cannot be read.
@@ -175,6 +178,8 @@ def select_segment(samples: Samples, specification: str = "plateau") -> Segment:
     Segment(span 10.00 s to 20.00 s)
     >>> len(samples[segment.rows])
     41
+    >>> st.select_segment(samples, "event:placed+5:removed-2")
+    Segment(event:placed+5:removed-2 12.25 s to 30.75 s)
     """
     return segments.select_segment(samples, specification, PlateauSettings())
 
@@ -184,7 +189,9 @@ def select(trial: Trial, segment: str | Segment, settings: EstimatorSettings) ->
     if isinstance(segment, Segment):
         return segment
     leave_out = settings.identification.leave_out
-    return segments.select_segment(trial.samples(), segment, settings.plateau, leave_out)
+    return segments.select_segment(
+        trial.samples(), segment, settings.plateau, leave_out, trial.events
+    )
 
 
 def simulate(

@@ -14,6 +14,8 @@ from socket_testbed.samples import Samples, Status
 from socket_testbed.trials.segment import find_plateaus
 from socket_testbed.trials.trial import CONFIGURATION_FILES, Trial
 
+_NAMED = 8  # times of the events of a label that are printed
+
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of the verb."""
@@ -22,7 +24,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> None:
-    """Print topics, rates, gaps, missing data, noise, plateaus and configuration."""
+    """Print topics, rates, gaps, missing data, noise, plateaus, events and configuration."""
     notes: dict[str, None] = {}  # part of the output, each once
     trial = dataclasses.replace(trial_of(options), notify=lambda note: notes.update({note: None}))
     print(_topics(trial))
@@ -40,6 +42,7 @@ def run(options: argparse.Namespace) -> None:
     for segment in find_plateaus(samples, trial.estimator.plateau):
         mean = np.nanmean(samples[segment.rows].wrench[:, 3:], axis=0)
         print(f"{segment}: mean force {np.linalg.norm(mean):.1f} N")
+    print(_events(trial))
     print(f"\n{metadata_table(metadata)}\n")
     stored = [name for name in CONFIGURATION_FILES if (trial.path / name).is_file()]
     print(f"recorded with: {', '.join(stored) or 'nothing stored'}")
@@ -90,6 +93,18 @@ def _missing(samples: Samples) -> str:
             ]
         )
     return table(["measurement", "missing", "saturated", "out of range"], rows)
+
+
+def _events(trial: Trial) -> str:
+    """The times of the events by their labels, the first ones where there are many."""
+    times: dict[tuple[str, str], list[str]] = {}
+    for event in trial.events():
+        times.setdefault((event.label, event.source), []).append(f"{event.time:.2f}")
+    lines = []
+    for (label, source), at in times.items():
+        more = f" ... ({len(at)} times)" if len(at) > _NAMED else ""
+        lines.append(f"event {label} ({source}): {', '.join(at[:_NAMED])} s{more}")
+    return "\n".join(lines) or "no events"
 
 
 def _noise(samples: Samples) -> str:

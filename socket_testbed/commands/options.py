@@ -69,9 +69,10 @@ def add_segment(parser: argparse.ArgumentParser, default: str = "plateau") -> No
     parser.add_argument(
         "--segment",
         default=default,
-        metavar="plateau|all|T0:T1",
-        help="the plateau, all of the trial, or seconds since its first sample"
-        f" (default: {default})",
+        metavar="plateau|hold|auto|all|T0:T1|event:A:B",
+        help="the longest plateau; the longest under load; that or, without one, all that is under"
+        " load; all of the trial; seconds since its first sample; or between events, such as"
+        f" event:placed+5:removed-2 (default: {default})",
     )
 
 

@@ -398,7 +398,7 @@ def compute_results(
 
     Args:
         trial: The trial.
-        specification: The segment: `plateau`, `all`, or `T0:T1` in seconds.
+        specification: The segment, see `select_segment`.
         settings: Settings of the estimator; its variant is fitted beside the paper's.
         thetas: Weights of the wrench against the clusters, rising [-].
         given: A model to be shown as well.
@@ -414,7 +414,7 @@ def compute_results(
     notes: list[str] = []
     samples = replace(trial, notify=notes.append).samples()
     leave_out = settings.identification.leave_out
-    segment = select_segment(samples, specification, settings.plateau, leave_out)
+    segment = select_segment(samples, specification, settings.plateau, leave_out, trial.events)
     sign = sign_note(samples[segment.rows], trial.geometry)
     outliers = find_outliers(samples, trial.geometry, leave_out)
     notes += [*outlier_notes(samples, outliers), *([sign] if sign else [])]

@@ -95,6 +95,21 @@ class RawMessage:
     data: bytes
 
 
+def decode_message(raw: RawMessage, where: object) -> Any:
+    """A message of a bag; `where` names the bag in an error.
+
+    Raises:
+        TrialError: If it cannot be decoded.
+    """
+    try:
+        return decode(raw.data, raw.type)
+    except Exception as error:  # the library raises whatever the bytes lead it to
+        raise TrialError(
+            f"{where}: a message on {raw.topic} cannot be decoded ({error})",
+            "check that the trial was recorded with this version's messages",
+        ) from None
+
+
 class BagReader:
     """A bag, read message by message in the order of the recording; a context manager.
 

@@ -1,18 +1,22 @@
-"""Which part of a trial is used: its plateau, all of it, or a span of seconds."""
+"""Which part of a trial is used: a plateau, what is under load, a span of seconds or of events."""
 
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import NoReturn
 
 import numpy as np
 from scipy.ndimage import uniform_filter1d
 
 from socket_testbed.arrays import BoolArray, FloatArray
 from socket_testbed.errors import ConfigurationError, TrialError
+from socket_testbed.files import closest
 from socket_testbed.samples import Samples
 from socket_testbed.settings.identification import PlateauSettings
+from socket_testbed.trials.events import Event, event_span, find_events, is_loaded, loaded_span
 
 
 @dataclass(frozen=True)
@@ -20,7 +24,7 @@ class Segment:
     """A part of a trial.
 
     Attributes:
-        kind: plateau, all or span.
+        kind: plateau, hold, loaded, all, span, or the events that it lies between.
         start: Start since the first sample [s].
         end: End since the first sample [s].
         rows: The samples.
@@ -46,14 +50,23 @@ def select_segment(
     specification: str,
     settings: PlateauSettings,
     leave_out: tuple[str, ...] = (),
+    events: Callable[[], Sequence[Event]] | None = None,
 ) -> Segment:
     """Select a part of a trial.
 
     Args:
         samples: The samples of the trial.
-        specification: `plateau`, `all`, or `T0:T1` in seconds since the first sample.
+        specification: One of these:
+            `plateau`: the longest steady stretch;
+            `hold`: the longest one while the load is placed, see `find_events`;
+            `auto`: the hold or, without one, all from the first to the last load, see
+            `loaded_span`;
+            `all`: all samples;
+            `T0:T1`: seconds since the first sample;
+            `event:A:B`: between events, see `event_span`.
         settings: What counts as a plateau.
         leave_out: Channels of clusters that do not count for a plateau.
+        events: Gives the events of the trial; None for those that are found in the load.
 
     Raises:
         ConfigurationError: If the specification cannot be read.
@@ -65,30 +78,62 @@ def select_segment(
         return _segment("all", samples, 0, len(samples))
     if specification == "plateau":
         plateaus = find_plateaus(samples, settings, leave_out)
-        if not plateaus:
-            raise TrialError(
-                f"no plateau of {settings.least_duration:g} s or more in the"
-                f" {samples.time[-1]:.1f} s of the trial",
-                "give --segment all or --segment T0:T1, or other limits (plateau.*)",
-            )
-        return plateaus[0]
-    return _span(samples, specification)
-
-
-def _span(samples: Samples, specification: str) -> Segment:
+        return plateaus[0] if plateaus else _no_plateau("plateau", samples, settings)
+    if specification in ("hold", "auto"):
+        if hold := _find_hold(samples, settings, leave_out):
+            return hold
+        span = loaded_span(samples, settings)
+        if specification == "auto" and span is not None:
+            return _span(samples, *span, "loaded")
+        _no_plateau("hold", samples, settings)
+    if specification.startswith("event:"):
+        known = find_events(samples, settings) if events is None else events()
+        return _span(samples, *event_span(specification, known), specification)
     try:
         start, end = (float(part) for part in specification.split(":"))
     except ValueError:
+        hint = "give plateau, hold, auto, all, T0:T1 in seconds, or event:A:B"
+        near = closest(specification, _NAMES)
         raise ConfigurationError(
-            f"unknown segment '{specification}'", "give plateau, all, or T0:T1 in seconds"
+            f"unknown segment '{specification}'",
+            f"{near} Otherwise {hint}" if near.endswith("?") else hint,
         ) from None
+    return _span(samples, start, end, "span")
+
+
+_NAMES = ("plateau", "hold", "auto", "all")
+
+
+def _find_hold(
+    samples: Samples, settings: PlateauSettings, leave_out: tuple[str, ...]
+) -> Segment | None:
+    found = find_events(samples, settings)
+    for plateau in find_plateaus(samples, settings, leave_out):
+        if is_loaded(found, 0.5 * (plateau.start + plateau.end)):
+            return replace(plateau, kind="hold")
+    return None
+
+
+def _no_plateau(what: str, samples: Samples, settings: PlateauSettings) -> NoReturn:
+    span = loaded_span(samples, settings)
+    hint = "give --segment all or --segment T0:T1"
+    if span is not None:
+        hint = f"give --segment {span[0]:.2f}:{span[1]:.2f} (the part under load), --segment auto"
+    raise TrialError(
+        f"no {what} of {settings.least_duration:g} s or more in the {samples.time[-1]:.1f} s of"
+        " the trial",
+        f"{hint}, or other limits (plateau.*)",
+    )
+
+
+def _span(samples: Samples, start: float, end: float, kind: str) -> Segment:
     rows = np.flatnonzero((samples.time >= start) & (samples.time <= end))
     if len(rows) < 2:
         raise TrialError(
-            f"the segment {specification} s holds {len(rows)} samples",
+            f"the segment {start:g}:{end:g} s holds {len(rows)} samples",
             f"give seconds within 0:{samples.time[-1]:.1f}",
         )
-    return _segment("span", samples, int(rows[0]), int(rows[-1]) + 1)
+    return _segment(kind, samples, int(rows[0]), int(rows[-1]) + 1)
 
 
 def find_plateaus(

@@ -31,7 +31,7 @@ from socket_testbed.errors import ConfigurationError, TrialError
 from socket_testbed.geometry.pose import Pose
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.samples import LOCAL_CHANNELS, Samples, Status, channel_unit
-from socket_testbed.trials.bag import BagReader, RawMessage, decode, required_topics, stamp_of
+from socket_testbed.trials.bag import BagReader, decode_message, required_topics, stamp_of
 from socket_testbed.trials.segment import Segment
 from socket_testbed.trials.topics import CAPACITANCE, PYLON_POSE, SOCKET_POSE, TRIGGER, WRENCH
 
@@ -177,21 +177,6 @@ def _listed(parts: list[str], count: int) -> str:
     more = f" and {count - len(parts)} more" if count > len(parts) else ""
     times = "once" if count == 1 else f"{count} times"
     return f"{times} ({', '.join(parts)}{more})"
-
-
-def decode_message(raw: RawMessage, where: object) -> Any:
-    """A message of a bag; `where` names the bag in an error.
-
-    Raises:
-        TrialError: If it cannot be decoded.
-    """
-    try:
-        return decode(raw.data, raw.type)
-    except Exception as error:  # the library raises whatever the bytes lead it to
-        raise TrialError(
-            f"{where}: a message on {raw.topic} cannot be decoded ({error})",
-            "check that the trial was recorded with this version's messages",
-        ) from None
 
 
 def wrench_vector(wrench: Any) -> tuple[float, ...]:

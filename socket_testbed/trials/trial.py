@@ -16,13 +16,13 @@ from socket_testbed.files import packaged
 from socket_testbed.geometry.socket import SocketGeometry, read_socket
 from socket_testbed.samples import Samples
 from socket_testbed.settings.testbed import EstimatorSettings, read_testbed
-from socket_testbed.trials.bag import BagReader, required_topics, sync
+from socket_testbed.trials.bag import BagReader, decode_message, required_topics, sync
+from socket_testbed.trials.events import Event, find_events, join_events, read_events
 from socket_testbed.trials.metadata import METADATA_FILE, TrialMetadata, read_metadata
 from socket_testbed.trials.synchronise import (
     Measurements,
     check_unloaded,
     correct_measurements,
-    decode_message,
     make_samples,
     read_measurements,
 )
@@ -156,6 +156,21 @@ class Trial:
         except ConfigurationError as error:
             self._notify(f"the metadata are left out: {error}")
             return TrialMetadata()
+
+    def events(self) -> list[Event]:
+        """The events in the order of their times.
+
+        Recorded ones, which anybody may mark while a trial is recorded, and those found in the
+        load: `placed` and `removed`. Found ones of a label that was recorded are left out.
+        """
+        return list(self._events)
+
+    @cached_property
+    def _events(self) -> list[Event]:
+        samples = self.samples()
+        with self.open() as bag:
+            recorded = read_events(bag, samples)
+        return join_events(recorded, find_events(samples, self.estimator.plateau))
 
     @property
     def geometry_path(self) -> Path:

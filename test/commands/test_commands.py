@@ -51,6 +51,7 @@ def test_info_says_what_a_trial_holds(hold: Path, capsys) -> None:
     code, out, _ = call(capsys, "info", hold)
     assert code == 0
     assert "/load_cell/wrench" in out and "240 samples at 4.00 Hz" in out
+    assert "event placed (found): 10" in out
     assert "plateau" in out and "socket.yaml, calibration.yaml, testbed.yaml" in out
     noise = {line.split("  ")[0]: line.split()[-1] for line in out.splitlines() if line}
     assert float(noise["force [N]"]) == pytest.approx(0.15, rel=0.2)  # the simulated load cell's
