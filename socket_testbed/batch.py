@@ -6,6 +6,7 @@ or that lacks a package leaves the caller waiting for ever (joblib 1.6).
 
 from __future__ import annotations
 
+import fcntl
 import hashlib
 import json
 import signal
@@ -24,13 +25,14 @@ from typing import Any, TypeAlias, TypeVar
 from threadpoolctl import threadpool_limits
 
 from socket_testbed.errors import ConfigurationError, TestbedError, TrialError
-from socket_testbed.files import atomic_output
+from socket_testbed.files import atomic_output, check_new_folder, check_outputs, make_folder
 from socket_testbed.tables import split_unit, write_table
 from socket_testbed.trials.metadata import METADATA_FILE
 from socket_testbed.trials.trial import Trial
 
 SUMMARY = "summary"
 _RECORDS = ".done"
+_LOCK = ".lock"
 _STORAGE = (".mcap", ".db3")
 _SOLVING = ("numpy", "scipy", "qpsolvers", "osqp")
 _PATIENCE = "15s"  # for Dask's scheduler to answer and a worker to be there
@@ -120,6 +122,7 @@ class Task:
             that end in their unit, such as `Fx_rmse [N]`; None where there is none.
         settings: What the results depend on besides files, as JSON can hold it.
         again: Whether finished trials are done again.
+        replace: Whether files that it did not write are replaced.
         uses_metadata: Whether the results depend on the trials' metadata.
     """
 
@@ -128,6 +131,7 @@ class Task:
     work: Callable[[Job], Row]
     settings: Mapping[str, Any] = field(default_factory=dict)
     again: bool = False
+    replace: bool = False
     uses_metadata: bool = False
 
 
@@ -233,26 +237,29 @@ def run_batch(
         The outcomes of the jobs, in their order.
 
     Raises:
-        ConfigurationError: If the folder of the outputs is not the task's own, or the Dask cluster
-            cannot be reached.
+        ConfigurationError: If the folder of the outputs is not the task's own, another run works
+            on it, or the Dask cluster cannot be reached.
         TrialError: At the end, if any trial failed; all others are done.
     """
     task = replace(task, folder=task.folder.absolute())  # a worker may be elsewhere
     _require_own_folder(task)
     outcomes = [Outcome(job.name, JobStatus.NOT_REACHED) for job in jobs]
     done = 0
-    try:
-        with closing(spread(partial(execute, task), jobs, pool)) as results:
-            for done, (number, result) in enumerate(results, start=1):
-                outcome = _lost(jobs[number], result) if isinstance(result, Exception) else result
-                outcomes[number] = outcome
-                report(f"[{done}/{len(jobs)}] {outcome}")
-                if outcome.row.get("notes"):
-                    warn(f"note: {outcome.name}: {outcome.row['notes']}")
-    finally:
-        if done:  # else an older summary stays, as its results do
-            metadata = [_metadata_columns(job, warn) for job in jobs]
-            _write_summary(outcomes, metadata, task.folder)
+    with _reserved(task):
+        try:
+            with closing(spread(partial(execute, task), jobs, pool)) as results:
+                for done, (number, result) in enumerate(results, start=1):
+                    outcome = (
+                        _lost(jobs[number], result) if isinstance(result, Exception) else result
+                    )
+                    outcomes[number] = outcome
+                    report(f"[{done}/{len(jobs)}] {outcome}")
+                    if outcome.row.get("notes"):
+                        warn(f"note: {outcome.name}: {outcome.row['notes']}")
+        finally:
+            if done:  # else an older summary stays, as its results do
+                metadata = [_metadata_columns(job, warn) for job in jobs]
+                _write_summary(outcomes, metadata, task.folder)
     report(f"summary in {task.folder / SUMMARY}.csv and {SUMMARY}.parquet")
     failed = [outcome for outcome in outcomes if outcome.status is JobStatus.FAILED]
     for outcome in failed:
@@ -266,17 +273,40 @@ def run_batch(
 
 
 def _require_own_folder(task: Task) -> None:
-    """Refuse a folder of outputs that is a file or another verb's."""
+    """Refuse a folder of outputs that is a file, another verb's, or holds another summary."""
     if task.folder.exists() and not task.folder.is_dir():
         raise ConfigurationError(
             f"{task.folder} is not a folder", "give a folder for the results of many trials"
         )
+    if not task.folder.exists():
+        check_new_folder(task.folder)
+        return
     records = task.folder / _RECORDS
     for verb in sorted(records.iterdir()) if records.is_dir() else []:
         if verb.name != task.verb:
             raise ConfigurationError(
                 f"{task.folder} holds what '{verb.name}' wrote", "give a folder of its own"
             )
+    if not (records / task.verb).exists():
+        check_outputs(*_summaries(task.folder), replace=task.replace)
+
+
+@contextmanager
+def _reserved(task: Task) -> Iterator[None]:
+    """Keep other runs of this verb out of the folder; the system forgets it with the process."""
+    records = task.folder / _RECORDS / task.verb
+    make_folder(records)
+    with (records / _LOCK).open("w") as lock:
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise ConfigurationError(
+                f"another run of '{task.verb}' works on {task.folder}",
+                "wait for it, or give a folder of its own",
+            ) from None
+        except OSError:  # a network drive without locks
+            pass
+        yield
 
 
 def _lost(job: Job, error: Exception) -> Outcome:
@@ -318,8 +348,12 @@ def _write_summary(outcomes: Sequence[Outcome], metadata: Sequence[Row], folder:
         for outcome, stated in zip(outcomes, metadata, strict=True)
     ]
     table = pd.DataFrame(rows, dtype=object)  # counts stay integers even where one is missing
-    for suffix in (".csv", ".parquet"):
-        write_table(table, folder / f"{SUMMARY}{suffix}")
+    for path in _summaries(folder):
+        write_table(table, path)
+
+
+def _summaries(folder: Path) -> list[Path]:
+    return [folder / f"{SUMMARY}{suffix}" for suffix in (".csv", ".parquet")]
 
 
 def execute(task: Task, job: Job) -> Outcome:
@@ -342,6 +376,9 @@ def _do_once(task: Task, job: Job) -> Outcome:
     inputs = fingerprint(job, task.settings, task.uses_metadata)
     record = _read_record(path)
     changed: tuple[str, ...] = ()
+    if not path.exists():
+        make_folder(job.output.parent)
+        check_outputs(job.output, replace=task.replace)
     if record is not None:
         changed = _changes(record, inputs, job.output)
         if not changed and not task.again:
@@ -351,6 +388,7 @@ def _do_once(task: Task, job: Job) -> Outcome:
         path.unlink()
     row = _work(task, job)
     record = Record(inputs, file_digest(job.output), row)
+    make_folder(path.parent)
     with atomic_output(path) as staging:
         staging.write_text(json.dumps(asdict(record), indent=1, allow_nan=False), encoding="utf-8")
     return Outcome(job.name, JobStatus.OK, row, changed=changed)

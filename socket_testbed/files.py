@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import errno
 import math
 import os
 import platform
@@ -10,7 +11,8 @@ import re
 import shutil
 import tempfile
 from collections.abc import Collection, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -50,6 +52,59 @@ def refuse_existing(path: Path) -> None:
         raise ConfigurationError(f"{path} exists already", "name another output or remove it")
 
 
+def check_outputs(*paths: Path | None, replace: bool) -> None:
+    """Refuse output files before any work: none replaces a file unless that is asked for.
+
+    Args:
+        paths: The files; None for one that is not wanted.
+        replace: Whether files that exist are replaced.
+
+    Raises:
+        ConfigurationError: If one is a folder, exists, or lies in a folder that does not exist.
+    """
+    for path in filter(None, paths):
+        if path.is_dir():
+            raise ConfigurationError(f"{path} is a folder", "name a file for the output")
+        if path.exists() and not replace:
+            raise ConfigurationError(
+                f"{path} exists already", "name another output, or replace it with --replace"
+            )
+        _require_parent(path)
+
+
+def check_new_folder(path: Path) -> None:
+    """Refuse a folder that exists, or that lies more than one folder below what exists.
+
+    Raises:
+        ConfigurationError: In these cases.
+    """
+    refuse_existing(path)
+    if not path.parent.exists():
+        _require_parent(path.parent)
+
+
+def make_folder(path: Path) -> None:
+    """Make a folder, and those above it, unless it exists.
+
+    Raises:
+        ConfigurationError: If it cannot be made.
+    """
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ConfigurationError(
+            f"{path}: cannot be made ({error.strerror})", "name another folder"
+        ) from None
+
+
+def _require_parent(path: Path) -> None:
+    """Refuse a path in a folder that does not exist: it may be mistyped."""
+    parent = path.parent
+    if not parent.is_dir():
+        fact = "is not a folder" if parent.exists() else "no such folder"
+        raise ConfigurationError(f"{parent}: {fact}", "correct the path, or make the folder first")
+
+
 def check_picture(path: Path) -> None:
     """Refuse a file whose suffix names no format of a picture.
 
@@ -63,33 +118,35 @@ def check_picture(path: Path) -> None:
 
 
 @contextmanager
-def atomic_output(path: Path) -> Iterator[Path]:
+def atomic_output(path: Path, replace: bool = False) -> Iterator[Path]:
     """Write an output in a folder beside it; it gets its name only when it is complete.
 
-    A file replaces an older one; a folder must not exist yet. Several processes may write the
-    same output: each writes in a folder of its own, and the last one to finish wins. What a
-    killed process left is removed by the next one.
+    A file replaces an older one; a folder must not exist yet, unless it is to be replaced. Several
+    processes may write the same output: each writes in a folder of its own, and the last one to
+    finish wins, of folders the first unless they are replaced. What a killed process left is
+    removed by the next one.
 
     Args:
         path: The output, a file or a folder.
+        replace: Whether an older folder is replaced.
 
     Yields:
         The path to write to, with the same last part, in a folder that did not exist.
 
     Raises:
-        ConfigurationError: If the output cannot be written.
+        ConfigurationError: If the output cannot be written, or its folder does not exist.
     """
     path = path.resolve()  # a link stays a link
+    _require_parent(path)
     if path.exists() and not (path.is_file() or path.is_dir()):
         raise ConfigurationError(f"{path} is not an ordinary file", "name a file for the output")
     staging = None
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
         _remove_leftovers(path)
         prefix = f"{_staging_prefix(path)}{os.getpid()}."
         staging = Path(tempfile.mkdtemp(_PARTIAL, prefix, path.parent))
         yield staging / path.name
-        (staging / path.name).replace(path)
+        _put(staging / path.name, path, replace)
     except OSError as error:
         raise ConfigurationError(
             f"{path}: cannot be written ({error.strerror or error})",
@@ -98,6 +155,24 @@ def atomic_output(path: Path) -> Iterator[Path]:
     finally:
         if staging is not None:
             shutil.rmtree(staging, ignore_errors=True)
+
+
+def _put(new: Path, path: Path, replace: bool) -> None:
+    """Give an output its name; where a folder has it, that moves away first."""
+    for number in count():
+        try:
+            new.replace(path)
+            return
+        except OSError as error:
+            if error.errno not in {errno.ENOTEMPTY, errno.EEXIST}:
+                raise
+        if not replace:
+            raise ConfigurationError(
+                f"{path} exists already: another run wrote it meanwhile",
+                "name another output or remove it",
+            )
+        with suppress(FileNotFoundError):  # another run moved it
+            path.replace(new.with_name(f"older.{number}"))
 
 
 _PARTIAL = ".partial"

@@ -252,6 +252,30 @@ def test_a_worker_that_dies_costs_its_own_trial_only(study: Path, task: Task) ->
     assert "its worker failed" in table["error"][1] and "\n" not in table["error"][1]
 
 
+def test_files_that_it_did_not_write_stay_unless_they_are_to_be_replaced(study, task) -> None:
+    task.folder.mkdir()
+    (task.folder / "walk.json").write_text("of somebody")
+    with pytest.raises(TrialError, match="1 of 3 trials failed"):
+        run(study, task)
+    assert (task.folder / "walk.json").read_text() == "of somebody"
+    table = pd.read_csv(task.folder / "summary.csv")
+    assert "exists already" in table["error"].dropna().item()
+    assert run(study, replace(task, replace=True))[0] == ["skipped", "skipped", "ok"]
+    shutil.rmtree(task.folder / ".done")
+    with pytest.raises(ConfigurationError, match=r"summary.csv exists already"):
+        run(study, task)
+
+
+def test_a_second_run_on_a_folder_is_refused_while_the_first_works(study, task) -> None:
+    def meanwhile(line: str) -> None:
+        if line.startswith("["):
+            with pytest.raises(ConfigurationError, match="another run of 'count' works on"):
+                run(study, task)
+
+    run_batch(task, jobs_of(study, task)[:1], HERE, meanwhile, Heard())
+    assert run(study, task)[0] == ["skipped", "ok", "ok"]
+
+
 def test_the_folder_of_another_verb_or_a_file_is_refused(study: Path, task: Task) -> None:
     run(study, task)
     with pytest.raises(ConfigurationError, match="holds what 'count' wrote"):

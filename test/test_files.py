@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from socket_testbed.errors import ConfigurationError
-from socket_testbed.files import atomic_output
+from socket_testbed.files import atomic_output, check_new_folder, check_outputs
 
 
 def test_two_writers_of_one_output_do_not_meet(tmp_path: Path) -> None:
@@ -39,6 +39,51 @@ def test_what_a_killed_process_left_is_removed_and_a_live_one_s_is_kept(tmp_path
         assert not leftover.exists()
         staging.write_text("complete")
     assert sorted(tmp_path.iterdir()) == sorted([path, own, other])
+
+
+def test_the_first_of_two_writers_of_a_folder_keeps_it(tmp_path: Path) -> None:
+    path = tmp_path / "trial"
+    refused = pytest.raises(ConfigurationError, match="another run wrote it meanwhile")
+    with refused, atomic_output(path) as second:
+        (second / "deep").mkdir(parents=True)
+        with atomic_output(path) as first:
+            first.mkdir()
+            (first / "data").write_text("first")
+    assert (path / "data").read_text() == "first" and list(tmp_path.iterdir()) == [path]
+
+
+def test_a_folder_that_is_to_be_replaced_goes_in_one_step(tmp_path: Path) -> None:
+    path = tmp_path / "files"
+    for content in ("older", "newer"):
+        with atomic_output(path, replace=True) as staging:
+            staging.mkdir()
+            (staging / content).write_text(content)
+    assert [p.name for p in path.iterdir()] == ["newer"] and list(tmp_path.iterdir()) == [path]
+
+
+def test_an_output_replaces_nothing_and_makes_no_folder_unless_asked(tmp_path: Path) -> None:
+    taken = tmp_path / "bench.csv"
+    taken.write_text("data")
+    check_outputs(tmp_path / "new.json", None, replace=False)
+    check_outputs(taken, replace=True)
+    with pytest.raises(ConfigurationError, match=r"exists already.*--replace"):
+        check_outputs(None, taken, replace=False)
+    with pytest.raises(ConfigurationError, match="is a folder"):
+        check_outputs(tmp_path, replace=True)
+    for mistyped, fact in (("modles/m.json", "no such folder"), ("bench.csv/m", "is not a folder")):
+        with pytest.raises(ConfigurationError, match=fact):
+            check_outputs(tmp_path / mistyped, replace=True)
+        with pytest.raises(ConfigurationError, match=fact), atomic_output(tmp_path / mistyped):
+            pass
+    assert list(tmp_path.iterdir()) == [taken]
+
+
+def test_a_new_folder_lies_at_most_one_below_what_exists(tmp_path: Path) -> None:
+    check_new_folder(tmp_path / "trials" / "s01")
+    with pytest.raises(ConfigurationError, match="no such folder"):
+        check_new_folder(tmp_path / "home" / "trials" / "s01")
+    with pytest.raises(ConfigurationError, match="exists already"):
+        check_new_folder(tmp_path)
 
 
 def test_an_error_leaves_the_older_file(tmp_path: Path) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import shutil
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -556,13 +555,12 @@ def write_report(
     """
     # matplotlib and plotly take their time to import.
     from socket_testbed.report.results import compute_results
-    from socket_testbed.report.write import check_page_path, files_folder
+    from socket_testbed.report.write import check_page_path
     from socket_testbed.report.write import write_report as write_page
 
     page = Path(page)
     check_thetas(thetas)
-    if not replace:
-        check_page_path(page)
+    check_page_path(page, replace)
     settings = estimator_settings(trial.estimator, as_path(params), **choices)
     stored = None if model is None else _stored(model)
     with threadpool_limits(1):
@@ -579,10 +577,7 @@ def write_report(
     if trial.notify is not None:
         for note in results.bag_notes:
             trial.notify(note)
-    if replace:  # only now that there is something to replace them by
-        page.unlink(missing_ok=True)
-        shutil.rmtree(files_folder(page), ignore_errors=True)
-    write_page(results, page, command, datetime.now(UTC), started(progress, "drawing"))
+    write_page(results, page, command, datetime.now(UTC), started(progress, "drawing"), replace)
     return results
 
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, TypeAlias
 from socket_testbed.batch import is_trial
 from socket_testbed.calibration.model import read_calibration
 from socket_testbed.errors import ConfigurationError, TrialError
-from socket_testbed.files import check_number, closest, packaged, refuse_existing
+from socket_testbed.files import check_new_folder, check_number, closest, packaged
 from socket_testbed.geometry.socket import read_socket
 from socket_testbed.samples import Samples
 from socket_testbed.settings.identification import PlateauSettings
@@ -248,7 +248,7 @@ def simulate(
     check_number(rate, "--rate", 0.1, 1000.0)
     check_number(seed, "--seed", 0)
     check_number(duration * rate, "--duration times --rate", 2, _MOST_TRIGGERS)
-    refuse_existing(folder)
+    check_new_folder(folder)
     if like_paper and calibration_file is None:
         calibration_file = packaged("config", "like_paper.yaml")
     simulated = simulate_trial(

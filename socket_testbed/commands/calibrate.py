@@ -12,9 +12,10 @@ from socket_testbed.calibration.bench_data import STRESSES, UNITS
 from socket_testbed.calibration.calibrate import BenchCalibration, CalibratedCluster
 from socket_testbed.calibration.drift import DRIFT_LIMIT, Drift
 from socket_testbed.calibration.model import SHEAR_TERMS
+from socket_testbed.commands.options import add_replace
 from socket_testbed.commands.text import number, table
 from socket_testbed.errors import ConfigurationError
-from socket_testbed.files import check_number, check_picture, closest
+from socket_testbed.files import check_number, check_outputs, check_picture, closest
 
 _SHOWN = 10  # outliers
 _AREAS = (1e-6, 0.05)  # [m^2]
@@ -55,6 +56,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--drop-outliers", action="store_true", help="leave the outliers out of the fit"
     )
     parser.add_argument("--figure", type=Path, metavar="FILE.png|pdf", help="draw the fit")
+    add_replace(parser, "a figure that exists")
     parser.set_defaults(run=run)
 
 
@@ -95,6 +97,7 @@ def run(options: argparse.Namespace) -> None:
         check_number(options.area, "--area", *_AREAS)
     if options.figure is not None:
         check_picture(options.figure)
+    check_outputs(options.figure, replace=options.replace)
     into = options.into or (options.output if options.output.exists() else None)
     found = api.calibrate(
         options.bench,

@@ -15,6 +15,7 @@ from socket_testbed import api
 from socket_testbed.arrays import FloatArray
 from socket_testbed.commands.text import Progress, number, table
 from socket_testbed.errors import ConfigurationError, TrialError
+from socket_testbed.files import check_new_folder, make_folder
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification.force_map import ForceMap
 from socket_testbed.identification.validation import judge_tiles, without_cluster
@@ -148,12 +149,9 @@ def _make_room(folder: Path) -> None:
                 f"{trial} is not a trial of the demo", "name another folder with -o"
             )
         shutil.rmtree(trial)
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise ConfigurationError(
-            f"{folder}: cannot be made ({error.strerror})", "name another folder with -o"
-        ) from None
+    if not folder.exists():
+        check_new_folder(folder)
+    make_folder(folder)
 
 
 def _estimate(trial: Trial, samples: Samples, speed: float, log: Path) -> _Live:

@@ -12,6 +12,7 @@ from socket_testbed.batch import Row, find_trials
 from socket_testbed.commands.options import (
     TrialVerb,
     add_pose_smoothing,
+    add_replace,
     add_segment,
     add_trials,
     add_unloaded,
@@ -42,6 +43,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         metavar="ERRORS",
         help="JSON file of the errors; for a folder of trials the folder of such files",
     )
+    add_replace(parser)
     parser.set_defaults(run=run)
 
 

@@ -6,7 +6,14 @@ import argparse
 from pathlib import Path
 
 from socket_testbed import api
-from socket_testbed.commands.options import add_segment, add_trial, add_unloaded, trial_of
+from socket_testbed.commands.options import (
+    add_replace,
+    add_segment,
+    add_trial,
+    add_unloaded,
+    trial_of,
+)
+from socket_testbed.files import check_outputs
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -28,11 +35,13 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--map", action="store_true", help="add the force map: every tile with its uncertainty"
     )
+    add_replace(parser)
     parser.set_defaults(run=run)
 
 
 def run(options: argparse.Namespace) -> None:
     """Read and write."""
+    check_outputs(options.output, replace=options.replace)
     trial = trial_of(options)
     table = api.export(trial, options.output, options.segment, options.model, options.map)
     rows, columns = table.shape

@@ -13,6 +13,7 @@ from socket_testbed.commands.options import (
     TrialVerb,
     add_identification,
     add_pose_smoothing,
+    add_replace,
     add_segment,
     add_trials,
     add_unloaded,
@@ -47,6 +48,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         metavar="MODEL",
         help="file of the model, or the folder of the models of a folder of trials",
     )
+    add_replace(parser)
     settings = ("segment", "unloaded", *CHOICES)
     parser.set_defaults(run=TrialVerb("fit", ".json", settings, _fit, _row, _show).run)
 

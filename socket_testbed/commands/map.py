@@ -6,9 +6,15 @@ import argparse
 from pathlib import Path
 
 from socket_testbed import api
-from socket_testbed.commands.options import add_segment, add_trial, add_unloaded, trial_of
+from socket_testbed.commands.options import (
+    add_replace,
+    add_segment,
+    add_trial,
+    add_unloaded,
+    trial_of,
+)
 from socket_testbed.commands.text import number, table
-from socket_testbed.files import check_picture
+from socket_testbed.files import check_outputs, check_picture
 from socket_testbed.settings.identification import RIGID_VARIANTS
 from socket_testbed.tables import check_format
 
@@ -39,6 +45,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--figure", type=Path, metavar="MAP.png|pdf", help="mean pressure and its uncertainty drawn"
     )
+    add_replace(parser)
     parser.set_defaults(run=run)
 
 
@@ -47,6 +54,7 @@ def run(options: argparse.Namespace) -> None:
     check_format(options.output)
     if options.figure is not None:
         check_picture(options.figure)
+    check_outputs(options.output, options.figure, replace=options.replace)
     trial = trial_of(options)
     found = api.force_map(trial, options.segment, bed=options.bed, params=options.params)
     found.save(options.output)

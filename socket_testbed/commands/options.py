@@ -12,7 +12,7 @@ from typing import Any, Generic, TypeVar
 
 from socket_testbed.batch import Job, Pool, Row, Task, find_trials, plan_jobs, run_batch
 from socket_testbed.errors import ConfigurationError
-from socket_testbed.files import check_number
+from socket_testbed.files import check_number, check_outputs
 from socket_testbed.settings import testbed
 from socket_testbed.settings.identification import VARIANTS, WEIGHTS
 from socket_testbed.settings.testbed import EstimatorSettings
@@ -62,6 +62,11 @@ def add_trials(parser: argparse.ArgumentParser) -> None:
         "--dask", metavar="ADDRESS", help="scheduler of a Dask cluster whose workers do it instead"
     )
     many.add_argument("--again", action="store_true", help="repeat finished trials")
+
+
+def add_replace(parser: argparse.ArgumentParser, what: str = "outputs that exist") -> None:
+    """Whether an output replaces a file; see `files.check_outputs`."""
+    parser.add_argument("--replace", action="store_true", help=f"replace {what}")
 
 
 def add_segment(parser: argparse.ArgumentParser, default: str = "plateau") -> None:
@@ -260,6 +265,7 @@ class TrialVerb(Generic[R]):
         trials = find_trials(options.trial)
         options = argparse.Namespace(**vars(options), alone=not trials)
         if not trials:
+            check_outputs(options.output, replace=options.replace)
             self.show(options, self.work(options, trial_of(options)))
             return
         estimator_settings(options, EstimatorSettings())  # wrong for all is reported once
@@ -273,6 +279,7 @@ class TrialVerb(Generic[R]):
             partial(self._do, options),
             settings,
             options.again,
+            options.replace,
             self.uses_metadata,
         )
         if options.jobs is not None:

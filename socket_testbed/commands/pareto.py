@@ -11,6 +11,7 @@ from socket_testbed import api
 from socket_testbed.commands.options import (
     add_identification,
     add_pose_smoothing,
+    add_replace,
     add_segment,
     add_thetas,
     add_trial,
@@ -19,7 +20,7 @@ from socket_testbed.commands.options import (
     trial_of,
 )
 from socket_testbed.commands.text import Progress, number, table
-from socket_testbed.files import check_picture
+from socket_testbed.files import check_outputs, check_picture
 from socket_testbed.identification.pareto import KNEE, SENSOR_ONLY, WRENCH_ONLY, Front
 
 _HEADER = (
@@ -46,6 +47,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--figure", type=Path, metavar="FRONT.png|pdf", help="both fronts drawn")
     parser.add_argument("--json", action="store_true", help="print JSON on standard output")
+    add_replace(parser)
     parser.set_defaults(run=run)
 
 
@@ -53,6 +55,7 @@ def run(options: argparse.Namespace) -> None:
     """Identify along theta, write and print."""
     if options.figure is not None:
         check_picture(options.figure)
+    check_outputs(options.output, options.figure, replace=options.replace)
     trial = trial_of(options)
     found = api.pareto(
         trial, options.segment, thetas=options.thetas, progress=Progress, **choices(options)

@@ -10,9 +10,16 @@ from typing import TYPE_CHECKING
 from socket_testbed import api
 from socket_testbed.api import TrialPressure
 from socket_testbed.api.pressure import TITLES, interval_end
-from socket_testbed.commands.options import add_segment, add_trial, add_unloaded, trial_of
+from socket_testbed.commands.options import (
+    add_replace,
+    add_segment,
+    add_trial,
+    add_unloaded,
+    trial_of,
+)
 from socket_testbed.commands.text import number, table
 from socket_testbed.errors import ConfigurationError
+from socket_testbed.files import check_outputs
 from socket_testbed.tables import check_format
 
 if TYPE_CHECKING:
@@ -57,6 +64,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--over-time", action="store_true", help="write the regions at every sample instead"
     )
     parser.add_argument("--json", action="store_true", help="print JSON on standard output")
+    add_replace(parser)
     parser.set_defaults(run=run)
 
 
@@ -66,6 +74,7 @@ def run(options: argparse.Namespace) -> None:
         raise ConfigurationError("--over-time has no output", "name its table with -o FILE.csv")
     if options.output is not None:
         check_format(options.output)
+    check_outputs(options.output, replace=options.replace)
     found = api.pressure(
         trial_of(options),
         options.segment,

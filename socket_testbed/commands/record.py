@@ -9,7 +9,7 @@ from pathlib import Path
 
 from socket_testbed.calibration.model import read_calibration
 from socket_testbed.commands.options import add_metadata, metadata_of
-from socket_testbed.files import refuse_existing
+from socket_testbed.files import check_new_folder
 from socket_testbed.geometry.socket import read_socket
 from socket_testbed.live.processes import Graph
 from socket_testbed.settings.testbed import RecorderSettings, read_testbed
@@ -29,7 +29,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> None:
     """Record until interrupted."""
-    refuse_existing(options.directory)
+    check_new_folder(options.directory)
     # What a trial is recorded with must be readable when it is worked on.
     for file, read in (
         (options.geometry, read_socket),

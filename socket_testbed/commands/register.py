@@ -11,7 +11,9 @@ from scipy.spatial.transform import Rotation
 
 from socket_testbed import api
 from socket_testbed.arrays import FloatArray
+from socket_testbed.commands.options import add_replace
 from socket_testbed.commands.text import number, table
+from socket_testbed.files import check_outputs
 from socket_testbed.geometry.pose import Pose
 from socket_testbed.socket_design.landmarks import LANDMARK_FILE_HELP
 from socket_testbed.socket_design.registration import MOST_RESIDUAL, RegisteredBody, Registration
@@ -48,12 +50,15 @@ def configure(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help=f"accept landmarks that are more than {_MM * MOST_RESIDUAL:g} mm off",
     )
+    add_replace(parser)
     parser.set_defaults(run=run)
 
 
 def run(options: argparse.Namespace) -> None:
     """Register, print and write."""
     output = options.output or options.socket
+    if output != options.socket:
+        check_outputs(output, replace=options.replace)
     found = api.register(
         options.take, options.landmarks, options.socket, output, force=options.force
     )

@@ -15,6 +15,7 @@ from socket_testbed.commands.options import (
     TrialVerb,
     add_identification,
     add_pose_smoothing,
+    add_replace,
     add_segment,
     add_thetas,
     add_trials,
@@ -47,6 +48,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         metavar="REPORT.html",
         help="the page, or the folder of the pages of a folder of trials",
     )
+    add_replace(parser)
     parser.set_defaults(run=run)
 
 
@@ -67,7 +69,7 @@ def _report(options: argparse.Namespace, trial: Trial) -> Results:
         model=options.model,
         thetas=options.thetas,
         command=options.command,
-        replace=not options.alone,
+        replace=options.replace or not options.alone,
         progress=Progress if options.alone else None,
         **choices(options),
     )

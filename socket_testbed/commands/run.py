@@ -21,7 +21,7 @@ from socket_testbed.commands.options import (
     metadata_of,
 )
 from socket_testbed.errors import ConfigurationError
-from socket_testbed.files import check_number, refuse_existing
+from socket_testbed.files import check_new_folder, check_number, make_folder
 from socket_testbed.geometry.socket import read_socket
 from socket_testbed.identification.fit import check_names
 from socket_testbed.live.bringup import Simulation, Testbed, end, predict_with, start, summary
@@ -84,9 +84,10 @@ def run(options: argparse.Namespace) -> None:
 
 def _check_writable(path: Path) -> None:
     """Refuse a folder that cannot be made, before anything is started."""
-    refuse_existing(path)
+    check_new_folder(path)
+    make_folder(path.parent)
     try:
-        path.mkdir(parents=True)
+        path.mkdir()
         path.rmdir()
     except OSError as error:
         raise ConfigurationError(

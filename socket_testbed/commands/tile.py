@@ -9,8 +9,9 @@ from pathlib import Path
 import numpy as np
 
 from socket_testbed import api
+from socket_testbed.commands.options import add_replace
 from socket_testbed.commands.text import Progress
-from socket_testbed.files import check_number
+from socket_testbed.files import check_number, check_outputs
 from socket_testbed.socket_design.placement import parse_point
 from socket_testbed.socket_design.scan_file import METRES
 from socket_testbed.socket_design.tiling import TilingSettings
@@ -37,6 +38,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     )
     _add_placement(parser.add_argument_group("where {S}, the load cell's frame, is"))
     _add_tiles(parser.add_argument_group("tiles, clusters and bodies"))
+    add_replace(parser)
     parser.set_defaults(run=run)
 
 
@@ -111,6 +113,8 @@ def run(options: argparse.Namespace) -> None:
     )
     points = [parse_point(point, "--points") for point in options.points or ()]
     output = options.output
+    beside = [output.with_suffix(suffix) for suffix in (".png", ".html")]
+    check_outputs(output, *beside, replace=options.replace)
     design = api.tile(
         options.scan,
         output,

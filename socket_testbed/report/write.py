@@ -7,7 +7,7 @@ from datetime import datetime
 from pathlib import Path
 
 from socket_testbed.errors import ConfigurationError
-from socket_testbed.files import atomic_output, refuse_existing
+from socket_testbed.files import atomic_output, check_outputs, refuse_existing
 from socket_testbed.report.figure_files import (
     draw_figures,
     errors_table,
@@ -20,6 +20,7 @@ from socket_testbed.report.sections import page_content
 from socket_testbed.tables import write_table
 
 _SUFFIXES = (".html", ".htm")
+_ERRORS = "errors.csv"
 
 
 def files_folder(page: Path) -> Path:
@@ -27,16 +28,23 @@ def files_folder(page: Path) -> Path:
     return page.with_name(f"{page.stem}_files")
 
 
-def check_page_path(page: Path) -> None:
+def check_page_path(page: Path, replace: bool = False) -> None:
     """Refuse a page that cannot be written, before long work.
 
+    Args:
+        page: The page.
+        replace: Whether an older page and its folder are replaced.
+
     Raises:
-        ConfigurationError: If it is not an HTML file, or it or its folder exists.
+        ConfigurationError: If it is not an HTML file, if it or its folder exists and is not to be
+            replaced, or if its folder is not that of a report.
     """
     if page.suffix.lower() not in _SUFFIXES:
         raise ConfigurationError(f"{page}: a report is a page", "let it end in .html")
-    refuse_existing(page)
-    refuse_existing(files_folder(page))
+    check_outputs(page, replace=replace)
+    folder = files_folder(page)
+    if not replace or (folder.exists() and not (folder / _ERRORS).is_file()):
+        refuse_existing(folder)
 
 
 def write_report(
@@ -45,22 +53,24 @@ def write_report(
     command: str,
     made: datetime,
     progress: Callable[[int, int], None] | None = None,
+    replace: bool = False,
 ) -> None:
     """Write the page and the folder with its files, both or none.
 
     Args:
         results: The results.
-        page: The page, which must not exist, nor the folder beside it.
+        page: The page.
         command: The command line, for the record.
         made: When the report is made.
         progress: Called with the number of figures written and of all.
+        replace: Whether an older page and the folder beside it are replaced.
 
     Raises:
-        ConfigurationError: If they exist or cannot be written.
+        ConfigurationError: If they cannot be written, see `check_page_path`.
     """
-    check_page_path(page)
+    check_page_path(page, replace)
     folder = files_folder(page)
-    with atomic_output(page) as new_page, atomic_output(folder) as new_folder:
+    with atomic_output(page) as new_page, atomic_output(folder, replace) as new_folder:
         new_folder.mkdir()
         figures = draw_figures(results)
         drawn = [figure for of_section in figures.values() for figure in of_section]
@@ -68,7 +78,7 @@ def write_report(
             figure.write(new_folder)
             if progress is not None:
                 progress(done, len(drawn))
-        write_table(errors_table(results.candidates), new_folder / "errors.csv")
+        write_table(errors_table(results.candidates), new_folder / _ERRORS)
         write_table(residuals_table(results.candidates), new_folder / "residuals.csv")
         text = render(
             "report.html",

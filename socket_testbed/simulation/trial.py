@@ -14,7 +14,7 @@ import numpy as np
 
 from socket_testbed.arrays import FloatArray, IntArray
 from socket_testbed.calibration.model import Calibration
-from socket_testbed.files import atomic_output, refuse_existing
+from socket_testbed.files import atomic_output, check_new_folder, make_folder
 from socket_testbed.geometry.marker_bodies import fit_triad
 from socket_testbed.geometry.pose import Pose
 from socket_testbed.geometry.socket import SocketGeometry
@@ -250,7 +250,8 @@ def write_simulated_trial(
     Raises:
         ConfigurationError: If the folder exists or cannot be written.
     """
-    refuse_existing(path)
+    check_new_folder(path)
+    make_folder(path.parent)
     with atomic_output(path) as staging:
         with BagWriter(staging) as bag:
             for topic in _DELAYS:

@@ -35,6 +35,7 @@ def call(capsys: pytest.CaptureFixture[str], *words: object) -> tuple[int, str, 
 def whole_study(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Three tiny simulated trials and one that is broken; tests that change it take a copy."""
     folder = tmp_path_factory.mktemp("batch") / "study"
+    folder.mkdir()
     for seed, name in enumerate(GOOD):
         words = ["simulate", "-o", folder / name, "--duration", 30, "--seed", seed]
         assert run([str(word) for word in words]) == 0

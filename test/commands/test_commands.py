@@ -1,9 +1,11 @@
 """The command line as a user calls it, with right and with wrong input."""
 
+import argparse
 import json
 import shutil
 import subprocess
 import sys
+from importlib import import_module
 from pathlib import Path
 
 import numpy as np
@@ -267,6 +269,12 @@ def test_bad_input_gets_one_line_that_names_it(
         (["replay", "nowhere"], ["nowhere", "no such trial"]),
         (["record", "HOLD"], ["exists already"]),
         (["fit", "HOLD", "-o", "/proc/model"], ["/proc/model", "cannot be written"]),
+        (["fit", "HOLD", "-o", "modles/m.json"], ["modles", "no such folder"]),
+        (["fit", "HOLD", "-o", "HOLD"], ["hold", "is a folder"]),
+        (["simulate", "-o", "home/trials/s01"], ["home", "no such folder"]),
+        (["record", "home/trials/s01"], ["home", "no such folder"]),
+        (["run", "--simulated", "--record", "home/trials/s01"], ["home", "no such folder"]),
+        (["demo", "-o", "home/trials/s01"], ["home", "no such folder"]),
     ],
     ids=lambda words: "-".join(words[:2] + words[-1:]).replace("/", "_"),
 )
@@ -278,6 +286,63 @@ def test_a_wrong_call_gets_one_line(words, names, hold, tmp_path, capsys, monkey
     for name in names:
         assert name in err, err
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["fit", "HOLD", "-o", "TAKEN"],
+        ["evaluate", "HOLD", "--model", "MODEL", "-o", "TAKEN"],
+        ["export", "HOLD", "-o", "TAKEN"],
+        ["map", "HOLD", "-o", "TAKEN"],
+        ["map", "HOLD", "-o", "new.csv", "--figure", "TAKEN.png"],
+        ["pressure", "HOLD", "-o", "TAKEN"],
+        ["pareto", "HOLD", "-o", "TAKEN"],
+        ["pareto", "HOLD", "--figure", "TAKEN.png"],
+        ["report", "HOLD", "-o", "TAKEN.html"],
+        ["tile", "scan.stl", "-o", "TAKEN.yaml"],
+        ["tile", "scan.stl", "-o", "bench.yaml"],
+        ["register", "t.csv", "--landmarks", "l.yaml", "--socket", "s.yaml", "-o", "TAKEN"],
+        ["calibrate", "b.csv", "--cluster", "c", "-o", "c.yaml", "--figure", "TAKEN.png"],
+    ],
+    ids=lambda words: "-".join(word for word in (words[0], *words[-2:])),
+)
+def test_no_output_replaces_a_file_unless_that_is_asked_for(
+    words, hold, hold_model, tmp_path, capsys, monkeypatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for suffix in (".csv", ".png", ".html"):
+        (tmp_path / f"bench{suffix}").write_text("data of a day")
+    taken = {name: (tmp_path / name).read_text() for name in ("bench.csv", "bench.png")}
+    places = {"HOLD": hold, "MODEL": hold_model, "TAKEN.": "bench.", "TAKEN": "bench.csv"}
+    for name, path in places.items():
+        words = [word.replace(name, str(path)) for word in words]
+    if words[-1] == "bench.yaml" and words[1] == "scan.stl":
+        (tmp_path / "bench.html").unlink()  # what a tile's picture would replace
+    code, _, err = call(capsys, *words)
+    assert code == 1 and "exists already" in err and err.count("\n") == 1, err
+    assert {name: (tmp_path / name).read_text() for name in taken} == taken
+    assert not (tmp_path / "new.csv").exists()
+
+
+def test_a_model_replaces_an_older_one_where_that_is_asked_for(hold, tmp_path, capsys) -> None:
+    model = tmp_path / "m.json"
+    assert call(capsys, "fit", hold, "-o", model)[0] == 0
+    older = model.read_text()
+    code, _, err = call(capsys, "fit", hold, "-o", model, "--variant", "stiffness")
+    assert code == 1 and "--replace" in err and model.read_text() == older
+    words = ["fit", hold, "-o", model, "--variant", "stiffness", "--replace"]
+    assert call(capsys, *words)[0] == 0
+    assert model.read_text() != older
+
+
+def test_every_verb_that_names_an_output_file_can_replace_it() -> None:
+    for verb in VERBS:
+        parser = argparse.ArgumentParser()
+        import_module(f"socket_testbed.commands.{verb}").configure(parser)
+        known = {action.dest for action in parser._actions}
+        if known & {"output", "figure", "video"} and verb not in {"simulate", "demo"}:
+            assert "replace" in known, verb
 
 
 def test_a_trial_of_another_kind_is_shown_and_refused(shared_data: Path, capsys) -> None:

@@ -18,7 +18,7 @@ from socket_testbed.drivers.load_cell.ads131m0x import SpiDevice
 from socket_testbed.drivers.load_cell.bridges import AXES, UNITS, Bridges
 from socket_testbed.drivers.load_cell.converter_reader import ConverterReader
 from socket_testbed.errors import ConfigurationError, DeviceError
-from socket_testbed.files import atomic_output, read_document
+from socket_testbed.files import atomic_output, make_folder, read_document
 from socket_testbed.settings.acquisition import LoadCellSettings
 
 _LARGEST = 1e3  # [mV/V]; no bridge comes near it
@@ -63,6 +63,7 @@ class Tare:
                     "offsets_mV_per_V": offsets.tolist(),
                     "time": datetime.now(UTC).isoformat(timespec="seconds"),
                 }
+                make_folder(self._path.parent)
                 with atomic_output(self._path) as path:
                     path.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
             self._offsets = offsets.copy()
