@@ -21,6 +21,7 @@ VERBS = {
     "simulate": "write a simulated trial with its ground truth",
     "record": "record the graph as a trial",
     "annotate": "state and show a trial's metadata: subject code, side, socket, liner, ...",
+    "mark": "mark an event in the running graph, for the trial that is being recorded",
     "replay": "publish a trial with /clock; --estimate runs the estimator on it",
     "info": "show what a trial holds: topics, rates, gaps, plateau",
     "fit": "identify the contact model on a trial, or on every trial of a folder",

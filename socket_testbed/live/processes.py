@@ -87,6 +87,20 @@ def write_parameters(nodes: Iterable[GraphNode], path: Path) -> Path:
     return path
 
 
+def require_ros() -> None:
+    """Refuse to go on without ROS 2 and the messages.
+
+    Raises:
+        ConfigurationError: If either cannot be imported.
+    """
+    for package in ("rclpy", "socket_testbed_msgs"):
+        if importlib.util.find_spec(package) is None:
+            raise ConfigurationError(
+                f"{package} cannot be imported",
+                "run 'make setup', or source the ROS 2 workspace that holds this package",
+            )
+
+
 @dataclass
 class _Member:
     """A process of the graph, and when it was started [s]."""
@@ -135,12 +149,7 @@ class Graph:
         }
 
     def __enter__(self) -> Self:
-        for package in ("rclpy", "socket_testbed_msgs"):
-            if importlib.util.find_spec(package) is None:
-                raise ConfigurationError(
-                    f"{package} cannot be imported",
-                    "run 'make setup', or source the ROS 2 workspace that holds this package",
-                )
+        require_ros()
         return self
 
     def __exit__(self, *error: object) -> None:

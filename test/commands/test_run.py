@@ -13,9 +13,11 @@ from support.testbeds import Recorded
 
 from socket_testbed.__main__ import run
 from socket_testbed.files import packaged
+from socket_testbed.nodes.conversions import stamp_from_ros
 from socket_testbed.settings.testbed import read_testbed
+from socket_testbed.trials.bag import decode
 from socket_testbed.trials.metadata import TrialMetadata
-from socket_testbed.trials.topics import CAPACITANCE, PYLON_POSE, WRENCH
+from socket_testbed.trials.topics import CAPACITANCE, EVENT, PYLON_POSE, TRIGGER, WRENCH
 from socket_testbed.trials.trial import Trial
 
 pytestmark = pytest.mark.graph
@@ -48,6 +50,63 @@ def test_run_records_until_ctrl_c(tmp_path: Path) -> None:
     stored = read_testbed(path / "testbed.yaml")
     assert stored.trigger_node.rate == 20.0
     assert "simulation" not in (path / "testbed.yaml").read_text()
+
+
+def test_events_are_marked_recorded_and_select_a_segment(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "trial"
+    words = ["run", *SIMULATED, "--rate", "10", "--record", str(path)]
+    around: list[int] = []  # stamps of triggers before and after each event [ns]
+    with Probe() as probe, subprocess.Popen([*COMMAND, *words], stderr=subprocess.DEVNULL) as live:
+        triggers = probe.listen(TRIGGER)
+        for label in ("push", "step 2"):
+            goal = len(triggers) + 5
+            probe.wait(lambda goal=goal: len(triggers) > goal, "triggers")
+            around.append(stamp_from_ros(triggers[-1].header.stamp))
+            command = [*COMMAND, "mark", label]
+            said = subprocess.run(command, check=False, capture_output=True, text=True)
+            assert said.returncode == 0 and not said.stderr, said.stderr
+            assert said.stdout.startswith(f"marked '{label}' in the trial trial, acknowledged by 1")
+            around.append(stamp_from_ros(triggers[-1].header.stamp))
+        live.send_signal(signal.SIGINT)
+        live.wait(timeout=120)
+    trial = Trial(path)
+    begin = int(trial.samples().stamps[0])
+    push, step = (event for event in trial.events() if event.source == "recorded")
+    for event, before, after in ((push, *around[:2]), (step, *around[2:])):
+        # A message that a busy machine held up is late, never early.
+        assert 1e-9 * (before - begin) - 0.3 < event.time < 1e-9 * (after - begin)
+    with trial.open() as bag:
+        raw = next(bag.messages(["/event"]))
+    assert decode(raw.data, raw.type).header.frame_id == "load_cell"
+
+    assert run(["info", str(path)]) == 0
+    assert f"event push (recorded): {push.time:.2f} s" in capfd.readouterr().out
+    table = tmp_path / "samples.csv"
+    assert run(["export", str(path), "--segment", "event:push:step 2", "-o", str(table)]) == 0
+    (segment,) = re.findall(r"event:push:step 2 ([\d.]+) s to ([\d.]+) s", capfd.readouterr().out)
+    assert push.time <= float(segment[0]) < float(segment[1]) <= step.time + 0.01
+    assert run(["fit", str(path), "--segment", "event:puhs:9", "-o", str(tmp_path / "m.json")]) == 1
+    assert "no event 'puhs': did you mean 'push'? it has push (once)" in capfd.readouterr().err
+
+
+def test_an_event_that_nobody_hears_is_an_error(capfd: pytest.CaptureFixture[str]) -> None:
+    with Probe() as probe:
+        assert run(["mark", "push", "--namespace", "elsewhere"]) == 1
+        assert "nobody subscribes to /elsewhere/event: start 'run" in capfd.readouterr().err
+        received = probe.listen(EVENT, "/lab/event")
+        assert run(["mark", "push"]) == 1
+        assert "give --namespace /lab" in capfd.readouterr().err
+        assert run(["mark", "push", "--namespace", "/lab"]) == 0
+        out, err = capfd.readouterr()
+        assert out == "marked 'push' for this graph, acknowledged by 1 subscriber\n"
+        assert "no trial is being recorded" in err and "no trigger came" in err
+        probe.wait(lambda: len(received) == 1, "the event")
+        assert received[0].label == "push" and received[0].header.frame_id == "load_cell"
+    for words in (["mark", "2nd"], ["mark", "push", "--namespace", "a b"]):
+        assert run(words) == 1
+        assert "error: '" in capfd.readouterr().err
 
 
 def test_run_ends_by_itself_and_a_fault_is_seen(

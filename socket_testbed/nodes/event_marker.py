@@ -1,0 +1,145 @@
+"""Publishes one event into a running graph, in the time of its triggers."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+
+import rclpy
+from rclpy.duration import Duration
+from rclpy.exceptions import InvalidNamespaceException
+from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
+from rclpy.validate_namespace import validate_namespace
+from socket_testbed_msgs.msg import Event, Trigger
+from std_msgs.msg import String
+
+from socket_testbed.errors import ConfigurationError, TestbedError
+from socket_testbed.nodes.base import publisher_qos, subscriber_qos
+from socket_testbed.nodes.conversions import LOAD_CELL_FRAME, header_to_ros, stamp_from_ros
+from socket_testbed.trials.topics import EVENT, RECORDED_TRIAL, TRIGGER
+
+_FOUND_WITHIN = 6.0  # [s]; for a subscriber to be found on a busy machine
+_TRIGGERED_WITHIN = 5.0  # [s]; for some triggers
+_ENOUGH = 5  # triggers
+_HEARD_WITHIN = 5.0  # [s]; for the event to be acknowledged
+_LOOK = 0.02  # [s]
+_REAL_TIME = 0.05  # [-]; triggers whose speed differs less from 1 come in real time
+
+
+@dataclass(frozen=True)
+class Marked:
+    """An event that was published and acknowledged.
+
+    Attributes:
+        subscribers: Number of programs that acknowledged it.
+        trial: Name of the trial that is being recorded; empty if none is.
+        triggered: Whether its stamp is in the time of triggers; else it is the system clock's.
+    """
+
+    subscribers: int
+    trial: str
+    triggered: bool
+
+
+def publish_event(label: str, called: float, namespace: str = "/") -> Marked:
+    """Publish an event, and wait until all subscribers have acknowledged it.
+
+    Its stamp is when it was called, in the time of the triggers: a testbed may run on another
+    computer, slower than real time, or be replayed, and its clock stays when the system's is set.
+
+    Args:
+        label: What happened.
+        called: When, on this machine's monotonic clock [s].
+        namespace: Namespace of the testbed.
+
+    Raises:
+        ConfigurationError: If the namespace cannot be one.
+        TestbedError: If nobody subscribes, or it is not acknowledged.
+    """
+    try:
+        validate_namespace(namespace)
+    except InvalidNamespaceException as error:
+        raise ConfigurationError(
+            f"'{namespace}' is no namespace", f"give one such as /lab ({error})"
+        ) from None
+    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)  # Ctrl-C is the verb's
+    node = rclpy.create_node("event_marker", namespace=namespace)
+    try:
+        return _Marker(node).mark(label, called)
+    finally:
+        node.destroy_node()
+        rclpy.shutdown()
+
+
+class _Marker:
+    """What the event is published with, and what is heard meanwhile."""
+
+    def __init__(self, node: Node) -> None:
+        self._node = node
+        self._triggers: list[tuple[float, int]] = []  # arrival [s] and stamp [ns]
+        self._trial: str | None = None
+        self._publisher = node.create_publisher(Event, EVENT.name, publisher_qos(EVENT))
+        node.create_subscription(Trigger, TRIGGER.name, self._on_trigger, subscriber_qos(TRIGGER))
+        node.create_subscription(
+            String, RECORDED_TRIAL.name, self._on_trial, subscriber_qos(RECORDED_TRIAL)
+        )
+
+    def mark(self, label: str, called: float) -> Marked:
+        if not self._spin(_FOUND_WITHIN, found=True):
+            raise TestbedError(
+                f"nobody subscribes to {self._publisher.topic_name}", self._where_else()
+            )
+        self._spin(_TRIGGERED_WITHIN)
+        header = header_to_ros(self._stamp(called), LOAD_CELL_FRAME)
+        self._publisher.publish(Event(header=header, label=label))
+        if not self._publisher.wait_for_all_acked(Duration(seconds=_HEARD_WITHIN)):
+            raise TestbedError(
+                f"the event was not acknowledged within {_HEARD_WITHIN:g} s",
+                "check that the recorder runs, and 'info' of its trial for the event",
+            )
+        count = self._publisher.get_subscription_count()
+        return Marked(count, self._trial or "", bool(self._triggers))
+
+    def _spin(self, duration: float, found: bool = False) -> bool:
+        """Listen until subscribers are found, or else enough triggers came; returns whether."""
+        deadline = time.monotonic() + duration
+        while time.monotonic() < deadline:
+            rclpy.spin_once(self._node, timeout_sec=_LOOK)
+            if self._is_linked() if found else len(self._triggers) >= _ENOUGH:
+                return True
+        return False
+
+    def _is_linked(self) -> bool:
+        known = self._publisher.get_subscription_count()
+        answered = self._trial is not None or not self._node.count_publishers(RECORDED_TRIAL.name)
+        return answered and known >= max(1, self._node.count_subscribers(EVENT.name))
+
+    def _stamp(self, called: float) -> int:
+        """Stamp of a time of the monotonic clock [s], by the triggers [ns]."""
+        if not self._triggers:
+            return time.time_ns() - round((time.monotonic() - called) * 1e9)
+        (first, begin), (last, end) = self._triggers[0], self._triggers[-1]
+        speed = (end - begin) / (last - first) if last > first else 1e9  # [ns/s]
+        if abs(speed - 1e9) < _REAL_TIME * 1e9:
+            speed = 1e9
+        # The trigger that was held up least says when the monotonic clock was zero.
+        return max(end + round(speed * (called - at)) for at, end in self._triggers)
+
+    def _where_else(self) -> str:
+        """A hint at where an event would be heard."""
+        others = [
+            name.removesuffix(EVENT.name).rstrip("/")
+            for name, types in self._node.get_topic_names_and_types()
+            if name.endswith(f"/{EVENT.name}") and EVENT.type in types
+            and self._node.count_subscribers(name)
+        ]  # fmt: skip
+        if others:
+            return f"give --namespace {' or '.join(others)}"
+        return "start 'run --record DIR' or 'record DIR' on this ROS_DOMAIN_ID first"
+
+    def _on_trigger(self, message: Trigger) -> None:
+        self._triggers.append((time.monotonic(), stamp_from_ros(message.header.stamp)))
+
+    def _on_trial(self, message: String) -> None:
+        self._trial = message.data
