@@ -28,7 +28,7 @@ from socket_testbed.report.figures.channels import (
     panels_figure,
 )
 from socket_testbed.report.figures.pareto import pareto_figure
-from socket_testbed.report.figures.scene import value_scene
+from socket_testbed.report.figures.scene import Scene, TileValues, value_scene
 from socket_testbed.report.figures.style import save_figure, svg_of
 from socket_testbed.report.figures.tile_maps import force_map_figure, tile_map_figure
 from socket_testbed.report.figures.validation import validation_figure
@@ -56,6 +56,7 @@ class ReportFigure:
         description: What it shows, in words for who cannot see it.
         data: Its data, with units in the names of the columns.
         layout: How its pictures are laid out on the page: `panels`, `wide` or `single`.
+        is_map: Whether its colours stand for values: on a dark page they stay as they are.
         panels: Pictures that the page shows in its place, each with its description.
     """
 
@@ -65,6 +66,7 @@ class ReportFigure:
     description: str
     data: pd.DataFrame
     layout: str = "single"
+    is_map: bool = False
     panels: tuple[tuple[Figure, str], ...] = ()
 
     @property
@@ -212,6 +214,7 @@ def force_map(results: Results) -> Iterator[ReportFigure]:
         ),
         drawn=force_map_figure(geometry, mean, _title(results, "Force map")),
         description="Normal pressure on the unrolled socket, and its standard deviation below",
+        is_map=True,
         data=pd.DataFrame(
             {
                 "tile": geometry.names,
@@ -307,31 +310,25 @@ def residuals_table(candidates: Sequence[Candidate]) -> pd.DataFrame:
     )
 
 
-def surface_scene(results: Results) -> dict[str, object]:
-    """The tiles in 3D, with what the page needs to switch between the models' values."""
-    values = {
-        f"{candidate.label} {quantity}": of_tiles
-        for candidate in results.candidates
-        for quantity, of_tiles in _scene_values(results, candidate).items()
-    }
-    picture, visible = value_scene(results.trial.geometry, values)
-    return {
-        "models": [candidate.label for candidate in results.candidates],
-        "quantities": list(dict.fromkeys(key.partition(" ")[2] for key in values)),
-        "picture": picture,
-        "visible": visible,
-    }
+def surface_scene(results: Results) -> Scene:
+    """The tiles in 3D, in the colours of the values of each model."""
+    sets = {candidate.label: _scene_values(results, candidate) for candidate in results.candidates}
+    return value_scene(
+        results.trial.geometry, sets, "The tiles of the socket in the colours of their values"
+    )
 
 
-def _scene_values(results: Results, candidate: Candidate) -> dict[str, tuple[FloatArray, str]]:
-    """Values of the tiles and what they are, by the name of the choice."""
+def _scene_values(results: Results, candidate: Candidate) -> dict[str, TileValues]:
+    """Parameters of a model on the tiles, by the name of the choice."""
     model, frame = candidate.model, _frame(candidate)
     kinds = [
         ("stiffness", "N/m", model.stiffness),
         ("rest position", "mm", _rest_offsets(results, candidate)),
     ]
     values = {
-        f"{kind} {axis} [{unit}]": (of_tiles[:, i], f"{kind} along {axis} of {frame} [{unit}]")
+        f"{kind} {axis} [{unit}]": TileValues(
+            f"{kind} along {axis} of {frame} [{unit}]", of_tiles[:, i]
+        )
         for kind, unit, of_tiles in kinds
         for i, axis in enumerate(_AXES)
     }
@@ -340,8 +337,8 @@ def _scene_values(results: Results, candidate: Candidate) -> dict[str, tuple[Flo
         for cluster, force in model.force_bias.items():
             bias[model.cluster_points[cluster]] = force
         for i, channel in enumerate(LOCAL_CHANNELS):
-            unit = f"offset {channel} in the cluster's frame [N]"
-            values[f"offset {channel} [N]"] = (bias[:, i], unit)
+            title = f"offset {channel} in the cluster's frame [N]"
+            values[f"offset {channel} [N]"] = TileValues(title, bias[:, i])
     return values
 
 
@@ -382,6 +379,7 @@ def _tile_map(
             f"{results.trial.name}: {title}",
         ),
         description=f"{title}: tiles of the unrolled socket in the colours of their values",
+        is_map=True,
         data=pd.DataFrame(
             {
                 "tile": geometry.names,

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import base64
 import math
-from collections.abc import Callable, Iterator, Mapping
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from itertools import groupby
@@ -12,6 +12,7 @@ from typing import Any
 
 import pandas as pd
 from jinja2 import Environment, PackageLoader, StrictUndefined
+from markupsafe import Markup
 from pandas.api.types import is_numeric_dtype
 
 from socket_testbed.report.figures.style import FONT
@@ -55,12 +56,14 @@ class Table:
             first names groups of columns.
         formats: Format specifications of the columns with numbers, by title or group; three
             decimals unless given.
+        is_text: Whether its cells hold running text, which wraps.
     """
 
     name: str
     caption: str
     frame: pd.DataFrame
     formats: Mapping[str, str] = field(default_factory=dict)
+    is_text: bool = False
 
     @property
     def heading(self) -> str:
@@ -97,6 +100,33 @@ class Table:
         return self.formats.get(column.title) or self.formats.get(column.group, "z.3f")
 
 
+def pairs_table(name: str, caption: str, pairs: Sequence[tuple[str, str]]) -> Table:
+    """A table of names and what they stand for, in words."""
+    frame = pd.DataFrame([*pairs], columns=["name", "value"]).set_index("name")
+    return Table(name, caption, frame, is_text=True)
+
+
+_NOT_DRAWN = re.compile(
+    r"<\?xml.*?\?>|<!DOCTYPE.*?>|<!--.*?-->|<metadata>.*?</metadata>", re.DOTALL
+)
+_PATH = re.compile(r' d="[^"]*"')
+_FAR_DECIMALS = re.compile(r"(\.\d)\d+")
+_RESERVED = str.maketrans(
+    {"%": "%25", "#": "%23", "&": "%26", "<": "%3C", ">": "%3E", '"': "'", "\n": " "}
+)
+
+
+def svg_url(svg: str) -> Markup:
+    """A picture as the address of an image: paths to a tenth of a point, without comments.
+
+    Args:
+        svg: What matplotlib writes, whose attributes hold no apostrophe.
+    """
+    drawn = _NOT_DRAWN.sub("", svg)
+    rounded = _PATH.sub(lambda path: _FAR_DECIMALS.sub(r"\1", path[0]), drawn)
+    return Markup("data:image/svg+xml," + " ".join(rounded.split()).translate(_RESERVED))
+
+
 def render(template: str, **content: Any) -> str:
     """A page from its template; every text in it is escaped.
 
@@ -117,7 +147,7 @@ def _environment() -> Environment:
         lstrip_blocks=True,
     )
     filters: dict[str, Callable[[Any], str]] = {
-        "base64": lambda text: base64.b64encode(text.encode()).decode(),
+        "svg_url": svg_url,
         "g": lambda value: f"{value:g}",
     }
     environment.filters |= filters

@@ -18,7 +18,7 @@ from socket_testbed.identification.information import LEAST_RATIO
 from socket_testbed.identification.noise import channel_noise, noise_groups
 from socket_testbed.identification.pareto import KNEE, SENSOR_ONLY, WRENCH_ONLY
 from socket_testbed.identification.validation import LEVELS, summarise_judgements
-from socket_testbed.report.page import Table, counted, number
+from socket_testbed.report.page import Table, counted, number, pairs_table
 from socket_testbed.report.results import (
     Results,
     describe_triggers,
@@ -34,6 +34,21 @@ PAPER_FIGURES = {
     "mean moment RMSE [N m]": (1.69, 0.44),
     "median local RMSE [N]": (90.07, 3.76),
     "RMSE of Mx [N m]": (3.99, 0.95),
+}
+
+# The sections of the page, titles by their ids.
+CONTENTS = {
+    "summary": "Summary",
+    "force-map": "Force map",
+    "wrench": "Wrench",
+    "local": "Local forces",
+    "errors-section": "Errors",
+    "validation": "Validation",
+    "fronts": "Pareto fronts",
+    "surface": "Surface",
+    "quality": "Data quality",
+    "certificates": "Certificates",
+    "provenance": "Provenance",
 }
 
 _TRUTH = "tiles without a sensor (simulated truth)"
@@ -67,19 +82,20 @@ def page_content(results: Results, command: str, made: datetime) -> dict[str, An
         _residuals(results),
         _shares(results),
         _certificates(results),
-        _pairs("provenance-table", "What the report was made from and with", origin),
-        _pairs("settings", "Settings by their names in parameters.yaml", _settings(results)),
+        pairs_table("provenance-table", "What the report was made from and with", origin),
+        pairs_table("settings", "Settings by their names in parameters.yaml", _settings(results)),
     ]
     held_out = [candidate.held_out for candidate in results.candidates]
     if all(held_out):
         caption = "Errors over the rest of the trial (held-out), in the unit of the channel"
         tables.append(_errors(results, "held-out", caption, held_out))
     if stated := results.trial.metadata.described():
-        tables.append(_pairs("metadata", "What is stated about the trial", [*stated.items()]))
+        tables.append(pairs_table("metadata", "What is stated about the trial", [*stated.items()]))
     if results.fronts:
         tables.append(_marks(results))
     tables += _validation(results)
     return {
+        "contents": CONTENTS,
         "summary": summarise(results),
         "notes": list_notes(results),
         "tables": {table.name: table for table in tables},
@@ -170,11 +186,6 @@ def _version(name: str) -> str:
         return version(name)
     except PackageNotFoundError:  # a checkout that is not installed
         return "not installed as a package"
-
-
-def _pairs(name: str, caption: str, pairs: Sequence[tuple[str, str]]) -> Table:
-    names, values = zip(*pairs, strict=True)
-    return Table(name, caption, pd.DataFrame({"value": values}, index=pd.Index(names, name="name")))
 
 
 def _beside_the_paper(results: Results) -> Table:

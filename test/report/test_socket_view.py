@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import dataclasses
+import gzip
 import html
 import json
 
@@ -23,7 +24,13 @@ from support.ring_socket import ring_socket
 from socket_testbed.errors import ConfigurationError, ScanError, TestbedError
 from socket_testbed.geometry.axis import SocketAxis, axis_through
 from socket_testbed.geometry.socket import SocketGeometry
-from socket_testbed.report.figures.scene import neighbour_trace, socket_page, tile_traces
+from socket_testbed.report.figures.scene import (
+    TileValues,
+    neighbour_trace,
+    socket_page,
+    tile_traces,
+    value_traces,
+)
 from socket_testbed.report.figures.socket_picture import (
     DISTAL,
     SIDES,
@@ -273,23 +280,34 @@ def test_neighbours_are_joined_and_wait_in_the_legend(geometry):
 def test_values_colour_the_tiles_of_a_page(geometry, rng):
     values = rng.uniform(2.0, 70.0, len(geometry))
     values[[3, 11]] = np.nan
-    fills = [t for t in tile_traces(geometry, values, "pressure [kPa]") if t.type == "mesh3d"]
-    known = np.isfinite(values)
-    np.testing.assert_array_equal(fills[0].intensity, np.repeat(values[known], 5))
-    assert (fills[0].cmin, fills[0].cmax) == (np.nanmin(values), np.nanmax(values))
-    assert fills[0].colorbar.title.text == "pressure [kPa]"
+    found = TileValues("pressure [kPa]", values).document(geometry)
+    (row,) = found["values"]
+    np.testing.assert_allclose([np.nan if v is None else v for v in row], values)
+    assert [row[3], row[11], found["times"]] == [None] * 3
+    assert (found["low"], found["high"]) == (np.nanmin(values), np.nanmax(values))
+    assert found["unit"] == "pressure [kPa]"
+    coloured, white = (t for t in value_traces(geometry) if t.type == "mesh3d")
     # Light and shade would make other colours of those of the bar.
-    assert (fills[0].lighting.ambient, fills[0].lighting.diffuse) == (1.0, 0.0)
-    assert f"pressure [kPa]: {values[0]:.4g}" in fills[0].text[0]
-    assert {text.split("<br>")[1] for text in fills[1].text} == {"pressure [kPa]: none"}
-    shown = [text.split("<br>")[0] for fill in fills for text in fill.text[::5]]
-    assert sorted(shown) == sorted(f"<b>{name}</b>" for name in geometry.names)
+    assert (coloured.lighting.ambient, coloured.lighting.diffuse) == (1.0, 0.0)
+    for trace in (coloured, white):
+        points = np.column_stack([trace.x, trace.y, trace.z]).reshape(-1, 5, 3)
+        np.testing.assert_allclose(points[:, :4], 1e3 * tile_squares(geometry), atol=1e-4)
+
+
+def test_instants_share_one_scale_and_have_their_times(geometry, rng):
+    values, times = rng.uniform(0.0, 70.0, (3, len(geometry))), np.array([0.0, 1.25, 7.0])
+    found = TileValues("pressure [kPa]", values, times).document(geometry)
+    assert (found["low"], found["high"]) == (values.min(), values.max())
+    assert found["times"] == [0.0, 1.25, 7.0]
+    np.testing.assert_allclose(found["values"], values, rtol=5e-4)
 
 
 @pytest.mark.parametrize(
     ("change", "fact"), [(lambda v: v[:-1], "shape (66,)"), (lambda v: v / 0, "'ring1_01'")]
 )
-@pytest.mark.parametrize("draw", [tile_traces, paint_tiles])
+@pytest.mark.parametrize(
+    "draw", [lambda geometry, v: TileValues("", v).document(geometry), paint_tiles]
+)
 def test_values_that_are_not_the_tiles_are_refused(geometry, draw, change, fact):
     with np.errstate(divide="ignore"):
         values = change(np.ones(len(geometry)))
@@ -472,16 +490,10 @@ def test_a_picture_of_another_kind_is_refused(geometry, tmp_path):
 # --- the page
 
 
-def scene(page: Page) -> tuple[list[dict], dict, dict]:
-    """The traces, the layout and the settings that the page's script draws."""
-    script = next(s for s in page.said["script"] if "Plotly.newPlot(" in s and len(s) < 4e6)
-    rest = script.split("Plotly.newPlot(", 1)[1].split(",", 1)[1]
-    parts = []
-    for _ in range(3):
-        value, end = json.JSONDecoder().raw_decode(rest := rest.lstrip(" ,\n"))
-        parts.append(value)
-        rest = rest[end:]
-    return tuple(parts)
+def scene(page: Page) -> tuple[list[dict], dict]:
+    """The traces and the layout that the page's script draws."""
+    figure = json.loads(page.script("scene-figure"))
+    return figure["data"], figure["layout"]
 
 
 def written(tmp_path, geometry, mesh=None, title="A socket", facts=()) -> tuple[str, Page]:
@@ -494,21 +506,31 @@ def written(tmp_path, geometry, mesh=None, title="A socket", facts=()) -> tuple[
 
 def test_a_page_loads_nothing_and_could_not(geometry, tmp_path):
     text, page = written(tmp_path, geometry)
-    assert not page.loads
+    assert page.loads and all(what.startswith("data:image/svg+xml,") for what in page.loads)
     assert not page.open
     assert "default-src 'none'" in page.policy
     assert "http" not in page.policy
     assert "@import" not in "".join(page.said["style"])
     assert "url(" not in "".join(page.said["style"])
-    assert text.count("plotly.js v") == 1
-    _, _, settings = scene(page)
-    # A list of buttons, so that none comes along that sends the chart to somebody.
-    assert all("loud" not in button for group in settings["modeBarButtons"] for button in group)
+    viewer = gzip.decompress(base64.b64decode(page.script("scene-viewer"))).decode()
+    assert viewer.count("plotly.js v") == 1
+    # The viewer's own buttons hold one that sends the chart to somebody.
+    assert "displayModeBar: false" in text
+
+
+def test_a_scene_is_reached_by_keyboard_and_has_a_still_picture_in_its_place(geometry, tmp_path):
+    _, page = written(tmp_path, geometry)
+    (box,) = [a for _, a in page.tags if a.get("id") == "scene"]
+    assert box["tabindex"] == "0" and box["aria-label"] and box["role"]
+    assert set(page.said["button"]) >= {"Turn left", "Nearer", "Start view"}
+    # Without its script the page shows the picture, and no control that does nothing.
+    assert len([tag for tag, _ in page.tags if tag == "img"]) == 1
+    assert all("hidden" in a for _, a in page.tags if "needs-scene" in (a.get("class") or ""))
 
 
 def test_a_page_holds_every_tile_and_equal_axes_in_mm(geometry, tmp_path):
     _, page = written(tmp_path, geometry)
-    traces, layout, _ = scene(page)
+    traces, layout = scene(page)
     shown = {text.split("<br>")[0] for trace in traces for text in trace.get("text", ())}
     assert {f"<b>{name}</b>" for name in geometry.names} <= shown
     assert {" x", " y", " z", " proximal"} <= shown
@@ -524,8 +546,8 @@ def test_names_are_no_markup(geometry, tmp_path):
     text, page = written(tmp_path, renamed(geometry, NASTY), title=NASTY, facts=facts)
     assert NASTY not in text
     assert page.said["title"] == page.said["h1"] == [NASTY]
-    assert (page.said["th"], page.said["td"]) == ([NASTY, "tiles"], ["1 < 2", NASTY])
-    traces, layout, _ = scene(page)
+    assert page.tables["facts"][1:] == [[NASTY, "1 < 2"], ["tiles", NASTY]]
+    traces, layout = scene(page)
     names = {t.split("<br>")[0][3:-4] for trace in traces for t in trace.get("text", ())}
     names |= {annotation["text"] for annotation in layout["scene"]["annotations"]}
     assert NASTY in {html.unescape(name) for name in names}
@@ -534,7 +556,7 @@ def test_names_are_no_markup(geometry, tmp_path):
 
 def test_a_page_of_half_a_million_faces_stays_small(geometry, tmp_path):
     text, _ = written(tmp_path, geometry, mesh=cone(500, 500))
-    assert len(text.encode()) < 8e6
+    assert len(text.encode()) < 4e6
 
 
 def test_a_page_needs_neither_clusters_nor_neighbours(geometry, tmp_path):

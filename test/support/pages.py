@@ -49,7 +49,7 @@ class Page(HTMLParser):
             self._rows.append([])
         elif tag in ("td", "th"):
             self._rows[-1].append("")
-        if tag not in ("meta", "img"):
+        if tag not in ("meta", "img", "input"):
             self.open.append(tag)
             self.said.setdefault(tag, []).append("")
 
@@ -79,6 +79,11 @@ class Page(HTMLParser):
     def policy(self) -> str:
         """The content security policy."""
         return next(a["content"] or "" for _, a in self.tags if a.get("http-equiv"))
+
+    def script(self, name: str) -> str:
+        """What the script with an id holds."""
+        scripts = [attributes.get("id") for tag, attributes in self.tags if tag == "script"]
+        return self.said["script"][scripts.index(name)]
 
     def rows(self, table: str) -> dict[str, list[str]]:
         """Rows of a table by their first cell."""

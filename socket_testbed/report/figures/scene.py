@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import base64
+import gzip
 import html
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -11,11 +15,14 @@ import numpy as np
 import plotly.graph_objects as go
 import trimesh
 from markupsafe import Markup
+from matplotlib.figure import Figure
+from plotly.offline import get_plotlyjs
 
 from socket_testbed.arrays import BoolArray, FloatArray, IntArray
 from socket_testbed.files import atomic_output
 from socket_testbed.geometry.axis import proximal_direction
 from socket_testbed.geometry.socket import SocketGeometry
+from socket_testbed.report.figures.socket_picture import SIDES, draw_view, frame_view
 from socket_testbed.report.figures.style import (
     AXES,
     CLUSTER,
@@ -26,6 +33,7 @@ from socket_testbed.report.figures.style import (
     SCALE,
     TILE,
     VEIL,
+    svg_of,
 )
 from socket_testbed.report.figures.tiles import (
     AXIS_NAMES,
@@ -33,12 +41,13 @@ from socket_testbed.report.figures.tiles import (
     covered_tiles,
     drawable_surface,
     drawn_bounds,
+    paint_tiles,
     place_axes,
     tile_labels,
     tile_squares,
     value_range,
 )
-from socket_testbed.report.page import render
+from socket_testbed.report.page import pairs_table, render
 
 # Two triangles per square would meet at a seam; four around its centre also let the pointer
 # find the tile wherever it is on it.
@@ -49,6 +58,9 @@ _LABEL_AT = 0.8  # [-]; likewise, from its start
 _MOST_FACES = 60_000
 # Beside a narrow scene there is no space for it.
 _COLOUR_BAR_HEIGHT = 0.15  # [-]; of the picture
+_DIGITS = 9  # of a value on the page
+_DIGITS_OVER_TIME = 4
+_STILL = (9.0, 4.2)  # [inch]
 _COLOUR_BAR = {"orientation": "h", "y": 0.0, "yanchor": "bottom", "thickness": 12, "len": 0.8}
 
 
@@ -58,44 +70,75 @@ def surface_trace(surface: trimesh.Trimesh) -> go.Mesh3d:
     return _mesh(surface.vertices, surface.faces, "interior surface", **veil)
 
 
-def tile_traces(
-    geometry: SocketGeometry, values: FloatArray | None = None, unit: str = ""
-) -> list[Any]:
+def tile_traces(geometry: SocketGeometry) -> list[Any]:
     """The tiles as filled squares with outlines, each with its facts under the pointer.
 
-    Without values, tiles with and without a cluster have two colours; with them, all are on
-    one colour scale that prints in grey, and outlines show the clusters.
-    A surface that is drawn with them should start hidden: its veil would change their colours.
+    Tiles with and without a cluster have two colours.
 
     Args:
         geometry: The socket.
-        values: One value per tile in `unit`, shape (n,); NaN, left white, where there is none.
-        unit: What the values are, with their unit, such as `pressure [kPa]`.
-
-    Raises:
-        ConfigurationError: If the values are not those of these tiles.
     """
     covered = covered_tiles(geometry)
-    if values is None:
-        around_cluster = "black"
-        kinds = [
-            ("tiles", ~covered, {"color": TILE}),
-            ("tiles with a cluster", covered, {"color": CLUSTER}),
-        ]
-    else:
-        around_cluster = CLUSTER
-        missing = np.isnan(values)
-        kinds = [
-            ("tiles", ~missing, _coloured(geometry, values, unit)),
-            ("tiles without a value", missing, {"color": NO_VALUE}),
-        ]
-    facts = _tile_facts(geometry, values, unit)
-    traces = [
-        *(_filled(geometry, chosen, facts, name, paint) for name, chosen, paint in kinds),
-        _outlines(geometry, ~covered, "outlines", EDGE, 3),
-        _outlines(geometry, covered, "outlines of the clusters", around_cluster, 6),
+    facts = _tile_facts(geometry)
+    kinds = [("tiles", ~covered, TILE), ("tiles with a cluster", covered, CLUSTER)]
+    filled = [
+        _filled(geometry, chosen, name, color=colour, text=_repeated(facts, chosen))
+        for name, chosen, colour in kinds
+        if chosen.any()
     ]
-    return [trace for trace in traces if trace is not None]
+    return [*filled, *_outlines(geometry, "black")]
+
+
+@dataclass(frozen=True)
+class TileValues:
+    """Values that colour the tiles of a scene.
+
+    Attributes:
+        title: What they are, with their unit, such as `pressure [kPa]`.
+        values: One value per tile, shape (n,); NaN, left white, where there is none. Or such a
+            row for every instant, shape (k, n).
+        times: The instants since the first sample, shape (k,) [s]; None for a single row.
+    """
+
+    title: str
+    values: FloatArray
+    times: FloatArray | None = None
+
+    def document(self, geometry: SocketGeometry) -> dict[str, Any]:
+        """What the page needs of them; null stands for no value.
+
+        Raises:
+            ConfigurationError: If the values are not those of these tiles.
+        """
+        low, high = value_range(geometry, self.values)
+        digits = _DIGITS if self.times is None else _DIGITS_OVER_TIME
+        return {
+            "unit": _escape(self.title),
+            "low": low,
+            "high": high,
+            "times": None if self.times is None else self.times.round(2).tolist(),
+            "values": [
+                [None if np.isnan(value) else float(f"{value:.{digits}g}") for value in row]
+                for row in np.atleast_2d(self.values)
+            ],
+        }
+
+
+def value_traces(geometry: SocketGeometry) -> list[Any]:
+    """All tiles twice, to be filled on one colour scale that prints in grey, or left white.
+
+    The page chooses which of them have a value, and colours those. Outlines show the clusters.
+
+    Args:
+        geometry: The socket.
+    """
+    every = np.ones(len(geometry), dtype=bool)
+    scale = {"colorscale": SCALE, "colorbar": _COLOUR_BAR | {"title": {"side": "top"}}}
+    return [
+        _filled(geometry, every, "tiles", **scale),
+        _filled(geometry, every, "tiles without a value", color=NO_VALUE),
+        *_outlines(geometry, CLUSTER),
+    ]
 
 
 def cluster_names(geometry: SocketGeometry) -> list[dict[str, Any]]:
@@ -146,11 +189,7 @@ def proximal_traces(geometry: SocketGeometry, length: float) -> list[Any]:
     return _arrow(start, start + length * direction, "proximal", PROXIMAL, "proximal direction")
 
 
-def _filled(
-    geometry: SocketGeometry, chosen: BoolArray, facts: list[str], name: str, paint: dict[str, Any]
-) -> go.Mesh3d | None:
-    if not chosen.any():
-        return None
+def _filled(geometry: SocketGeometry, chosen: BoolArray, name: str, **paint: Any) -> go.Mesh3d:
     squares = tile_squares(geometry)[chosen]
     points = np.concatenate([squares, geometry.anchors[chosen][:, None]], axis=1)
     return _mesh(
@@ -159,49 +198,39 @@ def _filled(
         name,
         **paint,
         lighting=_UNSHADED,
-        text=[facts[tile] for tile in np.flatnonzero(chosen) for _ in range(5)],
         hovertemplate="%{text}<extra></extra>",
         hoverlabel={"bgcolor": "white", "bordercolor": EDGE, "font": {"color": "black"}},
         legendgroup=name,
     )
 
 
-def _coloured(geometry: SocketGeometry, values: FloatArray, unit: str) -> dict[str, Any]:
-    low, high = value_range(geometry, values)
-    return {
-        "intensity": np.repeat(values[~np.isnan(values)], 5),
-        "cmin": low,
-        "cmax": high,
-        "colorscale": SCALE,
-        "colorbar": _COLOUR_BAR | {"title": {"text": _escape(unit), "side": "top"}},
-    }
+def _repeated(facts: list[str], chosen: BoolArray) -> list[str]:
+    """What the pointer shows at the five points of every chosen tile."""
+    return [facts[tile] for tile in np.flatnonzero(chosen) for _ in range(5)]
 
 
-def _tile_facts(geometry: SocketGeometry, values: FloatArray | None, unit: str) -> list[str]:
+def _tile_facts(geometry: SocketGeometry) -> list[str]:
     """What the pointer shows of each tile."""
-    facts = []
-    for tile, label in enumerate(tile_labels(geometry)):
-        lines = [f"<b>{_escape(label)}</b>"]
-        if values is None:
-            lines += [
-                f"anchor {_vector(1e3 * geometry.anchors[tile], 1)} mm",
-                f"area {1e6 * geometry.areas[tile]:.1f} mm²",
-                f"inward normal {_vector(geometry.rotations[tile, :, 2], 3)}",
-            ]
-        else:  # a page holds many sets of values, each with the facts of every tile
-            value = "none" if np.isnan(values[tile]) else f"{values[tile]:.4g}"
-            lines.append(f"{_escape(unit)}: {value}")
-        facts.append("<br>".join(lines))
-    return facts
+    return [
+        f"<b>{_escape(label)}</b><br>anchor {_vector(1e3 * geometry.anchors[tile], 1)} mm"
+        f"<br>area {1e6 * geometry.areas[tile]:.1f} mm²"
+        f"<br>inward normal {_vector(geometry.rotations[tile, :, 2], 3)}"
+        for tile, label in enumerate(tile_labels(geometry))
+    ]
 
 
-def _outlines(
-    geometry: SocketGeometry, chosen: BoolArray, name: str, colour: str, width: int
-) -> go.Scatter3d | None:
-    if not chosen.any():
-        return None
-    squares = tile_squares(geometry)[chosen][:, [0, 1, 2, 3, 0]]
-    return _lines(squares, colour, width, name=name, showlegend=False)
+def _outlines(geometry: SocketGeometry, around_cluster: str) -> list[go.Scatter3d]:
+    covered = covered_tiles(geometry)
+    squares = tile_squares(geometry)[:, [0, 1, 2, 3, 0]]
+    kinds = [
+        ("outlines", ~covered, EDGE, 3),
+        ("outlines of the clusters", covered, around_cluster, 6),
+    ]
+    return [
+        _lines(squares[chosen], colour, width, name=name, showlegend=False)
+        for name, chosen, colour, width in kinds
+        if chosen.any()
+    ]
 
 
 def _arrow(
@@ -263,8 +292,6 @@ def _escape(text: str) -> str:
 
 _EYE = np.array([1.1, 0.86, 0.3])  # of the diagonal: anterior, left and above
 _CENTRE = np.array([0.0, 0.0, -0.06])  # likewise: the nearest edge of the box hangs lowest
-# The viewer's own list holds a button that sends the chart away.
-_BUTTONS = ["toImage", "zoom3d", "pan3d", "orbitRotation", "resetCameraDefault3d"]
 _AXIS = {
     "backgroundcolor": "white",
     "gridcolor": "#DDDDDD",
@@ -273,19 +300,44 @@ _AXIS = {
 }
 
 
-def _scene_html(
+@dataclass(frozen=True)
+class Scene:
+    """A scene as the template `viewer` shows it.
+
+    Attributes:
+        description: What is to be seen, in words.
+        figure: Traces and layout, as JSON.
+        viewer: The viewer's code, compressed by gzip, in base64.
+        still: The picture in its place as SVG.
+        choices: Names of the sets of values that the page offers; empty where the tiles have none.
+        values: Names of the tiles, and the sets, by their names; None for none.
+    """
+
+    description: str
+    figure: Markup
+    viewer: Markup
+    still: str
+    choices: Sequence[str]
+    values: Mapping[str, Any] | None
+
+
+@cache
+def _viewer() -> Markup:
+    """plotly.js as it comes with plotly, compressed: the browser unpacks it."""
+    return Markup(base64.b64encode(gzip.compress(get_plotlyjs().encode(), mtime=0)).decode())
+
+
+def _figure(
     traces: Sequence[Any],
     geometry: SocketGeometry,
-    name: str,
     lowest: float = 0.0,
     legend: Mapping[str, Any] | None = None,
 ) -> Markup:
-    """The HTML of a scene in {S}, in mm, with the viewer inlined; it escapes every name.
+    """Traces and layout of a scene in {S}, in mm, as JSON in which every name is escaped.
 
     Args:
         traces: What is drawn.
         geometry: The socket, whose clusters are named.
-        name: Its id in the page.
         lowest: Share of the height below the scene [-].
         legend: Where the legend is; None for none.
     """
@@ -294,6 +346,7 @@ def _scene_html(
     }
     scene |= {
         "aspectmode": "data",
+        "dragmode": "turntable",
         "domain": {"y": [lowest, 1.0]},
         "camera": _camera(traces),
         "annotations": cluster_names(geometry),
@@ -303,16 +356,26 @@ def _scene_html(
         "margin": {"l": 0, "r": 0, "t": 0, "b": 0},
         "showlegend": legend is not None,
         "legend": legend or {},
-        "font": {"family": FONT, "size": 13},
-        "paper_bgcolor": "white",
+        "font": {"family": FONT, "size": 13, "color": "#222222"},
+        "paper_bgcolor": "rgba(0, 0, 0, 0)",
     }
-    page = go.Figure([*traces], layout).to_html(
-        full_html=False,
-        include_plotlyjs=True,
-        div_id=name,
-        config={"responsive": True, "displaylogo": False, "modeBarButtons": [_BUTTONS]},
-    )
-    return Markup(page)
+    document = go.Figure([*traces], {"template": "none", **layout}).to_json()
+    return Markup(document.replace("<", "\\u003c"))
+
+
+def _still(geometry: SocketGeometry, values: FloatArray | None = None, title: str = "") -> str:
+    """The tiles from four sides, as SVG; in the colours of their values if there are some."""
+    paint = paint_tiles(geometry, values)
+    figure = Figure(figsize=_STILL, layout="constrained")
+    axes = figure.subplots(1, len(SIDES), sharey=True)
+    for axis, view in zip(axes, SIDES, strict=True):
+        frame_view(axis, view, *drawn_bounds(geometry))
+        draw_view(axis, view, geometry, paint, np.arange(len(geometry)))
+        axis.label_outer()
+    if paint.scale is not None:
+        bar = figure.colorbar(paint.scale, ax=[*axes], orientation="horizontal", aspect=40)
+        bar.set_label(title, parse_math=False)
+    return svg_of(figure)
 
 
 def _camera(traces: Sequence[Any]) -> dict[str, Any]:
@@ -358,37 +421,52 @@ def socket_page(
         *proximal_traces(geometry, axes.length),
     ]
     legend = {"orientation": "h", "yref": "container", "y": 0, "yanchor": "bottom"}
-    scene = _scene_html(traces, geometry, "socket", legend=legend)
-    page = render("socket.html", title=title, facts=facts, scene=scene)
+    page = render(
+        "socket.html",
+        title=title,
+        facts=pairs_table("facts", "The socket and its tiles", facts),
+        scene=Scene(
+            description="The interior surface of the socket with its tiles, in 3D",
+            figure=_figure(traces, geometry, legend=legend),
+            viewer=_viewer(),
+            still=_still(geometry),
+            choices=(),
+            values=None,
+        ),
+    )
     with atomic_output(path) as output:
         output.write_text(page, encoding="utf-8")
 
 
 def value_scene(
-    geometry: SocketGeometry, values: Mapping[str, tuple[FloatArray, str]]
-) -> tuple[Markup, dict[str, list[bool]]]:
-    """A scene with the tiles in the colours of the first set of values.
+    geometry: SocketGeometry, sets: Mapping[str, Mapping[str, TileValues]], description: str
+) -> Scene:
+    """A scene with the tiles in the colours of values that the page's reader chooses.
 
     Args:
         geometry: The socket.
-        values: One value per tile, shape (n,), NaN where there is none, and what they are
-            with their unit, by a key.
-
-    Returns:
-        The HTML of the scene with the viewer itself, whose id is `scene`; and for each set of
-        values by its key, whether each trace is shown.
+        sets: Values by what they are of, and there by what they are; the first are shown first.
+        description: What is to be seen, in words.
 
     Raises:
         ConfigurationError: If the values are not those of these tiles.
     """
     axes = place_axes(*drawn_bounds(geometry))
-    shared = [*axes_traces(axes), *proximal_traces(geometry, axes.length)]
-    traces, owner = list(shared), [""] * len(shared)
-    for key, (tiles, unit) in values.items():
-        own = tile_traces(geometry, tiles, unit)
-        traces += own
-        owner += [key] * len(own)
-    visible = {key: [name in ("", key) for name in owner] for key in values}
-    for trace, shown in zip(traces, visible[next(iter(values))], strict=True):
-        trace.visible = shown
-    return _scene_html(traces, geometry, "scene", lowest=_COLOUR_BAR_HEIGHT), visible
+    traces = [
+        *value_traces(geometry),
+        *axes_traces(axes),
+        *proximal_traces(geometry, axes.length),
+    ]
+    documents = {
+        source: {name: values.document(geometry) for name, values in of_source.items()}
+        for source, of_source in sets.items()
+    }
+    first = next(iter(next(iter(sets.values())).values()))
+    return Scene(
+        description=description,
+        figure=_figure(traces, geometry, lowest=_COLOUR_BAR_HEIGHT),
+        viewer=_viewer(),
+        still=_still(geometry, np.atleast_2d(first.values)[0], first.title),
+        choices=[*sets],
+        values={"names": [_escape(label) for label in tile_labels(geometry)], "sets": documents},
+    )

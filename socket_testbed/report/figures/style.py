@@ -164,9 +164,9 @@ def save_figure(figure: Figure, path: Path, dpi: int = 300) -> None:
 
 @in_style
 def svg_of(figure: Figure) -> str:
-    """A figure as a stand-alone SVG that needs no fonts."""
+    """A figure as a stand-alone SVG that needs no fonts, on whatever paper is below it."""
     buffer = io.StringIO()
-    figure.savefig(buffer, format="svg", metadata={"Date": None})
+    figure.savefig(buffer, format="svg", metadata={"Date": None}, transparent=True)
     return buffer.getvalue()
 
 

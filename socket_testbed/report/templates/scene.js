@@ -1,17 +1,101 @@
-(function () {
-  const visible = {{ scene.visible | tojson }};
-  const model = document.getElementById("model"), value = document.getElementById("value");
-  function limit() {
-    for (const option of value.options) {
-      option.disabled = !((model.value + " " + option.value) in visible);
-    }
-    if (value.selectedOptions[0].disabled) { value.selectedIndex = 0; }
+// Shows a scene in place of its still picture, where the browser can.
+(async function () {
+  "use strict";
+  const box = document.getElementById("scene"), state = document.getElementById("scene-state");
+  if (!document.createElement("canvas").getContext("webgl") || !("DecompressionStream" in window)) {
+    state.textContent = "A still picture: this browser shows no 3D (WebGL).";
+    return;
+  }
+  const read = (name) => document.getElementById(name).textContent;
+  const figure = JSON.parse(read("scene-figure")), choices = JSON.parse(read("scene-values"));
+  const packed = Uint8Array.from(atob(read("scene-viewer")), (letter) => letter.charCodeAt(0));
+  const unpacked = new Blob([packed]).stream().pipeThrough(new DecompressionStream("gzip"));
+  const viewer = document.createElement("script");
+  viewer.textContent = await new Response(unpacked).text();
+  document.head.append(viewer);
+
+  // The tiles: five points each, four triangles around the last.
+  const FAN = [[4, 0, 1], [4, 1, 2], [4, 2, 3], [4, 3, 0]];
+  const control = (name) => document.getElementById(name);
+  function paint(set, row) {
+    const values = set.values[row], known = [], unknown = [];
+    values.forEach((value, tile) => (value === null ? unknown : known).push(tile));
+    const facts = values.flatMap((value, tile) => Array(5).fill(
+      `<b>${choices.names[tile]}</b><br>${set.unit}: ${value === null ? "none" : +value.toPrecision(4)}`
+    ));
+    [known, unknown].forEach((tiles, i) => {
+      const corner = (c) => tiles.flatMap((tile) => FAN.map((face) => 5 * tile + face[c]));
+      Object.assign(figure.data[i], {
+        i: corner(0), j: corner(1), k: corner(2), text: facts, visible: tiles.length > 0,
+      });
+    });
+    Object.assign(figure.data[0], {
+      intensity: values.flatMap((value) => Array(5).fill(value ?? set.low)),
+      cmin: set.low, cmax: set.high,
+    });
+    figure.data[0].colorbar.title.text = set.unit;
   }
   function show() {
-    limit();
-    Plotly.restyle("scene", {visible: visible[model.value + " " + value.value]});
+    if (choices) {
+      const set = choices.sets[control("source").value][control("value").value];
+      const slider = control("instant");
+      control("time").hidden = !set.times;
+      slider.max = set.values.length - 1;
+      control("instant-shown").value = set.times ? `${set.times[slider.value]} s` : "";
+      paint(set, slider.value);
+    }
+    return Plotly.react(box, figure.data, figure.layout, {
+      responsive: true, displayModeBar: false,
+    });
   }
-  model.addEventListener("change", show);
-  value.addEventListener("change", show);
-  limit();
+  function list() {
+    const names = Object.keys(choices.sets[control("source").value]);
+    const before = control("value").value;
+    control("value").replaceChildren(...names.map((name) => new Option(name)));
+    control("value").value = names.includes(before) ? before : names[0];
+  }
+  function restart() {
+    const times = choices.sets[control("source").value][control("value").value].times;
+    control("instant").max = times ? times.length - 1 : 0;
+    if (!times) { control("instant").value = 0; }
+  }
+  if (choices) {
+    list();
+    control("source").addEventListener("change", () => { list(); restart(); show(); });
+    control("value").addEventListener("change", () => { restart(); show(); });
+    control("instant").addEventListener("input", show);
+  }
+  box.replaceChildren();
+  state.hidden = true;
+  await show();
+  const start = JSON.stringify(box.layout.scene.camera);
+
+  const TURN = Math.PI / 18, NEARER = 1 / 1.15;  // of one step
+  const STEPS = {  // around, upwards, distance
+    ArrowLeft: [TURN, 0, 1], ArrowRight: [-TURN, 0, 1], ArrowUp: [0, TURN, 1],
+    ArrowDown: [0, -TURN, 1], "+": [0, 0, NEARER], "-": [0, 0, 1 / NEARER],
+  };
+  function move(key) {
+    if (key === "Home") { return Plotly.relayout(box, {"scene.camera": JSON.parse(start)}); }
+    const {eye, center} = box.layout.scene.camera, [around, upwards, farther] = STEPS[key];
+    const [x, y, z] = ["x", "y", "z"].map((axis) => eye[axis] - center[axis]);
+    const distance = Math.hypot(x, y, z), azimuth = Math.atan2(y, x) + around;
+    const height = Math.max(-1.5, Math.min(1.5, Math.asin(z / distance) + upwards));
+    const across = farther * distance * Math.cos(height);
+    return Plotly.relayout(box, {"scene.camera.eye": {
+      x: center.x + across * Math.cos(azimuth),
+      y: center.y + across * Math.sin(azimuth),
+      z: center.z + farther * distance * Math.sin(height),
+    }});
+  }
+  box.addEventListener("keydown", (event) => {
+    if ((event.key in STEPS || event.key === "Home") && !event.ctrlKey && !event.altKey) {
+      event.preventDefault();
+      move(event.key);
+    }
+  });
+  for (const button of document.querySelectorAll("#camera button")) {
+    button.addEventListener("click", () => move(button.value));
+  }
+  for (const part of document.querySelectorAll(".needs-scene")) { part.hidden = false; }
 })();
