@@ -274,10 +274,9 @@ def pressure(
     rows = without_untrusted(samples[chosen.rows], geometry, settings.identification.leave_out)
     with threadpool_limits(1):
         force_map = ForceMap(geometry, samples.clusters, settings.force_map)
-        estimate = force_map.estimate(rows)
-        outputs = pressure_outputs(force_map, estimate, rows, geometry, places, 1e3 * threshold)
+        outputs = pressure_outputs(force_map, rows, geometry, places, 1e3 * threshold)
     time = np.asarray(samples.time[chosen.rows])
-    found = TrialMap(trial, chosen, time, estimate)
+    found = TrialMap(trial, chosen, time, outputs.estimate)
     return TrialPressure(trial, chosen, found, places, outputs, threshold, share)
 
 

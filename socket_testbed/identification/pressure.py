@@ -17,12 +17,18 @@ Over a region, with T for the span of time:
 - shear: the magnitude of the mean tangential stress over area and span, and its direction from x
   (proximal) towards y;
 - share of load: the axial force (along z of {S}) of the region over that of all tiles.
+
+The value is that of the force map; of the contact area, which no estimate near the threshold shows
+without bias, the mean of the draws. Peak, integral and shear are convex functions of the forces: in
+the mean their draws exceed the value. Their interval holds both that of the draws and the same
+interval moved to the value.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
 
@@ -34,9 +40,11 @@ from socket_testbed.identification.force_map import ForceMap, MapEstimate
 from socket_testbed.samples import Samples
 
 _DRAWS = 200
-_TAILS = (0.025, 0.975)  # [-]
+_QUANTILES = (0.025, 0.5, 0.975)  # [-]
+_CONVEX = ("peak", "integral", "shear")  # functions of the forces
+_NEVER_NEGATIVE = ("area", "integral", "shear")
 _LONGEST_STEP = 3.0  # usual steps between samples; what is longer is a gap
-_QUARTER_TURN = 0.5 * np.pi  # [rad]
+_RIGHT_ANGLE = 0.5 * np.pi  # [rad]
 
 
 @dataclass(frozen=True)
@@ -97,12 +105,14 @@ class PressureOutputs:
     """Outputs of a socket over a span of time.
 
     Attributes:
+        estimate: The force map, of N samples.
         regions: Over the span, shape (R,).
         tiles: Of every tile over the span, shape (n,).
         series: Of the regions at every sample, shape (N, R); NaN where nothing was measured.
         integrated: Time that the integrals cover, without gaps [s].
     """
 
+    estimate: MapEstimate
     regions: RegionOutputs
     tiles: RegionOutputs
     series: RegionOutputs
@@ -117,15 +127,26 @@ class _Fields:
         force: Mean force in the tiles' frames, shape (..., n, 3) [N].
         peak: Highest pressure, shape (..., n) [Pa].
         contact: Share of the time in contact, shape (..., n) [-].
-        integral: Integral of the pressure in contact, shape (..., n) [Pa s].
         compression: Mean compressive force, shape (..., n) [N].
+        integral: Integral of the pressure in contact, shape (..., n) [Pa s]; None at an instant.
     """
 
     force: FloatArray
     peak: FloatArray
     contact: FloatArray
-    integral: FloatArray
     compression: FloatArray
+    integral: FloatArray | None = None
+
+    def at(self, index: Any) -> _Fields:
+        """The fields at an index of the leading axes."""
+        integral = None if self.integral is None else self.integral[index]
+        return _Fields(
+            self.force[index],
+            self.peak[index],
+            self.contact[index],
+            self.compression[index],
+            integral,
+        )
 
 
 class _Reader:
@@ -137,84 +158,107 @@ class _Reader:
     """
 
     def __init__(self, geometry: SocketGeometry, regions: Sequence[Region]) -> None:
-        self._geometry = geometry
+        count, anchors, areas = len(geometry), geometry.anchors, geometry.areas
         self._tiles = np.concatenate([region.tiles for region in regions])
         self._starts = np.cumsum([0, *(len(region.tiles) for region in regions[:-1])])
-        self._member = np.zeros((len(geometry), len(regions)))
+        member = np.zeros((count, len(regions)))
         for number, region in enumerate(regions):
-            self._member[region.tiles, number] = 1.0
-        self._areas = geometry.areas @ self._member
-        counts = self._member.sum(axis=0)
-        centres = (self._member.T @ geometry.anchors) / counts[:, None]
-        apart = ((geometry.anchors[:, None] - centres) ** 2).sum(axis=2)
-        self._extents = np.sqrt((apart * self._member).sum(axis=0) / counts)
+            member[region.tiles, number] = 1.0
+        self._area_of_tiles = areas[:, None] * member
+        self._areas = self._area_of_tiles.sum(axis=0)
+        # From compressive forces to their sums and first moments, by region.
+        arms = np.column_stack([np.ones(count), anchors])
+        self._moments = (arms[:, :, None] * member[:, None]).reshape(count, -1)
+        # From forces to mean shear along x and y, mean pressure, and axial force, by region.
+        mean = np.array([1.0, 1.0, -1.0])[:, None, None] * member / self._areas
+        linear = np.zeros((count, 3, 4, len(regions)))
+        for axis in range(3):
+            linear[:, axis, axis] = mean[axis]
+        linear[:, :, 3] = geometry.rotations[:, 2, :, None] * member[:, None]
+        self._linear = linear.reshape(3 * count, -1)
+        self._axial = geometry.rotations[:, 2].reshape(-1)
+        centres = (member.T @ anchors) / member.sum(axis=0)[:, None]
+        apart = ((anchors[:, None] - centres) ** 2).sum(axis=2)
+        self._extents = np.sqrt((apart * member).sum(axis=0) / member.sum(axis=0))
 
     def read(self, fields: _Fields) -> dict[str, FloatArray]:
         """The outputs by their names, shape (..., R), and the centre (..., R, 3)."""
-        areas, anchors, member = self._geometry.areas, self._geometry.anchors, self._member
-        axial = (fields.force * self._geometry.rotations[:, 2]).sum(axis=-1)
-        compression = fields.compression @ member
-        weighted = np.stack(
-            [(fields.compression * anchors[:, axis]) @ member for axis in range(3)], axis=-1
-        )
-        shear = np.stack([fields.force[..., axis] @ member for axis in (0, 1)], axis=-1)
-        shear /= self._areas[:, None]
+        leading = fields.peak.shape[:-1]
+        force = fields.force.reshape(*leading, -1)
+        x, y, mean, axial = np.moveaxis((force @ self._linear).reshape(*leading, 4, -1), -2, 0)
+        moments = (fields.compression @ self._moments).reshape(*leading, 4, -1)
+        found = {
+            "mean": mean,
+            "peak": np.maximum.reduceat(fields.peak[..., self._tiles], self._starts, axis=-1),
+            "area": fields.contact @ self._area_of_tiles,
+            "shear": np.hypot(x, y),
+            "direction": np.arctan2(y, x),
+        }
         with np.errstate(invalid="ignore", divide="ignore"):
-            return {
-                "mean": -(fields.force[..., 2] @ member) / self._areas,
-                "peak": np.maximum.reduceat(fields.peak[..., self._tiles], self._starts, axis=-1),
-                "area": (fields.contact * areas) @ member,
-                "integral": (fields.integral * areas) @ member / self._areas,
-                "centre": weighted / compression[..., None],
-                "shear": np.hypot(shear[..., 0], shear[..., 1]),
-                "direction": np.arctan2(shear[..., 1], shear[..., 0]),
-                "share": (axial @ member) / axial.sum(axis=-1, keepdims=True),
-            }
+            centre = moments[..., 1:, :] / moments[..., :1, :]
+            found["centre"] = np.swapaxes(centre, -2, -1)
+            found["share"] = axial / (force @ self._axial)[..., None]
+        if fields.integral is not None:
+            found["integral"] = fields.integral @ self._area_of_tiles / self._areas
+        return found
 
-    def outputs(self, estimate: _Fields, draws: _Fields, axis: int) -> RegionOutputs:
+    def outputs(self, estimate: _Fields, draws: _Fields) -> RegionOutputs:
         """The outputs with intervals.
 
         Args:
             estimate: The fields of the estimate.
-            draws: Those of the draws, with one more axis.
-            axis: That axis.
+            draws: Those of the draws, their axis before that of the tiles.
         """
         values, drawn = self.read(estimate), self.read(draws)
-        found = {}
-        for name, value in values.items():
-            difference = drawn[name] - np.expand_dims(value, axis)
-            if name == "direction":
-                difference = (difference + np.pi) % (2.0 * np.pi) - np.pi
-            low, high = value + np.quantile(difference, _TAILS, axis=axis)
-            found[name] = Quantity(value, low, high, self._scale(name, value))
+        values["area"] = drawn["area"].mean(axis=-2)
+        found = {name: self._interval(name, values[name], drawn[name]) for name in values}
+        found.setdefault("integral", _unknown(values["mean"].shape))
         return RegionOutputs(**found)
 
-    def _scale(self, name: str, value: FloatArray) -> FloatArray:
-        if name == "centre":
-            return np.broadcast_to(self._extents[:, None], value.shape)
+    def _interval(self, name: str, value: FloatArray, drawn: FloatArray) -> Quantity:
+        """A quantity, by its name, from the estimate and the draws."""
+        axis = value.ndim - (2 if name == "centre" else 1)
+        difference = drawn - np.expand_dims(value, axis)
         if name == "direction":
-            return np.full(value.shape, _QUARTER_TURN)
-        return np.abs(value)
+            difference = (difference + np.pi) % (2.0 * np.pi) - np.pi
+        low, middle, high = _quantiles(np.moveaxis(difference, axis, -1))
+        if name in _CONVEX:
+            low, high = np.minimum(low, low - middle), np.maximum(high, high - middle)
+        low, high = value + low, value + high
+        if name in _NEVER_NEGATIVE:
+            low = np.maximum(low, 0.0)
+        if name == "area":
+            high = np.minimum(high, self._areas)
+        scale = np.abs(value)
+        if name == "centre":
+            scale = np.broadcast_to(self._extents[:, None], value.shape)
+        if name == "direction":
+            scale = np.full(value.shape, _RIGHT_ANGLE)
+        return Quantity(value, low, high, scale)
 
 
 class _Span:
     """Fields of D draws, gathered over the samples of a span."""
 
-    def __init__(self, geometry: SocketGeometry, draws: int) -> None:
-        tiles = len(geometry)
+    def __init__(self, draws: int, tiles: int) -> None:
         self._samples = 0
         self._force = np.zeros((draws, tiles, 3))
         self._peak = np.full((draws, tiles), -np.inf)
-        self._contact, self._integral, self._compression = np.zeros((3, draws, tiles))
+        self._contact, self._compression, self._integral = np.zeros((3, draws, tiles))
 
-    def add(self, instants: _Fields) -> None:
-        """Add the fields at some samples, with the leading axes (k, D)."""
-        self._samples += len(instants.force)
+    def add(self, instants: _Fields, weights: FloatArray) -> None:
+        """Add k samples.
+
+        Args:
+            instants: Their fields, with the leading axes (k, D).
+            weights: Their weights in integrals over time, shape (k,) [s].
+        """
+        self._samples += len(weights)
         self._force += instants.force.sum(axis=0)
         np.maximum(self._peak, instants.peak.max(axis=0), out=self._peak)
         self._contact += instants.contact.sum(axis=0)
-        self._integral += instants.integral.sum(axis=0)
         self._compression += instants.compression.sum(axis=0)
+        self._integral += np.einsum("k,kdn,kdn->dn", weights, instants.peak, instants.contact)
 
     def fields(self) -> _Fields:
         """The fields over the span, with the leading axis D."""
@@ -222,24 +266,22 @@ class _Span:
             force=self._force / self._samples,
             peak=self._peak,
             contact=self._contact / self._samples,
-            integral=self._integral,
             compression=self._compression / self._samples,
+            integral=self._integral,
         )
 
 
 def pressure_outputs(
     force_map: ForceMap,
-    estimate: MapEstimate,
     samples: Samples,
     geometry: SocketGeometry,
     regions: Sequence[Region],
     threshold: float,
 ) -> PressureOutputs:
-    """The outputs of regions and tiles with 95 % intervals.
+    """The force map and the outputs of regions and tiles with 95 % intervals.
 
     Args:
         force_map: The force map.
-        estimate: Its estimate of the samples.
         samples: N samples.
         geometry: Geometry of the socket.
         regions: The regions.
@@ -248,70 +290,74 @@ def pressure_outputs(
     Raises:
         TrialError: If no sample has a channel to estimate from.
     """
-    measured = np.isfinite(estimate.normal_pressure).all(axis=1) & measured_rows(samples)
-    if not measured.any():
+    kept = np.flatnonzero(measured_rows(samples))
+    if not len(kept):
         raise TrialError(
             "no sample of the segment has a wrench or a trusted cluster", "choose another segment"
         )
-    kept = np.flatnonzero(measured)
+    estimate = force_map.estimate(samples)
     weights = integration_weights(samples.time[kept])
     forces = np.einsum("nij,kni->knj", geometry.rotations, estimate.forces[kept])
     of_regions = _Reader(geometry, regions)
-    of_tiles = _Reader(
-        geometry, [Region(name, np.array([i])) for i, name in enumerate(geometry.names)]
-    )
 
-    drawn, alone = _Span(geometry, _DRAWS), _Span(geometry, 1)
+    single, drawn = _Span(1, len(geometry)), _Span(_DRAWS, len(geometry))
     series: dict[str, Quantity] = {}
     for rows, draws in force_map.sample(samples[kept], _DRAWS):
-        instants = _instants(draws, weights[rows], geometry.areas, threshold)
-        own = _instants(forces[rows, None], weights[rows], geometry.areas, threshold)
-        drawn.add(instants)
-        alone.add(own)
-        _store(series, of_regions.outputs(_first(own), instants, 1), kept[rows], len(samples))
-    whole, single = drawn.fields(), _first(alone.fields(), 0)
+        alone = _instants(forces[rows, None], geometry.areas, threshold)
+        instants = _instants(draws, geometry.areas, threshold)
+        single.add(alone, weights[rows])
+        drawn.add(instants, weights[rows])
+        _store(
+            series,
+            of_regions.outputs(alone.at((slice(None), 0)), instants),
+            kept[rows],
+            len(samples),
+        )
+    each = [Region(name, np.array([tile])) for tile, name in enumerate(geometry.names)]
+    over_span = single.fields().at(0), drawn.fields()
     return PressureOutputs(
-        regions=of_regions.outputs(single, whole, 0),
-        tiles=of_tiles.outputs(single, whole, 0),
+        estimate=estimate,
+        regions=of_regions.outputs(*over_span),
+        tiles=_Reader(geometry, each).outputs(*over_span),
         series=RegionOutputs(**series),
         integrated=float(weights.sum()),
     )
 
 
-def _instants(
-    forces: FloatArray, weights: FloatArray, areas: FloatArray, threshold: float
-) -> _Fields:
-    """The fields at k samples of forces of shape (k, D, n, 3) [N]."""
-    pressure = -forces[..., 2] / areas
-    contact = pressure > threshold
+def _instants(forces: FloatArray, areas: FloatArray, threshold: float) -> _Fields:
+    """The fields of forces of shape (k, D, n, 3) [N]."""
+    compression = -forces[..., 2]
+    pressure = compression / areas
     return _Fields(
         force=forces,
         peak=pressure,
-        contact=contact.astype(float),
-        integral=np.where(contact, pressure, 0.0) * weights[:, None, None],
-        compression=np.maximum(-forces[..., 2], 0.0),
+        contact=(pressure > threshold).astype(float),
+        compression=np.maximum(compression, 0.0),
     )
 
 
-def _first(of_one: _Fields, axis: int = 1) -> _Fields:
-    """Fields without the axis of the draws, which has the length 1."""
-    return _Fields(
-        **{field.name: getattr(of_one, field.name).squeeze(axis) for field in fields(of_one)}
-    )
+def _quantiles(drawn: FloatArray) -> FloatArray:
+    """Ends and middle of 95 % of the draws along the last axis, without NaN, shape (3, ...)."""
+    ordered = np.sort(drawn, axis=-1)  # NaN comes last
+    last = np.maximum(np.isfinite(drawn).sum(axis=-1, keepdims=True) - 1, 0)
+    place = last * np.array(_QUANTILES)
+    below = place.astype(np.int64)
+    low = np.take_along_axis(ordered, below, axis=-1)
+    high = np.take_along_axis(ordered, np.minimum(below + 1, last), axis=-1)
+    return np.moveaxis(low + (place - below) * (high - low), -1, 0)
+
+
+def _unknown(shape: tuple[int, ...]) -> Quantity:
+    return Quantity(*(np.full(shape, np.nan) for _ in fields(Quantity)))
 
 
 def _store(series: dict[str, Quantity], found: RegionOutputs, rows: IntArray, count: int) -> None:
     """Put outputs at some samples among those of all N samples."""
     for output in fields(found):
         quantity: Quantity = getattr(found, output.name)
-        if output.name not in series:
-            shape = (count, *quantity.value.shape[1:])
-            series[output.name] = Quantity(*(np.full(shape, np.nan) for _ in fields(Quantity)))
+        stored = series.setdefault(output.name, _unknown((count, *quantity.value.shape[1:])))
         for part in fields(Quantity):
-            values = getattr(quantity, part.name)
-            getattr(series[output.name], part.name)[rows] = (
-                np.nan if output.name == "integral" else values
-            )
+            getattr(stored, part.name)[rows] = getattr(quantity, part.name)
 
 
 def measured_rows(samples: Samples) -> BoolArray:
