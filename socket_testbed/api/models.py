@@ -62,6 +62,8 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from socket_testbed.report.results import Results
+from socket_testbed.api.pressure import TrialPressure
+from socket_testbed.api.pressure import pressure as pressure_of
 from socket_testbed.api.trials import PathLike, Progress, as_path, select, started
 
 _MOST_THETAS = 10_001
@@ -182,6 +184,7 @@ class Evaluation:
         segment: The segment.
         samples: Number of its samples with a wrench and a limb position.
         errors: Errors of every channel.
+        pressure: The segment's pressure outputs, if they were asked for.
     """
 
     trial: Trial
@@ -189,6 +192,7 @@ class Evaluation:
     segment: Segment
     samples: int
     errors: tuple[ChannelErrors, ...]
+    pressure: TrialPressure | None = None
 
     def __repr__(self) -> str:
         return (
@@ -213,6 +217,7 @@ class Evaluation:
             "segment": _segment_document(self.segment),
             "samples": self.samples,
             "channels": [errors_document(error) for error in self.errors],
+            **({"pressure": self.pressure.to_document()} if self.pressure else {}),
         }
 
     def save(self, path: PathLike) -> None:
@@ -384,6 +389,7 @@ def evaluate(
     segment: str | Segment = "plateau",
     *,
     pose_smoothing: float | None = None,
+    pressure: bool = False,
 ) -> Evaluation:
     """Errors of a model on a segment of a trial, channel by channel.
 
@@ -393,6 +399,8 @@ def evaluate(
         segment: The segment, or its specification.
         pose_smoothing: Centred window over which the poses are averaged [s]; None for that of
             the model's fit.
+        pressure: Whether the pressure outputs of the segment are added, see `st.pressure`. They
+            come from the force map, not from the model.
 
     Raises:
         TrialError: If the trial cannot be read, holds no such segment, or is of another socket.
@@ -421,7 +429,8 @@ def evaluate(
         fitted = "with" if stored.unloaded else "without"
         trial.notify(f"the model was fitted {fitted} --unloaded: its offsets are others")
     errors = evaluate_predictions(rows, _predictions(rows, stored), leave_out)
-    return Evaluation(trial, stored, chosen, int(rows.complete.sum()), errors)
+    outputs = pressure_of(trial, chosen) if pressure else None
+    return Evaluation(trial, stored, chosen, int(rows.complete.sum()), errors, outputs)
 
 
 @dataclass(frozen=True, repr=False)
@@ -587,6 +596,7 @@ def export(
     segment: str | Segment = "all",
     model: Model | None = None,
     force_map: bool = False,
+    pressure: bool = False,
 ) -> pd.DataFrame:
     """Write the synchronised samples of a trial, with what they were computed from, as a table.
 
@@ -596,6 +606,8 @@ def export(
         segment: The part of the trial.
         model: A model whose predictions are added as `predicted.*`.
         force_map: Whether the force map is added as `map.*`, see `st.force_map`.
+        pressure: Whether pressure and shear of every region and tile are added as `pressure.*`,
+            see `TrialPressure.over_time`.
 
     Returns:
         The table, with a unit in the name of every column; its `attrs` name the segment.
@@ -624,6 +636,9 @@ def export(
         )
         added = pd.DataFrame(mapped.columns(trial.geometry.names, "map."), index=table.index)
         table = pd.concat([table, added], axis=1)
+    if pressure:
+        outputs = pressure_of(trial, chosen).over_time().add_prefix("pressure.")
+        table = pd.concat([table, outputs.set_axis(table.index)], axis=1)
     write_table(table, path)
     table.attrs["segment"] = str(chosen)
     return table

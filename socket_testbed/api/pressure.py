@@ -26,6 +26,7 @@ from socket_testbed.identification.pressure import (
     RegionOutputs,
     pressure_outputs,
 )
+from socket_testbed.identification.problem import check_channels
 from socket_testbed.settings.testbed import estimator_settings
 from socket_testbed.tables import split_unit, write_table
 from socket_testbed.trials.segment import Segment
@@ -53,6 +54,7 @@ TITLES = (
 """Columns of the outputs of a region, with their units."""
 _OF_TILES = tuple(title for title in TITLES if title not in (*_CENTRES, "contact area [cm^2]"))
 _OVER_TIME = tuple(title for title in TITLES if not title.startswith("pressure-time"))
+_NORMAL_QUANTILE = 1.96  # [-]; standard deviations to each end of a 95 % interval
 
 
 @dataclass(frozen=True, repr=False)
@@ -109,10 +111,11 @@ class TrialPressure:
         return table
 
     def over_time(self) -> pd.DataFrame:
-        """Outputs of the regions at every sample, indexed by `time [s]`.
+        """Outputs of the regions and stresses of the tiles at every sample, by `time [s]`.
 
-        Columns such as `anterior proximal.mean pressure [kPa]` with the ends of their 95 %
-        intervals; NaN where a value is not determined.
+        Columns such as `anterior proximal.mean pressure [kPa]`, and `distal.pressure [kPa]` and
+        `distal.shear [kPa]` of the tiles, with the ends of their 95 % intervals; NaN where a value
+        is not determined. The intervals of tiles are 1.96 standard deviations of the force map.
         """
         import pandas as pd
 
@@ -120,6 +123,14 @@ class TrialPressure:
         for number, place in enumerate(self.places):
             found = self._columns(self.outputs.series, _OVER_TIME, number)
             columns |= {f"{place.name}.{title}": values for title, values in found.items()}
+        estimate = self.map.estimate
+        reach = _NORMAL_QUANTILE * estimate.normal_pressure_standard_deviation
+        of_pressure = _about(estimate.normal_pressure, reach)
+        of_shear = _about(estimate.shear, _NORMAL_QUANTILE * estimate.shear_standard_deviation)
+        for tile, name in enumerate(self.trial.geometry.names):
+            for title, quantity in (("pressure [kPa]", of_pressure), ("shear [kPa]", of_shear)):
+                found = self._column(title, quantity, 1e-3, tile)
+                columns |= {f"{name}.{title}": values for title, values in found.items()}
         return pd.DataFrame(columns, index=pd.Index(self.map.time, name="time [s]"))
 
     def to_document(self) -> dict[str, Any]:
@@ -177,17 +188,21 @@ class TrialPressure:
         self, found: RegionOutputs, titles: Sequence[str], place: int | slice
     ) -> dict[str, FloatArray]:
         """Columns by their titles, each with the ends of its interval."""
-        columns = {}
+        columns: dict[str, FloatArray] = {}
         for title in titles:
-            quantity, factor = _quantity(found, title)
-            values = np.where(quantity.determined(self.share), quantity.value, np.nan)
-            for name, part in (
-                (title, values),
-                (interval_end(title, "low"), quantity.low),
-                (interval_end(title, "high"), quantity.high),
-            ):
-                columns[name] = factor * part[..., place]
+            columns |= self._column(title, *_quantity(found, title), place)
         return columns
+
+    def _column(
+        self, title: str, quantity: Quantity, factor: float, place: int | slice
+    ) -> dict[str, FloatArray]:
+        """A column with the ends of its interval, by their titles."""
+        values = np.where(quantity.determined(self.share), quantity.value, np.nan)
+        return {
+            title: factor * values[..., place],
+            interval_end(title, "low"): factor * quantity.low[..., place],
+            interval_end(title, "high"): factor * quantity.high[..., place],
+        }
 
     def _nearest(self, centre: FloatArray) -> str:
         """Name of the tile nearest to a point [m]; empty if it is not known."""
@@ -212,6 +227,11 @@ def _quantity(found: RegionOutputs, title: str) -> tuple[Quantity, float]:
     name, factor = next((name, factor) for known, name, factor in _SCALARS if known == title)
     quantity: Quantity = getattr(found, name)
     return quantity, factor
+
+
+def _about(value: FloatArray, reach: FloatArray) -> Quantity:
+    """Values whose intervals reach equally far to both sides."""
+    return Quantity(value, value - reach, value + reach, np.abs(value))
 
 
 def _values(row: pd.Series, titles: Sequence[str]) -> dict[str, Any]:
@@ -270,6 +290,7 @@ def pressure(
     geometry = trial.geometry
     places = _regions(trial, regions)
     samples = trial.samples()
+    check_channels(settings.identification.leave_out, samples.channels)
     chosen = select(trial, segment, settings)
     rows = without_untrusted(samples[chosen.rows], geometry, settings.identification.leave_out)
     with threadpool_limits(1):

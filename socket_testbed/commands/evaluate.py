@@ -17,6 +17,7 @@ from socket_testbed.commands.options import (
     add_trials,
     add_unloaded,
 )
+from socket_testbed.commands.pressure import pressure_columns, pressure_tables
 from socket_testbed.commands.text import error_columns, errors_table, segment_columns, skill_columns
 from socket_testbed.errors import ConfigurationError
 from socket_testbed.trials.trial import Trial
@@ -35,6 +36,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
         help="a model that 'fit' wrote; for a folder of trials even the folder of their models",
     )
     add_pose_smoothing(parser, "that of the model's fit")
+    parser.add_argument(
+        "--pressure", action="store_true", help="add the pressure outputs of the segment's regions"
+    )
     parser.add_argument("--json", action="store_true", help="print JSON on standard output")
     parser.add_argument(
         "-o",
@@ -56,13 +60,20 @@ def run(options: argparse.Namespace) -> None:
         )
     if trials and not options.model.is_dir():
         api.read_model(options.model)  # a wrong one is reported once
-    settings = ("segment", "unloaded", "pose_smoothing")
-    TrialVerb("evaluate", ".errors.json", settings, _evaluate, _row, _show).run(options)
+    settings = ("segment", "unloaded", "pose_smoothing", "pressure")
+    metadata = options.pressure  # the regions depend on the side
+    verb = TrialVerb("evaluate", ".errors.json", settings, _evaluate, _row, _show, metadata)
+    verb.run(options)
 
 
 def _evaluate(options: argparse.Namespace, trial: Trial) -> Evaluation:
-    smoothing = options.pose_smoothing
-    found = api.evaluate(trial, options.model, options.segment, pose_smoothing=smoothing)
+    found = api.evaluate(
+        trial,
+        options.model,
+        options.segment,
+        pose_smoothing=options.pose_smoothing,
+        pressure=options.pressure,
+    )
     if options.output is not None:
         found.save(options.output)
     return found
@@ -79,6 +90,8 @@ def _show(options: argparse.Namespace, found: Evaluation) -> None:
         print(
             "\nin-sample where the model was fitted: on another trial its errors may be far larger"
         )
+    if found.pressure is not None:
+        print(f"\nfrom the force map, not from the model:\n\n{pressure_tables(found.pressure)}")
 
 
 def _row(found: Evaluation) -> Row:
@@ -90,4 +103,5 @@ def _row(found: Evaluation) -> Row:
         "theta [-]": found.model.settings.theta,
         "in_sample": "yes" if found.in_sample else "no",
         **error_columns(found.errors, skill_columns(found.errors)),
+        **(pressure_columns(found.pressure) if found.pressure is not None else {}),
     }

@@ -35,6 +35,11 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--map", action="store_true", help="add the force map: every tile with its uncertainty"
     )
+    parser.add_argument(
+        "--pressure",
+        action="store_true",
+        help="add pressure and shear of every region and tile with 95 %% intervals",
+    )
     add_replace(parser)
     parser.set_defaults(run=run)
 
@@ -43,7 +48,14 @@ def run(options: argparse.Namespace) -> None:
     """Read and write."""
     check_outputs(options.output, replace=options.replace)
     trial = trial_of(options)
-    table = api.export(trial, options.output, options.segment, options.model, options.map)
+    table = api.export(
+        trial,
+        options.output,
+        options.segment,
+        options.model,
+        force_map=options.map,
+        pressure=options.pressure,
+    )
     rows, columns = table.shape
     segment = table.attrs["segment"]
     print(f"{trial.name}: {segment}, {rows} samples, {columns} columns in {options.output}")

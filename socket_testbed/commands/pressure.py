@@ -10,27 +10,30 @@ from typing import TYPE_CHECKING
 from socket_testbed import api
 from socket_testbed.api import TrialPressure
 from socket_testbed.api.pressure import TITLES, interval_end
+from socket_testbed.batch import Row, find_trials
 from socket_testbed.commands.options import (
+    TrialVerb,
     add_replace,
     add_segment,
-    add_trial,
+    add_trials,
     add_unloaded,
-    trial_of,
 )
-from socket_testbed.commands.text import number, table
+from socket_testbed.commands.text import number, segment_columns, table
 from socket_testbed.errors import ConfigurationError
-from socket_testbed.files import check_outputs
+from socket_testbed.identification.model_file import finite_or_null
 from socket_testbed.tables import check_format
+from socket_testbed.trials.trial import Trial
 
 if TYPE_CHECKING:
     import pandas as pd
 
-_COLUMNS = 3  # of a table
+_ABREAST = 3  # outputs in a table
+_SETTINGS = ("segment", "unloaded", "threshold", "share", "leave_out", "over_time")
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of the verb."""
-    add_trial(parser)
+    add_trials(parser)
     add_segment(parser)
     add_unloaded(parser)
     parser.add_argument(
@@ -44,8 +47,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--share",
         type=float,
         default=0.5,
-        help="a value is not determined if its 95 %% interval reaches farther than this share of it"
-        " (default: 0.5)",
+        help="a value is not determined if its 95 %% interval reaches farther from it than this"
+        " share of it (default: 0.5)",
     )
     parser.add_argument(
         "--params", type=Path, metavar="TESTBED.yaml", help="instead of the trial's testbed.yaml"
@@ -58,10 +61,12 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--output",
         type=Path,
         metavar="OUT.csv|.parquet|.mat",
-        help="table of the regions; with --over-time of every sample",
+        help="table of the regions; for a folder of trials the folder of such tables",
     )
     parser.add_argument(
-        "--over-time", action="store_true", help="write the regions at every sample instead"
+        "--over-time",
+        action="store_true",
+        help="write a table of every sample instead: regions and tiles over time",
     )
     parser.add_argument("--json", action="store_true", help="print JSON on standard output")
     add_replace(parser)
@@ -70,13 +75,22 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> None:
     """Compute, write and print."""
+    trials = find_trials(options.trial)
+    if trials and (options.output is None or options.json):
+        raise ConfigurationError(
+            f"{options.trial} holds {len(trials)} trials", "give -o FOLDER instead of --json"
+        )
     if options.over_time and options.output is None:
         raise ConfigurationError("--over-time has no output", "name its table with -o FILE.csv")
-    if options.output is not None:
+    if not trials and options.output is not None:
         check_format(options.output)
-    check_outputs(options.output, replace=options.replace)
+    verb = TrialVerb("pressure", ".pressure.csv", _SETTINGS, _compute, _row, _show, True)
+    verb.run(options)
+
+
+def _compute(options: argparse.Namespace, trial: Trial) -> TrialPressure:
     found = api.pressure(
-        trial_of(options),
+        trial,
         options.segment,
         threshold=options.threshold,
         share=options.share,
@@ -85,29 +99,46 @@ def run(options: argparse.Namespace) -> None:
     )
     if options.output is not None:
         found.save(options.output, over_time=options.over_time)
+    return found
+
+
+def _show(options: argparse.Namespace, found: TrialPressure) -> None:
     if options.json:
         print(found.to_json())
         return
-    _show(found)
-    if options.output is not None:
-        print(f"written: {options.output}")
-
-
-def _show(found: TrialPressure) -> None:
     print(f"{found.trial.name}: {found.segment}, {len(found.map.time)} samples")
     print(f"{found.map.estimate.source}\n")
+    print(pressure_tables(found))
+    if options.output is not None:
+        print(f"\nwritten: {options.output}")
+
+
+def _row(found: TrialPressure) -> Row:
+    return {
+        "samples": len(found.map.time),
+        **segment_columns(found.segment),
+        "threshold [kPa]": found.threshold,
+        **pressure_columns(found),
+    }
+
+
+def pressure_tables(found: TrialPressure) -> str:
+    """Outputs of the regions with their intervals, in tables below each other."""
     regions = found.regions
-    for start in range(0, len(TITLES), _COLUMNS):
-        titles = TITLES[start : start + _COLUMNS]
+    parts = []
+    for start in range(0, len(TITLES), _ABREAST):
+        titles = TITLES[start : start + _ABREAST]
         rows = [
             [str(name), *(_cell(row, title) for title in titles)]
             for name, row in regions.iterrows()
         ]
-        print(table(["region", *titles], rows) + "\n")
-    print(
-        f"value (95 % interval); not determined: the interval reaches farther than"
-        f" {found.share:g} of the value. In contact: above {found.threshold:g} kPa."
+        parts.append(table(["region", *titles], rows) + "\n")
+    parts.append(
+        f"value (95 % interval); not determined: the interval reaches farther from the value than"
+        f" {found.share:g} of it\nin contact: above {found.threshold:g} kPa; the integrals cover"
+        f" {found.outputs.integrated:.1f} s"
     )
+    return "\n".join(parts)
 
 
 def _cell(row: pd.Series, title: str) -> str:
@@ -117,3 +148,10 @@ def _cell(row: pd.Series, title: str) -> str:
     if math.isfinite(value):
         return f"{number(value, 1)} ({low} to {high})"
     return f"not determined ({low} to {high})"
+
+
+def pressure_columns(found: TrialPressure) -> Row:
+    """Outputs of the socket with their intervals, for a summary."""
+    socket = found.regions.iloc[-1]
+    ends = (interval_end(title, end) for title in TITLES for end in ("low", "high"))
+    return {name: finite_or_null(socket[name]) for name in (*TITLES, *ends)}
