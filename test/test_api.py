@@ -195,6 +195,15 @@ def test_the_example_notebook_runs(tmp_path: Path) -> None:
     assert any("image/png" in out.get("data", {}) for out in shown)
 
 
+def test_the_laptop_s_lines_run(folder: Path, monkeypatch, capsys) -> None:
+    text = (CHECKOUT / "docs" / "laptop.md").read_text()
+    program = text.partition("```python\n")[2].partition("```")[0]
+    monkeypatch.chdir(folder)
+    exec(compile(program, "laptop.md", "exec"), {})
+    assert (folder / "regions.parquet").is_file()
+    assert "peak pressure low [kPa]" in capsys.readouterr().out
+
+
 @pytest.mark.slow
 def test_the_readme_s_lines_run(tmp_path, monkeypatch, capsys) -> None:
     text = (CHECKOUT / "README.md").read_text()

@@ -13,6 +13,7 @@ from socket_testbed.batch import is_trial
 from socket_testbed.calibration.model import read_calibration
 from socket_testbed.errors import ConfigurationError, TrialError
 from socket_testbed.files import check_new_folder, check_number, closest, packaged
+from socket_testbed.geometry.regions import Side
 from socket_testbed.geometry.socket import read_socket
 from socket_testbed.samples import Samples
 from socket_testbed.settings.identification import PlateauSettings
@@ -20,7 +21,6 @@ from socket_testbed.settings.testbed import EstimatorSettings
 from socket_testbed.trials import segment as segments
 from socket_testbed.trials.metadata import (
     METADATA_FILE,
-    Side,
     TrialMetadata,
     change_metadata,
     read_metadata,

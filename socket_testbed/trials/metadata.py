@@ -7,14 +7,14 @@ import json
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, TypeAlias, get_args
+from typing import Any, get_args
 
 from socket_testbed.errors import ConfigurationError
 from socket_testbed.files import atomic_output, check_number, closest, read_document
+from socket_testbed.geometry.regions import Side
 
 METADATA_FILE = "trial.yaml"
 
-Side: TypeAlias = Literal["left", "right"]
 SIDES: tuple[Side, ...] = get_args(Side)
 MASS_RANGE = (5.0, 400.0)  # [kg]
 
@@ -23,7 +23,7 @@ _CODES = {"subject": "a code such as S01, never a name", "operator": "initials o
 _HEADER = "# Metadata of this trial; the mass in kg. 'socket-testbed annotate' changes it.\n"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class TrialMetadata:
     """What a person states about a trial; None for what is not stated.
 
@@ -56,6 +56,10 @@ class TrialMetadata:
     def __post_init__(self) -> None:
         for name, value in self.stated().items():
             object.__setattr__(self, name, _checked(name, value))
+
+    def __repr__(self) -> str:
+        stated = ", ".join(f"{name}={value!r}" for name, value in self.stated().items())
+        return f"TrialMetadata({stated})"
 
     def stated(self) -> dict[str, Any]:
         """The values that are stated, by their fields."""

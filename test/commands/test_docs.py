@@ -52,11 +52,12 @@ def test_the_readme_s_make_targets_exist() -> None:
     assert named <= targets
 
 
-def test_the_readme_s_programs_compile() -> None:
-    programs = re.findall(r"```python\n(.*?)```", README, flags=re.DOTALL)
-    assert len(programs) == 2  # test_api runs the one without ROS
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_a_page_s_programs_compile(page: Path) -> None:
+    programs = re.findall(r"```python\n(.*?)```", page.read_text(), flags=re.DOTALL)
+    assert len(programs) == {"README.md": 2, "laptop.md": 1}.get(page.name, 0)  # test_api runs two
     for program in programs:
-        compile(program, "README.md", "exec")
+        compile(program, page.name, "exec")
 
 
 def test_the_readme_names_every_verb() -> None:
