@@ -9,6 +9,7 @@ Lengths are in metres, forces in newtons, times in seconds. An error is a `Testb
 line says what is wrong and how to fix it. The examples run in a folder with two simulated trials.
 """
 
+from socket_testbed.api.cycles import Cycles, cycles
 from socket_testbed.api.design import calibrate, register, tile
 from socket_testbed.api.maps import TrialMap, force_map
 from socket_testbed.api.models import (
@@ -30,6 +31,7 @@ from socket_testbed.api.validation import Validation, validate
 from socket_testbed.errors import TestbedError
 
 __all__ = [
+    "Cycles",
     "Evaluation",
     "TestbedError",
     "Tradeoff",
@@ -40,6 +42,7 @@ __all__ = [
     "annotate",
     "calibrate",
     "check_thetas",
+    "cycles",
     "evaluate",
     "export",
     "fit",

@@ -62,6 +62,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from socket_testbed.report.results import Results
+from socket_testbed.api.cycles import cycles as cycles_of
 from socket_testbed.api.pressure import TrialPressure
 from socket_testbed.api.pressure import pressure as pressure_of
 from socket_testbed.api.trials import PathLike, Progress, as_path, select, started
@@ -597,6 +598,7 @@ def export(
     model: Model | None = None,
     force_map: bool = False,
     pressure: bool = False,
+    cycles: str | None = None,
 ) -> pd.DataFrame:
     """Write the synchronised samples of a trial, with what they were computed from, as a table.
 
@@ -608,9 +610,11 @@ def export(
         force_map: Whether the force map is added as `map.*`, see `st.force_map`.
         pressure: Whether pressure and shear of every region and tile are added as `pressure.*`,
             see `TrialPressure.over_time`.
+        cycles: Events that delimit cycles: the table is then mean and standard deviation of all
+            columns over 0 to 100 % of a cycle, see `st.cycles`.
 
     Returns:
-        The table, with a unit in the name of every column; its `attrs` name the segment.
+        The table, with a unit in the name of every column; its `attrs` name the segment and rows.
 
     Raises:
         ConfigurationError: If the suffix is no format or the file cannot be written.
@@ -639,6 +643,10 @@ def export(
     if pressure:
         outputs = pressure_of(trial, chosen).over_time().add_prefix("pressure.")
         table = pd.concat([table, outputs.set_axis(table.index)], axis=1)
+    rows = f"{len(table)} samples"
+    if cycles is not None:
+        found = cycles_of(trial, table, by=cycles, segment=chosen)
+        table, rows = found.to_dataframe(), str(found)
     write_table(table, path)
-    table.attrs["segment"] = str(chosen)
+    table.attrs |= {"segment": str(chosen), "rows": rows}
     return table

@@ -40,6 +40,12 @@ def configure(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="add pressure and shear of every region and tile with 95 %% intervals",
     )
+    parser.add_argument(
+        "--cycles",
+        metavar="LABEL",
+        help="mean and standard deviation over 0 to 100 %% of a cycle instead of samples: from each"
+        " event LABEL, such as placed, to the next; or from A to B with A:B",
+    )
     add_replace(parser)
     parser.set_defaults(run=run)
 
@@ -55,7 +61,7 @@ def run(options: argparse.Namespace) -> None:
         options.model,
         force_map=options.map,
         pressure=options.pressure,
+        cycles=options.cycles,
     )
-    rows, columns = table.shape
-    segment = table.attrs["segment"]
-    print(f"{trial.name}: {segment}, {rows} samples, {columns} columns in {options.output}")
+    segment, rows = table.attrs["segment"], table.attrs["rows"]
+    print(f"{trial.name}: {segment}, {rows}, {len(table.columns)} columns in {options.output}")

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from support.bags import copy_configuration
+from support.bags import add_events, copy_configuration
 
 from socket_testbed.errors import ConfigurationError, TrialError
 from socket_testbed.samples import Samples
@@ -240,28 +240,6 @@ def test_an_event_segment_is_named_by_what_it_lies_between() -> None:
 # --- events recorded with a trial
 
 
-def mark(source: Path, target: Path, marks: list[tuple[str, float, float]], namespace="") -> Trial:
-    """A copy of a trial with events: labels, stamps and times of recording [s] since its start.
-
-    A stamp that is not finite is left out.
-    """
-    kind, stamp_of = message_class(EVENT.type), message_class("builtin_interfaces/msg/Time")
-    header_of = message_class("std_msgs/msg/Header")
-    first = int(Trial(source).samples().stamps[0])
-    with BagReader(source) as old, BagWriter(target) as new:
-        for topic, name in match_topics(old.counts, str(source)).items():
-            new.add_topic(namespace + name, topic)
-        new.add_topic(f"{namespace}/event", EVENT)
-        for raw in old.messages():
-            new.write(namespace + raw.topic, raw.time, raw.data)
-        for label, stamp, time in marks:
-            nanoseconds = first + round(stamp * 1e9) if np.isfinite(stamp) else 0
-            header = header_of(stamp_of(*divmod(nanoseconds, 10**9)), "load_cell")
-            message = kind(header, label)
-            new.write(f"{namespace}/event", first + round(time * 1e9), encode(message, EVENT.type))
-    return Trial(copy_configuration(source, target))
-
-
 @pytest.mark.parametrize("namespace", ["", "/lab"])
 def test_recorded_and_found_events_are_in_one_list(
     hold: Path, tmp_path: Path, namespace: str
@@ -269,7 +247,7 @@ def test_recorded_and_found_events_are_in_one_list(
     found = Trial(hold).events()
     assert labels(found) == ["placed", "removed"]
     marks = [("push", 22.0, 22.1), ("step", np.nan, 30.0), ("step", 4e6, 31.0), ("\n", 32.0, 32.0)]
-    trial = mark(hold, tmp_path / "marked", marks, namespace)
+    trial = add_events(hold, tmp_path / "marked", marks, namespace)
     events = trial.events()
     assert labels(events) == ["placed", "push", "step", "step", "unnamed", "removed"]
     assert [e.time for e in events if e.source == "recorded"] == pytest.approx([22, 30, 31, 32])
@@ -277,7 +255,7 @@ def test_recorded_and_found_events_are_in_one_list(
 
 
 def test_a_recorded_label_replaces_the_found_ones(hold: Path, tmp_path: Path) -> None:
-    trial = mark(hold, tmp_path / "marked", [("placed", 15.0, 15.0)])
+    trial = add_events(hold, tmp_path / "marked", [("placed", 15.0, 15.0)])
     assert str(trial.events()[0]) == "placed at 15.00 s (recorded)"
     assert labels(trial.events()) == ["placed", "removed"]
 

@@ -1,0 +1,215 @@
+"""Cycles of a trial: any quantity over 0 to 100 % of a cycle, with its mean and spread."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from socket_testbed.api.trials import PathLike, select
+from socket_testbed.arrays import FloatArray, IntArray
+from socket_testbed.errors import ConfigurationError, TrialError
+from socket_testbed.files import closest
+from socket_testbed.tables import split_unit, write_table
+from socket_testbed.trials.events import PLACED, cycle_spans
+from socket_testbed.trials.segment import Segment
+from socket_testbed.trials.trial import Trial
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+_POINTS = 101  # 0 to 100 % of a cycle
+_LONG = 2.0  # medians; a longer cycle holds a pause
+_BAND = 3  # cycles that a band needs
+_FEW = 10  # samples of a cycle
+_TIME = "time [s]"
+
+
+@dataclass(frozen=True, repr=False)
+class Cycles:
+    """Quantities over 0 to 100 % of each cycle of a trial.
+
+    Attributes:
+        trial: The trial.
+        by: The events that delimit the cycles, see `st.cycles`.
+        spans: Start and end of each of the K cycles since the first sample, shape (K, 2) [s].
+        left_out: Number of cycles that were left out because they hold a pause.
+        titles: Names of the m quantities with their units, such as `Fz [N]`.
+        curves: Their values at 0, 1, ... 100 % of each cycle, shape (K, 101, m).
+    """
+
+    trial: Trial
+    by: str
+    spans: FloatArray
+    left_out: int
+    titles: tuple[str, ...]
+    curves: FloatArray
+
+    def __repr__(self) -> str:
+        return f"Cycles({self})"
+
+    def __str__(self) -> str:
+        start, _, end = self.by.partition(":")
+        following = f"'{end}'" if end else "one"
+        durations = self.durations
+        paused = f"; {self.left_out} left out, longer than twice the median" * bool(self.left_out)
+        return (
+            f"{len(self)} cycles from each '{start}' to the next {following},"
+            f" {np.median(durations):.2f} s ({durations.min():.2f} to {durations.max():.2f} s)"
+            f"{paused}"
+        )
+
+    def __len__(self) -> int:
+        return len(self.spans)
+
+    @property
+    def durations(self) -> FloatArray:
+        """Durations of the cycles, shape (K,) [s]."""
+        return np.asarray(self.spans[:, 1] - self.spans[:, 0])
+
+    @property
+    def counts(self) -> IntArray:
+        """Number of cycles that have a value, at each percent, shape (101, m)."""
+        return np.asarray(np.isfinite(self.curves).sum(axis=0))
+
+    @property
+    def mean(self) -> FloatArray:
+        """Mean over the cycles at each percent, shape (101, m); NaN where no cycle has a value."""
+        total = np.nansum(self.curves, axis=0)
+        return np.where(self.counts > 0, total / np.maximum(self.counts, 1), np.nan)
+
+    @property
+    def deviation(self) -> FloatArray:
+        """Standard deviation over the cycles at each percent, shape (101, m).
+
+        NaN where fewer than three cycles have a value: two make no band.
+        """
+        squares = np.nansum((self.curves - self.mean) ** 2, axis=0)
+        return np.where(
+            self.counts >= _BAND, np.sqrt(squares / np.maximum(self.counts - 1, 1)), np.nan
+        )
+
+    def to_dataframe(self) -> pd.DataFrame:
+        """A row per percent, indexed by `cycle [%]`.
+
+        Columns of each quantity, such as `Fz mean [N]`, `Fz sd [N]` and `Fz n [-]`: mean, standard
+        deviation and number of cycles. NaN as in `mean` and `deviation`.
+        """
+        import pandas as pd
+
+        mean, deviation, counts = self.mean, self.deviation, self.counts
+        columns: dict[str, FloatArray | IntArray] = {}
+        for number, title in enumerate(self.titles):
+            name, unit = split_unit(title)
+            columns[f"{name} mean [{unit}]"] = mean[:, number]
+            columns[f"{name} sd [{unit}]"] = deviation[:, number]
+            columns[f"{name} n [-]"] = counts[:, number]
+        percent = np.linspace(0.0, 100.0, _POINTS)
+        return pd.DataFrame(columns, index=pd.Index(percent, name="cycle [%]"))
+
+    def save(self, path: PathLike) -> None:
+        """Write `to_dataframe` as `.csv`, `.parquet` or `.mat`; an older file is replaced."""
+        write_table(self.to_dataframe(), Path(path))
+
+
+def cycles(
+    trial: Trial,
+    quantity: str | Sequence[str] | pd.DataFrame | None = None,
+    *,
+    by: str = PLACED,
+    segment: str | Segment = "all",
+) -> Cycles:
+    """Bring quantities to 0 to 100 % of each cycle, linear between samples.
+
+    A cycle that lasts longer than twice the median holds a pause and is left out. A value that is
+    missing is missing in its cycle alone.
+
+    Args:
+        trial: The trial.
+        quantity: Channels of its samples, such as `"Fz"`; or any table over `time [s]`, its index
+            or a column, such as `st.pressure(trial, "all").over_time()`; None for all channels.
+            Of a table, columns in degrees are passed over, because directions have no mean, and so
+            are those that hold a status or no numbers.
+        by: A label of `trial.events()`: cycles run from each such event to the next. Or two, as
+            `placed:removed`: from each first to the next second.
+        segment: The part of the trial in which the cycles must lie.
+
+    Returns:
+        The cycles. Their band needs three of them.
+
+    Raises:
+        TrialError: If there is no such event, or no cycle within the segment and the table.
+        ConfigurationError: If there is no such channel, or the table has no time.
+
+    >>> trial = st.simulate("trials/cycles", "ramp", duration=130, seed=1)
+    >>> found = st.cycles(trial, "Fz")
+    >>> found
+    Cycles(4 cycles from each 'placed' to the next one, 30.00 s (30.00 to 30.01 s))
+    >>> list(found.to_dataframe())
+    ['Fz mean [N]', 'Fz sd [N]', 'Fz n [-]']
+    """
+    time, titles, values = _series(trial, quantity)
+    chosen = select(trial, segment, trial.estimator)
+    all_spans = cycle_spans(trial.events(), by)
+    start, end = max(chosen.start, float(time[0])), min(chosen.end, float(time[-1]))
+    spans = np.array([s for s in all_spans if start <= s[0] and s[1] <= end]).reshape(-1, 2)
+    if len(spans) == 0:
+        raise TrialError(
+            f"no cycle by '{by}' lies within {start:.2f} s to {end:.2f} s",
+            f"the trial has {len(all_spans)}: see 'info' for its events",
+        )
+    durations = spans[:, 1] - spans[:, 0]
+    kept = durations <= _LONG * np.median(durations)
+    spans = spans[kept]
+    shares = np.linspace(0.0, 1.0, _POINTS)
+    moments = spans[:, :1] + shares * (spans[:, 1:] - spans[:, :1])
+    curves = np.stack([np.interp(moments, time, column) for column in values.T], axis=-1)
+    samples = np.median(np.diff(np.searchsorted(time, spans), axis=1))
+    if samples < _FEW and trial.notify is not None:
+        trial.notify(
+            f"a cycle by '{by}' has {samples:.0f} samples: its course between them is a guess,"
+            " record at a higher rate"
+        )
+    return Cycles(trial, by, spans, int((~kept).sum()), titles, curves)
+
+
+def _series(
+    trial: Trial, quantity: str | Sequence[str] | pd.DataFrame | None
+) -> tuple[FloatArray, tuple[str, ...], FloatArray]:
+    """Times [s], titles and values, shape (N, m), of what is wanted."""
+    import pandas as pd
+
+    table = quantity
+    if not isinstance(table, pd.DataFrame):
+        table = trial.samples().to_dataframe()
+    if _TIME in table.columns:
+        table = table.set_index(_TIME)
+    if table.index.name != _TIME or len(table) == 0:
+        raise ConfigurationError(
+            f"the table has no column '{_TIME}', or no rows",
+            "give one with a row per sample, such as trial.samples().to_dataframe()",
+        )
+    usable = [
+        title
+        for title in table.select_dtypes("number").columns
+        if not title.endswith((" [deg]", "status [-]", "stamp [ns]"))
+    ]
+    if isinstance(quantity, str):
+        quantity = [quantity]
+    if quantity is not None and not isinstance(quantity, pd.DataFrame):
+        usable = [_title(name, usable) for name in quantity]
+    values = table[usable].to_numpy(dtype=float)
+    return table.index.to_numpy(dtype=float), tuple(usable), values
+
+
+def _title(name: str, titles: Sequence[str]) -> str:
+    """The title of a column by its name, with or without its unit."""
+    names = {split_unit(title)[0]: title for title in titles}
+    if name in titles:
+        return name
+    if name not in names:
+        raise ConfigurationError(f"the trial has no channel '{name}'", closest(name, names))
+    return names[name]

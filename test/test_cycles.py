@@ -1,0 +1,119 @@
+"""Cycles of a trial against series whose mean and spread over a cycle are known."""
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from support.bags import add_events
+
+import socket_testbed as st
+from socket_testbed.__main__ import run
+from socket_testbed.errors import ConfigurationError, TestbedError, TrialError
+from socket_testbed.trials.trial import Trial
+
+STEPS = np.array([5.0, 8.0, 11.5, 14.0, 17.0, 20.0, 40.0, 43.0])  # [s]; a pause of 20 s
+
+
+@pytest.fixture(scope="module")
+def walk(hold: Path, tmp_path_factory: pytest.TempPathFactory) -> Trial:
+    """The hold with marked steps, each with a push-off 1.8 s later."""
+    marks = [("step", at, at) for at in STEPS] + [("off", at + 1.8, at + 1.8) for at in STEPS]
+    path = tmp_path_factory.mktemp("walk") / "walk"
+    add_events(hold, path, sorted(marks, key=lambda mark: mark[2]))
+    return st.open_trial(path)
+
+
+def series(spans: np.ndarray, rate: float = 200.0) -> pd.DataFrame:
+    """A sine and a ramp over each cycle; each sine is higher by one than that before it."""
+    time = np.arange(0.0, 60.0, 1 / rate)
+    cycle = np.clip(np.searchsorted(spans[:, 0], time, side="right") - 1, 0, len(spans) - 1)
+    phase = (time - spans[cycle, 0]) / np.diff(spans, axis=1)[cycle, 0]
+    columns = {"sine [kPa]": np.sin(np.pi * phase) ** 2 + cycle, "ramp [-]": phase}
+    return pd.DataFrame(columns, index=pd.Index(time, name="time [s]"))
+
+
+def test_mean_and_deviation_are_those_of_the_cycles(walk: Trial) -> None:
+    spans = np.column_stack([STEPS[:-1], STEPS[1:]])
+    found = st.cycles(walk, series(spans), by="step")
+    assert len(found) == 6 and found.left_out == 1 and found.titles == ("sine [kPa]", "ramp [-]")
+    assert np.allclose(found.durations, [3, 3.5, 2.5, 3, 3, 3])
+    table = found.to_dataframe()
+    percent = table.index.to_numpy()
+    assert table.index.name == "cycle [%]" and len(table) == 101
+    inner = slice(1, -1)  # at its ends a cycle meets its neighbour
+    offsets = np.array([0, 1, 2, 3, 4, 6])  # the pause is number 5
+    expected = np.sin(np.pi * percent / 100) ** 2 + offsets.mean()
+    assert np.allclose(table["sine mean [kPa]"][inner], expected[inner], atol=2e-4)
+    assert np.allclose(table["sine sd [kPa]"][inner], offsets.std(ddof=1), atol=2e-4)
+    assert np.allclose(table["ramp mean [-]"][inner], percent[inner] / 100, atol=1e-3)
+    assert (table["sine n [-]"] == 6).all()
+    assert str(found) == (
+        "6 cycles from each 'step' to the next one, 3.00 s (2.50 to 3.50 s); 1 left out, longer"
+        " than twice the median"
+    )
+
+
+def test_two_cycles_have_no_band_and_a_gap_lowers_the_number(walk: Trial) -> None:
+    table = series(np.column_stack([STEPS[:-1], STEPS[1:]]))
+    two = st.cycles(walk, table, by="step", segment="4:12")
+    assert len(two) == 2
+    assert np.isnan(two.deviation).all() and np.isfinite(two.mean).all()
+    table.loc[8.7:9.4, "ramp [-]"] = np.nan  # 20 to 40 % of the second cycle
+    found = st.cycles(walk, table, by="step").to_dataframe()
+    assert found["ramp n [-]"].min() == 5 and found["sine n [-]"].min() == 6
+    assert np.isfinite(found["ramp mean [-]"]).all()
+
+
+def test_cycles_between_two_events_end_at_the_second(walk: Trial) -> None:
+    found = st.cycles(walk, "Fz", by="step:off", segment="0:30")
+    assert len(found) == 6 and np.allclose(found.durations, 1.8)
+    samples = walk.samples()
+    expected = np.interp(STEPS[:6], samples.time, samples.wrench[:, 5])
+    assert np.allclose(found.curves[:, 0, 0], expected)
+
+
+def test_channels_are_named_with_or_without_their_unit(walk: Trial) -> None:
+    names = st.cycles(walk, ["Fz", "distal.Fx [N]"], by="step").titles
+    assert names == ("Fz [N]", "distal.Fx [N]")
+    every = st.cycles(walk, by="step").titles
+    assert "Mx [N m]" in every and not any("status" in title for title in every)
+
+
+def test_a_slow_recording_is_noted(walk: Trial) -> None:
+    notes: list[str] = []
+    trial = st.open_trial(walk.path, notify=notes.append)
+    st.cycles(trial, "Fz", by="step:off")
+    assert any("has 8 samples" in note and "higher rate" in note for note in notes)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "error", "says"),
+    [
+        ({"by": "stp"}, TrialError, "no event 'stp': did you mean 'step'?"),
+        ({"by": "step", "segment": "21:39"}, TrialError, "no cycle by 'step' lies within 21.00 s"),
+        ({"by": "step", "quantity": "Fw"}, ConfigurationError, "no channel 'Fw'"),
+        ({"quantity": pd.DataFrame({"a": [1.0]})}, ConfigurationError, "no column 'time [s]'"),
+        ({"by": ""}, TrialError, "no event ''"),
+        ({"by": "a:b:c"}, TestbedError, "no event 'a'"),
+    ],
+)
+def test_what_is_no_cycle_is_named(
+    walk: Trial, arguments: dict, error: type[Exception], says: str
+) -> None:
+    with pytest.raises(error) as caught:
+        st.cycles(walk, **arguments)
+    assert says in str(caught.value)
+
+
+def test_the_verb_writes_the_same_numbers(
+    walk: Trial, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    output = tmp_path / "cycles.csv"
+    words = ["export", str(walk.path), "--cycles", "step", "--segment", "0:30", "-o", str(output)]
+    assert run(words) == 0
+    assert "5 cycles from each 'step' to the next one, 3.00 s" in capsys.readouterr().out
+    written = pd.read_csv(output, index_col="cycle [%]")
+    expected = st.cycles(walk, by="step", segment="0:30").to_dataframe()
+    assert np.array_equal(written[list(expected)], expected, equal_nan=True)
+    assert "distal.normal mean [Pa]" in written and "stamp mean [ns]" not in written
