@@ -3,12 +3,11 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from support.domains import claim_domain
 
 # Every run, and every worker of pytest-xdist, has a ROS domain of its own, and no graph leaves
 # this machine. This must stand before rclpy is imported anywhere; child processes inherit it.
-os.environ["ROS_DOMAIN_ID"] = str(
-    1 + (8 * os.getppid() + int(os.environ.get("PYTEST_XDIST_WORKER", "gw0")[2:])) % 100
-)
+os.environ["ROS_DOMAIN_ID"] = claim_domain()
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
