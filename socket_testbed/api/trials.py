@@ -235,7 +235,7 @@ def simulate(
     Trial('trials/short')
     """
     from socket_testbed.simulation.limb import SCENARIOS, TISSUES
-    from socket_testbed.simulation.sensors import LIKE_PAPER
+    from socket_testbed.simulation.sensor_errors import LIKE_PAPER
     from socket_testbed.simulation.trial import simulate as simulate_trial
     from socket_testbed.simulation.trial import write_simulated_trial
 

@@ -22,7 +22,7 @@ from socket_testbed.settings.acquisition import (
 from socket_testbed.simulation.devices.ads131m0x import SimulatedLoadCellHardware
 from socket_testbed.simulation.devices.gpio_lines import SimulatedLines
 from socket_testbed.simulation.devices.i2c import SimulatedClusterHardware
-from socket_testbed.simulation.sensors import SensorErrors, wrench_noise
+from socket_testbed.simulation.sensor_errors import SensorErrors, wrench_noise
 from socket_testbed.simulation.world import World
 
 _I2C_FREQUENCY = 400e3  # [Hz]

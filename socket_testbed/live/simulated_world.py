@@ -30,14 +30,13 @@ from socket_testbed.simulation.limb import (
     TissueKind,
     load_history,
 )
+from socket_testbed.simulation.sensor_errors import SensorErrors, wrench_offset
 from socket_testbed.simulation.sensors import (
     CAMERA_RATE,
     ClusterSensor,
     MarkerBodies,
-    SensorErrors,
     cluster_stress,
     place_markers,
-    wrench_offset,
 )
 from socket_testbed.simulation.trial import GroundTruth, random_streams, save_truth
 from socket_testbed.simulation.world import World

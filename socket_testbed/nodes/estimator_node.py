@@ -29,17 +29,19 @@ from socket_testbed.live.online_map import OnlineMap
 from socket_testbed.nodes.base import NEWEST_STAMP, TestbedNode
 from socket_testbed.nodes.conversions import (
     LOAD_CELL_FRAME,
-    ForceMapMessage,
-    PressureMap,
-    fit_to_ros,
     header_to_ros,
-    local_forces_to_ros,
     pose_from_ros,
     stamp_from_ros,
-    stored_model_to_ros,
     stress_from_ros,
     wrench_from_ros,
     wrench_to_ros,
+)
+from socket_testbed.nodes.estimate_messages import (
+    ForceMapMessage,
+    PressureMap,
+    fit_to_ros,
+    local_forces_to_ros,
+    stored_model_to_ros,
 )
 from socket_testbed.settings.testbed import EstimatorSettings
 from socket_testbed.trials.topics import (

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from scipy.optimize import root
 from scipy.spatial.transform import Rotation
@@ -12,6 +10,7 @@ from socket_testbed.arrays import FloatArray
 from socket_testbed.calibration.model import ClusterCalibration, shear_terms
 from socket_testbed.geometry.pose import Pose
 from socket_testbed.geometry.socket import SocketGeometry
+from socket_testbed.simulation.sensor_errors import SensorErrors
 
 CAMERA_RATE = 240.0  # [Hz]
 _CONVERTER_STEP = 2.0**-19  # [pF]; of the FDC1004
@@ -24,59 +23,6 @@ _SOCKET_IN_WORLD = Pose(
 )
 _STAND_COMPLIANCE = 1e-6  # [m/N]; the stand gives a little under the load
 _STAND_TREMOR = 2e-5  # [m]
-
-
-@dataclass(frozen=True)
-class SensorErrors:
-    """Sizes of the errors of all sensors.
-
-    Attributes:
-        gain_mismatch: Spread of the gains of a cluster's channels [-].
-        offset: Spread of the offsets of a cluster's channels [pF].
-        cross_talk: Part of a neighbouring channel's change that a channel picks up [-].
-        capacitance_drift: Spread of the drift of a channel [pF/s].
-        capacitance_noise: Noise of a channel [pF].
-        stress_offset: Largest offset of a cluster's three stresses, as a cluster has that is built
-            into a socket after its calibration; a fifth of it is the smallest [Pa].
-        placement: Spread of a cluster's rotation about its normal [rad].
-        force_noise: Noise of the load cell's forces [N].
-        moment_noise: Noise of the load cell's moments [N m].
-        force_offset: Spread of the forces' offsets after taring [N].
-        moment_offset: Spread of the moments' offsets after taring [N m].
-        force_creep: By how much each force creeps under the largest load [N].
-        moment_creep: By how much each moment creeps under the largest load [N m].
-        marker_noise: Noise of a marker's coordinate [m]; white from frame to frame, measured on
-            the body at rest of `sample_optitrack_take.csv` (120 Hz, a triad of 0.2 m;
-            cmuphyscomp/hmv-s16 on GitHub). Long lenses and large rooms have more.
-        drop_out: Chance that a marker is occluded in a frame [-].
-        label_swap: Chance that two labels of a body are swapped in a frame [-].
-        registration: Spread of the error of a body's registration [m].
-        registration_angle: The same for its rotation [rad].
-    """
-
-    gain_mismatch: float = 0.02
-    offset: float = 0.03
-    cross_talk: float = 0.03
-    capacitance_drift: float = 1.0e-4
-    capacitance_noise: float = 0.002
-    stress_offset: float = 0.0
-    placement: float = 0.05
-    force_noise: float = 0.15
-    moment_noise: float = 0.01
-    force_offset: float = 0.8
-    moment_offset: float = 0.05
-    force_creep: float = 0.0
-    moment_creep: float = 0.0
-    marker_noise: float = 8.0e-6
-    drop_out: float = 0.002
-    label_swap: float = 0.002
-    registration: float = 5.0e-4
-    registration_angle: float = 0.003
-
-
-# What the published experiment's errors look like: the load cell creeps by 8 N and 0.9 N m, and
-# the clusters have offsets of up to 150 N on their 9 cm^2.
-LIKE_PAPER = SensorErrors(stress_offset=150.0 / 9e-4, force_creep=8.0, moment_creep=0.9)
 
 
 def invert_calibration(calibration: ClusterCalibration, stress: FloatArray) -> FloatArray:
@@ -165,18 +111,6 @@ def cluster_stress(geometry: SocketGeometry, cluster: str, forces: FloatArray) -
     tile = geometry.clusters[cluster]
     local = forces[:, tile] @ geometry.rotations[tile] / geometry.areas[tile]
     return np.column_stack([-local[:, 2], local[:, 0], local[:, 1]])
-
-
-def wrench_offset(errors: SensorErrors, rng: np.random.Generator) -> FloatArray:
-    """What is left of the load cell's offset after taring, [M; F], shape (6,) [N m, N]."""
-    return rng.normal(0.0, 1.0, 6) * np.repeat([errors.moment_offset, errors.force_offset], 3)
-
-
-def wrench_noise(errors: SensorErrors, count: int, rng: np.random.Generator) -> FloatArray:
-    """Noise of the load cell, [M; F], shape (count, 6) [N m, N]."""
-    return rng.normal(0.0, 1.0, (count, 6)) * np.repeat(
-        [errors.moment_noise, errors.force_noise], 3
-    )
 
 
 def wrench_creep(

@@ -20,16 +20,14 @@ from socket_testbed.geometry.pose import Pose
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.samples import Status
 from socket_testbed.simulation.limb import LoadedLimb, Scenario, TissueKind, load_history
+from socket_testbed.simulation.sensor_errors import SensorErrors, wrench_noise, wrench_offset
 from socket_testbed.simulation.sensors import (
     CAMERA_RATE,
     ClusterSensor,
     MarkerBodies,
-    SensorErrors,
     cluster_stress,
     observe_markers,
     wrench_creep,
-    wrench_noise,
-    wrench_offset,
 )
 from socket_testbed.trials.bag import BagWriter, encode, message_class
 from socket_testbed.trials.topics import (

@@ -12,7 +12,7 @@ from socket_testbed.files import packaged
 from socket_testbed.geometry.socket import read_socket
 from socket_testbed.live.simulated_world import LiveTestbed
 from socket_testbed.simulation.limb import SCENARIOS, TISSUES
-from socket_testbed.simulation.sensors import SensorErrors
+from socket_testbed.simulation.sensor_errors import SensorErrors
 from socket_testbed.simulation.trial import GroundTruth
 from socket_testbed.simulation.world import World
 

@@ -9,12 +9,8 @@ from visualization_msgs.msg import Marker
 from socket_testbed.files import packaged
 from socket_testbed.geometry.socket import read_socket
 from socket_testbed.identification.force_map import MapEstimate
-from socket_testbed.nodes.conversions import (
-    ForceMapMessage,
-    PressureMap,
-    stamp_from_ros,
-    vectors_from_ros,
-)
+from socket_testbed.nodes.conversions import stamp_from_ros, vectors_from_ros
+from socket_testbed.nodes.estimate_messages import ForceMapMessage, PressureMap
 
 GEOMETRY = read_socket(packaged("config", "socket.yaml"))
 STAMP = 1_700_000_000_250_000_000

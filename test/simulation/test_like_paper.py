@@ -10,8 +10,8 @@ from socket_testbed.geometry.socket import read_socket
 from socket_testbed.identification.evaluation import summarise_errors
 from socket_testbed.samples import Status
 from socket_testbed.simulation.limb import load_history
+from socket_testbed.simulation.sensor_errors import LIKE_PAPER
 from socket_testbed.simulation.sensors import (
-    LIKE_PAPER,
     ClusterSensor,
     cluster_stress,
     wrench_creep,

@@ -9,7 +9,8 @@ import pytest
 from socket_testbed.calibration.model import read_calibration
 from socket_testbed.files import packaged
 from socket_testbed.geometry.socket import read_socket
-from socket_testbed.simulation.sensors import CAMERA_RATE, SensorErrors
+from socket_testbed.simulation.sensor_errors import SensorErrors
+from socket_testbed.simulation.sensors import CAMERA_RATE
 from socket_testbed.simulation.trial import simulate
 from socket_testbed.socket_design.motive import read_motive_csv
 

@@ -17,8 +17,8 @@ from socket_testbed.simulation.limb import (
     load_history,
     make_tissue,
 )
+from socket_testbed.simulation.sensor_errors import SensorErrors
 from socket_testbed.simulation.sensors import (
-    SensorErrors,
     invert_calibration,
     observe_markers,
 )

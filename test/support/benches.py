@@ -8,9 +8,9 @@ import numpy as np
 from socket_testbed.calibration.bench_data import BenchData
 from socket_testbed.calibration.model import ClusterCalibration, read_calibration
 from socket_testbed.files import packaged
+from socket_testbed.simulation.sensor_errors import SensorErrors
 from socket_testbed.simulation.sensors import (
     ClusterSensor,
-    SensorErrors,
     invert_calibration,
 )
 
