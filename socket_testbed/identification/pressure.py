@@ -224,7 +224,7 @@ class _Reader:
         low, middle, high = _quantiles(np.moveaxis(difference, axis, -1))
         if name in _CONVEX:
             low, high = np.minimum(low, low - middle), np.maximum(high, high - middle)
-        low, high = value + low, value + high
+        low, high = value + np.minimum(low, 0.0), value + np.maximum(high, 0.0)
         if name in _NEVER_NEGATIVE:
             low = np.maximum(low, 0.0)
         if name == "area":

@@ -284,3 +284,49 @@ def test_without_a_pose_the_mean_is_zero(force_map: ForceMap) -> None:
     without = force_map.estimate(samples)
     np.testing.assert_allclose(found.forces[1], without.forces[1], rtol=1e-12)
     assert np.abs(found.forces[0] - without.forces[0]).max() > 0.1
+
+
+def test_joint_draws_have_the_posterior_of_a_plain_conditioning() -> None:
+    """With one draw of the prior's sizes, the posterior is a multivariate t distribution."""
+    settings = ForceMapSettings(draws=1, cluster_error_spread=0.0, spread=0.0)
+    force_map = ForceMap(GEOMETRY, CLUSTERS, settings)
+    samples = some_samples(1)
+    samples.status[0, 2] = Status.MISSING
+    ((rows, draws),) = force_map.sample(samples, 6000)
+    assert rows.tolist() == [0]
+    draws = draws.reshape(6000, -1)
+
+    (drawn, *_) = _draw(settings)
+    correlation = surface_correlation(GEOMETRY, settings.length)
+    prior = _prior(GEOMETRY, correlation, _rigid_motions(GEOMETRY, settings.arm), drawn)
+    kept = np.repeat([True, True, True, True, False, True], 3)
+    mapping = _mapping(GEOMETRY, CLUSTERS, drawn.share)
+    total = mapping @ prior @ mapping.T
+    total = (total + _noise(total, drawn))[np.ix_(kept, kept)]
+    mapping = mapping[kept]
+    measured = np.concatenate([samples.wrench[0], samples.local_forces[0].ravel()])[kept]
+    gain = np.linalg.solve(total, mapping @ prior).T
+    square = measured @ np.linalg.solve(total, measured)
+    covariance = (prior - gain @ mapping @ prior) * (6.0 + square) / (6.0 + 15.0 - 2.0)
+
+    deviation = np.sqrt(np.diag(covariance))
+    assert np.abs((draws.mean(axis=0) - gain @ measured) / deviation).max() < 1e-6  # in pairs
+    found = np.cov(draws.T) / np.outer(deviation, deviation)
+    expected = covariance / np.outer(deviation, deviation)
+    assert np.abs(found - expected).max() < 0.1
+    assert np.abs(found - expected).mean() < 0.02  # 3000 pairs
+
+
+def test_joint_draws_agree_with_the_map(force_map: ForceMap) -> None:
+    samples = some_samples(5)
+    samples.status[2, 1] = Status.SATURATED
+    estimate = force_map.estimate(samples)
+    seen = []
+    for rows, draws in force_map.sample(samples, 1000):
+        seen += rows.tolist()
+        forces = np.einsum("nij,kdnj->kdni", GEOMETRY.rotations, draws)
+        deviation = estimate.standard_deviations[rows]
+        assert np.abs((forces.mean(axis=1) - estimate.forces[rows]) / deviation).max() < 0.1
+        ratio = forces.std(axis=1) / deviation
+        assert 0.9 < np.median(ratio) < 1.1
+    assert sorted(seen) == [0, 1, 2, 3, 4]

@@ -1,0 +1,200 @@
+"""Pressure outputs against numpy on known fields, and what their intervals promise."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+from support.ring_socket import ring_socket
+
+from socket_testbed.errors import TrialError
+from socket_testbed.geometry.regions import Region, all_regions
+from socket_testbed.identification.force_map import ForceMap, MapEstimate
+from socket_testbed.identification.pressure import (
+    PressureOutputs,
+    Quantity,
+    integration_weights,
+    measured_rows,
+    pressure_outputs,
+)
+from socket_testbed.samples import Samples, Status
+
+GEOMETRY = ring_socket()
+TILES = len(GEOMETRY)
+CLUSTERS = tuple(GEOMETRY.clusters)
+THRESHOLD = 5000.0  # [Pa]
+
+
+@dataclass
+class KnownField(ForceMap):
+    """A force map without doubt: every draw is the field itself, in the tiles' frames [N]."""
+
+    local: np.ndarray
+
+    def estimate(self, samples: Samples, bed: object = None) -> MapEstimate:
+        forces = np.einsum("nij,knj->kni", GEOMETRY.rotations, self.local[: len(samples)])
+        pressure = -self.local[: len(samples), :, 2] / GEOMETRY.areas
+        zero = np.zeros_like(pressure)
+        return MapEstimate(forces, 0.0 * forces, pressure, zero, zero, zero, "known")
+
+    def sample(self, samples: Samples, count: int = 200) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+        for rows in np.array_split(np.arange(len(samples)), 3):  # in chunks, as the map has it
+            yield rows, np.repeat(self.local[rows, None], count, axis=1)
+
+
+def samples_at(times: np.ndarray, wrench: np.ndarray | None = None) -> Samples:
+    count = len(times)
+    return Samples(
+        stamps=(1e9 * times).astype(np.int64),
+        position=np.zeros((count, 3)),
+        rotation=np.zeros((count, 3)),
+        wrench=np.tile([0.5, 1.5, 0.0, 5.0, -3.0, -270.0], (count, 1))
+        if wrench is None
+        else wrench,
+        clusters=CLUSTERS,
+        local_forces=np.tile([0.5, -0.2, -9.0], (count, len(CLUSTERS), 1)),
+        status=np.zeros((count, len(CLUSTERS)), dtype=np.uint8),
+    )
+
+
+def some_field(count: int = 12, seed: int = 1) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    local = rng.normal([0.5, -0.5, -8.0], [2.0, 2.0, 6.0], (1, TILES, 3))
+    return local * (1.0 + 0.5 * rng.standard_normal((count, 1, 1)))
+
+
+def outputs_of(
+    local: np.ndarray, times: np.ndarray, regions: tuple[Region, ...]
+) -> PressureOutputs:
+    return pressure_outputs(KnownField(local), samples_at(times), GEOMETRY, regions, THRESHOLD)
+
+
+def test_outputs_of_a_known_field_are_those_of_plain_numpy() -> None:
+    times, local = 0.25 * np.arange(12), some_field()
+    regions = all_regions(GEOMETRY, "left")
+    found = outputs_of(local, times, regions).regions
+    pressure = -local[..., 2] / GEOMETRY.areas  # (N, n)
+    axial = np.einsum("nj,knj->kn", GEOMETRY.rotations[:, 2], local)
+    held = np.where(pressure > THRESHOLD, pressure, 0.0)
+    for number, region in enumerate(regions):
+        tiles, area = region.tiles, GEOMETRY.areas[region.tiles]
+        push = np.maximum(-local[:, tiles, 2], 0.0).mean(axis=0)
+        shear = local[:, tiles, :2].mean(axis=0).sum(axis=0) / area.sum()
+        expected = {
+            "mean": np.average(pressure[:, tiles].mean(axis=0), weights=area),
+            "peak": pressure[:, tiles].max(),
+            "area": ((pressure[:, tiles] > THRESHOLD) * area).sum(axis=1).mean(),
+            "integral": np.average(np.trapezoid(held[:, tiles], times, axis=0), weights=area),
+            "centre": (push[:, None] * GEOMETRY.anchors[tiles]).sum(axis=0) / push.sum(),
+            "shear": np.linalg.norm(shear),
+            "direction": np.arctan2(shear[1], shear[0]),
+            "share": axial[:, tiles].sum() / axial.sum(),
+        }
+        for name, value in expected.items():
+            quantity: Quantity = getattr(found, name)
+            for part in (quantity.value, quantity.low, quantity.high):
+                np.testing.assert_allclose(part[number], value, rtol=1e-9, err_msg=name)
+
+
+def test_a_tile_is_a_region_of_one_and_an_instant_a_span_of_one() -> None:
+    times, local = 0.25 * np.arange(12), some_field()
+    found = outputs_of(local, times, all_regions(GEOMETRY))
+    pressure = -local[..., 2] / GEOMETRY.areas
+    np.testing.assert_allclose(found.tiles.mean.value, pressure.mean(axis=0))
+    np.testing.assert_allclose(found.tiles.peak.value, pressure.max(axis=0))
+    np.testing.assert_allclose(found.series.peak.value[:, -1], pressure.max(axis=1))
+    np.testing.assert_allclose(found.series.mean.value[:, -1], pressure.mean(axis=1))
+    assert np.isnan(found.series.integral.value).all()
+
+
+def test_the_shares_of_a_socket_s_parts_add_up_to_all_of_the_load() -> None:
+    found = outputs_of(some_field(), 0.25 * np.arange(12), all_regions(GEOMETRY, "right"))
+    np.testing.assert_allclose(found.regions.share.value[:12].sum(), 1.0)
+    np.testing.assert_allclose(found.regions.share.value[12], 1.0)
+    np.testing.assert_allclose(found.series.share.value[:, :12].sum(axis=1), 1.0)
+
+
+def test_gaps_are_left_out_of_integrals() -> None:
+    times = np.array([0.0, 0.25, 0.5, 0.75, 9.0, 9.25, 9.5])
+    np.testing.assert_allclose(integration_weights(times).sum(), 1.25)
+    local = np.zeros((7, TILES, 3))
+    local[..., 2] = -10e3 * GEOMETRY.areas
+    found = outputs_of(local, times, all_regions(GEOMETRY))
+    np.testing.assert_allclose(found.regions.integral.value, 12.5e3)
+    assert found.integrated == pytest.approx(1.25)
+
+
+def test_what_was_not_measured_counts_in_nothing() -> None:
+    samples = samples_at(0.25 * np.arange(9))
+    samples.wrench[4] = np.nan
+    samples.status[4] = Status.SATURATED
+    assert measured_rows(samples).tolist() == [True] * 4 + [False] + [True] * 4
+    force_map, regions = ForceMap(GEOMETRY, CLUSTERS), all_regions(GEOMETRY)
+    found = pressure_outputs(force_map, samples, GEOMETRY, regions, THRESHOLD)
+    kept = np.arange(9) != 4
+    fewer = pressure_outputs(force_map, samples[kept], GEOMETRY, regions, THRESHOLD)
+    np.testing.assert_allclose(found.regions.peak.value, fewer.regions.peak.value)
+    np.testing.assert_allclose(found.regions.mean.high, fewer.regions.mean.high)
+    assert np.isnan(found.series.mean.high[4]).all()
+    assert np.isfinite(found.series.mean.high[kept]).all()
+
+    samples.wrench[:] = np.nan
+    samples.status[:] = Status.MISSING
+    with pytest.raises(TrialError, match="no sample of the segment has a wrench or a trusted"):
+        pressure_outputs(force_map, samples, GEOMETRY, regions, THRESHOLD)
+
+
+def test_a_long_hold_is_no_better_known_than_one_sample() -> None:
+    """What the channels leave open stays the same: it does not average out."""
+    force_map, regions = ForceMap(GEOMETRY, CLUSTERS), all_regions(GEOMETRY)
+
+    def widths(count: int) -> np.ndarray:
+        samples = samples_at(0.25 * np.arange(count))
+        mean = pressure_outputs(force_map, samples, GEOMETRY, regions, THRESHOLD).regions.mean
+        return np.asarray(mean.high - mean.low)
+
+    np.testing.assert_allclose(widths(30), widths(2), rtol=1e-6)
+
+
+def test_intervals_hold_their_values_and_stay_where_values_can_be() -> None:
+    samples = samples_at(0.25 * np.arange(4))
+    force_map, regions = ForceMap(GEOMETRY, CLUSTERS), all_regions(GEOMETRY)
+    found = pressure_outputs(force_map, samples, GEOMETRY, regions, THRESHOLD).regions
+    for quantity in vars(found).values():
+        assert (quantity.low <= quantity.value + 1e-9).all()
+        assert (quantity.value <= quantity.high + 1e-9).all()
+    for quantity in (found.area, found.integral, found.shear):
+        assert (quantity.low >= 0.0).all()
+    areas = [GEOMETRY.areas[region.tiles].sum() for region in regions]
+    assert (found.area.high <= np.array(areas) + 1e-12).all()
+
+
+def test_a_value_is_determined_where_its_interval_stays_within_a_share_of_it() -> None:
+    value, low, high = np.array([[10.0, 10.0, -10.0, 0.0, 0.0]]), 0.0, 0.0
+    low, high = np.array([[5.0, 4.9, -15.0, 0.0, -1.0]]), np.array([[15.0, 12.0, -6.0, 0.0, 1.0]])
+    quantity = Quantity(value, low, high, np.abs(value))
+    assert quantity.determined(0.5).tolist() == [[True, False, True, True, False]]
+    unknown = replace(quantity, low=np.full_like(low, np.nan))
+    assert not unknown.determined(1e9).any()
+
+
+def test_a_direction_near_half_a_turn_has_a_narrow_interval() -> None:
+    """Directions of 179 and -179 degrees are 2 degrees apart."""
+
+    class TwoFields(KnownField):
+        def sample(self, samples: Samples, count: int = 200):
+            turned = self.local * [1.0, -1.0, 1.0]
+            both = np.stack([self.local, turned] * (count // 2), axis=1)
+            yield np.arange(len(samples)), both
+
+    angle = np.radians(179.0)
+    local = np.tile([3.0 * np.cos(angle), 3.0 * np.sin(angle), -9.0], (2, TILES, 1))
+    regions = all_regions(GEOMETRY)
+    samples = samples_at(np.array([0.0, 0.25]))
+    found = pressure_outputs(TwoFields(local), samples, GEOMETRY, regions, THRESHOLD)
+    direction = found.regions.direction
+    np.testing.assert_allclose(np.degrees(direction.low), 179.0, atol=1e-6)
+    np.testing.assert_allclose(np.degrees(direction.high), 181.0, atol=1e-6)
+    assert direction.determined(0.5).all()
