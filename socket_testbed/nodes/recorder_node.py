@@ -31,7 +31,7 @@ from socket_testbed.settings.testbed import RecorderSettings
 from socket_testbed.trials.bag import BagWriter
 from socket_testbed.trials.metadata import read_metadata
 from socket_testbed.trials.topics import RECORDED_TRIAL, TOPICS
-from socket_testbed.trials.trial import beside_cut_short, store_configuration
+from socket_testbed.trials.trial import beside, beside_cut_short, store_configuration
 
 
 class RecorderNode(TestbedNode[RecorderSettings]):
@@ -66,11 +66,17 @@ class RecorderNode(TestbedNode[RecorderSettings]):
 
     def _on_record(self, wanted: bool) -> str:
         if wanted and self._bag is None:
-            name = datetime.now().strftime("trial_%Y%m%d_%H%M%S")
-            self._start(Path(self.settings.directory) / name)
+            self._start(self._next_path())
         elif not wanted:
             self._finish()
         return f"{'recording' if self._bag else 'recorded'} {self._path}"
+
+    def _next_path(self) -> Path:
+        """Where a requested recording goes: into the folder, or beside it if it is a trial."""
+        directory = Path(self.settings.directory)
+        if any(directory.glob("*.mcap")):
+            return beside(directory)
+        return directory / datetime.now().strftime("trial_%Y%m%d_%H%M%S")
 
     def _start_over(self, directory: Path) -> None:
         """Record into a folder, or beside it where an earlier recorder was cut short."""

@@ -224,8 +224,11 @@ def beside_cut_short(path: Path) -> Path:
         The first of these names that is free; the path itself if it holds no such recording.
     """
     cut_short = any(path.glob("*.mcap")) and not (path / "metadata.yaml").exists()
-    if not cut_short:
-        return path
+    return beside(path) if cut_short else path
+
+
+def beside(path: Path) -> Path:
+    """The first of the names `path`_2, `path`_3, ... that is free."""
     names = (path.parent / f"{path.name}_{number}" for number in count(2))
     return next(name for name in names if not name.exists())
 

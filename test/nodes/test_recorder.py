@@ -16,6 +16,7 @@ from rosgraph_msgs.msg import Clock
 from std_srvs.srv import SetBool
 from support.graph import Probe
 
+from socket_testbed.batch import find_trials
 from socket_testbed.live.processes import Graph
 from socket_testbed.nodes.conversions import stamp_from_ros, stamp_to_ros
 from socket_testbed.settings.testbed import RecorderSettings, ReplaySettings
@@ -231,6 +232,23 @@ def test_the_trial_s_name_is_announced_while_it_is_recorded(tmp_path: Path) -> N
         assert not answer.success and "did you mean 'left'?" in answer.message
     assert (trial / "metadata.yaml").is_file()
     assert Trial(trial).metadata == TrialMetadata("S01", "left")
+
+
+def test_a_second_recording_lies_beside_the_first_where_a_batch_finds_it(tmp_path: Path) -> None:
+    trial = tmp_path / "s01"
+    with Probe() as probe, recorder("record:=true", f"directory:={trial}"):
+        announced = probe.listen(RECORDED_TRIAL)
+        expected = ["", "s01"]
+        for name in ("s01_2", "s01_3"):
+            probe.wait(lambda: names(announced)[-1:] == expected[-1:], "the name")
+            for wanted in (False, True):
+                request = SetBool.Request(data=wanted)
+                answer = probe.call(SetBool, "recorder/record", request)
+                assert answer.success, answer.message
+            assert answer.message == f"recording {tmp_path / name}"
+            expected.append(name)
+    assert list(find_trials(tmp_path)) == ["s01", "s01_2", "s01_3"]
+    assert not [path for path in trial.iterdir() if path.is_dir()]
 
 
 def test_simulated_time_is_recorded_as_it_is(tmp_path: Path) -> None:
