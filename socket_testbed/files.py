@@ -64,7 +64,9 @@ def check_outputs(*paths: Path | None, replace: bool) -> None:
     """
     for path in filter(None, paths):
         if path.is_dir():
-            raise ConfigurationError(f"{path} is a folder", "name a file for the output")
+            raise ConfigurationError(
+                f"{path} exists already as a folder", "name a file for the output"
+            )
         if path.exists() and not replace:
             raise ConfigurationError(
                 f"{path} exists already", "name another output, or replace it with --replace"
@@ -101,8 +103,10 @@ def _require_parent(path: Path) -> None:
     """Refuse a path in a folder that does not exist: it may be mistyped."""
     parent = path.parent
     if not parent.is_dir():
-        fact = "is not a folder" if parent.exists() else "no such folder"
-        raise ConfigurationError(f"{parent}: {fact}", "correct the path, or make the folder first")
+        why = f"{parent} is not a folder" if parent.exists() else f"no such folder as {parent}"
+        raise ConfigurationError(
+            f"{path}: cannot be written ({why})", "correct the path, or make the folder first"
+        )
 
 
 def check_picture(path: Path) -> None:

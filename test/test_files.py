@@ -68,7 +68,7 @@ def test_an_output_replaces_nothing_and_makes_no_folder_unless_asked(tmp_path: P
     check_outputs(taken, replace=True)
     with pytest.raises(ConfigurationError, match=r"exists already.*--replace"):
         check_outputs(None, taken, replace=False)
-    with pytest.raises(ConfigurationError, match="is a folder"):
+    with pytest.raises(ConfigurationError, match="as a folder"):
         check_outputs(tmp_path, replace=True)
     for mistyped, fact in (("modles/m.json", "no such folder"), ("bench.csv/m", "is not a folder")):
         with pytest.raises(ConfigurationError, match=fact):

@@ -23,6 +23,7 @@ from rclpy.clock import Clock, ClockType
 from std_msgs.msg import String
 from std_srvs.srv import SetBool
 
+from socket_testbed import clocks
 from socket_testbed.clocks import SteadyClock
 from socket_testbed.errors import ConfigurationError
 from socket_testbed.files import refuse_existing
@@ -32,6 +33,8 @@ from socket_testbed.trials.bag import BagWriter
 from socket_testbed.trials.metadata import read_metadata
 from socket_testbed.trials.topics import RECORDED_TRIAL, TOPICS
 from socket_testbed.trials.trial import beside, beside_cut_short, store_configuration
+
+_SILENCE = 10.0  # [s]; for a graph to come up
 
 
 class RecorderNode(TestbedNode[RecorderSettings]):
@@ -43,6 +46,8 @@ class RecorderNode(TestbedNode[RecorderSettings]):
         self._bag: BagWriter | None = None
         self._path: Path | None = None
         self._counts: dict[str, int] = {}
+        self._began = 0.0  # [s]
+        self._warned = False
         self._now: Callable[[], int] = SteadyClock().now
         self._announcer = self.advertise(RECORDED_TRIAL)
         self._topics = {self.resolve_topic_name(topic.name): topic for topic in TOPICS}
@@ -55,6 +60,29 @@ class RecorderNode(TestbedNode[RecorderSettings]):
         self._announce()
         if settings.record:
             self._start_over(Path(settings.directory))
+
+    def look(self) -> None:
+        """Report the topics on which nothing arrives."""
+        if self._bag is None:
+            return
+        silent = self._silent_topics()
+        if silent and clocks.monotonic() - self._began > _SILENCE:
+            everything = len(silent) == sum(topic.required for topic in self._topics.values())
+            what = "" if everything else f" on {', '.join(silent)}"
+            self.report(
+                WARN,
+                f"recording {self._path}, but nothing arrives{what}: check that the testbed runs,"
+                " with the same ROS_DOMAIN_ID",
+            )
+            self._warned = True
+        elif self._warned and not silent:
+            self._warned = False
+            self.report(OK, f"recording {self._path}")
+
+    def _silent_topics(self) -> list[str]:
+        """The topics a trial needs of which the recording has no message."""
+        topics = self._topics.items()
+        return [name for name, topic in topics if topic.required and not self._counts[name]]
 
     def close(self) -> None:
         """Close the trial."""
@@ -118,6 +146,7 @@ class RecorderNode(TestbedNode[RecorderSettings]):
             (lambda: clock.now().nanoseconds) if clock.ros_time_is_active else SteadyClock().now
         )
         self._bag, self._path = bag, path
+        self._began, self._warned = clocks.monotonic(), False
         self._counts = dict.fromkeys(self._topics, 0)
         self._announce()
         self.report(OK, f"recording {path}")
@@ -136,7 +165,11 @@ class RecorderNode(TestbedNode[RecorderSettings]):
                 f"{self._path} was not closed, it keeps what it has ({error.strerror}): make space",
             )
             return
-        self.report(OK, f"recorded {sum(self._counts.values())} messages in {self._path}")
+        text = f"recorded {sum(self._counts.values())} messages in {self._path}"
+        silent = self._silent_topics()
+        if silent:
+            text += f", none on {', '.join(silent)}: a fit needs these"
+        self.report(WARN if silent else OK, text)
 
     def _on_message(self, name: str, data: bytes) -> None:
         if self._bag is None:

@@ -270,7 +270,7 @@ def test_bad_input_gets_one_line_that_names_it(
         (["record", "HOLD"], ["exists already"]),
         (["fit", "HOLD", "-o", "/proc/model"], ["/proc/model", "cannot be written"]),
         (["fit", "HOLD", "-o", "modles/m.json"], ["modles", "no such folder"]),
-        (["fit", "HOLD", "-o", "HOLD"], ["hold", "is a folder"]),
+        (["fit", "HOLD", "-o", "HOLD"], ["hold", "as a folder"]),
         (["simulate", "-o", "home/trials/s01"], ["home", "no such folder"]),
         (["record", "home/trials/s01"], ["home", "no such folder"]),
         (["run", "--simulated", "--record", "home/trials/s01"], ["home", "no such folder"]),

@@ -54,7 +54,7 @@ def test_the_verb_s_errors_are_those_of_fit_at_the_same_theta(hold, tmp_path, ca
     model = tmp_path / "model.json"
     for front in report["fronts"]:
         words = ["fit", hold, "--segment", "20:40", "--smoothness", "1e-4", "--theta", "1"]
-        words += ["--variant", front["variant"], "-o", model, *leave_out]
+        words += ["--variant", front["variant"], "-o", model, "--replace", *leave_out]
         assert run_verb([str(word) for word in words]) == 0
         errors = json.loads(model.read_text())["quality"]["errors"]
         expected = {e["name"]: e["rmse"] for e in errors if e["in_objective"]}

@@ -114,7 +114,7 @@ def test_clusters_and_bodies_are_taken_over(
     assert "cluster between does not sit on one tile" in err
     assert geometry.registration == "take.csv"
     # Without --bodies the registration is not overwritten.
-    code, _, err = call(capsys, "tile", cup, "-o", output, *anterior)
+    code, _, err = call(capsys, "tile", cup, "-o", output, "--replace", *anterior)
     assert code == 1 and "registered marker bodies" in err and "--bodies" in err
     assert "nominal" not in err
 

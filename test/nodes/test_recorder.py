@@ -251,6 +251,30 @@ def test_a_second_recording_lies_beside_the_first_where_a_batch_finds_it(tmp_pat
     assert not [path for path in trial.iterdir() if path.is_dir()]
 
 
+def test_a_recording_to_which_nothing_comes_is_reported(tmp_path: Path) -> None:
+    """Ten seconds without a testbed, then a load cell alone."""
+    command = [sys.executable, "-m", "socket_testbed", "record", str(tmp_path / "trial")]
+    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
+    try:
+        with Probe() as probe:
+            diagnostics = probe.listen(DIAGNOSTICS)
+            send = Sender(probe)
+
+            def said(text: str) -> bool:
+                return any(text in status.message for status in statuses(diagnostics))
+
+            probe.wait(lambda: said("but nothing arrives: check"), "a word on the silence")
+            send()
+            probe.wait(lambda: said("but nothing arrives on /trigger, "), "a word on the others")
+            process.send_signal(signal.SIGINT)
+            _, error = process.communicate(timeout=60)
+    finally:
+        process.kill()
+        process.wait()
+    assert "nothing arrives: check that the testbed runs" in error
+    assert "none on /trigger, " in error
+
+
 def test_simulated_time_is_recorded_as_it_is(tmp_path: Path) -> None:
     trial = tmp_path / "trial"
     settings = ("record:=true", f"directory:={trial}", "use_sim_time:=true")
