@@ -17,7 +17,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from nbclient import NotebookClient
-from support import CHECKOUT, meshes
+from support import CHECKOUT, HANGS, meshes
 from support.bags import rewrite
 from support.benches import sensor_bench, write_bench
 from support.motive_takes import make_bench, write_landmarks, write_take
@@ -187,7 +187,7 @@ def test_the_example_notebook_runs(tmp_path: Path) -> None:
     notebook = nbformat.read(path, as_version=4)
     assert all(not cell.get("outputs") for cell in notebook.cells), "strip the outputs"
     notebook.cells.insert(-1, nbformat.v4.new_code_cell(ONE_FIGURE))
-    NotebookClient(notebook, kernel_name="python3", timeout=120).execute(
+    NotebookClient(notebook, kernel_name="python3", timeout=int(HANGS)).execute(
         env={**os.environ, "PYTHONPATH": str(CHECKOUT)}, cwd=str(tmp_path)
     )
     assert (tmp_path / "hold.html").is_file()

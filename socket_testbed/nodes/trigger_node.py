@@ -26,7 +26,7 @@ from socket_testbed.nodes.followers import Followers
 from socket_testbed.settings.acquisition import TriggerSettings
 from socket_testbed.trials.topics import TRIGGER
 
-_READY_WITHIN = 15.0  # [s]; for the nodes waited for
+_READY_WITHIN = 30.0  # [s]; for the nodes waited for
 _RECENT = 0.5  # [s]; how long a fault is reported after its last trigger, at least
 _FOREIGN = 5.0  # [s]; how long another testbed is reported
 _REMEMBERED = 200  # triggers, to know them again

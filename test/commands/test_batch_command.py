@@ -13,6 +13,7 @@ import pandas as pd
 import pytest
 import yaml
 from distributed import LocalCluster
+from support import HANGS
 
 import socket_testbed as st
 from socket_testbed.__main__ import run
@@ -233,7 +234,7 @@ def test_ctrl_c_leaves_what_is_finished_and_a_re_run_goes_on(study, tmp_path, ca
         assert process.stdout is not None and process.stderr is not None
         assert ": ok" in process.stdout.readline()
         os.killpg(process.pid, signal.SIGINT)
-        assert process.wait(30) == 130
+        assert process.wait(HANGS) == 130
         assert process.stderr.read() == "socket-testbed fit: interrupted\n"
     table = pd.read_csv(tmp_path / "models" / "summary.csv").set_index("trial")
     finished = table.index[table["status"] == "ok"].tolist()

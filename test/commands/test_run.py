@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 import yaml
+from support import HANGS
 from support.graph import Probe
 from support.testbeds import Recorded
 
@@ -39,7 +40,7 @@ def test_run_records_until_ctrl_c(tmp_path: Path) -> None:
         measured = [probe.listen(topic) for topic in (CAPACITANCE, PYLON_POSE, WRENCH)]
         probe.wait(lambda: all(len(messages) > 2 for messages in measured), "measurements")
         process.send_signal(signal.SIGINT)
-        out, err = process.communicate(timeout=120)
+        out, err = process.communicate(timeout=HANGS)
     assert process.returncode == 0, err
     assert re.search(r"\d+ triggers, (all \d+ complete|wrench missing)", out), out
     recorded = Recorded(path)

@@ -8,7 +8,8 @@ from struct import unpack
 
 import numpy as np
 import pytest
-from support.natnet import TIMEOUT, Link, markers_at, scene, until
+from support import HANGS
+from support.natnet import Link, markers_at, scene, until
 
 from socket_testbed import clocks
 from socket_testbed.drivers.natnet.client import NatNetClient
@@ -111,7 +112,7 @@ def ask(link, command: str) -> Answer:
     """The answer to a command, after those that wait before it."""
     future: Future[Answer] = Future()
     link.client._commands.submit(command, future.set_result)
-    return future.result(TIMEOUT)
+    return future.result(HANGS)
 
 
 def test_commands_are_answered(link):
@@ -153,7 +154,7 @@ def test_commands_of_many_threads_get_their_own_answers(link):
     for thread in threads:
         thread.start()
     for thread in threads:
-        thread.join(2.0 * TIMEOUT)
+        thread.join(2.0 * HANGS)
     assert not wrong
 
 
@@ -224,7 +225,7 @@ def test_an_occluded_marker_is_missing_until_it_is_seen_again(link):
     link.faults["mocap.occlude"] = 2.0
     until(lambda: link.tracker.sample(clocks.monotonic() - 0.06).faults[0] != "", "the fault")
     trigger = clocks.monotonic()
-    assert link.tracker.wait(trigger, trigger + TIMEOUT)
+    assert link.tracker.wait(trigger, trigger + HANGS)
     sample = link.tracker.sample(trigger)
     assert sample.faults[1] == "marker 2 of rigid body 'pylon' is occluded"
     hidden = np.isnan(sample.markers).any(axis=2)

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from support import HANGS
 
 from socket_testbed.errors import ConfigurationError, IdentificationError
 from socket_testbed.geometry.pose import Pose
@@ -33,7 +34,6 @@ from socket_testbed.settings.testbed import EstimatorSettings, WindowSettings
 from socket_testbed.trials.topics import PYLON_POSE, SOCKET_POSE, STRESS, WRENCH, Topic
 from socket_testbed.trials.trial import Trial
 
-DEADLINE = 60.0  # [s]
 PERIOD = 250_000_000  # [ns]
 
 
@@ -116,7 +116,7 @@ def bench(trial: Trial) -> Bench:
 
 
 def wait(condition: Callable[[], Any]) -> None:
-    deadline = time.monotonic() + DEADLINE
+    deadline = time.monotonic() + HANGS
     while not condition():
         assert time.monotonic() < deadline
         Event().wait(0.01)
@@ -469,7 +469,7 @@ def test_a_fit_on_request_takes_all_of_the_window(bench: Bench, fit: Fit) -> Non
     (request,) = bench.fitter.requests
     assert len(request.samples) == 7 and request.steady is None
     request.future.set_result(Refit(fit))
-    thread.join(DEADLINE)
+    thread.join(HANGS)
     assert answers == bench.models == [fit]
 
 

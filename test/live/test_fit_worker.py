@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from support import HANGS
 
 from socket_testbed.errors import IdentificationError
 from socket_testbed.identification.contact import ContactModel
@@ -19,7 +20,6 @@ from socket_testbed.trials.trial import Trial
 
 pytestmark = pytest.mark.graph
 
-TIMEOUT = 60.0  # [s]
 SETTINGS = IdentificationSettings()
 PLATEAU = PlateauSettings()
 STEADY = Steady(PLATEAU, least_samples=30)
@@ -56,7 +56,7 @@ def slipped(samples: Samples) -> tuple[Samples, int]:
 def test_a_fit_is_the_same_in_a_process_of_its_own(
     worker: FitWorker, trial: Trial, samples: Samples
 ) -> None:
-    refit = worker.submit(samples, trial.geometry, SETTINGS, STEADY).result(TIMEOUT)
+    refit = worker.submit(samples, trial.geometry, SETTINGS, STEADY).result(HANGS)
     steady = samples[find_plateaus(samples, PLATEAU)[0].rows]
     here = fit_contact_model(steady, trial.geometry, SETTINGS)
     assert refit is not None and refit.comparison is None and worker.ready
@@ -72,7 +72,7 @@ def test_the_newest_stretch_is_fitted_and_none_across_a_slip_of_a_cluster(
     worker: FitWorker, trial: Trial, slipped: tuple[Samples, int]
 ) -> None:
     samples, row = slipped
-    refit = worker.submit(samples, trial.geometry, SETTINGS, STEADY).result(TIMEOUT)
+    refit = worker.submit(samples, trial.geometry, SETTINGS, STEADY).result(HANGS)
     assert refit is not None
     assert row - 8 <= len(samples) - refit.fit.samples <= row + 8
     assert refit.fit.last_stamp == samples.stamps[-1]
@@ -93,7 +93,7 @@ def test_a_refit_is_judged_by_the_newest_samples_which_it_left_out(
 
     def refit(window: Samples, rival: ContactModel) -> Refit:
         steady = dataclasses.replace(STEADY, rival=rival)
-        found = worker.submit(window, trial.geometry, SETTINGS, steady).result(TIMEOUT)
+        found = worker.submit(window, trial.geometry, SETTINGS, steady).result(HANGS)
         assert found is not None and found.comparison is not None
         newest = window.complete.sum() - found.comparison.samples
         assert found.fit.last_stamp < window.stamps[window.complete][newest]
@@ -109,7 +109,7 @@ def test_older_data_than_the_model_s_is_not_fitted(
     worker: FitWorker, trial: Trial, samples: Samples
 ) -> None:
     steady = dataclasses.replace(STEADY, after=int(samples.stamps[-1]))
-    assert worker.submit(samples, trial.geometry, SETTINGS, steady).result(TIMEOUT) is None
+    assert worker.submit(samples, trial.geometry, SETTINGS, steady).result(HANGS) is None
 
 
 def test_an_all_zero_or_negated_wrench_is_refused(
@@ -120,7 +120,7 @@ def test_an_all_zero_or_negated_wrench_is_refused(
         for steady in (STEADY, None):
             submitted = worker.submit(wrong, trial.geometry, SETTINGS, steady)
             with pytest.raises(IdentificationError, match=text):
-                submitted.result(TIMEOUT)
+                submitted.result(HANGS)
 
 
 def test_outliers_are_counted_by_channel_and_do_not_end_a_stretch(
@@ -130,13 +130,13 @@ def test_outliers_are_counted_by_channel_and_do_not_end_a_stretch(
     wrench[[20, 30], 3] = 1e9
     position[40] = 5.0
     wrong = dataclasses.replace(samples, wrench=wrench, position=position)
-    counts = worker.count_outliers(wrong, trial.geometry, ()).result(TIMEOUT)
+    counts = worker.count_outliers(wrong, trial.geometry, ()).result(HANGS)
     assert counts == {"limb position": 1, "Fx": 2}
-    assert worker.count_outliers(wrong, trial.geometry, ("Fx",)).result(TIMEOUT) == {
+    assert worker.count_outliers(wrong, trial.geometry, ("Fx",)).result(HANGS) == {
         "limb position": 1
     }
     clean, found = (
-        worker.submit(some, trial.geometry, SETTINGS, STEADY).result(TIMEOUT)
+        worker.submit(some, trial.geometry, SETTINGS, STEADY).result(HANGS)
         for some in (samples, wrong)
     )
     assert clean is not None and found is not None
@@ -147,7 +147,7 @@ def test_live_fits_do_not_average_the_poses(worker: FitWorker, hold: Path) -> No
     trial = Trial(hold)
     samples = trial.samples()
     settings = dataclasses.replace(SETTINGS, pose_smoothing=2.0)
-    refit = worker.submit(samples, trial.geometry, settings, None).result(TIMEOUT)
+    refit = worker.submit(samples, trial.geometry, settings, None).result(HANGS)
     here = fit_contact_model(samples, trial.geometry, SETTINGS)
     assert refit is not None and refit.fit.settings.pose_smoothing == 0.0
     fit = refit.fit
@@ -159,14 +159,14 @@ def test_without_enough_steady_data_there_is_no_fit(worker: FitWorker, hold: Pat
     samples = trial.samples()
     for some, least in ((samples, 10_000), (samples[:20], 5)):
         submitted = worker.submit(some, trial.geometry, SETTINGS, Steady(PLATEAU, least))
-        assert submitted.result(TIMEOUT) is None
+        assert submitted.result(HANGS) is None
 
 
 def test_an_error_comes_back_as_it_was_raised(worker: FitWorker, hold: Path) -> None:
     trial = Trial(hold)
     none = trial.samples()[:0]
     with pytest.raises(IdentificationError, match="only 0 of 0 samples") as raised:
-        worker.submit(none, trial.geometry, SETTINGS, None).result(TIMEOUT)
+        worker.submit(none, trial.geometry, SETTINGS, None).result(HANGS)
     assert raised.value.hint
 
 
@@ -175,13 +175,13 @@ def test_a_killed_worker_is_replaced(hold: Path) -> None:
     samples = trial.samples()
     worker = FitWorker()
     try:
-        worker.submit(samples, trial.geometry, SETTINGS, None).result(TIMEOUT)
+        worker.submit(samples, trial.geometry, SETTINGS, None).result(HANGS)
         (process,) = worker._pool._processes
         os.kill(process, signal.SIGKILL)
         with pytest.raises(BrokenProcessPool):
             while True:  # until the pool has noticed
-                worker._pool.submit(os.getpid).result(TIMEOUT)
+                worker._pool.submit(os.getpid).result(HANGS)
         submitted = worker.submit(samples, trial.geometry, SETTINGS, None)
-        assert submitted.result(TIMEOUT) is not None
+        assert submitted.result(HANGS) is not None
     finally:
         worker.close()

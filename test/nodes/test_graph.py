@@ -15,6 +15,7 @@ from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import DescribeParameters, SetParameters
 from socket_testbed_msgs.msg import ClusterCapacitance, ClusterCapacitanceArray
 from std_srvs.srv import Trigger as TriggerService
+from support import HANGS
 from support.bags import move_to_namespace
 from support.graph import Probe
 
@@ -154,7 +155,7 @@ def test_another_process_subscribes_while_the_command_replays_and_estimates(
             [*command, "--rate", "10", "--estimate", "--variant", "stiffness_bias"],
             check=False,
             capture_output=True,
-            timeout=180,
+            timeout=HANGS,
         )
         assert done.returncode == 0, done.stderr.decode()
         probe.wait(lambda: len(wrenches) > 0 and len(forces) == len(wrenches), "estimates")
@@ -307,7 +308,7 @@ def test_a_node_that_cannot_start_says_why_in_one_line(node, parameters, names) 
         check=False,
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=HANGS,
     )
     assert done.returncode == 1
     assert "Traceback" not in done.stderr and done.stderr.count("error: ") == 1, done.stderr
@@ -322,7 +323,7 @@ def test_a_program_with_a_node_s_name_runs_that_node() -> None:
         f"import sys; sys.argv = {words}\nfrom socket_testbed.nodes.__main__ import main\nmain()"
     )
     done = subprocess.run(
-        [sys.executable, "-c", script], check=False, capture_output=True, text=True, timeout=60
+        [sys.executable, "-c", script], check=False, capture_output=True, text=True, timeout=HANGS
     )
     assert done.returncode == 1 and "nowhere.yaml" in done.stderr, done.stderr
 
@@ -338,7 +339,7 @@ def test_a_trial_that_breaks_off_ends_its_replay_with_one_line(hold, tmp_path: P
         check=False,
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=HANGS,
     )
     assert done.returncode == 1
     assert "hold.mcap: " in done.stderr and "Traceback" not in done.stderr
@@ -353,7 +354,7 @@ def test_a_killed_command_leaves_no_node(hold: Path) -> None:
         probe.wait(lambda: len(last(diagnostics, "estimator_node")) > 0, "the estimator")
         replay.kill()
         # The pipe closes when the last process that holds it has ended.
-        replay.communicate(timeout=60)
+        replay.communicate(timeout=HANGS)
 
 
 def test_a_trial_recorded_in_a_namespace_is_estimated_there(

@@ -14,6 +14,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import WrenchStamped
 from rosgraph_msgs.msg import Clock
 from std_srvs.srv import SetBool
+from support import HANGS
 from support.graph import Probe
 
 from socket_testbed.batch import find_trials
@@ -142,7 +143,7 @@ def test_ctrl_c_ends_a_recording_whole(tmp_path: Path) -> None:
         )
         probe.wait(lambda: len(figures(diagnostics)) > 0, "the recorder")
         recording.send_signal(signal.SIGINT)
-        _, err = recording.communicate(timeout=60)
+        _, err = recording.communicate(timeout=HANGS)
     assert recording.returncode == 0 and "Traceback" not in err
     assert (tmp_path / "trial" / "metadata.yaml").is_file()
     assert "/load_cell/wrench" in counts(tmp_path / "trial")
@@ -295,7 +296,7 @@ def test_simulated_time_is_recorded_as_it_is(tmp_path: Path) -> None:
         send(5)
         probe.wait(lambda: count(diagnostics, "/load_cell/wrench") == 5, "its messages")
         process.send_signal(signal.SIGINT)
-        assert process.wait(timeout=60) == 0
+        assert process.wait(timeout=HANGS) == 0
     assert recorded(trial) == ([0, 1, 2, 3, 4], [1_000_000_000_000] * 5)
 
 
@@ -307,7 +308,7 @@ def test_a_folder_that_is_no_cut_short_trial_is_refused(whole: bool, tmp_path: P
         (trial / "trial.mcap").touch()
         (trial / "metadata.yaml").touch()
     with recorder("record:=true", f"directory:={trial}") as process:
-        assert process.wait(timeout=60) == 1
+        assert process.wait(timeout=HANGS) == 1
     assert [path.name for path in tmp_path.iterdir()] == ["trial"]
 
 
@@ -315,5 +316,5 @@ def test_a_recorder_that_cannot_begin_leaves_no_folder(tmp_path: Path) -> None:
     trial = tmp_path / "trial"
     settings = ("record:=true", f"directory:={trial}", f"geometry:={tmp_path / 'nowhere.yaml'}")
     with recorder(*settings) as process:
-        assert process.wait(timeout=60) == 1
+        assert process.wait(timeout=HANGS) == 1
     assert list(tmp_path.iterdir()) == []

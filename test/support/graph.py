@@ -15,19 +15,11 @@ from rclpy.task import Future
 
 from socket_testbed.nodes.base import message_type, publisher_qos, subscriber_qos
 from socket_testbed.trials.topics import Topic
-
-DEADLINE = 60.0  # [s]; a busy machine finds nodes late
+from support import HANGS
 
 
 class Probe:
-    """Subscribes, publishes and calls services as another program would.
-
-    Args:
-        deadline: How long it waits for anything [s].
-    """
-
-    def __init__(self, deadline: float = DEADLINE) -> None:
-        self._deadline = deadline
+    """Subscribes, publishes and calls services as another program would."""
 
     def __enter__(self) -> Self:
         self.context = Context()
@@ -80,13 +72,13 @@ class Probe:
         """Wait until a condition holds.
 
         Raises:
-            AssertionError: If it does not within the deadline.
+            AssertionError: If it hangs.
         """
-        deadline = time.monotonic() + self._deadline
+        deadline = time.monotonic() + HANGS
         with self._news:
             while not condition():
                 left = deadline - time.monotonic()
-                assert left > 0.0, f"not within {self._deadline:g} s: {what}"
+                assert left > 0.0, f"not within {HANGS:g} s: {what}"
                 self._news.wait(min(left, 0.02))
 
     def call(self, kind: Any, name: str, request: Any) -> Any:

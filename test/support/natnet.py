@@ -13,9 +13,9 @@ from socket_testbed.drivers.natnet.client import NatNetClient
 from socket_testbed.drivers.natnet.tracker import BodyTracker
 from socket_testbed.settings.acquisition import MocapSettings
 from socket_testbed.simulation.devices.natnet_server import NatNetServer
+from support import HANGS
 from support.problems import PYLON_TRIAD, SOCKET_TRIAD
 
-TIMEOUT = 30.0  # [s]; of a machine under load
 _POLL = 0.005  # [s]
 TRIADS = (SOCKET_TRIAD, PYLON_TRIAD)
 NAMES = ("socket", "pylon")
@@ -45,13 +45,13 @@ def scene(moment: float):
     return found
 
 
-def until(condition: Callable[[], bool], what: str = "it", timeout: float = TIMEOUT) -> float:
+def until(condition: Callable[[], bool], what: str = "it") -> float:
     """Wait for a condition with a deadline; how long it took, stalls of the machine apart [s]."""
     start = last = clocks.monotonic()
     took = 0.0
     pause = threading.Event()
     while not condition():
-        assert last - start < timeout, f"{what} did not come"
+        assert last - start < HANGS, f"{what} did not come"
         pause.wait(_POLL)
         now = clocks.monotonic()
         took += min(now - last, 2.0 * _POLL)
@@ -93,8 +93,8 @@ class Link:
     def is_fine(self) -> bool:
         return self.health()[0] == 0
 
-    def until_fine(self, timeout: float = TIMEOUT) -> float:
-        return until(self.is_fine, "health", timeout)
+    def until_fine(self) -> float:
+        return until(self.is_fine, "health")
 
     def until_level(self, level: int, text: str = "") -> float:
         def reached() -> bool:
@@ -105,7 +105,7 @@ class Link:
 
     def check_sample(self) -> float:
         """The largest error of a marker, at a trigger from now or soon [m]."""
-        deadline = clocks.monotonic() + TIMEOUT
+        deadline = clocks.monotonic() + HANGS
         while True:
             trigger = clocks.monotonic()
             assert trigger < deadline, "no sample came"

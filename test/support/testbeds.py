@@ -31,7 +31,7 @@ from socket_testbed.trials.topics import (
     WRENCH,
 )
 from socket_testbed.trials.trial import Trial
-from support.graph import DEADLINE, Probe
+from support.graph import Probe
 from support.pace import careful_time_scale
 
 MEASURED = (CAPACITANCE, WRENCH, SOCKET_POSE, PYLON_POSE, MARKERS)
@@ -76,7 +76,7 @@ class LiveTestbed:
         self._ended = threading.Event()
 
     def __enter__(self) -> Self:
-        self.probe = Probe(DEADLINE / self.testbed.time_scale).__enter__()
+        self.probe = Probe().__enter__()
         self.diagnostics = self.probe.listen(DIAGNOSTICS)
         self.triggers = self.probe.listen(TRIGGER)
         self.wrenches = self.probe.listen(WRENCH)
