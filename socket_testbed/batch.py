@@ -123,7 +123,7 @@ class Task:
         settings: What the results depend on besides files, as JSON can hold it.
         again: Whether finished trials are done again.
         replace: Whether files that it did not write are replaced.
-        uses_metadata: Whether the results depend on the trials' metadata.
+        metadata: Fields of the trials' metadata that the results depend on.
     """
 
     verb: str
@@ -132,7 +132,7 @@ class Task:
     settings: Mapping[str, Any] = field(default_factory=dict)
     again: bool = False
     replace: bool = False
-    uses_metadata: bool = False
+    metadata: Sequence[str] = ()
 
 
 class JobStatus(StrEnum):
@@ -373,7 +373,7 @@ def execute(task: Task, job: Job) -> Outcome:
 
 def _do_once(task: Task, job: Job) -> Outcome:
     path = record_path(task, job)
-    inputs = fingerprint(job, task.settings, task.uses_metadata)
+    inputs = fingerprint(job, task.settings, task.metadata)
     record = _read_record(path)
     changed: tuple[str, ...] = ()
     if not path.exists():
@@ -445,7 +445,7 @@ def _changes(record: Record, inputs: dict[str, str], output: Path) -> tuple[str,
 
 
 def fingerprint(
-    job: Job, settings: Mapping[str, Any], uses_metadata: bool = False
+    job: Job, settings: Mapping[str, Any], metadata: Sequence[str] = ()
 ) -> dict[str, str]:
     """What the result of a job depends on, by names for the user.
 
@@ -454,23 +454,24 @@ def fingerprint(
     Args:
         job: The job.
         settings: What the result depends on besides files.
-        uses_metadata: Whether it depends on the trial's metadata.
+        metadata: Fields of the trial's metadata that it depends on.
 
     Raises:
         TrialError: If a file cannot be read.
     """
     trial = job.trial.path
-    passed_over = () if uses_metadata else (METADATA_FILE,)
     try:
         files = sorted(
             path
             for path in trial.iterdir()
-            if path.is_file() and not path.name.startswith(".") and path.name not in passed_over
+            if path.is_file() and not path.name.startswith(".") and path.name != METADATA_FILE
         )
     except OSError as error:
         raise _unreadable(trial, error) from None
+    stated = job.trial.metadata if metadata else None
     return (
         {f"trial/{path.name}": file_digest(path) for path in files}
+        | {f"metadata {name}": json.dumps(getattr(stated, name)) for name in metadata}
         | {name: file_digest(path) for name, path in job.files.items() if path.exists()}
         | {f"setting {name}": json.dumps(value) for name, value in settings.items()}
         | _software()

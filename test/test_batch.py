@@ -113,9 +113,14 @@ def test_metadata_show_up_without_a_result_being_made_again(study: Path, task: T
     assert table["mass [kg]"].dropna().to_dict() == {"walk": 70.0}
     assert pd.read_parquet(task.folder / "summary.parquet")["subject"].tolist()[2] == "007"
     # A result that shows the metadata is another matter.
-    shown = replace(task, uses_metadata=True)
-    assert run(study, shown)[0] == ["skipped", "ok", "ok"]
+    shown = replace(task, metadata=("side", "mass"))
+    assert run(study, shown)[0] == ["ok"] * 3
+    (study / "walk" / "trial.yaml").write_text('subject: "008"\nmass: 70\n')
     assert run(study, shown)[0] == ["skipped"] * 3
+    (study / "walk" / "trial.yaml").write_text('subject: "008"\nmass: 71\n')
+    statuses, told, _ = run(study, shown)
+    assert statuses == ["skipped", "skipped", "ok"]
+    assert any("walk: ok again (changed: metadata mass)" in line for line in told)
 
 
 def change_trial(study: Path, task: Task, job: Job) -> tuple[Task, Job]:

@@ -61,7 +61,7 @@ def run(options: argparse.Namespace) -> None:
     if trials and not options.model.is_dir():
         api.read_model(options.model)  # a wrong one is reported once
     settings = ("segment", "unloaded", "pose_smoothing", "pressure")
-    metadata = options.pressure  # the regions depend on the side
+    metadata = ("side",) if options.pressure else ()  # the regions depend on the side
     verb = TrialVerb("evaluate", ".errors.json", settings, _evaluate, _row, _show, metadata)
     verb.run(options)
 

@@ -249,7 +249,7 @@ class TrialVerb(Generic[R]):
         work: Works on a trial and writes `options.output`.
         row: The result's row of the summary.
         show: Prints the result for a single trial.
-        uses_metadata: Whether the outputs depend on the trials' metadata.
+        metadata: Fields of the trials' metadata that the outputs depend on.
     """
 
     name: str
@@ -258,7 +258,7 @@ class TrialVerb(Generic[R]):
     work: Callable[[argparse.Namespace, Trial], R]
     row: Callable[[R], Row]
     show: Callable[[argparse.Namespace, R], None]
-    uses_metadata: bool = False
+    metadata: tuple[str, ...] = ()
 
     def run(self, options: argparse.Namespace) -> None:
         """Do the work on the trial of the options, or on all trials below that folder."""
@@ -280,7 +280,7 @@ class TrialVerb(Generic[R]):
             settings,
             options.again,
             options.replace,
-            self.uses_metadata,
+            self.metadata,
         )
         if options.jobs is not None:
             check_number(options.jobs, "--jobs", 1)

@@ -84,7 +84,7 @@ def run(options: argparse.Namespace) -> None:
         raise ConfigurationError("--over-time has no output", "name its table with -o FILE.csv")
     if not trials and options.output is not None:
         check_format(options.output)
-    verb = TrialVerb("pressure", ".pressure.csv", _SETTINGS, _compute, _row, _show, True)
+    verb = TrialVerb("pressure", ".pressure.csv", _SETTINGS, _compute, _row, _show, ("side",))
     verb.run(options)
 
 

@@ -23,6 +23,7 @@ from socket_testbed.commands.options import (
     choices,
 )
 from socket_testbed.commands.text import Progress, error_columns, segment_columns, skill_columns
+from socket_testbed.trials.metadata import FIELDS
 from socket_testbed.trials.trial import Trial
 
 if TYPE_CHECKING:  # it imports matplotlib, which takes its time
@@ -58,7 +59,7 @@ def run(options: argparse.Namespace) -> None:
     # The command as it was typed, but for where the program lies.
     options.command = shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]])
     settings = ("segment", "unloaded", *(n for n in CHOICES if n != "variant"), "thetas")
-    TrialVerb("report", ".html", settings, _report, _row, _show, uses_metadata=True).run(options)
+    TrialVerb("report", ".html", settings, _report, _row, _show, FIELDS).run(options)
 
 
 def _report(options: argparse.Namespace, trial: Trial) -> Results:
