@@ -13,6 +13,7 @@ if TYPE_CHECKING:
         TestbedError,
         annotate,
         calibrate,
+        compare,
         cycles,
         evaluate,
         export,
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
         simulate,
         tile,
         validate,
+        write_comparison,
         write_report,
     )
 
@@ -36,6 +38,7 @@ __all__ = [
     "__version__",
     "annotate",
     "calibrate",
+    "compare",
     "cycles",
     "evaluate",
     "export",
@@ -51,6 +54,7 @@ __all__ = [
     "simulate",
     "tile",
     "validate",
+    "write_comparison",
     "write_report",
 ]
 

@@ -29,6 +29,7 @@ VERBS = {
     "validate": "judge estimates on data they have not seen, beside simple rivals",
     "pareto": "trace the trade-off of wrench against clusters over theta",
     "pressure": "pressure by region: mean, peak, contact area, time integral, shear, load",
+    "compare": "lay trials, models or sockets side by side, with their differences",
     "map": "estimate the force on every tile with its uncertainty, without a fit",
     "report": "write a page with a trial's results: figures, errors, data quality",
     "export": "write a trial's synchronised samples as CSV, Parquet or MAT",

@@ -27,7 +27,7 @@ LAYERS = (
     ("settings", "geometry"),
     ("drivers", "calibration", "identification", "socket_design"),
     ("trials",),
-    ("batch", "simulation", "report"),
+    ("batch", "comparison", "simulation", "report"),
     ("live",),
     ("api",),
     ("nodes",),

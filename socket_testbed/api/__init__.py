@@ -9,6 +9,7 @@ Lengths are in metres, forces in newtons, times in seconds. An error is a `Testb
 line says what is wrong and how to fix it. The examples run in a folder with two simulated trials.
 """
 
+from socket_testbed.api.compare import compare, write_comparison
 from socket_testbed.api.cycles import Cycles, cycles
 from socket_testbed.api.design import calibrate, register, tile
 from socket_testbed.api.maps import TrialMap, force_map
@@ -28,9 +29,11 @@ from socket_testbed.api.models import (
 from socket_testbed.api.pressure import TrialPressure, pressure
 from socket_testbed.api.trials import annotate, open_trial, select_segment, simulate
 from socket_testbed.api.validation import Validation, validate
+from socket_testbed.comparison.table import Comparison
 from socket_testbed.errors import TestbedError
 
 __all__ = [
+    "Comparison",
     "Cycles",
     "Evaluation",
     "TestbedError",
@@ -42,6 +45,7 @@ __all__ = [
     "annotate",
     "calibrate",
     "check_thetas",
+    "compare",
     "cycles",
     "evaluate",
     "export",
@@ -57,5 +61,6 @@ __all__ = [
     "simulate",
     "tile",
     "validate",
+    "write_comparison",
     "write_report",
 ]

@@ -120,6 +120,7 @@ class TrialFit:
             samples=fit.samples,
             last_stamp=fit.last_stamp,
             wrench_rmse=np.array([error.rmse for error in fit.errors[:6]]),
+            errors=fit.errors,
             status=fit.status,
             trial=self.trial.name,
             unloaded=self.trial.unloaded,

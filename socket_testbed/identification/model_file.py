@@ -47,6 +47,7 @@ class StoredModel:
         samples: Number of samples of its fit.
         last_stamp: Stamp of the newest of them [ns].
         wrench_rmse: Errors of its fit, shape (6,) [N m, N].
+        errors: Errors of its fit on every channel; none in a model of an older version.
         status: The solver and the certificate of both stages, in words.
         trial: Name of the trial it was fitted on.
         unloaded: Spans of it by which the clusters' drift was corrected [s].
@@ -58,6 +59,7 @@ class StoredModel:
     samples: int
     last_stamp: int
     wrench_rmse: FloatArray
+    errors: tuple[ChannelErrors, ...]
     status: str
     trial: str
     unloaded: tuple[tuple[float, float], ...]
@@ -180,6 +182,7 @@ def read_model(path: Path, geometry: SocketGeometry | None = None) -> StoredMode
         samples=int(quality.number("samples", 0)),
         last_stamp=int(quality.take("last_stamp")),
         wrench_rmse=quality.array("wrench_rmse", (6,), finite=False),
+        errors=_errors(quality),
         status=quality.text("status"),
         trial=document.section("trial").text("name"),
         unloaded=_unloaded(document.section("trial")),
@@ -187,6 +190,22 @@ def read_model(path: Path, geometry: SocketGeometry | None = None) -> StoredMode
     if geometry is not None:
         stored.require_socket(geometry)
     return stored
+
+
+def _errors(quality: Section) -> tuple[ChannelErrors, ...]:
+    listed: list[dict[str, Any]] = quality.take("errors") if "errors" in quality.names() else []
+    try:
+        return tuple(ChannelErrors(**_without_null(error)) for error in listed)
+    except (AttributeError, TypeError):
+        raise ConfigurationError(
+            f"{quality.where}: errors is not a list of each channel's figures",
+            "fit the trial again",
+        ) from None
+
+
+def _without_null(values: dict[str, Any]) -> dict[str, Any]:
+    """Values of JSON, which has no NaN: null stands for it."""
+    return {name: math.nan if value is None else value for name, value in values.items()}
 
 
 def _model(parameters: Section, geometry: SocketGeometry) -> ContactModel:

@@ -1,0 +1,1 @@
+"""Trials, models or sockets side by side."""
