@@ -258,3 +258,30 @@ def test_a_dask_cluster_of_two_workers_takes_over(
         code, out, _ = call(capsys, *words)
         assert code == 1 and out.count(": skipped") == 3
     assert_models(folder, one_by_one)
+
+
+def test_one_segment_takes_holds_and_ramps_through_a_batch(
+    hold: Path, hold_model: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    study = tmp_path / "study"
+    shutil.copytree(hold, study / "hold")
+    st.simulate(study / "ramp", "ramp", duration=60)
+    evaluate = ["evaluate", study, "--model", hold_model, "--jobs", 1, "--segment"]
+    assert call(capsys, *evaluate, "auto", "-o", tmp_path / "auto")[0] == 0
+    table = pd.read_csv(tmp_path / "auto" / "summary.csv", index_col="trial")
+    assert table["segment"].to_dict() == {"hold": "hold", "ramp": "loaded"}
+    between = "event:placed+1:removed-1"
+    assert call(capsys, *evaluate, between, "-o", tmp_path / "between")[0] == 0
+    table = pd.read_csv(tmp_path / "between" / "summary.csv", index_col="trial")
+    assert set(table["segment"]) == {between}
+    for name in table.index:
+        placed, removed, *_ = st.open_trial(study / name).events()
+        assert table["segment_start [s]"][name] == pytest.approx(placed.time + 1, abs=0.25)
+        assert table["segment_end [s]"][name] == pytest.approx(removed.time - 1, abs=0.25)
+
+    fit = ["fit", study / "ramp", "-o", tmp_path / "model.json"]
+    code, _, error = call(capsys, *fit)
+    assert code == 1 and "no plateau" in error
+    segment = error.split("--segment ")[1].split()[0]
+    code, out, _ = call(capsys, *fit, "--segment", segment)
+    assert code == 0 and "ramp: span 3." in out
