@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
+import numpy as np
 import rclpy
 from rclpy.duration import Duration
 from rclpy.exceptions import InvalidNamespaceException
@@ -20,11 +22,11 @@ from socket_testbed.nodes.conversions import LOAD_CELL_FRAME, header_to_ros, sta
 from socket_testbed.trials.topics import EVENT, RECORDED_TRIAL, TRIGGER
 
 _FOUND_WITHIN = 6.0  # [s]; for a subscriber to be found on a busy machine
-_TRIGGERED_WITHIN = 5.0  # [s]; for some triggers
-_ENOUGH = 5  # triggers
+_TRIGGERED_WITHIN = 5.0  # [s]; for enough triggers
+_LEAST = 1.0  # [s]; from the first trigger to the last
 _HEARD_WITHIN = 5.0  # [s]; for the event to be acknowledged
 _LOOK = 0.02  # [s]
-_REAL_TIME = 0.05  # [-]; triggers whose speed differs less from 1 come in real time
+_REAL_TIME = 0.1  # [-]; triggers whose speed differs less from 1 come in real time
 
 
 @dataclass(frozen=True)
@@ -86,11 +88,13 @@ class _Marker:
         )
 
     def mark(self, label: str, called: float) -> Marked:
-        if not self._spin(_FOUND_WITHIN, found=True):
+        if not self._spin(self._is_linked, _FOUND_WITHIN):
             raise TestbedError(
                 f"nobody subscribes to {self._publisher.topic_name}", self._where_else()
             )
-        self._spin(_TRIGGERED_WITHIN)
+        # The longer ago the call, the longer the triggers from which its time is reckoned.
+        span = max(_LEAST, 0.5 * (time.monotonic() - called))
+        self._spin(lambda: self._has_triggers(span), _TRIGGERED_WITHIN)
         header = header_to_ros(self._stamp(called), LOAD_CELL_FRAME)
         self._publisher.publish(Event(header=header, label=label))
         if not self._publisher.wait_for_all_acked(Duration(seconds=_HEARD_WITHIN)):
@@ -101,14 +105,18 @@ class _Marker:
         count = self._publisher.get_subscription_count()
         return Marked(count, self._trial or "", bool(self._triggers))
 
-    def _spin(self, duration: float, found: bool = False) -> bool:
-        """Listen until subscribers are found, or else enough triggers came; returns whether."""
+    def _spin(self, condition: Callable[[], bool], duration: float) -> bool:
+        """Listen until a condition holds; returns whether it does within a duration [s]."""
         deadline = time.monotonic() + duration
-        while time.monotonic() < deadline:
+        while not condition():
+            if time.monotonic() > deadline:
+                return False
             rclpy.spin_once(self._node, timeout_sec=_LOOK)
-            if self._is_linked() if found else len(self._triggers) >= _ENOUGH:
-                return True
-        return False
+        return True
+
+    def _has_triggers(self, span: float) -> bool:
+        triggers = self._triggers
+        return len(triggers) > 2 and triggers[-1][0] - triggers[0][0] >= span
 
     def _is_linked(self) -> bool:
         known = self._publisher.get_subscription_count()
@@ -119,12 +127,7 @@ class _Marker:
         """Stamp of a time of the monotonic clock [s], by the triggers [ns]."""
         if not self._triggers:
             return time.time_ns() - round((time.monotonic() - called) * 1e9)
-        (first, begin), (last, end) = self._triggers[0], self._triggers[-1]
-        speed = (end - begin) / (last - first) if last > first else 1e9  # [ns/s]
-        if abs(speed - 1e9) < _REAL_TIME * 1e9:
-            speed = 1e9
-        # The trigger that was held up least says when the monotonic clock was zero.
-        return max(end + round(speed * (called - at)) for at, end in self._triggers)
+        return stamp_by_triggers(called, self._triggers)
 
     def _where_else(self) -> str:
         """A hint at where an event would be heard."""
@@ -143,3 +146,26 @@ class _Marker:
 
     def _on_trial(self, message: String) -> None:
         self._trial = message.data
+
+
+def stamp_by_triggers(called: float, triggers: Sequence[tuple[float, int]]) -> int:
+    """Stamp of a time of the monotonic clock in the time of triggers [ns].
+
+    The triggers' clock may run at another speed: that is the median between all that arrived long
+    enough one after the other. A busy machine holds triggers up, none comes early: the one that was
+    held up least says how far the clocks are apart.
+
+    Args:
+        called: The time [s].
+        triggers: Arrival [s] and stamp [ns] of each, in their order; one at least.
+    """
+    arrivals, stamps = (np.array(values) for values in zip(*triggers, strict=True))
+    passed = arrivals - arrivals[:, None]
+    apart = passed >= max(0.5 * passed.max(), _LOOK)
+    speed = (
+        float(np.median((stamps - stamps[:, None])[apart] / passed[apart])) if apart.any() else 1e9
+    )
+    if abs(speed - 1e9) < _REAL_TIME * 1e9:
+        speed = 1e9
+    ahead = np.round(speed * (called - arrivals)).astype(np.int64)
+    return int((stamps + ahead).max())

@@ -23,7 +23,7 @@ from socket_testbed.files import closest
 from socket_testbed.samples import Samples
 from socket_testbed.settings.identification import PlateauSettings
 from socket_testbed.trials.bag import BagReader, decode_message, stamp_of
-from socket_testbed.trials.topics import EVENT, match_topics
+from socket_testbed.trials.topics import EVENT, TRIGGER, match_topics
 
 PLACED, REMOVED = "placed", "removed"
 Source = Literal["recorded", "found"]
@@ -34,7 +34,7 @@ _LABEL = re.compile(r"[^\W\d_](?:[\w. ]|-(?=[^\W\d_]))*")
 _NUMBER = r"(?:\d+(?:\.\d*)?|\.\d+)"
 _END = re.compile(rf"(?P<label>.+?)(?:#(?P<number>\d+))?(?P<offset>[+-]{_NUMBER})?")
 _GRAMMAR = "give event:A:B, such as event:placed+5:removed-2 or event:push#2:80"
-_EDGE = 1_000_000_000  # [ns]; how far outside the samples a stamp may be
+_EDGE = 10.0  # [s]; how far outside the samples a stamp may be
 
 
 @dataclass(frozen=True)
@@ -86,8 +86,8 @@ def join_events(recorded: Sequence[Event], found: Sequence[Event]) -> list[Event
 def read_events(bag: BagReader, samples: Samples) -> list[Event]:
     """Read the events that were recorded with a trial.
 
-    An event whose stamp is outside the samples' time, such as zero, counts at the time of its
-    recording.
+    An event whose stamp is far outside the samples' time, such as zero, counts at the time at which
+    it was recorded between the triggers.
 
     Args:
         bag: The open bag of the trial.
@@ -96,19 +96,30 @@ def read_events(bag: BagReader, samples: Samples) -> list[Event]:
     Raises:
         TrialError: If one cannot be decoded.
     """
-    name = match_topics(bag.counts, str(bag.path)).get(EVENT)
+    topics = match_topics(bag.counts, str(bag.path))
+    name = topics.get(EVENT)
     if name is None or bag.types[name] != EVENT.type or len(samples) == 0:  # or another program's
         return []
+    raws = list(bag.messages([name]))
+    messages = [decode_message(raw, bag.path) for raw in raws]
     first, last = int(samples.stamps[0]), int(samples.stamps[-1])
-    events: list[Event] = []
-    for raw in bag.messages([name]):
-        message = decode_message(raw, bag.path)
-        stamp = stamp_of(message)
-        if not first - _EDGE <= stamp <= last + _EDGE:
-            stamp = raw.time
-        label = "".join(c if c.isprintable() else " " for c in message.label).strip()
-        events.append(Event(label or "unnamed", (stamp - first) * 1e-9, "recorded"))
-    return events
+    time = np.array([(stamp_of(message) - first) * 1e-9 for message in messages])
+    apart = (time < -_EDGE) | (time > (last - first) * 1e-9 + _EDGE)
+    if apart.any():
+        triggers = list(bag.messages([topics[TRIGGER]]))
+        recorded = np.array([raw.time - first for raw in triggers])
+        stamps = [stamp_of(decode_message(raw, bag.path)) - first for raw in triggers]
+        moments = np.array([raw.time - first for raw in raws])
+        time = np.where(apart, 1e-9 * np.interp(moments, recorded, stamps), time)
+    return [
+        Event(_printable(message.label), when, "recorded")
+        for message, when in zip(messages, time.tolist(), strict=True)
+    ]
+
+
+def _printable(label: str) -> str:
+    text = "".join(character if character.isprintable() else " " for character in label)
+    return text.strip() or "unnamed"
 
 
 def find_events(samples: Samples, settings: PlateauSettings) -> list[Event]:
