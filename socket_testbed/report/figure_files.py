@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -29,7 +30,13 @@ from socket_testbed.report.figures.channels import (
 )
 from socket_testbed.report.figures.pareto import pareto_figure
 from socket_testbed.report.figures.scene import Scene, TileValues, value_scene
-from socket_testbed.report.figures.style import save_figure, svg_of
+from socket_testbed.report.figures.style import (
+    COLUMN,
+    DEFAULT_STYLE,
+    FigureStyle,
+    save_figure,
+    svg_of,
+)
 from socket_testbed.report.figures.tile_maps import force_map_figure, tile_map_figure
 from socket_testbed.report.figures.validation import validation_figure
 from socket_testbed.report.results import Candidate, Results, unusable
@@ -52,7 +59,7 @@ class ReportFigure:
     Attributes:
         name: Name of its files.
         caption: What is to be seen.
-        drawn: The figure.
+        draw: Draws the figure; takes its `style`.
         description: What it shows, in words for who cannot see it.
         data: Its data, with units in the names of the columns.
         layout: How its pictures are laid out on the page: `panels`, `wide` or `single`.
@@ -62,7 +69,7 @@ class ReportFigure:
 
     name: str
     caption: str
-    drawn: Figure
+    draw: Callable[..., Figure]
     description: str
     data: pd.DataFrame
     layout: str = "single"
@@ -77,13 +84,14 @@ class ReportFigure:
     @property
     def pictures(self) -> list[tuple[str, str]]:
         """What the page shows: pictures as SVG with their descriptions."""
-        shown = self.panels or ((self.drawn, self.description),)
+        shown = self.panels or ((self.draw(style=DEFAULT_STYLE), self.description),)
         return [(svg_of(figure), description) for figure, description in shown]
 
-    def write(self, folder: Path) -> None:
-        """Write the figure and its data."""
+    def write(self, folder: Path, style: FigureStyle) -> None:
+        """Write the figure in a style, and its data."""
+        drawn = self.draw(style=style)
         for suffix in _PICTURES:
-            save_figure(self.drawn, folder / f"{self.name}{suffix}")
+            save_figure(drawn, folder / f"{self.name}{suffix}")
         write_table(self.data, folder / f"{self.name}.csv")
 
 
@@ -114,7 +122,8 @@ def overview(results: Results) -> Iterator[ReportFigure]:
             " darker grey; below, the share of samples in which a measurement could not be used"
             f" (missing, saturated or out of range). {_THINNED}"
         ),
-        drawn=overview_figure(
+        draw=partial(
+            overview_figure,
             samples.time,
             samples.wrench,
             [(part.start, part.end) for part in results.plateaus],
@@ -139,7 +148,7 @@ def pareto(results: Results) -> Iterator[ReportFigure]:
                 " the square roots of the terms of the objective, 1 stands for predicting zero."
                 " Dominated solutions are faint."
             ),
-            drawn=pareto_figure(fronts, _title(results, "Trade-off")),
+            draw=partial(pareto_figure, fronts, _title(results, "Trade-off")),
             description=(
                 "Pareto fronts of the paper's variants with the sensor-only, knee, wrench-only"
                 " solutions"
@@ -160,7 +169,9 @@ def validation(results: Results) -> Iterator[ReportFigure]:
                 " simulation knows them. Right: share of the values within the force map's"
                 " intervals; on the line, its uncertainty is right."
             ),
-            drawn=validation_figure(results.validation, f"{results.trial.name}: Validation"),
+            draw=partial(
+                validation_figure, results.validation, f"{results.trial.name}: Validation"
+            ),
             description=(
                 "Bars of the relative error by cluster for the force map and inverse distance, and"
                 " the coverage of the force map's intervals"
@@ -179,8 +190,7 @@ def tile_maps(results: Results) -> Iterator[ReportFigure]:
             results,
             f"tile_stiffness_{label}",
             f"Stiffness, model {label}",
-            f"Stiffness of every tile along the axes of {_frame(candidate)}, model {label}, on one"
-            " scale; the"
+            f"Stiffness of every tile along the axes of {_frame(candidate)}, model {label}; the"
             " wall is unrolled and seen from outside. Tiles with a cluster are outlined.",
             model.stiffness,
             ("k", "stiffness", "N/m"),
@@ -212,7 +222,7 @@ def force_map(results: Results) -> Iterator[ReportFigure]:
             "Mean normal pressure over the segment on every tile, and the standard deviation of its"
             f" error. {mean.source}. Pale tiles are uncertain; tiles with a cluster are outlined."
         ),
-        drawn=force_map_figure(geometry, mean, _title(results, "Force map")),
+        draw=partial(force_map_figure, geometry, mean, _title(results, "Force map")),
         description="Normal pressure on the unrolled socket, and its standard deviation below",
         is_map=True,
         data=pd.DataFrame(
@@ -247,7 +257,7 @@ def offsets(results: Results) -> Iterator[ReportFigure]:
             " in its own frame. They are added to what the springs predict; a channel that is not"
             " in the objective has none."
         ),
-        drawn=offsets_figure(samples.channels, by_label),
+        draw=partial(offsets_figure, samples.channels, by_label),
         description="Bars of the fitted offset of every channel",
         data=pd.DataFrame({"channel": samples.channels, "unit": units, **columns}),
     )
@@ -372,7 +382,8 @@ def _tile_map(
     return ReportFigure(
         name=name,
         caption=caption,
-        drawn=tile_map_figure(
+        draw=partial(
+            tile_map_figure,
             geometry,
             {f"{symbol} along {axis} of {frame}": values[:, i] for i, axis in enumerate(_AXES)},
             f"{quantity} [{unit}]",
@@ -407,11 +418,14 @@ def _channels(results: Results, name: str, title: str, channels: Sequence[int]) 
             f"{title}, {results.segment}; the errors in the panels are over the shaded segment, to"
             f" which the variants were fitted (in-sample). {_THINNED}"
         ),
-        drawn=panels_figure(panels, 3, _title(results, title)),
+        draw=partial(panels_figure, panels, 3, _title(results, title)),
         description=title,
         data=_series(results, columns),
         layout="panels",
-        panels=tuple((panels_figure([panel], 1), _describe(panel)) for panel in panels),
+        panels=tuple(
+            (panels_figure([panel], 1, style=FigureStyle(COLUMN)), _describe(panel))
+            for panel in panels
+        ),
     )
 
 

@@ -14,6 +14,7 @@ from socket_testbed.report.figure_files import (
     residuals_table,
     surface_scene,
 )
+from socket_testbed.report.figures.style import DEFAULT_STYLE, FigureStyle
 from socket_testbed.report.page import render
 from socket_testbed.report.results import Results
 from socket_testbed.report.sections import page_content
@@ -54,6 +55,7 @@ def write_report(
     made: datetime,
     progress: Callable[[int, int], None] | None = None,
     replace: bool = False,
+    style: FigureStyle = DEFAULT_STYLE,
 ) -> None:
     """Write the page and the folder with its files, both or none.
 
@@ -64,6 +66,7 @@ def write_report(
         made: When the report is made.
         progress: Called with the number of figures written and of all.
         replace: Whether an older page and the folder beside it are replaced.
+        style: How the figures in the folder are set.
 
     Raises:
         ConfigurationError: If they cannot be written, see `check_page_path`.
@@ -75,7 +78,7 @@ def write_report(
         figures = draw_figures(results)
         drawn = [figure for of_section in figures.values() for figure in of_section]
         for done, figure in enumerate(drawn, start=1):
-            figure.write(new_folder)
+            figure.write(new_folder, style)
             if progress is not None:
                 progress(done, len(drawn))
         write_table(errors_table(results.candidates), new_folder / _ERRORS)

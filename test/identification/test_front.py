@@ -7,6 +7,7 @@ import json
 import numpy as np
 import pytest
 from matplotlib.image import imread
+from support.pareto_cases import CHANNELS, made_up_front
 
 from socket_testbed.errors import ConfigurationError
 from socket_testbed.identification.pareto import (
@@ -15,17 +16,13 @@ from socket_testbed.identification.pareto import (
     RESOLUTION,
     SENSOR_ONLY,
     WRENCH_ONLY,
-    FrontPoint,
     find_knee,
     find_non_dominated,
     front_document,
-    make_front,
     write_fronts,
 )
 from socket_testbed.report.figures.pareto import pareto_figure
 from socket_testbed.report.figures.style import save_figure
-
-CHANNELS = ("Mx", "Fx", "Fz", "distal.Fx", "distal.Mz", "distal.Fz")
 
 
 def kept(wrench, local, sound=None):
@@ -44,21 +41,6 @@ def dominated_by_definition(wrench, local, sound):
     better = (wrench[:, None] <= wrench) & (local[:, None] <= local)
     better &= (wrench[:, None] < wrench) | (local[:, None] < local)
     return (better & sound[:, None]).any(axis=0)
-
-
-def made_up_front(variant="stiffness", scale=1.0, flaws=(), channels=CHANNELS):
-    """A hyperbola with its corner at theta 0.4, dominated from theta 0.9 on."""
-    points = []
-    for i, t in enumerate(np.linspace(0.0, 1.0, 11)):
-        errors = (0.1 + 0.01 / (t + 0.01), 0.1 + 0.01 / (0.81 - t)) if i < 9 else (2.0 + t, 2.0)
-        wrench, local = scale * errors[0], scale * errors[1]
-        rmse = np.arange(1.0, 1.0 + len(channels)) * (1.0 + t)
-        flaw = dict(flaws).get(i, "")
-        if flaw == "not certified":
-            wrench = local = np.nan
-            rmse = rmse * np.nan
-        points.append(FrontPoint(float(t), None, rmse, wrench, local, 1e-12 * (i + 1), flaw))
-    return make_front(variant, channels, points)
 
 
 def test_a_staircase_keeps_its_corners():

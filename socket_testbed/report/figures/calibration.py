@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
@@ -13,7 +14,13 @@ from socket_testbed.calibration.bench_data import STRESSES
 from socket_testbed.calibration.calibrate import BenchCalibration
 from socket_testbed.calibration.drift import FALLING, RISING
 from socket_testbed.calibration.outliers import Outlier
-from socket_testbed.report.figures.style import lay_out, style_axes
+from socket_testbed.report.figures.style import (
+    DEFAULT_STYLE,
+    FigureStyle,
+    in_style,
+    lay_out,
+    style_axes,
+)
 
 # Okabe & Ito's colours; the marks tell the branches apart in grey, too.
 _BRANCHES = (
@@ -24,7 +31,10 @@ _MOST_POINTS = 4000
 _LEVELS = 12
 
 
-def bench_figure(calibrated: BenchCalibration, cluster: str) -> Figure:
+@in_style
+def bench_figure(
+    calibrated: BenchCalibration, cluster: str, style: FigureStyle = DEFAULT_STYLE
+) -> Figure:
     """Draw a column of panels a stress, in kPa.
 
     Above, calibrated over known stress; in the middle, the residuals of the fit and of the
@@ -33,13 +43,15 @@ def bench_figure(calibrated: BenchCalibration, cluster: str) -> Figure:
     Args:
         calibrated: The calibration.
         cluster: Name of the cluster.
+        style: How it is set.
     """
-    figure = Figure(figsize=(10.0, 8.4), layout="constrained")
+    narrow = style.is_narrow
+    figure = style.figure(150.0)
     axes = figure.subplots(3, 3, sharex="col")
-    figure.suptitle(
+    style.add_title(
+        figure,
         f"{cluster}: {', '.join(calibrated.bench.files)};"
         f" {calibrated.cross_validation.groups} held out in turn",
-        fontsize=11,
     )
     known = calibrated.bench.stress / 1e3
     fitted = calibrated.fitted / 1e3
@@ -54,17 +66,18 @@ def bench_figure(calibrated: BenchCalibration, cluster: str) -> Figure:
         _draw_outliers(axes[0, k], outliers)
         branches = calibrated.branches[:, k]
         _draw_loop(axes[2, k], known[:, k], (fitted - known)[:, k], branches)
-        axes[0, k].set_title(
-            f"{name}: held-out RMSE {calibrated.held_out[k].percent:.1f} % of full scale",
-            fontsize=9,
-        )
-        axes[2, k].set_xlabel(f"known {name} [kPa]")
+        error = f"\nheld-out:\n{calibrated.held_out[k].percent:.1f} % of\nfull scale"
+        axes[0, k].set_title(name + error * style.titles)
+        axes[2, k].set_xlabel("known [kPa]")
     for axis, label in zip(axes[:, 0], ("calibrated", "residual", "mean residual"), strict=True):
         axis.set_ylabel(f"{label} [kPa]")
+    keys: dict[str, Artist] = {}
     for axis in axes.flat:
         style_axes(axis)
-    for axis in axes[1:, 0]:
-        axis.legend(frameon=False, fontsize=8)
+        axis.locator_params(nbins=4 if narrow else 6)
+        handles, labels = axis.get_legend_handles_labels()
+        keys |= dict(zip(labels, handles, strict=True))
+    figure.legend(keys.values(), keys.keys(), loc="outside lower center", ncols=5 - 2 * narrow)
     return lay_out(figure)
 
 
@@ -79,7 +92,6 @@ def _draw_outliers(axis: Axes, outliers: Sequence[Outlier]) -> None:
         known = [outlier.known / 1e3 for outlier in outliers]
         fitted = [outlier.fitted / 1e3 for outlier in outliers]
         axis.plot(known, fitted, "o", color="#D55E00", fillstyle="none", label="outlier")
-        axis.legend(frameon=False, fontsize=8)
 
 
 def _draw_residuals(

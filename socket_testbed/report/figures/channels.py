@@ -13,17 +13,25 @@ from matplotlib.figure import Figure
 from socket_testbed.arrays import BoolArray, FloatArray
 from socket_testbed.identification.evaluation import ChannelErrors, channel_errors
 from socket_testbed.report.figures.style import (
+    BAR_STYLES,
+    DEFAULT_STYLE,
+    LABEL,
     MEASURED_STYLE,
     MODEL_STYLES,
     SEGMENT_STYLE,
+    FigureStyle,
+    in_style,
     lay_out,
     style_axes,
     thin,
+    wrap,
 )
 from socket_testbed.samples import WRENCH_CHANNELS
 
 MOST_POINTS = 2000  # per line
-_PANEL = (4.4, 2.75)  # [inch]
+_PANEL, _KEY_LINE = 34.0, 3.1  # [mm]; height of a panel without its key; of a line of the key
+_WIDE = 80.0  # [mm]; of a panel that takes a model and its errors in two lines
+_NAME = 26.0  # [mm]; longest line of a name above a panel
 _QUANTITIES = {"N m": "moment", "N": "force"}
 
 
@@ -69,73 +77,107 @@ class Panel:
         return self.predictions[0].errors.unit
 
 
-def panels_figure(panels: Sequence[Panel], columns: int, title: str = "") -> Figure:
-    """A figure of panels over a common time.
+@in_style
+def panels_figure(
+    panels: Sequence[Panel],
+    columns: int,
+    title: str = "",
+    style: FigureStyle = DEFAULT_STYLE,
+) -> Figure:
+    """A figure of panels over a common time, each with its errors or, without titles, without.
 
     Args:
-        panels: The channels, row by row.
-        columns: Number of panels in a row.
+        panels: The channels, in groups of `columns`: a row of a page, or a column of two.
+        columns: Number of panels in a group, 3 or 1.
         title: What is shown; nothing for none.
+        style: How it is set.
     """
-    rows = -(-len(panels) // columns)
-    size = (columns * _PANEL[0], rows * _PANEL[1] + (0.35 if title else 0.0))
-    figure = Figure(figsize=size, layout="constrained")
-    if title:
-        figure.suptitle(title, fontsize=11, parse_math=False)
-    axes = figure.subplots(rows, columns, squeeze=False, sharex=True)
-    for axis, panel in zip(axes.flat, panels, strict=False):
-        draw_panel(axis, panel)
-    for axis in axes.flat[len(panels) :]:
-        axis.set_visible(False)
-    for column in range(columns):
-        last = (len(panels) - 1 - column) // columns
-        if last >= 0:
-            axes[last, column].set_xlabel("time [s]", fontsize=9)
-            axes[last, column].tick_params(labelbottom=True)
+    groups = -(-len(panels) // columns)
+    if not style.is_narrow:
+        places = [divmod(i, columns) for i in range(len(panels))]
+    elif style.titles:
+        places = [(i, 0) for i in range(len(panels))]
+    else:  # two groups side by side
+        places = [
+            (columns * (i // columns // 2) + i % columns, i // columns % min(2, groups))
+            for i in range(len(panels))
+        ]
+    rows, across = (1 + np.max(places, axis=0)).tolist()
+    lines = 2 if style.width / across >= _WIDE else 3
+    models = max(len(panel.predictions) for panel in panels)
+    key = _KEY_LINE * (2.5 + lines * models) if style.titles else 0.0
+    figure = style.figure(rows * (_PANEL + key) + 12.0)
+    style.add_title(figure, title)
+    axes = figure.subplots(rows, across, squeeze=False, sharex=True)
+    for panel, place in zip(panels, places, strict=True):
+        draw_panel(axes[place], panel, lines if style.titles else 0)
+    for place in {*np.ndindex(rows, across)} - {*places}:
+        axes[place].set_visible(False)
+    for column in range(across):
+        last = axes[max(row for row, of in places if of == column), column]
+        last.set_xlabel("time [s]")
+        last.tick_params(labelbottom=True)
+    if not style.titles:
+        fullest = max(axes.flat, key=lambda axis: len(axis.get_legend_handles_labels()[0]))
+        legend = figure.legend(
+            *fullest.get_legend_handles_labels(), loc="outside lower center", ncols=across + 1
+        )
+        for text in legend.get_texts():
+            text.set_parse_math(False)
     return lay_out(figure)
 
 
-def draw_panel(axis: Axes, panel: Panel) -> None:
-    """Draw a channel with its key above the lines: each model with its errors."""
+def draw_panel(axis: Axes, panel: Panel, lines: int) -> None:
+    """Draw a channel, above it its name and a key: each model with its errors.
+
+    Args:
+        axis: The panel.
+        panel: What is drawn.
+        lines: Of a model in the key, 2 or 3; 0 for no key.
+    """
     axis.axvspan(*panel.span, **SEGMENT_STYLE)
     axis.plot(*thin(panel.time, panel.measured, MOST_POINTS), label="measured", **MEASURED_STYLE)
     for prediction, style in zip(panel.predictions, MODEL_STYLES, strict=False):
         line = thin(panel.time, prediction.values, MOST_POINTS)
-        axis.plot(*line, label=_describe(prediction), **style)
-    axis.set_ylabel(f"{_QUANTITIES[panel.unit]} [{panel.unit}]", fontsize=9)
-    axis.tick_params(labelsize=8.5)
+        axis.plot(*line, label=_describe(prediction, lines), **style)
+    axis.set_ylabel(f"{_QUANTITIES[panel.unit]} [{panel.unit}]")
     style_axes(axis)
-    _add_key(axis, panel)
-
-
-def _add_key(axis: Axes, panel: Panel) -> None:
     left_out = not panel.predictions[0].errors.in_objective
+    name = panel.name + (" (not in objective)" if left_out else "")
+    if lines:
+        _add_key(axis, name)
+    else:
+        axis.set_title(wrap(name, _NAME), loc="left", fontweight="bold", parse_math=False)
+
+
+def _add_key(axis: Axes, name: str) -> None:
     legend = axis.legend(
-        title=panel.name + (" (not in objective)" if left_out else ""),
+        title=name,
         loc="lower left",
         bbox_to_anchor=(-0.01, 1.0),
         borderaxespad=0.0,
-        frameon=False,
-        fontsize=7.2,
         labelspacing=0.2,
         handlelength=1.8,
         alignment="left",
-        title_fontproperties={"size": 9.5, "weight": "bold"},
+        title_fontproperties={"size": LABEL, "weight": "bold"},
     )
     for text in (legend.get_title(), *legend.get_texts()):
         text.set_parse_math(False)
 
 
-def _describe(prediction: Prediction) -> str:
+def _describe(prediction: Prediction, lines: int) -> str:
     e = prediction.errors
+    if not lines:
+        return prediction.label
+    separator = ":\n" if lines == 3 else ": "
     if e.samples == 0:
-        return f"{prediction.label}: no errors, no value in the span"
+        return f"{prediction.label}{separator}no errors,\nno value in the span"
     digits = 2 if abs(e.skill) < 10.0 else 0
     skill = f"{round(e.skill, digits) + 0.0:.{digits}f}" if isfinite(e.skill) else "none"
     skill = skill.replace("-", "\N{MINUS SIGN}")
     return (
-        f"{prediction.label}: RMSE {e.rmse:.2f}, MAE {e.mae:.2f}, \N{GREEK SMALL LETTER SIGMA}"
-        f" {e.sigma:.2f} {e.unit}, skill {skill}"
+        f"{prediction.label}{separator}RMSE {e.rmse:.2f}, MAE {e.mae:.2f},\n"
+        f"\N{GREEK SMALL LETTER SIGMA} {e.sigma:.2f} {e.unit}, skill {skill}"
     )
 
 
@@ -148,6 +190,7 @@ def wrench_figure(
     predicted: dict[str, FloatArray],
     rows: BoolArray,
     title: str,
+    style: FigureStyle = DEFAULT_STYLE,
 ) -> Figure:
     """Measured against predicted wrench, a panel per channel, with the errors in the panels.
 
@@ -157,6 +200,7 @@ def wrench_figure(
         predicted: Predicted wrenches by variant, shape (N, 6) each; NaN before a model.
         rows: Samples that the errors are taken over, shaded, shape (N,).
         title: What is shown.
+        style: How it is set.
     """
     span = (float(time[rows][0]), float(time[rows][-1]))
     panels = [
@@ -175,20 +219,22 @@ def wrench_figure(
         )
         for i in FORCES_FIRST
     ]
-    return panels_figure(panels, 3, f"{title}; errors over the shaded span")
+    return panels_figure(panels, 3, f"{title}; errors over the shaded span", style)
 
 
-_OVERVIEW_WIDTH, _LOAD, _DROP_OUTS, _DROP_OUTS_AXIS = 7.0, 1.7, 0.2, 1.2  # [inch]
+_LOAD, _DROP_OUTS, _DROP_OUTS_AXIS = 36.0, 4.5, 16.0  # [mm]
 _BINS = 400  # of the trial's time
 _CHOSEN, _OTHER = "0.80", "0.93"  # greys
 
 
+@in_style
 def overview_figure(
     time: FloatArray,
     wrench: FloatArray,
     plateaus: Sequence[tuple[float, float]],
     chosen: tuple[float, float],
     unusable: Mapping[str, BoolArray],
+    style: FigureStyle = DEFAULT_STYLE,
 ) -> Figure:
     """The magnitudes of force and moment, and the share of samples that cannot be used.
 
@@ -198,9 +244,10 @@ def overview_figure(
         plateaus: Starts and ends of the steady stretches [s].
         chosen: Start and end of the segment in use [s].
         unusable: Samples in which a measurement cannot be used, shape (N,), by its name.
+        style: How it is set.
     """
     raster = _DROP_OUTS * len(unusable) + _DROP_OUTS_AXIS
-    figure = Figure(figsize=(_OVERVIEW_WIDTH, 2.0 * _LOAD + raster), layout="constrained")
+    figure = style.figure(2.0 * _LOAD + raster)
     axes = figure.subplots(3, 1, sharex=True, height_ratios=(_LOAD, _LOAD, raster))
     for axis, columns, label, colour in (
         (axes[0], slice(3, 6), "force [N]", "#0072B2"),
@@ -211,11 +258,9 @@ def overview_figure(
         axis.axvspan(*chosen, color=_CHOSEN, linewidth=0.0)
         magnitude = np.linalg.norm(wrench[:, columns], axis=1)
         axis.plot(*thin(time, magnitude, MOST_POINTS), color=colour, linewidth=1.0)
-        axis.set_ylabel(f"magnitude of the\n{label}", fontsize=9)
+        axis.set_ylabel(f"magnitude of the\n{label}")
         style_axes(axis)
     _draw_raster(figure, axes[2], time, unusable)
-    for axis in axes:
-        axis.tick_params(labelsize=9)
     return lay_out(figure)
 
 
@@ -231,44 +276,50 @@ def _draw_raster(
     share = np.where(triggers > 0, np.array(lost) / np.maximum(triggers, 1), 1.0)
     rows = np.arange(len(unusable) + 1) - 0.5
     mesh = axis.pcolormesh(edges, rows, share, cmap="Greys", vmin=0.0, vmax=1.0, rasterized=True)
-    axis.set_yticks(range(len(unusable)), list(unusable), fontsize=8.5, parse_math=False)
+    axis.set_yticks(range(len(unusable)), list(unusable), parse_math=False)
     axis.invert_yaxis()
-    axis.set_xlabel("time [s]", fontsize=9)
+    axis.set_xlabel("time [s]")
     bar = figure.colorbar(mesh, ax=axis, pad=0.01, aspect=12)
-    bar.set_label("not usable [-]", fontsize=9)
+    bar.set_label("not usable [-]")
 
 
-_OFFSETS_WIDTH, _BAR, _BARS_AXIS = 5.6, 0.24, 0.8  # [inch]
+_BAR, _BARS_AXIS = 6.0, 14.0  # [mm]
 _TITLES = ("moment [N m]", "force [N]", "force on a cluster, in its frame [N]")
 
 
-def offsets_figure(channels: Sequence[str], offsets: Mapping[str, FloatArray]) -> Figure:
+@in_style
+def offsets_figure(
+    channels: Sequence[str],
+    offsets: Mapping[str, FloatArray],
+    style: FigureStyle = DEFAULT_STYLE,
+) -> Figure:
     """Offsets of every channel, a bar per model: moments, forces, the clusters' forces.
 
     Args:
         channels: Names of the m channels.
         offsets: Offsets by model, shape (m,) each [N m, N]; three models at most.
+        style: How it is set.
     """
     count = len(WRENCH_CHANNELS)
     groups = [[0, 1, 2], [3, 4, 5], [*range(count, len(channels))]]
     heights = [_BAR * len(indices) + _BARS_AXIS for indices in groups]
-    figure = Figure(figsize=(_OFFSETS_WIDTH, sum(heights)), layout="constrained")
+    figure = style.figure(sum(heights))
     axes = figure.subplots(3, 1, height_ratios=heights)
     thickness = 0.8 / len(offsets)
     for axis, title, indices in zip(axes, _TITLES, groups, strict=True):
         places = np.arange(len(indices))
         for number, (label, values) in enumerate(offsets.items()):
             shift = (number - 0.5 * (len(offsets) - 1)) * thickness
-            # The first colour is that of the model without offsets: it comes last here.
-            colour = MODEL_STYLES[(1 + number) % len(MODEL_STYLES)]["color"]
-            axis.barh(places + shift, values[indices], thickness, color=colour, label=label)
+            # The first look is that of the model without offsets: it comes last here.
+            look = BAR_STYLES[(1 + number) % len(BAR_STYLES)]
+            axis.barh(places + shift, values[indices], thickness, label=label, **look)
         axis.axvline(0.0, color="0.3", linewidth=0.8)
-        axis.set_yticks(places, [channels[i] for i in indices], fontsize=9, parse_math=False)
+        axis.set_yticks(places, [channels[i] for i in indices], parse_math=False)
         axis.invert_yaxis()
-        axis.set_xlabel(f"offset of the {title}", fontsize=9)
-        axis.tick_params(axis="x", labelsize=9)
+        axis.set_xlabel(wrap(f"offset of the {title}", 0.55 * style.width))
         style_axes(axis)
     if len(offsets) > 1:
-        for text in axes[0].legend(frameon=False, fontsize=8).get_texts():
+        legend = figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper center")
+        for text in legend.get_texts():
             text.set_parse_math(False)
     return lay_out(figure)

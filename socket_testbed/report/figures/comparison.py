@@ -16,6 +16,7 @@ from socket_testbed.report.figures.tile_maps import (
     add_key,
     certainty_of,
     cluster_key,
+    columns_of,
     draw_maps,
     maps_height,
 )
@@ -85,15 +86,14 @@ def _maps(
     side: str,
     style: FigureStyle,
 ) -> Figure:
-    columns = 1 if style.is_narrow else min(2, len(named))
-    figure = style.figure(maps_height(geometry, style.width, len(named), columns) + HEADING)
+    columns, scales = columns_of(len(named), style), [limits] * len(named)
+    figure = style.figure(maps_height(geometry, style.width, scales, columns) + HEADING)
     certainty = None
     if np.isfinite(deviations).all():
         certainty = {
             name: certainty_of(values, deviation)
             for (name, values), deviation in zip(named.items(), deviations, strict=True)
         }
-    scales = [limits] * len(named)
     draw_maps(figure, geometry, named, unit, scales, columns, side, certainty)
     add_key(figure, style, *cluster_key(geometry))
     return lay_out(figure)

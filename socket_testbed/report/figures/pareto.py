@@ -13,45 +13,59 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator
 
 from socket_testbed.identification.pareto import KNEE, SENSOR_ONLY, WRENCH_ONLY, Front
-from socket_testbed.report.figures.style import MODEL_STYLES, lay_out, style_axes
+from socket_testbed.report.figures.style import (
+    DEFAULT_STYLE,
+    MODEL_STYLES,
+    FigureStyle,
+    in_style,
+    lay_out,
+    style_axes,
+)
 
 _MARKS: dict[str, dict[str, Any]] = {
-    SENSOR_ONLY: {"marker": "s", "markersize": 8},
-    KNEE: {"marker": "*", "markersize": 13},
-    WRENCH_ONLY: {"marker": "^", "markersize": 8},
+    SENSOR_ONLY: {"marker": "s", "markersize": 6},
+    KNEE: {"marker": "*", "markersize": 10},
+    WRENCH_ONLY: {"marker": "^", "markersize": 6},
 }
-_MEANINGS = {SENSOR_ONLY: r" ($\theta$ = 0)", KNEE: "", WRENCH_ONLY: r" ($\theta$ = 1)"}
+_THETA = "\N{GREEK SMALL LETTER THETA}"
+_MEANINGS = {SENSOR_ONLY: f" ({_THETA} = 0)", KNEE: "", WRENCH_ONLY: f" ({_THETA} = 1)"}
 _HOLLOW: dict[str, Any] = {
     "linestyle": "none",
     "markerfacecolor": "white",
-    "markeredgewidth": 1.3,
+    "markeredgewidth": 1.0,
 }
 _FAINT = 0.3  # opacity
 _MARGIN = 0.08  # [-]; around the solutions
 _LEAST_ERROR = 1e-8  # [-]; zero has no place on a logarithmic axis, and errors no more digits
 _WIDE = 5.0  # [-]; ratio of an axis' ends above which its numbers go by 1, 2, 5
-_WRENCH_LABEL = r"wrench error $e_w = \sqrt{J_w}$ [-]"
-_LOCAL_LABEL = r"local error $e_f = \sqrt{J_f}$ [-]"
+_WRENCH_LABEL = "wrench error \N{SQUARE ROOT}J_w [-]"
+_LOCAL_LABEL = "local error \N{SQUARE ROOT}J_f [-]"
+_HEIGHT = 0.62  # [-]; of the panel by its width
 
 
-def pareto_figure(fronts: Iterable[Front], title: str) -> Figure:
-    """Draw both normalised errors of every front on logarithmic axes.
+@in_style
+def pareto_figure(
+    fronts: Iterable[Front], title: str, style: FigureStyle = DEFAULT_STYLE
+) -> Figure:
+    """Draw both normalised errors of every front on logarithmic axes: the roots of J_w and J_f.
 
     Dominated solutions are faint; those with a flaw are not shown.
 
     Args:
         fronts: Fronts of the same samples, two at most.
         title: What is shown.
+        style: How it is set.
     """
-    figure = Figure(figsize=(7.0, 5.6), layout="constrained")
-    figure.suptitle(title, fontsize=11).set_parse_math(False)  # a name may hold a dollar
+    columns = 2 if style.is_narrow else 3
+    figure = style.figure(_HEIGHT * style.width + 30.0 - 6.0 * columns)
+    style.add_title(figure, title)
     axes = figure.subplots()
-    for front, style in zip(fronts, MODEL_STYLES, strict=False):
-        _draw_front(axes, front, style)
+    for front, line in zip(fronts, MODEL_STYLES, strict=False):
+        _draw_front(axes, front, line)
     _scale(axes)
     style_axes(axes)
     handles = [*axes.get_legend_handles_labels()[0], *_mark_legend()]
-    figure.legend(handles=handles, loc="outside lower center", ncols=2, frameon=False, fontsize=9)
+    figure.legend(handles=handles, loc="outside lower center", ncols=columns)
     return lay_out(figure)
 
 
@@ -71,7 +85,7 @@ def _draw_front(axes: Axes, front: Front, style: dict[str, Any]) -> None:
 
 def _describe(front: Front) -> str:
     knee = front.knee.index
-    bend = "no knee" if knee is None else rf"knee at $\theta$ = {front.theta[knee]:.3g}"
+    bend = "no knee" if knee is None else f"knee at {_THETA} = {front.theta[knee]:.3g}"
     return f"{front.variant}: {bend}"
 
 
@@ -88,8 +102,8 @@ def _scale(axes: Axes) -> None:
     axes.set_xscale("log")
     axes.set_yscale("log")
     axes.margins(_MARGIN)
-    axes.set_xlabel(_WRENCH_LABEL, fontsize=9)
-    axes.set_ylabel(_LOCAL_LABEL, fontsize=9)
+    axes.set_xlabel(_WRENCH_LABEL)
+    axes.set_ylabel(_LOCAL_LABEL)
     _write_plain_numbers(axes.xaxis, axes.get_xlim())
     _write_plain_numbers(axes.yaxis, axes.get_ylim())
 

@@ -30,6 +30,7 @@ from socket_testbed.report.figures.tile_maps import (
     add_bar,
     add_key,
     cluster_key,
+    columns_of,
     draw_maps,
     maps_height,
     scales_of,
@@ -84,11 +85,9 @@ def pressure_maps_figure(
     Raises:
         ConfigurationError: If the values are not those of these tiles.
     """
-    columns = 1 if style.is_narrow else min(2, len(maps))
+    columns = columns_of(len(maps), style)
     scales = scales_of(geometry, maps, from_zero=True)
-    bars = 1 if len(set(scales)) == 1 else columns
-    height = maps_height(geometry, style.width, len(maps), columns, bars)
-    figure = style.figure(height + HEADING)
+    figure = style.figure(maps_height(geometry, style.width, scales, columns) + HEADING)
     style.add_title(figure, title)
     draw_maps(figure, geometry, maps, _UNIT, scales, columns, side)
     note = "hatched: not determined" if _any_unknown(maps) else ""
@@ -182,7 +181,7 @@ def pressure_views_figure(
     Raises:
         ConfigurationError: If the values are not those of these tiles.
     """
-    pairs = 1 if style.is_narrow else min(2, len(maps))
+    pairs = columns_of(len(maps), style)
     rows = -(-len(maps) // pairs)
     scales = scales_of(geometry, maps, from_zero=True)
     views = [_SolidView(geometry, azimuth) for azimuth in (_FRONT, _BACK)]

@@ -37,6 +37,12 @@ MODEL_STYLES: tuple[dict[str, Any], ...] = (
     {"color": "#0072B2", "linestyle": "-", "linewidth": 1.1},
     {"color": "#222222", "linestyle": (0, (1, 1.2)), "linewidth": 1.3},
 )
+# The same for bars: in grey the first two are told apart by their hatches.
+BAR_STYLES: tuple[dict[str, Any], ...] = (
+    {"facecolor": "#D55E00", "edgecolor": "white", "hatch": "/////", "linewidth": 0.0},
+    {"facecolor": "#0072B2", "linewidth": 0.0},
+    {"facecolor": "#222222", "linewidth": 0.0},
+)
 # Of several alike: Okabe & Ito's colours, which differ in lightness, and their own dashes.
 LINE_STYLES: tuple[dict[str, Any], ...] = (
     {"color": "#0072B2", "linestyle": "-"},

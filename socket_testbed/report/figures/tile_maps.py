@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure, FigureBase
+from matplotlib.figure import Figure
 
 from socket_testbed.arrays import FloatArray, IntArray
 from socket_testbed.geometry.axis import socket_axis
@@ -15,6 +15,7 @@ from socket_testbed.identification.force_map import MapEstimate
 from socket_testbed.report.figures.socket_picture import DISTAL, draw_view, frame_view
 from socket_testbed.report.figures.style import (
     DEFAULT_STYLE,
+    MM,
     SMALL,
     FigureStyle,
     in_style,
@@ -28,6 +29,7 @@ _PALEST = 0.15  # [-]; of a tile's colour: white has no value
 _ALIKE = 2.0  # [-]; ratio of ranges that are still seen on one scale
 _WALL_SHARE = 3.4  # [-]; width of the wall by that of the distal end
 _AXIS, _BAR = 12.0, 15.0  # [mm]; beside a map: its axis; the bar of colours
+_BAR_LABEL = 38.0  # [mm]; longest line beside a bar
 _UNDER = 14.0  # [mm]; above and below a map: its name and its axis
 HEADING = 12.0  # [mm]; for a title above the maps and a key below
 
@@ -56,17 +58,30 @@ def scales_of(
     return [(float(low), float(high)) for low, high in ranges]
 
 
+def columns_of(count: int, style: FigureStyle) -> int:
+    """Number of maps in a row."""
+    return 1 if style.is_narrow else min(2, count)
+
+
 def maps_height(
-    geometry: SocketGeometry, width: float, count: int, columns: int, bars: int = 1
+    geometry: SocketGeometry, width: float, scales: Sequence[tuple[float, float]], columns: int
 ) -> float:
-    """Height that maps in columns need [mm], at a width of the figure [mm]."""
+    """Height that maps in columns need [mm].
+
+    Args:
+        geometry: The socket.
+        width: Width of the figure [mm].
+        scales: Ends of the colour scale of every map.
+        columns: Number of maps in a row.
+    """
+    bars = 1 if len(set(scales)) == 1 else columns
     wall = (width - _AXIS * columns - _BAR * bars) / columns * _WALL_SHARE / (_WALL_SHARE + 1.0)
-    rows = -(-count // columns)
+    rows = -(-len(scales) // columns)
     return rows * (wall * wall_aspect(geometry, socket_axis(geometry)) + _UNDER)
 
 
 def draw_maps(
-    figure: FigureBase,
+    figure: Figure,
     geometry: SocketGeometry,
     values: Mapping[str, FloatArray],
     unit: str,
@@ -97,11 +112,13 @@ def draw_maps(
     axes = figure.subplots(
         rows, 2 * columns, width_ratios=(_WALL_SHARE, 1.0) * columns, squeeze=False
     ).reshape(-1, 2)
+    room = figure.get_figwidth() / MM / columns - _AXIS - _BAR
     common = len(set(scales)) == 1
     for panels, (name, row), limits in zip(axes, values.items(), scales, strict=False):
         paint = paint_tiles(geometry, row, limits, labels, certainty.get(name))
         draw_unrolled(panels[0], geometry, paint, around, side=side)
-        panels[0].set_title(name, loc="left", fontweight="bold", parse_math=False)
+        heading = wrap(name, 0.9 * room)  # bold type is wider
+        panels[0].set_title(heading, loc="left", fontweight="bold", parse_math=False)
         _draw_end(panels[1], geometry, paint, end)
         if not common:
             add_bar(figure, paint, list(panels), unit, 20.0)
@@ -112,11 +129,12 @@ def draw_maps(
 
 
 def add_bar(
-    figure: FigureBase, paint: TilePaint, panels: list[Axes], unit: str, slenderness: float
+    figure: Figure, paint: TilePaint, panels: list[Axes], unit: str, slenderness: float
 ) -> None:
     """Add the bar of a paint's colours beside panels; its length by its width is given."""
     assert paint.scale is not None
-    figure.colorbar(paint.scale, ax=panels, label=unit, pad=0.01, aspect=slenderness)
+    label = wrap(unit, _BAR_LABEL)
+    figure.colorbar(paint.scale, ax=panels, label=label, pad=0.01, aspect=slenderness)
 
 
 def _draw_end(axis: Axes, geometry: SocketGeometry, paint: TilePaint, end: IntArray) -> None:
@@ -173,10 +191,10 @@ def tile_map_figure(
         ConfigurationError: If the values are not those of these tiles.
     """
     scales = scales_of(geometry, values)
-    height = maps_height(geometry, style.width, len(values), 1) + HEADING
-    figure = style.figure(height)
+    columns = columns_of(len(values), style)
+    figure = style.figure(maps_height(geometry, style.width, scales, columns) + HEADING)
     style.add_title(figure, title)
-    draw_maps(figure, geometry, values, unit, scales, certainty=certainty)
+    draw_maps(figure, geometry, values, unit, scales, columns, certainty=certainty)
     add_key(figure, style, *cluster_key(geometry, notes))
     return lay_out(figure)
 

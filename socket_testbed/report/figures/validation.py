@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -15,23 +16,36 @@ from socket_testbed.identification.validation import (
     LEVELS,
     Judgement,
 )
-from socket_testbed.report.figures.style import MODEL_STYLES, lay_out, style_axes
+from socket_testbed.report.figures.style import (
+    DEFAULT_STYLE,
+    MODEL_STYLES,
+    FigureStyle,
+    in_style,
+    lay_out,
+    style_axes,
+)
 
 _COLOURS = {INVERSE_DISTANCE: "0.75", CLOSED: "0.5", FORCE_MAP: MODEL_STYLES[1]["color"]}
 _QUESTIONS = {"cluster": "all clusters", "tiles": "tiles without a sensor"}
 _MARKERS = {"cluster": "o", "tiles": "s"}
 
 
-def validation_figure(judgements: Sequence[Judgement], title: str) -> Figure:
+@in_style
+def validation_figure(
+    judgements: Sequence[Judgement], title: str, style: FigureStyle = DEFAULT_STYLE
+) -> Figure:
     """Draw the errors of forces by left-out cluster, and the coverage of the map's intervals.
 
     Args:
         judgements: Judgements of one trial.
         title: What is shown.
+        style: How it is set.
     """
-    figure = Figure(figsize=(9.0, 4.2), layout="constrained")
-    figure.suptitle(title, fontsize=11).set_parse_math(False)  # a name may hold a dollar
-    errors, coverage = figure.subplots(1, 2, width_ratios=(3, 2))
+    narrow = style.is_narrow
+    figure = style.figure(130.0 if narrow else 75.0)
+    style.add_title(figure, title)
+    shape: dict[str, Any] = {"nrows": 2} if narrow else {"ncols": 2, "width_ratios": (3, 2)}
+    errors, coverage = figure.subplots(**shape)
     _draw_errors(errors, judgements)
     _draw_coverage(coverage, judgements)
     return lay_out(figure)
@@ -51,11 +65,11 @@ def _draw_errors(axes: Axes, judgements: Sequence[Judgement]) -> None:
         widths = [found.get((row, predictor), np.nan) for row in rows]
         axes.barh(places + shift, widths, thickness, color=colour, label=predictor)
     axes.axvline(1.0, color="0.3", linewidth=0.8)
-    axes.set_yticks(places, rows, fontsize=9, parse_math=False)
+    axes.set_yticks(places, rows, parse_math=False)
     axes.invert_yaxis()
-    axes.set_xlabel("error over the rms of the forces [-]; 1: predicting zero", fontsize=9)
+    axes.set_xlabel("error over the rms of the forces [-]\n1: predicting zero")
     style_axes(axes)
-    axes.legend(frameon=False, fontsize=8)
+    axes.legend()
 
 
 def _draw_coverage(axes: Axes, judgements: Sequence[Judgement]) -> None:
@@ -71,8 +85,8 @@ def _draw_coverage(axes: Axes, judgements: Sequence[Judgement]) -> None:
                 markerfacecolor="white",
                 label=_QUESTIONS[judgement.question],
             )
-    axes.set_xlabel("stated probability of the interval [%]", fontsize=9)
-    axes.set_ylabel("values within the force map's interval [%]", fontsize=9)
+    axes.set_xlabel("stated probability of the interval [%]")
+    axes.set_ylabel("values within the force map's\ninterval [%]")
     axes.set_xticks(levels)
     style_axes(axes)
-    axes.legend(frameon=False, fontsize=8)
+    axes.legend()
