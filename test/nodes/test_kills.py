@@ -1,43 +1,50 @@
 """kill -9 of every node while the testbed records: it comes back, and nothing is wrong."""
 
-import signal
+from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
 import pytest
-from std_srvs.srv import Trigger as TriggerService
 from support.testbeds import MEASURED, LiveTestbed, Recorded
 
-from socket_testbed.live.bringup import Simulation
-from socket_testbed.trials.topics import CAPACITANCE, MARKERS, PYLON_POSE, SOCKET_POSE, WRENCH
+from socket_testbed.trials.topics import WRENCH
 
 pytestmark = pytest.mark.graph
 
-OF_NODE = {
-    "trigger_node": (),
-    "cluster_node": (CAPACITANCE,),
-    "load_cell_node": (WRENCH,),
-    "mocap_node": (SOCKET_POSE, PYLON_POSE, MARKERS),
-    "calibration_node": (),
-    "estimator_node": (),
-}
+COMPUTING = ("calibration_node", "estimator_node")
 
 
-def kill(live: LiveTestbed, node: str) -> None:
-    restarts = len(live.restarts)
-    live.process(node).send_signal(signal.SIGKILL)
-    live.probe.wait(lambda: len(live.restarts) > restarts, f"{node} started again")
-    assert live.restarts[-1] == f"{node} was ended by SIGKILL: started again"
+@dataclass
+class Killed:
+    """A testbed of which every node was killed in turn, the recorder last.
+
+    Attributes:
+        first: The trial until the recorder was killed.
+        second: The trial that the next recorder began.
+        alone: Stamp until which the load-cell node alone had been killed [ns].
+        newest: A stamp shortly before the recorder was killed [ns].
+    """
+
+    first: Recorded
+    second: Recorded
+    alone: int
+    newest: int
 
 
-def test_any_node_may_be_killed_and_comes_back(tmp_path: Path) -> None:
-    path = tmp_path / "trial"
+@pytest.fixture(scope="module")
+def killed(tmp_path_factory: pytest.TempPathFactory) -> Killed:
+    path = tmp_path_factory.mktemp("kills") / "trial"
     with LiveTestbed(path) as live:
-        for node in OF_NODE:
+        live.wait_for_triggers(10)
+        live.kill("load_cell_node")
+        live.wait_for_triggers(40)
+        live.wait_for("load_cell_node", "OK")
+        live.wait_for_triggers(10)
+        alone = live.newest()
+        for node in ("trigger_node", "cluster_node", "mocap_node", *COMPUTING):
             live.wait_for_triggers(10)
             if node == "cluster_node":
                 live.switch("clusters.shifted", 2)  # what a restart of the host does to a chip
-            kill(live, node)
+            live.kill(node)
             kill_seen = len(live.diagnostics)
             live.probe.wait(
                 lambda node=node, seen=kill_seen: any(
@@ -45,71 +52,45 @@ def test_any_node_may_be_killed_and_comes_back(tmp_path: Path) -> None:
                 ),
                 f"{node} in the graph",
             )
-            if node.endswith(("trigger_node", "cluster_node", "load_cell_node", "mocap_node")):
+            if node not in COMPUTING:
                 live.wait_for(node, "OK")
             live.switch("clusters.shifted", 0)
         live.wait_for_triggers(20)
-    recorded = Recorded(path)
-    recorded.check_values()
-    newest = sorted(recorded.stamps("trigger"))[-5:]
-    # Every one is back; on a busy machine one of the last values may be late all the same.
-    assert all(set(newest) & recorded.stamps(t.name) for t in MEASURED)
-
-
-def test_the_others_lose_nothing_when_one_is_killed(tmp_path: Path) -> None:
-    path = tmp_path / "trial"
-    with LiveTestbed(path) as live:
-        live.wait_for_triggers(10)
-        kill(live, "load_cell_node")
-        live.wait_for_triggers(40)
-        live.wait_for("load_cell_node", "OK")
-        live.wait_for_triggers(10)
-    recorded = Recorded(path)
-    lacking = recorded.lacking()
-    assert lacking.pop(WRENCH.name) > 0
-    assert lacking == dict.fromkeys(lacking, 0)
-    recorded.check_values()
-
-
-def test_a_tare_outlives_its_node() -> None:
-    with LiveTestbed(simulation=Simulation("static_hold", period=600.0)) as live:
-        live.probe.wait(lambda: tare(live).success, "a tare")
-        live.probe.wait(lambda: abs(live.wrenches[-1].wrench.force.z) < 5.0, "the tare")
-        kill(live, "load_cell_node")
-        seen = len(live.wrenches)
-        live.probe.wait(
-            lambda: any(np.isfinite(m.wrench.force.z) for m in live.wrenches[seen + 5 :]),
-            "wrenches again",
-        )
-        forces = [m.wrench.force.z for m in live.wrenches[seen:]]
-    # 91 N of pylon were taken off, and stay off.
-    assert np.nanmax(np.abs(forces)) < 5.0
-
-
-def tare(live: LiveTestbed) -> TriggerService.Response:
-    return live.probe.call(TriggerService, "load_cell/tare", TriggerService.Request())
-
-
-def test_a_killed_recorder_goes_on_in_a_second_trial(tmp_path: Path) -> None:
-    path = tmp_path / "trial"
-    with LiveTestbed(path) as live:
-        live.wait_for_triggers(60)
         newest = live.newest()
-        kill(live, "recorder_node")
-        live.probe.wait((tmp_path / "trial_2").exists, "the second trial")
+        live.kill("recorder_node")
+        second = path.with_name("trial_2")
+        live.probe.wait(second.exists, "the second trial")
         # A new recorder is found by the others some seconds after it began its trial.
         live.probe.wait(
-            lambda: sum(f.stat().st_size for f in (tmp_path / "trial_2").glob("*.mcap")) > 100_000,
+            lambda: sum(f.stat().st_size for f in second.glob("*.mcap")) > 100_000,
             "data in the second trial",
         )
         live.wait_for_triggers(60)
-    first, second = Recorded(path), Recorded(tmp_path / "trial_2", path)
-    assert any("cut short" in note for note in first.notes)
+    return Killed(Recorded(path), Recorded(second, path), alone, newest)
+
+
+def test_any_node_may_be_killed_and_comes_back(killed: Killed) -> None:
+    newest = sorted(killed.second.stamps("trigger"))[-5:]
+    # Every one is back; on a busy machine one of the last values may be late all the same.
+    assert all(set(newest) & killed.second.stamps(t.name) for t in MEASURED)
+
+
+def test_no_value_is_wrong_whichever_node_was_killed(killed: Killed) -> None:
+    killed.first.check_values()
+    killed.second.check_values()
+
+
+def test_the_others_lose_nothing_when_one_is_killed(killed: Killed) -> None:
+    lacking = killed.first.lacking(until=killed.alone)
+    assert lacking.pop(WRENCH.name) > 0
+    assert lacking == dict.fromkeys(lacking, 0)
+
+
+def test_a_killed_recorder_goes_on_in_a_second_trial(killed: Killed) -> None:
+    assert any("cut short" in note for note in killed.first.notes)
     # All but the last second or two are there.
-    assert max(first.stamps("trigger")) > newest - 2.5e9
-    assert len(second.stamps("trigger")) > 20
-    first.check_values()
-    second.check_values()
+    assert max(killed.first.stamps("trigger")) > killed.newest - 2.5e9
+    assert len(killed.second.stamps("trigger")) > 20
 
 
 @pytest.mark.parametrize("one_process", [False, True])

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 import os
 import re
+import signal
 import threading
 import time
 from pathlib import Path
@@ -126,8 +128,12 @@ class LiveTestbed:
     def switch(self, fault: str, value: float) -> None:
         self.world.faults.switch(fault, value)
 
-    def process(self, name: str) -> Any:
-        return self.graph._members[name].process
+    def kill(self, node: str) -> None:
+        """Kill a node's process, and wait until it was started again."""
+        restarts = len(self.restarts)
+        self.graph._members[node].process.send_signal(signal.SIGKILL)
+        self.probe.wait(lambda: len(self.restarts) > restarts, f"{node} started again")
+        assert self.restarts[-1] == f"{node} was ended by SIGKILL: started again"
 
     def newest(self) -> int:
         return stamp_from_ros(self.wrenches[-1].header.stamp)
@@ -162,9 +168,9 @@ class Recorded:
     def stamps(self, topic: str) -> set[int]:
         return set(self.by_topic.get(topic, {}))
 
-    def lacking(self) -> dict[str, int]:
-        """How many triggers each measured topic lacks."""
-        triggers = self.stamps(TRIGGER.name)
+    def lacking(self, until: float = math.inf) -> dict[str, int]:
+        """How many triggers each measured topic lacks, up to a stamp [ns]."""
+        triggers = {stamp for stamp in self.stamps(TRIGGER.name) if stamp <= until}
         return {t.name: len(triggers - self.stamps(t.name)) for t in MEASURED}
 
     def _felt(self, name: str, stamp: float) -> np.ndarray:
