@@ -10,8 +10,10 @@ import pytest
 import yaml
 from support import HANGS
 from support.graph import Probe
+from support.pace import careful_time_scale
 from support.testbeds import Recorded
 
+from socket_testbed import clocks
 from socket_testbed.__main__ import run
 from socket_testbed.files import packaged
 from socket_testbed.nodes.conversions import stamp_from_ros
@@ -123,6 +125,13 @@ def test_run_ends_by_itself_and_a_fault_is_seen(
     assert run(["info", str(path)]) == 0
 
 
+@pytest.fixture
+def manageable_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Testbed time as slow as this machine needs; `doctor` gives it to what it simulates."""
+    monkeypatch.setattr(clocks, "_scale", careful_time_scale())
+
+
+@pytest.mark.usefixtures("manageable_time")
 def test_doctor_finds_all_that_is_simulated(capsys: pytest.CaptureFixture[str]) -> None:
     assert run(["doctor", "--simulated"]) == 0
     table = capsys.readouterr().out
@@ -140,6 +149,7 @@ def test_doctor_finds_all_that_is_simulated(capsys: pytest.CaptureFixture[str]) 
     assert "failed" not in table
 
 
+@pytest.mark.usefixtures("manageable_time")
 def test_doctor_names_what_fails_and_the_hint(capsys: pytest.CaptureFixture[str]) -> None:
     faults = ["trigger.missing=1", "clusters.nack=2", "load_cell.unplugged=1", "mocap.unplugged=1"]
     words = [word for fault in faults for word in ("--fault", fault)]

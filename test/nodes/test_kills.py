@@ -97,10 +97,9 @@ def test_a_killed_recorder_goes_on_in_a_second_trial(killed: Killed) -> None:
 def test_a_healthy_testbed_loses_nothing(tmp_path: Path, one_process: bool) -> None:
     path = tmp_path / "trial"
     with LiveTestbed(path, rate=50.0, one_process=one_process) as live:
-        live.wait_for_triggers(150)
+        live.wait_for_triggers(150)  # many more may come on a busy machine
     recorded = Recorded(path)
     assert recorded.lacking() == dict.fromkeys((t.name for t in MEASURED), 0)
     counts = recorded.check_values()
     # A machine that is busy with other things costs values, never messages.
-    triggers = len(recorded.stamps("trigger"))
-    assert all(count > 0.3 * triggers for count in counts.values()), counts
+    assert all(count > 0.3 * 150 for count in counts.values()), counts

@@ -36,6 +36,7 @@ from socket_testbed.trials.trial import Trial
 from support.graph import Probe
 from support.pace import careful_time_scale
 
+LEVELS = ("OK", "WARN", "ERROR")
 MEASURED = (CAPACITANCE, WRENCH, SOCKET_POSE, PYLON_POSE, MARKERS)
 
 # Everything changes fast, all the time: an old value is a wrong one.
@@ -107,7 +108,7 @@ class LiveTestbed:
         for message in reversed(self.diagnostics):
             for status in message.status:
                 if status.name == node:
-                    return ("OK", "WARN", "ERROR")[status.level[0]], status.message
+                    return LEVELS[status.level[0]], status.message
         return "", ""
 
     def wait_for(self, node: str, level: str, text: str = "") -> str:
@@ -119,6 +120,21 @@ class LiveTestbed:
 
         self.probe.wait(matches, f"{node} {level} '{text}', it says {self.said(node)}")
         return self.said(node)[1]
+
+    def wait_for_moment(self, node: str, level: str, since: int) -> None:
+        """Wait until a node has reported a level, however briefly.
+
+        Args:
+            node: Its name.
+            level: The level; several are separated by bars.
+            since: Number of diagnostics messages that do not count.
+        """
+
+        def reported() -> bool:
+            new = [s for m in self.diagnostics[since:] for s in m.status if s.name == node]
+            return any(re.fullmatch(level, LEVELS[s.level[0]]) for s in new)
+
+        self.probe.wait(reported, f"{node} {level}, however briefly")
 
     def wait_for_triggers(self, count: int) -> None:
         """Let so many triggers pass."""
