@@ -87,7 +87,7 @@ def _write_mat(frame: pd.DataFrame, path: Path) -> None:
     titles = [split_unit(title) for title in frame]
     names = matlab_names([name for name, _ in titles])
     units = [unit for _, unit in titles]
-    variables = {n: column.to_numpy() for n, (_, column) in zip(names, frame.items(), strict=True)}
+    variables = {n: _plain(column) for n, (_, column) in zip(names, frame.items(), strict=True)}
     savemat(
         path,
         {**variables, "units": dict(zip(names, units, strict=True))},
@@ -95,6 +95,15 @@ def _write_mat(frame: pd.DataFrame, path: Path) -> None:
         do_compression=True,
         oned_as="column",
     )
+
+
+def _plain(column: pd.Series) -> Any:
+    """Values that MATLAB can have: no text is empty, no number is NaN."""
+    if column.dtype.kind in "fiub":
+        return column.to_numpy()
+    if any(isinstance(value, str) for value in column):
+        return column.fillna("").to_numpy(dtype=object)
+    return column.to_numpy(dtype=float, na_value=float("nan"))
 
 
 def matlab_names(names: Sequence[str]) -> list[str]:

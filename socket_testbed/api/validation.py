@@ -30,6 +30,7 @@ from socket_testbed.identification.validation import (
     judge_map,
     judge_samples,
     judge_wrench,
+    judgements_by_trial,
     judgements_table,
     loaded_rows,
     summarise_judgements,
@@ -38,6 +39,8 @@ from socket_testbed.identification.validation import (
 from socket_testbed.samples import Samples
 from socket_testbed.settings.testbed import EstimatorSettings, estimator_settings
 from socket_testbed.simulation.trial import TRUTH_FILE, read_truth
+from socket_testbed.tables import write_table
+from socket_testbed.trials.metadata import TrialMetadata
 from socket_testbed.trials.trial import Trial
 
 if TYPE_CHECKING:
@@ -55,11 +58,13 @@ class Validation:
         trials: Names of the trials.
         fitted: Names of those that models were fitted on.
         judgements: Every judgement.
+        metadata: What is stated about each trial.
     """
 
     trials: tuple[str, ...]
     fitted: tuple[str, ...]
     judgements: tuple[Judgement, ...]
+    metadata: tuple[TrialMetadata, ...]
 
     def __repr__(self) -> str:
         return (
@@ -74,6 +79,25 @@ class Validation:
     def summary(self) -> pd.DataFrame:
         """Means over the trials, a row per question, test and predictor."""
         return summarise_judgements(self.judgements)
+
+    def by_trial(self) -> pd.DataFrame:
+        """A row per trial with what is stated about it: see `judgements_by_trial`.
+
+        A trial that none of the judgements is of has empty cells.
+        """
+        import pandas as pd
+
+        stated = [metadata.columns() for metadata in self.metadata]
+        table = pd.DataFrame(stated, index=pd.Index(self.trials, name="trial"), dtype=object)
+        return table.join(judgements_by_trial(self.judgements))
+
+    def save(self, path: PathLike) -> None:
+        """Write the table of `by_trial` as `.csv`, `.parquet` or `.mat`.
+
+        Raises:
+            ConfigurationError: If the suffix is no format or the file cannot be written.
+        """
+        write_table(self.by_trial(), Path(path))
 
     def document(self) -> dict[str, Any]:
         """The validation for JSON."""
@@ -157,7 +181,8 @@ def validate(
                     judgements += recording.judge_others(_spread(others, _MOST_FITTED))
             report(len(recordings) + done + 1, total)
     names, fitted_names = ([r.name for r in listed] for listed in (recordings, fitted))
-    return Validation(tuple(names), tuple(fitted_names), tuple(judgements))
+    metadata = tuple(recording.trial.metadata for recording in recordings)
+    return Validation(tuple(names), tuple(fitted_names), tuple(judgements), metadata)
 
 
 @contextmanager

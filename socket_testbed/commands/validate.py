@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from pathlib import Path
 
 import pandas as pd
 
@@ -12,20 +13,20 @@ from socket_testbed.batch import find_trials
 from socket_testbed.commands.options import (
     add_identification,
     add_pose_smoothing,
+    add_replace,
     add_trial,
     choices,
     trial_of,
 )
 from socket_testbed.commands.text import Progress, number, table
+from socket_testbed.files import check_outputs
+from socket_testbed.tables import check_format
 
 _ERROR, _WORST = "error [-]", "worst error [-]"
 _COVERAGE = ("within 50 % [-]", "within 80 % [-]", "within 95 % [-]")
-_WRENCH = {
-    "moment RMSE [N m]": 3,
-    "force RMSE [N]": 2,
-    "moment skill [-]": 2,
-    "force skill [-]": 2,
-}
+_RMSE = {"moment RMSE [N m]": 3, "force RMSE [N]": 2}
+_SKILL = {"moment skill [-]": 2, "force skill [-]": 2}
+_MEDIANS = {f"median {title}": digits for title, digits in _SKILL.items()}  # of several trials
 _HEADINGS = (
     ("cluster", "left out", "Force on a cluster that was left out, from the others and the wrench"),
     ("tiles", "second half", "Force on the tiles without a sensor, against the simulated truth"),
@@ -46,17 +47,30 @@ def configure(parser: argparse.ArgumentParser) -> None:
     add_identification(parser, variant=False)  # all are judged
     add_pose_smoothing(parser)
     parser.add_argument("--json", action="store_true", help="print JSON on standard output")
+    parser.add_argument(
+        "-o",
+        "--output",
+        type=Path,
+        metavar="OUT.csv|.parquet",
+        help="table with a row per trial, for a study",
+    )
+    add_replace(parser)
     parser.set_defaults(run=run)
 
 
 def run(options: argparse.Namespace) -> None:
-    """Validate and print."""
+    """Validate, write and print."""
+    if options.output is not None:
+        check_format(options.output)
+    check_outputs(options.output, replace=options.replace)
     trials = [
         trial_of(argparse.Namespace(**{**vars(options), "trial": path}))
         for folder in options.trial
         for path in [*find_trials(folder).values()] or [folder]
     ]
     found = api.validate(*trials, progress=Progress, **choices(options))
+    if options.output is not None:
+        found.save(options.output)
     if options.json:
         print(found.to_json())
         return
@@ -67,6 +81,8 @@ def run(options: argparse.Namespace) -> None:
             rows = tables[question, test].droplevel([0, 1])
             print(f"\n{heading}\n\n{_table(rows, question)}")
     print(f"\n{_LEGEND}")
+    if options.output is not None:
+        print(f"\nwritten: {options.output}")
 
 
 def _title(found: Validation) -> str:
@@ -80,9 +96,11 @@ def _title(found: Validation) -> str:
 
 def _table(rows: pd.DataFrame, question: str) -> str:
     if question == "wrench":
-        header = ["predictor", *_WRENCH]
+        several = bool((rows["judged [1]"] > 1).any())
+        titles = _RMSE | (_MEDIANS if several else _SKILL)
+        header = ["predictor", *titles]
         cells = [
-            [number(row[title], digits) for title, digits in _WRENCH.items()]
+            [number(row[title], digits) for title, digits in titles.items()]
             for _, row in rows.iterrows()
         ]
     else:

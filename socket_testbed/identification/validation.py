@@ -713,11 +713,40 @@ def summarise_judgements(judgements: Sequence[Judgement]) -> pd.DataFrame:
 
     Returns:
         Indexed by `question`, `test` and `predictor`, with the columns of `judgements_table` that
-        are numbers, `judged [1]`, the number of judgements, and `worst error [-]`.
+        are numbers, `judged [1]`, the number of judgements, `worst error [-]`, and the medians of
+        the skills, such as `median force skill [-]`: one trial may spoil a mean.
     """
     table = judgements_table([j for j in judgements if not j.cluster])
     grouped = table.groupby(["question", "test", "predictor"], sort=False)
     means = grouped.mean(numeric_only=True)
     means.insert(0, "judged [1]", grouped.size())
     means.insert(3, "worst error [-]", grouped["error [-]"].max())
+    for skill in ("moment skill [-]", "force skill [-]"):
+        means[f"median {skill}"] = grouped[skill].median()
     return means
+
+
+def judgements_by_trial(judgements: Sequence[Judgement]) -> pd.DataFrame:
+    """Judgements of each trial in one row: its own, and medians of those by models of others.
+
+    Returns:
+        Indexed by `trial`. Columns are the figures of `judgements_table` by question, test and
+        predictor, such as `wrench, second half: rigid_bias force skill [-]`.
+    """
+    table = judgements_table([j for j in judgements if not j.cluster])
+    keys = ["question", "test", "predictor"]
+    figures = [name for name in table.columns[6:] if name != "samples [1]"]
+    medians = table.groupby(["tested on", *keys], sort=False)[figures].median()
+    medians = medians.unstack(keys).dropna(axis="columns", how="all")
+    order = [
+        (figure, *key)
+        for key in dict.fromkeys(zip(*(table[name] for name in keys), strict=True))
+        for figure in figures
+    ]
+    medians = medians[[label for label in order if label in medians.columns]]
+    medians.columns = [
+        f"{question}, {test}: {predictor} {figure}"
+        for figure, question, test, predictor in medians.columns
+    ]
+    names = list(dict.fromkeys(table["tested on"]))
+    return medians.loc[names].rename_axis("trial")

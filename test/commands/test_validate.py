@@ -6,6 +6,8 @@ import json
 import shutil
 from pathlib import Path
 
+import numpy as np
+import pandas as pd
 import pytest
 import yaml
 
@@ -72,6 +74,39 @@ def test_several_trials_predict_each_other_and_json_holds_it_all(folder: Path, c
     found = st.validate(*(st.open_trial(folder / name) for name in document["trials"]))
     assert found.document() == document
     assert repr(found).startswith("Validation(3 trials, models fitted on 3; ")
+
+
+@pytest.mark.usefixtures("few_variants")
+def test_a_study_has_a_row_per_trial_and_shows_median_skills(
+    folder: Path, tmp_path, capsys
+) -> None:
+    study = shutil.copytree(folder, tmp_path / "study")
+    st.annotate(st.open_trial(study / "s1"), liner="gel", mass=80.0)
+    output = tmp_path / "study.csv"
+    code, out, _ = call(capsys, "validate", study, "-o", output)
+    assert code == 0 and f"written: {output}" in out
+    table = pd.read_csv(output).set_index("trial")
+    assert table.index.tolist() == ["s0", "s1", "s2"]
+    assert table["liner"].to_dict()["s1"] == "gel" and table["mass [kg]"]["s1"] == 80.0
+    skills = []
+    for name in table.index:
+        code, single, _ = call(capsys, "validate", study / name, "--json")
+        for judged in json.loads(single)["judgements"]:
+            key = (judged["question"], judged["test"], judged["predictor"])
+            if key == ("wrench", "second half", "stiffness"):
+                title = "wrench, second half: stiffness force skill [-]"
+                assert table[title][name] == pytest.approx(judged["force_skill"])
+                skills.append(judged["force_skill"])
+            if key == ("cluster", "left out", "force map") and not judged["cluster"]:
+                title = "cluster, left out: force map error [-]"
+                assert table[title][name] == pytest.approx(judged["error"])
+    rows = rows_of(out, "fitted on the other half of the trial")
+    assert float(rows["stiffness"][3]) == pytest.approx(np.median(skills), abs=0.006)
+    assert "median force skill [-]" in out
+    code, _, err = call(capsys, "validate", study, "-o", output)
+    assert code == 1 and "exists already" in err
+    code, _, _ = call(capsys, "validate", study / "s0", "-o", tmp_path / "study.mat")
+    assert code == 0 and (tmp_path / "study.mat").stat().st_size > 1000
 
 
 @pytest.mark.usefixtures("few_variants")
