@@ -38,7 +38,8 @@ setup(
         (f"share/{NAME}/msg", glob("msg_defs/msg/*.msg")),
     ],
     install_requires=RUNTIME,
-    extras_require={"test": ["pytest"]},  # without it, colcon test runs no test
+    # Without "test", colcon test runs no test.
+    extras_require={"test": ["pytest"], "completion": ["argcomplete>=3,<4"]},
     zip_safe=True,
     maintainer="socket_testbed maintainers",
     maintainer_email="maintainers@example.org",

@@ -9,6 +9,7 @@ import sys
 from importlib import import_module
 
 from socket_testbed import __version__
+from socket_testbed.commands.arguments import Parser, likely, release_paths
 from socket_testbed.errors import TestbedError
 
 VERBS = {
@@ -41,23 +42,58 @@ def main(arguments: list[str] | None = None) -> None:
     sys.exit(run(arguments))
 
 
+def _parse(words: list[str]) -> argparse.Namespace:
+    """The options of a verb; a wrong call ends here, with one line and the exit code 2."""
+    completed = os.environ.get("COMP_LINE") if "_ARGCOMPLETE" in os.environ else None
+    if completed is not None:
+        words = completed.split()[1:]
+    parser = Parser(
+        prog="socket-testbed",
+        description="Software of an instrumented prosthetic-socket testbed.",
+        allow_abbrev=False,
+    )
+    version = f"socket_testbed {__version__}"
+    parser.add_argument("-V", "--version", action="version", version=version)
+    verbs = parser.add_subparsers(dest="verb", required=True, metavar="VERB")
+    called = parser
+    for verb, summary in VERBS.items():
+        subparser = verbs.add_parser(verb, help=summary, description=summary, allow_abbrev=False)
+        # Only the verb that is called is imported: the others' libraries take their time.
+        if words[:1] == [verb]:
+            import_module(f"socket_testbed.commands.{verb}").configure(subparser)
+            called = subparser
+    if completed is not None:
+        _complete(parser)
+    called.words = words
+    verb = next(iter(words), "-")
+    if not verb.startswith("-") and verb not in VERBS:
+        parser.exit(2, f"socket-testbed: error: unknown verb '{verb}': {_verb_hint(verb)}\n")
+    options, unknown = parser.parse_known_args(release_paths(words))
+    if unknown:
+        called.error(f"not understood: {' '.join(unknown)}")
+    return options
+
+
+def _verb_hint(verb: str) -> str:
+    return likely(verb, VERBS) or f"use one of {', '.join(VERBS)}"
+
+
+def _complete(parser: argparse.ArgumentParser) -> None:
+    """Answer the shell's request for completions, and exit."""
+    try:
+        from argcomplete import autocomplete
+    except ImportError:
+        sys.exit(1)
+    autocomplete(parser)
+
+
 def run(arguments: list[str] | None = None) -> int:
     """Run a verb; returns the exit code."""
     words = sys.argv[1:] if arguments is None else arguments
     # The programs are small: a second thread of linear algebra waits for the other cores' work
     # much longer than it helps. It is read when numpy is first imported, by the verb below.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    parser = argparse.ArgumentParser(
-        prog="socket-testbed", description="Software of an instrumented prosthetic-socket testbed."
-    )
-    parser.add_argument("--version", action="version", version=f"socket_testbed {__version__}")
-    verbs = parser.add_subparsers(dest="verb", required=True, metavar="VERB")
-    for verb, summary in VERBS.items():
-        subparser = verbs.add_parser(verb, help=summary, description=summary, allow_abbrev=False)
-        # Only the verb that is called is imported: the others' libraries take their time.
-        if words[:1] == [verb]:
-            import_module(f"socket_testbed.commands.{verb}").configure(subparser)
-    options = parser.parse_args(words)
+    options = _parse(words)
     # Ended by another process, or started in the background of a script where the shell has it
     # ignore Ctrl-C, a verb ends its nodes all the same.
     for number in (signal.SIGINT, signal.SIGTERM):

@@ -63,6 +63,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def _add_reading(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--columns",
+        action="extend",
         nargs="+",
         default=[],
         metavar="QUANTITY=HEADER",
@@ -70,6 +71,7 @@ def _add_reading(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--units",
+        action="extend",
         nargs="+",
         default=[],
         metavar="QUANTITY=UNIT",

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, Generic, TypeVar
 
 from socket_testbed.batch import Job, Pool, Row, Task, find_trials, plan_jobs, run_batch
+from socket_testbed.commands.arguments import ExtendList
 from socket_testbed.errors import ConfigurationError
 from socket_testbed.files import check_number, check_outputs
 from socket_testbed.settings import testbed
@@ -85,6 +86,7 @@ def add_unloaded(parser: argparse.ArgumentParser) -> None:
     """Spans without load."""
     parser.add_argument(
         "--unloaded",
+        action=ExtendList,
         nargs="+",
         metavar="T0:T1",
         help="seconds without load before, and after: the clusters' drift is corrected by them",
@@ -169,9 +171,10 @@ def add_model_choice(
     )
     parser.add_argument(
         "--leave-out",
+        action=ExtendList,
         nargs="+",
         metavar="CHANNEL",
-        help="channels to leave out of the objective, such as distal.Fx or Mz",
+        help="channels to leave out of the objective, such as Mz or Mz,distal.Fx",
     )
     parser.add_argument(
         "--noise-correction",

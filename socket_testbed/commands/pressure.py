@@ -11,6 +11,7 @@ from socket_testbed import api
 from socket_testbed.api import TrialPressure
 from socket_testbed.api.pressure import TITLES, interval_end
 from socket_testbed.batch import Row, find_trials
+from socket_testbed.commands.arguments import ExtendList
 from socket_testbed.commands.options import (
     TrialVerb,
     add_replace,
@@ -54,7 +55,11 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--params", type=Path, metavar="TESTBED.yaml", help="instead of the trial's testbed.yaml"
     )
     parser.add_argument(
-        "--leave-out", nargs="+", metavar="CHANNEL", help="channels that do not count, such as Mz"
+        "--leave-out",
+        action=ExtendList,
+        nargs="+",
+        metavar="CHANNEL",
+        help="channels that do not count, such as Mz",
     )
     parser.add_argument(
         "-o",
