@@ -12,12 +12,12 @@ import numpy as np
 
 from socket_testbed.api.models import TrialFit, read_model
 from socket_testbed.api.pressure import TrialPressure, pressure
-from socket_testbed.api.trials import PathLike, open_trial
+from socket_testbed.api.trials import PathLike, Progress, open_trial, started
 from socket_testbed.arrays import FloatArray
 from socket_testbed.comparison.models import compare_models
 from socket_testbed.comparison.sockets import compare_sockets
 from socket_testbed.comparison.table import Compared, Comparison, Kind, joined, texts_table
-from socket_testbed.errors import ConfigurationError
+from socket_testbed.errors import ConfigurationError, TrialError
 from socket_testbed.geometry.regions import Region
 from socket_testbed.geometry.socket import SocketGeometry, read_socket
 from socket_testbed.identification.model_file import StoredModel
@@ -48,6 +48,7 @@ def compare(
     share: float = 0.5,
     by_region: bool = False,
     params: PathLike | None = None,
+    progress: Progress | None = None,
 ) -> Comparison:
     """Compare trials, models or sockets: every value side by side, and differences to the first.
 
@@ -68,6 +69,7 @@ def compare(
         share: As in `st.pressure` [-].
         by_region: Whether trials of different sockets are compared by region alone.
         params: A `testbed.yaml` to use instead of each trial's own.
+        progress: See `Progress`.
 
     Raises:
         ConfigurationError: If there are fewer than two items or too many, one is given twice, they
@@ -86,8 +88,9 @@ def compare(
     names = _names(paths)
     if kind == "trials":
         trials = [item for item in opened if isinstance(item, Trial)]
-        given = {"threshold": threshold, "share": share}
-        return _compare_trials(trials, names, segment, by_region, params, **given)
+        return _compare_trials(
+            trials, names, segment, by_region, params, threshold, share, progress
+        )
     if kind == "models":
         return compare_models([m for m in opened if isinstance(m, StoredModel)], names)
     return compare_sockets([g for g in opened if isinstance(g, SocketGeometry)], names)
@@ -201,6 +204,7 @@ def _compare_trials(
     params: PathLike | None,
     threshold: float,
     share: float,
+    progress: Progress | None,
 ) -> Comparison:
     first = trials[0]
     alike = all(trial.geometry.same_tiles(first.geometry) for trial in trials)
@@ -211,10 +215,14 @@ def _compare_trials(
             f" ({len(first.geometry)} tiles)",
             _BY_REGION,
         )
-    found = [
-        pressure(trial, segment, threshold=threshold, share=share, params=params)
-        for trial in trials
-    ]
+    report = started(progress, "comparing") or (lambda done, total: None)
+    found = []
+    for done, (name, trial) in enumerate(zip(names, trials, strict=True), start=1):
+        try:
+            found.append(pressure(trial, segment, threshold=threshold, share=share, params=params))
+        except TrialError as error:  # it does not always say of which trial
+            raise TrialError(f"{name}: {error.fact}", error.hint) from None
+        report(done, len(trials))
     tables = [
         texts_table("metadata", _metadata(trials), names),
         texts_table("trials", _origins(found), names),
@@ -228,7 +236,7 @@ def _compare_trials(
         kind="trials",
         items=names,
         title=f"segment {segment}, in contact above {threshold:g} kPa",
-        notes=tuple(_trial_notes(found, names, alike)),
+        notes=tuple(_trial_notes(found, names, alike, params is None)),
         table=joined(tables),
         mapped=of_tiles[0] if of_tiles else None,  # the mean pressure
         geometry=first.geometry,
@@ -337,8 +345,9 @@ def _of_wrench(found: Sequence[TrialPressure]) -> list[Compared]:
     """Mean and standard deviation of the wrench over the segment; the load cell has no interval."""
     wrenches = [each.trial.samples()[each.segment.rows].wrench for each in found]
     compared = []
-    for of_name, figure in (("mean", np.nanmean), ("standard deviation", np.nanstd)):
-        values = np.array([figure(wrench, axis=0) for wrench in wrenches])
+    means = np.array([_mean(wrench) for wrench in wrenches])
+    squares = [_mean((w - mean) ** 2) for w, mean in zip(wrenches, means, strict=True)]
+    for of_name, values in (("mean", means), ("standard deviation", np.sqrt(squares))):
         for column, channel in enumerate(WRENCH_CHANNELS):
             title = f"{of_name} [{channel_unit(channel)}]"
             chosen = values[:, column : column + 1]
@@ -346,7 +355,16 @@ def _of_wrench(found: Sequence[TrialPressure]) -> list[Compared]:
     return compared
 
 
-def _trial_notes(found: Sequence[TrialPressure], names: Sequence[str], alike: bool) -> list[str]:
+def _mean(values: FloatArray) -> FloatArray:
+    """Means of the finite values of each column; NaN without any."""
+    known = np.isfinite(values)
+    with np.errstate(invalid="ignore"):
+        return np.asarray(np.where(known, values, 0.0).sum(axis=0) / known.sum(axis=0))
+
+
+def _trial_notes(
+    found: Sequence[TrialPressure], names: Sequence[str], alike: bool, own_params: bool
+) -> list[str]:
     trials = [each.trial for each in found]
     notes = []
     if not alike:
@@ -383,7 +401,7 @@ def _trial_notes(found: Sequence[TrialPressure], names: Sequence[str], alike: bo
                 f"the pressure-time integral covers {time:.1f} s in {name} and {times[0]:.1f} s in"
                 f" {names[0]}: it is not of equal times"
             )
-    if len({trial.estimator.force_map for trial in trials}) > 1:
+    if own_params and len({trial.estimator.force_map for trial in trials}) > 1:
         notes.append(
             "the trials were recorded with different priors of the force map (force_map.*): give"
             " one with --params"
@@ -393,4 +411,4 @@ def _trial_notes(found: Sequence[TrialPressure], names: Sequence[str], alike: bo
 
 def _mean_force(found: TrialPressure) -> float:
     wrench = found.trial.samples()[found.segment.rows].wrench
-    return float(np.linalg.norm(np.nanmean(wrench[:, 3:], axis=0)))
+    return float(np.linalg.norm(_mean(wrench[:, 3:])))

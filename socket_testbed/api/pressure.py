@@ -313,6 +313,6 @@ def _regions(trial: Trial, own: Mapping[str, Sequence[str]] | None) -> tuple[Reg
     if side is None and trial.notify is not None:
         trial.notify(
             "no side of the leg is stated: the regions are left and right, not medial and lateral;"
-            f" state it with 'annotate {trial.name} --side left|right'"
+            " state it with 'annotate TRIAL --side left|right'"
         )
     return all_regions(geometry, side)

@@ -15,7 +15,7 @@ from socket_testbed.api import Comparison
 from socket_testbed.api.compare import PAGES, Comparable
 from socket_testbed.batch import find_trials
 from socket_testbed.commands.options import add_replace, add_segment, print_note
-from socket_testbed.commands.text import table
+from socket_testbed.commands.text import Progress, table
 from socket_testbed.comparison.table import LEGEND, Kind
 from socket_testbed.files import check_outputs
 from socket_testbed.tables import check_format, split_unit
@@ -86,6 +86,7 @@ def run(options: argparse.Namespace) -> None:
         share=options.share,
         by_region=options.by_region,
         params=options.params,
+        progress=Progress,
     )
     if is_page:
         command = shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]])
