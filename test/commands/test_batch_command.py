@@ -55,7 +55,9 @@ def one_by_one(whole_study: Path, tmp_path_factory: pytest.TempPathFactory) -> P
     """Models fitted each by a call of its own."""
     folder = tmp_path_factory.mktemp("batch") / "single"
     for name in GOOD:
-        assert run(["fit", str(whole_study / name), "-o", str(folder / f"{name}.json")]) == 0
+        model = folder / f"{name}.json"
+        model.parent.mkdir(parents=True, exist_ok=True)
+        assert run(["fit", str(whole_study / name), "-o", str(model)]) == 0
     return folder
 
 
@@ -181,10 +183,10 @@ def test_trials_are_judged_by_their_own_models_or_all_by_one(
     assert call(capsys, *words, "--model", one_by_one / "walk.json", "-o", crossed)[0] == 1
     for folder, model in ((own, "s02/hold"), (crossed, "walk")):
         single = ["evaluate", whole_study / "s02/hold", "--model", one_by_one / f"{model}.json"]
-        code, out, _ = call(capsys, *single, "--json", "-o", tmp_path / "single.json")
+        code, out, _ = call(capsys, *single, "--json", "-o", tmp_path / f"{folder.name}.json")
         assert code == 0
         expected = json.loads(out)
-        assert json.loads((tmp_path / "single.json").read_text()) == expected
+        assert json.loads((tmp_path / f"{folder.name}.json").read_text()) == expected
         assert json.loads((folder / "s02/hold.errors.json").read_text()) == expected
         row = pd.read_csv(folder / "summary.csv").set_index("trial").loc["s02/hold"]
         assert row["model"] == model.rpartition("/")[2]
