@@ -10,6 +10,8 @@ from support.bags import add_events
 import socket_testbed as st
 from socket_testbed.__main__ import run
 from socket_testbed.errors import ConfigurationError, TestbedError, TrialError
+from socket_testbed.report.figures.cycles import cycles_figure
+from socket_testbed.report.figures.style import COLUMN, PAGE, FigureStyle
 from socket_testbed.trials.trial import Trial
 
 STEPS = np.array([5.0, 8.0, 11.5, 14.0, 17.0, 20.0, 40.0, 43.0])  # [s]; a pause of 20 s
@@ -117,3 +119,24 @@ def test_the_verb_writes_the_same_numbers(
     expected = st.cycles(walk, by="step", segment="0:30").to_dataframe()
     assert np.array_equal(written[list(expected)], expected, equal_nan=True)
     assert "distal.normal mean [Pa]" in written and "stamp mean [ns]" not in written
+
+
+def test_a_figure_shows_mean_band_and_cycles(walk: Trial, tmp_path: Path) -> None:
+    found = st.cycles(walk, ["Fz", "Mx", "q_x"], by="step")
+    for style in (FigureStyle(COLUMN), FigureStyle(PAGE)):
+        figure = cycles_figure(
+            found.titles, found.curves, found.mean, found.deviation, str(found), style
+        )
+        assert [panel.get_ylabel() for panel in figure.axes] == ["Fz [N]", "Mx [N m]", "q_x [m]"]
+        panel = figure.axes[0]
+        assert len(panel.lines) == len(found) + 1
+        np.testing.assert_array_equal(panel.lines[-1].get_ydata(), found.mean[:, 0])
+        low, high = panel.collections[0].get_datalim(panel.transData).intervaly
+        spread = found.deviation[:, 0]
+        assert low == pytest.approx((found.mean[:, 0] - spread).min())
+        assert high == pytest.approx((found.mean[:, 0] + spread).max())
+        assert sum(bool(panel.get_xlabel()) for panel in figure.axes) in (1, 2)
+    found.draw(tmp_path / "cycles.png")
+    assert (tmp_path / "cycles.png").stat().st_size > 10_000
+    with pytest.raises(ConfigurationError, match="name 12 at most"):
+        st.cycles(walk, by="step").draw(tmp_path / "all.png")

@@ -12,7 +12,7 @@ import numpy as np
 from socket_testbed.api.trials import PathLike, select
 from socket_testbed.arrays import FloatArray, IntArray
 from socket_testbed.errors import ConfigurationError, TrialError
-from socket_testbed.files import closest
+from socket_testbed.files import check_picture, closest
 from socket_testbed.tables import split_unit, write_table
 from socket_testbed.trials.events import PLACED, cycle_spans
 from socket_testbed.trials.segment import Segment
@@ -25,6 +25,7 @@ _POINTS = 101  # 0 to 100 % of a cycle
 _LONG = 2.0  # medians; a longer cycle holds a pause
 _BAND = 3  # cycles that a band needs
 _FEW = 10  # samples of a cycle
+_MOST_PANELS = 12  # of a figure
 _TIME = "time [s]"
 
 
@@ -113,6 +114,26 @@ class Cycles:
     def save(self, path: PathLike) -> None:
         """Write `to_dataframe` as `.csv`, `.parquet` or `.mat`; an older file is replaced."""
         write_table(self.to_dataframe(), Path(path))
+
+    def draw(self, path: PathLike) -> None:
+        """Draw each quantity with its band, mean and one standard deviation, as `.png` or `.pdf`.
+
+        Raises:
+            ConfigurationError: For more than twelve quantities, or another suffix.
+        """
+        from socket_testbed.report.figures.cycles import cycles_figure
+        from socket_testbed.report.figures.style import save_figure
+
+        check_picture(Path(path))
+        if len(self.titles) > _MOST_PANELS:
+            raise ConfigurationError(
+                f"a figure of {len(self.titles)} quantities",
+                f"name {_MOST_PANELS} at most, such as st.cycles(trial, ['Fz', 'Mx'])",
+            )
+        band = "mean and one standard deviation" if len(self) >= _BAND else "mean, no band"
+        title = f"{self.trial.name}: {self}; {band}"
+        figure = cycles_figure(self.titles, self.curves, self.mean, self.deviation, title)
+        save_figure(figure, Path(path))
 
 
 def cycles(

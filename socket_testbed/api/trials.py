@@ -68,7 +68,8 @@ def open_trial(
             None for warnings.
 
     Returns:
-        The trial. `trial.samples()` are its synchronised samples, `trial.geometry` is its socket.
+        The trial. `trial.samples()` are its synchronised samples, `trial.events()` its events,
+        `trial.geometry` is its socket.
 
     Raises:
         TrialError: If there is no such trial.
@@ -80,6 +81,8 @@ def open_trial(
     Samples(160 samples in 39.75 s, ... complete; clusters brim_lateral, ..., distal)
     >>> list(trial.samples().to_dataframe())[:4]
     ['Mx [N m]', 'My [N m]', 'Mz [N m]', 'Fx [N]']
+    >>> [event.label for event in trial.events()]
+    ['placed', 'removed']
     """
     spans = tuple((float(start), float(end)) for start, end in unloaded)
     notify = cache(notify or _warn)
