@@ -324,6 +324,31 @@ def pressure_outputs(
     )
 
 
+def outputs_of(
+    forces: FloatArray,
+    time: FloatArray,
+    geometry: SocketGeometry,
+    regions: Sequence[Region],
+    threshold: float,
+) -> dict[str, FloatArray]:
+    """The outputs of forces that are known, such as those of a simulation or of a model.
+
+    Args:
+        forces: Forces on the tiles in {S}, shape (N, n, 3) [N].
+        time: Times of the samples, shape (N,) [s].
+        geometry: Geometry of the socket.
+        regions: The R regions.
+        threshold: Pressure above which a tile is in contact [Pa].
+
+    Returns:
+        The outputs over the span by the names of `RegionOutputs`, shape (R,), the centre (R, 3).
+    """
+    local = np.einsum("nij,kni->knj", geometry.rotations, forces)
+    span = _Span(1, len(geometry))
+    span.add(_instants(local[:, None], geometry.areas, threshold), integration_weights(time))
+    return _Reader(geometry, regions).read(span.fields().at(0))
+
+
 def _instants(forces: FloatArray, areas: FloatArray, threshold: float) -> _Fields:
     """The fields of forces of shape (k, D, n, 3) [N]."""
     compression = -forces[..., 2]
