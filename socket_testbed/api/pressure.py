@@ -127,6 +127,7 @@ class TrialPressure:
         reach = _NORMAL_QUANTILE * estimate.normal_pressure_standard_deviation
         of_pressure = _about(estimate.normal_pressure, reach)
         of_shear = _about(estimate.shear, _NORMAL_QUANTILE * estimate.shear_standard_deviation)
+        of_shear = dataclasses.replace(of_shear, low=np.maximum(of_shear.low, 0.0))
         for tile, name in enumerate(self.trial.geometry.names):
             for title, quantity in (("pressure [kPa]", of_pressure), ("shear [kPa]", of_shear)):
                 found = self._column(title, quantity, 1e-3, tile)

@@ -128,22 +128,32 @@ def _row(found: TrialPressure) -> Row:
 
 
 def pressure_tables(found: TrialPressure) -> str:
-    """Outputs of the regions with their intervals, in tables below each other."""
-    regions = found.regions
-    parts = []
-    for start in range(0, len(TITLES), _ABREAST):
-        titles = TITLES[start : start + _ABREAST]
-        rows = [
-            [str(name), *(_cell(row, title) for title in titles)]
-            for name, row in regions.iterrows()
-        ]
-        parts.append(table(["region", *titles], rows) + "\n")
+    """Outputs of the regions, and of the tiles under a cluster, in tables below each other."""
+    tiles = found.tiles
+    parts = [
+        *_tables("region", found.regions),
+        *_tables("tile under a cluster", tiles[tiles["cluster"] != ""]),
+    ]
     parts.append(
         f"value (95 % interval); not determined: the interval reaches farther from the value than"
         f" {found.share:g} of it\nin contact: above {found.threshold:g} kPa; the integrals cover"
         f" {found.outputs.integrated:.1f} s"
     )
     return "\n".join(parts)
+
+
+def _tables(label: str, outputs: pd.DataFrame) -> list[str]:
+    """Outputs with their intervals, a row per region or tile, some columns a table."""
+    known = [title for title in TITLES if title in outputs]
+    found = []
+    for start in range(0, len(known), _ABREAST):
+        titles = known[start : start + _ABREAST]
+        rows = [
+            [str(name), *(_cell(row, title) for title in titles)]
+            for name, row in outputs.iterrows()
+        ]
+        found.append(table([label, *titles], rows) + "\n")
+    return found
 
 
 def _cell(row: pd.Series, title: str) -> str:
