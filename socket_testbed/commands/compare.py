@@ -131,6 +131,8 @@ def _show(found: Comparison) -> None:
         else:
             shown = rows.index.get_level_values("name").str.contains(_SHOWN_OF.get(part, ""))
             _print(part, rows[shown])
+    if differing := found.differing():
+        print("\n" + "\n  ".join(differing))
     print(f"\n{LEGEND}")
 
 

@@ -224,6 +224,35 @@ class Comparison:
         table = table.reindex(columns=[name for name in columns if name in table])
         return table.droplevel("quantity") if quantity else table
 
+    def differing(self, most: int = 10) -> list[str]:
+        """Differences of regions whose interval excludes zero, the clearest first, in words.
+
+        The first line counts them all: of intervals of 95 %, one in 20 excludes zero by chance.
+        Nothing where no difference has an interval.
+
+        Args:
+            most: Number of lines after the first.
+        """
+        rows = self.table[self.table["part"] == "regions"]
+        width = rows["difference high"] - rows["difference low"]
+        rows = rows.assign(width=width)[width > 0.0]
+        if rows.empty:
+            return []
+        middle = 0.5 * (rows["difference low"] + rows["difference high"])
+        rows = rows.assign(clear=middle.abs() / (0.5 * rows["width"]))
+        clear = rows[rows["clear"] > 1.0].sort_values("clear", ascending=False, kind="stable")
+        lines = [
+            f"{len(clear)} of {len(rows)} intervals of the regions' differences exclude 0; by"
+            f" chance alone about {0.05 * len(rows):.0f} would"
+        ]
+        for row in clear.head(most).to_dict("records"):
+            cell = _cell(row, *_VALUES[3:], sign="+").removesuffix(" *")
+            lines.append(
+                f"{self.difference(row['item'])}, {row['name']}: {row['quantity']}"
+                f" {cell} {row['unit']}"
+            )
+        return lines
+
     def difference(self, item: str) -> str:
         """Name of the column of an item's difference."""
         return f"{item} - {self.items[0]}"

@@ -30,6 +30,7 @@ _HEADINGS = {
     "offsets": "Offsets",
     "clusters": "Clusters",
 }
+_DIFFERING = "What differs clearly"
 _INDEPENDENT = (
     "The interval of a difference takes the errors of both trials as independent, so that their"
     " variances add (Zou & Donner 2008). It covers what the sensors leave open under the prior of"
@@ -76,13 +77,17 @@ def write_page(found: Comparison, path: Path, command: str, made: datetime) -> N
         ("command", command),
     ]
     table = pairs_table("provenance-table", "What the page was made with", origin)
+    differing = found.differing()
     sections = [*_sections(found), Section("provenance", "Provenance", tables=(table,))]
     text = render(
         "comparison.html",
         title=f"Comparison of {found.kind}: {', '.join(found.items)}",
         subtitle=found.title,
-        contents={section.name: section.heading for section in sections},
+        contents=({"differing": _DIFFERING} if differing else {})
+        | {section.name: section.heading for section in sections},
+        differing_heading=_DIFFERING,
         notes=found.notes,
+        differing=differing,
         sections=sections,
         legend=LEGEND,
     )

@@ -80,6 +80,10 @@ def test_differences_are_those_of_the_trials_own_outputs(trials, tmp_path, capsy
                 np.testing.assert_allclose(found.astype(float), expected, atol=1e-9)
                 checked += 1
     assert checked > 40
+    ends = table[table["part"] == "regions"][["difference low", "difference high"]].dropna()
+    ends = ends[ends.iloc[:, 1] > ends.iloc[:, 0]].to_numpy()
+    clear = int((ends[:, 0] > 0.0).sum() + (ends[:, 1] < 0.0).sum())
+    assert f"{clear} of {len(ends)} intervals of the regions' differences exclude 0" in out
 
 
 def test_the_verb_the_api_and_the_files_hold_the_same(trials, tmp_path, capsys) -> None:
@@ -169,6 +173,7 @@ def test_legs_are_compared_by_anatomy_and_the_page_says_so(trials, tmp_path, cap
     written = Page(page.read_text())
     assert written.open == []
     assert "left and right legs are compared" in written.text
+    assert "differences exclude 0; by chance" in written.text
     assert written.rows("metadata-table")["liner"] == ["<b>gel</b>", "not stated"]
     assert written.rows("metadata-table")["mass"] == ["not stated", "81.5 kg"]
     shown = written.rows("socket-table")["mean pressure [kPa]"]

@@ -3,7 +3,12 @@
 import numpy as np
 import pytest
 
-from socket_testbed.comparison.table import Compared, difference_intervals, texts_table
+from socket_testbed.comparison.table import (
+    Compared,
+    Comparison,
+    difference_intervals,
+    texts_table,
+)
 
 RNG = np.random.default_rng(12)
 
@@ -81,3 +86,21 @@ def test_words_stand_in_the_same_columns() -> None:
     numbers = Compared.plain("sizes", ["a"], "area [cm^2]", np.ones((2, 1)))
     assert list(table) == list(numbers.to_dataframe(["one", "two"]))
     assert table["text"].tolist() == ["gel", "sock"] and table["value"].isna().all()
+
+
+def test_what_differs_clearly_is_counted_against_chance_and_sorted() -> None:
+    values = np.array([[1.0, 1.0, 1.0, 1.0], [1.2, 9.0, -4.0, 1.0]])
+    reach = np.array([1.0, 1.0, 1.0, 0.0])  # the last has no uncertainty, as a share of all
+    everywhere = np.full(values.shape, True)
+    names = ["anterior", "medial", "distal", "socket"]
+    compared = Compared(
+        "regions", names, "shear [kPa]", values, values - reach, values + reach, everywhere
+    )
+    found = Comparison("trials", ("one", "two"), "", (), compared.to_dataframe(["one", "two"]))
+    first, *lines = found.differing()
+    assert first.startswith("2 of 3 intervals") and "about 0 would" in first
+    assert lines == [
+        "two - one, medial: shear +8.0 (6.6 to 9.4) kPa",
+        "two - one, distal: shear -5.0 (-6.4 to -3.6) kPa",
+    ]
+    assert found.differing(most=1) == [first, lines[0]]
