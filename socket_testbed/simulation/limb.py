@@ -268,8 +268,8 @@ class LimbInSocket:
 
     def __init__(self, tissue: Tissue, centre: FloatArray) -> None:
         self._tissue = tissue
-        self._centre = centre
         self._arms = tissue.points - centre
+        self._to_centre = _cross_matrix(centre)
         self.displacement = np.zeros(6)
         self._crept = tissue.creep * np.maximum(tissue.fit, 0.0)
         self._traction = np.zeros_like(tissue.points)
@@ -292,12 +292,12 @@ class LimbInSocket:
 
         def imbalance(x: FloatArray) -> FloatArray:
             forces = self._respond(x * scale, duration)[0]
-            total = np.concatenate(
-                [np.cross(self._tissue.points, forces).sum(axis=0), forces.sum(axis=0)]
-            )
-            difference = total - wrench
+            # The moment is the antisymmetric part of the sum of all products of place and force.
+            s = self._tissue.points.T @ forces
+            moment = [s[1, 2] - s[2, 1], s[2, 0] - s[0, 2], s[0, 1] - s[1, 0]]
+            difference = np.concatenate([moment, forces.sum(axis=0)]) - wrench
             # About the limb's centre the moments do not repeat the forces.
-            difference[:3] -= np.cross(self._centre, difference[3:])
+            difference[:3] -= self._to_centre @ difference[3:]
             difference[:3] /= _LENGTH
             return difference
 
@@ -322,7 +322,7 @@ class LimbInSocket:
     ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         """Forces on the socket, crept compression, shear traction, tangential displacement."""
         tissue = self._tissue
-        moved = displacement[:3] + np.cross(displacement[3:], self._arms)
+        moved = displacement[:3] + self._arms @ _cross_matrix(displacement[3:]).T
         along_normal = np.einsum("pi,pi->p", moved, tissue.normals)
         compression = tissue.fit - along_normal
 
@@ -340,6 +340,12 @@ class LimbInSocket:
 
         forces = tissue.areas[:, None] * (traction - pressure[:, None] * tissue.normals)
         return forces, crept, traction, tangential
+
+
+def _cross_matrix(vector: FloatArray) -> FloatArray:
+    """The matrix, shape (3, 3), that takes another vector to the cross product with it."""
+    x, y, z = vector
+    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
 
 
 class LoadedLimb:

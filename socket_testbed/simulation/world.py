@@ -99,7 +99,7 @@ class World:
         if create:
             np.zeros((), _LAYOUT).tofile(path)
         try:
-            self._shared = np.memmap(path, _LAYOUT, "r+", shape=(1,))
+            self._shared = np.asarray(np.memmap(path, _LAYOUT, "r+", shape=(1,)))
         except (OSError, ValueError):
             raise ConfigurationError(
                 f"{folder}: there is no simulated world", "start one with 'run --simulated'"
