@@ -372,7 +372,7 @@ def test_a_tare_that_cannot_be_kept_is_not_taken(tmp_path) -> None:
     settings = dataclasses.replace(SETTINGS, tare_file=str(tmp_path / "file" / "tare.json"))
     bench = Bench(settings, wrench=still(10 * np.ones(6)))
     bench.run(1.2)
-    with pytest.raises(ConfigurationError, match="cannot be written"):
+    with pytest.raises(ConfigurationError, match="cannot be made"):
         bench.cell.tare()
     np.testing.assert_allclose(bench.cell.wrench_at(bench.now - 0.1).wrench, 10.0, atol=1e-2)
 
