@@ -10,16 +10,20 @@ import pytest
 from support.ring_socket import ring_socket
 
 from socket_testbed.errors import TrialError
+from socket_testbed.files import packaged
 from socket_testbed.geometry.regions import Region, all_regions
+from socket_testbed.geometry.socket import read_socket
 from socket_testbed.identification.force_map import ForceMap, MapEstimate
 from socket_testbed.identification.pressure import (
     PressureOutputs,
     Quantity,
     integration_weights,
     measured_rows,
+    outputs_of,
     pressure_outputs,
 )
 from socket_testbed.samples import Samples, Status
+from socket_testbed.simulation.limb import LoadedLimb, TissueKind
 
 GEOMETRY = ring_socket()
 TILES = len(GEOMETRY)
@@ -65,7 +69,7 @@ def some_field(count: int = 12, seed: int = 1) -> np.ndarray:
     return local * (1.0 + 0.5 * rng.standard_normal((count, 1, 1)))
 
 
-def outputs_of(
+def known_outputs(
     local: np.ndarray, times: np.ndarray, regions: tuple[Region, ...]
 ) -> PressureOutputs:
     return pressure_outputs(KnownField(local), samples_at(times), GEOMETRY, regions, THRESHOLD)
@@ -74,7 +78,7 @@ def outputs_of(
 def test_outputs_of_a_known_field_are_those_of_plain_numpy() -> None:
     times, local = 0.25 * np.arange(12), some_field()
     regions = all_regions(GEOMETRY, "left")
-    found = outputs_of(local, times, regions).regions
+    found = known_outputs(local, times, regions).regions
     pressure = -local[..., 2] / GEOMETRY.areas  # (N, n)
     axial = np.einsum("nj,knj->kn", GEOMETRY.rotations[:, 2], local)
     held = np.where(pressure > THRESHOLD, pressure, 0.0)
@@ -100,7 +104,7 @@ def test_outputs_of_a_known_field_are_those_of_plain_numpy() -> None:
 
 def test_a_tile_is_a_region_of_one_and_an_instant_a_span_of_one() -> None:
     times, local = 0.25 * np.arange(12), some_field()
-    found = outputs_of(local, times, all_regions(GEOMETRY))
+    found = known_outputs(local, times, all_regions(GEOMETRY))
     pressure = -local[..., 2] / GEOMETRY.areas
     np.testing.assert_allclose(found.tiles.mean.value, pressure.mean(axis=0))
     np.testing.assert_allclose(found.tiles.peak.value, pressure.max(axis=0))
@@ -110,7 +114,7 @@ def test_a_tile_is_a_region_of_one_and_an_instant_a_span_of_one() -> None:
 
 
 def test_the_shares_of_a_socket_s_parts_add_up_to_all_of_the_load() -> None:
-    found = outputs_of(some_field(), 0.25 * np.arange(12), all_regions(GEOMETRY, "right"))
+    found = known_outputs(some_field(), 0.25 * np.arange(12), all_regions(GEOMETRY, "right"))
     np.testing.assert_allclose(found.regions.share.value[:12].sum(), 1.0)
     np.testing.assert_allclose(found.regions.share.value[12], 1.0)
     np.testing.assert_allclose(found.series.share.value[:, :12].sum(axis=1), 1.0)
@@ -121,7 +125,7 @@ def test_gaps_are_left_out_of_integrals() -> None:
     np.testing.assert_allclose(integration_weights(times).sum(), 1.25)
     local = np.zeros((7, TILES, 3))
     local[..., 2] = -10e3 * GEOMETRY.areas
-    found = outputs_of(local, times, all_regions(GEOMETRY))
+    found = known_outputs(local, times, all_regions(GEOMETRY))
     np.testing.assert_allclose(found.regions.integral.value, 12.5e3)
     assert found.integrated == pytest.approx(1.25)
 
@@ -198,3 +202,27 @@ def test_a_direction_near_half_a_turn_has_a_narrow_interval() -> None:
     np.testing.assert_allclose(np.degrees(direction.low), 179.0, atol=1e-6)
     np.testing.assert_allclose(np.degrees(direction.high), 181.0, atol=1e-6)
     assert direction.determined(0.5).all()
+
+
+@pytest.mark.parametrize("tissue", ["soft", "stiff"])
+def test_intervals_hold_the_truth_of_simulated_holds(tissue: TissueKind) -> None:
+    """Of limbs that the map was not chosen by; `benchmark_pressure.py` has the shares."""
+    geometry = read_socket(packaged("config", "socket.yaml"))
+    clusters, regions = tuple(geometry.clusters), all_regions(geometry)
+    tiles = list(geometry.clusters.values())
+    load = np.array([0.5, 1.5, 0.0, 5.0, -3.0, -270.0])
+    force_map, within = ForceMap(geometry, clusters), []
+    for seed in (81, 82, 83):
+        truth = LoadedLimb(geometry, load, np.random.default_rng(seed), tissue).step(load, 5.0)[
+            None
+        ]
+        local = np.einsum("cji,kcj->kci", geometry.rotations[tiles], truth[:, tiles])
+        samples = replace(samples_at(np.zeros(1)), clusters=clusters, local_forces=local)
+        samples = replace(samples, wrench=load[None])
+        found = pressure_outputs(force_map, samples, geometry, regions, THRESHOLD).regions
+        true = outputs_of(truth, np.zeros(1), geometry, regions, THRESHOLD)
+        for name in ("mean", "peak", "area", "shear", "share"):
+            quantity: Quantity = getattr(found, name)
+            low, high = quantity.low - 1e-9, quantity.high + 1e-9
+            within += ((low <= true[name]) & (true[name] <= high)).tolist()
+    assert np.mean(within) > 0.8
