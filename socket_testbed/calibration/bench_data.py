@@ -15,14 +15,15 @@ from socket_testbed.arrays import BoolArray, FloatArray, IntArray
 from socket_testbed.errors import CalibrationError
 from socket_testbed.files import closest
 
-NEWTON = "N"  # a stress may be given as the force on the cluster's area
+FORCES = {"N": 1.0, "kN": 1e3}  # a stress may be given as the force on the cluster's area
+COUNTS = 2.0**19  # [1/pF] of the converter, an FDC1004
 STRESSES = ("normal", "shear_x", "shear_y")
 INPUTS = ("c0", "c1", "c2", "c3")
 UNITS: dict[str, dict[str, float]] = {
-    "time": {"s": 1.0, "ms": 1e-3},
+    "time": {"s": 1.0, "ms": 1e-3, "sec": 1.0},
     "cycle": {},
-    **{name: {"Pa": 1.0, "kPa": 1e3, "MPa": 1e6, NEWTON: 1.0} for name in STRESSES},
-    **{name: {"pF": 1.0, "fF": 1e-3, "nF": 1e3} for name in INPUTS},
+    **{name: {"Pa": 1.0, "kPa": 1e3, "MPa": 1e6, **FORCES} for name in STRESSES},
+    **{name: {"pF": 1.0, "fF": 1e-3, "nF": 1e3, "counts": 1.0 / COUNTS} for name in INPUTS},
 }
 """The units of each quantity, with their size in s, Pa (or N) and pF; a cycle has none."""
 
@@ -116,13 +117,13 @@ def read_bench(
 
     It has a header and a row per reading, with the columns `normal`, `shear_x`, `shear_y` and
     `c0` to `c3` (the converter's inputs), and optionally `time` and `cycle`. Their units
-    stand in the header, such as `normal [kPa]`. Other columns are ignored.
+    stand in the header, such as `normal [kPa]`, or in a row of their own below it. Other columns
+    are ignored.
 
     Args:
         path: The file; commas, semicolons or tabs separate its columns.
         columns: Names in the header of quantities that it calls otherwise.
-        units: Units of quantities, instead of the header's: pF, fF or nF; Pa, kPa, MPa or N;
-            s or ms.
+        units: Units of quantities, instead of the header's, see `UNITS`.
         area: Area on which a stress in N acts [m^2].
 
     Raises:
@@ -197,13 +198,13 @@ def _changing_capacitance(column: BenchColumn) -> FloatArray:
 
 
 def _stress(column: BenchColumn, area: float | None) -> FloatArray:
-    if column.unit == NEWTON:
+    if column.unit in FORCES:
         if area is None:
             raise CalibrationError(
-                f"{column.table.name}: '{column.title}' is a force in N",
+                f"{column.table.name}: '{column.title}' is a force in {column.unit}",
                 "give the area it acts on with --area, in m^2, or with --geometry",
             )
-        column = replace(column, scale=1.0 / area)
+        column = replace(column, scale=FORCES[column.unit] / area)
     return column.values(*_STRESS_RANGES[column.quantity])
 
 
@@ -319,7 +320,8 @@ def read_table(path: Path) -> BenchTable:
     separator = max(_SEPARATORS, key=first.count)
     reader = csv.reader(io.StringIO(text, newline=""), delimiter=separator)
     header: tuple[str, ...] = ()
-    rows, lines = [], []
+    rows: list[tuple[str, ...]] = []
+    lines: list[int] = []
     try:
         for cells in reader:
             row = tuple(cell.strip() for cell in cells)
@@ -327,6 +329,9 @@ def read_table(path: Path) -> BenchTable:
                 continue
             if not header:
                 header = row
+                continue
+            if not rows and _is_units_row(header, row):
+                header = tuple(map(_titled, header, row))
                 continue
             _check_row(path.name, header, row, reader.line_num, separator)
             rows.append(row)
@@ -341,6 +346,24 @@ def read_table(path: Path) -> BenchTable:
         )
     columns = tuple(zip(*rows, strict=True))
     return BenchTable(path.name, header, np.array(lines, dtype=np.int64), columns, separator != ",")
+
+
+def _is_units_row(header: tuple[str, ...], row: tuple[str, ...]) -> bool:
+    """Whether a row names units, as an MTS export has them below its header."""
+    known = {unit for units in UNITS.values() for unit in units}
+    cells = {cell.strip("[]()") for cell in row if cell}
+    return (
+        len(row) == len(header)
+        and row != header
+        and not any(_NUMBER.fullmatch(cell.replace(",", ".")) for cell in cells)
+        and bool(cells & known)
+    )
+
+
+def _titled(title: str, unit: str) -> str:
+    """A title with its unit from the row below; its own unit counts more."""
+    unit = unit.strip("[]()")
+    return f"{title} [{unit}]" if unit and not split_title(title)[1] else title
 
 
 def _read_text(path: Path) -> str:

@@ -57,6 +57,7 @@ from socket_testbed.files import atomic_output, refuse_existing
 _MOST_DROPPED = 0.05  # [-]; more than that are no outliers but another law
 
 _CORNERS = np.sign(np.column_stack(channel_features(np.eye(4))[1:]))  # (4, 2), sides of channels
+_LEAST_RESPONSE = 0.1  # [-] of the inputs' variance; less is noise
 _BULK = (1.0, 99.0)  # [%]; a spike beyond them must not decide
 
 
@@ -70,20 +71,55 @@ def find_wiring(capacitance: FloatArray, stress: FloatArray) -> IntArray:
     Returns:
         Input that holds each channel, shape (4,).
     """
-    design = np.column_stack([np.ones(len(stress)), scaled_stress(stress)])
-    clipped = np.clip(capacitance, *np.percentile(capacitance, _BULK, axis=0))
-    slopes = np.linalg.lstsq(design, clipped, rcond=None)[0][2:]
+    slopes = np.linalg.lstsq(*_response(capacitance, stress), rcond=None)[0][2:]
     slopes = slopes - slopes.mean(axis=1, keepdims=True)
     slopes = slopes / np.maximum(np.linalg.norm(slopes, axis=1, keepdims=True), 1e-12)
     return linear_sum_assignment(_CORNERS @ slopes, maximize=True)[1].astype(np.int64)
+
+
+def _response(capacitance: FloatArray, stress: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """The design matrix of the scaled stresses, (N, 4), and the inputs without spikes, (N, 4)."""
+    design = np.column_stack([np.ones(len(stress)), scaled_stress(stress)])
+    return design, np.clip(capacitance, *np.percentile(capacitance, _BULK, axis=0))
+
+
+def shear_response(capacitance: FloatArray, stress: FloatArray) -> FloatArray:
+    """How well the inputs follow each shear stress, beside the two other stresses.
+
+    Args:
+        capacitance: Capacitances by input, shape (N, 4) [pF].
+        stress: Known normal stress, shear x and shear y, shape (N, 3) [Pa].
+
+    Returns:
+        For shear x and shear y the partial R^2 of the inputs less their mean, shape (2,) [-].
+    """
+    design, inputs = _response(capacitance, stress)
+    differences = inputs - inputs.mean(axis=1, keepdims=True)
+
+    def unexplained(columns: FloatArray) -> float:
+        fitted = columns @ np.linalg.lstsq(columns, differences, rcond=None)[0]
+        return float(((differences - fitted) ** 2).sum())
+
+    all_of_it = unexplained(design)
+    without = [unexplained(np.delete(design, axis, axis=1)) for axis in (2, 3)]
+    return np.array([1.0 - all_of_it / max(part, 1e-300) for part in without])
 
 
 def require_wiring(bench: BenchData, wiring: IntArray) -> None:
     """Refuse a default wiring that the bench data contradicts.
 
     Raises:
-        CalibrationError: Naming the wiring that agrees with the data.
+        CalibrationError: Naming the wiring that agrees with the data, or the shear that the inputs
+            do not follow, so that no wiring can be read from it.
     """
+    response = shear_response(bench.capacitance, bench.stress)
+    for axis, (name, part) in enumerate(zip(STRESSES[1:], response, strict=True), start=1):
+        if part < _LEAST_RESPONSE:
+            raise CalibrationError(
+                f"{', '.join(bench.files)}: no input follows {name}, of"
+                f" {bench.full_scale[axis]:.0f} Pa at most: it is no more than noise",
+                f"apply {name} on the bench; the wiring and its coefficients need it",
+            )
     found = find_wiring(bench.capacitance, bench.stress)
     if not np.array_equal(found, wiring):
         raise CalibrationError(
@@ -326,6 +362,24 @@ class CalibratedCluster:
     drift: Drift | None
     existing: Calibration | None = None
     existing_file: Path | None = None
+
+    def notes(self) -> list[str]:
+        """What needs a look: clusters of the calibration that were fitted to the same readings."""
+        old = self.existing.clusters if self.existing else {}
+        new = self.quality.cluster
+        same = [
+            name
+            for name, cluster in old.items()
+            if name != self.name
+            and np.allclose(cluster.normal, new.normal, rtol=1e-9)
+            and np.allclose(cluster.mean_range, new.mean_range, rtol=1e-9)
+        ]
+        if not same:
+            return []
+        return [
+            f"{self.name} has the same bench readings as {', '.join(same)}: calibrate every cluster"
+            " on a bench run of its own"
+        ]
 
     def __repr__(self) -> str:
         errors = zip(STRESSES, self.quality.held_out, strict=True)

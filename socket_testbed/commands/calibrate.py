@@ -12,7 +12,7 @@ from socket_testbed.calibration.bench_data import STRESSES, UNITS
 from socket_testbed.calibration.calibrate import BenchCalibration, CalibratedCluster
 from socket_testbed.calibration.drift import DRIFT_LIMIT, Drift
 from socket_testbed.calibration.model import SHEAR_TERMS
-from socket_testbed.commands.options import add_replace
+from socket_testbed.commands.options import add_replace, print_note
 from socket_testbed.commands.text import number, table
 from socket_testbed.errors import ConfigurationError
 from socket_testbed.files import check_number, check_outputs, check_picture, closest
@@ -75,7 +75,8 @@ def _add_reading(parser: argparse.ArgumentParser) -> None:
         nargs="+",
         default=[],
         metavar="QUANTITY=UNIT",
-        help="units instead of the header's: Pa, kPa, MPa, N; pF, fF, nF; s, ms",
+        help="units instead of the header's: Pa, kPa, MPa, N, kN; pF, fF, nF, counts of an FDC1004;"
+        " s, ms",
     )
     area = parser.add_mutually_exclusive_group()
     area.add_argument("--area", type=float, metavar="M2", help="area of stresses in N [m^2]")
@@ -113,6 +114,8 @@ def run(options: argparse.Namespace) -> None:
         wiring=options.wiring,
         drop_outliers=options.drop_outliers,
     )
+    for note in found.notes():
+        print_note(note)
     print(_report(found))
     if options.figure is not None:
         _draw(found, options.figure)

@@ -7,13 +7,24 @@ import shutil
 import numpy as np
 import pytest
 import yaml
-from support.benches import FULL_SCALE, HEADER, bench_of, nominal, sensor_bench, write_bench
+from support.benches import (
+    ERRORS,
+    FULL_SCALE,
+    HEADER,
+    bench_of,
+    load_path,
+    nominal,
+    sensor_bench,
+    write_bench,
+)
 
+from socket_testbed.__main__ import run
 from socket_testbed.calibration.model import Calibration, read_calibration, write_calibration
 from socket_testbed.commands import calibrate
 from socket_testbed.errors import TestbedError
 from socket_testbed.files import packaged
 from socket_testbed.samples import Status
+from socket_testbed.simulation.sensors import ClusterSensor
 
 WIRING = ("--wiring", 2, 3, 0, 1)  # of the package's own 'distal', whose sensor is simulated
 
@@ -273,3 +284,59 @@ def test_a_wrong_baseline_or_record_is_named(call, bench_file, output, tmp_path)
         with pytest.raises(TestbedError, match=rf"wrong.yaml: clusters: distal: {key}"):
             read_calibration(tmp_path / "wrong.yaml")
         document["clusters"]["distal"].pop(key)
+
+
+def test_no_wiring_is_read_from_a_bench_without_shear(call, refused, tmp_path):
+    """The bench's own load cell shows a noise of 60 Pa, which no channel follows."""
+    rng = np.random.default_rng(1)
+    for missing, name in ((1, "shear_x"), (2, "shear_y")):
+        stress = load_path()
+        stress[:, missing] = 0.0
+        sensor = ClusterSensor(nominal(), ERRORS, np.random.default_rng(0))
+        capacitance = sensor.respond(stress, np.zeros(len(stress)))
+        capacitance = capacitance + rng.normal(0.0, ERRORS.capacitance_noise, capacitance.shape)
+        stress[:, missing] = rng.normal(0.0, 60.0, len(stress))
+        error = refused(write_bench(tmp_path / "bench.csv", bench_of(capacitance, stress)))
+        assert f"no input follows {name}" in error and "--wiring" not in error
+
+
+def test_the_same_bench_file_for_another_cluster_is_noted(bench_file, tmp_path, capsys):
+    output = tmp_path / "calibration.yaml"
+    words = [str(word) for word in ("calibrate", bench_file, *WIRING, "-o", output, "--cluster")]
+    assert run([*words, "distal"]) == 0 and run([*words, "distal"]) == 0
+    assert "note" not in capsys.readouterr().err
+    assert run([*words, "brim_lateral"]) == 0
+    assert "brim_lateral has the same bench readings as distal" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("units", ["{}", "[{}]", "({})"])
+def test_units_may_stand_in_a_row_of_their_own(call, bench_file, output, units):
+    call(bench_file, *WIRING)
+    expected = read_calibration(output).clusters["distal"].to_document()
+    output.unlink()
+    header, *rows = bench_file.read_text().splitlines()
+    titles, named = zip(
+        *(title.rstrip("]").split(" [") for title in header.split(",")), strict=True
+    )
+    below = ["sec" if unit == "s" else unit for unit in named]
+    # As an MTS export: a column of its own, in a unit of its own.
+    lines = ["travel," + ",".join(titles), "mm," + ",".join(map(units.format, below))]
+    bench_file.write_text("\n".join([*lines, *(f"1.5,{row}" for row in rows)]))
+    call(bench_file, *WIRING)
+    assert read_calibration(output).clusters["distal"].to_document() == expected
+
+
+def test_raw_counts_and_forces_in_kilonewton_have_their_scale(call, tmp_path, output):
+    bench = sensor_bench()
+    call(write_bench(tmp_path / "bench.csv", bench), *WIRING)
+    expected = read_calibration(output).clusters["distal"]
+    output.unlink()
+    counts = dataclasses.replace(
+        bench, capacitance=np.round(bench.capacitance * 2**19), stress=bench.stress * 1e-3
+    )
+    header = ("time [s]", "normal [kN]", "shear_x [kN]", "shear_y [kN]")
+    header += tuple(f"c{i} [counts]" for i in range(4))
+    call(write_bench(tmp_path / "counts.csv", counts, header), "--area", 1e-3, *WIRING)
+    found = read_calibration(output).clusters["distal"]
+    np.testing.assert_allclose(found.normal, expected.normal, rtol=1e-4)
+    np.testing.assert_allclose(found.mean_range, expected.mean_range, rtol=1e-4)
