@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import dataclasses
 import shlex
 import sys
 from functools import cache
@@ -14,7 +15,14 @@ from socket_testbed import api
 from socket_testbed.api import Comparison
 from socket_testbed.api.compare import PAGES, Comparable
 from socket_testbed.batch import find_trials
-from socket_testbed.commands.options import add_replace, add_segment, print_note
+from socket_testbed.commands.options import (
+    add_replace,
+    add_segment,
+    add_trial,
+    add_unloaded,
+    print_note,
+    trial_of,
+)
 from socket_testbed.commands.text import Progress, table
 from socket_testbed.comparison.table import LEGEND, Kind
 from socket_testbed.files import check_outputs
@@ -31,14 +39,10 @@ _SHOWN_OF = {"errors": "mean|median", "offsets": "^[MF][xyz]$"}  # names; the ot
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of the verb."""
-    parser.add_argument(
-        "items",
-        type=Path,
-        nargs="+",
-        metavar="TRIAL|MODEL.json|SOCKET.yaml",
-        help="two or more of one kind; a folder of trials stands for all of them",
-    )
+    what = "two or more of one kind; a folder of trials stands for all of them"
+    add_trial(parser, what, "+", "TRIAL|MODEL.json|SOCKET.yaml")
     add_segment(parser)
+    add_unloaded(parser)
     parser.add_argument(
         "--threshold",
         type=float,
@@ -80,7 +84,7 @@ def run(options: argparse.Namespace) -> None:
         check_format(options.output)
     check_outputs(options.output, replace=options.replace)
     found = api.compare(
-        *_items(options.items),
+        *_items(options),
         segment=options.segment,
         threshold=options.threshold,
         share=options.share,
@@ -101,13 +105,14 @@ def run(options: argparse.Namespace) -> None:
         print(f"written: {options.output}")
 
 
-def _items(paths: list[Path]) -> list[Comparable]:
+def _items(options: argparse.Namespace) -> list[Comparable]:
     notify = cache(print_note)  # a note that several trials have is printed once
     found: list[Comparable] = []
-    for path in paths:
+    for path in options.trial:
         if path.is_dir():
-            folders = [*find_trials(path).values()] or [path]
-            found += [api.open_trial(folder, notify=notify) for folder in folders]
+            for folder in [*find_trials(path).values()] or [path]:
+                trial = trial_of(argparse.Namespace(**{**vars(options), "trial": folder}))
+                found.append(dataclasses.replace(trial, notify=notify))
         else:
             found.append(path)
     return found

@@ -36,10 +36,13 @@ R = TypeVar("R")
 
 
 def add_trial(
-    parser: argparse.ArgumentParser, what: str = "folder of the trial", count: str | None = None
+    parser: argparse.ArgumentParser,
+    what: str = "folder of the trial",
+    count: str | None = None,
+    metavar: str = "TRIAL",
 ) -> None:
     """A trial, or several, and what is used instead of the configuration stored in it."""
-    parser.add_argument("trial", type=Path, metavar="TRIAL", help=what, nargs=count)
+    parser.add_argument("trial", type=Path, metavar=metavar, help=what, nargs=count)
     parser.add_argument(
         "--geometry", type=Path, metavar="SOCKET.yaml", help="instead of the trial's socket.yaml"
     )

@@ -193,19 +193,25 @@ def read_model(path: Path, geometry: SocketGeometry | None = None) -> StoredMode
 
 
 def _errors(quality: Section) -> tuple[ChannelErrors, ...]:
-    listed: list[dict[str, Any]] = quality.take("errors") if "errors" in quality.names() else []
-    try:
-        return tuple(ChannelErrors(**_without_null(error)) for error in listed)
-    except (AttributeError, TypeError):
-        raise ConfigurationError(
-            f"{quality.where}: errors is not a list of each channel's figures",
-            "fit the trial again",
-        ) from None
+    listed = quality.take("errors") if "errors" in quality.names() else []
+    if not isinstance(listed, list):
+        raise ConfigurationError(f"{quality.where}: errors is not a list", "fit the trial again")
+    return tuple(_channel_errors(Section(each, f"{quality.where}: errors")) for each in listed)
 
 
-def _without_null(values: dict[str, Any]) -> dict[str, Any]:
-    """Values of JSON, which has no NaN: null stands for it."""
-    return {name: math.nan if value is None else value for name, value in values.items()}
+def _channel_errors(errors: Section) -> ChannelErrors:
+    """Errors of a channel; JSON has no NaN, null stands for it."""
+    figures = [
+        math.nan if errors.take(name) is None else errors.number(name)
+        for name in ("rmse", "mae", "sigma", "skill")
+    ]
+    return ChannelErrors(
+        errors.text("name"),
+        errors.text("unit"),
+        bool(errors.take("in_objective")),
+        int(errors.number("samples", 0)),
+        *figures,
+    )
 
 
 def _model(parameters: Section, geometry: SocketGeometry) -> ContactModel:

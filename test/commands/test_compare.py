@@ -116,6 +116,10 @@ def test_trials_of_different_sockets_are_compared_by_region_when_asked(
     code, out, err = call(capsys, "compare", trials[1], folder / "wider", *SEGMENT)
     assert code == 1 and out == "" and err.count("error: ") == 1
     assert "wider is of another socket" in err and "--by-region" in err and "sock" in err
+    own = ("--geometry", trials[0] / "socket.yaml")
+    code, out, err = call(capsys, "compare", trials[1], folder / "wider", *SEGMENT, *own)
+    assert code == 0 and "tiles with the largest differences" in out
+    assert err.count("no side of the leg is stated") == 1  # of both
     words = ("--by-region", "--json")
     code, out, _ = call(capsys, "compare", trials[1], folder / "wider", *SEGMENT, *words)
     document = json.loads(out)

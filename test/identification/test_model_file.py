@@ -33,6 +33,8 @@ def test_a_model_reads_back_as_it_was_written(hold: Path, tmp_path: Path, varian
     np.testing.assert_allclose(
         stored.model.wrench(samples.position), fit.model.wrench(samples.position), atol=1e-5
     )
+    assert dataclasses.astuple(stored.errors[0]) == dataclasses.astuple(fit.errors[0])
+    assert [error.name for error in stored.errors] == [error.name for error in fit.errors]
     for before, after in zip(fit.errors, evaluate(samples, stored.model), strict=True):
         assert after.rmse == pytest.approx(before.rmse, abs=1e-5)
 
@@ -48,6 +50,9 @@ def test_a_model_reads_back_as_it_was_written(hold: Path, tmp_path: Path, varian
         (lambda d: d.update(extra=1), "extra"),
         (lambda d: d["quality"].update(wrench_rmse=[]), "wrench_rmse"),
         (lambda d: d["parameters"].update(clusters=["nowhere"]), "nowhere"),
+        (lambda d: d["quality"].update(errors="none"), "errors is not a list"),
+        (lambda d: d["quality"]["errors"][0].pop("mae"), "errors: 'mae' is missing"),
+        (lambda d: d["quality"]["errors"][0].update(rmse="small"), "errors: rmse is 'small'"),
     ],
 )
 def test_a_spoilt_model_is_refused(hold_model: Path, tmp_path: Path, change, name) -> None:
@@ -57,6 +62,13 @@ def test_a_spoilt_model_is_refused(hold_model: Path, tmp_path: Path, change, nam
     path.write_text(json.dumps(document))
     with pytest.raises(ConfigurationError, match=name):
         read_model(path)
+
+
+def test_a_model_of_an_older_version_has_no_errors(hold_model: Path, tmp_path: Path) -> None:
+    document = json.loads(hold_model.read_text())
+    document["quality"].pop("errors")
+    (tmp_path / "model.json").write_text(json.dumps(document))
+    assert read_model(tmp_path / "model.json").errors == ()
 
 
 def test_half_a_model_is_refused(hold_model: Path, tmp_path: Path) -> None:
