@@ -29,8 +29,10 @@ _SEGMENTS = {"static_hold": "plateau", "ramp": "all", "multi_direction": "all"}
 _ABSOLUTE = {"centre": (1e3, "mm"), "direction": (180.0 / np.pi, "deg")}
 _SHARE = 0.5  # [-]; beyond which a value is masked
 _INSTANTS = 40  # of a trial
+_PARTS, _REGIONS = slice(0, 7), slice(7, -1)  # sectors and heights; the sectors by the heights
 _PLACES = {
     "socket": ("mean", "peak", "area", "integral", "centre", "shear", "direction"),
+    "parts": ("mean", "peak", "area", "integral", "centre", "shear", "direction", "share"),
     "regions": ("mean", "peak", "area", "integral", "centre", "shear", "direction", "share"),
     "instants": ("mean", "peak", "area", "centre", "shear", "direction", "share"),
     "tiles": ("mean", "peak", "integral", "shear", "direction"),
@@ -79,7 +81,9 @@ def judge(trial, segment: str) -> dict[tuple[str, str], tuple[np.ndarray, ...]]:
 
     def at_instants(forces: np.ndarray) -> dict[str, np.ndarray]:
         each = [
-            outputs_of(forces[k : k + 1], np.zeros(1), geometry, pressure.places[:-1], threshold)
+            outputs_of(
+                forces[k : k + 1], np.zeros(1), geometry, pressure.places[_REGIONS], threshold
+            )
             for k in instants
         ]
         return {name: np.array([values[name] for values in each]) for name in each[0]}
@@ -88,10 +92,12 @@ def judge(trial, segment: str) -> dict[tuple[str, str], tuple[np.ndarray, ...]]:
     for places, quantities, true, other, part in (
         ("socket", pressure.outputs.regions, known(truth, pressure.places),
          known(rival, pressure.places), slice(-1, None)),
+        ("parts", pressure.outputs.regions, known(truth, pressure.places),
+         known(rival, pressure.places), _PARTS),
         ("regions", pressure.outputs.regions, known(truth, pressure.places),
-         known(rival, pressure.places), slice(0, -1)),
+         known(rival, pressure.places), _REGIONS),
         ("instants", pressure.outputs.series, at_instants(truth), at_instants(rival),
-         (instants, slice(0, -1))),
+         (instants, _REGIONS)),
         ("tiles", pressure.outputs.tiles, known(truth, tiles), known(rival, tiles), slice(None)),
     ):  # fmt: skip
         for output in _PLACES[places]:

@@ -1,4 +1,4 @@
-"""Regions of a socket: the sectors that clinicians name, and the user's own."""
+"""Regions of a socket: the parts that clinicians name, and the user's own."""
 
 from __future__ import annotations
 
@@ -36,11 +36,11 @@ class Region:
 
 
 def anatomical_regions(geometry: SocketGeometry, side: Side | None = None) -> tuple[Region, ...]:
-    """Four sectors by three heights; every tile is in exactly one.
+    """Four sectors, three heights, and the sectors by the heights.
 
     The sectors are quarter turns about the socket's axis (`geometry.axis.socket_axis`), centred on
     anterior, left, posterior and right; the heights are thirds of the span of the tiles' centres
-    along the axis.
+    along the axis. Every tile is in exactly one sector, one height and one of their intersections.
 
     Args:
         geometry: Geometry of the socket.
@@ -48,20 +48,22 @@ def anatomical_regions(geometry: SocketGeometry, side: Side | None = None) -> tu
             a side the sectors are called `left` and `right`.
 
     Returns:
-        Twelve regions such as `anterior proximal`, less those without a tile.
+        Regions such as `anterior`, `proximal` and `anterior proximal`, less those without a tile.
     """
     axis = socket_axis(geometry)
     turns = np.round(axis.angles(geometry.anchors) / (0.5 * np.pi)) % 4
     heights = axis.heights(geometry.anchors)
     below = (heights.max() - heights) / max(np.ptp(heights), _TINY)
     thirds = np.minimum(np.floor(3.0 * below), 2.0)
-    found = []
-    for sector, turn in _SECTORS[side].items():
-        for third, height in enumerate(HEIGHTS):
-            tiles = np.flatnonzero((turns == turn) & (thirds == third))
-            if len(tiles):
-                found.append(Region(f"{sector} {height}", tiles))
-    return tuple(found)
+    sectors = {name: turns == turn for name, turn in _SECTORS[side].items()}
+    levels = {name: thirds == third for third, name in enumerate(HEIGHTS)}
+    fields = {
+        f"{sector} {height}": inside & level
+        for sector, inside in sectors.items()
+        for height, level in levels.items()
+    }
+    inside = {**sectors, **levels, **fields}
+    return tuple(Region(name, np.flatnonzero(of)) for name, of in inside.items() if of.any())
 
 
 def all_regions(geometry: SocketGeometry, side: Side | None = None) -> tuple[Region, ...]:

@@ -19,7 +19,10 @@ HEIGHTS = ("proximal", "middle", "distal")
 SECTORS = ("anterior", "posterior", "medial", "lateral", "left", "right")
 SOCKET = "socket"  # the region of all tiles
 
-_STANDARD_REGIONS = {SOCKET, *(f"{sector} {height}" for sector in SECTORS for height in HEIGHTS)}
+_STANDARD_REGIONS = {
+    *(SOCKET, *SECTORS, *HEIGHTS),
+    *(f"{sector} {height}" for sector in SECTORS for height in HEIGHTS),
+}
 _SAME_PLACE = 1e-4  # [m]
 _LARGEST_SOCKET = 2.0  # [m]; what is farther from the load cell is in another unit
 _LARGEST_BODY = 1.0  # [m]; likewise for a marker in its body

@@ -17,11 +17,18 @@ GEOMETRY = read_socket(packaged("config", "socket.yaml"))
 
 @pytest.mark.parametrize("geometry", [GEOMETRY, ring_socket()], ids=["scan", "rings"])
 @pytest.mark.parametrize("side", ["left", "right", None])
-def test_every_tile_is_in_exactly_one_anatomical_region(geometry, side) -> None:
+def test_every_tile_is_in_one_sector_one_height_and_one_of_their_intersections(
+    geometry, side
+) -> None:
     regions = anatomical_regions(geometry, side)
-    assert len(regions) == 12
-    tiles = np.concatenate([region.tiles for region in regions])
-    np.testing.assert_array_equal(np.sort(tiles), np.arange(len(geometry)))
+    assert len(regions) == 4 + 3 + 12
+    for group in (regions[:4], regions[4:7], regions[7:]):
+        tiles = np.concatenate([region.tiles for region in group])
+        np.testing.assert_array_equal(np.sort(tiles), np.arange(len(geometry)))
+    tiles = {region.name: set(region.tiles.tolist()) for region in regions}
+    for region in regions[7:]:
+        sector, height = region.name.split()
+        assert tiles[region.name] == tiles[sector] & tiles[height]
 
 
 def test_regions_are_where_their_names_say() -> None:
@@ -52,7 +59,7 @@ def test_own_regions_stand_in_the_file_and_before_the_socket(tmp_path) -> None:
     assert geometry.regions == own
     names = [region.name for region in all_regions(geometry)]
     assert names[-3:] == ["fibula head", "patellar tendon", "socket"]
-    assert len(names) == 15
+    assert len(names) == 4 + 3 + 12 + 3
 
 
 @pytest.mark.parametrize(
@@ -64,6 +71,7 @@ def test_own_regions_stand_in_the_file_and_before_the_socket(tmp_path) -> None:
         ({"heel": ["dstal"]}, "no tile 'dstal': did you mean 'distal'"),
         ({"heel": ["distal", "distal"]}, "holds a tile twice"),
         ({"anterior proximal": ["distal"]}, "name of a standard region"),
+        ({"medial": ["distal"]}, "name of a standard region"),
         ({"socket": ["distal"]}, "name of a standard region"),
         (["distal"], "a mapping is expected"),
     ],

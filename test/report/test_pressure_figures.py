@@ -96,12 +96,15 @@ def band(rng, count):
     return Band(values, values - 2.0, values + 3.0)
 
 
-def test_regions_of_one_height_share_a_panel():
+def test_regions_of_one_kind_share_a_panel():
     names = [f"{side} {height}" for side in SIDES for height in ("proximal", "middle", "distal")]
     groups = group_regions([*names, "fibula head", "tendon"])
     assert [heading for heading, _ in groups] == ["proximal", "middle", "distal", ""]
     assert groups[0][1] == {f"{side} proximal": side for side in SIDES}
     assert groups[3][1] == {"fibula head": "fibula head", "tendon": "tendon"}
+    parts = group_regions([*SIDES, "proximal", "middle", "distal", "socket"])
+    assert [heading for heading, _ in parts] == ["sectors", "heights", ""]
+    assert [*parts[0][1]] == [*SIDES]
     several = group_regions([f"r{i}" for i in range(2 * len(LINE_STYLES) + 1)])
     assert [len(group) for _, group in several] == [len(LINE_STYLES)] * 2 + [1]
 

@@ -12,7 +12,7 @@ from matplotlib.patches import Polygon
 
 from socket_testbed.arrays import FloatArray
 from socket_testbed.geometry.axis import socket_axis
-from socket_testbed.geometry.socket import SocketGeometry
+from socket_testbed.geometry.socket import HEIGHTS, SECTORS, SocketGeometry
 from socket_testbed.report.figures.style import (
     DEFAULT_STYLE,
     LABEL,
@@ -40,7 +40,6 @@ from socket_testbed.report.figures.unrolled import sides_of
 
 _UNIT = "pressure [kPa]"
 _MOST_POINTS = 2000  # per line
-HEIGHTS = ("proximal", "middle", "distal")
 _LINES = len(LINE_STYLES)  # in a panel, at most
 _BAND = 0.18  # [-]; opacity
 _NUMBER = 0.04  # [-]; of a panel's width, for the number of an event
@@ -262,8 +261,10 @@ def group_regions(names: Sequence[str]) -> list[tuple[str, dict[str, str]]]:
     """
     groups: dict[str, dict[str, str]] = {}
     for name in names:
-        side, _, height = name.rpartition(" ")
-        heading, short = (height, side) if side and height in HEIGHTS else ("", name)
+        sector, _, height = name.rpartition(" ")
+        heading, short = (height, sector) if sector and height in HEIGHTS else ("", name)
+        if name in SECTORS or name in HEIGHTS:
+            heading = "sectors" if name in SECTORS else "heights"
         groups.setdefault(heading, {})[name] = short
     return [
         (heading, dict(list(group.items())[start : start + _LINES]))
