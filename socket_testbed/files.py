@@ -359,8 +359,12 @@ def read_document(path: Path) -> Section:
             return Section({} if data is None else data, str(path))
     except FileNotFoundError:
         raise ConfigurationError(f"{path}: no such file", "check the path") from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise ConfigurationError(f"{path}: cannot be read ({error})", "check the file") from None
+    except UnicodeDecodeError:
+        raise ConfigurationError(f"{path}: is not UTF-8 text", "give a YAML file") from None
+    except OSError as error:
+        raise ConfigurationError(
+            f"{path}: cannot be read ({error.strerror or error})", "give a file that can be read"
+        ) from None
     except yaml.YAMLError as error:
         mark = getattr(error, "problem_mark", None)
         line = f" at line {mark.line + 1}" if mark else ""

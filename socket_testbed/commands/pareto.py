@@ -20,6 +20,7 @@ from socket_testbed.commands.options import (
     trial_of,
 )
 from socket_testbed.commands.text import Progress, number, table
+from socket_testbed.errors import ConfigurationError
 from socket_testbed.files import check_outputs, check_picture
 from socket_testbed.identification.pareto import KNEE, SENSOR_ONLY, WRENCH_ONLY, Front
 
@@ -55,6 +56,8 @@ def run(options: argparse.Namespace) -> None:
     """Identify along theta, write and print."""
     if options.figure is not None:
         check_picture(options.figure)
+    if options.output is not None and options.output.suffix.lower() != ".csv":
+        raise ConfigurationError(f"{options.output}: is not a .csv file", "name a .csv file")
     check_outputs(options.output, options.figure, replace=options.replace)
     trial = trial_of(options)
     found = api.pareto(

@@ -6,6 +6,7 @@ import argparse
 from pathlib import Path
 
 from socket_testbed.commands.options import (
+    CHOICES,
     add_identification,
     add_trial,
     estimator_settings,
@@ -16,6 +17,8 @@ from socket_testbed.files import check_number
 from socket_testbed.live.bringup import predict_with, replay_with_estimator
 from socket_testbed.live.processes import Graph
 from socket_testbed.settings.testbed import ReplaySettings
+
+_ESTIMATING = ("model", "geometry", "calibration", "params", *CHOICES)
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -50,8 +53,10 @@ def run(options: argparse.Namespace) -> None:
         paused=options.paused,
     )
     if not options.estimate:
-        if options.model is not None:
-            raise ConfigurationError("--model is for the estimator", "add --estimate")
+        for name, value in vars(options).items():
+            if name in _ESTIMATING and value is not None:
+                option = name.replace("_", "-")
+                raise ConfigurationError(f"--{option} is for the estimator", "add --estimate")
         with trial.open():
             pass  # a trial that cannot be read is named before any node starts
         with Graph() as graph:

@@ -161,10 +161,14 @@ def read_model(path: Path, geometry: SocketGeometry | None = None) -> StoredMode
         data = json.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
         raise ConfigurationError(f"{path}: no such model", "check the path") from None
-    except (OSError, ValueError) as error:
+    except OSError as error:
         raise ConfigurationError(
-            f"{path}: is not a model ({error})", "give a file that 'fit' wrote"
+            f"{path}: cannot be read ({error.strerror or error})", "give a file that 'fit' wrote"
         ) from None
+    except ValueError:  # no text, or no JSON
+        data = None
+    if not isinstance(data, dict) or "format" not in data:
+        raise ConfigurationError(f"{path}: is not a model", "give a file that 'fit' wrote")
     document = Section(data, str(path)).expect(_KEYS)
     if document.text("format") != _FORMAT:
         raise ConfigurationError(

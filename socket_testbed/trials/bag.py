@@ -298,6 +298,8 @@ def _read_metadata(bag: Path) -> _Metadata | None:
     """The metadata of a bag; None if it is one storage file, or has no metadata.yaml."""
     if not bag.exists():
         raise TrialError(f"{bag}: no such trial", "check the path")
+    if not (bag.is_dir() or bag.is_file()):
+        raise TrialError(f"{bag}: is neither a folder nor a file", "give the folder of a trial")
     file = bag / "metadata.yaml"
     if bag.is_file() or not file.exists():
         return None

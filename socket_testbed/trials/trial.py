@@ -185,6 +185,8 @@ class Trial:
     def _stored(self, name: str, option: str) -> Path:
         stored = self.path / name
         if not stored.is_file():
+            with self.open():
+                pass  # says what is wrong if it is not a trial
             raise TrialError(
                 f"{self.path}: no {name} is stored in this trial", f"give one with {option}"
             )

@@ -268,6 +268,16 @@ def test_bad_input_gets_one_line_that_names_it(
         (["replay", "HOLD", "--rate", "-1"], ["--rate"]),
         (["replay", "nowhere"], ["nowhere", "no such trial"]),
         (["record", "HOLD"], ["exists already"]),
+        (["pareto", "HOLD", "-o", "front.xlsx"], ["front.xlsx", "name a .csv file"]),
+        (["pressure", "nowhere"], ["nowhere", "no such trial"]),
+        (["evaluate", "nowhere", "--model", "MODEL"], ["nowhere", "no such trial"]),
+        (["info", "/dev/null"], ["/dev/null", "neither a folder nor a file"]),
+        (["info", "HOLD", "--geometry", "HOLD"], ["hold", "cannot be read (Is a directory)"]),
+        (["info", "HOLD", "--geometry", "HOLD/hold.mcap"], ["hold.mcap", "is not UTF-8 text"]),
+        (["replay", "HOLD", "--geometry", "s.yaml"], ["--geometry", "add --estimate"]),
+        (["replay", "HOLD", "--theta", "0.5"], ["--theta", "add --estimate"]),
+        (["evaluate", "HOLD", "--model", "HOLD"], ["hold", "cannot be read (Is a directory)"]),
+        (["evaluate", "HOLD", "--model", "HOLD/hold.mcap"], ["hold.mcap", "is not a model"]),
         (["fit", "HOLD", "-o", "/proc/model"], ["/proc/model", "cannot be written"]),
         (["fit", "HOLD", "-o", "modles/m.json"], ["modles", "no such folder"]),
         (["fit", "HOLD", "-o", "HOLD"], ["hold", "as a folder"]),
@@ -278,9 +288,12 @@ def test_bad_input_gets_one_line_that_names_it(
     ],
     ids=lambda words: "-".join(words[:2] + words[-1:]).replace("/", "_"),
 )
-def test_a_wrong_call_gets_one_line(words, names, hold, tmp_path, capsys, monkeypatch) -> None:
+def test_a_wrong_call_gets_one_line(
+    words, names, hold, hold_model, tmp_path, capsys, monkeypatch
+) -> None:
     monkeypatch.chdir(tmp_path)
-    code, _, err = call(capsys, *(word.replace("HOLD", str(hold)) for word in words))
+    words = [word.replace("HOLD", str(hold)) for word in words]
+    code, _, err = call(capsys, *(word.replace("MODEL", str(hold_model)) for word in words))
     assert code == 1
     assert err.count("\n") == 1 and "Traceback" not in err
     for name in names:
