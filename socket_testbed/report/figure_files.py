@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +18,7 @@ from matplotlib.figure import Figure
 from socket_testbed.arrays import FloatArray
 from socket_testbed.identification.evaluation import trusted_values
 from socket_testbed.identification.pareto import front_table
+from socket_testbed.identification.pressure import Quantity
 from socket_testbed.identification.validation import judgements_table
 from socket_testbed.report.figures.channels import (
     FORCES_FIRST,
@@ -29,6 +30,12 @@ from socket_testbed.report.figures.channels import (
     panels_figure,
 )
 from socket_testbed.report.figures.pareto import pareto_figure
+from socket_testbed.report.figures.pressure import (
+    Band,
+    pressure_maps_figure,
+    pressure_views_figure,
+    regions_figure,
+)
 from socket_testbed.report.figures.scene import Scene, TileValues, value_scene
 from socket_testbed.report.figures.style import (
     COLUMN,
@@ -39,6 +46,13 @@ from socket_testbed.report.figures.style import (
 )
 from socket_testbed.report.figures.tile_maps import force_map_figure, tile_map_figure
 from socket_testbed.report.figures.validation import validation_figure
+from socket_testbed.report.pressure import (
+    MAP_SHARE,
+    SHARE,
+    PressureResults,
+    masked,
+    of_tiles,
+)
 from socket_testbed.report.results import Candidate, Results, unusable
 from socket_testbed.samples import LOCAL_CHANNELS, WRENCH_CHANNELS, channel_unit
 from socket_testbed.settings.identification import BIAS_VARIANTS
@@ -75,6 +89,9 @@ class ReportFigure:
     layout: str = "single"
     is_map: bool = False
     panels: tuple[tuple[Figure, str], ...] = ()
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "draw", cache(self.draw))  # for the page and for its files
 
     @property
     def files(self) -> list[str]:
@@ -213,9 +230,99 @@ def tile_maps(results: Results) -> Iterator[ReportFigure]:
             )
 
 
+def pressure(results: Results) -> Iterator[ReportFigure]:
+    """Pressure over the hold and at its peak, unrolled and in 3D, and of regions over time."""
+    geometry, found = results.trial.geometry, results.pressure
+    side = found.side or ""
+    mean, peak = found.outputs.tiles.mean, _at_peak(found)
+    maps = {
+        f"mean over the {results.segment.kind}": 1e-3 * masked(mean, MAP_SHARE),
+        f"at the peak, {found.time[found.peak_row]:.2f} s": 1e-3 * masked(peak, MAP_SHARE),
+    }
+    hatched = (
+        "Hatched tiles are not determined: their 95 % interval reaches farther than the value"
+        " itself. Tiles with a cluster are outlined."
+    )
+    data = pd.DataFrame(
+        {
+            "tile": geometry.names,
+            **_with_ends("mean pressure", mean),
+            **_with_ends("pressure at the peak", peak),
+        }
+    )
+    yield ReportFigure(
+        name="pressure_map",
+        caption=f"Pressure on the unrolled socket, {results.segment}. {hatched}",
+        draw=partial(pressure_maps_figure, geometry, maps, side),
+        description="Pressure on the unrolled socket: the mean over the segment, and at its peak",
+        data=data,
+        layout="wide",
+        is_map=True,
+    )
+    yield ReportFigure(
+        name="pressure_views",
+        caption=f"The same in 3D, from in front and from behind. {hatched}",
+        draw=partial(pressure_views_figure, geometry, maps, side),
+        description="Pressure on the socket from in front and from behind: mean, and at its peak",
+        data=data,
+        layout="wide",
+        is_map=True,
+    )
+    series = found.outputs.series.mean
+    bands = {
+        place.name: Band(
+            1e-3 * masked(series, MAP_SHARE)[:, column],
+            1e-3 * series.low[:, column],
+            1e-3 * series.high[:, column],
+        )
+        for column, place in enumerate(found.places)
+    }
+    events = [
+        (event.time, event.label)
+        for event in results.trial.events()
+        if results.segment.start <= event.time <= results.segment.end
+    ]
+    yield ReportFigure(
+        name="pressure_of_regions",
+        caption=(
+            "Mean pressure of the regions over the segment, with 95 % intervals; a line is left out"
+            f" where its interval reaches farther than its value. {_THINNED}"
+        ),
+        draw=partial(regions_figure, found.time, bands, events),
+        description="Mean pressure of every region over the segment with its interval",
+        data=pd.DataFrame(
+            {
+                "time [s]": found.time,
+                **{
+                    f"{name}.mean pressure{end} [kPa]": values
+                    for name, band in bands.items()
+                    for end, values in (
+                        ("", band.values),
+                        (" low", band.low),
+                        (" high", band.high),
+                    )
+                },
+            }
+        ),
+        layout="wide",
+    )
+
+
+def _at_peak(found: PressureResults) -> Quantity:
+    """Pressure of the tiles at the sample with the highest one [Pa]."""
+    row, estimate = found.peak_row, found.outputs.estimate
+    return of_tiles(estimate.normal_pressure[row], estimate.normal_pressure_standard_deviation[row])
+
+
+def _with_ends(name: str, quantity: Quantity) -> dict[str, FloatArray]:
+    """Columns of a pressure with the ends of its interval [kPa]."""
+    parts = (("", masked(quantity, SHARE)), (" low", quantity.low), (" high", quantity.high))
+    return {f"{name}{end} [kPa]": 1e-3 * values for end, values in parts}
+
+
 def force_map(results: Results) -> Iterator[ReportFigure]:
     """The mean force map over the segment with its uncertainty."""
-    geometry, mean = results.trial.geometry, results.force_map.mean()
+    geometry, mean = results.trial.geometry, results.pressure.outputs.estimate.mean()
     yield ReportFigure(
         name="force_map",
         caption=(
@@ -265,6 +372,7 @@ def offsets(results: Results) -> Iterator[ReportFigure]:
 
 # The figures by the section of the page that shows them, in their order there.
 FIGURES: dict[str, tuple[Callable[[Results], Iterator[ReportFigure]], ...]] = {
+    "pressure": (pressure,),
     "force-map": (force_map,),
     "wrench": (wrench,),
     "local": (local_forces,),
@@ -321,11 +429,37 @@ def residuals_table(candidates: Sequence[Candidate]) -> pd.DataFrame:
 
 
 def surface_scene(results: Results) -> Scene:
-    """The tiles in 3D, in the colours of the values of each model."""
-    sets = {candidate.label: _scene_values(results, candidate) for candidate in results.candidates}
+    """The tiles in 3D, in the colours of their pressure over time or of a model's parameters."""
+    sets = {"force map": _pressure_values(results)} | {
+        candidate.label: _scene_values(results, candidate) for candidate in results.candidates
+    }
     return value_scene(
-        results.trial.geometry, sets, "The tiles of the socket in the colours of their values"
+        results.trial.geometry, sets, "The tiles of the socket in the colours of their pressure"
     )
+
+
+def _pressure_values(results: Results) -> dict[str, TileValues]:
+    """Pressure and shear on the tiles, where they are determined, by the name of the choice."""
+    found = results.pressure
+    over_trial = found.over_trial
+    pressures = of_tiles(over_trial.normal_pressure, over_trial.normal_pressure_standard_deviation)
+    shears = of_tiles(over_trial.shear, over_trial.shear_standard_deviation)
+    start = int(np.searchsorted(found.instants, found.time[found.peak_row]))
+    values = {
+        f"{name}, mean over the segment": TileValues(
+            f"mean {name} [kPa]", 1e-3 * masked(quantity, MAP_SHARE)
+        )
+        for name, quantity in (
+            ("pressure", found.outputs.tiles.mean),
+            ("shear", found.outputs.tiles.shear),
+        )
+    }
+    return values | {
+        f"{name} over the trial": TileValues(
+            f"{name} [kPa]", 1e-3 * masked(quantity, MAP_SHARE), found.instants, start
+        )
+        for name, quantity in (("pressure", pressures), ("shear", shears))
+    }
 
 
 def _scene_values(results: Results, candidate: Candidate) -> dict[str, TileValues]:

@@ -10,6 +10,7 @@ from functools import cache
 from itertools import groupby
 from typing import Any
 
+import numpy as np
 import pandas as pd
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
@@ -18,6 +19,7 @@ from pandas.api.types import is_numeric_dtype
 from socket_testbed.report.figures.style import FONT
 
 NOTHING = "\N{EN DASH}"  # in a cell without a value
+MASKED = "not determined"  # in a cell whose value is
 
 
 def number(value: float, spec: str = ".3g") -> str:
@@ -107,24 +109,29 @@ def pairs_table(name: str, caption: str, pairs: Sequence[tuple[str, str]]) -> Ta
 
 
 _NOT_DRAWN = re.compile(
-    r"<\?xml.*?\?>|<!DOCTYPE.*?>|<!--.*?-->|<metadata>.*?</metadata>", re.DOTALL
+    r'<\?xml.*?\?>|<!DOCTYPE.*?>|<!--.*?-->|<metadata>.*?</metadata>|(?<=<g) id="[^"]*"', re.DOTALL
 )
-_PATH = re.compile(r' d="[^"]*"')
-_FAR_DECIMALS = re.compile(r"(\.\d)\d+")
-_RESERVED = str.maketrans(
-    {"%": "%25", "#": "%23", "&": "%26", "<": "%3C", ">": "%3E", '"': "'", "\n": " "}
-)
+_POLYLINE = re.compile(r"M[-\d.\s]+(?:L[-\d.\s]+)+")
+_RESERVED = str.maketrans({"%": "%25", "#": "%23", "&": "%26", '"': "'"})
 
 
 def svg_url(svg: str) -> Markup:
-    """A picture as the address of an image: paths to a tenth of a point, without comments.
+    """A picture as the address of an image: lines to a tenth of a point, no names, no comments.
 
     Args:
         svg: What matplotlib writes, whose attributes hold no apostrophe.
     """
-    drawn = _NOT_DRAWN.sub("", svg)
-    rounded = _PATH.sub(lambda path: _FAR_DECIMALS.sub(r"\1", path[0]), drawn)
-    return Markup("data:image/svg+xml," + " ".join(rounded.split()).translate(_RESERVED))
+    drawn = _POLYLINE.sub(_shortened, _NOT_DRAWN.sub("", svg))
+    drawn = re.sub(r">\s+<", "><", drawn.replace("xlink:href", "href"))
+    return Markup("data:image/svg+xml," + " ".join(drawn.split()).translate(_RESERVED))
+
+
+def _shortened(polyline: re.Match[str]) -> str:
+    """A line from point to point as steps; rounded points, so that no error adds up."""
+    points = np.array(polyline[0].replace("M", " ").replace("L", " ").split(), dtype=float)
+    tenths = np.round(10.0 * points.reshape(-1, 2)).astype(np.int64)
+    start, *steps = np.diff(tenths, axis=0, prepend=0) / 10.0
+    return f"M{start[0]:g} {start[1]:g}l" + " ".join(f"{x:g} {y:g}" for x, y in steps)
 
 
 def render(template: str, **content: Any) -> str:
@@ -134,7 +141,7 @@ def render(template: str, **content: Any) -> str:
         template: File in `report/templates`.
         content: What the template names; `markupsafe.Markup` stands as it is.
     """
-    return _environment().get_template(template).render(font=FONT, **content)
+    return _environment().get_template(template).render(**content)
 
 
 @cache
@@ -151,5 +158,6 @@ def _environment() -> Environment:
         "g": lambda value: f"{value:g}",
     }
     environment.filters |= filters
+    environment.globals |= {"font": FONT, "masked": MASKED}
     environment.policies["json.dumps_kwargs"] = {"separators": (",", ":")}
     return environment

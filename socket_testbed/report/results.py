@@ -28,7 +28,6 @@ from socket_testbed.identification.evaluation import (
     trusted_values,
 )
 from socket_testbed.identification.fit import Fit, Implausible, find_implausible, fit_contact_model
-from socket_testbed.identification.force_map import MapEstimate, map_samples
 from socket_testbed.identification.information import (
     LoadShare,
     Motion,
@@ -46,6 +45,7 @@ from socket_testbed.identification.plausibility import (
     without_outliers,
 )
 from socket_testbed.identification.validation import Judgement, judge_samples
+from socket_testbed.report.pressure import PressureResults, read_pressure
 from socket_testbed.samples import LOCAL_CHANNELS, WRENCH_CHANNELS, Samples, Status
 from socket_testbed.settings.identification import PAPER_VARIANTS, VARIANTS, Variant
 from socket_testbed.settings.testbed import EstimatorSettings
@@ -344,7 +344,7 @@ class Results:
         validation: Estimates judged on what they have not seen of the trial; empty where it does
             not allow that.
         no_validation: Why not; empty where it does.
-        force_map: Forces on all tiles at the samples of the segment.
+        pressure: Pressure on all tiles and regions over the segment.
     """
 
     trial: Trial
@@ -361,7 +361,7 @@ class Results:
     motion: Motion
     validation: tuple[Judgement, ...]
     no_validation: str
-    force_map: MapEstimate
+    pressure: PressureResults
 
     @property
     def in_segment(self) -> BoolArray:
@@ -413,6 +413,7 @@ def compute_results(
         given.require_socket(trial.geometry)
     notes: list[str] = []
     samples = replace(trial, notify=notes.append).samples()
+    measured = samples
     leave_out = settings.identification.leave_out
     segment = select_segment(samples, specification, settings.plateau, leave_out, trial.events)
     sign = sign_note(samples[segment.rows], trial.geometry)
@@ -449,7 +450,7 @@ def compute_results(
         motion=measure_motion(chosen, trial.geometry, settings.identification.pose_smoothing),
         validation=validation,
         no_validation=no_validation,
-        force_map=map_samples(chosen, trial.geometry, settings.force_map, leave_out),
+        pressure=read_pressure(measured, segment, trial.geometry, settings, trial.metadata.side),
     )
 
 

@@ -19,6 +19,7 @@ from socket_testbed.identification.noise import channel_noise, noise_groups
 from socket_testbed.identification.pareto import KNEE, SENSOR_ONLY, WRENCH_ONLY
 from socket_testbed.identification.validation import LEVELS, summarise_judgements
 from socket_testbed.report.page import Table, counted, number, pairs_table
+from socket_testbed.report.pressure import SHARE, THRESHOLD, pressure_tables
 from socket_testbed.report.results import (
     Results,
     describe_triggers,
@@ -39,9 +40,10 @@ PAPER_FIGURES = {
 # The sections of the page, titles by their ids.
 CONTENTS = {
     "summary": "Summary",
-    "force-map": "Force map",
+    "pressure": "Pressure",
     "wrench": "Wrench",
     "local": "Local forces",
+    "paper-section": "The paper",
     "errors-section": "Errors",
     "validation": "Validation",
     "fronts": "Pareto fronts",
@@ -69,6 +71,7 @@ def page_content(results: Results, command: str, made: datetime) -> dict[str, An
     triggers, gaps = _triggers(results)
     origin = provenance(results, command, made)
     tables = [
+        *pressure_tables(results.pressure, results.trial.geometry),
         _beside_the_paper(results),
         _errors(
             results,
@@ -89,13 +92,15 @@ def page_content(results: Results, command: str, made: datetime) -> dict[str, An
     if all(held_out):
         caption = "Errors over the rest of the trial (held-out), in the unit of the channel"
         tables.append(_errors(results, "held-out", caption, held_out))
-    if stated := results.trial.metadata.described():
-        tables.append(pairs_table("metadata", "What is stated about the trial", [*stated.items()]))
     if results.fronts:
         tables.append(_marks(results))
     tables += _validation(results)
     return {
         "contents": CONTENTS,
+        "metadata": results.trial.metadata.described(),
+        "threshold": 1e-3 * THRESHOLD,
+        "share": 100.0 * SHARE,
+        "source": results.pressure.outputs.estimate.source,
         "summary": summarise(results),
         "notes": list_notes(results),
         "tables": {table.name: table for table in tables},

@@ -10,6 +10,7 @@ from socket_testbed.identification.evaluation import summarise_errors
 from socket_testbed.identification.information import share_warning
 from socket_testbed.identification.pareto import Front
 from socket_testbed.report.page import counted, number
+from socket_testbed.report.pressure import describe_pressure
 from socket_testbed.report.results import (
     Candidate,
     Results,
@@ -28,10 +29,11 @@ _BIAS: Variant = "stiffness_bias"
 
 
 def summarise(results: Results) -> list[str]:
-    """Three to six statements: what was found, and how far to trust it."""
+    """Four to seven statements: what was found, and how far to trust it."""
     plain, bias = results.fitted[_PLAIN], results.fitted[_BIAS]
     other = _beside_the_paper(results)
     lines = [
+        describe_pressure(results.pressure, results.trial.geometry),
         _what(results),
         _offsets(results, plain, bias, other),
         _skill(bias),
@@ -239,6 +241,11 @@ def _gaps(results: Results) -> list[str]:
 def _configuration(results: Results) -> list[str]:
     geometry = results.trial.geometry
     lines = []
+    if results.pressure.side is None:
+        lines.append(
+            "No side of the leg is stated: regions are left and right, not medial and lateral."
+            f" 'annotate {results.trial.name} --side left|right' states it."
+        )
     if not geometry.registration:
         lines.append(
             "The marker bodies are not registered with the socket: their placement in socket.yaml"

@@ -16,6 +16,7 @@ from socket_testbed.report.figure_files import (
 )
 from socket_testbed.report.figures.style import DEFAULT_STYLE, FigureStyle
 from socket_testbed.report.page import render
+from socket_testbed.report.pressure import regions_frame
 from socket_testbed.report.results import Results
 from socket_testbed.report.sections import page_content
 from socket_testbed.tables import write_table
@@ -82,6 +83,7 @@ def write_report(
             if progress is not None:
                 progress(done, len(drawn))
         write_table(errors_table(results.candidates), new_folder / _ERRORS)
+        write_table(regions_frame(results.pressure), new_folder / "pressure.csv")
         write_table(residuals_table(results.candidates), new_folder / "residuals.csv")
         text = render(
             "report.html",
@@ -90,6 +92,7 @@ def write_report(
                 f"{results.segment}, theta {results.settings.identification.theta:g}; measured"
                 " against predicted wrench and local forces, with and without offsets"
             ),
+            segment=str(results.segment),
             figures=figures,
             folder=folder.name,
             scene=surface_scene(results),

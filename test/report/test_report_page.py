@@ -6,10 +6,12 @@ import argparse
 import io
 import json
 import re
+from functools import partial
 from pathlib import Path
 from urllib.parse import unquote
 
 import numpy as np
+import pandas as pd
 import pytest
 import yaml
 from markupsafe import escape
@@ -17,13 +19,16 @@ from matplotlib.image import imread
 from support.bags import rewrite
 from support.pages import MADE, NASTY, THETAS, Page, columns, numbers
 
+import socket_testbed as st
 from socket_testbed.__main__ import run
+from socket_testbed.api.pressure import TITLES, interval_end
 from socket_testbed.commands import report
 from socket_testbed.identification.evaluation import evaluate, summarise_errors, trusted_values
 from socket_testbed.identification.model_file import read_model
 from socket_testbed.identification.pareto import KNEE, SENSOR_ONLY, WRENCH_ONLY
 from socket_testbed.report import figure_files
 from socket_testbed.report.figures import style
+from socket_testbed.report.page import MASKED
 from socket_testbed.report.results import Results, compute_results
 from socket_testbed.report.sections import PAPER_FIGURES
 from socket_testbed.report.write import files_folder, write_report
@@ -61,7 +66,8 @@ def page_path(results: Results, tmp_path_factory) -> Path:
     path = tmp_path_factory.mktemp("report") / "my report.html"
     with pytest.MonkeyPatch.context() as patch:
         # To embed fonts that text can be copied from takes longer than all the rest of a PDF.
-        patch.setitem(style._TYPES, "pdf.fonttype", 3)
+        patch.setitem(style._STYLE, "pdf.fonttype", 3)
+        patch.setattr(figure_files, "save_figure", partial(style.save_figure, dpi=100))
         write_report(results, path, "socket-testbed report <hold>", MADE)
     return path
 
@@ -132,6 +138,38 @@ def test_the_errors_on_the_page_are_those_of_the_evaluation(page, results, table
             assert float(rows[title][1 + 4 * column]) == pytest.approx(value, abs=5.001e-4)
 
 
+def printed(text: str):
+    """The number that was printed so, within half of its last digit."""
+    return pytest.approx(float(text), abs=0.501 * 10.0 ** -len(text.partition(".")[2]))
+
+
+def test_the_pressure_on_the_page_is_that_of_the_api(page, page_path, results):
+    found = st.pressure(results.trial).regions
+    columns = {
+        title: (found[title], *(found[interval_end(title, end)] for end in ("low", "high")))
+        for title in TITLES
+    }
+    for table in ("pressure-regions", "pressure-shear"):
+        header, *rows = page.tables[table]
+        assert [row[0] for row in rows] == list(found.index)
+        for number, title in enumerate(header[1:], start=1):
+            values, low, high = columns[title.replace("²", "^2")]
+            for i, row in enumerate(rows):
+                value, interval = row[number].split("\n")
+                assert (value == MASKED) == np.isnan(values.iloc[i])
+                assert value == MASKED or printed(value) == values.iloc[i]
+                ends = [printed(end) for end in interval.split(" to ")]
+                assert ends == [low.iloc[i], high.iloc[i]]
+    socket = page.rows("pressure-socket")
+    low, high = (f"{columns['peak pressure [kPa]'][end].iloc[-1]:.1f}" for end in (1, 2))
+    assert socket["peak pressure [kPa]"][1] == f"{low} to {high}"
+    written = pd.read_csv(files_folder(page_path) / "pressure.csv", index_col="region")
+    for title, (values, low, high) in columns.items():
+        for part, expected in (("", values), ("low", low), ("high", high)):
+            name = interval_end(title, part) if part else title
+            np.testing.assert_allclose(written[name], expected, rtol=1e-9)
+
+
 def test_this_trial_stands_beside_the_paper(page, results):
     rows = page.rows("paper")
     by_paper = {"mean moment RMSE [N m]": (1.69, 0.44), "median local RMSE [N]": (90.07, 3.76)}
@@ -177,7 +215,11 @@ def test_every_figure_is_there_as_pdf_and_png_with_its_data(page, page_path):
     assert folder.name == "my report_files"
     figures = {path.stem for path in folder.glob("*.pdf")}
     assert figures == {path.stem for path in folder.glob("*.png")}
-    assert figures == {path.stem for path in folder.glob("*.csv")} - {"errors", "residuals"}
+    assert figures == {path.stem for path in folder.glob("*.csv")} - {
+        "errors",
+        "pressure",
+        "residuals",
+    }
     assert {"wrench", "local_forces", "pareto", "overview", "offsets", "rest_positions"} <= figures
     linked = {unquote(link) for link in page.attributes("href") if not link.startswith("#")}
     for name in figures:
@@ -286,7 +328,7 @@ def test_names_are_no_markup(nasty):
     page = Page(text)
     assert f"Report on {NASTY}" in page.text
     assert f"{NASTY}.Fx" in page.rows("errors")
-    assert page.rows("metadata")["notes"] == [NASTY]
+    assert (page.said["dt"], page.said["dd"]) == (["side", "notes"], ["left", NASTY])
     assert not [tag for tag, _ in page.tags if tag == "b"]
     assert NASTY not in text
     assert str(escape(NASTY)) in text and escape(NASTY).unescape() == NASTY

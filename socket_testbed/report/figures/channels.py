@@ -28,7 +28,7 @@ from socket_testbed.report.figures.style import (
 )
 from socket_testbed.samples import WRENCH_CHANNELS
 
-MOST_POINTS = 2000  # per line
+MOST_POINTS = 1000  # per line
 _PANEL, _KEY_LINE = 34.0, 3.1  # [mm]; height of a panel without its key; of a line of the key
 _WIDE = 80.0  # [mm]; of a panel that takes a model and its errors in two lines
 _NAME = 26.0  # [mm]; longest line of a name above a panel

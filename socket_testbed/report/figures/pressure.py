@@ -39,7 +39,7 @@ from socket_testbed.report.figures.tiles import TilePaint, paint_tiles, tile_squ
 from socket_testbed.report.figures.unrolled import sides_of
 
 _UNIT = "pressure [kPa]"
-_MOST_POINTS = 2000  # per line
+_MOST_POINTS = 500  # per line
 _LINES = len(LINE_STYLES)  # in a panel, at most
 _BAND = 0.18  # [-]; opacity
 _NUMBER = 0.04  # [-]; of a panel's width, for the number of an event

@@ -98,11 +98,13 @@ class TileValues:
         values: One value per tile, shape (n,); NaN, left white, where there is none. Or such a
             row for every instant, shape (k, n).
         times: The instants since the first sample, shape (k,) [s]; None for a single row.
+        start: Index of the instant that is shown first.
     """
 
     title: str
     values: FloatArray
     times: FloatArray | None = None
+    start: int = 0
 
     def document(self, geometry: SocketGeometry) -> dict[str, Any]:
         """What the page needs of them; null stands for no value.
@@ -116,6 +118,7 @@ class TileValues:
             "unit": _escape(self.title),
             "low": low,
             "high": high,
+            "start": self.start,
             "times": None if self.times is None else self.times.round(2).tolist(),
             "values": [
                 [None if np.isnan(value) else float(f"{value:.{digits}g}") for value in row]

@@ -35,34 +35,34 @@
     });
     figure.data[0].colorbar.title.text = set.unit;
   }
+  const chosen = () => choices.sets[control("source").value][control("value").value];
   function show() {
     if (choices) {
-      const set = choices.sets[control("source").value][control("value").value];
-      const slider = control("instant");
-      control("time").hidden = !set.times;
-      slider.max = set.values.length - 1;
-      control("instant-shown").value = set.times ? `${set.times[slider.value]} s` : "";
-      paint(set, slider.value);
+      const set = chosen(), row = control("instant").value;
+      control("instant-shown").value = set.times ? `${set.times[row].toFixed(2)} s` : "";
+      paint(set, row);
     }
     return Plotly.react(box, figure.data, figure.layout, {
       responsive: true, displayModeBar: false,
     });
   }
-  function list() {
+  function offer() {  // the values of a source, the one shown before if it has it
     const names = Object.keys(choices.sets[control("source").value]);
     const before = control("value").value;
     control("value").replaceChildren(...names.map((name) => new Option(name)));
     control("value").value = names.includes(before) ? before : names[0];
+    rewind();
   }
-  function restart() {
-    const times = choices.sets[control("source").value][control("value").value].times;
-    control("instant").max = times ? times.length - 1 : 0;
-    if (!times) { control("instant").value = 0; }
+  function rewind() {
+    const set = chosen();
+    control("instant").max = set.values.length - 1;
+    control("instant").value = set.start;
+    control("time").hidden = !set.times;
   }
   if (choices) {
-    list();
-    control("source").addEventListener("change", () => { list(); restart(); show(); });
-    control("value").addEventListener("change", () => { restart(); show(); });
+    offer();
+    control("source").addEventListener("change", () => { offer(); show(); });
+    control("value").addEventListener("change", () => { rewind(); show(); });
     control("instant").addEventListener("input", show);
   }
   box.replaceChildren();
