@@ -4,20 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
+from matplotlib.figure import Figure, SubFigure
 from matplotlib.patches import Polygon
 
-from socket_testbed.arrays import FloatArray
+from socket_testbed.arrays import BoolArray, FloatArray
 from socket_testbed.geometry.axis import socket_axis
 from socket_testbed.geometry.socket import HEIGHTS, SECTORS, SocketGeometry
+from socket_testbed.identification.pressure import PressureOutputs, RegionOutputs
 from socket_testbed.report.figures.style import (
     DEFAULT_STYLE,
+    HATCH,
     LABEL,
     LINE_STYLES,
-    UNKNOWN,
     FigureStyle,
     in_style,
     lay_out,
@@ -38,7 +40,9 @@ from socket_testbed.report.figures.tile_maps import (
 from socket_testbed.report.figures.tiles import TilePaint, paint_tiles, tile_squares
 from socket_testbed.report.figures.unrolled import sides_of
 
-_UNIT = "pressure [kPa]"
+NORMAL_QUANTILE = 1.96  # [-]; standard deviations to each end of a 95 % interval
+_SPANS = ("plateau", "hold")
+UNIT = "pressure [kPa]"
 _MOST_POINTS = 500  # per line
 _LINES = len(LINE_STYLES)  # in a panel, at most
 _BAND = 0.18  # [-]; opacity
@@ -60,6 +64,42 @@ class Band:
     high: FloatArray
 
 
+def instant_maps(
+    outputs: PressureOutputs, time: FloatArray, share: float, span: str
+) -> tuple[dict[str, FloatArray], dict[str, BoolArray]]:
+    """Pressures of the tiles over a span and at its peak, the sample with the highest pressure.
+
+    Args:
+        outputs: The outputs over the span; its last region is the socket.
+        time: Times of its samples since the first sample of the trial, shape (N,) [s].
+        share: A value whose interval reaches farther than this share of it is not determined [-].
+        span: Kind of the span, such as `plateau`.
+
+    Returns:
+        The pressures, shape (n,) [kPa], and which of them are determined, by what they are.
+    """
+    peak = int(np.nanargmax(outputs.series.peak.value[:, -1]))
+    pressure = outputs.estimate.normal_pressure[peak]
+    deviation = outputs.estimate.normal_pressure_standard_deviation[peak]
+    at_peak = f"at the peak, {time[peak]:.2f} s"
+    mean = f"mean over the {span if span in _SPANS else 'segment'}"
+    values = {mean: 1e-3 * outputs.tiles.mean.value, at_peak: 1e-3 * pressure}
+    reach = NORMAL_QUANTILE * deviation
+    return values, {
+        mean: outputs.tiles.mean.determined(share),
+        at_peak: np.asarray(reach <= share * np.abs(pressure)),
+    }
+
+
+def region_bands(series: RegionOutputs, names: Sequence[str]) -> dict[str, Band]:
+    """Mean pressures of regions at every sample, by the regions' names in the outputs' order."""
+    mean = series.mean
+    return {
+        name: Band(*(1e-3 * part[:, i] for part in (mean.value, mean.low, mean.high)))
+        for i, name in enumerate(names)
+    }
+
+
 @in_style
 def pressure_maps_figure(
     geometry: SocketGeometry,
@@ -67,6 +107,7 @@ def pressure_maps_figure(
     side: str = "",
     title: str = "",
     style: FigureStyle = DEFAULT_STYLE,
+    determined: Mapping[str, BoolArray] | None = None,
 ) -> Figure:
     """Unrolled maps of the pressure side by side, below each other in a column.
 
@@ -75,27 +116,61 @@ def pressure_maps_figure(
 
     Args:
         geometry: The socket.
-        maps: Pressures, shape (n,) [kPa], by what they are, such as `mean over the hold`; NaN,
-            hatched, where not determined.
+        maps: Pressures, shape (n,) [kPa], by what they are, such as `mean over the hold`; NaN
+            where there is none.
         side: The leg that wears the socket, `left` or `right`; empty where that is not known.
         title: What is shown.
         style: How it is set.
+        determined: Which pressures are determined, likewise: the others are pale and hatched.
 
     Raises:
         ConfigurationError: If the values are not those of these tiles.
     """
-    columns = columns_of(len(maps), style)
-    scales = scales_of(geometry, maps, from_zero=True)
-    figure = style.figure(maps_height(geometry, style.width, scales, columns) + HEADING)
-    style.add_title(figure, title)
-    draw_maps(figure, geometry, maps, _UNIT, scales, columns, side)
-    note = "hatched: not determined" if _any_unknown(maps) else ""
-    add_key(figure, style, *cluster_key(geometry), note)
+    drawing = _Maps(geometry, maps, determined or {}, side, style)
+    figure = style.figure(drawing.height)
+    drawing.draw(figure, title)
     return lay_out(figure)
 
 
-def _any_unknown(maps: Mapping[str, FloatArray]) -> bool:
-    return any(np.isnan(values).any() for values in maps.values())
+class _Maps:
+    """Unrolled maps on a figure, or on a part of one."""
+
+    def __init__(
+        self,
+        geometry: SocketGeometry,
+        maps: Mapping[str, FloatArray],
+        determined: Mapping[str, BoolArray],
+        side: str,
+        style: FigureStyle,
+    ) -> None:
+        self._geometry, self._side, self._style = geometry, side, style
+        self._maps, self._determined = maps, determined
+        self._columns = columns_of(len(maps), style)
+        self._scales = scales_of(geometry, maps, from_zero=True)
+        self.height = HEADING + maps_height(geometry, style.width, self._scales, self._columns)
+
+    def draw(self, figure: Figure | SubFigure, title: str) -> None:
+        """Draw them."""
+        self._style.add_title(figure, title)
+        draw_maps(
+            figure,
+            self._geometry,
+            self._maps,
+            UNIT,
+            self._scales,
+            self._columns,
+            self._side,
+            determined=self._determined,
+        )
+        note = hatch_note(self._maps, self._determined)
+        add_key(figure, self._style, *cluster_key(self._geometry), note)
+
+
+def hatch_note(maps: Mapping[str, FloatArray], determined: Mapping[str, BoolArray]) -> str:
+    """What hatched tiles are; empty where there are none."""
+    unknown = any(np.isnan(values).any() for values in maps.values())
+    uncertain = any(not known.all() for known in determined.values())
+    return "hatched: not determined" if unknown or uncertain else ""
 
 
 _ELEVATION = np.radians(25.0)
@@ -130,16 +205,15 @@ class _SolidView:
     def draw(self, axis: Axes, paint: TilePaint, sides: tuple[str, str, str, str]) -> None:
         """Draw the tiles, the nearer over the farther ones, and the sides that face the eye."""
         for tile in self._order:
-            hatch = UNKNOWN["hatch"] if paint.unknown[tile] else None
-            axis.add_patch(
-                Polygon(
-                    self._squares[tile],
-                    facecolor=UNKNOWN["facecolors"] if hatch else paint.fills[tile],
-                    edgecolor=paint.edges[tile],
-                    linewidth=paint.widths[tile],
-                    hatch=hatch,
-                )
+            hatch = HATCH if paint.hatched[tile] else None
+            square = Polygon(
+                self._squares[tile],
+                facecolor=paint.fills[tile],
+                edgecolor=paint.edges[tile],
+                linewidth=paint.widths[tile],
+                hatch=hatch,
             )
+            axis.add_patch(square)
         for name, angle in zip(sides, np.radians([0.0, 90.0, 180.0, 270.0]), strict=True):
             if np.cos(angle - self._azimuth) > 0.0:
                 across = 0.5 + 0.5 * np.sin(angle - self._azimuth)
@@ -167,6 +241,7 @@ def pressure_views_figure(
     side: str = "",
     title: str = "",
     style: FigureStyle = DEFAULT_STYLE,
+    determined: Mapping[str, BoolArray] | None = None,
 ) -> Figure:
     """The socket in 3D in the colours of its pressure, each map from in front and from behind.
 
@@ -176,10 +251,12 @@ def pressure_views_figure(
         side: The leg that wears the socket, `left` or `right`; empty where that is not known.
         title: What is shown.
         style: How it is set.
+        determined: As in `pressure_maps_figure`.
 
     Raises:
         ConfigurationError: If the values are not those of these tiles.
     """
+    determined = determined or {}
     pairs = columns_of(len(maps), style)
     rows = -(-len(maps) // pairs)
     scales = scales_of(geometry, maps, from_zero=True)
@@ -190,17 +267,17 @@ def pressure_views_figure(
     axes = figure.subplots(rows, 2 * pairs, squeeze=False).reshape(-1, 2)
     common = len(set(scales)) == 1
     for panels, (name, values), limits in zip(axes, maps.items(), scales, strict=False):
-        paint = paint_tiles(geometry, values, limits)
+        paint = paint_tiles(geometry, values, limits, determined=determined.get(name))
         for panel, view in zip(panels, views, strict=True):
             view.draw(panel, paint, sides_of(side))
         panels[0].set_title(name, loc="left", fontweight="bold", parse_math=False)
         if not common:
-            add_bar(figure, paint, list(panels), _UNIT, 25.0)
+            add_bar(figure, paint, list(panels), UNIT, 25.0)
     for panel in axes[len(maps) :].flat:
         panel.set_visible(False)
     if common:
-        add_bar(figure, paint, list(axes.flat), _UNIT, 25.0 * rows)
-    note = "hatched: not determined" if _any_unknown(maps) else ""
+        add_bar(figure, paint, list(axes.flat), UNIT, 25.0 * rows)
+    note = hatch_note(maps, determined)
     add_key(figure, style, "tiles with a cluster are outlined", note)
     return lay_out(figure)
 
@@ -222,24 +299,70 @@ def regions_figure(
         title: What is shown.
         style: How it is set.
     """
-    groups = group_regions([*regions])
-    columns = 1 if style.is_narrow else min(3, len(groups))
-    rows = -(-len(groups) // columns)
-    figure = style.figure(rows * 50.0 + 12.0)
-    style.add_title(figure, title)
-    axes = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True)
-    for panel, (heading, group) in zip(axes.flat, groups, strict=False):
-        draw_regions(panel, time, {n: regions[name] for name, n in group.items()}, heading, events)
-    for panel in axes.flat[len(groups) :]:
-        panel.set_visible(False)
-    for panel in axes[:, 0]:
-        panel.set_ylabel(_UNIT)
-    for column in range(columns):
-        last = axes[(len(groups) - 1 - column) // columns, column]
-        last.set_xlabel("time [s]")
-        last.tick_params(labelbottom=True)
-    labels = ", ".join(f"{number} {label}" for label, number in _numbers(events).items())
-    add_key(figure, style, "bands: 95 % intervals", f"events: {labels}" if labels else "")
+    drawing = _Regions(time, regions, events, style)
+    figure = style.figure(drawing.height)
+    drawing.draw(figure, title)
+    return lay_out(figure)
+
+
+class _Regions:
+    """Regions over time on a figure, or on a part of one."""
+
+    def __init__(
+        self,
+        time: FloatArray,
+        regions: Mapping[str, Band],
+        events: Sequence[tuple[float, str]],
+        style: FigureStyle,
+    ) -> None:
+        self._time, self._regions, self._events, self._style = time, regions, events, style
+        self._groups = group_regions([*regions])
+        self._columns = 1 if style.is_narrow else min(3, len(self._groups))
+        self._rows = -(-len(self._groups) // self._columns)
+        self.height = 50.0 * self._rows + 12.0
+
+    def draw(self, figure: Figure | SubFigure, title: str) -> None:
+        """Draw them."""
+        self._style.add_title(figure, title)
+        axes = figure.subplots(self._rows, self._columns, squeeze=False, sharex=True, sharey=True)
+        for panel, (heading, group) in zip(axes.flat, self._groups, strict=False):
+            shown = {short: self._regions[name] for name, short in group.items()}
+            draw_regions(panel, self._time, shown, heading, self._events)
+        for panel in axes.flat[len(self._groups) :]:
+            panel.set_visible(False)
+        for panel in axes[:, 0]:
+            panel.set_ylabel(UNIT)
+        for column in range(self._columns):
+            last = axes[(len(self._groups) - 1 - column) // self._columns, column]
+            last.set_xlabel("time [s]")
+            last.tick_params(labelbottom=True)
+        labels = ", ".join(f"{number} {label}" for label, number in _numbers(self._events).items())
+        note = f"events: {labels}" if labels else ""
+        add_key(figure, self._style, "bands: 95 % intervals", note)
+
+
+@in_style
+def pressure_figure(
+    geometry: SocketGeometry,
+    maps: Mapping[str, FloatArray],
+    determined: Mapping[str, BoolArray],
+    time: FloatArray,
+    regions: Mapping[str, Band],
+    events: Sequence[tuple[float, str]] = (),
+    side: str = "",
+    title: str = "",
+    style: FigureStyle = DEFAULT_STYLE,
+) -> Figure:
+    """Unrolled maps of the pressure, and below them the pressure of regions over time.
+
+    Arguments as in `pressure_maps_figure` and `regions_figure`.
+    """
+    above = _Maps(geometry, maps, determined, side, style)
+    below = _Regions(time, regions, events, style)
+    figure = style.figure(above.height + below.height)
+    parts: Any = figure.subfigures(2, 1, height_ratios=(above.height, below.height))
+    above.draw(parts[0], title)
+    below.draw(parts[1], "")
     return lay_out(figure)
 
 

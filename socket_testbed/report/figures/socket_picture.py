@@ -12,7 +12,6 @@ import trimesh
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
-from matplotlib.patheffects import withStroke
 
 from socket_testbed.arrays import FloatArray, IntArray
 from socket_testbed.files import check_picture
@@ -40,7 +39,8 @@ from socket_testbed.report.figures.tiles import (
 )
 from socket_testbed.report.figures.unrolled import (
     CENTRED,
-    add_tiles,
+    OUTLINED,
+    DrawnTiles,
     break_name,
     draw_unrolled,
     label_tiles,
@@ -100,7 +100,7 @@ DISTAL = View(
 
 def draw_view(
     axis: Axes, view: View, geometry: SocketGeometry, paint: TilePaint, tiles: IntArray
-) -> None:
+) -> DrawnTiles:
     """Draw the tiles that face the viewer, through the wall if need be, and their names.
 
     From outside only the clusters are named; the unrolled wall names the others.
@@ -117,15 +117,15 @@ def draw_view(
     shown = tiles[facing[tiles] > _LEAST_FACING]
     shown = shown[np.argsort(geometry.anchors[shown] @ towards)]
     squares = view.project(tile_squares(geometry))
-    add_tiles(axis, paint, shown, squares[shown])
+    drawn = DrawnTiles(axis, paint, shown, squares[shown])
     named = shown[facing[shown] > _LABEL_FACING]
     if view.inside:
         label_tiles(axis, paint, named, squares[named])
-        return
-    outlined: dict[str, Any] = {"path_effects": [withStroke(linewidth=2.0, foreground="white")]}
+        return drawn
     for cluster, tile in geometry.clusters.items():
         if tile in named:  # at one size, whatever the tile's
-            write_in(axis, break_name(cluster), squares[tile], fontsize=SMALL, **outlined)
+            write_in(axis, break_name(cluster), squares[tile], fontsize=SMALL, **OUTLINED)
+    return drawn
 
 
 def draw_surface(axis: Axes, view: View, surface: trimesh.Trimesh) -> None:

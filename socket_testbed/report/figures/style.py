@@ -11,7 +11,7 @@ from typing import Any
 import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
+from matplotlib.figure import Figure, SubFigure
 from matplotlib.font_manager import FontProperties
 from matplotlib.textpath import TextPath
 
@@ -25,7 +25,8 @@ TILE = "#A6CBE3"
 CLUSTER = "#D55E00"  # Okabe & Ito's vermilion
 EDGE = "#2B5C7D"
 NO_VALUE = "#FFFFFF"
-UNKNOWN: dict[str, Any] = {"facecolors": "0.93", "edgecolors": "0.45", "hatch": "////"}
+HATCH = "/////"  # of what is not determined
+PALE = 0.55  # [-]; of its colour, the rest is white
 PROXIMAL = "#333333"
 AXES = ("#B2182B", "#1B7837", "#2166AC")  # x, y, z
 SCALE = "cividis"  # Nunez et al. 2018, doi:10.1371/journal.pone.0199239: even in lightness
@@ -109,7 +110,7 @@ class FigureStyle:
         """An empty figure of this width and a height [mm]."""
         return Figure(figsize=(self.width * MM, height * MM), layout="constrained")
 
-    def add_title(self, figure: Figure, *lines: str) -> None:
+    def add_title(self, figure: Figure | SubFigure, *lines: str) -> None:
         """Title of a figure, in lines that fit, unless it shall have none; no markup."""
         if self.titles and any(lines):
             text = "\n".join(wrap(line, 0.96 * self.width) for line in lines if line)

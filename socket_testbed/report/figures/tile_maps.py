@@ -6,9 +6,9 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
+from matplotlib.figure import Figure, SubFigure
 
-from socket_testbed.arrays import FloatArray, IntArray
+from socket_testbed.arrays import BoolArray, FloatArray, IntArray
 from socket_testbed.geometry.axis import socket_axis
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification.force_map import MapEstimate
@@ -23,7 +23,12 @@ from socket_testbed.report.figures.style import (
     wrap,
 )
 from socket_testbed.report.figures.tiles import TilePaint, drawn_bounds, paint_tiles, value_range
-from socket_testbed.report.figures.unrolled import draw_unrolled, wall_aspect, wall_tiles
+from socket_testbed.report.figures.unrolled import (
+    DrawnTiles,
+    draw_unrolled,
+    wall_aspect,
+    wall_tiles,
+)
 
 _PALEST = 0.15  # [-]; of a tile's colour: white has no value
 _ALIKE = 2.0  # [-]; ratio of ranges that are still seen on one scale
@@ -81,7 +86,7 @@ def maps_height(
 
 
 def draw_maps(
-    figure: Figure,
+    figure: Figure | SubFigure,
     geometry: SocketGeometry,
     values: Mapping[str, FloatArray],
     unit: str,
@@ -89,7 +94,8 @@ def draw_maps(
     columns: int = 1,
     side: str = "",
     certainty: Mapping[str, FloatArray] | None = None,
-) -> None:
+    determined: Mapping[str, BoolArray] | None = None,
+) -> list[DrawnTiles]:
     """Draw maps of values in rows, with one bar for all if their scales are the same.
 
     Args:
@@ -101,8 +107,12 @@ def draw_maps(
         columns: Number of maps in a row.
         side: The leg that wears the socket, `left` or `right`; empty where that is not known.
         certainty: How certain the values of a map are, see `paint_tiles`, by what it is.
+        determined: Which values of a map are determined, likewise.
+
+    Returns:
+        What is drawn of each map: the tiles of its wall and those of its distal end.
     """
-    certainty = certainty or {}
+    certainty, determined = certainty or {}, determined or {}
     around = socket_axis(geometry)
     end = np.flatnonzero(~wall_tiles(geometry, around))
     labels = [""] * len(geometry)
@@ -112,24 +122,27 @@ def draw_maps(
     axes = figure.subplots(
         rows, 2 * columns, width_ratios=(_WALL_SHARE, 1.0) * columns, squeeze=False
     ).reshape(-1, 2)
-    room = figure.get_figwidth() / MM / columns - _AXIS - _BAR
-    common = len(set(scales)) == 1
+    room = figure.bbox.width / figure.dpi / MM / columns - _AXIS - _BAR
+    common, drawn = len(set(scales)) == 1, []
     for panels, (name, row), limits in zip(axes, values.items(), scales, strict=False):
-        paint = paint_tiles(geometry, row, limits, labels, certainty.get(name))
-        draw_unrolled(panels[0], geometry, paint, around, side=side)
+        paint = paint_tiles(
+            geometry, row, limits, labels, certainty.get(name), determined.get(name)
+        )
+        drawn.append(draw_unrolled(panels[0], geometry, paint, around, side=side))
         heading = wrap(name, 0.9 * room)  # bold type is wider
         panels[0].set_title(heading, loc="left", fontweight="bold", parse_math=False)
-        _draw_end(panels[1], geometry, paint, end)
+        drawn.append(_draw_end(panels[1], geometry, paint, end))
         if not common:
             add_bar(figure, paint, list(panels), unit, 20.0)
     for panel in axes[len(values) :].flat:
         panel.set_visible(False)
     if common:
         add_bar(figure, paint, list(axes.flat), unit, 25.0 * rows)
+    return drawn
 
 
 def add_bar(
-    figure: Figure, paint: TilePaint, panels: list[Axes], unit: str, slenderness: float
+    figure: Figure | SubFigure, paint: TilePaint, panels: list[Axes], unit: str, slenderness: float
 ) -> None:
     """Add the bar of a paint's colours beside panels; its length by its width is given."""
     assert paint.scale is not None
@@ -137,13 +150,14 @@ def add_bar(
     figure.colorbar(paint.scale, ax=panels, label=label, pad=0.01, aspect=slenderness)
 
 
-def _draw_end(axis: Axes, geometry: SocketGeometry, paint: TilePaint, end: IntArray) -> None:
+def _draw_end(axis: Axes, geometry: SocketGeometry, paint: TilePaint, end: IntArray) -> DrawnTiles:
     """The distal end from inside, anterior up and left on the left, at the scale of the socket."""
     low, high = drawn_bounds(geometry)
     frame_view(axis, DISTAL, low, high)
-    draw_view(axis, DISTAL, geometry, paint, end)
+    drawn = draw_view(axis, DISTAL, geometry, paint, end)
     axis.set_axis_off()
     axis.set_title("distal end" if len(end) else "", fontsize=SMALL, y=1.0)
+    return drawn
 
 
 def cluster_key(geometry: SocketGeometry, notes: Mapping[str, str] | None = None) -> list[str]:
@@ -155,7 +169,7 @@ def cluster_key(geometry: SocketGeometry, notes: Mapping[str, str] | None = None
     ]
 
 
-def add_key(figure: Figure, style: FigureStyle, *parts: str) -> None:
+def add_key(figure: Figure | SubFigure, style: FigureStyle, *parts: str) -> None:
     """Write what marks mean below a figure, in lines that fit; no markup."""
     text = wrap(", ".join(filter(None, parts)), 0.96 * style.width, SMALL)
     if text:

@@ -14,7 +14,7 @@ from socket_testbed.arrays import BoolArray, FloatArray, IntArray
 from socket_testbed.errors import ConfigurationError, ScanError
 from socket_testbed.geometry.pose import Pose
 from socket_testbed.geometry.socket import SocketGeometry
-from socket_testbed.report.figures.style import CLUSTER, EDGE, NO_VALUE, SCALE, TILE
+from socket_testbed.report.figures.style import CLUSTER, EDGE, NO_VALUE, PALE, SCALE, TILE
 
 _LARGEST_SURFACE = 2.0  # [m]; what is larger is in another unit
 _GROWTH = 1.1  # [-]; of the cells, from one attempt to the next
@@ -174,7 +174,7 @@ class TilePaint:
         widths: Widths of the outlines, shape (n,) [pt].
         labels: What is written on each tile.
         scale: The colours' scale; None where they show kinds, not values.
-        unknown: Tiles without a value, shape (n,).
+        hatched: Tiles without a value, or whose value is not determined, shape (n,).
     """
 
     fills: FloatArray
@@ -182,7 +182,7 @@ class TilePaint:
     widths: FloatArray
     labels: Sequence[str]
     scale: ScalarMappable | None
-    unknown: BoolArray
+    hatched: BoolArray
 
     def ink(self, tile: int) -> str:
         """Colour that is legible on a tile."""
@@ -195,6 +195,7 @@ def paint_tiles(
     limits: tuple[float, float] | None = None,
     labels: Sequence[str] | None = None,
     certainty: FloatArray | None = None,
+    determined: BoolArray | None = None,
 ) -> TilePaint:
     """Paint tiles by their values, or else tiles with and without a cluster in two colours.
 
@@ -207,6 +208,8 @@ def paint_tiles(
         labels: What is written on each tile; None for its name.
         certainty: How certain each value is, 0 to 1, shape (n,) [-]: a tile fades to white as it
             falls; None where that is not known.
+        determined: Which values are determined, shape (n,): the others are pale and hatched; None
+            if all are.
 
     Raises:
         ConfigurationError: If the values are not those of these tiles.
@@ -214,18 +217,20 @@ def paint_tiles(
     covered = covered_tiles(geometry)
     if values is None:
         fills, scale = _choose(covered, CLUSTER, TILE), None
-        unknown = np.zeros(len(geometry), dtype=bool)
+        hatched = np.zeros(len(geometry), dtype=bool)
     else:
         low, high = value_range(geometry, values)
         unknown = np.isnan(values)
+        hatched = unknown if determined is None else unknown | ~determined
         scale = ScalarMappable(Normalize(*(limits or (low, high))), SCALE)
         fills = np.where(unknown[:, None], to_rgba(NO_VALUE), scale.to_rgba(values))
-        if certainty is not None:
-            white = np.array(to_rgba(NO_VALUE))
-            fills = white + certainty[:, None] * (fills - white)
+        if certainty is None:
+            certainty = np.where(hatched, PALE, 1.0)
+        white = np.array(to_rgba(NO_VALUE))
+        fills = white + certainty[:, None] * (fills - white)
     edges = _choose(covered, "black" if values is None else CLUSTER, EDGE)
     widths = np.where(covered, 1.6, 0.6)
-    return TilePaint(fills, edges, widths, labels or tile_labels(geometry), scale, unknown)
+    return TilePaint(fills, edges, widths, labels or tile_labels(geometry), scale, hatched)
 
 
 def _choose(covered: BoolArray, with_cluster: str, without: str) -> FloatArray:

@@ -11,14 +11,16 @@ import trimesh
 from matplotlib.axes import Axes
 from matplotlib.collections import PolyCollection
 from matplotlib.patches import Rectangle
+from matplotlib.patheffects import withStroke
 
 from socket_testbed.arrays import BoolArray, FloatArray, IntArray
 from socket_testbed.geometry.axis import SocketAxis
 from socket_testbed.geometry.socket import SocketGeometry
-from socket_testbed.report.figures.style import MM, SMALL, SURFACE, UNKNOWN
+from socket_testbed.report.figures.style import HATCH, MM, SMALL, SURFACE
 from socket_testbed.report.figures.tiles import TilePaint, tile_squares
 
 CENTRED: dict[str, Any] = {"ha": "center", "va": "center"}
+OUTLINED: dict[str, Any] = {"path_effects": [withStroke(linewidth=2.0, foreground="white")]}
 _SMALLEST = 3.0  # [pt]; of a name on a tile
 _LONGEST_LINE = 9  # characters
 _CHARACTER = 0.62  # [-]; width of a character by the size of the font
@@ -28,8 +30,8 @@ _LINE = 1.25  # [-]; height of a line, likewise
 def label_tiles(axis: Axes, paint: TilePaint, tiles: IntArray, squares: FloatArray) -> None:
     """Write a name inside each tile, as large as fits; leave it out where that is too small.
 
-    A number of one or two digits is written at full size on any tile. Nothing in a label is
-    markup. The panel must have its limits and its aspect.
+    A number of one or two digits is written at full size, legible on any fill. Nothing in a label
+    is markup. The panel must have its limits and its aspect.
 
     Args:
         axis: The panel.
@@ -48,8 +50,8 @@ def label_tiles(axis: Axes, paint: TilePaint, tiles: IntArray, squares: FloatArr
             height / (_LINE * len(lines)),
         )
         if len(paint.labels[tile]) <= 2:
-            size = SMALL
-        if size >= _SMALLEST:
+            write_in(axis, lines, corners, fontsize=SMALL, **OUTLINED)
+        elif size >= _SMALLEST:
             write_in(axis, lines, corners, color=paint.ink(tile), fontsize=size, linespacing=1.0)
 
 
@@ -84,8 +86,8 @@ def polygons(corners: FloatArray, **style: Any) -> PolyCollection:
     return PolyCollection(array, **style)
 
 
-def add_tiles(axis: Axes, paint: TilePaint, tiles: IntArray, squares: FloatArray) -> None:
-    """Draw tiles in a panel; those without a value are hatched.
+class DrawnTiles:
+    """Tiles in a panel; those whose value is not determined are hatched.
 
     Args:
         axis: The panel.
@@ -93,17 +95,30 @@ def add_tiles(axis: Axes, paint: TilePaint, tiles: IntArray, squares: FloatArray
         tiles: Which tiles, by index, m of them.
         squares: Their corners in the panel's coordinates, shape (m, 4, 2).
     """
-    axis.add_collection(
-        polygons(
-            squares,
-            facecolors=paint.fills[tiles],
-            edgecolors=paint.edges[tiles],
-            linewidths=paint.widths[tiles],
-        )
-    )
-    unknown = paint.unknown[tiles]
-    if unknown.any():
-        axis.add_collection(polygons(squares[unknown], linewidths=0.0, **UNKNOWN))
+
+    def __init__(self, axis: Axes, paint: TilePaint, tiles: IntArray, squares: FloatArray) -> None:
+        self._tiles, self._squares = tiles, squares
+        look: dict[str, Any] = {
+            "edgecolors": paint.edges[tiles],
+            "linewidths": paint.widths[tiles],
+        }
+        hatch: dict[str, Any] = {"facecolors": "none", "edgecolors": "0.35", "hatch": HATCH}
+        self._filled = polygons(squares, facecolors=paint.fills[tiles], **look)
+        self._hatched = polygons(squares[:0], linewidths=0.0, **hatch)
+        axis.add_collection(self._filled)
+        axis.add_collection(self._hatched, autolim=False)
+        self.repaint(paint)
+
+    def set_visible(self, visible: bool) -> None:
+        """Show or hide them."""
+        self._filled.set_visible(visible)
+        self._hatched.set_visible(visible)
+
+    def repaint(self, paint: TilePaint) -> None:
+        """Change the fills and the hatches."""
+        self._filled.set_facecolor(paint.fills[self._tiles])
+        hatched: Any = self._squares[paint.hatched[self._tiles]]
+        self._hatched.set_verts(hatched)
 
 
 _WALL = np.sqrt(0.5)  # [-]; of the normals of what is at 45 degrees; the end faces up more
@@ -150,7 +165,7 @@ def draw_unrolled(
     around: SocketAxis,
     surface: trimesh.Trimesh | None = None,
     side: str = "",
-) -> None:
+) -> DrawnTiles:
     """Draw the wall as one sees it walking around it outside: anterior, left, posterior, right.
 
     The angle is that around the socket's axis, from anterior towards left. Lengths across are
@@ -174,8 +189,9 @@ def draw_unrolled(
     wall = polygons(faces, facecolors=SURFACE, edgecolors=SURFACE, linewidths=0.3, rasterized=True)
     axis.add_collection(wall, autolim=False)
     wall.set_clip_path(Rectangle((-180.0, 0.0), 360.0, 1.0, transform=axis.get_xaxis_transform()))
-    add_tiles(axis, paint, tiles, squares)
+    drawn = DrawnTiles(axis, paint, tiles, squares)
     label_tiles(axis, paint, tiles, squares)
+    return drawn
 
 
 def _radius(geometry: SocketGeometry, around: SocketAxis) -> float:
