@@ -209,6 +209,7 @@ def _runs(process: int) -> bool:
 
 
 _PICTURES = (".png", ".pdf")
+WIDTHS = (88, 180)  # [mm]; of a figure: a column of a paper, and its page
 _FLOAT = re.compile(r"[-+]?(\.\d+|\d+(\.\d*)?)[eE][-+]?\d+$")
 
 

@@ -115,14 +115,19 @@ class Cycles:
         """Write `to_dataframe` as `.csv`, `.parquet` or `.mat`; an older file is replaced."""
         write_table(self.to_dataframe(), Path(path))
 
-    def draw(self, path: PathLike) -> None:
+    def draw(self, path: PathLike, width: float = 180, title: bool = True) -> None:
         """Draw each quantity with its band, mean and one standard deviation, as `.png` or `.pdf`.
+
+        Args:
+            path: The file; an older one is replaced.
+            width: Its printed width, 88 or 180 [mm].
+            title: Whether it has a title.
 
         Raises:
             ConfigurationError: For more than twelve quantities, or another suffix.
         """
         from socket_testbed.report.figures.cycles import cycles_figure
-        from socket_testbed.report.figures.style import save_figure
+        from socket_testbed.report.figures.style import figure_style, save_figure
 
         check_picture(Path(path))
         if len(self.titles) > _MOST_PANELS:
@@ -131,8 +136,9 @@ class Cycles:
                 f"name {_MOST_PANELS} at most, such as st.cycles(trial, ['Fz', 'Mx'])",
             )
         band = "mean and one standard deviation" if len(self) >= _BAND else "mean, no band"
-        title = f"{self.trial.name}: {self}; {band}"
-        figure = cycles_figure(self.titles, self.curves, self.mean, self.deviation, title)
+        heading = f"{self.trial.name}: {self}; {band}"
+        style = figure_style(width, title)
+        figure = cycles_figure(self.titles, self.curves, self.mean, self.deviation, heading, style)
         save_figure(figure, Path(path))
 
 

@@ -92,14 +92,22 @@ class TrialMap:
         """
         write_table(self.to_dataframe(), Path(path))
 
-    def draw(self, path: PathLike) -> None:
-        """Draw the mean pressure and its standard deviation on the tiles, as `.png` or `.pdf`."""
-        from socket_testbed.report.figures.style import save_figure
+    def draw(self, path: PathLike, width: float = 180, title: bool = True) -> None:
+        """Draw the mean pressure and its standard deviation on the tiles, as `.png` or `.pdf`.
+
+        Args:
+            path: The file; an older one is replaced.
+            width: Its printed width, 88 or 180 [mm].
+            title: Whether it has a title.
+        """
+        from socket_testbed.report.figures.style import figure_style, save_figure
         from socket_testbed.report.figures.tile_maps import force_map_figure
 
         check_picture(Path(path))
-        title = f"{self.trial.name}, {self.segment}: force map"
-        save_figure(force_map_figure(self.trial.geometry, self.estimate.mean(), title), Path(path))
+        heading = f"{self.trial.name}, {self.segment}: force map"
+        style = figure_style(width, title)
+        figure = force_map_figure(self.trial.geometry, self.estimate.mean(), heading, style)
+        save_figure(figure, Path(path))
 
 
 def force_map(

@@ -465,14 +465,21 @@ class Tradeoff:
         """Write a CSV table of every solution; an older file is replaced."""
         write_fronts(self.fronts.values(), Path(path))
 
-    def draw(self, path: PathLike) -> None:
-        """Draw both fronts as a `.png` or a `.pdf`; an older file is replaced."""
+    def draw(self, path: PathLike, width: float = 180, title: bool = True) -> None:
+        """Draw both fronts as a `.png` or a `.pdf`; an older file is replaced.
+
+        Args:
+            path: The file.
+            width: Its printed width, 88 or 180 [mm].
+            title: Whether it has a title.
+        """
         # matplotlib takes its time to import.
         from socket_testbed.report.figures.pareto import pareto_figure
-        from socket_testbed.report.figures.style import save_figure
+        from socket_testbed.report.figures.style import figure_style, save_figure
 
-        title = f"{self.trial.name}, {self.segment}: trade-off between wrench and clusters"
-        save_figure(pareto_figure([*self.fronts.values()], title), Path(path))
+        heading = f"{self.trial.name}, {self.segment}: trade-off between wrench and clusters"
+        style = figure_style(width, title)
+        save_figure(pareto_figure([*self.fronts.values()], heading, style), Path(path))
 
 
 def check_thetas(thetas: int) -> None:
@@ -533,6 +540,8 @@ def write_report(
     params: PathLike | None = None,
     command: str = "socket_testbed.write_report",
     replace: bool = False,
+    width: float = 180,
+    title: bool = True,
     progress: Progress | None = None,
     **choices: Any,
 ) -> Results:
@@ -550,6 +559,8 @@ def write_report(
         params: As in `fit`.
         command: What made the page, for the record.
         replace: Whether an older page and its folder are replaced; else they are an error.
+        width: Printed width of the figures in the folder, 88 or 180 [mm].
+        title: Whether these figures have titles, and their keys errors.
         progress: See `Progress`.
         choices: `theta`, `weights`, `smoothness`, `leave_out`, `noise_correction`,
             `pose_smoothing` and `solver` as in `fit`.
@@ -565,6 +576,7 @@ def write_report(
     ['stiffness', 'stiffness_bias', 'rigid_bias']
     """
     # matplotlib and plotly take their time to import.
+    from socket_testbed.report.figures.style import figure_style
     from socket_testbed.report.results import compute_results
     from socket_testbed.report.write import check_page_path
     from socket_testbed.report.write import write_report as write_page
@@ -572,6 +584,7 @@ def write_report(
     page = Path(page)
     check_thetas(thetas)
     check_page_path(page, replace)
+    style = figure_style(width, title)
     settings = estimator_settings(trial.estimator, as_path(params), **choices)
     stored = None if model is None else _stored(model)
     with threadpool_limits(1):
@@ -588,7 +601,8 @@ def write_report(
     if trial.notify is not None:
         for note in results.bag_notes:
             trial.notify(note)
-    write_page(results, page, command, datetime.now(UTC), started(progress, "drawing"), replace)
+    drawing = started(progress, "drawing")
+    write_page(results, page, command, datetime.now(UTC), drawing, replace, style)
     return results
 
 

@@ -13,11 +13,11 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from socket_testbed.api.maps import TrialMap
-from socket_testbed.api.trials import PathLike, as_path, select
+from socket_testbed.api.trials import PathLike, Progress, as_path, select, started
 from socket_testbed.arrays import FloatArray
 from socket_testbed.files import Section, check_number
 from socket_testbed.geometry.regions import Region, all_regions
-from socket_testbed.geometry.socket import read_region
+from socket_testbed.geometry.socket import SOCKET, read_region
 from socket_testbed.identification.force_map import ForceMap, without_untrusted
 from socket_testbed.identification.model_file import finite_or_null
 from socket_testbed.identification.pressure import (
@@ -177,6 +177,70 @@ class TrialPressure:
             ConfigurationError: If the suffix is no format or the file cannot be written.
         """
         write_table(self.over_time() if over_time else self.regions, Path(path))
+
+    def draw(self, path: PathLike, width: float = 180, title: bool = True) -> None:
+        """Draw unrolled maps, mean and at the peak, and regions over time, as `.png` or `.pdf`.
+
+        Args:
+            path: The file; an older one is replaced.
+            width: Its printed width, 88 or 180 [mm].
+            title: Whether it has a title.
+
+        Raises:
+            ConfigurationError: If the suffix is another, or the file cannot be written.
+        """
+        from socket_testbed.report.figures.pressure import (
+            instant_maps,
+            pressure_figure,
+            region_bands,
+        )
+        from socket_testbed.report.figures.style import figure_style, save_figure
+
+        time, segment = self.map.time, self.segment
+        maps, determined = instant_maps(self.outputs, time, self.share, segment.kind)
+        bands = region_bands(self.outputs.series, [place.name for place in self.places])
+        del bands[SOCKET]  # the table has it
+        events = [(event.time, event.label) for event in self.trial.events()]
+        figure = pressure_figure(
+            self.trial.geometry,
+            maps,
+            determined,
+            time,
+            bands,
+            events,
+            self.trial.metadata.side or "",
+            f"{self.trial.name}: pressure, {segment}",
+            figure_style(width, title),
+        )
+        save_figure(figure, Path(path))
+
+    def animate(self, path: PathLike, progress: Progress | None = None) -> None:
+        """Write the unrolled map over the segment as a video, `.gif`, or `.mp4` by ffmpeg.
+
+        It runs in real time with ten frames a second, on one colour scale.
+
+        Args:
+            path: The file; an older one is replaced.
+            progress: See `Progress`.
+
+        Raises:
+            ConfigurationError: If the suffix is another, ffmpeg is missing, or it would be too
+                long: 3 min as a GIF, 15 min as an MP4.
+        """
+        from socket_testbed.report.figures.video import write_video
+
+        estimate = self.map.estimate
+        reach = _NORMAL_QUANTILE * estimate.normal_pressure_standard_deviation
+        write_video(
+            Path(path),
+            self.trial.geometry,
+            self.map.time,
+            1e-3 * estimate.normal_pressure,
+            _about(estimate.normal_pressure, reach).determined(self.share),
+            self.trial.metadata.side or "",
+            f"{self.trial.name}: pressure",
+            started(progress, "drawing frames"),
+        )
 
     def _table(
         self, found: RegionOutputs, names: Sequence[str], titles: Sequence[str]

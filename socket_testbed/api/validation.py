@@ -76,6 +76,23 @@ class Validation:
         """Every judgement, a row each: see `judgements_table`."""
         return judgements_table(self.judgements)
 
+    def draw(self, path: PathLike, width: float = 180, title: bool = True) -> None:
+        """Draw errors by cluster and the coverage of intervals, as a `.png` or a `.pdf`.
+
+        Args:
+            path: The file; an older one is replaced.
+            width: Its printed width, 88 or 180 [mm].
+            title: Whether it has a title.
+        """
+        from socket_testbed.report.figures.style import figure_style, save_figure
+        from socket_testbed.report.figures.validation import validation_figure
+
+        several = len(self.trials) > 1
+        name = f"{len(self.trials)} trials, means" if several else self.trials[0]
+        style = figure_style(width, title)
+        figure = validation_figure(self.judgements, f"{name}: validation", style)
+        save_figure(figure, Path(path))
+
     def summary(self) -> pd.DataFrame:
         """Means over the trials, a row per question, test and predictor."""
         return summarise_judgements(self.judgements)

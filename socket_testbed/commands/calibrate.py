@@ -12,10 +12,16 @@ from socket_testbed.calibration.bench_data import STRESSES, UNITS
 from socket_testbed.calibration.calibrate import BenchCalibration, CalibratedCluster
 from socket_testbed.calibration.drift import DRIFT_LIMIT, Drift
 from socket_testbed.calibration.model import SHEAR_TERMS
-from socket_testbed.commands.options import add_replace, print_note
+from socket_testbed.commands.options import (
+    add_figure,
+    add_replace,
+    check_figure,
+    figure_choices,
+    print_note,
+)
 from socket_testbed.commands.text import number, table
 from socket_testbed.errors import ConfigurationError
-from socket_testbed.files import check_number, check_outputs, check_picture, closest
+from socket_testbed.files import check_number, check_outputs, closest
 
 _SHOWN = 10  # outliers
 _AREAS = (1e-6, 0.05)  # [m^2]
@@ -55,7 +61,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--drop-outliers", action="store_true", help="leave the outliers out of the fit"
     )
-    parser.add_argument("--figure", type=Path, metavar="FILE.png|pdf", help="draw the fit")
+    add_figure(parser, "FILE", "draw the fit")
     add_replace(parser, "a figure that exists")
     parser.set_defaults(run=run)
 
@@ -98,8 +104,7 @@ def run(options: argparse.Namespace) -> None:
     check_number(options.limit, "--limit", 0.0, 100.0)
     if options.area is not None:
         check_number(options.area, "--area", *_AREAS)
-    if options.figure is not None:
-        check_picture(options.figure)
+    check_figure(options)
     check_outputs(options.figure, replace=options.replace)
     into = options.into or (options.output if options.output.exists() else None)
     found = api.calibrate(
@@ -118,7 +123,7 @@ def run(options: argparse.Namespace) -> None:
         print_note(note)
     print(_report(found))
     if options.figure is not None:
-        _draw(found, options.figure)
+        _draw(found, options)
     found.save(options.output, options.limit, options.force)
     old = found.existing.clusters if found.existing else {}
     others = [name for name in old if name != found.name]
@@ -144,12 +149,13 @@ def _assignments(words: Sequence[str], option: str) -> dict[str, str]:
     return found
 
 
-def _draw(found: CalibratedCluster, path: Path) -> None:
+def _draw(found: CalibratedCluster, options: argparse.Namespace) -> None:
     # matplotlib takes its time to import.
     from socket_testbed.report.figures.calibration import bench_figure
-    from socket_testbed.report.figures.style import save_figure
+    from socket_testbed.report.figures.style import figure_style, save_figure
 
-    save_figure(bench_figure(found.quality, found.name), path)
+    style = figure_style(**figure_choices(options))
+    save_figure(bench_figure(found.quality, found.name, style), options.figure)
 
 
 def _report(found: CalibratedCluster) -> str:

@@ -7,14 +7,17 @@ from pathlib import Path
 
 from socket_testbed import api
 from socket_testbed.commands.options import (
+    add_figure,
     add_replace,
     add_segment,
     add_trial,
     add_unloaded,
+    check_figure,
+    figure_choices,
     trial_of,
 )
 from socket_testbed.commands.text import number, table
-from socket_testbed.files import check_outputs, check_picture
+from socket_testbed.files import check_outputs
 from socket_testbed.settings.identification import RIGID_VARIANTS
 from socket_testbed.tables import check_format
 
@@ -42,9 +45,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         metavar="MAP.csv|.parquet|.mat",
         help="table of forces, pressure and shear on every tile with standard deviations",
     )
-    parser.add_argument(
-        "--figure", type=Path, metavar="MAP.png|pdf", help="mean pressure and its uncertainty drawn"
-    )
+    add_figure(parser, "MAP", "mean pressure and its uncertainty drawn")
     add_replace(parser)
     parser.set_defaults(run=run)
 
@@ -52,14 +53,13 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> None:
     """Estimate, write and print."""
     check_format(options.output)
-    if options.figure is not None:
-        check_picture(options.figure)
+    check_figure(options)
     check_outputs(options.output, options.figure, replace=options.replace)
     trial = trial_of(options)
     found = api.force_map(trial, options.segment, bed=options.bed, params=options.params)
     found.save(options.output)
     if options.figure is not None:
-        found.draw(options.figure)
+        found.draw(options.figure, **figure_choices(options))
     summary = found.summary()
     rows = [
         [str(tile), str(row["cluster"]), *(number(value) for value in row[1:])]

@@ -13,7 +13,7 @@ from typing import Any, Generic, TypeVar
 from socket_testbed.batch import Job, Pool, Row, Task, find_trials, plan_jobs, run_batch
 from socket_testbed.commands.arguments import ExtendList
 from socket_testbed.errors import ConfigurationError
-from socket_testbed.files import check_number, check_outputs
+from socket_testbed.files import WIDTHS, check_number, check_outputs, check_picture
 from socket_testbed.settings import testbed
 from socket_testbed.settings.identification import VARIANTS, WEIGHTS
 from socket_testbed.settings.testbed import EstimatorSettings
@@ -94,6 +94,40 @@ def add_unloaded(parser: argparse.ArgumentParser) -> None:
         metavar="T0:T1",
         help="seconds without load before, and after: the clusters' drift is corrected by them",
     )
+
+
+def add_figure(parser: argparse.ArgumentParser, metavar: str, text: str) -> None:
+    """A figure, and how it is set."""
+    parser.add_argument("--figure", type=Path, metavar=f"{metavar}.png|pdf", help=text)
+    add_figure_style(parser, "the figure")
+
+
+def add_figure_style(parser: argparse.ArgumentParser, what: str) -> None:
+    """How figures are set."""
+    parser.add_argument(
+        "--width",
+        type=int,
+        choices=WIDTHS,
+        default=WIDTHS[-1],
+        help=f"printed width of {what} [mm]: a column of a paper, or its page (default: 180)",
+    )
+    parser.add_argument(
+        "--no-title",
+        dest="title",
+        action="store_false",
+        help=f"leave titles, and errors in keys, of {what} to the caption",
+    )
+
+
+def check_figure(options: argparse.Namespace) -> None:
+    """Refuse a figure of an unknown format, before long work."""
+    if options.figure is not None:
+        check_picture(options.figure)
+
+
+def figure_choices(options: argparse.Namespace) -> dict[str, Any]:
+    """How figures are set, for the functions that draw."""
+    return {"width": options.width, "title": options.title}
 
 
 def add_metadata(parser: argparse.ArgumentParser) -> None:

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from socket_testbed import api
 from socket_testbed.commands.options import (
+    add_figure,
     add_identification,
     add_pose_smoothing,
     add_replace,
@@ -16,12 +17,14 @@ from socket_testbed.commands.options import (
     add_thetas,
     add_trial,
     add_unloaded,
+    check_figure,
     choices,
+    figure_choices,
     trial_of,
 )
 from socket_testbed.commands.text import Progress, number, table
 from socket_testbed.errors import ConfigurationError
-from socket_testbed.files import check_outputs, check_picture
+from socket_testbed.files import check_outputs
 from socket_testbed.identification.pareto import KNEE, SENSOR_ONLY, WRENCH_ONLY, Front
 
 _HEADER = (
@@ -46,7 +49,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "-o", "--output", type=Path, metavar="FRONT.csv", help="table of every solution"
     )
-    parser.add_argument("--figure", type=Path, metavar="FRONT.png|pdf", help="both fronts drawn")
+    add_figure(parser, "FRONT", "both fronts drawn")
     parser.add_argument("--json", action="store_true", help="print JSON on standard output")
     add_replace(parser)
     parser.set_defaults(run=run)
@@ -54,8 +57,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> None:
     """Identify along theta, write and print."""
-    if options.figure is not None:
-        check_picture(options.figure)
+    check_figure(options)
     if options.output is not None and options.output.suffix.lower() != ".csv":
         raise ConfigurationError(f"{options.output}: is not a .csv file", "name a .csv file")
     check_outputs(options.output, options.figure, replace=options.replace)
@@ -66,7 +68,7 @@ def run(options: argparse.Namespace) -> None:
     if options.output is not None:
         found.save(options.output)
     if options.figure is not None:
-        found.draw(options.figure)
+        found.draw(options.figure, **figure_choices(options))
     if options.json:
         print(json.dumps(found.document(), indent=1, allow_nan=False))
         return

@@ -13,6 +13,7 @@ from socket_testbed.batch import Row
 from socket_testbed.commands.options import (
     CHOICES,
     TrialVerb,
+    add_figure_style,
     add_identification,
     add_pose_smoothing,
     add_replace,
@@ -21,6 +22,7 @@ from socket_testbed.commands.options import (
     add_trials,
     add_unloaded,
     choices,
+    figure_choices,
 )
 from socket_testbed.commands.text import Progress, error_columns, segment_columns, skill_columns
 from socket_testbed.trials.metadata import FIELDS
@@ -50,6 +52,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         help="the page, or the folder of the pages of a folder of trials",
     )
     add_replace(parser)
+    add_figure_style(parser, "the figures as files")
     parser.set_defaults(run=run)
 
 
@@ -58,7 +61,14 @@ def run(options: argparse.Namespace) -> None:
     api.check_thetas(options.thetas)
     # The command as it was typed, but for where the program lies.
     options.command = shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]])
-    settings = ("segment", "unloaded", *(n for n in CHOICES if n != "variant"), "thetas")
+    settings = (
+        "segment",
+        "unloaded",
+        *(n for n in CHOICES if n != "variant"),
+        "thetas",
+        "width",
+        "title",
+    )
     TrialVerb("report", ".html", settings, _report, _row, _show, FIELDS).run(options)
 
 
@@ -72,6 +82,7 @@ def _report(options: argparse.Namespace, trial: Trial) -> Results:
         command=options.command,
         replace=options.replace or not options.alone,
         progress=Progress if options.alone else None,
+        **figure_choices(options),
         **choices(options),
     )
 

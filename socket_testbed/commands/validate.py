@@ -11,11 +11,14 @@ from socket_testbed import api
 from socket_testbed.api import Validation
 from socket_testbed.batch import find_trials
 from socket_testbed.commands.options import (
+    add_figure,
     add_identification,
     add_pose_smoothing,
     add_replace,
     add_trial,
+    check_figure,
     choices,
+    figure_choices,
     trial_of,
 )
 from socket_testbed.commands.text import Progress, number, table
@@ -46,6 +49,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     add_trial(parser, "folders of the trials, or folders of trials, of one socket", "+")
     add_identification(parser, variant=False)  # all are judged
     add_pose_smoothing(parser)
+    add_figure(parser, "FILE", "errors by cluster and coverage of the intervals drawn")
     parser.add_argument("--json", action="store_true", help="print JSON on standard output")
     parser.add_argument(
         "-o",
@@ -62,7 +66,8 @@ def run(options: argparse.Namespace) -> None:
     """Validate, write and print."""
     if options.output is not None:
         check_format(options.output)
-    check_outputs(options.output, replace=options.replace)
+    check_figure(options)
+    check_outputs(options.output, options.figure, replace=options.replace)
     trials = [
         trial_of(argparse.Namespace(**{**vars(options), "trial": path}))
         for folder in options.trial
@@ -71,6 +76,8 @@ def run(options: argparse.Namespace) -> None:
     found = api.validate(*trials, progress=Progress, **choices(options))
     if options.output is not None:
         found.save(options.output)
+    if options.figure is not None:
+        found.draw(options.figure, **figure_choices(options))
     if options.json:
         print(found.to_json())
         return
@@ -81,8 +88,8 @@ def run(options: argparse.Namespace) -> None:
             rows = tables[question, test].droplevel([0, 1])
             print(f"\n{heading}\n\n{_table(rows, question)}")
     print(f"\n{_LEGEND}")
-    if options.output is not None:
-        print(f"\nwritten: {options.output}")
+    for path in filter(None, (options.output, options.figure)):
+        print(f"\nwritten: {path}")
 
 
 def _title(found: Validation) -> str:

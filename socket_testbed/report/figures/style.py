@@ -16,7 +16,8 @@ from matplotlib.font_manager import FontProperties
 from matplotlib.textpath import TextPath
 
 from socket_testbed.arrays import FloatArray
-from socket_testbed.files import atomic_output, check_picture
+from socket_testbed.errors import ConfigurationError
+from socket_testbed.files import WIDTHS, atomic_output, check_picture
 
 FONT = "system-ui, -apple-system, 'Segoe UI', Roboto, sans-serif"  # of the pages
 SURFACE = "#D9D9D9"
@@ -54,8 +55,7 @@ LINE_STYLES: tuple[dict[str, Any], ...] = (
 MEASURED_STYLE: dict[str, Any] = {"color": "0.72", "linewidth": 2.4}
 SEGMENT_STYLE: dict[str, Any] = {"color": "0.94", "linewidth": 0.0, "zorder": 0.5}
 
-COLUMN, PAGE = 88, 180  # [mm]; widths of a paper's column and of its page
-WIDTHS = (COLUMN, PAGE)
+COLUMN, PAGE = WIDTHS
 MM = 1.0 / 25.4  # [inch]
 LABEL, SMALL = 8.0, 7.0  # [pt]; nothing is set smaller
 
@@ -118,6 +118,24 @@ class FigureStyle:
 
 
 DEFAULT_STYLE = FigureStyle()
+
+
+def figure_style(width: float, title: bool) -> FigureStyle:
+    """The style that a user asks for.
+
+    Args:
+        width: `COLUMN` or `PAGE` [mm].
+        title: Whether figures have titles, and their keys errors.
+
+    Raises:
+        ConfigurationError: If figures are not laid out for the width.
+    """
+    if width not in WIDTHS:
+        raise ConfigurationError(
+            f"figures are not laid out for a width of {width:g} mm",
+            f"give {COLUMN} for a column of a paper or {PAGE} for its page",
+        )
+    return FigureStyle(width, title)
 
 
 @in_style

@@ -37,7 +37,7 @@ def validation_figure(
     """Draw the errors of forces by left-out cluster, and the coverage of the map's intervals.
 
     Args:
-        judgements: Judgements of one trial.
+        judgements: Judgements of one trial, or of several: then their means are drawn.
         title: What is shown.
         style: How it is set.
     """
@@ -52,17 +52,17 @@ def validation_figure(
 
 
 def _draw_errors(axes: Axes, judgements: Sequence[Judgement]) -> None:
-    found = {
-        (j.cluster or _QUESTIONS[j.question], j.predictor): j.error
-        for j in judgements
-        if j.question in _QUESTIONS and j.predictor in _COLOURS
-    }
+    found: dict[tuple[str, str], list[float]] = {}
+    for j in judgements:
+        if j.question in _QUESTIONS and j.predictor in _COLOURS:
+            row = j.cluster or _QUESTIONS[j.question]
+            found.setdefault((row, j.predictor), []).append(j.error)
     rows = list(dict.fromkeys(row for row, _ in found))
     thickness = 0.8 / len(_COLOURS)
     places = np.arange(len(rows))
     for number, (predictor, colour) in enumerate(_COLOURS.items()):
         shift = (number - 0.5 * (len(_COLOURS) - 1)) * thickness
-        widths = [found.get((row, predictor), np.nan) for row in rows]
+        widths = [np.mean(found.get((row, predictor), np.nan)) for row in rows]
         axes.barh(places + shift, widths, thickness, color=colour, label=predictor)
     axes.axvline(1.0, color="0.3", linewidth=0.8)
     axes.set_yticks(places, rows, parse_math=False)
@@ -75,15 +75,20 @@ def _draw_errors(axes: Axes, judgements: Sequence[Judgement]) -> None:
 def _draw_coverage(axes: Axes, judgements: Sequence[Judgement]) -> None:
     levels = 100.0 * np.array(LEVELS)
     axes.plot([40.0, 100.0], [40.0, 100.0], color="0.3", linewidth=0.8)
-    for judgement in judgements:
-        if judgement.predictor == FORCE_MAP and not judgement.cluster:
+    for question, label in _QUESTIONS.items():
+        coverages = [
+            j.coverage
+            for j in judgements
+            if j.predictor == FORCE_MAP and j.question == question and not j.cluster
+        ]
+        if coverages:
             axes.plot(
                 levels,
-                100.0 * np.array(judgement.coverage),
+                100.0 * np.mean(coverages, axis=0),
                 color=_COLOURS[FORCE_MAP],
-                marker=_MARKERS[judgement.question],
+                marker=_MARKERS[question],
                 markerfacecolor="white",
-                label=_QUESTIONS[judgement.question],
+                label=label,
             )
     axes.set_xlabel("stated probability of the interval [%]")
     axes.set_ylabel("values within the force map's\ninterval [%]")
