@@ -466,6 +466,7 @@ def test_a_name_of_nothing_is_left_out(geometry, surface, middle, name):
 
 @pytest.mark.slow
 def test_a_picture_has_its_size_and_shows_tiles_and_clusters(geometry, tmp_path):
+    (tmp_path / "new").mkdir()
     path = tmp_path / "new" / "socket.png"
     socket_picture(*cone(30, 15), renamed(geometry, NASTY), path, NASTY)
     pixels = imread(path)[..., :3]
