@@ -17,7 +17,7 @@ from socket_testbed.api.trials import PathLike, Progress, as_path, select, start
 from socket_testbed.arrays import FloatArray
 from socket_testbed.files import Section, check_number
 from socket_testbed.geometry.regions import Region, all_regions
-from socket_testbed.geometry.socket import SOCKET, read_region
+from socket_testbed.geometry.socket import HEIGHTS, SECTORS, SOCKET, read_region
 from socket_testbed.identification.force_map import ForceMap, without_untrusted
 from socket_testbed.identification.model_file import finite_or_null
 from socket_testbed.identification.pressure import (
@@ -181,6 +181,8 @@ class TrialPressure:
     def draw(self, path: PathLike, width: float = 180, title: bool = True) -> None:
         """Draw unrolled maps, mean and at the peak, and regions over time, as `.png` or `.pdf`.
 
+        The regions are the sectors, the heights and your own.
+
         Args:
             path: The file; an older one is replaced.
             width: Its printed width, 88 or 180 [mm].
@@ -199,7 +201,9 @@ class TrialPressure:
         time, segment = self.map.time, self.segment
         maps, determined = instant_maps(self.outputs, time, self.share, segment.kind)
         bands = region_bands(self.outputs.series, [place.name for place in self.places])
-        del bands[SOCKET]  # the table has it
+        twelve = {f"{sector} {height}" for sector in SECTORS for height in HEIGHTS}
+        for name in {SOCKET, *twelve} & {*bands}:
+            del bands[name]
         events = [(event.time, event.label) for event in self.trial.events()]
         figure = pressure_figure(
             self.trial.geometry,
