@@ -34,7 +34,7 @@ Comparable: TypeAlias = Trial | StoredModel | TrialFit | PathLike
 PAGES = (".html", ".htm")
 
 _MOST = 12  # items side by side
-_OF_EVERYTHING = 1e12  # [-]; a share that every interval keeps
+_OF_EVERYTHING = 1e12  # [-]; a share that the interval of every value but 0 keeps
 _OTHER_LOAD = 0.1  # [-]; of the mean force, from which on a note says so
 _OTHER_TIME = 0.05  # [-]; likewise for the time that an integral covers
 _MODEL, _SOCKET = (".json",), (".yaml", ".yml")
@@ -326,13 +326,14 @@ def _outputs(
         name, unit = split_unit(title)
         if not unit or name.endswith((" low", " high")):
             continue
+        values, low = column(full, title), column(full, f"{name} low [{unit}]")
         compared.append(
             Compared(
                 part,
                 shared,
                 title,
-                column(full, title),
-                column(full, f"{name} low [{unit}]"),
+                np.where(np.isnan(values) & np.isfinite(low), 0.0, values),
+                low,
                 column(full, f"{name} high [{unit}]"),
                 np.isfinite(column(shown, title)),
                 turn=360.0 if unit == "deg" else float("inf"),

@@ -105,6 +105,20 @@ def test_the_verb_the_api_and_the_files_hold_the_same(trials, tmp_path, capsys) 
         assert value == pytest.approx(samples.wrench[rows, 5].mean())
 
 
+def test_a_value_of_zero_has_a_difference_with_an_interval(trials, capsys) -> None:
+    """Nothing is in contact above 200 kPa: areas are 0, and no share of that is a limit."""
+    limit = ("--threshold", 200, "--json")
+    code, out, _ = call(capsys, "compare", *trials, *SEGMENT, *limit)
+    rows = pd.DataFrame(json.loads(out)["rows"]).query("item == 'sock'")
+    areas = rows.query("part == 'regions' and quantity == 'contact area'").set_index("name")
+    assert code == 0 and len(areas) == 13
+    _, own, _ = call(capsys, "pressure", trials[1], *SEGMENT, *limit)
+    for name, outputs in json.loads(own)["regions"].items():
+        high = outputs["contact area [cm^2]"]["high"]
+        assert areas["high"][name] == high
+        assert areas["difference low"][name] <= 0.0 <= areas["difference high"][name]
+
+
 def test_a_folder_of_trials_stands_for_all_of_them(folder, capsys) -> None:
     code, out, _ = call(capsys, "compare", folder / "trials", *SEGMENT)
     assert code == 0 and out.startswith("trials gel, sock: segment 15:20")
