@@ -6,7 +6,6 @@ or that lacks a package leaves the caller waiting for ever (joblib 1.6).
 
 from __future__ import annotations
 
-import fcntl
 import hashlib
 import json
 import signal
@@ -298,13 +297,15 @@ def _reserved(task: Task) -> Iterator[None]:
     make_folder(records)
     with (records / _LOCK).open("w") as lock:
         try:
+            import fcntl
+
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             raise ConfigurationError(
                 f"another run of '{task.verb}' works on {task.folder}",
                 "wait for it, or give a folder of its own",
             ) from None
-        except OSError:  # a network drive without locks
+        except (ImportError, OSError):  # Windows, a network drive without locks
             pass
         yield
 
