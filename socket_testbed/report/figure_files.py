@@ -31,9 +31,10 @@ from socket_testbed.report.figures.channels import (
 )
 from socket_testbed.report.figures.pareto import pareto_figure
 from socket_testbed.report.figures.pressure import (
-    Band,
+    instant_maps,
     pressure_maps_figure,
     pressure_views_figure,
+    region_bands,
     regions_figure,
 )
 from socket_testbed.report.figures.scene import Scene, TileValues, value_scene
@@ -235,12 +236,9 @@ def pressure(results: Results) -> Iterator[ReportFigure]:
     geometry, found = results.trial.geometry, results.pressure
     side = found.side or ""
     mean, peak = found.outputs.tiles.mean, _at_peak(found)
-    maps = {
-        f"mean over the {results.segment.kind}": 1e-3 * masked(mean, MAP_SHARE),
-        f"at the peak, {found.time[found.peak_row]:.2f} s": 1e-3 * masked(peak, MAP_SHARE),
-    }
+    maps, determined = instant_maps(found.outputs, found.time, MAP_SHARE, results.segment.kind)
     hatched = (
-        "Hatched tiles are not determined: their 95 % interval reaches farther than the value"
+        "Pale, hatched tiles are not determined: their 95 % interval reaches farther than the value"
         " itself. Tiles with a cluster are outlined."
     )
     data = pd.DataFrame(
@@ -253,7 +251,7 @@ def pressure(results: Results) -> Iterator[ReportFigure]:
     yield ReportFigure(
         name="pressure_map",
         caption=f"Pressure on the unrolled socket, {results.segment}. {hatched}",
-        draw=partial(pressure_maps_figure, geometry, maps, side),
+        draw=partial(pressure_maps_figure, geometry, maps, side, determined=determined),
         description="Pressure on the unrolled socket: the mean over the segment, and at its peak",
         data=data,
         layout="wide",
@@ -262,21 +260,14 @@ def pressure(results: Results) -> Iterator[ReportFigure]:
     yield ReportFigure(
         name="pressure_views",
         caption=f"The same in 3D, from in front and from behind. {hatched}",
-        draw=partial(pressure_views_figure, geometry, maps, side),
+        draw=partial(pressure_views_figure, geometry, maps, side, determined=determined),
         description="Pressure on the socket from in front and from behind: mean, and at its peak",
         data=data,
         layout="wide",
         is_map=True,
     )
     series = found.outputs.series.mean
-    bands = {
-        place.name: Band(
-            1e-3 * masked(series, MAP_SHARE)[:, column],
-            1e-3 * series.low[:, column],
-            1e-3 * series.high[:, column],
-        )
-        for column, place in enumerate(found.places)
-    }
+    bands = region_bands(found.outputs.series, [place.name for place in found.places])
     events = [
         (event.time, event.label)
         for event in results.trial.events()
@@ -285,8 +276,9 @@ def pressure(results: Results) -> Iterator[ReportFigure]:
     yield ReportFigure(
         name="pressure_of_regions",
         caption=(
-            "Mean pressure of the regions over the segment, with 95 % intervals; a line is left out"
-            f" where its interval reaches farther than its value. {_THINNED}"
+            "Mean pressure of the regions over the segment, with 95 % intervals as bands. In the"
+            " CSV a value is left out where its interval reaches farther than the value itself."
+            f" {_THINNED}"
         ),
         draw=partial(regions_figure, found.time, bands, events),
         description="Mean pressure of every region over the segment with its interval",
@@ -294,12 +286,12 @@ def pressure(results: Results) -> Iterator[ReportFigure]:
             {
                 "time [s]": found.time,
                 **{
-                    f"{name}.mean pressure{end} [kPa]": values
-                    for name, band in bands.items()
+                    f"{place.name}.mean pressure{end} [kPa]": 1e-3 * values[:, column]
+                    for column, place in enumerate(found.places)
                     for end, values in (
-                        ("", band.values),
-                        (" low", band.low),
-                        (" high", band.high),
+                        ("", masked(series, MAP_SHARE)),
+                        (" low", series.low),
+                        (" high", series.high),
                     )
                 },
             }

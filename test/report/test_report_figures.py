@@ -23,7 +23,7 @@ from socket_testbed.report.figures.channels import (
     wrench_figure,
 )
 from socket_testbed.report.figures.style import SCALE, save_figure, svg_of
-from socket_testbed.report.figures.tile_maps import tile_map_figure
+from socket_testbed.report.figures.tile_maps import scales_of, tile_map_figure
 from socket_testbed.report.figures.validation import validation_figure
 from socket_testbed.samples import channel_names
 
@@ -149,6 +149,15 @@ def test_tiles_are_on_one_scale_unless_their_ranges_differ(rng, larger):
         lightness = colours[:, :3] @ [0.2126, 0.7152, 0.0722]
         assert (np.diff(lightness[np.argsort(row)]) > -0.01).all()
     assert NASTY in figure.get_supxlabel()
+
+
+def test_maps_that_are_alike_share_a_scale_beside_another_one(rng):
+    geometry = random_socket(rng, rings=3, columns=6)
+    estimate, truth = rng.uniform(0.0, 30.0, 18), rng.uniform(0.0, 40.0, 18)
+    maps = {"estimate": estimate, "its standard deviation": 0.1 * estimate, "truth": truth}
+    first, second, third = scales_of(geometry, maps)
+    assert first == third == (min(estimate.min(), truth.min()), max(estimate.max(), truth.max()))
+    assert second == pytest.approx((0.1 * estimate.min(), 0.1 * estimate.max()))
 
 
 def test_tiles_on_the_distal_end_alone_have_a_map(rng):

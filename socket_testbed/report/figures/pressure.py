@@ -317,9 +317,10 @@ class _Regions:
     ) -> None:
         self._time, self._regions, self._events, self._style = time, regions, events, style
         self._groups = group_regions([*regions])
-        self._columns = 1 if style.is_narrow else min(3, len(self._groups))
+        self._columns = min(2 if style.is_narrow else 3, len(self._groups))
         self._rows = -(-len(self._groups) // self._columns)
-        self.height = 50.0 * self._rows + 12.0
+        self._key_columns = 1 if style.is_narrow and self._columns > 1 else 2
+        self.height = (62.0 - 6.0 * self._key_columns) * self._rows + 12.0
 
     def draw(self, figure: Figure | SubFigure, title: str) -> None:
         """Draw them."""
@@ -327,7 +328,7 @@ class _Regions:
         axes = figure.subplots(self._rows, self._columns, squeeze=False, sharex=True, sharey=True)
         for panel, (heading, group) in zip(axes.flat, self._groups, strict=False):
             shown = {short: self._regions[name] for name, short in group.items()}
-            draw_regions(panel, self._time, shown, heading, self._events)
+            draw_regions(panel, self._time, shown, heading, self._events, self._key_columns)
         for panel in axes.flat[len(self._groups) :]:
             panel.set_visible(False)
         for panel in axes[:, 0]:
@@ -402,6 +403,7 @@ def draw_regions(
     regions: Mapping[str, Band],
     heading: str = "",
     events: Sequence[tuple[float, str]] = (),
+    key_columns: int = 2,
 ) -> None:
     """Draw regions over time in a panel with their key above; numbers mark the events."""
     for (name, band), line in zip(regions.items(), LINE_STYLES, strict=False):
@@ -414,7 +416,7 @@ def draw_regions(
         title=heading,
         loc="lower left",
         bbox_to_anchor=(-0.01, 1.0),
-        ncols=2,
+        ncols=key_columns,
         columnspacing=1.0,
         borderaxespad=0.0,
         alignment="left",

@@ -39,16 +39,10 @@ _UNDER = 14.0  # [mm]; above and below a map: its name and its axis
 HEADING = 12.0  # [mm]; for a title above the maps and a key below
 
 
-def alike(ranges: FloatArray) -> bool:
-    """Whether ranges, shape (r, 2), are seen on one scale."""
-    spans = np.ptp(ranges, axis=1)
-    return bool(spans.max() <= _ALIKE * spans.min())
-
-
 def scales_of(
     geometry: SocketGeometry, values: Mapping[str, FloatArray], from_zero: bool = False
 ) -> list[tuple[float, float]]:
-    """Ends of the colour scale of every map: one for all if their ranges are alike.
+    """Ends of the colour scale of every map: the same for those whose ranges are alike.
 
     Args:
         geometry: The socket.
@@ -58,8 +52,12 @@ def scales_of(
     ranges = np.array([value_range(geometry, row) for row in values.values()])
     if from_zero:
         ranges[:, 0] = np.minimum(ranges[:, 0], 0.0)
-    if alike(ranges):
-        ranges[:] = ranges[:, 0].min(), ranges[:, 1].max()
+    spans = np.ptp(ranges, axis=1)
+    left = np.ones(len(ranges), dtype=bool)
+    while left.any():
+        alike = left & (_ALIKE * spans >= spans[left].max())
+        ranges[alike] = ranges[alike, 0].min(), ranges[alike, 1].max()
+        left &= ~alike
     return [(float(low), float(high)) for low, high in ranges]
 
 
