@@ -243,7 +243,7 @@ class Comparison:
         clear = rows[rows["clear"] > 1.0].sort_values("clear", ascending=False, kind="stable")
         lines = [
             f"{len(clear)} of {len(rows)} intervals of the regions' differences exclude 0; by"
-            f" chance alone about {0.05 * len(rows):.0f} would"
+            f" chance alone up to about {0.05 * len(rows):.0f} would"
         ]
         for row in clear.head(most).to_dict("records"):
             cell = _cell(row, *_VALUES[3:], sign="+").removesuffix(" *")
