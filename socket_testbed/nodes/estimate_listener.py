@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from collections.abc import Callable
 from typing import Self
 
 import numpy as np
@@ -13,7 +14,7 @@ from rclpy.task import Future
 from socket_testbed_msgs.msg import ContactModel, ForceMap, LocalForceArray
 
 from socket_testbed.arrays import FloatArray
-from socket_testbed.nodes.base import TestbedNode, spin
+from socket_testbed.nodes.base import NEWEST_STAMP, TestbedNode, spin
 from socket_testbed.nodes.conversions import stamp_from_ros, vectors_from_ros, wrench_from_ros
 from socket_testbed.settings.fields import Settings
 from socket_testbed.trials.topics import (
@@ -22,6 +23,23 @@ from socket_testbed.trials.topics import (
     LOCAL_FORCES,
     PARAMETERS,
 )
+
+
+class _ListenerNode(TestbedNode[Settings]):
+    """Its diagnostics let a replay wait until the estimates have arrived.
+
+    Args:
+        name: Name of the node.
+        newest: The newest stamp of which every kind of estimate has come [ns]; None before any.
+    """
+
+    def __init__(self, name: str, newest: Callable[[], int | None]) -> None:
+        self._newest = newest
+        super().__init__(name, Settings)
+
+    def figures(self) -> dict[str, object]:
+        newest = self._newest()
+        return {} if newest is None else {NEWEST_STAMP: newest}
 
 
 class EstimateListener:
@@ -48,8 +66,7 @@ class EstimateListener:
 
     def __enter__(self) -> Self:
         rclpy.init()
-        # Its diagnostics report to a replay that waits for it that it is linked.
-        self._node = TestbedNode(self.NAME, Settings)
+        self._node = _ListenerNode(self.NAME, self._newest_stamp)
         self._node.listen(ESTIMATED_WRENCH, self._on_wrench)
         self._node.listen(LOCAL_FORCES, self._on_forces)
         self._node.listen(FORCE_MAP, self._on_map)
@@ -70,6 +87,10 @@ class EstimateListener:
         self._executor.shutdown()
         self._node.destroy_node()
         rclpy.try_shutdown()
+
+    def _newest_stamp(self) -> int | None:
+        found = [max(kind) for kind in (self.wrench, self.forces, self.maps) if kind]
+        return min(found, default=None)
 
     def _on_wrench(self, message: WrenchStamped) -> None:
         self.wrench[stamp_from_ros(message.header.stamp)] = wrench_from_ros(message.wrench)
