@@ -160,7 +160,7 @@ def test_another_process_subscribes_while_the_command_replays_and_estimates(
         assert done.returncode == 0, done.stderr.decode()
         # The last message of the two may go with the process that published it.
         probe.wait(lambda: 0 < len(wrenches) <= len(forces) + 1, "estimates")
-    assert stresses
+        probe.wait(lambda: all((models, maps, stresses)), "all that comes with them")
     assert [m.variant for m in models] == ["stiffness_bias"] * len(models) != []
     tiles = Trial(hold).geometry.names
     assert list(models[0].names) == list(forces[0].names) == list(tiles)
