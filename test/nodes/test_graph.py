@@ -18,6 +18,7 @@ from std_srvs.srv import Trigger as TriggerService
 from support import HANGS
 from support.bags import move_to_namespace
 from support.graph import Probe
+from support.pace import careful_time_scale
 
 from socket_testbed.api import simulate
 from socket_testbed.calibration.model import read_calibration
@@ -151,16 +152,15 @@ def test_another_process_subscribes_while_the_command_replays_and_estimates(
         maps = probe.listen(PRESSURE_MAP)
         stresses = probe.listen(STRESS)
         command = [sys.executable, "-m", "socket_testbed", "replay", str(hold)]
+        rate = 4.0 * careful_time_scale()  # the first fit takes a busy machine many seconds
         done = subprocess.run(
-            [*command, "--rate", "10", "--estimate", "--variant", "stiffness_bias"],
+            [*command, "--rate", str(rate), "--estimate", "--variant", "stiffness_bias"],
             check=False,
             capture_output=True,
             timeout=HANGS,
         )
         assert done.returncode == 0, done.stderr.decode()
-        # The last message of the two may go with the process that published it.
-        probe.wait(lambda: 0 < len(wrenches) <= len(forces) + 1, "estimates")
-        probe.wait(lambda: all((models, maps, stresses)), "all that comes with them")
+        probe.wait(lambda: all((wrenches, forces, models, maps, stresses)), "the estimates")
     assert [m.variant for m in models] == ["stiffness_bias"] * len(models) != []
     tiles = Trial(hold).geometry.names
     assert list(models[0].names) == list(forces[0].names) == list(tiles)
