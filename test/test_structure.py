@@ -10,6 +10,7 @@ from rclpy.node import Node
 
 from socket_testbed.nodes.calibration_node import CalibrationNode
 from socket_testbed.nodes.cluster_node import ClusterNode
+from socket_testbed.nodes.estimate_listener import ListenerNode
 from socket_testbed.nodes.estimator_node import EstimatorNode
 from socket_testbed.nodes.load_cell_node import LoadCellNode
 from socket_testbed.nodes.mocap_node import MocapNode
@@ -88,7 +89,7 @@ def test_only_nodes_import_ros(path: Path) -> None:
 
 NODES = (
     *(TriggerNode, ClusterNode, LoadCellNode, MocapNode),
-    *(CalibrationNode, EstimatorNode, RecorderNode, ReplayNode),
+    *(CalibrationNode, EstimatorNode, RecorderNode, ReplayNode, ListenerNode),
 )
 # Every class of ours that derives from rclpy's Node, the bases included.
 NODE_CLASSES = sorted(

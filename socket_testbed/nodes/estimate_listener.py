@@ -25,7 +25,7 @@ from socket_testbed.trials.topics import (
 )
 
 
-class _ListenerNode(TestbedNode[Settings]):
+class ListenerNode(TestbedNode[Settings]):
     """Its diagnostics let a replay wait until the estimates have arrived.
 
     Args:
@@ -38,6 +38,7 @@ class _ListenerNode(TestbedNode[Settings]):
         super().__init__(name, Settings)
 
     def figures(self) -> dict[str, object]:
+        """The newest stamp, as nodes that follow a replay report it."""
         newest = self._newest()
         return {} if newest is None else {NEWEST_STAMP: newest}
 
@@ -66,7 +67,7 @@ class EstimateListener:
 
     def __enter__(self) -> Self:
         rclpy.init()
-        self._node = _ListenerNode(self.NAME, self._newest_stamp)
+        self._node = ListenerNode(self.NAME, self._newest_stamp)
         self._node.listen(ESTIMATED_WRENCH, self._on_wrench)
         self._node.listen(LOCAL_FORCES, self._on_forces)
         self._node.listen(FORCE_MAP, self._on_map)
