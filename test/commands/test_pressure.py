@@ -173,3 +173,28 @@ def test_a_folder_of_trials_gives_a_table_each_and_a_summary(hold: Path, tmp_pat
     assert len(summary) == 2
     assert summary["peak pressure high [kPa]"].notna().all()
     assert len([*(tmp_path / "out").glob("*.pressure.csv")]) == 2
+
+
+def test_a_figure_and_a_video_are_those_of_the_api(hold: Path, tmp_path, capsys) -> None:
+    figure, video = tmp_path / "map.png", tmp_path / "map.gif"
+    drawing = ["--figure", str(figure), "--width", "88", "--no-title"]
+    call = ["pressure", str(hold), "--segment", "10:11", "--video", str(video), *drawing]
+    assert run(call) == 0
+    assert f"written: {figure}" in capsys.readouterr().out
+    own = st.pressure(st.open_trial(hold), "10:11")
+    own.draw(tmp_path / "own.png", width=88, title=False)
+    own.animate(tmp_path / "own.gif")
+    assert (tmp_path / "own.png").read_bytes() == figure.read_bytes()
+    assert (tmp_path / "own.gif").read_bytes() == video.read_bytes()
+    assert run(call) != 0  # nothing is replaced unasked
+    with pytest.raises(ConfigurationError, match="width of 120 mm"):
+        own.draw(tmp_path / "other.png", width=120)
+
+
+@pytest.mark.parametrize("option", ["--figure", "--video"])
+def test_a_picture_of_another_format_is_refused_before_any_work(
+    hold: Path, tmp_path, option, monkeypatch
+) -> None:
+    monkeypatch.setattr("socket_testbed.api.pressure", lambda *_, **__: pytest.fail("computed"))
+    assert run(["pressure", str(hold), option, str(tmp_path / "map.bmp")]) != 0
+    assert list(tmp_path.iterdir()) == []
