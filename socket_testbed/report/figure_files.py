@@ -18,7 +18,6 @@ from matplotlib.figure import Figure
 from socket_testbed.arrays import FloatArray
 from socket_testbed.identification.evaluation import trusted_values
 from socket_testbed.identification.pareto import front_table
-from socket_testbed.identification.pressure import Quantity
 from socket_testbed.identification.validation import judgements_table
 from socket_testbed.report.figures.channels import (
     FORCES_FIRST,
@@ -48,9 +47,8 @@ from socket_testbed.report.figures.style import (
 from socket_testbed.report.figures.tile_maps import force_map_figure, tile_map_figure
 from socket_testbed.report.figures.validation import validation_figure
 from socket_testbed.report.pressure import (
-    MAP_SHARE,
+    SCENE_SHARE,
     SHARE,
-    PressureResults,
     masked,
     of_tiles,
 )
@@ -231,85 +229,53 @@ def tile_maps(results: Results) -> Iterator[ReportFigure]:
             )
 
 
-def pressure(results: Results) -> Iterator[ReportFigure]:
-    """Pressure over the hold and at its peak, unrolled and in 3D, and of regions over time."""
+def pressure_maps(results: Results) -> Iterator[ReportFigure]:
+    """Pressure over the segment and at its peak, unrolled and in 3D."""
     geometry, found = results.trial.geometry, results.pressure
-    side = found.side or ""
-    mean, peak = found.outputs.tiles.mean, _at_peak(found)
-    maps, determined = instant_maps(found.outputs, found.time, MAP_SHARE, results.segment.kind)
-    hatched = (
-        "Pale, hatched tiles are not determined: their 95 % interval reaches farther than the value"
-        " itself. Tiles with a cluster are outlined."
-    )
-    data = pd.DataFrame(
-        {
-            "tile": geometry.names,
-            **_with_ends("mean pressure", mean),
-            **_with_ends("pressure at the peak", peak),
-        }
-    )
-    yield ReportFigure(
-        name="pressure_map",
-        caption=f"Pressure on the unrolled socket, {results.segment}. {hatched}",
-        draw=partial(pressure_maps_figure, geometry, maps, side, determined=determined),
-        description="Pressure on the unrolled socket: the mean over the segment, and at its peak",
-        data=data,
-        layout="wide",
-        is_map=True,
-    )
-    yield ReportFigure(
-        name="pressure_views",
-        caption=f"The same in 3D, from in front and from behind. {hatched}",
-        draw=partial(pressure_views_figure, geometry, maps, side, determined=determined),
-        description="Pressure on the socket from in front and from behind: mean, and at its peak",
-        data=data,
-        layout="wide",
-        is_map=True,
-    )
-    series = found.outputs.series.mean
+    maps, determined = instant_maps(found.outputs, found.time, SHARE, results.segment.kind)
+    uncertain = "Hatched, pale tiles are not determined. Tiles with a cluster are outlined."
+    values = {
+        f"{name} [kPa]": np.where(determined[name], pressure, np.nan)
+        for name, pressure in maps.items()
+    }
+    estimates = {f"{name}, estimate [kPa]": pressure for name, pressure in maps.items()}
+    for name, draw, caption in (
+        ("pressure_map", pressure_maps_figure, "Pressure on the unrolled socket"),
+        ("pressure_views", pressure_views_figure, "The same in 3D, from in front and from behind"),
+    ):
+        yield ReportFigure(
+            name=name,
+            caption=f"{caption}, {results.segment}. {uncertain}",
+            draw=partial(draw, geometry, maps, found.side or "", determined=determined),
+            description=f"{caption}: the mean over the segment, and at its peak",
+            data=pd.DataFrame({"tile": geometry.names, **values, **estimates}),
+            layout="wide",
+            is_map=True,
+        )
+
+
+def pressure_of_regions(results: Results) -> Iterator[ReportFigure]:
+    """Pressure of the regions over the segment."""
+    found = results.pressure
     bands = region_bands(found.outputs.series, [place.name for place in found.places])
     events = [
         (event.time, event.label)
         for event in results.trial.events()
         if results.segment.start <= event.time <= results.segment.end
     ]
+    columns = {
+        f"{name}.mean pressure{end} [kPa]": values
+        for name, band in bands.items()
+        for end, values in (("", band.values), (" low", band.low), (" high", band.high))
+    }
     yield ReportFigure(
         name="pressure_of_regions",
-        caption=(
-            "Mean pressure of the regions over the segment, with 95 % intervals as bands. In the"
-            " CSV a value is left out where its interval reaches farther than the value itself."
-            f" {_THINNED}"
-        ),
+        caption=(f"Mean pressure of the regions over the segment, with 95 % intervals. {_THINNED}"),
         draw=partial(regions_figure, found.time, bands, events),
         description="Mean pressure of every region over the segment with its interval",
-        data=pd.DataFrame(
-            {
-                "time [s]": found.time,
-                **{
-                    f"{place.name}.mean pressure{end} [kPa]": 1e-3 * values[:, column]
-                    for column, place in enumerate(found.places)
-                    for end, values in (
-                        ("", masked(series, MAP_SHARE)),
-                        (" low", series.low),
-                        (" high", series.high),
-                    )
-                },
-            }
-        ),
+        data=pd.DataFrame({"time [s]": found.time, **columns}),
         layout="wide",
     )
-
-
-def _at_peak(found: PressureResults) -> Quantity:
-    """Pressure of the tiles at the sample with the highest one [Pa]."""
-    row, estimate = found.peak_row, found.outputs.estimate
-    return of_tiles(estimate.normal_pressure[row], estimate.normal_pressure_standard_deviation[row])
-
-
-def _with_ends(name: str, quantity: Quantity) -> dict[str, FloatArray]:
-    """Columns of a pressure with the ends of its interval [kPa]."""
-    parts = (("", masked(quantity, SHARE)), (" low", quantity.low), (" high", quantity.high))
-    return {f"{name}{end} [kPa]": 1e-3 * values for end, values in parts}
 
 
 def force_map(results: Results) -> Iterator[ReportFigure]:
@@ -364,7 +330,8 @@ def offsets(results: Results) -> Iterator[ReportFigure]:
 
 # The figures by the section of the page that shows them, in their order there.
 FIGURES: dict[str, tuple[Callable[[Results], Iterator[ReportFigure]], ...]] = {
-    "pressure": (pressure,),
+    "pressure": (pressure_maps,),
+    "pressure-over-time": (pressure_of_regions,),
     "force-map": (force_map,),
     "wrench": (wrench,),
     "local": (local_forces,),
@@ -439,7 +406,7 @@ def _pressure_values(results: Results) -> dict[str, TileValues]:
     start = int(np.searchsorted(found.instants, found.time[found.peak_row]))
     values = {
         f"{name}, mean over the segment": TileValues(
-            f"mean {name} [kPa]", 1e-3 * masked(quantity, MAP_SHARE)
+            f"mean {name} [kPa]", 1e-3 * masked(quantity, SCENE_SHARE)
         )
         for name, quantity in (
             ("pressure", found.outputs.tiles.mean),
@@ -448,7 +415,7 @@ def _pressure_values(results: Results) -> dict[str, TileValues]:
     }
     return values | {
         f"{name} over the trial": TileValues(
-            f"{name} [kPa]", 1e-3 * masked(quantity, MAP_SHARE), found.instants, start
+            f"{name} [kPa]", 1e-3 * masked(quantity, SCENE_SHARE), found.instants, start
         )
         for name, quantity in (("pressure", pressures), ("shear", shears))
     }

@@ -17,6 +17,7 @@ from socket_testbed.identification.pressure import (
     RegionOutputs,
     pressure_outputs,
 )
+from socket_testbed.report.figures.pressure import NORMAL_QUANTILE
 from socket_testbed.report.page import MASKED, NOTHING, Table
 from socket_testbed.samples import Samples
 from socket_testbed.settings.testbed import EstimatorSettings
@@ -24,9 +25,8 @@ from socket_testbed.trials.segment import Segment
 
 THRESHOLD = 5e3  # [Pa]; a tile above it is in contact
 SHARE = 0.5  # [-]; a value whose interval reaches farther than this share of it is masked
-MAP_SHARE = 1.0  # [-]; likewise in pictures: what is not masked is not zero
+SCENE_SHARE = 1.0  # [-]; likewise in the 3D scene: what is not masked is not zero
 _INSTANTS = 60  # of the trial in the scene
-_NORMAL_QUANTILE = 1.96  # [-]; standard deviations to each end of a 95 % interval
 
 # Title, output, axis of a vector, factor from SI, decimals.
 _COLUMNS: tuple[tuple[str, str, int | None, float, int], ...] = (
@@ -125,7 +125,7 @@ def masked(quantity: Quantity, share: float) -> FloatArray:
 
 def of_tiles(values: FloatArray, deviations: FloatArray) -> Quantity:
     """Values of the force map with their 95 % intervals, of any shape."""
-    reach = _NORMAL_QUANTILE * deviations
+    reach = NORMAL_QUANTILE * deviations
     return Quantity(values, values - reach, values + reach, np.abs(values))
 
 

@@ -16,6 +16,7 @@ import pytest
 import yaml
 from markupsafe import escape
 from matplotlib.image import imread
+from matplotlib.layout_engine import ConstrainedLayoutEngine
 from support.bags import rewrite
 from support.pages import MADE, NASTY, THETAS, Page, columns, numbers
 
@@ -65,7 +66,9 @@ def results(hold: Path, tmp_path_factory) -> Results:
 def page_path(results: Results, tmp_path_factory) -> Path:
     path = tmp_path_factory.mktemp("report") / "my report.html"
     with pytest.MonkeyPatch.context() as patch:
-        # To embed fonts that text can be copied from takes longer than all the rest of a PDF.
+        # Layout, fonts to copy text from, and pixels take most of the time; the tests of the
+        # figures look at them.
+        patch.setattr(ConstrainedLayoutEngine, "execute", lambda *_: None)
         patch.setitem(style._STYLE, "pdf.fonttype", 3)
         patch.setattr(figure_files, "save_figure", partial(style.save_figure, dpi=100))
         write_report(results, path, "socket-testbed report <hold>", MADE)
@@ -306,6 +309,7 @@ def nasty(spoilt: Path, tmp_path_factory) -> tuple[Path, str, str]:
     with pytest.MonkeyPatch.context() as patch:  # saving takes its time, and is tested above
         patch.setattr(figure_files, "FIGURES", dict.fromkeys(figure_files.FIGURES, ()) | named)
         patch.setattr(figure_files.ReportFigure, "write", lambda *_: None)
+        patch.setattr(ConstrainedLayoutEngine, "execute", lambda *_: None)
         out, err = call(spoilt, "-o", path, "--thetas", 3)
     return path, out, err
 
