@@ -202,7 +202,7 @@ def test_a_file_is_whole_or_not_there(suffix, gappy, hold_model, tmp_path, monke
 
     monkeypatch.setitem(write_table.__globals__["_WRITERS"], suffix, fail)
     with pytest.raises(TestbedError, match="No space left"):
-        call(gappy, "-o", path)
+        call(gappy, "-o", path, "--replace")
     assert path.read_text() == "older" and list(tmp_path.iterdir()) == [path]
 
 
