@@ -54,6 +54,24 @@ def add_trial(
     )
 
 
+def add_judgement(parser: argparse.ArgumentParser) -> None:
+    """When a tile is in contact, and when an output of pressure is determined."""
+    parser.add_argument(
+        "--threshold",
+        type=float,
+        default=5.0,
+        metavar="KPA",
+        help="pressure above which a tile is in contact (default: 5)",
+    )
+    parser.add_argument(
+        "--share",
+        type=float,
+        default=0.5,
+        help="a value is not determined if its 95 %% interval reaches farther from it than this"
+        " share of it (default: 0.5)",
+    )
+
+
 def add_trials(parser: argparse.ArgumentParser) -> None:
     """A trial, or a folder of trials and where they are worked on."""
     add_trial(parser, "folder of the trial, or a folder of trials")

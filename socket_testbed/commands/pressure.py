@@ -16,6 +16,7 @@ from socket_testbed.commands.arguments import ExtendList
 from socket_testbed.commands.options import (
     TrialVerb,
     add_figure,
+    add_judgement,
     add_replace,
     add_segment,
     add_trials,
@@ -43,20 +44,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     add_trials(parser)
     add_segment(parser)
     add_unloaded(parser)
-    parser.add_argument(
-        "--threshold",
-        type=float,
-        default=5.0,
-        metavar="KPA",
-        help="pressure above which a tile is in contact (default: 5)",
-    )
-    parser.add_argument(
-        "--share",
-        type=float,
-        default=0.5,
-        help="a value is not determined if its 95 %% interval reaches farther from it than this"
-        " share of it (default: 0.5)",
-    )
+    add_judgement(parser)
     parser.add_argument(
         "--params", type=Path, metavar="TESTBED.yaml", help="instead of the trial's testbed.yaml"
     )
