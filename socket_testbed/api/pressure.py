@@ -374,7 +374,7 @@ def _regions(trial: Trial, own: Mapping[str, Sequence[str]] | None) -> tuple[Reg
     """The regions of a trial's socket."""
     geometry = trial.geometry
     if own is not None:
-        section = Section({name: list(tiles) for name, tiles in own.items()}, "regions")
+        section = Section(dict(own), "regions")
         index = {name: i for i, name in enumerate(geometry.names)}
         given = {name: read_region(section, name, index) for name in section.names()}
         geometry = dataclasses.replace(geometry, regions=given)

@@ -132,7 +132,11 @@ def test_own_regions_by_name(hold: Path, tmp_path: Path) -> None:
     (copy / "socket.yaml").write_text(yaml.safe_dump(document, sort_keys=False))
     stored = st.pressure(st.open_trial(copy), "10:20", share=10.0).regions.loc["tendon"]
     pd.testing.assert_series_equal(given, stored)
-    for wrong, says in (({"a": []}, "no tiles"), ({"a": ["x"]}, "no tile 'x'")):
+    for wrong, says in (
+        ({"a": []}, "no tiles"),
+        ({"a": ["x"]}, "no tile 'x'"),
+        ({"a": "distal"}, "no tiles"),
+    ):
         with pytest.raises(ConfigurationError, match=says):
             st.pressure(trial, "10:20", regions=wrong)
 
