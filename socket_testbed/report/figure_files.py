@@ -47,8 +47,7 @@ from socket_testbed.report.figures.style import (
 from socket_testbed.report.figures.tile_maps import force_map_figure, tile_map_figure
 from socket_testbed.report.figures.validation import validation_figure
 from socket_testbed.report.pressure import (
-    SCENE_SHARE,
-    SHARE,
+    MAP_SHARE,
     masked,
     of_tiles,
 )
@@ -232,8 +231,11 @@ def tile_maps(results: Results) -> Iterator[ReportFigure]:
 def pressure_maps(results: Results) -> Iterator[ReportFigure]:
     """Pressure over the segment and at its peak, unrolled and in 3D."""
     geometry, found = results.trial.geometry, results.pressure
-    maps, determined = instant_maps(found.outputs, found.time, SHARE, results.segment.kind)
-    uncertain = "Hatched, pale tiles are not determined. Tiles with a cluster are outlined."
+    maps, determined = instant_maps(found.outputs, found.time, MAP_SHARE, results.segment.kind)
+    uncertain = (
+        "Hatched, pale tiles are not determined: their 95 % interval reaches farther than the value"
+        " itself. Tiles with a cluster are outlined."
+    )
     values = {
         f"{name} [kPa]": np.where(determined[name], pressure, np.nan)
         for name, pressure in maps.items()
@@ -406,7 +408,7 @@ def _pressure_values(results: Results) -> dict[str, TileValues]:
     start = int(np.searchsorted(found.instants, found.time[found.peak_row]))
     values = {
         f"{name}, mean over the segment": TileValues(
-            f"mean {name} [kPa]", 1e-3 * masked(quantity, SCENE_SHARE)
+            f"mean {name} [kPa]", 1e-3 * masked(quantity, MAP_SHARE)
         )
         for name, quantity in (
             ("pressure", found.outputs.tiles.mean),
@@ -415,7 +417,7 @@ def _pressure_values(results: Results) -> dict[str, TileValues]:
     }
     return values | {
         f"{name} over the trial": TileValues(
-            f"{name} [kPa]", 1e-3 * masked(quantity, SCENE_SHARE), found.instants, start
+            f"{name} [kPa]", 1e-3 * masked(quantity, MAP_SHARE), found.instants, start
         )
         for name, quantity in (("pressure", pressures), ("shear", shears))
     }

@@ -112,6 +112,7 @@ _NOT_DRAWN = re.compile(
     r'<\?xml.*?\?>|<!DOCTYPE.*?>|<!--.*?-->|<metadata>.*?</metadata>|(?<=<g) id="[^"]*"', re.DOTALL
 )
 _POLYLINE = re.compile(r"M[-\d.\s]+(?:L[-\d.\s]+)+")
+_PLACE = re.compile(r'translate\([^)]*\)| [xy]="[^"]*"')
 _RESERVED = str.maketrans({"%": "%25", "#": "%23", "&": "%26", '"': "'"})
 
 
@@ -122,6 +123,7 @@ def svg_url(svg: str) -> Markup:
         svg: What matplotlib writes, whose attributes hold no apostrophe.
     """
     drawn = _POLYLINE.sub(_shortened, _NOT_DRAWN.sub("", svg))
+    drawn = _PLACE.sub(lambda place: re.sub(r"(\.\d)\d+", r"\1", place[0]), drawn)
     drawn = re.sub(r">\s+<", "><", drawn.replace("xlink:href", "href"))
     return Markup("data:image/svg+xml," + " ".join(drawn.split()).translate(_RESERVED))
 

@@ -25,7 +25,7 @@ from socket_testbed.trials.segment import Segment
 
 THRESHOLD = 5e3  # [Pa]; a tile above it is in contact
 SHARE = 0.5  # [-]; a value whose interval reaches farther than this share of it is masked
-SCENE_SHARE = 1.0  # [-]; likewise in the 3D scene: what is not masked is not zero
+MAP_SHARE = 1.0  # [-]; likewise in pictures: what is not masked is not zero
 _INSTANTS = 60  # of the trial in the scene
 
 # Title, output, axis of a vector, factor from SI, decimals.

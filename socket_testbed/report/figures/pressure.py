@@ -43,7 +43,7 @@ from socket_testbed.report.figures.unrolled import sides_of
 NORMAL_QUANTILE = 1.96  # [-]; standard deviations to each end of a 95 % interval
 _SPANS = ("plateau", "hold")
 UNIT = "pressure [kPa]"
-_MOST_POINTS = 500  # per line
+_MOST_POINTS = 300  # per line
 _LINES = len(LINE_STYLES)  # in a panel, at most
 _BAND = 0.18  # [-]; opacity
 _NUMBER = 0.04  # [-]; of a panel's width, for the number of an event
