@@ -380,18 +380,21 @@ def _do_once(task: Task, job: Job) -> Outcome:
     if not path.exists():
         make_folder(job.output.parent)
         check_outputs(job.output, replace=task.replace)
-    if record is not None:
+    if record is not None and record.output:
         changed = _changes(record, inputs, job.output)
         if not changed and not task.again:
             return Outcome(job.name, JobStatus.SKIPPED, record.row)
         # A result of other inputs must not stay and pass for this one if the work now fails.
         job.output.unlink(missing_ok=True)
         path.unlink()
-    row = _work(task, job)
-    record = Record(inputs, file_digest(job.output), row)
-    make_folder(path.parent)
-    with atomic_output(path) as staging:
-        staging.write_text(json.dumps(asdict(record), indent=1, allow_nan=False), encoding="utf-8")
+    # Known as ours from the start: an interruption may leave the output without its record.
+    _write_record(path, Record(inputs, "", {}))
+    try:
+        row = _work(task, job)
+    except Exception:
+        path.unlink()
+        raise
+    _write_record(path, Record(inputs, file_digest(job.output), row))
     return Outcome(job.name, JobStatus.OK, row, changed=changed)
 
 
@@ -411,7 +414,7 @@ class Record:
 
     Attributes:
         inputs: Fingerprint of what it was made from.
-        output: Digest of the output.
+        output: Digest of the output; empty while it is being made.
         row: Its figures.
     """
 
@@ -431,6 +434,12 @@ def _read_record(path: Path) -> Record | None:
         return Record(**json.loads(path.read_text(encoding="utf-8")))
     except (OSError, ValueError, TypeError):
         return None
+
+
+def _write_record(path: Path, record: Record) -> None:
+    make_folder(path.parent)
+    with atomic_output(path) as staging:
+        staging.write_text(json.dumps(asdict(record), indent=1, allow_nan=False), encoding="utf-8")
 
 
 def _changes(record: Record, inputs: dict[str, str], output: Path) -> tuple[str, ...]:

@@ -19,6 +19,7 @@ from socket_testbed.batch import (
     Job,
     JobStatus,
     Pool,
+    Row,
     Task,
     execute,
     find_trials,
@@ -236,6 +237,16 @@ def test_an_interruption_keeps_what_is_finished(study: Path, task: Task) -> None
     assert table["status"].tolist() == ["ok", "not reached", "not reached"]
     (study / "s02" / "hold" / "hold.mcap").write_text("messages")
     assert run(study, task)[0] == ["skipped", "ok", "ok"]
+
+
+def test_an_interruption_after_an_output_leaves_nothing_to_replace(study, task) -> None:
+    def write_and_stop(job: Job) -> Row:
+        count(job)
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        run(study, replace(task, work=write_and_stop))
+    assert run(study, task)[0] == ["ok"] * 3
 
 
 def test_an_interruption_before_anything_leaves_the_older_summary(study, task) -> None:
