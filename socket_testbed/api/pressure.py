@@ -21,40 +21,29 @@ from socket_testbed.geometry.socket import HEIGHTS, SECTORS, SOCKET, read_region
 from socket_testbed.identification.force_map import ForceMap, without_untrusted
 from socket_testbed.identification.model_file import finite_or_null
 from socket_testbed.identification.pressure import (
+    SHARE,
+    THRESHOLD,
+    TITLES,
     PressureOutputs,
-    Quantity,
     RegionOutputs,
+    interval_end,
+    of_deviations,
     pressure_outputs,
+    read_column,
+    with_interval,
 )
 from socket_testbed.identification.problem import check_channels
 from socket_testbed.settings.testbed import estimator_settings
-from socket_testbed.tables import split_unit, write_table
+from socket_testbed.tables import write_table
 from socket_testbed.trials.segment import Segment
 from socket_testbed.trials.trial import Trial
 
 if TYPE_CHECKING:
     import pandas as pd
 
-# Title, output and factor from SI.
-_SCALARS = (
-    ("mean pressure [kPa]", "mean", 1e-3),
-    ("peak pressure [kPa]", "peak", 1e-3),
-    ("contact area [cm^2]", "area", 1e4),
-    ("pressure-time integral [kPa s]", "integral", 1e-3),
-    ("shear [kPa]", "shear", 1e-3),
-    ("shear direction [deg]", "direction", 180.0 / np.pi),
-    ("share of load [%]", "share", 100.0),
-)
-_CENTRES = tuple(f"centre of pressure {axis} [mm]" for axis in "xyz")
-TITLES = (
-    *(title for title, _, _ in _SCALARS[:4]),
-    *_CENTRES,
-    *(title for title, _, _ in _SCALARS[4:]),
-)
-"""Columns of the outputs of a region, with their units."""
+_CENTRES = [title for title in TITLES if title.startswith("centre of pressure")]
 _OF_TILES = tuple(title for title in TITLES if title not in (*_CENTRES, "contact area [cm^2]"))
 _OVER_TIME = tuple(title for title in TITLES if not title.startswith("pressure-time"))
-_NORMAL_QUANTILE = 1.96  # [-]; standard deviations to each end of a 95 % interval
 
 
 @dataclass(frozen=True, repr=False)
@@ -96,7 +85,7 @@ class TrialPressure:
         """
         table = self._table(self.outputs.regions, [place.name for place in self.places], TITLES)
         table.index.name = "region"
-        centres = table[list(_CENTRES)].to_numpy() * 1e-3
+        centres = table[_CENTRES].to_numpy() * 1e-3
         table["nearest tile"] = [self._nearest(centre) for centre in centres]
         return table
 
@@ -120,18 +109,21 @@ class TrialPressure:
         import pandas as pd
 
         columns: dict[str, FloatArray] = {}
+        found = self._columns(self.outputs.series, _OVER_TIME)
         for number, place in enumerate(self.places):
-            found = self._columns(self.outputs.series, _OVER_TIME, number)
-            columns |= {f"{place.name}.{title}": values for title, values in found.items()}
+            columns |= {
+                f"{place.name}.{title}": values[:, number] for title, values in found.items()
+            }
         estimate = self.map.estimate
-        reach = _NORMAL_QUANTILE * estimate.normal_pressure_standard_deviation
-        of_pressure = _about(estimate.normal_pressure, reach)
-        of_shear = _about(estimate.shear, _NORMAL_QUANTILE * estimate.shear_standard_deviation)
+        of_pressure = of_deviations(
+            1e-3 * estimate.normal_pressure, 1e-3 * estimate.normal_pressure_standard_deviation
+        )
+        of_shear = of_deviations(1e-3 * estimate.shear, 1e-3 * estimate.shear_standard_deviation)
         of_shear = dataclasses.replace(of_shear, low=np.maximum(of_shear.low, 0.0))
+        found = with_interval("pressure [kPa]", of_pressure, self.share)
+        found |= with_interval("shear [kPa]", of_shear, self.share)
         for tile, name in enumerate(self.trial.geometry.names):
-            for title, quantity in (("pressure [kPa]", of_pressure), ("shear [kPa]", of_shear)):
-                found = self._column(title, quantity, 1e-3, tile)
-                columns |= {f"{name}.{title}": values for title, values in found.items()}
+            columns |= {f"{name}.{title}": values[:, tile] for title, values in found.items()}
         return pd.DataFrame(columns, index=pd.Index(self.map.time, name="time [s]"))
 
     def to_document(self) -> dict[str, Any]:
@@ -234,13 +226,15 @@ class TrialPressure:
         from socket_testbed.report.figures.video import write_video
 
         estimate = self.map.estimate
-        reach = _NORMAL_QUANTILE * estimate.normal_pressure_standard_deviation
+        pressures = of_deviations(
+            estimate.normal_pressure, estimate.normal_pressure_standard_deviation
+        )
         write_video(
             Path(path),
             self.trial.geometry,
             self.map.time,
             1e-3 * estimate.normal_pressure,
-            _about(estimate.normal_pressure, reach).determined(self.share),
+            pressures.determined(self.share),
             self.trial.metadata.side or "",
             f"{self.trial.name}: pressure",
             started(progress, "drawing frames"),
@@ -251,27 +245,14 @@ class TrialPressure:
     ) -> pd.DataFrame:
         import pandas as pd
 
-        return pd.DataFrame(self._columns(found, titles, slice(None)), index=pd.Index(names))
+        return pd.DataFrame(self._columns(found, titles), index=pd.Index(names))
 
-    def _columns(
-        self, found: RegionOutputs, titles: Sequence[str], place: int | slice
-    ) -> dict[str, FloatArray]:
+    def _columns(self, found: RegionOutputs, titles: Sequence[str]) -> dict[str, FloatArray]:
         """Columns by their titles, each with the ends of its interval."""
         columns: dict[str, FloatArray] = {}
         for title in titles:
-            columns |= self._column(title, *_quantity(found, title), place)
+            columns |= with_interval(title, read_column(found, title), self.share)
         return columns
-
-    def _column(
-        self, title: str, quantity: Quantity, factor: float, place: int | slice
-    ) -> dict[str, FloatArray]:
-        """A column with the ends of its interval, by their titles."""
-        values = np.where(quantity.determined(self.share), quantity.value, np.nan)
-        return {
-            title: factor * values[..., place],
-            interval_end(title, "low"): factor * quantity.low[..., place],
-            interval_end(title, "high"): factor * quantity.high[..., place],
-        }
 
     def _nearest(self, centre: FloatArray) -> str:
         """Name of the tile nearest to a point [m]; empty if it is not known."""
@@ -279,28 +260,6 @@ class TrialPressure:
             return ""
         geometry = self.trial.geometry
         return geometry.names[int(np.linalg.norm(geometry.anchors - centre, axis=1).argmin())]
-
-
-def interval_end(title: str, end: str) -> str:
-    """Title of the end, `low` or `high`, of a column's interval: `peak pressure low [kPa]`."""
-    name, unit = split_unit(title)
-    return f"{name} {end} [{unit}]"
-
-
-def _quantity(found: RegionOutputs, title: str) -> tuple[Quantity, float]:
-    """The quantity of a column in SI units, and the factor to the column's unit."""
-    if title in _CENTRES:
-        axis, centre = _CENTRES.index(title), found.centre
-        parts = (centre.value, centre.low, centre.high, centre.scale)
-        return Quantity(*(part[..., axis] for part in parts)), 1e3
-    name, factor = next((name, factor) for known, name, factor in _SCALARS if known == title)
-    quantity: Quantity = getattr(found, name)
-    return quantity, factor
-
-
-def _about(value: FloatArray, reach: FloatArray) -> Quantity:
-    """Values whose intervals reach equally far to both sides."""
-    return Quantity(value, value - reach, value + reach, np.abs(value))
 
 
 def _values(row: pd.Series, titles: Sequence[str]) -> dict[str, Any]:
@@ -319,8 +278,8 @@ def pressure(
     trial: Trial,
     segment: str | Segment = "plateau",
     *,
-    threshold: float = 5.0,
-    share: float = 0.5,
+    threshold: float = 1e-3 * THRESHOLD,
+    share: float = SHARE,
     regions: Mapping[str, Sequence[str]] | None = None,
     params: PathLike | None = None,
     leave_out: Sequence[str] | None = None,

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 
 from socket_testbed import api
 from socket_testbed.api import TrialPressure
-from socket_testbed.api.pressure import TITLES, interval_end
 from socket_testbed.api.trials import select
 from socket_testbed.batch import Row, find_trials
 from socket_testbed.commands.arguments import ExtendList
@@ -28,6 +27,7 @@ from socket_testbed.commands.text import Progress, number, segment_columns, tabl
 from socket_testbed.errors import ConfigurationError
 from socket_testbed.files import check_outputs
 from socket_testbed.identification.model_file import finite_or_null
+from socket_testbed.identification.pressure import TITLES, interval_end
 from socket_testbed.settings.testbed import estimator_settings
 from socket_testbed.tables import check_format
 from socket_testbed.trials.trial import Trial

@@ -39,6 +39,8 @@ from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification.force_map import ForceMap, MapEstimate
 from socket_testbed.samples import Samples
 
+THRESHOLD = 5e3  # [Pa]; a tile above it is in contact, unless another is given
+SHARE = 0.5  # [-]; a value is determined if its interval reaches no farther, likewise
 _DRAWS = 200
 _PEAK_WIDENING = 1.25  # [-]; of the errors: the tails of true fields are longer than the draws'
 _QUANTILES = (0.025, 0.5, 0.975)  # [-]
@@ -46,6 +48,22 @@ _CONVEX = ("peak", "integral", "shear")  # functions of the forces
 _NEVER_NEGATIVE = ("area", "integral", "shear")
 _LONGEST_STEP = 3.0  # usual steps between samples; what is longer is a gap
 _RIGHT_ANGLE = 0.5 * np.pi  # [rad]
+NORMAL_QUANTILE = 1.96  # [-]; standard deviations to each end of a 95 % interval
+# Output, axis of a vector, and factor from SI, by the title of a column.
+_COLUMNS: dict[str, tuple[str, int | None, float]] = {
+    "mean pressure [kPa]": ("mean", None, 1e-3),
+    "peak pressure [kPa]": ("peak", None, 1e-3),
+    "contact area [cm^2]": ("area", None, 1e4),
+    "pressure-time integral [kPa s]": ("integral", None, 1e-3),
+    "centre of pressure x [mm]": ("centre", 0, 1e3),
+    "centre of pressure y [mm]": ("centre", 1, 1e3),
+    "centre of pressure z [mm]": ("centre", 2, 1e3),
+    "shear [kPa]": ("shear", None, 1e-3),
+    "shear direction [deg]": ("direction", None, 180.0 / np.pi),
+    "share of load [%]": ("share", None, 100.0),
+}
+TITLES = tuple(_COLUMNS)
+"""Columns of the outputs of a region, with their units."""
 
 
 @dataclass(frozen=True)
@@ -74,6 +92,16 @@ class Quantity:
         reach = np.maximum(self.high - self.value, self.value - self.low)
         return np.asarray(reach <= share * self.scale)  # never where one is NaN
 
+    def masked(self, share: float) -> FloatArray:
+        """The values; NaN where they are not determined."""
+        return np.where(self.determined(share), self.value, np.nan)
+
+
+def of_deviations(value: FloatArray, deviation: FloatArray) -> Quantity:
+    """Values whose 95 % intervals are given by their standard deviations."""
+    reach = NORMAL_QUANTILE * deviation
+    return Quantity(value, value - reach, value + reach, np.abs(value))
+
 
 @dataclass(frozen=True)
 class RegionOutputs:
@@ -99,6 +127,29 @@ class RegionOutputs:
     shear: Quantity
     direction: Quantity
     share: Quantity
+
+
+def read_column(found: RegionOutputs, title: str) -> Quantity:
+    """The output of a column of `TITLES`, in the unit of the title."""
+    name, axis, factor = _COLUMNS[title]
+    quantity: Quantity = getattr(found, name)
+    parts = (quantity.value, quantity.low, quantity.high, quantity.scale)
+    return Quantity(*(factor * (part if axis is None else part[..., axis]) for part in parts))
+
+
+def with_interval(title: str, quantity: Quantity, share: float) -> dict[str, FloatArray]:
+    """A column and the ends of its interval, by their titles; NaN where it is not determined."""
+    return {
+        title: quantity.masked(share),
+        interval_end(title, "low"): quantity.low,
+        interval_end(title, "high"): quantity.high,
+    }
+
+
+def interval_end(title: str, end: str) -> str:
+    """Title of the end, `low` or `high`, of a column's interval: `peak pressure low [kPa]`."""
+    name, unit = title.rsplit(" [", 1)
+    return f"{name} {end} [{unit}"
 
 
 @dataclass(frozen=True)

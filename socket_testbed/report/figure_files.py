@@ -18,6 +18,7 @@ from matplotlib.figure import Figure
 from socket_testbed.arrays import FloatArray
 from socket_testbed.identification.evaluation import trusted_values
 from socket_testbed.identification.pareto import front_table
+from socket_testbed.identification.pressure import of_deviations
 from socket_testbed.identification.validation import judgements_table
 from socket_testbed.report.figures.channels import (
     FORCES_FIRST,
@@ -46,11 +47,6 @@ from socket_testbed.report.figures.style import (
 )
 from socket_testbed.report.figures.tile_maps import force_map_figure, tile_map_figure
 from socket_testbed.report.figures.validation import validation_figure
-from socket_testbed.report.pressure import (
-    MAP_SHARE,
-    masked,
-    of_tiles,
-)
 from socket_testbed.report.results import Candidate, Results, unusable
 from socket_testbed.samples import LOCAL_CHANNELS, WRENCH_CHANNELS, channel_unit
 from socket_testbed.settings.identification import BIAS_VARIANTS
@@ -58,6 +54,7 @@ from socket_testbed.tables import write_table
 
 _PICTURES = (".pdf", ".png")
 _AXES = "xyz"
+_MAP_SHARE = 1.0  # [-]; as `SHARE` of pressure, in pictures: what is determined is not zero
 _THINNED = (
     f"Lines of more than {MOST_POINTS} samples are drawn by the lowest and highest value of equally"
     " many, so every peak shows; the CSV holds all."
@@ -231,7 +228,7 @@ def tile_maps(results: Results) -> Iterator[ReportFigure]:
 def pressure_maps(results: Results) -> Iterator[ReportFigure]:
     """Pressure over the segment and at its peak, unrolled and in 3D."""
     geometry, found = results.trial.geometry, results.pressure
-    maps, determined = instant_maps(found.outputs, found.time, MAP_SHARE, results.segment.kind)
+    maps, determined = instant_maps(found.outputs, found.time, _MAP_SHARE, results.segment.kind)
     uncertain = (
         "Hatched, pale tiles are not determined: their 95 % interval reaches farther than the value"
         " itself. Tiles with a cluster are outlined."
@@ -403,12 +400,14 @@ def _pressure_values(results: Results) -> dict[str, TileValues]:
     """Pressure and shear on the tiles, where they are determined, by the name of the choice."""
     found = results.pressure
     over_trial = found.over_trial
-    pressures = of_tiles(over_trial.normal_pressure, over_trial.normal_pressure_standard_deviation)
-    shears = of_tiles(over_trial.shear, over_trial.shear_standard_deviation)
+    pressures = of_deviations(
+        over_trial.normal_pressure, over_trial.normal_pressure_standard_deviation
+    )
+    shears = of_deviations(over_trial.shear, over_trial.shear_standard_deviation)
     start = int(np.searchsorted(found.instants, found.time[found.peak_row]))
     values = {
         f"{name}, mean over the segment": TileValues(
-            f"mean {name} [kPa]", 1e-3 * masked(quantity, MAP_SHARE)
+            f"mean {name} [kPa]", 1e-3 * quantity.masked(_MAP_SHARE)
         )
         for name, quantity in (
             ("pressure", found.outputs.tiles.mean),
@@ -417,7 +416,7 @@ def _pressure_values(results: Results) -> dict[str, TileValues]:
     }
     return values | {
         f"{name} over the trial": TileValues(
-            f"{name} [kPa]", 1e-3 * masked(quantity, MAP_SHARE), found.instants, start
+            f"{name} [kPa]", 1e-3 * quantity.masked(_MAP_SHARE), found.instants, start
         )
         for name, quantity in (("pressure", pressures), ("shear", shears))
     }

@@ -12,35 +12,34 @@ from socket_testbed.geometry.regions import Region, Side, all_regions
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification.force_map import ForceMap, MapEstimate, without_untrusted
 from socket_testbed.identification.pressure import (
+    SHARE,
+    THRESHOLD,
     PressureOutputs,
     Quantity,
     RegionOutputs,
     pressure_outputs,
+    read_column,
+    with_interval,
 )
-from socket_testbed.report.figures.pressure import NORMAL_QUANTILE
 from socket_testbed.report.page import MASKED, NOTHING, Table
 from socket_testbed.samples import Samples
 from socket_testbed.settings.testbed import EstimatorSettings
 from socket_testbed.trials.segment import Segment
 
-THRESHOLD = 5e3  # [Pa]; a tile above it is in contact
-SHARE = 0.5  # [-]; a value whose interval reaches farther than this share of it is masked
-MAP_SHARE = 1.0  # [-]; likewise in pictures: what is not masked is not zero
 _INSTANTS = 60  # of the trial in the scene
 
-# Title, output, axis of a vector, factor from SI, decimals.
-_COLUMNS: tuple[tuple[str, str, int | None, float, int], ...] = (
-    ("peak pressure [kPa]", "peak", None, 1e-3, 1),
-    ("mean pressure [kPa]", "mean", None, 1e-3, 1),
-    ("contact area [cm^2]", "area", None, 1e4, 0),
-    ("pressure-time integral [kPa s]", "integral", None, 1e-3, 0),
-    ("share of load [%]", "share", None, 100.0, 0),
-    ("shear [kPa]", "shear", None, 1e-3, 1),
-    ("shear direction [deg]", "direction", None, 180.0 / np.pi, 0),
-    ("centre of pressure x [mm]", "centre", 0, 1e3, 0),
-    ("centre of pressure y [mm]", "centre", 1, 1e3, 0),
-    ("centre of pressure z [mm]", "centre", 2, 1e3, 0),
-)
+_DECIMALS = {
+    "peak pressure [kPa]": 1,
+    "mean pressure [kPa]": 1,
+    "contact area [cm^2]": 0,
+    "pressure-time integral [kPa s]": 0,
+    "share of load [%]": 0,
+    "shear [kPa]": 1,
+    "shear direction [deg]": 0,
+    "centre of pressure x [mm]": 0,
+    "centre of pressure y [mm]": 0,
+    "centre of pressure z [mm]": 0,
+}
 _PRESSURES = 5  # columns of the first table by region
 
 
@@ -118,29 +117,15 @@ def _spread(count: int, peak: int) -> IntArray:
     return np.union1d(spread, [peak])
 
 
-def masked(quantity: Quantity, share: float) -> FloatArray:
-    """Values; NaN where they are not determined."""
-    return np.where(quantity.determined(share), quantity.value, np.nan)
-
-
-def of_tiles(values: FloatArray, deviations: FloatArray) -> Quantity:
-    """Values of the force map with their 95 % intervals, of any shape."""
-    reach = NORMAL_QUANTILE * deviations
-    return Quantity(values, values - reach, values + reach, np.abs(values))
-
-
 def regions_frame(pressure: PressureResults) -> pd.DataFrame:
     """Outputs over the segment with the ends of their intervals, a row per region.
 
     Values are NaN where they are not determined.
     """
     names = pd.Index([place.name for place in pressure.places], name="region")
-    columns = {}
-    for title, quantity, _ in _quantities(pressure.outputs.regions):
-        name, unit = title.split(" [")
-        columns[title] = masked(quantity, SHARE)
-        columns[f"{name} low [{unit}"] = quantity.low
-        columns[f"{name} high [{unit}"] = quantity.high
+    columns: dict[str, FloatArray] = {}
+    for title in _DECIMALS:
+        columns |= with_interval(title, read_column(pressure.outputs.regions, title), SHARE)
     return pd.DataFrame(columns, index=names)
 
 
@@ -201,13 +186,7 @@ def describe_pressure(pressure: PressureResults, geometry: SocketGeometry) -> st
 
 def _quantities(found: RegionOutputs) -> list[tuple[str, Quantity, int]]:
     """The outputs in the units of their titles, and how many decimals they are printed with."""
-    quantities = []
-    for title, name, axis, factor, decimals in _COLUMNS:
-        quantity: Quantity = getattr(found, name)
-        parts = (quantity.value, quantity.low, quantity.high, quantity.scale)
-        chosen = [part if axis is None else part[..., axis] for part in parts]
-        quantities.append((title, Quantity(*(factor * part for part in chosen)), decimals))
-    return quantities
+    return [(title, read_column(found, title), decimals) for title, decimals in _DECIMALS.items()]
 
 
 def _value(quantity: Quantity, decimals: int, row: int) -> str:

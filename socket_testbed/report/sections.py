@@ -17,9 +17,10 @@ from socket_testbed.identification.evaluation import ChannelErrors, summarise_er
 from socket_testbed.identification.information import LEAST_RATIO
 from socket_testbed.identification.noise import channel_noise, noise_groups
 from socket_testbed.identification.pareto import KNEE, SENSOR_ONLY, WRENCH_ONLY
+from socket_testbed.identification.pressure import SHARE, THRESHOLD
 from socket_testbed.identification.validation import LEVELS, summarise_judgements
 from socket_testbed.report.page import Table, counted, number, pairs_table
-from socket_testbed.report.pressure import SHARE, THRESHOLD, pressure_tables
+from socket_testbed.report.pressure import pressure_tables
 from socket_testbed.report.results import (
     Results,
     describe_triggers,

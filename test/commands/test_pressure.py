@@ -14,8 +14,8 @@ import yaml
 
 import socket_testbed as st
 from socket_testbed.__main__ import run
-from socket_testbed.api.pressure import TITLES, interval_end
 from socket_testbed.errors import ConfigurationError
+from socket_testbed.identification.pressure import TITLES, interval_end
 
 
 @pytest.fixture(scope="module")

@@ -110,11 +110,11 @@ def test_regions_of_one_kind_share_a_panel():
 
 
 def test_regions_have_their_lines_bands_and_events(rng):
-    time = np.linspace(0.0, 60.0, 500)
-    regions = {name: band(rng, 500) for name in ("a$_b", "fibula head")}
+    time = np.linspace(0.0, 60.0, 250)
+    regions = {name: band(rng, 250) for name in ("a$_b", "fibula head")}
     figure = regions_figure(time, regions, [(30.0, "removed"), (10.0, "placed"), (50.0, "placed")])
     (axis,) = figure.axes
-    lines = [line for line in axis.lines if len(line.get_xdata()) == 500]
+    lines = [line for line in axis.lines if len(line.get_xdata()) == 250]
     for line, drawn in zip(lines, regions.values(), strict=True):
         np.testing.assert_array_equal(line.get_xydata(), np.stack([time, drawn.values], axis=1))
     assert len({str(line.get_linestyle()) for line in lines}) == 2

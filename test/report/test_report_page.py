@@ -22,11 +22,11 @@ from support.pages import MADE, NASTY, THETAS, Page, columns, numbers
 
 import socket_testbed as st
 from socket_testbed.__main__ import run
-from socket_testbed.api.pressure import TITLES, interval_end
 from socket_testbed.commands import report
 from socket_testbed.identification.evaluation import evaluate, summarise_errors, trusted_values
 from socket_testbed.identification.model_file import read_model
 from socket_testbed.identification.pareto import KNEE, SENSOR_ONLY, WRENCH_ONLY
+from socket_testbed.identification.pressure import TITLES, interval_end
 from socket_testbed.report import figure_files
 from socket_testbed.report.figures import style
 from socket_testbed.report.page import MASKED

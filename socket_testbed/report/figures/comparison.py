@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 from socket_testbed.arrays import FloatArray
 from socket_testbed.comparison.table import Compared
 from socket_testbed.geometry.socket import SocketGeometry
+from socket_testbed.identification.pressure import NORMAL_QUANTILE
 from socket_testbed.report.figures.style import DEFAULT_STYLE, FigureStyle, in_style, lay_out
 from socket_testbed.report.figures.tile_maps import (
     HEADING,
@@ -21,8 +22,6 @@ from socket_testbed.report.figures.tile_maps import (
     maps_height,
 )
 from socket_testbed.tables import split_unit
-
-_REACH = 1.96  # [-]; standard deviations in half of a 95 % interval
 
 
 def item_maps(
@@ -41,7 +40,7 @@ def item_maps(
         side: The leg that wears the socket, `left` or `right`; empty where that is not known.
         style: How it is set.
     """
-    deviations = (mapped.high - mapped.low) / (2.0 * _REACH)
+    deviations = (mapped.high - mapped.low) / (2.0 * NORMAL_QUANTILE)
     low, high = min(float(mapped.values.min()), 0.0), float(mapped.values.max())
     named = dict(zip(items, mapped.values, strict=True))
     return _maps(geometry, named, deviations, mapped.title, (low, high), side, style)
@@ -63,7 +62,7 @@ def difference_maps(
         side: As in `item_maps`.
         style: How it is set.
     """
-    deviations = (mapped.high - mapped.low) / (2.0 * _REACH)
+    deviations = (mapped.high - mapped.low) / (2.0 * NORMAL_QUANTILE)
     differences = mapped.values[1:] - mapped.values[0]
     most = float(np.abs(differences).max()) or 1.0
     named = {

@@ -14,7 +14,11 @@ from matplotlib.patches import Polygon
 from socket_testbed.arrays import BoolArray, FloatArray
 from socket_testbed.geometry.axis import socket_axis
 from socket_testbed.geometry.socket import HEIGHTS, SECTORS, SocketGeometry
-from socket_testbed.identification.pressure import PressureOutputs, RegionOutputs
+from socket_testbed.identification.pressure import (
+    PressureOutputs,
+    RegionOutputs,
+    of_deviations,
+)
 from socket_testbed.report.figures.style import (
     DEFAULT_STYLE,
     HATCH,
@@ -40,7 +44,6 @@ from socket_testbed.report.figures.tile_maps import (
 from socket_testbed.report.figures.tiles import TilePaint, paint_tiles, tile_squares
 from socket_testbed.report.figures.unrolled import sides_of
 
-NORMAL_QUANTILE = 1.96  # [-]; standard deviations to each end of a 95 % interval
 _SPANS = ("plateau", "hold")
 UNIT = "pressure [kPa]"
 _MOST_POINTS = 300  # per line
@@ -84,10 +87,9 @@ def instant_maps(
     at_peak = f"at the peak, {time[peak]:.2f} s"
     mean = f"mean over the {span if span in _SPANS else 'segment'}"
     values = {mean: 1e-3 * outputs.tiles.mean.value, at_peak: 1e-3 * pressure}
-    reach = NORMAL_QUANTILE * deviation
     return values, {
         mean: outputs.tiles.mean.determined(share),
-        at_peak: np.asarray(reach <= share * np.abs(pressure)),
+        at_peak: of_deviations(pressure, deviation).determined(share),
     }
 
 
