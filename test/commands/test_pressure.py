@@ -11,10 +11,14 @@ import numpy as np
 import pandas as pd
 import pytest
 import yaml
+from rosbags.rosbag2 import Reader
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from rosbags.typesys.store import Typestore
 
 import socket_testbed as st
 from socket_testbed.__main__ import run
 from socket_testbed.errors import ConfigurationError
+from socket_testbed.files import packaged
 from socket_testbed.identification.pressure import TITLES, interval_end
 
 
@@ -63,6 +67,35 @@ def test_the_outputs_are_those_of_plain_numpy_on_the_force_map(hold: Path, found
         centre = geometry.anchors[place.tiles].mean(axis=0)
         if place.name.startswith("medial"):
             assert centre[1] > 0.0  # on a right leg medial is left
+
+
+def test_under_a_cluster_it_is_what_the_raw_messages_say(hold: Path, found) -> None:
+    """Read by the bag library alone, and calibrated by hand."""
+    store, coefficients = raw_types(), yaml.safe_load((hold / "calibration.yaml").read_text())
+    times, pressures = [], []
+    with Reader(hold) as bag:
+        for connection, _, data in bag.messages():
+            if connection.topic.endswith("clusters/capacitance"):
+                message = store.deserialize_cdr(data, connection.msgtype)
+                times.append(message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec)
+                pressures.append({c.name: c.capacitance.mean() for c in message.clusters})
+    seconds = np.array(times) - times[0]
+    span = np.flatnonzero((seconds >= 10.0) & (seconds <= 20.0))
+    tiles = found.tiles.set_index("cluster")
+    for name, cluster in coefficients["clusters"].items():
+        offset, gain = cluster["normal"]
+        measured = 1e-3 * (offset + gain * np.mean([pressures[i][name] for i in span]))
+        row = tiles.loc[name]
+        assert row["mean pressure low [kPa]"] < measured < row["mean pressure high [kPa]"]
+        assert row["mean pressure [kPa]"] == pytest.approx(measured, abs=0.5)
+
+
+def raw_types() -> Typestore:
+    store = get_typestore(Stores.ROS2_JAZZY)
+    for name in ("ClusterCapacitance", "ClusterCapacitanceArray"):
+        text = packaged("msg", f"{name}.msg").read_text()
+        store.register(get_types_from_msg(text, f"socket_testbed_msgs/msg/{name}"))
+    return store
 
 
 def mapped_times(trial) -> np.ndarray:
