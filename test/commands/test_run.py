@@ -71,9 +71,11 @@ def test_events_are_marked_recorded_and_select_a_segment(
             said = subprocess.run(command, check=False, capture_output=True, text=True)
             assert said.returncode == 0 and not said.stderr, said.stderr
             assert said.stdout.startswith(f"marked '{label}' in the trial trial, acknowledged by 1")
+            goal = len(triggers) + 1  # the newest may be older than the event: time is slow
+            probe.wait(lambda goal=goal: len(triggers) > goal, "triggers after it")
             around.append(stamp_from_ros(triggers[-1].header.stamp))
         live.send_signal(signal.SIGINT)
-        live.wait(timeout=120)
+        live.wait(timeout=HANGS)
     trial = Trial(path)
     begin = int(trial.samples().stamps[0])
     push, step = (event for event in trial.events() if event.source == "recorded")
