@@ -26,7 +26,10 @@ _TRIGGERED_WITHIN = 5.0  # [s]; for enough triggers
 _LEAST = 1.0  # [s]; from the first trigger to the last
 _HEARD_WITHIN = 5.0  # [s]; for the event to be acknowledged
 _LOOK = 0.02  # [s]
-_REAL_TIME = 0.1  # [-]; triggers whose speed differs less from 1 come in real time
+_SLOW = 3.0  # [-]; how much longer than the call is ago the triggers of a slow testbed are heard
+_LONGEST = 12.0  # [s]; but no longer
+_REAL_TIME = 1e9  # [ns/s]
+_ABOUT = 0.1  # [-]; triggers whose speed differs less from real time come in real time
 
 
 @dataclass(frozen=True)
@@ -93,8 +96,11 @@ class _Marker:
                 f"nobody subscribes to {self._publisher.topic_name}", self._where_else()
             )
         # The longer ago the call, the longer the triggers from which its time is reckoned.
-        span = max(_LEAST, 0.5 * (time.monotonic() - called))
-        self._spin(lambda: self._has_triggers(span), _TRIGGERED_WITHIN)
+        since = time.monotonic() - called
+        self._spin(lambda: self._has_triggers(max(_LEAST, 0.5 * since)), _TRIGGERED_WITHIN)
+        if len(self._triggers) > 1 and _speed(self._triggers) != _REAL_TIME:
+            span = min(_SLOW * since, _LONGEST)
+            self._spin(lambda: self._has_triggers(span), span)
         header = header_to_ros(self._stamp(called), LOAD_CELL_FRAME)
         self._publisher.publish(Event(header=header, label=label))
         if not self._publisher.wait_for_all_acked(Duration(seconds=_HEARD_WITHIN)):
@@ -160,12 +166,16 @@ def stamp_by_triggers(called: float, triggers: Sequence[tuple[float, int]]) -> i
         triggers: Arrival [s] and stamp [ns] of each, in their order; one at least.
     """
     arrivals, stamps = (np.array(values) for values in zip(*triggers, strict=True))
+    ahead = np.round(_speed(triggers) * (called - arrivals)).astype(np.int64)
+    return int((stamps + ahead).max())
+
+
+def _speed(triggers: Sequence[tuple[float, int]]) -> float:
+    """How fast the clock of triggers runs [ns/s]; exactly real time if it is about that."""
+    arrivals, stamps = (np.array(values) for values in zip(*triggers, strict=True))
     passed = arrivals - arrivals[:, None]
     apart = passed >= max(0.5 * passed.max(), _LOOK)
-    speed = (
-        float(np.median((stamps - stamps[:, None])[apart] / passed[apart])) if apart.any() else 1e9
-    )
-    if abs(speed - 1e9) < _REAL_TIME * 1e9:
-        speed = 1e9
-    ahead = np.round(speed * (called - arrivals)).astype(np.int64)
-    return int((stamps + ahead).max())
+    if not apart.any():
+        return _REAL_TIME
+    speed = float(np.median((stamps - stamps[:, None])[apart] / passed[apart]))
+    return _REAL_TIME if abs(speed - _REAL_TIME) < _ABOUT * _REAL_TIME else speed
