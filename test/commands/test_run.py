@@ -44,7 +44,8 @@ def test_run_records_until_ctrl_c(tmp_path: Path) -> None:
         process.send_signal(signal.SIGINT)
         out, err = process.communicate(timeout=HANGS)
     assert process.returncode == 0, err
-    assert re.search(r"\d+ triggers, (all \d+ complete|wrench missing)", out), out
+    # The first samples may come late on a busy machine: then the summary names what they lack.
+    assert re.search(r"\d+ triggers, (all \d+ complete|\w+ missing \d+)", out), out
     recorded = Recorded(path)
     assert not recorded.notes and not any(recorded.lacking().values())
     trial = Trial(path)

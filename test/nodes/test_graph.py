@@ -191,8 +191,9 @@ def test_a_fit_when_asked_answers_and_predicts(hold: Path) -> None:
         graph.start("estimator_node", NO_FIT, use_sim_time=True)
         answer = probe.call(TriggerService, "estimator/fit", TriggerService.Request())
         assert not answer.success and "only 0 of 0 samples" in answer.message
+        # Each round starts the window anew: one lasts long enough for 60 samples and the fit.
         replay = ReplaySettings(
-            trial=str(hold), rate=40.0, wait_for=("calibration_node", "estimator_node")
+            trial=str(hold), rate=4.0, wait_for=("calibration_node", "estimator_node")
         )
         graph.start("replay_node", dataclasses.replace(replay, loop=True))
 
