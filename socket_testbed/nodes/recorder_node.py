@@ -104,7 +104,8 @@ class RecorderNode(TestbedNode[RecorderSettings]):
         directory = Path(self.settings.directory)
         if any(directory.glob("*.mcap")):
             return beside(directory)
-        return directory / datetime.now().strftime("trial_%Y%m%d_%H%M%S")
+        path = directory / datetime.now().strftime("trial_%Y%m%d_%H%M%S")
+        return beside(path) if path.exists() else path
 
     def _start_over(self, directory: Path) -> None:
         """Record into a folder, or beside it where an earlier recorder was cut short."""

@@ -231,6 +231,13 @@ def test_the_trial_s_name_is_announced_while_it_is_recorded(tmp_path: Path) -> N
         stated.write_text("side: lft")
         answer = probe.call(SetBool, "recorder/record", SetBool.Request(data=True))
         assert not answer.success and "did you mean 'left'?" in answer.message
+        stated.write_text("side: left")
+        names_given = []
+        for wanted in (True, False) * 3:  # several within a second
+            answer = probe.call(SetBool, "recorder/record", SetBool.Request(data=wanted))
+            assert answer.success, answer.message
+            names_given.append(answer.message.split()[-1])
+        assert len({*names_given, str(trial)}) == 4
     assert (trial / "metadata.yaml").is_file()
     assert Trial(trial).metadata == TrialMetadata("S01", "left")
 
