@@ -9,8 +9,8 @@ import sys
 from importlib import import_module
 
 from socket_testbed import __version__
-from socket_testbed.commands.arguments import Parser, likely, release_paths
-from socket_testbed.errors import TestbedError
+from socket_testbed.commands.arguments import Parser, release_paths
+from socket_testbed.errors import TestbedError, likely
 
 VERBS = {
     "demo": "run the simulated testbed live, replay its trial, and show the errors",

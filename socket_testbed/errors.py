@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from typing import Any
 
 
@@ -59,3 +60,11 @@ class ScanError(TestbedError):
 
 class RegistrationError(TestbedError):
     """Frames cannot be registered with these markers and landmarks."""
+
+
+def likely(word: str, known: Collection[str]) -> str:
+    """A hint with the known word that is most like another one; empty if none is."""
+    import difflib  # for an error alone
+
+    found = difflib.get_close_matches(word, list(known), n=1)
+    return f"did you mean '{found[0]}'?" if found else ""

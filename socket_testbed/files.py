@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import errno
 import math
 import os
@@ -20,7 +19,7 @@ import numpy as np
 import yaml
 
 from socket_testbed.arrays import FloatArray
-from socket_testbed.errors import ConfigurationError
+from socket_testbed.errors import ConfigurationError, likely
 
 
 def packaged(folder: str, name: str) -> Path:
@@ -236,10 +235,7 @@ _Loader.add_implicit_resolver("tag:yaml.org,2002:float", _FLOAT, list("-+.012345
 
 def closest(word: str, known: Collection[str]) -> str:
     """A hint for an unknown word: the likely one, or the list of the known ones."""
-    match = difflib.get_close_matches(word, list(known), n=1)
-    if match:
-        return f"did you mean '{match[0]}'?"
-    return "use one of " + (", ".join(sorted(known)) or "(none)")
+    return likely(word, known) or "use one of " + (", ".join(sorted(known)) or "(none)")
 
 
 class Section:

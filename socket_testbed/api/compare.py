@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Sequence
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeAlias
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 
 from socket_testbed.api.models import TrialFit, read_model
-from socket_testbed.api.pressure import TrialPressure, pressure
+from socket_testbed.api.pressure import OF_TILES, TrialPressure, pressure
 from socket_testbed.api.trials import PathLike, Progress, open_trial, started
-from socket_testbed.arrays import FloatArray
+from socket_testbed.arrays import BoolArray, FloatArray
 from socket_testbed.comparison.models import compare_models
 from socket_testbed.comparison.sockets import compare_sockets
 from socket_testbed.comparison.table import Compared, Comparison, Kind, joined, texts_table
@@ -21,20 +20,16 @@ from socket_testbed.errors import ConfigurationError, TrialError
 from socket_testbed.geometry.regions import Region
 from socket_testbed.geometry.socket import SocketGeometry, read_socket
 from socket_testbed.identification.model_file import StoredModel
+from socket_testbed.identification.pressure import SHARE, THRESHOLD, TITLES, read_column
 from socket_testbed.samples import WRENCH_CHANNELS, channel_unit
-from socket_testbed.tables import split_unit
 from socket_testbed.trials.metadata import FIELDS
 from socket_testbed.trials.trial import Trial
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 Comparable: TypeAlias = Trial | StoredModel | TrialFit | PathLike
 
 PAGES = (".html", ".htm")
 
 _MOST = 12  # items side by side
-_OF_EVERYTHING = 1e12  # [-]; a share that the interval of every value but 0 keeps
 _OTHER_LOAD = 0.1  # [-]; of the mean force, from which on a note says so
 _OTHER_TIME = 0.05  # [-]; likewise for the time that an integral covers
 _MODEL, _SOCKET = (".json",), (".yaml", ".yml")
@@ -44,8 +39,8 @@ _BY_REGION = "compare them by region with --by-region, or their socket.yaml side
 def compare(
     *items: Comparable,
     segment: str = "plateau",
-    threshold: float = 5.0,
-    share: float = 0.5,
+    threshold: float = 1e-3 * THRESHOLD,
+    share: float = SHARE,
     by_region: bool = False,
     params: PathLike | None = None,
     progress: Progress | None = None,
@@ -273,7 +268,7 @@ def _of_regions(found: Sequence[TrialPressure], alike: bool) -> list[Compared]:
     shared = [name for name in names[0] if all(name in others for others in names)]
     if alike:  # a region of the same name may have other tiles
         shared = [name for name in shared if _same_tiles(found, names, name)]
-    return _outputs("regions", shared, [each.regions for each in found], found, names)
+    return _outputs("regions", TITLES, shared, found, names)
 
 
 def _same_tiles(found: Sequence[TrialPressure], names: Sequence[Sequence[str]], name: str) -> bool:
@@ -295,13 +290,13 @@ def _without_side(region: Region, found: TrialPressure) -> str:
 
 def _of_tiles(found: Sequence[TrialPressure]) -> list[Compared]:
     names = list(found[0].trial.geometry.names)
-    return _outputs("tiles", names, [each.tiles for each in found], found, [names] * len(found))
+    return _outputs("tiles", OF_TILES, names, found, [names] * len(found))
 
 
 def _outputs(
-    part: str,
+    part: Literal["regions", "tiles"],
+    titles: Sequence[str],
     shared: Sequence[str],
-    shown: Sequence[pd.DataFrame],
     found: Sequence[TrialPressure],
     names: Sequence[Sequence[str]],
 ) -> list[Compared]:
@@ -309,34 +304,32 @@ def _outputs(
 
     Args:
         part: What the things are.
+        titles: The outputs, of `TITLES`.
         shared: Names of the things that are compared.
-        shown: The table of each trial, NaN where a value is not determined.
         found: The trials.
-        names: Names of the rows of each table.
+        names: Names of all things of each trial, in the order of its outputs.
     """
-    bare = [dataclasses.replace(each, share=_OF_EVERYTHING) for each in found]
-    full = [each.regions if part == "regions" else each.tiles for each in bare]
+    outputs = [getattr(each.outputs, part) for each in found]
     rows = [[of_one.index(name) for name in shared] for of_one in names]
 
-    def column(tables: Sequence[pd.DataFrame], title: str) -> FloatArray:
-        return np.array([t[title].to_numpy()[r] for t, r in zip(tables, rows, strict=True)])
+    def in_rows(columns: Sequence[FloatArray | BoolArray]) -> Any:
+        return np.array([column[row] for column, row in zip(columns, rows, strict=True)])
 
     compared = []
-    for title in full[0]:
-        name, unit = split_unit(title)
-        if not unit or name.endswith((" low", " high")):
-            continue
-        values, low = column(full, title), column(full, f"{name} low [{unit}]")
+    for title in titles:
+        quantities = [read_column(of_one, title) for of_one in outputs]
         compared.append(
             Compared(
                 part,
                 shared,
                 title,
-                np.where(np.isnan(values) & np.isfinite(low), 0.0, values),
-                low,
-                column(full, f"{name} high [{unit}]"),
-                np.isfinite(column(shown, title)),
-                turn=360.0 if unit == "deg" else float("inf"),
+                in_rows([quantity.value for quantity in quantities]),
+                in_rows([quantity.low for quantity in quantities]),
+                in_rows([quantity.high for quantity in quantities]),
+                in_rows(
+                    [q.determined(each.share) for q, each in zip(quantities, found, strict=True)]
+                ),
+                turn=360.0 if title.endswith("[deg]") else float("inf"),
             )
         )
     return compared

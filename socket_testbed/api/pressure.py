@@ -42,7 +42,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
 _CENTRES = [title for title in TITLES if title.startswith("centre of pressure")]
-_OF_TILES = tuple(title for title in TITLES if title not in (*_CENTRES, "contact area [cm^2]"))
+OF_TILES = tuple(title for title in TITLES if title not in (*_CENTRES, "contact area [cm^2]"))
 _OVER_TIME = tuple(title for title in TITLES if not title.startswith("pressure-time"))
 
 
@@ -93,7 +93,7 @@ class TrialPressure:
     def tiles(self) -> pd.DataFrame:
         """Outputs over the segment, a row per tile, with 95 % intervals as in `regions`."""
         geometry = self.trial.geometry
-        table = self._table(self.outputs.tiles, list(geometry.names), _OF_TILES)
+        table = self._table(self.outputs.tiles, list(geometry.names), OF_TILES)
         table.index.name = "tile"
         clusters = {tile: cluster for cluster, tile in geometry.clusters.items()}
         table.insert(0, "cluster", [clusters.get(tile, "") for tile in range(len(geometry))])
@@ -151,7 +151,7 @@ class TrialPressure:
                 }
                 for name, row in regions.iterrows()
             },
-            "tiles": {name: _values(row, _OF_TILES) for name, row in self.tiles.iterrows()},
+            "tiles": {name: _values(row, OF_TILES) for name, row in self.tiles.iterrows()},
         }
 
     def to_json(self) -> str:

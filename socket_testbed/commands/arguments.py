@@ -5,8 +5,10 @@ from __future__ import annotations
 import argparse
 import os
 import re
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from typing import Any, NoReturn
+
+from socket_testbed.errors import likely
 
 _LISTS = ("--leave-out", "--unloaded", "--columns", "--units")
 
@@ -30,14 +32,6 @@ class Parser(argparse.ArgumentParser):
                 hint = likely(option, known) or hint
                 break
         self.exit(2, f"{self.prog}: error: {message}: {hint}\n")
-
-
-def likely(word: str, known: Collection[str]) -> str:
-    """A hint with the known word that is most like another one; empty if none is."""
-    import difflib
-
-    found = difflib.get_close_matches(word, known, n=1)
-    return f"did you mean '{found[0]}'?" if found else ""
 
 
 class ExtendList(argparse.Action):

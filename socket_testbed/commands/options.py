@@ -56,19 +56,23 @@ def add_trial(
 
 def add_judgement(parser: argparse.ArgumentParser) -> None:
     """When a tile is in contact, and when an output of pressure is determined."""
+    # It takes its time to import, and two verbs alone need it.
+    from socket_testbed.identification.pressure import SHARE, THRESHOLD
+
+    threshold = 1e-3 * THRESHOLD
     parser.add_argument(
         "--threshold",
         type=float,
-        default=5.0,
+        default=threshold,
         metavar="KPA",
-        help="pressure above which a tile is in contact (default: 5)",
+        help=f"pressure above which a tile is in contact (default: {threshold:g})",
     )
     parser.add_argument(
         "--share",
         type=float,
-        default=0.5,
+        default=SHARE,
         help="a value is not determined if its 95 %% interval reaches farther from it than this"
-        " share of it (default: 0.5)",
+        f" share of it (default: {SHARE:g})",
     )
 
 

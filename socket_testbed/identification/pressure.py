@@ -170,6 +170,11 @@ class PressureOutputs:
     series: RegionOutputs
     integrated: float
 
+    @property
+    def peak_row(self) -> int:
+        """The sample with the highest pressure of a tile; the last region is the socket."""
+        return int(np.nanargmax(self.series.peak.value[:, -1]))
+
 
 @dataclass(frozen=True)
 class _Fields:

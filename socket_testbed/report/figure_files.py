@@ -257,11 +257,7 @@ def pressure_of_regions(results: Results) -> Iterator[ReportFigure]:
     """Pressure of the regions over the segment."""
     found = results.pressure
     bands = region_bands(found.outputs.series, [place.name for place in found.places])
-    events = [
-        (event.time, event.label)
-        for event in results.trial.events()
-        if results.segment.start <= event.time <= results.segment.end
-    ]
+    events = [(event.time, event.label) for event in results.events]
     columns = {
         f"{name}.mean pressure{end} [kPa]": values
         for name, band in bands.items()
@@ -404,7 +400,7 @@ def _pressure_values(results: Results) -> dict[str, TileValues]:
         over_trial.normal_pressure, over_trial.normal_pressure_standard_deviation
     )
     shears = of_deviations(over_trial.shear, over_trial.shear_standard_deviation)
-    start = int(np.searchsorted(found.instants, found.time[found.peak_row]))
+    start = int(np.searchsorted(found.instants, found.peak_time))
     values = {
         f"{name}, mean over the segment": TileValues(
             f"mean {name} [kPa]", 1e-3 * quantity.masked(_MAP_SHARE)

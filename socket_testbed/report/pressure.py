@@ -64,14 +64,14 @@ class PressureResults:
     over_trial: MapEstimate
 
     @property
-    def peak_row(self) -> int:
-        """Row of the sample with the highest pressure of a tile."""
-        return int(np.nanargmax(self.outputs.series.peak.value[:, -1]))
+    def peak_time(self) -> float:
+        """When a tile has the highest pressure, since the first sample of the trial [s]."""
+        return float(self.time[self.outputs.peak_row])
 
     @property
     def peak_tile(self) -> int:
         """The tile with the highest pressure."""
-        return int(self.outputs.estimate.normal_pressure[self.peak_row].argmax())
+        return int(self.outputs.estimate.normal_pressure[self.outputs.peak_row].argmax())
 
 
 def read_pressure(
@@ -98,8 +98,7 @@ def read_pressure(
     force_map = ForceMap(geometry, samples.clusters, settings.force_map)
     places = all_regions(geometry, side)
     outputs = pressure_outputs(force_map, chosen, geometry, places, THRESHOLD)
-    peak = segment.rows.start + int(np.nanargmax(outputs.series.peak.value[:, -1]))
-    rows = _spread(len(samples), peak)
+    rows = _spread(len(samples), segment.rows.start + outputs.peak_row)
     every = without_untrusted(samples, geometry, leave_out)
     return PressureResults(
         side=side,
@@ -180,7 +179,7 @@ def describe_pressure(pressure: PressureResults, geometry: SocketGeometry) -> st
     where = geometry.names[pressure.peak_tile]
     return (
         f"Pressure over the segment, with 95 % intervals: {'; '.join(parts)}. The peak is on"
-        f" {where} at {pressure.time[pressure.peak_row]:.2f} s."
+        f" {where} at {pressure.peak_time:.2f} s."
     )
 
 
@@ -210,7 +209,7 @@ def _remarks(pressure: PressureResults, geometry: SocketGeometry) -> dict[str, s
     nearest = geometry.names[int(np.linalg.norm(geometry.anchors - centre, axis=1).argmin())]
     return {
         "peak pressure [kPa]": (
-            f"on {geometry.names[pressure.peak_tile]} at {pressure.time[pressure.peak_row]:.2f} s"
+            f"on {geometry.names[pressure.peak_tile]} at {pressure.peak_time:.2f} s"
         ),
         "mean pressure [kPa]": "over all tiles and the segment",
         "contact area [cm\N{SUPERSCRIPT TWO}]": (

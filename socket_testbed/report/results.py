@@ -50,6 +50,7 @@ from socket_testbed.samples import LOCAL_CHANNELS, WRENCH_CHANNELS, Samples, Sta
 from socket_testbed.settings.identification import PAPER_VARIANTS, VARIANTS, Variant
 from socket_testbed.settings.testbed import EstimatorSettings
 from socket_testbed.simulation.trial import TRUTH_FILE, read_truth
+from socket_testbed.trials.events import Event
 from socket_testbed.trials.segment import Segment, find_plateaus, select_segment
 from socket_testbed.trials.trial import Trial
 
@@ -339,6 +340,7 @@ class Results:
         no_fronts: Why there are none; empty where there are.
         implausible: Channels that are proposed to be left out.
         plateaus: Steady stretches of the trial, the longest first.
+        events: Events of the trial in the order of their times.
         bag_notes: What a reader must know of the trial's bag.
         motion: How the pose moves over the segment, against its noise.
         validation: Estimates judged on what they have not seen of the trial; empty where it does
@@ -357,6 +359,7 @@ class Results:
     no_fronts: str
     implausible: tuple[Implausible, ...]
     plateaus: tuple[Segment, ...]
+    events: tuple[Event, ...]
     bag_notes: tuple[str, ...]
     motion: Motion
     validation: tuple[Judgement, ...]
@@ -412,10 +415,10 @@ def compute_results(
     if given is not None:
         given.require_socket(trial.geometry)
     notes: list[str] = []
-    samples = replace(trial, notify=notes.append).samples()
-    measured = samples
+    noting = replace(trial, notify=notes.append)
+    samples = measured = noting.samples()
     leave_out = settings.identification.leave_out
-    segment = select_segment(samples, specification, settings.plateau, leave_out, trial.events)
+    segment = select_segment(samples, specification, settings.plateau, leave_out, noting.events)
     sign = sign_note(samples[segment.rows], trial.geometry)
     outliers = find_outliers(samples, trial.geometry, leave_out)
     notes += [*outlier_notes(samples, outliers), *([sign] if sign else [])]
@@ -446,6 +449,7 @@ def compute_results(
         no_fronts=no_fronts,
         implausible=find_implausible(chosen, trial.geometry),
         plateaus=tuple(find_plateaus(samples, settings.plateau, leave_out)),
+        events=tuple(noting.events()),
         bag_notes=tuple(dict.fromkeys(notes)),
         motion=measure_motion(chosen, trial.geometry, settings.identification.pose_smoothing),
         validation=validation,

@@ -251,9 +251,13 @@ def store_configuration(
         parameters: A `testbed.yaml`; None for the package's own.
         metadata: A `trial.yaml`; None for none.
     """
-    for source, name in zip((geometry, calibration, parameters), CONFIGURATION_FILES, strict=True):
-        shutil.copyfile(source or packaged("config", name), folder / name)
-        sync(folder / name)
+    given = (geometry, calibration, parameters)
+    sources = {
+        name: source or packaged("config", name)
+        for name, source in zip(CONFIGURATION_FILES, given, strict=True)
+    }
     if metadata is not None:
-        shutil.copyfile(metadata, folder / METADATA_FILE)
-        sync(folder / METADATA_FILE)
+        sources[METADATA_FILE] = metadata
+    for name, source in sources.items():
+        shutil.copyfile(source, folder / name)
+        sync(folder / name)

@@ -81,7 +81,7 @@ def instant_maps(
     Returns:
         The pressures, shape (n,) [kPa], and which of them are determined, by what they are.
     """
-    peak = int(np.nanargmax(outputs.series.peak.value[:, -1]))
+    peak = outputs.peak_row
     pressure = outputs.estimate.normal_pressure[peak]
     deviation = outputs.estimate.normal_pressure_standard_deviation[peak]
     at_peak = f"at the peak, {time[peak]:.2f} s"
@@ -317,7 +317,8 @@ class _Regions:
         events: Sequence[tuple[float, str]],
         style: FigureStyle,
     ) -> None:
-        self._time, self._regions, self._events, self._style = time, regions, events, style
+        self._time, self._regions, self._style = time, regions, style
+        self._events = [event for event in events if time[0] <= event[0] <= time[-1]]
         self._groups = group_regions([*regions])
         self._columns = min(2 if style.is_narrow else 3, len(self._groups))
         self._rows = -(-len(self._groups) // self._columns)

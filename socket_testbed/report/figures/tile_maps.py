@@ -120,14 +120,14 @@ def draw_maps(
     axes = figure.subplots(
         rows, 2 * columns, width_ratios=(_WALL_SHARE, 1.0) * columns, squeeze=False
     ).reshape(-1, 2)
-    room = figure.bbox.width / figure.dpi / MM / columns - _AXIS - _BAR
+    free = figure.bbox.width / figure.dpi / MM / columns - _AXIS - _BAR
     common, drawn = len(set(scales)) == 1, []
     for panels, (name, row), limits in zip(axes, values.items(), scales, strict=False):
         paint = paint_tiles(
             geometry, row, limits, labels, certainty.get(name), determined.get(name)
         )
         drawn.append(draw_unrolled(panels[0], geometry, paint, around, side=side))
-        heading = wrap(name, 0.9 * room)  # bold type is wider
+        heading = wrap(name, 0.9 * free)  # bold type is wider
         panels[0].set_title(heading, loc="left", fontweight="bold", parse_math=False)
         drawn.append(_draw_end(panels[1], geometry, paint, end))
         if not common:

@@ -69,7 +69,9 @@ def check_video(path: Path, duration: float = 0.0) -> None:
         )
     frames, most = int(duration * RATE) + 1, _MOST_FRAMES[suffix]
     if frames > most:
-        longer = ", or name an .mp4 file" if suffix == ".gif" and frames <= 9000 else ""
+        longer = (
+            ", or name an .mp4 file" if suffix == ".gif" and frames <= _MOST_FRAMES[".mp4"] else ""
+        )
         raise ConfigurationError(
             f"{path}: {duration / 60.0:.1f} min at {RATE} frames a second are {frames} frames,"
             f" about {np.ceil(frames * _FRAME / 60.0):.0f} min of work",
