@@ -6,12 +6,12 @@ from setuptools import find_packages, setup
 
 NAME = "socket_testbed"
 VERSION = re.search(r'__version__ = "(.+)"', Path(f"{NAME}/__init__.py").read_text())[1]
-# What the offline part needs; ROS comes from its own installation.
-RUNTIME = [
-    line.partition("#")[0].strip()
-    for line in Path("requirements/runtime.txt").read_text().splitlines()
-    if line.strip() and line[0] != "#"
-]
+
+
+def requirements(name: str) -> list[str]:
+    lines = Path(f"requirements/{name}.txt").read_text().splitlines()
+    return [line.partition("#")[0].strip() for line in lines if line.strip() and line[0] != "#"]
+
 
 NODES = (
     "trigger",
@@ -37,9 +37,13 @@ setup(
         # The offline side reads trials with the same message definitions, without ROS.
         (f"share/{NAME}/msg", glob("msg_defs/msg/*.msg")),
     ],
-    install_requires=RUNTIME,
+    install_requires=requirements("runtime"),  # of the offline part; ROS has its own installation
     # Without "test", colcon test runs no test.
-    extras_require={"test": ["pytest"], "completion": ["argcomplete>=3,<4"]},
+    extras_require={
+        "test": ["pytest"],
+        "completion": ["argcomplete>=3,<4"],
+        "view": requirements("view"),
+    },
     zip_safe=True,
     maintainer="socket_testbed maintainers",
     maintainer_email="maintainers@example.org",
