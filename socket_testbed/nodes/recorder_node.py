@@ -9,6 +9,9 @@ of the system clock reorders no messages. With use_sim_time they are those of /c
 
 A recorder that is started again after it was killed leaves the trial that was cut short as it is,
 and records beside it into DIRECTORY_2, DIRECTORY_3, ...
+
+What goes into a trial beside the messages is read at the start and cannot be changed afterwards;
+the parameters `next.*` give the trial that is asked for next its name and metadata.
 """
 
 from __future__ import annotations
@@ -18,8 +21,10 @@ from collections.abc import Callable
 from datetime import datetime
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 from rclpy.clock import Clock, ClockType
+from rclpy.parameter import Parameter
 from std_msgs.msg import String
 from std_srvs.srv import SetBool
 
@@ -28,11 +33,22 @@ from socket_testbed.clocks import SteadyClock
 from socket_testbed.errors import ConfigurationError
 from socket_testbed.files import refuse_existing
 from socket_testbed.nodes.base import ERROR, OK, WARN, TestbedNode
-from socket_testbed.settings.testbed import RecorderSettings
+from socket_testbed.settings.testbed import NextTrialSettings, RecorderSettings
 from socket_testbed.trials.bag import BagWriter
-from socket_testbed.trials.metadata import read_metadata
+from socket_testbed.trials.metadata import (
+    METADATA_FILE,
+    TrialMetadata,
+    change_metadata,
+    metadata_text,
+    read_metadata,
+)
 from socket_testbed.trials.topics import RECORDED_TRIAL, TOPICS
-from socket_testbed.trials.trial import beside, beside_cut_short, store_configuration
+from socket_testbed.trials.trial import (
+    beside,
+    beside_cut_short,
+    read_configuration,
+    store_configuration,
+)
 
 _SILENCE = 10.0  # [s]; for a graph to come up
 
@@ -43,6 +59,16 @@ class RecorderNode(TestbedNode[RecorderSettings]):
     def __init__(self) -> None:
         super().__init__("recorder_node", RecorderSettings)
         settings = self.settings
+        self._directory = Path(settings.directory).absolute()
+        self._configuration = read_configuration(
+            *(
+                Path(file) if file else None
+                for file in (settings.geometry, settings.calibration, settings.parameters)
+            )
+        )
+        self._stated = (
+            read_metadata(Path(settings.metadata)) if settings.metadata else TrialMetadata()
+        )
         self._bag: BagWriter | None = None
         self._path: Path | None = None
         self._counts: dict[str, int] = {}
@@ -59,7 +85,12 @@ class RecorderNode(TestbedNode[RecorderSettings]):
         self._flusher = self.create_timer(settings.flush_period, self._flush, clock=steady)
         self._announce()
         if settings.record:
-            self._start_over(Path(settings.directory))
+            self._start_over(self._directory)
+
+    def _read_settings(self, changes: dict[str, Any]) -> RecorderSettings:
+        settings = super()._read_settings(changes)
+        _metadata_of(settings.next)  # refuses what no trial may state
+        return settings
 
     def look(self) -> None:
         """Report the topics on which nothing arrives."""
@@ -94,48 +125,42 @@ class RecorderNode(TestbedNode[RecorderSettings]):
 
     def _on_record(self, wanted: bool) -> str:
         if wanted and self._bag is None:
-            self._start(self._next_path())
+            given = self.settings.next
+            stated = change_metadata(self._stated, _metadata_of(given).stated())
+            self._start(self._next_path(given.name), stated)
+            blank = NextTrialSettings().to_flat("next.")
+            self.set_parameters([Parameter(name, value=value) for name, value in blank.items()])
         elif not wanted:
             self._finish()
         return f"{'recording' if self._bag else 'recorded'} {self._path}"
 
-    def _next_path(self) -> Path:
+    def _next_path(self, name: str) -> Path:
         """Where a requested recording goes: into the folder, or beside it if it is a trial."""
-        directory = Path(self.settings.directory)
+        directory = self._directory
         if any(directory.glob("*.mcap")):
-            return beside(directory)
-        path = directory / datetime.now().strftime("trial_%Y%m%d_%H%M%S")
+            path = directory.with_name(f"{directory.name}_{name}") if name else directory
+        else:
+            path = directory / (name or datetime.now().strftime("trial_%Y%m%d_%H%M%S"))
         return beside(path) if path.exists() else path
 
     def _start_over(self, directory: Path) -> None:
         """Record into a folder, or beside it where an earlier recorder was cut short."""
         path = beside_cut_short(directory)
-        self._start(path)
+        self._start(path, self._stated)
         if path != directory:
             self.report(WARN, f"recording {path}: {directory} was cut short and stays as it is")
 
-    def _start(self, path: Path) -> None:
+    def _start(self, path: Path, metadata: TrialMetadata) -> None:
         refuse_existing(path)
-        settings = self.settings
-        if settings.metadata:
-            read_metadata(Path(settings.metadata))  # refuses a wrong one
+        contents = dict(self._configuration)
+        if metadata.stated():
+            contents[METADATA_FILE] = metadata_text(metadata).encode()
         bag = BagWriter(path)
         try:
             bag.__enter__()
             for name, topic in self._topics.items():
                 bag.add_topic(name, topic)
-            store_configuration(
-                path,
-                *(
-                    Path(file) if file else None
-                    for file in (
-                        settings.geometry,
-                        settings.calibration,
-                        settings.parameters,
-                        settings.metadata,
-                    )
-                ),
-            )
+            store_configuration(path, contents)
         except OSError as error:
             bag.abandon()
             shutil.rmtree(path, ignore_errors=True)  # made here: nothing was recorded into it
@@ -205,3 +230,9 @@ class RecorderNode(TestbedNode[RecorderSettings]):
         if self.context.ok():
             name = self._path.name if self._bag is not None and self._path is not None else ""
             self._announcer.publish(String(data=name))
+
+
+def _metadata_of(given: NextTrialSettings) -> TrialMetadata:
+    """The metadata of the next trial; a ConfigurationError if no trial may state them."""
+    stated = {name: value for name, value in vars(given).items() if name != "name" and value}
+    return TrialMetadata(**stated)

@@ -6,12 +6,14 @@ here and in `acquisition.py` and `identification.py`, nowhere else.
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
 import yaml
 
+from socket_testbed.errors import ConfigurationError
 from socket_testbed.files import Section, read_document
 from socket_testbed.settings.acquisition import (
     ClusterSettings,
@@ -65,16 +67,52 @@ class CalibrationNodeSettings(Settings):
     )
 
 
+# A folder's name on every file system, and the name of a take in Motive.
+_TRIAL_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,79}")
+
+
+@dataclass(frozen=True)
+class NextTrialSettings(Settings):
+    """The trial that the recorder is asked for next; it forgets them when it starts that."""
+
+    name: str = setting("", "name of the trial; empty: the date and time [-]")
+    subject: str = setting("", "code of the subject, such as S01 [-]")
+    side: str = setting("", "side of the residual limb, left or right [-]")
+    socket: str = setting("", "the socket, such as PTB 3 [-]")
+    liner: str = setting("", "liner or sock [-]")
+    mass: float = setting(0.0, "body mass of the subject; 0: not stated [kg]", 0.0, 400.0)
+    operator: str = setting("", "initials or a code of who records [-]")
+    protocol: str = setting("", "the protocol that it follows [-]")
+    notes: str = setting("", "anything else [-]")
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.name and not _TRIAL_NAME.fullmatch(self.name):
+            raise ConfigurationError(
+                f"name is '{self.name}', not the name of a folder",
+                "give up to 80 letters, digits, '-', '_' and '.', a letter or digit first",
+            )
+
+
 @dataclass(frozen=True)
 class RecorderSettings(Settings):
     """Parameters of the recorder node."""
 
-    directory: str = setting("trials", "folder of the trials, or of the one trial [-]")
+    directory: str = setting("trials", "folder of the trials, or of the one trial [-]", fixed=True)
     record: bool = setting(False, "record from the start, into `directory` itself [-]", fixed=True)
-    geometry: str = setting("", "path of the socket.yaml to store; empty: the package's own [-]")
-    calibration: str = setting("", "path of the calibration.yaml to store; empty: own [-]")
-    parameters: str = setting("", "path of the testbed.yaml to store; empty: none [-]")
-    metadata: str = setting("", "path of the trial.yaml to store; empty: none [-]")
+    geometry: str = setting(
+        "", "path of the socket.yaml to store; empty: the package's own [-]", fixed=True
+    )
+    calibration: str = setting(
+        "", "path of the calibration.yaml to store; empty: the package's own [-]", fixed=True
+    )
+    parameters: str = setting(
+        "", "path of the testbed.yaml to store; empty: the package's own [-]", fixed=True
+    )
+    metadata: str = setting(
+        "", "path of a trial.yaml that every trial starts from; empty: none [-]", fixed=True
+    )
+    next: NextTrialSettings = NextTrialSettings()
     flush_period: float = setting(
         1.0, "longest time before data is on the disk [s]", 0.05, 60.0, fixed=True
     )

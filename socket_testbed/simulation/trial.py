@@ -39,7 +39,7 @@ from socket_testbed.trials.topics import (
     WRENCH,
     Topic,
 )
-from socket_testbed.trials.trial import store_configuration
+from socket_testbed.trials.trial import read_configuration, store_configuration
 
 TRUTH_FILE = "ground_truth.npz"
 
@@ -249,6 +249,7 @@ def write_simulated_trial(
         ConfigurationError: If the folder exists or cannot be written.
     """
     check_new_folder(path)
+    configuration = read_configuration(geometry_file, calibration_file)
     make_folder(path.parent)
     with atomic_output(path) as staging:
         with BagWriter(staging) as bag:
@@ -258,7 +259,7 @@ def write_simulated_trial(
                 for topic, message in _messages(trial, k):
                     time = stamp + _DELAYS[topic]
                     bag.write("/" + topic.name, time, encode(message, topic.type))
-        store_configuration(staging, geometry_file, calibration_file)
+        store_configuration(staging, configuration)
         save_truth(staging / TRUTH_FILE, trial.tiles, trial.stamps, trial.truth)
 
 

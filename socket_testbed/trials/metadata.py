@@ -126,13 +126,18 @@ def write_metadata(metadata: TrialMetadata, path: Path) -> None:
     Raises:
         ConfigurationError: If it cannot be written.
     """
+    with atomic_output(path) as staging:
+        staging.write_text(metadata_text(metadata), encoding="utf-8")
+
+
+def metadata_text(metadata: TrialMetadata) -> str:
+    """The text of a `trial.yaml`."""
     # A JSON text is a quoted YAML text: '007' and '1e3' stay texts.
     lines = [
         f"{name}: {json.dumps(value, ensure_ascii=False)}\n"
         for name, value in metadata.stated().items()
     ]
-    with atomic_output(path) as staging:
-        staging.write_text(_HEADER + "".join(lines), encoding="utf-8")
+    return _HEADER + "".join(lines)
 
 
 def change_metadata(

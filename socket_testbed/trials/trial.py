@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import shutil
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
@@ -235,29 +234,37 @@ def beside(path: Path) -> Path:
     return next(name for name in names if not name.exists())
 
 
-def store_configuration(
-    folder: Path,
-    geometry: Path | None = None,
-    calibration: Path | None = None,
-    parameters: Path | None = None,
-    metadata: Path | None = None,
-) -> None:
-    """Copy the configuration a trial is recorded with, and its metadata, into its folder.
+def read_configuration(
+    geometry: Path | None = None, calibration: Path | None = None, parameters: Path | None = None
+) -> dict[str, bytes]:
+    """Read the configuration that trials are recorded with.
 
     Args:
-        folder: Folder of the trial.
         geometry: A `socket.yaml`; None for the package's own.
         calibration: A `calibration.yaml`; None for the package's own.
         parameters: A `testbed.yaml`; None for the package's own.
-        metadata: A `trial.yaml`; None for none.
+
+    Returns:
+        The files' contents by their names in a trial.
+
+    Raises:
+        TestbedError: If one is missing, or is not the file that it should be.
     """
-    given = (geometry, calibration, parameters)
-    sources = {
-        name: source or packaged("config", name)
-        for name, source in zip(CONFIGURATION_FILES, given, strict=True)
-    }
-    if metadata is not None:
-        sources[METADATA_FILE] = metadata
-    for name, source in sources.items():
-        shutil.copyfile(source, folder / name)
+    files: tuple[tuple[str, Path | None, Callable[[Path], object]], ...] = (
+        (SOCKET_FILE, geometry, read_socket),
+        (CALIBRATION_FILE, calibration, read_calibration),
+        (PARAMETERS_FILE, parameters, read_testbed),
+    )
+    contents = {}
+    for name, given, read in files:
+        source = given or packaged("config", name)
+        read(source)  # refuses any other file
+        contents[name] = source.read_bytes()
+    return contents
+
+
+def store_configuration(folder: Path, contents: Mapping[str, bytes]) -> None:
+    """Store files in a trial's folder, given by their names, on the disk before it returns."""
+    for name, content in contents.items():
+        (folder / name).write_bytes(content)
         sync(folder / name)

@@ -12,24 +12,27 @@ import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import WrenchStamped
+from rcl_interfaces.srv import SetParameters
+from rclpy.parameter import Parameter
 from rosgraph_msgs.msg import Clock
 from std_srvs.srv import SetBool
 from support import HANGS
 from support.graph import Probe
 
 from socket_testbed.batch import find_trials
+from socket_testbed.files import packaged
 from socket_testbed.live.processes import Graph
 from socket_testbed.nodes.conversions import stamp_from_ros, stamp_to_ros
-from socket_testbed.settings.testbed import RecorderSettings, ReplaySettings
+from socket_testbed.settings.testbed import NextTrialSettings, RecorderSettings, ReplaySettings
 from socket_testbed.trials.bag import BagReader, decode, stamp_of
-from socket_testbed.trials.metadata import TrialMetadata
+from socket_testbed.trials.metadata import FIELDS, METADATA_FILE, TrialMetadata
 from socket_testbed.trials.topics import (
     DIAGNOSTICS,
     RECORDED_TRIAL,
     WRENCH,
     match_topics,
 )
-from socket_testbed.trials.trial import Trial
+from socket_testbed.trials.trial import CONFIGURATION_FILES, Trial
 
 pytestmark = pytest.mark.graph
 
@@ -228,10 +231,7 @@ def test_the_trial_s_name_is_announced_while_it_is_recorded(tmp_path: Path) -> N
             late.wait(lambda: names(heard) == [trial.name], "the name for a late subscriber")
         assert probe.call(SetBool, "recorder/record", SetBool.Request(data=False)).success
         probe.wait(lambda: names(announced) == ["", trial.name, ""], "its end")
-        stated.write_text("side: lft")
-        answer = probe.call(SetBool, "recorder/record", SetBool.Request(data=True))
-        assert not answer.success and "did you mean 'left'?" in answer.message
-        stated.write_text("side: left")
+        stated.unlink()  # it was read at the start
         names_given = []
         for wanted in (True, False) * 3:  # several within a second
             answer = probe.call(SetBool, "recorder/record", SetBool.Request(data=wanted))
@@ -319,9 +319,63 @@ def test_a_folder_that_is_no_cut_short_trial_is_refused(whole: bool, tmp_path: P
     assert [path.name for path in tmp_path.iterdir()] == ["trial"]
 
 
-def test_a_recorder_that_cannot_begin_leaves_no_folder(tmp_path: Path) -> None:
-    trial = tmp_path / "trial"
-    settings = ("record:=true", f"directory:={trial}", f"geometry:={tmp_path / 'nowhere.yaml'}")
+def set_parameters(probe: Probe, **values: Any) -> list[str]:
+    """Set parameters of the recorder; returns the reasons for which it refused them."""
+    given = [Parameter(name.replace("__", "."), value=value) for name, value in values.items()]
+    request = SetParameters.Request(parameters=[entry.to_parameter_msg() for entry in given])
+    results = probe.call(SetParameters, "recorder_node/set_parameters", request).results
+    return [result.reason for result in results if not result.successful]
+
+
+def test_no_other_program_chooses_what_is_stored_or_where(tmp_path: Path) -> None:
+    secret = tmp_path / "secret"
+    secret.write_text("subject: S09\n")
+    with Probe() as probe, recorder(f"directory:={tmp_path / 'trials'}"):
+        for name in ("geometry", "calibration", "parameters", "metadata"):
+            assert set_parameters(probe, **{name: str(secret)}), name
+        assert set_parameters(probe, directory=str(tmp_path / "elsewhere"))
+        for name in ("../up", "/tmp/up", "..", ".hidden", "a/b", "a\nb", "a,b", "a" * 200):
+            (reason,) = set_parameters(probe, next__name=name)
+            assert "not the name of a folder: give" in reason
+        (reason,) = set_parameters(probe, next__side="lft")
+        assert "did you mean 'left'?" in reason
+        assert probe.call(SetBool, "recorder/record", SetBool.Request(data=True)).success
+        assert probe.call(SetBool, "recorder/record", SetBool.Request(data=False)).success
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["secret", "trials"]
+    (trial,) = (tmp_path / "trials").iterdir()
+    package = {name: packaged("config", name).read_bytes() for name in CONFIGURATION_FILES}
+    assert {name: (trial / name).read_bytes() for name in package} == package
+    assert not (trial / METADATA_FILE).exists()
+
+
+def test_the_next_trial_has_the_name_and_the_metadata_that_were_set(tmp_path: Path) -> None:
+    stated = tmp_path / "stated.yaml"
+    stated.write_text("subject: S01\nliner: gel\n")
+    settings = {f"next__{name}" for name in ("name", *FIELDS)}
+    assert settings == {f"next__{name}" for name in vars(NextTrialSettings())}
+    with Probe() as probe, recorder(f"directory:={tmp_path}", f"metadata:={stated}"):
+
+        def recorded_as(**values: Any) -> str:
+            assert not set_parameters(probe, **values)
+            answer = probe.call(SetBool, "recorder/record", SetBool.Request(data=True))
+            assert answer.success, answer.message
+            assert probe.call(SetBool, "recorder/record", SetBool.Request(data=False)).success
+            return Path(answer.message.removeprefix("recording ")).name
+
+        assert recorded_as(next__name="stairs", next__subject="S02", next__mass=70) == "stairs"
+        assert recorded_as().startswith("trial_")  # it was for one trial
+        assert recorded_as(next__name="stairs", next__side="left") == "stairs_2"
+    both = TrialMetadata("S02", liner="gel", mass=70.0)
+    assert Trial(tmp_path / "stairs").metadata == both
+    assert Trial(tmp_path / "stairs_2").metadata == TrialMetadata("S01", "left", liner="gel")
+
+
+@pytest.mark.parametrize("file", ["nowhere.yaml", "passwd"])
+def test_a_recorder_that_cannot_begin_leaves_no_folder(file: str, tmp_path: Path) -> None:
+    trial, wrong = tmp_path / "trial", tmp_path / "other" / file
+    wrong.parent.mkdir()
+    wrong.with_name("passwd").write_text("root:x:0:0:root:/root:/bin/bash\n")
+    settings = ("record:=true", f"directory:={trial}", f"geometry:={wrong}")
     with recorder(*settings) as process:
         assert process.wait(timeout=HANGS) == 1
-    assert list(tmp_path.iterdir()) == []
+    assert list(tmp_path.iterdir()) == [wrong.parent]
