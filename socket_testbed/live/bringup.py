@@ -84,6 +84,7 @@ class Testbed:
         record: Folder of the new trial; None to record nothing.
         one_process: Whether all nodes but the trigger's and the recorder's share a process.
         metadata: Metadata of the new trial, over those of the recorder's settings.
+        namespace: Namespace of its nodes and topics.
 
     Raises:
         TestbedError: If these do not belong together.
@@ -98,6 +99,7 @@ class Testbed:
     record: Path | None = None
     one_process: bool = False
     metadata: TrialMetadata = field(default_factory=TrialMetadata)
+    namespace: str = "/"
 
     def __post_init__(self) -> None:
         names = self.settings.cluster_node.names
@@ -149,8 +151,11 @@ class Testbed:
         trigger = replace(given.trigger_node, wait_for=wait_for)
         process = "testbed" if self.one_process else ""
         nodes = [
-            GraphNode("trigger_node", trigger),
-            *(GraphNode(name, settings, process=process) for name, settings in acquiring.items()),
+            GraphNode("trigger_node", trigger, self.namespace),
+            *(
+                GraphNode(name, settings, self.namespace, process=process)
+                for name, settings in acquiring.items()
+            ),
         ]
         if self.record is None:
             return nodes
@@ -165,7 +170,7 @@ class Testbed:
             metadata=self._store_metadata(folder / METADATA_FILE),
             flush_period=given.recorder_node.flush_period,
         )
-        return [GraphNode("recorder_node", recorder), *nodes]
+        return [GraphNode("recorder_node", recorder, self.namespace), *nodes]
 
     def _store_metadata(self, path: Path) -> str:
         """Write the new trial's metadata; the path, or nothing where nothing is stated."""

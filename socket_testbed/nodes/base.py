@@ -1,12 +1,15 @@
 """What every node of the testbed shares: settings, topics, services, diagnostics.
 
 A node declares the parameters of its settings class, advertises and listens to topics, and reports
-how it is: on /diagnostics at 1 Hz, and at once on a change of level.
+how it is: on /diagnostics at 1 Hz, and at once on a change of level, under its full name such as
+/left/cluster_node.
 """
 
 from __future__ import annotations
 
 import math
+import platform
+import queue
 import re
 import sys
 import threading
@@ -24,7 +27,7 @@ from rcl_interfaces.msg import (
     SetParametersResult,
 )
 from rclpy.clock import Clock, ClockType
-from rclpy.executors import ExternalShutdownException, ShutdownException, SingleThreadedExecutor
+from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
@@ -100,44 +103,43 @@ def spin(executor: Any, futures: list[Future]) -> None:
             executor.spin_until_future_complete(futures[0], timeout_sec=_END)
 
 
-class _Service:
-    """A service on a node and a thread of its own: the events executor knows no coroutines."""
+class _SlowService:
+    """A service that is answered in a thread of its own: the events executor knows no coroutines.
 
-    def __init__(self, node: Node, kind: Any, name: str, callback: Callable[..., Any]) -> None:
-        self._node = Node(
-            f"{node.get_name()}_services",
-            namespace=node.get_namespace(),
-            context=node.context,
-            start_parameter_services=False,
-            use_global_arguments=False,
-        )
-        self._service = self._node.create_service(kind, name, callback)
-        self._executor = SingleThreadedExecutor(context=node.context)
-        self._executor.add_node(self._node)
-        self._thread = threading.Thread(target=self._spin, name=name)
+    The executor answers with what the callback returns, through `send_response`. Both only pass the
+    request on to the thread, which answers when it is done.
+    """
+
+    def __init__(self, node: Node, kind: Any, name: str, respond: Callable[..., Any]) -> None:
+        self._context = node.context
+        self._respond = respond
+        self._asked: queue.SimpleQueue[tuple[Any, Any] | None] = queue.SimpleQueue()
+        service = node.create_service(kind, name, lambda *given: given)
+        self._send = service.send_response
+        service.send_response = lambda given, header: self._asked.put((given, header))
+        self._thread = threading.Thread(target=self._answer, name=name)
         self._thread.start()
 
     def close(self) -> None:
-        """Stop answering."""
-        self._executor.shutdown()
+        """Stop answering; what was asked is answered."""
+        self._asked.put(None)
         self._thread.join()
-        self._node.destroy_node()
 
-    def _spin(self) -> None:
+    def _answer(self) -> None:
         try:
-            self._executor.spin()
-        except (ExternalShutdownException, ShutdownException):
-            return
+            while (asked := self._asked.get()) is not None:
+                given, header = asked
+                self._send(self._respond(*given), header)
         except Exception:
-            # ROS may have ended in the middle of a wait.
-            if self._node.context.ok():
+            # After Ctrl-C the service goes before this thread does.
+            if self._context.ok():
                 raise
 
 
 class TestbedNode(Node, Generic[S]):
     """A node with settings, topics, services and diagnostics.
 
-    Nodes override `figures`, `look`, `ready` and `close` as they need.
+    Nodes override `figures`, `device`, `look`, `ready` and `close` as they need.
 
     Args:
         name: Name of the node.
@@ -167,7 +169,7 @@ class TestbedNode(Node, Generic[S]):
 
         self._inputs: list[Subscription] = []
         self._outputs: list[tuple[Publisher, bool]] = []
-        self._slow_services: list[_Service] = []
+        self._slow_services: list[_SlowService] = []
         self._settled_at = clocks.monotonic() + settle
         self._level, self._message = OK, "started"
         self._has_worked = False
@@ -185,6 +187,10 @@ class TestbedNode(Node, Generic[S]):
     def figures(self) -> dict[str, object]:
         """Figures for the diagnostics, by name."""
         return {}
+
+    def device(self) -> str:
+        """The device that it works with, empty if there is none."""
+        return ""
 
     def look(self) -> None:
         """Look at itself and `report`; called ten times a second."""
@@ -258,7 +264,7 @@ class TestbedNode(Node, Generic[S]):
             return response
 
         if slow:
-            self._slow_services.append(_Service(self, kind, name, respond))
+            self._slow_services.append(_SlowService(self, kind, name, respond))
         else:
             self.create_service(kind, name, respond)
 
@@ -350,9 +356,9 @@ class TestbedNode(Node, Generic[S]):
         values = {WAITING_FOR: waiting, LINKS: " ".join(links), **self.figures()}
         status = DiagnosticStatus(
             level=bytes([self._level]),
-            name=self.get_name(),
+            name=self.get_fully_qualified_name(),
             message=self._message,
-            hardware_id="",
+            hardware_id=f"{platform.node()} {self.device()}".strip(),
             values=[KeyValue(key=key, value=str(value)) for key, value in values.items()],
         )
         message = DiagnosticArray(status=[status])

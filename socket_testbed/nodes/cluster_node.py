@@ -36,6 +36,10 @@ class ClusterNode(SensorNode[ClusterSettings]):
         """Number of measurements, and of channels that are missing."""
         return {"samples": self.samples, "missing_channels": self.missing}
 
+    def device(self) -> str:
+        """The buses that the clusters are on."""
+        return ", ".join(f"i2c-{number}" for number in dict.fromkeys(self.settings.buses))
+
     def measure(self, stamp: int, moment: float) -> None:
         """Read all clusters; `missing` counts channels."""
         reading = self._read(moment)

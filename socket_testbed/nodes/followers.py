@@ -23,14 +23,16 @@ class Followers:
 
     Args:
         node: The node that waits for them.
-        names: Their names.
+        names: Their names, in the node's namespace or absolute.
         stopped: Called to know whether waiting has become pointless.
     """
 
     def __init__(
         self, node: TestbedNode[Any], names: tuple[str, ...], stopped: Callable[[], bool]
     ) -> None:
-        self._waiting = dict.fromkeys(names, "not seen")
+        namespace = node.get_namespace().rstrip("/")
+        full = (name if name.startswith("/") else f"{namespace}/{name}" for name in names)
+        self._waiting = dict.fromkeys(full, "not seen")
         self._links: dict[str, dict[str, int]] = {}
         self._newest: dict[str, int] = {}
         self._sent: deque[int] = deque()

@@ -51,6 +51,10 @@ class LoadCellNode(SensorNode[LoadCellSettings]):
         own = {"averaged_conversions": self._averaged}
         return {**super().figures(), **own, **self._cell.figures()}
 
+    def device(self) -> str:
+        """The converter's bus and chip select."""
+        return f"spidev{self.settings.device}"
+
     def _poll(self) -> None:
         """Read the converter at its pace; a pause costs nothing but conversions."""
         due = clocks.monotonic()

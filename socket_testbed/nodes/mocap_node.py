@@ -61,6 +61,10 @@ class MocapNode(SensorNode[MocapSettings]):
         last = {"averaged_frames": self._averaged, "delay": round(self._delay, 4)}
         return {**super().figures(), **last, **self._client.figures()}
 
+    def device(self) -> str:
+        """The motion capture's server."""
+        return f"NatNet {self.settings.server}"
+
     def measure(self, stamp: int, moment: float) -> None:
         """Wait for the frames around the trigger and average them."""
         window = averaging_span(self.settings.window, self.period)

@@ -74,6 +74,11 @@ class TriggerNode(TestbedNode[TriggerSettings]):
             "stray_edges": self._trigger.stray if self._trigger is not None else 0,
         }
 
+    def device(self) -> str:
+        """The line that makes the pulse."""
+        settings = self.settings
+        return "" if settings.source == "timer" else f"{settings.chip} line {settings.output_line}"
+
     def _on_trigger(self, message: TriggerMessage) -> None:
         """Hear whether another testbed triggers the same nodes."""
         if stamp_from_ros(message.header.stamp) not in self._own:

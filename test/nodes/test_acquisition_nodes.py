@@ -75,7 +75,7 @@ def test_poses_and_wrenches_are_averages_over_the_trigger_s_period(live: LiveTes
     """50 ms at 240 frames and 500 conversions a second, half of it after the trigger."""
 
     def figure(node: str, name: str) -> float:
-        found = [s.values for m in live.diagnostics for s in m.status if s.name == node]
+        found = [s.values for m in live.diagnostics for s in m.status if s.name == f"/{node}"]
         return float({v.key: v.value for v in found[-1]}[name])
 
     live.probe.wait(lambda: figure("mocap_node", "averaged_frames") >= 10, "the mean poses")

@@ -64,7 +64,7 @@ NO_FIT = EstimatorSettings(auto_fit=False)
 
 def last(diagnostics: list, node: str) -> list:
     """The values of a node's newest diagnostics."""
-    found = [s.values for m in diagnostics for s in m.status if s.name == node]
+    found = [s.values for m in diagnostics for s in m.status if s.name == f"/{node}"]
     return found[-1] if found else []
 
 

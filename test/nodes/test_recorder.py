@@ -44,7 +44,7 @@ def counts(trial: Path) -> dict[str, int]:
 
 def statuses(diagnostics: list, node: str = "recorder_node") -> list[DiagnosticStatus]:
     """What a node reported of itself."""
-    return [s for m in diagnostics for s in m.status if s.name == node]
+    return [s for m in diagnostics for s in m.status if s.name == f"/{node}"]
 
 
 def figures(diagnostics: list, node: str = "recorder_node") -> dict[str, str]:
@@ -296,7 +296,7 @@ def test_simulated_time_is_recorded_as_it_is(tmp_path: Path) -> None:
             return any(
                 m.header.stamp.sec == 1000
                 for m in diagnostics
-                if m.status[0].name == "recorder_node"
+                if m.status[0].name == "/recorder_node"
             )
 
         probe.wait(tick, "the recorder to follow the clock")

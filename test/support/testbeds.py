@@ -107,7 +107,7 @@ class LiveTestbed:
         """Level and message of a node's newest diagnostics."""
         for message in reversed(self.diagnostics):
             for status in message.status:
-                if status.name == node:
+                if status.name == f"/{node}":
                     return LEVELS[status.level[0]], status.message
         return "", ""
 
@@ -131,7 +131,7 @@ class LiveTestbed:
         """
 
         def reported() -> bool:
-            new = [s for m in self.diagnostics[since:] for s in m.status if s.name == node]
+            new = [s for m in self.diagnostics[since:] for s in m.status if s.name == f"/{node}"]
             return any(re.fullmatch(level, LEVELS[s.level[0]]) for s in new)
 
         self.probe.wait(reported, f"{node} {level}, however briefly")

@@ -1,0 +1,102 @@
+"""Two testbeds in two namespaces of one graph, each with its own nodes, topics and devices."""
+
+from __future__ import annotations
+
+import dataclasses
+import platform
+from collections.abc import Iterator
+from types import SimpleNamespace
+
+import pytest
+from rcl_interfaces.srv import ListParameters
+from std_srvs.srv import SetBool
+from std_srvs.srv import Trigger as TriggerService
+from support.graph import Probe
+from support.testbeds import manageable
+
+from socket_testbed.live.bringup import Simulation, end, simulated_testbed, start
+from socket_testbed.live.processes import Graph
+from socket_testbed.trials.topics import DIAGNOSTICS, TRIGGER, WRENCH
+
+pytestmark = pytest.mark.graph
+
+NAMESPACES = ("/left", "/right")
+NODES = ("trigger_node", "cluster_node", "load_cell_node", "mocap_node", "calibration_node")
+
+
+@pytest.fixture(scope="module")
+def two(tmp_path_factory: pytest.TempPathFactory) -> Iterator[SimpleNamespace]:
+    """Two testbeds that run at once, and what another program hears of them."""
+    simulation = manageable(Simulation("static_hold", 1800.0), 8.0)
+    with Probe() as probe, Graph() as left, Graph() as right:
+        diagnostics = probe.listen(DIAGNOSTICS)
+        triggers = {name: probe.listen(TRIGGER, f"{name}/trigger") for name in NAMESPACES}
+        wrenches = {name: probe.listen(WRENCH, f"{name}/load_cell/wrench") for name in NAMESPACES}
+        testbeds = [
+            dataclasses.replace(
+                simulated_testbed(rate=4.0, simulation=simulation),
+                namespace=name,
+                one_process=True,
+            )
+            for name in NAMESPACES
+        ]
+        for graph, testbed in zip((left, right), testbeds, strict=True):
+            start(graph, testbed)
+        probe.wait(lambda: all(len(found) > 5 for found in wrenches.values()), "both testbeds")
+        yield SimpleNamespace(
+            probe=probe, diagnostics=diagnostics, triggers=triggers, wrenches=wrenches
+        )
+        for graph, testbed in zip((left, right), testbeds, strict=True):
+            end(graph, testbed)
+
+
+def names(two: SimpleNamespace) -> set[str]:
+    return {status.name for message in two.diagnostics for status in message.status}
+
+
+def test_diagnostics_carry_the_node_s_full_name_and_its_hardware(two: SimpleNamespace) -> None:
+    expected = {f"{namespace}/{node}" for namespace in NAMESPACES for node in NODES}
+    two.probe.wait(lambda: expected <= names(two), "the diagnostics of all nodes")
+    assert all(name.startswith(NAMESPACES) for name in names(two))
+    hardware = {s.name: s.hardware_id for m in two.diagnostics for s in m.status}
+    assert all(text.startswith(platform.node()) for text in hardware.values())
+    for node, device in {"cluster_node": "i2c-1", "load_cell_node": "spidev0.0"}.items():
+        assert device in hardware[f"/left/{node}"]
+
+
+def test_each_testbed_follows_its_own_trigger(two: SimpleNamespace) -> None:
+    """What is measured in one namespace was asked for in it, and no testbed sees another's."""
+
+    def stamps(messages: list) -> set[tuple[int, int]]:
+        return {(m.header.stamp.sec, m.header.stamp.nanosec) for m in list(messages)}
+
+    measured = {name: stamps(two.wrenches[name]) for name in NAMESPACES}
+    asked = {name: stamps(two.triggers[name]) for name in NAMESPACES}
+    first = {name: min(asked[name]) for name in NAMESPACES}
+    for name in NAMESPACES:
+        assert {stamp for stamp in measured[name] if stamp >= first[name]} <= asked[name]
+    assert not asked["/left"] & asked["/right"]
+    said = {s.message for m in two.diagnostics for s in m.status}
+    assert not any("another trigger" in text for text in said)
+
+
+def test_services_of_one_testbed_leave_the_other_alone(two: SimpleNamespace) -> None:
+    request = SetBool.Request(data=False)
+    assert two.probe.call(SetBool, "/left/trigger/enable", request).success
+    count = len(two.triggers["/right"])
+    two.probe.wait(lambda: len(two.triggers["/right"]) > count + 5, "triggers on the right")
+    request = SetBool.Request(data=True)
+    assert two.probe.call(SetBool, "/left/trigger/enable", request).success
+    # Fits and tares are answered from a thread of their own, whatever comes of them.
+    answer = two.probe.call(TriggerService, "/left/estimator/fit", TriggerService.Request())
+    assert answer.message
+
+
+def test_every_node_has_parameter_services(two: SimpleNamespace) -> None:
+    """`ros2 param list` asks every node that is listed."""
+    listed = two.probe.node.get_node_names_and_namespaces()
+    own = {f"{namespace}/{name}" for name, namespace in listed if namespace in NAMESPACES}
+    assert own == {f"{n}/{node}" for n in NAMESPACES for node in (*NODES, "estimator_node")}
+    for name in sorted(own):
+        answer = two.probe.call(ListParameters, f"{name}/list_parameters", ListParameters.Request())
+        assert "use_sim_time" in answer.result.names
