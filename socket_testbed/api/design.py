@@ -235,7 +235,7 @@ def register(
         landmarks: YAML file: which marker is what, and where the landmarks are.
         socket: The `socket.yaml` to register.
         output: The `socket.yaml` to write; None to write nothing.
-        force: Whether landmarks that are far off are accepted.
+        force: Whether landmarks that are far off, or whose plane hides a wrong sign, are accepted.
 
     Returns:
         The registration with its uncertainty; `geometry` is the registered socket.

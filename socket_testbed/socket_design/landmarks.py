@@ -45,15 +45,18 @@ All keys are required; load_cell and limb name three landmarks or more, as the t
 """
 
 
+_MIRROR = np.array([1.0, 1.0, -1.0])
 _SUSPECT = 0.001  # [m]; a smaller residual raises no question
-_TELLING = 3.0  # [-]; how many times better another explanation must fit
+_BETTER = 1.5  # [-]; how many times better another explanation fits than errors would let it
 _AS_GOOD = 2.0  # [-]; two explanations that fit alike
+_POOR = 0.002  # [m]; an explanation that fits worse is none to follow
 _UNSEEN = 0.002  # [m]; a mix-up with a smaller residual goes unnoticed
+_SIGNS = "the signs of their coordinates, and that the take was exported with right-handed axes"
 _MOST_ORDERED = 6  # landmarks of which every order is tried
 
 
 def refuse_mix_ups(known: FloatArray, measured: FloatArray, names: Sequence[str]) -> None:
-    """Refuse landmarks that fit much better under other names, or mirrored.
+    """Refuse landmarks that fit better under other names, mirrored, or both.
 
     Args:
         known: Landmarks in the frame to register, shape (k, 3) [m].
@@ -61,26 +64,60 @@ def refuse_mix_ups(known: FloatArray, measured: FloatArray, names: Sequence[str]
         names: Names of the k landmarks.
 
     Raises:
-        RegistrationError: Naming the landmarks whose exchange fixes it, as far as the residual
-            shows.
+        RegistrationError: Naming what explains the landmarks better, each with its residual. It
+            advises an exchange of names only if nothing else fits about as well.
     """
     orders = _orders(len(names))
-    misfits = _misfits(known, measured[orders])
-    named = misfits[0]
-    best = int(misfits.argmin())
-    if named > _SUSPECT and named > _TELLING * misfits[best]:
-        moved = (orders != orders[0]).sum(axis=1)
-        alike = np.flatnonzero(misfits <= _AS_GOOD * misfits[best])
-        plainest = int(alike[moved[alike].argmin()])
-        raise _mixed(names, orders[plainest], named, misfits[plainest])
-    mirrored = _misfits(known * [1.0, 1.0, -1.0], measured[None])[0]
-    if named > _SUSPECT and named > _TELLING * mirrored:
-        raise RegistrationError(
-            f"landmarks {', '.join(names)} fit with {1e3 * named:.1f} mm, mirrored with"
-            f" {1e3 * mirrored:.1f} mm",
-            "check the signs of their coordinates, and that the take was exported with"
-            " right-handed axes",
-        )
+    exchanged = _misfits(known, measured[orders])
+    mirrored = np.full(len(orders), np.inf)
+    if not in_one_plane(known):  # their mirror image is what another rotation shows, too
+        mirrored = _misfits(known * _MIRROR, measured[orders])
+    named, best = exchanged[0], min(exchanged.min(), mirrored.min())
+    if named <= _SUSPECT or named <= _BETTER * best:
+        return
+    swap = _plainest(orders, exchanged, _AS_GOOD * best)
+    mirror = _plainest(orders, mirrored, _AS_GOOD * best)
+    hint = "check which landmark is which"
+    who, words = ", ".join(names), []
+    if mirror is not None:
+        hint = f"check {_SIGNS}" if swap is None else f"{hint}, and {_SIGNS}"
+        here, how = _exchange(names, orders[mirror])
+        also = f", with {here} {how}" if here else ""
+        words = [f"with {1e3 * mirrored[mirror]:.1f} mm mirrored{also}"]
+    if swap is not None:
+        here, how = _exchange(names, orders[swap])
+        who, here = (who, here) if words else (here, "they")
+        words += [f"with {1e3 * exchanged[swap]:.1f} mm if {here} are {how}"]
+    if best > _POOR:
+        hint += ": nothing fits well, so measure their coordinates again"
+    elif mirror is None:
+        hint = "exchange their names or their coordinates"
+    raise RegistrationError(
+        f"landmarks {who} fit with {1e3 * named:.1f} mm as they are named, {', '.join(words)}", hint
+    )
+
+
+def in_one_plane(points: FloatArray) -> bool:
+    """Whether landmarks are so close to one plane that their mirror image fits as well.
+
+    Args:
+        points: The landmarks, shape (k, 3) [m].
+    """
+    return float(_misfits(points * _MIRROR, points[None])[0]) < _UNSEEN
+
+
+def _plainest(orders: IntArray, misfits: FloatArray, most: float) -> int | None:
+    """The order that moves the fewest landmarks, of those that fit this well; None if none does."""
+    alike = np.flatnonzero(misfits <= most)
+    moved = (orders[alike] != orders[0]).sum(axis=1)
+    return int(alike[moved.argmin()]) if len(alike) else None
+
+
+def _exchange(names: Sequence[str], order: IntArray) -> tuple[str, str]:
+    """Which landmarks an order exchanges, and how."""
+    moved = [(name, names[i]) for name, i in zip(names, order, strict=True) if name != names[i]]
+    here, there = (" and ".join(pair[side] for pair in moved) for side in (0, 1))
+    return here, "swapped" if len(moved) == 2 else f"taken for {there}"
 
 
 def unseen_mix_ups(known: FloatArray, names: Sequence[str]) -> tuple[str, ...]:
@@ -96,7 +133,7 @@ def unseen_mix_ups(known: FloatArray, names: Sequence[str]) -> tuple[str, ...]:
         for (a, b), rms in zip(combinations(names, 2), misfits, strict=True)
         if rms < _UNSEEN
     ]
-    if _misfits(known * [1.0, 1.0, -1.0], known[None])[0] < _UNSEEN:
+    if in_one_plane(known):
         unseen.append(
             f"{', '.join(names)} lie in one plane: a wrong sign of a coordinate would not be seen"
         )
@@ -120,20 +157,6 @@ def _orders(count: int) -> IntArray:
     if count <= _MOST_ORDERED:
         return np.array(list(permutations(range(count))))
     return np.concatenate([np.arange(count)[None], _swaps(count)])
-
-
-def _mixed(
-    names: Sequence[str], order: IntArray, named: float, corrected: float
-) -> RegistrationError:
-    taken = [names[i] for i in order]
-    moved = [pair for pair in zip(names, taken, strict=True) if pair[0] != pair[1]]
-    here, there = (" and ".join(side) for side in zip(*moved, strict=True))
-    how = "swapped" if len(moved) == 2 else f"taken for {there}"
-    return RegistrationError(
-        f"landmarks {here} fit with {1e3 * named:.1f} mm as they are named, with"
-        f" {1e3 * corrected:.1f} mm if they are {how}",
-        "exchange their names or their coordinates",
-    )
 
 
 _FEWEST = 3
@@ -186,7 +209,7 @@ def register_landmarks(
 
     Raises:
         RegistrationError: If there are fewer than three landmarks, if they lie together or on
-            one line, or if they fit much better under other names or mirrored.
+            one line, or if they fit better under other names or mirrored.
     """
     if len(names) < _FEWEST:
         raise RegistrationError(
@@ -251,6 +274,10 @@ class Side:
     frame: str
     where: str
     landmarks: dict[str, FloatArray]
+
+    def points(self) -> FloatArray:
+        """The landmarks' coordinates, shape (k, 3) [m]."""
+        return np.array(list(self.landmarks.values()))
 
     def names(self) -> set[str]:
         """All names in the take that this side uses."""

@@ -17,9 +17,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from socket_testbed.arrays import BoolArray, FloatArray, IntArray
 from socket_testbed.errors import RegistrationError
+from socket_testbed.geometry.axis import socket_axis
 from socket_testbed.geometry.marker_bodies import (
     PoseUncertainty,
     TriadFit,
@@ -37,6 +39,7 @@ from socket_testbed.socket_design.landmarks import (
     LandmarkFit,
     Side,
     TriadLabels,
+    in_one_plane,
     register_landmarks,
 )
 from socket_testbed.socket_design.motive import MotiveTake, read_motive_csv
@@ -362,11 +365,12 @@ def register_take(
         take: A static take that shows both triads and all landmarks.
         landmarks: Which marker is what.
         geometry: The socket, whose tiles stay.
-        force: Accept landmarks whose residual is above `MOST_RESIDUAL`.
+        force: Accept landmarks whose residual is above `MOST_RESIDUAL`, or whose signs
+            nothing shows.
 
     Raises:
         RegistrationError: If a marker is missing, the take is not static, shows too few
-            complete frames, or the landmarks do not fit.
+            complete frames, or the landmarks do not fit or could be mirrored unseen.
     """
     notes = [*take.notes]
     bodies = []
@@ -378,6 +382,8 @@ def register_take(
     socket, pylon = bodies
     limb_in_cell = socket.landmarks.pose.inverse() @ pylon.landmarks.pose
     q, turn, origin = limb_in_cell.translation, limb_in_cell.rotation, np.zeros(3)
+    if not force:
+        _require_signs(landmarks, limb_in_cell, geometry)
     return Registration(
         take=take,
         geometry=dataclasses.replace(
@@ -437,7 +443,7 @@ def _triad_names(take: MotiveTake, triad: TriadLabels, where: str) -> tuple[str,
 
 
 def _register_landmarks(side: Side, still: StillMarkers) -> LandmarkFit:
-    known, measured = np.array(list(side.landmarks.values())), still.mean[3:]
+    known, measured = side.points(), still.mean[3:]
     names = tuple(side.landmarks)
     try:
         fit = register_landmarks(known, measured, names)
@@ -457,6 +463,77 @@ def _require_residual(fit: LandmarkFit, where: str, force: bool) -> None:
             f" most {1e3 * MOST_RESIDUAL:g} mm; rms {1e3 * fit.rms:.1f} mm)",
             "check the landmarks' coordinates and names, or accept it with --force",
         )
+
+
+_AROUND = 0.03  # [m]; a limb whose position is farther from the tiles' cylinder is in no socket
+_SAME_PLACE = 0.01  # [m]; a wrong sign that moves the limb less
+_SAME_DIRECTION = np.radians(3.0)  # and turns {S} less does no harm
+
+
+def _require_signs(landmarks: LandmarkFile, limb: Pose, geometry: SocketGeometry) -> None:
+    """Refuse landmarks in one plane unless the limb's place shows their coordinates' signs.
+
+    A wrong sign leaves no residual there; it reflects what is beyond the plane. What shows it is
+    that the limb is in the socket as it is given, and would not be with another sign.
+
+    Args:
+        landmarks: The landmarks.
+        limb: Pose of the limb in {S}.
+        geometry: The socket.
+    """
+    flat = [s for s in (landmarks.socket, landmarks.pylon) if in_one_plane(s.points())]
+    if not flat:
+        return
+    sides = f"{flat[0].where}{' and limb' if len(flat) > 1 else ''}"
+    fact = (
+        f"{sides}: the landmarks lie in one plane, so a wrong sign leaves no residual, and the limb"
+    )
+    hint = "check the signs, give a fourth landmark off the plane, or accept it with --force"
+    given = _shown(limb.translation)
+    if not _in_socket(limb.translation, geometry):
+        raise RegistrationError(f"{fact} would be at {given}, outside the socket", hint)
+    for other in _other_places(landmarks, flat, limb):
+        if _in_socket(other, geometry):
+            raise RegistrationError(
+                f"{fact} may be at {given} or as well at {_shown(other)}, both in the socket", hint
+            )
+
+
+def _other_places(landmarks: LandmarkFile, flat: list[Side], limb: Pose) -> list[FloatArray]:
+    """Where the limb is in {S} with another sign of a coordinate that would do harm, (3,) [m]."""
+    places = []
+    if landmarks.pylon in flat:
+        mirrored = limb.apply(_reflection(landmarks.pylon.points()).translation)
+        if np.linalg.norm(mirrored - limb.translation) > _SAME_PLACE:
+            places.append(mirrored)
+    if landmarks.socket in flat:
+        reflection = _reflection(landmarks.socket.points())
+        for sign in 1.0 - 2.0 * np.eye(3):
+            turn = Rotation.from_matrix(sign[:, None] * reflection.rotation).magnitude()
+            for place in (limb.translation, *places[:1]):
+                other = sign * reflection.apply(place)
+                if turn > _SAME_DIRECTION or np.linalg.norm(other - place) > _SAME_PLACE:
+                    places.append(other)
+    return places
+
+
+def _reflection(points: FloatArray) -> Pose:
+    """The reflection at the plane of some points, an improper rotation, shape (k, 3) [m]."""
+    middle = points.mean(axis=0)
+    normal = np.linalg.svd(points - middle)[2][2]
+    return Pose(np.eye(3) - 2.0 * np.outer(normal, normal), 2.0 * (middle @ normal) * normal)
+
+
+def _in_socket(place: FloatArray, geometry: SocketGeometry) -> bool:
+    """Whether a point is within or close to the cylinder of a socket's tiles."""
+    axis = socket_axis(geometry)
+    highest, widest = axis.heights(geometry.anchors).max(), axis.radii(geometry.anchors).max()
+    inside = -_AROUND < axis.heights(place) < highest + _AROUND
+    return bool(inside and axis.radii(place) < widest + _AROUND)
+
+
+def _shown(point: FloatArray) -> str:
+    return f"({', '.join(f'{1e3 * value:.0f}' for value in point)}) mm of {{S}}"
 
 
 def _notes(body: RegisteredBody) -> list[str]:

@@ -1,5 +1,7 @@
 """Frames from landmarks: their pose, how sure it is, and landmarks that cannot give one."""
 
+from itertools import islice, permutations
+
 import numpy as np
 import pytest
 from scipy.stats import chi2, f, kstest
@@ -127,6 +129,24 @@ def test_names_in_a_ring_are_named(rng):
 def test_a_mirrored_frame_is_refused(rng):
     error = refused(CELL, measure(CELL * [1.0, -1.0, 1.0], random_pose(rng), rng))
     assert "mirrored" in error.fact and "right-handed" in error.hint
+
+
+@pytest.mark.parametrize("count", [4, 5])
+def test_mirrored_landmarks_are_refused_in_every_order(count):
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        known = CELL[:count] + rng.normal(0.0, 0.005, (count, 3))
+        measured = measure(known * np.roll([-1.0, 1.0, 1.0], seed), random_pose(rng), rng)
+        assert "mirrored" in refused(known, measured).fact
+        for order in islice(permutations(range(count)), 1, None, count):
+            assert "mirrored" in refused(known, measured[list(order)]).fact
+
+
+def test_landmarks_that_nothing_explains_well_get_no_advice_to_exchange(rng):
+    swapped = measure(CELL, random_pose(rng), rng, 5e-3)[[1, 0, 2, 3, 4]]
+    error = refused(CELL, swapped)
+    assert "LC1 and LC2" in error.fact and "measure their coordinates again" in error.hint
+    assert "exchange" not in error.hint
 
 
 @pytest.mark.parametrize("seed", range(5))

@@ -134,7 +134,7 @@ def test_the_errors_are_within_the_stated_uncertainty(rng, tmp_path, landmarks):
     shares: dict[str, list[float]] = {"socket": [], "pylon": [], "q": []}
     for _ in range(120):
         bench = make_bench(rng, frames=20, placement=4e-4, landmarks=landmarks)
-        found = register(bench, tmp_path)
+        found = register(bench, tmp_path, force=landmarks == 3)  # three nearly level ones
         errors = {
             "socket": found.geometry.socket_body.translation - bench.socket_body.translation,
             "pylon": found.geometry.limb.translation - bench.limb.translation,
@@ -213,7 +213,8 @@ def test_every_covariance_has_the_size_and_direction_of_the_errors(tmp_path):
 @pytest.mark.parametrize("landmarks", [3, 5])
 def test_landmarks_are_never_surer_than_the_means_of_their_markers(rng, tmp_path, landmarks):
     for _ in range(20):
-        found = register(make_bench(rng, frames=20, landmarks=landmarks), tmp_path)
+        bench = make_bench(rng, frames=20, landmarks=landmarks)
+        found = register(bench, tmp_path, force=landmarks == 3)  # three nearly level ones
         for body in (found.socket, found.pylon):
             own = np.sqrt((body.landmarks.residual**2).sum() / body.landmarks.degrees)
             assert body.landmarks.noise == pytest.approx(max(own, body.still.noise))
@@ -244,3 +245,50 @@ def test_a_wrong_landmark_is_noted_then_refused_unless_forced(rng, tmp_path):
     forced = register(bench, tmp_path, force=True)
     assert forced.pylon.landmarks.residual.max() > 0.01
     assert np.trace(forced.covariance) > 30.0 * np.trace(found.covariance)
+
+
+def mirror(bench: Bench, axis: int, *sides: str) -> None:
+    for side in sides:
+        for point in bench.document[side].values():
+            point[axis] *= -1.0
+
+
+def tilt(bench: Bench) -> Bench:
+    """The bench with load-cell landmarks in a steep plane, away from which q is."""
+    tilted = [[0.05, 0.0, 0.0], [-0.03, 0.04, 0.005], [-0.02, -0.05, 0.09]]
+    frame = own_frame_of(np.array([bench.places[n] for n in SOCKET_NAMES]))
+    in_world = frame @ bench.socket_body.inverse()
+    for name, point in zip(bench.document["load_cell"], tilted, strict=True):
+        bench.document["load_cell"][name] = point
+        noise = bench.take.markers[name] - bench.places[name]
+        bench.take.markers[name] = in_world.apply(np.array(point)) + noise
+    return bench
+
+
+SIDES = [("load_cell",), ("limb",), ("load_cell", "limb")]
+
+
+@pytest.mark.parametrize("sides", SIDES, ids=" and ".join)
+@pytest.mark.parametrize("axis", range(3))
+def test_three_landmarks_a_side_are_never_mirrored_unseen(rng, tmp_path, axis, sides):
+    bench = tilt(make_bench(rng, frames=20, landmarks=3))
+    assert between(register(bench, tmp_path).geometry.socket_body, bench.socket_body)[0] < 1e-3
+    mirror(bench, axis, *sides)
+    error = refused(bench, tmp_path)
+    assert "in one plane" in error and "fourth landmark" in error and "--force" in error
+    register(bench, tmp_path, force=True)
+
+
+def test_three_landmarks_whose_sign_nothing_shows_are_refused_as_they_are(rng, tmp_path):
+    """Level ones: the limb would be in the socket with the other sign of z, too."""
+    error = refused(make_bench(rng, landmarks=3), tmp_path)
+    assert "both in the socket" in error and "fourth landmark" in error
+
+
+@pytest.mark.parametrize("axis", range(3))
+@pytest.mark.parametrize("side", ["load_cell", "limb"])
+def test_four_mirrored_landmarks_are_not_called_swapped(rng, tmp_path, side, axis):
+    bench = make_bench(rng, frames=20, landmarks=4)
+    mirror(bench, axis, side)
+    error = refused(bench, tmp_path)
+    assert "mirrored" in error and "signs" in error and "exchange" not in error

@@ -30,6 +30,7 @@ CELL = np.array(
         [0.04, 0.05, 0.1],
     ]
 )
+IN_SOCKET = np.array([0.0, 0.0, 0.13])  # [m]; the middle of `random_socket`
 LIMB = np.array(
     [
         [0.0, 0.07, 0.1],
@@ -165,7 +166,8 @@ def make_bench(
         changes: Other fields of `Written`.
     """
     scene = scene or rng
-    cell_in_world, limb_in_cell = random_pose(scene, 1.0), random_pose(scene, 0.1)
+    cell_in_world = random_pose(scene, 1.0)
+    limb_in_cell = Pose(np.eye(3), IN_SOCKET) @ random_pose(scene, 0.01)
     socket_in_cell, pylon_in_limb = random_pose(scene, 0.15), random_pose(scene, 0.2)
     limb_in_world = cell_in_world @ limb_in_cell
     places = {
