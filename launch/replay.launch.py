@@ -12,10 +12,11 @@ from launch.actions import (
     EmitEvent,
     OpaqueFunction,
     RegisterEventHandler,
+    SetEnvironmentVariable,
 )
 from launch.event_handlers import OnProcessExit
 from launch.events import Shutdown
-from launch.substitutions import LaunchConfiguration
+from launch.substitutions import EnvironmentVariable, LaunchConfiguration
 from launch_ros.actions import Node
 
 from launch import LaunchContext, LaunchDescription
@@ -24,6 +25,7 @@ from socket_testbed.live.processes import write_parameters
 from socket_testbed.settings.testbed import ReplaySettings, read_testbed
 from socket_testbed.trials.trial import Trial
 
+RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
 TEMPORARY = tempfile.TemporaryDirectory(prefix="socket_testbed_")  # until this program ends
 
 
@@ -59,6 +61,8 @@ def bring_up(context: LaunchContext) -> list[Node | RegisterEventHandler]:
 def generate_launch_description() -> LaunchDescription:
     return LaunchDescription(
         [
+            # It stays on this machine unless the user's own environment says otherwise.
+            SetEnvironmentVariable(RANGE, EnvironmentVariable(RANGE, default_value="LOCALHOST")),
             DeclareLaunchArgument("trial", description="folder of the trial"),
             DeclareLaunchArgument("rate", default_value="1.0", description="speed [-]"),
             DeclareLaunchArgument("loop", default_value="false", description="start again"),

@@ -7,7 +7,7 @@ import tempfile
 from pathlib import Path
 
 from launch.actions import DeclareLaunchArgument, OpaqueFunction, SetEnvironmentVariable
-from launch.substitutions import LaunchConfiguration
+from launch.substitutions import EnvironmentVariable, LaunchConfiguration
 from launch_ros.actions import Node
 
 from launch import LaunchContext, LaunchDescription
@@ -17,6 +17,7 @@ from socket_testbed.live.bringup import Testbed
 from socket_testbed.live.processes import write_parameters
 from socket_testbed.settings.testbed import read_testbed
 
+RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
 # Parameters and the tare, until this program ends: a node that is started again finds them.
 TEMPORARY = tempfile.TemporaryDirectory(prefix="socket_testbed_")
 
@@ -52,6 +53,8 @@ def generate_launch_description() -> LaunchDescription:
     config = {name: str(packaged("config", f"{name}.yaml")) for name in ("socket", "calibration")}
     return LaunchDescription(
         [
+            # It stays on this machine unless the user's own environment says otherwise.
+            SetEnvironmentVariable(RANGE, EnvironmentVariable(RANGE, default_value="LOCALHOST")),
             # A node that is started again has the same clock as the others.
             *(SetEnvironmentVariable(*item) for item in shared_environment().items()),
             DeclareLaunchArgument("params", description="node parameters, a testbed.yaml"),

@@ -93,6 +93,8 @@ def run(arguments: list[str] | None = None) -> int:
     # The programs are small: a second thread of linear algebra waits for the other cores' work
     # much longer than it helps. It is read when numpy is first imported, by the verb below.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    # Whoever reaches a graph can read and stop it: it stays on this machine unless told otherwise.
+    os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     options = _parse(words)
     # Ended by another process, or started in the background of a script where the shell has it
     # ignore Ctrl-C, a verb ends its nodes all the same.

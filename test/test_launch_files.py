@@ -29,6 +29,7 @@ class Stub:
 
 
 Launch = Callable[..., list[Stub]]
+DISCOVERY = "ROS_AUTOMATIC_DISCOVERY_RANGE"
 
 
 @pytest.fixture
@@ -51,6 +52,8 @@ def launch(monkeypatch: pytest.MonkeyPatch) -> Launch:
         program = runpy.run_path(str(CHECKOUT / "launch" / f"{name}.launch.py"))
         kept.append(program)
         (actions,) = program["generate_launch_description"]().positional
+        (reach,) = (a.positional[1] for a in actions if a.positional[:1] == (DISCOVERY,))
+        assert reach.positional == (DISCOVERY,) and reach.given == {"default_value": "LOCALHOST"}
         declared = {
             a.positional[0]: a.given.get("default_value") for a in actions if len(a.positional) == 1
         }

@@ -145,7 +145,10 @@ class _Marker:
         ]  # fmt: skip
         if others:
             return f"give --namespace {' or '.join(others)}"
-        return "start 'run --record DIR' or 'record DIR' on this ROS_DOMAIN_ID first"
+        return (
+            "start 'run --record DIR' or 'record DIR' on this ROS_DOMAIN_ID first"
+            " (on another computer: docs/hardware.md, Network)"
+        )
 
     def _on_trigger(self, message: Trigger) -> None:
         self._triggers.append((time.monotonic(), stamp_from_ros(message.header.stamp)))

@@ -103,7 +103,7 @@ class RecorderNode(TestbedNode[RecorderSettings]):
             self.report(
                 WARN,
                 f"recording {self._path}, but nothing arrives{what}: check that the testbed runs,"
-                " with the same ROS_DOMAIN_ID",
+                " with the same ROS_DOMAIN_ID (on another computer: docs/hardware.md, Network)",
             )
             self._warned = True
         elif self._warned and not silent:

@@ -2,6 +2,7 @@
 
 import argparse
 import json
+import os
 import shutil
 import subprocess
 import sys
@@ -419,3 +420,15 @@ def test_a_map_in_an_unknown_format_is_refused_before_any_work(capsys) -> None:
     code, _, error = call(capsys, "map", "no_trial", "-o", "map.xlsx")
     assert code == 1
     assert "is not a table format" in error
+
+
+@pytest.mark.parametrize("chosen", [None, "SUBNET"])
+def test_a_graph_stays_on_this_machine_unless_told_otherwise(
+    chosen: str | None, hold: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    name = "ROS_AUTOMATIC_DISCOVERY_RANGE"
+    monkeypatch.delenv(name)
+    if chosen:
+        monkeypatch.setenv(name, chosen)
+    assert run(["info", str(hold)]) == 0
+    assert os.environ[name] == (chosen or "LOCALHOST")
