@@ -156,4 +156,8 @@ class MocapSettings(Settings):
         -1.0, "span of frames centred on a trigger whose mean is its pose; negative: the trigger's"
         " period, at most 0.25; 0: between the two frames around it [s]", -1.0, 0.5,
     )  # fmt: skip
+    clock_uncertainty: float = setting(
+        2e-3, "largest error of Motive's clock; where it is known worse, poses are missing [s]",
+        1e-5, 0.1, fixed=True,
+    )  # fmt: skip
     record_takes: bool = setting(True, "have Motive record when the recorder records [-]")

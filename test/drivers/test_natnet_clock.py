@@ -78,7 +78,8 @@ def test_the_error_of_an_echo_is_weighed_by_its_round_trip():
     for number in range(20):
         server.echo(clock, 0.1 * number, 1e-4, 1e-4 if number == 7 else 8e-3)
     assert clock.to_steady(server.ticks(2.0)) == pytest.approx(2.0, abs=5e-4)
-    assert clock.uncertainty == pytest.approx(1e-4)
+    # Half of the shortest round trip, and what the clocks may have drifted apart since then.
+    assert 1e-4 < clock.uncertainty < 1e-4 + 1.2 * 6.2e-4
 
 
 @pytest.mark.parametrize("jump", [-1e6, -1.0, -0.05, 0.05, 3.0, 1e6])

@@ -62,7 +62,9 @@ def until(condition: Callable[[], bool], what: str = "it") -> float:
 class Link:
     """A server with its faults, and a client whose frames go to a tracker."""
 
-    def __init__(self, multicast=None, bodies=scene, client=True, data_port=1511, **server):
+    def __init__(
+        self, multicast=None, bodies=scene, client=True, data_port=1511, settings=None, **server
+    ):
         self.faults: dict[str, float] = {}
         self.frames: list[tuple[int, float]] = []
         self.server = NatNetServer(bodies, faults=self.faults, multicast=multicast, **server)
@@ -70,6 +72,7 @@ class Link:
         self.settings = MocapSettings(
             server=host, command_port=port, interface=host if multicast else "",
             multicast=multicast[0] if multicast else "", data_port=data_port,
+            **(settings or {}),
         )  # fmt: skip
         self.tracker = BodyTracker(self.settings, *TRIADS)
         self.client = NatNetClient(self.settings, self._take)

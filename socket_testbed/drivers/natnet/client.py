@@ -77,31 +77,49 @@ class NatNetClient:
         """Why the server does not record as wanted; empty for nothing."""
         return self._session.takes.fault
 
+    @property
+    def clock_fault(self) -> str:
+        """Why frames have no time that is known well enough; empty: they have."""
+        known, limit = self._session.clock_error, self._session.settings.clock_uncertainty
+        if known <= limit:
+            return ""
+        return (
+            f"Motive's clock is known within {_rounded(known)} ms only (clock_uncertainty is"
+            f" {1e3 * limit:g} ms), so poses are missing: switch the Wi-Fi's power saving off"
+            " (iw dev wlan0 set power_save off), or use a free channel or a cable"
+        )
+
     def set_recording(self, name: str | None) -> None:
         """Have the server record a take of this name, or none; this is pursued from now on."""
         self._session.takes.want(name)
 
     def health(self, now: float) -> tuple[int, str]:
         """State of the link at a time of the steady clock [s]: 0, 1 or 2, and a line of text."""
-        session, where = self._session, self._where
+        session = self._session
         server, statistics = session.server, session.statistics
         if self._thread is None:
             return ERROR, "not started"
         if session.state != CONNECTED or server is None:
             return ERROR, self._why_no_server()
-        warning = statistics.warning(now)
-        if statistics.quiet(now) > SILENCE:
-            return ERROR, self._why_no_frames(server, now) or (
-                f"no frame from {where} can be used: {warning or 'its clock is not known yet'}"
-            )
-        if warning:
-            return WARN, f"{warning}: check the Wi-Fi"
+        if fault := self._frames_fault(server, now):
+            return fault
         if session.models is None:
             return WARN, f"{server} has not sent its rigid bodies yet"
         return OK, (
             f"{statistics.steady_rate(now):.0f} Hz from {server.name} (Motive {_app(server)},"
             f" NatNet {_natnet(server)}), clock +- {_rounded(session.echoes.uncertainty)} ms"
         )
+
+    def _frames_fault(self, server: ServerInfo, now: float) -> tuple[int, str] | None:
+        """What is wrong with the frames of a server, in the form of `health`."""
+        statistics = self._session.statistics
+        missing, warning = self._why_no_frames(server, now), statistics.warning(now)
+        if not missing and (fault := self.clock_fault):
+            return WARN, fault
+        if statistics.quiet(now) > SILENCE:
+            reason = warning or "its clock is not known yet"
+            return ERROR, missing or f"no frame from {self._where} can be used: {reason}"
+        return (WARN, f"{warning}: check the Wi-Fi") if warning else None
 
     def _why_no_server(self) -> str:
         session = self._session

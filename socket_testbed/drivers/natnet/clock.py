@@ -1,35 +1,61 @@
-"""The server's clock on the steady clock, from echoes."""
+"""The server's clock on the steady clock, from echoes, and how well it is known."""
 
 from __future__ import annotations
 
 from collections import deque
-from math import sqrt
+from math import inf, sqrt
+from typing import NamedTuple, TypeAlias
 
-_WINDOW = 64  # echoes
+_WINDOW = 200  # echoes
 _OLDEST = 40.0  # [s]
 _NEEDED = 3  # echoes, before times are mapped
-_FLOOR = 5e-5  # [s]; error of an echo with the shortest round trip
-_DRIFT = 1e-4  # [-]; standard deviation between two crystals
+_FLOOR = 5e-5  # [s]; error of an echo with the shortest round trip, for the jitter
+_DRIFT = 6e-4  # [-]; of two crystals and what steers a computer's clock, at most
+_WANDER = 1e-5  # [-]; change of the drift within the oldest echo's age, at most
 _TOLERANCE = 0.005  # [s]; of an echo against the map
+
+_Region: TypeAlias = list[tuple[float, float]]  # corners: offset [s], drift [-]
+
+
+class _Map(NamedTuple):
+    """What the offset at a time of the server, and the drift from it, can be."""
+
+    at: float
+    base: float
+    region: _Region
+
+    def offsets(self, elapsed: float) -> tuple[float, float]:
+        """Least and largest offset at a time of the server [s]."""
+        ahead = elapsed - self.at
+        offsets = [offset + drift * ahead for offset, drift in self.region]
+        slack = _WANDER * abs(ahead)
+        return self.base + min(offsets) - slack, self.base + max(offsets) + slack
 
 
 class EchoClock:
     """Maps ticks of a server to the steady clock.
 
-    The server read its clock between an echo's request and its arrival; taking the middle errs
-    by half of what the round trip is longer than the shortest, at most. The map is the line
-    through these middles, weighted so, with a prior on the drift (Bayesian linear regression).
-    What the shortest round trip is asymmetric by stays unknown: that is the uncertainty.
+    The server reads its clock between an echo's request and its arrival, however the round trip
+    is split, so each echo bounds the offset from both sides (Marzullo and Owicki 1983,
+    doi:10.1145/800221.806730). Clocks drift steadily: offset and drift lie in the convex region
+    that all echoes allow, each loosened by what the drift may have changed since. Times are
+    mapped by the middle of the region. Half of its width is the largest error, whatever the
+    asymmetry of the network, as long as the drift changes by no more than 1e-5 in 40 s.
 
     Args:
         frequency: Frequency of the server's clock [Hz]; 0: it has none.
+
+    Attributes:
+        jitter: Weighted root-mean-square distance of the echoes' middles from the map [s].
+        uncertainty: Largest error at the newest echo [s].
     """
 
     def __init__(self, frequency: int) -> None:
         self._frequency = frequency
+        # Time of the server, and the offset's bounds: request and arrival less that time [s].
         self._echoes: deque[tuple[float, float, float]] = deque(maxlen=_WINDOW)
         self._origin = 0  # [ticks]
-        self._at = self._offset = self._drift = 0.0
+        self._map = _Map(0.0, 0.0, [])
         self.jitter = 0.0
         self.uncertainty = 0.0
 
@@ -51,15 +77,15 @@ class EchoClock:
             return True
         consistent = True
         if self._echoes:
-            elapsed = (ticks - self._origin) / self._frequency
-            mapped = self._map(elapsed)
-            slack = _TOLERANCE + self.uncertainty + 5.0 * _DRIFT * abs(elapsed - self._at)
-            consistent = request - slack <= mapped <= arrival + slack
+            elapsed = self._elapsed(ticks)
+            low, high = (offset + elapsed for offset in self._map.offsets(elapsed))
+            slack = _TOLERANCE + 2.0 * _DRIFT * abs(elapsed - self._map.at)
+            consistent = request - slack <= high and low <= arrival + slack
         if not consistent or not self._echoes:
             self._echoes.clear()
             self._origin = ticks
-        elapsed = (ticks - self._origin) / self._frequency
-        self._echoes.append((elapsed, 0.5 * (request + arrival) - elapsed, arrival - request))
+        elapsed = self._elapsed(ticks)
+        self._echoes.append((elapsed, float(request - elapsed), float(arrival - elapsed)))
         while elapsed - self._echoes[0][0] > _OLDEST:
             self._echoes.popleft()
         self._fit()
@@ -69,36 +95,70 @@ class EchoClock:
         """Time of the steady clock [s] at the server's ticks; None before there is a map."""
         if len(self._echoes) < _NEEDED:
             return None
-        return self._map((ticks - self._origin) / self._frequency)
+        elapsed = self._elapsed(ticks)
+        return elapsed + 0.5 * sum(self._map.offsets(elapsed))
 
-    def _map(self, elapsed: float) -> float:
-        return elapsed + self._offset + self._drift * (elapsed - self._at)
+    def bound(self, ticks: int) -> float:
+        """Largest error of `to_steady` [s]; infinite before there is a map."""
+        if len(self._echoes) < _NEEDED:
+            return inf
+        low, high = self._map.offsets(self._elapsed(ticks))
+        return 0.5 * (high - low)
+
+    def _elapsed(self, ticks: int) -> float:
+        return (ticks - self._origin) / self._frequency
 
     def _fit(self) -> None:
-        """Line through the offsets: its value at the newest echo, and its slope.
+        """Narrow the region by the echoes, from the newest on."""
+        at, low, high = self._echoes[-1]
+        base = 0.5 * (low + high)  # keeps the numbers small
+        half = 0.5 * (high - low)
+        region: _Region = [(-half, -_DRIFT), (half, -_DRIFT), (half, _DRIFT), (-half, _DRIFT)]
+        for number, (elapsed, low, high) in enumerate(reversed(self._echoes)):
+            age = at - elapsed
+            slack = _WANDER * abs(age)
+            region = _between(region, -age, low - slack - base, high + slack - base)
+            if not region:  # the drift was another one then
+                while len(self._echoes) > number:
+                    self._echoes.popleft()
+                break
+            self._map = _Map(at, base, region)
+        low, high = self._map.offsets(at)
+        self.uncertainty = 0.5 * (high - low)
+        self.jitter = self._spread()
 
-        `uncertainty` becomes half of the shortest round trip, `jitter` the weighted
-        root-mean-square distance of the echoes from the line, both [s].
-        """
-        shortest = min(trip for _, _, trip in self._echoes)
-        self._at = self._echoes[-1][0]
-        base = self._echoes[-1][1]  # keeps the sums small
-        s = st = stt = sy = sty = 0.0
-        rows = []
-        for elapsed, offset, trip in self._echoes:
-            weight = 1.0 / (_FLOOR + 0.5 * (trip - shortest)) ** 2
-            t, y = elapsed - self._at, offset - base
-            rows.append((weight, t, y))
-            s += weight
-            st += weight * t
-            stt += weight * t * t
-            sy += weight * y
-            sty += weight * t * y
-        stt += 1.0 / _DRIFT**2
-        determinant = s * stt - st * st
-        self._drift = (s * sty - st * sy) / determinant
-        value = (stt * sy - st * sty) / determinant
-        self._offset = base + value
-        square = sum(w * (y - value - self._drift * t) ** 2 for w, t, y in rows)
-        self.jitter = sqrt(square / s)
-        self.uncertainty = 0.5 * shortest
+    def _spread(self) -> float:
+        at = self._map.at
+        now, before = (0.5 * sum(self._map.offsets(moment)) for moment in (at, at - 1.0))
+        shortest = min(high - low for _, low, high in self._echoes)
+        weights = square = 0.0
+        for elapsed, low, high in self._echoes:
+            weight = 1.0 / (_FLOOR + 0.5 * (high - low - shortest)) ** 2
+            distance = 0.5 * (low + high) - now - (now - before) * (elapsed - at)
+            weights += weight
+            square += weight * distance**2
+        return sqrt(square / weights)
+
+
+def _between(region: _Region, ahead: float, low: float, high: float) -> _Region:
+    """What of a convex region has an offset between two bounds some time ahead [s]."""
+    offsets = [offset + drift * ahead for offset, drift in region]
+    if max(offsets) > high:
+        region = _cut(region, [offset - high for offset in offsets])
+        offsets = [offset + drift * ahead for offset, drift in region]
+    if offsets and min(offsets) < low:
+        region = _cut(region, [low - offset for offset in offsets])
+    return region
+
+
+def _cut(region: _Region, excess: list[float]) -> _Region:
+    """A convex region without what exceeds a line (Sutherland and Hodgman 1974)."""
+    kept: _Region = []
+    for k, (corner, over) in enumerate(zip(region, excess, strict=True)):
+        (x, y), over_before = region[k - 1], excess[k - 1]
+        if (over > 0.0) != (over_before > 0.0):
+            share = over_before / (over_before - over)
+            kept.append((x + share * (corner[0] - x), y + share * (corner[1] - y)))
+        if over <= 0.0:
+            kept.append(corner)
+    return kept

@@ -132,9 +132,9 @@ class FrameFilter:
         self._number, self._behind = number, 0
         return True
 
-    def is_plausible(self, moment: float, now: float) -> bool:
-        """Whether a frame that comes now can be from a time of the steady clock [s]."""
-        if now - _EARLIEST <= moment <= now + _LATEST:
+    def is_plausible(self, moment: float, now: float, error: float) -> bool:
+        """Whether a frame that comes now can be from a time, known within an error [s]."""
+        if now - _EARLIEST - error <= moment <= now + _LATEST + error:
             self._odd = 0
             return True
         self._statistics.count("implausible", now)

@@ -41,6 +41,7 @@ SILENCE = 0.3  # [s]; after which the server, or its stream, is lost
 _KEEPALIVE = 1.0  # [s]
 _QUICK_ECHOES = 10
 _ECHO_QUICK, _ECHO_QUIET, _ECHO = 0.01, 0.1, 0.5  # [s]; at first, without frames, then
+_ECHO_UNSURE = 0.13  # [s]; while the clock is known badly; in no step with beacons of 0.1 s
 _PENDING = 64  # echoes
 _MODELS_RETRY, _MODELS_AGAIN = 0.1, 1.0  # [s]
 _SUBSCRIPTIONS = ("SubscribeToData,RigidBody,All", "SubscribeToData,LabeledMarkers,All")
@@ -165,6 +166,7 @@ class Session:
         server: How the server described itself last.
         models: Its rigid bodies; None: not known yet.
         echoes: The map of its clock.
+        clock_error: Largest error of the last frame's time [s].
         streaming: Whether the version of its frames is settled.
         sessions: How often a session has begun.
         last_frame: When a frame came last [s].
@@ -185,6 +187,7 @@ class Session:
         self.server: ServerInfo | None = None
         self.models: BodiesByName | None = None
         self.echoes = EchoClock(0)
+        self.clock_error = 0.0
         self.statistics = LinkStatistics()
         self.takes = TakeKeeper(commands.submit)
         self.streaming = False
@@ -271,6 +274,7 @@ class Session:
         self.streaming = False
         self.models = None
         self.echoes = EchoClock(0)
+        self.clock_error = 0.0
         self._pending.clear()
 
     def _connect(self, now: float) -> None:
@@ -292,7 +296,9 @@ class Session:
         if now >= self._next_echo:
             quick = len(self.echoes) < _QUICK_ECHOES
             quiet = now - self.last_frame > 0.5 * SILENCE
-            self._next_echo = now + (_ECHO_QUICK if quick else _ECHO_QUIET if quiet else _ECHO)
+            unsure = self.clock_error > 0.5 * self.settings.clock_uncertainty
+            pause = _ECHO_QUIET if quiet else _ECHO_UNSURE if unsure else _ECHO
+            self._next_echo = now + (_ECHO_QUICK if quick else pause)
             stamp = round(now * 1e9)
             self._pending.append(stamp)
             self.send(encode_echo(stamp))
@@ -382,8 +388,12 @@ class Session:
             moment = self.echoes.to_steady(frame.mid_exposure)
             if moment is None:
                 return
-            taken = self._filter.is_plausible(moment, now)
+            error = self.echoes.bound(frame.mid_exposure)
+            taken = self._filter.is_plausible(moment, now, error)
             if taken:
+                self.clock_error = error
+                if error > self.settings.clock_uncertainty:
+                    return
                 self._on_frame(frame, moment, self.models)
                 self.statistics.delivered(now)
         if not taken and self._filter.suspects(now):
