@@ -27,6 +27,7 @@ from socket_testbed.errors import ConfigurationError, TestbedError, TrialError
 from socket_testbed.files import atomic_output, check_new_folder, check_outputs, make_folder
 from socket_testbed.tables import split_unit, write_table
 from socket_testbed.trials.metadata import METADATA_FILE
+from socket_testbed.trials.salvage import holds_nothing
 from socket_testbed.trials.trial import Trial
 
 SUMMARY = "summary"
@@ -53,13 +54,15 @@ def is_trial(folder: Path) -> bool:
     )
 
 
-def find_trials(folder: Path) -> dict[str, Path]:
+def find_trials(folder: Path, notify: Callable[[str], None] = lambda note: None) -> dict[str, Path]:
     """Find the trials below a folder, at any depth.
 
-    Hidden folders and the inside of a trial are passed over; links are followed.
+    Hidden folders and the inside of a trial are passed over; links are followed. Recordings that
+    hold nothing, because their recorder was killed while it started, are left out.
 
     Args:
         folder: The folder, or anything else.
+        notify: Called with a note on each recording that is left out.
 
     Returns:
         The trials' folders in the order of their names, which are their paths below the folder,
@@ -72,10 +75,14 @@ def find_trials(folder: Path) -> dict[str, Path]:
         if not folder.is_dir() or is_trial(folder):
             return {}
         found = {path.relative_to(folder).as_posix(): path for path in _walk(folder, ())}
+        empty = sorted(name for name, path in found.items() if holds_nothing(path))
     except OSError as error:
         raise TrialError(
             f"{error.filename}: cannot be read ({error.strerror})", "check the permissions"
         ) from None
+    for name in empty:
+        notify(f"{name} is left out: it holds nothing, its recorder was killed while it started")
+        del found[name]
     return dict(sorted(found.items()))
 
 

@@ -89,6 +89,18 @@ def test_a_bag_without_metadata_or_without_storage_is_a_trial(study: Path) -> No
     assert list(find_trials(study)) == ["s01/hold", "s02/hold", "walk"]
 
 
+def test_trials_that_hold_nothing_are_passed_over_by_name(study: Path) -> None:
+    for name in ("s01/hold", "walk"):
+        shutil.copytree(study / name, study / f"{name}_2")
+        (study / f"{name}_2" / "metadata.yaml").unlink()
+        (study / f"{name}_2" / f"{Path(name).name}.mcap").write_bytes(b"")
+    (study / "s02" / "hold" / "hold.mcap").write_bytes(b"")  # but its metadata.yaml lists more
+    notes = Heard()
+    assert list(find_trials(study, notes)) == ["s01/hold", "s02/hold", "walk"]
+    assert [note.split()[0] for note in notes] == ["s01/hold_2", "walk_2"]
+    assert all("holds nothing" in note for note in notes)
+
+
 def test_what_is_done_is_skipped_and_the_summary_stays(study: Path, task: Task) -> None:
     first = run(study, task)
     table = (task.folder / "summary.csv").read_bytes()

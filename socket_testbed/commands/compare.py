@@ -98,7 +98,7 @@ def _items(options: argparse.Namespace) -> list[Comparable]:
     found: list[Comparable] = []
     for path in options.trial:
         if path.is_dir():
-            for folder in [*find_trials(path).values()] or [path]:
+            for folder in [*find_trials(path, print_note).values()] or [path]:
                 trial = trial_of(argparse.Namespace(**{**vars(options), "trial": folder}))
                 found.append(dataclasses.replace(trial, notify=notify))
         else:

@@ -324,7 +324,7 @@ class TrialVerb(Generic[R]):
 
     def run(self, options: argparse.Namespace) -> None:
         """Do the work on the trial of the options, or on all trials below that folder."""
-        trials = find_trials(options.trial)
+        trials = find_trials(options.trial, print_note)
         options = argparse.Namespace(**vars(options), alone=not trials)
         if not trials:
             check_outputs(options.output, replace=options.replace)

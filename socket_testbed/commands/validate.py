@@ -19,6 +19,7 @@ from socket_testbed.commands.options import (
     check_figure,
     choices,
     figure_choices,
+    print_note,
     trial_of,
 )
 from socket_testbed.commands.text import Progress, number, table
@@ -71,7 +72,7 @@ def run(options: argparse.Namespace) -> None:
     trials = [
         trial_of(argparse.Namespace(**{**vars(options), "trial": path}))
         for folder in options.trial
-        for path in [*find_trials(folder).values()] or [folder]
+        for path in [*find_trials(folder, print_note).values()] or [folder]
     ]
     found = api.validate(*trials, progress=Progress, **choices(options))
     if options.output is not None:

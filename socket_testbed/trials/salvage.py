@@ -151,6 +151,12 @@ class SalvagedRecording:
                     f"{self.path}: is damaged, its chunk at byte {chunk.start} cannot be read",
                     _HINT,
                 )
+        if _ends_with_its_header(self._file):
+            raise TrialError(
+                f"{self.path}: holds nothing: its recorder was ended before anything was on the"
+                " disk",
+                "remove it, or copy the trial again if it is complete elsewhere",
+            )
         if not any(chunk.counts for chunk in chunks):
             raise TrialError(
                 f"{self.path}: is truncated (it has no end, and no complete chunk of messages)",
@@ -181,6 +187,36 @@ class SalvagedRecording:
             f" up to {until} ({(self.end_time - 1 - self.start_time) * 1e-9:.1f} s) were saved, "
             + ("none is missing" if complete else f"the last second may be missing{unread}")
         )
+
+
+def holds_nothing(folder: Path) -> bool:
+    """Whether a recording was cut short before anything of a message was on the disk.
+
+    So does a recorder leave it that is killed while it starts. A folder with a `metadata.yaml` is
+    none of them: its files may be complete elsewhere.
+
+    Raises:
+        OSError: If the folder or a file cannot be read.
+    """
+    files = list(folder.glob("*.mcap"))
+    if not files or (folder / "metadata.yaml").exists():
+        return False
+    for path in files:
+        with path.open("rb") as file:
+            if not _ends_with_its_header(file):
+                return False
+    return True
+
+
+def _ends_with_its_header(file: BinaryIO) -> bool:
+    """Whether there is no more of an MCAP file than its first record, or a part of that."""
+    size = file.seek(0, io.SEEK_END)
+    file.seek(0)
+    start = file.read(len(_MAGIC) + _RECORD.size)
+    if len(start) < len(_MAGIC) + _RECORD.size:
+        return _MAGIC.startswith(start[: len(_MAGIC)])
+    opcode, length = _RECORD.unpack(start[len(_MAGIC) :])
+    return start.startswith(_MAGIC) and opcode == Opcode.HEADER and size <= len(start) + length
 
 
 def salvage(path: Path) -> SalvagedRecording | None:

@@ -16,7 +16,7 @@ from support.bags import copy_configuration
 from socket_testbed.__main__ import run
 from socket_testbed.errors import TrialError
 from socket_testbed.trials.bag import BagReader, BagWriter, RawMessage, typestore
-from socket_testbed.trials.salvage import salvage
+from socket_testbed.trials.salvage import holds_nothing, salvage
 from socket_testbed.trials.topics import CAPACITANCE, WRENCH, match_topics
 from socket_testbed.trials.trial import Trial, beside_cut_short
 
@@ -99,6 +99,11 @@ def cuts_of(recording: Recording) -> list[int]:
     return [cut for cut in (*around, *anywhere, *tail, 0, 1, 8, 9, 43) if cut < len(recording.data)]
 
 
+def header_end(data: bytes) -> int:
+    """Where the first record of a recording ends [bytes]: behind the magic, 9 bytes and itself."""
+    return 8 + 9 + int.from_bytes(data[9:17], "little")
+
+
 def check(recording: Recording, data: bytes, folder: Path) -> None:
     """Whether a torn file gives the messages of the chunks that are whole in it, or an error."""
     whole = recording.data
@@ -113,7 +118,11 @@ def check(recording: Recording, data: bytes, folder: Path) -> None:
         assert read(write(folder, data)) in allowed, same
     except TrialError as error:
         assert [] in allowed, same
-        assert "bag.mcap: is truncated" in str(error) and "record the trial again" in str(error)
+        if len(data) <= header_end(whole):
+            assert "bag.mcap: holds nothing: " in str(error)
+        else:
+            assert "bag.mcap: is truncated" in str(error)
+            assert "record the trial again" in str(error)
 
 
 def test_a_cut_anywhere_leaves_exactly_the_whole_chunks_before_it(recording, tmp_path) -> None:
@@ -341,3 +350,22 @@ def test_a_recorder_goes_on_beside_what_was_cut_short_and_nothing_else(tmp_path:
     assert beside_cut_short(path) == tmp_path / "trial_3"
     (path / "metadata.yaml").touch()
     assert beside_cut_short(path) == path
+
+
+def test_a_recording_killed_while_it_started_holds_nothing(
+    recording: Recording, tmp_path: Path
+) -> None:
+    trial = tmp_path / "trial"
+    trial.mkdir()
+    header = header_end(recording.data)
+    for size in (0, 1, 8, 12, header - 1, header):
+        (trial / "trial.mcap").write_bytes(recording.data[:size])
+        with pytest.raises(TrialError, match="holds nothing: ") as error, BagReader(trial):
+            pass
+        assert "mcap recover" not in str(error.value) and holds_nothing(trial), size
+    # A piece of a chunk is something, and so is a copy of what metadata.yaml lists.
+    (trial / "trial.mcap").write_bytes(recording.data[: header + 1000])
+    assert not holds_nothing(trial)
+    (trial / "trial.mcap").write_bytes(b"")
+    (trial / "metadata.yaml").touch()
+    assert not holds_nothing(trial)
