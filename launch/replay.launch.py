@@ -36,6 +36,7 @@ def bring_up(context: LaunchContext) -> list[Node | RegisterEventHandler]:
     trial = Trial(Path(given("trial")).resolve())
     replay = ReplaySettings(
         trial=str(trial.path),
+        namespace=given("namespace"),
         rate=yaml.safe_load(given("rate")),
         loop=yaml.safe_load(given("loop")),
     )
@@ -48,7 +49,7 @@ def bring_up(context: LaunchContext) -> list[Node | RegisterEventHandler]:
             package="socket_testbed",
             executable=node.name,
             name=node.name,
-            namespace=given("namespace") or node.namespace,
+            namespace=node.namespace,
             parameters=[str(write_parameters([node], folder / f"{node.name}.yaml"))],
             output="screen",
         )

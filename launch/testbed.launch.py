@@ -31,6 +31,7 @@ def bring_up(context: LaunchContext) -> list[Node]:
         geometry=Path(given("geometry")).resolve(),
         calibration=Path(given("calibration")).resolve(),
         record=Path(given("record")) if given("record") else None,
+        namespace=given("namespace"),
     )
     testbed.check_devices()
     folder = Path(TEMPORARY.name)
@@ -39,7 +40,7 @@ def bring_up(context: LaunchContext) -> list[Node]:
             package="socket_testbed",
             executable=node.name,
             name=node.name,
-            namespace=given("namespace"),
+            namespace=node.namespace,
             parameters=[str(write_parameters([node], folder / f"{node.name}.yaml"))],
             respawn=True,  # what is killed comes back; the others go on meanwhile
             respawn_delay=0.5,

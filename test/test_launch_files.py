@@ -145,7 +145,8 @@ def test_a_trial_is_replayed_through_calibration_and_estimator(launch: Launch, h
     assert {a.given["namespace"] for a in launched.values()} == {"/"}
     replay = parameters(launched["replay_node"])
     assert (replay["trial"], replay["rate"], replay["loop"]) == (str(hold), 2.0, True)
-    assert replay["measured_only"] and replay["wait_for"] == ["calibration_node", "estimator_node"]
+    assert replay["measured_only"]
+    assert replay["wait_for"] == ["/calibration_node", "/estimator_node"]
     for name, key in (("calibration_node", "calibration"), ("estimator_node", "geometry")):
         found = parameters(launched[name])
         assert found["use_sim_time"]
@@ -161,5 +162,8 @@ def test_a_replay_goes_into_the_namespace_of_its_trial(
     target = move_to_namespace(hold, tmp_path / "lab", "/lab")
     launched = nodes(launch("replay", trial=target))
     assert launched["estimator_node"].given["namespace"] == "/lab"
-    launched = nodes(launch("replay", trial=target, namespace="/other"))
-    assert launched["estimator_node"].given["namespace"] == "/other"
+    launched = nodes(launch("replay", trial=target, namespace="left"))
+    assert {action.given["namespace"] for action in launched.values()} == {"/left"}
+    replay = parameters(launched["replay_node"])
+    assert replay["namespace"] == "left"
+    assert replay["wait_for"] == ["/left/calibration_node", "/left/estimator_node"]

@@ -42,6 +42,7 @@ from socket_testbed.trials.metadata import (
     read_metadata,
     write_metadata,
 )
+from socket_testbed.trials.topics import full_namespace
 from socket_testbed.trials.trial import Trial, recorded_namespace
 
 _UP_WITHIN = 120.0  # [s]; for the simulation, on a busy machine
@@ -136,6 +137,9 @@ class Testbed:
 
         Args:
             folder: A folder that exists as long as the testbed runs.
+
+        Raises:
+            ConfigurationError: If the namespace or the metadata are wrong.
         """
         given = self.settings
         geometry, calibration = str(self.geometry), str(self.calibration)
@@ -149,11 +153,12 @@ class Testbed:
         }
         wait_for = tuple(acquiring) if self.record is None else (*acquiring, "recorder_node")
         trigger = replace(given.trigger_node, wait_for=wait_for)
+        namespace = full_namespace(self.namespace)
         process = "testbed" if self.one_process else ""
         nodes = [
-            GraphNode("trigger_node", trigger, self.namespace),
+            GraphNode("trigger_node", trigger, namespace),
             *(
-                GraphNode(name, settings, self.namespace, process=process)
+                GraphNode(name, settings, namespace, process=process)
                 for name, settings in acquiring.items()
             ),
         ]
@@ -170,7 +175,7 @@ class Testbed:
             metadata=self._store_metadata(folder / METADATA_FILE),
             flush_period=given.recorder_node.flush_period,
         )
-        return [GraphNode("recorder_node", recorder, self.namespace), *nodes]
+        return [GraphNode("recorder_node", recorder, namespace), *nodes]
 
     def _store_metadata(self, path: Path) -> str:
         """Write the new trial's metadata; the path, or nothing where nothing is stated."""
@@ -304,16 +309,16 @@ def replay_nodes(
         TestbedError: If the trial or its configuration is wrong.
     """
     check_names(estimator.identification, trial.check())
-    namespace = recorded_namespace(trial)
+    namespace = full_namespace(replay.namespace or recorded_namespace(trial))
     calibration = CalibrationNodeSettings(calibration=str(trial.calibration_path.resolve()))
     estimator = replace(estimator, geometry=str(trial.geometry_path.resolve()))
     estimating = [
         GraphNode("calibration_node", calibration, namespace, use_sim_time=True),
         GraphNode("estimator_node", estimator, namespace, use_sim_time=True),
     ]
-    wait_for = (*(node.name for node in estimating), *replay.wait_for)
+    wait_for = (*(node.full_name for node in estimating), *replay.wait_for)
     replay = replace(replay, measured_only=True, wait_for=wait_for)
-    return [*estimating, GraphNode("replay_node", replay)]
+    return [*estimating, GraphNode("replay_node", replay, full_namespace(replay.namespace))]
 
 
 def replay_with_estimator(

@@ -71,6 +71,11 @@ class GraphNode:
     use_sim_time: bool = False
     process: str = ""
 
+    @property
+    def full_name(self) -> str:
+        """Its name in the graph, such as /left/estimator_node."""
+        return f"{self.namespace.rstrip('/')}/{self.name}"
+
 
 def write_parameters(nodes: Iterable[GraphNode], path: Path) -> Path:
     """Write the ROS parameter file that nodes start with, in any namespace; returns its path."""

@@ -117,7 +117,8 @@ class _SlowService:
         service = node.create_service(kind, name, lambda *given: given)
         self._send = service.send_response
         service.send_response = lambda given, header: self._asked.put((given, header))
-        self._thread = threading.Thread(target=self._answer, name=name)
+        # A node that fails while it starts is never closed: its threads must not hold it up.
+        self._thread = threading.Thread(target=self._answer, name=name, daemon=True)
         self._thread.start()
 
     def close(self) -> None:

@@ -9,17 +9,15 @@ from dataclasses import dataclass
 import numpy as np
 import rclpy
 from rclpy.duration import Duration
-from rclpy.exceptions import InvalidNamespaceException
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
-from rclpy.validate_namespace import validate_namespace
 from socket_testbed_msgs.msg import Event, Trigger
 from std_msgs.msg import String
 
-from socket_testbed.errors import ConfigurationError, TestbedError
+from socket_testbed.errors import TestbedError
 from socket_testbed.nodes.base import publisher_qos, subscriber_qos
 from socket_testbed.nodes.conversions import LOAD_CELL_FRAME, header_to_ros, stamp_from_ros
-from socket_testbed.trials.topics import EVENT, RECORDED_TRIAL, TRIGGER
+from socket_testbed.trials.topics import EVENT, RECORDED_TRIAL, TRIGGER, full_namespace
 
 _FOUND_WITHIN = 6.0  # [s]; for a subscriber to be found on a busy machine
 _TRIGGERED_WITHIN = 5.0  # [s]; for enough triggers
@@ -62,12 +60,7 @@ def publish_event(label: str, called: float, namespace: str = "/") -> Marked:
         ConfigurationError: If the namespace cannot be one.
         TestbedError: If nobody subscribes, or it is not acknowledged.
     """
-    try:
-        validate_namespace(namespace)
-    except InvalidNamespaceException as error:
-        raise ConfigurationError(
-            f"'{namespace}' is no namespace", f"give one such as /lab ({error})"
-        ) from None
+    namespace = full_namespace(namespace)
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)  # Ctrl-C is the verb's
     node = rclpy.create_node("event_marker", namespace=namespace)
     try:

@@ -1,7 +1,7 @@
 """Replay node: a trial published again as raw bytes, in its order and timing, with /clock.
 
-Publishes: the topics of the trial under their recorded names, /clock, /diagnostics. Service:
-replay/pause.
+Publishes: the topics of the trial under their recorded names or in another namespace, /clock,
+/diagnostics. Service: replay/pause.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from socket_testbed.nodes.conversions import stamp_to_ros
 from socket_testbed.nodes.followers import Followers
 from socket_testbed.settings.testbed import ReplaySettings
 from socket_testbed.trials.bag import BagReader, RawMessage, decode, stamp_of
-from socket_testbed.trials.topics import DIAGNOSTICS, TRIGGER, Topic, match_topics
+from socket_testbed.trials.topics import DIAGNOSTICS, TRIGGER, Topic, full_namespace, match_topics
 
 _READY_WITHIN = 60.0  # [s]; for the nodes waited for to start and find each other
 _DISCOVERY = 3.0  # [s]; DDS takes 5 ms or more than 2 s, at random
@@ -47,7 +47,10 @@ class ReplayNode(TestbedNode[ReplaySettings]):
         self._bag = BagReader(Path(settings.trial))
         self._bag.__enter__()
         self._topics = self._replayed_topics()
-        self._by_topic = {name: self.advertise(t, name) for name, t in self._topics.items()}
+        self._by_topic = {
+            name: self.advertise(topic, self._published_name(name, topic))
+            for name, topic in self._topics.items()
+        }
         self._clock_publisher = self.create_publisher(Clock, "/clock", 10)
         self._pacer = Pacer(settings.rate, self._tick, settings.paused)
         self._followers = Followers(self, settings.wait_for, lambda: self._pacer.stopped)
@@ -83,6 +86,12 @@ class ReplayNode(TestbedNode[ReplaySettings]):
                 "give a trial that 'record' or 'simulate' made",
             )
         return topics
+
+    def _published_name(self, name: str, topic: Topic) -> str:
+        """Where a topic goes that was recorded under a name."""
+        if not self.settings.namespace:
+            return name
+        return f"{full_namespace(self.settings.namespace).rstrip('/')}/{topic.name}"
 
     def _on_pause(self, paused: bool) -> str:
         if paused:
@@ -146,11 +155,14 @@ class ReplayNode(TestbedNode[ReplaySettings]):
         if not self._followers:
             # Subscribers are found within the time of a discovery.
             self._pacer.rest(_DISCOVERY)
-        required = (name for name, topic in self._topics.items() if topic.required)
+        outputs = {publisher.topic_name: publisher for publisher in self._by_topic.values()}
+        required = [
+            p.topic_name for name, p in self._by_topic.items() if self._topics[name].required
+        ]
         needed = frozenset(required if self._followers else ())
-        lacking = self._followers.await_links(self._by_topic, needed, _READY_WITHIN)
-        for name, topic in self._topics.items():
-            if topic.required and self.count_publishers(name) > 1:
+        lacking = self._followers.await_links(outputs, needed, _READY_WITHIN)
+        for name in required:
+            if self.count_publishers(name) > 1:
                 raise TrialError(
                     f"another program publishes {name} on this ROS_DOMAIN_ID",
                     "end it, or set another ROS_DOMAIN_ID: two trials must not mix",

@@ -123,6 +123,9 @@ class ReplaySettings(Settings):
     """Parameters of the replay node."""
 
     trial: str = setting("", "path of the trial [-]", fixed=True)
+    namespace: str = setting(
+        "", "namespace to publish into, such as /left; empty: as recorded [-]", fixed=True
+    )
     rate: float = setting(
         1.0, "speed of the replay against the recording [-]", 1e-3, 1e4, fixed=True
     )

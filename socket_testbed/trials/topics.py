@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from socket_testbed.errors import TrialError
+from socket_testbed.errors import ConfigurationError, TrialError
 
 
 @dataclass(frozen=True)
@@ -97,3 +98,15 @@ def match_topics(names: Iterable[str], where: str) -> dict[Topic, str]:
                     )
                 found[topic] = name
     return found
+
+
+def full_namespace(given: str) -> str:
+    """A namespace of ROS from its root, such as /left from left.
+
+    Raises:
+        ConfigurationError: If it is none.
+    """
+    namespace = "/" + given.strip("/")
+    if not re.fullmatch(r"/|(/[A-Za-z_][A-Za-z0-9_]*)+", namespace):
+        raise ConfigurationError(f"'{given}' is no namespace", "give one such as /left, / for none")
+    return namespace

@@ -53,6 +53,7 @@ from socket_testbed.trials.topics import (
     PARAMETERS,
     PRESSURE_MAP,
     STRESS,
+    TRIGGER,
     WRENCH,
 )
 from socket_testbed.trials.trial import Trial
@@ -359,16 +360,20 @@ def test_a_killed_command_leaves_no_node(hold: Path) -> None:
         replay.communicate(timeout=HANGS)
 
 
-def test_a_trial_recorded_in_a_namespace_is_estimated_there(
-    hold: Path, hold_model: Path, tmp_path: Path
+@pytest.mark.parametrize("given", ["", "left"])
+def test_a_trial_is_estimated_where_it_was_recorded_or_in_a_given_namespace(
+    hold: Path, hold_model: Path, tmp_path: Path, given: str
 ) -> None:
     target = move_to_namespace(hold, tmp_path / "lab", "/lab")
+    namespace = f"/{given or 'lab'}"
     with Probe() as probe:
-        forces = probe.listen(LOCAL_FORCES, "/lab/estimate/local_forces")
+        forces = probe.listen(LOCAL_FORCES, f"{namespace}/estimate/local_forces")
+        triggers = {name: probe.listen(TRIGGER, f"{name}/trigger") for name in ("/lab", "/left")}
         settings = dataclasses.replace(NO_FIT, model=str(hold_model))
-        replay = ReplaySettings(trial=str(target), rate=20.0)
+        replay = ReplaySettings(trial=str(target), rate=20.0, namespace=given)
         replay_with_estimator(Trial(target), replay, settings)
         probe.wait(lambda: len(forces) > 0, "forces in the namespace")
+        assert [name for name, messages in triggers.items() if messages] == [namespace]
     assert vectors_from_ros(forces[0].forces).shape == (len(Trial(hold).geometry), 3)
 
 
