@@ -65,16 +65,20 @@ $(VENV)/.packages: $(REQUIREMENTS) requirements/dask.txt scripts/fix_ros_wheels.
 	$(BIN)/python scripts/fix_ros_wheels.py
 	touch $@
 
-# The message package, built by CMake as colcon would, into the environment as a ROS prefix.
-$(VENV)/.messages: $(VENV)/.packages msg_defs/CMakeLists.txt msg_defs/package.xml $(wildcard msg_defs/msg/*.msg)
+# The message packages, built by CMake as colcon would, into the environment as a ROS prefix: our
+# own, and tf2_msgs, which no index of wheels has.
+MESSAGES := msg_defs requirements/tf2_msgs
+$(VENV)/.messages: $(VENV)/.packages $(foreach m,$(MESSAGES),$(m)/CMakeLists.txt $(m)/package.xml $(wildcard $(m)/msg/*.msg))
 	@echo "building the messages"
 	@rm -rf $(VENV)/messages
-	@{ AMENT_PREFIX_PATH=$(CURDIR)/$(VENV) CMAKE_PREFIX_PATH=$(CURDIR)/$(VENV) \
-		PATH="$(CURDIR)/$(BIN):$$PATH" \
-		cmake -S msg_defs -B $(VENV)/messages -DBUILD_TESTING=OFF \
+	@export AMENT_PREFIX_PATH=$(CURDIR)/$(VENV) CMAKE_PREFIX_PATH=$(CURDIR)/$(VENV) \
+		PATH="$(CURDIR)/$(BIN):$$PATH"; \
+	( for package in $(MESSAGES); do \
+		build=$(VENV)/messages/$$(basename $$package); \
+		cmake -S $$package -B $$build -DBUILD_TESTING=OFF \
 			-DCMAKE_INSTALL_PREFIX=$(CURDIR)/$(VENV) -DPython3_EXECUTABLE=$(CURDIR)/$(BIN)/python \
-		&& cmake --build $(VENV)/messages -j 2 && cmake --install $(VENV)/messages; } \
-		> $(VENV)/messages.log 2>&1 || { tail -n 30 $(VENV)/messages.log; exit 1; }
+		&& cmake --build $$build -j 2 && cmake --install $$build || exit 1; \
+	done ) > $(VENV)/messages.log 2>&1 || { tail -n 30 $(VENV)/messages.log; exit 1; }
 	touch $@
 
 $(VENV)/.package: $(VENV)/.packages setup.py setup.cfg

@@ -78,6 +78,13 @@ def test_colcon_finds_both_packages_as_what_they_are(workspace: Path) -> None:
 
 
 @needs_colcon
+def test_a_workspace_never_builds_our_stand_in_for_tf2_msgs(workspace: Path) -> None:
+    """On a ROS installation it would hide the distribution's package."""
+    assert (workspace / "requirements" / "tf2_msgs" / "package.xml").is_file()
+    assert call(workspace, "colcon", "list", "--base-paths", "requirements", "*/*") == ""
+
+
+@needs_colcon
 def test_a_plain_colcon_build_gives_a_package_that_works_anywhere(
     workspace: Path, tmp_path: Path
 ) -> None:
