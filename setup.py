@@ -22,6 +22,7 @@ NODES = (
     "estimator",
     "recorder",
     "replay",
+    "view",
 )
 
 setup(

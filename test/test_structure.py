@@ -17,6 +17,7 @@ from socket_testbed.nodes.mocap_node import MocapNode
 from socket_testbed.nodes.recorder_node import RecorderNode
 from socket_testbed.nodes.replay_node import ReplayNode
 from socket_testbed.nodes.trigger_node import TriggerNode
+from socket_testbed.nodes.view_node import ViewNode
 
 PACKAGE = Path(__file__).resolve().parents[1] / "socket_testbed"
 FILES = sorted(PACKAGE.rglob("*.py"))
@@ -29,7 +30,7 @@ LAYERS = (
     ("drivers", "calibration", "identification", "socket_design"),
     ("trials",),
     ("batch", "comparison", "simulation", "report"),
-    ("live",),
+    ("live", "view"),
     ("api",),
     ("nodes",),
     ("commands",),
@@ -90,6 +91,7 @@ def test_only_nodes_import_ros(path: Path) -> None:
 NODES = (
     *(TriggerNode, ClusterNode, LoadCellNode, MocapNode),
     *(CalibrationNode, EstimatorNode, RecorderNode, ReplayNode, ListenerNode),
+    ViewNode,
 )
 # Every class of ours that derives from rclpy's Node, the bases included.
 NODE_CLASSES = sorted(

@@ -140,6 +140,21 @@ class ReplaySettings(Settings):
 
 
 @dataclass(frozen=True)
+class ViewSettings(Settings):
+    """Parameters of the view node."""
+
+    geometry: str = setting("", "path of socket.yaml; empty: the package's own [-]", fixed=True)
+    host: str = setting("127.0.0.1", "address that the page is served on [-]", fixed=True)
+    port: int = setting(8080, "port of the page; 0: one that is free [1]", 0, 65535, fixed=True)
+    names: tuple[str, ...] = setting(
+        (), "further names by which the page may be called [-]", fixed=True
+    )
+    buttons: bool = setting(
+        False, "allow the buttons where other machines see the page [-]", fixed=True
+    )
+
+
+@dataclass(frozen=True)
 class TestbedSettings(Settings):
     """Settings of the testbed: one field per node, with the node's name."""
 
@@ -153,6 +168,7 @@ class TestbedSettings(Settings):
     estimator_node: EstimatorSettings = field(default_factory=EstimatorSettings)
     recorder_node: RecorderSettings = field(default_factory=RecorderSettings)
     replay_node: ReplaySettings = field(default_factory=ReplaySettings)
+    view_node: ViewSettings = field(default_factory=ViewSettings)
 
     def nodes(self) -> dict[str, Settings]:
         """Settings by the name of their node."""

@@ -1,0 +1,280 @@
+"""View node: serves the page on which the running testbed is seen in a browser.
+
+Subscribes, while a browser is open: estimate/force_map, load_cell/wrench, estimate/wrench,
+mocap/socket/pose, mocap/pylon/pose. Always: /diagnostics, recorder/trial. Publishes: /diagnostics.
+
+No executor serves the subscriptions of the page: the thread that draws takes the newest messages
+when it needs them. At 100 Hz most of them are never decoded.
+"""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.node import Node
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.serialization import deserialize_message
+from rclpy.subscription import Subscription
+from socket_testbed_msgs.msg import ForceMap
+from std_msgs.msg import String
+
+from socket_testbed import clocks
+from socket_testbed.arrays import FloatArray
+from socket_testbed.files import packaged
+from socket_testbed.geometry.pose import Pose
+from socket_testbed.geometry.socket import SocketGeometry, read_socket
+from socket_testbed.identification.force_map import MapEstimate
+from socket_testbed.nodes.base import OK, TestbedNode, message_type
+from socket_testbed.nodes.conversions import (
+    pose_from_ros,
+    stamp_from_ros,
+    vectors_from_ros,
+    wrench_from_ros,
+)
+from socket_testbed.settings.testbed import ViewSettings
+from socket_testbed.trials.topics import (
+    DIAGNOSTICS,
+    ESTIMATED_WRENCH,
+    FORCE_MAP,
+    PYLON_POSE,
+    RECORDED_TRIAL,
+    SOCKET_POSE,
+    WRENCH,
+    Topic,
+)
+from socket_testbed.view.page import Page
+from socket_testbed.view.server import PageServer
+from socket_testbed.view.source import HISTORY, Controls, Instant, RegionsNow, SensorState
+from socket_testbed.view.source import Recording as RecordingNow
+
+_OLD = 2.0  # [s]; what came longer ago is not shown as if it were now
+_DEPTHS = {FORCE_MAP: 1, SOCKET_POSE: 1, PYLON_POSE: 1, WRENCH: 50, ESTIMATED_WRENCH: 50}
+_COUNTS = ("samples", "triggers", "messages", "maps")  # among the figures of a node
+
+
+class ViewNode(TestbedNode[ViewSettings]):
+    """Shows the running testbed in browsers."""
+
+    def __init__(self) -> None:
+        super().__init__("view_node", ViewSettings)
+        settings = self.settings
+        path = Path(settings.geometry) if settings.geometry else packaged("config", "socket.yaml")
+        server = PageServer(settings.host, settings.port, settings.names)
+        self._live = LiveSource(self, read_socket(path))
+        self._page = Page(self._live, server)
+        self.report(OK, f"the testbed is seen at {server.url}")
+
+    def close(self) -> None:
+        """End the page."""
+        self._page.close()
+        super().close()
+
+
+class LiveSource:
+    """The running testbed as the page shows it.
+
+    Args:
+        node: The node that listens to diagnostics.
+        geometry: Geometry of the socket.
+    """
+
+    controls: Controls | None = None
+    playback = None
+
+    def __init__(self, node: TestbedNode[Any], geometry: SocketGeometry) -> None:
+        self.geometry = geometry
+        self._node = node
+        self._inbox: _Inbox | None = None
+        self._newest: dict[Topic, tuple[Any, float]] = {}  # message, arrival [s]
+        self._rows: dict[int, FloatArray] = {}  # measured and predicted wrench by stamp [ns]
+        self._first = 0  # [ns]
+        self._shown: Instant | None = None
+        self._sensors: dict[str, tuple[DiagnosticArray, float]] = {}
+        self._rates: dict[str, tuple[float, float, float]] = {}  # count, time [s], rate [Hz]
+        self._trial = ("", 0.0)
+        node.listen(DIAGNOSTICS, self._on_diagnostics, needed=False)
+        node.listen(RECORDED_TRIAL, self._on_trial, needed=False)
+
+    def watched(self, on: bool) -> None:
+        """Subscribe while a browser is open."""
+        if on:
+            self._inbox = _Inbox(self._node)
+        elif self._inbox is not None:
+            self._inbox.close()
+            self._inbox = None
+            self._newest.clear()
+
+    def instant(self) -> Instant | None:
+        """The newest sample."""
+        if self._inbox is None or not self._take(self._inbox):
+            return self._shown_or_old()
+        stamp = max(self._stamp_of(topic) for topic in self._newest)
+        wrench, predicted = self._wrench(WRENCH), self._wrench(ESTIMATED_WRENCH)
+        socket, limb = self._poses()
+        self._shown = Instant(
+            stamp, (stamp - self._first) * 1e-9, self._map(), wrench, predicted, socket, limb
+        )
+        return self._shown
+
+    def wrenches(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """The last wrenches."""
+        stamps = sorted(self._rows)
+        rows = np.array([self._rows[stamp] for stamp in stamps]).reshape(-1, 12)
+        time = 1e-9 * (np.array(stamps, dtype=np.float64) - self._first)
+        return time, rows[:, :6], rows[:, 6:]
+
+    def sensors(self) -> list[SensorState]:
+        """What the nodes report of themselves."""
+        now = clocks.monotonic()
+        return [
+            SensorState(
+                name,
+                int.from_bytes(status.level, "little"),
+                status.message,
+                self._rates.get(name, (0.0, 0.0, math.nan))[2],
+                now - arrival,
+            )
+            for name, (status, arrival) in sorted(self._sensors.items())
+        ]
+
+    def recording(self) -> RecordingNow | None:
+        """The trial that is being recorded."""
+        trial, since = self._trial
+        return RecordingNow(trial, clocks.monotonic() - since if trial else 0.0, math.nan)
+
+    def regions(self) -> RegionsNow | None:
+        """Nothing yet."""
+        return None
+
+    def _take(self, inbox: _Inbox) -> bool:
+        """Take what has come; returns whether it is anything."""
+        now, news = clocks.monotonic(), False
+        for topic in _DEPTHS:
+            for message in inbox.take(topic):
+                news = True
+                self._newest[topic] = message, now
+                if topic in (WRENCH, ESTIMATED_WRENCH):
+                    self._add_row(topic, message)
+        return news
+
+    def _add_row(self, topic: Topic, message: Any) -> None:
+        stamp = stamp_from_ros(message.header.stamp)
+        if not self._rows or stamp < min(self._rows):  # a graph that was started again
+            self._rows.clear()
+            self._first = self._first if 0 < self._first <= stamp else stamp
+        row = self._rows.setdefault(stamp, np.full(12, np.nan))
+        row[0 if topic is WRENCH else 6 :][:6] = wrench_from_ros(message.wrench)
+        while stamp - next(iter(self._rows)) > HISTORY * 1e9:
+            del self._rows[next(iter(self._rows))]
+
+    def _shown_or_old(self) -> Instant | None:
+        """What was shown, without what has become old."""
+        shown = self._shown
+        if shown is not None and shown.map is not None and self._recent(FORCE_MAP) is None:
+            nothing = np.full(6, np.nan)
+            self._shown = Instant(shown.stamp, shown.time, None, nothing, nothing, None, None)
+        return self._shown
+
+    def _recent(self, topic: Topic) -> Any:
+        """The newest message; None where it came long ago."""
+        message, arrival = self._newest.get(topic, (None, -math.inf))
+        return message if clocks.monotonic() - arrival < _OLD else None
+
+    def _stamp_of(self, topic: Topic) -> int:
+        return stamp_from_ros(self._newest[topic][0].header.stamp)
+
+    def _wrench(self, topic: Topic) -> FloatArray:
+        message = self._recent(topic)
+        return np.full(6, np.nan) if message is None else wrench_from_ros(message.wrench)
+
+    def _map(self) -> MapEstimate | None:
+        message = self._recent(FORCE_MAP)
+        if message is None or len(message.names) != len(self.geometry):
+            return None
+        return map_from_ros(message)
+
+    def _poses(self) -> tuple[Pose | None, Pose | None]:
+        """Pose of {S} and of the limb in the world."""
+        socket, pylon = (self._pose(topic) for topic in (SOCKET_POSE, PYLON_POSE))
+        return (
+            socket @ self.geometry.socket_body.inverse() if socket else None,
+            pylon @ self.geometry.limb if pylon else None,
+        )
+
+    def _pose(self, topic: Topic) -> Pose | None:
+        message = self._recent(topic)
+        if message is None:
+            return None
+        values = pose_from_ros(message.pose)
+        return Pose.from_quaternion(values[:3], values[3:]) if np.isfinite(values).all() else None
+
+    def _on_diagnostics(self, message: DiagnosticArray) -> None:
+        now = clocks.monotonic()
+        for status in message.status:
+            self._sensors[status.name] = status, now
+            values = {entry.key: entry.value for entry in status.values}
+            counts = [float(values[key]) for key in _COUNTS if key in values]
+            if not counts:
+                continue
+            count, since, rate = self._rates.get(status.name, (counts[0], now, math.nan))
+            if now - since > 0.5:
+                rate = (counts[0] - count) / (now - since)
+                count, since = counts[0], now
+            self._rates[status.name] = count, since, rate
+
+    def _on_trial(self, message: String) -> None:
+        self._trial = message.data, clocks.monotonic()
+
+
+class _Inbox:
+    """Subscriptions that no executor serves: what has come is taken on request."""
+
+    def __init__(self, node: TestbedNode[Any]) -> None:
+        self._node = Node(
+            f"{node.get_name()}_inbox",
+            namespace=node.get_namespace(),
+            context=node.context,
+            start_parameter_services=False,
+            use_global_arguments=False,
+        )
+        self._subscriptions = {topic: self._subscribe(topic) for topic in _DEPTHS}
+
+    def close(self) -> None:
+        """Unsubscribe."""
+        self._node.destroy_node()
+
+    def take(self, topic: Topic) -> list[Any]:
+        """The messages that have come, in their order; at most as many as are kept."""
+        subscription, found = self._subscriptions[topic], []
+        with subscription.handle:
+            while taken := subscription.handle.take_message(subscription.msg_type, True):
+                found.append(deserialize_message(taken[0], subscription.msg_type))
+        return found
+
+    def _subscribe(self, topic: Topic) -> Subscription:
+        # Whoever publishes waits for no page: a message that is lost is not sent again.
+        qos = QoSProfile(depth=_DEPTHS[topic], reliability=ReliabilityPolicy.BEST_EFFORT)
+        return self._node.create_subscription(
+            message_type(topic), topic.name, lambda data: None, qos, raw=True
+        )
+
+
+def map_from_ros(message: ForceMap) -> MapEstimate:
+    """The force map of a message, with N = 1."""
+
+    def row(values: Any) -> FloatArray:
+        return np.array(values, dtype=np.float64)[None]
+
+    return MapEstimate(
+        vectors_from_ros(message.forces)[None],
+        vectors_from_ros(message.standard_deviations)[None],
+        row(message.normal_pressure),
+        row(message.normal_pressure_standard_deviation),
+        row(message.shear),
+        row(message.shear_standard_deviation),
+        message.source,
+    )
