@@ -30,7 +30,7 @@ LAYERS = (
     ("drivers", "calibration", "identification", "socket_design"),
     ("trials",),
     ("batch", "comparison", "simulation", "report"),
-    ("live", "view"),
+    ("live", "viewer"),
     ("api",),
     ("nodes",),
     ("commands",),

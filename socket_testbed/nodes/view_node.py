@@ -46,10 +46,10 @@ from socket_testbed.trials.topics import (
     WRENCH,
     Topic,
 )
-from socket_testbed.view.page import Page
-from socket_testbed.view.server import PageServer
-from socket_testbed.view.source import HISTORY, Controls, Instant, RegionsNow, SensorState
-from socket_testbed.view.source import Recording as RecordingNow
+from socket_testbed.viewer.page import Page
+from socket_testbed.viewer.server import PageServer
+from socket_testbed.viewer.source import HISTORY, Controls, Instant, RegionsNow, SensorState
+from socket_testbed.viewer.source import Recording as RecordingNow
 
 _OLD = 2.0  # [s]; what came longer ago is not shown as if it were now
 _DEPTHS = {FORCE_MAP: 1, SOCKET_POSE: 1, PYLON_POSE: 1, WRENCH: 50, ESTIMATED_WRENCH: 50}

@@ -14,7 +14,7 @@ from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification.pressure import NORMAL_QUANTILE, SHARE
 from socket_testbed.report.figures.style import CLUSTER, EDGE, SCALE
 from socket_testbed.report.figures.tiles import covered_tiles, tile_squares
-from socket_testbed.view.source import Instant
+from socket_testbed.viewer.source import Instant
 
 QUANTITIES = ("normal pressure", "shear", "standard deviation")
 

@@ -7,10 +7,10 @@ import time
 
 from viser import ClientHandle
 
-from socket_testbed.view.panel import Panel
-from socket_testbed.view.scene import Scene
-from socket_testbed.view.server import PageServer
-from socket_testbed.view.source import Source
+from socket_testbed.viewer.panel import Panel
+from socket_testbed.viewer.scene import Scene
+from socket_testbed.viewer.server import PageServer
+from socket_testbed.viewer.source import Source
 
 _PERIOD = 0.05  # [s]; between frames
 

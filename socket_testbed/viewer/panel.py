@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from viser import ViserServer
 
-from socket_testbed.view.source import Source
+from socket_testbed.viewer.source import Source
 
 
 class Panel:
