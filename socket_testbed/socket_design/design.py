@@ -9,11 +9,17 @@ import numpy as np
 import trimesh
 
 from socket_testbed.arrays import FloatArray
+from socket_testbed.geometry.axis import axis_through
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.socket_design.interior import find_interior
-from socket_testbed.socket_design.layout import ClusterPlace, tiled_socket
+from socket_testbed.socket_design.layout import (
+    ClusterPlace,
+    nominal_places,
+    refuse_unusual,
+    tiled_socket,
+)
 from socket_testbed.socket_design.placement import Placement
-from socket_testbed.socket_design.scan_file import METRES, Scan
+from socket_testbed.socket_design.scan_file import METRES, Scan, refuse_implausible
 from socket_testbed.socket_design.tiling import Tiling, TilingSettings, tile_interior
 
 _ANTERIOR = np.array([1.0, 0.0, 0.0])  # in {S}
@@ -118,10 +124,11 @@ def design_socket(
         progress: Called with the steps done and their number.
 
     Raises:
-        ScanError: If the scan has no interior that takes tiles.
-        ConfigurationError: If a cluster is on no tile.
+        ScanError: If the scan has no interior that takes tiles, or one of no socket's size.
+        ConfigurationError: If a cluster is on no tile, or nominal ones have no usual place.
     """
     interior = find_interior(scan.mesh, proximal)
+    refuse_implausible(name, interior.length, interior.girth, scan.unit)
     vertices = np.asarray(interior.mesh.vertices)
     placement = place(vertices, interior.proximal, METRES[scan.unit])
     pose = placement.scan_in_load_cell
@@ -130,7 +137,11 @@ def design_socket(
     tiling = tile_interior(mesh, upwards, _ANTERIOR, settings, progress)
     source = f"{name} [{scan.unit}], {placement.source}"
     end = _distal_end(mesh, upwards)
-    geometry, notes = tiled_socket(tiling, end, upwards, _ANTERIOR, clusters, bodies, source)
+    places = clusters
+    if places is None:
+        places = nominal_places(tiling.squares, end, upwards, _ANTERIOR)
+        refuse_unusual(places, tiling.squares, mesh, axis_through(end, upwards, _ANTERIOR))
+    geometry, notes = tiled_socket(tiling, end, upwards, _ANTERIOR, places, bodies, source)
     if clusters is None:
         notes.append("the clusters are put where they usually are: look, or give --clusters")
     return SocketDesign(

@@ -65,14 +65,19 @@ def lay_spine(axis: Axis, wall: trimesh.Trimesh, open_above: bool = False) -> Sp
         open_above: Whether the wall's far end is an opening: there it is looked at from
             beside, up to its edge.
     """
-    along = (wall.triangles_center - axis.origin) @ axis.direction
-    off_axis = wall.triangles_center - axis.origin - along[:, None] * axis.direction
-    distance = np.linalg.norm(off_axis, axis=1)
+    along, distance = _off_axis(axis, wall)
     radius = _weighted_median(distance, wall.area_faces)
     wide = along[distance >= _NARROW * radius]
     low, high = float(wide.min()), float(wide.max())
     radius = min(radius, _LONGEST_ROUND * (high - low))
     return Spine(axis, low + radius, np.inf if open_above else high - radius, radius)
+
+
+def _off_axis(axis: Axis, mesh: trimesh.Trimesh) -> tuple[FloatArray, FloatArray]:
+    """Places of the faces along an axis from its origin and off it, each of shape (F,) [m]."""
+    offset = mesh.triangles_center - axis.origin
+    along = offset @ axis.direction
+    return along, np.linalg.norm(offset - along[:, None] * axis.direction, axis=1)
 
 
 def _weighted_median(values: FloatArray, weights: FloatArray) -> float:
@@ -401,12 +406,16 @@ class Interior:
         mesh: The inner wall with the inside of the distal end; its normals point into the
             cavity, and every boundary vertex is on one opening.
         proximal: Unit vector from the distal end to the opening, shape (3,).
+        length: Extent along it [m].
+        girth: Around the axis, at the median distance of the wall from it [m].
         openings: Vertices of the boundary loops, in order around; the brim (the longest) first.
         notes: One plain line for every finding.
     """
 
     mesh: trimesh.Trimesh
     proximal: FloatArray
+    length: float
+    girth: float
     openings: tuple[IntArray, ...]
     notes: tuple[str, ...]
 
@@ -460,9 +469,13 @@ def find_interior(mesh: trimesh.Trimesh, proximal: FloatArray | None = None) -> 
         notes += _notes_on_direction(given, axis, decided)
     elif not fit_axis(interior).is_sharp:
         notes.append("no axis of the cavity stands out: check the proximal direction or give it")
+    upwards = axis.direction if given is None else given
+    _, distance = _off_axis(axis, interior)
     return Interior(
         mesh=interior,
-        proximal=axis.direction if given is None else given,
+        proximal=upwards,
+        length=float(np.ptp(np.asarray(interior.vertices) @ upwards)),
+        girth=2.0 * np.pi * _weighted_median(distance, interior.area_faces),
         openings=tuple(loops[i] for i in order),
         notes=tuple(notes),
     )

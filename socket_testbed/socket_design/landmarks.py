@@ -42,6 +42,7 @@ LANDMARK_FILE_HELP = """LANDMARKS.yaml names the markers and gives the landmarks
       Limb:Marker3: [-0.06, -0.020, 0.09]
 
 All keys are required; load_cell and limb name three landmarks or more, as the take names them.
+Of three, or of more in one plane, a wrong sign may go unseen: better give a fourth off their plane.
 """
 
 

@@ -7,11 +7,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import trimesh
+from trimesh.triangles import closest_point
 
 from socket_testbed.arrays import FloatArray, IntArray
 from socket_testbed.errors import ConfigurationError
 from socket_testbed.files import Section, read_document
-from socket_testbed.geometry.axis import axis_through
+from socket_testbed.geometry.axis import SocketAxis, axis_through
 from socket_testbed.geometry.pose import read_rotation
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.socket_design.squares import Squares
@@ -89,6 +91,15 @@ def _place(name: str, section: Section) -> ClusterPlace:
     return ClusterPlace(name, centre, read_rotation(section, "frame"), section.where)
 
 
+# Where three of the testbed's clusters usually are: angle from anterior [deg], and height of all.
+_USUAL = {"brim_lateral": (90.0, 1.0), "mid_anterior": (0.0, 0.6), "posterior_distal": (180.0, 0.2)}
+_DISTAL = "distal"
+_MOST_TURNED = 45.0  # [deg]; from there, for the name to be right
+_MOST_RAISED = 1.5  # [edges]; likewise
+_LOW = 0.06  # [m]; what is higher is no distal end
+_OPEN = 0.005  # [m]; hole around the axis that opens it
+
+
 def nominal_places(
     squares: Squares, end: FloatArray, proximal: FloatArray, anterior: FloatArray
 ) -> list[ClusterPlace]:
@@ -101,15 +112,9 @@ def nominal_places(
         anterior: Direction towards anterior, shape (3,) [-].
     """
     axis = axis_through(end, proximal, anterior)
-    height, angle = axis.heights(squares.anchors), axis.angles(squares.anchors)
-    sideways = np.column_stack([np.cos(angle), np.sin(angle)])
-    level = height / max(float(height.max()), 1e-9)
-    score = {
-        "brim_lateral": 3.0 * sideways @ [0.0, 1.0] + 4.0 * level,
-        "mid_anterior": 3.0 * sideways @ [1.0, 0.0] - 4.0 * np.abs(level - 0.6),
-        "posterior_distal": 3.0 * sideways @ [-1.0, 0.0] - 4.0 * np.abs(level - 0.2),
-        "distal": -np.linalg.norm(squares.anchors - end, axis=1),
-    }
+    turned, raised = _from_usual(axis, squares.anchors)
+    score = {name: 3.0 * np.cos(turned[name]) - 4.0 * raised[name] for name in _USUAL}
+    score[_DISTAL] = -np.linalg.norm(squares.anchors - end, axis=1)
     taken: set[int] = set()
     places = []
     for name, value in score.items():
@@ -118,6 +123,64 @@ def nominal_places(
             taken.add(best)
             places.append(ClusterPlace(name, squares.anchors[best], None, name))
     return places
+
+
+def _from_usual(
+    axis: SocketAxis, points: FloatArray
+) -> tuple[dict[str, FloatArray], dict[str, FloatArray]]:
+    """Angles [rad] and parts of the height [-] of points from the usual places, by their names."""
+    height, angle = axis.heights(points), axis.angles(points)
+    level = height / max(float(height.max()), 1e-9)
+    turned = {name: angle - np.radians(usual) for name, (usual, _) in _USUAL.items()}
+    return turned, {name: np.abs(level - usual) for name, (_, usual) in _USUAL.items()}
+
+
+def refuse_unusual(
+    places: list[ClusterPlace], squares: Squares, mesh: trimesh.Trimesh, axis: SocketAxis
+) -> None:
+    """Refuse nominal clusters that the socket has no usual place for.
+
+    Args:
+        places: The nominal places, each the centre of a tile.
+        squares: The tiles.
+        mesh: The interior [m].
+        axis: The socket's axis.
+
+    Raises:
+        ConfigurationError: With the list of what is wrong.
+    """
+    turned, raised = _from_usual(axis, squares.anchors)
+    most = (
+        _MOST_RAISED * squares.edge / max(float(axis.heights(squares.anchors).max()), squares.edge)
+    )
+    found = []
+    for place in places:
+        tile = int(np.linalg.norm(squares.anchors - place.centre, axis=1).argmin())
+        where = (
+            f"{place.name} {1e3 * float(axis.heights(place.centre)):.0f} mm above the distal end"
+        )
+        if place.name != _DISTAL:
+            off = float(np.degrees(np.arccos(np.cos(turned[place.name][tile]))))
+            if off > _MOST_TURNED or raised[place.name][tile] > most:
+                found.append(f"{where} and {off:.0f} deg from its side")
+        elif np.linalg.norm(place.centre - axis.end) > squares.edge:
+            found.append(where)
+        elif (hole := _hole_around(mesh, axis)) > _OPEN:
+            found.append(f"{place.name} beside a hole of {1e3 * hole:.0f} mm around the axis")
+    if found:
+        raise ConfigurationError(
+            f"the usual places of clusters are not on this socket ({'; '.join(found)})",
+            "give with --clusters FILE where yours are",
+        )
+
+
+def _hole_around(mesh: trimesh.Trimesh, axis: SocketAxis) -> float:
+    """Distance of the distal end's surface from the axis, looking along it [m]."""
+    triangles = np.asarray(mesh.triangles)
+    low = triangles[axis.heights(triangles).min(axis=1) < _LOW]
+    flat = low - axis.heights(low)[..., None] * axis.proximal
+    nearest = closest_point(flat, np.broadcast_to(axis.end, (len(flat), 3)))
+    return float(np.linalg.norm(nearest - axis.end, axis=1).min())
 
 
 def assign_clusters(
@@ -188,7 +251,7 @@ def tiled_socket(
     end: FloatArray,
     proximal: FloatArray,
     anterior: FloatArray,
-    places: list[ClusterPlace] | None,
+    places: list[ClusterPlace],
     bodies: SocketGeometry,
     source: str,
 ) -> tuple[SocketGeometry, list[str]]:
@@ -201,7 +264,7 @@ def tiled_socket(
         end: Centre of the distal end in {S}, shape (3,) [m].
         proximal: Direction towards the proximal end in {S}, shape (3,) [-].
         anterior: Direction from which the names' angles count, shape (3,) [-].
-        places: Where the clusters are; None for where they usually are.
+        places: Where the clusters are.
         bodies: A geometry with the marker bodies to take over.
         source: What the tiles were made from.
 
@@ -212,8 +275,6 @@ def tiled_socket(
         ConfigurationError: If a cluster is on no tile, or two are on the same.
     """
     names = tile_names(tiling.squares.anchors, end, proximal, anterior)
-    if places is None:
-        places = nominal_places(tiling.squares, end, proximal, anterior)
     clusters, notes = assign_clusters(places, tiling.squares, names)
     order = np.array(sorted(range(len(names)), key=names.__getitem__))
     place_of = np.argsort(order)

@@ -249,6 +249,7 @@ METRES = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254}
 
 UnitSource = Literal["given", "stated", "inferred"]
 
+_INFERRED = ("m", "mm")
 _SOCKET = (0.1, 0.6)  # [m]; length of what is taken for a socket when the unit is not known
 _POSSIBLE = (0.03, 2.0)  # [m]; length of what is believed when the unit is known
 _WORDS = {
@@ -285,7 +286,8 @@ def find_unit(
 
     Raises:
         ScanError: If the unit makes the body no possible size, or if none was
-            given or stated and not exactly one makes it the size of a socket.
+            given or stated and not exactly one makes it the size of a socket, or one
+            that is not inferred: a small model in mm has the length of a socket in cm.
     """
     lengths = {unit: size * metres for unit, metres in METRES.items()}
     known = given or stated
@@ -303,6 +305,12 @@ def find_unit(
             f"{name}: {'more than one' if fits else 'no'} unit makes its length {size:.4g} that of"
             f" a socket, {_SOCKET[0]:g} to {_SOCKET[1]:g} m ({shown})",
             "give its unit with --unit",
+        )
+    if fits[0] not in _INFERRED:
+        raise ScanError(
+            f"{name}: its length {size:.4g} is that of a socket in {fits[0]}"
+            f" ({lengths[fits[0]]:.3g} m), or of a small model in mm ({lengths['mm']:.3g} m)",
+            f"give its unit, likely --unit {fits[0]}, or export the scan in mm",
         )
     return fits[0], "inferred"
 
@@ -325,6 +333,40 @@ def refuse_normalised(name: str, vertices: FloatArray) -> None:
                 f"{name}: is a model in normalised units ({size:g} long), its real size is lost",
                 "export it in its real size",
             )
+
+
+_LENGTH = (0.04, 0.7)  # [m]; of the cavity of a socket along its axis
+_GIRTH = (0.12, 0.85)  # [m]; of its wall
+
+
+def refuse_implausible(name: str, length: float, girth: float, unit: str) -> None:
+    """Refuse a cavity that is too long, short, wide or narrow for a limb.
+
+    Args:
+        name: What names it in an error.
+        length: Its length along its axis [m].
+        girth: How long it is around [m].
+        unit: The unit of the file that gave these lengths.
+
+    Raises:
+        ScanError: Naming the unit that would make it a socket, if one does.
+    """
+
+    def plausible(scale: float) -> bool:
+        sizes = ((length, _LENGTH), (girth, _GIRTH))
+        return all(low <= scale * size <= high for size, (low, high) in sizes)
+
+    if plausible(1.0):
+        return
+    likely = [other for other, metres in METRES.items() if plausible(metres / METRES[unit])]
+    hint = "no unit makes it one: export the model in its real size"
+    if likely:
+        hint = f"its unit is likely {' or '.join(likely)}: give --unit {likely[0]}"
+    raise ScanError(
+        f"{name}: in {unit} its cavity is {length:.3g} m long and {girth:.3g} m around, which no"
+        f" socket is ({_LENGTH[0]:g} to {_LENGTH[1]:g} m and {_GIRTH[0]:g} to {_GIRTH[1]:g} m)",
+        hint,
+    )
 
 
 _SPECK = 0.01  # [-]; of the area of the largest piece

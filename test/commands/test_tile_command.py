@@ -148,16 +148,17 @@ def sphere() -> trimesh.Trimesh:
     return trimesh.creation.icosphere(subdivisions=3, radius=0.08)
 
 
+TENTH = meshes.scaled(meshes.open_cone(0.06, 0.07, 0.4, 0.02), 0.1)
 BAD: dict[str, tuple[bytes | trimesh.Trimesh | None, tuple[str, ...], str]] = {
     "missing": (None, (), "no such file"),
     "empty": (b"", (), "empty"),
     "text": (b"this is no scan, but a note\n" * 20, (), "cup.stl"),
     "truncated": (b"", (), "cup.stl"),
-    "too small": (
-        meshes.open_cone(0.02, 0.02, 0.025, 0.003),
-        ("--unit", "mm"),
-        "no 30 mm tile",
-    ),
+    "too curved": (CUP, ("--size", "70"), "no 70 mm tile"),
+    "too small": (meshes.open_cone(0.02, 0.02, 0.025, 0.003), ("--unit", "mm"), "0.025 m long"),
+    "a tenth": (TENTH, (), "model in mm (0.04 m): give its unit, likely --unit cm"),
+    "a tenth, in mm": (TENTH, ("--unit", "mm"), "its unit is likely cm: give --unit cm"),
+    "wide": (meshes.scaled(CUP, 2.7), (), "0.905 m around, which no socket is"),
     "closed solid": (sphere(), (), "cavity"),
     "normalised": (in_unit_cube(CUP), (), "normalised"),
     "no body": (CUP, ("--body", "7"), "7"),
@@ -168,6 +169,24 @@ BAD: dict[str, tuple[bytes | trimesh.Trimesh | None, tuple[str, ...], str]] = {
     "line": (CUP, ("--points", "0 0 0", "1 0 0", "2 0 0"), "on one line"),
     "output": (CUP, (), "not a .yaml file"),
 }
+
+
+@pytest.mark.parametrize(
+    ("shape", "message"),
+    [
+        ({"closed": False}, "distal 15 mm above the distal end)"),
+        ({"hole": 0.008}, "distal beside a hole of 7 mm around the axis)"),
+    ],
+    ids=["open", "hole"],
+)
+def test_usual_places_that_a_socket_lacks_are_listed(
+    shape: dict[str, float], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    scan = meshes.write_stl(meshes.open_cone(0.05, 0.06, 0.13, 0.008, **shape), tmp_path / "s.stl")
+    words = ("-o", tmp_path / "socket.yaml", "--rounds", 0, "--proximal=+z", "--anterior=+x")
+    code, _, err = call(capsys, "tile", scan, *words)
+    assert code == 1 and message in err and "--clusters" in err
+    assert not (tmp_path / "socket.yaml").exists()
 
 
 @pytest.mark.parametrize("case", BAD)
@@ -213,7 +232,11 @@ def test_a_real_socket_is_tiled_on_its_inner_wall(
     output = tmp_path / "socket.yaml"
     code, _, err = call(capsys, "tile", SOCKET, "-o", output)
     assert code == 1 and "has 2 bodies" in err and "--body" in err
-    code, _, err = call(capsys, "tile", SOCKET, "-o", output, "--rounds", 0, "--body", 1)
+    words = ("tile", SOCKET, "-o", output, "--rounds", 0, "--body", 1)
+    code, _, err = call(capsys, *words)  # it has no distal end and nothing posterior
+    assert code == 1 and "posterior_distal 38 mm above" in err and "; distal " in err
+    (tmp_path / "clusters.yaml").write_text("clusters: {}\n")
+    code, _, err = call(capsys, *words, "--clusters", tmp_path / "clusters.yaml")
     assert code == 0, err
     geometry = read_socket(output)
     assert 38 <= len(geometry) <= 56

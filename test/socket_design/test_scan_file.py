@@ -71,9 +71,9 @@ def test_a_given_unit_is_taken(cone, path, unit):
     assert scan.unit_source == "given"
 
 
-@pytest.mark.parametrize(("unit", "length"), [("m", 0.2), ("mm", 0.2), ("cm", 0.5), ("in", 0.2)])
-def test_the_unit_is_inferred_where_only_one_makes_a_socket(path, unit, length):
-    mesh = open_cone(0.04, 0.05, length, EDGE)
+@pytest.mark.parametrize("unit", ["m", "mm"])
+def test_the_unit_is_inferred_where_only_one_makes_a_socket(path, unit):
+    mesh = open_cone(0.04, 0.05, 0.2, EDGE)
     scan = read_scan(write_stl(mesh, path, unit))
     assert_same_surface(scan.mesh, mesh)
     assert (scan.unit, scan.unit_source) == (unit, "inferred")
@@ -85,6 +85,14 @@ def test_a_length_that_could_be_cm_or_inches_is_refused_with_both(cone, path):
         ScanError, match=r"more than one unit.*0.233 m in cm.*0.591 m in in.*--unit"
     ):
         read_scan(write_stl(scaled(cone, 0.97), path, "cm"))
+
+
+@pytest.mark.parametrize(("unit", "length"), [("cm", 0.5), ("in", 0.2)])
+def test_a_small_model_in_mm_is_not_read_as_a_socket_in_cm_or_inches(path, unit, length):
+    size = length / UNITS[unit]  # of the file; in mm it is a tenth of a socket or less
+    mesh = scaled(open_cone(0.04, 0.05, length, EDGE), 0.001 / UNITS[unit])
+    with pytest.raises(ScanError, match=rf"{size:.4g} .* in {unit} .*model in mm.*--unit {unit}"):
+        read_scan(write_stl(mesh, path, "mm"))
 
 
 def test_a_length_that_no_unit_makes_a_socket_is_refused_with_all(cone, path):
