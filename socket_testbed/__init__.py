@@ -29,6 +29,7 @@ if TYPE_CHECKING:
         simulate,
         tile,
         validate,
+        view,
         write_comparison,
         write_report,
     )
@@ -54,6 +55,7 @@ __all__ = [
     "simulate",
     "tile",
     "validate",
+    "view",
     "write_comparison",
     "write_report",
 ]

@@ -24,7 +24,7 @@ VERBS = {
     "annotate": "state and show a trial's metadata: subject code, side, socket, liner, ...",
     "mark": "mark an event in the running graph, for the trial that is being recorded",
     "replay": "publish a trial with /clock; --estimate runs the estimator on it",
-    "view": "see the running testbed in a browser: the pressure map, wrench and sensors",
+    "view": "see the running testbed, or play a trial, in a browser: pressure map, wrench, sensors",
     "info": "show what a trial holds: topics, rates, gaps, plateau",
     "fit": "identify the contact model on a trial, or on every trial of a folder",
     "evaluate": "compute a model's errors on a trial, or on every trial of a folder",

@@ -29,6 +29,7 @@ from socket_testbed.api.models import (
 from socket_testbed.api.pressure import TrialPressure, pressure
 from socket_testbed.api.trials import annotate, open_trial, select_segment, simulate
 from socket_testbed.api.validation import Validation, validate
+from socket_testbed.api.view import TrialPage, require_viewer, view
 from socket_testbed.comparison.table import Comparison
 from socket_testbed.errors import TestbedError
 
@@ -40,6 +41,7 @@ __all__ = [
     "Tradeoff",
     "TrialFit",
     "TrialMap",
+    "TrialPage",
     "TrialPressure",
     "Validation",
     "annotate",
@@ -57,10 +59,12 @@ __all__ = [
     "pressure",
     "read_model",
     "register",
+    "require_viewer",
     "select_segment",
     "simulate",
     "tile",
     "validate",
+    "view",
     "write_comparison",
     "write_report",
 ]

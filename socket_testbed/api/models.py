@@ -338,7 +338,7 @@ def _stored(model: Model) -> StoredModel:
     return model.stored() if isinstance(model, TrialFit) else read_model(model)
 
 
-def _model_for(trial: Trial, model: Model) -> StoredModel:
+def model_for(trial: Trial, model: Model) -> StoredModel:
     """A model that is to be used on a trial; an error if it is of another socket."""
     stored = _stored(model)
     stored.require_socket(trial.geometry)
@@ -377,7 +377,7 @@ def predict(trial: Trial, model: Model) -> pd.DataFrame:
     """
     import pandas as pd
 
-    stored = _model_for(trial, model)
+    stored = model_for(trial, model)
     samples = trial.samples()
     require_position(samples, trial.geometry)
     values = _predictions(samples, stored)
@@ -416,7 +416,7 @@ def evaluate(
     >>> list(found.to_dataframe())
     ['unit', 'RMSE', 'MAE', 'sigma', 'skill', 'samples', 'in objective']
     """
-    stored = _model_for(trial, model)
+    stored = model_for(trial, model)
     if pose_smoothing is not None:
         changed = dataclasses.replace(stored.settings, pose_smoothing=pose_smoothing)
         stored = dataclasses.replace(stored, settings=changed)
@@ -643,7 +643,7 @@ def export(
 
     path = Path(path)
     check_format(path)
-    stored = None if model is None else _model_for(trial, model)
+    stored = None if model is None else model_for(trial, model)
     measured, samples = trial.measurements(), trial.samples()
     chosen = select(trial, segment, trial.estimator)
     predicted = None if stored is None else _predictions(samples, stored)

@@ -1,21 +1,33 @@
-"""`view`: see the running testbed in a browser."""
+"""`view`: see the running testbed, or a trial, in a browser."""
 
 from __future__ import annotations
 
 import argparse
-import importlib.util
+import math
 import sys
+import time
+from contextlib import suppress
 from pathlib import Path
 
+from socket_testbed import api
+from socket_testbed.commands.options import add_trial, trial_of
 from socket_testbed.errors import ConfigurationError
+from socket_testbed.files import check_number
+from socket_testbed.live.processes import Graph
 from socket_testbed.settings.testbed import ViewSettings
+
+_LOOK = 0.2  # [s]; between looks at the time
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of the verb."""
-    parser.add_argument("--geometry", type=Path, metavar="SOCKET.yaml", help="the socket")
+    add_trial(parser, "folder of a trial to play; without one the running testbed is seen", "?")
     parser.add_argument(
-        "--namespace", default="/", metavar="NAME", help="namespace of the testbed (default: /)"
+        "--model", type=Path, metavar="MODEL", help="show what it predicts of the trial"
+    )
+    parser.add_argument("--namespace", metavar="NAME", help="of the running testbed (default: /)")
+    parser.add_argument(
+        "--duration", type=float, metavar="S", help="end by itself after S seconds [s]"
     )
     add_page(parser)
     parser.set_defaults(run=run)
@@ -41,23 +53,46 @@ def page_settings(options: argparse.Namespace) -> ViewSettings:
     Raises:
         ConfigurationError: If a setting is wrong, or what serves the page is not installed.
     """
-    if importlib.util.find_spec("viser") is None:
-        raise ConfigurationError(
-            "viser, which serves the page, is not installed", "pip install 'socket_testbed[view]'"
-        )
+    api.require_viewer()
     geometry = str(options.geometry.resolve()) if options.geometry else ""
     return ViewSettings(geometry=geometry, host=options.host, port=options.port)
 
 
 def run(options: argparse.Namespace) -> None:
     """Serve the page until interrupted."""
-    from socket_testbed.live.processes import Graph
+    if options.duration is not None:
+        check_number(options.duration, "--duration", 0.1, 1e6)
+    ends = time.monotonic() + (options.duration or math.inf)
+    if options.trial is not None:
+        _play(options, ends)
+    else:
+        _follow(options, ends)
 
+
+def _play(options: argparse.Namespace, ends: float) -> None:
+    """Serve the page of a trial until a time [s]."""
+    if options.namespace is not None:
+        raise ConfigurationError("--namespace is for the running testbed", "leave out the trial")
+    page = api.view(trial_of(options), options.model, port=options.port, host=options.host)
+    with page, suppress(KeyboardInterrupt):
+        _say(f"the trial is seen at {page.url}; Ctrl-C ends it")
+        while time.monotonic() < ends:
+            time.sleep(_LOOK)
+
+
+def _follow(options: argparse.Namespace, ends: float) -> None:
+    """Serve the page of the running testbed until a time [s]."""
+    for name in ("model", "calibration"):
+        if getattr(options, name) is not None:
+            raise ConfigurationError(f"--{name} is for a trial", "give the folder of the trial")
     settings = page_settings(options)
     with Graph() as graph:
-        graph.start("view_node", settings, namespace=f"/{options.namespace.strip('/')}")
-        print("Ctrl-C ends it", file=sys.stderr)
-        try:
-            graph.wait("view_node")
-        except KeyboardInterrupt:
-            graph.stop()
+        namespace = (options.namespace or "/").strip("/")
+        graph.start("view_node", settings, namespace=f"/{namespace}")
+        _say("Ctrl-C ends it")
+        with suppress(KeyboardInterrupt):
+            graph.watch(lambda: time.monotonic() >= ends, _say)
+
+
+def _say(line: str) -> None:
+    print(line, file=sys.stderr, flush=True)

@@ -9,6 +9,7 @@ every step. `Trial.samples` does it all with the trial's own configuration.
 from __future__ import annotations
 
 import dataclasses
+import math
 from array import array
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -93,13 +94,16 @@ class _Series:
         return rows
 
 
-def read_measurements(bag: BagReader, notify: Callable[[str], None]) -> Measurements:
-    """Read all measurements of a bag.
+def read_measurements(
+    bag: BagReader, notify: Callable[[str], None], duration: float = math.inf
+) -> Measurements:
+    """Read the measurements of a bag.
 
     Args:
         bag: The bag, open.
         notify: Called with a note on stamps that jump back, and on stamps that a topic holds more
             than once.
+        duration: How much of the recording is read, from its first measurement [s].
 
     Raises:
         TrialError: If the bag cannot be read or lacks a topic.
@@ -109,7 +113,11 @@ def read_measurements(bag: BagReader, notify: Callable[[str], None]) -> Measurem
     clusters: dict[str, _Series] = {}
     topics = required_topics(bag)
     names = {topics[topic]: topic for topic in topics if topic.required}
+    end = math.inf
     for raw in bag.messages(names):
+        end = min(end, raw.time + 1e9 * duration)
+        if raw.time > end:
+            break
         topic = names[raw.topic]
         message = decode_message(raw, bag.path)
         stamp = stamp_of(message)
@@ -125,6 +133,7 @@ def read_measurements(bag: BagReader, notify: Callable[[str], None]) -> Measurem
             columns[topic].add(stamp, pose_vector(message.pose))
     every = {topic.name: column.stamps for topic, column in columns.items()}
     every |= {name: column.stamps for name, column in clusters.items()}
+    every = {name: stamps for name, stamps in every.items() if len(stamps)}  # not at the beginning
     for note in _stamp_notes(every):
         notify(note)
     stamps = np.unique(np.concatenate([*every.values()]))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -74,8 +75,11 @@ class Trial:
                 self._notify(note)
             yield bag
 
-    def measurements(self) -> Measurements:
+    def measurements(self, duration: float = math.inf) -> Measurements:
         """The measurements, corrected for drift by the spans without load; read anew.
+
+        Args:
+            duration: How much of the recording is read, from its start [s].
 
         Raises:
             TrialError: If the trial cannot be read or lacks a topic, or the load cell measured a
@@ -84,7 +88,7 @@ class Trial:
                 load holds too few readings.
         """
         with self.open() as bag:
-            measured = read_measurements(bag, self._notify)
+            measured = read_measurements(bag, self._notify, duration)
         if not self.unloaded:
             return measured
         self._require_clusters(measured.clusters)
@@ -108,7 +112,15 @@ class Trial:
 
     @cached_property
     def _samples(self) -> Samples:
-        measured = self.measurements()
+        return self.samples_of(self.measurements())
+
+    def samples_of(self, measured: Measurements) -> Samples:
+        """The samples that some measurements of the trial make.
+
+        Raises:
+            TrialError: If a cluster of the trial is on no tile.
+            CalibrationError: If the calibration lacks one.
+        """
         self._require_clusters(measured.clusters)
         return make_samples(measured, self.calibration, self.geometry)
 
@@ -166,7 +178,10 @@ class Trial:
 
     @cached_property
     def _events(self) -> list[Event]:
-        samples = self.samples()
+        return self.events_of(self.samples())
+
+    def events_of(self, samples: Samples) -> list[Event]:
+        """The events, those in the load found in some samples from the trial's start on."""
         with self.open() as bag:
             recorded = read_events(bag, samples)
         return join_events(recorded, find_events(samples, self.estimator.plateau))

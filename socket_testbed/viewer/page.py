@@ -29,7 +29,7 @@ class Page:
         self._panel = Panel(server.viser, source)
         self._changed = threading.Event()
         self._closed = False
-        self._thread = threading.Thread(target=self._run, name="page")
+        self._thread = threading.Thread(target=self._run, name="page", daemon=True)
         self._thread.start()
         server.viser.on_client_connect(self._on_change)
         server.viser.on_client_disconnect(self._on_change)

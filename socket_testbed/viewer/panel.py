@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from viser import ViserServer
 
+from socket_testbed.viewer.playback_panel import PlaybackPanel
 from socket_testbed.viewer.source import Source
 
 
@@ -16,7 +17,10 @@ class Panel:
     """
 
     def __init__(self, server: ViserServer, source: Source) -> None:
-        del server, source
+        playback = source.playback
+        self._playback = None if playback is None else PlaybackPanel(server, playback)
 
     def update(self, source: Source) -> None:
         """Show how the source is now; called for every frame that is drawn."""
+        if self._playback is not None:
+            self._playback.update()

@@ -1,0 +1,88 @@
+"""A trial in a browser: played, paused, sought."""
+
+from __future__ import annotations
+
+from importlib.util import find_spec
+from typing import TYPE_CHECKING, Self
+
+from socket_testbed.api.models import Model, model_for
+from socket_testbed.errors import ConfigurationError
+from socket_testbed.trials.trial import Trial
+
+if TYPE_CHECKING:
+    from socket_testbed.viewer.page import Page
+
+
+class TrialPage:
+    """The page of a trial; a context manager.
+
+    Attributes:
+        url: Where a browser finds it.
+    """
+
+    def __init__(self, name: str, url: str, page: Page) -> None:
+        self.url = url
+        self._name, self._page = name, page
+
+    def __repr__(self) -> str:
+        return f"TrialPage({self._name} at {self.url})"
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Stop serving the page."""
+        self._page.close()
+
+
+def view(
+    trial: Trial, model: Model | None = None, *, port: int = 0, host: str = "127.0.0.1"
+) -> TrialPage:
+    """Show a trial in a browser: play, pause, seek; the pressure on the socket at every instant.
+
+    The map and the outputs by region are computed for the instant that is drawn: a long trial opens
+    at once, and plays while the rest of it is read. Nothing is written.
+
+    Args:
+        trial: The trial.
+        model: A fit, a model that `read_model` read, or the path of its file, to show the wrench
+            that it predicts.
+        port: Port of the page; 0 for one that is free.
+        host: Address of this machine that serves the page; only this machine sees the default.
+
+    Returns:
+        The page, with its `url`, served until it is closed, or until the program ends.
+
+    Raises:
+        ConfigurationError: If `viser`, which serves the page, is not installed, the port is taken,
+            or the model was fitted on another socket.
+        IdentificationError: If the limb positions are in another unit or frame.
+        TrialError: If the trial cannot be read.
+
+    >>> with st.view(st.open_trial("trials/hold")) as page:
+    ...     print(page.url)
+    http://127.0.0.1:...
+    """
+    require_viewer()
+    from socket_testbed.viewer.page import Page
+    from socket_testbed.viewer.player import Player
+    from socket_testbed.viewer.server import PageServer
+
+    player = Player(trial, None if model is None else model_for(trial, model))
+    server = PageServer(host, port)
+    return TrialPage(trial.name, server.url, Page(player, server))
+
+
+def require_viewer() -> None:
+    """Refuse to go on without the optional extra that serves pages.
+
+    Raises:
+        ConfigurationError: If it is not installed.
+    """
+    if find_spec("viser") is None:
+        raise ConfigurationError(
+            "viser, which serves the page, is not installed", "pip install 'socket_testbed[view]'"
+        )

@@ -1,0 +1,364 @@
+"""A trial as the page shows it: played, paused, sought, with nothing estimated beforehand.
+
+The beginning is read before the page opens, the rest while it plays. The map, the prediction and
+the outputs by region are computed for the instant that is drawn.
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from socket_testbed.arrays import BoolArray, FloatArray, StatusArray
+from socket_testbed.errors import TestbedError
+from socket_testbed.geometry.pose import Pose
+from socket_testbed.geometry.regions import all_regions
+from socket_testbed.geometry.socket import SocketGeometry
+from socket_testbed.identification.force_map import ForceMap, without_untrusted
+from socket_testbed.identification.model_file import StoredModel
+from socket_testbed.identification.noise import smooth_poses
+from socket_testbed.identification.plausibility import require_position
+from socket_testbed.identification.pressure import THRESHOLD, measured_rows, pressure_outputs
+from socket_testbed.samples import Samples, Status
+from socket_testbed.trials.bag import required_topics
+from socket_testbed.trials.topics import TRIGGER
+from socket_testbed.trials.trial import Trial
+from socket_testbed.viewer.source import HISTORY, Instant, RegionsNow, SensorState
+
+_AT_ONCE = 3000  # samples, read before the page opens
+_TINY = 1e-6  # [s]; what the times of samples are rounded by
+_GAP = 3.0  # usual steps between samples; what is longer is a gap
+_RATE_OVER = 5.0  # [s] up to the position, over which rates are counted
+_REGIONS_EVERY = 1.0  # [s] at least between joint draws
+_FASTEST, _SLOWEST = 100.0, 0.01  # [-]; speeds
+_WORDS = {
+    Status.OK: "measures",
+    Status.SATURATED: "saturated",
+    Status.MISSING: "missing",
+    Status.OUT_OF_RANGE: "outside the calibrated range",
+}
+
+
+class TrialPlayback:
+    """The position in a trial that is played, paused and sought.
+
+    Args:
+        duration: From the first sample to the last [s].
+        now: The time [s]: a person watches in real time.
+
+    Attributes:
+        duration: From the first sample to the last [s].
+        speed: How fast it is played, 1 is as recorded [-].
+        events: Times [s] and labels of the events.
+    """
+
+    def __init__(self, duration: float, now: Callable[[], float] = time.monotonic) -> None:
+        self.duration = duration
+        self.speed = 1.0
+        self.events: list[tuple[float, str]] = []
+        self._now = now
+        self._playing = False
+        self._end = duration  # [s]; as far as it has been read
+        self._anchor, self._since = 0.0, now()  # the position when it was last set, and that time
+        self._lock = threading.RLock()
+
+    def limit(self, end: float, duration: float, events: list[tuple[float, str]]) -> None:
+        """Go no farther than what has been read of the trial.
+
+        Args:
+            end: Time up to which it has been read [s].
+            duration: From its first sample to its last, as far as that is known [s].
+            events: Times [s] and labels of its events, as far as they are known.
+        """
+        with self._lock:
+            self.seek(self.position)
+            self._end, self.duration, self.events = end, duration, events
+
+    @property
+    def position(self) -> float:
+        """Time since the first sample [s]."""
+        with self._lock:
+            run = (self._now() - self._since) * self.speed if self._playing else 0.0
+            if self._anchor + run >= self._end:  # wait for what is being read
+                self.seek(self._end)
+                self._playing = self._playing and self._end < self.duration
+                return self._anchor
+            return self._anchor + run
+
+    @property
+    def playing(self) -> bool:
+        """Whether it is played on; not at the end."""
+        _ = self.position  # at the end it stops
+        return self._playing
+
+    def seek(self, time: float) -> None:
+        """Go to a time since the first sample, or to the nearest that has been read [s]."""
+        with self._lock:
+            self._anchor = min(max(time, 0.0), self._end)
+            self._since = self._now()
+
+    def play(self) -> None:
+        """Play on; from the start at the end."""
+        with self._lock:
+            self.seek(0.0 if self.position >= self.duration else self.position)
+            self._playing = True
+
+    def pause(self) -> None:
+        """Stay at the position."""
+        with self._lock:
+            self.seek(self.position)
+            self._playing = False
+
+    def set_speed(self, speed: float) -> None:
+        """Set the speed, 0.01 to 100 times that of the recording [-]."""
+        with self._lock:
+            self.seek(self.position)
+            self.speed = min(max(speed, _SLOWEST), _FASTEST)
+
+
+@dataclass(frozen=True, eq=False)
+class _Part:
+    """A trial, read from its start to some time.
+
+    Attributes:
+        samples: N samples as recorded.
+        time: Their times since the first one, shape (N,) [s].
+        gap: Time after a sample from which on there is a gap [s].
+        trusted: The samples without single outliers and channels that are left out.
+        poses: The limb's poses as the model takes them, shape (N, 6) [m, rad].
+        predicted: Predicted wrenches [M; F], shape (N, 6) [N m, N]; filled in as they are wanted.
+        is_predicted: Which of them are filled in, shape (N,).
+        socket: Poses of {S} in the world, N of them.
+        limb: Poses of the limb in the world, N of them.
+        map: The force map of the samples' clusters.
+        sensors: Statuses (`Status`) of every sensor by its name, shape (N,) each.
+    """
+
+    samples: Samples
+    time: FloatArray
+    gap: float
+    trusted: Samples
+    poses: FloatArray
+    predicted: FloatArray
+    is_predicted: BoolArray
+    socket: Pose
+    limb: Pose
+    map: ForceMap
+    sensors: dict[str, StatusArray]
+
+
+class Player:
+    """A trial, played: a `Source` of the page.
+
+    Args:
+        trial: The trial.
+        model: Predicts the wrench; None for no prediction.
+        now: The time [s].
+
+    Attributes:
+        geometry: Geometry of the socket.
+        controls: None: a recorded trial has no services.
+        playback: How it is played.
+
+    Raises:
+        TrialError, CalibrationError, ConfigurationError: If the trial cannot be read, see `Trial`,
+            or the model is of another socket.
+        IdentificationError: If there is a model and the limb positions are in another unit.
+    """
+
+    def __init__(
+        self,
+        trial: Trial,
+        model: StoredModel | None = None,
+        now: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self.geometry: SocketGeometry = trial.geometry
+        self.controls = None
+        if model is not None:
+            model.require_socket(trial.geometry)
+        self._trial, self._model, self._now = trial, model, now
+        self._places = all_regions(trial.geometry, trial.metadata.side)
+        with trial.open() as bag:
+            duration, triggers = bag.duration, bag.counts[required_topics(bag)[TRIGGER]]
+        long = triggers > 2 * _AT_ONCE and not trial.unloaded
+        self._part = self._read(duration * _AT_ONCE / triggers if long else math.inf)
+        # At the end of what is read, measurements of the last trigger may be missing.
+        end = float(self._part.time[-2 if long else -1])
+        self.playback = TrialPlayback(end, now)
+        self._reading = ""  # how far it is, in words
+        if long:
+            self.playback.limit(end, duration, self._events())
+            self._reading = f"the first {end:.0f} s are read, the rest is being read"
+            threading.Thread(target=self._read_on, name="read", daemon=True).start()
+        else:
+            self.playback.limit(end, end, self._events())
+        self._shown: Instant | None = None
+        self._regions: RegionsNow | None = None
+        self._next_regions = -math.inf
+
+    def instant(self) -> Instant:
+        """The sample at the position, the same object again until there is another one."""
+        part, position = self._part, self.playback.position
+        row = _row_at(part, position)
+        if position - part.time[row] > part.gap:
+            return self._nothing(part, position)
+        if self._shown is None or self._shown.stamp != part.samples.stamps[row]:
+            self._shown = self._sample(part, row)
+        return self._shown
+
+    def _sample(self, part: _Part, row: int) -> Instant:
+        samples, trusted = part.samples, part.trusted
+        known = bool(measured_rows(trusted[row : row + 1])[0])
+        measured = trusted.wrench[row], trusted.local_forces[row], trusted.status[row]
+        return Instant(
+            stamp=int(samples.stamps[row]),
+            time=float(part.time[row]),
+            map=part.map.update(*measured) if known else None,
+            wrench=samples.wrench[row],
+            predicted=self._predicted(part, slice(row, row + 1))[0],
+            socket_in_world=_pose_at(part.socket, row),
+            limb_in_world=_pose_at(part.limb, row),
+        )
+
+    def _nothing(self, part: _Part, position: float) -> Instant:
+        """A position in a gap of the recording."""
+        self._shown = None
+        unknown = np.full(6, np.nan)
+        stamp = int(part.samples.stamps[0]) + round(1e9 * position)
+        return Instant(stamp, position, None, unknown, unknown, None, None)
+
+    def wrenches(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Times, measured and predicted wrenches of the 30 s before the position."""
+        part, position = self._part, self.playback.position
+        first = int(np.searchsorted(part.time, position - HISTORY, "right"))
+        rows = slice(first, _row_at(part, position) + 1)
+        return part.time[rows], part.samples.wrench[rows], self._predicted(part, rows)
+
+    def sensors(self) -> list[SensorState]:
+        """What every sensor measures at the position, and how much it did over the trial."""
+        part, position = self._part, self.playback.position
+        states = [_sensor_state(part, name, position) for name in part.sensors]
+        if self._reading:
+            states.insert(0, SensorState(self._trial.name, 1, self._reading, math.nan, 0.0))
+        return states
+
+    def recording(self) -> None:
+        """Nothing is recorded."""
+
+    def regions(self) -> RegionsNow | None:
+        """The standard outputs of the sample at the position."""
+        if self._now() < self._next_regions:
+            return self._regions
+        part = self._part
+        row = _row_at(part, self.playback.position)
+        at = float(part.time[row])
+        instant = part.trusted[row : row + 1]
+        if self._regions is None or self._regions.time != at:
+            self._regions = None
+            if measured_rows(instant)[0]:
+                found = pressure_outputs(part.map, instant, self.geometry, self._places, THRESHOLD)
+                self._regions = RegionsNow(at, self._places, found.regions)
+            self._next_regions = self._now() + _REGIONS_EVERY
+        return self._regions
+
+    def watched(self, on: bool) -> None:
+        """Nothing to switch off: what is not drawn is not computed."""
+
+    def _read(self, duration: float) -> _Part:
+        """Read the trial from its start, for so long [s]."""
+        trial, geometry, model = self._trial, self.geometry, self._model
+        measured = trial.measurements(duration)
+        samples = trial.samples_of(measured)
+        socket, pylon = (
+            Pose.from_quaternion(pose[:, :3], pose[:, 3:])
+            for pose in (measured.socket, measured.pylon)
+        )
+        if model is not None:
+            require_position(samples, geometry)
+        smoothing = 0.0 if model is None else model.settings.pose_smoothing
+        settings = trial.estimator
+        period = float(np.median(np.diff(samples.time))) if len(samples) > 1 else 0.0
+        return _Part(
+            samples=samples,
+            time=samples.time,
+            gap=_GAP * period,
+            trusted=without_untrusted(samples, geometry, settings.identification.leave_out),
+            poses=smooth_poses(samples, smoothing).pose,
+            predicted=np.full((len(samples), 6), np.nan),
+            is_predicted=np.full(len(samples), model is None),
+            socket=socket @ geometry.socket_body.inverse(),
+            limb=pylon @ geometry.limb,
+            map=ForceMap(geometry, samples.clusters, settings.force_map),
+            sensors={
+                "load cell": _missing(samples.wrench),
+                **{name: samples.status[:, i] for i, name in enumerate(samples.clusters)},
+                "motion capture, socket": _missing(measured.socket),
+                "motion capture, pylon": _missing(measured.pylon),
+            },
+        )
+
+    def _read_on(self) -> None:
+        """Read all of the trial; the page goes on meanwhile."""
+        try:
+            self._part = part = self._read(math.inf)
+        except TestbedError as error:
+            self._reading = f"only the first {self._part.time[-1]:.0f} s are read: {error}"
+            return
+        end = float(part.time[-1])
+        self.playback.limit(end, end, self._events())
+        self._reading = ""
+
+    def _events(self) -> list[tuple[float, str]]:
+        events = self._trial.events_of(self._part.samples)
+        return [(event.time, event.label) for event in events]
+
+    def _predicted(self, part: _Part, rows: slice) -> FloatArray:
+        """Predicted wrenches of some samples, each computed once, shape (k, 6) [N m, N]."""
+        wanted = np.arange(rows.start, rows.stop)[~part.is_predicted[rows]]
+        if len(wanted) and self._model is not None:
+            part.predicted[wanted] = self._model.model.wrench(part.poses[wanted])
+            part.is_predicted[wanted] = True
+        return part.predicted[rows]
+
+
+def _row_at(part: _Part, position: float) -> int:
+    """The newest sample at a time [s]."""
+    return max(int(np.searchsorted(part.time, position + _TINY, "right")) - 1, 0)
+
+
+def _pose_at(poses: Pose, row: int) -> Pose | None:
+    """One of several poses; None if it is not known."""
+    pose = Pose(poses.rotation[row], poses.translation[row])
+    known = np.isfinite(pose.rotation).all() and np.isfinite(pose.translation).all()
+    return pose if known else None
+
+
+def _missing(values: FloatArray) -> StatusArray:
+    """The status of samples by whether all values of the row are there, shape (N,)."""
+    missing = ~np.isfinite(values).all(axis=1)
+    return np.where(missing, Status.MISSING, Status.OK).astype(np.uint8)
+
+
+def _sensor_state(part: _Part, name: str, position: float) -> SensorState:
+    """How a sensor is at a time [s], and how much it measured over the trial."""
+    row = _row_at(part, position)
+    statuses = part.sensors[name]
+    fine = statuses == Status.OK
+    start = int(np.searchsorted(part.time, position - _RATE_OVER))
+    recent = part.time[start : row + 1][fine[start : row + 1]]
+    before = np.flatnonzero(fine[: row + 1])
+    age = position - float(part.time[before[-1]] if len(before) else part.time[0])
+    silent = position - float(part.time[row])
+    level = 0 if fine[row] else 1
+    words = _WORDS[Status(int(statuses[row]))]
+    if silent > part.gap:
+        level, words = 2, f"not triggered for {silent:.1f} s"
+    if not fine.all():
+        words += f"; without a value at {int((~fine).sum())} of {len(fine)} triggers"
+    rate = (len(recent) - 1) / np.ptp(recent) if len(recent) > 1 else math.nan
+    return SensorState(name, level, words, float(rate), age)
