@@ -24,7 +24,14 @@ from typing import Any, TypeAlias, TypeVar
 from threadpoolctl import threadpool_limits
 
 from socket_testbed.errors import ConfigurationError, TestbedError, TrialError
-from socket_testbed.files import atomic_output, check_new_folder, check_outputs, make_folder
+from socket_testbed.files import (
+    Section,
+    atomic_output,
+    check_new_folder,
+    check_outputs,
+    load_json,
+    make_folder,
+)
 from socket_testbed.tables import split_unit, write_table
 from socket_testbed.trials.metadata import METADATA_FILE
 from socket_testbed.trials.salvage import holds_nothing
@@ -32,6 +39,7 @@ from socket_testbed.trials.trial import Trial
 
 SUMMARY = "summary"
 _RECORDS = ".done"
+_RECORD_KEYS = ("inputs", "output", "row")
 _LOCK = ".lock"
 _STORAGE = (".mcap", ".db3")
 _SOLVING = ("numpy", "scipy", "qpsolvers", "osqp")
@@ -438,9 +446,21 @@ def record_path(task: Task, job: Job) -> Path:
 def _read_record(path: Path) -> Record | None:
     """The record of a job; None if there is none, or it is torn."""
     try:
-        return Record(**json.loads(path.read_text(encoding="utf-8")))
-    except (OSError, ValueError, TypeError):
+        document = Section(load_json(path, "a record"), str(path)).expect(_RECORD_KEYS)
+        inputs, row = document.section("inputs"), document.section("row")
+        return Record(
+            {name: inputs.text(name) for name in inputs.names()},
+            document.text("output"),
+            {name: _cell(row.take(name)) for name in row.names()},
+        )
+    except ConfigurationError:
         return None
+
+
+def _cell(value: Any) -> Cell:
+    if not isinstance(value, Cell):
+        raise ConfigurationError("a figure is a list or a mapping", "make the record again")
+    return value
 
 
 def _write_record(path: Path, record: Record) -> None:

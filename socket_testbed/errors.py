@@ -17,13 +17,26 @@ class TestbedError(Exception):
     __test__ = False  # not a test class, whatever pytest makes of its name
 
     def __init__(self, fact: str, hint: str) -> None:
-        self.fact = " ".join(fact.split())
-        self.hint = " ".join(hint.split())
+        self.fact = _one_line(fact)
+        self.hint = _one_line(hint)
         super().__init__(f"{self.fact}: {self.hint}")
 
     def __reduce__(self) -> tuple[Any, ...]:
         # Errors come back from worker processes whatever their constructors take.
         return _restore, (type(self), self.args, self.__dict__)
+
+
+_LONGEST = 2000  # [characters]
+
+
+def _one_line(text: str) -> str:
+    """A text on one line that every terminal shows as it is, whatever a file wrote into it."""
+    text = " ".join(text.split())
+    if len(text) > _LONGEST:
+        text = f"{text[: _LONGEST // 2]} ... {text[-_LONGEST // 2 :]}"
+    return "".join(
+        letter if letter.isprintable() else "\N{REPLACEMENT CHARACTER}" for letter in text
+    )
 
 
 def _restore(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import json
 import math
 import os
 import platform
@@ -211,26 +212,67 @@ def _runs(process: int) -> bool:
 
 _PICTURES = (".png", ".pdf")
 WIDTHS = (88, 180)  # [mm]; of a figure: a column of a paper, and its page
-_FLOAT = re.compile(r"[-+]?(\.\d+|\d+(\.\d*)?)[eE][-+]?\d+$")
+_INTEGER = re.compile(r"[-+]?(0|[1-9][0-9]*)$")
+_FLOAT = re.compile(
+    r"[-+]?([0-9]+\.[0-9]*|\.[0-9]+)([eE][-+]?[0-9]+)?$|[-+]?[0-9]+[eE][-+]?[0-9]+$"
+    r"|[-+]?\.(inf|Inf|INF)$|\.(nan|NaN|NAN)$"
+)
+
+
+_LARGEST_DOCUMENT = 2**24  # [bytes]
+_MOST_VALUES = 200_000  # of a YAML document, aliases counted as what they stand for
+_LARGEST_INTEGER = 2**63  # of ROS, and of arrays
+_SHOWN = 60  # [characters] of a value in an error
+_DEEPEST = 50  # [levels]; the C parser of YAML overruns its stack at some ten thousand
 
 
 class _Loader(getattr(yaml, "CSafeLoader", yaml.SafeLoader)):  # type: ignore[misc]
-    """YAML as ROS reads it: 1e-3 is a number; a repeated key is an error."""
+    """YAML with 1e-3 as a number, and 1:30, 010 and 1_000 as none; a repeated key is an error."""
+
+    def construct_object(self, node: yaml.Node, deep: bool = False) -> Any:
+        """A value; whatever a value that is none leads to, the error names its line."""
+        try:
+            value = super().construct_object(node, deep)
+            if isinstance(value, int) and abs(value) > _LARGEST_INTEGER:
+                raise OverflowError
+            return value
+        except yaml.YAMLError:
+            raise
+        except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError):
+            written = node.value if isinstance(node, yaml.ScalarNode) else "this"
+            kind = node.tag.rpartition(":")[2]
+            raise yaml.constructor.ConstructorError(
+                None, None, f"'{_shown(written)}' is no {kind}", node.start_mark
+            ) from None
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
         """A mapping, with every key once."""
         seen: set[str] = set()
-        for key, _ in node.value:
+        for key, _ in node.value if isinstance(node, yaml.MappingNode) else ():
+            if not isinstance(key, yaml.ScalarNode):
+                raise yaml.constructor.ConstructorError(
+                    None, None, "a key is not a word", key.start_mark
+                )
             if key.value in seen:
                 raise yaml.constructor.ConstructorError(
-                    None, None, f"the key '{key.value}' is repeated", key.start_mark
+                    None, None, f"the key '{_shown(key.value)}' is repeated", key.start_mark
                 )
             seen.add(key.value)
         mapping: dict[Any, Any] = super().construct_mapping(node, deep)
+        if len({str(key) for key in mapping}) < len(seen - {"<<"}):  # 1 and +1, say
+            raise yaml.constructor.ConstructorError(
+                None, None, "two keys are the same", node.start_mark
+            )
         return mapping
 
 
-_Loader.add_implicit_resolver("tag:yaml.org,2002:float", _FLOAT, list("-+.0123456789"))
+_NUMBERS = {"tag:yaml.org,2002:int": _INTEGER, "tag:yaml.org,2002:float": _FLOAT}
+_Loader.yaml_implicit_resolvers = {
+    first: [(tag, pattern) for tag, pattern in resolvers if tag not in _NUMBERS]
+    for first, resolvers in _Loader.yaml_implicit_resolvers.items()
+}
+for _tag, _pattern in _NUMBERS.items():
+    _Loader.add_implicit_resolver(_tag, _pattern, list("-+.0123456789"))
 
 
 def closest(word: str, known: Collection[str]) -> str:
@@ -296,6 +338,29 @@ class Section:
         """A finite number within [low, high]."""
         return check_number(self.take(key), f"{self.where}: {key}", low, high)
 
+    def texts(self, key: str) -> list[str]:
+        """A list of strings."""
+        value = self.take(key)
+        if not isinstance(value, list):
+            raise self._wrong(key, value, "a list of texts")
+        entries = Section(dict(enumerate(value)), f"{self.where}: {key}")
+        return [entries.text(name) for name in entries.names()]
+
+    def integer(self, key: str, low: int = 0, high: int = 2**63) -> int:
+        """A whole number within [low, high], with all its digits."""
+        value = self.take(key)
+        check_number(value, f"{self.where}: {key}", low, high)
+        if not isinstance(value, int):
+            raise self._wrong(key, value, "a whole number")
+        return value
+
+    def flag(self, key: str) -> bool:
+        """True or false."""
+        value = self.take(key)
+        if not isinstance(value, bool):
+            raise self._wrong(key, value, "true or false")
+        return value
+
     def array(
         self,
         key: str,
@@ -307,8 +372,11 @@ class Section:
         value = self.take(key)
         try:
             array = np.array(value, dtype=float)
-        except (TypeError, ValueError):
+            written = np.array(value, dtype=object)
+        except (OverflowError, TypeError, ValueError):
             raise self._wrong(key, value, f"numbers of shape {_shape(shape)}") from None
+        if any(isinstance(entry, bool | str) for entry in written.flat):
+            raise self._wrong(key, value, f"numbers of shape {_shape(shape)}")
         if array.shape != shape:
             raise ConfigurationError(
                 f"{self.where}: {key} has the shape {_shape(array.shape)}",
@@ -337,13 +405,17 @@ def check_number(value: Any, where: str, low: float = -math.inf, high: float = m
     """
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise ConfigurationError(f"{where} is {_kind(value)}", "give a number instead")
-    if not math.isfinite(value):
-        raise ConfigurationError(f"{where} is {value}", "give a finite number")
-    if not low <= value <= high:
+    try:
+        number = float(value)
+    except OverflowError:  # an integer of hundreds of digits
+        number = math.inf
+    if not math.isfinite(number):
+        raise ConfigurationError(f"{where} is {_shown(value)}", "give a finite number")
+    if not low <= number <= high:
         raise ConfigurationError(
-            f"{where} is {value:g}, outside [{low:g}, {high:g}]", "check the value and its unit"
+            f"{where} is {number:g}, outside [{low:g}, {high:g}]", "check the value and its unit"
         )
-    return float(value)
+    return number
 
 
 def read_document(path: Path) -> Section:
@@ -352,23 +424,116 @@ def read_document(path: Path) -> Section:
     Raises:
         ConfigurationError: If the file is missing, unreadable, not YAML or no mapping.
     """
+    data = load_yaml(path)
+    return Section({} if data is None else data, str(path))
+
+
+def load_yaml(path: Path) -> Any:
+    """Read a YAML file; what it takes of memory and time is bounded.
+
+    Raises:
+        ConfigurationError: If the file is missing, unreadable, not YAML, too large or too deep.
+    """
+    text = read_text(path)
     try:
-        with path.open(encoding="utf-8") as stream:
-            data = yaml.load(stream, Loader=_Loader)
-            return Section({} if data is None else data, str(path))
-    except FileNotFoundError:
-        raise ConfigurationError(f"{path}: no such file", "check the path") from None
-    except UnicodeDecodeError:
-        raise ConfigurationError(f"{path}: is not UTF-8 text", "give a YAML file") from None
-    except OSError as error:
-        raise ConfigurationError(
-            f"{path}: cannot be read ({error.strerror or error})", "give a file that can be read"
-        ) from None
-    except yaml.YAMLError as error:
+        _refuse_bombs(text)
+        return yaml.load(text, Loader=_Loader)
+    except (yaml.YAMLError, ValueError) as error:
         mark = getattr(error, "problem_mark", None)
         line = f" at line {mark.line + 1}" if mark else ""
         problem = getattr(error, "problem", None) or "not YAML"
         raise ConfigurationError(f"{path}: {problem}{line}", "correct the YAML there") from None
+
+
+def read_text(path: Path) -> str:
+    """Read a document of UTF-8 text.
+
+    Raises:
+        ConfigurationError: If the file is missing, unreadable, too large or no such text.
+    """
+    try:
+        with path.open("rb") as stream:
+            content = stream.read(_LARGEST_DOCUMENT + 1)
+    except FileNotFoundError:
+        raise ConfigurationError(f"{path}: no such file", "check the path") from None
+    except (OSError, ValueError) as error:
+        raise ConfigurationError(
+            f"{path}: cannot be read ({getattr(error, 'strerror', None) or error})",
+            "give a file that can be read",
+        ) from None
+    if len(content) > _LARGEST_DOCUMENT:
+        raise ConfigurationError(
+            f"{path}: is larger than {_LARGEST_DOCUMENT // 2**20} MiB", "check that it is this file"
+        )
+    try:
+        return content.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        raise ConfigurationError(f"{path}: is not UTF-8 text", "save it as text in UTF-8") from None
+
+
+def _refuse_bombs(text: str) -> None:
+    """Refuse a YAML text that is deep, or whose aliases stand for themselves or for very much."""
+    if re.search("^%TAG", text, re.MULTILINE):  # the C parser compares each with all before it
+        raise yaml.MarkedYAMLError(None, None, "holds a directive %TAG", None)
+    open_anchors: list[tuple[str | None, int]] = []
+    sizes: dict[str | None, int] = {}  # [values] of what an anchor names, where that is complete
+    values = 0
+    for event in yaml.parse(text, Loader=_Loader):
+        if isinstance(event, yaml.AliasEvent):
+            if event.anchor in dict(open_anchors):
+                raise _refused("an alias stands for what it is in", event)
+            values += sizes.get(event.anchor, 0)
+        elif isinstance(event, yaml.ScalarEvent):
+            values += 1
+            sizes[event.anchor] = 1
+        elif isinstance(event, yaml.CollectionStartEvent):
+            open_anchors.append((event.anchor, values))
+            values += 1
+            if len(open_anchors) > _DEEPEST:
+                raise _refused("lists or mappings are too deep", event)
+        elif isinstance(event, yaml.CollectionEndEvent):
+            anchor, before = open_anchors.pop()
+            sizes[anchor] = values - before
+        if values > _MOST_VALUES:
+            raise _refused(f"holds more than {_MOST_VALUES} values", event)
+
+
+def _refused(problem: str, event: yaml.Event) -> yaml.MarkedYAMLError:
+    mark: Any = event.start_mark
+    return yaml.MarkedYAMLError(None, None, problem, mark)
+
+
+def load_json(path: Path, kind: str) -> Any:
+    """Read a JSON file; every number in it is finite.
+
+    Args:
+        path: The file.
+        kind: What it is, for an error, such as `a model`.
+
+    Raises:
+        ConfigurationError: If the file is missing, unreadable, not JSON, too large or too deep.
+    """
+    text = read_text(path)
+    try:
+        return json.loads(text, parse_float=decimal, parse_constant=decimal)
+    except (RecursionError, ValueError) as error:
+        problem = str(error) if isinstance(error, json.JSONDecodeError) else "not JSON"
+        raise ConfigurationError(f"{path}: is not {kind} ({problem})", "make it again") from None
+
+
+_DECIMAL = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?", flags=re.ASCII)
+
+
+def decimal(text: str) -> float:
+    """A finite number from its decimal digits; not from nan, 1_000 or the digits of other scripts.
+
+    Raises:
+        ValueError: If the text is no such number.
+    """
+    number = float(text) if _DECIMAL.fullmatch(text) else math.nan
+    if not math.isfinite(number):
+        raise ValueError(f"'{_shown(text)}' is no number")
+    return number
 
 
 def _kind(value: Any) -> str:
@@ -378,7 +543,13 @@ def _kind(value: Any) -> str:
         return "a mapping"
     if isinstance(value, list):
         return "a list"
-    return f"'{value}'"
+    return f"'{_shown(value)}'"
+
+
+def _shown(value: Any) -> str:
+    """A value of a file as an error shows it."""
+    text = str(value)
+    return text if len(text) <= _SHOWN else text[:_SHOWN] + "..."
 
 
 def _shape(shape: tuple[int, ...]) -> str:

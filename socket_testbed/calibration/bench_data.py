@@ -13,7 +13,7 @@ import numpy as np
 
 from socket_testbed.arrays import BoolArray, FloatArray, IntArray
 from socket_testbed.errors import CalibrationError
-from socket_testbed.files import closest
+from socket_testbed.files import closest, decimal
 
 FORCES = {"N": 1.0, "kN": 1e3}  # a stress may be given as the force on the cluster's area
 COUNTS = 2.0**19  # [1/pF] of the converter, an FDC1004
@@ -278,13 +278,14 @@ class BenchColumn:
         values = []
         for cell, line in zip(self.texts(), self.table.lines, strict=True):
             written = cell.replace(",", ".") if self.table.decimal_comma else cell
-            if not _NUMBER.fullmatch(written):
+            try:
+                values.append(decimal(written))
+            except ValueError:
                 raise CalibrationError(
                     f"{self.table.name}: '{self.title}' holds '{cell}' in line {line}, which is no"
                     " number",
                     "give a number there; a unit belongs into the header",
-                )
-            values.append(float(written))
+                ) from None
         return np.array(values)
 
     def values(self, least: float, largest: float) -> FloatArray:
@@ -318,7 +319,7 @@ def read_table(path: Path) -> BenchTable:
     text = _read_text(path)
     first = text.partition("\n")[0]
     separator = max(_SEPARATORS, key=first.count)
-    reader = csv.reader(io.StringIO(text, newline=""), delimiter=separator)
+    reader = csv.reader(io.StringIO(text, newline=""), delimiter=separator, strict=True)
     header: tuple[str, ...] = ()
     rows: list[tuple[str, ...]] = []
     lines: list[int] = []

@@ -83,7 +83,7 @@ def read_rotation(section: Section, key: str) -> FloatArray:
     Raises:
         ConfigurationError: If it is no such frame.
     """
-    rotation = section.array(key, (3, 3))
+    rotation = section.array(key, (3, 3), limit=2.0)
     error = np.abs(rotation.T @ rotation - np.eye(3)).max()
     if error > _ORTHONORMAL or np.linalg.det(rotation) < 0.0:
         raise ConfigurationError(

@@ -13,7 +13,7 @@ import numpy as np
 
 from socket_testbed.arrays import FloatArray
 from socket_testbed.errors import ConfigurationError
-from socket_testbed.files import Section, atomic_output, closest
+from socket_testbed.files import Section, atomic_output, closest, decimal, load_json
 from socket_testbed.geometry.socket import SocketGeometry, socket_from_section
 from socket_testbed.identification.contact import ContactModel
 from socket_testbed.identification.evaluation import ChannelErrors
@@ -22,6 +22,9 @@ from socket_testbed.settings.identification import VARIANTS, IdentificationSetti
 
 _FORMAT = "socket_testbed model 1"
 _KEYS = ("format", "trial", "segment", "settings", "geometry", "parameters", "quality")
+_LARGEST = 1e9  # [N/m, N, N m, 1/m]; no parameter comes near it
+_FARTHEST = 10.0  # [m, rad]
+_LEAST_STIFFNESS = -1.0  # [N/m]; solvers stay above it
 _PARAMETERS = (
     "variant",
     "sharpness",
@@ -158,15 +161,9 @@ def read_model(path: Path, geometry: SocketGeometry | None = None) -> StoredMode
         ConfigurationError: If the file is missing, is not a model, or is of another socket.
     """
     try:
-        data = json.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise ConfigurationError(f"{path}: no such model", "check the path") from None
-    except OSError as error:
-        raise ConfigurationError(
-            f"{path}: cannot be read ({error.strerror or error})", "give a file that 'fit' wrote"
-        ) from None
-    except ValueError:  # no text, or no JSON
-        data = None
+        data = load_json(path, "a model")
+    except ConfigurationError as error:
+        raise ConfigurationError(error.fact, "give a file that 'fit' wrote") from None
     if not isinstance(data, dict) or "format" not in data:
         raise ConfigurationError(f"{path}: is not a model", "give a file that 'fit' wrote")
     document = Section(data, str(path)).expect(_KEYS)
@@ -183,8 +180,8 @@ def read_model(path: Path, geometry: SocketGeometry | None = None) -> StoredMode
         model=_model(parameters, fitted_on),
         geometry=fitted_on,
         settings=IdentificationSettings.from_flat(values, f"{path}: settings"),
-        samples=int(quality.number("samples", 0)),
-        last_stamp=int(quality.take("last_stamp")),
+        samples=quality.integer("samples"),
+        last_stamp=quality.integer("last_stamp"),
         wrench_rmse=quality.array("wrench_rmse", (6,), finite=False),
         errors=_errors(quality),
         status=quality.text("status"),
@@ -212,8 +209,8 @@ def _channel_errors(errors: Section) -> ChannelErrors:
     return ChannelErrors(
         errors.text("name"),
         errors.text("unit"),
-        bool(errors.take("in_objective")),
-        int(errors.number("samples", 0)),
+        errors.flag("in_objective"),
+        errors.integer("samples"),
         *figures,
     )
 
@@ -225,7 +222,7 @@ def _model(parameters: Section, geometry: SocketGeometry) -> ContactModel:
             f"{parameters.where}: variant is '{variant}'", closest(variant, VARIANTS)
         )
     bias = parameters.section("force_bias").expect(geometry.clusters)
-    clusters = [str(name) for name in parameters.take("clusters")]
+    clusters = parameters.texts("clusters")
     for name in clusters:
         if name not in geometry.clusters:
             raise ConfigurationError(
@@ -237,14 +234,23 @@ def _model(parameters: Section, geometry: SocketGeometry) -> ContactModel:
         names=geometry.names,
         anchors=geometry.anchors,
         rotations=geometry.rotations,
-        stiffness=parameters.array("stiffness", (points, 3)),
-        rest_positions=parameters.array("rest_positions", (points, 3)),
-        sharpness=parameters.number("sharpness", 1.0),
-        wrench_bias=parameters.array("wrench_bias", (6,)),
-        force_bias={name: bias.array(name, (3,)) for name in bias.names()},
+        stiffness=_stiffness(parameters, points),
+        rest_positions=parameters.array("rest_positions", (points, 3), limit=_FARTHEST),
+        sharpness=parameters.number("sharpness", 1.0, _LARGEST),
+        wrench_bias=parameters.array("wrench_bias", (6,), limit=_LARGEST),
+        force_bias={name: bias.array(name, (3,), limit=_LARGEST) for name in bias.names()},
         cluster_points={name: geometry.clusters[name] for name in clusters},
         **_rigid_parameters(parameters, points),
     )
+
+
+def _stiffness(parameters: Section, points: int) -> FloatArray:
+    stiffness = parameters.array("stiffness", (points, 3), limit=_LARGEST)
+    if stiffness.min() < _LEAST_STIFFNESS:
+        raise ConfigurationError(
+            f"{parameters.where}: stiffness holds {stiffness.min():g} N/m", "fit the trial again"
+        )
+    return stiffness
 
 
 def _packed(factor: FloatArray) -> list[str]:
@@ -255,7 +261,7 @@ def _packed(factor: FloatArray) -> list[str]:
 def _unpacked(parameters: Section, points: int) -> FloatArray:
     lines = parameters.take("parameter_factor")
     try:
-        ways = [np.array(line.split(), dtype=np.float64).reshape(6, points) for line in lines]
+        ways = [np.array([*map(decimal, line.split())]).reshape(6, points) for line in lines]
     except (AttributeError, TypeError, ValueError):
         raise ConfigurationError(
             f"{parameters.where}: parameter_factor does not hold 6 numbers per tile and line",
@@ -266,9 +272,13 @@ def _unpacked(parameters: Section, points: int) -> FloatArray:
 
 def _rigid_parameters(parameters: Section, points: int) -> dict[str, FloatArray]:
     """What older files lack, whose variants need none of it."""
-    shapes = {"reference_pose": (6,), "wrench_slope": (6, 6)}
+    shapes = {"reference_pose": ((6,), _FARTHEST), "wrench_slope": ((6, 6), _LARGEST)}
     known = set(parameters.names())
-    found = {name: parameters.array(name, shape) for name, shape in shapes.items() if name in known}
+    found = {
+        name: parameters.array(name, shape, limit=limit)
+        for name, (shape, limit) in shapes.items()
+        if name in known
+    }
     if "parameter_factor" in known:
         found["parameter_factor"] = _unpacked(parameters, points)
     return found
@@ -276,4 +286,7 @@ def _rigid_parameters(parameters: Section, points: int) -> dict[str, FloatArray]
 
 def _unloaded(trial: Section) -> tuple[tuple[float, float], ...]:
     spans = trial.take("unloaded") if "unloaded" in trial.names() else []
-    return tuple((float(start), float(end)) for start, end in spans)
+    if spans == []:
+        return ()
+    count = len(spans) if isinstance(spans, list) else 1
+    return tuple((start, end) for start, end in trial.array("unloaded", (count, 2)).tolist())

@@ -14,6 +14,7 @@ import numpy as np
 
 from socket_testbed.arrays import FloatArray, IntArray
 from socket_testbed.calibration.model import Calibration
+from socket_testbed.errors import TrialError
 from socket_testbed.files import atomic_output, check_new_folder, make_folder
 from socket_testbed.geometry.marker_bodies import fit_triad
 from socket_testbed.geometry.pose import Pose
@@ -282,15 +283,28 @@ def read_truth(path: Path, stamps: IntArray | None = None) -> GroundTruth:
         path: Folder of the trial.
         stamps: Times since the epoch for which it is wanted, shape (N,) [ns]; between the
             times of the simulation it is linear. None for the simulation's own.
+
+    Raises:
+        TrialError: If the file is damaged.
     """
-    with np.load(path / TRUTH_FILE) as data:
-        times = data["stamps"]
-        stamps = times if stamps is None else stamps
-        after = np.clip(np.searchsorted(times, stamps), 1, len(times) - 1)
-        span = times[after] - times[after - 1]
-        share = np.clip((stamps - times[after - 1]) / span, 0.0, 1.0)
-        names = (field.name for field in fields(GroundTruth))
-        return GroundTruth(*(_between(data[name], after, share) for name in names))
+    try:
+        with np.load(path / TRUTH_FILE) as data:
+            times, arrays = data["stamps"], [data[field.name] for field in fields(GroundTruth)]
+    except Exception as error:  # it raises whatever its parsing meets
+        raise _damaged_truth(path, str(error)) from None
+    if times.ndim != 1 or len(times) < 2 or any(len(times) != len(array) for array in arrays):
+        raise _damaged_truth(path, "its arrays differ in length")
+    stamps = times if stamps is None else stamps
+    after = np.clip(np.searchsorted(times, stamps), 1, len(times) - 1)
+    span = times[after] - times[after - 1]
+    share = np.clip((stamps - times[after - 1]) / span, 0.0, 1.0)
+    return GroundTruth(*(_between(array, after, share) for array in arrays))
+
+
+def _damaged_truth(path: Path, why: str) -> TrialError:
+    return TrialError(
+        f"{path / TRUTH_FILE}: is damaged ({why})", "simulate the trial again, or remove the file"
+    )
 
 
 def _between(values: FloatArray, after: IntArray, share: FloatArray) -> FloatArray:

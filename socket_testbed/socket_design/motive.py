@@ -23,7 +23,7 @@ import numpy as np
 
 from socket_testbed.arrays import FloatArray, IntArray
 from socket_testbed.errors import RegistrationError
-from socket_testbed.files import closest
+from socket_testbed.files import closest, decimal
 from socket_testbed.geometry.pose import Pose
 
 _UNNAMED = ("Unlabeled", "Unlabelled")
@@ -208,7 +208,7 @@ def read_header(cells: list[str], path: Path) -> MotiveHeader:
 
 def _header_number(text: str) -> float:
     try:
-        return float(text)
+        return decimal(text)
     except ValueError:
         return math.nan
 
@@ -367,7 +367,7 @@ def _read_text(path: Path) -> str:
 
 def _split(text: str, path: Path) -> list[Row]:
     """The lines that hold something, with their numbers."""
-    reader = csv.reader(io.StringIO(text, newline=""))
+    reader = csv.reader(io.StringIO(text, newline=""), strict=True)
     try:
         return [(reader.line_num, row) for row in reader if any(map(str.strip, row))]
     except csv.Error as error:
@@ -416,7 +416,7 @@ def _read_numbers(rows: list[Row], columns: TakeColumns, path: Path) -> FloatArr
 def _number(cell: str) -> float:
     if not cell:
         return math.nan
-    number = float(cell)
+    number = decimal(cell)
     if not abs(number) < _LARGEST:
         raise ValueError
     return number

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import logging
 import re
 import warnings
 from collections.abc import Callable, Sequence
@@ -20,7 +21,7 @@ from trimesh.grouping import unique_rows
 
 from socket_testbed.arrays import FloatArray, IntArray
 from socket_testbed.errors import ScanError
-from socket_testbed.files import closest
+from socket_testbed.files import closest, decimal
 from socket_testbed.socket_design.mesh import (
     are_slivers,
     boundary_half_edges,
@@ -37,6 +38,8 @@ _Loaded = TypeVar("_Loaded")
 
 _AGAIN = "export the scan again"
 _CUT_OFF = "the file is cut off or damaged: copy or export it again"
+_MOST_VERTICES = 2**31
+_LARGEST = 1e9  # of a coordinate in any unit; beyond it, squares and products overflow
 _STL_HEADER, _STL_FACE = 84, 50  # [bytes]
 
 
@@ -181,7 +184,7 @@ class _ObjReader:
         """Read a line; one that makes no sense raises ValueError or IndexError."""
         word, _, rest = line.strip().partition(" ")
         if word == "v":
-            x, y, z = map(float, rest.split()[:3])
+            x, y, z = map(_coordinate, rest.split()[:3])
             self.vertices.append([x, y, z])
         elif word == "f":
             first, *others = map(self._index, rest.split())
@@ -197,7 +200,7 @@ class _ObjReader:
     def _index(self, corner: str) -> int:
         index = int(corner.partition("/")[0])
         index += len(self.vertices) if index < 0 else -1
-        if index < 0:
+        if not 0 <= index <= _MOST_VERTICES:
             raise IndexError
         return index
 
@@ -205,6 +208,11 @@ class _ObjReader:
         if name and name not in self.names:
             self.names.append(name)
         return self.names.index(name) if name else -1
+
+
+def _coordinate(word: str) -> float:
+    """A coordinate; one that is not finite counts, the faces around it are left out."""
+    return float(word) if word.lstrip("+-").lower() in {"nan", "inf"} else decimal(word)
 
 
 def _read_obj(path: Path, data: bytes) -> Triangles:
@@ -230,6 +238,8 @@ def _read_obj(path: Path, data: bytes) -> Triangles:
 
 def _quietly(path: Path, data: bytes, load: Callable[[io.BytesIO], _Loaded]) -> _Loaded:
     """Load with a reader of trimesh, whatever it makes of a damaged file."""
+    logger = logging.getLogger("trimesh.util")  # it logs tracebacks
+    logger.disabled = True
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
@@ -238,6 +248,8 @@ def _quietly(path: Path, data: bytes, load: Callable[[io.BytesIO], _Loaded]) -> 
             return load(io.BytesIO(data))
     except Exception:  # it raises whatever its parsing meets
         raise _damaged(path) from None
+    finally:
+        logger.disabled = False
 
 
 def _damaged(path: Path) -> ScanError:
@@ -533,7 +545,7 @@ def read_scan(path: Path, unit: str | None = None, body: str | None = None) -> S
 def _clean(path: Path, triangles: Triangles, notes: list[str]) -> tuple[trimesh.Trimesh, IntArray]:
     """The welded surface of the sound faces, and their labels."""
     vertices, faces, labels = triangles.vertices, triangles.faces, triangles.labels
-    finite = np.isfinite(vertices[faces]).all(axis=(1, 2))
+    finite = (np.abs(vertices[faces]) < _LARGEST).all(axis=(1, 2))
     _note(notes, (~finite).sum(), "removed {} faces with a corner that is not finite")
     if not finite.any():
         raise ScanError(f"{path}: no face has finite corners", "export the scan again")

@@ -80,7 +80,7 @@ def test_a_wrong_value_is_refused_by_its_field(
     ("text", "says"),
     [
         ("sidee: left", "unknown key 'sidee': did you mean 'side'?"),
-        ("subject: 007", "subject is 7, no text: give a text, in quotes in YAML"),
+        ("subject: 7", "subject is 7, no text: give a text, in quotes in YAML"),
         ("side: [left]", "side is ['left'], no text"),
         ("side: left\nside: right", "the key 'side' is repeated"),
         ("]", "correct the YAML"),
