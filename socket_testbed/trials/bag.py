@@ -8,6 +8,7 @@ The counts of both are compared instead.
 from __future__ import annotations
 
 import os
+import zlib
 from collections.abc import Collection, Iterator
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass
@@ -15,7 +16,6 @@ from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple, Self
 
-import yaml
 from rosbags.interfaces import (
     Connection,
     ConnectionExtRosbag2,
@@ -32,7 +32,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
 from socket_testbed.errors import TrialError
-from socket_testbed.files import packaged
+from socket_testbed.files import load_yaml, packaged
 from socket_testbed.trials.salvage import SalvagedRecording, salvage
 from socket_testbed.trials.topics import PUBLISHER_DEPTH, REQUIRED, TOPICS, Topic, match_topics
 
@@ -75,6 +75,8 @@ def stamp_of(message: Any) -> int:
 
 _SUFFIXES = (".mcap", ".db3")
 _FOREVER = QosTime(2147483647, 4294967295)
+_CHUNK = 2**20 - 2**10  # [bytes]; the library closes a chunk at 1 MiB
+_CHECKSUM_AT = 9 + 3 * 8  # [bytes] from the start of a chunk's record
 _TRUNCATED = ("end magic", "truncated", "footer", "empty")
 
 
@@ -304,7 +306,7 @@ def _read_metadata(bag: Path) -> _Metadata | None:
     if bag.is_file() or not file.exists():
         return None
     try:
-        content = yaml.safe_load(file.read_text(encoding="utf-8"))["rosbag2_bagfile_information"]
+        content = load_yaml(file)["rosbag2_bagfile_information"]
         topics = [
             _TopicMetadata(
                 str(entry["topic_metadata"]["name"]),
@@ -384,6 +386,7 @@ class BagWriter:
 
     def __exit__(self, *error: object) -> None:
         # Even after an error: what was recorded so far is a complete bag.
+        self._close_chunk()
         self._writer.close()
         for file in (self.path / f"{self.path.name}.mcap", self._writer.metapath):
             sync(file)
@@ -401,20 +404,36 @@ class BagWriter:
 
     def write(self, name: str, time: int, data: bytes) -> None:
         """Append a serialised message, recorded at a time since the epoch [ns]."""
+        if self._storage.chunk.bio.tell() + len(data) > _CHUNK:
+            self._close_chunk()
         self._writer.write(self._connections[name], time, data)
 
     def flush(self) -> None:
         """Write everything so far to the disk, as a chunk of its own.
 
         A power cut does not lose it. The library keeps up to 1 MiB in memory, minutes of a trial
-        at 4 Hz; its version is pinned, because this uses its storage directly.
+        at 4 Hz.
         """
-        storage = self._writer.storage
-        assert storage is not None
-        if storage.chunk.msgs:  # type: ignore[attr-defined]
-            storage.close_chunk()  # type: ignore[attr-defined]
-        storage.bio.flush()  # type: ignore[attr-defined]
-        os.fsync(storage.bio.fileno())  # type: ignore[attr-defined]
+        self._close_chunk()
+        self._storage.bio.flush()
+        os.fsync(self._storage.bio.fileno())
+
+    @property
+    def _storage(self) -> Any:
+        """What the library writes to; its version is pinned, because this uses it directly."""
+        return self._writer.storage
+
+    def _close_chunk(self) -> None:
+        """Write the chunk with its checksum, for which the library writes zero: unchecked."""
+        storage = self._storage
+        if not storage.chunk.bio.tell():
+            return
+        checksum = zlib.crc32(storage.chunk.bio.getbuffer())
+        start = storage.bio.tell()
+        storage.close_chunk()
+        storage.bio.seek(start + _CHECKSUM_AT)
+        storage.bio.write(checksum.to_bytes(4, "little"))
+        storage.bio.seek(0, os.SEEK_END)
 
 
 def sync(path: Path) -> None:

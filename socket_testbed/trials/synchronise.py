@@ -69,6 +69,7 @@ class Measurements:
 
 
 _NAMED = 3  # how many stamps a note names
+_IMPOSSIBLE = 1e6  # [N m, N, m, pF]; no sensor of the testbed reads it
 
 
 class _Series:
@@ -140,13 +141,23 @@ def read_measurements(
     readings = np.array([column.at(stamps) for column in clusters.values()])
     readings = readings.reshape(len(clusters), len(stamps), 8).swapaxes(0, 1)
     status = np.nan_to_num(readings[:, :, 4:], nan=float(Status.MISSING))
+    tables = {topic.name: columns[topic].at(stamps) for topic in (WRENCH, SOCKET_POSE, PYLON_POSE)}
+    tables |= {CAPACITANCE.name: readings[:, :, :4]}
+    for name, values in tables.items():
+        impossible = np.abs(values) > _IMPOSSIBLE
+        if impossible.any():
+            values[impossible] = np.nan
+            notify(
+                f"{name} holds {int(impossible.sum())} values beyond {_IMPOSSIBLE:g}, which count"
+                " as missing: check the recording"
+            )
     return Measurements(
         stamps=stamps,
-        wrench=columns[WRENCH].at(stamps),
-        socket=columns[SOCKET_POSE].at(stamps),
-        pylon=columns[PYLON_POSE].at(stamps),
+        wrench=tables[WRENCH.name],
+        socket=tables[SOCKET_POSE.name],
+        pylon=tables[PYLON_POSE.name],
         clusters=tuple(clusters),
-        capacitance=readings[:, :, :4],
+        capacitance=tables[CAPACITANCE.name],
         status=status.astype(np.uint8),
     )
 
