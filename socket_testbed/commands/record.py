@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
-import sys
 from pathlib import Path
 
 from socket_testbed.calibration.model import read_calibration
 from socket_testbed.commands.options import add_metadata, metadata_of
+from socket_testbed.commands.status_line import StatusLine
 from socket_testbed.files import check_new_folder
 from socket_testbed.geometry.socket import read_socket
 from socket_testbed.live.processes import Graph
@@ -46,14 +46,16 @@ def run(options: argparse.Namespace) -> None:
         calibration=_resolved(options.calibration),
         parameters=_resolved(options.params),
     )
-    with Graph() as graph:
+    disk = options.directory.resolve().parent
+    with StatusLine(disk) as status, Graph(status.output, status.renew) as graph:
         if metadata.stated():
             stored = graph.folder / METADATA_FILE
             write_metadata(metadata, stored)
             settings = dataclasses.replace(settings, metadata=str(stored))
         graph.start("recorder_node", settings)
-        print(f"recording {options.directory}; Ctrl-C ends it", file=sys.stderr)
+        status.say(f"recording {options.directory}; Ctrl-C ends it")
         try:
+            status.follow()
             graph.wait("recorder_node")
         except KeyboardInterrupt:
             graph.stop()

@@ -12,11 +12,13 @@ from socket_testbed.commands.options import (
     estimator_settings,
     trial_of,
 )
+from socket_testbed.commands.status_line import StatusLine
 from socket_testbed.errors import ConfigurationError
 from socket_testbed.files import check_number
-from socket_testbed.live.bringup import predict_with, replay_with_estimator
-from socket_testbed.live.processes import Graph
+from socket_testbed.live.bringup import predict_with, replay_nodes
+from socket_testbed.live.processes import Graph, GraphNode
 from socket_testbed.settings.testbed import ReplaySettings
+from socket_testbed.trials.trial import Trial, recorded_namespace
 
 _ESTIMATING = ("model", "geometry", "calibration", "params", *CHOICES)
 
@@ -29,7 +31,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--rate", type=float, default=1.0, metavar="X", help="speed against the recording"
     )
     parser.add_argument("--loop", action="store_true", help="start again at the end")
-    parser.add_argument("--paused", action="store_true", help="start paused (replay/pause)")
+    parser.add_argument("--paused", action="store_true", help="start paused: the space bar goes on")
     parser.add_argument(
         "--estimate", action="store_true", help="run the calibration and estimator nodes too"
     )
@@ -52,18 +54,29 @@ def run(options: argparse.Namespace) -> None:
         loop=options.loop,
         paused=options.paused,
     )
+    nodes = _nodes(options, trial, replay)
+    namespace = recorded_namespace(trial)
+    with trial.open() as bag:  # a trial that cannot be read is named before any node starts
+        duration = bag.duration
+    pause = f"{nodes[-1].namespace.rstrip('/')}/replay/pause"
+    with (
+        StatusLine(duration=duration, pause=pause, paused=options.paused) as status,
+        Graph(status.output, status.renew) as graph,
+    ):
+        graph.start_nodes(nodes)
+        status.follow(namespace)
+        graph.wait("replay_node")
+
+
+def _nodes(options: argparse.Namespace, trial: Trial, replay: ReplaySettings) -> list[GraphNode]:
+    """The nodes of the graph, the replay node last."""
     if not options.estimate:
         for name, value in vars(options).items():
             if name in _ESTIMATING and value is not None:
                 option = name.replace("_", "-")
                 raise ConfigurationError(f"--{option} is for the estimator", "add --estimate")
-        with trial.open():
-            pass  # a trial that cannot be read is named before any node starts
-        with Graph() as graph:
-            graph.start("replay_node", replay)
-            graph.wait("replay_node")
-        return
+        return [GraphNode("replay_node", replay)]
     settings = estimator_settings(options, trial.estimator)
     if options.model is not None:
         settings = predict_with(options.model, settings, trial.geometry)
-    replay_with_estimator(trial, replay, settings)
+    return replay_nodes(trial, replay, settings)

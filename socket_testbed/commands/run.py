@@ -20,6 +20,7 @@ from socket_testbed.commands.options import (
     choose_model,
     metadata_of,
 )
+from socket_testbed.commands.status_line import StatusLine
 from socket_testbed.errors import ConfigurationError
 from socket_testbed.files import check_new_folder, check_number, make_folder
 from socket_testbed.geometry.socket import read_socket
@@ -66,17 +67,19 @@ def run(options: argparse.Namespace) -> None:
     elif options.time_scale != "1":
         raise ConfigurationError("--time-scale is for simulated hardware", "add --simulated")
     testbed = _testbed(options, simulation)
-    with Graph() as graph:
+    disk = testbed.record.parent if testbed.record else None
+    with StatusLine(disk) as status, Graph(status.output, status.renew) as graph:
         world = start(graph, testbed)
         for name, value in faults.items():
             assert world is not None
             world.faults.switch(name, value)
-        _say("the testbed starts; Ctrl-C ends it")
+        status.say("the testbed starts; Ctrl-C ends it")
         ends = time.monotonic() + (options.duration or float("inf")) / testbed.time_scale
         try:
-            graph.watch(lambda: time.monotonic() >= ends, _say)
+            status.follow(testbed.namespace)
+            graph.watch(lambda: time.monotonic() >= ends, status.say)
         except KeyboardInterrupt:
-            _say("ending")
+            status.say("ending")
         end(graph, testbed)
     if testbed.record is not None:
         print(summary(testbed.record))

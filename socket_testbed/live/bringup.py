@@ -47,7 +47,6 @@ from socket_testbed.trials.trial import Trial, recorded_namespace
 
 _UP_WITHIN = 120.0  # [s]; for the simulation, on a busy machine
 _DRAIN = 1.0  # [s] of the testbed; for the last trigger's sample to pass
-_LOOK = 0.02  # [s]
 
 
 @dataclass(frozen=True)
@@ -217,7 +216,7 @@ def start(graph: Graph, testbed: Testbed) -> World | None:
 def end(graph: Graph, testbed: Testbed) -> None:
     """End a testbed so that the last trigger's sample is complete and the trial is closed."""
     graph.stop("trigger_node")
-    time.sleep(_DRAIN / testbed.time_scale)
+    graph.pause(_DRAIN / testbed.time_scale)
     if testbed.record is not None:
         graph.stop("recorder_node")
     graph.stop()
@@ -269,7 +268,7 @@ def simulate_hardware(
             raise TestbedError(
                 f"the simulation is not up after {_UP_WITHIN:g} s", "see what it printed"
             )
-        time.sleep(_LOOK)
+        graph.pause()
     given, place = testbed.settings, str(folder)
     settings = replace(
         given,

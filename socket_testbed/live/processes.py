@@ -17,7 +17,7 @@ from collections.abc import Callable, Iterable
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import IO, Self
+from typing import IO, Any, Self
 
 import yaml
 
@@ -134,6 +134,7 @@ class Graph:
 
     Args:
         output: Where the nodes print to; None for this process's own output.
+        meanwhile: Called all the time while it waits.
 
     Attributes:
         folder: A folder that exists as long as the graph.
@@ -142,8 +143,11 @@ class Graph:
         ConfigurationError: On entry, if ROS 2 cannot be imported.
     """
 
-    def __init__(self, output: IO[str] | None = None) -> None:
+    def __init__(
+        self, output: IO[Any] | None = None, meanwhile: Callable[[], None] = lambda: None
+    ) -> None:
         self._output = output
+        self._meanwhile = meanwhile
         self._members: dict[str, _Member] = {}
         self._temporary = tempfile.TemporaryDirectory(prefix="socket_testbed_")
         self.folder = Path(self._temporary.name)
@@ -207,9 +211,18 @@ class Graph:
             for name, member in self._members.items():
                 if name != node and (other := member.exit_code()) is not None:
                     raise _failure(name, other)
-            time.sleep(_LOOK)
+            self.pause()
         if code != 0:
             raise _failure(node, code)
+
+    def pause(self, duration: float = 0.0) -> None:
+        """Let the processes work for a moment, or for a duration [s]."""
+        ends = time.monotonic() + duration
+        while True:
+            self._meanwhile()
+            time.sleep(_LOOK)
+            if time.monotonic() >= ends:
+                return
 
     def check(self) -> None:
         """Raise a NodeFailedError if a process has ended."""
@@ -243,7 +256,7 @@ class Graph:
                     member.backoff.failed(now)
                     member.process = self._spawn(member.command)
                     member.started = now
-            time.sleep(_LOOK)
+            self.pause()
 
     def stop(self, *names: str) -> None:
         """End some processes, or all of them: ask, then insist."""
@@ -256,7 +269,7 @@ class Graph:
                     os.kill(member.process.pid, number)
             deadline = time.monotonic() + _GRACE
             while time.monotonic() < deadline and any(m.exit_code() is None for m in running):
-                time.sleep(_LOOK)
+                self.pause()
         for member in members:
             member.process.poll()  # the system forgets it
 

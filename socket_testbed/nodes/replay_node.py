@@ -7,7 +7,6 @@ Publishes: the topics of the trial under their recorded names or in another name
 from __future__ import annotations
 
 import threading
-import time
 from pathlib import Path
 
 from rclpy.duration import Duration
@@ -29,7 +28,6 @@ _DONE_WITHIN = 30.0  # [s]; for them to make any progress
 _IN_FLIGHT = 500  # triggers ahead of the nodes waited for, well below their queues
 _BURST = 50  # messages sent at once, half of what a writer keeps to send again
 _BREATH = 0.002  # [s]; after a burst
-_PROGRESS_PERIOD = 10.0  # [s]
 
 
 class ReplayNode(TestbedNode[ReplaySettings]):
@@ -42,7 +40,7 @@ class ReplayNode(TestbedNode[ReplaySettings]):
         if not settings.trial:
             raise ConfigurationError("replay_node: trial is empty", "give the path of a trial")
         self._published = 0
-        self._reported = time.monotonic()
+        self._position = 0.0  # [s]
 
         self._bag = BagReader(Path(settings.trial))
         self._bag.__enter__()
@@ -59,8 +57,12 @@ class ReplayNode(TestbedNode[ReplaySettings]):
         self._thread.start()
 
     def figures(self) -> dict[str, object]:
-        """Number of messages published."""
-        return {"published": self._published}
+        """Number of messages published, and where in the trial the replay is [s]."""
+        return {
+            "published": self._published,
+            "position": f"{self._position:.1f}",
+            "duration": f"{self._bag.duration:.1f}",
+        }
 
     def close(self) -> None:
         """Stop publishing and close the trial."""
@@ -130,7 +132,7 @@ class ReplayNode(TestbedNode[ReplaySettings]):
             if not self._pacer.wait_for(raw.time):
                 return
             self._publish(raw)
-            self._report_progress((raw.time - first) * 1e-9)
+            self._position = (raw.time - first) * 1e-9
 
     def _publish(self, raw: RawMessage) -> None:
         self._by_topic[raw.topic].publish(raw.data)
@@ -140,12 +142,6 @@ class ReplayNode(TestbedNode[ReplaySettings]):
             self._catch_up(_IN_FLIGHT)
         if self._published % _BURST == 0:
             self._pacer.rest(_BREATH)
-
-    def _report_progress(self, position: float) -> None:
-        """Log how far the replay is [s] now and then."""
-        if time.monotonic() - self._reported > _PROGRESS_PERIOD:
-            self._reported = time.monotonic()
-            self.get_logger().info(f"{position:.1f} of {self._bag.duration:.1f} s")
 
     def _tick(self, stamp: int) -> None:
         self._clock_publisher.publish(Clock(clock=stamp_to_ros(max(stamp, 0))))

@@ -1,0 +1,248 @@
+"""The status line in a terminal that is a pseudo-terminal, and where there is none."""
+
+import fcntl
+import os
+import pty
+import re
+import select
+import signal
+import struct
+import subprocess
+import sys
+import termios
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+from support import HANGS
+
+from socket_testbed.commands import status_line
+from socket_testbed.commands.status_line import StatusLine, fitted
+from socket_testbed.live.graph_status import GraphStatus
+
+COMMAND = (sys.executable, "-m", "socket_testbed")
+
+
+class Terminal:
+    """A pseudo-terminal, and what is on its screen."""
+
+    def __init__(self, columns: int = 100) -> None:
+        self.master, self.slave = pty.openpty()
+        self.seen = b""
+        self.resize(columns)
+
+    def resize(self, columns: int) -> None:
+        size = struct.pack("HHHH", 24, columns, 0, 0)
+        fcntl.ioctl(self.slave, termios.TIOCSWINSZ, size)
+
+    def read(self) -> None:
+        while select.select([self.master], [], [], 0.0)[0]:
+            try:
+                self.seen += os.read(self.master, 1 << 16)
+            except OSError:  # nobody has it open any more
+                return
+
+    def screen(self) -> list[str]:
+        """The lines, as a terminal shows them that knows how to go back and to clear a line."""
+        self.read()
+        lines = []
+        for row in self.seen.decode().split("\n"):
+            shown, at = "", 0
+            for part in re.findall(r"\r|\x1b\[K|\x1b\[\d*m|[^\r\x1b]+", row):
+                if part == "\r":
+                    at = 0
+                elif part == "\x1b[K":
+                    shown = shown[:at]
+                elif not part.startswith("\x1b"):
+                    shown, at = shown[:at] + part + shown[at + len(part) :], at + len(part)
+            lines.append(shown)
+        return lines
+
+    def wait(self, condition: Callable[[], bool], what: str) -> None:
+        deadline = time.monotonic() + HANGS
+        while not condition():
+            assert time.monotonic() < deadline, f"{what}: {self.screen()}"
+            select.select([self.master], [], [], 0.05)
+            self.read()
+
+
+@pytest.fixture
+def terminal(monkeypatch: pytest.MonkeyPatch) -> Iterator[Terminal]:
+    """A terminal of a kind that can go back in a line."""
+    found = Terminal()
+    monkeypatch.setenv("TERM", "xterm")
+    for name in ("NO_COLOR", "RCUTILS_COLORIZED_OUTPUT"):
+        monkeypatch.setenv(name, "")
+        monkeypatch.delenv(name)
+    yield found
+    os.close(found.master)
+    os.close(found.slave)
+
+
+@contextmanager
+def status_on(terminal: Terminal) -> Iterator[StatusLine]:
+    """A status line, with a terminal as this process's standard error."""
+    with (
+        pytest.MonkeyPatch.context() as patch,
+        open(terminal.slave, "w", closefd=False) as stream,
+    ):
+        patch.setattr(sys, "stderr", stream)
+        with StatusLine() as status:
+            yield status
+
+
+def with_triggers(status: StatusLine, triggers: int) -> None:
+    status._status.triggers = triggers
+
+
+@pytest.fixture(autouse=True)
+def at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The line is drawn at every call."""
+    monkeypatch.setattr(status_line, "_PERIOD", 0.0)
+
+
+def test_lines_of_nodes_stand_above_the_status(terminal: Terminal) -> None:
+    with status_on(terminal) as status:
+        assert status.output is not None
+        for count in (1, 20, 300):
+            with_triggers(status, count)
+            status.renew()
+            subprocess.run(
+                ["sh", "-c", f"echo node says {count}; printf half >&2"],
+                check=True, stdout=status.output, stderr=status.output,
+            )  # fmt: skip
+            status.renew()
+            subprocess.run(["echo", " a line"], check=True, stdout=status.output)
+            status.renew()
+        status.say("ending")
+    *said, last, end = terminal.screen()
+    expected = [line for count in (1, 20, 300) for line in (f"node says {count}", "half a line")]
+    assert said == [*expected, "ending"]
+    assert last == "0:00:00 | 300 triggers, 0 complete" and end == ""
+
+
+def test_a_node_s_last_words_come_though_it_was_killed(terminal: Terminal) -> None:
+    script = "echo one; printf 'two, cut off'; kill -9 $$"
+    with status_on(terminal) as status:
+        ended = subprocess.run(["sh", "-c", script], check=False, stdout=status.output)
+        assert ended.returncode == -signal.SIGKILL
+    assert terminal.screen() == ["one", "two, cut off", ""]
+
+
+def test_the_line_keeps_to_the_width(terminal: Terminal) -> None:
+    with status_on(terminal) as status:
+        with_triggers(status, 1)
+        status._status.wrench = (1.0, -2.0, -612.0, 0.1, 0.2, 0.3)
+        for columns in (200, 60, 40, 12, 1, 60):
+            terminal.resize(columns)
+            status.renew()
+            shown = terminal.screen()[-1]
+            assert len(shown) < columns
+            assert ("-612 N" in shown) == (columns >= 60)  # a number is never cut in two
+        assert not shown.endswith("|")
+    assert fitted(["abc", "defgh", "ij"], 10) == "abc | ij"
+
+
+def test_a_terminal_that_is_held_up_holds_nobody_up(terminal: Terminal) -> None:
+    """As with Ctrl-S: nobody reads, and what a terminal keeps is soon full."""
+    with status_on(terminal) as status:
+        with_triggers(status, 1)
+        lines = 20_000
+        subprocess.run(["seq", str(lines)], check=True, stdout=status.output, timeout=HANGS)
+        for _ in range(3):
+            status.renew()  # it would hang here
+        terminal.wait(lambda: status.renew() or f"{lines}\r\n".encode() in terminal.seen, "all")
+    assert terminal.screen()[:lines] == [str(k + 1) for k in range(lines)]
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "colours"), [("TERM", "xterm", "1"), ("NO_COLOR", "1", "0")]
+)
+def test_nodes_use_colours_only_where_they_are_wanted(
+    terminal: Terminal, monkeypatch: pytest.MonkeyPatch, name: str, value: str, colours: str
+) -> None:
+    monkeypatch.setenv(name, value)
+    with status_on(terminal) as status:
+        assert os.environ["RCUTILS_COLORIZED_OUTPUT"] == colours
+        assert status.output is not None
+
+
+def write_plainly(monkeypatch: pytest.MonkeyPatch, status: StatusLine) -> None:
+    assert status.output is None  # the nodes print there themselves
+    status.say("it starts")
+    status.renew()
+    monkeypatch.setattr(status_line, "_LOGGED_PERIOD", 0.0)
+    with_triggers(status, 7)
+    status.renew()
+
+
+PLAIN = ["it starts", "0:00:00 | 7 triggers, 0 complete"]
+
+
+def test_a_dumb_terminal_gets_plain_lines(
+    terminal: Terminal, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("TERM", "dumb")
+    with status_on(terminal) as status:
+        write_plainly(monkeypatch, status)
+        assert os.environ["RCUTILS_COLORIZED_OUTPUT"] == "0"
+    assert terminal.screen() == [*PLAIN, ""] and b"\x1b" not in terminal.seen
+
+
+def test_a_log_file_gets_plain_lines(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("TERM", "xterm")
+    with StatusLine() as status:
+        write_plainly(monkeypatch, status)
+    assert capsys.readouterr().err.splitlines() == PLAIN
+
+
+def test_a_status_is_in_words(tmp_path: Path) -> None:
+    status = GraphStatus()
+    status.triggers, status.complete = 12, 11
+    status.trial, status.variant = "s01\x1b[2J", "rigid_bias"
+    status.wrench = (1.4, -2.0, -612.0, 0.12, 0.2, 0.3)
+    status.heard = time.monotonic() - 30.5
+    status._errors.append((0, 3 * 4.0**2, 3 * 0.25**2))
+    elapsed, *parts, model = status_line.status_parts(status, 3661.0, tmp_path)
+    assert elapsed == "0:00:00 of 1:01:01"
+    assert model == "rigid_bias off by 4.0 N, 0.25 N m"
+    assert parts[0] == "12 triggers, 11 complete" and parts[2] == "recording s01?[2J"
+    assert re.fullmatch(r"no trigger for \d\d+ s", parts[1])
+    assert re.fullmatch(r"[\d.]+(e\+\d+)? GB free", parts[3])
+    assert parts[4:] == ["F 1 -2 -612 N", "M 0.1 0.2 0.3 N m"]
+    assert len(status_line.status_parts(status, disk=tmp_path / "gone")) == 7
+
+
+@pytest.mark.graph
+def test_a_paused_replay_says_how_to_go_on_and_the_space_bar_does(hold: Path) -> None:
+    terminal = Terminal(200)
+    words = ["replay", str(hold), "--paused", "--rate", "100"]
+    pid = os.fork()
+    if pid == 0:
+        _login(terminal.slave)
+        os.environ["TERM"] = "xterm"
+        os.execv(sys.executable, [*COMMAND, *words])
+    before = termios.tcgetattr(terminal.slave)
+    terminal.wait(lambda: "paused: press the space bar" in terminal.screen()[-1], "paused")
+    call = "ros2 service call /replay/pause std_srvs/srv/SetBool '{data: false}'"
+    assert terminal.screen()[0] == f"paused; to go on: press the space bar, or call {call}"
+    terminal.wait(lambda: any("replaying" in line for line in terminal.screen()), "replaying")
+    os.write(terminal.master, b"x ")
+    terminal.wait(lambda: os.waitpid(pid, os.WNOHANG) == (pid, 0), "the end")
+    *said, last, end = terminal.screen()
+    assert len(said) == 2 and end == ""
+    # Triggers that came before the replay and this subscriber found each other are not counted.
+    counts = re.match(r"0:00:\d\d of 0:00:59 \| (\d+) triggers, (\d+) complete \| F ", last)
+    assert counts and 0 < int(counts[2]) <= int(counts[1]) <= 240, last
+    assert termios.tcgetattr(terminal.slave) == before
+
+
+def _login(slave: int) -> None:
+    os.setsid()
+    fcntl.ioctl(slave, termios.TIOCSCTTY, 0)
+    for number in range(3):
+        os.dup2(slave, number)

@@ -1,0 +1,128 @@
+"""What the status line counts, compared with what the bag library decodes."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from socket_testbed.live.graph_status import MEASURED, GraphStatus
+from socket_testbed.trials.bag import BagReader, decode, message_class, stamp_of, typestore
+from socket_testbed.trials.synchronise import wrench_vector
+from socket_testbed.trials.topics import (
+    CAPACITANCE,
+    ESTIMATED_WRENCH,
+    PARAMETERS,
+    RECORDED_TRIAL,
+    SOCKET_POSE,
+    TRIGGER,
+    WRENCH,
+    Topic,
+    match_topics,
+)
+
+Messages = list[tuple[Topic, Any]]
+
+
+@pytest.fixture(scope="module")
+def measured(hold: Path) -> Messages:
+    """The messages of a trial in which every eighth measurement of each kind is missing."""
+    rng = np.random.default_rng(0)
+    found = []
+    with BagReader(hold) as bag:
+        topics = {name: topic for topic, name in match_topics(bag.counts, str(hold)).items()}
+        for raw in bag.messages():
+            topic, message = topics[raw.topic], decode(raw.data, raw.type)
+            lost = rng.random() < 0.125
+            if lost and topic is CAPACITANCE:
+                message.clusters[rng.integers(4)].status = np.array([0, 1, 2, 0], dtype=np.uint8)
+            elif lost and topic is WRENCH:
+                message.wrench.torque.z = np.nan
+            elif lost and topic is SOCKET_POSE:
+                message.pose.position.x = np.nan
+            elif lost and topic is not TRIGGER:
+                continue
+            found.append((topic, message))
+    return found
+
+
+def fed(messages: Messages, little_endian: bool = True) -> GraphStatus:
+    status = GraphStatus()
+    for topic, message in messages:
+        data = typestore().serialize_cdr(message, topic.type, little_endian=little_endian)
+        status.add(topic, bytes(data))
+    return status
+
+
+def is_whole(topic: Topic, message: Any) -> bool:
+    if topic is CAPACITANCE:
+        return not any((cluster.status == 2).any() for cluster in message.clusters)
+    if topic is WRENCH:
+        return bool(np.isfinite(wrench_vector(message.wrench)).all())
+    position = message.pose.position
+    return bool(np.isfinite([position.x, position.y, position.z]).all())
+
+
+@pytest.mark.parametrize("little_endian", [True, False])
+def test_samples_are_counted_as_they_are_decoded(measured: Messages, little_endian: bool) -> None:
+    status = fed([(t, m) for t, m in measured if t in (TRIGGER, *MEASURED)], little_endian)
+    stamps = [stamp_of(message) for topic, message in measured if topic is TRIGGER]
+    whole: dict[int, int] = {}
+    for topic, message in measured:
+        if topic in MEASURED and is_whole(topic, message):
+            whole[stamp_of(message)] = whole.get(stamp_of(message), 0) + 1
+    assert status.triggers == len(stamps)
+    assert status.complete == list(whole.values()).count(4)
+    assert 0.4 < status.complete / status.triggers < 0.8
+    assert status.elapsed == pytest.approx(1e-9 * (stamps[-1] - stamps[0]))
+    (*_, last) = (message for topic, message in measured if topic is WRENCH)
+    expected = np.roll(wrench_vector(last.wrench), 3)  # forces first
+    assert status.wrench == pytest.approx(expected.tolist(), nan_ok=True)
+
+
+def test_predictions_are_judged_over_the_last_seconds(measured: Messages) -> None:
+    """Predictions that are off by (3, 0, 0) N and (0, 0.2, 0) N m, and by far more long before."""
+    messages: Messages = []
+    last = max(stamp_of(message) for topic, message in measured if topic is TRIGGER)
+    kinds = {name: message_class(f"geometry_msgs/msg/{name}") for name in ("Wrench", "Vector3")}
+    for topic, message in measured:
+        if topic is not WRENCH:
+            continue
+        off = 30.0 if stamp_of(message) < last - 12e9 else 3.0
+        f, m = message.wrench.force, message.wrench.torque
+        predicted = kinds["Wrench"](
+            force=kinds["Vector3"](x=f.x + off, y=f.y, z=f.z),
+            torque=kinds["Vector3"](x=m.x, y=m.y - 0.2, z=m.z),
+        )
+        stamped = message_class(ESTIMATED_WRENCH.type)(header=message.header, wrench=predicted)
+        messages += [(topic, message), (ESTIMATED_WRENCH, stamped)]
+    status = fed(messages)
+    assert fed(messages[:1]).errors() is None
+    assert status.errors() == pytest.approx((np.sqrt(3.0), 0.2 / np.sqrt(3.0)))
+
+
+def test_time_that_jumps_back_starts_over(measured: Messages) -> None:
+    measured = [(t, m) for t, m in measured if t in (TRIGGER, *MEASURED)]
+    once, twice = fed(measured), fed(measured + measured)
+    assert twice.triggers == 2 * once.triggers and twice.complete == 2 * once.complete
+    assert twice.elapsed == once.elapsed
+
+
+def test_names_are_read(measured: Messages) -> None:
+    header = measured[0][1].header
+    model = typestore().types[PARAMETERS.type]
+    wrench = message_class("geometry_msgs/msg/Wrench")
+    vector = message_class("geometry_msgs/msg/Vector3")
+    none = wrench(force=vector(x=0.0, y=0.0, z=0.0), torque=vector(x=0.0, y=0.0, z=0.0))
+    values: dict[str, Any] = {
+        "header": header, "variant": "rigid_bias", "names": ["tile"], "stiffness": [],
+        "rest_positions": [], "wrench_bias": none, "bias_names": [], "force_bias": [],
+        "wrench_rmse": none, "samples": 80, "solver_status": "solved",
+    }  # fmt: skip
+    status = fed(
+        [
+            (PARAMETERS, model(**values)),
+            (RECORDED_TRIAL, message_class(RECORDED_TRIAL.type)(data="s01 é")),
+        ]
+    )
+    assert status.variant == "rigid_bias" and status.trial == "s01 é"
