@@ -7,6 +7,7 @@ import time
 
 from viser import ClientHandle
 
+from socket_testbed.viewer.legend import Legend
 from socket_testbed.viewer.panel import Panel
 from socket_testbed.viewer.scene import Scene
 from socket_testbed.viewer.server import PageServer
@@ -26,6 +27,7 @@ class Page:
     def __init__(self, source: Source, server: PageServer) -> None:
         self._source, self._server = source, server
         self._scene = Scene(server.viser, source.geometry)
+        self._legend = Legend(server.viser, source.geometry)
         self._panel = Panel(server.viser, source)
         self._changed = threading.Event()
         self._closed = False
@@ -45,8 +47,9 @@ class Page:
         """Draw one frame."""
         instant = self._source.instant()
         with self._server.viser.atomic():
+            self._legend.update(instant.map if instant else None)
             if instant is not None:
-                self._scene.update(instant)
+                self._scene.update(instant, self._legend)
             self._panel.update(self._source)
 
     def _on_change(self, client: ClientHandle) -> None:

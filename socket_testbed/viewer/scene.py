@@ -1,30 +1,42 @@
-"""The socket in 3D: its tiles coloured, shear as arrows, clusters and the limb."""
+"""The socket in 3D: its tiles coloured, shear as arrows, clusters, load cell and limb."""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import matplotlib as mpl
 import numpy as np
 from numpy.typing import NDArray
-from viser import ViserServer
+from viser import SceneApi, ViserServer
 
 from socket_testbed.arrays import FloatArray
-from socket_testbed.geometry.axis import socket_axis
+from socket_testbed.geometry.axis import SocketAxis, socket_axis
 from socket_testbed.geometry.pose import Pose
 from socket_testbed.geometry.socket import SocketGeometry
+from socket_testbed.identification.force_map import MapEstimate
 from socket_testbed.identification.pressure import NORMAL_QUANTILE, SHARE
-from socket_testbed.report.figures.style import CLUSTER, EDGE, SCALE
-from socket_testbed.report.figures.tiles import covered_tiles, tile_squares
+from socket_testbed.report.figures.style import CLUSTER, SCALE, SURFACE, VEIL
+from socket_testbed.report.figures.unrolled import wall_tiles
+from socket_testbed.viewer.legend import DEVIATION, PRESSURE, SHEAR, Legend
 from socket_testbed.viewer.source import Instant
 
-QUANTITIES = ("normal pressure", "shear", "standard deviation")
-
-_SMALLEST = 0.35  # [-]; edge of a tile of which nothing is known, by its own
-_GAP = 0.92  # [-]; edge of a tile that is certain
-_PALEST = 0.15  # [-]; of a tile's colour, the rest is white
+_SMALLEST = 0.4  # [-]; edge of a tile of which nothing is known, by its own
+_LARGEST = 0.92  # [-]; edge of a tile whose value is determined
+_PALEST = 0.6  # [-]; of a tile's colour, the rest is white
+_STEPS = 20  # of certainty: a tile keeps its size while that hardly changes
 _SQUARE = 0.5 * np.array([[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [1.0, 1.0, 0.0], [-1.0, 1.0, 0.0]])
+_THICK = np.array([0.0, 0.0, 0.04])  # [-]; of a value above and below its plate, by its edge
+_BOTH_SIDES = np.vstack([_SQUARE + _THICK, _SQUARE - _THICK])
 _FACES = np.array([[0, 1, 2], [0, 2, 3]])
-_AWAY = 1.35  # [-]; of names from the axis, by the socket's radius
-_COLOURS = np.round(255.0 * mpl.colormaps[SCALE](np.linspace(0.0, 1.0, 256))[:, :3])
+_COLOURS = 255.0 * mpl.colormaps[SCALE](np.linspace(0.0, 1.0, 256))[:, :3]
+_PLATE = 0.98  # [-]; edge of what is below a value, by the tile's
+_OUTLINE = 0.002  # [m]; of tiles with a cluster
+_LONGEST = 0.03  # [m]; arrow of the strongest shear
+_WEAKEST = 2e3  # [Pa]; that is as long as this shear at least
+_ARROW, _UNSURE = np.array([178.0, 24.0, 43.0]), np.array([214.0, 190.0, 190.0])  # their colours
+_LIMB = (224, 172, 140)
+_VIEW = np.radians(32.0)  # [rad]; of the camera, from above to below
+_AWAY = 1.3  # [-]; of names from the axis, by the socket's radius
 
 
 class Scene:
@@ -40,107 +52,286 @@ class Scene:
     def __init__(self, server: ViserServer, geometry: SocketGeometry) -> None:
         self._geometry = geometry
         self._world: Pose | None = None  # in the scene
-        self._drawn: Instant | None = None
-        self.quantity = QUANTITIES[0]
-        self.limit = 30e3  # [Pa]; upper end of the colours
+        self._drawn: tuple[object, ...] = ()
+        self._strongest = _WEAKEST
         axis = socket_axis(geometry)
         scene = server.scene
         scene.set_up_direction(axis.proximal)
+        # Colours are those of the bar from every side.
         scene.configure_default_lights(enabled=False)
         scene.configure_environment_map(hdri=None)
         scene.add_light_ambient("/light", intensity=np.pi)
         self._socket = scene.add_frame("/socket", show_axes=False)
-        edges = np.sqrt(geometry.areas)
-        self._edges = edges.astype(np.float32)
-        self._nothing = np.full((len(geometry), 3), 235, dtype=np.uint8)
-        self._tiles = scene.add_batched_meshes_simple(
-            "/socket/tiles",
-            _SQUARE,
-            _FACES,
-            _wxyz(Pose(geometry.rotations, geometry.anchors)),
-            geometry.anchors,
-            batched_scales=_SMALLEST * edges,
-            batched_colors=np.full((len(geometry), 3), 255, dtype=np.uint8),
-            lod="off",
-            side="double",
-            cast_shadow=False,
-            receive_shadow=False,
+        self._limb = scene.add_frame("/limb", axes_length=0.04, axes_radius=0.001, visible=False)
+        size = _Size.of(geometry, axis)
+        poses = Pose(geometry.rotations, geometry.anchors)
+        unrolled = _Map(geometry, axis, size)
+        self._pictures = (
+            _Tiles(scene, "/socket/tiles", poses, geometry),
+            _Tiles(scene, "/map", unrolled.poses, geometry),
         )
-        squares = tile_squares(geometry)
-        sides = np.stack([squares, np.roll(squares, -1, axis=1)], axis=2)
-        covered = covered_tiles(geometry)
-        for name, chosen, colour, width in (
-            ("tiles", ~covered, EDGE, 0.5),
-            ("clusters", covered, CLUSTER, 4.0),
-        ):
-            if chosen.any():
-                lines = sides[chosen].reshape(-1, 2, 3)
-                scene.add_line_segments(
-                    f"/socket/edges_of_{name}", lines, _rgb(colour), thickness=width
-                )
-        for name, tile in geometry.clusters.items():
-            scene.add_label(f"/socket/cluster_{name}", name, position=geometry.anchors[tile])
-        radius = float(axis.radii(geometry.anchors).max())
-        for name, direction in (
-            ("anterior", axis.anterior),
-            ("posterior", -axis.anterior),
-            ("left", axis.left),
-            ("right", -axis.left),
-        ):
-            scene.add_label(f"/{name}", name, position=axis.end + _AWAY * radius * direction)
-        middle = 0.5 * (geometry.anchors.min(axis=0) + geometry.anchors.max(axis=0))
-        span = float(np.linalg.norm(np.ptp(geometry.anchors, axis=0)))
-        server.initial_camera.look_at = middle
-        server.initial_camera.position = middle + span * (
-            1.2 * axis.anterior + 0.6 * axis.left + 0.7 * axis.proximal
+        unrolled.add_names(scene)
+        self._arrows = scene.add_arrows(
+            "/socket/shear",
+            np.zeros((1, 2, 3)),
+            np.zeros((1, 3), dtype=np.uint8),
+            shaft_radius=0.0009,
+            head_radius=0.0025,
+            head_length=0.005,
+            visible=False,
+        )
+        _add_names(scene, axis, size)
+        _add_limb(scene, axis, size)
+        server.initial_camera.look_at = size.middle - 0.38 * size.height * axis.left
+        server.initial_camera.fov = _VIEW
+        server.initial_camera.position = size.middle + size.height * (
+            3.2 * axis.anterior - 0.45 * axis.left + 1.1 * axis.proximal
         )
 
-    def update(self, instant: Instant) -> None:
-        """Draw a sample, unless it is the one that is drawn."""
-        if instant is self._drawn:
+    def update(self, instant: Instant, legend: Legend) -> None:
+        """Draw a sample.
+
+        Args:
+            instant: The sample.
+            legend: Says what the colours show.
+        """
+        wanted = (instant, legend.quantity, legend.limit)
+        if wanted == self._drawn:
             return
-        self._drawn = instant
+        self._drawn = wanted
         self._place(instant)
         estimate = instant.map
         if estimate is None:
-            self._tiles.batched_colors = self._nothing
-            self._tiles.batched_scales = _SMALLEST * self._edges
+            for picture in self._pictures:
+                picture.clear()
+            self._arrows.visible = False
             return
-        values = {
-            "normal pressure": estimate.normal_pressure[0],
-            "shear": estimate.shear[0],
-            "standard deviation": estimate.normal_pressure_standard_deviation[0],
-        }[self.quantity]
-        certainty = _certainty(
-            estimate.normal_pressure[0], estimate.normal_pressure_standard_deviation[0]
-        )
-        self._tiles.batched_colors = _colours(values / self.limit, certainty)
-        self._tiles.batched_scales = self._edges * (_SMALLEST + (_GAP - _SMALLEST) * certainty)
+        values, certainty = _shown(estimate, legend.quantity)
+        colours = _colours(values / legend.limit, certainty)
+        for picture in self._pictures:
+            picture.paint(colours, certainty)
+        self._draw_shear(estimate)
+
+    def _draw_shear(self, estimate: MapEstimate) -> None:
+        """An arrow on every tile whose shear is more than its standard deviation."""
+        shear, deviation = estimate.shear[0], estimate.shear_standard_deviation[0]
+        shown = shear > deviation
+        self._arrows.visible = bool(shown.any())
+        if not shown.any():
+            return
+        normals = self._geometry.rotations[shown, :, 2]
+        forces = estimate.forces[0, shown]
+        across = forces - (forces * normals).sum(axis=1, keepdims=True) * normals
+        # Between longest and strongest, so that arrows grow with the load and do not jump.
+        self._strongest = max(_WEAKEST, float(shear[shown].max()), 0.98 * self._strongest)
+        traction = across / self._geometry.areas[shown, None]
+        starts = self._geometry.anchors[shown]
+        ends = starts + _LONGEST / self._strongest * traction
+        certainty = _certainty(shear[shown], deviation[shown])[:, None]
+        self._arrows.points = np.stack([starts, ends], axis=1).astype(np.float32)
+        self._arrows.colors = _linear(_UNSURE + certainty * (_ARROW - _UNSURE))
 
     def _place(self, instant: Instant) -> None:
-        """Move the socket as it moves in the world."""
-        pose = instant.socket_in_world
-        if pose is None:
-            return
-        if self._world is None:
-            self._world = pose.inverse()
-        moved = self._world @ pose
-        self._socket.position = moved.translation
-        self._socket.wxyz = _wxyz(moved)
+        """Move socket and limb as they move in the world."""
+        socket, limb = instant.socket_in_world, instant.limb_in_world
+        if socket is not None:
+            if self._world is None:
+                self._world = socket.inverse()
+            moved = self._world @ socket
+            self._socket.position, self._socket.wxyz = moved.translation, _wxyz(moved)
+        self._limb.visible = limb is not None and self._world is not None
+        if limb is not None and self._world is not None:
+            moved = self._world @ limb
+            self._limb.position, self._limb.wxyz = moved.translation, _wxyz(moved)
+
+
+@dataclass(frozen=True)
+class _Size:
+    """How large a socket is: its middle in {S}, radius and height [m]."""
+
+    middle: FloatArray
+    radius: float
+    height: float
+
+    @classmethod
+    def of(cls, geometry: SocketGeometry, axis: SocketAxis) -> _Size:
+        height = float(np.ptp(axis.heights(geometry.anchors)))
+        radius = float(axis.radii(geometry.anchors).max())
+        height, radius = max(height, 0.05), max(radius, 0.02)
+        return cls(axis.end + 0.5 * height * axis.proximal, radius, height)
+
+
+class _Tiles:
+    """Tiles as coloured squares on pale plates; those with a cluster are outlined and named.
+
+    Args:
+        scene: Where they are drawn.
+        path: Their place in the tree of the scene.
+        poses: Their frames in that place, n of them.
+        geometry: Geometry of the socket.
+    """
+
+    def __init__(self, scene: SceneApi, path: str, poses: Pose, geometry: SocketGeometry) -> None:
+        self._edges = np.sqrt(geometry.areas).astype(np.float32)
+        white = np.full((len(geometry), 3), 255, dtype=np.uint8)
+        wxyz = _wxyz(poses)
+        for name, squares, scale in (("plates", _SQUARE, _PLATE), ("values", _BOTH_SIDES, 0.0)):
+            drawn = scene.add_batched_meshes_simple(
+                f"{path}/{name}",
+                squares,
+                _FACES if name == "plates" else np.vstack([_FACES, _FACES + 4]),
+                wxyz,
+                poses.translation,
+                batched_scales=scale * self._edges,
+                batched_colors=white if name == "values" else _rgb(SURFACE),
+                lod="off",
+                side="double",
+                cast_shadow=False,
+                receive_shadow=False,
+            )
+        self._values = drawn
+        corners = Pose(poses.rotation[:, None], poses.translation[:, None]).apply(
+            self._edges[:, None, None] * _SQUARE
+        )
+        sides = np.stack([corners, np.roll(corners, -1, axis=1)], axis=2)
+        for name, tile in geometry.clusters.items():
+            place = f"{path}/{name}"
+            scene.add_line_segments(place, sides[tile], _rgb(CLUSTER), thickness=_OUTLINE)
+            scene.add_label(
+                f"{place}/name",
+                name,
+                position=corners[tile].mean(axis=0),
+                anchor="bottom-center",
+                font_screen_scale=0.8,
+            )
+
+    def paint(self, colours: NDArray[np.uint8], certainty: NDArray[np.float32]) -> None:
+        """Show values.
+
+        Args:
+            colours: RGB, shape (n, 3).
+            certainty: How certain they are, 0 to 1, shape (n,) [-]: the less, the smaller.
+        """
+        self._values.batched_colors = colours
+        self._values.batched_scales = self._edges * (_SMALLEST + (_LARGEST - _SMALLEST) * certainty)
+
+    def clear(self) -> None:
+        """Show no values."""
+        self._values.batched_scales = np.zeros_like(self._edges)
+
+
+class _Map:
+    """The unrolled wall, as seen from outside with anterior in its middle; beside the socket.
+
+    Args:
+        geometry: Geometry of the socket.
+        axis: Its axis.
+        size: Its size.
+    """
+
+    def __init__(self, geometry: SocketGeometry, axis: SocketAxis, size: _Size) -> None:
+        wall = wall_tiles(geometry, axis)
+        self._radius = size.radius
+        if wall.any():
+            self._radius = float(np.median(axis.radii(geometry.anchors[wall])))
+        self._axis = axis
+        self._middle = axis.end - (np.pi * self._radius + 2.0 * size.radius) * axis.left
+        across = self._radius * axis.angles(geometry.anchors)
+        up = axis.heights(geometry.anchors)
+        offset = geometry.anchors - axis.end  # the distal end lies below the wall, anterior up
+        across = np.where(wall, across, offset @ axis.left)
+        up = np.where(wall, up, offset @ axis.anterior - 1.3 * size.radius)
+        turn = np.column_stack([axis.proximal, -axis.left, axis.anterior])
+        turns = np.broadcast_to(turn, (len(geometry), 3, 3))
+        self.poses = Pose(turns, self._place(across, up))
+
+    def add_names(self, scene: SceneApi) -> None:
+        """Name the sides below the wall."""
+        for turn, name in zip(
+            range(-2, 3), ("posterior", "right", "anterior", "left", "posterior"), strict=True
+        ):
+            across = 0.5 * np.pi * self._radius * turn
+            place = self._place(np.array([across]), np.array([-0.01]))[0]
+            scene.add_label(
+                f"/map/{turn}", name, position=place, anchor="top-center", font_screen_scale=0.8
+            )
+
+    def _place(self, across: FloatArray, up: FloatArray) -> FloatArray:
+        return self._middle + across[:, None] * self._axis.left + up[:, None] * self._axis.proximal
+
+
+def _add_names(scene: SceneApi, axis: SocketAxis, size: _Size) -> None:
+    """Where anterior and left are, and the frame of the load cell."""
+    sides = (
+        ("anterior", axis.anterior),
+        ("posterior", -axis.anterior),
+        ("left", axis.left),
+        ("right", -axis.left),
+    )
+    rays = np.array([[[0.0, 0.0, 0.0], direction] for _, direction in sides])
+    rays = axis.end + size.radius * np.array([1.1, _AWAY])[None, :, None] * rays[:, 1:]
+    scene.add_line_segments("/sides", rays, _rgb(VEIL), thickness=_OUTLINE)
+    for name, direction in sides:
+        place = axis.end + (_AWAY + 0.1) * size.radius * direction
+        scene.add_label(f"/sides/{name}", name, position=place, anchor="center-center")
+    scene.add_frame("/socket/load_cell", axes_length=0.04, axes_radius=0.0015, origin_radius=0.003)
+    scene.add_label("/socket/load_cell/name", "load cell", anchor="top-center")
+
+
+def _add_limb(scene: SceneApi, axis: SocketAxis, size: _Size) -> None:
+    """The limb as a rod with its lumped mass, drawn in its frame: that is as {S}, but moved."""
+    turn = np.column_stack([axis.anterior, axis.left, axis.proximal])
+    wxyz = _wxyz(Pose(turn, np.zeros(3)))
+    above = size.height
+    scene.add_cylinder(
+        "/limb/body",
+        radius=0.55 * size.radius,
+        height=1.1 * above,
+        color=_LIMB,
+        opacity=0.35,
+        wxyz=wxyz,
+        position=0.15 * above * axis.proximal,
+        cast_shadow=False,
+        receive_shadow=False,
+    )
+    scene.add_label("/limb/name", "limb", position=0.75 * above * axis.proximal)
+
+
+def _shown(estimate: MapEstimate, quantity: str) -> tuple[FloatArray, NDArray[np.float32]]:
+    """Values of a quantity [Pa] and how certain they are, shape (n,) each."""
+    deviation = estimate.normal_pressure_standard_deviation[0]
+    if quantity == DEVIATION:
+        return deviation, np.ones(len(deviation), dtype=np.float32)
+    if quantity == SHEAR:
+        return estimate.shear[0], _certainty(
+            estimate.shear[0], estimate.shear_standard_deviation[0]
+        )
+    assert quantity == PRESSURE
+    return estimate.normal_pressure[0], _certainty(estimate.normal_pressure[0], deviation)
 
 
 def _certainty(values: FloatArray, deviations: FloatArray) -> NDArray[np.float32]:
-    """How certain values are: 1 where they are determined, less where their interval is wider."""
+    """How certain values are: 1 where they are determined, less the wider their interval is.
+
+    A value is determined if its interval reaches no farther than `SHARE` of it.
+    """
     reach = np.maximum(NORMAL_QUANTILE * deviations, 1e-9)
-    shares = np.clip(SHARE * np.abs(values) / reach, 0.0, 1.0)
-    return np.nan_to_num(shares).astype(np.float32)
+    shares = np.nan_to_num(np.clip(SHARE * np.abs(values) / reach, 0.0, 1.0))
+    return (np.round(_STEPS * shares) / _STEPS).astype(np.float32)
 
 
 def _colours(shares: FloatArray, certainty: NDArray[np.float32]) -> NDArray[np.uint8]:
     """Colours of shares of the scale, RGB, shape (n, 3), the paler the less they are certain."""
     index = np.clip(np.nan_to_num(255.0 * shares), 0, 255).astype(int)
     strength = (_PALEST + (1.0 - _PALEST) * certainty)[:, None]
-    return np.asarray(255.0 + strength * (_COLOURS[index] - 255.0)).astype(np.uint8)
+    return _linear(255.0 + strength * (_COLOURS[index] - 255.0))
+
+
+def _linear(colours: FloatArray) -> NDArray[np.uint8]:
+    """Colours as viser wants those of many squares or arrows: linear light, not sRGB."""
+    share = np.asarray(colours) / 255.0
+    light = np.where(share <= 0.04045, share / 12.92, ((share + 0.055) / 1.055) ** 2.4)
+    return np.round(255.0 * light).astype(np.uint8)
 
 
 def _rgb(colour: str) -> tuple[int, int, int]:

@@ -111,6 +111,8 @@ class PageServer:
         # Nobody hands the page on to the internet.
         for message in (ShareUrlRequest, ShareUrlDisconnect):
             self.viser._websock_server.unregister_handler(message)
+        self.viser.gui.configure_theme(show_logo=False, show_share_button=False)
+        self.viser.gui.set_panel_label("socket_testbed")
         shown = f"[{host}]" if ":" in host else host
         self.url = f"http://{shown}:{port}"
 
