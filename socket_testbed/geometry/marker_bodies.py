@@ -5,10 +5,11 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from itertools import permutations
+from typing import TypeAlias
 
 import numpy as np
 
-from socket_testbed.arrays import FloatArray, IntArray
+from socket_testbed.arrays import BoolArray, FloatArray, IntArray
 from socket_testbed.geometry.pose import Pose
 
 
@@ -99,6 +100,7 @@ def root_mean_square(values: FloatArray, axis: int = -1) -> FloatArray:
 
 EDGE_TOLERANCE = 0.002  # [m]; well above the noise of a marker
 _SMALLEST = 0.01  # [m]
+FEWEST_MARKERS, MOST_MARKERS = 3, 8  # of a body
 
 _ORDERS = np.array(list(permutations(range(3))))
 _EDGES = ((0, 1), (1, 2), (2, 0))
@@ -110,14 +112,15 @@ _EDGES_OF_ORDERS = np.array(
 
 
 @dataclass(frozen=True)
-class TriadFit:
-    """Rigid fits of a triad to N frames.
+class BodyFit:
+    """Rigid fits of a body's k markers to N frames.
 
     Attributes:
         pose: Pose of the body in the frame of the observations; NaN where there is none.
-        residual: Root-mean-square distance of the markers from the fit, shape (N,) [m].
-        order: Which observed marker is the body's first, second and third, shape (N, 3);
-            -1 where there is no pose.
+        residual: Root-mean-square distance of the markers from the fit, shape (N,) [m]; NaN
+            where there is no pose.
+        order: Which observed marker is the body's first, second and so on, shape (N, k); -1
+            where there is no pose, and for a marker that the pose is fitted without.
     """
 
     pose: Pose
@@ -125,16 +128,33 @@ class TriadFit:
     order: IntArray
 
     @property
+    def found(self) -> BoolArray:
+        """Which frames have a pose, shape (N,)."""
+        return np.isfinite(self.residual)
+
+    @property
     def noise(self) -> float:
         """1-sigma noise of a marker's coordinate, pooled over the frames [m]; NaN without any.
 
-        Nine coordinates less the six of a pose leave 3 degrees of freedom a frame, so that the
-        squared residual, a third of the sum of squares, is sigma^2 on average. With it,
+        The coordinates of m markers less the six of a pose leave 3 m - 6 degrees of freedom a
+        frame; the sum of squares over their number is sigma^2 on average. With it,
         `pose_uncertainty(reference, noise)` is the uncertainty of the pose of one frame. An
         error of the reference itself is in the residual and thus counts as noise.
         """
-        seen = self.residual[np.isfinite(self.residual)]
-        return float(root_mean_square(seen)) if len(seen) else math.nan
+        used = (self.order[self.found] >= 0).sum(axis=1)
+        if not len(used):
+            return math.nan
+        squares = used @ self.residual[self.found] ** 2
+        return float(np.sqrt(squares / (3 * used - 6).sum()))
+
+
+def distances(markers: FloatArray) -> FloatArray:
+    """Distances between k markers, shape (..., k, k) [m]; NaN where one is occluded.
+
+    Args:
+        markers: Marker positions, shape (..., k, 3) [m].
+    """
+    return np.linalg.norm(markers[..., :, None, :] - markers[..., None, :, :], axis=-1)
 
 
 def edge_lengths(markers: FloatArray) -> FloatArray:
@@ -176,7 +196,7 @@ def triad_fault(edges: FloatArray) -> tuple[str, str] | None:
 
 def fit_triad(
     reference: FloatArray, observed: FloatArray, tolerance: float = EDGE_TOLERANCE
-) -> TriadFit:
+) -> BodyFit:
     """Fit a body's triad to observed ones, whatever the order of their labels.
 
     The labels stand if the edge lengths agree with the body's; otherwise the order whose
@@ -208,4 +228,162 @@ def fit_triad(
         pose = fit_rigid(reference, markers)
         rotation[usable], translation[usable] = pose.rotation, pose.translation
         residual[usable] = root_mean_square(misfit(reference, markers, pose))
-    return TriadFit(Pose(rotation, translation), residual, order)
+    return BodyFit(Pose(rotation, translation), residual, order)
+
+
+def body_fault(markers: FloatArray) -> tuple[str, str] | None:
+    """What makes a body's markers useless, and the hint; None for good ones.
+
+    Args:
+        markers: Marker positions in any frame, shape (k, 3) [m].
+    """
+    if len(markers) == FEWEST_MARKERS:
+        return triad_fault(edge_lengths(markers))
+    between = distances(markers)
+    a, b = np.unravel_index((between + np.diag([np.inf] * len(markers))).argmin(), between.shape)
+    if between[a, b] < _SMALLEST:
+        return (
+            f"markers {a + 1} and {b + 1} are {1e3 * between[a, b]:.1f} mm apart",
+            f"move them {1e3 * _SMALLEST:g} mm apart or more",
+        )
+    if _widths(markers) < _SMALLEST:
+        return (
+            "the markers are on one line",
+            f"move a marker {1e3 * _SMALLEST:g} mm or more away from the line",
+        )
+    alike = [m for m in _matches(between, between, 2.0 * EDGE_TOLERANCE) if _swaps(m)]
+    if alike:
+        swapped = ", ".join(str(seen + 1) for own, seen in alike[0] if own != seen)
+        return (
+            f"the markers look alike with labels {swapped} exchanged, so swapped labels cannot be"
+            " found",
+            "move one of them until all its distances differ by"
+            f" {2e3 * EDGE_TOLERANCE:g} mm or more",
+        )
+    return None
+
+
+def fit_body(
+    reference: FloatArray, observed: FloatArray, tolerance: float = EDGE_TOLERANCE
+) -> BodyFit:
+    """Fit a body to its markers in each frame, whatever the order of their labels.
+
+    Three markers are all needed (`fit_triad`). Of more, the pose is fitted to all that are seen
+    and whose distances agree with the body's, three at least. The labels stand where their
+    distances agree; otherwise the markers are told by their distances: the largest set that
+    agrees, if there is only one and it is most of what is seen; four markers or more, if they
+    change their labels. What is left of a body and could as well be another part of it, or is
+    on one line, has no pose.
+
+    Args:
+        reference: Markers in the body's frame, shape (k, 3) [m].
+        observed: Markers in another frame, shape (N, k, 3) [m]; NaN where occluded.
+        tolerance: Largest difference of a distance from the body's [m].
+    """
+    if len(reference) == FEWEST_MARKERS:
+        return fit_triad(reference, observed, tolerance)
+    own = distances(reference)
+    count, size = observed.shape[:2]
+    order = np.full((count, size), -1)
+    seen = np.isfinite(observed).all(axis=2).sum(axis=1)
+    waiting = seen >= FEWEST_MARKERS
+    trial: IntArray | None = np.arange(size)  # the labels' own order
+    while trial is not None:
+        markers = np.where((trial >= 0)[:, None], observed[:, trial], np.nan)
+        there = np.isfinite(markers).all(axis=2)
+        off = np.nan_to_num(np.abs(distances(markers) - own)).max(axis=(1, 2))
+        agree = waiting & (off <= tolerance) & (there.sum(axis=1) >= FEWEST_MARKERS)
+        order[agree] = np.where(there[agree], trial, -1)
+        waiting &= ~agree
+        trial = None
+        for frame in sorted(np.flatnonzero(waiting), key=lambda k: -seen[k]):
+            found = _matches(own, distances(observed[frame]), tolerance)
+            if len(found) == 1 and _is_sure(found[0], int(seen[frame])):
+                trial = np.full(size, -1)
+                trial[[i for i, _ in found[0]]] = [label for _, label in found[0]]
+                break
+            waiting[frame] = False
+    return _fit_ordered(reference, observed, order, tolerance)
+
+
+def _fit_ordered(
+    reference: FloatArray, observed: FloatArray, order: IntArray, tolerance: float
+) -> BodyFit:
+    """Fit each frame to the markers that its order names, all frames with the same ones at once."""
+    count = len(observed)
+    rotation, translation = np.full((count, 3, 3), np.nan), np.full((count, 3), np.nan)
+    residual = np.full(count, np.nan)
+    own = distances(reference)
+    for used in np.unique(order >= 0, axis=0):
+        if not _is_unique(reference, own, used, tolerance):
+            continue
+        rows = np.flatnonzero(((order >= 0) == used).all(axis=1))
+        markers = np.take_along_axis(observed[rows], order[rows][:, used][:, :, None], axis=1)
+        pose = fit_rigid(reference[used], markers)
+        off = root_mean_square(misfit(reference[used], markers, pose))
+        fits = off <= tolerance  # mirrored markers have all distances right
+        rows = rows[fits]
+        rotation[rows], translation[rows] = pose.rotation[fits], pose.translation[fits]
+        residual[rows] = off[fits]
+    order = np.where(np.isfinite(residual)[:, None], order, -1)
+    return BodyFit(Pose(rotation, translation), residual, order)
+
+
+def _is_unique(
+    reference: FloatArray, own: FloatArray, used: BoolArray, tolerance: float
+) -> bool:
+    """Whether some markers of a body have a pose, and could be no others of its markers."""
+    if used.sum() < FEWEST_MARKERS or _widths(reference[used]) < _SMALLEST:
+        return False
+    return bool(used.all()) or len(_matches(own, own[np.ix_(used, used)], tolerance)) == 1
+
+
+def _widths(markers: FloatArray) -> float:
+    """Largest distance of a marker from the line through the two that are farthest apart [m]."""
+    a, b = np.unravel_index(distances(markers).argmax(), (len(markers), len(markers)))
+    along = (markers[b] - markers[a]) / np.linalg.norm(markers[b] - markers[a])
+    return float(np.linalg.norm(np.cross(markers - markers[a], along), axis=1).max())
+
+
+_Match: TypeAlias = tuple[tuple[int, int], ...]  # pairs of a marker of the body and one seen
+
+
+def _swaps(match: _Match) -> bool:
+    return any(own != seen for own, seen in match)
+
+
+def _is_sure(match: _Match, seen: int) -> bool:
+    """Whether so many of the markers seen agree that it is no chance; labels count as one."""
+    return 2 * len(match) > seen and len(match) + (not _swaps(match)) > FEWEST_MARKERS
+
+
+def _matches(own: FloatArray, seen: FloatArray, tolerance: float) -> list[_Match]:
+    """The largest sets of pairs whose distances agree, one or two of them.
+
+    Args:
+        own: Distances between the body's markers, shape (k, k) [m].
+        seen: Distances between markers that are seen, shape (m, m) [m]; NaN where occluded.
+        tolerance: Largest difference between two distances [m].
+    """
+    difference = np.abs(own[:, None, :, None] - seen[None, :, None, :])
+    agree = np.nan_to_num(difference, nan=np.inf) <= tolerance  # of the pairs (i, a) and (j, b)
+    count = len(seen)
+    best: list[_Match] = [()]
+
+    def extend(match: _Match, begin: int, allowed: BoolArray) -> None:
+        """Add pairs of the markers seen from one on; `allowed` are those that agree with all."""
+        if len(match) > len(best[0]):
+            best[:] = [match]
+        elif len(match) == len(best[0]) and len(best) < 2 and match not in best:
+            best.append(match)
+        for a in range(begin, count):
+            most = len(match) + int(allowed[:, a:].any(axis=0).sum())
+            if most < len(best[0]) or (most == len(best[0]) and len(best) > 1):
+                return
+            for i in np.flatnonzero(allowed[:, a]):
+                left = allowed & agree[i, a]
+                left[i], left[:, a] = False, False
+                extend((*match, (int(i), a)), a + 1, left)
+
+    extend((), 0, np.broadcast_to(np.isfinite(np.diagonal(seen)), (len(own), count)))
+    return best

@@ -1,4 +1,4 @@
-"""The socket: points of interest, their frames and neighbours, clusters and marker triads."""
+"""The socket: points of interest, their frames and neighbours, clusters and marker bodies."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import yaml
 from socket_testbed.arrays import FloatArray, IntArray
 from socket_testbed.errors import ConfigurationError
 from socket_testbed.files import Section, atomic_output, closest, read_document
-from socket_testbed.geometry.marker_bodies import edge_lengths, triad_fault
+from socket_testbed.geometry.marker_bodies import FEWEST_MARKERS, MOST_MARKERS, body_fault
 from socket_testbed.geometry.pose import Pose, plain, pose_document, read_pose, read_rotation
 
 HEIGHTS = ("proximal", "middle", "distal")
@@ -41,8 +41,8 @@ class SocketGeometry:
         areas: Areas of the tiles, shape (n,) [m^2].
         neighbours: Pairs of neighbouring tiles, shape (e, 2).
         clusters: Index of the tile that each cluster covers, by the cluster's name.
-        socket_markers: Marker triad of the socket in its body frame, shape (3, 3) [m].
-        pylon_markers: Marker triad of the pylon in its body frame, shape (3, 3) [m].
+        socket_markers: Markers of the socket in its body frame, 3 to 8, shape (k, 3) [m].
+        pylon_markers: Markers of the pylon in its body frame, likewise.
         socket_body: Pose of the socket's marker body in {S}.
         limb: Pose of the limb in the pylon's marker body; its origin is the lumped mass.
         source: What the tiles were made from.
@@ -138,7 +138,7 @@ _HEADER = """\
 # surface, x the tangent towards the proximal end, y = z x x.
 # source: what the tiles were made from.
 # regions: your own, each a list of tiles; they may overlap.
-# bodies: the marker triads in their bodies' frames; in_load_cell: the socket body's pose in {S};
+# bodies: 3 to 8 markers each in their bodies' frames; in_load_cell: the socket body's pose in {S};
 # limb_in_body: the limb's pose in the pylon's body, its origin being the lumped mass;
 # registration: what they were registered with; without it they are nominal.
 """
@@ -185,8 +185,8 @@ def socket_from_section(document: Section) -> SocketGeometry:
         areas=np.array([tile.number("area", 1e-8, _LARGEST_TILE) for tile in tiles.values()]),
         neighbours=_neighbours(document, index),
         clusters=_clusters(document.section("clusters"), index),
-        socket_markers=_triad(socket),
-        pylon_markers=_triad(pylon),
+        socket_markers=_markers(socket),
+        pylon_markers=_markers(pylon),
         socket_body=read_pose(socket.section("in_load_cell"), _LARGEST_SOCKET),
         limb=read_pose(pylon.section("limb_in_body"), _LARGEST_SOCKET),
         source=document.text("source") if "source" in document.names() else "",
@@ -274,9 +274,16 @@ def read_region(section: Section, name: str, index: dict[str, int]) -> tuple[int
     return tuple(found)
 
 
-def _triad(section: Section) -> FloatArray:
-    markers = section.array("markers", (3, 3), limit=_LARGEST_BODY)
-    fault = triad_fault(edge_lengths(markers))
+def _markers(section: Section) -> FloatArray:
+    given = section.take("markers")
+    count = len(given) if isinstance(given, list) else FEWEST_MARKERS
+    if count > MOST_MARKERS:
+        raise ConfigurationError(
+            f"{section.where}: markers has {count} rows",
+            f"give {FEWEST_MARKERS} to {MOST_MARKERS} markers",
+        )
+    markers = section.array("markers", (max(count, FEWEST_MARKERS), 3), limit=_LARGEST_BODY)
+    fault = body_fault(markers)
     if fault:
         raise ConfigurationError(f"{section.where}: {fault[0]}", fault[1])
     return markers
