@@ -106,7 +106,7 @@ def _frames(name: str, body: RegisteredBody) -> str:
 def _markers(*bodies: RegisteredBody) -> str:
     rows = []
     for body in bodies:
-        residuals = [np.nan] * 3 + body.landmarks.residual.tolist()
+        residuals = [np.nan] * len(body.markers) + body.landmarks.residual.tolist()
         still = body.still
         for name, occluded, spread, drift, residual in zip(
             still.names, still.occluded, still.spread, still.drift, residuals, strict=True

@@ -18,6 +18,8 @@ from socket_testbed.arrays import FloatArray, IntArray
 from socket_testbed.errors import ConfigurationError, RegistrationError
 from socket_testbed.files import Section, read_document
 from socket_testbed.geometry.marker_bodies import (
+    FEWEST_MARKERS,
+    MOST_MARKERS,
     PoseUncertainty,
     fit_rigid,
     misfit,
@@ -28,7 +30,7 @@ from socket_testbed.geometry.pose import Pose
 
 LANDMARK_FILE_HELP = """LANDMARKS.yaml names the markers and gives the landmarks' coordinates.
 
-    bodies:                # the triads that stay on the bodies, as the take names their markers
+    bodies:                # the markers that stay on the bodies (3 to 8), as the take names them
       socket: [Socket:Marker1, Socket:Marker2, Socket:Marker3]
       pylon:               # or a rigid body of Motive with three markers; its frame is kept
         rigid_body: Pylon
@@ -264,7 +266,7 @@ class Side:
 
     Attributes:
         body: The body, `socket` or `pylon`.
-        triad: Its triad: the names of three markers, or that of a rigid body.
+        triad: The names of its own three to eight markers, or that of a rigid body.
         frame: The frame in which the landmarks are known: `load_cell` or `limb`.
         where: What names the landmarks in an error: the file and the frame.
         landmarks: Their coordinates by name, shape (3,) [m].
@@ -291,8 +293,8 @@ class LandmarkFile:
     """Which marker of a static take is what.
 
     Attributes:
-        socket: The socket's triad, and landmarks known in {S}.
-        pylon: The pylon's triad, and landmarks known in the limb's frame.
+        socket: The socket's markers, and landmarks known in {S}.
+        pylon: The pylon's markers, and landmarks known in the limb's frame.
     """
 
     socket: Side
@@ -328,10 +330,10 @@ def _labels(bodies: Section, body: str) -> TriadLabels:
     if isinstance(value, dict):
         return bodies.section(body).expect(("rigid_body",)).text("rigid_body")
     names = tuple(map(str, value)) if isinstance(value, list) else ()
-    if len(set(names)) != 3 or len(names) != 3:
+    if len(set(names)) != len(names) or not FEWEST_MARKERS <= len(names) <= MOST_MARKERS:
         raise ConfigurationError(
-            f"{bodies.where}: {body} names no three markers",
-            "give the names of three different markers, or 'rigid_body: NAME'",
+            f"{bodies.where}: {body} names no three to eight markers",
+            "give the names of three to eight different markers, or 'rigid_body: NAME'",
         )
     return names
 

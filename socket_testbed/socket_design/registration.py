@@ -1,12 +1,13 @@
 """The socket's body in {S} and the limb in the pylon's body, from a static take.
 
 A body without a frame of its own gets this one: origin at its first marker, x towards the
-second, z along the normal of the plane of the three, ``z ~ x x (m3 - m1)``, and y = z x x.
+second, z along the normal of the plane of these and the third, ``z ~ x x (m3 - m1)``, and
+y = z x x. Of more than three markers, that farthest from x takes the place of the third.
 
-On either side of the limb's joint with the socket, a triad that stays on its body and landmarks
-that are known in the frame of interest are rigid to each other. The triad gives
+On either side of the limb's joint with the socket, markers that stay on their body and landmarks
+that are known in the frame of interest are rigid to each other. The markers give
 world <- body, the landmarks give world <- frame; together they are frame <- body. The body's
-frame is defined by the very take: what is uncertain of it is how well a later triad finds it.
+frame is defined by the very take: what is uncertain of it is how well later markers find it.
 """
 
 from __future__ import annotations
@@ -23,14 +24,16 @@ from socket_testbed.arrays import BoolArray, FloatArray, IntArray
 from socket_testbed.errors import RegistrationError
 from socket_testbed.geometry.axis import socket_axis
 from socket_testbed.geometry.marker_bodies import (
+    FEWEST_MARKERS,
+    MOST_MARKERS,
+    BodyFit,
     PoseUncertainty,
-    TriadFit,
-    edge_lengths,
+    body_fault,
+    distances,
+    fit_body,
     fit_rigid,
-    fit_triad,
     pose_uncertainty,
     root_mean_square,
-    triad_fault,
 )
 from socket_testbed.geometry.pose import Pose
 from socket_testbed.geometry.socket import SocketGeometry
@@ -66,7 +69,7 @@ class StillMarkers:
             means of blocks of frames, so that slow motion and correlated noise count.
         used: Which frames are averaged, shape (N,).
         occluded: Number of frames in which each marker is occluded, shape (k,).
-        mislabelled: Number of frames left out whose triad fits in no order of its labels.
+        mislabelled: Number of frames left out whose body fits in no order of its labels.
         jumped: Number of frames left out in which a marker is far from its usual place.
     """
 
@@ -106,7 +109,7 @@ def average_still(
     Args:
         names: Names of the k markers.
         positions: Their positions over N frames, shape (N, k, 3) [m]; NaN where occluded.
-        fits: Frames whose triad fits in some order of its labels, shape (N,).
+        fits: Frames whose markers fit in some order of their labels, shape (N,).
         where: What names the body in an error.
 
     Raises:
@@ -120,7 +123,7 @@ def average_still(
         worst = int(occluded.argmax())
         raise RegistrationError(
             f"{where}: {count} of {len(positions)} frames show all of {', '.join(names)}"
-            f" ({names[worst]} is occluded in {int(occluded[worst])}, the triad's edges are not its"
+            f" ({names[worst]} is occluded in {int(occluded[worst])}, the body's distances are not its"
             f" usual ones in {mislabelled})",
             f"record {_FEWEST_FRAMES} frames or more in which the cameras see them all",
         )
@@ -162,61 +165,84 @@ def average_still(
 
 
 def own_frame(markers: FloatArray) -> Pose:
-    """Pose of a triad's own frame (see above) in the frame of its markers.
+    """Pose of a body's own frame (see above) in the frame of its markers.
 
     Args:
-        markers: A triad that is not on one line, shape (3, 3) [m].
+        markers: Markers that are not on one line, shape (k, 3) [m].
     """
     x = _direction(markers[1] - markers[0])
-    z = _direction(np.cross(x, markers[2] - markers[0]))
+    normals = np.cross(x, markers - markers[0])
+    z = _direction(normals[np.linalg.norm(normals, axis=1).argmax()])
     return Pose(np.column_stack([x, np.cross(z, x), z]), markers[0])
 
 
-def fit_labels(observed: FloatArray, where: str) -> TriadFit:
-    """Find which observed marker is which, from the edges that most of the frames agree on.
+def fit_labels(observed: FloatArray, where: str) -> BodyFit:
+    """Find which observed marker is which, from the distances that most of the frames agree on.
 
-    Labels that are swapped in fewer than half of the frames are put right: `TriadFit.order`.
+    Labels that are swapped in fewer than half of the frames are put right: `BodyFit.order`.
 
     Args:
-        observed: The triad over N frames, shape (N, 3, 3) [m]; NaN where occluded.
-        where: What names the triad in an error.
+        observed: The body's markers over N frames, shape (N, k, 3) [m]; NaN where occluded.
+        where: What names the body in an error.
 
     Raises:
-        RegistrationError: If no frame shows all three markers, or if their triangle is too
-            small, flat or symmetric for a body.
+        RegistrationError: If no frame shows all markers, or if they are too close, on one line
+            or too symmetric for a body.
     """
-    edges = edge_lengths(observed)
-    seen = np.isfinite(edges).all(axis=1)
+    between = distances(observed)
+    seen = np.isfinite(between).all(axis=(1, 2))
     if not seen.any():
         raise RegistrationError(
-            f"{where}: no frame shows all three markers", "check their labels in Motive"
+            f"{where}: no frame shows all {_in_words(observed)} markers",
+            "check their labels in Motive",
         )
-    usual = np.median(edges[seen], axis=0)
-    fault = triad_fault(usual)
+    usual = np.median(between[seen], axis=0)
+    # The frame that is nearest to the usual one has no swapped labels.
+    nearest = np.abs(between[seen] - usual).max(axis=(1, 2)).argmin()
+    reference = _from_distances(usual, observed[seen][nearest])
+    fault = body_fault(reference)
     if fault:
         raise RegistrationError(f"{where}: {fault[0]}", fault[1])
-    return fit_triad(_triangle(usual), observed)
+    return fit_body(reference, observed)
+
+
+def _in_words(observed: FloatArray) -> str:
+    return "three" if observed.shape[1] == FEWEST_MARKERS else str(observed.shape[1])
+
+
+def _from_distances(usual: FloatArray, like: FloatArray) -> FloatArray:
+    """Markers of some distances, as those of a frame lie, shape (k, 3) [m].
+
+    Classical scaling (Torgerson 1952, doi:10.1007/BF02288916): coordinates from the
+    eigenvectors of the centred squares of the distances, turned or mirrored onto the frame.
+    """
+    centre = np.eye(len(usual)) - 1.0 / len(usual)
+    values, vectors = np.linalg.eigh(-0.5 * centre @ usual**2 @ centre)
+    points = vectors[:, -3:] * np.sqrt(np.maximum(values[-3:], 0.0))
+    arms = like - like.mean(axis=0)
+    left, _, right = np.linalg.svd(points.T @ arms)
+    return np.asarray(points @ left @ right)
 
 
 def relabel(observed: FloatArray, order: IntArray) -> FloatArray:
-    """Triads in the order that a fit found, shape (N, 3, 3) [m]; as they are where it has none.
+    """Markers in the order that a fit found, shape (N, k, 3) [m]; as they are where it has none.
 
     Args:
-        observed: The triad over N frames, shape (N, 3, 3) [m].
-        order: `TriadFit.order`, shape (N, 3).
+        observed: A body's markers over N frames, shape (N, k, 3) [m].
+        order: `BodyFit.order`, shape (N, k).
     """
-    known = np.where(order < 0, np.arange(3), order)
+    known = np.where((order < 0).any(axis=1, keepdims=True), np.arange(order.shape[1]), order)
     return np.take_along_axis(observed, known[:, :, None], axis=1)
 
 
 def tracked_frame(markers: FloatArray, body: Pose, where: str) -> Pose:
-    """Pose of a frame that was tracked over N frames, in which a triad stood still.
+    """Pose of a frame that was tracked over N frames, in which a body stood still.
 
     The markers are taken into the tracked frame, where the median leaves out the frames in
     which the tracking went wrong, and the frame is fitted to the mean of the markers.
 
     Args:
-        markers: The triad, shape (N, 3, 3) [m].
+        markers: The body's markers, shape (N, k, 3) [m].
         body: N poses of the tracked frame in the frame of the markers; NaN where it was lost.
         where: What names the body in an error.
 
@@ -228,7 +254,7 @@ def tracked_frame(markers: FloatArray, body: Pose, where: str) -> Pose:
         raise RegistrationError(
             f"{where}: Motive tracked its rigid body in {int(tracked.sum())} of {len(markers)}"
             " frames that show its markers",
-            "name its three markers instead of 'rigid_body'",
+            "name its markers instead of 'rigid_body'",
         )
     arms = markers[tracked] - body.translation[tracked, None]
     in_body = np.median(arms @ body.rotation[tracked], axis=0)
@@ -238,14 +264,6 @@ def tracked_frame(markers: FloatArray, body: Pose, where: str) -> Pose:
 
 def _direction(vector: FloatArray) -> FloatArray:
     return vector / np.linalg.norm(vector)
-
-
-def _triangle(edges: FloatArray) -> FloatArray:
-    """A triad in its own frame from its edges 0-1, 1-2 and 2-0, shape (3, 3) [m]."""
-    base, opposite, side = edges
-    x = (base**2 + side**2 - opposite**2) / (2.0 * base)
-    y = np.sqrt(side**2 - x**2)
-    return np.array([[0.0, 0.0, 0.0], [base, 0.0, 0.0], [x, y, 0.0]])
 
 
 NOTED_RESIDUAL = 0.002  # [m]
@@ -262,8 +280,8 @@ class RegisteredBody:
     """A marker body and the frame that the landmarks beside it give.
 
     Attributes:
-        still: Its markers in the take: the triad's three, then the landmarks.
-        markers: The triad in the body's frame, shape (3, 3) [m].
+        still: Its markers in the take: the body's own, then the landmarks.
+        markers: The body's own in its frame, shape (k, 3) [m].
         in_frame: Pose of the body in the frame of the landmarks.
         landmarks: Fit of the landmarks, to `world`.
         reference: Uncertainty of a later pose of the body that comes from `markers`.
@@ -306,7 +324,7 @@ class Registration:
 
     Attributes:
         take: The take.
-        geometry: The socket with its new triads, `socket_body` and `limb`.
+        geometry: The socket with its new marker bodies, `socket_body` and `limb`.
         socket: The socket's body and {S}.
         pylon: The pylon's body and the limb's frame.
         limb_position: Limb position q in {S} during the take, shape (3,) [m].
@@ -362,7 +380,7 @@ def register_take(
     """Register a socket's marker bodies and its limb.
 
     Args:
-        take: A static take that shows both triads and all landmarks.
+        take: A static take that shows both bodies and all landmarks.
         landmarks: Which marker is what.
         geometry: The socket, whose tiles stay.
         force: Accept landmarks whose residual is above `MOST_RESIDUAL`, or whose signs
@@ -406,18 +424,20 @@ def register_take(
 
 def _register_body(take: MotiveTake, side: Side) -> RegisteredBody:
     where = f"{take.path}: {side.body}"
-    triad = _triad_names(take, side.triad, where)
-    observed = take.stack(triad)
+    names = _body_names(take, side.triad, where)
+    count = len(names)
+    observed = take.stack(names)
     fit = fit_labels(observed, where)
     positions = np.concatenate([relabel(observed, fit.order), take.stack(side.landmarks)], axis=1)
-    still = average_still((*triad, *side.landmarks), positions, fit.order[:, 0] >= 0, where)
+    whole = (fit.order >= 0).all(axis=1)
+    still = average_still((*names, *side.landmarks), positions, whole, where)
     if isinstance(side.triad, str):
         tracked = take.body(side.triad).pose
         used = Pose(tracked.rotation[still.used], tracked.translation[still.used])
-        in_world = tracked_frame(positions[still.used, :3], used, where)
+        in_world = tracked_frame(positions[still.used, :count], used, where)
     else:
-        in_world = own_frame(still.mean[:3])
-    markers = in_world.inverse().apply(still.mean[:3])
+        in_world = own_frame(still.mean[:count])
+    markers = in_world.inverse().apply(still.mean[:count])
     landmarks = _register_landmarks(side, still)
     return RegisteredBody(
         still=still,
@@ -429,21 +449,21 @@ def _register_body(take: MotiveTake, side: Side) -> RegisteredBody:
     )
 
 
-def _triad_names(take: MotiveTake, triad: TriadLabels, where: str) -> tuple[str, ...]:
+def _body_names(take: MotiveTake, triad: TriadLabels, where: str) -> tuple[str, ...]:
     if not isinstance(triad, str):
         return triad
     names = take.markers_of(triad)
-    if len(names) != 3:
+    if not FEWEST_MARKERS <= len(names) <= MOST_MARKERS:
         raise RegistrationError(
             f"{where}: the rigid body '{triad}' has {len(names)} measured markers in the take"
             f" ({', '.join(names) or 'none'})",
-            "export its markers, or name the three markers of its triad instead of 'rigid_body'",
+            "export its markers, or name three to eight of them instead of 'rigid_body'",
         )
     return names
 
 
 def _register_landmarks(side: Side, still: StillMarkers) -> LandmarkFit:
-    known, measured = side.points(), still.mean[3:]
+    known, measured = side.points(), still.mean[-len(side.landmarks) :]
     names = tuple(side.landmarks)
     try:
         fit = register_landmarks(known, measured, names)
