@@ -290,7 +290,7 @@ def fit_body(
     trial: IntArray | None = np.arange(size)  # the labels' own order
     while trial is not None:
         markers = np.where((trial >= 0)[:, None], observed[:, trial], np.nan)
-        there = np.isfinite(markers).all(axis=2)
+        there = np.isfinite(markers.sum(axis=2))
         off = np.nan_to_num(np.abs(distances(markers) - own)).max(axis=(1, 2))
         agree = waiting & (off <= tolerance) & (there.sum(axis=1) >= FEWEST_MARKERS)
         order[agree] = np.where(there[agree], trial, -1)
@@ -314,10 +314,11 @@ def _fit_ordered(
     rotation, translation = np.full((count, 3, 3), np.nan), np.full((count, 3), np.nan)
     residual = np.full(count, np.nan)
     own = distances(reference)
-    for used in np.unique(order >= 0, axis=0):
+    named = order >= 0
+    for used in np.unique(named, axis=0):
         if not _is_unique(reference, own, used, tolerance):
             continue
-        rows = np.flatnonzero(((order >= 0) == used).all(axis=1))
+        rows = np.flatnonzero((named == used).all(axis=1))
         markers = np.take_along_axis(observed[rows], order[rows][:, used][:, :, None], axis=1)
         pose = fit_rigid(reference[used], markers)
         off = root_mean_square(misfit(reference[used], markers, pose))
@@ -329,9 +330,7 @@ def _fit_ordered(
     return BodyFit(Pose(rotation, translation), residual, order)
 
 
-def _is_unique(
-    reference: FloatArray, own: FloatArray, used: BoolArray, tolerance: float
-) -> bool:
+def _is_unique(reference: FloatArray, own: FloatArray, used: BoolArray, tolerance: float) -> bool:
     """Whether some markers of a body have a pose, and could be no others of its markers."""
     if used.sum() < FEWEST_MARKERS or _widths(reference[used]) < _SMALLEST:
         return False

@@ -11,6 +11,7 @@ from socket_testbed.drivers.load_cell.load_cell import LoadCell
 from socket_testbed.drivers.natnet.client import NatNetClient
 from socket_testbed.drivers.natnet.tracker import BodyTracker
 from socket_testbed.errors import DeviceError, TestbedError
+from socket_testbed.geometry.marker_bodies import FEWEST_MARKERS
 from socket_testbed.geometry.socket import read_socket
 from socket_testbed.live.bringup import Testbed
 from socket_testbed.live.hardware import i2c_opener, make_trigger, spi_opener
@@ -150,9 +151,11 @@ def check_motion_capture(testbed: Testbed) -> Iterator[Finding]:
         yield _of_message("motion capture stream", message)
     clock = f"known within {link['clock uncertainty']}, jitter {link['clock jitter']}"
     yield Finding("motion capture clock", clock)
-    for body, fault in zip((settings.socket_body, settings.pylon_body), seen.faults, strict=True):
-        what = f"rigid body {body}"
-        yield _of_message(what, fault) if fault else Finding(what, "its three markers are seen")
+    counts = (len(geometry.socket_markers), len(geometry.pylon_markers))
+    names = (settings.socket_body, settings.pylon_body)
+    for body, count, fault in zip(names, counts, seen.faults, strict=True):
+        what, number = f"rigid body {body}", "three" if count == FEWEST_MARKERS else count
+        yield _of_message(what, fault) if fault else Finding(what, f"its {number} markers are seen")
 
 
 CHECKS: tuple[Check, ...] = (

@@ -19,6 +19,7 @@ from socket_testbed import clocks
 from socket_testbed.arrays import FloatArray
 from socket_testbed.calibration.model import Calibration, read_calibration
 from socket_testbed.clocks import SteadyClock
+from socket_testbed.geometry.pose import Pose
 from socket_testbed.geometry.socket import SocketGeometry, read_socket
 from socket_testbed.live.processes import end_with_starter
 from socket_testbed.simulation.devices.natnet_server import NatNetServer
@@ -109,16 +110,10 @@ class LiveTestbed:
         )
         swayed = self._sway * np.sin(2.0 * np.pi * elapsed / np.array([3.0, 4.1, 5.3]))
         socket, pylon = self._bodies.poses(position[None], rotation[None], load[None], swayed)
-        markers = np.vstack(
-            [
-                place_markers(socket, self._geometry.socket_markers),
-                place_markers(pylon, self._geometry.pylon_markers),
-            ]
-        )
         poses = np.vstack(
             [np.hstack([pose.translation, pose.quaternion()]) for pose in (socket, pylon)]
         )
-        self._world.push(moment, capacitance, load + self._offset, markers, poses)
+        self._world.push(moment, capacitance, load + self._offset, poses)
         self._history.append(
             {
                 "moment": moment,
@@ -128,7 +123,7 @@ class LiveTestbed:
                 "rotation": rotation,
                 "felt_capacitance": capacitance,
                 "felt_wrench": load + self._offset,
-                "felt_markers": markers,
+                "felt_markers": _padded(markers_at(self._geometry, poses)),
                 "lateness": clocks.monotonic() - moment,
             }
         )
@@ -145,6 +140,26 @@ class LiveTestbed:
             **{field.name: columns.pop(field.name) for field in fields(GroundTruth)}
         )
         save_truth(path, self._geometry.names, stamps, truth, **columns)
+
+
+def markers_at(geometry: SocketGeometry, poses: FloatArray) -> list[FloatArray]:
+    """Markers of socket and pylon in the world, shape (k, 3) each [m].
+
+    Args:
+        geometry: The socket.
+        poses: Positions [m] and quaternions (x, y, z, w) of the two bodies, shape (2, 7).
+    """
+    bodies = Pose.from_quaternion(poses[:, :3], poses[:, 3:])
+    references = (geometry.socket_markers, geometry.pylon_markers)
+    return [place_markers(bodies, markers)[k] for k, markers in enumerate(references)]
+
+
+def _padded(markers: list[FloatArray]) -> FloatArray:
+    """Markers of bodies, shape (2, k, 3) [m]; NaN beyond those of the body with fewer."""
+    padded = np.full((len(markers), max(map(len, markers)), 3), np.nan)
+    for row, own in zip(padded, markers, strict=True):
+        row[: len(own)] = own
+    return padded
 
 
 def main() -> None:
@@ -169,9 +184,10 @@ def main() -> None:
     clock = SteadyClock()
     world = World(options.world)
     errors = SensorErrors()
+    geometry = read_socket(options.geometry)
     testbed = LiveTestbed(
         world,
-        read_socket(options.geometry),
+        geometry,
         read_calibration(options.calibration),
         options.scenario,
         options.duration,
@@ -183,8 +199,11 @@ def main() -> None:
     )
 
     def bodies(moment: float) -> list[tuple[str, FloatArray, FloatArray, FloatArray]]:
-        markers, poses = world.markers(moment), world.poses(moment)
-        return [(name, markers[i], poses[i, :3], poses[i, 3:]) for i, name in enumerate(_BODIES)]
+        poses = world.poses(moment)
+        return [
+            (name, markers, pose[:3], pose[3:])
+            for name, markers, pose in zip(_BODIES, markers_at(geometry, poses), poses, strict=True)
+        ]
 
     moment = clocks.monotonic()
     testbed.advance(moment)

@@ -5,6 +5,8 @@ They need no more than numpy: the nodes that measure start quickly.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import Point, Pose, Quaternion, Vector3, Wrench
@@ -80,14 +82,14 @@ def point_to_ros(position: FloatArray) -> Point:
 
 
 def markers_to_ros(
-    stamp: int, frame: str, bodies: tuple[str, ...], markers: FloatArray
+    stamp: int, frame: str, bodies: Sequence[str], markers: Sequence[FloatArray]
 ) -> RigidBodyMarkersArray:
-    """Message from the markers of b bodies, shape (b, m, 3) [m]; NaN where occluded."""
-    triads = [
-        RigidBodyMarkers(name=name, markers=[point_to_ros(marker) for marker in triad])
-        for name, triad in zip(bodies, markers, strict=True)
+    """Message from the markers of each body, shape (m, 3) [m]; NaN where occluded."""
+    found = [
+        RigidBodyMarkers(name=name, markers=[point_to_ros(marker) for marker in own])
+        for name, own in zip(bodies, markers, strict=True)
     ]
-    return RigidBodyMarkersArray(header=header_to_ros(stamp, frame), bodies=triads)
+    return RigidBodyMarkersArray(header=header_to_ros(stamp, frame), bodies=found)
 
 
 def capacitance_to_ros(

@@ -38,7 +38,9 @@ class MocapNode(SensorNode[MocapSettings]):
         path = settings.geometry
         geometry = read_socket(Path(path) if path else packaged("config", "socket.yaml"))
         self._stale = settings.stale
-        self._tracker = BodyTracker(settings, geometry.socket_markers, geometry.pylon_markers)
+        bodies = (geometry.socket_markers, geometry.pylon_markers)
+        self._counts = tuple(map(len, bodies))
+        self._tracker = BodyTracker(settings, *bodies)
         self._client = NatNetClient(settings, self._tracker.add)
         self._poses = [self.advertise(topic) for topic in (SOCKET_POSE, PYLON_POSE)]
         self._markers = self.advertise(MARKERS)
@@ -76,7 +78,8 @@ class MocapNode(SensorNode[MocapSettings]):
             self._poses, sample.positions, sample.quaternions, strict=True
         ):
             publisher.publish(PoseStamped(header=header, pose=pose_to_ros(position, quaternion)))
-        self._markers.publish(markers_to_ros(stamp, _WORLD, ("socket", "pylon"), sample.markers))
+        markers = [own[:count] for own, count in zip(sample.markers, self._counts, strict=True)]
+        self._markers.publish(markers_to_ros(stamp, _WORLD, ("socket", "pylon"), markers))
         self._delay = clocks.monotonic() - moment
         self.missing += any(sample.faults)
 

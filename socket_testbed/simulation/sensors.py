@@ -191,30 +191,30 @@ class MarkerBodies:
 
 
 def place_markers(pose: Pose, markers: FloatArray) -> FloatArray:
-    """Markers of N bodies in the world, shape (N, 3, 3) [m], from theirs in the body's frame."""
+    """Markers of N bodies in the world, shape (N, k, 3) [m], from theirs in the body's frame."""
     return np.asarray(markers @ np.swapaxes(pose.rotation, 1, 2) + pose.translation[:, None])
 
 
 def observe_markers(
     pose: Pose, markers: FloatArray, errors: SensorErrors, rng: np.random.Generator
 ) -> FloatArray:
-    """What the cameras see of a body's triad.
+    """What the cameras see of a body's markers.
 
     Args:
         pose: Poses of the body in the world, N of them.
-        markers: The triad in the body's frame, shape (3, 3) [m].
+        markers: The k markers in the body's frame, shape (k, 3) [m].
         errors: Sizes of the errors.
         rng: Their source.
 
     Returns:
-        Labelled positions in the world, shape (N, 3, 3) [m]; NaN where occluded.
+        Labelled positions in the world, shape (N, k, 3) [m]; NaN where occluded.
     """
     seen = place_markers(pose, markers)
     seen += rng.normal(0.0, errors.marker_noise, seen.shape)
-    count = len(seen)
+    count, size = seen.shape[:2]
     swapped = np.flatnonzero(rng.uniform(size=count) < errors.label_swap)
     for k in swapped:
-        pair = rng.choice(3, 2, replace=False)
+        pair = rng.choice(size, 2, replace=False)
         seen[k, pair] = seen[k, pair[::-1]]
-    seen[rng.uniform(size=(count, 3)) < errors.drop_out] = np.nan
+    seen[rng.uniform(size=(count, size)) < errors.drop_out] = np.nan
     return seen

@@ -16,7 +16,7 @@ from socket_testbed.arrays import FloatArray, IntArray
 from socket_testbed.calibration.model import Calibration
 from socket_testbed.errors import TrialError
 from socket_testbed.files import atomic_output, check_new_folder, make_folder
-from socket_testbed.geometry.marker_bodies import fit_triad
+from socket_testbed.geometry.marker_bodies import fit_body
 from socket_testbed.geometry.pose import Pose
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.samples import Status
@@ -85,8 +85,8 @@ class SimulatedTrial:
         stamps: Times of the triggers since the epoch, shape (N,) [ns].
         capacitance: Capacitances by cluster and input, shape (N, 4) each [pF].
         wrench: Measured wrench [M; F], shape (N, 6) [N m, N].
-        socket_markers: Observed triad of the socket in the world, in the frame at the trigger,
-            shape (N, 3, 3) [m].
+        socket_markers: Observed markers of the socket in the world, in the frame at the trigger,
+            shape (N, k, 3) [m].
         pylon_markers: The same of the pylon.
         socket_pose: Mean pose of the socket's body in the frames around the trigger; NaN where
             none of them shows it.
@@ -189,20 +189,20 @@ def _motion_capture(
     window: float,
     errors: SensorErrors,
     rng: np.random.Generator,
-) -> tuple[FloatArray, list[Pose]]:
+) -> tuple[list[FloatArray], list[Pose]]:
     """Markers of both bodies at each trigger and their mean poses in the window around it.
 
     Between the triggers the limb moves linearly, and so on before the first and after the last.
 
     Returns:
-        Markers of socket and pylon, shape (2, N, 3, 3) [m], and N poses of each.
+        Markers of socket and pylon, shape (N, k, 3) each [m], and N poses of each.
     """
     bodies = MarkerBodies(geometry, errors, rng)
     references = (geometry.socket_markers, geometry.pylon_markers)
     reach = int(0.5 * window * CAMERA_RATE)
     offsets = np.arange(-reach, reach + 1) * rate / CAMERA_RATE  # [triggers]
     count = len(truth.wrench)
-    markers = np.empty((2, count, 3, 3))
+    markers = [np.empty((count, *reference.shape)) for reference in references]
     poses = [Pose(np.empty((count, 3, 3)), np.empty((count, 3))) for _ in references]
     pieces = 1 + count * len(offsets) // _FRAMES_AT_ONCE
     for rows in np.array_split(np.arange(count), pieces):
@@ -212,8 +212,8 @@ def _motion_capture(
         true = bodies.poses(*(_between(values, after, at - after + 1.0) for values in moved))
         for i, reference in enumerate(references):
             seen = observe_markers(true[i], reference, errors, rng)
-            markers[i, rows] = seen[reach :: len(offsets)]
-            mean = _mean_poses(fit_triad(reference, seen).pose, len(rows))
+            markers[i][rows] = seen[reach :: len(offsets)]
+            mean = _mean_poses(fit_body(reference, seen).pose, len(rows))
             poses[i].rotation[rows], poses[i].translation[rows] = mean.rotation, mean.translation
     return markers, poses
 

@@ -46,7 +46,7 @@ FAULTS = {
 _FILE = "world"
 _KEPT = 32  # states; more than any chip looks back
 _INPUTS = 16  # capacitances
-_WIDTH = _INPUTS + 6 + 18 + 14
+_WIDTH = _INPUTS + 6 + 14
 _LAYOUT = np.dtype(
     [
         ("changes", np.uint64),
@@ -124,7 +124,6 @@ class World:
         moment: float,
         capacitance: FloatArray,
         wrench: FloatArray,
-        markers: FloatArray,
         poses: FloatArray,
     ) -> None:
         """Add the state at a time later than all before.
@@ -133,10 +132,9 @@ class World:
             moment: Time of the steady clock [s].
             capacitance: Capacitances by cluster and input, shape (4, 4) [pF].
             wrench: What the load cell feels [M; F], shape (6,) [N m, N].
-            markers: Markers of socket and pylon in the world, shape (2, 3, 3) [m].
             poses: Positions [m] and quaternions (x, y, z, w) of the two bodies, shape (2, 7).
         """
-        state = np.concatenate([a.ravel() for a in (capacitance, wrench, markers, poses)])
+        state = np.concatenate([a.ravel() for a in (capacitance, wrench, poses)])
         # While the count of changes is odd, readers know that a change is under way.
         self._changes[0] += 1
         if self._changes[0] == 1:  # before the first state it was as it is then
@@ -156,13 +154,9 @@ class World:
         """What the load cell feels [M; F], shape (6,) [N m, N]."""
         return self._at(moment)[_INPUTS : _INPUTS + 6]
 
-    def markers(self, moment: float) -> FloatArray:
-        """Markers of socket and pylon in the world, shape (2, 3, 3) [m]."""
-        return self._at(moment)[_INPUTS + 6 : _INPUTS + 24].reshape(2, 3, 3)
-
     def poses(self, moment: float) -> FloatArray:
         """Positions [m] and quaternions (x, y, z, w) of the two bodies, shape (2, 7)."""
-        poses = self._at(moment)[_INPUTS + 24 :].reshape(2, 7)
+        poses = self._at(moment)[_INPUTS + 6 :].reshape(2, 7)
         poses[:, 3:] /= np.linalg.norm(poses[:, 3:], axis=1, keepdims=True)
         return poses
 

@@ -123,7 +123,7 @@ def average_still(
         worst = int(occluded.argmax())
         raise RegistrationError(
             f"{where}: {count} of {len(positions)} frames show all of {', '.join(names)}"
-            f" ({names[worst]} is occluded in {int(occluded[worst])}, the body's distances are not its"
+            f" ({names[worst]} is occluded in {int(occluded[worst])}, the distances are not the"
             f" usual ones in {mislabelled})",
             f"record {_FEWEST_FRAMES} frames or more in which the cameras see them all",
         )
@@ -198,12 +198,13 @@ def fit_labels(observed: FloatArray, where: str) -> BodyFit:
         )
     usual = np.median(between[seen], axis=0)
     # The frame that is nearest to the usual one has no swapped labels.
-    nearest = np.abs(between[seen] - usual).max(axis=(1, 2)).argmin()
+    nearest = int(np.abs(between[seen] - usual).max(axis=(1, 2)).argmin())
     reference = _from_distances(usual, observed[seen][nearest])
     fault = body_fault(reference)
     if fault:
         raise RegistrationError(f"{where}: {fault[0]}", fault[1])
-    return fit_body(reference, observed)
+    known = relabel(observed, fit_body(reference, observed).order)[seen]
+    return fit_body(_from_distances(np.median(distances(known), axis=0), known[nearest]), observed)
 
 
 def _in_words(observed: FloatArray) -> str:
@@ -429,7 +430,7 @@ def _register_body(take: MotiveTake, side: Side) -> RegisteredBody:
     observed = take.stack(names)
     fit = fit_labels(observed, where)
     positions = np.concatenate([relabel(observed, fit.order), take.stack(side.landmarks)], axis=1)
-    whole = (fit.order >= 0).all(axis=1)
+    whole = np.asarray((fit.order >= 0).all(axis=1))
     still = average_still((*names, *side.landmarks), positions, whole, where)
     if isinstance(side.triad, str):
         tracked = take.body(side.triad).pose

@@ -38,7 +38,7 @@ def test_the_limb_follows_a_scenario_again_and_again(tmp_path: Path, scenario, t
     start = clocks.monotonic()
     for moment in np.arange(0.0, 2.2 * PERIOD, 0.2):  # a busy machine makes long steps
         testbed.advance(start + moment)
-        assert np.isfinite(world.markers(start + moment)).all()
+        assert np.isfinite(world.poses(start + moment)).all()
     testbed.save(tmp_path / "truth.npz", SteadyClock())
     with np.load(tmp_path / "truth.npz") as data:
         truth = GroundTruth(*(data[n] for n in ("forces", "wrench", "position", "rotation")))

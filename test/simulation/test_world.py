@@ -16,7 +16,6 @@ def push(world: World, moment: float) -> None:
         moment,
         np.arange(16.0).reshape(4, 4) + moment,
         np.full(6, 2.0 * moment),
-        np.full((2, 3, 3), -moment),
         poses,
     )
 
@@ -29,7 +28,6 @@ def test_another_process_sees_the_world_at_any_time(tmp_path: Path) -> None:
             if moment > 10.02:
                 assert other.capacitance(2, 3, moment) == pytest.approx(11.0 + moment)
                 np.testing.assert_allclose(other.wrench(moment), 2.0 * moment)
-                np.testing.assert_allclose(other.markers(moment), -moment)
                 np.testing.assert_allclose(other.poses(moment)[:, :3], moment)
 
 

@@ -175,3 +175,22 @@ def test_a_take_that_is_not_static_is_refused(rng, move, fact, hint):
         average(positions)
     assert "take.csv: socket" in caught.value.fact and fact in caught.value.fact
     assert hint in caught.value.hint
+
+
+@pytest.mark.parametrize("size", [4, 6, 8])
+def test_the_labels_of_a_larger_body_are_found_by_its_distances(rng, size):
+    body = np.vstack([SOCKET_TRIAD, SOCKET_TRIAD.mean(axis=0) + rng.normal(0.0, 0.07, (5, 3))])
+    body = body[:size]
+    pose = random_pose(rng, count=60)
+    observed = np.array([p.apply(body) for p in map(Pose, pose.rotation, pose.translation)])
+    observed += rng.normal(0.0, 1e-4, observed.shape)
+    spoilt = observed.copy()
+    spoilt[:20, [0, size - 1]] = observed[:20, [size - 1, 0]]
+    spoilt[50, 1] = np.nan
+    fit = fit_labels(spoilt, "take")
+    whole = np.arange(60) != 50
+    np.testing.assert_array_equal(relabel(spoilt, fit.order)[whole], observed[whole])
+    assert fit.noise == pytest.approx(1e-4, rel=0.1)
+    np.testing.assert_array_equal(relabel(spoilt, fit.order)[50], spoilt[50])
+    with pytest.raises(RegistrationError, match=f"no frame shows all {size} markers"):
+        fit_labels(np.full((30, size, 3), np.nan), "take")

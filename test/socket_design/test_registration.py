@@ -23,6 +23,7 @@ from support.problems import PYLON_TRIAD, SOCKET_TRIAD, random_pose
 
 from socket_testbed.geometry.marker_bodies import edge_lengths, fit_triad
 from socket_testbed.geometry.pose import Pose
+from socket_testbed.geometry.socket import read_socket, write_socket
 from socket_testbed.socket_design.registration import Registration
 
 UNITS = ["Meters", "Centimeters", "Millimeters"]
@@ -52,6 +53,37 @@ def test_a_take_without_errors_gives_the_truth(rng, tmp_path, unit, how):
     )
     assert found.geometry.names == bench.geometry.names
     assert not any("moved" in note or "off" in note for note in found.notes)
+
+
+def test_a_body_of_more_markers_is_registered_as_well_as_its_frame_is_known(rng, tmp_path):
+    """Two more markers on the socket; the body's frame is that of the first three."""
+    bench = make_bench(rng)
+    names, extra = list(SOCKET_NAMES), np.array([[0.02, 0.06, 0.01], [-0.05, 0.01, 0.045]])
+    seen = np.array([bench.places[name] for name in SOCKET_NAMES])
+    fit = fit_triad(SOCKET_TRIAD, seen[None]).pose
+    markers, places = dict(bench.take.markers), Pose(fit.rotation[0], fit.translation[0])
+    for k, place in enumerate(places.apply(extra)):
+        names.append(f"Socket:Extra{k}")
+        markers[names[-1]] = place + rng.normal(0.0, 1e-4, (len(bench.take), 3))
+    document = copy.deepcopy(bench.document)
+    document["bodies"]["socket"] = names
+    larger = dataclasses.replace(
+        bench, take=dataclasses.replace(bench.take, markers=markers), document=document
+    )
+    found = register(larger, tmp_path)
+    body = found.geometry.socket_markers
+    assert body.shape == (5, 3) and found.geometry.pylon_markers.shape == (3, 3)
+    np.testing.assert_allclose(edge_lengths(body[:3]), edge_lengths(SOCKET_TRIAD), atol=2e-4)
+    in_cell = found.geometry.socket_body.apply(body)
+    true = bench.socket_body.apply(
+        own_frame_of(SOCKET_TRIAD).inverse().apply(np.vstack([SOCKET_TRIAD, extra]))
+    )
+    np.testing.assert_allclose(in_cell, true, atol=5e-4)
+    plain = register(bench, tmp_path)
+    assert np.trace(found.single) < np.trace(plain.single)  # more markers, less noise
+    path = tmp_path / "socket.yaml"
+    write_socket(found.geometry, path)
+    np.testing.assert_allclose(read_socket(path).socket_markers, body, atol=1e-12)
 
 
 def later(bench: Bench, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from socket_testbed import clocks
 from socket_testbed.drivers.natnet.client import NatNetClient
-from socket_testbed.drivers.natnet.tracker import BodyTracker
+from socket_testbed.drivers.natnet.tracker import BodyTracker, MocapSample
 from socket_testbed.settings.acquisition import MocapSettings
 from socket_testbed.simulation.devices.natnet_server import NatNetServer
 from support import HANGS
@@ -63,7 +63,14 @@ class Link:
     """A server with its faults, and a client whose frames go to a tracker."""
 
     def __init__(
-        self, multicast=None, bodies=scene, client=True, data_port=1511, settings=None, **server
+        self,
+        multicast=None,
+        bodies=scene,
+        client=True,
+        data_port=1511,
+        settings=None,
+        references=TRIADS,
+        **server,
     ):
         self.faults: dict[str, float] = {}
         self.frames: list[tuple[int, float]] = []
@@ -74,7 +81,7 @@ class Link:
             multicast=multicast[0] if multicast else "", data_port=data_port,
             **(settings or {}),
         )  # fmt: skip
-        self.tracker = BodyTracker(self.settings, *TRIADS)
+        self.tracker = BodyTracker(self.settings, *references)
         self.client = NatNetClient(self.settings, self._take)
         if client:
             self.client.start()
@@ -108,12 +115,18 @@ class Link:
 
     def check_sample(self) -> float:
         """The largest error of a marker, at a trigger from now or soon [m]."""
+        sample = self.sample()
+        truth = np.array([markers_at(body, sample.time) for body in range(2)])
+        return float(np.linalg.norm(sample.markers - truth, axis=2).max())
+
+    def sample(self, body: int | None = None) -> MocapSample:
+        """A sample at a trigger from now or soon in which a body, or both, have a pose."""
+        wanted = slice(body, None if body is None else body + 1)
         deadline = clocks.monotonic() + HANGS
         while True:
             trigger = clocks.monotonic()
             assert trigger < deadline, "no sample came"
             self.tracker.wait(trigger, trigger + self.settings.stale)
             sample = self.tracker.sample(trigger)
-            if sample.faults == ("", ""):
-                truth = np.array([markers_at(body, trigger) for body in range(2)])
-                return float(np.linalg.norm(sample.markers - truth, axis=2).max())
+            if not any(sample.faults[wanted]):
+                return sample

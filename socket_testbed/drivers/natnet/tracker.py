@@ -16,13 +16,19 @@ from socket_testbed import clocks
 from socket_testbed.arrays import FloatArray, IntArray
 from socket_testbed.drivers.averaging import line_weights
 from socket_testbed.drivers.natnet.messages import BodiesByName, MocapFrame
-from socket_testbed.geometry.marker_bodies import EDGE_TOLERANCE, TriadFit, edge_lengths, fit_triad
+from socket_testbed.geometry.marker_bodies import (
+    EDGE_TOLERANCE,
+    FEWEST_MARKERS,
+    BodyFit,
+    distances,
+    fit_body,
+)
 from socket_testbed.geometry.pose import Pose
 from socket_testbed.settings.acquisition import MocapSettings
 
 _KEPT = 1.0  # [s]
 _VOTES, _FEWEST = 20, 3  # fits that decide on the usual order of the labels
-_LARGEST_STEP = 0.01  # [m]; of a marker between two frames, without a fit of its triad
+_LARGEST_STEP = 0.01  # [m]; of a marker between two frames, without a fit of its body
 
 _Entry: TypeAlias = tuple[float, MocapFrame, BodiesByName | None]
 
@@ -35,7 +41,8 @@ class MocapSample:
         time: Time of the trigger on the steady clock [s].
         positions: Origins of the bodies in the world, shape (2, 3) [m].
         quaternions: Their orientations (x, y, z, w), shape (2, 4) [-].
-        markers: Their markers in the bodies' order, shape (2, 3, 3) [m].
+        markers: Their markers in the bodies' order, shape (2, k, 3) [m], where k is that of the
+            body with more; beyond its own, a body's are NaN.
         faults: Why a body has no pose; empty if it has one.
         frames: Number of frames that make each pose [1]; 0 where there is none.
     """
@@ -56,8 +63,8 @@ class BodyTracker:
 
     Args:
         settings: The settings.
-        socket_markers: The socket's triad in its body's frame, shape (3, 3) [m].
-        pylon_markers: The pylon's triad, likewise.
+        socket_markers: The socket's 3 to 8 markers in its body's frame, shape (k, 3) [m].
+        pylon_markers: The pylon's markers, likewise.
     """
 
     def __init__(
@@ -119,12 +126,15 @@ class BodyTracker:
             before, after = self._around(trigger)
             inside = self._inside(trigger, window) if window > 0.0 else []
             bodies = [body.at(trigger, before, after, inside, self._stale) for body in self._bodies]
-        positions, quaternions, markers, faults, frames = zip(*bodies, strict=True)
+        positions, quaternions, seen, faults, frames = zip(*bodies, strict=True)
+        markers = np.full((2, max(map(len, seen)), 3), np.nan)
+        for own, places in zip(markers, seen, strict=True):
+            own[: len(places)] = places
         return MocapSample(
             trigger,
             np.array(positions),
             np.array(quaternions),
-            np.array(markers),
+            markers,
             (faults[0], faults[1]),
             (frames[0], frames[1]),
         )
@@ -172,12 +182,13 @@ class _TrackedBody:
         self._name = name
         self._setting = setting
         self._reference = np.asarray(reference, dtype=float)
-        self._edges = edge_lengths(self._reference)
+        self._count = len(self._reference)
+        self._distances = distances(self._reference)
         self._orders: deque[tuple[int, ...]] = deque(maxlen=_VOTES)  # of the labels, lately
 
     def is_seen(self, frame: MocapFrame, models: BodiesByName | None) -> bool:
         """Whether all its markers are seen, or never will be."""
-        return bool(self._unknown(models) or np.isfinite(self._triad(frame, models)).all())
+        return bool(self._unknown(models) or np.isfinite(self._markers(frame, models)).all())
 
     def at(
         self,
@@ -188,7 +199,7 @@ class _TrackedBody:
         stale: float,
     ) -> _Result:
         """Position [m], quaternion, markers [m], fault and number of frames at a time [s]."""
-        nothing = (np.full(3, np.nan), np.full(4, np.nan), np.full((3, 3), np.nan))
+        nothing = (np.full(3, np.nan), np.full(4, np.nan), np.full((self._count, 3), np.nan))
         if not before or not after or after[0][0] - before[0][0] > stale:
             return *nothing, f"no two frames within {stale:g} s around the trigger", 0
         for _, _, models in (before[0], after[0]):
@@ -196,21 +207,21 @@ class _TrackedBody:
                 return *nothing, fault, 0
         entries = [*before, *after, *inside]
         times = np.array([time for time, _, _ in entries])
-        triads = np.array([self._triad(frame, models) for _, frame, models in entries])
-        fit = fit_triad(self._reference, triads)
+        seen = np.array([self._markers(frame, models) for _, frame, models in entries])
+        fit = fit_body(self._reference, seen)
         first, around = len(before), len(before) + len(after)
         for a in range(first):
             for b in range(first, around):
-                if fit.order[a, 0] >= 0 <= fit.order[b, 0] and times[b] - times[a] <= stale:
+                if fit.found[a] and fit.found[b] and times[b] - times[a] <= stale:
                     weight = (trigger - times[a]) / (times[b] - times[a])
-                    markers = self._interpolate_markers(fit, triads, (a, b), weight)
+                    markers = self._interpolate_markers(fit, seen, (a, b), weight)
                     noise = weight**2 + (1.0 - weight) ** 2
                     mean = _mean(fit.pose, times - trigger, slice(around, None), noise)
                     position, quaternion, used = mean or _interpolate(fit.pose, (a, b), weight)
                     return position, quaternion, markers, "", used
         weight = (trigger - times[0]) / (times[first] - times[0])
-        markers = self._by_label(fit, triads, (0, first), weight)
-        return *nothing[:2], markers, self._fault(triads[[0, first]]), 0
+        markers = self._by_label(fit, seen, (0, first), weight)
+        return *nothing[:2], markers, self._fault(seen[[0, first]]), 0
 
     def _unknown(self, models: BodiesByName | None) -> str:
         """Why none of the server's rigid bodies is this one; empty: one is."""
@@ -223,43 +234,43 @@ class _TrackedBody:
                 f"Motive has no rigid body '{self._name}' (there are: {there}):"
                 f" name it so there, or set {self._setting}"
             )
-        if definition.markers and len(definition.markers) != 3:
+        if definition.markers and len(definition.markers) != self._count:
             return (
-                f"rigid body '{self._name}' has {len(definition.markers)} markers in Motive:"
-                " make it of the three of its triad"
+                f"rigid body '{self._name}' has {len(definition.markers)} markers in Motive, and"
+                f" {self._count} in the geometry file: give both the same, or register it anew"
             )
         return ""
 
-    def _triad(self, frame: MocapFrame, models: BodiesByName | None) -> FloatArray:
-        """Its markers by their labels, shape (3, 3) [m]; NaN where one is not seen."""
-        triad = np.full((3, 3), np.nan)
+    def _markers(self, frame: MocapFrame, models: BodiesByName | None) -> FloatArray:
+        """Its markers by their labels, shape (k, 3) [m]; NaN where one is not seen."""
+        markers = np.full((self._count, 3), np.nan)
         definition = models.get(self._name) if models is not None else None
         if definition is None:
-            return triad
+            return markers
         own = sorted(marker for marker in frame.markers if marker.model == definition.id)
         for rank, marker in enumerate(own):
-            slot = rank if len(own) == 3 else marker.member - 1
-            if not (marker.occluded or marker.model_filled) and 0 <= slot < 3:
-                triad[slot] = marker.position
-        return triad
+            slot = rank if len(own) == self._count else marker.member - 1
+            if not (marker.occluded or marker.model_filled) and 0 <= slot < self._count:
+                markers[slot] = marker.position
+        return markers
 
     def _interpolate_markers(
-        self, fit: TriadFit, triads: FloatArray, pair: tuple[int, int], weight: float
+        self, fit: BodyFit, seen: FloatArray, pair: tuple[int, int], weight: float
     ) -> FloatArray:
-        a, b = pair
-        self._orders += [tuple(fit.order[row].tolist()) for row in pair]
-        markers = triads[a][fit.order[a]]
-        return np.asarray(markers + weight * (triads[b][fit.order[b]] - markers))
+        whole = [row for row in pair if (fit.order[row] >= 0).all()]
+        self._orders += [tuple(fit.order[row].tolist()) for row in whole]
+        start, end = (_in_order(seen[row], fit.order[row]) for row in pair)
+        return np.asarray(start + weight * (end - start))
 
     def _by_label(
-        self, fit: TriadFit, triads: FloatArray, pair: tuple[int, int], weight: float
+        self, fit: BodyFit, seen: FloatArray, pair: tuple[int, int], weight: float
     ) -> FloatArray:
-        """Markers that are seen in both frames and moved little, though a triad has no fit."""
+        """Markers that are seen in both frames and moved little, though a body has no fit."""
         known = self._usual_order()
         start, end = (
-            triads[row][fit.order[row]]
-            if fit.order[row, 0] >= 0
-            else self._labelled(triads[row], known)
+            _in_order(seen[row], fit.order[row])
+            if fit.found[row]
+            else self._labelled(seen[row], known)
             for row in pair
         )
         step = np.linalg.norm(end - start, axis=1)
@@ -273,25 +284,33 @@ class _TrackedBody:
         order, votes = Counter(self._orders).most_common(1)[0]
         return np.array(order) if votes >= max(_FEWEST, 0.75 * len(self._orders)) else None
 
-    def _labelled(self, triad: FloatArray, order: IntArray | None) -> FloatArray:
-        """A triad in the body's order by its labels; NaN where its edges contradict them."""
-        unknown = np.full((3, 3), np.nan)
+    def _labelled(self, markers: FloatArray, order: IntArray | None) -> FloatArray:
+        """Markers in the body's order by their labels; NaN where distances contradict them."""
+        unknown = np.full((self._count, 3), np.nan)
         if order is None:
             return unknown
-        mismatch = np.abs(edge_lengths(triad[order]) - self._edges)
+        mismatch = np.abs(distances(markers[order]) - self._distances)
         if (mismatch[np.isfinite(mismatch)] > EDGE_TOLERANCE).any():
             return unknown
-        return triad[order]
+        return np.asarray(markers[order])
 
-    def _fault(self, triads: FloatArray) -> str:
-        hidden = np.isnan(triads).any(axis=(0, 2))
+    def _fault(self, seen: FloatArray) -> str:
+        hidden = np.isnan(seen).any(axis=(0, 2))
         if hidden.any():
             members = ", ".join(str(slot + 1) for slot in np.flatnonzero(hidden))
-            return f"marker {members} of rigid body '{self._name}' is occluded"
+            fault = f"marker {members} of rigid body '{self._name}' is occluded"
+            few = self._count == FEWEST_MARKERS or (~hidden).sum() < FEWEST_MARKERS
+            return fault if few else f"{fault}, and the others do not make its pose certain"
+        kind = "triad" if self._count == FEWEST_MARKERS else "distances"
         return (
-            f"the markers of rigid body '{self._name}' do not fit its triad: check the geometry"
+            f"the markers of rigid body '{self._name}' do not fit its {kind}: check the geometry"
             " file, or that no other marker is taken for one of them"
         )
+
+
+def _in_order(markers: FloatArray, order: IntArray) -> FloatArray:
+    """Markers in the body's order, shape (k, 3) [m]; NaN where it names none."""
+    return np.where((order >= 0)[:, None], markers[order], np.nan)
 
 
 def _interpolate(
