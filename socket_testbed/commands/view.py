@@ -45,6 +45,14 @@ def add_page(parser: argparse.ArgumentParser) -> None:
         "--port", type=int, default=defaults.port, metavar="N",
         help=f"port of the page, 0 for one that is free (default: {defaults.port})",
     )  # fmt: skip
+    parser.add_argument(
+        "--allow-host", action="append", default=[], metavar="NAME",
+        help="a further name of this machine by which browsers may call the page",
+    )  # fmt: skip
+    parser.add_argument(
+        "--buttons", action="store_true",
+        help="allow the buttons (tare, record, ...) even where other machines see the page",
+    )  # fmt: skip
 
 
 def page_settings(options: argparse.Namespace) -> ViewSettings:
@@ -55,7 +63,13 @@ def page_settings(options: argparse.Namespace) -> ViewSettings:
     """
     api.require_viewer()
     geometry = str(options.geometry.resolve()) if options.geometry else ""
-    return ViewSettings(geometry=geometry, host=options.host, port=options.port)
+    return ViewSettings(
+        geometry=geometry,
+        host=options.host,
+        port=options.port,
+        names=tuple(options.allow_host),
+        buttons=options.buttons,
+    )
 
 
 def run(options: argparse.Namespace) -> None:

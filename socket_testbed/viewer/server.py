@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import socket
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from http import HTTPStatus
 from ipaddress import ip_address
@@ -18,7 +18,8 @@ from websockets.http11 import Request, Response
 
 from socket_testbed.errors import ConfigurationError
 
-LOCAL = ("127.0.0.1", "localhost", "::1")
+_LOCAL = ("127.0.0.1", "localhost", "::1")
+_HTTP = 80  # the port that a browser does not name
 # The page asks nobody but its own server, and no other page shows it in a frame.
 _POLICY = (
     "default-src 'self' data: blob: 'unsafe-inline' 'unsafe-eval' 'wasm-unsafe-eval';"
@@ -32,6 +33,14 @@ def is_local(host: str) -> bool:
         return True
     try:
         return ip_address(host).is_loopback
+    except ValueError:
+        return False
+
+
+def is_any(host: str) -> bool:
+    """Whether a server that listens here is reached by every address of this machine."""
+    try:
+        return ip_address(host).is_unspecified
     except ValueError:
         return False
 
@@ -65,26 +74,43 @@ class Guard:
     its name as their host where the name is made to point to this machine (DNS rebinding).
 
     Args:
-        names: Names and addresses by which the server may be called.
+        names: Names and addresses by which the server may be called, besides the address that a
+            request arrives at: no other site has that as its name.
         port: Its port.
     """
 
-    def __init__(self, names: set[str], port: int) -> None:
-        self._hosts = {f"[{n}]:{port}" if ":" in n else f"{n}:{port}" for n in names}
+    def __init__(self, names: Iterable[str], port: int) -> None:
+        self._names = {name.lower() for name in names}
+        self._port = port
 
-    def refuses(self, request: Request) -> str:
-        """Why a request is refused; empty if it is not."""
-        hosts = request.headers.get_all("Host")
-        if len(hosts) != 1 or hosts[0].lower() not in self._hosts:
-            return "this page is not served under that name: see --host of 'socket-testbed view'"
-        origins = request.headers.get_all("Origin")
-        if any(origin.lower() != f"http://{hosts[0].lower()}" for origin in origins):
+    def refuses(self, request: Request, address: str) -> str:
+        """Why a request is refused; empty if it is not.
+
+        Args:
+            request: The request.
+            address: Address of this machine that it arrived at.
+        """
+        hosts = [host.lower() for host in request.headers.get_all("Host")]
+        allowed = {self._with_port(name) for name in (*self._names, address)}
+        if self._port == _HTTP:
+            allowed |= {_bracketed(name) for name in (*self._names, address)}
+        if len(hosts) != 1 or hosts[0] not in allowed:
+            return "the page is not served by this name: give it with --allow-host"
+        if any(origin != f"http://{hosts[0]}" for origin in request.headers.get_all("Origin")):
             return "requests from other pages are refused"
         return ""
 
+    def _with_port(self, name: str) -> str:
+        return f"{_bracketed(name)}:{self._port}"
+
+
+def _bracketed(name: str) -> str:
+    """A name or an address as it stands in a URL."""
+    return f"[{name}]" if ":" in name else name
+
 
 class PageServer:
-    """Serves the page; a context manager.
+    """Serves the page.
 
     Args:
         host: Address that it listens on.
@@ -93,6 +119,7 @@ class PageServer:
 
     Attributes:
         viser: The server's scene and panels.
+        is_local: Whether this machine alone reaches it.
         url: Where a browser finds the page.
 
     Raises:
@@ -102,24 +129,33 @@ class PageServer:
     def __init__(self, host: str, port: int, names: tuple[str, ...] = ()) -> None:
         listening = listen(host, port)
         port = listening.getsockname()[1]
-        own = LOCAL if is_local(host) else (*LOCAL, host)
-        guard = Guard({name.lower() for name in (*own, *names)}, port)
-        self._was_quiet = rich.get_console().quiet
-        rich.get_console().quiet = True  # viser prints with it
-        with _serving(listening, guard):
+        self.is_local = is_local(host)
+        name = "localhost" if self.is_local else socket.gethostname()
+        guard = Guard({*_LOCAL, host, name, f"{name}.local", *names}, port)
+        with _quiet(), _serving(listening, guard):
             self.viser = ViserServer(host, port, verbose=False)
         # Nobody hands the page on to the internet.
         for message in (ShareUrlRequest, ShareUrlDisconnect):
             self.viser._websock_server.unregister_handler(message)
         self.viser.gui.configure_theme(show_logo=False, show_share_button=False)
         self.viser.gui.set_panel_label("socket_testbed")
-        shown = f"[{host}]" if ":" in host else host
-        self.url = f"http://{shown}:{port}"
+        self.url = f"http://{_bracketed(name if is_any(host) else host)}:{port}"
 
     def close(self) -> None:
         """Stop serving."""
-        self.viser.stop()
-        rich.get_console().quiet = self._was_quiet
+        with _quiet():
+            self.viser.stop()
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Within this, viser prints nothing."""
+    console = rich.get_console()
+    was, console.quiet = console.quiet, True
+    try:
+        yield
+    finally:
+        console.quiet = was
 
 
 @contextmanager
@@ -137,7 +173,7 @@ def _serving(listening: socket.socket, guard: Guard) -> Iterator[None]:
         del host, port
 
         def guarded(connection: ServerConnection, request: Request) -> Response | None:
-            if refusal := guard.refuses(request):
+            if refusal := guard.refuses(request, connection.local_address[0]):
                 return connection.respond(HTTPStatus.FORBIDDEN, f"{refusal}\n")
             response: Response | None = process_request(connection, request)
             if response is not None:
