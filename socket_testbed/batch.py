@@ -33,6 +33,7 @@ from socket_testbed.files import (
     make_folder,
 )
 from socket_testbed.tables import split_unit, write_table
+from socket_testbed.trials.bag import is_storage
 from socket_testbed.trials.metadata import METADATA_FILE
 from socket_testbed.trials.salvage import holds_nothing
 from socket_testbed.trials.trial import Trial
@@ -41,7 +42,6 @@ SUMMARY = "summary"
 _RECORDS = ".done"
 _RECORD_KEYS = ("inputs", "output", "row")
 _LOCK = ".lock"
-_STORAGE = (".mcap", ".db3")
 _SOLVING = ("numpy", "scipy", "qpsolvers", "osqp")
 _PATIENCE = "15s"  # for Dask's scheduler to answer and a worker to be there
 
@@ -57,9 +57,7 @@ def is_trial(folder: Path) -> bool:
 
     A broken bag is a trial all the same: it must show up as failed.
     """
-    return (folder / "metadata.yaml").exists() or any(
-        file.suffix in _STORAGE for file in folder.iterdir()
-    )
+    return (folder / "metadata.yaml").exists() or any(is_storage(file) for file in folder.iterdir())
 
 
 def find_trials(folder: Path, notify: Callable[[str], None] = lambda note: None) -> dict[str, Path]:

@@ -8,14 +8,18 @@ The counts of both are compared instead.
 from __future__ import annotations
 
 import os
+import sqlite3
 import zlib
 from collections.abc import Collection, Iterator
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack, closing, suppress
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple, Self
 
+from backports import zstd
+from lz4.frame import LZ4FrameDecompressor
 from rosbags.interfaces import (
     Connection,
     ConnectionExtRosbag2,
@@ -28,6 +32,7 @@ from rosbags.interfaces import (
 )
 from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 from rosbags.rosbag2.metadata import parse_qos
+from rosbags.rosbag2.storage_mcap import DECOMPRESSORS
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
@@ -73,11 +78,16 @@ def stamp_of(message: Any) -> int:
     return int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
 
 
-_SUFFIXES = (".mcap", ".db3")
+_STORAGE = (".mcap", ".db3")
+_PACKED = ".zstd"
+STORAGE_SUFFIXES = (*_STORAGE, *(suffix + _PACKED for suffix in _STORAGE))
+_ZSTD = b"\x28\xb5\x2f\xfd"  # a message as it was recorded begins with a zero
+_LARGEST = 2**28  # [bytes] of a chunk or message once unpacked
+_LARGEST_RATIO = 500  # of a file, unpacked to packed; recorders come to 20
 _FOREVER = QosTime(2147483647, 4294967295)
 _CHUNK = 2**20 - 2**10  # [bytes]; the library closes a chunk at 1 MiB
 _CHECKSUM_AT = 9 + 3 * 8  # [bytes] from the start of a chunk's record
-_TRUNCATED = ("end magic", "truncated", "footer", "empty")
+_TRUNCATED = ("end magic", "truncated", "footer", "empty", "ended before")
 
 
 @dataclass(frozen=True)
@@ -133,6 +143,7 @@ class BagReader:
         self.path = path
         self._stack = ExitStack()
         self._readers: list[Reader | SalvagedRecording] = []
+        self._packed: dict[Path, Path] = {}  # files by what they were unpacked to
         self._cut_short = False
         self.notes: list[str] = []
 
@@ -181,18 +192,20 @@ class BagReader:
                 continue
             left = {connection.id: connection.msgcount for connection in connections}
             messages = reader.messages(connections)
-            while (entry := _next(messages, reader.path)) is not None:
+            file = self._packed.get(Path(str(reader.path)), reader.path)
+            while (entry := _next(messages, file)) is not None:
                 connection, time, data = entry
                 left[connection.id] -= 1
-                yield RawMessage(connection.topic, connection.msgtype, time, bytes(data))
+                yield RawMessage(connection.topic, connection.msgtype, time, data)
             if any(left.values()):
-                raise _lacking(reader.path, sum(left.values()))
+                raise _lacking(file, sum(left.values()))
 
     def _storage_files(self, metadata: _Metadata | None) -> list[Path]:
         if self.path.is_file():
             return [self.path]
         if metadata is None:
-            files = sorted(p for p in self.path.iterdir() if p.suffix in _SUFFIXES)
+            files = sorted(p for p in self.path.iterdir() if p.name.endswith(_STORAGE))
+            files = files or sorted(p for p in self.path.iterdir() if is_storage(p))
             self.notes.append("no metadata.yaml: the storage files were read as they are")
         else:
             files = [self.path / name for name in metadata.files]
@@ -209,18 +222,44 @@ class BagReader:
         return files
 
     def _open(self, file: Path) -> Reader | SalvagedRecording:
+        if file.suffix == _PACKED:
+            file = self._unpack(file)
+        if file.suffix == ".db3":
+            _refuse_other_tables(file)
+            if (journal := file.with_name(file.name + "-wal")).exists() and journal.stat().st_size:
+                self.notes.append(
+                    f"{journal.name}, which may hold the newest messages, is not read:"
+                    f" 'sqlite3 {file} vacuum' takes them in"
+                )
         try:
             salvaged = salvage(file) if file.suffix == ".mcap" else None
             reader: Reader | SalvagedRecording = salvaged or Reader(file)
             self._stack.enter_context(reader)
-        except TrialError:
-            raise
+        except TrialError as error:
+            fact = error.fact.replace(str(file), str(self._packed.get(file, file)))
+            raise TrialError(fact, error.hint) from None
         except Exception as error:  # the library raises whatever the bytes lead it to
-            raise _damaged(file, error) from None
+            raise _damaged(self._packed.get(file, file), error) from None
         if salvaged is not None:
             self._cut_short = True
             self.notes.append(salvaged.note)
         return reader
+
+    def _unpack(self, file: Path) -> Path:
+        """A storage file unpacked into a folder that goes with this reader."""
+        folder = self._stack.enter_context(TemporaryDirectory(prefix="socket_testbed-"))
+        unpacked = Path(folder) / file.stem
+        left = max(_LARGEST, _LARGEST_RATIO * file.stat().st_size)
+        try:
+            with zstd.open(file, "rb") as source, unpacked.open("wb") as target:
+                while content := source.read(2**20):
+                    left -= target.write(content)
+                    if left < 0:
+                        raise ValueError("it is too large once unpacked")
+        except (OSError, EOFError, ValueError, zstd.ZstdError) as error:
+            raise _damaged(file, error) from None
+        self._packed[unpacked] = file
+        return unpacked
 
     def _compare(self, topics: Collection[_TopicMetadata]) -> None:
         counts = self.counts
@@ -316,11 +355,55 @@ def _read_metadata(bag: Path) -> _Metadata | None:
             for entry in content.get("topics_with_message_count") or []
         ]
         files = [Path(str(name)).name for name in content.get("relative_file_paths") or []]
+        compression = str(content.get("compression_format") or "zstd")
     except Exception:  # the libraries raise whatever the text leads them to
         raise TrialError(
             f"{file}: is not rosbag2 metadata", "write it again with 'ros2 bag reindex'"
         ) from None
+    if compression != "zstd":
+        raise TrialError(
+            f"{bag}: is compressed with '{compression}'",
+            "unpack it with 'ros2 bag convert', to zstd or to no compression",
+        )
     return _Metadata(files, topics)
+
+
+def is_storage(file: Path) -> bool:
+    """Whether a file is a bag's storage, by its name."""
+    return file.name.endswith(STORAGE_SUFFIXES)
+
+
+def _unpack_zstd(data: bytes, size: int = _LARGEST) -> bytes:
+    unpacker = zstd.ZstdDecompressor()
+    content = unpacker.decompress(data, max_length=min(size, _LARGEST) + 1)
+    return _complete(content, unpacker.eof, size)
+
+
+def _unpack_lz4(data: bytes, size: int) -> bytes:
+    unpacker = LZ4FrameDecompressor()
+    content = unpacker.decompress(data, max_length=min(size, _LARGEST) + 1)
+    return _complete(content, unpacker.eof, size)
+
+
+def _complete(content: bytes, ended: bool, size: int) -> bytes:
+    if not ended or len(content) > min(size, _LARGEST):
+        raise ValueError("what is packed is damaged, or larger than it states")
+    return content
+
+
+# The library unpacks a chunk of any size before it looks at the size that the file states.
+DECOMPRESSORS.update(zstd=_unpack_zstd, lz4=_unpack_lz4)
+
+
+def _refuse_other_tables(file: Path) -> None:
+    """Refuse an SQLite file whose tables are programs: reading a view may never end."""
+    try:
+        with closing(sqlite3.connect(f"{file.absolute().as_uri()}?immutable=1", uri=True)) as base:
+            kinds = dict(base.execute("SELECT name, type FROM sqlite_master"))
+    except sqlite3.Error as error:
+        raise _damaged(file, error) from None
+    if any(kinds.get(name) != "table" for name in ("topics", "messages")):
+        raise _damaged(file, ValueError("it has no tables 'topics' and 'messages'"))
 
 
 def _next(
@@ -328,7 +411,12 @@ def _next(
 ) -> tuple[Connection, int, bytes] | None:
     """The next message, or None at the end."""
     try:
-        return next(messages, None)
+        entry = next(messages, None)
+        if entry is None:
+            return None
+        connection, time, data = entry
+        data = bytes(data)
+        return connection, time, _unpack_zstd(data) if data.startswith(_ZSTD) else data
     except Exception as error:  # the library raises whatever the bytes lead it to
         raise _damaged(path, error) from None
 

@@ -1,0 +1,118 @@
+"""Bags that were compressed by file, message or chunk are read as the plain ones."""
+
+import resource
+import shutil
+import sqlite3
+from pathlib import Path
+
+import lz4.frame
+import numpy as np
+import pytest
+import yaml
+from backports import zstd
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
+from rosbags.rosbag2.storage_mcap import DECOMPRESSORS
+from support.bags import copy_configuration
+
+from socket_testbed.errors import TrialError
+from socket_testbed.trials import bag
+from socket_testbed.trials.bag import BagReader, typestore
+from socket_testbed.trials.trial import Trial
+
+KINDS = [
+    (StoragePlugin.MCAP, CompressionMode.FILE),
+    (StoragePlugin.MCAP, CompressionMode.MESSAGE),
+    (StoragePlugin.MCAP, CompressionMode.STORAGE),
+    (StoragePlugin.SQLITE3, CompressionMode.NONE),
+    (StoragePlugin.SQLITE3, CompressionMode.FILE),
+    (StoragePlugin.SQLITE3, CompressionMode.MESSAGE),
+]
+
+
+def written(source: Path, path: Path, storage: StoragePlugin, mode: CompressionMode) -> Path:
+    """A copy of a trial by another program, compressed."""
+    with BagReader(source) as plain:
+        writer = Writer(path, version=9, storage_plugin=storage)
+        if mode is not CompressionMode.NONE:
+            writer.set_compression(mode, CompressionFormat.ZSTD)
+        with writer:
+            connections = {
+                name: writer.add_connection(name, kind, typestore=typestore())
+                for name, kind in plain.types.items()
+            }
+            for raw in plain.messages():
+                writer.write(connections[raw.topic], raw.time, raw.data)
+    return copy_configuration(source, path)
+
+
+@pytest.mark.parametrize("metadata", [True, False], ids=["whole", "without metadata.yaml"])
+@pytest.mark.parametrize(("storage", "mode"), KINDS, ids=lambda kind: kind.name)
+def test_a_compressed_trial_gives_the_samples_of_the_plain_one(
+    storage: StoragePlugin, mode: CompressionMode, metadata: bool, hold: Path, tmp_path: Path
+) -> None:
+    path = written(hold, tmp_path / "packed", storage, mode)
+    if not metadata:
+        (path / "metadata.yaml").unlink()
+    np.testing.assert_array_equal(Trial(path).samples().values, Trial(hold).samples().values)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.3, 0.9])
+def test_a_compressed_file_that_was_cut_names_itself(
+    share: float, hold: Path, tmp_path: Path
+) -> None:
+    path = written(hold, tmp_path / "packed", StoragePlugin.MCAP, CompressionMode.FILE)
+    file = path / "packed.mcap.zstd"
+    file.write_bytes(file.read_bytes()[: int(share * file.stat().st_size)])
+    with pytest.raises(TrialError, match=r"packed/packed\.mcap\.zstd: is truncated"):
+        Trial(path).samples()
+
+
+def test_another_compression_is_refused_for_what_it_is(hold: Path, tmp_path: Path) -> None:
+    path = tmp_path / "hold"
+    shutil.copytree(hold, path)
+    content = yaml.safe_load((path / "metadata.yaml").read_text())
+    information = content["rosbag2_bagfile_information"]
+    information |= {"compression_format": "lz4", "compression_mode": "file"}
+    (path / "metadata.yaml").write_text(yaml.safe_dump(content))
+    with pytest.raises(TrialError, match=r"is compressed with 'lz4'.*ros2 bag convert"):
+        Trial(path).samples()
+
+
+@pytest.mark.parametrize("name", ["zstd", "lz4"])
+def test_a_chunk_that_unpacks_to_more_than_it_states_takes_no_memory(name: str) -> None:
+    packed = {"zstd": zstd.compress, "lz4": lz4.frame.compress}[name](bytes(2**27))
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    with pytest.raises(ValueError, match="larger than it states"):
+        DECOMPRESSORS[name](packed, 1000)
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 2**14  # [kB]
+
+
+def test_a_file_that_unpacks_to_very_much_is_refused(
+    hold: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = written(hold, tmp_path / "b", StoragePlugin.MCAP, CompressionMode.FILE)
+    (path / "b.mcap.zstd").write_bytes(zstd.compress(bytes(2**25)))
+    monkeypatch.setattr(bag, "_LARGEST", 2**20)
+    with pytest.raises(TrialError, match=r"b\.mcap\.zstd: .*too large once unpacked"):
+        Trial(path).samples()
+
+
+def test_an_sqlite_file_whose_tables_are_programs_is_refused(hold: Path, tmp_path: Path) -> None:
+    path = written(hold, tmp_path / "b", StoragePlugin.SQLITE3, CompressionMode.NONE)
+    with sqlite3.connect(path / "b.db3") as base:
+        base.execute("ALTER TABLE messages RENAME TO others")
+        base.execute(
+            "CREATE VIEW messages AS WITH RECURSIVE endless(id) AS"
+            " (SELECT 1 UNION ALL SELECT id FROM endless)"
+            " SELECT id, 1 AS topic_id, 1 AS timestamp, x'00' AS data FROM endless"
+        )
+    base.close()
+    with pytest.raises(TrialError, match="it has no tables 'topics' and 'messages'"):
+        Trial(path).samples()
+
+
+def test_a_journal_beside_an_sqlite_file_is_noted(hold: Path, tmp_path: Path) -> None:
+    path = written(hold, tmp_path / "b", StoragePlugin.SQLITE3, CompressionMode.NONE)
+    (path / "b.db3-wal").write_bytes(b"some messages")
+    with BagReader(path) as reader:
+        assert any("b.db3-wal, which may hold" in note for note in reader.notes)
