@@ -28,6 +28,7 @@ from socket_testbed.identification.fit import check_names
 from socket_testbed.live.bringup import Simulation, Testbed, end, predict_with, start, summary
 from socket_testbed.live.processes import Graph
 from socket_testbed.live.time_scale import busy_note, measure_speed, pace
+from socket_testbed.settings.testbed import check_take_name
 from socket_testbed.trials.metadata import TrialMetadata
 
 
@@ -88,6 +89,7 @@ def run(options: argparse.Namespace) -> None:
 def _check_writable(path: Path) -> None:
     """Refuse a folder that cannot be made, before anything is started."""
     check_new_folder(path)
+    check_take_name(path.resolve().name)
     make_folder(path.parent)
     try:
         path.mkdir()

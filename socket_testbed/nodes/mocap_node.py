@@ -18,6 +18,7 @@ from socket_testbed import clocks
 from socket_testbed.drivers.averaging import averaging_span
 from socket_testbed.drivers.natnet.client import NatNetClient
 from socket_testbed.drivers.natnet.tracker import BodyTracker, MocapSample
+from socket_testbed.errors import ConfigurationError
 from socket_testbed.files import packaged
 from socket_testbed.geometry.socket import read_socket
 from socket_testbed.nodes.base import ERROR, OK, WARN
@@ -45,6 +46,7 @@ class MocapNode(SensorNode[MocapSettings]):
         self._poses = [self.advertise(topic) for topic in (SOCKET_POSE, PYLON_POSE)]
         self._markers = self.advertise(MARKERS)
         self._averaged, self._delay = 0, 0.0
+        self._refused = ""  # why a take's name was not taken
         self._client.start()
         self.follow_triggers()
         self.listen(RECORDED_TRIAL, self._on_recorded, needed=False)
@@ -95,14 +97,19 @@ class MocapNode(SensorNode[MocapSettings]):
         return sample
 
     def _on_recorded(self, message: String) -> None:
-        if self.settings.record_takes:
+        if not self.settings.record_takes:
+            return
+        self._refused = ""
+        try:
             self._client.set_recording(message.data or None)
+        except ConfigurationError as error:
+            self._refused = f"no take is recorded: {error}"
 
     def health(self) -> tuple[int, str]:
         """That of the stream, what the last samples lack, or of Motive's recording."""
         level, message = self._client.health(clocks.monotonic())
-        if level < ERROR and (fault := self.fault.text()):
-            return WARN, fault
+        if level < ERROR and (faults := [f for f in (self.fault.text(), self._refused) if f]):
+            return WARN, "; ".join(faults)
         if level == OK and (fault := self._client.recording_fault):
             return WARN, fault
         return level, message

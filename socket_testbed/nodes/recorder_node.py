@@ -33,7 +33,11 @@ from socket_testbed.clocks import SteadyClock
 from socket_testbed.errors import ConfigurationError
 from socket_testbed.files import refuse_existing
 from socket_testbed.nodes.base import ERROR, OK, WARN, TestbedNode
-from socket_testbed.settings.testbed import NextTrialSettings, RecorderSettings
+from socket_testbed.settings.testbed import (
+    NextTrialSettings,
+    RecorderSettings,
+    check_take_name,
+)
 from socket_testbed.trials.bag import BagWriter
 from socket_testbed.trials.metadata import (
     METADATA_FILE,
@@ -151,6 +155,7 @@ class RecorderNode(TestbedNode[RecorderSettings]):
             self.report(WARN, f"recording {path}: {directory} was cut short and stays as it is")
 
     def _start(self, path: Path, metadata: TrialMetadata) -> None:
+        check_take_name(path.name)
         refuse_existing(path)
         contents = dict(self._configuration)
         if metadata.stated():

@@ -67,6 +67,30 @@ class CalibrationNodeSettings(Settings):
     )
 
 
+_FORBIDDEN = ',<>:"/\\|?*'  # Motive's commands end at a comma, Windows refuses the rest in a name
+_LONGEST_NAME = 200  # [bytes]
+
+
+def check_take_name(name: str) -> str:
+    """Refuse the name of a trial that cannot be that of a take in Motive; returns it.
+
+    Raises:
+        ConfigurationError: If it is empty, too long, cannot be encoded, or holds what a command
+            or a file name of Windows cannot hold.
+    """
+    hint = f"give letters, digits, blanks, '-', '_' and '.', {_LONGEST_NAME} bytes at most"
+    shown = ascii(name if len(name) <= 40 else f"{name[:40]}...")
+    if not name.isprintable() or set(name) & set(_FORBIDDEN):
+        raise ConfigurationError(f"the trial's name {shown} cannot be that of a take", hint)
+    if not name.strip(". ") or name[0] in ". " or name[-1] in ". ":
+        raise ConfigurationError(
+            f"the trial's name {shown} begins or ends with a '.' or a blank, or is empty", hint
+        )
+    if len(name.encode()) > _LONGEST_NAME:
+        raise ConfigurationError(f"the trial's name {shown} has {len(name.encode())} bytes", hint)
+    return name
+
+
 # A folder's name on every file system, and the name of a take in Motive.
 _TRIAL_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,79}")
 
@@ -116,6 +140,11 @@ class RecorderSettings(Settings):
     flush_period: float = setting(
         1.0, "longest time before data is on the disk [s]", 0.05, 60.0, fixed=True
     )
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.record:
+            check_take_name(Path(self.directory).absolute().name)
 
 
 @dataclass(frozen=True)

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from std_msgs.msg import String
 from std_srvs.srv import SetBool
 from std_srvs.srv import Trigger as TriggerService
 from support.graph import Probe
@@ -15,6 +16,7 @@ from socket_testbed.live.processes import Graph
 from socket_testbed.settings.acquisition import MocapSettings
 from socket_testbed.settings.testbed import RecorderSettings
 from socket_testbed.simulation.devices.natnet_server import NatNetServer
+from socket_testbed.trials.topics import DIAGNOSTICS, RECORDED_TRIAL
 
 pytestmark = pytest.mark.graph
 
@@ -33,6 +35,16 @@ def test_motive_records_while_the_recorder_does(tmp_path: Path) -> None:
             assert server.takes == [name]
             probe.call(SetBool, "recorder/record", SetBool.Request(data=False))
             probe.wait(lambda: not server.recording, "the end of the take")
+            # Any program of the network may name the trial that is recorded.
+            status = probe.listen(DIAGNOSTICS)
+            probe.publisher(RECORDED_TRIAL).publish(String(data="x,StopRecording\n../y"))
+            probe.wait(
+                lambda: any(
+                    "cannot be that of a take" in s.message for m in status for s in m.status
+                ),
+                "the refusal",
+            )
+            assert server.takes == [name] and not server.recording
     finally:
         server.close()
 

@@ -90,7 +90,11 @@ class NatNetClient:
         )
 
     def set_recording(self, name: str | None) -> None:
-        """Have the server record a take of this name, or none; this is pursued from now on."""
+        """Have the server record a take of this name, or none; this is pursued from now on.
+
+        Raises:
+            ConfigurationError: If no take can have this name; then none is recorded.
+        """
         self._session.takes.want(name)
 
     def health(self, now: float) -> tuple[int, str]:

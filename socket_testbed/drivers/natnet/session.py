@@ -36,6 +36,7 @@ from socket_testbed.drivers.natnet.messages import (
 )
 from socket_testbed.errors import DeviceError
 from socket_testbed.settings.acquisition import MocapSettings
+from socket_testbed.settings.testbed import check_take_name
 
 SILENCE = 0.3  # [s]; after which the server, or its stream, is lost
 _KEEPALIVE = 1.0  # [s]
@@ -86,8 +87,13 @@ class TakeKeeper:
         return not self._busy and self._started == wanted and (wanted is None or self._confirmed)
 
     def want(self, name: str | None) -> None:
-        """Want a take recorded, or none."""
-        self._wanted = None if name is None else name.replace("\0", "")
+        """Want a take recorded, or none.
+
+        Raises:
+            ConfigurationError: If no take can have this name; then none is wanted.
+        """
+        self._wanted = None
+        self._wanted = None if name is None else check_take_name(name)
 
     def restarted(self, now: float) -> None:
         """A session has begun: the server may have forgotten the take."""
