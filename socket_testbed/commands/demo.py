@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import shutil
 import time
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -27,7 +28,8 @@ from socket_testbed.live.bringup import (
     start,
     summary,
 )
-from socket_testbed.live.processes import Graph
+from socket_testbed.live.graph_status import GraphStatus
+from socket_testbed.live.processes import Graph, require_ros
 from socket_testbed.live.time_scale import SLOWEST, busy_note, measure_speed, pace
 from socket_testbed.report.figures.style import save_figure
 from socket_testbed.report.figures.tile_maps import certainty_of, tile_map_figure
@@ -41,7 +43,13 @@ _DURATION = 60.0  # [s] of the testbed; of the trial
 _PACE = 2.0  # [-]; the protocol within that time
 _TRIGGER_RATE = 10.0  # [Hz]
 _SPEED = 5.0  # of the replay, relative to the testbed
+_START_UP = 6.0  # [s] of the testbed; until the first trigger, at most
 _COMPLETE = 0.9  # [-]; fraction of the samples below which the trial is recorded again, slower
+_USABLE = 0.3  # [-]; below it there is nothing to show
+_ATTEMPTS = 4  # after the first
+_HOPELESS = 0.7  # [-]; below it a recording is broken off
+_LEAST_JUDGED = 60  # triggers
+_IN_HAND = 10  # triggers; whose measurements may be on their way
 
 
 @dataclass(frozen=True)
@@ -100,44 +108,68 @@ def _record(trial: Trial, seed: int, log: Path) -> tuple[Samples, float]:
     scale = measure_speed().time_scale()
     if note := busy_note(scale):
         print(f"   {note}")
-    while True:
+    for again in range(_ATTEMPTS, -1, -1):
         _run_live(trial.path, seed, scale, log)
         complete = _complete(trial)
-        if complete >= _COMPLETE or scale <= SLOWEST:
+        if complete >= _COMPLETE:
             break
-        scale *= 0.5
+        if not again:
+            if complete < _USABLE:
+                raise TrialError(
+                    f"only {complete:.0%} of the samples are complete, even at {pace(scale)}",
+                    "this machine is too busy: end other programs, or try again later",
+                )
+            break
+        scale = max(0.5 * scale, SLOWEST)
         print(f"   only {complete:.0%} of the samples are complete: again at {pace(scale)}")
-        shutil.rmtree(trial.path)
+        shutil.rmtree(trial.path, ignore_errors=True)
     print("   " + summary(trial.path))
     return trial.samples(), scale
 
 
 def _complete(trial: Trial) -> float:
-    """Fraction of a trial's samples that hold all measurements [-]."""
+    """Fraction of the samples that a trial should have which hold all measurements [-]."""
     try:
         samples = Trial(trial.path).samples()  # the trial itself would keep them
     except TrialError:  # the nodes were not up before the time was over
         return 0.0
     forces = np.isfinite(samples.local_forces).all(axis=(1, 2))
-    return float((samples.complete & forces).mean())
+    expected = _TRIGGER_RATE * (_DURATION - _START_UP)
+    return float((samples.complete & forces).sum() / max(expected, len(samples)))
 
 
 def _run_live(path: Path, seed: int, scale: float, log: Path) -> None:
-    """Record a trial of the simulated testbed at a time scale [-]."""
+    """Record a trial of the simulated testbed at a time scale [-], unless it falls behind."""
+    # ROS is imported only where a graph runs: the rest works without it.
+    require_ros()
+    from socket_testbed.nodes.status_listener import StatusListener
+
     protocol = Simulation("protocol", _DURATION, seed, pace=_PACE, time_scale=scale)
     testbed = simulated_testbed(record=path, rate=_TRIGGER_RATE, simulation=protocol)
     progress = Progress("   running")
-    with log.open("w", encoding="utf-8") as output, Graph(output) as graph:
+    status = GraphStatus()
+    with ExitStack() as stack:
+        output = stack.enter_context(log.open("w", encoding="utf-8"))
+        graph = stack.enter_context(Graph(output))
         start(graph, testbed)
         began = time.monotonic()
+        listener = StatusListener(status)
+        stack.callback(listener.close)
 
         def done() -> bool:
+            listener.take()
             elapsed = (time.monotonic() - began) * scale
             progress(min(int(elapsed), int(_DURATION)), int(_DURATION))
-            return elapsed >= _DURATION
+            return elapsed >= _DURATION or falls_behind(status)
 
         graph.watch(done, lambda line: print(line, file=output))
         end(graph, testbed)
+
+
+def falls_behind(status: GraphStatus) -> bool:
+    """Whether so many samples lack a measurement that going on is of no use."""
+    judged = status.triggers - _IN_HAND
+    return judged >= _LEAST_JUDGED and status.complete < _HOPELESS * judged
 
 
 def _make_room(folder: Path) -> None:

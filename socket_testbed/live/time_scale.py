@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-SCALES = (1.0, 0.5, 0.25, 0.125)  # testbed seconds per real second [-]
+SCALES = (1.0, 0.5, 0.25, 0.125, 0.0625)  # testbed seconds per real second [-]
 SLOWEST = SCALES[-1]
 
 _WATCHED = 0.5  # [s]; for each of the two measurements
@@ -65,7 +65,7 @@ def _work() -> int:
 def pace(scale: float) -> str:
     """How fast a simulated testbed runs, in words: 'a quarter of real time'."""
     names = {1.0: "real time", 0.5: "half of real time", 0.25: "a quarter of real time"}
-    names[SLOWEST] = "an eighth of real time"
+    names |= {0.125: "an eighth of real time", SLOWEST: "a sixteenth of real time"}
     return names.get(scale, f"{scale:g} of real time")
 
 
