@@ -160,7 +160,10 @@ def _run_live(path: Path, seed: int, scale: float, log: Path) -> None:
             listener.take()
             elapsed = (time.monotonic() - began) * scale
             progress(min(int(elapsed), int(_DURATION)), int(_DURATION))
-            return elapsed >= _DURATION or falls_behind(status)
+            if falls_behind(status):
+                progress.stop()
+                return True
+            return elapsed >= _DURATION
 
         graph.watch(done, lambda line: print(line, file=output))
         end(graph, testbed)

@@ -71,6 +71,12 @@ class Progress:
             start = "\r" if terminal else ""
             print(f"{start}{self._what}: {100 * done // total} %", end=tail, file=sys.stderr)
 
+    def stop(self) -> None:
+        """Leave the work undone: what is printed next stands in a line of its own."""
+        if self._shown and sys.stderr.isatty():
+            print(file=sys.stderr)
+        self._shown = False
+
 
 def errors_table(errors: Sequence[ChannelErrors]) -> str:
     """RMSE, MAE, sigma and skill per channel, with their means and the median."""

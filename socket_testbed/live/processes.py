@@ -28,7 +28,7 @@ from socket_testbed.settings.fields import Settings, parameter_values
 PARENT = "SOCKET_TESTBED_PARENT"  # environment variable: the process that started this one
 
 _PR_SET_PDEATHSIG = 1
-_GRACE = 20.0  # [s]; for a node to end by itself
+_GRACE = 60.0  # [s]; for a node to end by itself
 _LOOK = 0.05  # [s]
 _EARLY = 10.0  # [s]; a process that fails within this time was given something wrong
 _LONGEST_WAIT = 10.0  # [s]; before a process that ends again and again is started again

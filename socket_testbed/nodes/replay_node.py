@@ -22,9 +22,9 @@ from socket_testbed.settings.testbed import ReplaySettings
 from socket_testbed.trials.bag import BagReader, RawMessage, decode, stamp_of
 from socket_testbed.trials.topics import DIAGNOSTICS, TRIGGER, Topic, full_namespace, match_topics
 
-_READY_WITHIN = 60.0  # [s]; for the nodes waited for to start and find each other
+_READY_WITHIN = 180.0  # [s]; for the nodes waited for to start and find each other
 _DISCOVERY = 3.0  # [s]; DDS takes 5 ms or more than 2 s, at random
-_DONE_WITHIN = 30.0  # [s]; for them to make any progress
+_DONE_WITHIN = 60.0  # [s]; for them to make any progress
 _IN_FLIGHT = 500  # triggers ahead of the nodes waited for, well below their queues
 _BURST = 50  # messages sent at once, half of what a writer keeps to send again
 _BREATH = 0.002  # [s]; after a burst

@@ -5,6 +5,8 @@ from pathlib import Path
 import pytest
 
 from socket_testbed.commands import demo
+from socket_testbed.errors import TrialError
+from socket_testbed.live.graph_status import GraphStatus
 from socket_testbed.live.time_scale import MachineSpeed
 from socket_testbed.trials.trial import Trial
 
@@ -14,8 +16,10 @@ from socket_testbed.trials.trial import Trial
     [
         (1.0, [1.0], [1.0]),
         (1.0, [0.4, 0.8, 0.95], [1.0, 0.5, 0.25]),
-        (0.04, [0.0, 0.5], [0.25, 0.125]),
-        (0.001, [0.5], [0.125]),
+        (0.04, [0.0, 0.95], [0.25, 0.125]),
+        # At the slowest again and again, as a busy moment may pass; in the end with what there is.
+        (0.001, [0.0, 0.6, 0.95], [0.0625] * 3),
+        (0.04, [0.1, 0.2, 0.3, 0.4, 0.5], [0.25, 0.125, 0.0625, 0.0625, 0.0625]),
     ],
 )
 def test_it_records_slower_until_the_samples_are_complete(
@@ -43,3 +47,29 @@ def test_it_records_slower_until_the_samples_are_complete(
     printed = capsys.readouterr().out
     assert ("this machine is busy" in printed) == (scales[0] < 1.0)
     assert printed.count("samples are complete: again at") == len(scales) - 1
+
+
+def test_too_busy_a_machine_is_an_error_that_says_so(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(demo, "measure_speed", lambda: MachineSpeed(1.0, 0.0))
+    monkeypatch.setattr(demo, "_run_live", lambda *given: None)
+    with pytest.raises(TrialError, match=r"only 0% .* at a sixteenth of real time: this machine"):
+        demo._record(Trial(tmp_path / "trial"), 0, tmp_path / "log")
+
+
+def test_a_recording_that_falls_behind_is_broken_off() -> None:
+    status = GraphStatus()
+    for status.triggers, status.complete, hopeless in (
+        (0, 0, False),
+        (40, 0, False),  # the first ones may be late
+        (100, 60, True),
+        (100, 80, False),
+        (600, 590, False),
+    ):
+        assert demo.falls_behind(status) == hopeless
+
+
+def test_a_trial_that_is_too_short_is_not_complete(hold: Path) -> None:
+    """Where the nodes come up late, what there is of the protocol is whole but short."""
+    assert demo._complete(Trial(hold)) == pytest.approx(240 / (10.0 * 54.0))

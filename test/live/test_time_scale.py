@@ -18,7 +18,8 @@ from socket_testbed.settings.acquisition import ClusterSettings, LoadCellSetting
         (4e-3, 1.0, 0.5),
         (8e-3, 0.3, 0.25),
         (6e-3, 0.02, 0.125),
-        (0.1, 0.001, 0.125),
+        (0.02, 1.0, 0.125),
+        (0.1, 0.001, 0.0625),
         (0.0, 5.0, 1.0),
     ],
 )
