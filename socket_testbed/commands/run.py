@@ -26,10 +26,11 @@ from socket_testbed.files import check_new_folder, check_number, make_folder
 from socket_testbed.geometry.socket import read_socket
 from socket_testbed.identification.fit import check_names
 from socket_testbed.live.bringup import Simulation, Testbed, end, predict_with, start, summary
-from socket_testbed.live.processes import Graph
+from socket_testbed.live.processes import Graph, GraphNode
 from socket_testbed.live.time_scale import busy_note, measure_speed, pace
 from socket_testbed.settings.testbed import check_take_name
 from socket_testbed.trials.metadata import TrialMetadata
+from socket_testbed.trials.topics import full_namespace
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -47,6 +48,10 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--one-process", action="store_true", help="all nodes but trigger and recorder in one"
     )
+    view = parser.add_argument_group("the page in a browser")
+    view.add_argument("--view", action="store_true", help="serve it, see 'socket-testbed view'")
+    view.add_argument("--view-host", metavar="ADDRESS", help="on this address of the machine")
+    view.add_argument("--view-port", type=int, metavar="N", help="on this port")
     group = add_simulation(parser)
     group.add_argument(
         "--time-scale", metavar="X", default="1",
@@ -68,9 +73,12 @@ def run(options: argparse.Namespace) -> None:
     elif options.time_scale != "1":
         raise ConfigurationError("--time-scale is for simulated hardware", "add --simulated")
     testbed = _testbed(options, simulation)
+    page = _page(options, testbed)
     disk = testbed.record.parent if testbed.record else None
     with StatusLine(disk) as status, Graph(status.output, status.renew) as graph:
         world = start(graph, testbed)
+        if page is not None:
+            graph.start_nodes([page])
         for name, value in faults.items():
             assert world is not None
             world.faults.switch(name, value)
@@ -84,6 +92,23 @@ def run(options: argparse.Namespace) -> None:
         end(graph, testbed)
     if testbed.record is not None:
         print(summary(testbed.record))
+
+
+def _page(options: argparse.Namespace, testbed: Testbed) -> GraphNode | None:
+    """The node that serves the page, without which the testbed goes on; None if none is wanted."""
+    given = {"host": options.view_host, "port": options.view_port}
+    given = {name: value for name, value in given.items() if value is not None}
+    if not options.view:
+        if given:
+            raise ConfigurationError(f"--view-{next(iter(given))} is for a page", "add --view")
+        return None
+    from socket_testbed.commands.view import check_page
+
+    settings = dataclasses.replace(
+        testbed.settings.view_node, geometry=str(testbed.geometry), **given
+    )
+    check_page(settings)
+    return GraphNode("view_node", settings, full_namespace(testbed.namespace), optional=True)
 
 
 def _check_writable(path: Path) -> None:

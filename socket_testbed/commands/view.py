@@ -15,6 +15,7 @@ from socket_testbed.errors import ConfigurationError
 from socket_testbed.files import check_number
 from socket_testbed.live.processes import Graph
 from socket_testbed.settings.testbed import ViewSettings
+from socket_testbed.viewer.listening import listen
 
 _LOOK = 0.2  # [s]; between looks at the time
 
@@ -59,17 +60,28 @@ def page_settings(options: argparse.Namespace) -> ViewSettings:
     """The settings of the page.
 
     Raises:
-        ConfigurationError: If a setting is wrong, or what serves the page is not installed.
+        ConfigurationError: If a setting is wrong, or the page cannot be served.
     """
-    api.require_viewer()
     geometry = str(options.geometry.resolve()) if options.geometry else ""
-    return ViewSettings(
+    settings = ViewSettings(
         geometry=geometry,
         host=options.host,
         port=options.port,
         names=tuple(options.allow_host),
         buttons=options.buttons,
     )
+    check_page(settings)
+    return settings
+
+
+def check_page(settings: ViewSettings) -> None:
+    """Refuse a page that cannot be served, before any node starts.
+
+    Raises:
+        ConfigurationError: If what serves it is not installed, or its port is taken.
+    """
+    api.require_viewer()
+    listen(settings.host, settings.port).close()
 
 
 def run(options: argparse.Namespace) -> None:

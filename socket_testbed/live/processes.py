@@ -63,6 +63,7 @@ class GraphNode:
         namespace: Its namespace.
         use_sim_time: Whether it takes its time from /clock.
         process: Name of the process that it shares with others; empty for one of its own.
+        optional: Whether the graph starts without it, too.
     """
 
     name: str
@@ -70,6 +71,7 @@ class GraphNode:
     namespace: str = "/"
     use_sim_time: bool = False
     process: str = ""
+    optional: bool = False
 
     @property
     def full_name(self) -> str:
@@ -113,6 +115,7 @@ class _Member:
     command: list[str]
     process: subprocess.Popen[bytes]
     started: float
+    optional: bool
     backoff: Backoff = field(default_factory=lambda: Backoff(_LONGEST_WAIT))
 
     def exit_code(self) -> int | None:
@@ -184,12 +187,15 @@ class Graph:
             file = write_parameters(members, self.folder / f"{name}.yaml")
             names = [node.name for node in members]
             ros = ["--ros-args", "-r", f"__ns:={members[0].namespace}", "--params-file", str(file)]
-            self.start_program(name, "socket_testbed.nodes", [*names, *ros])
+            optional = all(node.optional for node in members)
+            self.start_program(name, "socket_testbed.nodes", [*names, *ros], optional)
 
-    def start_program(self, name: str, module: str, arguments: list[str]) -> None:
-        """Start a module of this package as a process."""
+    def start_program(
+        self, name: str, module: str, arguments: list[str], optional: bool = False
+    ) -> None:
+        """Start a module of this package as a process, which `watch` may do without."""
         command = [sys.executable, "-m", module, *arguments]
-        self._members[name] = _Member(command, self._spawn(command), time.monotonic())
+        self._members[name] = _Member(command, self._spawn(command), time.monotonic(), optional)
 
     def _spawn(self, command: list[str]) -> subprocess.Popen[bytes]:
         # In a session of its own, Ctrl-C reaches a node once: from this process.
@@ -249,7 +255,7 @@ class Graph:
                     if now - member.started > _EARLY:
                         member.backoff.succeeded()
                     continue
-                if code > 0 and now - began < _EARLY:
+                if code > 0 and now - began < _EARLY and not member.optional:
                     raise _failure(name, code)
                 if member.backoff.due(now):
                     notify(f"{name} {_ending(code)}: started again")

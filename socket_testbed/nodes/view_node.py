@@ -68,6 +68,11 @@ class ViewNode(TestbedNode[ViewSettings]):
         self._page = Page(self._live, server)
         self.report(OK, f"the testbed is seen at {server.url}")
 
+    def look(self) -> None:
+        """End where the page has failed: `run` starts the node again."""
+        if not self._page.works:
+            raise RuntimeError("the page draws no more, see above")
+
     def close(self) -> None:
         """End the page."""
         self._page.close()

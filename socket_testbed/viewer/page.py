@@ -36,6 +36,11 @@ class Page:
         server.viser.on_client_connect(self._on_change)
         server.viser.on_client_disconnect(self._on_change)
 
+    @property
+    def works(self) -> bool:
+        """Whether it draws, or would if a browser were open."""
+        return self._thread.is_alive()
+
     def close(self) -> None:
         """Stop drawing and serving."""
         self._closed = True

@@ -6,7 +6,6 @@ import socket
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from http import HTTPStatus
-from ipaddress import ip_address
 from typing import Any
 
 import rich
@@ -16,7 +15,7 @@ from viser._messages import ShareUrlDisconnect, ShareUrlRequest
 from websockets.asyncio.server import ServerConnection
 from websockets.http11 import Request, Response
 
-from socket_testbed.errors import ConfigurationError
+from socket_testbed.viewer.listening import is_any, is_local, listen
 
 _LOCAL = ("127.0.0.1", "localhost", "::1")
 _HTTP = 80  # the port that a browser does not name
@@ -25,46 +24,6 @@ _POLICY = (
     "default-src 'self' data: blob: 'unsafe-inline' 'unsafe-eval' 'wasm-unsafe-eval';"
     " frame-ancestors 'none'"
 )
-
-
-def is_local(host: str) -> bool:
-    """Whether a server that listens here is reached from this machine alone."""
-    if host == "localhost":
-        return True
-    try:
-        return ip_address(host).is_loopback
-    except ValueError:
-        return False
-
-
-def is_any(host: str) -> bool:
-    """Whether a server that listens here is reached by every address of this machine."""
-    try:
-        return ip_address(host).is_unspecified
-    except ValueError:
-        return False
-
-
-def listen(host: str, port: int) -> socket.socket:
-    """A socket that listens.
-
-    Args:
-        host: Address or name of this machine.
-        port: The port; 0 for one that is free.
-
-    Raises:
-        ConfigurationError: If the address is not one of this machine, or the port is taken.
-    """
-    try:
-        family, *_, address = socket.getaddrinfo(
-            host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE
-        )[0]
-        return socket.create_server(address[:2], family=family)
-    except OSError as error:
-        raise ConfigurationError(
-            f"the page cannot listen on {host}:{port} ({error.strerror})",
-            "give another port, or an address of this machine",
-        ) from None
 
 
 class Guard:

@@ -216,6 +216,8 @@ def test_doctor_without_hardware(capsys: pytest.CaptureFixture[str], tmp_path: P
             "--side is 'lft': did you mean 'left'",
         ),
         (["--time-scale", "0.5"], "add --simulated"),
+        (["--simulated", "--view-port", "8081"], "--view-port is for a page: add --view"),
+        (["--simulated", "--view", "--view-host", "192.0.2.1"], "cannot listen on 192.0.2.1"),
         (["--duration", "1"], "load_cell_node: "),
     ],
 )

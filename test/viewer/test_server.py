@@ -37,10 +37,7 @@ def status_of(server: PageServer, headers: dict[str, str]) -> tuple[int, Any]:
     return answer.status, answer.headers
 
 
-@pytest.mark.parametrize(
-    "host",
-    ["127.0.0.1:{port}", "localhost:{port}", "LocalHost:{port}", "lab-pi.example.org:{port}"],
-)
+@pytest.mark.parametrize("name", ["127.0.0.1", "localhost", "LocalHost", "lab-pi.example.org"])
 def test_the_page_is_served_by_its_own_names(server: PageServer, name: str) -> None:
     host = name + ":{port}"
     assert status_of(server, {"Host": host})[0] == 200
