@@ -18,8 +18,8 @@ import qpsolvers
 from scipy.sparse import csc_matrix
 
 from socket_testbed.arrays import FloatArray, IntArray
-from socket_testbed.errors import ConfigurationError, IdentificationError
-from socket_testbed.files import closest
+from socket_testbed.errors import IdentificationError
+from socket_testbed.settings.identification import check_solver
 
 _ROWS = 48  # of a substitution at a time; fewer cost calls, more cost arithmetic
 
@@ -152,18 +152,6 @@ class UncertifiedSolutionError(IdentificationError):
         super().__init__(fact, hint)
         self.problem = problem
         self.x = x
-
-
-def check_solver(solver: str) -> None:
-    """Check that qpsolvers finds a solver.
-
-    Raises:
-        ConfigurationError: With the likely name.
-    """
-    if solver not in qpsolvers.available_solvers:
-        raise ConfigurationError(
-            f"solver '{solver}' is not installed", closest(solver, qpsolvers.available_solvers)
-        )
 
 
 def solve_box_qp(

@@ -27,7 +27,7 @@ import numpy as np
 
 from socket_testbed.arrays import FloatArray
 from socket_testbed.geometry.socket import SocketGeometry
-from socket_testbed.identification.box_qp import BoxSolution, check_solver, solve_box_qp
+from socket_testbed.identification.box_qp import BoxSolution, solve_box_qp
 from socket_testbed.identification.contact import ContactModel
 from socket_testbed.identification.evaluation import ChannelErrors, evaluate
 from socket_testbed.identification.plausibility import (
@@ -54,6 +54,7 @@ from socket_testbed.settings.identification import (
     RIGID_VARIANTS,
     IdentificationSettings,
     Variant,
+    check_solver,
 )
 
 LEAST_LOAD = 20.0  # [N]

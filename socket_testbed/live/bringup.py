@@ -23,6 +23,7 @@ from socket_testbed.identification.fit import check_names
 from socket_testbed.identification.model_file import read_model
 from socket_testbed.live.processes import Graph, GraphNode
 from socket_testbed.samples import Status
+from socket_testbed.settings.identification import check_solver
 from socket_testbed.settings.testbed import (
     CalibrationNodeSettings,
     EstimatorSettings,
@@ -102,6 +103,7 @@ class Testbed:
     namespace: str = "/"
 
     def __post_init__(self) -> None:
+        check_solver(self.settings.estimator_node.identification.solver)
         names = self.settings.cluster_node.names
         read_calibration(self.calibration).require(names, "cluster_node")
         tiles = read_socket(self.geometry).clusters

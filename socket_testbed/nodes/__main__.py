@@ -14,14 +14,20 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-import rclpy
-from rclpy.experimental.events_executor import EventsExecutor
+try:
+    import rclpy
+    from rclpy.experimental.events_executor import EventsExecutor
 
-from socket_testbed.errors import ConfigurationError, TestbedError
-from socket_testbed.files import closest
-from socket_testbed.live.processes import end_with_starter
-from socket_testbed.nodes.base import TestbedNode, spin
-from socket_testbed.settings.testbed import TestbedSettings
+    from socket_testbed.errors import ConfigurationError, TestbedError
+    from socket_testbed.files import closest
+    from socket_testbed.live.processes import end_with_starter
+    from socket_testbed.nodes.base import TestbedNode, spin
+    from socket_testbed.settings.testbed import TestbedSettings
+except ModuleNotFoundError as error:
+    sys.exit(
+        f"error: {sys.executable} has no module '{error.name}': activate the environment that"
+        " requirements/runtime.txt is installed in (README, colcon workspace)"
+    )
 
 _SWITCH = 5e-4  # [s]; a thread that is due waits no longer for one that computes
 

@@ -43,6 +43,7 @@ from socket_testbed.nodes.estimate_messages import (
     local_forces_to_ros,
     stored_model_to_ros,
 )
+from socket_testbed.settings.identification import check_solver
 from socket_testbed.settings.testbed import EstimatorSettings
 from socket_testbed.trials.topics import (
     ESTIMATED_WRENCH,
@@ -93,6 +94,11 @@ class EstimatorNode(TestbedNode[EstimatorSettings]):
         self.serve(TriggerService, "estimator/fit", self._on_fit, slow=True)
         if self.settings.model:
             self._estimator.load(Path(self.settings.model))
+
+    def _read_settings(self, changes: dict[str, Any]) -> EstimatorSettings:
+        settings = super()._read_settings(changes)
+        check_solver(settings.identification.solver)
+        return settings
 
     def close(self) -> None:
         """End the process of the fits and the service that waits for them."""

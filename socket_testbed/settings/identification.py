@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import dataclass
 from typing import Literal, get_args
 
+from socket_testbed.errors import ConfigurationError
+from socket_testbed.files import closest
 from socket_testbed.settings.fields import Settings, setting
 
 Variant = Literal["stiffness", "stiffness_bias", "rigid", "rigid_bias"]
@@ -14,6 +17,22 @@ BIAS_VARIANTS: tuple[Variant, ...] = ("stiffness_bias", "rigid_bias")
 RIGID_VARIANTS: tuple[Variant, ...] = ("rigid", "rigid_bias")
 Weights = Literal["size", "noise", "raw"]
 WEIGHTS: tuple[Weights, ...] = get_args(Weights)
+
+
+def check_solver(solver: str) -> None:
+    """Check that qpsolvers finds a solver; a model fitted elsewhere may name one that it does not.
+
+    Raises:
+        ConfigurationError: With the likely name.
+    """
+    import qpsolvers  # it imports every solver
+
+    installed = qpsolvers.available_solvers
+    if solver not in installed:
+        hint = closest(solver, installed)
+        if solver == IdentificationSettings.solver:
+            hint = f"install requirements/runtime.txt for {sys.executable}, or {hint}"
+        raise ConfigurationError(f"solver '{solver}' is not installed", hint)
 
 
 @dataclass(frozen=True)

@@ -26,6 +26,7 @@ from socket_testbed.settings.identification import (
     ForceMapSettings,
     IdentificationSettings,
     PlateauSettings,
+    check_solver,
 )
 
 
@@ -250,7 +251,10 @@ def estimator_settings(
     """
     settings = stored if params is None else read_testbed(params).estimator_node
     given = {name: value for name, value in choices.items() if value is not None}
-    return replace(settings, identification=replace(settings.identification, **given))
+    chosen = replace(settings.identification, **given)
+    if params is not None or "solver" in given:
+        check_solver(chosen.solver)
+    return replace(settings, identification=chosen)
 
 
 def write_testbed(nodes: dict[str, Settings], path: Path) -> None:

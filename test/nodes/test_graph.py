@@ -290,12 +290,19 @@ def test_parameters_are_described_checked_and_changed_at_run_time() -> None:
         assert not refused.successful and refused.reason
         refused = change(setting("identification.variant", type=text, string_value="stifness_bias"))
         assert not refused.successful and "did you mean 'stiffness_bias'?" in refused.reason
+        refused = change(setting("identification.solver", type=text, string_value="osqqp"))
+        assert not refused.successful and "did you mean 'osqp'?" in refused.reason
 
 
 @pytest.mark.parametrize(
     ("node", "parameters", "names"),
     [
         ("estimator_node", {"identification.variant": "stifness"}, ["variant", "stifness"]),
+        (
+            "estimator_node",
+            {"identification.solver": "osqqp"},
+            ["'osqqp' is not installed", "'osqp'"],
+        ),
         ("estimator_node", {"geometry": "nowhere.yaml"}, ["nowhere.yaml"]),
         ("calibration_node", {"calibration": "nowhere.yaml"}, ["nowhere.yaml"]),
         ("replay_node", {}, ["trial is empty"]),

@@ -2,17 +2,22 @@
 
 import dataclasses
 import math
+from pathlib import Path
 
 import pytest
+import qpsolvers
 import yaml
 
+from socket_testbed.__main__ import run
 from socket_testbed.errors import ConfigurationError
+from socket_testbed.live.bringup import Testbed
 from socket_testbed.settings.acquisition import TriggerSettings
 from socket_testbed.settings.identification import IdentificationSettings, PlateauSettings
 from socket_testbed.settings.testbed import (
     EstimatorSettings,
     TestbedSettings,
     WindowSettings,
+    estimator_settings,
     read_testbed,
     write_testbed,
 )
@@ -108,6 +113,30 @@ def test_a_wrong_value_is_named_with_the_hint(kind, name, value, words):
     with pytest.raises(ConfigurationError) as caught:
         kind(**{name: value})
     assert_one_line(caught.value, *words)
+
+
+def test_a_solver_that_is_not_installed_is_refused_where_it_is_set(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "testbed.yaml"
+    path.write_text("estimator_node: {ros__parameters: {identification: {solver: osqqp}}}")
+    wrong = "solver 'osqqp' is not installed: did you mean 'osqp'?"
+    for set_it in (
+        lambda: estimator_settings(EstimatorSettings(), path),
+        lambda: estimator_settings(EstimatorSettings(), solver="osqqp"),
+        lambda: Testbed(read_testbed(path)),
+    ):
+        with pytest.raises(ConfigurationError) as refused:
+            set_it()
+        assert str(refused.value) == wrong
+    assert run(["run", "--simulated", "--params", str(path)]) == 1
+    assert wrong in capsys.readouterr().err
+
+    monkeypatch.setattr(qpsolvers, "available_solvers", ["daqp"])
+    with pytest.raises(ConfigurationError, match=r"'osqp' is not.*runtime\.txt for .*or use.*daqp"):
+        estimator_settings(EstimatorSettings(), solver="osqp")
+    # A trial that was recorded elsewhere can be read all the same.
+    assert estimator_settings(EstimatorSettings()).identification.solver == "osqp"
 
 
 @pytest.mark.parametrize(
