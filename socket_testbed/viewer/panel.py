@@ -1,11 +1,57 @@
-"""What is beside the scene: plots, regions, sensors and buttons."""
+"""What is beside the scene: how good the data is, regions, buttons, and the wrench's plots."""
 
 from __future__ import annotations
 
-from viser import ViserServer
+import math
+import threading
+import time
+from collections.abc import Callable, Sequence
+from datetime import datetime
+from html import escape
 
+import numpy as np
+from viser import GuiButtonHandle, GuiEvent, GuiHtmlHandle, GuiInputHandle, ViserServer, uplot
+
+from socket_testbed.arrays import FloatArray
+from socket_testbed.errors import TestbedError
+from socket_testbed.geometry.regions import Region
+from socket_testbed.geometry.socket import HEIGHTS
+from socket_testbed.identification.pressure import SHARE, read_column
+from socket_testbed.trials.metadata import SIDES
 from socket_testbed.viewer.playback_panel import PlaybackPanel
-from socket_testbed.viewer.source import Source
+from socket_testbed.viewer.source import (
+    HISTORY,
+    Controls,
+    Recording,
+    RegionsNow,
+    SensorState,
+    Source,
+)
+
+_TEXTS_EVERY = 0.5  # [s]
+_PLOTS_EVERY = 0.35  # [s]
+_SILENT = 3.0  # [s]; a sensor that reported longer ago is silent
+_SCARCE = 1e9  # [bytes] of free space
+_BINS = 150  # of a plot's time, each with its smallest and largest value
+_NEWS = 4  # outcomes that are shown
+_GREEN, _AMBER, _RED, _GREY = "#2b8a3e", "#b35c00", "#c92a2a", "#6b7280"
+_MEASURED, _PREDICTED = "#1c5d99", "#e07b00"
+_CHANNELS = ("Fx [N]", "Fy [N]", "Fz [N]", "Mx [N m]", "My [N m]", "Mz [N m]")
+_ROWS = (3, 4, 5, 0, 1, 2)  # of the channels in a wrench [M; F]
+_COLUMNS = {
+    "mean pressure [kPa]": "mean<br>[kPa]",
+    "peak pressure [kPa]": "peak<br>[kPa]",
+    "contact area [cm^2]": "contact<br>[cm²]",
+    "share of load [%]": "load<br>[%]",
+}
+_STYLE = (
+    "<style>.tb table{width:100%;border-collapse:collapse;font-size:11.5px;line-height:1.25}"
+    ".tb td,.tb th{padding:1.5px 4px;text-align:right;font-weight:normal;vertical-align:top}"
+    ".tb td:first-child,.tb th:first-child{text-align:left}"
+    ".tb tr{border-top:1px solid rgba(128,128,128,.25)}"
+    f".tb small{{color:{_GREY};font-size:10px}}.tb th{{color:{_GREY}}}"
+    ".tb{font-size:12px;padding:2px 12px}</style>"
+)
 
 
 class Panel:
@@ -17,10 +63,296 @@ class Panel:
     """
 
     def __init__(self, server: ViserServer, source: Source) -> None:
+        gui = server.gui
+        gui.main_panel.dock_right()
+        gui.main_panel.set_width(370)
+        plots = gui.add_panel()
+        with plots.add_tab("Wrench"):
+            self._plots = _Plots(server)
+        plots.dock_left()
+        plots.set_width(290)
+        self._sensors = gui.add_html("")
+        self._recording = gui.add_html("", visible=False)
         playback = source.playback
         self._playback = None if playback is None else PlaybackPanel(server, playback)
+        self._buttons = Buttons(server, source) if playback is None else None
+        self._regions = gui.add_html("")
+        self._next_texts = self._next_plots = -math.inf
 
     def update(self, source: Source) -> None:
         """Show how the source is now; called for every frame that is drawn."""
         if self._playback is not None:
             self._playback.update()
+        now = time.monotonic()
+        if now >= self._next_plots:
+            self._next_plots = now + _PLOTS_EVERY
+            self._plots.update(*source.wrenches())
+        if now >= self._next_texts:
+            self._next_texts = now + _TEXTS_EVERY
+            recording = source.recording()
+            _show(self._sensors, sensors_html(source.sensors()))
+            _show(self._recording, recording_html(recording))
+            if self._buttons is not None:
+                self._buttons.update(recording)
+            _show(self._regions, regions_html(source.regions()))
+
+
+def _show(handle: GuiHtmlHandle, text: str) -> None:
+    """Show a text; what is shown already is not sent again, and nothing takes no room."""
+    text = text and f'<div class="tb">{_STYLE}{text}</div>'
+    if handle.content != text:
+        handle.content = text
+    if handle.visible != bool(text):
+        handle.visible = bool(text)
+
+
+def sensors_html(sensors: Sequence[SensorState]) -> str:
+    """The state of the data in a line, and of every sensor in a row."""
+    if not sensors:
+        return f'<b style="color:{_AMBER}">nothing is heard of the testbed</b>'
+    rows, bad = [], 0
+    for sensor in sensors:
+        level, words = sensor.level, sensor.words
+        if sensor.age > _SILENT:
+            level, words = 2, f"silent for {sensor.age:.0f} s; it said: {words}"
+        bad += level > 0
+        rate = f"{sensor.rate:.1f} Hz" if math.isfinite(sensor.rate) else ""
+        rows.append(
+            f"<tr><td>{_mark(level)}&nbsp;{escape(_short(sensor.name))}</td>"
+            f'<td style="text-align:left">{escape(words)}</td><td>{rate}</td>'
+            f"<td>{max(sensor.age, 0.0):.0f}&nbsp;s</td></tr>"
+        )
+    worst = _mark(2 if bad else 0)
+    told = f"{bad} of {len(sensors)} need attention" if bad else f"all {len(sensors)} are well"
+    head = "<tr><th>sensor</th><th style='text-align:left'>says</th><th>rate</th><th>age</th></tr>"
+    return f"<b>{worst} Data: {told}</b><table>{head}{''.join(rows)}</table>"
+
+
+def _mark(level: int) -> str:
+    """A level as a sign of its own shape and colour."""
+    sign, colour = (("●", _GREEN), ("▲", _AMBER), ("■", _RED))[min(level, 2)]
+    return f'<span style="color:{colour}">{sign}</span>'
+
+
+def _short(name: str) -> str:
+    return name.lstrip("/").removesuffix("_node").replace("_", " ")
+
+
+def recording_html(recording: Recording | None) -> str:
+    """What is being recorded, since when, and the free space."""
+    if recording is None:
+        return ""
+    minutes, seconds = divmod(int(recording.elapsed), 60)
+    text = (
+        f'<b><span style="color:{_RED}">⏺</span> recording {escape(recording.trial)}</b>'
+        f" {minutes}:{seconds:02d}"
+        if recording.trial
+        else "nothing is being recorded"
+    )
+    if math.isfinite(recording.free):
+        colour = f' style="color:{_RED}"' if recording.free < _SCARCE else ""
+        text += f"<span{colour}>, {recording.free * 1e-9:.1f} GB free</span>"
+    return text
+
+
+def regions_html(found: RegionsNow | None) -> str:
+    """The standard outputs of the socket, its sectors and heights, and the user's own regions."""
+    if found is None:
+        return ""
+    quantities = [read_column(found.outputs, title) for title in _COLUMNS]
+    determined = [quantity.determined(SHARE) for quantity in quantities]
+    rows = []
+    for number, place in enumerate(found.places):
+        if _is_part(place, found.places):
+            continue
+        cells = []
+        for quantity, known in zip(quantities, determined, strict=True):
+            low, high = (f"{end[number]:.3g}" for end in (quantity.low, quantity.high))
+            value = f"{quantity.value[number]:.3g}" if known[number] else "<i>undetermined</i>"
+            if not math.isfinite(quantity.value[number]):
+                cells.append("<td>-</td>")
+                continue
+            cells.append(f"<td>{value}<br><small>{low} to {high}</small></td>")
+        rows.append(f"<tr><td>{escape(place.name)}</td>{''.join(cells)}</tr>")
+    head = "".join(f"<th>{title}</th>" for title in _COLUMNS.values())
+    return (
+        f"<b>Regions at {found.time:.1f} s</b> <small>value, 95 % interval</small>"
+        f"<table><tr><th></th>{head}</tr>{rows[-1]}{''.join(rows[:-1])}</table>"
+    )
+
+
+def _is_part(place: Region, places: Sequence[Region]) -> bool:
+    """Whether a region is a sector's part at a height."""
+    sector, _, height = place.name.partition(" ")
+    return height in HEIGHTS and any(sector == other.name for other in places)
+
+
+class _Plots:
+    """The six channels of the wrench, measured and predicted, each on a scale of its own."""
+
+    def __init__(self, server: ViserServer) -> None:
+        server.gui.add_html(
+            f'<div class="tb">{_STYLE}<b style="color:{_MEASURED}">━ measured</b>&emsp;'
+            f'<b style="color:{_PREDICTED}">━ predicted</b>&emsp;<small>time [s]</small></div>'
+        )
+        nothing = (np.zeros(1), np.full(1, np.nan), np.full(1, np.nan))
+        font = "10px sans-serif"
+        axes = (uplot.Axis(size=22, font=font, gap=2), uplot.Axis(size=42, font=font, gap=2))
+        self._plots = [
+            server.gui.add_uplot(
+                nothing,
+                series=(
+                    uplot.Series(label="t"),
+                    uplot.Series(label="measured", stroke=_MEASURED, width=1.5),
+                    uplot.Series(label="predicted", stroke=_PREDICTED, width=1.5),
+                ),
+                title=channel,
+                scales={"x": uplot.Scale(time=False)},
+                axes=axes,
+                legend=uplot.Legend(show=False),
+                cursor=uplot.Cursor(show=False),
+                height=112,
+                padding=(2, 8, 0, 0),
+            )
+            for channel in _CHANNELS
+        ]
+        self._end = math.nan
+
+    def update(self, at: FloatArray, measured: FloatArray, predicted: FloatArray) -> None:
+        """Show the last wrenches, unless they are shown."""
+        end = float(at[-1]) if len(at) else math.nan
+        if not len(at) or end == self._end:
+            return
+        self._end = end
+        shown, values = thinned(at, np.hstack([measured, predicted]))
+        for plot, row in zip(self._plots, _ROWS, strict=True):
+            plot.data = (shown, values[:, row], values[:, row + 6])
+
+
+def thinned(at: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """The smallest and the largest value in each of some equal parts of the time.
+
+    Args:
+        at: Times, ascending, shape (N,) [s].
+        values: Shape (N, c); NaN where missing.
+
+    Returns:
+        Times, shape (M,), and values, shape (M, c), M at most about 2 * `_BINS`; what was given if
+        it is no more than that. A part without a value is NaN.
+    """
+    if len(at) <= 2 * _BINS:
+        return at, values
+    bins = np.floor(at * (_BINS / HISTORY)).astype(np.int64)  # fixed in time: nothing flickers
+    starts = np.flatnonzero(np.diff(bins, prepend=bins[0] - 1))
+    low = np.fmin.reduceat(values, starts, axis=0)
+    high = np.fmax.reduceat(values, starts, axis=0)
+    middle = (bins[starts] + 0.5) * (HISTORY / _BINS)
+    return (
+        np.stack([bins[starts] * (HISTORY / _BINS), middle], axis=1).reshape(-1),
+        np.stack([low, high], axis=1).reshape(-1, values.shape[1]),
+    )
+
+
+class Buttons:
+    """The buttons of a running testbed; each says what came of it.
+
+    Args:
+        server: Serves the page.
+        source: The testbed.
+    """
+
+    def __init__(self, server: ViserServer, source: Source) -> None:
+        self._server = server
+        self._gui = gui = server.gui
+        self._controls = controls = source.controls
+        self._lock = threading.Lock()
+        self._running: dict[str, float] = {}  # since when [s], by what is done
+        self._news: list[str] = []
+        self._recorded: bool | None = None
+        self._buttons: dict[str, GuiButtonHandle] = {}
+        with gui.add_folder("Testbed"):
+            self._said = gui.add_html("", order=10)
+            self._button("Tare", "tare", lambda c: c.tare())
+            self._button("Fit", "fit", lambda c: c.fit())
+            self._button("Trigger on", "trigger on", lambda c: c.trigger(True))
+            self._button("Trigger off", "trigger off", lambda c: c.trigger(False))
+            self._label = gui.add_text("event", "event")
+            self._button("Mark event", "event", lambda c: c.event(self._label.value))
+            self._name = gui.add_text("trial", "", hint="its name; empty: the date and time")
+            with gui.add_folder("Metadata", expand_by_default=False):
+                self._metadata: dict[str, GuiInputHandle[str]] = {
+                    "subject": gui.add_text("subject", "", hint="a code such as S01"),
+                    "side": gui.add_dropdown("side", ("", *SIDES)),
+                    "socket": gui.add_text("socket", ""),
+                    "liner": gui.add_text("liner", ""),
+                    "mass": gui.add_text("mass [kg]", ""),
+                    "operator": gui.add_text("operator", ""),
+                    "protocol": gui.add_text("protocol", ""),
+                    "notes": gui.add_text("notes", "", multiline=True),
+                }
+            self._button("Record", "record", self._start)
+            self._button("Stop recording", "stop", lambda c: c.stop_recording())
+        if controls is None:
+            self._news = ["the buttons are off: this page only shows"]
+        self.update(None)
+
+    def update(self, recording: Recording | None) -> None:
+        """Show what is running, and which of record and stop may be pressed."""
+        if self._controls is not None and recording is not None:
+            recorded = bool(recording.trial)
+            if recorded != self._recorded:
+                self._recorded = recorded
+                self._grey()
+        now = time.monotonic()
+        with self._lock:
+            lines = [f"{escape(what)}: {now - t:.0f} s …" for what, t in self._running.items()]
+            lines += reversed(self._news)
+        _show(self._said, "<br>".join(lines))
+
+    def _button(self, label: str, what: str, act: Callable[[Controls], str]) -> None:
+        button = self._gui.add_button(label, disabled=self._controls is None)
+        button.on_click(lambda event: self._pressed(event, what, act))
+        self._buttons[what] = button
+
+    def _start(self, controls: Controls) -> str:
+        stated = {name: field.value.strip() for name, field in self._metadata.items()}
+        given = {name: value for name, value in stated.items() if value}
+        return controls.record(self._name.value.strip(), given)
+
+    def _pressed(
+        self, event: GuiEvent[GuiButtonHandle], what: str, act: Callable[[Controls], str]
+    ) -> None:
+        """Do what a button says, in a thread of its own."""
+        if self._controls is None:
+            return
+        with self._lock:
+            if what in self._running and what != "event":
+                return
+            self._running[what] = time.monotonic()
+        self._grey()
+        try:
+            outcome, failed = act(self._controls), False
+        except TestbedError as error:
+            outcome, failed = str(error), True
+        with self._lock:
+            self._running.pop(what, None)
+            clock = datetime.now().strftime("%H:%M:%S")
+            line = f"{clock} {escape(what)}: {escape(outcome)}"
+            self._news.append(f'<span style="color:{_RED}">{line}</span>' if failed else line)
+            del self._news[:-_NEWS]
+        self._grey()
+        if event.client is not None:
+            event.client.add_notification(
+                f"{what} failed" if failed else what,
+                outcome,
+                auto_close_seconds=None if failed else 5.0,
+                color="red" if failed else "green",
+            )
+
+    def _grey(self) -> None:
+        """Grey out the buttons whose call runs, and of record and stop the one without effect."""
+        without_effect = {None: "", True: "record", False: "stop"}[self._recorded]
+        for what, button in self._buttons.items():
+            disabled = (what in self._running and what != "event") or what == without_effect
+            if button.disabled != disabled:
+                button.disabled = disabled
