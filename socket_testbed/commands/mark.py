@@ -30,7 +30,5 @@ def run(options: argparse.Namespace) -> None:
     where = f"in the trial {marked.trial}" if marked.trial else "for this graph"
     heard = "1 subscriber" if marked.subscribers == 1 else f"{marked.subscribers} subscribers"
     print(f"marked '{label}' {where}, acknowledged by {heard}")
-    if not marked.trial:
-        print("note: no trial is being recorded: call recorder/record", file=sys.stderr)
-    if not marked.triggered:
-        print("note: no trigger came: the stamp is the system clock's", file=sys.stderr)
+    for note in marked.notes():
+        print(f"note: {note}", file=sys.stderr)

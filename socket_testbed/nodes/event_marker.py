@@ -44,6 +44,15 @@ class Marked:
     trial: str
     triggered: bool
 
+    def notes(self) -> list[str]:
+        """What the person who marked it should know."""
+        found = []
+        if not self.trial:
+            found.append("no trial is being recorded: call recorder/record")
+        if not self.triggered:
+            found.append("no trigger came: the stamp is the system clock's")
+        return found
+
 
 def publish_event(label: str, called: float, namespace: str = "/") -> Marked:
     """Publish an event, and wait until all subscribers have acknowledged it.
@@ -63,37 +72,63 @@ def publish_event(label: str, called: float, namespace: str = "/") -> Marked:
     namespace = full_namespace(namespace)
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)  # Ctrl-C is the verb's
     node = rclpy.create_node("event_marker", namespace=namespace)
+
+    def wait(condition: Callable[[], bool], duration: float) -> bool:
+        deadline = time.monotonic() + duration
+        while not condition():
+            if time.monotonic() > deadline:
+                return False
+            rclpy.spin_once(node, timeout_sec=_LOOK)
+        return True
+
     try:
-        return _Marker(node).mark(label, called)
+        return EventMarker(node, wait).mark(label, called)
     finally:
         node.destroy_node()
         rclpy.shutdown()
 
 
-class _Marker:
-    """What the event is published with, and what is heard meanwhile."""
+class EventMarker:
+    """What an event is published with, and what is heard meanwhile.
 
-    def __init__(self, node: Node) -> None:
+    Args:
+        node: The node that publishes it.
+        wait: Waits until a condition holds, while the node is spun; returns whether it does within
+            a duration [s].
+    """
+
+    def __init__(self, node: Node, wait: Callable[[Callable[[], bool], float], bool]) -> None:
         self._node = node
+        self._wait = wait
         self._triggers: list[tuple[float, int]] = []  # arrival [s] and stamp [ns]
         self._trial: str | None = None
         self._publisher = node.create_publisher(Event, EVENT.name, publisher_qos(EVENT))
-        node.create_subscription(Trigger, TRIGGER.name, self._on_trigger, subscriber_qos(TRIGGER))
-        node.create_subscription(
-            String, RECORDED_TRIAL.name, self._on_trial, subscriber_qos(RECORDED_TRIAL)
-        )
+        self._subscriptions = [
+            node.create_subscription(kind, topic.name, callback, subscriber_qos(topic))
+            for kind, topic, callback in (
+                (Trigger, TRIGGER, self._on_trigger),
+                (String, RECORDED_TRIAL, self._on_trial),
+            )
+        ]
+
+    def close(self) -> None:
+        """Leave the node as it was."""
+        for subscription in self._subscriptions:
+            self._node.destroy_subscription(subscription)
+        self._node.destroy_publisher(self._publisher)
 
     def mark(self, label: str, called: float) -> Marked:
-        if not self._spin(self._is_linked, _FOUND_WITHIN):
+        """Publish the event, see `publish_event`."""
+        if not self._wait(self._is_linked, _FOUND_WITHIN):
             raise TestbedError(
                 f"nobody subscribes to {self._publisher.topic_name}", self._where_else()
             )
         # The longer ago the call, the longer the triggers from which its time is reckoned.
         since = time.monotonic() - called
-        self._spin(lambda: self._has_triggers(max(_LEAST, 0.5 * since)), _TRIGGERED_WITHIN)
+        self._wait(lambda: self._has_triggers(max(_LEAST, 0.5 * since)), _TRIGGERED_WITHIN)
         if len(self._triggers) > 1 and _speed(self._triggers) != _REAL_TIME:
             span = min(_SLOW * since, _LONGEST)
-            self._spin(lambda: self._has_triggers(span), span)
+            self._wait(lambda: self._has_triggers(span), span)
         header = header_to_ros(self._stamp(called), LOAD_CELL_FRAME)
         self._publisher.publish(Event(header=header, label=label))
         if not self._publisher.wait_for_all_acked(Duration(seconds=_HEARD_WITHIN)):
@@ -103,15 +138,6 @@ class _Marker:
             )
         count = self._publisher.get_subscription_count()
         return Marked(count, self._trial or "", bool(self._triggers))
-
-    def _spin(self, condition: Callable[[], bool], duration: float) -> bool:
-        """Listen until a condition holds; returns whether it does within a duration [s]."""
-        deadline = time.monotonic() + duration
-        while not condition():
-            if time.monotonic() > deadline:
-                return False
-            rclpy.spin_once(self._node, timeout_sec=_LOOK)
-        return True
 
     def _has_triggers(self, span: float) -> bool:
         triggers = self._triggers

@@ -136,6 +136,8 @@ class RecorderNode(TestbedNode[RecorderSettings]):
             self.set_parameters([Parameter(name, value=value) for name, value in blank.items()])
         elif not wanted:
             self._finish()
+        if self._path is None:
+            return "nothing was being recorded"
         return f"{'recording' if self._bag else 'recorded'} {self._path}"
 
     def _next_path(self, name: str) -> Path:

@@ -35,6 +35,7 @@ from socket_testbed.nodes.conversions import (
     vectors_from_ros,
     wrench_from_ros,
 )
+from socket_testbed.nodes.service_controls import ServiceControls
 from socket_testbed.settings.testbed import ViewSettings
 from socket_testbed.trials.topics import (
     DIAGNOSTICS,
@@ -64,7 +65,9 @@ class ViewNode(TestbedNode[ViewSettings]):
         settings = self.settings
         path = Path(settings.geometry) if settings.geometry else packaged("config", "socket.yaml")
         server = PageServer(settings.host, settings.port, settings.names)
-        self._live = LiveSource(self, read_socket(path))
+        allowed = settings.buttons or server.is_local
+        controls = ServiceControls(self) if allowed else None
+        self._live = LiveSource(self, read_socket(path), controls)
         self._page = Page(self._live, server)
         self.report(OK, f"the testbed is seen at {server.url}")
 
@@ -85,13 +88,16 @@ class LiveSource:
     Args:
         node: The node that listens to diagnostics.
         geometry: Geometry of the socket.
+        controls: What the buttons do; None where nobody may press them.
     """
 
-    controls: Controls | None = None
     playback = None
 
-    def __init__(self, node: TestbedNode[Any], geometry: SocketGeometry) -> None:
+    def __init__(
+        self, node: TestbedNode[Any], geometry: SocketGeometry, controls: Controls | None
+    ) -> None:
         self.geometry = geometry
+        self.controls = controls
         self._node = node
         self._inbox: _Inbox | None = None
         self._newest: dict[Topic, tuple[Any, float]] = {}  # message, arrival [s]

@@ -6,7 +6,6 @@ here and in `acquisition.py` and `identification.py`, nowhere else.
 
 from __future__ import annotations
 
-import re
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
@@ -92,10 +91,6 @@ def check_take_name(name: str) -> str:
     return name
 
 
-# A folder's name on every file system, and the name of a take in Motive.
-_TRIAL_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,79}")
-
-
 @dataclass(frozen=True)
 class NextTrialSettings(Settings):
     """The trial that the recorder is asked for next; it forgets them when it starts that."""
@@ -112,11 +107,8 @@ class NextTrialSettings(Settings):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.name and not _TRIAL_NAME.fullmatch(self.name):
-            raise ConfigurationError(
-                f"name is '{self.name}', not the name of a folder",
-                "give up to 80 letters, digits, '-', '_' and '.', a letter or digit first",
-            )
+        if self.name:
+            check_take_name(self.name)
 
 
 @dataclass(frozen=True)

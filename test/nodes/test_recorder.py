@@ -334,9 +334,9 @@ def test_no_other_program_chooses_what_is_stored_or_where(tmp_path: Path) -> Non
         for name in ("geometry", "calibration", "parameters", "metadata"):
             assert set_parameters(probe, **{name: str(secret)}), name
         assert set_parameters(probe, directory=str(tmp_path / "elsewhere"))
-        for name in ("../up", "/tmp/up", "..", ".hidden", "a/b", "a\nb", "a,b", "a" * 200):
+        for name in ("../up", "/tmp/up", "..", ".hidden", "a/b", "a\nb", "a,b", "a" * 201):
             (reason,) = set_parameters(probe, next__name=name)
-            assert "not the name of a folder: give" in reason
+            assert "the trial's name" in reason
         (reason,) = set_parameters(probe, next__side="lft")
         assert "did you mean 'left'?" in reason
         assert probe.call(SetBool, "recorder/record", SetBool.Request(data=True)).success
