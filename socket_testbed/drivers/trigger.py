@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from datetime import timedelta
-from pathlib import Path
-from typing import Any, Protocol, TypeAlias
+from typing import Protocol, TypeAlias
 
 from socket_testbed import clocks
+from socket_testbed.drivers.gpio import GpiodLines, Use
 from socket_testbed.errors import DeviceError
 from socket_testbed.settings.acquisition import TriggerSettings
-
-_CONSUMER = "socket_testbed"
 
 
 class Lines(Protocol):
@@ -123,7 +120,7 @@ class GpioTrigger:
 Trigger: TypeAlias = TimerTrigger | GpioTrigger
 
 
-class GpiodLines:
+class TriggerLines:
     """The lines of a GPIO chip, through gpiod.
 
     Args:
@@ -134,77 +131,12 @@ class GpiodLines:
     """
 
     def __init__(self, settings: TriggerSettings) -> None:
-        try:
-            import gpiod
-            from gpiod.line import Clock, Direction, Edge, Value
-        except ImportError:
-            raise DeviceError(
-                "gpiod cannot be imported",
-                "pip install -r requirements/hardware.txt, or set trigger_node's source to timer",
-            ) from None
-        self._output, self._input = settings.output_line, settings.input_line
-        self._values = (Value.INACTIVE, Value.ACTIVE)
-        lines: dict[Any, Any] = {
-            self._output: gpiod.LineSettings(direction=Direction.OUTPUT),
-            self._input: gpiod.LineSettings(
-                direction=Direction.INPUT,
-                edge_detection=Edge.RISING,
-                # Not the system's clock: that one may be set while a trial runs.
-                event_clock=Clock.MONOTONIC,
-            ),
-        }
-        path = _chip(gpiod, settings.chip)
-        try:
-            self._request = gpiod.request_lines(path, consumer=_CONSUMER, config=lines)
-        except PermissionError:
-            raise _not_permitted(path) from None
-        except (OSError, ValueError) as error:
-            raise DeviceError(
-                f"{path}: lines {self._output} and {self._input} cannot be used ({error})",
-                "check that no other program or overlay uses them",
-            ) from None
+        self._output = settings.output_line
+        uses: dict[int, Use] = {settings.output_line: "output", settings.input_line: "rising"}
+        self._lines = GpiodLines(settings.chip, uses, "trigger_node", "chip", "source to timer")
+        self.edges = self._lines.edges
+        self.close = self._lines.close
 
     def set(self, active: bool) -> None:
         """Set the output line."""
-        self._request.set_value(self._output, self._values[active])
-
-    def edges(self, within: float) -> list[float]:
-        """Rising edges by their times on the steady clock [s]; waits for the first."""
-        if not self._request.wait_edge_events(timedelta(seconds=clocks.real(max(within, 0.0)))):
-            return []
-        # CLOCK_MONOTONIC is the testbed's steady clock: on hardware its scale is 1.
-        return [event.timestamp_ns * 1e-9 for event in self._request.read_edge_events()]
-
-    def close(self) -> None:
-        """Give the lines back."""
-        self._request.release()
-
-
-def _chip(gpiod: Any, label: str) -> str:
-    """Path of the chip with a label; its number differs from kernel to kernel."""
-    labels = []
-    refused = ""
-    for path in sorted(Path("/dev").glob("gpiochip*")):
-        try:
-            with gpiod.Chip(str(path)) as chip:
-                labels.append(chip.get_info().label)
-        except PermissionError:
-            refused = str(path)
-            continue
-        except OSError:
-            continue
-        if labels[-1] == label:
-            return str(path)
-    if refused:
-        raise _not_permitted(refused)
-    raise DeviceError(
-        f"there is no GPIO chip '{label}' (there is {', '.join(labels) or 'none'})",
-        "set trigger_node's chip, or its source to timer",
-    )
-
-
-def _not_permitted(path: str) -> DeviceError:
-    return DeviceError(
-        f"{path}: permission denied",
-        "add the user to the group of that file (gpio or dialout), then log in again",
-    )
+        self._lines.set(self._output, active)

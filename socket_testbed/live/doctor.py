@@ -7,14 +7,13 @@ from dataclasses import dataclass
 
 from socket_testbed import clocks
 from socket_testbed.drivers.clusters.reader import ClusterReader
-from socket_testbed.drivers.load_cell.load_cell import LoadCell
 from socket_testbed.drivers.natnet.client import NatNetClient
 from socket_testbed.drivers.natnet.tracker import BodyTracker
 from socket_testbed.errors import DeviceError, TestbedError
 from socket_testbed.geometry.marker_bodies import FEWEST_MARKERS
 from socket_testbed.geometry.socket import read_socket
 from socket_testbed.live.bringup import Testbed
-from socket_testbed.live.hardware import i2c_opener, make_trigger, spi_opener
+from socket_testbed.live.hardware import i2c_opener, make_load_cell, make_trigger
 
 _FRAMES = 1000
 _PULSES = 5
@@ -105,7 +104,7 @@ def check_clusters(testbed: Testbed) -> Iterator[Finding]:
 def check_load_cell(testbed: Testbed) -> Iterator[Finding]:
     """See which converter answers, and whether its frames are intact."""
     settings = testbed.settings.load_cell_node
-    cell = LoadCell(settings, spi_opener(settings))
+    cell = make_load_cell(settings)
     try:
         yield Finding("load cell", cell.identify())
         corrupted = cell.check_frames(_FRAMES)
@@ -116,6 +115,11 @@ def check_load_cell(testbed: Testbed) -> Iterator[Finding]:
             cell.poll()
             clocks.sleep(0.5 * cell.period)
         level, message = cell.health(clocks.monotonic())
+        if (line := settings.data_ready_line) >= 0:
+            counts = cell.figures()
+            found = f"{counts['conversions']} edges on line {line}"
+            found += f", STATUS disagrees with {counts['status_disagrees']}"
+            yield Finding("load cell DRDY", found)
         yield (
             _of_message("load cell bridges", message)
             if level

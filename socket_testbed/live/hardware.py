@@ -11,8 +11,10 @@ import numpy as np
 from socket_testbed import clocks
 from socket_testbed.arrays import FloatArray
 from socket_testbed.drivers.clusters.i2c import I2cBus, open_i2c
+from socket_testbed.drivers.gpio import GpiodLines, Use
 from socket_testbed.drivers.load_cell.ads131m0x import SpiDevice, open_spi
-from socket_testbed.drivers.trigger import GpiodLines, GpioTrigger, TimerTrigger, Trigger
+from socket_testbed.drivers.load_cell.load_cell import LoadCell
+from socket_testbed.drivers.trigger import GpioTrigger, TimerTrigger, Trigger, TriggerLines
 from socket_testbed.errors import ConfigurationError
 from socket_testbed.settings.acquisition import (
     ClusterSettings,
@@ -50,7 +52,7 @@ def make_trigger(settings: TriggerSettings) -> Trigger:
         faults = World(Path(settings.simulation)).faults
         return GpioTrigger(SimulatedLines(faults), settings)
     _require_real_time()
-    return GpioTrigger(GpiodLines(settings), settings)
+    return GpioTrigger(TriggerLines(settings), settings)
 
 
 def wall_clock(settings: TriggerSettings) -> Callable[[], int]:
@@ -79,6 +81,28 @@ def i2c_opener(settings: ClusterSettings) -> Callable[[int], I2cBus]:
     return SimulatedClusterHardware(capacitance, world.faults, _I2C_FREQUENCY).open_bus
 
 
+def make_load_cell(settings: LoadCellSettings) -> LoadCell:
+    """The load cell, with its converter's DRDY where that is wired.
+
+    Raises:
+        ConfigurationError: If a setting is wrong, or as `spi_opener`.
+    """
+    if settings.data_ready_line < 0:
+        return LoadCell(settings, spi_opener(settings))
+    if settings.simulation:
+        hardware = _simulated_load_cell(settings)
+        return LoadCell(settings, hardware.open_device, open_line=hardware.open_line)
+
+    def open_line() -> GpiodLines:
+        uses: dict[int, Use] = {settings.data_ready_line: "falling"}
+        return GpiodLines(
+            settings.data_ready_chip, uses, "load_cell_node", "data_ready_chip",
+            "data_ready_line to -1",
+        )  # fmt: skip
+
+    return LoadCell(settings, spi_opener(settings), open_line=open_line)
+
+
 def spi_opener(settings: LoadCellSettings) -> Callable[[], SpiDevice]:
     """What opens the load cell's converter.
 
@@ -88,6 +112,10 @@ def spi_opener(settings: LoadCellSettings) -> Callable[[], SpiDevice]:
     if not settings.simulation:
         _require_real_time()
         return lambda: open_spi(settings.device, settings.spi_clock)
+    return _simulated_load_cell(settings).open_device
+
+
+def _simulated_load_cell(settings: LoadCellSettings) -> SimulatedLoadCellHardware:
     world = World(Path(settings.simulation))
     rng = np.random.default_rng()
     errors = SensorErrors()
@@ -95,4 +123,4 @@ def spi_opener(settings: LoadCellSettings) -> Callable[[], SpiDevice]:
     def wrench(moment: float) -> FloatArray:
         return world.wrench(moment) + wrench_noise(errors, 1, rng)[0]
 
-    return SimulatedLoadCellHardware(wrench, settings, world.faults).open_device
+    return SimulatedLoadCellHardware(wrench, settings, world.faults)

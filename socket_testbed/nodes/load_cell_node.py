@@ -13,8 +13,7 @@ from std_srvs.srv import Trigger as TriggerService
 
 from socket_testbed import clocks
 from socket_testbed.drivers.averaging import averaging_span
-from socket_testbed.drivers.load_cell.load_cell import LoadCell
-from socket_testbed.live.hardware import spi_opener
+from socket_testbed.live.hardware import make_load_cell
 from socket_testbed.nodes.base import OK, WARN
 from socket_testbed.nodes.conversions import LOAD_CELL_FRAME, header_to_ros, wrench_to_ros
 from socket_testbed.nodes.sensor_node import SensorNode
@@ -30,7 +29,7 @@ class LoadCellNode(SensorNode[LoadCellSettings]):
 
     def __init__(self) -> None:
         super().__init__("load_cell_node", LoadCellSettings)
-        self._cell = LoadCell(self.settings, spi_opener(self.settings))
+        self._cell = make_load_cell(self.settings)
         self._wrench = self.advertise(WRENCH)
         self._averaged = 0  # conversions around the last trigger
         self._stopping = threading.Event()

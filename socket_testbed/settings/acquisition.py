@@ -83,6 +83,13 @@ class LoadCellSettings(Settings):
     inputs: tuple[int, ...] = setting(
         (0, 1, 2, 3, 4, 5), "input of the converter that each bridge is on [1]", 0, 7, fixed=True
     )
+    data_ready_line: int = setting(
+        -1, "GPIO line that DRDY is wired to, whose edges stamp the conversions; -1: none [1]",
+        -1, 1023, fixed=True,
+    )  # fmt: skip
+    data_ready_chip: str = setting(
+        "pinctrl-rp1", "label of the GPIO chip of that line [-]", fixed=True
+    )
     clock_in: float = setting(8.192e6, "clock of the converter [Hz]", 3e5, 8.4e6, fixed=True)
     oversampling: int = setting(
         8192, "oversampling ratio; rate = clock_in / 2 / oversampling [1]", 128, 16384, fixed=True

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from support.clocks import FakeClock
 
-from socket_testbed.drivers.trigger import GpiodLines, GpioTrigger, TimerTrigger
+from socket_testbed.drivers.trigger import GpioTrigger, TimerTrigger, TriggerLines
 from socket_testbed.errors import DeviceError
 from socket_testbed.settings.acquisition import TriggerSettings
 from socket_testbed.simulation.devices.gpio_lines import SimulatedLines
@@ -81,7 +81,7 @@ def test_a_timer_needs_no_wire() -> None:
 def test_without_the_chip_its_label_and_the_hint_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Path, "glob", lambda *_: iter(()))
     with pytest.raises(DeviceError, match=r"'pinctrl-rp1' \(there is none\): set trigger_node's"):
-        GpiodLines(SETTINGS)
+        TriggerLines(SETTINGS)
 
 
 def test_a_chip_that_may_not_be_used_names_the_group(
@@ -95,7 +95,7 @@ def test_a_chip_that_may_not_be_used_names_the_group(
     monkeypatch.setattr(Path, "glob", lambda *_: iter([tmp_path / "gpiochip0"]))
     monkeypatch.setattr(gpiod, "Chip", refuse)
     with pytest.raises(DeviceError, match=r"gpiochip0: permission denied: .*gpio"):
-        GpiodLines(SETTINGS)
+        TriggerLines(SETTINGS)
 
 
 def test_without_gpiod_the_hint_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -108,4 +108,4 @@ def test_without_gpiod_the_hint_is_named(monkeypatch: pytest.MonkeyPatch) -> Non
 
     monkeypatch.setattr(builtins, "__import__", refuse)
     with pytest.raises(DeviceError, match=r"hardware\.txt"):
-        GpiodLines(SETTINGS)
+        TriggerLines(SETTINGS)

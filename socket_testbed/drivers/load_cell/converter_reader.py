@@ -1,4 +1,8 @@
-"""Reads the load cell's converter all the time, and keeps its conversions with their times."""
+"""Reads the load cell's converter all the time, and keeps its conversions with their times.
+
+The times are those of the edges of DRDY, where that line is wired; otherwise they are inferred from
+when frames brought something new, which the DRDY bits of STATUS say.
+"""
 
 from __future__ import annotations
 
@@ -10,6 +14,7 @@ import numpy as np
 
 from socket_testbed import clocks
 from socket_testbed.arrays import BoolArray, FloatArray, IntArray
+from socket_testbed.drivers.gpio import EdgeLine
 from socket_testbed.drivers.load_cell.ads131m0x import (
     CHECK_WIRING,
     Ads131m0x,
@@ -30,6 +35,8 @@ _RECENT = 0.8  # [s]; how long a trouble that is over is reported
 _KEPT = 61.0  # [s]; more than the longest tare
 _PAUSE = 1.95  # periods; two conversions wait, a third would be lost
 _BRIDGES = 6
+_WAITING = 2  # conversions that the converter keeps
+_ATTEMPTS = 5  # to empty it without an edge in between
 _ROWS = 200_000  # 11 MB
 _CHECK_CLOCK = "check the converter's clock and its supply"
 
@@ -147,6 +154,7 @@ class ConverterReader:
         open_device: Opens its bus; called again after a failure.
         clock: The steady clock that all times are of [s].
         sleep: Waits for a time [s].
+        open_line: Opens the line that DRDY is wired to; None: it is not wired.
 
     Attributes:
         period: Time from one conversion to the next [s].
@@ -160,6 +168,7 @@ class ConverterReader:
         open_device: Callable[[], SpiDevice],
         clock: Callable[[], float] = clocks.monotonic,
         sleep: Callable[[float], None] = clocks.sleep,
+        open_line: Callable[[], EdgeLine] | None = None,
     ) -> None:
         self.period = conversion_period(settings.clock_in, settings.oversampling)
         self.silence = max(_SILENCE, 5.0 * self.period)
@@ -171,6 +180,9 @@ class ConverterReader:
         self._sleep = sleep
         self._name = f"spidev{settings.device}"
 
+        self._open_line = open_line
+        self._line: EdgeLine | None = None
+        self._synchronised = False  # with the line: no conversion waits that had its edge
         self._spi: SpiDevice | None = None
         self._converter: Ads131m0x | None = None
         self._backoff = clocks.Backoff()
@@ -185,11 +197,15 @@ class ConverterReader:
         self._arrived = self._stored = clock()  # a conversion; one whose time is known [s]
         self._fault: DeviceError | None = None
         self._counts = {"conversions": 0, "checksum_errors": 0, "restarts": 0}
+        if open_line is not None:
+            self._counts["status_disagrees"] = 0
 
     def poll(self) -> None:
         """Read what waits in the converter, or connect to it again when that is due."""
         try:
-            if self._converter is not None:
+            if self._converter is not None and self._line is not None:
+                self._read_edges(self._converter, self._line)
+            elif self._converter is not None:
                 self._read_waiting(self._converter)
             elif self._backoff.due(self._clock()):
                 self.connect()
@@ -210,6 +226,8 @@ class ConverterReader:
                 self._spi, settings.channels, settings.crc, self._name, self._sleep
             )
             converter.reset_and_configure(settings.oversampling, settings.gain, settings.clock_in)
+            if self._open_line is not None:
+                self._line, self._synchronised = self._open_line(), False
             self._times = ConversionClock(self.period)  # a reset begins another train of them
             self._connected = self._clock()
             self._converter = converter
@@ -221,6 +239,9 @@ class ConverterReader:
         if self._spi is not None:
             self._spi.close()
             self._spi = None
+        if self._line is not None:
+            self._line.close()
+            self._line = None
 
     def between(self, start: float, end: float) -> tuple[FloatArray, FloatArray, BoolArray]:
         """Conversions measured after `start` and until `end` [s], as `ConversionRing.between`."""
@@ -288,11 +309,56 @@ class ConverterReader:
                 with self._lock:
                     self._emptied = begin
                 break
-            self._take(frame.codes, read)
+            self._take(frame.codes, read, self._times.conversion_end(read))
         self._expect_conversions()
 
-    def _take(self, codes: IntArray, read: float) -> None:
-        end = self._times.conversion_end(read)
+    def _read_edges(self, converter: Ads131m0x, line: EdgeLine) -> None:
+        """Read a frame for each edge; what cannot be told apart is dropped."""
+        begin = self._clock()
+        edges = self._edges(line)
+        if edges and not (self._synchronised and len(edges) <= _WAITING):
+            self._synchronise(converter, line)
+            edges = []
+        for edge in edges:
+            try:
+                frame = converter.read()
+            except ChecksumError:
+                self._synchronised = False  # whether it took a conversion along is unknown
+                with self._lock:
+                    self._corrupted = begin
+                    self._counts["checksum_errors"] += 1
+                return
+            self._matched = read = self._clock()
+            if read > edges[0] + _PAUSE * self.period:  # a third conversion pushed out the first
+                self._synchronised = False
+                return
+            self._take(frame.codes, read, edge)
+            with self._lock:
+                self._counts["status_disagrees"] += not frame.new
+        with self._lock:
+            self._emptied = begin
+        self._expect_conversions()
+
+    def _synchronise(self, converter: Ads131m0x, line: EdgeLine) -> None:
+        """Drop all conversions that wait (datasheet SBAS950B, 8.5.1.9), between two edges."""
+        for _ in range(_ATTEMPTS):
+            for _ in range(_WAITING):
+                converter.check_frames(1)
+            if not self._edges(line):
+                self._synchronised = True
+                return
+
+    def _edges(self, line: EdgeLine) -> list[float]:
+        try:
+            return line.edges(0.0)
+        except OSError as error:
+            raise DeviceError(
+                f"{self._name}: DRDY's line fails ({error.strerror or error})",
+                "check that no other program holds it",
+            ) from None
+
+    def _take(self, codes: IntArray, read: float, end: float | None) -> None:
+        """Keep a conversion that a frame brought, and that ended at a time [s]; None: unknown."""
         rails = at_rail(codes[self._bridges.inputs])
         with self._lock:
             self._arrived = read
@@ -307,7 +373,13 @@ class ConverterReader:
         now = self._clock()
         if now - max(self._arrived, self._connected) <= self.silence:
             return
-        if now - self._matched > self.silence:
+        if self._line is not None and self._converter is not None and self._converter.read().new:
+            raise DeviceError(
+                f"{self._name}: converts, but no edge comes on line"
+                f" {self._settings.data_ready_line}",
+                "check the wire from DRDY, or set load_cell_node's data_ready_line to -1",
+            )
+        if self._line is None and now - self._matched > self.silence:
             raise ChecksumError(f"{self._name}: no frame matches its checksum", CHECK_WIRING)
         raise DeviceError(f"{self._name}: converts no more", _CHECK_CLOCK)
 

@@ -14,6 +14,7 @@ import numpy as np
 from socket_testbed import clocks
 from socket_testbed.arrays import BoolArray, FloatArray
 from socket_testbed.drivers.averaging import line_weights
+from socket_testbed.drivers.gpio import EdgeLine
 from socket_testbed.drivers.load_cell.ads131m0x import SpiDevice
 from socket_testbed.drivers.load_cell.bridges import AXES, UNITS, Bridges
 from socket_testbed.drivers.load_cell.converter_reader import ConverterReader
@@ -102,6 +103,7 @@ class LoadCell:
         open_device: Opens its bus; called again after a failure.
         clock: The steady clock that all times are of [s].
         sleep: Waits for a time [s].
+        open_line: Opens the line that DRDY is wired to; None: it is not wired.
 
     Attributes:
         settings: Its settings; others may be assigned, of which the window and what concerns
@@ -117,12 +119,15 @@ class LoadCell:
         open_device: Callable[[], SpiDevice],
         clock: Callable[[], float] = clocks.monotonic,
         sleep: Callable[[float], None] = clocks.sleep,
+        open_line: Callable[[], EdgeLine] | None = None,
     ) -> None:
         self.settings = settings
         self._clock = clock
         self._bridges = Bridges(settings)
         self._tare = Tare(settings.tare_file)
-        self._reader = ConverterReader(settings, self._bridges, open_device, clock, sleep)
+        self._reader = ConverterReader(
+            settings, self._bridges, open_device, clock, sleep, open_line
+        )
 
     @property
     def period(self) -> float:

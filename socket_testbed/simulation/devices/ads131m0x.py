@@ -137,10 +137,20 @@ class SimulatedAds131m0x:
         self._response: list[int] = []  # empty: STATUS, as it is when it is sent
         self._unplugged = False
         self._next_dip: float | None = None  # of the supply [s]
+        self._edges_until = clock()
         self._power_on(clock())
 
     def close(self) -> None:
         """The chip keeps running."""
+
+    def edges(self, until: float) -> list[float]:
+        """Falling edges of DRDY since the last call, up to a time [s]."""
+        first = self._began + _START_UP / self._modulator
+        over = math.floor((until - first) / self._period + 1e-9)
+        silent = self._standby or self._fault("unplugged") or self._fault("frozen")
+        found = [] if silent else [first + k * self._period for k in range(1, over + 1)]
+        since, self._edges_until = self._edges_until, until
+        return [edge for edge in found if since < edge <= until]
 
     def xfer2(self, data: list[int], /) -> list[int]:
         """Exchange one frame."""
@@ -271,6 +281,31 @@ class SimulatedAds131m0x:
             self._standby = command == _STANDBY or (self._standby and command == _LOCK)
 
 
+class SimulatedDataReady:
+    """The line that a converter's DRDY is wired to: what `drivers.gpio.EdgeLine` describes.
+
+    Args:
+        chip: The converter.
+        clock: The steady clock [s].
+
+    Attributes:
+        connected: Whether the wire is on.
+    """
+
+    def __init__(self, chip: SimulatedAds131m0x, clock: Callable[[], float]) -> None:
+        self._chip = chip
+        self._clock = clock
+        self.connected = True
+
+    def edges(self, within: float) -> list[float]:
+        """Edges that have come; the reader never waits for one."""
+        found = self._chip.edges(self._clock())
+        return found if self.connected else []
+
+    def close(self) -> None:
+        """Nothing is held."""
+
+
 class SimulatedLoadCellHardware:
     """A load cell whose bridges are on a simulated converter.
 
@@ -281,6 +316,9 @@ class SimulatedLoadCellHardware:
         faults: The faults of `simulation.world`, looked up at each frame.
         clock: The steady clock [s].
         seed: Seed of the flipped bits.
+
+    Attributes:
+        line: The line that its DRDY is wired to.
 
     Raises:
         ConfigurationError: If a setting is wrong.
@@ -304,10 +342,15 @@ class SimulatedLoadCellHardware:
         self._chip = SimulatedAds131m0x(
             self._volts, settings.channels, faults, clock, settings.clock_in, seed
         )
+        self.line = SimulatedDataReady(self._chip, clock)
 
     def open_device(self) -> SimulatedAds131m0x:
         """The converter's bus."""
         return self._chip
+
+    def open_line(self) -> SimulatedDataReady:
+        """The line that its DRDY is wired to."""
+        return self.line
 
     def _volts(self, moment: float) -> FloatArray:
         wrench = self._wrench(moment)
