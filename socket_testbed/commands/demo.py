@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import argparse
+import shlex
 import shutil
+import sys
 import time
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -97,6 +99,15 @@ def run(options: argparse.Namespace) -> None:
     figure = folder / "force_map.png"
     save_figure(_draw(trial, samples, truth, live), figure)
     print(f"\ntrial {trial.path}, figure {figure} ({time.monotonic() - started:.0f} s)")
+    print(f"look at the trial: {_program()} view {shlex.quote(str(trial.path))}")
+
+
+def _program() -> str:
+    """How this program is called here."""
+    called = sys.argv[0]
+    if Path(called).name != "socket-testbed" or shutil.which("socket-testbed") == called:
+        return "socket-testbed"
+    return called
 
 
 def _record(trial: Trial, seed: int, log: Path) -> tuple[Samples, float]:

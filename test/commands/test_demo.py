@@ -73,3 +73,17 @@ def test_a_recording_that_falls_behind_is_broken_off() -> None:
 def test_a_trial_that_is_too_short_is_not_complete(hold: Path) -> None:
     """Where the nodes come up late, what there is of the protocol is whole but short."""
     assert demo._complete(Trial(hold)) == pytest.approx(240 / (10.0 * 54.0))
+
+
+@pytest.mark.parametrize(
+    ("called", "program"),
+    [
+        (".venv/bin/socket-testbed", ".venv/bin/socket-testbed"),
+        ("/opt/socket_testbed/__main__.py", "socket-testbed"),
+    ],
+)
+def test_it_names_its_program_as_it_was_called(
+    monkeypatch: pytest.MonkeyPatch, called: str, program: str
+) -> None:
+    monkeypatch.setattr("sys.argv", [called, "demo"])
+    assert demo._program() == program
