@@ -129,7 +129,8 @@ def tile(
         landmarks: YAML file of points known in the scan and in {S}.
         points: Origin of {S}, a point on its +x, one towards its +y: picked in the scan, in its
             unit, shape (3, 3).
-        clusters: YAML file with the places of the clusters in {S}; None for the usual ones.
+        clusters: YAML file with the places of the clusters in {S} or in the scan; None for the
+            usual ones.
         bodies: A registered `socket.yaml` whose marker bodies are kept; None for nominal ones.
         settings: Settings of the tiling.
         progress: See `Progress`.
@@ -148,8 +149,8 @@ def tile(
     >>> len(design.geometry) > 20
     True
     """
+    from socket_testbed.socket_design.clusters import read_cluster_places
     from socket_testbed.socket_design.design import design_socket  # trimesh takes its time
-    from socket_testbed.socket_design.layout import read_cluster_places
     from socket_testbed.socket_design.placement import (
         Placement,
         parse_direction,

@@ -92,7 +92,7 @@ def _add_tiles(group: argparse._ArgumentGroup) -> None:
         "--clusters",
         type=Path,
         metavar="FILE.yaml",
-        help="where the clusters are in {S} (default: where they usually are)",
+        help="where the clusters are, in {S} or in the scan (default: where they usually are)",
     )
     group.add_argument(
         "--bodies",

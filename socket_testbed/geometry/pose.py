@@ -74,6 +74,12 @@ def _rotate(rotation: FloatArray, vectors: FloatArray) -> FloatArray:
     return np.einsum("...ij,...j->...i", rotation, vectors)
 
 
+def about_z(angle: float) -> FloatArray:
+    """Rotation about z by an angle [rad], shape (3, 3) [-]."""
+    cosine, sine = np.cos(angle), np.sin(angle)
+    return np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
+
+
 _ORTHONORMAL = 1e-6  # [-]; a file holds at least seven digits
 
 

@@ -13,7 +13,14 @@ from socket_testbed.arrays import FloatArray, IntArray
 from socket_testbed.errors import ConfigurationError
 from socket_testbed.files import Section, atomic_output, closest, read_document
 from socket_testbed.geometry.marker_bodies import FEWEST_MARKERS, MOST_MARKERS, body_fault
-from socket_testbed.geometry.pose import Pose, plain, pose_document, read_pose, read_rotation
+from socket_testbed.geometry.pose import (
+    Pose,
+    about_z,
+    plain,
+    pose_document,
+    read_pose,
+    read_rotation,
+)
 
 HEIGHTS = ("proximal", "middle", "distal")
 SECTORS = ("anterior", "posterior", "medial", "lateral", "left", "right")
@@ -25,8 +32,26 @@ _STANDARD_REGIONS = {
 }
 _SAME_PLACE = 1e-4  # [m]
 _LARGEST_SOCKET = 2.0  # [m]; what is farther from the load cell is in another unit
+_FARTHEST_SCAN = 100.0  # [m]; its origin may be anywhere in a scanner's frame
 _LARGEST_BODY = 1.0  # [m]; likewise for a marker in its body
 _LARGEST_TILE = 0.05  # [m^2]
+
+
+@dataclass(frozen=True)
+class ScanFrame:
+    """Where the scan is that the tiles were made from.
+
+    Attributes:
+        unit: Length of the scan's unit [m].
+        in_load_cell: Pose of the scan's frame (in metres) in {S}.
+    """
+
+    unit: float
+    in_load_cell: Pose
+
+    def points(self, picked: FloatArray) -> FloatArray:
+        """Points in {S} [m] of points in the scan's coordinates and unit, (3,) or (N, 3)."""
+        return self.in_load_cell.apply(self.unit * picked)
 
 
 @dataclass(frozen=True)
@@ -48,6 +73,9 @@ class SocketGeometry:
         source: What the tiles were made from.
         registration: What the bodies were registered with; empty if they are only nominal.
         regions: Indices of the tiles of the user's own regions, ascending, by their names.
+        turned: Angle of a cluster's x axis from that of its tile about the inward normal, by the
+            cluster's name [rad]; a cluster that is not named is not turned.
+        scan: Where the scan is; None if it is not known.
     """
 
     names: tuple[str, ...]
@@ -63,6 +91,8 @@ class SocketGeometry:
     source: str = ""
     registration: str = ""
     regions: dict[str, tuple[int, ...]] = field(default_factory=dict)
+    turned: dict[str, float] = field(default_factory=dict)
+    scan: ScanFrame | None = None
 
     def __len__(self) -> int:
         return len(self.names)
@@ -88,22 +118,49 @@ class SocketGeometry:
         return self.socket_body @ socket_in_world.inverse() @ pylon_in_world @ self.limb
 
     def cluster_force(self, cluster: str, stress: FloatArray) -> FloatArray:
-        """Force on a cluster in its frame from its stresses, ``A [tau_x, tau_y, -sigma]``.
+        """Force on a cluster in its tile's frame {L}, ``A Rz(turned) [tau_x, tau_y, -sigma]``.
 
         Args:
             cluster: Name of the cluster.
-            stress: Normal stress (positive in compression), shear x, shear y, shape
-                (..., 3) [Pa].
+            stress: Normal stress (positive in compression), shear x, shear y along the cluster's
+                own axes, shape (..., 3) [Pa].
 
         Returns:
             Forces, shape (..., 3) [N].
         """
-        signed = np.stack([stress[..., 1], stress[..., 2], -stress[..., 0]], axis=-1)
-        return signed * self.areas[self.clusters[cluster]]
+        x, y = _turn(stress[..., 1], stress[..., 2], self.turned.get(cluster, 0.0))
+        return np.stack([x, y, -stress[..., 0]], axis=-1) * self.areas[self.clusters[cluster]]
+
+    def cluster_stress(self, cluster: str, force: FloatArray) -> FloatArray:
+        """Stresses of a cluster along its own axes from the force on it: undoes `cluster_force`.
+
+        Args:
+            cluster: Name of the cluster.
+            force: Forces in its tile's frame {L}, shape (..., 3) [N].
+
+        Returns:
+            Normal stress (positive in compression), shear x, shear y, shape (..., 3) [Pa].
+        """
+        x, y = _turn(force[..., 0], force[..., 1], -self.turned.get(cluster, 0.0))
+        return np.stack([-force[..., 2], x, y], axis=-1) / self.areas[self.clusters[cluster]]
+
+    def square_frames(self) -> FloatArray:
+        """Frames whose x and y lie along the tiles' edges, as those of turned clusters are turned.
+
+        Returns:
+            Columns x, y, z, shape (n, 3, 3) [-].
+        """
+        frames = self.rotations.copy()
+        for cluster, angle in self.turned.items():
+            frames[self.clusters[cluster]] @= about_z(angle)
+        return frames
 
     def to_document(self) -> dict[str, Any]:
         """The content of `socket.yaml`."""
         document: dict[str, Any] = {"source": self.source} if self.source else {}
+        if self.scan:
+            pose = pose_document(self.scan.in_load_cell)
+            document["scan"] = {"unit": self.scan.unit, "in_load_cell": pose}
         registration = {"registration": self.registration} if self.registration else {}
         regions = {name: [self.names[i] for i in tiles] for name, tiles in self.regions.items()}
         return document | {
@@ -116,7 +173,7 @@ class SocketGeometry:
                 for i, name in enumerate(self.names)
             },
             "neighbours": [[self.names[a], self.names[b]] for a, b in self.neighbours],
-            "clusters": {name: self.names[tile] for name, tile in self.clusters.items()},
+            "clusters": {name: self._cluster_document(name) for name in self.clusters},
             **({"regions": regions} if regions else {}),
             "bodies": registration
             | {
@@ -131,12 +188,24 @@ class SocketGeometry:
             },
         }
 
+    def _cluster_document(self, cluster: str) -> str | dict[str, Any]:
+        tile, turned = self.names[self.clusters[cluster]], self.turned.get(cluster, 0.0)
+        return {"tile": tile, "turned": round(float(np.degrees(turned)), 9)} if turned else tile
+
+
+def _turn(x: FloatArray, y: FloatArray, angle: float) -> tuple[FloatArray, FloatArray]:
+    """Components of vectors after they are turned about z by an angle [rad]."""
+    if not angle:  # what is missing of one is not missing of both
+        return x, y
+    return np.cos(angle) * x - np.sin(angle) * y, np.sin(angle) * x + np.cos(angle) * y
+
 
 _HEADER = """\
 # Geometry of the socket in the frame of the load cell, {S}. Lengths in m, areas in m^2.
 # frame: rows of R = [x y z], which maps the tile's frame to {S}; z is the inward normal of the
 # surface, x the tangent towards the proximal end, y = z x x.
-# source: what the tiles were made from.
+# source: what the tiles were made from; scan: its unit [m] and its frame's pose in {S}.
+# clusters: the tile that each covers; turned: from the tile's x to the cluster's, about z [deg].
 # regions: your own, each a list of tiles; they may overlap.
 # bodies: 3 to 8 markers each in their bodies' frames; in_load_cell: the socket body's pose in {S};
 # limb_in_body: the limb's pose in the pylon's body, its origin being the lumped mass;
@@ -168,7 +237,7 @@ def read_socket(path: Path) -> SocketGeometry:
 
 def socket_from_section(document: Section) -> SocketGeometry:
     """Build the geometry from the content of `socket.yaml`, with every check."""
-    document.expect(("source", "tiles", "neighbours", "clusters", "regions", "bodies"))
+    document.expect(("source", "scan", "tiles", "neighbours", "clusters", "regions", "bodies"))
     tiles = dict(document.sections("tiles"))
     if not tiles:
         raise ConfigurationError(f"{document.where}: tiles is empty", "give at least one tile")
@@ -178,13 +247,14 @@ def socket_from_section(document: Section) -> SocketGeometry:
     bodies = document.section("bodies").expect(("registration", "socket", "pylon"))
     socket = bodies.section("socket").expect(("markers", "in_load_cell"))
     pylon = bodies.section("pylon").expect(("markers", "limb_in_body"))
+    clusters, turned = _clusters(document.section("clusters"), index)
     return SocketGeometry(
         names=tuple(tiles),
         anchors=_anchors(tiles),
         rotations=np.array([read_rotation(tile, "frame") for tile in tiles.values()]),
         areas=np.array([tile.number("area", 1e-8, _LARGEST_TILE) for tile in tiles.values()]),
         neighbours=_neighbours(document, index),
-        clusters=_clusters(document.section("clusters"), index),
+        clusters=clusters,
         socket_markers=_markers(socket),
         pylon_markers=_markers(pylon),
         socket_body=read_pose(socket.section("in_load_cell"), _LARGEST_SOCKET),
@@ -192,7 +262,15 @@ def socket_from_section(document: Section) -> SocketGeometry:
         source=document.text("source") if "source" in document.names() else "",
         registration=bodies.text("registration") if "registration" in bodies.names() else "",
         regions=_regions(document, index),
+        turned=turned,
+        scan=_scan(document.section("scan")) if "scan" in document.names() else None,
     )
+
+
+def _scan(section: Section) -> ScanFrame:
+    section.expect(("unit", "in_load_cell"))
+    unit = section.number("unit", 1e-6, 1.0)
+    return ScanFrame(unit, read_pose(section.section("in_load_cell"), _FARTHEST_SCAN))
 
 
 def _anchors(tiles: dict[str, Section]) -> FloatArray:
@@ -226,10 +304,17 @@ def _neighbours(document: Section, index: dict[str, int]) -> IntArray:
     return np.array(sorted(found), dtype=np.int64).reshape(-1, 2)
 
 
-def _clusters(section: Section, index: dict[str, int]) -> dict[str, int]:
+def _clusters(section: Section, index: dict[str, int]) -> tuple[dict[str, int], dict[str, float]]:
+    """The tile of each cluster, and the angles of those that are turned [rad]."""
     clusters: dict[str, int] = {}
+    turned: dict[str, float] = {}
     for name in section.names():
-        tile = section.text(name)
+        if isinstance(section.take(name), dict):
+            cluster = section.section(name).expect(("tile", "turned"))
+            tile, angle = cluster.text("tile"), cluster.number("turned", -360.0, 360.0)
+            turned |= {name: float(np.radians(angle))} if angle else {}
+        else:
+            tile = section.text(name)
         if tile not in index:
             raise ConfigurationError(
                 f"{section.where}: {name} is on '{tile}', which is not a tile", closest(tile, index)
@@ -239,7 +324,7 @@ def _clusters(section: Section, index: dict[str, int]) -> dict[str, int]:
                 f"{section.where}: two clusters are on '{tile}'", "give each its own tile"
             )
         clusters[name] = index[tile]
-    return clusters
+    return clusters, turned
 
 
 def _regions(document: Section, index: dict[str, int]) -> dict[str, tuple[int, ...]]:

@@ -171,7 +171,7 @@ class SampleWindow:
 def cluster_forces(
     geometry: SocketGeometry, stresses: Mapping[str, tuple[FloatArray, int]]
 ) -> tuple[FloatArray, StatusArray]:
-    """The force on every cluster of a socket, in the cluster's frame.
+    """The force on every cluster of a socket, in its tile's frame {L}.
 
     Args:
         geometry: Geometry of the socket, with c clusters.

@@ -126,7 +126,7 @@ class PressureMap:
         self._anchors = geometry.anchors
         self._tiles = []
         self._arrows = []
-        quaternions = Rotation.from_matrix(geometry.rotations).as_quat().tolist()
+        quaternions = Rotation.from_matrix(geometry.square_frames()).as_quat().tolist()
         for i, (anchor, (x, y, z, w)) in enumerate(zip(self._anchors, quaternions, strict=True)):
             tile = Marker(ns="tiles", id=i, type=Marker.CUBE, action=Marker.ADD)
             tile.pose.position = point_to_ros(anchor)

@@ -216,7 +216,7 @@ def make_tissue(
     offsets = (np.arange(_GRID) + 0.5) / _GRID - 0.5
     grid = np.array([[x, y, 0.0] for x in offsets for y in offsets])
     on_tiles = geometry.anchors[:, None] + np.einsum(
-        "nij,gj->ngi", geometry.rotations, grid
+        "nij,gj->ngi", geometry.square_frames(), grid
     ) * edges.reshape(-1, 1, 1)
     normals = geometry.rotations[:, :, 2]
     a, b = geometry.neighbours.T

@@ -101,7 +101,7 @@ class ClusterSensor:
 
 
 def cluster_stress(geometry: SocketGeometry, cluster: str, forces: FloatArray) -> FloatArray:
-    """Normal stress, shear x, shear y on a cluster in its frame, shape (N, 3) [Pa].
+    """Normal stress, shear x, shear y on a cluster along its own axes, shape (N, 3) [Pa].
 
     Args:
         geometry: Geometry of the socket.
@@ -109,8 +109,7 @@ def cluster_stress(geometry: SocketGeometry, cluster: str, forces: FloatArray) -
         forces: Forces on the socket at all tiles in {S}, shape (N, n, 3) [N].
     """
     tile = geometry.clusters[cluster]
-    local = forces[:, tile] @ geometry.rotations[tile] / geometry.areas[tile]
-    return np.column_stack([-local[:, 2], local[:, 0], local[:, 1]])
+    return geometry.cluster_stress(cluster, forces[:, tile] @ geometry.rotations[tile])
 
 
 def wrench_creep(

@@ -10,10 +10,10 @@ import trimesh
 
 from socket_testbed.arrays import FloatArray
 from socket_testbed.geometry.axis import axis_through
-from socket_testbed.geometry.socket import SocketGeometry
+from socket_testbed.geometry.socket import ScanFrame, SocketGeometry
+from socket_testbed.socket_design.clusters import ClusterPlace
 from socket_testbed.socket_design.interior import find_interior
 from socket_testbed.socket_design.layout import (
-    ClusterPlace,
     nominal_places,
     refuse_unusual,
     tiled_socket,
@@ -22,6 +22,7 @@ from socket_testbed.socket_design.placement import Placement
 from socket_testbed.socket_design.scan_file import METRES, Scan, refuse_implausible
 from socket_testbed.socket_design.tiling import Tiling, TilingSettings, tile_interior
 
+_MOVED = 1e-4  # [m]; a cluster's tile that is farther from where it was asked is worth a note
 _ANTERIOR = np.array([1.0, 0.0, 0.0])  # in {S}
 
 
@@ -88,16 +89,18 @@ class SocketDesign:
                 f" limit {1e3 * self.settings.flatness:g})",
             ),
             ("neighbours", f"{len(self.geometry.neighbours)} pairs"),
-            ("clusters", _places(self.geometry)),
+            *_clusters(self.geometry, tiling),
         ]
 
 
-def _places(geometry: SocketGeometry) -> str:
-    places = (
-        f"{name} at {', '.join(f'{1e3 * c:.0f}' for c in geometry.anchors[tile])}"
-        for name, tile in geometry.clusters.items()
-    )
-    return "; ".join(places) + " mm of {S}" if geometry.clusters else "none"
+def _clusters(geometry: SocketGeometry, tiling: Tiling) -> list[tuple[str, str]]:
+    """A row for each cluster: what was asked and what it got, or where it usually is."""
+    laid = {cluster.name: str(cluster) for cluster in tiling.clusters}
+    rows = []
+    for name, tile in geometry.clusters.items():
+        anchor = ", ".join(f"{1e3 * value:.1f}" for value in geometry.anchors[tile])
+        rows.append((f"cluster {name}", laid.get(name, f"put at ({anchor}) mm of {{S}}")))
+    return rows or [("clusters", "none")]
 
 
 def design_socket(
@@ -118,32 +121,40 @@ def design_socket(
         place: Finds {S}: given the interior's vertices, shape (v, 3) [m], the proximal direction,
             shape (3,) [-], both in the scan's axes, and the scan's unit [m].
         proximal: Direction of the opening in the scan's axes, shape (3,) [-]; None to find it.
-        clusters: Where the clusters are in {S}; None for where they usually are.
+        clusters: Where the clusters are; None for where they usually are.
         bodies: A socket whose marker bodies are taken over.
         settings: Settings of the tiling.
         progress: Called with the steps done and their number.
 
     Raises:
         ScanError: If the scan has no interior that takes tiles, or one of no socket's size.
-        ConfigurationError: If a cluster is on no tile, or nominal ones have no usual place.
+        ConfigurationError: If a cluster fits nowhere at its place, or has no usual one.
     """
     interior = find_interior(scan.mesh, proximal)
     refuse_implausible(name, interior.length, interior.girth, scan.unit)
     vertices = np.asarray(interior.mesh.vertices)
     placement = place(vertices, interior.proximal, METRES[scan.unit])
     pose = placement.scan_in_load_cell
+    frame = ScanFrame(METRES[scan.unit], pose)
     mesh = trimesh.Trimesh(pose.apply(vertices), interior.mesh.faces, process=False)
     upwards = pose.rotation @ interior.proximal
-    tiling = tile_interior(mesh, upwards, _ANTERIOR, settings, progress)
-    source = f"{name} [{scan.unit}], {placement.source}"
-    end = _distal_end(mesh, upwards)
-    places = clusters
-    if places is None:
-        places = nominal_places(tiling.squares, end, upwards, _ANTERIOR)
-        refuse_unusual(places, tiling.squares, mesh, axis_through(end, upwards, _ANTERIOR))
-    geometry, notes = tiled_socket(tiling, end, upwards, _ANTERIOR, places, bodies, source)
+    known = [place.in_load_cell(frame) for place in clusters or ()]
+    tiling = tile_interior(mesh, upwards, _ANTERIOR, settings, progress, known)
+    axis = axis_through(_distal_end(mesh, upwards), upwards, _ANTERIOR)
+    nominal: dict[str, int] = {}
+    notes = [
+        f"no tile fits where cluster {laid.name} was asked: it is {1e3 * laid.moved:.1f} mm beside"
+        for laid in tiling.clusters
+        if laid.moved > _MOVED
+    ]
+    if bodies.regions:
+        notes.append(f"the regions {', '.join(bodies.regions)} are not kept: the tiles are new")
     if clusters is None:
+        nominal = nominal_places(tiling.squares, axis)
+        refuse_unusual(nominal, tiling.squares, mesh, axis)
         notes.append("the clusters are put where they usually are: look, or give --clusters")
+    source = f"{name} [{scan.unit}], {placement.source}"
+    geometry = tiled_socket(tiling, axis, nominal, bodies, source, frame)
     return SocketDesign(
         name,
         scan,

@@ -40,6 +40,11 @@ class Squares:
         """Some of the squares."""
         return Squares(self.anchors[index], self.rotations[index], self.edge)
 
+    def join(self, other: Squares) -> Squares:
+        """These squares, then others of the same size."""
+        anchors = np.concatenate([self.anchors, other.anchors])
+        return Squares(anchors, np.concatenate([self.rotations, other.rotations]), self.edge)
+
     def corners(self) -> FloatArray:
         """Corners, counterclockwise about the inward normal, shape (m, 4, 3) [m]."""
         unit = np.array([[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [1.0, 1.0, 0.0], [-1.0, 1.0, 0.0]])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -61,7 +62,7 @@ class Footprints:
         self._footprints: dict[int, Footprint] = {}
         self._shared: dict[tuple[int, int], float] = {}
 
-    def unfit(self, tiles: IntArray) -> list[int]:
+    def unfit(self, tiles: IntArray | Sequence[int]) -> list[int]:
         """Tiles that are cut, folded, double or too far from flat."""
         unfit = []
         for tile in map(int, tiles):
@@ -191,11 +192,22 @@ def fitting_squares(
         edge: Length of the squares' edges [m].
         flatness: Largest distance of the surface from a tile's plane [m].
     """
-    normals = _mean_normals(places, surroundings.points, edge / np.sqrt(np.pi))
-    squares = Squares(places.positions, tile_frames(normals, surroundings), edge)
+    squares = squares_at(places, surroundings, edge)
     if not len(squares):
         return squares
     return squares.take(_fits(squares, surroundings, flatness))
+
+
+def squares_at(places: SurfacePoints, surroundings: Surroundings, edge: float) -> Squares:
+    """The squares that are centred on the given places, whether they fit or not.
+
+    Args:
+        places: Their centres.
+        surroundings: The surface.
+        edge: Length of the squares' edges [m].
+    """
+    normals = _mean_normals(places, surroundings.points, edge / np.sqrt(np.pi))
+    return Squares(places.positions, tile_frames(normals, surroundings), edge)
 
 
 def tile_frames(normals: FloatArray, surroundings: Surroundings) -> FloatArray:

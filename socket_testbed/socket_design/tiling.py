@@ -9,7 +9,7 @@ tile is lost (ruin and recreate: Schrimpf et al. 2000, doi:10.1006/jcph.1999.641
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,6 +18,7 @@ from scipy.spatial import KDTree
 
 from socket_testbed.arrays import BoolArray, FloatArray, IntArray
 from socket_testbed.errors import ScanError
+from socket_testbed.socket_design.clusters import ClusterPlace, LaidCluster, lay_clusters
 from socket_testbed.socket_design.mesh import number_cells
 from socket_testbed.socket_design.squares import (
     REACH,
@@ -107,10 +108,14 @@ class Search:
         squares: The squares that fit.
         points: The surface.
         footprints: Of the same squares.
+        fixed: So many of the first squares are tiles in any case; they overlap nowhere.
     """
 
-    def __init__(self, squares: Squares, points: SurfacePoints, footprints: Footprints) -> None:
+    def __init__(
+        self, squares: Squares, points: SurfacePoints, footprints: Footprints, fixed: int = 0
+    ) -> None:
         self._squares = squares
+        self._fixed = fixed
         self._borders = border_points(squares, points)
         self._footprints = footprints
         self._clearance = np.full(len(squares), _CLEARANCE)
@@ -122,8 +127,8 @@ class Search:
         self._overlapping_witness = overlapping(squares, self._witnesses, _CLEARANCE)
 
     def fill(self) -> IntArray:
-        """A first set of tiles, to which none can be added."""
-        tiles = np.zeros(0, dtype=np.int64)
+        """A first set of tiles, the fixed ones first, to which none can be added."""
+        tiles = np.arange(self._fixed)
         while True:
             free = self._alive.copy()
             for tile in tiles:
@@ -141,13 +146,17 @@ class Search:
         rng: np.random.Generator,
         progress: Callable[[int, int], None] | None = None,
     ) -> IntArray:
-        """Take out and fill anew, round by round; the set never gets smaller."""
+        """Take out and fill anew, round by round; the set never gets smaller.
+
+        The fixed tiles stay, and stay the first.
+        """
         anchors = self._squares.anchors
         for done in range(rounds):
             centre = anchors[rng.integers(len(anchors))]
-            order = np.argsort(np.linalg.norm(anchors[tiles] - centre, axis=1))
+            fixed, loose = tiles[: self._fixed], tiles[self._fixed :]
+            order = np.argsort(np.linalg.norm(anchors[loose] - centre, axis=1))
             ruined = int(rng.integers(_FEWEST_RUINED, _MOST_RUINED))
-            kept, out = tiles[order[ruined:]], tiles[order[:ruined]]
+            kept, out = np.concatenate([fixed, loose[order[ruined:]]]), loose[order[:ruined]]
             free = np.zeros(len(anchors), dtype=bool)
             for tile in out:
                 free[self._overlapping(int(tile))] = True
@@ -278,6 +287,8 @@ class Tiling:
         cover_inside: Part of the interior under tiles, of what is farther than half a tile from
             the rim (brim, holes, cuts) [-].
         largest_gap: Largest distance of a point of the interior from the nearest tile [m].
+        clusters: The clusters that the first tiles were laid for; the frames of these squares are
+            turned with them.
     """
 
     squares: Squares
@@ -287,6 +298,7 @@ class Tiling:
     interior_area: float
     cover_inside: float
     largest_gap: float
+    clusters: tuple[LaidCluster, ...] = ()
 
     @property
     def upper_bound(self) -> float:
@@ -300,8 +312,9 @@ def tile_interior(
     anterior: FloatArray,
     settings: TilingSettings,
     progress: Callable[[int, int], None] | None = None,
+    clusters: Sequence[ClusterPlace] = (),
 ) -> Tiling:
-    """Tile the interior of a socket.
+    """Tile the interior of a socket, around the clusters that are glued in.
 
     Args:
         mesh: The interior, its normals towards the limb [m].
@@ -309,9 +322,11 @@ def tile_interior(
         anterior: Direction of x where no tangent is proximal, shape (3,) [-].
         settings: The settings.
         progress: Called with the rounds done and their number.
+        clusters: Where the clusters are in {S}.
 
     Raises:
         ScanError: If not a single tile fits.
+        ConfigurationError: If a cluster's does not.
     """
     rng = np.random.default_rng(settings.seed)
     points = spread_points(mesh, _POINTS * settings.edge, rng)
@@ -324,8 +339,14 @@ def tile_interior(
             f" ({1e4 * mesh.area:.1f} cm^2) within {1e3 * settings.flatness:g} mm of flat",
             "check the unit of the scan, or give a smaller --size or a larger --flatness",
         )
+    laid: list[LaidCluster] = []
+    if clusters:
+        glued, laid = lay_clusters(
+            mesh, clusters, places, surroundings, settings.edge, settings.flatness
+        )
+        fitting = glued.join(fitting)
     footprints = Footprints(mesh, fitting, settings.flatness)
-    search = Search(fitting, points, footprints)
+    search = Search(fitting, points, footprints, len(laid))
     tiles = search.improve(search.fill(), settings.rounds, rng, progress)
     kept = [footprints.footprint(int(tile)) for tile in tiles]
     squares = fitting.take(tiles)
@@ -339,6 +360,7 @@ def tile_interior(
         interior_area=float(mesh.area),
         cover_inside=float(points.areas[covered & inside].sum() / points.areas[inside].sum()),
         largest_gap=float(_distance(points.positions, points.positions[covered]).max()),
+        clusters=tuple(laid),
     )
 
 

@@ -372,7 +372,7 @@ def sample_table(
         A row per sample, with the units in the titles: stamp [ns], time since the trial's first
         sample [s], wrench and the limb's pose in {S}; for each cluster its capacitances by the
         converter's input [pF], its status (0 ok, 1 saturated, 2 missing, 3 out of the calibrated
-        range), and its stress [Pa] and force [N] in its own frame. NaN where there is none.
+        range), its stress along its own axes [Pa] and force in {L} [N]. NaN where there is none.
     """
     import pandas as pd
 

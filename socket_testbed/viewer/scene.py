@@ -64,7 +64,7 @@ class Scene:
         self._socket = scene.add_frame("/socket", show_axes=False)
         self._limb = scene.add_frame("/limb", axes_length=0.04, axes_radius=0.001, visible=False)
         size = _Size.of(geometry, axis)
-        poses = Pose(geometry.rotations, geometry.anchors)
+        poses = Pose(geometry.square_frames(), geometry.anchors)
         unrolled = _Map(geometry, axis, size)
         self._pictures = (
             _Tiles(scene, "/socket/tiles", poses, geometry),

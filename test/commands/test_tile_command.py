@@ -97,21 +97,33 @@ def test_clusters_and_bodies_are_taken_over(
     first = read_socket(tiled)
     registered = dataclasses.replace(first, registration="take.csv")
     write_socket(registered, tmp_path / "registered.yaml")
-    here = first.anchors[5] + 0.002
+    assert first.scan is not None
+    one, other = (first.clusters[name] for name in ("mid_anterior", "posterior_distal"))
+    here = first.anchors[one] + 0.002
+    between = first.anchors[other] + 0.013 * first.rotations[other, :, 0]
+    in_scan = 1e3 * first.scan.in_load_cell.inverse().apply(here)
+    turned = first.rotations[other] @ Rotation.from_rotvec([0.0, 0.0, 0.5 * np.pi]).as_matrix()
     (tmp_path / "clusters.yaml").write_text(
-        f"clusters:\n  here: {{point: {here.tolist()}}}\n"
-        f"  between: {{anchor: {(first.anchors[0] + 0.013 * first.rotations[0, :, 1]).tolist()},"
-        f" frame: {first.rotations[0].tolist()}}}\n"
+        f"clusters:\n  here: {{scan: {in_scan.tolist()}}}\n"
+        f"  between: {{anchor: {between.tolist()}, frame: {turned.tolist()}}}\n"
     )
     words = ("--clusters", tmp_path / "clusters.yaml", "--bodies", tmp_path / "registered.yaml")
     output = tmp_path / "socket.yaml"
     anterior = ("--anterior=-y", "--rounds", 2)
-    code, _, err = call(capsys, "tile", cup, "-o", output, *anterior, *words)
+    code, out, err = call(capsys, "tile", cup, "-o", output, *anterior, *words)
     assert code == 0, err
     geometry = read_socket(output)
     assert set(geometry.clusters) == {"here", "between"}
-    assert np.linalg.norm(geometry.anchors[geometry.clusters["here"]] - here) < 0.01
-    assert "cluster between does not sit on one tile" in err
+    surface = trimesh.Trimesh(CUP.vertices + np.array([0, 0, 0.08]), CUP.faces, process=False)
+    overlap_free(geometry, surface, 0.008)
+    nearest = trimesh.proximity.closest_point(surface, [here, between])[0]
+    found = geometry.anchors[[geometry.clusters["here"], geometry.clusters["between"]]]
+    assert np.linalg.norm(found - nearest, axis=1).max() < 1e-4
+    assert np.degrees(geometry.turned["between"]) == pytest.approx(90.0, abs=5.0)
+    x, y, z = 1e3 * here
+    for text in (out, output.with_suffix(".html").read_text(encoding="utf-8")):
+        assert f"asked at ({x:.1f}, {y:.1f}, {z:.1f}), laid at (" in text
+        assert "mm away, turned by " in text
     assert geometry.registration == "take.csv"
     # Without --bodies the registration is not overwritten.
     code, _, err = call(capsys, "tile", cup, "-o", output, "--replace", *anterior)

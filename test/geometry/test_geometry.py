@@ -1,6 +1,7 @@
 """Poses, the socket's file, and the way from two marker bodies to q."""
 
 import copy
+import dataclasses
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ from support.problems import random_pose, random_socket
 
 from socket_testbed.errors import ConfigurationError
 from socket_testbed.geometry.pose import Pose
-from socket_testbed.geometry.socket import read_socket, write_socket
+from socket_testbed.geometry.socket import ScanFrame, read_socket, write_socket
 
 
 @pytest.fixture
@@ -161,6 +162,42 @@ def test_cluster_force_is_the_area_times_shear_and_inward_pull(rng):
         np.testing.assert_allclose(shear, [0.9, -1.8, 0.0], atol=1e-12)
 
 
+@pytest.mark.parametrize("angle", [0.5 * np.pi, -2.5])
+def test_the_force_of_a_turned_cluster_is_turned_into_its_tile_frame(rng, angle):
+    geometry = dataclasses.replace(random_socket(rng), turned={"cluster_1": angle})
+    tile, stress = geometry.clusters["cluster_1"], rng.normal(0.0, 1e4, (7, 3))
+    cluster_in_load_cell = geometry.square_frames()[tile]
+    x_in_tile = geometry.rotations[tile].T @ cluster_in_load_cell[:, 0]
+    assert x_in_tile == pytest.approx([np.cos(angle), np.sin(angle), 0.0], abs=1e-12)
+    on_cluster = 9e-4 * np.column_stack([stress[:, 1], stress[:, 2], -stress[:, 0]])
+    force = geometry.cluster_force("cluster_1", stress)
+    np.testing.assert_allclose(  # the same force in {S}, whichever frame it comes from
+        force @ geometry.rotations[tile].T, on_cluster @ cluster_in_load_cell.T, atol=1e-9
+    )
+    np.testing.assert_allclose(geometry.cluster_stress("cluster_1", force), stress, atol=1e-8)
+    for name in ("cluster_0", "cluster_2"):
+        plain = random_socket(np.random.default_rng(0)).cluster_force(name, stress)
+        np.testing.assert_array_equal(geometry.cluster_force(name, stress), plain)
+
+
+def test_a_turned_cluster_and_the_scan_are_stored_and_may_be_missing(rng, tmp_path):
+    scan = ScanFrame(0.001, random_pose(rng))
+    plain = random_socket(rng)
+    socket = dataclasses.replace(plain, turned={"cluster_1": 0.5 * np.pi}, scan=scan)
+    write_socket(socket, tmp_path / "socket.yaml")
+    text = (tmp_path / "socket.yaml").read_text()
+    assert "turned: 90.0}" in text and "unit: 0.001" in text
+    found = read_socket(tmp_path / "socket.yaml")
+    assert found.clusters == socket.clusters
+    assert found.turned == pytest.approx(socket.turned, abs=1e-9)
+    picked = rng.normal(0.0, 100.0, (5, 3))
+    expected = scan.in_load_cell.apply(0.001 * picked)
+    np.testing.assert_allclose(found.scan.points(picked), expected, atol=1e-8)
+    write_socket(plain, tmp_path / "old.yaml")
+    old = read_socket(tmp_path / "old.yaml")
+    assert old.turned == {} and old.scan is None
+
+
 def test_cluster_force_takes_any_batch_and_keeps_what_is_missing(rng):
     geometry = random_socket(rng)
     name = next(iter(geometry.clusters))
@@ -255,6 +292,9 @@ TILE = ("tiles", "tile_0_1")
         ((*TILE, "area"), -9e-4, "area", "unit"),
         ((*TILE, "area"), "large", "area", "number"),
         (TILE, None, "tile_0_1", "key: value"),
+        (("clusters", "cluster_0"), {"tile": "tile_0_1"}, "turned", "add"),
+        (("clusters", "cluster_0"), {"tile": "tile_0_1", "turned": 900}, "[-360, 360]", "unit"),
+        (("scan",), {"unit": 0.001}, "in_load_cell", "add"),
         (("tiles",), {}, "tiles", "tile"),
         (("neighbours",), [["tile_0_0", "tile_0_9"]], "neighbours", "tile_0_"),
         (("neighbours",), [["tile_0_0", "tile_0_0"]], "neighbours", "different"),

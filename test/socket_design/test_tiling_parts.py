@@ -7,15 +7,19 @@ import numpy as np
 import pytest
 import trimesh
 from scipy.spatial.transform import Rotation
+from support import meshes
 
 from socket_testbed.errors import ConfigurationError, RegistrationError
-from socket_testbed.socket_design.layout import (
+from socket_testbed.geometry.axis import axis_through
+from socket_testbed.geometry.pose import Pose
+from socket_testbed.geometry.socket import ScanFrame
+from socket_testbed.socket_design.clusters import (
     ClusterPlace,
-    assign_clusters,
-    nominal_places,
+    LaidCluster,
+    lay_clusters,
     read_cluster_places,
-    tile_names,
 )
+from socket_testbed.socket_design.layout import nominal_places, tile_names
 from socket_testbed.socket_design.placement import (
     parse_direction,
     place_by_directions,
@@ -23,7 +27,7 @@ from socket_testbed.socket_design.placement import (
     place_by_points,
 )
 from socket_testbed.socket_design.squares import Squares, gaps, spread_points
-from socket_testbed.socket_design.tile_fit import Footprints
+from socket_testbed.socket_design.tile_fit import Footprints, Surroundings, rim_points
 
 Z = np.array([0.0, 0.0, 1.0])
 X = np.array([1.0, 0.0, 0.0])
@@ -116,51 +120,86 @@ def test_points_are_spread_evenly() -> None:
 
 def test_names_say_where_a_tile_is() -> None:
     anchors = np.array([[0.05, 0.0, 0.12], [0.0, 0.05, 0.2], [-0.05, -1e-5, 0.12]])
-    end = np.array([0.0, 0.0, 0.08])
-    assert tile_names(anchors, end, Z, X) == ("h040_a000", "h120_a090", "h040_a180")
+    axis = axis_through(np.array([0.0, 0.0, 0.08]), Z, X)
+    assert tile_names(anchors, axis) == ("h040_a000", "h120_a090", "h040_a180")
     # Another tile changes no other tile's name.
     more = np.vstack([anchors, [[0.05, 0.0, 0.1202]]])
-    names = tile_names(more, end, Z, X)
-    assert names[:3] == tile_names(anchors, end, Z, X)
+    names = tile_names(more, axis)
+    assert names[:3] == tile_names(anchors, axis)
     assert len(set(names)) == 4
 
 
-SQUARES = on_plane([(0.0, 0.0, 0.0), (0.03, 0.0, 0.0), (0.0, 0.09, 0.0)])
-NAMES = ("a", "b", "c")
+WALL = meshes.open_cone(0.05, 0.05, 0.12, 0.004, closed=False)
 
 
-def place(x: float, y: float, turned: float | None = None, name: str = "distal") -> ClusterPlace:
-    frame = None if turned is None else Rotation.from_rotvec([0.0, 0.0, turned]).as_matrix()
-    return ClusterPlace(name, np.array([x, y, 0.0]), frame, name)
+def wall(angle: float, height: float, off: float = 0.0) -> np.ndarray:
+    """A point beside the cylinder, off it towards the axis."""
+    return np.array([(0.05 - off) * math.cos(angle), (0.05 - off) * math.sin(angle), height])
 
 
-def test_a_cluster_is_on_the_nearest_tile() -> None:
-    clusters, notes = assign_clusters(
-        [place(0.004, 0.0), place(0.03, 0.001, 0.0, name="b")], SQUARES, NAMES
-    )
-    assert clusters == {"distal": 0, "b": 1}
-    assert notes == []
+def frame_at(angle: float, turned: float = 0.0) -> np.ndarray:
+    """The frame of a cluster on the cylinder, turned about the inward normal."""
+    inward = -np.array([math.cos(angle), math.sin(angle), 0.0])
+    tile = np.column_stack([Z, np.cross(inward, Z), inward])
+    return Rotation.from_rotvec(turned * inward).as_matrix() @ tile
 
 
-def test_a_cluster_over_two_tiles_is_reported() -> None:
-    clusters, notes = assign_clusters([place(0.012, 0.0, 0.0)], SQUARES, NAMES)
-    assert clusters == {"distal": 0}
-    assert notes[0].startswith("cluster distal does not sit on one tile (60 % on a, 40 % on b)")
+def place(
+    centre: np.ndarray, frame: np.ndarray | None = None, name: str = "distal"
+) -> ClusterPlace:
+    return ClusterPlace(name, centre, frame, f"{name}'s")
+
+
+def lay(*places: ClusterPlace) -> tuple[Squares, list[LaidCluster]]:
+    rng = np.random.default_rng(2)
+    centres, points = spread_points(WALL, 0.001, rng), spread_points(WALL, 0.0025, rng)
+    surroundings = Surroundings(points, rim_points(WALL, 0.0005), Z, X)
+    return lay_clusters(WALL, places, centres, surroundings, 0.03, 0.008)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_cluster_stays_where_it_is_glued_and_as_it_is_turned(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    angle = rng.uniform(0.0, 2.0 * math.pi)
+    asked = wall(angle, rng.uniform(0.03, 0.09), off=rng.uniform(-0.003, 0.003))
+    nearest = trimesh.proximity.closest_point(WALL, asked[None])[0][0]
+    squares, (laid,) = lay(place(asked))
+    assert laid.moved == 0.0 and laid.turned == 0.0
+    assert np.linalg.norm(squares.anchors[0] - nearest) < 1e-9
+    turned = rng.uniform(-math.pi, math.pi)
+    squares, (laid,) = lay(place(asked, frame_at(angle, turned)))
+    assert laid.turned == pytest.approx(turned, abs=math.radians(1.0))
+    assert np.linalg.norm(squares.anchors[0] - nearest) < 1e-9
+    # Its square is turned with it: the sensor's edges are its own.
+    assert np.abs(squares.rotations[0] - frame_at(angle, turned)).max() < 0.04
+
+
+def test_a_cluster_that_hangs_over_the_brim_is_laid_beside_it_and_says_so() -> None:
+    squares, (laid,) = lay(place(wall(1.0, 0.11)))
+    assert squares.anchors[0, 2] == pytest.approx(0.105, abs=0.0015)
+    assert 0.004 < laid.moved < 0.008
+    assert "asked at (27.0, 42.1, 110.0)" in str(laid) and "mm away" in str(laid)
 
 
 @pytest.mark.parametrize(
     ("places", "words"),
     [
-        ([place(0.5, 0.0)], "470 mm from the nearest tile"),
-        ([place(0.0, 0.0), place(0.001, 0.0, name="mid")], "on a, where distal is"),
+        ([place(np.array([0.5, 0.0, 0.05]))], "distal's: is 450 mm from the interior"),
+        ([place(wall(0.0, 0.14))], "no 30 mm tile fits within 15 mm"),
+        (
+            [place(wall(0.0, 0.06), name="a"), place(wall(0.3, 0.06), name="b")],
+            "b's: overlaps a, their centres are 14.9 mm apart",
+        ),
+        (
+            [place(wall(0.0, 0.06), frame_at(0.8))],
+            "distal's: its z is 4[0-9] deg off the inward normal",
+        ),
     ],
-    ids=["far away", "the same tile"],
+    ids=["far away", "beyond the brim", "on each other", "tilted"],
 )
-def test_a_cluster_without_a_tile_of_its_own_is_refused(
-    places: list[ClusterPlace], words: str
-) -> None:
+def test_a_cluster_that_cannot_be_laid_is_refused(places: list[ClusterPlace], words: str) -> None:
     with pytest.raises(ConfigurationError, match=words):
-        assign_clusters(places, SQUARES, NAMES)
+        lay(*places)
 
 
 def test_nominal_clusters_are_four_different_tiles() -> None:
@@ -168,7 +207,8 @@ def test_nominal_clusters_are_four_different_tiles() -> None:
     height = np.repeat([0.1, 0.15, 0.2], 8)
     anchors = np.column_stack([0.05 * np.cos(angle), 0.05 * np.sin(angle), height])
     squares = Squares(anchors, np.tile(np.eye(3), (24, 1, 1)), 0.03)
-    places = {p.name: p.centre for p in nominal_places(squares, 0.08 * Z, Z, X)}
+    tiles = nominal_places(squares, axis_through(0.08 * Z, Z, X))
+    places = {name: squares.anchors[tile] for name, tile in tiles.items()}
     assert list(places) == ["brim_lateral", "mid_anterior", "posterior_distal", "distal"]
     assert places["brim_lateral"] == pytest.approx([0.0, 0.05, 0.2])
     assert places["mid_anterior"] == pytest.approx([0.05, 0.0, 0.15])
@@ -180,9 +220,13 @@ def test_cluster_places_are_read(tmp_path: Path) -> None:
     path.write_text(
         "clusters:\n  distal: {point: [0, 0, 0.1]}\n"
         "  brim: {anchor: [0.05, 0, 0.2], frame: [[0, 0, -1], [0, 1, 0], [1, 0, 0]]}\n"
+        "  mid: {scan: [50.0, -10.0, 200.0]}\n"
     )
-    distal, brim = read_cluster_places(path)
+    distal, brim, mid = read_cluster_places(path)
     assert distal.frame is None
+    scan = ScanFrame(0.001, Pose(np.eye(3), np.array([0.0, 0.02, 0.0])))
+    assert mid.in_load_cell(scan).centre == pytest.approx([0.05, 0.01, 0.2])
+    assert distal.in_load_cell(scan) is distal
     assert brim.frame is not None
     assert brim.frame[:, 2] == pytest.approx([-1.0, 0.0, 0.0])
 
@@ -194,6 +238,7 @@ def test_cluster_places_are_read(tmp_path: Path) -> None:
         ("clusters: {distal: {point: [0, 0, 100]}}", "more than 2"),
         ("clusters: {distal: {anchor: [0, 0, 0.1]}}", "'frame' is missing"),
         ("clusters: {distal: {point: [0, 0, 0], frame: 1}}", "a point and a frame"),
+        ("clusters: {distal: {scan: [0, 0, 0], point: [0, 0, 0]}}", "a point and a scan"),
         ("cluster: {}", "did you mean 'clusters'"),
     ],
 )

@@ -114,7 +114,7 @@ def tile_squares(geometry: SocketGeometry) -> FloatArray:
     """
     half_edges = 0.5 * np.sqrt(geometry.areas)
     corners_in_tile = half_edges[:, None, None] * _CORNERS
-    tiles_in_socket = Pose(geometry.rotations[:, None], geometry.anchors[:, None])
+    tiles_in_socket = Pose(geometry.square_frames()[:, None], geometry.anchors[:, None])
     return tiles_in_socket.apply(corners_in_tile)
 
 

@@ -1,0 +1,227 @@
+"""Clusters on the interior: where they are stuck on, and the squares that they cover there.
+
+A sensor that is glued in does not move: the tiles are laid around it.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import trimesh
+from trimesh.triangles import closest_point
+
+from socket_testbed.arrays import FloatArray
+from socket_testbed.errors import ConfigurationError
+from socket_testbed.files import Section, read_document
+from socket_testbed.geometry.pose import about_z, read_rotation
+from socket_testbed.geometry.socket import ScanFrame
+from socket_testbed.socket_design.squares import Squares, SurfacePoints
+from socket_testbed.socket_design.tile_fit import Footprints, Surroundings, squares_at
+
+_FARTHEST_SCAN = 1e5  # [of the scan's unit]
+
+
+@dataclass(frozen=True)
+class ClusterPlace:
+    """Where a cluster is in the socket.
+
+    Attributes:
+        name: Name of the cluster.
+        centre: Its centre in {S} [m], or in the scan's coordinates and unit, shape (3,).
+        frame: Its own frame in {S}, shape (3, 3) [-]; None for that of its tile.
+        where: What names it in an error.
+        in_scan: Whether its centre is in the scan's coordinates.
+    """
+
+    name: str
+    centre: FloatArray
+    frame: FloatArray | None
+    where: str
+    in_scan: bool = False
+
+    def in_load_cell(self, scan: ScanFrame) -> ClusterPlace:
+        """The same place in {S}."""
+        if not self.in_scan:
+            return self
+        return dataclasses.replace(self, centre=scan.points(self.centre), in_scan=False)
+
+
+def read_cluster_places(path: Path) -> list[ClusterPlace]:
+    """Read where the clusters are.
+
+    Below the key `clusters`, by name: a `point` in {S} [m], one in the `scan` (in its coordinates
+    and unit), or an `anchor` in {S} [m] and a `frame`.
+
+    Raises:
+        ConfigurationError: If anything in the file is not as it must be.
+    """
+    document = read_document(path).expect(("clusters",))
+    return [_place(name, section) for name, section in document.sections("clusters")]
+
+
+def _place(name: str, section: Section) -> ClusterPlace:
+    section.expect(("point", "scan", "anchor", "frame"))
+    for key, limit in (("point", 2.0), ("scan", _FARTHEST_SCAN)):
+        if key in section.names():
+            if len(section.names()) > 1:
+                raise ConfigurationError(
+                    f"{section.where}: has a {key} and {_others(section, key)}",
+                    "give a point, or a point of the scan, or anchor and frame",
+                )
+            centre = section.array(key, (3,), limit=limit)
+            return ClusterPlace(name, centre, None, section.where, key == "scan")
+    centre = section.array("anchor", (3,), limit=2.0)
+    return ClusterPlace(name, centre, read_rotation(section, "frame"), section.where)
+
+
+def _others(section: Section, key: str) -> str:
+    return " and ".join(f"a {other}" for other in section.names() if other != key)
+
+
+@dataclass(frozen=True)
+class LaidCluster:
+    """A cluster on the interior.
+
+    Attributes:
+        name: Name of the cluster.
+        asked: Where it was said to be in {S}, shape (3,) [m].
+        surface: The point of the interior nearest to that in {S}, shape (3,) [m].
+        anchor: Centre of its tile in {S}, shape (3,) [m].
+        turned: Angle of its x axis from that of its tile about the inward normal [rad].
+    """
+
+    name: str
+    asked: FloatArray
+    surface: FloatArray
+    anchor: FloatArray
+    turned: float
+
+    @property
+    def moved(self) -> float:
+        """How far its tile is from where it was said to be, put on the interior [m]."""
+        return float(np.linalg.norm(self.anchor - self.surface))
+
+    def __str__(self) -> str:
+        asked, anchor = (
+            ", ".join(f"{1e3 * value:.1f}" for value in point)
+            for point in (self.asked, self.anchor)
+        )
+        distance = 1e3 * float(np.linalg.norm(self.anchor - self.asked))
+        turned = f", turned by {np.degrees(self.turned):.1f} deg" if self.turned else ""
+        return f"asked at ({asked}), laid at ({anchor}) mm of {{S}}, {distance:.1f} mm away{turned}"
+
+
+_MOST_LIFTED = 0.030  # [m]; a place farther from the interior is on something else
+_MOST_TILTED = 30.0  # [deg]; of a frame's z against the inward normal
+_MOST_MOVED = 0.5  # [edges]; of a tile that does not fit where the cluster is
+
+
+def lay_clusters(
+    mesh: trimesh.Trimesh,
+    places: Sequence[ClusterPlace],
+    centres: SurfacePoints,
+    surroundings: Surroundings,
+    edge: float,
+    flatness: float,
+) -> tuple[Squares, list[LaidCluster]]:
+    """Lay the squares of clusters where they are stuck on.
+
+    Each is centred at the point of the interior nearest to its place. Where its footprint is not
+    complete there, it is centred at the nearest place at which it is.
+
+    Args:
+        mesh: The interior, its normals inwards [m].
+        places: Where the clusters are in {S}.
+        centres: Other centres to try.
+        surroundings: The surface.
+        edge: Length of the squares' edges [m].
+        flatness: Largest distance of the surface from a tile's plane [m].
+
+    Returns:
+        The squares, with their edges as the clusters' own, and the clusters on them.
+
+    Raises:
+        ConfigurationError: If a cluster is far from the interior, its frame does not lie on it, no
+            square fits at its place, or two overlap.
+    """
+    squares, laid = Squares(np.zeros((0, 3)), np.zeros((0, 3, 3)), edge), list[LaidCluster]()
+    for place in places:
+        spot = _on_surface(mesh, place)
+        turned = _turned(place, squares_at(spot, surroundings, edge))
+        tried = _around(spot, centres, _MOST_MOVED * edge)
+        candidates = _turn(squares_at(tried, surroundings, edge), turned)
+        footprints = Footprints(mesh, candidates, flatness)
+        fits = next((i for i in range(len(candidates)) if not footprints.unfit([i])), None)
+        if fits is None:
+            raise ConfigurationError(
+                f"{place.where}: no {1e3 * edge:g} mm tile fits within"
+                f" {1e3 * _MOST_MOVED * edge:g} mm of it: the interior has a rim there, or is not"
+                " flat enough",
+                "check its place, or give a smaller --size or a larger --flatness",
+            )
+        squares = squares.join(candidates.take(np.array([fits])))
+        anchor, surface = candidates.anchors[fits], spot.positions[0]
+        laid.append(LaidCluster(place.name, place.centre, surface, anchor, turned))
+    for a, b in Footprints(mesh, squares, flatness).overlapping(np.arange(len(squares))):
+        apart = 1e3 * float(np.linalg.norm(squares.anchors[a] - squares.anchors[b]))
+        raise ConfigurationError(
+            f"{places[b].where}: overlaps {laid[a].name}, their centres are {apart:.1f} mm apart",
+            f"check their places: each covers {1e3 * edge:g} x {1e3 * edge:g} mm",
+        )
+    return squares, laid
+
+
+def _on_surface(mesh: trimesh.Trimesh, place: ClusterPlace) -> SurfacePoints:
+    """The point of the interior nearest to a place; of a wall that faces as its frame does."""
+    triangles, normals = np.asarray(mesh.triangles), np.asarray(mesh.face_normals)
+    if place.frame is not None:
+        facing = normals @ place.frame[:, 2] > 0.0
+        triangles, normals = triangles[facing], normals[facing]
+    points = closest_point(triangles, np.broadcast_to(place.centre, (len(triangles), 3)))
+    distances = np.linalg.norm(points - place.centre, axis=1)
+    nearest = int(distances.argmin()) if len(distances) else 0
+    if not len(distances) or distances[nearest] > _MOST_LIFTED:
+        far = f"{1e3 * distances[nearest]:.0f} mm" if len(distances) else "turned away"
+        raise ConfigurationError(
+            f"{place.where}: is {far} from the interior",
+            "give its place on the interior, in {S} in m or in the scan's coordinates",
+        )
+    return SurfacePoints(points[[nearest]], normals[[nearest]], np.zeros(1))
+
+
+def _turned(place: ClusterPlace, square: Squares) -> float:
+    """Angle of a cluster's x from that of the tile there, about the tile's normal [rad]."""
+    if place.frame is None:
+        return 0.0
+    x, _, z = (square.rotations[0].T @ place.frame).T
+    tilted = float(np.degrees(np.arccos(np.clip(z[2], -1.0, 1.0))))
+    if tilted > _MOST_TILTED:
+        raise ConfigurationError(
+            f"{place.where}: its z is {tilted:.0f} deg off the inward normal of the interior",
+            "give the columns x, y, z of its frame, z inwards",
+        )
+    turned = float(np.arctan2(x[1], x[0]))
+    return 0.0 if abs(turned) < _NOT_TURNED else turned
+
+
+_NOT_TURNED = np.radians(0.1)
+
+
+def _around(spot: SurfacePoints, centres: SurfacePoints, farthest: float) -> SurfacePoints:
+    """A point, and others within a distance of it, the nearest first."""
+    distance = np.linalg.norm(centres.positions - spot.positions, axis=1)
+    order = np.argsort(distance)
+    near = order[distance[order] < farthest]
+    return SurfacePoints(
+        np.vstack([spot.positions, centres.positions[near]]),
+        np.vstack([spot.normals, centres.normals[near]]),
+        np.concatenate([spot.areas, centres.areas[near]]),
+    )
+
+
+def _turn(squares: Squares, angle: float) -> Squares:
+    return dataclasses.replace(squares, rotations=squares.rotations @ about_z(angle))
