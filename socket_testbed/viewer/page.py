@@ -13,7 +13,7 @@ from socket_testbed.viewer.scene import Scene
 from socket_testbed.viewer.server import PageServer
 from socket_testbed.viewer.source import Source
 
-_PERIOD = 0.05  # [s]; between frames
+_PERIOD = 0.055  # [s]; between frames
 
 
 class Page:
