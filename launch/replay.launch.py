@@ -21,7 +21,7 @@ from launch_ros.actions import Node
 
 from launch import LaunchContext, LaunchDescription
 from socket_testbed.live.bringup import replay_nodes
-from socket_testbed.live.processes import write_parameters
+from socket_testbed.live.processes import REMAPPINGS, write_parameters
 from socket_testbed.settings.testbed import ReplaySettings, read_testbed
 from socket_testbed.trials.trial import Trial
 
@@ -50,6 +50,7 @@ def bring_up(context: LaunchContext) -> list[Node | RegisterEventHandler]:
             executable=node.name,
             name=node.name,
             namespace=node.namespace,
+            remappings=REMAPPINGS,
             parameters=[str(write_parameters([node], folder / f"{node.name}.yaml"))],
             output="screen",
         )

@@ -14,7 +14,7 @@ from launch import LaunchContext, LaunchDescription
 from socket_testbed.clocks import shared_environment
 from socket_testbed.files import packaged
 from socket_testbed.live.bringup import Testbed
-from socket_testbed.live.processes import write_parameters
+from socket_testbed.live.processes import REMAPPINGS, write_parameters
 from socket_testbed.settings.testbed import read_testbed
 
 RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
@@ -41,6 +41,7 @@ def bring_up(context: LaunchContext) -> list[Node]:
             executable=node.name,
             name=node.name,
             namespace=node.namespace,
+            remappings=REMAPPINGS,
             parameters=[str(write_parameters([node], folder / f"{node.name}.yaml"))],
             respawn=True,  # what is killed comes back; the others go on meanwhile
             respawn_delay=0.5,

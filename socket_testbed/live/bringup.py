@@ -312,13 +312,14 @@ def replay_nodes(
     check_names(estimator.identification, trial.check())
     namespace = full_namespace(replay.namespace or recorded_namespace(trial))
     calibration = CalibrationNodeSettings(calibration=str(trial.calibration_path.resolve()))
-    estimator = replace(estimator, geometry=str(trial.geometry_path.resolve()))
+    geometry = str(trial.geometry_path.resolve())
+    estimator = replace(estimator, geometry=geometry)
     estimating = [
         GraphNode("calibration_node", calibration, namespace, use_sim_time=True),
         GraphNode("estimator_node", estimator, namespace, use_sim_time=True),
     ]
     wait_for = (*(node.full_name for node in estimating), *replay.wait_for)
-    replay = replace(replay, measured_only=True, wait_for=wait_for)
+    replay = replace(replay, measured_only=True, wait_for=wait_for, geometry=geometry)
     return [*estimating, GraphNode("replay_node", replay, full_namespace(replay.namespace))]
 
 

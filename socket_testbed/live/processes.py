@@ -25,6 +25,9 @@ from socket_testbed.clocks import Backoff, shared_environment
 from socket_testbed.errors import ConfigurationError, TestbedError
 from socket_testbed.settings.fields import Settings, parameter_values
 
+# Each testbed has transforms of its own: in a namespace they are beside its other topics.
+REMAPPINGS = (("/tf", "tf"), ("/tf_static", "tf_static"))
+
 PARENT = "SOCKET_TESTBED_PARENT"  # environment variable: the process that started this one
 
 _PR_SET_PDEATHSIG = 1
@@ -186,7 +189,9 @@ class Graph:
         for name, members in processes.items():
             file = write_parameters(members, self.folder / f"{name}.yaml")
             names = [node.name for node in members]
-            ros = ["--ros-args", "-r", f"__ns:={members[0].namespace}", "--params-file", str(file)]
+            rules = (f"__ns:={members[0].namespace}", *(f"{a}:={b}" for a, b in REMAPPINGS))
+            remap = (word for rule in rules for word in ("-r", rule))
+            ros = ["--ros-args", *remap, "--params-file", str(file)]
             optional = all(node.optional for node in members)
             self.start_program(name, "socket_testbed.nodes", [*names, *ros], optional)
 

@@ -37,6 +37,7 @@ from rclpy.task import Future
 
 from socket_testbed import clocks
 from socket_testbed.errors import ConfigurationError, TestbedError
+from socket_testbed.nodes.conversions import header_to_ros
 from socket_testbed.settings.fields import Settings, parameter_values
 from socket_testbed.trials.topics import DIAGNOSTICS, PUBLISHER_DEPTH, Topic
 
@@ -363,7 +364,7 @@ class TestbedNode(Node, Generic[S]):
             values=[KeyValue(key=key, value=str(value)) for key, value in values.items()],
         )
         message = DiagnosticArray(status=[status])
-        message.header.stamp = self.get_clock().now().to_msg()
+        message.header = header_to_ros(self.get_clock().now().nanoseconds)
         self._diagnostics.publish(message)
 
 

@@ -22,7 +22,10 @@ from std_msgs.msg import Header
 
 from socket_testbed.arrays import FloatArray, StatusArray
 
-LOAD_CELL_FRAME = "load_cell"
+WORLD_FRAME = "world"  # the motion capture's
+SOCKET_FRAME = "socket"  # the socket's marker body
+LOAD_CELL_FRAME = "load_cell"  # the paper's {S}
+LIMB_FRAME = "limb"  # its origin is the lumped mass
 
 
 def stamp_from_ros(stamp: Time) -> int:
@@ -36,7 +39,7 @@ def stamp_to_ros(stamp: int) -> Time:
     return Time(sec=seconds, nanosec=nanoseconds)
 
 
-def header_to_ros(stamp: int, frame: str = "") -> Header:
+def header_to_ros(stamp: int, frame: str = LOAD_CELL_FRAME) -> Header:
     """Header from nanoseconds since the epoch and a frame."""
     return Header(stamp=stamp_to_ros(stamp), frame_id=frame)
 
@@ -71,8 +74,13 @@ def pose_from_ros(pose: Pose) -> FloatArray:
 
 def pose_to_ros(position: FloatArray, quaternion: FloatArray) -> Pose:
     """Pose from a position, shape (3,) [m], and a quaternion (x, y, z, w), shape (4,)."""
+    return Pose(position=point_to_ros(position), orientation=quaternion_to_ros(quaternion))
+
+
+def quaternion_to_ros(quaternion: FloatArray) -> Quaternion:
+    """Quaternion from an array (x, y, z, w), shape (4,)."""
     x, y, z, w = quaternion.tolist()
-    return Pose(position=point_to_ros(position), orientation=Quaternion(x=x, y=y, z=z, w=w))
+    return Quaternion(x=x, y=y, z=z, w=w)
 
 
 def point_to_ros(position: FloatArray) -> Point:
@@ -82,14 +90,14 @@ def point_to_ros(position: FloatArray) -> Point:
 
 
 def markers_to_ros(
-    stamp: int, frame: str, bodies: Sequence[str], markers: Sequence[FloatArray]
+    stamp: int, bodies: Sequence[str], markers: Sequence[FloatArray]
 ) -> RigidBodyMarkersArray:
-    """Message from the markers of each body, shape (m, 3) [m]; NaN where occluded."""
+    """Message from the markers of each body, shape (m, 3) [m] in the world; NaN where occluded."""
     found = [
         RigidBodyMarkers(name=name, markers=[point_to_ros(marker) for marker in own])
         for name, own in zip(bodies, markers, strict=True)
     ]
-    return RigidBodyMarkersArray(header=header_to_ros(stamp, frame), bodies=found)
+    return RigidBodyMarkersArray(header=header_to_ros(stamp, WORLD_FRAME), bodies=found)
 
 
 def capacitance_to_ros(

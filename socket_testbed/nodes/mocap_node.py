@@ -1,7 +1,7 @@
 """Motion-capture node: the bodies' markers and poses at each trigger, from NatNet.
 
 Subscribes: trigger, recorder/trial. Publishes: mocap/socket/pose, mocap/pylon/pose,
-mocap/markers, /diagnostics.
+mocap/markers, /tf, /tf_static, /diagnostics.
 
 A pose is the mean of the frames in a window centred on the trigger, and published half a window
 after it; the markers are interpolated at the trigger.
@@ -22,12 +22,16 @@ from socket_testbed.errors import ConfigurationError
 from socket_testbed.files import packaged
 from socket_testbed.geometry.socket import read_socket
 from socket_testbed.nodes.base import ERROR, OK, WARN
-from socket_testbed.nodes.conversions import header_to_ros, markers_to_ros, pose_to_ros
+from socket_testbed.nodes.conversions import (
+    WORLD_FRAME,
+    header_to_ros,
+    markers_to_ros,
+    pose_to_ros,
+)
+from socket_testbed.nodes.frames import FrameBroadcaster
 from socket_testbed.nodes.sensor_node import SensorNode
 from socket_testbed.settings.acquisition import MocapSettings
 from socket_testbed.trials.topics import MARKERS, PYLON_POSE, RECORDED_TRIAL, SOCKET_POSE
-
-_WORLD = "world"
 
 
 class MocapNode(SensorNode[MocapSettings]):
@@ -43,8 +47,9 @@ class MocapNode(SensorNode[MocapSettings]):
         self._counts = tuple(map(len, bodies))
         self._tracker = BodyTracker(settings, *bodies)
         self._client = NatNetClient(settings, self._tracker.add)
-        self._poses = [self.advertise(topic) for topic in (SOCKET_POSE, PYLON_POSE)]
+        self._poses = {topic: self.advertise(topic) for topic in (SOCKET_POSE, PYLON_POSE)}
         self._markers = self.advertise(MARKERS)
+        self._frames = FrameBroadcaster(self, geometry)
         self._averaged, self._delay = 0, 0.0
         self._refused = ""  # why a take's name was not taken
         self._client.start()
@@ -75,14 +80,17 @@ class MocapNode(SensorNode[MocapSettings]):
         self._tracker.wait(moment, moment + 0.5 * window + self._stale, window)
         sample = self._sample(moment, window)
         self._averaged = min(sample.frames)
-        header = header_to_ros(stamp, _WORLD)
-        for publisher, position, quaternion in zip(
-            self._poses, sample.positions, sample.quaternions, strict=True
+        header = header_to_ros(stamp, WORLD_FRAME)
+        poses = {}
+        for (topic, publisher), position, quaternion in zip(
+            self._poses.items(), sample.positions, sample.quaternions, strict=True
         ):
-            publisher.publish(PoseStamped(header=header, pose=pose_to_ros(position, quaternion)))
+            poses[topic] = PoseStamped(header=header, pose=pose_to_ros(position, quaternion))
+            publisher.publish(poses[topic])
         markers = [own[:count] for own, count in zip(sample.markers, self._counts, strict=True)]
-        self._markers.publish(markers_to_ros(stamp, _WORLD, ("socket", "pylon"), markers))
+        self._markers.publish(markers_to_ros(stamp, ("socket", "pylon"), markers))
         self._delay = clocks.monotonic() - moment
+        self._frames.move(poses)
         self.missing += any(sample.faults)
 
     def idle(self) -> None:

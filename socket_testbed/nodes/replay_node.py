@@ -1,7 +1,7 @@
 """Replay node: a trial published again as raw bytes, in its order and timing, with /clock.
 
 Publishes: the topics of the trial under their recorded names or in another namespace, /clock,
-/diagnostics. Service: replay/pause.
+/tf, /tf_static, /diagnostics. Service: replay/pause.
 """
 
 from __future__ import annotations
@@ -9,18 +9,31 @@ from __future__ import annotations
 import threading
 from pathlib import Path
 
+from geometry_msgs.msg import PoseStamped
 from rclpy.duration import Duration
+from rclpy.serialization import deserialize_message
 from rosgraph_msgs.msg import Clock
 from std_srvs.srv import SetBool
 
 from socket_testbed.errors import ConfigurationError, TestbedError, TrialError
+from socket_testbed.geometry.socket import read_socket
 from socket_testbed.live.pacing import Pacer
 from socket_testbed.nodes.base import ERROR, OK, WARN, TestbedNode
 from socket_testbed.nodes.conversions import stamp_to_ros
 from socket_testbed.nodes.followers import Followers
+from socket_testbed.nodes.frames import FrameBroadcaster
 from socket_testbed.settings.testbed import ReplaySettings
 from socket_testbed.trials.bag import BagReader, RawMessage, decode, stamp_of
-from socket_testbed.trials.topics import DIAGNOSTICS, TRIGGER, Topic, full_namespace, match_topics
+from socket_testbed.trials.topics import (
+    DIAGNOSTICS,
+    PYLON_POSE,
+    SOCKET_POSE,
+    TRIGGER,
+    Topic,
+    full_namespace,
+    match_topics,
+)
+from socket_testbed.trials.trial import Trial
 
 _READY_WITHIN = 180.0  # [s]; for the nodes waited for to start and find each other
 _DISCOVERY = 3.0  # [s]; DDS takes 5 ms or more than 2 s, at random
@@ -49,6 +62,7 @@ class ReplayNode(TestbedNode[ReplaySettings]):
             name: self.advertise(topic, self._published_name(name, topic))
             for name, topic in self._topics.items()
         }
+        self._frames = self._broadcaster()
         self._clock_publisher = self.create_publisher(Clock, "/clock", 10)
         self._pacer = Pacer(settings.rate, self._tick, settings.paused)
         self._followers = Followers(self, settings.wait_for, lambda: self._pacer.stopped)
@@ -88,6 +102,18 @@ class ReplayNode(TestbedNode[ReplaySettings]):
                 "give a trial that 'record' or 'simulate' made",
             )
         return topics
+
+    def _broadcaster(self) -> FrameBroadcaster | None:
+        """What publishes the transforms; None, with a warning, without the socket's geometry."""
+        given = self.settings.geometry
+        try:
+            geometry = (
+                read_socket(Path(given)) if given else Trial(Path(self.settings.trial)).geometry
+            )
+        except TestbedError as error:
+            self.get_logger().warning(f"transforms are left out: {error}")
+            return None
+        return FrameBroadcaster(self, geometry)
 
     def _published_name(self, name: str, topic: Topic) -> str:
         """Where a topic goes that was recorded under a name."""
@@ -137,7 +163,10 @@ class ReplayNode(TestbedNode[ReplaySettings]):
     def _publish(self, raw: RawMessage) -> None:
         self._by_topic[raw.topic].publish(raw.data)
         self._published += 1
-        if self._topics[raw.topic] is TRIGGER:
+        topic = self._topics[raw.topic]
+        if topic in {SOCKET_POSE, PYLON_POSE} and self._frames is not None and self._frames.wanted:
+            self._frames.move({topic: deserialize_message(raw.data, PoseStamped)})
+        if topic is TRIGGER:
             self._followers.sent(stamp_of(decode(raw.data, raw.type)))
             self._catch_up(_IN_FLIGHT)
         if self._published % _BURST == 0:

@@ -148,6 +148,9 @@ class ReplaySettings(Settings):
     namespace: str = setting(
         "", "namespace to publish into, such as /left; empty: as recorded [-]", fixed=True
     )
+    geometry: str = setting(
+        "", "path of socket.yaml, for the transforms; empty: the trial's own [-]", fixed=True
+    )
     rate: float = setting(
         1.0, "speed of the replay against the recording [-]", 1e-3, 1e4, fixed=True
     )

@@ -318,7 +318,7 @@ def _messages(trial: SimulatedTrial, k: int) -> Iterator[tuple[Topic, Any]]:
     yield TRIGGER, _make(TRIGGER.type, header=_header(stamp), sequence=k)
     moment, force = _vector(trial.wrench[k, :3]), _vector(trial.wrench[k, 3:])
     wrench = _make("geometry_msgs/msg/Wrench", force=force, torque=moment)
-    yield WRENCH, _make(WRENCH.type, header=_header(stamp, "load_cell"), wrench=wrench)
+    yield WRENCH, _make(WRENCH.type, header=_header(stamp), wrench=wrench)
     for topic, pose in ((SOCKET_POSE, trial.socket_pose), (PYLON_POSE, trial.pylon_pose)):
         yield topic, _make(topic.type, header=_header(stamp, "world"), pose=_pose(pose, k))
     bodies = [
@@ -338,7 +338,7 @@ def _make(message_type: str, **content: Any) -> Any:
     return message_class(message_type)(**content)
 
 
-def _header(stamp: int, frame: str = "") -> Any:
+def _header(stamp: int, frame: str = "load_cell") -> Any:
     seconds, nanoseconds = divmod(stamp, 1_000_000_000)
     time = _make("builtin_interfaces/msg/Time", sec=seconds, nanosec=nanoseconds)
     return _make("std_msgs/msg/Header", stamp=time, frame_id=frame)

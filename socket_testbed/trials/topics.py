@@ -69,6 +69,11 @@ REQUIRED = tuple(topic for topic in TOPICS if topic.required)
 
 PUBLISHER_DEPTH = 100  # [messages]; of every publisher but the latched
 
+# Where everything is, for RViz and others. It follows from the poses and the geometry in a trial:
+# it is not recorded, and a replay computes it anew.
+TF = Topic("/tf", "tf2_msgs/msg/TFMessage")
+TF_STATIC = Topic("/tf_static", "tf2_msgs/msg/TFMessage", latched=True)
+
 # Name of the trial being recorded, empty when there is none. It is no measurement: it is not
 # recorded.
 RECORDED_TRIAL = Topic("recorder/trial", "std_msgs/msg/String", latched=True)

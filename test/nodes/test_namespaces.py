@@ -16,7 +16,7 @@ from support.testbeds import manageable
 
 from socket_testbed.live.bringup import Simulation, end, simulated_testbed, start
 from socket_testbed.live.processes import Graph
-from socket_testbed.trials.topics import DIAGNOSTICS, TRIGGER, WRENCH
+from socket_testbed.trials.topics import DIAGNOSTICS, TF, TF_STATIC, TRIGGER, WRENCH
 
 pytestmark = pytest.mark.graph
 
@@ -90,6 +90,17 @@ def test_services_of_one_testbed_leave_the_other_alone(two: SimpleNamespace) -> 
     # Fits and tares are answered from a thread of their own, whatever comes of them.
     answer = two.probe.call(TriggerService, "/left/estimator/fit", TriggerService.Request())
     assert answer.message
+
+
+def test_each_testbed_has_transforms_of_its_own(two: SimpleNamespace) -> None:
+    """Frames are called the same in both: on one topic nobody could tell them apart."""
+    for name in NAMESPACES:
+        moving = two.probe.listen(TF, f"{name}/tf")
+        static = two.probe.listen(TF_STATIC, f"{name}/tf_static")
+        two.probe.wait(lambda m=moving, s=static: bool(m) and bool(s), f"the transforms in {name}")
+        assert {t.child_frame_id for t in moving[-1].transforms} == {"socket", "limb"}
+        assert static[0].transforms[0].child_frame_id == "load_cell"
+    assert two.probe.node.count_publishers("/tf") == 0
 
 
 def test_every_node_has_parameter_services(two: SimpleNamespace) -> None:

@@ -1,0 +1,118 @@
+"""Where socket, load cell, clusters and limb are, as transforms for RViz and others.
+
+    world -> socket -> load_cell -> each cluster      world -> limb
+
+What moves follows the poses of the motion capture, on /tf; the rest is the socket's geometry, on
+/tf_static. mocap_node publishes them at the testbed, replay_node when a trial is replayed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+from geometry_msgs.msg import PoseStamped, Transform, TransformStamped
+
+from socket_testbed.geometry.pose import Pose
+from socket_testbed.geometry.socket import SocketGeometry
+from socket_testbed.nodes.base import TestbedNode, message_type, publisher_qos
+from socket_testbed.nodes.conversions import (
+    LIMB_FRAME,
+    LOAD_CELL_FRAME,
+    SOCKET_FRAME,
+    WORLD_FRAME,
+    header_to_ros,
+    pose_from_ros,
+    quaternion_to_ros,
+    stamp_from_ros,
+    vector_to_ros,
+)
+from socket_testbed.trials.topics import PYLON_POSE, SOCKET_POSE, TF, TF_STATIC, Topic
+
+Send = Callable[[list[TransformStamped]], None]
+
+
+class FrameBroadcaster:
+    """Publishes the transforms of a testbed; nothing where tf2_msgs is missing.
+
+    Args:
+        node: The node that publishes them.
+        geometry: Geometry of the socket.
+    """
+
+    def __init__(self, node: TestbedNode[Any], geometry: SocketGeometry) -> None:
+        self._bodies = {
+            SOCKET_POSE: (SOCKET_FRAME, Pose(np.eye(3), np.zeros(3))),
+            PYLON_POSE: (LIMB_FRAME, geometry.limb),
+        }
+        self._send: Send | None = None
+        self._node, self._topic = node, node.resolve_topic_name(TF.name)
+        try:
+            send_static = _sender(node, TF_STATIC)
+            self._send = _sender(node, TF)
+        except ImportError:
+            node.get_logger().warning(
+                "tf2_msgs cannot be imported: transforms are left out: install ros-jazzy-tf2-msgs"
+            )
+            return
+        now = node.get_clock().now().nanoseconds
+        send_static([_transform(now, *entry) for entry in fixed_frames(geometry)])
+
+    @property
+    def wanted(self) -> bool:
+        """Whether anybody subscribes."""
+        return self._send is not None and self._node.count_subscribers(self._topic) > 0
+
+    def move(self, poses: Mapping[Topic, PoseStamped]) -> None:
+        """Publish where socket and limb are; what the motion capture did not see is left out.
+
+        Args:
+            poses: Messages of the topics SOCKET_POSE and PYLON_POSE, one or both.
+        """
+        if self._send is None or not self.wanted:
+            return
+        transforms = []
+        for topic, message in poses.items():
+            vector = pose_from_ros(message.pose)
+            if not np.isfinite(vector).all():
+                continue
+            name, in_body = self._bodies[topic]
+            pose = Pose.from_quaternion(vector[:3], vector[3:]) @ in_body
+            stamp = stamp_from_ros(message.header.stamp)
+            transforms.append(_transform(stamp, WORLD_FRAME, name, pose))
+        if transforms:
+            self._send(transforms)
+
+
+def fixed_frames(geometry: SocketGeometry) -> list[tuple[str, str, Pose]]:
+    """The frames that do not move: parent, name, and pose in the parent."""
+    clusters = [
+        (LOAD_CELL_FRAME, name, Pose(geometry.rotations[tile], geometry.anchors[tile]))
+        for name, tile in geometry.clusters.items()
+    ]
+    return [(SOCKET_FRAME, LOAD_CELL_FRAME, geometry.socket_body.inverse()), *clusters]
+
+
+def _transform(stamp: int, parent: str, name: str, pose: Pose) -> TransformStamped:
+    return TransformStamped(
+        header=header_to_ros(stamp, parent),
+        child_frame_id=name,
+        transform=Transform(
+            translation=vector_to_ros(pose.translation),
+            rotation=quaternion_to_ros(pose.quaternion()),
+        ),
+    )
+
+
+def _sender(node: TestbedNode[Any], topic: Topic) -> Send:
+    """What sends transforms: tf2_ros's broadcaster, or the same message without it."""
+    kind = message_type(topic)
+    try:
+        import tf2_ros
+    except ImportError:
+        publisher = node.create_publisher(kind, topic.name, publisher_qos(topic))
+        return lambda transforms: publisher.publish(kind(transforms=transforms))
+    name = "StaticTransformBroadcaster" if topic.latched else "TransformBroadcaster"
+    send: Send = getattr(tf2_ros, name)(node).sendTransform
+    return send

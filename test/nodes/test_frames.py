@@ -1,0 +1,171 @@
+"""The transforms of a testbed, composed as RViz does it, against the geometry's own formula."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from support.bags import move_to_namespace, rewrite
+from support.graph import Probe
+
+from socket_testbed.files import packaged
+from socket_testbed.geometry.pose import Pose
+from socket_testbed.geometry.socket import read_socket
+from socket_testbed.live.bringup import replay_nodes
+from socket_testbed.live.processes import Graph
+from socket_testbed.nodes.conversions import stamp_from_ros
+from socket_testbed.nodes.frames import FrameBroadcaster, fixed_frames
+from socket_testbed.settings.testbed import EstimatorSettings, ReplaySettings
+from socket_testbed.trials.topics import (
+    CAPACITANCE,
+    DIAGNOSTICS,
+    ESTIMATED_WRENCH,
+    EVENT,
+    FORCE_MAP,
+    LOCAL_FORCES,
+    MARKERS,
+    PARAMETERS,
+    PRESSURE_MAP,
+    PYLON_POSE,
+    SOCKET_POSE,
+    STRESS,
+    TF,
+    TF_STATIC,
+    TOPICS,
+    TRIGGER,
+    WRENCH,
+    Topic,
+)
+from socket_testbed.trials.trial import Trial
+
+GEOMETRY = read_socket(packaged("config", "socket.yaml"))
+WORLD = {SOCKET_POSE, PYLON_POSE, MARKERS}
+
+
+def matrix(transform: Any) -> np.ndarray:
+    """A transform as a 4 x 4 matrix, from the message's own fields."""
+    t, q = transform.transform.translation, transform.transform.rotation
+    result = np.eye(4)
+    result[:3, :3] = Rotation.from_quat([q.x, q.y, q.z, q.w]).as_matrix()
+    result[:3, 3] = (t.x, t.y, t.z)
+    return result
+
+
+def homogeneous(rotation: np.ndarray, translation: np.ndarray) -> np.ndarray:
+    result = np.eye(4)
+    result[:3, :3], result[:3, 3] = rotation, translation
+    return result
+
+
+def test_a_cluster_s_frame_is_its_tile_s() -> None:
+    found = {name: (parent, pose) for parent, name, pose in fixed_frames(GEOMETRY)}
+    assert set(found) == {"load_cell", *GEOMETRY.clusters}
+    for name, tile in GEOMETRY.clusters.items():
+        parent, pose = found[name]
+        assert parent == "load_cell"
+        # {L}: z is the inward normal, the origin the tile's centre.
+        np.testing.assert_allclose(pose.apply(np.zeros(3)), GEOMETRY.anchors[tile])
+        inward = pose.apply(np.array([0.0, 0.0, 1.0])) - GEOMETRY.anchors[tile]
+        np.testing.assert_allclose(inward, GEOMETRY.rotations[tile][:, 2])
+    parent, load_cell = found["load_cell"]
+    assert parent == "socket"
+    both: Pose = GEOMETRY.socket_body @ load_cell
+    np.testing.assert_allclose(both.rotation, np.eye(3), atol=1e-9)
+    np.testing.assert_allclose(both.translation, 0.0, atol=1e-9)
+
+
+def test_without_tf2_msgs_a_node_goes_on_and_warns_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "tf2_msgs", None)
+    monkeypatch.delitem(sys.modules, "tf2_msgs.msg", raising=False)
+    said: list[str] = []
+    node = SimpleNamespace(
+        resolve_topic_name=lambda name: name,
+        get_logger=lambda: SimpleNamespace(warning=said.append),
+    )
+    broadcaster = FrameBroadcaster(node, GEOMETRY)
+    assert not broadcaster.wanted
+    broadcaster.move({})
+    assert len(said) == 1 and "tf2_msgs" in said[0]
+
+
+@pytest.fixture(scope="module")
+def replayed(hold: Path, hold_model: Path, tmp_path_factory: Any) -> Iterator[SimpleNamespace]:
+    """A trial of the namespace /lab, replayed with the estimator into /left: all that came."""
+
+    def hide_pylon(topic: str, message: Any) -> Any:
+        """In the second half of every second."""
+        if topic == "/mocap/pylon/pose" and message.header.stamp.nanosec >= 500_000_000:
+            message.pose.position.x = float("nan")
+        return message
+
+    folder = tmp_path_factory.mktemp("frames")
+    hidden = rewrite(hold, folder / "hidden", hide_pylon)
+    target = move_to_namespace(hidden, folder / "lab", "/lab")
+    trial = Trial(target)
+    estimator = EstimatorSettings(auto_fit=False, model=str(hold_model))
+    replay = ReplaySettings(trial=str(target), rate=20.0, namespace="left")
+    with Probe() as probe, Graph() as graph:
+        heard = {
+            topic: probe.listen(topic, "/left/" + topic.name.lstrip("/"))
+            for topic in (*TOPICS, TF, TF_STATIC)
+            if topic is not DIAGNOSTICS
+        }
+        heard[DIAGNOSTICS] = probe.listen(DIAGNOSTICS)
+        graph.start_nodes(replay_nodes(trial, replay, estimator))
+        graph.wait("replay_node")
+        last = trial.samples().stamps[-1]
+
+        def at_its_end(topic: Topic) -> bool:
+            return bool(heard[topic]) and stamp_from_ros(heard[topic][-1].header.stamp) == last
+
+        probe.wait(lambda: all(map(at_its_end, (FORCE_MAP, ESTIMATED_WRENCH))), "the last sample")
+        yield SimpleNamespace(trial=trial, heard=heard)
+
+
+@pytest.mark.graph
+def test_the_transforms_of_a_replay_compose_to_the_recorded_poses(
+    replayed: SimpleNamespace,
+) -> None:
+    static = {t.child_frame_id: t for m in replayed.heard[TF_STATIC] for t in m.transforms}
+    assert {(t.header.frame_id, name) for name, t in static.items()} == {
+        ("socket", "load_cell"),
+        *(("load_cell", name) for name in replayed.trial.geometry.clusters),
+    }
+    moving: dict[str, dict[int, np.ndarray]] = {"socket": {}, "limb": {}}
+    for message in replayed.heard[TF]:
+        for t in message.transforms:
+            assert t.header.frame_id == "world"
+            moving[t.child_frame_id][stamp_from_ros(t.header.stamp)] = matrix(t)
+    samples = replayed.trial.samples()
+    poses = dict(zip(samples.stamps.tolist(), samples.pose, strict=True))
+    # What the motion capture did not see is not published, all the rest is once a subscriber is
+    # found.
+    seen = {stamp for stamp, pose in poses.items() if np.isfinite(pose).all()}
+    for name, expected in (("socket", set(poses)), ("limb", seen)):
+        assert set(moving[name]) == {stamp for stamp in expected if stamp >= min(moving[name])}
+    both = sorted(set(moving["socket"]) & set(moving["limb"]))
+    assert 60 < len(both) <= 120 == len(seen)
+    socket_from_cell = matrix(static["load_cell"])
+    for stamp in both[::20]:
+        limb = np.linalg.inv(moving["socket"][stamp] @ socket_from_cell) @ moving["limb"][stamp]
+        position, turn = poses[stamp][:3], poses[stamp][3:]
+        expected = homogeneous(Rotation.from_rotvec(turn).as_matrix(), position)
+        np.testing.assert_allclose(limb, expected, atol=1e-8)
+
+
+@pytest.mark.graph
+def test_every_message_names_its_frame(replayed: SimpleNamespace) -> None:
+    assert {topic for topic, found in replayed.heard.items() if not found} == {EVENT}  # has none
+    for topic in (TRIGGER, CAPACITANCE, WRENCH, STRESS, *WORLD, DIAGNOSTICS):
+        frame = "world" if topic in WORLD else "load_cell"
+        assert {m.header.frame_id for m in replayed.heard[topic]} == {frame}, topic.name
+    for topic in (ESTIMATED_WRENCH, LOCAL_FORCES, FORCE_MAP, PARAMETERS):
+        assert {m.header.frame_id for m in replayed.heard[topic]} == {"load_cell"}, topic.name
+    markers = [marker for m in replayed.heard[PRESSURE_MAP] for marker in m.markers]
+    assert {marker.header.frame_id for marker in markers} == {"load_cell"}
