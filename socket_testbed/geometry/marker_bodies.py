@@ -100,6 +100,7 @@ def root_mean_square(values: FloatArray, axis: int = -1) -> FloatArray:
 
 EDGE_TOLERANCE = 0.002  # [m]; well above the noise of a marker
 _SMALLEST = 0.01  # [m]
+_CLOSE = 0.25  # of the tolerance
 FEWEST_MARKERS, MOST_MARKERS = 3, 8  # of a body
 
 _ORDERS = np.array(list(permutations(range(3))))
@@ -322,7 +323,8 @@ def _fit_ordered(
         markers = np.take_along_axis(observed[rows], order[rows][:, used][:, :, None], axis=1)
         pose = fit_rigid(reference[used], markers)
         off = root_mean_square(misfit(reference[used], markers, pose))
-        fits = off <= tolerance  # mirrored markers have all distances right
+        # Mirrored markers have all distances right; three of more agree easily by chance.
+        fits = off <= (tolerance if used.sum() > FEWEST_MARKERS else _CLOSE * tolerance)
         rows = rows[fits]
         rotation[rows], translation[rows] = pose.rotation[fits], pose.translation[fits]
         residual[rows] = off[fits]

@@ -178,3 +178,28 @@ def test_distances_that_differ_by_more_than_the_tolerance_make_a_body(body):
     assert body_fault(body) is None
     apart = distances(body)[np.triu_indices(len(body), 1)]
     assert apart.min() > 5.0 * EDGE_TOLERANCE
+
+
+@pytest.mark.parametrize("size", [4, 5, 8])
+def test_whatever_happens_to_the_markers_a_pose_is_right_or_missing(size):
+    """Occluded, exchanged and false markers together, far more of them than in a lab."""
+    rng = np.random.default_rng(size)
+    wrong = found = count = 0
+    for seed in range(4):
+        body, pose = body_of(size, seed), random_pose(rng, count=100)
+        observed = observe(body, pose, rng)
+        for frame in observed:
+            if rng.random() < 0.3:
+                a, b = rng.permutation(size)[:2]
+                frame[[a, b]] = frame[[b, a]]
+            false, hidden = rng.random((2, size)) < [[0.08], [0.15]]
+            frame[false] += rng.uniform(-0.05, 0.05, (int(false.sum()), 3))
+            frame[hidden] = np.nan
+        fit = fit_body(body, observed)
+        probe = body.mean(axis=0)
+        off = fit.pose.rotation @ probe + fit.pose.translation
+        off -= pose.rotation @ probe + pose.translation
+        wrong += int((np.linalg.norm(off[fit.found], axis=1) > 0.002).sum())
+        found, count = found + int(fit.found.sum()), count + len(observed)
+    assert wrong <= 0.002 * count
+    assert found > 0.6 * count

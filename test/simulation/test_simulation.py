@@ -299,3 +299,24 @@ def test_a_socket_as_written_reads_back(geometry, tmp_path: Path) -> None:
     back = read_socket(tmp_path / "socket.yaml")
     assert back.names == geometry.names and back.clusters == geometry.clusters
     np.testing.assert_allclose(back.anchors, geometry.anchors, atol=1e-8)
+
+
+FIVE = 0.001 * np.array([[0, 0, 0], [61, 4, 9], [13, 47, 2], [40, 72, 31], [-35, 20, 44]])
+
+
+def test_a_body_of_five_markers_keeps_its_pose_through_occlusions(
+    geometry, calibration, tmp_path
+) -> None:
+    larger = dataclasses.replace(geometry, socket_markers=FIVE)
+    write_socket(larger, tmp_path / "socket.yaml")
+    larger = read_socket(tmp_path / "socket.yaml")
+    errors = dataclasses.replace(PERFECT, drop_out=0.1, label_swap=0.2)
+    plain = simulate(geometry, calibration, "ramp", 5.0, 4.0, 0, errors=PERFECT, mocap_window=0.0)
+    trial = simulate(larger, calibration, "ramp", 5.0, 4.0, 0, errors=errors, mocap_window=0.0)
+    assert trial.socket_markers.shape[1:] == (5, 3) and trial.pylon_markers.shape[1:] == (3, 3)
+    found = np.isfinite(trial.socket_pose.translation).all(axis=1)
+    whole = np.isfinite(trial.socket_markers).all(axis=(1, 2))
+    assert found[whole].all() and found.sum() > whole.sum()
+    np.testing.assert_allclose(
+        trial.socket_pose.translation[found], plain.socket_pose.translation[found], atol=1e-9
+    )
