@@ -66,10 +66,16 @@ def generate_launch_description() -> LaunchDescription:
             # It stays on this machine unless the user's own environment says otherwise.
             SetEnvironmentVariable(RANGE, EnvironmentVariable(RANGE, default_value="LOCALHOST")),
             DeclareLaunchArgument("trial", description="folder of the trial"),
-            DeclareLaunchArgument("rate", default_value="1.0", description="speed [-]"),
-            DeclareLaunchArgument("loop", default_value="false", description="start again"),
             DeclareLaunchArgument(
-                "namespace", default_value="", description="of the nodes; empty: as recorded"
+                "rate", default_value="1.0", description="speed against the recording"
+            ),
+            DeclareLaunchArgument(
+                "loop", default_value="false", description="start again at the end"
+            ),
+            DeclareLaunchArgument(
+                "namespace",
+                default_value="",
+                description="of nodes and topics, such as left; empty: as recorded",
             ),
             DeclareLaunchArgument(
                 "params", default_value="", description="node parameters; empty: the trial's own"

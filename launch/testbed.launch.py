@@ -1,54 +1,71 @@
-"""The testbed on hardware, on a ROS installation: the nodes that `socket-testbed run` starts.
+"""The testbed on a ROS installation, as `socket-testbed run` starts it: on hardware or simulated.
 
 ros2 launch socket_testbed testbed.launch.py params:=/path/of/testbed.yaml record:=/path/of/trial
+ros2 launch socket_testbed testbed.launch.py simulated:=true namespace:=left
 """
 
-import tempfile
 from pathlib import Path
 
-from launch.actions import DeclareLaunchArgument, OpaqueFunction, SetEnvironmentVariable
+from launch.actions import (
+    DeclareLaunchArgument,
+    OpaqueFunction,
+    RegisterEventHandler,
+    SetEnvironmentVariable,
+)
+from launch.event_handlers import OnShutdown
 from launch.substitutions import EnvironmentVariable, LaunchConfiguration
 from launch_ros.actions import Node
 
 from launch import LaunchContext, LaunchDescription
 from socket_testbed.clocks import shared_environment
 from socket_testbed.files import packaged
-from socket_testbed.live.bringup import Testbed
-from socket_testbed.live.processes import REMAPPINGS, write_parameters
-from socket_testbed.settings.testbed import read_testbed
+from socket_testbed.live.bringup import (
+    Simulation,
+    Testbed,
+    simulate_hardware,
+    testbed_settings,
+)
+from socket_testbed.live.processes import REMAPPINGS, Graph, write_parameters
 
 RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
-# Parameters and the tare, until this program ends: a node that is started again finds them.
-TEMPORARY = tempfile.TemporaryDirectory(prefix="socket_testbed_")
+# The simulated world, and a folder for parameters and the tare, until this program ends: a node
+# that is started again finds them.
+GRAPH = Graph()
 
 
-def bring_up(context: LaunchContext) -> list[Node]:
+def bring_up(context: LaunchContext) -> list[Node | RegisterEventHandler]:
     def given(name: str) -> str:
         return LaunchConfiguration(name).perform(context)
 
+    simulation = Simulation() if given("simulated") == "true" else None
+    params = Path(given("params")) if given("params") else None
     testbed = Testbed(
-        read_testbed(Path(given("params"))),
+        testbed_settings(params, simulation),
         geometry=Path(given("geometry")).resolve(),
         calibration=Path(given("calibration")).resolve(),
+        simulation=simulation,
         record=Path(given("record")) if given("record") else None,
         namespace=given("namespace"),
     )
     testbed.check_devices()
-    folder = Path(TEMPORARY.name)
-    return [
+    if simulation is not None:
+        testbed, _ = simulate_hardware(GRAPH, testbed, simulation)
+    end = OnShutdown(on_shutdown=lambda event, context: GRAPH.stop())
+    nodes = [
         Node(
             package="socket_testbed",
             executable=node.name,
             name=node.name,
             namespace=node.namespace,
             remappings=REMAPPINGS,
-            parameters=[str(write_parameters([node], folder / f"{node.name}.yaml"))],
+            parameters=[str(write_parameters([node], GRAPH.folder / f"{node.name}.yaml"))],
             respawn=True,  # what is killed comes back; the others go on meanwhile
             respawn_delay=0.5,
             output="screen",
         )
-        for node in testbed.nodes(folder)
+        for node in testbed.nodes(GRAPH.folder)
     ]
+    return [*nodes, RegisterEventHandler(end)]
 
 
 def generate_launch_description() -> LaunchDescription:
@@ -59,11 +76,31 @@ def generate_launch_description() -> LaunchDescription:
             SetEnvironmentVariable(RANGE, EnvironmentVariable(RANGE, default_value="LOCALHOST")),
             # A node that is started again has the same clock as the others.
             *(SetEnvironmentVariable(*item) for item in shared_environment().items()),
-            DeclareLaunchArgument("params", description="node parameters, a testbed.yaml"),
-            DeclareLaunchArgument("geometry", default_value=config["socket"]),
-            DeclareLaunchArgument("calibration", default_value=config["calibration"]),
-            DeclareLaunchArgument("record", default_value="", description="folder of a new trial"),
-            DeclareLaunchArgument("namespace", default_value="", description="of the nodes"),
+            DeclareLaunchArgument(
+                "params", default_value="", description="node parameters, a testbed.yaml"
+            ),
+            DeclareLaunchArgument(
+                "geometry", default_value=config["socket"], description="the socket, a socket.yaml"
+            ),
+            DeclareLaunchArgument(
+                "calibration",
+                default_value=config["calibration"],
+                description="of the clusters, a calibration.yaml",
+            ),
+            DeclareLaunchArgument(
+                "simulated",
+                default_value="false",
+                choices=["true", "false"],
+                description="simulate the hardware at its buses",
+            ),
+            DeclareLaunchArgument(
+                "record", default_value="", description="folder of a new trial; empty: no recording"
+            ),
+            DeclareLaunchArgument(
+                "namespace",
+                default_value="",
+                description="of nodes and topics, such as left; empty: none",
+            ),
             OpaqueFunction(function=bring_up),
         ]
     )

@@ -16,6 +16,7 @@ from socket_testbed.errors import TestbedError
 from socket_testbed.files import packaged
 from socket_testbed.live.bringup import Testbed
 from socket_testbed.settings.testbed import TestbedSettings, read_testbed
+from socket_testbed.simulation.world import World
 
 
 class Stub:
@@ -57,6 +58,9 @@ def launch(monkeypatch: pytest.MonkeyPatch) -> Launch:
         declared = {
             a.positional[0]: a.given.get("default_value") for a in actions if len(a.positional) == 1
         }
+        for action in actions:
+            if action.positional[:1] != (DISCOVERY,) and len(action.positional) == 1:
+                assert action.given["description"], action.positional
         context = {key: str(value) for key, value in (declared | arguments).items()}
         (bring_up,) = (a.given["function"] for a in actions if "function" in a.given)
         return bring_up(context)
@@ -111,6 +115,38 @@ def test_the_testbed_is_launched_as_run_starts_it(
     assert read_testbed(stored).trigger_node.rate == 20.0
 
 
+def handlers(actions: list[Stub]) -> list[Stub]:
+    """Event handlers among the actions."""
+    return [a.positional[0] for a in actions if "executable" not in a.given]
+
+
+@pytest.mark.graph
+def test_a_simulated_testbed_is_launched_with_its_world(
+    launch: Launch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    actions = launch("testbed", simulated="true", namespace="left")
+    launched = nodes(actions)
+    try:
+        assert {action.given["namespace"] for action in launched.values()} == {"/left"}
+        assert {str(action.given["remappings"]) for action in launched.values()} == {
+            "(('/tf', 'tf'), ('/tf_static', 'tf_static'))"
+        }
+        for name in ("trigger_node", "cluster_node", "load_cell_node"):
+            assert World(Path(parameters(launched[name])["simulation"])).port, "the world is up"
+        server = parameters(launched["mocap_node"])
+        assert server["server"] == "127.0.0.1" and server["command_port"] > 0
+    finally:
+        (end,) = handlers(actions)
+        end.given["on_shutdown"](None, None)
+    # The world has ended with the launch: its port answers no more.
+    assert "Traceback" not in capsys.readouterr().err
+
+
+def test_on_hardware_what_is_needed_is_asked_for(launch: Launch) -> None:
+    with pytest.raises(TestbedError, match=r"mocap_node|load_cell_node"):
+        launch("testbed")
+
+
 def test_without_a_trial_there_is_no_recorder(launch: Launch, params: Path) -> None:
     launched = nodes(launch("testbed", params=params))
     assert "recorder_node" not in launched
@@ -152,8 +188,8 @@ def test_a_trial_is_replayed_through_calibration_and_estimator(launch: Launch, h
         assert found["use_sim_time"]
         assert Path(found[key]).parent == hold
     # The end of the replay ends the launch.
-    (handler,) = (a for a in actions if "executable" not in a.given)
-    assert handler.positional[0].given["target_action"] is launched["replay_node"]
+    (handler,) = handlers(actions)
+    assert handler.given["target_action"] is launched["replay_node"]
 
 
 def test_a_replay_goes_into_the_namespace_of_its_trial(

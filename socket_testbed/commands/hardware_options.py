@@ -9,8 +9,7 @@ from pathlib import Path
 from socket_testbed.errors import ConfigurationError
 from socket_testbed.files import check_number, closest, packaged
 from socket_testbed.geometry.socket import read_socket
-from socket_testbed.live.bringup import Simulation, Testbed
-from socket_testbed.settings.testbed import TestbedSettings, read_testbed
+from socket_testbed.live.bringup import Simulation, Testbed, testbed_settings
 from socket_testbed.simulation.limb import SCENARIOS, TISSUES
 from socket_testbed.simulation.world import FAULTS
 
@@ -75,12 +74,6 @@ def testbed_of(options: argparse.Namespace, simulation: Simulation | None) -> Te
     Raises:
         TestbedError: For a wrong file, or files that do not belong together.
     """
-    # A simulated load cell is described by the package; a real one only by its owner.
-    settings = TestbedSettings()
-    if simulation is not None:
-        settings = read_testbed(packaged("config", "simulated.yaml"))
-    if options.params is not None:
-        settings = read_testbed(options.params, settings)
     geometry = (options.geometry or packaged("config", "socket.yaml")).resolve()
     if simulation is None and not read_socket(geometry).registration:
         print(
@@ -89,7 +82,7 @@ def testbed_of(options: argparse.Namespace, simulation: Simulation | None) -> Te
             file=sys.stderr,
         )
     return Testbed(
-        settings=settings,
+        settings=testbed_settings(options.params, simulation),
         geometry=geometry,
         calibration=(options.calibration or packaged("config", "calibration.yaml")).resolve(),
         simulation=simulation,

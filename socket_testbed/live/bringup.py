@@ -189,6 +189,24 @@ class Testbed:
         return str(path)
 
 
+def testbed_settings(params: Path | None, simulation: Simulation | None) -> TestbedSettings:
+    """Settings of the nodes from a testbed.yaml.
+
+    A simulated load cell is described by the package; a real one only by its owner.
+
+    Args:
+        params: The testbed.yaml; None for the defaults.
+        simulation: What is simulated; None on hardware.
+
+    Raises:
+        ConfigurationError: If the file is wrong.
+    """
+    settings = TestbedSettings()
+    if simulation is not None:
+        settings = read_testbed(packaged("config", "simulated.yaml"))
+    return settings if params is None else read_testbed(params, settings)
+
+
 def simulated_testbed(
     record: Path | None = None, rate: float = 4.0, simulation: Simulation | None = None
 ) -> Testbed:
