@@ -33,7 +33,7 @@ _PLOTS_EVERY = 0.35  # [s]
 _SILENT = 3.0  # [s]; a sensor that reported longer ago is silent
 _SCARCE = 1e9  # [bytes] of free space
 _BINS = 150  # of a plot's time, each with its smallest and largest value
-_NEWS = 4  # outcomes that are shown
+_NEWS = 2  # outcomes that are shown
 _GREEN, _AMBER, _RED, _GREY = "#2b8a3e", "#b35c00", "#c92a2a", "#6b7280"
 _MEASURED, _PREDICTED = "#1c5d99", "#e07b00"
 _CHANNELS = ("Fx [N]", "Fy [N]", "Fz [N]", "Mx [N m]", "My [N m]", "Mz [N m]")
@@ -45,12 +45,16 @@ _COLUMNS = {
     "share of load [%]": "load<br>[%]",
 }
 _STYLE = (
-    "<style>.tb table{width:100%;border-collapse:collapse;font-size:11.5px;line-height:1.25}"
-    ".tb td,.tb th{padding:1.5px 4px;text-align:right;font-weight:normal;vertical-align:top}"
-    ".tb td:first-child,.tb th:first-child{text-align:left}"
-    ".tb tr{border-top:1px solid rgba(128,128,128,.25)}"
-    f".tb small{{color:{_GREY};font-size:10px}}.tb th{{color:{_GREY}}}"
-    ".tb{font-size:12px;padding:2px 12px}</style>"
+    "<style>.tb{font-size:12px;padding:2px 10px}"
+    ".tb table{width:100%;table-layout:fixed;border-collapse:collapse;font-size:11px;"
+    "line-height:1.2}"
+    ".tb td,.tb th{padding:1.5px 2px;text-align:right;font-weight:normal;vertical-align:top;"
+    "white-space:nowrap;overflow:hidden;text-overflow:ellipsis}"
+    ".tb td:first-child,.tb th:first-child,.tb .words{text-align:left}"
+    ".tb td[colspan]{white-space:normal;padding-left:14px}"
+    f".tb i{{color:{_GREY};font-size:9px;letter-spacing:-.4px}}"
+    ".tb .row{border-top:1px solid rgba(128,128,128,.25)}"
+    f".tb small{{color:{_GREY};font-size:10px}}.tb th{{color:{_GREY};font-size:10px}}</style>"
 )
 
 
@@ -65,18 +69,18 @@ class Panel:
     def __init__(self, server: ViserServer, source: Source) -> None:
         gui = server.gui
         gui.main_panel.dock_right()
-        gui.main_panel.set_width(370)
-        plots = gui.add_panel()
-        with plots.add_tab("Wrench"):
+        gui.main_panel.set_width(350)
+        data = gui.add_panel()
+        with data.add_tab("Data"):
+            self._sensors = gui.add_html("")
             self._plots = _Plots(server)
-        plots.dock_left()
-        plots.set_width(290)
-        self._sensors = gui.add_html("")
-        self._recording = gui.add_html("", visible=False)
+        data.dock_left()
+        data.set_width(280)
         playback = source.playback
         self._playback = None if playback is None else PlaybackPanel(server, playback)
-        self._buttons = Buttons(server, source) if playback is None else None
+        self._recording = gui.add_html("", visible=False)
         self._regions = gui.add_html("")
+        self._buttons = Buttons(server, source) if playback is None else None
         self._next_texts = self._next_plots = -math.inf
 
     def update(self, source: Source) -> None:
@@ -116,15 +120,22 @@ def sensors_html(sensors: Sequence[SensorState]) -> str:
         if sensor.age > _SILENT:
             level, words = 2, f"silent for {sensor.age:.0f} s; it said: {words}"
         bad += level > 0
-        rate = f"{sensor.rate:.1f} Hz" if math.isfinite(sensor.rate) else ""
+        rate = f"{sensor.rate:.3g}&nbsp;Hz" if math.isfinite(sensor.rate) else ""
+        # What is well is said in a line, what is not in full.
+        said = "" if level else escape(words)
         rows.append(
-            f"<tr><td>{_mark(level)}&nbsp;{escape(_short(sensor.name))}</td>"
-            f'<td style="text-align:left">{escape(words)}</td><td>{rate}</td>'
+            f'<tr class="row"><td>{_mark(level)}&nbsp;{escape(_short(sensor.name))}</td>'
+            f'<td class="words" title="{said}">{said}</td><td>{rate}</td>'
             f"<td>{max(sensor.age, 0.0):.0f}&nbsp;s</td></tr>"
         )
+        if level:
+            rows.append(f'<tr><td colspan="4">{escape(words)}</td></tr>')
     worst = _mark(2 if bad else 0)
     told = f"{bad} of {len(sensors)} need attention" if bad else f"all {len(sensors)} are well"
-    head = "<tr><th>sensor</th><th style='text-align:left'>says</th><th>rate</th><th>age</th></tr>"
+    head = (
+        '<colgroup><col style="width:34%"><col><col style="width:19%"><col style="width:11%">'
+        "</colgroup><tr><th></th><th></th><th>rate</th><th>age</th></tr>"
+    )
     return f"<b>{worst} Data: {told}</b><table>{head}{''.join(rows)}</table>"
 
 
@@ -167,18 +178,23 @@ def regions_html(found: RegionsNow | None) -> str:
             continue
         cells = []
         for quantity, known in zip(quantities, determined, strict=True):
-            low, high = (f"{end[number]:.3g}" for end in (quantity.low, quantity.high))
-            value = f"{quantity.value[number]:.3g}" if known[number] else "<i>undetermined</i>"
+            low, high = (_digits(end[number]) for end in (quantity.low, quantity.high))
+            value = _digits(quantity.value[number]) if known[number] else "<i>undetermined</i>"
             if not math.isfinite(quantity.value[number]):
                 cells.append("<td>-</td>")
                 continue
             cells.append(f"<td>{value}<br><small>{low} to {high}</small></td>")
-        rows.append(f"<tr><td>{escape(place.name)}</td>{''.join(cells)}</tr>")
+        rows.append(f'<tr class="row"><td>{escape(place.name)}</td>{"".join(cells)}</tr>')
     head = "".join(f"<th>{title}</th>" for title in _COLUMNS.values())
+    widths = '<colgroup><col style="width:19%"></colgroup>'
     return (
         f"<b>Regions at {found.time:.1f} s</b> <small>value, 95 % interval</small>"
-        f"<table><tr><th></th>{head}</tr>{rows[-1]}{''.join(rows[:-1])}</table>"
+        f"<table>{widths}<tr><th></th>{head}</tr>{rows[-1]}{''.join(rows[:-1])}</table>"
     )
+
+
+def _digits(value: float) -> str:
+    return f"{value:.0f}" if abs(value) >= 9.95 else f"{value:.1f}"
 
 
 def _is_part(place: Region, places: Sequence[Region]) -> bool:
@@ -192,27 +208,36 @@ class _Plots:
 
     def __init__(self, server: ViserServer) -> None:
         server.gui.add_html(
-            f'<div class="tb">{_STYLE}<b style="color:{_MEASURED}">━ measured</b>&emsp;'
-            f'<b style="color:{_PREDICTED}">━ predicted</b>&emsp;<small>time [s]</small></div>'
+            f'<div class="tb">{_STYLE}<b style="color:{_MEASURED}">● measured</b>&emsp;'
+            f'<b style="color:{_PREDICTED}">● predicted</b></div>'
         )
         nothing = (np.zeros(1), np.full(1, np.nan), np.full(1, np.nan))
         font = "10px sans-serif"
-        axes = (uplot.Axis(size=22, font=font, gap=2), uplot.Axis(size=42, font=font, gap=2))
         self._plots = [
             server.gui.add_uplot(
                 nothing,
                 series=(
                     uplot.Series(label="t"),
-                    uplot.Series(label="measured", stroke=_MEASURED, width=1.5),
-                    uplot.Series(label="predicted", stroke=_PREDICTED, width=1.5),
+                    _dots("measured", _MEASURED, 4.0),
+                    _dots("predicted", _PREDICTED, 2.0),
                 ),
-                title=channel,
                 scales={"x": uplot.Scale(time=False)},
-                axes=axes,
+                axes=(
+                    uplot.Axis(show=channel == _CHANNELS[-1], size=22, font=font, gap=2),
+                    uplot.Axis(
+                        size=40,
+                        space=18,
+                        font=font,
+                        gap=2,
+                        label=channel,
+                        labelFont=font,
+                        labelSize=14,
+                    ),
+                ),
                 legend=uplot.Legend(show=False),
                 cursor=uplot.Cursor(show=False),
-                height=112,
-                padding=(2, 8, 0, 0),
+                height=90 if channel == _CHANNELS[-1] else 70,
+                padding=(6, 8, 4, 0),
             )
             for channel in _CHANNELS
         ]
@@ -227,6 +252,12 @@ class _Plots:
         shown, values = thinned(at, np.hstack([measured, predicted]))
         for plot, row in zip(self._plots, _ROWS, strict=True):
             plot.data = (shown, values[:, row], values[:, row + 6])
+
+
+def _dots(label: str, colour: str, size: float) -> uplot.Series:
+    """A series as dots: a line would go on through what is missing."""
+    points = uplot.Series_Points(show=True, size=size, width=0, stroke=colour, fill=colour)
+    return uplot.Series(label=label, stroke="transparent", width=0, points=points)
 
 
 def thinned(at: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -270,28 +301,27 @@ class Buttons:
         self._news: list[str] = []
         self._recorded: bool | None = None
         self._buttons: dict[str, GuiButtonHandle] = {}
-        with gui.add_folder("Testbed"):
-            self._said = gui.add_html("", order=10)
-            self._button("Tare", "tare", lambda c: c.tare())
-            self._button("Fit", "fit", lambda c: c.fit())
-            self._button("Trigger on", "trigger on", lambda c: c.trigger(True))
-            self._button("Trigger off", "trigger off", lambda c: c.trigger(False))
-            self._label = gui.add_text("event", "event")
-            self._button("Mark event", "event", lambda c: c.event(self._label.value))
-            self._name = gui.add_text("trial", "", hint="its name; empty: the date and time")
-            with gui.add_folder("Metadata", expand_by_default=False):
-                self._metadata: dict[str, GuiInputHandle[str]] = {
-                    "subject": gui.add_text("subject", "", hint="a code such as S01"),
-                    "side": gui.add_dropdown("side", ("", *SIDES)),
-                    "socket": gui.add_text("socket", ""),
-                    "liner": gui.add_text("liner", ""),
-                    "mass": gui.add_text("mass [kg]", ""),
-                    "operator": gui.add_text("operator", ""),
-                    "protocol": gui.add_text("protocol", ""),
-                    "notes": gui.add_text("notes", "", multiline=True),
-                }
-            self._button("Record", "record", self._start)
-            self._button("Stop recording", "stop", lambda c: c.stop_recording())
+        self._said = gui.add_html("")
+        self._label = gui.add_text("event", "event")
+        self._button("Mark event", "event", lambda c: c.event(self._label.value))
+        self._name = gui.add_text("trial", "", hint="its name; empty: the date and time")
+        self._button("Record", "record", self._start)
+        self._button("Stop recording", "stop", lambda c: c.stop_recording())
+        with gui.add_folder("Metadata of the trial", expand_by_default=False):
+            self._metadata: dict[str, GuiInputHandle[str]] = {
+                "subject": gui.add_text("subject", "", hint="a code such as S01"),
+                "side": gui.add_dropdown("side", ("", *SIDES)),
+                "socket": gui.add_text("socket", ""),
+                "liner": gui.add_text("liner", ""),
+                "mass": gui.add_text("mass [kg]", ""),
+                "operator": gui.add_text("operator", ""),
+                "protocol": gui.add_text("protocol", ""),
+                "notes": gui.add_text("notes", "", multiline=True),
+            }
+        self._button("Tare", "tare", lambda c: c.tare())
+        self._button("Fit", "fit", lambda c: c.fit())
+        self._button("Trigger on", "trigger on", lambda c: c.trigger(True))
+        self._button("Trigger off", "trigger off", lambda c: c.trigger(False))
         if controls is None:
             self._news = ["the buttons are off: this page only shows"]
         self.update(None)
@@ -350,9 +380,11 @@ class Buttons:
             )
 
     def _grey(self) -> None:
-        """Grey out the buttons whose call runs, and of record and stop the one without effect."""
+        """Grey out the buttons whose call runs, and show of record and stop the one with effect."""
         without_effect = {None: "", True: "record", False: "stop"}[self._recorded]
         for what, button in self._buttons.items():
-            disabled = (what in self._running and what != "event") or what == without_effect
+            if button.visible != (what != without_effect):
+                button.visible = what != without_effect
+            disabled = what in self._running and what != "event"
             if button.disabled != disabled:
                 button.disabled = disabled
