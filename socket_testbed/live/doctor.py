@@ -14,6 +14,7 @@ from socket_testbed.geometry.marker_bodies import FEWEST_MARKERS
 from socket_testbed.geometry.socket import read_socket
 from socket_testbed.live.bringup import Testbed
 from socket_testbed.live.hardware import i2c_opener, make_load_cell, make_trigger
+from socket_testbed.live.scheduling import Lateness, measure_lateness
 
 _FRAMES = 1000
 _PULSES = 5
@@ -21,6 +22,7 @@ _SERVER_WITHIN = 3.0  # [s]
 _READINGS = 6
 _WATCHED = 1.0  # [s]; of the load cell's conversions
 _LOOK = 0.05  # [s]
+_PRIORITY = 10  # that is tried where none is set
 
 
 @dataclass(frozen=True)
@@ -80,6 +82,34 @@ def check_trigger(testbed: Testbed) -> Iterator[Finding]:
             f" edge within {max(delays) * 1e6:.0f} us"
         )
     yield Finding("trigger", found)
+
+
+def check_scheduling(testbed: Testbed) -> Iterator[Finding]:
+    """Measure how late threads wake up, with a real-time priority too where there is the right."""
+    settings = testbed.settings.trigger_node
+    rate, wanted = settings.rate, settings.scheduling.priority
+    ordinary, urgent = measure_lateness(), measure_lateness(wanted or _PRIORITY)
+    found = f"threads wake up {_late(ordinary)}"
+    if urgent is None:
+        found += "; no right to a real-time priority"
+    else:
+        found += f", with real-time priority {wanted or _PRIORITY} {_late(urgent)}"
+    used = urgent if wanted and urgent is not None else ordinary
+    enough = used is not None and used.suffices(rate)
+    found += f": {'soon enough' if enough else 'too late'} for {rate:g} Hz"
+    hint = ""
+    if not enough and testbed.simulation is None:
+        hint = "end other programs, or set scheduling.priority of the nodes that measure"
+        hint += " (docs/hardware.md)"
+    elif not enough:
+        found += " in real time; a simulated testbed may run slower"
+    yield Finding("scheduling", found, hint)
+
+
+def _late(lateness: Lateness | None) -> str:
+    if lateness is None:
+        return "at an unknown time"
+    return f"{1e3 * lateness.p99:.2g} ms late (p99; {1e3 * lateness.worst:.2g} ms at most)"
 
 
 def check_clusters(testbed: Testbed) -> Iterator[Finding]:
@@ -164,6 +194,7 @@ def check_motion_capture(testbed: Testbed) -> Iterator[Finding]:
 
 CHECKS: tuple[Check, ...] = (
     check_trigger,
+    check_scheduling,
     check_clusters,
     check_load_cell,
     check_motion_capture,

@@ -30,6 +30,7 @@ from socket_testbed.identification.plausibility import (
 )
 from socket_testbed.identification.problem import LEAST_SAMPLES
 from socket_testbed.live.processes import end_with_parent
+from socket_testbed.live.scheduling import schedule_ordinarily
 from socket_testbed.samples import Samples
 from socket_testbed.settings.identification import IdentificationSettings, PlateauSettings
 from socket_testbed.trials.segment import find_newest_plateaus
@@ -168,6 +169,7 @@ class FitWorker:
 
 def _step_back() -> None:
     """Give way to the predictions, and end with the node even if that is killed."""
+    schedule_ordinarily()  # the node may share a process with one that measures
     os.nice(_NICENESS)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     end_with_parent(signal.SIGKILL)

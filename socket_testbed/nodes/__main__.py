@@ -21,7 +21,9 @@ try:
     from socket_testbed.errors import ConfigurationError, TestbedError
     from socket_testbed.files import closest
     from socket_testbed.live.processes import end_with_starter
+    from socket_testbed.live.scheduling import schedule
     from socket_testbed.nodes.base import TestbedNode, spin
+    from socket_testbed.settings.acquisition import SchedulingSettings
     from socket_testbed.settings.testbed import TestbedSettings
 except ModuleNotFoundError as error:
     sys.exit(
@@ -65,7 +67,8 @@ def _run(names: list[str]) -> int:
     try:
         try:
             for name in names:
-                nodes.append(_node_class(name)())  # noqa: PERF401 - those made must be closed
+                nodes.append(_node_class(name)())
+                _schedule(nodes[-1])
             _spin(nodes)
         finally:
             for node in nodes:
@@ -82,6 +85,13 @@ def _run(names: list[str]) -> int:
     finally:
         rclpy.try_shutdown()
     return 0
+
+
+def _schedule(node: TestbedNode[Any]) -> None:
+    """Schedule the process as a node that measures wants it; without the right, it goes on."""
+    settings = getattr(node.settings, "scheduling", SchedulingSettings())
+    for line in schedule(settings):
+        node.get_logger().warning(line)
 
 
 def _spin(nodes: list[TestbedNode[Any]]) -> None:

@@ -8,6 +8,20 @@ from socket_testbed.settings.fields import Settings, setting
 
 
 @dataclass(frozen=True)
+class SchedulingSettings(Settings):
+    """How a node that measures is scheduled; the rights that it needs: docs/hardware.md."""
+
+    priority: int = setting(
+        0, "real-time priority (SCHED_FIFO), above that of all ordinary programs; 0: none [1]",
+        0, 98, fixed=True,
+    )  # fmt: skip
+    cores: tuple[int, ...] = setting(
+        (), "cores that it runs on; empty: all [1]", 0, 1023, fixed=True
+    )
+    lock_memory: bool = setting(False, "keep its memory from being swapped out [-]", fixed=True)
+
+
+@dataclass(frozen=True)
 class TriggerSettings(Settings):
     """Parameters of the trigger node."""
 
@@ -32,6 +46,7 @@ class TriggerSettings(Settings):
     edge_within: float = setting(
         1e-3, "latest time of the edge after the pulse was asked for [s]", 1e-5, 0.1, fixed=True
     )
+    scheduling: SchedulingSettings = SchedulingSettings()
 
 
 @dataclass(frozen=True)
@@ -65,6 +80,7 @@ class ClusterSettings(Settings):
     latest: float = setting(
         0.05, "latest reading after its trigger; a later one is missing [s]", 1e-3, 1.0
     )
+    scheduling: SchedulingSettings = SchedulingSettings()
 
 
 @dataclass(frozen=True)
@@ -133,6 +149,7 @@ class LoadCellSettings(Settings):
     tare_file: str = setting(
         "", "file that keeps the tare over a restart; empty: none [-]", fixed=True
     )
+    scheduling: SchedulingSettings = SchedulingSettings()
 
 
 @dataclass(frozen=True)
@@ -168,3 +185,4 @@ class MocapSettings(Settings):
         1e-5, 0.1, fixed=True,
     )  # fmt: skip
     record_takes: bool = setting(True, "have Motive record when the recorder records [-]")
+    scheduling: SchedulingSettings = SchedulingSettings()

@@ -1,0 +1,134 @@
+"""Real-time scheduling: what is set, what is refused, and what `doctor` makes of the lateness."""
+
+import errno
+import json
+import os
+import subprocess
+import sys
+import threading
+from dataclasses import replace
+
+import pytest
+from support import HANGS
+
+from socket_testbed.live import doctor, scheduling
+from socket_testbed.live.bringup import Testbed, simulated_testbed
+from socket_testbed.live.scheduling import Lateness, measure_lateness, schedule
+from socket_testbed.settings.acquisition import (
+    ClusterSettings,
+    LoadCellSettings,
+    MocapSettings,
+    SchedulingSettings,
+    TriggerSettings,
+)
+
+EVERY_THREAD = """
+import json, os, threading
+from pathlib import Path
+from socket_testbed.live.scheduling import schedule
+from socket_testbed.settings.acquisition import SchedulingSettings
+core = min(os.sched_getaffinity(0))
+done = threading.Event()
+threading.Thread(target=done.wait, daemon=True).start()
+refused = schedule(SchedulingSettings(priority=7, cores=(core,), lock_memory=True))
+threading.Thread(target=done.wait, daemon=True).start()
+threads = [int(path.name) for path in Path("/proc/self/task").iterdir()]
+print(json.dumps({
+    "refused": refused,
+    "policies": [os.sched_getscheduler(thread) for thread in threads],
+    "priorities": [os.sched_getparam(thread).sched_priority for thread in threads],
+    "cores": [list(os.sched_getaffinity(thread)) == [core] for thread in threads],
+    "locked": Path("/proc/self/status").read_text().split("VmLck:")[1].split()[0],
+}))
+"""
+
+
+def test_all_threads_get_what_is_set_or_the_refusal_says_which_right_is_missing() -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", EVERY_THREAD],
+        check=True, capture_output=True, text=True, timeout=HANGS,
+    )  # fmt: skip
+    found = json.loads(done.stdout)
+    assert len(found["policies"]) == 3 and all(found["cores"])
+    refused = "\n".join(found["refused"])
+    if "priority" in refused:
+        assert "scheduling.priority 7 is refused" in refused and "rtprio 7" in refused
+        assert set(found["policies"]) == {os.SCHED_OTHER}
+    else:
+        assert set(found["policies"]) == {os.SCHED_FIFO} and set(found["priorities"]) == {7}
+    assert ("lock_memory" in refused) == (found["locked"] == "0")
+
+
+def test_what_is_refused_is_said_and_the_rest_is_done(monkeypatch: pytest.MonkeyPatch) -> None:
+    changed = []
+
+    def refuse(thread: int, *_: object) -> None:
+        raise PermissionError(errno.EPERM, "Operation not permitted")
+
+    monkeypatch.setattr(os, "sched_setscheduler", refuse)
+    monkeypatch.setattr(os, "sched_setaffinity", lambda thread, cores: changed.append(cores))
+    monkeypatch.setattr(scheduling, "_lock_memory", lambda: refuse(0))
+    lines = schedule(SchedulingSettings(priority=20, cores=(1,), lock_memory=True))
+    assert [line.partition(" is refused (Operation not permitted): ")[0] for line in lines] == [
+        "scheduling.priority 20",
+        "scheduling.lock_memory",
+    ]
+    assert "'USER - rtprio 20'" in lines[0] and "CAP_SYS_NICE" in lines[0]
+    assert "'USER - memlock unlimited'" in lines[1]
+    assert changed and not any("\n" in line for line in lines)
+    assert measure_lateness(20, 0.01) is None
+    assert schedule(SchedulingSettings()) == []
+
+
+def test_a_core_that_is_not_there_is_refused() -> None:
+    (line,) = schedule(SchedulingSettings(cores=(1023,)))
+    assert line.startswith("scheduling.cores [1023] is refused") and "0 to" in line
+
+
+def test_every_node_that_measures_has_these_settings() -> None:
+    for kind in (TriggerSettings, ClusterSettings, LoadCellSettings, MocapSettings):
+        assert kind().scheduling == SchedulingSettings()
+        assert "scheduling.priority" in kind.flat()
+
+
+def test_this_machine_is_measured_in_a_thread_of_its_own() -> None:
+    before = os.sched_getscheduler(0)
+    lateness = measure_lateness(duration=0.05)
+    assert lateness is not None and 0.0 <= lateness.p99 <= lateness.worst
+    assert os.sched_getscheduler(0) == before and threading.active_count() >= 1
+
+
+@pytest.mark.parametrize(
+    ("ordinary", "urgent", "priority", "rate", "ok"),
+    [
+        (1e-3, 1e-4, 0, 100.0, True),
+        (2.6e-3, 1e-4, 0, 100.0, False),  # a quarter of the period is 2.5 ms
+        (2.6e-3, 1e-4, 0, 4.0, True),
+        (4e-3, 1e-4, 0, 4.0, False),  # a converter's value is overwritten by then
+        (20e-3, 1e-4, 10, 100.0, True),
+        (20e-3, None, 10, 100.0, False),  # the priority is set, but there is no right to it
+    ],
+)
+def test_doctor_says_whether_it_is_enough_for_the_rate(
+    monkeypatch: pytest.MonkeyPatch,
+    ordinary: float,
+    urgent: float | None,
+    priority: int,
+    rate: float,
+    ok: bool,
+) -> None:
+    def measured(asked: int = 0) -> Lateness | None:
+        p99 = urgent if asked else ordinary
+        return None if p99 is None else Lateness(p99, 10.0 * p99)
+
+    monkeypatch.setattr(doctor, "measure_lateness", measured)
+    settings = simulated_testbed().settings
+    trigger = TriggerSettings(rate=rate, scheduling=SchedulingSettings(priority=priority))
+    hardware = Testbed(settings=replace(settings, trigger_node=trigger))
+    (finding,) = doctor.check_scheduling(hardware)
+    assert (finding.hint == "") == ok
+    assert finding.found.endswith(f"{'soon enough' if ok else 'too late'} for {rate:g} Hz")
+    assert ("no right to a real-time priority" in finding.found) == (urgent is None)
+    # A simulated testbed runs as slowly as the machine needs.
+    simulated = replace(simulated_testbed(rate=rate), settings=hardware.settings)
+    assert [f.hint for f in doctor.check_scheduling(simulated)] == [""]
