@@ -33,8 +33,13 @@ from socket_testbed.calibration.bench_data import read_bench, read_unloaded
 from socket_testbed.calibration.model import read_calibration
 from socket_testbed.drivers.load_cell.load_cell import Tare
 from socket_testbed.errors import ConfigurationError, ScanError, TestbedError, TrialError
-from socket_testbed.files import packaged, read_document
-from socket_testbed.geometry.socket import SocketGeometry, read_socket, write_socket
+from socket_testbed.files import Section, packaged, read_document
+from socket_testbed.geometry.socket import (
+    SocketGeometry,
+    read_socket,
+    socket_from_section,
+    write_socket,
+)
 from socket_testbed.identification.fit import fit_contact_model
 from socket_testbed.identification.model_file import StoredModel, read_model, write_model
 from socket_testbed.settings.testbed import TestbedSettings, read_testbed, write_testbed
@@ -488,3 +493,54 @@ def test_a_damaged_normal_of_a_text_stl_writes_no_traceback(
     (tmp_path / "scan.stl").write_text(text.replace("facet normal", "facet normal x", 1))
     read_scan(tmp_path / "scan.stl")
     assert not caplog.records
+
+
+FOUR_BILLION = 4_000_000_000
+_VERTEX = "property float x\nproperty float y\nproperty float z\n"
+_FACE = "property list uchar int vertex_indices\n"
+_LONG_FACE = "element face 1\nproperty list uint int vertex_indices\n"
+CLAIMS = {
+    "count.stl": bytes(80) + b"\xff" * 4 + bytes(200),
+    "vertices.ply": ("binary_little_endian", f"element vertex {FOUR_BILLION}\n{_VERTEX}", 100),
+    "faces.ply": (
+        "binary_little_endian",
+        f"element vertex 3\n{_VERTEX}element face {FOUR_BILLION}\n{_FACE}",
+        36,
+    ),
+    "corners.ply": ("binary_little_endian", f"element vertex 3\n{_VERTEX}{_LONG_FACE}", 36),
+    "text.ply": ("ascii", f"element vertex {FOUR_BILLION}\n{_VERTEX}", 0),
+    "groups.obj": b"".join(b"g %d\n" % i for i in range(50_000)) + b"f 1 2 3\n",
+}
+
+
+@pytest.mark.parametrize("name", CLAIMS)
+def test_a_scan_that_claims_more_than_it_holds_takes_no_memory(name: str, tmp_path: Path) -> None:
+    content = CLAIMS[name]
+    if isinstance(content, tuple):
+        kind, elements, size = content
+        header = f"ply\nformat {kind} 1.0\n{elements}end_header\n"
+        content = header.encode() + bytes(size) + b"\xff" * 4
+    (tmp_path / name).write_bytes(content)
+    before, start = _memory(reset=True), time.process_time()
+    with pytest.raises(ScanError):
+        read_scan(tmp_path / name)
+    assert _memory() - before < MEMORY
+    assert time.process_time() - start < LONGEST
+
+
+def test_a_socket_of_thousands_of_tiles_takes_no_memory_of_their_square(tmp_path: Path) -> None:
+    frame = np.eye(3).tolist()
+    tiles = {
+        f"t{i}": {"anchor": [1e-3 * (i % 60), 1e-3 * (i // 60), 0.0], "frame": frame, "area": 1e-4}
+        for i in range(3000)
+    }
+    tiles["t2999"]["anchor"] = tiles["t7"]["anchor"]
+    document = {"tiles": tiles, "neighbours": [], "clusters": {}, "bodies": {}}
+    document["bodies"] = {
+        name: {"markers": SOCKET_TRIAD.tolist(), key: {"rotation": frame, "translation": [0, 0, 0]}}
+        for name, key in (("socket", "in_load_cell"), ("pylon", "limb_in_body"))
+    }
+    before = _memory(reset=True)
+    with pytest.raises(ConfigurationError, match="is at the same place as t"):
+        socket_from_section(Section(document, "socket.yaml"))
+    assert _memory() - before < MEMORY

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import yaml
+from scipy.spatial import cKDTree
 
 from socket_testbed.arrays import FloatArray, IntArray
 from socket_testbed.errors import ConfigurationError
@@ -275,10 +276,10 @@ def _scan(section: Section) -> ScanFrame:
 
 def _anchors(tiles: dict[str, Section]) -> FloatArray:
     anchors = np.array([t.array("anchor", (3,), limit=_LARGEST_SOCKET) for t in tiles.values()])
-    apart = np.linalg.norm(anchors[:, None] - anchors[None], axis=2)
-    np.fill_diagonal(apart, np.inf)
-    if apart.min() < _SAME_PLACE:
-        a, b = np.unravel_index(apart.argmin(), apart.shape)
+    apart, nearest = cKDTree(anchors).query(anchors, k=2)
+    if apart[:, 1].min() < _SAME_PLACE:
+        a = int(apart[:, 1].argmin())
+        b = next(int(i) for i in nearest[a] if i != a)
         names = list(tiles)
         raise ConfigurationError(
             f"{tiles[names[a]].where}: is at the same place as {names[b]}", "remove one of them"

@@ -174,7 +174,7 @@ class _ObjReader:
     """
 
     def __init__(self) -> None:
-        self.names: list[str] = []
+        self.names: dict[str, int] = {}  # with their numbers
         self.vertices: list[list[float]] = []
         self.faces: list[tuple[int, int, int]] = []
         self.labels: list[tuple[int, int]] = []
@@ -205,9 +205,7 @@ class _ObjReader:
         return index
 
     def _number(self, name: str) -> int:
-        if name and name not in self.names:
-            self.names.append(name)
-        return self.names.index(name) if name else -1
+        return self.names.setdefault(name, len(self.names)) if name else -1
 
 
 def _coordinate(word: str) -> float:
