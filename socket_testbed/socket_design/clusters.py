@@ -20,7 +20,7 @@ from socket_testbed.files import Section, read_document
 from socket_testbed.geometry.pose import about_z, read_rotation
 from socket_testbed.geometry.socket import ScanFrame
 from socket_testbed.socket_design.squares import Squares, SurfacePoints
-from socket_testbed.socket_design.tile_fit import Footprints, Surroundings, squares_at
+from socket_testbed.socket_design.tile_fit import Footprints, Surroundings, roughly_fit, squares_at
 
 _FARTHEST_SCAN = 1e5  # [of the scan's unit]
 
@@ -154,6 +154,9 @@ def lay_clusters(
         turned = _turned(place, squares_at(spot, surroundings, edge))
         tried = _around(spot, centres, _MOST_MOVED * edge)
         candidates = _turn(squares_at(tried, surroundings, edge), turned)
+        likely = roughly_fit(candidates, surroundings, flatness)
+        likely[0] = True  # the exact footprint decides where the cluster is
+        candidates = candidates.take(likely)
         footprints = Footprints(mesh, candidates, flatness)
         fits = next((i for i in range(len(candidates)) if not footprints.unfit([i])), None)
         if fits is None:

@@ -195,7 +195,7 @@ def fitting_squares(
     squares = squares_at(places, surroundings, edge)
     if not len(squares):
         return squares
-    return squares.take(_fits(squares, surroundings, flatness))
+    return squares.take(roughly_fit(squares, surroundings, flatness))
 
 
 def squares_at(places: SurfacePoints, surroundings: Surroundings, edge: float) -> Squares:
@@ -241,7 +241,14 @@ def _mean_normals(places: SurfacePoints, points: SurfacePoints, radius: float) -
     return np.where(length > 0.0, mean / np.where(length > 0.0, length, 1.0), places.normals)
 
 
-def _fits(squares: Squares, surroundings: Surroundings, flatness: float) -> BoolArray:
+def roughly_fit(squares: Squares, surroundings: Surroundings, flatness: float) -> BoolArray:
+    """Which squares fit the surface as far as its points can show, shape (m,).
+
+    Args:
+        squares: The squares.
+        surroundings: The surface.
+        flatness: Largest distance of the surface from a square's plane [m].
+    """
     points, half = surroundings.points, 0.5 * squares.edge
     reach = float(np.hypot(np.sqrt(2.0) * half, flatness))
     fits = np.zeros(len(squares), dtype=bool)

@@ -131,6 +131,41 @@ def test_clusters_and_bodies_are_taken_over(
     assert "nominal" not in err
 
 
+def test_a_moved_turned_or_rescaled_scan_gives_the_same_socket(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    cup = meshes.wavy(meshes.open_cone(0.05, 0.055, 0.05, 0.008, dome=True), 0.005)
+    glued = np.array([[0.05, 0.02, 0.02], [-0.05, 0.0, 0.0]])
+    found = []
+    for seed, unit in enumerate(("mm", "in")):
+        rng = np.random.default_rng(seed)
+        turned, away = Rotation.random(rng=rng), rng.normal(0.0, 0.3, 3)
+        if not seed:
+            turned, away = Rotation.identity(), np.zeros(3)
+        scan = meshes.moved(cup, lambda points: turned.apply(points) + away)  # noqa: B023
+        meshes.write_stl(scan, tmp_path / "scan.stl", unit)
+        picked = (turned.apply(glued) + away) / meshes.UNITS[unit]
+        lines = [f"  c{i}: {{scan: {point.tolist()}}}" for i, point in enumerate(picked)]
+        (tmp_path / "clusters.yaml").write_text("clusters:\n" + "\n".join(lines) + "\n")
+        anterior = " ".join(map(str, turned.apply([1.0, 0.0, 0.0])))
+        words = ("--unit", unit, f"--anterior={anterior}", "--clusters", tmp_path / "clusters.yaml")
+        output = tmp_path / f"{unit}_socket.yaml"
+        code, _, err = call(
+            capsys, "tile", tmp_path / "scan.stl", "-o", output, "--rounds", 0, *words
+        )
+        assert code == 0, err
+        found.append(read_socket(output))
+        assert found[seed].scan is not None
+        asked = found[seed].scan.points(picked)
+        assert asked == pytest.approx(found[0].scan.points(1e3 * glued), abs=1e-6)
+    for name in ("c0", "c1"):
+        anchors = [socket.anchors[socket.clusters[name]] for socket in found]
+        frames = [socket.rotations[socket.clusters[name]] for socket in found]
+        assert np.ptp(anchors, axis=0).max() < 1e-6 and np.ptp(frames, axis=0).max() < 1e-5
+    # The search may find another of the tilings that are as good.
+    assert np.ptp([len(socket) for socket in found]) <= 1
+
+
 def test_points_and_landmarks_place_the_same_frame(
     cup: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

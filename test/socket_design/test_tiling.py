@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 from support import meshes
 
 from socket_testbed.errors import ScanError
+from socket_testbed.socket_design.clusters import ClusterPlace
 from socket_testbed.socket_design.tiling import Tiling, TilingSettings, tile_interior
 
 pytestmark = pytest.mark.slow
@@ -180,3 +181,22 @@ def test_a_coarse_mesh_is_tiled_as_a_fine_one() -> None:
 def test_a_surface_without_room_is_refused(mesh: trimesh.Trimesh) -> None:
     with pytest.raises(ScanError, match=r"no 30 mm tile fits.*check the unit"):
         tile(mesh)
+
+
+@pytest.mark.parametrize(("name", "seed"), [("dome", 0), ("cylinder", 1)])
+def test_tiles_are_laid_around_the_clusters(name: str, seed: int) -> None:
+    mesh, rng = SURFACES[name], np.random.default_rng(seed)
+    low, high = mesh.bounds[:, 2] + [0.025, -0.025]
+    angles = rng.uniform(0.0, 1.0) + np.arange(3) * 2.0 * math.pi / 3.0
+    heights = rng.uniform(low, high, 3)
+    radius = 0.045 + rng.uniform(-0.003, 0.003, 3)  # beside the wall, as a sensor is thick
+    asked = np.column_stack([radius * np.cos(angles), radius * np.sin(angles), heights])
+    nearest = trimesh.proximity.closest_point(mesh, asked)[0]
+    places = [ClusterPlace(f"c{i}", point, None, f"c{i}") for i, point in enumerate(asked)]
+    tiling = tile_interior(mesh, PROXIMAL, ANTERIOR, FEW, None, places)
+    assert [laid.name for laid in tiling.clusters] == ["c0", "c1", "c2"]
+    assert np.linalg.norm(tiling.squares.anchors[:3] - nearest, axis=1).max() < 1e-4
+    drawn = Drawn(mesh, tiling)
+    assert drawn.under.sum(axis=0).max() == 1
+    # Sensors anywhere break the rows of the densest tiling: at most two tiles each.
+    assert len(tiling.squares) >= len(tiling_of(name).squares) - 6
