@@ -32,7 +32,7 @@ LANDMARK_FILE_HELP = """LANDMARKS.yaml names the markers and gives the landmarks
 
     bodies:                # the markers that stay on the bodies (3 to 8), as the take names them
       socket: [Socket:Marker1, Socket:Marker2, Socket:Marker3]
-      pylon:               # or a rigid body of Motive with three markers; its frame is kept
+      pylon:               # or a rigid body of Motive, 3 to 8 markers; its frame is kept
         rigid_body: Pylon
     load_cell:             # landmarks on the load cell or the socket: coordinates in {S} [m]
       Cell:Marker1: [0.030, 0.0, 0.012]

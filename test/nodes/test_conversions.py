@@ -9,7 +9,7 @@ from visualization_msgs.msg import Marker
 from socket_testbed.files import packaged
 from socket_testbed.geometry.socket import read_socket
 from socket_testbed.identification.force_map import MapEstimate
-from socket_testbed.nodes.conversions import stamp_from_ros, vectors_from_ros
+from socket_testbed.nodes.conversions import markers_to_ros, stamp_from_ros, vectors_from_ros
 from socket_testbed.nodes.estimate_messages import ForceMapMessage, PressureMap
 
 GEOMETRY = read_socket(packaged("config", "socket.yaml"))
@@ -72,3 +72,14 @@ def test_a_picture_ends_by_itself_and_its_arrows_start_at_the_tiles() -> None:
         (start, tip) = ([p.x, p.y, p.z] for p in arrow.points)
         np.testing.assert_allclose(start, anchor)
         np.testing.assert_allclose(np.subtract(tip, start), 0.002 * force)
+
+
+def test_markers_of_bodies_of_different_sizes_go_out_as_they_are() -> None:
+    socket, pylon = np.arange(15.0).reshape(5, 3), np.full((3, 3), np.nan)
+    message = markers_to_ros(STAMP, "world", ("socket", "pylon"), [socket, pylon])
+    assert [(body.name, len(body.markers)) for body in message.bodies] == [
+        ("socket", 5), ("pylon", 3)
+    ]  # fmt: skip
+    seen = [(point.x, point.y, point.z) for point in message.bodies[0].markers]
+    np.testing.assert_array_equal(seen, socket)
+    assert all(np.isnan(point.x) for point in message.bodies[1].markers)
