@@ -5,6 +5,7 @@ import re
 import shutil
 import subprocess
 import sys
+import venv
 from pathlib import Path
 from zipfile import ZipFile
 
@@ -98,6 +99,7 @@ def test_a_plain_colcon_build_gives_a_package_that_works_anywhere(
 
     # Away from the sources, the installed package finds its own files and messages.
     paths = [next((workspace / "install" / name).rglob("site-packages")) for name in PACKAGES]
+    check_nodes_run_in_the_active_environment(prefix, paths, tmp_path)
     script = (
         "import sys, socket_testbed, socket_testbed_msgs.msg as m;"
         "print(socket_testbed.__file__, m.__file__);"
@@ -113,6 +115,35 @@ def test_a_plain_colcon_build_gives_a_package_that_works_anywhere(
     )
     assert all(str(path) in out for path in paths)
     assert (tmp_path / "trial" / "trial.mcap").is_file()
+
+
+def check_nodes_run_in_the_active_environment(
+    prefix: Path, paths: list[Path], folder: Path
+) -> None:
+    """Colcon's interpreter is not theirs, and one that lacks something is named in one line."""
+    programs = sorted((prefix / "lib" / "socket_testbed").iterdir())
+    assert {path.read_text().splitlines()[0] for path in programs} == {"#!/usr/bin/env python3"}
+    program, other = prefix / "lib" / "socket_testbed" / "estimator_node", folder / "other"
+    venv.create(other, with_pip=False, symlinks=True)
+    said = {}
+    for environment in (BIN.parent, other):
+        done = subprocess.run(
+            [program, "--ros-args", "-p", "identification.solver:=osqqp"],
+            check=False,
+            capture_output=True,
+            text=True,
+            env={
+                name: value
+                for name, value in os.environ.items()
+                if name != "_ROS_WHEELS_BOOTSTRAP_COMPLETE"
+            }
+            | {"PATH": f"{environment / 'bin'}:{os.environ['PATH']}"}
+            | {"PYTHONPATH": ":".join(map(str, paths))},
+        )
+        assert done.returncode == 1
+        said[environment] = done.stderr
+    assert said[BIN.parent] == "error: solver 'osqqp' is not installed: did you mean 'osqp'?\n"
+    assert re.fullmatch(rf"error: {other}/bin/python3? has no module '\w+': .*\n", said[other])
 
 
 @pytest.mark.slow
