@@ -35,6 +35,7 @@ _LONGEST = 0.03  # [m]; arrow of the strongest shear
 _WEAKEST = 2e3  # [Pa]; that is as long as this shear at least
 _ARROW, _UNSURE = np.array([178.0, 24.0, 43.0]), np.array([214.0, 190.0, 190.0])  # their colours
 _LIMB = (224, 172, 140)
+_MAP = 0.7  # [-]; scale of the unrolled wall
 _VIEW = np.radians(32.0)  # [rad]; of the camera, from above to below
 _AWAY = 1.3  # [-]; of names from the axis, by the socket's radius
 
@@ -68,7 +69,7 @@ class Scene:
         unrolled = _Map(geometry, axis, size)
         self._pictures = (
             _Tiles(scene, "/socket/tiles", poses, geometry),
-            _Tiles(scene, "/map", unrolled.poses, geometry),
+            _Tiles(scene, "/map", unrolled.poses, geometry, _MAP),
         )
         unrolled.add_names(scene)
         self._arrows = scene.add_arrows(
@@ -82,10 +83,10 @@ class Scene:
         )
         _add_names(scene, axis, size)
         _add_limb(scene, axis, size)
-        server.initial_camera.look_at = size.middle - 0.38 * size.height * axis.left
+        server.initial_camera.look_at = size.middle - 0.46 * size.height * axis.left
         server.initial_camera.fov = _VIEW
         server.initial_camera.position = size.middle + size.height * (
-            3.2 * axis.anterior - 0.45 * axis.left + 1.1 * axis.proximal
+            4.1 * axis.anterior - 0.5 * axis.left + 1.4 * axis.proximal
         )
 
     def update(self, instant: Instant, legend: Legend) -> None:
@@ -169,20 +170,28 @@ class _Tiles:
         path: Their place in the tree of the scene.
         poses: Their frames in that place, n of them.
         geometry: Geometry of the socket.
+        scale: How large they are drawn [-].
     """
 
-    def __init__(self, scene: SceneApi, path: str, poses: Pose, geometry: SocketGeometry) -> None:
-        self._edges = np.sqrt(geometry.areas).astype(np.float32)
+    def __init__(
+        self,
+        scene: SceneApi,
+        path: str,
+        poses: Pose,
+        geometry: SocketGeometry,
+        scale: float = 1.0,
+    ) -> None:
+        self._edges = (scale * np.sqrt(geometry.areas)).astype(np.float32)
         white = np.full((len(geometry), 3), 255, dtype=np.uint8)
         wxyz = _wxyz(poses)
-        for name, squares, scale in (("plates", _SQUARE, _PLATE), ("values", _BOTH_SIDES, 0.0)):
+        for name, squares, share in (("plates", _SQUARE, _PLATE), ("values", _BOTH_SIDES, 0.0)):
             drawn = scene.add_batched_meshes_simple(
                 f"{path}/{name}",
                 squares,
                 _FACES if name == "plates" else np.vstack([_FACES, _FACES + 4]),
                 wxyz,
                 poses.translation,
-                batched_scales=scale * self._edges,
+                batched_scales=share * self._edges,
                 batched_colors=white if name == "values" else _rgb(SURFACE),
                 lod="off",
                 side="double",
@@ -235,7 +244,7 @@ class _Map:
         if wall.any():
             self._radius = float(np.median(axis.radii(geometry.anchors[wall])))
         self._axis = axis
-        self._middle = axis.end - (np.pi * self._radius + 2.0 * size.radius) * axis.left
+        self._middle = axis.end - (_MAP * np.pi * self._radius + 1.75 * size.radius) * axis.left
         across = self._radius * axis.angles(geometry.anchors)
         up = axis.heights(geometry.anchors)
         offset = geometry.anchors - axis.end  # the distal end lies below the wall, anterior up
@@ -257,7 +266,8 @@ class _Map:
             )
 
     def _place(self, across: FloatArray, up: FloatArray) -> FloatArray:
-        return self._middle + across[:, None] * self._axis.left + up[:, None] * self._axis.proximal
+        along = across[:, None] * self._axis.left + up[:, None] * self._axis.proximal
+        return self._middle + _MAP * along
 
 
 def _add_names(scene: SceneApi, axis: SocketAxis, size: _Size) -> None:
