@@ -28,7 +28,9 @@ from socket_testbed.settings.fields import Settings, parameter_values
 # Each testbed has transforms of its own: in a namespace they are beside its other topics.
 REMAPPINGS = (("/tf", "tf"), ("/tf_static", "tf_static"))
 
-PARENT = "SOCKET_TESTBED_PARENT"  # environment variable: the process that started this one
+# Environment variables of the processes:
+PARENT = "SOCKET_TESTBED_PARENT"  # the process that started this one
+RESTARTED = "SOCKET_TESTBED_RESTARTED"  # set where another did this one's work before
 
 _PR_SET_PDEATHSIG = 1
 _GRACE = 60.0  # [s]; for a node to end by itself
@@ -202,14 +204,14 @@ class Graph:
         command = [sys.executable, "-m", module, *arguments]
         self._members[name] = _Member(command, self._spawn(command), time.monotonic(), optional)
 
-    def _spawn(self, command: list[str]) -> subprocess.Popen[bytes]:
+    def _spawn(self, command: list[str], again: bool = False) -> subprocess.Popen[bytes]:
         # In a session of its own, Ctrl-C reaches a node once: from this process.
         return subprocess.Popen(
             command,
             stdout=self._output,
             stderr=self._output,
             start_new_session=True,
-            env=self._environment,
+            env=self._environment | ({RESTARTED: "1"} if again else {}),
         )
 
     def wait(self, node: str) -> None:
@@ -265,7 +267,7 @@ class Graph:
                 if member.backoff.due(now):
                     notify(f"{name} {_ending(code)}: started again")
                     member.backoff.failed(now)
-                    member.process = self._spawn(member.command)
+                    member.process = self._spawn(member.command, again=True)
                     member.started = now
             self.pause()
 

@@ -8,6 +8,7 @@ how it is: on /diagnostics at 1 Hz, and at once on a change of level, under its 
 from __future__ import annotations
 
 import math
+import os
 import platform
 import queue
 import re
@@ -37,6 +38,7 @@ from rclpy.task import Future
 
 from socket_testbed import clocks
 from socket_testbed.errors import ConfigurationError, TestbedError
+from socket_testbed.live.processes import RESTARTED
 from socket_testbed.nodes.conversions import header_to_ros
 from socket_testbed.settings.fields import Settings, parameter_values
 from socket_testbed.trials.topics import DIAGNOSTICS, PUBLISHER_DEPTH, Topic
@@ -174,7 +176,9 @@ class TestbedNode(Node, Generic[S]):
         self._slow_services: list[_SlowService] = []
         self._settled_at = clocks.monotonic() + settle
         self._level, self._message = OK, "started"
-        self._has_worked = False
+        self._has_worked = RESTARTED in os.environ
+        if self._has_worked:  # its first OK is a recovery
+            self._level, self._message = WARN, "started again"
         self._waiting: list[str] | None = None
         self._looks = 0
         self._diagnostics = self.create_publisher(
@@ -239,8 +243,17 @@ class TestbedNode(Node, Generic[S]):
             needed: Whether the node is linked only with a publisher.
             raw: Whether the callback gets serialised messages.
         """
+
+        def hear(message: Any) -> None:
+            try:
+                callback(message)
+            except Exception:
+                # ROS may have ended meanwhile, before what it was to publish.
+                if self.context.ok():
+                    raise
+
         subscription = self.create_subscription(
-            message_type(topic), name or topic.name, callback, subscriber_qos(topic), raw=raw
+            message_type(topic), name or topic.name, hear, subscriber_qos(topic), raw=raw
         )
         if needed:
             self._inputs.append(subscription)
