@@ -76,7 +76,7 @@ def test_a_picture_ends_by_itself_and_its_arrows_start_at_the_tiles() -> None:
 
 def test_markers_of_bodies_of_different_sizes_go_out_as_they_are() -> None:
     socket, pylon = np.arange(15.0).reshape(5, 3), np.full((3, 3), np.nan)
-    message = markers_to_ros(STAMP, "world", ("socket", "pylon"), [socket, pylon])
+    message = markers_to_ros(STAMP, ("socket", "pylon"), [socket, pylon])
     assert [(body.name, len(body.markers)) for body in message.bodies] == [
         ("socket", 5), ("pylon", 3)
     ]  # fmt: skip
