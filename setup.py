@@ -33,7 +33,7 @@ setup(
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
-        (f"share/{NAME}/config", glob("config/*.yaml")),
+        (f"share/{NAME}/config", glob("config/*")),
         (f"share/{NAME}/launch", glob("launch/*.py")),
         # The offline side reads trials with the same message definitions, without ROS.
         (f"share/{NAME}/msg", glob("msg_defs/msg/*.msg")),

@@ -94,7 +94,9 @@ def test_a_plain_colcon_build_gives_a_package_that_works_anywhere(
     programs = {path.name for path in (prefix / "lib" / "socket_testbed").iterdir()}
     assert {"estimator_node", "calibration_node", "replay_node", "recorder_node"} <= programs
     share = prefix / "share" / "socket_testbed"
-    assert {p.name for p in (share / "config").iterdir()} >= {"socket.yaml", "calibration.yaml"}
+    assert {p.name for p in (share / "config").iterdir()} >= {
+        *("socket.yaml", "calibration.yaml", "testbed.rviz", "plotjuggler_layout.xml")
+    }
     assert (share / "launch" / "replay.launch.py").is_file()
 
     # Away from the sources, the installed package finds its own files and messages.

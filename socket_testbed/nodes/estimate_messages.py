@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from geometry_msgs.msg import Quaternion, Vector3
+from geometry_msgs.msg import Point, Vector3
 from scipy.spatial.transform import Rotation
 from socket_testbed_msgs.msg import ContactModel as ContactModelMessage
 from socket_testbed_msgs.msg import ForceMap, LocalForceArray
@@ -21,6 +21,7 @@ from socket_testbed.nodes.conversions import (
     LOAD_CELL_FRAME,
     header_to_ros,
     point_to_ros,
+    quaternion_to_ros,
     vector_to_ros,
     wrench_to_ros,
 )
@@ -115,8 +116,15 @@ _FAINTEST = 0.1  # [-]; opacity of a tile with this deviation or more
 _LIFETIME = 3  # [s]; a stopped estimator leaves no picture
 
 
+# Corners of the two triangles of a tile, in halves of its side along its x and y. They face
+# outwards, where one looks from.
+_CORNERS = ((-1, -1), (-1, 1), (1, 1), (-1, -1), (1, 1), (1, -1))
+
+
 class PressureMap:
     """The markers of a force map, of which only what a sample changes is made anew.
+
+    A tile is a mesh of two triangles in its own frame, its force an arrow.
 
     Args:
         geometry: Geometry of the socket.
@@ -126,13 +134,14 @@ class PressureMap:
         self._anchors = geometry.anchors
         self._tiles = []
         self._arrows = []
-        quaternions = Rotation.from_matrix(geometry.square_frames()).as_quat().tolist()
-        for i, (anchor, (x, y, z, w)) in enumerate(zip(self._anchors, quaternions, strict=True)):
-            tile = Marker(ns="tiles", id=i, type=Marker.CUBE, action=Marker.ADD)
+        quaternions = Rotation.from_matrix(geometry.square_frames()).as_quat()
+        for i, (anchor, quaternion) in enumerate(zip(self._anchors, quaternions, strict=True)):
+            tile = Marker(ns="tiles", id=i, type=Marker.TRIANGLE_LIST, action=Marker.ADD)
             tile.pose.position = point_to_ros(anchor)
-            tile.pose.orientation = Quaternion(x=x, y=y, z=z, w=w)
-            tile.scale.x = tile.scale.y = math.sqrt(geometry.areas[i])
-            tile.scale.z = 0.001
+            tile.pose.orientation = quaternion_to_ros(quaternion)
+            tile.scale = Vector3(x=1.0, y=1.0, z=1.0)
+            half = 0.5 * math.sqrt(geometry.areas[i])
+            tile.points = [Point(x=half * x, y=half * y) for x, y in _CORNERS]
             arrow = Marker(ns="forces", id=i, type=Marker.ARROW, action=Marker.ADD)
             arrow.scale.x, arrow.scale.y = 0.002, 0.004
             for marker in (tile, arrow):

@@ -87,8 +87,9 @@ class FrameBroadcaster:
 
 def fixed_frames(geometry: SocketGeometry) -> list[tuple[str, str, Pose]]:
     """The frames that do not move: parent, name, and pose in the parent."""
+    rotations = geometry.square_frames()
     clusters = [
-        (LOAD_CELL_FRAME, name, Pose(geometry.rotations[tile], geometry.anchors[tile]))
+        (LOAD_CELL_FRAME, name, Pose(rotations[tile], geometry.anchors[tile]))
         for name, tile in geometry.clusters.items()
     ]
     return [(SOCKET_FRAME, LOAD_CELL_FRAME, geometry.socket_body.inverse()), *clusters]

@@ -4,6 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 from visualization_msgs.msg import Marker
 
 from socket_testbed.files import packaged
@@ -60,6 +61,20 @@ def test_the_colour_is_the_normal_pressure() -> None:
     green = [markers(pressure, 1e3)[0].color.g for pressure in (-1e4, 0.0, 1e4, 2e4, 3e4, 9e4)]
     assert green == sorted(green, reverse=True)
     assert green[0] == green[1] and green[-1] == green[-2] == 0.0
+
+
+def test_the_mesh_of_a_tile_covers_its_area_and_faces_outwards() -> None:
+    for i, tile in enumerate(markers(1e4, 1e3)[::2]):
+        assert tile.type == Marker.TRIANGLE_LIST and (tile.scale.x, tile.color.a > 0.0) == (1, True)
+        q, p = tile.pose.orientation, tile.pose.position
+        turn = Rotation.from_quat([q.x, q.y, q.z, q.w]).as_matrix()
+        corners = np.array([(c.x, c.y, c.z) for c in tile.points]) @ turn.T + (p.x, p.y, p.z)
+        sides = corners.reshape(2, 3, 3)
+        normals = np.cross(sides[:, 1] - sides[:, 0], sides[:, 2] - sides[:, 0])
+        assert 0.5 * np.linalg.norm(normals, axis=1).sum() == pytest.approx(GEOMETRY.areas[i])
+        outwards = -GEOMETRY.rotations[i][:, 2]
+        np.testing.assert_allclose(normals / np.linalg.norm(normals[0]), [outwards] * 2, atol=1e-9)
+        np.testing.assert_allclose(sides.mean(axis=(0, 1)), GEOMETRY.anchors[i], atol=0.02)
 
 
 def test_a_picture_ends_by_itself_and_its_arrows_start_at_the_tiles() -> None:

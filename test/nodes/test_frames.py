@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -63,8 +64,9 @@ def homogeneous(rotation: np.ndarray, translation: np.ndarray) -> np.ndarray:
     return result
 
 
-def test_a_cluster_s_frame_is_its_tile_s() -> None:
-    found = {name: (parent, pose) for parent, name, pose in fixed_frames(GEOMETRY)}
+def test_a_cluster_s_frame_is_its_tile_s_turned_as_it_is_glued() -> None:
+    geometry = dataclasses.replace(GEOMETRY, turned={"distal": 0.6})
+    found = {name: (parent, pose) for parent, name, pose in fixed_frames(geometry)}
     assert set(found) == {"load_cell", *GEOMETRY.clusters}
     for name, tile in GEOMETRY.clusters.items():
         parent, pose = found[name]
@@ -73,6 +75,11 @@ def test_a_cluster_s_frame_is_its_tile_s() -> None:
         np.testing.assert_allclose(pose.apply(np.zeros(3)), GEOMETRY.anchors[tile])
         inward = pose.apply(np.array([0.0, 0.0, 1.0])) - GEOMETRY.anchors[tile]
         np.testing.assert_allclose(inward, GEOMETRY.rotations[tile][:, 2])
+        # A stress along the axes of the cluster's frame is the force that the fit reckons with.
+        normal, shear_x, shear_y = stress = np.array([2e4, 3e3, -1e3])
+        force = geometry.areas[tile] * pose.rotation @ (shear_x, shear_y, -normal)
+        expected = geometry.rotations[tile] @ geometry.cluster_force(name, stress)
+        np.testing.assert_allclose(force, expected)
     parent, load_cell = found["load_cell"]
     assert parent == "socket"
     both: Pose = GEOMETRY.socket_body @ load_cell
