@@ -48,6 +48,8 @@ OK, WARN, ERROR = 0, 1, 2  # as in DiagnosticStatus
 # Keys of the diagnostics that other nodes read.
 WAITING_FOR = "waiting_for"
 NEWEST_STAMP = "newest_stamp"
+ELAPSED = "elapsed"  # [s]; of the recording
+FREE = "free"  # [bytes]; of the recorder's disk
 LINKS = "links"  # topic=number of matched subscribers, separated by blanks
 
 _SUBSCRIBER_DEPTH = 2000  # [messages]; a fast replay or a busy moment loses nothing

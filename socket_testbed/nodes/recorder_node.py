@@ -32,7 +32,7 @@ from socket_testbed import clocks
 from socket_testbed.clocks import SteadyClock
 from socket_testbed.errors import ConfigurationError
 from socket_testbed.files import refuse_existing
-from socket_testbed.nodes.base import ERROR, OK, WARN, TestbedNode
+from socket_testbed.nodes.base import ELAPSED, ERROR, FREE, OK, WARN, TestbedNode
 from socket_testbed.settings.testbed import (
     NextTrialSettings,
     RecorderSettings,
@@ -124,8 +124,19 @@ class RecorderNode(TestbedNode[RecorderSettings]):
         self._finish()
 
     def figures(self) -> dict[str, object]:
-        """The trial, and the number of messages of each topic."""
-        return {"trial": self._path or "", **self._counts}
+        """The trial, how long it has been recorded [s], the free space, the messages by topic."""
+        elapsed = clocks.monotonic() - self._began if self._bag is not None else 0.0
+        return {
+            "trial": self._path or "",
+            ELAPSED: round(elapsed, 1),
+            FREE: self._free_space(),
+            **self._counts,
+        }
+
+    def _free_space(self) -> int:
+        """Free space where it records [bytes]."""
+        place = self._path or Path(self.settings.directory).absolute()
+        return shutil.disk_usage(next(p for p in (place, *place.parents) if p.exists())).free
 
     def _on_record(self, wanted: bool) -> str:
         if wanted and self._bag is None:

@@ -28,7 +28,7 @@ from socket_testbed.files import packaged
 from socket_testbed.geometry.pose import Pose
 from socket_testbed.geometry.socket import SocketGeometry, read_socket
 from socket_testbed.identification.force_map import MapEstimate
-from socket_testbed.nodes.base import OK, TestbedNode, message_type
+from socket_testbed.nodes.base import ELAPSED, FREE, OK, TestbedNode, message_type
 from socket_testbed.nodes.conversions import (
     pose_from_ros,
     stamp_from_ros,
@@ -99,6 +99,8 @@ class LiveSource:
         self.geometry = geometry
         self.controls = controls
         self._node = node
+        self._own = node.get_fully_qualified_name()
+        self._prefix = self._own.removesuffix(node.get_name())
         self._inbox: _Inbox | None = None
         self._newest: dict[Topic, tuple[Any, float]] = {}  # message, arrival [s]
         self._rows: dict[int, FloatArray] = {}  # measured and predicted wrench by stamp [ns]
@@ -155,7 +157,13 @@ class LiveSource:
     def recording(self) -> RecordingNow | None:
         """The trial that is being recorded."""
         trial, since = self._trial
-        return RecordingNow(trial, clocks.monotonic() - since if trial else 0.0, math.nan)
+        now = clocks.monotonic()
+        recorder, arrival = self._sensors.get(f"{self._prefix}recorder_node", (None, now))
+        if recorder is None:
+            return RecordingNow(trial, now - since if trial else 0.0, math.nan)
+        figures = {entry.key: entry.value for entry in recorder.values}
+        elapsed = float(figures[ELAPSED]) + now - max(arrival, since) if trial else 0.0
+        return RecordingNow(trial, elapsed, float(figures[FREE]))
 
     def regions(self) -> RegionsNow | None:
         """Nothing yet."""
@@ -226,6 +234,9 @@ class LiveSource:
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         now = clocks.monotonic()
         for status in message.status:
+            # Another testbed may run in another namespace.
+            if status.name.rpartition("/")[0] + "/" != self._prefix or status.name == self._own:
+                continue
             self._sensors[status.name] = status, now
             values = {entry.key: entry.value for entry in status.values}
             counts = [float(values[key]) for key in _COUNTS if key in values]
