@@ -30,7 +30,7 @@ from support.problems import SOCKET_TRIAD, make_case, random_pose, random_socket
 import socket_testbed as st
 from socket_testbed.batch import Record, _read_record
 from socket_testbed.calibration.bench_data import read_bench, read_unloaded
-from socket_testbed.calibration.model import read_calibration
+from socket_testbed.calibration.model import Calibration, read_calibration
 from socket_testbed.drivers.load_cell.load_cell import Tare
 from socket_testbed.errors import ConfigurationError, ScanError, TestbedError, TrialError
 from socket_testbed.files import Section, packaged, read_document
@@ -44,8 +44,8 @@ from socket_testbed.identification.fit import fit_contact_model
 from socket_testbed.identification.model_file import StoredModel, read_model, write_model
 from socket_testbed.settings.testbed import TestbedSettings, read_testbed, write_testbed
 from socket_testbed.simulation.trial import TRUTH_FILE, read_truth
+from socket_testbed.socket_design.clusters import read_cluster_places
 from socket_testbed.socket_design.landmarks import read_landmarks
-from socket_testbed.socket_design.layout import read_cluster_places
 from socket_testbed.socket_design.motive import read_motive_csv
 from socket_testbed.socket_design.placement import place_by_landmarks
 from socket_testbed.socket_design.scan_file import Scan, read_scan
@@ -108,6 +108,13 @@ def sampled(bag: Path) -> Sampled:
     return Sampled(samples.stamps, samples.values, [event.time for event in events])
 
 
+def calibrated(path: Path) -> tuple[Calibration, list[np.ndarray]]:
+    """A calibration and what it makes of capacitances."""
+    calibration = read_calibration(path)
+    capacitance, status = np.array([5.0, 5.2, 4.9, 5.1]), np.zeros(4, np.uint8)
+    return calibration, [c.apply(capacitance, status)[0] for c in calibration.clusters.values()]
+
+
 def used(stored: StoredModel) -> tuple[StoredModel, np.ndarray, np.ndarray]:
     """A model and what it predicts."""
     position = np.zeros((1, 6)) + stored.model.reference_pose
@@ -115,8 +122,8 @@ def used(stored: StoredModel) -> tuple[StoredModel, np.ndarray, np.ndarray]:
 
 
 READERS = {
-    "socket": Reader("socket.yaml", "yaml", read_socket, 500),
-    "calibration": Reader("calibration.yaml", "yaml", read_calibration, 500, missing=True),
+    "socket": Reader("socket.yaml", "yaml", read_socket, 500, missing=True),
+    "calibration": Reader("calibration.yaml", "yaml", calibrated, 500, missing=True),
     "testbed": Reader("testbed.yaml", "yaml", read_testbed, 400),
     "clusters": Reader("clusters.yaml", "yaml", read_cluster_places, 300, missing=True),
     "landmarks of a take": Reader("take_landmarks.yaml", "yaml", read_landmarks, 300),
@@ -410,6 +417,7 @@ def test_a_frame_of_huge_numbers_is_no_frame(good: Path, tmp_path: Path) -> None
         ("rest_positions", "1e300"),
         ("parameter_factor", '"1_0 nan"'),
         ("clusters", "7"),
+        ("clusters", "[]"),
         ("reference_pose", "[" * 10_000),
     ],
 )

@@ -21,6 +21,7 @@ from socket_testbed.errors import CalibrationError, ConfigurationError
 from socket_testbed.files import Section, read_document
 from socket_testbed.samples import Status
 
+_LARGEST = 1e9  # [Pa, Pa/pF, Pa/pF^2, pF]; no coefficient comes near it
 SMALLEST_GAIN = 100.0  # [Pa/pF]; a smaller one is in another unit
 
 SHEAR_TERMS = ("1", "dx", "dy", "dx^2", "dx dy", "dy^2")
@@ -211,12 +212,12 @@ def _cluster_from_section(section: Section) -> ClusterCalibration:
         )
     ranges = {}
     for key in ("mean_range", "difference_range"):
-        ranges[key] = section.array(key, (2,))
+        ranges[key] = section.array(key, (2,), limit=_LARGEST)
         if ranges[key][0] >= ranges[key][1]:
             raise ConfigurationError(
                 f"{section.where}: {key} is {ranges[key].tolist()}", "give [low, high] in pF"
             )
-    normal = section.array("normal", (2,))
+    normal = section.array("normal", (2,), limit=_LARGEST)
     if normal[1] < SMALLEST_GAIN:
         raise ConfigurationError(
             f"{section.where}: the gain of normal is {normal[1]:g} Pa/pF",
@@ -224,11 +225,15 @@ def _cluster_from_section(section: Section) -> ClusterCalibration:
         )
     return ClusterCalibration(
         normal=normal,
-        shear=np.array([section.array("shear_x", (6,)), section.array("shear_y", (6,))]),
+        shear=np.array(
+            [section.array(key, (6,), limit=_LARGEST) for key in ("shear_x", "shear_y")]
+        ),
         mean_range=ranges["mean_range"],
         difference_range=ranges["difference_range"],
         wiring=wiring.astype(np.int64),
-        baseline=section.array("baseline", (4,)) if "baseline" in section.names() else None,
+        baseline=section.array("baseline", (4,), limit=_LARGEST)
+        if "baseline" in section.names()
+        else None,
         bench=_bench_record(section) if "bench" in section.names() else {},
     )
 

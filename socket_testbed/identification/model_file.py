@@ -221,13 +221,13 @@ def _model(parameters: Section, geometry: SocketGeometry) -> ContactModel:
         raise ConfigurationError(
             f"{parameters.where}: variant is '{variant}'", closest(variant, VARIANTS)
         )
-    bias = parameters.section("force_bias").expect(geometry.clusters)
     clusters = parameters.texts("clusters")
     for name in clusters:
         if name not in geometry.clusters:
             raise ConfigurationError(
                 f"{parameters.where}: no cluster '{name}'", closest(name, geometry.clusters)
             )
+    bias = parameters.section("force_bias").expect(clusters)
     points = len(geometry)
     return ContactModel(
         variant=variant,

@@ -121,7 +121,7 @@ class LoadCellSettings(Settings):
     )
     matrix: tuple[float, ...] = setting(
         (), "the maker's matrix, row by row, Fx Fy Fz Mx My Mz over the bridges [N, N m per mV/V]",
-        fixed=True,
+        -1e6, 1e6, fixed=True,
     )  # fmt: skip
     full_scale: tuple[float, ...] = setting(
         (), "full scale of Fx Fy Fz Mx My Mz [N, N m]", 1e-3, 1e5, fixed=True

@@ -15,6 +15,7 @@ from socket_testbed.geometry.pose import Pose
 from socket_testbed.socket_design.landmarks import register_landmarks
 
 _AXES = {"x": 0, "y": 1, "z": 2}
+_LARGEST_SCAN = 1e6  # of a coordinate in the scan's unit
 _SMALLEST_SINE = 0.1  # [-]; directions closer to each other than some 6 degrees span no plane
 _LARGEST = 10.0  # [m]
 _LARGEST_RESIDUAL = 0.01  # [m]
@@ -149,7 +150,8 @@ def place_by_landmarks(path: Path, scale: float) -> Placement:
     sections = dict(document.sections("landmarks"))
     for section in sections.values():
         section.expect(("scan", "load_cell"))
-    scan = np.array([s.array("scan", (3,)) for s in sections.values()]).reshape(-1, 3) * scale
+    picked = [s.array("scan", (3,), limit=_LARGEST_SCAN) for s in sections.values()]
+    scan = np.array(picked).reshape(-1, 3) * scale
     known = [s.array("load_cell", (3,), limit=_LARGEST) for s in sections.values()]
     load_cell = np.array(known).reshape(-1, 3)
     try:
