@@ -19,7 +19,7 @@ from socket_testbed.live.scheduling import Lateness, measure_lateness
 _FRAMES = 1000
 _PULSES = 5
 _SERVER_WITHIN = 3.0  # [s]
-_READINGS = 6
+_READINGS, _MOST_READINGS = 6, 18
 _WATCHED = 1.0  # [s]; of the load cell's conversions
 _LOOK = 0.05  # [s]
 _PRIORITY = 10  # that is tried where none is set
@@ -118,8 +118,11 @@ def check_clusters(testbed: Testbed) -> Iterator[Finding]:
     reader = ClusterReader(settings, i2c_opener(settings))
     try:
         chips = reader.identify()
-        for _ in range(_READINGS):  # the first ones may find the range of an input
+        for count in range(_MOST_READINGS):
             faults = reader.read(clocks.monotonic()).faults
+            # The first ones may find the range of an input, and a busy machine reads some late.
+            if count + 1 >= _READINGS and not faults:
+                break
         for name, found in chips.items():
             if isinstance(found, DeviceError):
                 yield Finding(f"cluster {name}", found.fact, found.hint)

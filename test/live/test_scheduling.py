@@ -7,6 +7,7 @@ import subprocess
 import sys
 import threading
 from dataclasses import replace
+from types import SimpleNamespace
 
 import pytest
 from support import HANGS
@@ -132,3 +133,30 @@ def test_doctor_says_whether_it_is_enough_for_the_rate(
     # A simulated testbed runs as slowly as the machine needs.
     simulated = replace(simulated_testbed(rate=rate), settings=hardware.settings)
     assert [f.hint for f in doctor.check_scheduling(simulated)] == [""]
+
+
+@pytest.mark.parametrize(("late", "failed"), [(0, False), (12, False), (1000, True)])
+def test_doctor_reads_again_what_a_busy_machine_read_late(
+    monkeypatch: pytest.MonkeyPatch, late: int, failed: bool
+) -> None:
+    """A cluster that is broken stays so; one that was read late is fine the next time."""
+
+    class Reader:
+        readings = 0
+
+        def __init__(self, *_: object) -> None: ...
+
+        def identify(self) -> dict[str, str]:
+            return {"distal": "FDC1004"}
+
+        def read(self, moment: float) -> SimpleNamespace:
+            self.readings += 1
+            text = "read more than 0.05 s after the trigger: relieve the computer"
+            return SimpleNamespace(faults={"distal": text} if self.readings <= late else {})
+
+        def close(self) -> None: ...
+
+    monkeypatch.setattr(doctor, "ClusterReader", Reader)
+    monkeypatch.setattr(doctor, "i2c_opener", lambda settings: None)
+    (finding,) = doctor.check_clusters(simulated_testbed())
+    assert (finding.hint != "") == failed
