@@ -297,8 +297,8 @@ class Player:
             sensors={
                 "load cell": _missing(samples.wrench),
                 **{name: samples.status[:, i] for i, name in enumerate(samples.clusters)},
-                "motion capture, socket": _missing(measured.socket),
-                "motion capture, pylon": _missing(measured.pylon),
+                "socket pose": _missing(measured.socket),
+                "pylon pose": _missing(measured.pylon),
             },
         )
 
