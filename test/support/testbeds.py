@@ -19,7 +19,6 @@ from socket_testbed.live.bringup import Simulation, Testbed, end, simulated_test
 from socket_testbed.live.processes import Graph
 from socket_testbed.live.time_scale import SLOWEST, busy_note
 from socket_testbed.nodes.conversions import stamp_from_ros
-from socket_testbed.settings.testbed import ViewSettings
 from socket_testbed.simulation.trial import TRUTH_FILE
 from socket_testbed.simulation.world import World
 from socket_testbed.trials.bag import decode, stamp_of
@@ -73,9 +72,7 @@ class LiveTestbed:
         rate: float = _USUAL_RATE,
         simulation: Simulation = MOVING,
         one_process: bool = False,
-        view: ViewSettings | None = None,
     ) -> None:
-        self._view = view
         testbed = simulated_testbed(record, rate, manageable(simulation, rate))
         self.testbed: Testbed = dataclasses.replace(testbed, one_process=one_process)
         self.restarts: list[str] = []
@@ -90,8 +87,6 @@ class LiveTestbed:
         world = start(self.graph, self.testbed)
         assert isinstance(world, World)
         self.world = world
-        if self._view is not None:
-            self.graph.start("view_node", self._view)
         self._thread = threading.Thread(
             target=self.graph.watch, args=(self._ended.is_set, self.restarts.append)
         )

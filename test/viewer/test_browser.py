@@ -1,8 +1,7 @@
-"""The page in a real browser: what it shows, what its buttons do, and that it comes back."""
+"""The page in a real browser: what it shows, and that it comes back."""
 
 from __future__ import annotations
 
-import signal
 import socket
 from collections.abc import Iterator
 from http.server import BaseHTTPRequestHandler, HTTPServer
@@ -15,12 +14,9 @@ import pytest
 from playwright.sync_api import Browser
 from support.browser import CHROMIUM, Tab, open_browser
 from support.ring_socket import ring_socket
-from support.testbeds import LiveTestbed
 
 import socket_testbed as st
 from socket_testbed.identification.force_map import MapEstimate
-from socket_testbed.live.bringup import Simulation
-from socket_testbed.settings.testbed import ViewSettings
 from socket_testbed.viewer.page import Page
 from socket_testbed.viewer.server import PageServer
 from socket_testbed.viewer.source import Instant, SensorState
@@ -204,38 +200,4 @@ def test_a_trial_is_played_paused_and_sought(browser: Browser, hold: Path) -> No
         tab.page.keyboard.press("Space")
         tab.page.get_by_role("button", name="Play", exact=True).wait_for()
         assert not tab.errors
-        tab.close()
-
-
-@pytest.mark.graph
-def test_the_running_testbed_in_the_browser(browser: Browser) -> None:
-    """A fault in words, a button that tares, an estimator and a page that are killed."""
-    port = free_port()
-    unloaded = Simulation("static_hold", period=4000.0)
-    with LiveTestbed(rate=5.0, simulation=unloaded, view=ViewSettings(port=port)) as live:
-        live.wait_for("view_node", "OK")
-        tab = Tab(browser, f"http://localhost:{port}")
-        tab.reads("peak \\d+ ± .*")
-
-        live.switch("load_cell.unplugged", 1.0)
-        tab.reads("without wrench[^]*load cell[^]*spidev0.0")
-        live.switch("load_cell.unplugged", 0.0)
-        tab.reads("measured: wrench, ")
-
-        def size() -> float:
-            return float(np.abs(live.wrenches[-1].wrench.force.z))
-
-        live.probe.wait(lambda: size() > 50.0, "the weight of the pylon")
-        tab.press("Tare")
-        live.probe.wait(lambda: size() < 5.0, "a tared load cell")
-        tab.reads("tare: ")
-        assert not tab.errors
-
-        live.graph._members["estimator_node"].process.send_signal(signal.SIGSTOP)
-        tab.reads("no force map")
-        live.kill("estimator_node")
-        tab.reads("peak \\d+ ± ")
-
-        live.kill("view_node")
-        tab.reads("^(?![^]*tare: )[^]*peak \\d+ ± ")  # the outcome was the former page's
         tab.close()
