@@ -129,3 +129,14 @@ def test_every_class_that_derives_from_a_node_is_checked() -> None:
                 bases = {ast.unparse(base).partition("[")[0] for base in statement.bases}
                 if bases & {"Node", *checked}:
                     assert statement.name in checked
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda p: str(p.relative_to(PACKAGE)))
+def test_a_node_without_parameter_services_is_hidden(path: Path) -> None:
+    """`ros2 param list` would wait for it: a name that begins with _ is not listed."""
+    for call in ast.walk(ast.parse(path.read_text())):
+        if isinstance(call, ast.Call) and any(
+            word.arg == "start_parameter_services" and ast.unparse(word.value) == "False"
+            for word in call.keywords
+        ):
+            assert ast.unparse(call.args[0]).lstrip("f").strip("'\"").startswith("_")

@@ -28,7 +28,7 @@ class StatusListener:
         self._status = status
         rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)  # Ctrl-C is the verb's
         self._node = Node(
-            "status_listener",
+            "_status_listener",
             namespace=namespace,
             start_parameter_services=False,
             enable_rosout=False,

@@ -257,7 +257,7 @@ class _Inbox:
 
     def __init__(self, node: TestbedNode[Any]) -> None:
         self._node = Node(
-            f"{node.get_name()}_inbox",
+            f"_{node.get_name()}_inbox",
             namespace=node.get_namespace(),
             context=node.context,
             start_parameter_services=False,
