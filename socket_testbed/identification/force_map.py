@@ -293,6 +293,7 @@ class ForceMap:
         self._normals = geometry.rotations[:, :, 2]
         self._complete = _condition(geometry, clusters, self._settings)
         self._patterns: dict[bytes, _Conditioned] = {}
+        self._drawn: dict[int, tuple[FloatArray, ...]] = {}  # by their number
 
     def estimate(self, samples: Samples, bed: ContactModel | None = None) -> MapEstimate:
         """The map at every sample.
@@ -346,12 +347,13 @@ class ForceMap:
             Indices of some of the samples, shape (k,), and the forces in the tiles' frames, shape
             (k, D, n, 3) [N], until every sample has come once, in whatever order.
         """
-        half = count // 2
-        rng = np.random.default_rng(0)
         settings = _draw(self._settings)
-        priors, errors = self._prior_draws(settings, half, rng)
-        levels = _levels(half)
-        chosen, amplitude = rng.permuted(np.tile(levels, (2, 1)), axis=1)
+        if count not in self._drawn:  # the same in all samples, and long to draw
+            rng = np.random.default_rng(0)
+            drawn = self._prior_draws(settings, count // 2, rng)
+            levels = rng.permuted(np.tile(_levels(count // 2), (2, 1)), axis=1)
+            self._drawn = {count: (*drawn, *levels)}
+        priors, errors, chosen, amplitude = self._drawn[count]
         values, present = _channels(samples.wrench, samples.local_forces, samples.status)
         tiles = len(self._areas)
         chunk = max(1, _MOST_DRAWN // (count * tiles * 3))

@@ -1,7 +1,8 @@
 """View node: serves the page on which the running testbed is seen in a browser.
 
 Subscribes, while a browser is open: estimate/force_map, load_cell/wrench, estimate/wrench,
-mocap/socket/pose, mocap/pylon/pose. Always: /diagnostics, recorder/trial. Publishes: /diagnostics.
+mocap/socket/pose, mocap/pylon/pose, clusters/stress. Always: /diagnostics, recorder/trial.
+Publishes: /diagnostics.
 
 No executor serves the subscriptions of the page: the thread that draws takes the newest messages
 when it needs them. At 100 Hz most of them are never decoded.
@@ -15,10 +16,13 @@ from typing import Any
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
+from rcl_interfaces.srv import GetParameters
 from rclpy.node import Node
+from rclpy.parameter import parameter_value_to_python
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message
 from rclpy.subscription import Subscription
+from rclpy.task import Future
 from socket_testbed_msgs.msg import ForceMap
 from std_msgs.msg import String
 
@@ -32,11 +36,12 @@ from socket_testbed.nodes.base import ELAPSED, FREE, OK, TestbedNode, message_ty
 from socket_testbed.nodes.conversions import (
     pose_from_ros,
     stamp_from_ros,
+    stress_from_ros,
     vectors_from_ros,
     wrench_from_ros,
 )
 from socket_testbed.nodes.service_controls import ServiceControls
-from socket_testbed.settings.testbed import ViewSettings
+from socket_testbed.settings.testbed import EstimatorSettings, ViewSettings
 from socket_testbed.trials.topics import (
     DIAGNOSTICS,
     ESTIMATED_WRENCH,
@@ -44,9 +49,11 @@ from socket_testbed.trials.topics import (
     PYLON_POSE,
     RECORDED_TRIAL,
     SOCKET_POSE,
+    STRESS,
     WRENCH,
     Topic,
 )
+from socket_testbed.viewer.live_regions import LiveRegions
 from socket_testbed.viewer.page import Page
 from socket_testbed.viewer.server import PageServer
 from socket_testbed.viewer.source import HISTORY, Controls, Instant, RegionsNow, SensorState
@@ -54,6 +61,8 @@ from socket_testbed.viewer.source import Recording as RecordingNow
 
 _OLD = 2.0  # [s]; what came longer ago is not shown as if it were now
 _DEPTHS = {FORCE_MAP: 1, SOCKET_POSE: 1, PYLON_POSE: 1, WRENCH: 50, ESTIMATED_WRENCH: 50}
+_REGIONS_EVERY = 1.0  # [s] at least between joint draws
+_ESTIMATOR = "estimator_node/get_parameters"
 _COUNTS = ("samples", "triggers", "messages", "maps")  # among the figures of a node
 
 
@@ -109,6 +118,11 @@ class LiveSource:
         self._sensors: dict[str, tuple[DiagnosticArray, float]] = {}
         self._rates: dict[str, tuple[float, float, float]] = {}  # count, time [s], rate [Hz]
         self._trial = ("", 0.0)
+        self._regions = LiveRegions(geometry)
+        self._outputs: RegionsNow | None = None
+        self._next_outputs = -math.inf  # [s]
+        self._asked = False
+        self._estimator = node.create_client(GetParameters, _ESTIMATOR)
         node.listen(DIAGNOSTICS, self._on_diagnostics, needed=False)
         node.listen(RECORDED_TRIAL, self._on_trial, needed=False)
 
@@ -116,6 +130,7 @@ class LiveSource:
         """Subscribe while a browser is open."""
         if on:
             self._inbox = _Inbox(self._node)
+            self._asked = False
         elif self._inbox is not None:
             self._inbox.close()
             self._inbox = None
@@ -166,8 +181,37 @@ class LiveSource:
         return RecordingNow(trial, elapsed, float(figures[FREE]))
 
     def regions(self) -> RegionsNow | None:
-        """Nothing yet."""
-        return None
+        """The standard outputs of the newest sample."""
+        now = clocks.monotonic()
+        if now < self._next_outputs or self._inbox is None:
+            return self._outputs
+        self._next_outputs = now + _REGIONS_EVERY
+        self._ask_settings()
+        self._outputs = None
+        for message in self._inbox.take(STRESS):
+            stamp = stamp_from_ros(message.header.stamp)
+            row = self._rows.get(stamp)
+            wrench = np.full(6, np.nan) if row is None else row[:6]
+            at = 1e-9 * (stamp - self._first)
+            self._outputs = self._regions.outputs(at, wrench, stress_from_ros(message))
+        return self._outputs
+
+    def _ask_settings(self) -> None:
+        """Ask for the prior of the estimator, and for what it leaves out, once per browser."""
+        if self._asked or not self._estimator.service_is_ready():
+            return
+        self._asked = True
+        names = [n for n in EstimatorSettings.flat() if n.startswith("force_map.")]
+        names.append("identification.leave_out")
+
+        def take(answer: Future) -> None:
+            values = [parameter_value_to_python(value) for value in answer.result().values]
+            given = dict(zip(names, values, strict=True))
+            given["identification.leave_out"] = [n for n in given[names[-1]] or () if n]
+            self._regions.settings = EstimatorSettings.from_flat(given, _ESTIMATOR)
+
+        request = GetParameters.Request(names=names)
+        self._estimator.call_async(request).add_done_callback(take)
 
     def _take(self, inbox: _Inbox) -> bool:
         """Take what has come; returns whether it is anything."""
@@ -263,7 +307,7 @@ class _Inbox:
             start_parameter_services=False,
             use_global_arguments=False,
         )
-        self._subscriptions = {topic: self._subscribe(topic) for topic in _DEPTHS}
+        self._subscriptions = {topic: self._subscribe(topic) for topic in (*_DEPTHS, STRESS)}
 
     def close(self) -> None:
         """Unsubscribe."""
@@ -279,7 +323,7 @@ class _Inbox:
 
     def _subscribe(self, topic: Topic) -> Subscription:
         # Whoever publishes waits for no page: a message that is lost is not sent again.
-        qos = QoSProfile(depth=_DEPTHS[topic], reliability=ReliabilityPolicy.BEST_EFFORT)
+        qos = QoSProfile(depth=_DEPTHS.get(topic, 1), reliability=ReliabilityPolicy.BEST_EFFORT)
         return self._node.create_subscription(
             message_type(topic), topic.name, lambda data: None, qos, raw=True
         )
