@@ -33,6 +33,8 @@ _PLOTS_EVERY = 0.35  # [s]
 _SILENT = 3.0  # [s]; a sensor that reported longer ago is silent
 _SCARCE = 1e9  # [bytes] of free space
 _BINS = 150  # of a plot's time, each with its smallest and largest value
+_FILLS, _MARGIN = 0.3, 0.2  # [-]; of an axis by its values, and beside them
+_LEAST = 0.5  # [N m, N]; beside the values of an axis
 _NEWS = 2  # outcomes that are shown
 _GREEN, _AMBER, _RED, _GREY = "#2b8a3e", "#b35c00", "#c92a2a", "#6b7280"
 _MEASURED, _PREDICTED = "#1c5d99", "#e07b00"
@@ -155,7 +157,7 @@ def recording_html(recording: Recording | None) -> str:
         return ""
     minutes, seconds = divmod(int(recording.elapsed), 60)
     text = (
-        f'<b><span style="color:{_RED}">⏺</span> recording {escape(recording.trial)}</b>'
+        f'<b><span style="color:{_RED}">●</span> recording {escape(recording.trial)}</b>'
         f" {minutes}:{seconds:02d}"
         if recording.trial
         else "nothing is being recorded"
@@ -221,7 +223,7 @@ class _Plots:
                     _dots("measured", _MEASURED, 4.0),
                     _dots("predicted", _PREDICTED, 2.0),
                 ),
-                scales={"x": uplot.Scale(time=False)},
+                scales=_scales((0.0, 1.0)),
                 axes=(
                     uplot.Axis(show=channel == _CHANNELS[-1], size=22, font=font, gap=2),
                     uplot.Axis(
@@ -241,6 +243,7 @@ class _Plots:
             )
             for channel in _CHANNELS
         ]
+        self._ranges = [(0.0, 0.0)] * len(_CHANNELS)
         self._end = math.nan
 
     def update(self, at: FloatArray, measured: FloatArray, predicted: FloatArray) -> None:
@@ -250,8 +253,35 @@ class _Plots:
             return
         self._end = end
         shown, values = thinned(at, np.hstack([measured, predicted]))
-        for plot, row in zip(self._plots, _ROWS, strict=True):
-            plot.data = (shown, values[:, row], values[:, row + 6])
+        for number, (plot, row) in enumerate(zip(self._plots, _ROWS, strict=True)):
+            pair = values[:, [row, row + 6]]
+            span = fitting(pair, self._ranges[number])
+            if span != self._ranges[number]:
+                self._ranges[number] = span
+                plot.scales = _scales(span)
+            plot.data = (shown, *pair.T)
+
+
+def _scales(span: tuple[float, float]) -> dict[str, uplot.Scale]:
+    # uPlot finds no range of its own where the first value is missing.
+    return {"x": uplot.Scale(time=False), "y": uplot.Scale(range=span)}
+
+
+def fitting(values: FloatArray, span: tuple[float, float]) -> tuple[float, float]:
+    """The range of an axis: the one that it has, while the values fit and fill it.
+
+    Args:
+        values: The values; NaN where missing.
+        span: The range as it is.
+    """
+    known = values[np.isfinite(values)]
+    if not len(known):
+        return span
+    low, high = float(known.min()), float(known.max())
+    if span[0] <= low and high <= span[1] and high - low >= _FILLS * (span[1] - span[0]):
+        return span
+    margin = max(_MARGIN * (high - low), _LEAST)
+    return low - margin, high + margin
 
 
 def _dots(label: str, colour: str, size: float) -> uplot.Series:

@@ -24,6 +24,7 @@ from socket_testbed.trials.trial import Trial
 from socket_testbed.viewer.live_regions import LiveRegions
 from socket_testbed.viewer.panel import (
     Panel,
+    fitting,
     recording_html,
     regions_html,
     sensors_html,
@@ -254,6 +255,16 @@ def test_thinned_plots_keep_extremes_gaps_and_what_is_little() -> None:
     assert same.mean() > 0.99
     few = thinned(at[:200], values[:200])
     assert few[0] is not None and len(few[0]) == 200
+
+
+def test_an_axis_keeps_its_range_while_values_fit_and_fill_it() -> None:
+    span = fitting(np.array([[np.nan, 10.0], [30.0, np.nan]]), (0.0, 0.0))
+    assert span[0] < 10.0 and span[1] > 30.0
+    assert fitting(np.array([12.0, 29.0, np.nan]), span) == span
+    assert fitting(np.full((4, 2), np.nan), span) == span
+    low, high = fitting(np.array([20.0, 21.0]), span)
+    assert span[0] < low < 20.0 and 21.0 < high < span[1]
+    assert fitting(np.array([5.0]), (low, high))[0] < 5.0
 
 
 @pytest.fixture(scope="module")
