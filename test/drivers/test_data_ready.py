@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from gpiod.line import Clock, Direction, Edge
 
+from socket_testbed import clocks
 from socket_testbed.drivers import gpio
 from socket_testbed.drivers.load_cell.ads131m0x import Ads131m0x
 from socket_testbed.drivers.load_cell.load_cell import LoadCell
@@ -23,6 +24,12 @@ SETTINGS = LoadCellSettings(
 )
 SPEED = np.array([2.0, -1.6, 1.2, 40.0, -20.0, 180.0])  # [N m/s, N/s]
 FAULTS = {"flipped_bits": 0.05, "unplugged": 1.0, "frozen": 1.0, "brown_out": 0.07}
+
+
+@pytest.fixture
+def hardware(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Hardware keeps to real time, however slow this machine is."""
+    monkeypatch.setattr(clocks, "_scale", 1.0)
 
 
 class Bench:
@@ -122,6 +129,7 @@ def test_a_wire_that_is_off_is_named() -> None:
     assert bench.cell.health(bench.now)[0] == 0
 
 
+@pytest.mark.usefixtures("hardware")
 def test_the_line_is_asked_for_falling_edges_on_the_steady_clock(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -149,6 +157,7 @@ def test_the_line_is_asked_for_falling_edges_on_the_steady_clock(
     assert asked["released"]
 
 
+@pytest.mark.usefixtures("hardware")
 def test_a_chip_that_is_not_there_names_the_load_cell_s_settings(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -157,6 +166,7 @@ def test_a_chip_that_is_not_there_names_the_load_cell_s_settings(
         make_load_cell(SETTINGS)._reader._open_line()
 
 
+@pytest.mark.usefixtures("hardware")
 def test_without_a_line_there_is_none() -> None:
     cell = make_load_cell(dataclasses.replace(SETTINGS, data_ready_line=-1))
     assert cell._reader._open_line is None
