@@ -35,6 +35,7 @@ from socket_testbed.drivers.load_cell.load_cell import Tare
 from socket_testbed.errors import ConfigurationError, ScanError, TestbedError, TrialError
 from socket_testbed.files import Section, packaged, read_document
 from socket_testbed.geometry.socket import (
+    ScanFrame,
     SocketGeometry,
     read_socket,
     socket_from_section,
@@ -122,7 +123,7 @@ def used(stored: StoredModel) -> tuple[StoredModel, np.ndarray, np.ndarray]:
 
 
 READERS = {
-    "socket": Reader("socket.yaml", "yaml", read_socket, 500, missing=True),
+    "socket": Reader("socket.yaml", "yaml", read_socket, 350),
     "calibration": Reader("calibration.yaml", "yaml", calibrated, 500, missing=True),
     "testbed": Reader("testbed.yaml", "yaml", read_testbed, 400),
     "clusters": Reader("clusters.yaml", "yaml", read_cluster_places, 300, missing=True),
@@ -134,11 +135,11 @@ READERS = {
     "tare": Reader("tare.json", "yaml", lambda path: Tare(str(path)).offsets, 300),
     "model": Reader("model.json", "json", lambda path: used(read_model(path)), 400, missing=True),
     "record": Reader("record.json", "json", _read_record, 200, missing=True, exact=False),
-    "bench": Reader("bench.csv", "text", lambda path: read_bench(path, {}, {}), 300),
+    "bench": Reader("bench.csv", "text", lambda path: read_bench(path, {}, {}), 300, missing=True),
     "unloaded": Reader("bench.csv", "text", lambda path: read_unloaded(path, {}, {}), 200),
     "take": Reader("take.csv", "text", read_motive_csv, 400, missing=True),
     "stl": Reader("scan.stl", "binary", read_scan, 200),
-    "text stl": Reader("text/scan.stl", "text", read_scan, 200),
+    "text stl": Reader("text/scan.stl", "text", read_scan, 120),
     "ply": Reader("scan.ply", "binary", read_scan, 200),
     "text ply": Reader("text/scan.ply", "text", read_scan, 200),
     "obj": Reader("scan.obj", "text", read_scan, 200),
@@ -146,17 +147,17 @@ READERS = {
         "bag/bag.mcap",
         "binary",
         lambda path: sampled(path.parent),
-        200,
+        120,
         missing=True,
         protected=True,
     ),
-    "mcap alone": Reader("bag/bag.mcap", "binary", sampled, 200, missing=True, protected=True),
+    "mcap alone": Reader("bag/bag.mcap", "binary", sampled, 150, missing=True, protected=True),
     "sqlite": Reader("old/old.db3", "binary", lambda path: sampled(path.parent), 200, missing=True),
     "metadata.yaml": Reader(
         "bag/metadata.yaml",
         "yaml",
         lambda path: sampled(path.parent),
-        200,
+        120,
         missing=True,
         exact=False,
         protected=True,
@@ -178,7 +179,8 @@ def good(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("good")
     rng = np.random.default_rng(0)
     geometry = random_socket(rng)
-    write_socket(geometry, folder / "socket.yaml")
+    scan = ScanFrame(1e-3, random_pose(rng))
+    write_socket(dataclasses.replace(geometry, scan=scan), folder / "socket.yaml")
     shutil.copy(packaged("config", "calibration.yaml"), folder / "calibration.yaml")
     write_testbed(TestbedSettings().nodes(), folder / "testbed.yaml")
     write_metadata(TrialMetadata(subject="S01", side="left", mass=81.5), folder / "trial.yaml")
