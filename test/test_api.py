@@ -122,8 +122,9 @@ def test_simulate_and_tile_are_those_of_the_verbs(folder, tmp_path, monkeypatch)
     pd.testing.assert_frame_equal(st.open_trial("hold").samples().to_dataframe(), same)
 
     settings = TilingSettings(edge=0.05, flatness=0.015, rounds=0)
-    assert st.tile(folder / "scan.stl", "api.yaml", settings=settings).facts()
-    words = ["--size", 50, "--flatness", 15, "--rounds", 0]
+    Path("none.yaml").write_text("clusters: {}\n")  # tiles so large leave no usual places
+    assert st.tile(folder / "scan.stl", "api.yaml", clusters="none.yaml", settings=settings).facts()
+    words = ["--size", 50, "--flatness", 15, "--rounds", 0, "--clusters", "none.yaml"]
     verb("tile", folder / "scan.stl", "-o", "verb.yaml", *words)
     assert Path("api.yaml").read_bytes() == Path("verb.yaml").read_bytes()
 
