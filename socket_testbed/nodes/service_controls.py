@@ -103,7 +103,9 @@ class ServiceControls:
 
     def stop_recording(self) -> str:
         """Close the trial that is being recorded."""
-        return self._ask("recorder/record", SetBool.Request(data=False))
+        said = self._ask("recorder/record", SetBool.Request(data=False))
+        self._trial = ""  # the recorder's own word of it may come later
+        return said
 
     def event(self, label: str) -> str:
         """Mark an event with the time of this call, as the verb `mark` does."""
@@ -132,7 +134,10 @@ class ServiceControls:
         within = clocks.real(_FITS_WITHIN if name == "estimator/fit" else _ANSWERS_WITHIN)
         client, (_, offered_by) = self._clients[name], _SERVICES[name]
         if not _wait(client.service_is_ready, _FOUND_WITHIN):
-            raise TestbedError(f"nobody offers {name}", f"check that {offered_by} runs")
+            hint = f"check that {offered_by} runs"
+            if offered_by == "recorder_node":
+                hint = "start 'run' with --record DIR, or 'record DIR' beside it"
+            raise TestbedError(f"nobody offers {name}", hint)
         future = client.call_async(request)
         if not _wait(future.done, within):
             client.remove_pending_request(future)

@@ -4,6 +4,7 @@ import threading
 from collections.abc import Iterator
 
 import pytest
+import rclpy
 from support import HANGS
 from support.graph import Probe
 from support.testbeds import LiveTestbed
@@ -95,6 +96,10 @@ def test_the_testbed_is_tared_and_its_trigger_switched(
 def test_what_does_not_answer_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(service_controls, "_FOUND_WITHIN", 0.1)
     with Probe() as probe:
-        alone = ServiceControls(probe.node)
+        nowhere = rclpy.create_node("page", namespace="/nowhere", context=probe.context)
+        alone = ServiceControls(nowhere)
         with pytest.raises(TestbedError, match="nobody offers load_cell/tare: check that load_"):
             alone.tare()
+        with pytest.raises(TestbedError, match="start 'run' with --record DIR, or 'record DIR'"):
+            alone.record("stairs", {})
+        nowhere.destroy_node()
