@@ -115,6 +115,12 @@ def since(arrivals: Arrivals, known: set[int]) -> np.ndarray:
     return np.array([(a - s) * 1e-6 for s, a in arrivals.by_stamp.copy().items() if s not in known])
 
 
+def percentiles(latencies: list[np.ndarray]) -> np.ndarray:
+    """Median and 99th percentile [ms]; NaN where a machine that is too busy let nothing arrive."""
+    found = np.concatenate(latencies)
+    return np.percentile(found, [50, 99]) if len(found) else np.full(2, np.nan)
+
+
 def measure(folder: Path, options: argparse.Namespace) -> dict[int, Phase]:
     """Run the testbed, with numbers of browsers in turn."""
     testbed = simulated_testbed(None, options.rate, Simulation("multi_direction", 60.0, 1))
@@ -176,8 +182,8 @@ def main() -> None:
         phases = measure(folder, options)
     print("browsers  core [%]  messages/s each | map p50   p99 [ms] | estimate p50   p99 [ms]")
     for count, phase in phases.items():
-        m50, m99 = np.percentile(np.concatenate(phase.maps), [50, 99])
-        e50, e99 = np.percentile(np.concatenate(phase.estimates), [50, 99])
+        m50, m99 = percentiles(phase.maps)
+        e50, e99 = percentiles(phase.estimates)
         print(
             f"{count:8}  {100 * np.median(phase.shares):8.1f}  {np.median(phase.windows):15.1f}"
             f" | {m50:7.1f}  {m99:4.1f}      | {e50:12.1f}  {e99:4.1f}"
