@@ -1,6 +1,7 @@
 """The verb `tile`, through the command line."""
 
 import dataclasses
+import re
 from pathlib import Path
 
 import numpy as np
@@ -221,8 +222,8 @@ BAD: dict[str, tuple[bytes | trimesh.Trimesh | None, tuple[str, ...], str]] = {
 @pytest.mark.parametrize(
     ("shape", "message"),
     [
-        ({"closed": False}, "distal 15 mm above the distal end)"),
-        ({"hole": 0.008}, "distal beside a hole of 7 mm around the axis)"),
+        ({"closed": False}, r"\bdistal 1\d mm above the distal end"),
+        ({"hole": 0.008}, "distal beside a hole of 7 mm around the axis"),
     ],
     ids=["open", "hole"],
 )
@@ -232,7 +233,7 @@ def test_usual_places_that_a_socket_lacks_are_listed(
     scan = meshes.write_stl(meshes.open_cone(0.05, 0.06, 0.13, 0.008, **shape), tmp_path / "s.stl")
     words = ("-o", tmp_path / "socket.yaml", "--rounds", 0, "--proximal=+z", "--anterior=+x")
     code, _, err = call(capsys, "tile", scan, *words)
-    assert code == 1 and message in err and "--clusters" in err
+    assert code == 1 and re.search(message, err) and "--clusters" in err, err
     assert not (tmp_path / "socket.yaml").exists()
 
 
