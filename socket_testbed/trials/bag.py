@@ -400,7 +400,7 @@ def _refuse_other_tables(file: Path) -> None:
     try:
         with closing(sqlite3.connect(f"{file.absolute().as_uri()}?immutable=1", uri=True)) as base:
             kinds = dict(base.execute("SELECT name, type FROM sqlite_master"))
-    except sqlite3.Error as error:
+    except (sqlite3.Error, ValueError) as error:  # a name may be no UTF-8
         raise _damaged(file, error) from None
     if any(kinds.get(name) != "table" for name in ("topics", "messages")):
         raise _damaged(file, ValueError("it has no tables 'topics' and 'messages'"))
