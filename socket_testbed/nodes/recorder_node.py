@@ -139,17 +139,24 @@ class RecorderNode(TestbedNode[RecorderSettings]):
         return shutil.disk_usage(next(p for p in (place, *place.parents) if p.exists())).free
 
     def _on_record(self, wanted: bool) -> str:
+        given = self.settings.next
         if wanted and self._bag is None:
-            given = self.settings.next
             stated = change_metadata(self._stated, _metadata_of(given).stated())
             self._start(self._next_path(given.name), stated)
-            blank = NextTrialSettings().to_flat("next.")
-            self.set_parameters([Parameter(name, value=value) for name, value in blank.items()])
+            self._forget_next()
+        elif wanted and self._path is not None and given != NextTrialSettings():
+            self._forget_next()  # they were for this request
+            raise ConfigurationError(f"{self._path.name} is being recorded", "stop it first")
         elif not wanted:
             self._finish()
         if self._path is None:
             return "nothing was being recorded"
         return f"{'recording' if self._bag else 'recorded'} {self._path}"
+
+    def _forget_next(self) -> None:
+        """The name and the metadata of the next trial are for one trial."""
+        blank = NextTrialSettings().to_flat("next.")
+        self.set_parameters([Parameter(name, value=value) for name, value in blank.items()])
 
     def _next_path(self, name: str) -> Path:
         """Where a requested recording goes: into the folder, or beside it if it is a trial."""

@@ -10,16 +10,13 @@ from typing import Any
 from rcl_interfaces.srv import SetParametersAtomically
 from rclpy.node import Node
 from rclpy.parameter import Parameter
-from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 
 from socket_testbed import clocks
 from socket_testbed.errors import ConfigurationError, TestbedError
-from socket_testbed.nodes.base import subscriber_qos
 from socket_testbed.nodes.event_marker import EventMarker
 from socket_testbed.settings.testbed import NextTrialSettings
 from socket_testbed.trials.events import check_label
-from socket_testbed.trials.topics import RECORDED_TRIAL
 
 _FOUND_WITHIN = 3.0  # [s]; for a service to be found
 _ANSWERS_WITHIN = 5.0  # [s] of the testbed; a tare averages one
@@ -54,10 +51,6 @@ class ServiceControls:
             name: node.create_client(kind, name) for name, (kind, _) in _SERVICES.items()
         }
         self._marking, self._recording = threading.Lock(), threading.Lock()
-        self._trial = ""
-        node.create_subscription(
-            String, RECORDED_TRIAL.name, self._on_trial, subscriber_qos(RECORDED_TRIAL)
-        )
 
     def tare(self) -> str:
         """Take the present wrench as zero."""
@@ -94,8 +87,6 @@ class ServiceControls:
             ]
         )
         with self._recording:  # what one browser sets is not for the trial of another
-            if self._trial:
-                raise TestbedError(f"{self._trial} is being recorded", "stop it first")
             result = self._call("recorder_node/set_parameters_atomically", request).result
             if not result.successful:
                 raise _refusal(result.reason)
@@ -103,9 +94,7 @@ class ServiceControls:
 
     def stop_recording(self) -> str:
         """Close the trial that is being recorded."""
-        said = self._ask("recorder/record", SetBool.Request(data=False))
-        self._trial = ""  # the recorder's own word of it may come later
-        return said
+        return self._ask("recorder/record", SetBool.Request(data=False))
 
     def event(self, label: str) -> str:
         """Mark an event with the time of this call, as the verb `mark` does."""
@@ -119,9 +108,6 @@ class ServiceControls:
                 marker.close()
         where = f" in the trial {marked.trial}" if marked.trial else ""
         return "; ".join([f"marked '{label}'{where}", *marked.notes()])
-
-    def _on_trial(self, message: String) -> None:
-        self._trial = message.data
 
     def _ask(self, name: str, request: Any) -> str:
         """Call a service that answers whether it did, and what it did or why not."""
