@@ -250,7 +250,9 @@ def test_a_fit_is_never_silently_of_wrong_values(folder, tmp_path) -> None:
     assert "Fz is" in refusal and "millinewtons" in refusal
     _, _, refusal = spoilt(hold, tmp_path / "zero", scale_force(0.0))
     assert "exceeds 0 N" in refusal and "holds no load" in refusal
-    fitted, notes, _ = spoilt(hold, tmp_path / "spike", scale_force(1e7, only=100))
+    _, notes, _ = spoilt(hold, tmp_path / "impossible", scale_force(1e7, only=100))
+    assert any("beyond 1e+06, which count as missing" in note for note in notes)
+    fitted, notes, _ = spoilt(hold, tmp_path / "spike", scale_force(1e3, only=100))
     (note,) = [note for note in notes if note.startswith("Fz")]
     assert "an outlier (-2.7" in note and "at 25.00 s" in note
     assert fitted is not None and fitted.fit.errors[5].rmse < 50.0
