@@ -84,5 +84,6 @@ def require_viewer() -> None:
     """
     if find_spec("viser") is None:
         raise ConfigurationError(
-            "viser, which serves the page, is not installed", "pip install 'socket_testbed[view]'"
+            "viser, which serves the page, is not installed",
+            "run 'pip install -r requirements/view.txt'",
         )
