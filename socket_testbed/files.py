@@ -445,8 +445,12 @@ def load_yaml(path: Path) -> Any:
         raise ConfigurationError(f"{path}: {problem}{line}", "correct the YAML there") from None
 
 
-def read_text(path: Path) -> str:
+def read_text(path: Path, kind: str = "a file") -> str:
     """Read a document of UTF-8 text.
+
+    Args:
+        path: The file.
+        kind: What it is, for an error, such as `a model`.
 
     Raises:
         ConfigurationError: If the file is missing, unreadable, too large or no such text.
@@ -455,7 +459,8 @@ def read_text(path: Path) -> str:
         with path.open("rb") as stream:
             content = stream.read(_LARGEST_DOCUMENT + 1)
     except FileNotFoundError:
-        raise ConfigurationError(f"{path}: no such file", "check the path") from None
+        missing = f"no such {kind.removeprefix('a ')}"
+        raise ConfigurationError(f"{path}: {missing}", "check the path") from None
     except (OSError, ValueError) as error:
         raise ConfigurationError(
             f"{path}: cannot be read ({getattr(error, 'strerror', None) or error})",
@@ -468,7 +473,8 @@ def read_text(path: Path) -> str:
     try:
         return content.decode("utf-8-sig")
     except UnicodeDecodeError:
-        raise ConfigurationError(f"{path}: is not UTF-8 text", "save it as text in UTF-8") from None
+        what = "UTF-8 text" if kind == "a file" else f"{kind} (not UTF-8 text)"
+        raise ConfigurationError(f"{path}: is not {what}", "save it as text in UTF-8") from None
 
 
 def _refuse_bombs(text: str) -> None:
@@ -513,7 +519,7 @@ def load_json(path: Path, kind: str) -> Any:
     Raises:
         ConfigurationError: If the file is missing, unreadable, not JSON, too large or too deep.
     """
-    text = read_text(path)
+    text = read_text(path, kind)
     try:
         return json.loads(text, parse_float=decimal, parse_constant=decimal)
     except (RecursionError, ValueError) as error:
