@@ -48,7 +48,7 @@ def killed(tmp_path_factory: pytest.TempPathFactory) -> Killed:
             kill_seen = len(live.diagnostics)
             live.probe.wait(
                 lambda node=node, seen=kill_seen: any(
-                    s.name == node for m in live.diagnostics[seen:] for s in m.status
+                    s.name == f"/{node}" for m in live.diagnostics[seen:] for s in m.status
                 ),
                 f"{node} in the graph",
             )
