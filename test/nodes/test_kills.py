@@ -22,12 +22,14 @@ class Killed:
         second: The trial that the next recorder began.
         alone: Stamp until which the load-cell node alone had been killed [ns].
         newest: A stamp shortly before the recorder was killed [ns].
+        restarts: What was said about each node that was started again.
     """
 
     first: Recorded
     second: Recorded
     alone: int
     newest: int
+    restarts: list[str]
 
 
 @pytest.fixture(scope="module")
@@ -66,7 +68,7 @@ def killed(tmp_path_factory: pytest.TempPathFactory) -> Killed:
             "data in the second trial",
         )
         live.wait_for_triggers(60)
-    return Killed(Recorded(path), Recorded(second, path), alone, newest)
+    return Killed(Recorded(path), Recorded(second, path), alone, newest, live.restarts)
 
 
 def test_any_node_may_be_killed_and_comes_back(killed: Killed) -> None:
@@ -81,8 +83,10 @@ def test_no_value_is_wrong_whichever_node_was_killed(killed: Killed) -> None:
 
 
 def test_the_others_lose_nothing_when_one_is_killed(killed: Killed) -> None:
+    assert killed.restarts[0].startswith("load_cell_node")
     lacking = killed.first.lacking(until=killed.alone)
-    assert lacking.pop(WRENCH.name) > 0
+    # In a slow testbed it may be back before the next trigger.
+    lacking.pop(WRENCH.name)
     assert lacking == dict.fromkeys(lacking, 0)
 
 
