@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
-import sys
 import time
 from pathlib import Path
 
@@ -21,6 +20,7 @@ from socket_testbed.commands.options import (
     metadata_of,
 )
 from socket_testbed.commands.status_line import StatusLine
+from socket_testbed.commands.text import say
 from socket_testbed.errors import ConfigurationError
 from socket_testbed.files import check_new_folder, check_number, make_folder
 from socket_testbed.geometry.socket import read_socket
@@ -130,7 +130,7 @@ def _time_scale(text: str) -> float:
     if text == "auto":
         scale = measure_speed().time_scale()
         if note := busy_note(scale):
-            _say(note)
+            say(note)
         return scale
     try:
         scale = check_number(float(text), "--time-scale", 0.01, 1.0)
@@ -139,12 +139,8 @@ def _time_scale(text: str) -> float:
             f"--time-scale: '{text}' is not a number", "give a number up to 1, or auto"
         ) from None
     if scale != 1.0:
-        _say(f"the simulated testbed runs at {pace(scale)}")
+        say(f"the simulated testbed runs at {pace(scale)}")
     return scale
-
-
-def _say(line: str) -> None:
-    print(line, file=sys.stderr, flush=True)
 
 
 def _testbed(options: argparse.Namespace, simulation: Simulation | None) -> Testbed:

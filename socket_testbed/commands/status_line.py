@@ -20,6 +20,7 @@ from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Self
 
+from socket_testbed.commands.text import say
 from socket_testbed.live.graph_status import GraphStatus
 from socket_testbed.trials.topics import full_namespace
 
@@ -111,7 +112,7 @@ class StatusLine:
             self._write(f"\r{_CLEAR}{line}\n")
             self._draw()
         else:
-            print(line, file=sys.stderr, flush=True)
+            say(line)
 
     def renew(self) -> None:
         """Print what the nodes have said meanwhile, and the status when it is due."""

@@ -47,6 +47,11 @@ def metadata_table(metadata: TrialMetadata) -> str:
     return table(["metadata", "value"], rows) if rows else "no metadata: 'annotate' states them"
 
 
+def say(line: str) -> None:
+    """Print a line of what happens on standard error."""
+    print(line, file=sys.stderr, flush=True)
+
+
 class Progress:
     """A line on standard error with the progress of long work.
 

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import argparse
 import math
-import sys
 import time
 from contextlib import suppress
 from pathlib import Path
 
 from socket_testbed import api
 from socket_testbed.commands.options import add_trial, trial_of
+from socket_testbed.commands.text import say
 from socket_testbed.errors import ConfigurationError
 from socket_testbed.files import check_number
 from socket_testbed.live.processes import Graph
@@ -101,7 +101,7 @@ def _play(options: argparse.Namespace, ends: float) -> None:
         raise ConfigurationError("--namespace is for the running testbed", "leave out the trial")
     page = api.view(trial_of(options), options.model, port=options.port, host=options.host)
     with page, suppress(KeyboardInterrupt):
-        _say(f"the trial is seen at {page.url}; Ctrl-C ends it")
+        say(f"the trial is seen at {page.url}; Ctrl-C ends it")
         while time.monotonic() < ends:
             time.sleep(_LOOK)
 
@@ -115,10 +115,6 @@ def _follow(options: argparse.Namespace, ends: float) -> None:
     with Graph() as graph:
         namespace = (options.namespace or "/").strip("/")
         graph.start("view_node", settings, namespace=f"/{namespace}")
-        _say("Ctrl-C ends it")
+        say("Ctrl-C ends it")
         with suppress(KeyboardInterrupt):
-            graph.watch(lambda: time.monotonic() >= ends, _say)
-
-
-def _say(line: str) -> None:
-    print(line, file=sys.stderr, flush=True)
+            graph.watch(lambda: time.monotonic() >= ends, say)

@@ -84,6 +84,33 @@ def message_type(topic: Topic) -> Any:
     return getattr(import_module(f"{package}.{kind}"), name)
 
 
+class PolledSubscription:
+    """A subscription that no executor serves: what has come is taken on request.
+
+    Args:
+        node: The node that subscribes.
+        topic: What is subscribed to.
+        qos: Its depth is how many messages are kept.
+
+    Attributes:
+        kind: Class of the messages.
+    """
+
+    def __init__(self, node: Node, topic: Topic, qos: QoSProfile) -> None:
+        self.kind = message_type(topic)
+        self._subscription = node.create_subscription(
+            self.kind, topic.name, lambda data: None, qos, raw=True
+        )
+
+    def take(self) -> list[bytes]:
+        """The serialised messages that have come since the last call, in their order."""
+        found, handle = [], self._subscription.handle
+        with handle:
+            while taken := handle.take_message(self.kind, True):
+                found.append(taken[0])
+        return found
+
+
 class RecentFault:
     """The last fault that a node's thread saw."""
 

@@ -16,6 +16,7 @@ from socket_testbed_msgs.msg import ContactModel, ForceMap, LocalForceArray
 from socket_testbed.arrays import FloatArray
 from socket_testbed.nodes.base import NEWEST_STAMP, TestbedNode, spin
 from socket_testbed.nodes.conversions import stamp_from_ros, vectors_from_ros, wrench_from_ros
+from socket_testbed.nodes.estimate_messages import map_from_ros
 from socket_testbed.settings.fields import Settings
 from socket_testbed.trials.topics import (
     ESTIMATED_WRENCH,
@@ -100,11 +101,10 @@ class EstimateListener:
         self.forces[stamp_from_ros(message.header.stamp)] = vectors_from_ros(message.forces)
 
     def _on_map(self, message: ForceMap) -> None:
-        vectors = (message.forces, message.standard_deviations)
-        stamp = stamp_from_ros(message.header.stamp)
-        self.maps[stamp] = np.array([vectors_from_ros(v) for v in vectors])
-        self.pressure[stamp] = np.array(
-            [message.normal_pressure, message.normal_pressure_standard_deviation]
+        stamp, found = stamp_from_ros(message.header.stamp), map_from_ros(message)
+        self.maps[stamp] = np.concatenate([found.forces, found.standard_deviations])
+        self.pressure[stamp] = np.concatenate(
+            [found.normal_pressure, found.normal_pressure_standard_deviation]
         )
 
     def _on_model(self, message: ContactModel) -> None:

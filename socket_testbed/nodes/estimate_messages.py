@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 from geometry_msgs.msg import Point, Vector3
@@ -23,6 +24,7 @@ from socket_testbed.nodes.conversions import (
     point_to_ros,
     quaternion_to_ros,
     vector_to_ros,
+    vectors_from_ros,
     wrench_to_ros,
 )
 
@@ -102,6 +104,23 @@ class ForceMapMessage:
         message.shear_standard_deviation = estimate.shear_standard_deviation[0].tolist()
         message.source = estimate.source
         return message
+
+
+def map_from_ros(message: ForceMap) -> MapEstimate:
+    """The force map of a message, with N = 1."""
+
+    def row(values: Any) -> FloatArray:
+        return np.array(values, dtype=np.float64)[None]
+
+    return MapEstimate(
+        vectors_from_ros(message.forces)[None],
+        vectors_from_ros(message.standard_deviations)[None],
+        row(message.normal_pressure),
+        row(message.normal_pressure_standard_deviation),
+        row(message.shear),
+        row(message.shear_standard_deviation),
+        message.source,
+    )
 
 
 def _fill(vectors: list[Vector3], values: FloatArray) -> None:

@@ -74,13 +74,12 @@ class FrameBroadcaster:
             return
         transforms = []
         for topic, message in poses.items():
-            vector = pose_from_ros(message.pose)
-            if not np.isfinite(vector).all():
+            pose = known_pose(message)
+            if pose is None:
                 continue
             name, in_body = self._bodies[topic]
-            pose = Pose.from_quaternion(vector[:3], vector[3:]) @ in_body
             stamp = stamp_from_ros(message.header.stamp)
-            transforms.append(_transform(stamp, WORLD_FRAME, name, pose))
+            transforms.append(_transform(stamp, WORLD_FRAME, name, pose @ in_body))
         if transforms:
             self._send(transforms)
 
@@ -93,6 +92,12 @@ def fixed_frames(geometry: SocketGeometry) -> list[tuple[str, str, Pose]]:
         for name, tile in geometry.clusters.items()
     ]
     return [(SOCKET_FRAME, LOAD_CELL_FRAME, geometry.socket_body.inverse()), *clusters]
+
+
+def known_pose(message: PoseStamped) -> Pose | None:
+    """The pose of a body; None where the motion capture did not see it."""
+    vector = pose_from_ros(message.pose)
+    return Pose.from_quaternion(vector[:3], vector[3:]) if np.isfinite(vector).all() else None
 
 
 def _transform(stamp: int, parent: str, name: str, pose: Pose) -> TransformStamped:

@@ -12,7 +12,7 @@ from rclpy.signals import SignalHandlerOptions
 from std_srvs.srv import SetBool
 
 from socket_testbed.live.graph_status import WATCHED, GraphStatus
-from socket_testbed.nodes.base import message_type, subscriber_qos
+from socket_testbed.nodes.base import PolledSubscription, subscriber_qos
 
 
 class StatusListener:
@@ -34,19 +34,15 @@ class StatusListener:
             enable_rosout=False,
         )
         self._subscriptions = {
-            topic: self._node.create_subscription(
-                message_type(topic), topic.name, lambda data: None, subscriber_qos(topic), raw=True
-            )
-            for topic in WATCHED
+            topic: PolledSubscription(self._node, topic, subscriber_qos(topic)) for topic in WATCHED
         }
         self._pause = self._node.create_client(SetBool, pause) if pause else None
 
     def take(self) -> None:
         """Take what has come since the last call."""
         for topic, subscription in self._subscriptions.items():
-            with subscription.handle:
-                while taken := subscription.handle.take_message(subscription.msg_type, True):
-                    self._status.add(topic, taken[0])
+            for data in subscription.take():
+                self._status.add(topic, data)
 
     def set_paused(self, paused: bool) -> bool:
         """Pause the replay or let it go on; returns whether it was there to be asked."""

@@ -21,9 +21,7 @@ from rclpy.node import Node
 from rclpy.parameter import parameter_value_to_python
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message
-from rclpy.subscription import Subscription
 from rclpy.task import Future
-from socket_testbed_msgs.msg import ForceMap
 from std_msgs.msg import String
 
 from socket_testbed import clocks
@@ -32,14 +30,14 @@ from socket_testbed.files import packaged
 from socket_testbed.geometry.pose import Pose
 from socket_testbed.geometry.socket import SocketGeometry, read_socket
 from socket_testbed.identification.force_map import MapEstimate
-from socket_testbed.nodes.base import ELAPSED, FREE, OK, TestbedNode, message_type
+from socket_testbed.nodes.base import ELAPSED, FREE, OK, PolledSubscription, TestbedNode
 from socket_testbed.nodes.conversions import (
-    pose_from_ros,
     stamp_from_ros,
     stress_from_ros,
-    vectors_from_ros,
     wrench_from_ros,
 )
+from socket_testbed.nodes.estimate_messages import map_from_ros
+from socket_testbed.nodes.frames import known_pose
 from socket_testbed.nodes.service_controls import ServiceControls
 from socket_testbed.settings.testbed import EstimatorSettings, ViewSettings
 from socket_testbed.trials.topics import (
@@ -226,7 +224,7 @@ class LiveSource:
 
     def _add_row(self, topic: Topic, message: Any) -> None:
         stamp = stamp_from_ros(message.header.stamp)
-        if not self._rows or stamp < min(self._rows):  # a graph that was started again
+        if not self._rows or stamp < next(iter(self._rows)):  # a graph that was started again
             self._rows.clear()
             self._first = self._first if 0 < self._first <= stamp else stamp
         row = self._rows.setdefault(stamp, np.full(12, np.nan))
@@ -270,10 +268,7 @@ class LiveSource:
 
     def _pose(self, topic: Topic) -> Pose | None:
         message = self._recent(topic)
-        if message is None:
-            return None
-        values = pose_from_ros(message.pose)
-        return Pose.from_quaternion(values[:3], values[3:]) if np.isfinite(values).all() else None
+        return None if message is None else known_pose(message)
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         now = clocks.monotonic()
@@ -297,7 +292,7 @@ class LiveSource:
 
 
 class _Inbox:
-    """Subscriptions that no executor serves: what has come is taken on request."""
+    """Takes the messages that the page draws, decoded."""
 
     def __init__(self, node: TestbedNode[Any]) -> None:
         self._node = Node(
@@ -315,32 +310,10 @@ class _Inbox:
 
     def take(self, topic: Topic) -> list[Any]:
         """The messages that have come, in their order; at most as many as are kept."""
-        subscription, found = self._subscriptions[topic], []
-        with subscription.handle:
-            while taken := subscription.handle.take_message(subscription.msg_type, True):
-                found.append(deserialize_message(taken[0], subscription.msg_type))
-        return found
+        subscription = self._subscriptions[topic]
+        return [deserialize_message(data, subscription.kind) for data in subscription.take()]
 
-    def _subscribe(self, topic: Topic) -> Subscription:
+    def _subscribe(self, topic: Topic) -> PolledSubscription:
         # Whoever publishes waits for no page: a message that is lost is not sent again.
         qos = QoSProfile(depth=_DEPTHS.get(topic, 1), reliability=ReliabilityPolicy.BEST_EFFORT)
-        return self._node.create_subscription(
-            message_type(topic), topic.name, lambda data: None, qos, raw=True
-        )
-
-
-def map_from_ros(message: ForceMap) -> MapEstimate:
-    """The force map of a message, with N = 1."""
-
-    def row(values: Any) -> FloatArray:
-        return np.array(values, dtype=np.float64)[None]
-
-    return MapEstimate(
-        vectors_from_ros(message.forces)[None],
-        vectors_from_ros(message.standard_deviations)[None],
-        row(message.normal_pressure),
-        row(message.normal_pressure_standard_deviation),
-        row(message.shear),
-        row(message.shear_standard_deviation),
-        message.source,
-    )
+        return PolledSubscription(self._node, topic, qos)

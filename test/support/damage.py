@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import dataclasses
 import re
-from collections.abc import Callable, Iterator, Mapping
-from typing import Any
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import Any, TypeVar
 
 import numpy as np
 
 Rng = np.random.Generator
+T = TypeVar("T")
 
 DEEP = 3000  # levels; Python's own limit is 1000
 _LAUGHS = "".join(
@@ -90,14 +91,24 @@ _ENCODINGS = ("utf-16", "utf-16-be", "utf-32", "latin-1", "utf-7", "cp037")
 
 def no_number(rng: Rng, content: bytes, kind: str) -> bytes:
     """A text with one number replaced by what is none; the same if it holds no number."""
+    return _replaced(rng, content, _NUMBER, lambda found: _one_of(rng, NO_NUMBERS[kind]))
+
+
+def _replaced(
+    rng: Rng, content: bytes, pattern: re.Pattern[str], new: Callable[[list[re.Match[str]]], str]
+) -> bytes:
+    """A text with one match of a pattern replaced; the same if there is none."""
     text = content.decode("utf-8", "surrogateescape")
-    found = list(_NUMBER.finditer(text))
+    found = list(pattern.finditer(text))
     if not found:
         return content
-    place = found[int(rng.integers(len(found)))]
-    nasty = NO_NUMBERS[kind][int(rng.integers(len(NO_NUMBERS[kind])))]
-    text = text[: place.start()] + nasty + text[place.end() :]
+    place = _one_of(rng, found)
+    text = text[: place.start()] + new(found) + text[place.end() :]
     return text.encode("utf-8", "surrogateescape")
+
+
+def _one_of(rng: Rng, choices: Sequence[T]) -> T:
+    return choices[int(rng.integers(len(choices)))]
 
 
 def damaged(rng: Rng, content: bytes, kind: str) -> bytes:
@@ -110,7 +121,7 @@ def damaged(rng: Rng, content: bytes, kind: str) -> bytes:
     """
     ways = _BINARY if kind == "binary" else (*_BINARY, *_TEXTUAL, *_TEXTUAL)
     for _ in range(int(rng.choice([1, 1, 1, 2, 3]))):
-        content = ways[int(rng.integers(len(ways)))](rng, content, kind)
+        content = _one_of(rng, ways)(rng, content, kind)
     return content
 
 
@@ -136,7 +147,7 @@ def _length(rng: Rng, content: bytes, kind: str) -> bytes:
     size = int(rng.choice([4, 8]))
     near = int(rng.integers(0, 200))
     at = [near, max(len(content) - near, 0), _place(rng, content, size)][int(rng.integers(3))]
-    value = _LENGTHS[int(rng.integers(len(_LENGTHS)))] % 256**size
+    value = _one_of(rng, _LENGTHS) % 256**size
     return content[:at] + value.to_bytes(size, "little") + content[at + size :]
 
 
@@ -182,22 +193,18 @@ def _lines(rng: Rng, content: bytes, kind: str) -> bytes:
 
 def _word(rng: Rng, content: bytes, kind: str) -> bytes:
     """A word replaced by one of the nasty ones, or by another word of the file."""
-    text = content.decode("utf-8", "surrogateescape")
-    words = list(_WORD.finditer(text))
-    if not words:
-        return content
-    place = words[int(rng.integers(len(words)))]
     nasty = (*NO_NUMBERS[kind], *_SNIPPETS[kind], "1e308", "-1e308", "1e-320", "-1", "0", "")
-    new = nasty[int(rng.integers(len(nasty)))]
-    if rng.random() < 0.2:
-        new = words[int(rng.integers(len(words)))][0]
-    text = text[: place.start()] + new + text[place.end() :]
-    return text.encode("utf-8", "surrogateescape")
+
+    def new(words: list[re.Match[str]]) -> str:
+        chosen = _one_of(rng, nasty)
+        return _one_of(rng, words)[0] if rng.random() < 0.2 else chosen
+
+    return _replaced(rng, content, _WORD, new)
 
 
 def _insert(rng: Rng, content: bytes, kind: str) -> bytes:
     snippets = _SNIPPETS[kind]
-    snippet = snippets[int(rng.integers(len(snippets)))].encode()
+    snippet = _one_of(rng, snippets).encode()
     lines = content.splitlines(keepends=True)
     lines.insert(int(rng.integers(len(lines) + 1)), snippet + b"\n" * int(rng.integers(2)))
     return b"".join(lines)
@@ -207,7 +214,7 @@ def _encode(rng: Rng, content: bytes, kind: str) -> bytes:
     text = content.decode("utf-8", "replace")
     if rng.random() < 0.3:
         return text.encode("utf-8-sig")
-    return text.encode(_ENCODINGS[int(rng.integers(len(_ENCODINGS)))], "replace")
+    return text.encode(_one_of(rng, _ENCODINGS), "replace")
 
 
 _TEXTUAL = (_word, _word, _word, _lines, _insert, _encode)
