@@ -39,7 +39,12 @@ class TrialPage:
 
 
 def view(
-    trial: Trial, model: Model | None = None, *, port: int = 0, host: str = "127.0.0.1"
+    trial: Trial,
+    model: Model | None = None,
+    *,
+    port: int = 0,
+    host: str = "127.0.0.1",
+    names: tuple[str, ...] = (),
 ) -> TrialPage:
     """Show a trial in a browser: play, pause, seek; the pressure on the socket at every instant.
 
@@ -52,6 +57,7 @@ def view(
             that it predicts.
         port: Port of the page; 0 for one that is free.
         host: Address of this machine that serves the page; only this machine sees the default.
+        names: Further names of this machine by which browsers may call the page.
 
     Returns:
         The page, with its `url`, served until it is closed, or until the program ends.
@@ -72,7 +78,7 @@ def view(
     from socket_testbed.viewer.server import PageServer
 
     player = Player(trial, None if model is None else model_for(trial, model))
-    server = PageServer(host, port)
+    server = PageServer(host, port, names)
     return TrialPage(trial.name, server.url, Page(player, server))
 
 

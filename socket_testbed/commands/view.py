@@ -99,7 +99,13 @@ def _play(options: argparse.Namespace, ends: float) -> None:
     """Serve the page of a trial until a time [s]."""
     if options.namespace is not None:
         raise ConfigurationError("--namespace is for the running testbed", "leave out the trial")
-    page = api.view(trial_of(options), options.model, port=options.port, host=options.host)
+    page = api.view(
+        trial_of(options),
+        options.model,
+        port=options.port,
+        host=options.host,
+        names=tuple(options.allow_host),
+    )
     with page, suppress(KeyboardInterrupt):
         say(f"the trial is seen at {page.url}; Ctrl-C ends it")
         while time.monotonic() < ends:

@@ -22,6 +22,7 @@ from rclpy.parameter import parameter_value_to_python
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message
 from rclpy.task import Future
+from socket_testbed_msgs.msg import ForceMap
 from std_msgs.msg import String
 
 from socket_testbed import clocks
@@ -61,6 +62,9 @@ _OLD = 2.0  # [s]; what came longer ago is not shown as if it were now
 _DEPTHS = {FORCE_MAP: 1, SOCKET_POSE: 1, PYLON_POSE: 1, WRENCH: 50, ESTIMATED_WRENCH: 50}
 _REGIONS_EVERY = 1.0  # [s] at least between joint draws
 _ESTIMATOR = "estimator_node/get_parameters"
+_FOREIGN = SensorState(
+    "force map", 2, "is of another socket than the page's: give its --geometry", math.nan, 0.0
+)
 _COUNTS = ("samples", "triggers", "messages", "maps")  # among the figures of a node
 
 
@@ -156,7 +160,9 @@ class LiveSource:
     def sensors(self) -> list[SensorState]:
         """What the nodes report of themselves."""
         now = clocks.monotonic()
-        return [
+        newest = self._recent(FORCE_MAP)
+        foreign = newest is not None and self._is_foreign(newest)
+        return [_FOREIGN] * foreign + [
             SensorState(
                 name,
                 int.from_bytes(status.level, "little"),
@@ -254,9 +260,13 @@ class LiveSource:
 
     def _map(self) -> MapEstimate | None:
         message = self._recent(FORCE_MAP)
-        if message is None or len(message.names) != len(self.geometry):
+        if message is None or self._is_foreign(message):
             return None
         return map_from_ros(message)
+
+    def _is_foreign(self, message: ForceMap) -> bool:
+        """Whether a map is of another socket than the one that is shown."""
+        return tuple(message.names) != self.geometry.names
 
     def _poses(self) -> tuple[Pose | None, Pose | None]:
         """Pose of {S} and of the limb in the world."""

@@ -1,12 +1,14 @@
 """A trial that is played: what the page shows of an instant is what the verbs say of it."""
 
 import dataclasses
+import http.client
 import shutil
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from support import HANGS
 from support.bags import add_events, rewrite
 
 import socket_testbed as st
@@ -223,3 +225,13 @@ def test_a_model_of_another_socket_is_refused(hold: Path, hold_model: Path) -> N
     other = dataclasses.replace(model.geometry, anchors=model.geometry.anchors + 0.01)
     with pytest.raises(TestbedError, match="another socket"):
         Player(st.open_trial(hold), dataclasses.replace(model, geometry=other))
+
+
+def test_a_trial_s_page_may_be_called_by_further_names(hold: Path) -> None:
+    with st.view(st.open_trial(hold), names=("lab-laptop",)) as page:
+        port = int(page.url.rpartition(":")[2])
+        for name, status in (("lab-laptop", 200), ("attacker.example", 403)):
+            connection = http.client.HTTPConnection("127.0.0.1", port, timeout=HANGS)
+            connection.request("GET", "/", headers={"Host": f"{name}:{port}"})
+            assert connection.getresponse().status == status
+            connection.close()

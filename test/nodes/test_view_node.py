@@ -1,0 +1,60 @@
+"""What the page takes from a graph, and what it does not show."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+import rclpy
+from support.graph import Probe
+from support.ring_socket import ring_socket
+
+from socket_testbed.identification.force_map import MapEstimate
+from socket_testbed.nodes.estimate_listener import ListenerNode
+from socket_testbed.nodes.estimate_messages import ForceMapMessage, map_from_ros
+from socket_testbed.nodes.view_node import LiveSource
+from socket_testbed.trials.topics import FORCE_MAP
+
+pytestmark = pytest.mark.graph
+
+GEOMETRY = ring_socket()
+
+
+def random_map() -> MapEstimate:
+    rng = np.random.default_rng(3)
+    forces, deviations = rng.normal(0.0, 5.0, (2, 1, len(GEOMETRY), 3))
+    pressures = rng.uniform(0.0, 9e3, (4, 1, len(GEOMETRY)))
+    return MapEstimate(forces, abs(deviations), *pressures, "measured: wrench")
+
+
+def test_a_map_comes_back_from_its_message() -> None:
+    estimate = random_map()
+    found = map_from_ros(ForceMapMessage(GEOMETRY.names).filled(1, estimate))
+    for name, value in vars(estimate).items():
+        np.testing.assert_array_equal(getattr(found, name), value)
+
+
+def test_a_map_of_another_socket_is_named_and_not_drawn() -> None:
+    """Even if it has as many tiles."""
+    other = dataclasses.replace(GEOMETRY, names=tuple(reversed(GEOMETRY.names)))
+    rclpy.init()
+    with Probe() as probe:
+        node = ListenerNode("page", lambda: None)
+        source = LiveSource(node, GEOMETRY, None)
+        source.watched(True)
+        publisher = probe.publisher(FORCE_MAP)
+
+        def shows(geometry, drawn: bool) -> bool:
+            publisher.publish(ForceMapMessage(geometry.names).filled(1, random_map()))
+            instant = source.instant()
+            words = " ".join(sensor.words for sensor in source.sensors())
+            return (
+                instant is not None
+                and (instant.map is not None) is drawn
+                and ("another socket" in words) is not drawn
+            )
+
+        probe.wait(lambda: shows(GEOMETRY, True), "the map")
+        probe.wait(lambda: shows(other, False), "that it is of another socket")
+        source.watched(False)
+        node.destroy_node()
+    rclpy.shutdown()
