@@ -5,11 +5,16 @@ They need no more than numpy: the nodes that measure start quickly.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
+from functools import cache
+from importlib import import_module
+from typing import Any
 
 import numpy as np
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import Point, Pose, Quaternion, Vector3, Wrench
+from rclpy.serialization import serialize_message
 from socket_testbed_msgs.msg import (
     ClusterCapacitance,
     ClusterCapacitanceArray,
@@ -21,11 +26,36 @@ from socket_testbed_msgs.msg import (
 from std_msgs.msg import Header
 
 from socket_testbed.arrays import FloatArray, StatusArray
+from socket_testbed.trials.layout import Field, Layout
 
 WORLD_FRAME = "world"  # the motion capture's
 SOCKET_FRAME = "socket"  # the socket's marker body
 LOAD_CELL_FRAME = "load_cell"  # the paper's {S}
 LIMB_FRAME = "limb"  # its origin is the lumped mass
+
+
+_TYPE = re.compile(r"(sequence<)?([\w/]+)(?:<\d+>)?(?:, \d+)?>?(?:\[(\d+)\])?")
+_IDL_NAMES = {"double": "float64", "float": "float32", "boolean": "bool", "octet": "byte"}
+
+
+@cache
+def fields_of(message_type: str) -> tuple[Field, ...]:
+    """The fields of a message type, given as `package/Type`, for its layout."""
+    package, _, name = message_type.partition("/")
+    kind = getattr(import_module(f"{package}.msg"), name)
+    fields = []
+    for field, written in kind.get_fields_and_field_types().items():
+        for sequence, element, length in _TYPE.findall(written):
+            number = 0 if sequence else int(length) if length else None
+            fields.append(Field(field, _IDL_NAMES.get(element, element), number))
+    return tuple(fields)
+
+
+def layout_of(message: Any) -> Layout:
+    """The layout of a message, and of all whose strings and sequences are as long."""
+    kind = type(message)
+    message_type = f"{kind.__module__.partition('.')[0]}/{kind.__name__}"
+    return Layout(serialize_message(message), message_type, fields_of)
 
 
 def stamp_from_ros(stamp: Time) -> int:

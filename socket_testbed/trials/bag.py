@@ -23,6 +23,7 @@ from lz4.frame import LZ4FrameDecompressor
 from rosbags.interfaces import (
     Connection,
     ConnectionExtRosbag2,
+    Nodetype,
     Qos,
     QosDurability,
     QosHistory,
@@ -38,6 +39,7 @@ from rosbags.typesys.store import Typestore
 
 from socket_testbed.errors import TrialError
 from socket_testbed.files import load_yaml, packaged
+from socket_testbed.trials.layout import Field
 from socket_testbed.trials.salvage import SalvagedRecording, salvage
 from socket_testbed.trials.topics import PUBLISHER_DEPTH, REQUIRED, TOPICS, Topic, match_topics
 
@@ -60,6 +62,21 @@ def typestore() -> Typestore:
 def message_class(name: str) -> Any:
     """The class of a message type, given as `package/msg/Type`."""
     return typestore().types[name]
+
+
+@cache
+def fields_of(message_type: str) -> tuple[Field, ...]:
+    """The fields of a message type, given as `package/msg/Type`, for its layout."""
+    return tuple(_field(*field) for field in typestore().get_msgdef(message_type).fields)
+
+
+def _field(name: str, described: Any, number: int | None = None) -> Field:
+    """A field as the library describes it: by its kind, and what that takes."""
+    kind, content = described
+    if kind in (Nodetype.ARRAY, Nodetype.SEQUENCE):
+        element, bound = content
+        return _field(name, element, bound if kind == Nodetype.ARRAY else 0)
+    return Field(name, content[0] if kind == Nodetype.BASE else content, number)
 
 
 def decode(raw: bytes | memoryview, message_type: str) -> Any:

@@ -4,14 +4,28 @@ import dataclasses
 
 import numpy as np
 import pytest
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.serialization import deserialize_message, serialize_message
 from scipy.spatial.transform import Rotation
+from sensor_msgs.msg import CameraInfo
+from shape_msgs.msg import SolidPrimitive
+from socket_testbed_msgs.msg import ClusterCapacitanceArray, ForceMap
 from visualization_msgs.msg import Marker
 
 from socket_testbed.files import packaged
 from socket_testbed.geometry.socket import read_socket
 from socket_testbed.identification.force_map import MapEstimate
-from socket_testbed.nodes.conversions import markers_to_ros, stamp_from_ros, vectors_from_ros
+from socket_testbed.nodes import conversions
+from socket_testbed.nodes.conversions import (
+    capacitance_to_ros,
+    layout_of,
+    markers_to_ros,
+    stamp_from_ros,
+    vectors_from_ros,
+)
 from socket_testbed.nodes.estimate_messages import ForceMapMessage, PressureMap
+from socket_testbed.trials import bag
+from socket_testbed.trials.layout import stamps_of
 
 GEOMETRY = read_socket(packaged("config", "socket.yaml"))
 STAMP = 1_700_000_000_250_000_000
@@ -98,3 +112,35 @@ def test_markers_of_bodies_of_different_sizes_go_out_as_they_are() -> None:
     seen = [(point.x, point.y, point.z) for point in message.bodies[0].markers]
     np.testing.assert_array_equal(seen, socket)
     assert all(np.isnan(point.x) for point in message.bodies[1].markers)
+
+
+def test_a_layout_fills_and_reads_messages_of_ros() -> None:
+    clusters = ("brim_lateral", "mid", "distal")
+    rng = np.random.default_rng(0)
+    capacitance = rng.normal(size=(2, 3, 4))
+    status = rng.integers(3, size=(2, 3, 4), dtype=np.uint8)
+    first, second = (
+        capacitance_to_ros(STAMP + i, clusters, capacitance[i], status[i]) for i in range(2)
+    )
+    layout = layout_of(first)
+    content, blank = layout.blank()
+    record = layout.record(serialize_message(second))
+    assert record is not None
+    for number in range(len(clusters)):
+        np.testing.assert_array_equal(
+            record["clusters"][str(number)]["capacitance"], capacitance[1, number]
+        )
+    assert stamps_of(record) == STAMP + 1
+    blank[()] = record
+    assert deserialize_message(bytes(content), ClusterCapacitanceArray) == second
+
+
+@pytest.mark.parametrize("kind", [ForceMap, Marker, DiagnosticArray, CameraInfo, SolidPrimitive])
+def test_a_layout_knows_the_types_of_ros(kind: type) -> None:
+    """The fields are those that the offline side reads from the same definitions."""
+    package, name = kind.__module__.partition(".")[0], kind.__name__
+    named = [
+        field._replace(type=field.type.replace("/msg/", "/"))
+        for field in bag.fields_of(f"{package}/msg/{name}")
+    ]
+    assert list(conversions.fields_of(f"{package}/{name}")) == named

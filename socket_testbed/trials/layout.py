@@ -1,0 +1,226 @@
+"""Layouts: where the numbers of a serialised message are, as a numpy type.
+
+Messages of one type whose strings and sequences are as long as each other's have every number at
+the same byte. A layout is found from one such message, and then reads any number of them at once,
+or fills a copy, without building message objects. Whether a message has the layout is checked byte
+by byte: all that is not a number or alignment has to be as in the sample. One that deviates is for
+an ordinary decoder.
+
+The encoding is plain CDR, big or little endian (OMG formal/02-06-51, 15.3): every number is aligned
+to its size, counted from behind the four bytes of the encapsulation.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from itertools import compress
+from typing import Any, Literal, NamedTuple, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from socket_testbed.arrays import BoolArray, IntArray
+
+Record: TypeAlias = NDArray[np.void]
+
+_HEADER = 4  # [bytes] of the encapsulation: two of its kind, two of options
+_PADDING = 3  # [bytes] that may follow a message
+_NUMBERS = {
+    **{name: name for name in ("int8", "int16", "int32", "int64", "float32", "float64")},
+    **{name: name for name in ("uint8", "uint16", "uint32", "uint64", "bool")},
+    **{"byte": "int8", "char": "uint8"},
+}
+
+
+class Field(NamedTuple):
+    """A field of a message type.
+
+    Attributes:
+        name: Its name.
+        type: A number such as `float64`, `string`, or a message type.
+        number: How many of them; 0 for a sequence, whose length is in the message; None for one.
+    """
+
+    name: str
+    type: str
+    number: int | None = None
+
+
+Definitions: TypeAlias = Callable[[str], Sequence[Field]]
+"""The fields of a message type."""
+
+
+class Layout:
+    """The layout that a message and others of its type share.
+
+    Args:
+        sample: The message, serialised.
+        message_type: Its type.
+        definitions: The fields of its type, and of those in it.
+
+    Attributes:
+        sample: The message.
+        dtype: The numbers in it by the names of their fields, in the message's byte order. A
+            message in it is a field of fields. One of several equal numbers, such as a vector, a
+            point or a quaternion, is an array of them. So are arrays and sequences of numbers or
+            of such messages, shape (n,) or (n, k); other ones have a field for each element: "0",
+            "1", ... Strings are left out: they are those of the sample.
+
+    Raises:
+        ValueError: If the bytes are no message of this type.
+    """
+
+    def __init__(self, sample: bytes, message_type: str, definitions: Definitions) -> None:
+        self.sample = bytes(sample)
+        walk = _Walk(self.sample, definitions)
+        self.dtype = walk.message(message_type)
+        self._fixed = np.flatnonzero(walk.fixed)
+        self._expected = np.frombuffer(self.sample, np.uint8)[self._fixed]
+        mask = (255 * np.array(walk.fixed, dtype=np.uint8)).tobytes()
+        self._mask = int.from_bytes(mask, "little")
+        self._masked = int.from_bytes(self.sample, "little") & self._mask
+
+    def record(self, message: bytes | bytearray | memoryview) -> Record | None:
+        """The numbers of one message, shape (); None if it has another layout.
+
+        They are views of the message: what changes it changes them.
+        """
+        if len(message) != len(self.sample):
+            return None
+        if int.from_bytes(message, "little") & self._mask != self._masked:
+            return None
+        return np.ndarray((), self.dtype, message)
+
+    def records(self, messages: Sequence[bytes]) -> tuple[Record, BoolArray]:
+        """The numbers of many messages.
+
+        Returns:
+            Those of the messages that have this layout, in their order, shape (k,); and which of
+            the messages have it.
+        """
+        fits = np.fromiter(map(len, messages), np.int64, len(messages)) == len(self.sample)
+        joined = b"".join(messages if fits.all() else compress(messages, fits))
+        rows = np.frombuffer(joined, np.uint8).reshape(-1, len(self.sample))
+        equal = (rows[:, self._fixed] == self._expected).all(axis=1)
+        records = np.frombuffer(joined, self.dtype)
+        fits[fits] = equal
+        return records if equal.all() else records[equal], fits
+
+    def blank(self) -> tuple[bytearray, Record]:
+        """A copy of the sample to be filled: its bytes, and its numbers as views of them."""
+        content = bytearray(self.sample)
+        return content, np.ndarray((), self.dtype, content)
+
+
+def stamps_of(records: Record) -> IntArray:
+    """Stamps of messages' headers since the epoch, of the records' shape [ns]."""
+    stamp = records["header"]["stamp"]
+    return np.asarray(stamp["sec"].astype(np.int64) * 1_000_000_000 + stamp["nanosec"])
+
+
+class _Placed(NamedTuple):
+    """What is placed in a message: where it starts [bytes], and its type."""
+
+    start: int
+    dtype: np.dtype[Any]
+
+
+class _Walk:
+    """Goes through a message once, byte by byte.
+
+    Attributes:
+        fixed: Which bytes are neither numbers nor alignment.
+    """
+
+    def __init__(self, content: bytes, definitions: Definitions) -> None:
+        if content[:2] not in (b"\0\0", b"\0\1"):
+            raise ValueError("the message is no plain CDR")
+        self._order: Literal["<", ">"] = "<" if content[1] else ">"
+        self._content = content
+        self._definitions = definitions
+        self._at = _HEADER
+        self.fixed = [True, True] + [False] * (len(content) - 2)
+
+    def message(self, message_type: str) -> np.dtype[Any]:
+        """The type of the whole message."""
+        fields = self._definitions(message_type)
+        placed = {field.name: self._field(field) for field in fields}
+        if not 0 <= len(self._content) - self._at <= _PADDING:
+            raise ValueError(f"the message is no {message_type}: it has another length")
+        return _structure(placed, 0, len(self._content))
+
+    def _field(self, field: Field) -> _Placed | None:
+        """Place a field; None if there is no number in it."""
+        if field.number is None:
+            return self._one(field.type)
+        count = field.number or self._length()
+        if field.type in _NUMBERS:
+            return self._numbers(field.type, count)
+        if count > len(self._content):
+            raise ValueError("a sequence is longer than the message")
+        parts = [self._one(field.type) for _ in range(count)]
+        if field.type == "string" or not parts:
+            return None
+        if parts[0] is not None and parts[0].dtype.shape:
+            return _Placed(parts[0].start, np.dtype((parts[0].dtype, (count,))))
+        return self._group({str(number): part for number, part in enumerate(parts)})
+
+    def _one(self, name: str) -> _Placed | None:
+        if name in _NUMBERS:
+            return self._numbers(name)
+        if name == "string":
+            self._string()
+            return None
+        fields = self._definitions(name)
+        kinds = {field.type for field in fields}
+        single = all(field.number is None for field in fields)
+        if single and len(fields) > 1 and len(kinds) == 1 and kinds <= _NUMBERS.keys():
+            return self._numbers(fields[0].type, len(fields))
+        return self._group({field.name: self._field(field) for field in fields})
+
+    def _numbers(self, name: str, count: int | None = None) -> _Placed:
+        dtype = np.dtype(_NUMBERS[name]).newbyteorder(self._order)
+        if count != 0:
+            self._at += -(self._at - _HEADER) % dtype.itemsize
+        start = self._at
+        placed = dtype if count is None else np.dtype((dtype, (count,)))
+        self._advance(placed.itemsize)
+        return _Placed(start, placed)
+
+    def _length(self) -> int:
+        start, dtype = self._numbers("uint32")
+        self.fixed[start : self._at] = [True] * dtype.itemsize
+        return int(np.frombuffer(self._content, dtype, 1, start)[0])
+
+    def _string(self) -> None:
+        length, start = self._length(), self._at
+        self._advance(length)
+        if length == 0 or self._content[self._at - 1] != 0:
+            raise ValueError("a string has no end")
+        self.fixed[start : self._at] = [True] * length
+
+    def _advance(self, size: int) -> None:
+        self._at += size
+        if self._at > len(self._content):
+            raise ValueError("the message is too short")
+
+    def _group(self, placed: dict[str, _Placed | None]) -> _Placed | None:
+        parts = [part for part in placed.values() if part is not None]
+        if not parts:
+            return None
+        start = min(part.start for part in parts)
+        end = max(part.start + part.dtype.itemsize for part in parts)
+        return _Placed(start, _structure(placed, start, end))
+
+
+def _structure(placed: dict[str, _Placed | None], start: int, end: int) -> np.dtype[Any]:
+    """A type of named parts that lie between two bytes of the message."""
+    parts = {name: part for name, part in placed.items() if part is not None}
+    return np.dtype(
+        {
+            "names": list(parts),
+            "formats": [part.dtype for part in parts.values()],
+            "offsets": [part.start - start for part in parts.values()],
+            "itemsize": end - start,
+        }
+    )

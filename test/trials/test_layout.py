@@ -1,0 +1,185 @@
+"""Layouts read and fill messages as the library's own code does, of every type, in both orders."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from socket_testbed.trials.bag import decode, fields_of, message_class, typestore
+from socket_testbed.trials.layout import Layout, stamps_of
+
+TYPES = (
+    *sorted(name for name in typestore().types if name.startswith("socket_testbed_msgs/")),
+    *("geometry_msgs/msg/WrenchStamped", "geometry_msgs/msg/PoseStamped", "tf2_msgs/msg/TFMessage"),
+    *("visualization_msgs/msg/MarkerArray", "diagnostic_msgs/msg/DiagnosticArray"),
+    *("sensor_msgs/msg/CameraInfo", "sensor_msgs/msg/PointCloud2", "sensor_msgs/msg/BatteryState"),
+    *("std_msgs/msg/Float64MultiArray", "shape_msgs/msg/Mesh", "std_msgs/msg/Empty"),
+)
+
+
+class Maker:
+    """Messages of any type with random numbers; strings and sequences as long as a seed says."""
+
+    def __init__(self, lengths: int, numbers: int) -> None:
+        self._lengths = np.random.default_rng(lengths)
+        self._numbers = np.random.default_rng(numbers)
+
+    def message(self, name: str) -> Any:
+        own = {}
+        for field in fields_of(name):
+            number = self._lengths.integers(4) if field.number == 0 else field.number
+            if number is None:
+                own[field.name] = self.one(field.type)
+            else:
+                many = [self.one(field.type) for _ in range(number)]
+                scalar = field.type != "string" and "/" not in field.type
+                kind = {"byte": "int8", "char": "uint8"}.get(field.type, field.type)
+                own[field.name] = np.array(many, dtype=kind) if scalar else many
+        return message_class(name)(**own)
+
+    def one(self, kind: str) -> Any:
+        if kind == "string":
+            return "".join(self._lengths.choice(list("abä_"), self._lengths.integers(9)))
+        if kind.startswith("float"):
+            return float(np.float32(self._numbers.normal()))
+        if "/" in kind:
+            return self.message(kind)
+        return int(self._numbers.integers(2 if kind == "bool" else 100))
+
+
+def encode(message: Any, kind: str, little: bool) -> bytes:
+    return bytes(typestore().serialize_cdr(message, kind, little_endian=little))
+
+
+def numbers_of(message: Any, kind: str) -> list[float]:
+    """All numbers of a message in the order of its fields, strings left out."""
+    found: list[float] = []
+    for field in fields_of(kind):
+        value = getattr(message, field.name)
+        for one in [value] if field.number is None else value:
+            if "/" in field.type:
+                found += numbers_of(one, field.type)
+            elif field.type != "string":
+                found.append(float(one))
+    return found
+
+
+def strings_of(message: Any, kind: str) -> list[Any]:
+    """All strings of a message and the lengths of its sequences, in the order of its fields."""
+    found: list[Any] = []
+    for field in fields_of(kind):
+        value = getattr(message, field.name)
+        found += [] if field.number is None else [len(value)]
+        for one in [value] if field.number is None else value:
+            if "/" in field.type:
+                found += strings_of(one, field.type)
+            elif field.type == "string":
+                found.append(one)
+    return found
+
+
+def numbers_in(record: np.ndarray) -> list[float]:
+    """All numbers of one record, in the order of its fields."""
+    if record.dtype.names is None:
+        return [float(value) for value in np.ravel(record)]
+    return [number for name in record.dtype.names for number in numbers_in(record[name])]
+
+
+@pytest.mark.parametrize("little", [True, False], ids=["little", "big"])
+@pytest.mark.parametrize("kind", TYPES)
+def test_numbers_are_those_of_the_library(kind: str, little: bool) -> None:
+    for lengths in range(6):
+        messages = [Maker(lengths, n).message(kind) for n in range(3)]
+        raws = [encode(message, kind, little) for message in messages]
+        layout = Layout(raws[0], kind, fields_of)
+        records, fits = layout.records(raws)
+        assert fits.all()
+        for message, raw, record in zip(messages, raws, records, strict=True):
+            alone = layout.record(memoryview(raw))
+            assert alone is not None
+            assert numbers_in(record) == numbers_in(alone) == numbers_of(message, kind)
+
+
+@pytest.mark.parametrize("kind", TYPES)
+def test_a_filled_copy_is_the_message(kind: str) -> None:
+    raw, other = (encode(Maker(3, n).message(kind), kind, True) for n in (0, 1))
+    content, record = Layout(raw, kind, fields_of).blank()
+    found = Layout(raw, kind, fields_of).record(other)
+    assert found is not None
+    for name in record.dtype.names or ():
+        record[name] = found[name]
+    assert numbers_of(decode(content, kind), kind) == numbers_of(decode(other, kind), kind)
+
+
+CLUSTERS = "socket_testbed_msgs/msg/ClusterCapacitanceArray"
+
+
+def test_messages_of_another_layout_are_left_out() -> None:
+    """Other lengths, other strings of the same length, another byte order, a message cut short."""
+    message = Maker(2, 0).message(CLUSTERS)
+    usual = encode(message, CLUSTERS, True)
+    big = encode(message, CLUSTERS, False)
+    message.header.frame_id = "x" * len(message.header.frame_id.encode())
+    renamed = encode(message, CLUSTERS, True)
+    longer = encode(Maker(5, 0).message(CLUSTERS), CLUSTERS, True)
+    assert len(big) == len(renamed) == len(usual) != len(longer)
+    layout = Layout(usual, CLUSTERS, fields_of)
+    raws = [longer, usual, big, renamed, usual[:-1], usual, b""]
+    records, fits = layout.records(raws)
+    assert fits.tolist() == [False, True, False, False, False, True, False]
+    assert len(records) == 2
+    assert [layout.record(raw) is not None for raw in raws] == fits.tolist()
+
+
+@pytest.mark.parametrize("kind", [CLUSTERS, "socket_testbed_msgs/msg/ForceMap"])
+def test_any_other_byte_is_read_as_the_library_reads_it(kind: str) -> None:
+    """A message with one byte changed fits if only numbers or what aligns them changed."""
+    raw = encode(Maker(7, 0).message(kind), kind, True)
+    layout, before = Layout(raw, kind, fields_of), strings_of(decode(raw, kind), kind)
+    outcomes = set()
+    for at in range(len(raw)):
+        changed = bytearray(raw)
+        changed[at] ^= 0xA5
+        record = layout.record(changed)
+        try:
+            message = decode(bytes(changed), kind)
+            same = strings_of(message, kind) == before
+        except Exception:
+            same = False
+        assert (record is not None) == same
+        if record is not None:
+            np.testing.assert_array_equal(numbers_in(record), numbers_of(message, kind))
+        outcomes.add(same)
+    assert outcomes == {True, False}
+
+
+@pytest.mark.parametrize("kind", TYPES)
+def test_bytes_that_are_no_such_message_are_refused(kind: str) -> None:
+    """Whatever is accepted is what the library accepts, too."""
+    rng = np.random.default_rng(0)
+    raw = encode(Maker(3, 0).message(kind), kind, True)
+    damaged = [raw[: rng.integers(len(raw))] for _ in range(20)]
+    damaged += [raw + bytes(4)]
+    for _ in range(60):
+        torn = bytearray(raw)
+        torn[rng.integers(len(torn))] = rng.integers(256)
+        damaged.append(bytes(torn))
+    for bad in damaged:
+        try:
+            Layout(bad, kind, fields_of)
+        except ValueError:
+            continue
+        try:
+            decode(bad, kind)
+        except Exception as error:
+            assert "utf-8" in str(error)  # a string's bytes: nobody reads them from a layout
+
+
+def test_stamps_are_exact() -> None:
+    kind = "socket_testbed_msgs/msg/Trigger"
+    message = Maker(0, 0).message(kind)
+    message.header.stamp.sec, message.header.stamp.nanosec = 2_000_000_000, 999_999_999
+    for little in (True, False):
+        raw = encode(message, kind, little)
+        records, _ = Layout(raw, kind, fields_of).records([raw, raw])
+        assert stamps_of(records).tolist() == [2_000_000_000_999_999_999] * 2
