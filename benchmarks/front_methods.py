@@ -228,8 +228,8 @@ METHODS: dict[str, FrontMethod] = {
         solve_ours,
     ),
     "cold": FrontMethod(
-        "the same programs, package's solver, cold",
-        "both stages from shared moments, no errors; coarse OSQP, then block pivoting, each time",
+        "the same programs, pivoting, cold",
+        "both stages from shared moments, no errors; block pivoting from zero, each time",
         walk_with(lambda program, _: solve_box_qp(program, "osqp", 1e-8).x),
     ),
     "osqp warm": FrontMethod(

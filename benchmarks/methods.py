@@ -162,7 +162,7 @@ METHODS: dict[str, Method] = {
     ),
     "ours": Method(
         "ours: moments + OSQP, certified",
-        "StageTwoData + build_stage_two + solve_box_qp (osqp, KKT residuals and gap <= 1e-6)"
+        "StageTwoData + build_stage_two + solve_box_qp (pivoting, KKT residuals and gap <= 1e-6)"
         " + recover_offsets",
         prepare_ours,
     ),

@@ -2,9 +2,10 @@ r"""Quadratic programs with bounds, their solution and its certificate.
 
 .. math:: \min_x \tfrac12 x^T P x + q^T x \quad \text{s.t.} \quad l \le x \le u
 
-A solver (OSQP through qpsolvers, unless another one is named) gives a start, or the solution
-of a similar program does. Pivoting moves from the start to the exact optimum. The certificate,
-computed from the definition of an optimum, decides whether the answer is accepted.
+Pivoting moves from zero, or from the solution of a similar program, to the exact optimum. Where
+it does not reach one that is the only one, a solver (OSQP through qpsolvers, unless another one is
+named) gives it a start. The certificate, computed from the definition of an optimum, decides
+whether the answer is accepted.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from socket_testbed.arrays import FloatArray, IntArray
 from socket_testbed.errors import IdentificationError
 from socket_testbed.settings.identification import check_solver
 
-_ROWS = 48  # of a substitution at a time; fewer cost calls, more cost arithmetic
+_ROWS = 32  # of a factor at a time; fewer cost calls, more cost arithmetic
 
 
 # OSQP gives a start, from which pivoting takes over. Its own rule for adapting rho may come from
@@ -125,7 +126,7 @@ class BoxSolution:
         x: The solution, shape (p,) [-].
         certificate: Its residuals.
         determined: Whether no other point is optimal.
-        found_by: The solver that gave the start, or `warm start`.
+        found_by: `pivoting` from zero, `warm start`, or the solver that gave the start.
     """
 
     x: FloatArray
@@ -163,8 +164,8 @@ def solve_box_qp(
         problem: The problem, in scaled units.
         solver: Any solver that qpsolvers finds.
         tolerance: Largest residual of the certificate [-].
-        near: Solution of a similar problem, shape (p,) [-]. Where pivoting reaches the optimum
-            from it, which takes a few steps, the solver is not called.
+        near: Solution of a similar problem, shape (p,) [-], from which pivoting takes fewer steps
+            than from zero.
 
     Raises:
         ConfigurationError: If there is no such solver.
@@ -173,10 +174,13 @@ def solve_box_qp(
     check_solver(solver)
     _check_finite(problem)
 
-    if near is not None:  # a warm start
+    if near is not None:
         found = pivot(problem, np.clip(near, problem.lower, problem.upper))
         if found.certificate.worst <= tolerance:
             return replace(found, found_by="warm start")
+    found = pivot(problem, np.clip(np.zeros_like(problem.q), problem.lower, problem.upper))
+    if found.certificate.worst <= min(_ROUNDING, tolerance) and found.determined:
+        return found
 
     start = _call_solver(problem, solver)
     found = pivot_regularised(problem, np.clip(start, problem.lower, problem.upper))
@@ -292,9 +296,9 @@ def _solve_on_sides(problem: BoxQP, side: IntArray) -> tuple[FloatArray, FloatAr
     x = np.where(side < 0, problem.lower, np.where(side > 0, problem.upper, 0.0))
     free = np.flatnonzero(side == 0)
     rest = problem.q[free] + (problem.P @ x)[free]
-    factor = factorise(problem.P[free][:, free])
-    x[free] = -solve_factored(factor, rest)
-    return x, problem.P @ x + problem.q, least_pivot(factor)
+    factor = Cholesky(problem.P[free][:, free])
+    x[free] = -factor.solve(rest)
+    return x, problem.P @ x + problem.q, factor.least_pivot
 
 
 def _wrong_side(problem: BoxQP, side: IntArray, x: FloatArray, gradient: FloatArray) -> IntArray:
@@ -307,44 +311,51 @@ def _wrong_side(problem: BoxQP, side: IntArray, x: FloatArray, gradient: FloatAr
     return change
 
 
-def factorise(matrix: FloatArray) -> FloatArray:
-    """Cholesky factor L of a symmetric matrix, shape (p, p).
+class Cholesky:
+    """Factor L of a symmetric positive definite matrix, ``L L' = A``, by blocks.
+
+    numpy has no triangular solve, and its own factor takes longer than this one and two
+    substitutions. scipy's are faster, but bring a thread pool of their own: where both have one,
+    the two stall each other.
+
+    Args:
+        matrix: The matrix A, shape (p, p).
+
+    Attributes:
+        least_pivot: Least pivot, which is the least squared diagonal element of L; infinite where
+            p is 0.
 
     Raises:
         LinAlgError: Unless the matrix is positive definite.
     """
-    return np.linalg.cholesky(matrix).astype(np.float64, copy=False)
 
+    def __init__(self, matrix: FloatArray) -> None:
+        self.least_pivot = np.inf
+        self._below = np.empty_like(matrix)  # what L has below its diagonal blocks
+        self._blocks: list[tuple[slice, FloatArray]] = []  # diagonal blocks' rows and inverses
+        for start in range(0, len(matrix), _ROWS):
+            rows = slice(start, min(start + _ROWS, len(matrix)))
+            known = self._below[:, :start]
+            left = matrix[start:, rows] - known[start:] @ known[rows].T
+            diagonal = np.linalg.cholesky(left[:_ROWS])
+            self.least_pivot = min(self.least_pivot, float(np.diagonal(diagonal).min()) ** 2)
+            inverse = np.linalg.inv(diagonal)
+            self._below[rows.stop :, rows] = left[_ROWS:] @ inverse.T
+            self._blocks.append((rows, inverse))
 
-def solve_factored(factor: FloatArray, target: FloatArray) -> FloatArray:
-    """Solve ``L L' x = b`` by substitution.
-
-    numpy has no triangular solve, and scipy's brings a thread pool of its own: where both have
-    one, the two stall each other.
-
-    Args:
-        factor: Lower triangular L, shape (p, p).
-        target: Right-hand side b, shape (p,).
-    """
-    x = target.copy()
-    blocks = [slice(start, start + _ROWS) for start in range(0, len(x), _ROWS)]
-    for rows in blocks:
-        known = factor[rows, : rows.start] @ x[: rows.start]
-        x[rows] = np.linalg.solve(factor[rows, rows], x[rows] - known)
-    for rows in reversed(blocks):
-        known = x[rows.stop :] @ factor[rows.stop :, rows]
-        x[rows] = np.linalg.solve(factor[rows, rows].T, x[rows] - known)
-    return x
-
-
-def least_pivot(factor: FloatArray) -> float:
-    """Least pivot of a Cholesky factor, shape (p, p); infinite without any."""
-    return float(np.diagonal(factor).min(initial=np.inf) ** 2)
+    def solve(self, target: FloatArray) -> FloatArray:
+        """Solve ``A x = b`` for b, shape (p,)."""
+        x = target.copy()
+        for rows, inverse in self._blocks:
+            x[rows] = inverse @ (x[rows] - self._below[rows, : rows.start] @ x[: rows.start])
+        for rows, inverse in reversed(self._blocks):
+            x[rows] = (x[rows] - x[rows.stop :] @ self._below[rows.stop :, rows]) @ inverse
+        return x
 
 
 def is_definite(matrix: FloatArray, least: float) -> bool:
     """Whether a symmetric matrix, shape (p, p), is positive definite with pivots above `least`."""
     try:
-        return least_pivot(factorise(matrix)) > least
+        return Cholesky(matrix).least_pivot > least
     except np.linalg.LinAlgError:
         return False

@@ -86,7 +86,7 @@ class IdentificationSettings(Settings):
     noise_correction: bool = setting(
         False, "subtract the share of the pose's noise from the products of Stage 2 [-]"
     )
-    solver: str = setting("osqp", "any installed solver that qpsolvers supports [-]")
+    solver: str = setting("osqp", "for programs with many optima; any that qpsolvers supports [-]")
     solver_tolerance: float = setting(
         1e-8, "largest KKT residual that a solution may have, in scaled units [-]", 1e-12, 1e-2
     )
