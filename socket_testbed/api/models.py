@@ -644,7 +644,7 @@ def export(
     path = Path(path)
     check_format(path)
     stored = None if model is None else model_for(trial, model)
-    measured, samples = trial.measurements(), trial.samples()
+    measured, samples = trial.measurements_and_samples()
     chosen = select(trial, segment, trial.estimator)
     predicted = None if stored is None else _predictions(samples, stored)
     table = sample_table(measured, samples, trial.calibration, chosen, predicted)

@@ -114,6 +114,12 @@ class Trial:
     def _samples(self) -> Samples:
         return self.samples_of(self.measurements())
 
+    def measurements_and_samples(self) -> tuple[Measurements, Samples]:
+        """`measurements` and `samples` from one reading."""
+        measured = self.measurements()
+        self.__dict__.setdefault("_samples", self.samples_of(measured))
+        return measured, self._samples
+
     def samples_of(self, measured: Measurements) -> Samples:
         """The samples that some measurements of the trial make.
 

@@ -213,3 +213,13 @@ def test_a_model_of_another_socket_is_refused(gappy, hold_model, tmp_path) -> No
     with pytest.raises(TestbedError, match="another socket"):
         call(gappy, "-o", tmp_path / "out.csv", "--model", tmp_path / "other.json")
     assert not (tmp_path / "out.csv").exists()
+
+
+def test_a_trial_is_read_once_for_its_export(
+    gappy: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    readings = []
+    real = Trial.measurements
+    monkeypatch.setattr(Trial, "measurements", lambda trial: readings.append(trial) or real(trial))
+    call(gappy, "-o", tmp_path / "out.csv")
+    assert len(readings) == 1
