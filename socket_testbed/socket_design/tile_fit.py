@@ -55,8 +55,9 @@ class Footprints:
         self._normals = np.asarray(mesh.face_normals)
         centres = np.asarray(mesh.triangles_center)
         radii = np.linalg.norm(self._triangles - centres[:, None], axis=2).max(axis=1)
-        self._large = np.flatnonzero(radii > _SMALL_AREA * squares.edge)
-        self._tree = KDTree(centres)
+        small = radii <= _SMALL_AREA * squares.edge
+        self._large, self._small = np.flatnonzero(~small), np.flatnonzero(small)
+        self._tree = KDTree(centres[small])
         self._squares = squares
         self._flatness = flatness
         self._footprints: dict[int, Footprint] = {}
@@ -103,7 +104,8 @@ class Footprints:
         squares = self._squares
         normal, anchor = squares.rotations[tile][:, 2], squares.anchors[tile]
         reach = np.hypot(squares.edge / np.sqrt(2.0), self._flatness) + _SMALL_AREA * squares.edge
-        near = np.union1d(self._tree.query_ball_point(anchor, reach), self._large).astype(np.int64)
+        near = self._small[np.array(self._tree.query_ball_point(anchor, reach), dtype=np.int64)]
+        near = np.concatenate([near, self._large])
         triangles = self._triangles[near[self._normals[near] @ normal > FACING_WALL]]
         height = (triangles - anchor) @ normal
         in_band = (height.min(axis=1) < self._flatness) & (height.max(axis=1) > -self._flatness)
@@ -131,18 +133,22 @@ class Footprints:
     def _cut(self, triangles: FloatArray, tile: int) -> FloatArray:
         """Triangles, shape (f, 3, 3), cut to the column over a square."""
         anchor, half = self._squares.anchors[tile], 0.5 * self._squares.edge
-        for axis in self._squares.rotations[tile].T[:2]:
+        axes = self._squares.rotations[tile][:, :2]
+        beside = (triangles - anchor) @ axes
+        low, high = beside.min(axis=1), beside.max(axis=1)
+        inside = ((low >= -half) & (high <= half)).all(axis=1)
+        crossing = triangles[((low < half) & (high > -half)).all(axis=1) & ~inside]
+        for axis in axes.T:
             for outward in (axis, -axis):
-                if not len(triangles):
-                    return triangles
-                vertices, faces, _ = slice_faces_plane(
-                    triangles.reshape(-1, 3),
-                    np.arange(3 * len(triangles)).reshape(-1, 3),
-                    -outward,
-                    anchor + half * outward,
-                )
-                triangles = vertices[faces]
-        return triangles
+                if len(crossing):
+                    vertices, faces, _ = slice_faces_plane(
+                        crossing.reshape(-1, 3),
+                        np.arange(3 * len(crossing)).reshape(-1, 3),
+                        -outward,
+                        anchor + half * outward,
+                    )
+                    crossing = vertices[faces]
+        return np.concatenate([triangles[inside], crossing])
 
 
 _END = 10.0  # [deg]; a normal this close to the proximal direction has no proximal tangent

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 import trimesh
 from scipy.spatial import KDTree
+from scipy.spatial.distance import cdist
 
 from socket_testbed.arrays import BoolArray, FloatArray, IntArray
 from socket_testbed.errors import ScanError
@@ -123,8 +124,10 @@ class Search:
         self._tree = KDTree(squares.anchors)
         self._overlaps_of_tile: dict[int, IntArray] = {}
         cell = number_cells(squares.anchors, _WASTE_SPACING * squares.edge)
-        self._witnesses = np.unique(cell, return_index=True)[1]
-        self._overlapping_witness = overlapping(squares, self._witnesses, _CLEARANCE)
+        witnesses = np.unique(cell, return_index=True)[1]
+        self._witness = np.full(len(squares), -1)
+        self._witness[witnesses] = np.arange(len(witnesses))
+        self._overlapping_witness = overlapping(squares, witnesses, _CLEARANCE)
 
     def fill(self) -> IntArray:
         """A first set of tiles, the fixed ones first, to which none can be added."""
@@ -133,7 +136,7 @@ class Search:
             free = self._alive.copy()
             for tile in tiles:
                 free[self._overlapping(int(tile))] = False
-            tiles = self._place(tiles, free, np.zeros(len(free)))
+            tiles = self._place(tiles, np.flatnonzero(free), np.zeros(free.sum()))
             wrong = self._wrong(tiles)
             if not wrong:
                 return tiles
@@ -161,9 +164,11 @@ class Search:
             for tile in out:
                 free[self._overlapping(int(tile))] = True
             free &= self._alive
-            for tile in kept:
+            apart = cdist(anchors[kept], anchors[out]).min(axis=1, initial=np.inf)
+            for tile in kept[apart < 2.0 * REACH * self._squares.edge]:
                 free[self._overlapping(int(tile))] = False
-            found = self._place(kept, free, rng.choice(_CHANCE) * rng.random(len(free)))
+            chance = rng.choice(_CHANCE) * rng.random(len(free))
+            found = self._place(kept, np.flatnonzero(free), chance[free])
             if len(found) >= len(tiles) and not self._wrong(found, len(kept)):
                 tiles = found
                 current = set(tiles.tolist())
@@ -174,24 +179,22 @@ class Search:
                 progress(done + 1, rounds)
         return tiles
 
-    def _place(self, tiles: IntArray, free: BoolArray, chance: FloatArray) -> IntArray:
+    def _place(self, tiles: IntArray, free: IntArray, chance: FloatArray) -> IntArray:
         """Place free squares by least waste until none is left."""
         placed = list(tiles)
-        candidates = np.flatnonzero(free)
-        witnesses = free[self._witnesses]
-        waste = self._overlaps(witnesses)
-        while len(candidates):
-            best = int(candidates[np.argmin(waste[candidates] * (1.0 + chance[candidates]))])
+        waste = self._overlaps(free)
+        while len(free):
+            best = int(free[np.argmin(waste[free] * (1.0 + chance))])
             placed.append(best)
-            free[self._overlapping(best)] = False
-            candidates = candidates[free[candidates]]
-            waste -= self._overlaps(witnesses & ~free[self._witnesses])
-            witnesses &= free[self._witnesses]
+            taken = self._overlap(best, free)
+            waste -= self._overlaps(free[taken])
+            free, chance = free[~taken], chance[~taken]
         return np.array(placed, dtype=np.int64)
 
-    def _overlaps(self, witnesses: BoolArray) -> IntArray:
-        """How many of some witnesses each square overlaps, shape (m,)."""
-        squares = [self._overlapping_witness[i] for i in np.flatnonzero(witnesses)]
+    def _overlaps(self, some: IntArray) -> IntArray:
+        """How many witnesses among some squares each square overlaps, shape (m,)."""
+        witnesses = self._witness[some]
+        squares = [self._overlapping_witness[i] for i in witnesses[witnesses >= 0]]
         none = np.zeros(0, dtype=np.int32)
         return np.bincount(np.concatenate([none, *squares]), minlength=len(self._squares))
 
@@ -213,20 +216,26 @@ class Search:
                 self._overlaps_of_tile.clear()
         return wrong
 
-    def _overlapping(self, index: int) -> IntArray:
-        """Squares that overlap a given one, itself included."""
-        if index not in self._overlaps_of_tile:
-            near = np.array(
-                self._tree.query_ball_point(
-                    self._squares.anchors[index], REACH * self._squares.edge
-                )
-            )
-            gap = gaps(self._squares, index, near)
-            close = np.abs(gap) < _PLANE
-            gap[close] = border_gaps(self._squares, self._borders, index, near[close])
-            clearance = np.maximum(self._clearance[near], self._clearance[index])
-            self._overlaps_of_tile[index] = near[gap < clearance]
-        return self._overlaps_of_tile[index]
+    def _overlapping(self, tile: int) -> IntArray:
+        """Squares that overlap a tile, itself included."""
+        if tile not in self._overlaps_of_tile:
+            anchor, reach = self._squares.anchors[tile], REACH * self._squares.edge
+            near = np.array(self._tree.query_ball_point(anchor, reach))
+            self._overlaps_of_tile[tile] = near[self._overlap(tile, near)]
+        return self._overlaps_of_tile[tile]
+
+    def _overlap(self, index: int, others: IntArray) -> BoolArray:
+        """Which of some squares overlap a given one."""
+        squares = self._squares
+        offset = squares.anchors[others] - squares.anchors[index]
+        near = np.flatnonzero((offset**2).sum(axis=1) <= (REACH * squares.edge) ** 2)
+        some = others[near]
+        gap = gaps(squares, index, some)
+        close = np.abs(gap) < _PLANE
+        gap[close] = border_gaps(squares, self._borders, index, some[close])
+        overlap = np.zeros(len(others), dtype=bool)
+        overlap[near] = gap < np.maximum(self._clearance[some], self._clearance[index])
+        return overlap
 
 
 _NEAR = 0.5  # [edges]; largest gap between neighbours
