@@ -8,14 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 import trimesh
 from scipy.spatial import KDTree
-from scipy.spatial.distance import cdist
 
 from socket_testbed.arrays import BoolArray, FloatArray, IntArray
 from socket_testbed.socket_design.mesh import number_cells
 
 _SMALL = 1e-12  # in place of a zero that is divided by
 REACH = 1.45  # [edges]; squares that overlap have their centres within it
-_BLOCK = 0.25  # [-]; size of a block of centres, of the radius around them
+_BLOCK = 0.4  # [-]; size of a block of centres, of the radius around them
 _OTHER_WALL = -0.2  # [-]; cosine between the normals of squares that are on different walls
 
 
@@ -52,8 +51,8 @@ class Squares:
         return self.anchors[:, None] + around
 
 
-def gaps(squares: Squares, index: int, others: IntArray) -> FloatArray:
-    """Gaps between a square and others on a smooth surface, negative where they overlap.
+def gaps(squares: Squares, some: IntArray, others: IntArray) -> FloatArray:
+    """Gaps between squares and others on a smooth surface, negative where they overlap.
 
     Both of a pair are turned into the plane halfway between their own, where the separating-axis
     test of two squares is exact: on a circular wall two squares touch when the chord between
@@ -62,34 +61,37 @@ def gaps(squares: Squares, index: int, others: IntArray) -> FloatArray:
 
     Args:
         squares: The squares.
-        index: The square.
+        some: Indices of the squares, shape (m,).
         others: Indices of the others, shape (p,).
 
     Returns:
-        Gaps, shape (p,) [m].
+        Gaps, shape (m, p) [m].
     """
-    x, _, z = squares.rotations[index].T
-    x_other, z_other = squares.rotations[others, :, 0], squares.rotations[others, :, 2]
-    offset = squares.anchors[others] - squares.anchors[index]
+    one, other = squares.take(some), squares.take(others)
+    x, z = one.rotations[:, :, 0], one.rotations[:, :, 2]
+    x_other, z_other = other.rotations[:, :, 0], other.rotations[:, :, 2]
+    offset_x, offset_y, offset_z = seen_from(one, other.anchors)
+    offset_x_other = (x_other * other.anchors).sum(axis=1) - one.anchors @ x_other.T
+    offset_z_other = (z_other * other.anchors).sum(axis=1) - one.anchors @ z_other.T
 
     # The normal of the plane halfway is along z + z_other, of this length squared:
-    cosine = z_other @ z
+    cosine = z @ z_other.T
     length2 = np.maximum(2.0 + 2.0 * cosine, _SMALL)
-    out_of_plane = (offset @ z + _dot(offset, z_other)) / length2
-    in_plane2 = _dot(offset, offset) - out_of_plane**2 * length2
-    x_out, x_other_out = z_other @ x, x_other @ z
+    out_of_plane = (offset_z + offset_z_other) / length2
+    in_plane2 = offset_x**2 + offset_y**2 + offset_z**2 - out_of_plane**2 * length2
+    x_out, x_other_out = x @ z_other.T, z @ x_other.T
     scale, scale_other = (
         1.0 / np.sqrt(np.maximum(1.0 - out**2 / length2, _SMALL)) for out in (x_out, x_other_out)
     )
-    along = (offset @ x - x_out * out_of_plane) * scale
-    along_other = (_dot(offset, x_other) - x_other_out * out_of_plane) * scale_other
-    cosine_x = (x_other @ x - x_out * x_other_out / length2) * scale * scale_other
+    along = (offset_x - x_out * out_of_plane) * scale
+    along_other = (offset_x_other - x_other_out * out_of_plane) * scale_other
+    cosine_x = (x @ x_other.T - x_out * x_other_out / length2) * scale * scale_other
 
-    apart = np.abs([along, along_other])
-    across = np.sqrt(np.maximum(in_plane2 - apart**2, 0.0))
+    apart = np.maximum(along**2, along_other**2)
+    across = in_plane2 - np.minimum(along**2, along_other**2)
     sine_x = np.sqrt(np.maximum(1.0 - cosine_x**2, 0.0))
     reach = 0.5 * squares.edge * (1.0 + np.abs(cosine_x) + sine_x)
-    return np.where(cosine > _OTHER_WALL, np.maximum(apart, across).max(axis=0) - reach, np.inf)
+    return np.where(cosine > _OTHER_WALL, np.sqrt(np.maximum(apart, across)) - reach, np.inf)
 
 
 def overlapping(squares: Squares, some: IntArray, clearance: float) -> list[IntArray]:
@@ -100,24 +102,17 @@ def overlapping(squares: Squares, some: IntArray, clearance: float) -> list[IntA
         some: Indices of some of them.
         clearance: Gap below which two count as overlapping [m].
     """
-    anchors, normals = squares.anchors, np.ascontiguousarray(squares.rotations[:, :, 2])
     found = [np.zeros(0, dtype=np.int64)] * len(some)
-    for rows, near in blocks_of(anchors[some], anchors, REACH * squares.edge):
-        block = some[rows]
-        distance = cdist(anchors[block], anchors[near])
-        same_wall = normals[block] @ normals[near].T > _OTHER_WALL
-        # Squares on one wall overlap, however they are turned, if their centres are within an edge.
-        sure = same_wall & (distance < squares.edge)
-        perhaps = same_wall & ~sure & (distance <= REACH * squares.edge)
-        for place, row in enumerate(rows):
-            others = near[perhaps[place]]
-            touching = others[gaps(squares, int(block[place]), others) < clearance]
-            found[row] = np.concatenate([near[sure[place]], touching])
+    for rows, near in blocks_of(squares.anchors[some], squares.anchors, REACH * squares.edge):
+        for row, overlap in zip(rows, gaps(squares, some[rows], near) < clearance, strict=True):
+            found[row] = near[overlap]
     return found
 
 
-def _dot(a: FloatArray, b: FloatArray) -> FloatArray:
-    return np.einsum("pi,pi->p", a, b)
+def seen_from(squares: Squares, points: FloatArray) -> FloatArray:
+    """Coordinates of p points in the frames of m squares, shape (3, m, p) [m]."""
+    axes = np.moveaxis(squares.rotations, 2, 0)
+    return axes @ points.T - (axes * squares.anchors).sum(axis=2)[:, :, None]
 
 
 def blocks_of(
@@ -138,10 +133,13 @@ def blocks_of(
     tree = KDTree(points)
     block = number_cells(centres, _BLOCK * radius)
     order = np.argsort(block, kind="stable")
-    for rows in np.split(order, np.flatnonzero(np.diff(block[order])) + 1):
-        middle = centres[rows].mean(axis=0)
-        reach = radius + np.linalg.norm(centres[rows] - middle, axis=1).max()
-        near = tree.query_ball_point(middle, reach)
+    first = np.flatnonzero(np.diff(block[order], prepend=-1))
+    sorted_centres = centres[order]
+    middles = np.add.reduceat(sorted_centres, first) / np.diff(first, append=len(order))[:, None]
+    off = np.linalg.norm(sorted_centres - middles[block[order]], axis=1)
+    reach = radius + np.maximum.reduceat(off, first)
+    for rows, *ball in zip(np.split(order, first[1:]), middles, reach, strict=True):
+        near = tree.query_ball_point(*ball)
         if near:
             yield rows, np.array(near)
 

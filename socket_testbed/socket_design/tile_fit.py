@@ -12,7 +12,13 @@ from scipy.spatial.distance import cdist
 from trimesh.intersections import slice_faces_plane
 
 from socket_testbed.arrays import BoolArray, FloatArray, IntArray
-from socket_testbed.socket_design.squares import Squares, SurfacePoints, blocks_of, gaps
+from socket_testbed.socket_design.squares import (
+    Squares,
+    SurfacePoints,
+    blocks_of,
+    gaps,
+    seen_from,
+)
 
 FACING_WALL = -0.5  # [-]; cosine below which a surface is the wall on the other side
 LEAST_FACING = 0.5  # [-]; cosine to a tile's normal below which a surface is folded away
@@ -80,12 +86,11 @@ class Footprints:
             tiles: The tiles.
             known: So many of the first are known to share nothing among themselves.
         """
-        pairs = []
-        for place in range(known, len(tiles)):
-            tile, earlier = int(tiles[place]), tiles[:place]
-            close = earlier[gaps(self._squares, tile, earlier) < _CLOSE * self._squares.edge]
-            pairs += [(o, tile) for o in map(int, close) if self.shared_area(o, tile) > _SHARED]
-        return pairs
+        gap = gaps(self._squares, tiles[known:], tiles)
+        earlier = np.arange(len(tiles)) < np.arange(known, len(tiles))[:, None]
+        later, other = np.nonzero(earlier & (gap < _CLOSE * self._squares.edge))
+        pairs = zip(tiles[other].tolist(), tiles[known + later].tolist(), strict=True)
+        return [pair for pair in pairs if self.shared_area(*pair) > _SHARED]
 
     def footprint(self, tile: int) -> Footprint:
         """The footprint of a square."""
@@ -107,6 +112,7 @@ class Footprints:
         near = self._small[np.array(self._tree.query_ball_point(anchor, reach), dtype=np.int64)]
         near = np.concatenate([near, self._large])
         triangles = self._triangles[near[self._normals[near] @ normal > FACING_WALL]]
+        triangles = self._above(triangles, tile)
         height = (triangles - anchor) @ normal
         in_band = (height.min(axis=1) < self._flatness) & (height.max(axis=1) > -self._flatness)
         triangles = self._cut(triangles[in_band], tile)
@@ -124,21 +130,34 @@ class Footprints:
 
     def _find_shared_area(self, tile: int, other: int) -> float:
         normal, anchor = self._squares.rotations[other][:, 2], self._squares.anchors[other]
-        triangles = self.footprint(tile).triangles
+        triangles = self._above(self.footprint(tile).triangles, other)
+        if not len(triangles):
+            return 0.0
         facing = trimesh.triangles.cross(triangles) @ normal > 0.0
         height = np.abs((triangles - anchor) @ normal).min(axis=1)
         triangles = self._cut(triangles[facing & (height < 2.0 * self._flatness)], other)
         return 0.5 * float(np.linalg.norm(trimesh.triangles.cross(triangles), axis=1).sum())
 
+    def _above(self, triangles: FloatArray, tile: int) -> FloatArray:
+        """Of triangles, shape (f, 3, 3), those not beside the column over a square."""
+        low, high = self._extents(triangles, tile)
+        half = 0.5 * self._squares.edge
+        return triangles[((low < half) & (high > -half)).all(axis=1)]
+
+    def _extents(self, triangles: FloatArray, tile: int) -> tuple[FloatArray, FloatArray]:
+        """Least and largest x and y of triangles in a square's frame, each of shape (f, 2) [m]."""
+        axes = self._squares.rotations[tile][:, :2]
+        a, b, c = np.moveaxis(triangles @ axes - self._squares.anchors[tile] @ axes, 1, 0)
+        return np.minimum(np.minimum(a, b), c), np.maximum(np.maximum(a, b), c)
+
     def _cut(self, triangles: FloatArray, tile: int) -> FloatArray:
         """Triangles, shape (f, 3, 3), cut to the column over a square."""
+        triangles = self._above(triangles, tile)
         anchor, half = self._squares.anchors[tile], 0.5 * self._squares.edge
-        axes = self._squares.rotations[tile][:, :2]
-        beside = (triangles - anchor) @ axes
-        low, high = beside.min(axis=1), beside.max(axis=1)
+        low, high = self._extents(triangles, tile)
         inside = ((low >= -half) & (high <= half)).all(axis=1)
-        crossing = triangles[((low < half) & (high > -half)).all(axis=1) & ~inside]
-        for axis in axes.T:
+        crossing = triangles[~inside]
+        for axis in self._squares.rotations[tile].T[:2]:
             for outward in (axis, -axis):
                 if len(crossing):
                     vertices, faces, _ = slice_faces_plane(
@@ -260,7 +279,7 @@ def roughly_fit(squares: Squares, surroundings: Surroundings, flatness: float) -
     fits = np.zeros(len(squares), dtype=bool)
     for rows, near in blocks_of(squares.anchors, points.positions, 1.1 * reach):
         block = squares.take(rows)
-        x, y, height = _seen_from(block, points.positions[near])
+        x, y, height = seen_from(block, points.positions[near])
         facing = block.rotations[:, :, 2] @ points.normals[near].T
         inside = (np.abs(x) < half) & (np.abs(y) < half) & (facing > FACING_WALL)
         inside &= cdist(block.anchors, points.positions[near]) <= 1.1 * reach
@@ -269,14 +288,8 @@ def roughly_fit(squares: Squares, surroundings: Surroundings, flatness: float) -
         fits[rows] = (cover > _LEAST_COVER * squares.edge**2) & ~unfit.any(axis=1)
     for rows, near in blocks_of(squares.anchors, surroundings.rim, reach):
         block = squares.take(rows)
-        x, y, _ = _seen_from(block, surroundings.rim[near])
+        x, y, _ = seen_from(block, surroundings.rim[near])
         cut = (np.abs(x) < half) & (np.abs(y) < half)
         cut &= cdist(block.anchors, surroundings.rim[near]) <= reach
         fits[rows] &= ~cut.any(axis=1)
     return fits
-
-
-def _seen_from(squares: Squares, points: FloatArray) -> FloatArray:
-    """Coordinates of p points in the frames of m squares, shape (3, m, p) [m]."""
-    axes = np.moveaxis(squares.rotations, 2, 0)
-    return axes @ points.T - (axes * squares.anchors).sum(axis=2)[:, :, None]

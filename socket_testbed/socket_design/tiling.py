@@ -230,7 +230,7 @@ class Search:
         offset = squares.anchors[others] - squares.anchors[index]
         near = np.flatnonzero((offset**2).sum(axis=1) <= (REACH * squares.edge) ** 2)
         some = others[near]
-        gap = gaps(squares, index, some)
+        gap = gaps(squares, np.array([index]), some)[0]
         close = np.abs(gap) < _PLANE
         gap[close] = border_gaps(squares, self._borders, index, some[close])
         overlap = np.zeros(len(others), dtype=bool)
@@ -256,7 +256,7 @@ def nearby_pairs(squares: Squares) -> IntArray:
         later = later[normals[later] @ normals[tile] > _FOLD]
         offset = squares.anchors[later] - squares.anchors[tile]
         later = later[np.linalg.norm(offset, axis=1) < _FARTHEST * squares.edge]
-        near = later[gaps(squares, tile, later) < _NEAR * squares.edge]
+        near = later[gaps(squares, np.array([tile]), later)[0] < _NEAR * squares.edge]
         pairs += [(tile, int(other)) for other in near]
     return np.array(pairs, dtype=np.int64).reshape(-1, 2)
 

@@ -56,7 +56,7 @@ def test_squares_overlap_where_points_are_in_both(seed: int) -> None:
     places = [(0.0, 0.0, rng.uniform(0, 6))]
     places += [(*rng.uniform(-0.04, 0.04, 2), rng.uniform(0, 6)) for _ in range(40)]
     squares = on_plane(places)
-    gap = gaps(squares, 0, np.arange(1, 41))
+    gap = gaps(squares, np.array([0]), np.arange(1, 41))[0]
     points = np.column_stack([rng.uniform(-0.022, 0.022, (100_000, 2)), np.zeros(100_000)])
     inside = [
         (np.abs((points - a) @ f)[:, :2] < 0.015).all(axis=1)
@@ -76,7 +76,7 @@ def test_squares_touch_on_a_cylinder_at_a_chord_of_one_edge() -> None:
         inward = -np.array([math.cos(angle), math.sin(angle), 0.0])
         frames.append(np.column_stack([Z, np.cross(inward, Z), inward]))
     anchors = np.column_stack([radius * np.cos(angles), radius * np.sin(angles), 0.0 * angles])
-    gap = gaps(Squares(anchors, np.array(frames), edge), 0, np.array([1, 2, 3]))
+    gap = gaps(Squares(anchors, np.array(frames), edge), np.array([0]), np.array([1, 2, 3]))[0]
     assert gap[0] == pytest.approx(0.0, abs=1e-12)
     assert gap[1] > 0.5 * edge
     assert np.isinf(gap[2])
@@ -86,7 +86,7 @@ def test_gaps_are_the_same_from_both_sides() -> None:
     rng = np.random.default_rng(3)
     frames = Rotation.from_rotvec(rng.normal(0.0, 0.4, (30, 3))).as_matrix()
     squares = Squares(rng.normal(0.0, 0.02, (30, 3)), frames, 0.03)
-    table = np.array([gaps(squares, i, np.arange(30)) for i in range(30)])
+    table = gaps(squares, np.arange(30), np.arange(30))
     np.testing.assert_allclose(table, table.T, atol=1e-9)
 
 
