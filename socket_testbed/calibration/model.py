@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from datetime import date
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +24,8 @@ from socket_testbed.samples import Status
 
 _LARGEST = 1e9  # [Pa, Pa/pF, Pa/pF^2, pF]; no coefficient comes near it
 SMALLEST_GAIN = 100.0  # [Pa/pF]; a smaller one is in another unit
+
+_OK, _SATURATED, _MISSING, _OUT_OF_RANGE = (np.uint8(status) for status in Status)
 
 SHEAR_TERMS = ("1", "dx", "dy", "dx^2", "dx dy", "dy^2")
 
@@ -44,8 +47,10 @@ def channel_features(capacitance: FloatArray) -> tuple[FloatArray, FloatArray, F
 
 def shear_terms(along_x: FloatArray, along_y: FloatArray) -> FloatArray:
     """Monomials `SHEAR_TERMS` of the pair differences, shape (..., 6) [pF^0..pF^2]."""
-    one = np.ones_like(along_x)
-    return np.stack([one, along_x, along_y, along_x**2, along_x * along_y, along_y**2], axis=-1)
+    terms = np.ones((*along_x.shape, len(SHEAR_TERMS)))
+    terms[..., 1], terms[..., 2] = along_x, along_y
+    terms[..., 3], terms[..., 4], terms[..., 5] = along_x**2, along_x * along_y, along_y**2
+    return terms
 
 
 @dataclass(frozen=True)
@@ -85,29 +90,37 @@ class ClusterCalibration:
             [Pa], and their `Status`, shape (...). The stress is NaN unless all four
             channels were read; out of the calibrated range it is an extrapolation.
         """
-        capacitance = capacitance[..., self.wiring]
-        status = status[..., self.wiring]
         capacitance = np.where(np.isfinite(capacitance), capacitance, np.nan)
-        missing = ((status >= Status.MISSING) | np.isnan(capacitance)).any(axis=-1)
-        saturated = (status == Status.SATURATED).any(axis=-1)
+        features = np.einsum("...ij,...j->...i", self._features, capacitance)
+        mean, along_x, along_y = (features[..., i] for i in range(3))
+        stress = np.empty_like(features)
+        stress[..., 0] = self.normal[..., 0] + self.normal[..., 1] * mean
+        terms = shear_terms(along_x, along_y)
+        stress[..., 1:] = np.einsum("...ij,...j->...i", self.shear, terms)
 
-        mean, along_x, along_y = channel_features(capacitance)
-        normal = self.normal[0] + self.normal[1] * mean
-        shear = shear_terms(along_x, along_y) @ self.shear.T
-        stress = np.concatenate([normal[..., None], shear], axis=-1)
-
-        outside = (mean < self.mean_range[0]) | (mean > self.mean_range[1])
-        for difference in (along_x, along_y):
-            outside |= difference < self.difference_range[0]
-            outside |= difference > self.difference_range[1]
-        result = np.where(outside, Status.OUT_OF_RANGE, Status.OK)
+        low, high = self._limits
+        outside = ((features < low) | (features > high)).any(axis=-1)
+        result = np.where(outside, _OUT_OF_RANGE, _OK)
+        result = np.where(np.isnan(mean), _MISSING, result)
         # A saturated input is reported as such even though its value is NaN, too.
-        result = np.where(missing, Status.MISSING, result)
-        result = np.where(
-            saturated & ~(status >= Status.MISSING).any(axis=-1), Status.SATURATED, result
-        ).astype(np.uint8)
-        unusable = (result == Status.MISSING) | (result == Status.SATURATED)
+        worst = status.max(axis=-1)
+        result = np.where(worst == _SATURATED, _SATURATED, result)
+        result = np.where(worst >= _MISSING, _MISSING, result)
+        unusable = (result == _MISSING) | (result == _SATURATED)
         return np.where(unusable[..., None], np.nan, stress), result
+
+    @cached_property
+    def _features(self) -> FloatArray:
+        """Matrix of `channel_features` from the inputs, shape (3, 4)."""
+        of_channels = np.array(channel_features(np.eye(4)))
+        return np.moveaxis(of_channels[:, np.argsort(self.wiring)], 0, -2)
+
+    @cached_property
+    def _limits(self) -> tuple[FloatArray, FloatArray]:
+        """Lowest and highest features of the calibrated range, shape (3,) each [pF]."""
+        ranges = (self.mean_range, self.difference_range, self.difference_range)
+        limits = np.stack(ranges, axis=-1)
+        return limits[..., 0, :], limits[..., 1, :]
 
     def to_document(self) -> dict[str, Any]:
         """The cluster's section of `calibration.yaml`."""
@@ -153,6 +166,21 @@ class Calibration:
                 f" (it has {', '.join(self.clusters) or 'none'})",
                 "give the calibration.yaml of these clusters",
             )
+
+    def stacked(self, clusters: Collection[str]) -> ClusterCalibration:
+        """Coefficients of c clusters with an axis for them, to `apply` to shape (..., c, 4).
+
+        Args:
+            clusters: Their names, of which the calibration knows all; at least one.
+        """
+        own = [self.clusters[name] for name in clusters]
+        return ClusterCalibration(
+            normal=np.stack([cluster.normal for cluster in own]),
+            shear=np.stack([cluster.shear for cluster in own]),
+            mean_range=np.stack([cluster.mean_range for cluster in own]),
+            difference_range=np.stack([cluster.difference_range for cluster in own]),
+            wiring=np.stack([cluster.wiring for cluster in own]),
+        )
 
     def to_document(self) -> dict[str, Any]:
         """The content of `calibration.yaml`."""

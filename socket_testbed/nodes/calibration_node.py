@@ -8,12 +8,16 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from socket_testbed_msgs.msg import ClusterCapacitanceArray
 
 from socket_testbed.calibration.model import read_calibration
 from socket_testbed.files import packaged
 from socket_testbed.nodes.base import ERROR, NEWEST_STAMP, OK, WARN, TestbedNode
-from socket_testbed.nodes.conversions import stamp_from_ros, stress_to_ros
+from socket_testbed.nodes.conversions import (
+    MessageTemplate,
+    capacitance_reader,
+    elements,
+    stress_to_ros,
+)
 from socket_testbed.samples import Status
 from socket_testbed.settings.testbed import CalibrationNodeSettings
 from socket_testbed.trials.topics import CAPACITANCE, STRESS
@@ -30,29 +34,48 @@ class CalibrationNode(TestbedNode[CalibrationNodeSettings]):
         )
         self._messages = 0
         self._newest = 0
+        self._reader = capacitance_reader()
+        self._names: tuple[str, ...] | None = None
+        self._states: list[int] = []
         self._stress = self.advertise(STRESS, needed=True)
-        self.listen(CAPACITANCE, self._on_capacitance)
+        self.listen(CAPACITANCE, self._on_capacitance, raw=True)
 
     def figures(self) -> dict[str, object]:
         """Number of messages, and the newest stamp."""
         return {"messages": self._messages, NEWEST_STAMP: self._newest}
 
-    def _on_capacitance(self, message: ClusterCapacitanceArray) -> None:
-        stress = np.full((len(message.clusters), 3), np.nan)
-        status = np.full(len(message.clusters), Status.MISSING, dtype=np.uint8)
-        for i, cluster in enumerate(message.clusters):
-            calibration = self._calibration.clusters.get(cluster.name)
-            if calibration is not None:
-                stress[i], status[i] = calibration.apply(
-                    np.asarray(cluster.capacitance), np.asarray(cluster.status)
-                )
-        names = [cluster.name for cluster in message.clusters]
-        self._newest = stamp_from_ros(message.header.stamp)
+    def _on_capacitance(self, data: bytes) -> None:
+        read = self._reader.read(data)
+        news = read.names != self._names
+        if news:
+            self._prepare(read.names)
+        stress, status = np.full((len(read.names), 3), np.nan), self._missing.copy()
+        if self._known:
+            stress[self._known], status[self._known] = self._coefficients.apply(
+                read.capacitance[self._known], read.status[self._known]
+            )
+        states = status.tolist()
+        for cluster, values, state in zip(self._clusters, stress.tolist(), states, strict=True):
+            cluster[()] = (*values, state)
+        self._newest = read.stamp
         self._messages += 1
-        self._stress.publish(stress_to_ros(self._newest, names, stress, status))
-        self.report(*self._health(names, status.tolist()))
+        self._stress.publish(self._template.serialised(read.stamp))
+        if news or states != self._states:
+            self._states = states
+            self.report(*self._health(read.names, states))
 
-    def _health(self, names: list[str], status: list[int]) -> tuple[int, str]:
+    def _prepare(self, names: tuple[str, ...]) -> None:
+        """Take other clusters over; those without a calibration stay missing."""
+        self._names = names
+        self._known = [i for i, name in enumerate(names) if name in self._calibration.clusters]
+        if self._known:
+            self._coefficients = self._calibration.stacked([names[i] for i in self._known])
+        shape = (len(names), 3)
+        self._missing = np.full(len(names), Status.MISSING, dtype=np.uint8)
+        self._template = MessageTemplate(stress_to_ros(0, names, np.zeros(shape), self._missing))
+        self._clusters = elements(self._template.numbers, "clusters")
+
+    def _health(self, names: tuple[str, ...], status: list[int]) -> tuple[int, str]:
         unknown = [name for name in names if name not in self._calibration.clusters]
         if unknown:
             listed = ", ".join(unknown)

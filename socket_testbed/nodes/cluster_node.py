@@ -5,11 +5,13 @@ Subscribes: trigger. Publishes: clusters/capacitance, /diagnostics.
 
 from __future__ import annotations
 
+import numpy as np
+
 from socket_testbed import clocks
 from socket_testbed.drivers.clusters.reader import ClusterReader, ClusterReading
 from socket_testbed.live.hardware import i2c_opener
 from socket_testbed.nodes.base import ERROR, OK
-from socket_testbed.nodes.conversions import capacitance_to_ros
+from socket_testbed.nodes.conversions import MessageTemplate, capacitance_to_ros, elements
 from socket_testbed.nodes.sensor_node import SensorNode
 from socket_testbed.settings.acquisition import ClusterSettings
 from socket_testbed.trials.topics import CAPACITANCE
@@ -24,6 +26,12 @@ class ClusterNode(SensorNode[ClusterSettings]):
         super().__init__("cluster_node", ClusterSettings)
         self._reader = ClusterReader(self.settings, i2c_opener(self.settings))
         self._answering = False
+        names = self.settings.names
+        nothing = np.zeros((len(names), 4))
+        self._template = MessageTemplate(
+            capacitance_to_ros(0, names, nothing, nothing.astype(np.uint8))
+        )
+        self._clusters = elements(self._template.numbers, "clusters")
         self._capacitance = self.advertise(CAPACITANCE)
         self.follow_triggers()
 
@@ -44,9 +52,9 @@ class ClusterNode(SensorNode[ClusterSettings]):
         """Read all clusters; `missing` counts channels."""
         reading = self._read(moment)
         self.missing += int((reading.status != 0).sum())
-        self._capacitance.publish(
-            capacitance_to_ros(stamp, reading.names, reading.capacitance, reading.status)
-        )
+        for i, cluster in enumerate(self._clusters):
+            cluster["capacitance"], cluster["status"] = reading.capacitance[i], reading.status[i]
+        self._capacitance.publish(self._template.serialised(stamp))
 
     def idle(self) -> None:
         """See how the clusters are."""

@@ -6,15 +6,16 @@ They need no more than numpy: the nodes that measure start quickly.
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from contextlib import suppress
 from functools import cache
 from importlib import import_module
-from typing import Any
+from typing import Any, Generic, NamedTuple, TypeVar
 
 import numpy as np
 from builtin_interfaces.msg import Time
-from geometry_msgs.msg import Point, Pose, Quaternion, Vector3, Wrench
-from rclpy.serialization import serialize_message
+from geometry_msgs.msg import Point, Pose, PoseStamped, Quaternion, Vector3, Wrench, WrenchStamped
+from rclpy.serialization import deserialize_message, serialize_message
 from socket_testbed_msgs.msg import (
     ClusterCapacitance,
     ClusterCapacitanceArray,
@@ -22,11 +23,12 @@ from socket_testbed_msgs.msg import (
     ClusterStressArray,
     RigidBodyMarkers,
     RigidBodyMarkersArray,
+    Trigger,
 )
 from std_msgs.msg import Header
 
 from socket_testbed.arrays import FloatArray, StatusArray
-from socket_testbed.trials.layout import Field, Layout
+from socket_testbed.trials.layout import Field, Layout, Record
 
 WORLD_FRAME = "world"  # the motion capture's
 SOCKET_FRAME = "socket"  # the socket's marker body
@@ -53,9 +55,82 @@ def fields_of(message_type: str) -> tuple[Field, ...]:
 
 def layout_of(message: Any) -> Layout:
     """The layout of a message, and of all whose strings and sequences are as long."""
-    kind = type(message)
-    message_type = f"{kind.__module__.partition('.')[0]}/{kind.__name__}"
-    return Layout(serialize_message(message), message_type, fields_of)
+    return Layout(serialize_message(message), _type_name(type(message)), fields_of)
+
+
+def _type_name(kind: type) -> str:
+    return f"{kind.__module__.partition('.')[0]}/{kind.__name__}"
+
+
+T = TypeVar("T")
+
+
+class MessageReader(Generic[T]):
+    """Reads serialised messages of one type, with numpy where they have the last one's layout.
+
+    Args:
+        kind: Class of the messages.
+        from_message: What a message says.
+        from_record: What the numbers of a message say, given what the one says that the layout
+            was found from: strings and lengths are the same.
+    """
+
+    def __init__(
+        self,
+        kind: Any,
+        from_message: Callable[[Any], T],
+        from_record: Callable[[Record, T], T],
+    ) -> None:
+        self._kind = kind
+        self._from_message = from_message
+        self._from_record = from_record
+        self._known: tuple[Layout, T] | None = None
+
+    def read(self, data: bytes) -> T:
+        """What a serialised message says."""
+        if self._known is not None:
+            layout, like = self._known
+            if (record := layout.record(data)) is not None:
+                return self._from_record(record, like)
+        found = self._from_message(deserialize_message(data, self._kind))
+        with suppress(ValueError):  # it has no layout: the next is decoded as this one
+            self._known = Layout(data, _type_name(self._kind), fields_of), found
+        return found
+
+
+class MessageTemplate:
+    """A message with a header, of which all but the numbers stays: filled and sent as bytes.
+
+    Args:
+        message: The message; its strings and the lengths of its sequences stay.
+
+    Attributes:
+        numbers: Its numbers, to be filled: as `Layout.blank`.
+    """
+
+    def __init__(self, message: Any) -> None:
+        self._content, self.numbers = layout_of(message).blank()
+        stamp = self.numbers["header"]["stamp"]
+        self._seconds, self._nanoseconds = stamp["sec"], stamp["nanosec"]
+
+    def serialised(self, stamp: int) -> bytes:
+        """The message as it is filled, with a stamp [ns]."""
+        self._seconds[()], self._nanoseconds[()] = divmod(stamp, 1_000_000_000)
+        return bytes(self._content)
+
+
+def elements(record: Record, field: str) -> list[Record]:
+    """The numbers of the messages in a sequence, none where it is empty."""
+    if field not in (record.dtype.names or ()):
+        return []
+    sequence = record[field]
+    return [sequence[number] for number in sequence.dtype.names or ()]
+
+
+def stamp_from_record(record: Record) -> int:
+    """Stamp of a message's header, in nanoseconds since the epoch."""
+    stamp = record["header"]["stamp"]
+    return int(stamp["sec"]) * 1_000_000_000 + int(stamp["nanosec"])
 
 
 def stamp_from_ros(stamp: Time) -> int:
@@ -74,6 +149,15 @@ def header_to_ros(stamp: int, frame: str = LOAD_CELL_FRAME) -> Header:
     return Header(stamp=stamp_to_ros(stamp), frame_id=frame)
 
 
+def trigger_reader() -> MessageReader[tuple[int, int]]:
+    """Reads triggers: the stamp [ns] and the sequence."""
+    return MessageReader(
+        Trigger,
+        lambda message: (stamp_from_ros(message.header.stamp), int(message.sequence)),
+        lambda record, like: (stamp_from_record(record), int(record["sequence"])),
+    )
+
+
 def wrench_from_ros(wrench: Wrench) -> FloatArray:
     """[M; F], shape (6,) [N m, N]."""
     t, f = wrench.torque, wrench.force
@@ -83,6 +167,18 @@ def wrench_from_ros(wrench: Wrench) -> FloatArray:
 def wrench_to_ros(wrench: FloatArray) -> Wrench:
     """Wrench from [M; F], shape (6,) [N m, N]."""
     return Wrench(torque=vector_to_ros(wrench[:3]), force=vector_to_ros(wrench[3:]))
+
+
+def wrench_packer() -> Callable[[int, FloatArray], bytes]:
+    """Packs a WrenchStamped from its stamp [ns] and [M; F], shape (6,) [N m, N]."""
+    template = MessageTemplate(WrenchStamped(header=header_to_ros(0)))
+    wrench = template.numbers["wrench"]
+
+    def pack(stamp: int, values: FloatArray) -> bytes:
+        wrench["torque"], wrench["force"] = values[:3], values[3:]
+        return template.serialised(stamp)
+
+    return pack
 
 
 def vector_to_ros(vector: FloatArray) -> Vector3:
@@ -102,9 +198,16 @@ def pose_from_ros(pose: Pose) -> FloatArray:
     return np.array([p.x, p.y, p.z, q.x, q.y, q.z, q.w])
 
 
-def pose_to_ros(position: FloatArray, quaternion: FloatArray) -> Pose:
-    """Pose from a position, shape (3,) [m], and a quaternion (x, y, z, w), shape (4,)."""
-    return Pose(position=point_to_ros(position), orientation=quaternion_to_ros(quaternion))
+def pose_packer() -> Callable[[int, FloatArray], bytes]:
+    """Packs a PoseStamped in the world from its stamp [ns] and `pose_from_ros`, shape (7,)."""
+    template = MessageTemplate(PoseStamped(header=header_to_ros(0, WORLD_FRAME)))
+    pose = template.numbers["pose"]
+
+    def pack(stamp: int, values: FloatArray) -> bytes:
+        pose["position"], pose["orientation"] = values[:3], values[3:]
+        return template.serialised(stamp)
+
+    return pack
 
 
 def quaternion_to_ros(quaternion: FloatArray) -> Quaternion:
@@ -130,6 +233,44 @@ def markers_to_ros(
     return RigidBodyMarkersArray(header=header_to_ros(stamp, WORLD_FRAME), bodies=found)
 
 
+class Capacitances(NamedTuple):
+    """What a message of capacitances says.
+
+    Attributes:
+        stamp: Stamp of its trigger since the epoch [ns].
+        names: Names of the c clusters.
+        capacitance: Capacitances by input, shape (c, 4) [pF].
+        status: `Status` of each, shape (c, 4).
+    """
+
+    stamp: int
+    names: tuple[str, ...]
+    capacitance: FloatArray
+    status: StatusArray
+
+
+def capacitance_reader() -> MessageReader[Capacitances]:
+    """Reads messages of capacitances."""
+
+    def from_message(message: ClusterCapacitanceArray) -> Capacitances:
+        clusters = message.clusters
+        return Capacitances(
+            stamp_from_ros(message.header.stamp),
+            tuple(cluster.name for cluster in clusters),
+            np.array([cluster.capacitance for cluster in clusters]).reshape(-1, 4),
+            np.array([cluster.status for cluster in clusters], dtype=np.uint8).reshape(-1, 4),
+        )
+
+    def from_record(record: Record, like: Capacitances) -> Capacitances:
+        clusters = elements(record, "clusters")
+        capacitance, status = np.empty_like(like.capacitance), np.empty_like(like.status)
+        for i, cluster in enumerate(clusters):
+            capacitance[i], status[i] = cluster["capacitance"], cluster["status"]
+        return Capacitances(stamp_from_record(record), like.names, capacitance, status)
+
+    return MessageReader(ClusterCapacitanceArray, from_message, from_record)
+
+
 def capacitance_to_ros(
     stamp: int, names: tuple[str, ...], capacitance: FloatArray, status: StatusArray
 ) -> ClusterCapacitanceArray:
@@ -150,7 +291,7 @@ def stress_from_ros(message: ClusterStressArray) -> dict[str, tuple[FloatArray, 
 
 
 def stress_to_ros(
-    stamp: int, names: list[str], stress: FloatArray, status: StatusArray
+    stamp: int, names: Sequence[str], stress: FloatArray, status: StatusArray
 ) -> ClusterStressArray:
     """Message from stresses, shape (c, 3) [Pa], and statuses, shape (c,)."""
     clusters = [

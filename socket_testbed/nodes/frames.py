@@ -12,8 +12,9 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
-from geometry_msgs.msg import PoseStamped, Transform, TransformStamped
+from geometry_msgs.msg import Transform, TransformStamped
 
+from socket_testbed.arrays import FloatArray
 from socket_testbed.geometry.pose import Pose
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.nodes.base import TestbedNode, message_type, publisher_qos
@@ -23,9 +24,7 @@ from socket_testbed.nodes.conversions import (
     SOCKET_FRAME,
     WORLD_FRAME,
     header_to_ros,
-    pose_from_ros,
     quaternion_to_ros,
-    stamp_from_ros,
     vector_to_ros,
 )
 from socket_testbed.trials.topics import PYLON_POSE, SOCKET_POSE, TF, TF_STATIC, Topic
@@ -64,21 +63,22 @@ class FrameBroadcaster:
         """Whether anybody subscribes."""
         return self._send is not None and self._node.count_subscribers(self._topic) > 0
 
-    def move(self, poses: Mapping[Topic, PoseStamped]) -> None:
+    def move(self, stamp: int, poses: Mapping[Topic, FloatArray]) -> None:
         """Publish where socket and limb are; what the motion capture did not see is left out.
 
         Args:
-            poses: Messages of the topics SOCKET_POSE and PYLON_POSE, one or both.
+            stamp: Stamp of the poses since the epoch [ns].
+            poses: Position [m] and quaternion (x, y, z, w), shape (7,), of the topics SOCKET_POSE
+                and PYLON_POSE, one or both.
         """
         if self._send is None or not self.wanted:
             return
         transforms = []
-        for topic, message in poses.items():
-            pose = known_pose(message)
+        for topic, vector in poses.items():
+            pose = known_pose(vector)
             if pose is None:
                 continue
             name, in_body = self._bodies[topic]
-            stamp = stamp_from_ros(message.header.stamp)
             transforms.append(_transform(stamp, WORLD_FRAME, name, pose @ in_body))
         if transforms:
             self._send(transforms)
@@ -94,9 +94,8 @@ def fixed_frames(geometry: SocketGeometry) -> list[tuple[str, str, Pose]]:
     return [(SOCKET_FRAME, LOAD_CELL_FRAME, geometry.socket_body.inverse()), *clusters]
 
 
-def known_pose(message: PoseStamped) -> Pose | None:
-    """The pose of a body; None where the motion capture did not see it."""
-    vector = pose_from_ros(message.pose)
+def known_pose(vector: FloatArray) -> Pose | None:
+    """A pose from position and quaternion, shape (7,); None where the body was not seen."""
     return Pose.from_quaternion(vector[:3], vector[3:]) if np.isfinite(vector).all() else None
 
 

@@ -8,14 +8,13 @@ from __future__ import annotations
 import threading
 
 import numpy as np
-from geometry_msgs.msg import WrenchStamped
 from std_srvs.srv import Trigger as TriggerService
 
 from socket_testbed import clocks
 from socket_testbed.drivers.averaging import averaging_span
 from socket_testbed.live.hardware import make_load_cell
 from socket_testbed.nodes.base import OK, WARN
-from socket_testbed.nodes.conversions import LOAD_CELL_FRAME, header_to_ros, wrench_to_ros
+from socket_testbed.nodes.conversions import wrench_packer
 from socket_testbed.nodes.sensor_node import SensorNode
 from socket_testbed.settings.acquisition import LoadCellSettings
 from socket_testbed.trials.topics import WRENCH
@@ -31,6 +30,7 @@ class LoadCellNode(SensorNode[LoadCellSettings]):
         super().__init__("load_cell_node", LoadCellSettings)
         self._cell = make_load_cell(self.settings)
         self._wrench = self.advertise(WRENCH)
+        self._pack = wrench_packer()
         self._averaged = 0  # conversions around the last trigger
         self._stopping = threading.Event()
         self._polling = threading.Thread(target=self._poll, name="load_cell")
@@ -74,8 +74,7 @@ class LoadCellNode(SensorNode[LoadCellSettings]):
         if reading.fault:
             self.missing += bool(np.isnan(reading.wrench).any())
             self.fault.saw(reading.fault)
-        header = header_to_ros(stamp, LOAD_CELL_FRAME)
-        self._wrench.publish(WrenchStamped(header=header, wrench=wrench_to_ros(reading.wrench)))
+        self._wrench.publish(self._pack(stamp, reading.wrench))
 
     def health(self) -> tuple[int, str]:
         """That of the converter, or what the last wrenches lack."""

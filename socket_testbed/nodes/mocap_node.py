@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from geometry_msgs.msg import PoseStamped
+import numpy as np
 from std_msgs.msg import String
 
 from socket_testbed import clocks
@@ -23,10 +23,10 @@ from socket_testbed.files import packaged
 from socket_testbed.geometry.socket import read_socket
 from socket_testbed.nodes.base import ERROR, OK, WARN
 from socket_testbed.nodes.conversions import (
-    WORLD_FRAME,
-    header_to_ros,
+    MessageTemplate,
+    elements,
     markers_to_ros,
-    pose_to_ros,
+    pose_packer,
 )
 from socket_testbed.nodes.frames import FrameBroadcaster
 from socket_testbed.nodes.sensor_node import SensorNode
@@ -44,11 +44,13 @@ class MocapNode(SensorNode[MocapSettings]):
         geometry = read_socket(Path(path) if path else packaged("config", "socket.yaml"))
         self._stale = settings.stale
         bodies = (geometry.socket_markers, geometry.pylon_markers)
-        self._counts = tuple(map(len, bodies))
         self._tracker = BodyTracker(settings, *bodies)
         self._client = NatNetClient(settings, self._tracker.add)
         self._poses = {topic: self.advertise(topic) for topic in (SOCKET_POSE, PYLON_POSE)}
+        self._pack_pose = pose_packer()
         self._markers = self.advertise(MARKERS)
+        self._template = MessageTemplate(markers_to_ros(0, ("socket", "pylon"), bodies))
+        self._bodies = elements(self._template.numbers, "bodies")
         self._frames = FrameBroadcaster(self, geometry)
         self._averaged, self._delay = 0, 0.0
         self._refused = ""  # why a take's name was not taken
@@ -80,17 +82,15 @@ class MocapNode(SensorNode[MocapSettings]):
         self._tracker.wait(moment, moment + 0.5 * window + self._stale, window)
         sample = self._sample(moment, window)
         self._averaged = min(sample.frames)
-        header = header_to_ros(stamp, WORLD_FRAME)
-        poses = {}
-        for (topic, publisher), position, quaternion in zip(
-            self._poses.items(), sample.positions, sample.quaternions, strict=True
-        ):
-            poses[topic] = PoseStamped(header=header, pose=pose_to_ros(position, quaternion))
-            publisher.publish(poses[topic])
-        markers = [own[:count] for own, count in zip(sample.markers, self._counts, strict=True)]
-        self._markers.publish(markers_to_ros(stamp, ("socket", "pylon"), markers))
+        vectors = np.hstack([sample.positions, sample.quaternions])
+        poses = dict(zip(self._poses, vectors, strict=True))
+        for topic, pose in poses.items():
+            self._poses[topic].publish(self._pack_pose(stamp, pose))
+        for own, seen in zip(self._bodies, sample.markers, strict=True):
+            own["markers"] = seen[: len(own["markers"])]
+        self._markers.publish(self._template.serialised(stamp))
         self._delay = clocks.monotonic() - moment
-        self._frames.move(poses)
+        self._frames.move(stamp, poses)
         self.missing += any(sample.faults)
 
     def idle(self) -> None:

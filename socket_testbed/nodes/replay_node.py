@@ -19,7 +19,7 @@ from socket_testbed.errors import ConfigurationError, TestbedError, TrialError
 from socket_testbed.geometry.socket import read_socket
 from socket_testbed.live.pacing import Pacer
 from socket_testbed.nodes.base import ERROR, OK, WARN, TestbedNode
-from socket_testbed.nodes.conversions import stamp_to_ros
+from socket_testbed.nodes.conversions import pose_from_ros, stamp_from_ros, stamp_to_ros
 from socket_testbed.nodes.followers import Followers
 from socket_testbed.nodes.frames import FrameBroadcaster
 from socket_testbed.settings.testbed import ReplaySettings
@@ -165,7 +165,8 @@ class ReplayNode(TestbedNode[ReplaySettings]):
         self._published += 1
         topic = self._topics[raw.topic]
         if topic in {SOCKET_POSE, PYLON_POSE} and self._frames is not None and self._frames.wanted:
-            self._frames.move({topic: deserialize_message(raw.data, PoseStamped)})
+            seen = deserialize_message(raw.data, PoseStamped)
+            self._frames.move(stamp_from_ros(seen.header.stamp), {topic: pose_from_ros(seen.pose)})
         if topic is TRIGGER:
             self._followers.sent(stamp_of(decode(raw.data, raw.type)))
             self._catch_up(_IN_FLIGHT)

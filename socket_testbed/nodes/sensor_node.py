@@ -5,12 +5,10 @@ from __future__ import annotations
 import queue
 import threading
 
-from socket_testbed_msgs.msg import Trigger
-
 from socket_testbed import clocks
 from socket_testbed.clocks import SteadyClock, TriggerPeriod, TriggerTime
 from socket_testbed.nodes.base import OK, WARN, RecentFault, S, TestbedNode
-from socket_testbed.nodes.conversions import stamp_from_ros
+from socket_testbed.nodes.conversions import trigger_reader
 from socket_testbed.trials.topics import TRIGGER
 
 _IDLE = 0.3  # [s]; without a trigger
@@ -39,6 +37,7 @@ class SensorNode(TestbedNode[S]):
         self.period = 0.0
         self._trigger_time = TriggerTime(SteadyClock())
         self._trigger_period = TriggerPeriod()
+        self._triggers = trigger_reader()
         self._due: queue.SimpleQueue[tuple[int, float, float] | None] = queue.SimpleQueue()
         self._measuring = threading.Thread(target=self._run, name="measure")
 
@@ -60,7 +59,7 @@ class SensorNode(TestbedNode[S]):
 
     def follow_triggers(self) -> None:
         """Measure from now on."""
-        self.listen(TRIGGER, self._on_trigger)
+        self.listen(TRIGGER, self._on_trigger, raw=True)
         self._measuring.start()
 
     def close(self) -> None:
@@ -87,10 +86,10 @@ class SensorNode(TestbedNode[S]):
             )
         self.report(level, message)
 
-    def _on_trigger(self, message: Trigger) -> None:
-        stamp = stamp_from_ros(message.header.stamp)
+    def _on_trigger(self, data: bytes) -> None:
+        stamp, sequence = self._triggers.read(data)
         moment = self._trigger_time.steady(stamp, clocks.monotonic())
-        self._due.put((stamp, moment, self._trigger_period.add(stamp, message.sequence)))
+        self._due.put((stamp, moment, self._trigger_period.add(stamp, sequence)))
 
     def _run(self) -> None:
         try:

@@ -21,7 +21,7 @@ from socket_testbed.drivers.trigger import Trigger
 from socket_testbed.errors import DeviceError
 from socket_testbed.live.hardware import make_trigger, wall_clock
 from socket_testbed.nodes.base import ERROR, OK, WARN, RecentFault, TestbedNode
-from socket_testbed.nodes.conversions import header_to_ros, stamp_from_ros
+from socket_testbed.nodes.conversions import MessageTemplate, header_to_ros, trigger_reader
 from socket_testbed.nodes.followers import Followers
 from socket_testbed.settings.acquisition import TriggerSettings
 from socket_testbed.trials.topics import TRIGGER
@@ -53,7 +53,9 @@ class TriggerNode(TestbedNode[TriggerSettings]):
         self._own: deque[int] = deque(maxlen=_REMEMBERED)
         self._foreign = 0.0
         self._output = self.advertise(TRIGGER)
-        self.listen(TRIGGER, self._on_trigger, needed=False)
+        self._template = MessageTemplate(TriggerMessage(header=header_to_ros(0)))
+        self._triggers = trigger_reader()
+        self.listen(TRIGGER, self._on_trigger, needed=False, raw=True)
         self._followers = Followers(self, settings.wait_for, self._stopping.is_set)
         self.serve(SetBool, "trigger/enable", self._on_enable)
         self._thread = threading.Thread(target=self._run, name="trigger")
@@ -79,9 +81,10 @@ class TriggerNode(TestbedNode[TriggerSettings]):
         settings = self.settings
         return "" if settings.source == "timer" else f"{settings.chip} line {settings.output_line}"
 
-    def _on_trigger(self, message: TriggerMessage) -> None:
+    def _on_trigger(self, data: bytes) -> None:
         """Hear whether another testbed triggers the same nodes."""
-        if stamp_from_ros(message.header.stamp) not in self._own:
+        stamp, _ = self._triggers.read(data)
+        if stamp not in self._own:
             self._foreign = clocks.monotonic()
 
     def _on_enable(self, enabled: bool) -> str:
@@ -128,9 +131,9 @@ class TriggerNode(TestbedNode[TriggerSettings]):
             if self._trigger is None:
                 self._stopping.wait(clocks.real(_REOPEN))
         else:
-            header = header_to_ros(stamp)
             self._own.append(stamp)
-            self._output.publish(TriggerMessage(header=header, sequence=self._sequence))
+            self._template.numbers["sequence"] = self._sequence
+            self._output.publish(self._template.serialised(stamp))
         if self._trigger is not None:
             self._trigger.rest()
 

@@ -33,6 +33,7 @@ from socket_testbed.geometry.socket import SocketGeometry, read_socket
 from socket_testbed.identification.force_map import MapEstimate
 from socket_testbed.nodes.base import ELAPSED, FREE, OK, PolledSubscription, TestbedNode
 from socket_testbed.nodes.conversions import (
+    pose_from_ros,
     stamp_from_ros,
     stress_from_ros,
     wrench_from_ros,
@@ -278,7 +279,7 @@ class LiveSource:
 
     def _pose(self, topic: Topic) -> Pose | None:
         message = self._recent(topic)
-        return None if message is None else known_pose(message)
+        return None if message is None else known_pose(pose_from_ros(message.pose))
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         now = clocks.monotonic()

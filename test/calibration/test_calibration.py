@@ -101,6 +101,30 @@ def test_any_batch_gives_what_its_single_readings_give(shape):
         assert result[index] == alone_status
 
 
+def test_stacked_clusters_give_what_each_gives_alone():
+    rng = np.random.default_rng(5)
+    clusters = {
+        name: make_cluster(
+            normal=np.array([rng.normal(), rng.uniform(1e3, 5e3)]),
+            shear=rng.normal(size=(2, 6)),
+            mean_range=np.array([rng.uniform(4.0, 6.0), 11.0]),
+            difference_range=np.array([-4.0, rng.uniform(1.0, 4.0)]),
+            wiring=rng.permutation(4),
+        )
+        for name in "abc"
+    }
+    calibration = Calibration(clusters, "2026-01-01", "made up")
+    capacitance = rng.uniform(3.0, 13.0, (90, 3, 4))
+    capacitance[::5, 1, 2] = np.inf
+    status = rng.choice(np.array([0, 0, 0, 0, 1, 2], dtype=np.uint8), capacitance.shape)
+    stress, result = calibration.stacked("cab").apply(capacitance, status)
+    assert set(result.ravel().tolist()) == {0, 1, 2, 3}
+    for column, name in enumerate("cab"):
+        alone, own = clusters[name].apply(capacitance[:, column], status[:, column])
+        np.testing.assert_allclose(stress[:, column], alone, rtol=1e-12)
+        np.testing.assert_array_equal(result[:, column], own)
+
+
 @pytest.mark.parametrize(
     ("statuses", "values", "expected"),
     [

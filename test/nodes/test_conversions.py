@@ -5,11 +5,12 @@ import dataclasses
 import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import PoseStamped, WrenchStamped
 from rclpy.serialization import deserialize_message, serialize_message
 from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import CameraInfo
 from shape_msgs.msg import SolidPrimitive
-from socket_testbed_msgs.msg import ClusterCapacitanceArray, ForceMap
+from socket_testbed_msgs.msg import ClusterCapacitanceArray, ForceMap, Trigger
 from visualization_msgs.msg import Marker
 
 from socket_testbed.files import packaged
@@ -17,11 +18,21 @@ from socket_testbed.geometry.socket import read_socket
 from socket_testbed.identification.force_map import MapEstimate
 from socket_testbed.nodes import conversions
 from socket_testbed.nodes.conversions import (
+    MessageTemplate,
+    capacitance_reader,
     capacitance_to_ros,
+    elements,
+    header_to_ros,
     layout_of,
     markers_to_ros,
+    pose_from_ros,
+    pose_packer,
     stamp_from_ros,
+    stress_to_ros,
+    trigger_reader,
     vectors_from_ros,
+    wrench_from_ros,
+    wrench_packer,
 )
 from socket_testbed.nodes.estimate_messages import ForceMapMessage, PressureMap
 from socket_testbed.trials import bag
@@ -144,3 +155,62 @@ def test_a_layout_knows_the_types_of_ros(kind: type) -> None:
         for field in bag.fields_of(f"{package}/msg/{name}")
     ]
     assert list(conversions.fields_of(f"{package}/{name}")) == named
+
+
+CLUSTERS = ("brim_lateral", "mid", "distal")
+NUMBERS = np.random.default_rng(1).normal(size=(3, 4))
+NUMBERS[1, 2] = np.nan
+STATES = np.array([[0, 1, 2, 0], [0, 0, 2, 0], [0, 0, 0, 3]], dtype=np.uint8)
+
+
+def test_packed_wrenches_and_poses_are_what_ros_decodes() -> None:
+    pack_wrench, pack_pose = wrench_packer(), pose_packer()
+    for number in range(3):
+        values = np.append(NUMBERS[number], NUMBERS[1, :3])
+        wrench = deserialize_message(pack_wrench(STAMP + number, values[:6]), WrenchStamped)
+        assert wrench.header == header_to_ros(STAMP + number)
+        np.testing.assert_array_equal(wrench_from_ros(wrench.wrench), values[:6])
+        pose = deserialize_message(pack_pose(STAMP + number, values), PoseStamped)
+        assert pose.header == header_to_ros(STAMP + number, "world")
+        np.testing.assert_array_equal(pose_from_ros(pose.pose), values)
+
+
+@pytest.mark.parametrize("names", [CLUSTERS, CLUSTERS[:1], ()])
+def test_messages_of_clusters_are_packed_and_read_as_ros_does(names: tuple[str, ...]) -> None:
+    count = len(names)
+    reader = capacitance_reader()
+    plain = MessageTemplate(capacitance_to_ros(0, names, np.zeros((count, 4)), STATES[:count] * 0))
+    stress = MessageTemplate(stress_to_ros(0, names, np.zeros((count, 3)), STATES[:count, 0]))
+    for stamp in (STAMP, STAMP + 1):
+        message = capacitance_to_ros(stamp, names, NUMBERS[:count], STATES[:count])
+        for i, cluster in enumerate(elements(plain.numbers, "clusters")):
+            cluster["capacitance"], cluster["status"] = NUMBERS[i], STATES[i]
+        for i, cluster in enumerate(elements(stress.numbers, "clusters")):
+            cluster[()] = (*NUMBERS[i, :3], STATES[i, 1])
+        found = deserialize_message(plain.serialised(stamp), ClusterCapacitanceArray)
+        assert repr(found) == repr(message)  # NaN equals NaN
+        expected = stress_to_ros(stamp, names, NUMBERS[:count, :3], STATES[:count, 1])
+        packed = deserialize_message(stress.serialised(stamp), type(expected))
+        assert repr(packed) == repr(expected)
+        read = reader.read(serialize_message(message))
+        assert (read.stamp, read.names) == (stamp, names)
+        np.testing.assert_array_equal(read.capacitance, NUMBERS[:count])
+        np.testing.assert_array_equal(read.status, STATES[:count])
+
+
+def test_a_reader_follows_what_changes_between_messages() -> None:
+    reader, rng = capacitance_reader(), np.random.default_rng(2)
+    for names in (CLUSTERS, CLUSTERS[::-1], CLUSTERS, CLUSTERS[:2], CLUSTERS[:2], ("x", "y")):
+        values = rng.normal(size=(len(names), 4))
+        status = rng.integers(3, size=values.shape, dtype=np.uint8)
+        read = reader.read(serialize_message(capacitance_to_ros(STAMP, names, values, status)))
+        assert read.names == names
+        np.testing.assert_array_equal(read.capacitance, values)
+        np.testing.assert_array_equal(read.status, status)
+
+
+def test_triggers_are_read_whatever_their_frame() -> None:
+    reader = trigger_reader()
+    for sequence, frame in enumerate(("", "", "load_cell", "load_cell")):
+        message = Trigger(header=header_to_ros(STAMP + sequence, frame), sequence=2**40 + sequence)
+        assert reader.read(serialize_message(message)) == (STAMP + sequence, 2**40 + sequence)

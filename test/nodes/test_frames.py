@@ -97,7 +97,7 @@ def test_without_tf2_msgs_a_node_goes_on_and_warns_once(monkeypatch: pytest.Monk
     )
     broadcaster = FrameBroadcaster(node, GEOMETRY)
     assert not broadcaster.wanted
-    broadcaster.move({})
+    broadcaster.move(0, {})
     assert len(said) == 1 and "tf2_msgs" in said[0]
 
 
