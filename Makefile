@@ -48,6 +48,7 @@ benchmark: setup
 	$(BIN)/python benchmarks/benchmark_pareto.py
 	$(BIN)/python benchmarks/benchmark_long_trials.py
 	$(BIN)/python benchmarks/benchmark_natnet.py
+	$(BIN)/python benchmarks/benchmark_drivers.py
 	$(BIN)/python benchmarks/benchmark_force_map.py
 
 # The same sources as an ordinary colcon workspace, here with the ROS wheels.

@@ -83,7 +83,7 @@ def opening_failed(number: int, error: OSError) -> DeviceError:
 
 
 class I2cPort:
-    """One chip on a bus, its registers sent the most significant byte first.
+    """One chip on a bus, its registers sent the most significant byte first; for one thread.
 
     Args:
         bus: The bus.
@@ -103,6 +103,8 @@ class I2cPort:
         self._bus_name = bus_name
         self._address = address
         self._part = part
+        self._written: dict[tuple[int, ...], i2c_msg] = {}  # made once: that takes its time
+        self._answer = i2c_msg.read(address, 2)
         self.where = " ".join(f"0x{address:02X} {place} on {bus_name}".split())
 
     def read(self, register: int) -> int:
@@ -111,10 +113,8 @@ class I2cPort:
         Raises:
             BusError: If the transfer failed.
         """
-        pointer = i2c_msg.write(self._address, [register])
-        answer = i2c_msg.read(self._address, 2)
-        self._transfer(pointer, answer)
-        return int.from_bytes(answer.buf[:2], "big")
+        self._transfer(self._message(register), self._answer)
+        return int.from_bytes(self._answer.buf[:2], "big")
 
     def write(self, register: int, value: int) -> None:
         """Write a register, 0..0xFFFF [1].
@@ -122,7 +122,7 @@ class I2cPort:
         Raises:
             BusError: If the transfer failed.
         """
-        self._transfer(i2c_msg.write(self._address, [register, value >> 8, value & 0xFF]))
+        self._transfer(self._message(register, value >> 8, value & 0xFF))
 
     def write_byte(self, value: int) -> None:
         """Write one byte to a chip without registers.
@@ -130,7 +130,12 @@ class I2cPort:
         Raises:
             BusError: If the transfer failed.
         """
-        self._transfer(i2c_msg.write(self._address, [value]))
+        self._transfer(self._message(value))
+
+    def _message(self, *data: int) -> i2c_msg:
+        if (known := self._written.get(data)) is None:
+            known = self._written[data] = i2c_msg.write(self._address, list(data))
+        return known
 
     def _transfer(self, *messages: i2c_msg) -> None:
         try:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from functools import cache
+from struct import unpack
 
 import numpy as np
 
@@ -22,6 +24,18 @@ _START_UP = 300  # modulator clocks
 _FAST = 2  # conversions after a start that come from the fast filter
 _FAST_ERROR = 0.01  # [V]; far more than the real one, so that nobody can take them for good
 _WAITING = 2  # conversions that the FIFO holds
+
+
+@cache
+def _crc_table(polynomial: int) -> tuple[int, ...]:
+    """What is left of each first byte when it is divided by a polynomial of 16 bits."""
+    table = []
+    for byte in range(256):
+        left = byte << 16
+        for bit in range(7, -1, -1):
+            left ^= (0x10000 | polynomial) << bit if left >> 16 + bit else 0
+        table.append(left)
+    return tuple(table)
 
 
 class AdcRegisters:
@@ -70,7 +84,7 @@ class AdcRegisters:
             return self.status(ready)
         return self._values[address] if address <= LAST else 0
 
-    def write(self, address: int, values: list[int]) -> tuple[int, bool]:
+    def write(self, address: int, values: Sequence[int]) -> tuple[int, bool]:
         """Write registers from an address on; what is read-only or beyond stays as it is.
 
         Returns:
@@ -85,14 +99,11 @@ class AdcRegisters:
         return written, self._values[CLOCK : GAIN2 + 1] != before
 
     def checksum(self, data: bytes) -> int:
-        """CRC-16 of a frame from 0xFFFF, bit by bit: another way than the driver's."""
-        polynomial = 0x8005 if self._values[MODE] & _ANSI_BIT else 0x1021
+        """CRC-16 of a frame from 0xFFFF."""
+        table = _crc_table(0x8005 if self._values[MODE] & _ANSI_BIT else 0x1021)
         remainder = 0xFFFF
         for byte in data:
-            remainder ^= byte << 8
-            for _ in range(8):
-                remainder = remainder << 1 ^ (polynomial if remainder & 0x8000 else 0)
-                remainder &= 0xFFFF
+            remainder = table[remainder >> 8 ^ byte] ^ (remainder & 0xFF) << 8
         return remainder
 
     def _kept(self, place: int, value: int) -> int:
@@ -163,7 +174,8 @@ class SimulatedAds131m0x:
             self._power_on(now)
         self._dip(now)
         self._convert(now)
-        words = [int.from_bytes(data[k : k + 2], "big") for k in range(0, len(data) - 2, _WORD)]
+        count = len(data) // _WORD
+        words = unpack(">" + "Hx" * count, bytes(data[: _WORD * count]))
         complete = len(words) >= self._channels + 2
         answer = self._answer(len(data), complete)
         if len(data) % _WORD or not words:
@@ -228,8 +240,8 @@ class SimulatedAds131m0x:
             )
         rail = int(self._fault("rail")) - 1
         codes = []
-        for channel in range(self._channels):
-            code = round(volts[channel] * self._registers.gain(channel) * 2**23 / 1.2)
+        for channel, voltage in enumerate(volts.tolist()):
+            code = round(voltage * self._registers.gain(channel) * 2**23 / 1.2)
             code = max(-0x800000, min(0x7FFFFF, code))
             codes.append(0x7FFFFF if channel == rail else code & 0xFFFFFF)
         return codes
@@ -254,7 +266,7 @@ class SimulatedAds131m0x:
         answer += self._registers.checksum(answer).to_bytes(2, "big") + b"\0"
         return list(answer[:length].ljust(length, b"\0"))
 
-    def _execute(self, words: list[int], now: float) -> None:
+    def _execute(self, words: tuple[int, ...], now: float) -> None:
         command, self._response = words[0], []
         address, count = command >> 7 & 0x3F, (command & 0x7F) + 1
         if command & 0xE000 == _RREG:
@@ -334,11 +346,11 @@ class SimulatedLoadCellHardware:
     ) -> None:
         check_settings(settings)
         self._wrench = wrench
-        self._inputs = list(settings.inputs)
-        self._channels = settings.channels
         to_ratio = np.linalg.inv(np.array(settings.matrix).reshape(6, 6))
         per_bridge = np.array(settings.sign) * settings.excitation * settings.amplifier_gain
-        self._to_volts = 1e-3 * per_bridge[:, None] * to_ratio
+        to_volts = 1e-3 * per_bridge[:, None] * to_ratio  # of [F; M], by bridge
+        self._to_volts = np.zeros((settings.channels, 6))  # of [M; F], by channel
+        self._to_volts[list(settings.inputs)] = np.roll(to_volts, 3, axis=1)
         self._chip = SimulatedAds131m0x(
             self._volts, settings.channels, faults, clock, settings.clock_in, seed
         )
@@ -353,7 +365,4 @@ class SimulatedLoadCellHardware:
         return self.line
 
     def _volts(self, moment: float) -> FloatArray:
-        wrench = self._wrench(moment)
-        volts = np.zeros(self._channels)
-        volts[self._inputs] = self._to_volts @ np.concatenate([wrench[3:], wrench[:3]])
-        return volts
+        return self._to_volts @ self._wrench(moment)
