@@ -74,11 +74,16 @@ def fit_rigid(points: FloatArray, observed: FloatArray) -> Pose:
     centre_points = points.mean(axis=0)
     centre_observed = observed.mean(axis=1)
     covariance = np.swapaxes(observed - centre_observed[:, None], 1, 2) @ (points - centre_points)
-    left, _, right = np.linalg.svd(covariance)
+    rotation = nearest_rotations(covariance)
+    return Pose(rotation, centre_observed - rotation @ centre_points)
+
+
+def nearest_rotations(matrices: FloatArray) -> FloatArray:
+    """The rotation nearest to each matrix (Frobenius norm), shape (M, 3, 3) [-]."""
+    left, _, right = np.linalg.svd(matrices)
     # Points in a plane leave the sign of its normal open: take the proper rotation.
     left[:, :, 2] *= np.sign(np.linalg.det(left @ right))[:, None]
-    rotation = left @ right
-    return Pose(rotation, centre_observed - rotation @ centre_points)
+    return np.asarray(left @ right)
 
 
 def misfit(points: FloatArray, observed: FloatArray, pose: Pose) -> FloatArray:
@@ -90,7 +95,12 @@ def misfit(points: FloatArray, observed: FloatArray, pose: Pose) -> FloatArray:
         pose: M poses of the body in that frame.
     """
     fitted = points @ np.swapaxes(pose.rotation, 1, 2) + pose.translation[:, None]
-    return np.linalg.norm(observed - fitted, axis=2)
+    return _lengths(observed - fitted)
+
+
+def _lengths(vectors: FloatArray) -> FloatArray:
+    """Lengths of vectors along the last axis; faster than `np.linalg.norm`."""
+    return np.sqrt(np.einsum("...i,...i->...", vectors, vectors))
 
 
 def root_mean_square(values: FloatArray, axis: int = -1) -> FloatArray:
@@ -155,7 +165,7 @@ def distances(markers: FloatArray) -> FloatArray:
     Args:
         markers: Marker positions, shape (..., k, 3) [m].
     """
-    return np.linalg.norm(markers[..., :, None, :] - markers[..., None, :, :], axis=-1)
+    return _lengths(markers[..., :, None, :] - markers[..., None, :, :])
 
 
 def edge_lengths(markers: FloatArray) -> FloatArray:
@@ -164,10 +174,7 @@ def edge_lengths(markers: FloatArray) -> FloatArray:
     Args:
         markers: Marker positions, shape (..., 3, 3) [m].
     """
-    return np.stack(
-        [np.linalg.norm(markers[..., a, :] - markers[..., b, :], axis=-1) for a, b in _EDGES],
-        axis=-1,
-    )
+    return _lengths(markers - markers[..., [1, 2, 0], :])
 
 
 def triad_fault(edges: FloatArray) -> tuple[str, str] | None:
@@ -210,12 +217,17 @@ def fit_triad(
         observed: Markers in another frame, shape (N, 3, 3) [m].
         tolerance: Largest difference of an edge length from the body's [m].
     """
-    lengths = edge_lengths(observed)[:, _EDGES_OF_ORDERS]
-    mismatch = np.abs(lengths - edge_lengths(reference)).max(axis=-1)
-    mismatch = np.where(np.isfinite(mismatch), mismatch, np.inf)
+    lengths, own = edge_lengths(observed), edge_lengths(reference)
     # The first order is the labels' own. Where it fits, noise must not flip a triad that is
     # nearly symmetric.
-    best = np.where(mismatch[:, 0] <= tolerance, 0, mismatch.argmin(axis=-1))
+    labels_fit = (np.abs(lengths - own) <= tolerance).all(axis=1)
+    if labels_fit.all():
+        pose = fit_rigid(reference, observed)
+        residual = root_mean_square(misfit(reference, observed, pose))
+        return BodyFit(pose, residual, np.broadcast_to(_ORDERS[0], (len(observed), 3)))
+    mismatch = np.abs(lengths[:, _EDGES_OF_ORDERS] - own).max(axis=-1)
+    mismatch = np.where(np.isfinite(mismatch), mismatch, np.inf)
+    best = np.where(labels_fit, 0, mismatch.argmin(axis=-1))
     usable = mismatch.min(axis=-1) <= tolerance
 
     count = len(observed)

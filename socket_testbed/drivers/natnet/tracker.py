@@ -7,13 +7,12 @@ from collections import Counter, deque
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import islice
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from socket_testbed import clocks
-from socket_testbed.arrays import FloatArray, IntArray
+from socket_testbed.arrays import BoolArray, FloatArray, IntArray
 from socket_testbed.drivers.averaging import line_weights
 from socket_testbed.drivers.natnet.messages import BodiesByName, MocapFrame
 from socket_testbed.geometry.marker_bodies import (
@@ -22,15 +21,22 @@ from socket_testbed.geometry.marker_bodies import (
     BodyFit,
     distances,
     fit_body,
+    nearest_rotations,
 )
-from socket_testbed.geometry.pose import Pose
+from socket_testbed.geometry.pose import Pose, rotation_vectors, turned_quaternion
 from socket_testbed.settings.acquisition import MocapSettings
 
 _KEPT = 1.0  # [s]
 _VOTES, _FEWEST = 20, 3  # fits that decide on the usual order of the labels
 _LARGEST_STEP = 0.01  # [m]; of a marker between two frames, without a fit of its body
 
-_Entry: TypeAlias = tuple[float, MocapFrame, BodiesByName | None]
+
+class _Entry(NamedTuple):
+    """A frame at its time [s], with the markers of each body, shape (k, 3) [m]."""
+
+    time: float
+    models: BodiesByName | None
+    markers: tuple[FloatArray, ...]
 
 
 @dataclass(frozen=True)
@@ -75,8 +81,8 @@ class BodyTracker:
     ) -> None:
         self._stale = settings.stale
         self._bodies = (
-            _TrackedBody(settings.socket_body, "socket_body", socket_markers),
-            _TrackedBody(settings.pylon_body, "pylon_body", pylon_markers),
+            _TrackedBody(settings.socket_body, "socket_body", socket_markers, settings.stale),
+            _TrackedBody(settings.pylon_body, "pylon_body", pylon_markers, settings.stale),
         )
         self._frames: deque[_Entry] = deque()
         self._changed = threading.Condition()
@@ -90,10 +96,11 @@ class BodyTracker:
             models: The rigid bodies that its ids stand for; None: not known.
         """
         with self._changed:
-            if self._frames and time <= self._frames[-1][0]:
+            if self._frames and time <= self._frames[-1].time:
                 return
-            self._frames.append((time, frame, models))
-            while self._frames[0][0] < time - _KEPT:
+            markers = tuple(body.markers(frame, models) for body in self._bodies)
+            self._frames.append(_Entry(time, models, markers))
+            while self._frames[0].time < time - _KEPT:
                 self._frames.popleft()
             self._changed.notify_all()
 
@@ -104,6 +111,8 @@ class BodyTracker:
 
     def wait(self, trigger: float, deadline: float, window: float = 0.0) -> bool:
         """Wait until `ready`, or until a time of the steady clock [s]; whether it is ready."""
+        # No frame before the window's end can be the last one.
+        clocks.sleep(max(0.0, min(trigger + 0.5 * window, deadline) - clocks.monotonic()))
         with self._changed:
             while not self._is_ready(trigger, window):
                 left = deadline - clocks.monotonic()
@@ -123,9 +132,13 @@ class BodyTracker:
         Markers are always interpolated.
         """
         with self._changed:
-            before, after = self._around(trigger)
-            inside = self._inside(trigger, window) if window > 0.0 else []
-            bodies = [body.at(trigger, before, after, inside, self._stale) for body in self._bodies]
+            entries, before = self._around(trigger, 0.5 * window)
+            offsets = np.array([entry.time - trigger for entry in entries])
+            inside = (np.abs(offsets) <= 0.5 * window) & (window > 0.0)
+            bodies = [
+                body.at(entries, [entry.markers[k] for entry in entries], before, offsets, inside)
+                for k, body in enumerate(self._bodies)
+            ]
         positions, quaternions, seen, faults, frames = zip(*bodies, strict=True)
         markers = np.full((2, max(map(len, seen)), 3), np.nan)
         for own, places in zip(markers, seen, strict=True):
@@ -139,37 +152,42 @@ class BodyTracker:
             (frames[0], frames[1]),
         )
 
-    def _around(self, trigger: float) -> tuple[list[_Entry], list[_Entry]]:
-        """The two frames before and the two after a time, the nearest first."""
-        before: list[_Entry] = []
-        after: list[_Entry] = []
-        for entry in reversed(self._frames):
-            if entry[0] >= trigger:
-                after.insert(0, entry)
-            else:
-                before.append(entry)
-                if len(before) == 2:
-                    break
-        return before, after[:2]
+    def _around(self, trigger: float, half: float) -> tuple[list[_Entry], int]:
+        """The frames at most half a window from a time, and two on either side of it.
 
-    def _inside(self, trigger: float, window: float) -> list[_Entry]:
-        """The frames at most half a window from a time."""
-        return [entry for entry in self._frames if abs(entry[0] - trigger) <= 0.5 * window]
+        Returns:
+            The frames, the earliest first, and how many of them are before the time.
+        """
+        entries: list[_Entry] = []
+        before = 0
+        for entry in reversed(self._frames):
+            if entry.time < trigger:
+                if before >= 2 and entry.time < trigger - half:
+                    break
+                before += 1
+            entries.append(entry)
+        entries.reverse()
+        while len(entries) - before > 2 and entries[-1].time > trigger + half:
+            entries.pop()
+        return entries, before
 
     def _is_over(self, end: float) -> bool:
         """Whether the next frame will come after a time, as they follow each other at present."""
-        times = [entry[0] for entry in islice(reversed(self._frames), 2)]
+        times = [entry.time for entry in islice(reversed(self._frames), 2)]
         return bool(times) and 2.0 * times[0] - times[-1] > end
 
     def _is_ready(self, trigger: float, window: float) -> bool:
         if window > 0.0 and not self._is_over(trigger + 0.5 * window):
             return False
-        _, after = self._around(trigger)
-        if not after or len(after) == 2 or after[-1][0] >= trigger + self._stale:
+        entries, before = self._around(trigger, 0.0)
+        after = entries[before:]
+        if not after or len(after) == 2 or after[-1].time >= trigger + self._stale:
             return bool(after)
         # One more frame is worth the wait where a marker is not seen in this one.
-        _, frame, models = after[0]
-        return all(body.is_seen(frame, models) for body in self._bodies)
+        return all(
+            body.is_seen(markers, after[0].models)
+            for body, markers in zip(self._bodies, after[0].markers, strict=True)
+        )
 
 
 _Result: TypeAlias = tuple[FloatArray, FloatArray, FloatArray, str, int]
@@ -178,50 +196,71 @@ _Result: TypeAlias = tuple[FloatArray, FloatArray, FloatArray, str, int]
 class _TrackedBody:
     """One of the two bodies: where its markers are in a frame, and in what order."""
 
-    def __init__(self, name: str, setting: str, reference: FloatArray) -> None:
+    def __init__(self, name: str, setting: str, reference: FloatArray, stale: float) -> None:
         self._name = name
+        self._stale = stale
         self._setting = setting
         self._reference = np.asarray(reference, dtype=float)
         self._count = len(self._reference)
+        self._hidden = [(np.nan, np.nan, np.nan)] * self._count
         self._distances = distances(self._reference)
         self._orders: deque[tuple[int, ...]] = deque(maxlen=_VOTES)  # of the labels, lately
 
-    def is_seen(self, frame: MocapFrame, models: BodiesByName | None) -> bool:
+    def markers(self, frame: MocapFrame, models: BodiesByName | None) -> FloatArray:
+        """Its markers by their labels, shape (k, 3) [m]; NaN where one is not seen."""
+        markers = self._hidden.copy()
+        definition = models.get(self._name) if models is not None else None
+        if definition is not None:
+            own = sorted(marker for marker in frame.markers if marker.model == definition.id)
+            for rank, marker in enumerate(own):
+                slot = rank if len(own) == self._count else marker.member - 1
+                if not (marker.occluded or marker.model_filled) and 0 <= slot < self._count:
+                    markers[slot] = marker.position
+        return np.array(markers)
+
+    def is_seen(self, markers: FloatArray, models: BodiesByName | None) -> bool:
         """Whether all its markers are seen, or never will be."""
-        return bool(self._unknown(models) or np.isfinite(self._markers(frame, models)).all())
+        return bool(self._unknown(models) or np.isfinite(markers).all())
 
     def at(
         self,
-        trigger: float,
-        before: Sequence[_Entry],
-        after: Sequence[_Entry],
-        inside: Sequence[_Entry],
-        stale: float,
+        entries: Sequence[_Entry],
+        markers: Sequence[FloatArray],
+        first_after: int,
+        offsets: FloatArray,
+        inside: BoolArray,
     ) -> _Result:
-        """Position [m], quaternion, markers [m], fault and number of frames at a time [s]."""
+        """Position [m], quaternion, markers [m], fault and number of frames at a time.
+
+        Args:
+            entries: The frames around it.
+            markers: The body's markers in each, shape (k, 3) [m].
+            first_after: How many of the frames are before it.
+            offsets: Times of the frames from it [s].
+            inside: Which of them are averaged.
+        """
         nothing = (np.full(3, np.nan), np.full(4, np.nan), np.full((self._count, 3), np.nan))
-        if not before or not after or after[0][0] - before[0][0] > stale:
-            return *nothing, f"no two frames within {stale:g} s around the trigger", 0
-        for _, _, models in (before[0], after[0]):
-            if fault := self._unknown(models):
+        nearest = (first_after - 1, first_after)
+        if not 0 < first_after < len(entries) or _span(offsets, nearest) > self._stale:
+            return *nothing, f"no two frames within {self._stale:g} s around the trigger", 0
+        for row in nearest:
+            if fault := self._unknown(entries[row].models):
                 return *nothing, fault, 0
-        entries = [*before, *after, *inside]
-        times = np.array([time for time, _, _ in entries])
-        seen = np.array([self._markers(frame, models) for _, frame, models in entries])
+        seen = np.array(markers)
         fit = fit_body(self._reference, seen)
-        first, around = len(before), len(before) + len(after)
-        for a in range(first):
-            for b in range(first, around):
-                if fit.found[a] and fit.found[b] and times[b] - times[a] <= stale:
-                    weight = (trigger - times[a]) / (times[b] - times[a])
-                    markers = self._interpolate_markers(fit, seen, (a, b), weight)
+        found = fit.found
+        for a in range(first_after - 1, max(first_after - 3, -1), -1):
+            for b in range(first_after, min(first_after + 2, len(entries))):
+                if found[a] and found[b] and _span(offsets, (a, b)) <= self._stale:
+                    weight = -offsets[a] / (offsets[b] - offsets[a])
+                    labelled = self._interpolate_markers(fit, seen, (a, b), weight)
                     noise = weight**2 + (1.0 - weight) ** 2
-                    mean = _mean(fit.pose, times - trigger, slice(around, None), noise)
+                    mean = _mean(fit.pose, offsets, inside & found, noise)
                     position, quaternion, used = mean or _interpolate(fit.pose, (a, b), weight)
-                    return position, quaternion, markers, "", used
-        weight = (trigger - times[0]) / (times[first] - times[0])
-        markers = self._by_label(fit, seen, (0, first), weight)
-        return *nothing[:2], markers, self._fault(seen[[0, first]]), 0
+                    return position, quaternion, labelled, "", used
+        weight = -offsets[nearest[0]] / (offsets[nearest[1]] - offsets[nearest[0]])
+        labelled = self._by_label(fit, seen, nearest, weight)
+        return *nothing[:2], labelled, self._fault(seen[list(nearest)]), 0
 
     def _unknown(self, models: BodiesByName | None) -> str:
         """Why none of the server's rigid bodies is this one; empty: one is."""
@@ -240,19 +279,6 @@ class _TrackedBody:
                 f" {self._count} in the geometry file: give both the same, or register it anew"
             )
         return ""
-
-    def _markers(self, frame: MocapFrame, models: BodiesByName | None) -> FloatArray:
-        """Its markers by their labels, shape (k, 3) [m]; NaN where one is not seen."""
-        markers = np.full((self._count, 3), np.nan)
-        definition = models.get(self._name) if models is not None else None
-        if definition is None:
-            return markers
-        own = sorted(marker for marker in frame.markers if marker.model == definition.id)
-        for rank, marker in enumerate(own):
-            slot = rank if len(own) == self._count else marker.member - 1
-            if not (marker.occluded or marker.model_filled) and 0 <= slot < self._count:
-                markers[slot] = marker.position
-        return markers
 
     def _interpolate_markers(
         self, fit: BodyFit, seen: FloatArray, pair: tuple[int, int], weight: float
@@ -313,39 +339,41 @@ def _in_order(markers: FloatArray, order: IntArray) -> FloatArray:
     return np.where((order >= 0)[:, None], markers[order], np.nan)
 
 
+def _span(offsets: FloatArray, pair: tuple[int, int]) -> float:
+    """Time between two frames [s]."""
+    return float(offsets[pair[1]] - offsets[pair[0]])
+
+
 def _interpolate(
     poses: Pose, pair: tuple[int, int], weight: float
 ) -> tuple[FloatArray, FloatArray, int]:
     """Position [m] and quaternion between two of N poses, and 2, their number."""
     start, end = poses.translation[list(pair)]
-    before, after = Rotation.from_matrix(poses.rotation[list(pair)])
-    # Slerp (Shoemake 1985, doi:10.1145/325165.325242); scipy's Slerp costs twice as much.
-    rotation = before * (before.inv() * after) ** weight
-    return start + weight * (end - start), rotation.as_quat(), 2
+    before, after = poses.rotation[list(pair)]
+    # Slerp (Shoemake 1985, doi:10.1145/325165.325242).
+    turn = weight * rotation_vectors((before.T @ after)[None])[0]
+    return start + weight * (end - start), turned_quaternion(before, turn), 2
 
 
 def _mean(
-    poses: Pose, offsets: FloatArray, rows: slice, largest: float
+    poses: Pose, offsets: FloatArray, usable: BoolArray, largest: float
 ) -> tuple[FloatArray, FloatArray, int] | None:
-    """Mean of those of N poses that are in some rows and not NaN, at offset 0.
+    """Mean of some of N poses, at offset 0.
 
     Args:
         poses: The poses.
         offsets: Their times from that of the mean, shape (N,) [s].
-        rows: Which to average.
+        usable: Which to average, shape (N,).
         largest: Largest variance of the mean's noise, where a pose's is 1 [-].
 
     Returns:
         Position [m], quaternion and number of poses; None if the mean would be noisier.
     """
-    usable = np.isfinite(poses.translation[rows, 0])
-    weights = line_weights(offsets[rows][usable])
+    weights = line_weights(offsets[usable])
     if len(weights) < 2 or weights @ weights > largest:
         return None
-    rotations = poses.rotation[rows][usable]
+    rotations = poses.rotation[usable]
     # The rotation nearest to all: the chordal mean (Hartley 2013, doi:10.1007/s11263-012-0601-0).
-    left, _, right = np.linalg.svd(rotations.mean(axis=0))
-    mean = left @ np.diag([1.0, 1.0, np.linalg.det(left @ right)]) @ right
-    turns = Rotation.from_matrix(mean.T @ rotations).as_rotvec()
-    rotation = Rotation.from_matrix(mean) * Rotation.from_rotvec(weights @ turns)
-    return weights @ poses.translation[rows][usable], rotation.as_quat(), len(weights)
+    mean = nearest_rotations(rotations.sum(axis=0)[None])[0]
+    turn = weights @ rotation_vectors(mean.T @ rotations)
+    return weights @ poses.translation[usable], turned_quaternion(mean, turn), len(weights)
