@@ -230,6 +230,7 @@ def start(graph: Graph, testbed: Testbed) -> World | None:
     if testbed.simulation is not None:
         testbed, world = simulate_hardware(graph, testbed, testbed.simulation)
     graph.start_nodes(testbed.nodes(graph.folder))
+    graph.keep_spare(full_namespace(testbed.namespace))
     return world
 
 

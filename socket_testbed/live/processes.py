@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import ctypes
 import importlib.util
+import json
 import os
 import signal
 import subprocess
@@ -32,11 +33,15 @@ REMAPPINGS = (("/tf", "tf"), ("/tf_static", "tf_static"))
 PARENT = "SOCKET_TESTBED_PARENT"  # the process that started this one
 RESTARTED = "SOCKET_TESTBED_RESTARTED"  # set where another did this one's work before
 
+SPARE = "spare"  # name of the process that takes the place of a node that was killed
+
+_NODES = "socket_testbed.nodes"
 _PR_SET_PDEATHSIG = 1
 _GRACE = 60.0  # [s]; for a node to end by itself
 _LOOK = 0.05  # [s]
 _EARLY = 10.0  # [s]; a process that fails within this time was given something wrong
 _LONGEST_WAIT = 10.0  # [s]; before a process that ends again and again is started again
+_CALM = 3.0  # [s]; how long all processes have run before a spare one takes processor time
 
 
 def end_with_parent(number: signal.Signals) -> None:
@@ -157,6 +162,7 @@ class Graph:
         self._output = output
         self._meanwhile = meanwhile
         self._members: dict[str, _Member] = {}
+        self._spare: list[str] = []  # its arguments; empty for none
         self._temporary = tempfile.TemporaryDirectory(prefix="socket_testbed_")
         self.folder = Path(self._temporary.name)
         self._environment = {
@@ -191,11 +197,18 @@ class Graph:
         for name, members in processes.items():
             file = write_parameters(members, self.folder / f"{name}.yaml")
             names = [node.name for node in members]
-            rules = (f"__ns:={members[0].namespace}", *(f"{a}:={b}" for a, b in REMAPPINGS))
-            remap = (word for rule in rules for word in ("-r", rule))
-            ros = ["--ros-args", *remap, "--params-file", str(file)]
+            ros = [*_ros_arguments(members[0].namespace), "--params-file", str(file)]
             optional = all(node.optional for node in members)
-            self.start_program(name, "socket_testbed.nodes", [*names, *ros], optional)
+            self.start_program(name, _NODES, [*names, *ros], optional)
+
+    def keep_spare(self, namespace: str = "/") -> None:
+        """Keep a process beside the nodes that takes the place of one that is killed.
+
+        It has imported what nodes import, and the others know it: a new process is found by them
+        only seconds later (Fast DDS looks for others every 3 s, and for as long sends what is for
+        the new one to the memory of the killed one).
+        """
+        self._spare = [SPARE, *_ros_arguments(namespace)]
 
     def start_program(
         self, name: str, module: str, arguments: list[str], optional: bool = False
@@ -208,11 +221,24 @@ class Graph:
         # In a session of its own, Ctrl-C reaches a node once: from this process.
         return subprocess.Popen(
             command,
+            stdin=subprocess.PIPE,
             stdout=self._output,
             stderr=self._output,
             start_new_session=True,
             env=self._environment | ({RESTARTED: "1"} if again else {}),
         )
+
+    def _replace(self, ended: _Member) -> subprocess.Popen[bytes]:
+        """A process that does the work of one that ended: the spare one, or a new one."""
+        spare = self._members.get(SPARE, ended)
+        if spare is not ended and spare.exit_code() is None and _NODES in ended.command:
+            assert spare.process.stdin is not None
+            with suppress(BrokenPipeError):
+                with spare.process.stdin as place:
+                    place.write(json.dumps(ended.command[3:]).encode())
+                del self._members[SPARE]
+                return spare.process
+        return self._spawn(ended.command, again=True)
 
     def wait(self, node: str) -> None:
         """Wait until a node has done its work.
@@ -256,8 +282,12 @@ class Graph:
         began = time.monotonic()
         while not done():
             now = time.monotonic()
-            for name, member in self._members.items():
+            if self._spare and SPARE not in self._members and self._calm(now):
+                self.start_program(SPARE, _NODES, self._spare, optional=True)
+            for name, member in list(self._members.items()):
                 code = member.exit_code()
+                if name not in self._members:
+                    continue  # the spare one, which has taken a place
                 if code is None:
                     if now - member.started > _EARLY:
                         member.backoff.succeeded()
@@ -267,9 +297,13 @@ class Graph:
                 if member.backoff.due(now):
                     notify(f"{name} {_ending(code)}: started again")
                     member.backoff.failed(now)
-                    member.process = self._spawn(member.command, again=True)
+                    member.process = self._replace(member)
                     member.started = now
             self.pause()
+
+    def _calm(self, now: float) -> bool:
+        """Whether all processes have run for a while."""
+        return all(now - member.started > _CALM for member in self._members.values())
 
     def stop(self, *names: str) -> None:
         """End some processes, or all of them: ask, then insist."""
@@ -285,6 +319,12 @@ class Graph:
                 self.pause()
         for member in members:
             member.process.poll()  # the system forgets it
+
+
+def _ros_arguments(namespace: str) -> list[str]:
+    """What nodes in a namespace are started with, but for their parameters."""
+    rules = (f"__ns:={namespace}", *(f"{a}:={b}" for a, b in REMAPPINGS))
+    return ["--ros-args", *(word for rule in rules for word in ("-r", rule))]
 
 
 def _failure(name: str, code: int) -> NodeFailedError:

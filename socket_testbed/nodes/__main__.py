@@ -2,11 +2,18 @@
 
 `python -m socket_testbed.nodes NODE... --ros-args ...` runs one node or several in one process; a
 program with the name of a node, such as `ros2 run socket_testbed cluster_node`, runs that node.
+
+`python -m socket_testbed.nodes spare --ros-args ...` waits, ready for the place of a node that is
+killed: its standard input then gets that one's arguments, as a JSON list.
 """
 
 from __future__ import annotations
 
+import ctypes
 import gc
+import json
+import os
+import select
 import signal
 import sys
 from collections.abc import Callable
@@ -20,7 +27,7 @@ try:
 
     from socket_testbed.errors import ConfigurationError, TestbedError
     from socket_testbed.files import closest
-    from socket_testbed.live.processes import end_with_starter
+    from socket_testbed.live.processes import RESTARTED, SPARE, end_with_starter
     from socket_testbed.live.scheduling import schedule
     from socket_testbed.nodes.base import TestbedNode, spin
     from socket_testbed.settings.acquisition import SchedulingSettings
@@ -31,6 +38,8 @@ except ModuleNotFoundError as error:
         " requirements/runtime.txt is installed in (README, colcon workspace)"
     )
 
+_RARE = ("view_node",)  # its imports take as much memory as all others
+_LOOK = 0.2  # [s]
 _SWITCH = 5e-4  # [s]; a thread that is due waits no longer for one that computes
 
 
@@ -40,8 +49,13 @@ def main() -> None:
     known = TestbedSettings().nodes()
     if Path(program).name in known:
         words = [Path(program).name, *words]
-    names = words[: words.index("--ros-args")] if "--ros-args" in words else words
-    sys.exit(_run(names))
+    sys.exit(_run(_split(words)[0]))
+
+
+def _split(words: list[str]) -> tuple[list[str], list[str]]:
+    """The names of nodes, and the ROS arguments after them."""
+    names = words.index("--ros-args") if "--ros-args" in words else len(words)
+    return words[:names], words[names:]
 
 
 def _node_class(name: str) -> Callable[[], TestbedNode[Any]]:
@@ -65,6 +79,10 @@ def _run(names: list[str]) -> int:
     end_with_starter()
     nodes: list[TestbedNode[Any]] = []
     try:
+        if names == [SPARE]:
+            names, TestbedNode.arguments = _split(_await_place())
+            if not names:
+                return 0
         try:
             for name in names:
                 nodes.append(_node_class(name)())
@@ -85,6 +103,31 @@ def _run(names: list[str]) -> int:
     finally:
         rclpy.try_shutdown()
     return 0
+
+
+def _await_place() -> list[str]:
+    """Be ready until another process's place is to be taken: its arguments; empty if ROS ends."""
+    for name in TestbedSettings().nodes():
+        if name not in _RARE:
+            _node_class(name)
+    # With a node, this process is known in the graph.
+    ready = rclpy.create_node("_spare", start_parameter_services=False, enable_rosout=False)
+    while rclpy.ok() and not select.select([sys.stdin], [], [], _LOOK)[0]:
+        pass
+    words = json.loads(sys.stdin.read() or "[]") if rclpy.ok() else []
+    os.environ[RESTARTED] = "1"
+    _rename([*sys.orig_argv[:3], *words])
+    ready.destroy_node()
+    return words
+
+
+def _rename(words: list[str]) -> None:
+    """Let ps show other arguments, cut to the space that this process's own took."""
+    fields = Path("/proc/self/stat").read_text().rpartition(")")[2].split()
+    start, end = int(fields[45]), int(fields[46])  # arg_start, arg_end in proc(5)
+    size = end - start
+    title = "\0".join(words).encode()[: size - 1].ljust(size, b"\0")
+    ctypes.memmove(start, title, size)
 
 
 def _schedule(node: TestbedNode[Any]) -> None:

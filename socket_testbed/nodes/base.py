@@ -17,7 +17,7 @@ import threading
 from collections.abc import Callable
 from contextlib import suppress
 from importlib import import_module
-from typing import Any, Generic, TypeVar
+from typing import Any, ClassVar, Generic, TypeVar
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
@@ -180,6 +180,7 @@ class TestbedNode(Node, Generic[S]):
         settle: How long the node counts as starting while it has not reported OK [s].
 
     Attributes:
+        arguments: ROS arguments of the nodes beside those of the process.
         settings: The settings as they are now. A change that they refuse is refused by the node,
             with the reason.
         finished: Set when the node has done its work.
@@ -189,9 +190,10 @@ class TestbedNode(Node, Generic[S]):
     """
 
     __test__ = False
+    arguments: ClassVar[list[str]] = []
 
     def __init__(self, name: str, kind: type[S], settle: float = 0.0) -> None:
-        super().__init__(name)
+        super().__init__(name, cli_args=self.arguments)
         self.finished = Future()
         self._kind = kind
         for parameter, value in parameter_values(kind()).items():
