@@ -301,7 +301,7 @@ def fit(
     )
     samples = trial.samples()
     chosen = select(trial, segment, settings)
-    _note_implausible(trial, samples[chosen.rows], settings.identification.leave_out)
+    _note_implausible(trial, samples, chosen, settings.identification.leave_out)
     # With more threads a sum is rounded otherwise: the same trial is to give the same model on
     # every machine. These programs are small, and no slower for it.
     with threadpool_limits(1):
@@ -309,9 +309,11 @@ def fit(
     return TrialFit(trial, chosen, found)
 
 
-def _note_implausible(trial: Trial, chosen: Samples, leave_out: tuple[str, ...]) -> None:
+def _note_implausible(
+    trial: Trial, samples: Samples, segment: Segment, leave_out: tuple[str, ...]
+) -> None:
     if trial.notify is not None:
-        start = int(trial.samples().stamps[0])
+        start, chosen = int(samples.stamps[0]), samples[segment.rows]
         for note in implausible_notes(chosen, trial.geometry, leave_out, start):
             trial.notify(note)
 
@@ -425,7 +427,7 @@ def evaluate(
     rows = samples[chosen.rows]
     leave_out = stored.settings.leave_out
     require_position(rows, trial.geometry)
-    _note_implausible(trial, rows, leave_out)
+    _note_implausible(trial, samples, chosen, leave_out)
     rows = without_outliers(rows, find_outliers(rows, trial.geometry, leave_out))
     if trial.notify is not None and bool(trial.unloaded) != bool(stored.unloaded):
         fitted = "with" if stored.unloaded else "without"
@@ -518,7 +520,8 @@ def pareto(
     check_thetas(thetas)
     settings = estimator_settings(trial.estimator, as_path(params), **choices)
     chosen = select(trial, segment, settings)
-    _note_implausible(trial, trial.samples()[chosen.rows], settings.identification.leave_out)
+    leave_out = settings.identification.leave_out
+    _note_implausible(trial, trial.samples(), chosen, leave_out)
     with threadpool_limits(1):
         fronts = pareto_front(
             trial.samples()[chosen.rows],
@@ -596,8 +599,8 @@ def write_report(
             stored,
             started(progress, "solving for every theta"),
         )
-    chosen = results.samples[results.segment.rows]
-    _note_implausible(trial, chosen, settings.identification.leave_out)
+    leave_out = settings.identification.leave_out
+    _note_implausible(trial, results.samples, results.segment, leave_out)
     if trial.notify is not None:
         for note in results.bag_notes:
             trial.notify(note)

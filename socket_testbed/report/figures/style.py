@@ -163,8 +163,9 @@ def lay_out(figure: Figure) -> Figure:
     """The same figure with its layout done once; every saving would repeat it."""
     engine = figure.get_layout_engine()
     if engine is not None:
-        for _ in range(2):  # panels with a fixed aspect find their place in the second
-            engine.execute(figure)
+        engine.execute(figure)
+        if any(axis.get_aspect() != "auto" for axis in figure.axes):
+            engine.execute(figure)  # panels with a fixed aspect find their place in the second
         with mpl.rc_context(_NO_LAYOUT):
             figure.set_layout_engine(None)  # "none" leaves a placeholder: savefig draws twice
     return figure
