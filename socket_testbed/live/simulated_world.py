@@ -37,7 +37,6 @@ from socket_testbed.simulation.sensors import (
     ClusterSensor,
     MarkerBodies,
     cluster_stress,
-    place_markers,
 )
 from socket_testbed.simulation.trial import GroundTruth, random_streams, save_truth
 from socket_testbed.simulation.world import World
@@ -151,7 +150,12 @@ def markers_at(geometry: SocketGeometry, poses: FloatArray) -> list[FloatArray]:
     """
     bodies = Pose.from_quaternion(poses[:, :3], poses[:, 3:])
     references = (geometry.socket_markers, geometry.pylon_markers)
-    return [place_markers(bodies, markers)[k] for k, markers in enumerate(references)]
+    return [
+        markers @ rotation.T + position
+        for markers, rotation, position in zip(
+            references, bodies.rotation, bodies.translation, strict=True
+        )
+    ]
 
 
 def _padded(markers: list[FloatArray]) -> FloatArray:

@@ -8,8 +8,9 @@ finer than the tiles and reaches between them.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 from scipy.optimize import root
@@ -268,12 +269,16 @@ class LimbInSocket:
 
     def __init__(self, tissue: Tissue, centre: FloatArray) -> None:
         self._tissue = tissue
-        self._arms = tissue.points - centre
-        self._to_centre = _cross_matrix(centre)
+        self._centre = centre
+        self._axes = _axes(tissue.normals)
+        arms = np.cross(tissue.points - centre, self._axes)
+        # Displacements of the points along their axes, of that of the bone: they are linear.
+        self._moved = np.concatenate([self._axes, arms], axis=2).reshape(-1, 6)
+        self._tangent: FloatArray | None = None  # of the imbalance, at the last equilibrium
         self.displacement = np.zeros(6)
         self._crept = tissue.creep * np.maximum(tissue.fit, 0.0)
-        self._traction = np.zeros_like(tissue.points)
-        self._tangential = np.zeros_like(tissue.points)
+        self._traction = np.zeros((2, len(tissue.points)))
+        self._tangential = np.zeros((2, len(tissue.points)))
 
     def step(self, wrench: FloatArray, duration: float) -> FloatArray:
         """Move to the equilibrium under a load.
@@ -289,20 +294,16 @@ class LimbInSocket:
             EquilibriumError: If the load pushes the limb out of the socket.
         """
         scale = 1e-3 * np.repeat([1.0, 1.0 / _LENGTH], 3)
+        load = np.concatenate([wrench[3:], wrench[:3] - np.cross(self._centre, wrench[3:])])
+        lengths = np.repeat([1.0, _LENGTH], 3)
 
         def imbalance(x: FloatArray) -> FloatArray:
+            # By virtual work: about the limb's centre the moments do not repeat the forces.
             forces = self._respond(x * scale, duration)[0]
-            # The moment is the antisymmetric part of the sum of all products of place and force.
-            s = self._tissue.points.T @ forces
-            moment = [s[1, 2] - s[2, 1], s[2, 0] - s[0, 2], s[0, 1] - s[1, 0]]
-            difference = np.concatenate([moment, forces.sum(axis=0)]) - wrench
-            # About the limb's centre the moments do not repeat the forces.
-            difference[:3] -= self._to_centre @ difference[3:]
-            difference[:3] /= _LENGTH
-            return difference
+            return np.asarray((forces.ravel() @ self._moved - load) / lengths)
 
         start = self.displacement / scale
-        answer = root(imbalance, start, method="hybr", options={"xtol": 1e-10})
+        answer = self._solve(imbalance, start)
         if np.abs(answer.fun).max() > _BALANCE:
             # Where the surface begins to slip Powell's steps may stall: start from rest.
             answer = root(imbalance, start, method="lm", options={"xtol": 1e-12, "ftol": 1e-14})
@@ -315,15 +316,30 @@ class LimbInSocket:
         forces, self._crept, self._traction, self._tangential = self._respond(
             self.displacement, duration
         )
-        return forces
+        return np.einsum("ap,api->pi", forces, self._axes)
+
+    def _solve(self, imbalance: Callable[[FloatArray], FloatArray], start: FloatArray) -> Any:
+        """Solve by Powell's hybrid method, from the tangent of the step before at first."""
+        options = {"xtol": 1e-10}
+        if (tangent := self._tangent) is not None:
+            answer = root(imbalance, start, jac=lambda x: tangent, method="hybr", options=options)
+        if tangent is None or np.abs(answer.fun).max() > _BALANCE:
+            answer = root(imbalance, start, method="hybr", options=options)
+        triangle = np.zeros((6, 6))
+        triangle[np.triu_indices(6)] = answer.r
+        self._tangent = answer.fjac.T @ triangle
+        return answer
 
     def _respond(
         self, displacement: FloatArray, duration: float
     ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        """Forces on the socket, crept compression, shear traction, tangential displacement."""
+        """Forces on the socket, crept compression, shear traction, tangential displacement.
+
+        The forces are along the axes of the points, shape (3, p), the tractions and tangential
+        displacements along the last two of them, shape (2, p).
+        """
         tissue = self._tissue
-        moved = displacement[:3] + self._arms @ _cross_matrix(displacement[3:]).T
-        along_normal = np.einsum("pi,pi->p", moved, tissue.normals)
+        along_normal, *across = (self._moved @ displacement).reshape(3, -1)
         compression = tissue.fit - along_normal
 
         rate = duration / tissue.creep_time
@@ -332,20 +348,22 @@ class LimbInSocket:
         elastic = np.maximum(compression - crept, 0.0)
         pressure = tissue.modulus * tissue.stiffening * np.expm1(elastic / tissue.stiffening)
 
-        tangential = moved - along_normal[:, None] * tissue.normals
-        traction = self._traction + tissue.shear_modulus[:, None] * (tangential - self._tangential)
-        size = np.linalg.norm(traction, axis=1)
+        tangential = np.array(across)
+        traction = self._traction + tissue.shear_modulus * (tangential - self._tangential)
+        size = np.hypot(*traction)
         limit = tissue.friction * pressure
-        traction *= np.minimum(1.0, limit / np.maximum(size, 1e-12))[:, None]
+        traction *= np.minimum(1.0, limit / np.maximum(size, 1e-12))
 
-        forces = tissue.areas[:, None] * (traction - pressure[:, None] * tissue.normals)
+        forces = tissue.areas * np.vstack([-pressure, traction])
         return forces, crept, traction, tangential
 
 
-def _cross_matrix(vector: FloatArray) -> FloatArray:
-    """The matrix, shape (3, 3), that takes another vector to the cross product with it."""
-    x, y, z = vector
-    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+def _axes(normals: FloatArray) -> FloatArray:
+    """The normals and two tangents of each point, shape (3, p, 3) [-]."""
+    least = np.eye(3)[np.abs(normals).argmin(axis=1)]
+    first = np.cross(normals, least)
+    first /= np.linalg.norm(first, axis=1, keepdims=True)
+    return np.stack([normals, first, np.cross(normals, first)])
 
 
 class LoadedLimb:

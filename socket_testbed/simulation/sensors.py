@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.optimize import root
 from scipy.spatial.transform import Rotation
 
 from socket_testbed.arrays import FloatArray
@@ -14,6 +13,7 @@ from socket_testbed.simulation.sensor_errors import SensorErrors
 
 CAMERA_RATE = 240.0  # [Hz]
 _CONVERTER_STEP = 2.0**-19  # [pF]; of the FDC1004
+_NEWTON_STEPS, _EXACT = 20, 1e-11  # [1], [pF]
 _CREEP_TIME = 40.0  # [s]; of the load cell
 # Signs of a cluster's four channels in its two differences.
 _SIGNS = np.array([[-1.0, 1.0, -1.0, 1.0], [1.0, 1.0, -1.0, -1.0]])
@@ -36,16 +36,18 @@ def invert_calibration(calibration: ClusterCalibration, stress: FloatArray) -> F
         Capacitances, shape (N, 4) [pF].
     """
     mean = (stress[:, 0] - calibration.normal[0]) / calibration.normal[1]
-    differences = np.empty((len(stress), 2))
-    guess = np.zeros(2)
-    for k, shear in enumerate(stress[:, 1:]):
-
-        def miss(d: FloatArray, shear: FloatArray = shear) -> FloatArray:
-            terms = shear_terms(np.array(d[0]), np.array(d[1]))
-            return calibration.shear @ terms - shear
-
-        guess = root(miss, guess, tol=1e-9).x
-        differences[k] = guess
+    x, y = np.zeros((2, len(stress)))
+    _, cx, cy, cxx, cxy, cyy = calibration.shear.T[:, :, None]
+    for _ in range(_NEWTON_STEPS):
+        missing_x, missing_y = (stress[:, 1:] - shear_terms(x, y) @ calibration.shear.T).T
+        (a, c), (b, d) = cx + 2.0 * cxx * x + cxy * y, cy + cxy * x + 2.0 * cyy * y  # derivatives
+        determinant = a * d - b * c
+        step_x = (d * missing_x - b * missing_y) / determinant
+        step_y = (a * missing_y - c * missing_x) / determinant
+        x, y = x + step_x, y + step_y
+        if max(np.abs(step_x).max(initial=0.0), np.abs(step_y).max(initial=0.0)) < _EXACT:
+            break
+    differences = np.column_stack([x, y])
     # mean and differences from four channels; the fourth combination, a twist, is zero.
     channels = mean[:, None] + 0.5 * differences @ _SIGNS
     inputs = np.empty_like(channels)

@@ -408,6 +408,8 @@ class NatNetServer:
         targets = self._clients
         if self._multicast is not None:
             targets = {self._multicast: _Client(now, self._version)}
+        if not targets:
+            return
         ticks = (self._ticks(moment), self._ticks(moment + 0.5 * _LATENCY), self._ticks(now))
         content = self._scene.content(moment, self._number, ticks, self.recording)
         for address, client in targets.items():
