@@ -322,14 +322,14 @@ def test_a_pause_leaves_no_conversion_with_a_wrong_time() -> None:
 
 
 def test_the_ring_keeps_the_last_in_order() -> None:
-    ring = ConversionRing(0.1, 1.0)
+    ring = ConversionRing(0.1, 1.0, 6)
     for k in range(25):
-        ring.add(0.1 * k, np.full(6, float(k)), np.arange(6) == k % 6)
-    times, ratios, rails = ring.between(-1.0, 9.0)
+        ring.add(0.1 * k, np.arange(k, k + 6))
+        assert ring.newest(3)[:, 1].tolist() == [i + 1 if i >= 0 else 0 for i in (k - 2, k - 1, k)]
+    times, codes = ring.between(-1.0, 9.0)
     assert times == pytest.approx(0.1 * np.arange(15, 25))
-    assert ratios[:, 2].tolist() == list(range(15, 25))
-    assert rails.argmax(axis=1).tolist() == [k % 6 for k in range(15, 25)]
-    assert ring.between(1.95, 2.15)[1][:, 0].tolist() == [20.0, 21.0]
+    assert codes[:, 2].tolist() == list(range(17, 27))
+    assert ring.between(1.95, 2.15)[1][:, 0].tolist() == [20, 21]
     assert len(ring.between(5.0, 4.0)[0]) == 0
 
 

@@ -253,10 +253,12 @@ class Ads131m0x:
                 f"{self._name}: the converter fell back to its reset state",
                 "check its supply and its SYNC/RESET pin",
             )
-        words = np.frombuffer(answer[_WORD:-_WORD], dtype=np.uint8).reshape(-1, _WORD)
-        codes = words.astype(np.int64) @ np.array([1 << 16, 1 << 8, 1])
+        codes = [
+            int.from_bytes(answer[at : at + _WORD], "big", signed=True)
+            for at in range(_WORD, len(answer) - _WORD, _WORD)
+        ]
         ready = (1 << self._channels) - 1
-        return ConverterFrame(status, codes - ((codes & 0x800000) << 1), status & ready == ready)
+        return ConverterFrame(status, np.array(codes), status & ready == ready)
 
     def check_frames(self, count: int) -> int:
         """Number of frames, out of so many, that do not match their checksum.
@@ -340,7 +342,7 @@ class Ads131m0x:
                 f"{self._name}: the bus fails ({error.strerror or error})",
                 "check the device and restart the computer if it persists",
             ) from None
-        if answer in (bytes(len(frame)), b"\xff" * len(frame)):
+        if not any(answer) or answer == b"\xff" * len(frame):
             raise NoAnswerError(
                 f"{self._name}: no answer (every bit reads {answer[0] & 1})",
                 "check MISO, CS and the supply of the converter",

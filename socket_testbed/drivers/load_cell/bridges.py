@@ -48,8 +48,8 @@ class Bridges:
         )
 
     def ratios(self, codes: IntArray) -> FloatArray:
-        """Ratios of the bridges, shape (6,) [mV/V], of codes by input, shape (channels,)."""
-        return self._scale * volts(codes[self.inputs], self._gain)
+        """Ratios of the bridges, shape (n, 6) [mV/V], of codes by input, shape (n, channels)."""
+        return self._scale * volts(codes[:, self.inputs], self._gain)
 
     def wrenches(self, ratios: FloatArray) -> FloatArray:
         """Wrenches [M; F], shape (..., 6) [N m, N], of ratios, shape (..., 6) [mV/V]."""

@@ -34,7 +34,6 @@ _SILENCE = 0.1  # [s] without a conversion
 _RECENT = 0.8  # [s]; how long a trouble that is over is reported
 _KEPT = 61.0  # [s]; more than the longest tare
 _PAUSE = 1.95  # periods; two conversions wait, a third would be lost
-_BRIDGES = 6
 _WAITING = 2  # conversions that the converter keeps
 _ATTEMPTS = 5  # to empty it without an edge in between
 _ROWS = 200_000  # 11 MB
@@ -106,41 +105,43 @@ class ConversionRing:
     Args:
         period: Time from one conversion to the next [s].
         span: Time that is kept, as far as there is room [s].
+        channels: Channels of the converter.
     """
 
-    def __init__(self, period: float, span: float) -> None:
+    def __init__(self, period: float, span: float, channels: int) -> None:
         self._size = min(math.ceil(span / period), _ROWS)
         # Every row stands twice, so that the rows kept are always in one piece.
         self._times = np.full(2 * self._size, -np.inf)
-        self._ratios = np.zeros((2 * self._size, _BRIDGES))
-        self._rails = np.zeros((2 * self._size, _BRIDGES), dtype=bool)
+        self._codes = np.zeros((2 * self._size, channels), dtype=np.int64)
         self._next = 0
 
-    def add(self, time: float, ratios: FloatArray, rails: BoolArray) -> None:
+    def add(self, time: float, codes: IntArray) -> None:
         """Add a conversion, later than all before.
 
         Args:
             time: When it was measured [s].
-            ratios: Ratios of the bridges, shape (6,) [mV/V].
-            rails: Whether each is clipped, shape (6,).
+            codes: Its codes by channel, shape (channels,).
         """
         for row in (self._next, self._next + self._size):
             self._times[row] = time
-            self._ratios[row] = ratios
-            self._rails[row] = rails
+            self._codes[row] = codes
         self._next = (self._next + 1) % self._size
 
-    def between(self, start: float, end: float) -> tuple[FloatArray, FloatArray, BoolArray]:
+    def between(self, start: float, end: float) -> tuple[FloatArray, IntArray]:
         """Conversions measured after `start` and until `end` [s].
 
         Returns:
-            Their times, shape (n,) [s], ratios, shape (n, 6) [mV/V], and whether these are
-            clipped, shape (n, 6).
+            Their times, shape (n,) [s], and their codes, shape (n, channels).
         """
         kept = slice(self._next, self._next + self._size)
         first, last = self._next + np.searchsorted(self._times[kept], (start, end), side="right")
         rows = slice(first, max(first, last))
-        return self._times[rows].copy(), self._ratios[rows].copy(), self._rails[rows].copy()
+        return self._times[rows].copy(), self._codes[rows].copy()
+
+    def newest(self, count: int) -> IntArray:
+        """Codes of so many conversions at the end, shape (count, channels); 0 before the first."""
+        end = self._next + self._size
+        return self._codes[end - count : end].copy()
 
 
 class ConverterReader:
@@ -191,8 +192,7 @@ class ConverterReader:
         self._matched = -np.inf  # last frame that matched its checksum [s]
 
         self._lock = threading.Lock()  # of all below
-        self._ring = ConversionRing(self.period, _KEPT)
-        self._rail_runs = np.zeros(6, dtype=np.int64)
+        self._ring = ConversionRing(self.period, _KEPT, settings.channels)
         self._emptied = self._corrupted = self._failed = -np.inf  # [s]
         self._arrived = self._stored = clock()  # a conversion; one whose time is known [s]
         self._fault: DeviceError | None = None
@@ -244,19 +244,30 @@ class ConverterReader:
             self._line = None
 
     def between(self, start: float, end: float) -> tuple[FloatArray, FloatArray, BoolArray]:
-        """Conversions measured after `start` and until `end` [s], as `ConversionRing.between`."""
+        """Conversions measured after `start` and until `end` [s].
+
+        Returns:
+            Their times, shape (n,) [s], ratios of the bridges, shape (n, 6) [mV/V], and whether
+            these are clipped, shape (n, 6).
+        """
         with self._lock:
-            return self._ring.between(start, end)
+            times, codes = self._ring.between(start, end)
+        return times, self._bridges.ratios(codes), at_rail(codes[:, self._bridges.inputs])
+
+    def over(self, until: float) -> float:
+        """When the conversions measured until a time have ended [s]."""
+        return until + self._delay
 
     def has_all(self, until: float) -> bool:
         """Whether no conversion measured until a time [s] is still to come."""
         with self._lock:
-            return self._emptied - self._delay >= until
+            return self._emptied >= self.over(until)
 
-    def rail_runs(self) -> IntArray:
-        """How many conversions in a row each bridge has been at a rail, shape (6,)."""
+    def at_rail_for(self, count: int) -> BoolArray:
+        """Which bridges were at a rail in all of the last conversions, so many, shape (6,)."""
         with self._lock:
-            return self._rail_runs.copy()
+            codes = self._ring.newest(count)
+        return np.asarray(at_rail(codes[:, self._bridges.inputs]).all(axis=0))
 
     def counts(self) -> dict[str, int]:
         """Numbers of conversions, of corrupted frames and of restarts."""
@@ -359,15 +370,13 @@ class ConverterReader:
 
     def _take(self, codes: IntArray, read: float, end: float | None) -> None:
         """Keep a conversion that a frame brought, and that ended at a time [s]; None: unknown."""
-        rails = at_rail(codes[self._bridges.inputs])
         with self._lock:
             self._arrived = read
             if end is None:
                 return
             self._stored = read
-            self._rail_runs = np.where(rails, self._rail_runs + 1, 0)
             self._counts["conversions"] += 1
-            self._ring.add(end - self._delay, self._bridges.ratios(codes), rails)
+            self._ring.add(end - self._delay, codes)
 
     def _expect_conversions(self) -> None:
         now = self._clock()

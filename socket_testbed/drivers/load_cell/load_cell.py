@@ -172,24 +172,23 @@ class LoadCell:
         return dict(self._reader.counts())
 
     def over(self, moment: float, span: float = 0.0) -> float:
-        """When the last conversion is made that makes the wrench at a time [s].
+        """When the last conversion ends that makes the wrench at a time [s].
 
         Args:
             moment: The time on the steady clock [s].
             span: Span centred on it that is averaged where the window is shorter [s].
         """
-        return moment + self._reach(span)[1]
+        return self._reader.over(moment + self._reach(span)[1])
 
     def ready(self, moment: float, span: float = 0.0) -> bool:
         """Whether waiting adds nothing to the wrench at a time; arguments as of `over`.
 
         Either all conversions around it are in, or they are over and the converter fails.
         """
-        end = self.over(moment, span)
-        if self._reader.has_all(end):
+        if self._reader.has_all(moment + self._reach(span)[1]):
             return True
         now = self._clock()
-        return now >= end and self._reader.trouble(now)[0] > 1
+        return now >= self.over(moment, span) and self._reader.trouble(now)[0] > 1
 
     def wrench_at(self, moment: float, span: float = 0.0) -> WrenchReading:
         """The wrench at a time; arguments as of `over`.
@@ -234,7 +233,7 @@ class LoadCell:
         level, fact, hint = self._reader.trouble(now)
         found = [(level, f"{fact}: {hint}")] if level else []
         _, ratios, rails = self._reader.between(now - _RECENT, now)
-        broken = self._reader.rail_runs() >= _BROKEN_WIRE
+        broken = self._reader.at_rail_for(_BROKEN_WIRE)
         if broken.any():
             fact = f"{self._saturated(broken)} for {_BROKEN_WIRE} conversions or more"
             found.append((2, f"{fact}: a broken wire? check the bridge and its wiring"))
