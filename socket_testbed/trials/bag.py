@@ -7,6 +7,8 @@ The counts of both are compared instead.
 
 from __future__ import annotations
 
+import itertools
+import math
 import os
 import sqlite3
 import zlib
@@ -18,6 +20,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple, Self
 
+import numpy as np
 from backports import zstd
 from lz4.frame import LZ4FrameDecompressor
 from rosbags.interfaces import (
@@ -37,9 +40,10 @@ from rosbags.rosbag2.storage_mcap import DECOMPRESSORS
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
+from socket_testbed.arrays import IntArray
 from socket_testbed.errors import TrialError
 from socket_testbed.files import load_yaml, packaged
-from socket_testbed.trials.layout import Field
+from socket_testbed.trials.layout import Field, Layout, Record
 from socket_testbed.trials.salvage import SalvagedRecording, salvage
 from socket_testbed.trials.topics import PUBLISHER_DEPTH, REQUIRED, TOPICS, Topic, match_topics
 
@@ -101,6 +105,8 @@ STORAGE_SUFFIXES = (*_STORAGE, *(suffix + _PACKED for suffix in _STORAGE))
 _ZSTD = b"\x28\xb5\x2f\xfd"  # a message as it was recorded begins with a zero
 _LARGEST = 2**28  # [bytes] of a chunk or message once unpacked
 _LARGEST_RATIO = 500  # of a file, unpacked to packed; recorders come to 20
+_BLOCK = 4096  # messages that are decoded at once
+_LAYOUTS = 8  # of a topic that are remembered; what has another is read message by message
 _FOREVER = QosTime(2147483647, 4294967295)
 _CHUNK = 2**20 - 2**10  # [bytes]; the library closes a chunk at 1 MiB
 _CHECKSUM_AT = 9 + 3 * 8  # [bytes] from the start of a chunk's record
@@ -124,6 +130,23 @@ class RawMessage:
     data: bytes
 
 
+@dataclass(frozen=True)
+class Block:
+    """Messages of one topic, in the order of their recording.
+
+    Attributes:
+        topic: Name of the topic.
+        type: Message type, as `package/msg/Type`.
+        times: Times of their recording since the epoch [ns].
+        data: The serialised messages.
+    """
+
+    topic: str
+    type: str
+    times: list[int]
+    data: list[bytes]
+
+
 def decode_message(raw: RawMessage, where: object) -> Any:
     """A message of a bag; `where` names the bag in an error.
 
@@ -137,6 +160,47 @@ def decode_message(raw: RawMessage, where: object) -> Any:
             f"{where}: a message on {raw.topic} cannot be decoded ({error})",
             "check that the trial was recorded with this version's messages",
         ) from None
+
+
+class BlockDecoder:
+    """Decodes messages block by block, those of one layout at once.
+
+    Args:
+        where: Names the bag in an error.
+    """
+
+    def __init__(self, where: object) -> None:
+        self._where = where
+        self._layouts: dict[tuple[str, str], list[tuple[Any, Layout]]] = {}
+
+    def parts(self, block: Block) -> Iterator[tuple[IntArray, Any, Record]]:
+        """The messages of a block in parts, each of one layout.
+
+        Yields:
+            The part's places in the block, shape (k,); a message of its layout, as the library
+            decodes it, for the strings in it; and the numbers of its messages, shape (k,).
+
+        Raises:
+            TrialError: If a message cannot be decoded.
+        """
+        known = self._layouts.setdefault((block.topic, block.type), [])
+        left = np.arange(len(block.data))
+        for number in itertools.count():
+            if len(left) == 0:
+                return
+            if number < len(known):
+                message, layout = known[number]
+            else:
+                data = block.data[left[0]]
+                message = decode_message(RawMessage(block.topic, block.type, 0, data), self._where)
+                layout = Layout(data, block.type, fields_of)
+                if number < _LAYOUTS:
+                    known.append((message, layout))
+            tried = left if number < _LAYOUTS else left[:1]
+            records, fits = layout.records([block.data[place] for place in tried.tolist()])
+            if len(records):
+                yield tried[fits], message, records
+            left = np.concatenate([tried[~fits], left[len(tried) :]])
 
 
 class BagReader:
@@ -203,17 +267,47 @@ class BagReader:
 
     def messages(self, topics: Collection[str] | None = None) -> Iterator[RawMessage]:
         """The messages of some topics, or of all, in the order of the recording."""
+        for connection, time, data in self._entries(topics):
+            yield RawMessage(connection.topic, connection.msgtype, time, data)
+
+    def blocks(self, topics: Collection[str], duration: float = math.inf) -> Iterator[Block]:
+        """The messages of some topics in blocks of a few thousand, each topic's in their order.
+
+        Args:
+            topics: Names of the topics.
+            duration: How much of the recording is read, from the first of these messages [s].
+        """
+        blocks: dict[tuple[str, str], Block] = {}
+        first, end = math.inf, math.inf
+        for connection, time, data in self._entries(topics):
+            if time < first:
+                first, end = time, time + 1e9 * duration
+            elif time > end:
+                break
+            key = connection.topic, connection.msgtype
+            block = blocks.get(key)
+            if block is None:
+                block = blocks[key] = Block(*key, [], [])
+            block.times.append(time)
+            block.data.append(data)
+            if len(block.data) == _BLOCK:
+                yield blocks.pop(key)
+        yield from blocks.values()
+
+    def _entries(self, topics: Collection[str] | None) -> Iterator[tuple[Connection, int, bytes]]:
+        """The messages of some topics, or of all, with their connections and times."""
         for reader in self._readers:
             connections = [c for c in reader.connections if topics is None or c.topic in topics]
             if not connections:
                 continue
             left = {connection.id: connection.msgcount for connection in connections}
-            messages = reader.messages(connections)
             file = self._packed.get(Path(str(reader.path)), reader.path)
-            while (entry := _next(messages, file)) is not None:
-                connection, time, data = entry
-                left[connection.id] -= 1
-                yield RawMessage(connection.topic, connection.msgtype, time, data)
+            try:
+                for connection, time, data in reader.messages(connections):
+                    left[connection.id] -= 1
+                    yield connection, time, _unpacked(bytes(data))
+            except Exception as error:  # the library raises whatever the bytes lead it to
+                raise _damaged(file, error) from None
             if any(left.values()):
                 raise _lacking(file, sum(left.values()))
 
@@ -396,6 +490,11 @@ def _unpack_zstd(data: bytes, size: int = _LARGEST) -> bytes:
     return _complete(content, unpacker.eof, size)
 
 
+def _unpacked(data: bytes) -> bytes:
+    """A message that may have been compressed by itself."""
+    return _unpack_zstd(data) if data.startswith(_ZSTD) else data
+
+
 def _unpack_lz4(data: bytes, size: int) -> bytes:
     unpacker = LZ4FrameDecompressor()
     content = unpacker.decompress(data, max_length=min(size, _LARGEST) + 1)
@@ -421,21 +520,6 @@ def _refuse_other_tables(file: Path) -> None:
         raise _damaged(file, error) from None
     if any(kinds.get(name) != "table" for name in ("topics", "messages")):
         raise _damaged(file, ValueError("it has no tables 'topics' and 'messages'"))
-
-
-def _next(
-    messages: Iterator[tuple[Connection, int, bytes]], path: object
-) -> tuple[Connection, int, bytes] | None:
-    """The next message, or None at the end."""
-    try:
-        entry = next(messages, None)
-        if entry is None:
-            return None
-        connection, time, data = entry
-        data = bytes(data)
-        return connection, time, _unpack_zstd(data) if data.startswith(_ZSTD) else data
-    except Exception as error:  # the library raises whatever the bytes lead it to
-        raise _damaged(path, error) from None
 
 
 def _damaged(file: Path | object, error: Exception) -> TrialError:

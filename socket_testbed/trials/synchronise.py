@@ -10,12 +10,12 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from array import array
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
 from socket_testbed.arrays import FloatArray, IntArray, StatusArray
@@ -32,9 +32,17 @@ from socket_testbed.errors import ConfigurationError, TrialError
 from socket_testbed.geometry.pose import Pose
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.samples import LOCAL_CHANNELS, Samples, Status, channel_unit
-from socket_testbed.trials.bag import BagReader, decode_message, required_topics, stamp_of
+from socket_testbed.trials.bag import BagReader, BlockDecoder, required_topics
+from socket_testbed.trials.layout import Record, stamps_of
 from socket_testbed.trials.segment import Segment
-from socket_testbed.trials.topics import CAPACITANCE, PYLON_POSE, SOCKET_POSE, TRIGGER, WRENCH
+from socket_testbed.trials.topics import (
+    CAPACITANCE,
+    PYLON_POSE,
+    SOCKET_POSE,
+    TRIGGER,
+    WRENCH,
+    Topic,
+)
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -69,30 +77,35 @@ class Measurements:
 
 
 _NAMED = 3  # how many stamps a note names
+_HALVES = {
+    WRENCH: ("wrench", "torque", "force"),
+    SOCKET_POSE: ("pose", "position", "orientation"),
+    PYLON_POSE: ("pose", "position", "orientation"),
+}
 _IMPOSSIBLE = 1e6  # [N m, N, m, pF]; no sensor of the testbed reads it
 
 
 class _Series:
-    """Values by stamp, packed: an hour at 100 Hz is 360,000 of them."""
+    """Arrays of values by stamp, in the order of the recording, in blocks."""
 
-    def __init__(self, width: int) -> None:
-        self._width = width
-        self._stamps = array("q")
-        self._values = array("d")
+    def __init__(self) -> None:
+        self._stamps: list[IntArray] = []
+        self._values: list[tuple[NDArray[Any], ...]] = []
 
-    def add(self, stamp: int, values: tuple[float, ...]) -> None:
-        self._stamps.append(stamp)
-        self._values.extend(values)
+    def add(self, stamps: IntArray, *values: NDArray[Any]) -> None:
+        self._stamps.append(stamps)
+        self._values.append(values)
 
     @property
     def stamps(self) -> IntArray:
-        return np.array(self._stamps, dtype=np.int64)
+        return np.concatenate(self._stamps) if self._stamps else np.empty(0, dtype=np.int64)
 
-    def at(self, stamps: IntArray) -> FloatArray:
-        """Rows for sorted stamps, NaN where there is none; a later one replaces an earlier."""
-        rows = np.full((len(stamps), self._width), np.nan)
-        rows[np.searchsorted(stamps, self.stamps)] = np.array(self._values).reshape(-1, self._width)
-        return rows
+    def into(self, stamps: IntArray, *tables: NDArray[Any]) -> None:
+        """Put the values in the rows of sorted stamps; a later one replaces an earlier."""
+        for own, values in zip(self._stamps, self._values, strict=True):
+            rows = np.searchsorted(stamps, own)
+            for table, column in zip(tables, values, strict=True):
+                table[rows] = column
 
 
 def read_measurements(
@@ -109,42 +122,39 @@ def read_measurements(
     Raises:
         TrialError: If the bag cannot be read or lacks a topic.
     """
-    widths = {TRIGGER: 0, WRENCH: 6, SOCKET_POSE: 7, PYLON_POSE: 7}
-    columns = {topic: _Series(width) for topic, width in widths.items()}
-    clusters: dict[str, _Series] = {}
     topics = required_topics(bag)
     names = {topics[topic]: topic for topic in topics if topic.required}
-    end = math.inf
-    for raw in bag.messages(names):
-        end = min(end, raw.time + 1e9 * duration)
-        if raw.time > end:
-            break
-        topic = names[raw.topic]
-        message = decode_message(raw, bag.path)
-        stamp = stamp_of(message)
-        if topic is CAPACITANCE:
-            for cluster in message.clusters:
-                column = clusters.setdefault(cluster.name, _Series(8))
-                column.add(stamp, (*cluster.capacitance, *cluster.status))
-        elif topic is WRENCH:
-            columns[topic].add(stamp, wrench_vector(message.wrench))
-        elif topic is TRIGGER:
-            columns[topic].add(stamp, ())
-        else:
-            columns[topic].add(stamp, pose_vector(message.pose))
-    every = {topic.name: column.stamps for topic, column in columns.items()}
-    every |= {name: column.stamps for name, column in clusters.items()}
+    series = {topic: _Series() for topic in (TRIGGER, WRENCH, SOCKET_POSE, PYLON_POSE)}
+    clusters: dict[str, _Series] = {}
+    decoder = BlockDecoder(bag.path)
+    for block in bag.blocks(names, duration):
+        topic = names[block.topic]
+        found: dict[str, list[tuple[NDArray[Any], ...]]] = {}
+        for places, message, records in decoder.parts(block):
+            for name, columns in _values(topic, message, records):
+                found.setdefault(name, []).append((places, stamps_of(records), *columns))
+        for name, parts in found.items():
+            cluster = topic is CAPACITANCE
+            own = clusters.setdefault(name, _Series()) if cluster else series[topic]
+            own.add(*_in_order(parts))
+    every = {topic.name: own.stamps for topic, own in series.items()}
+    every |= {name: own.stamps for name, own in clusters.items()}
     every = {name: stamps for name, stamps in every.items() if len(stamps)}  # not at the beginning
     for note in _stamp_notes(every):
         notify(note)
-    stamps = np.unique(np.concatenate([*every.values()]))
-    readings = np.array([column.at(stamps) for column in clusters.values()])
-    readings = readings.reshape(len(clusters), len(stamps), 8).swapaxes(0, 1)
-    status = np.nan_to_num(readings[:, :, 4:], nan=float(Status.MISSING))
-    tables = {topic.name: columns[topic].at(stamps) for topic in (WRENCH, SOCKET_POSE, PYLON_POSE)}
-    tables |= {CAPACITANCE.name: readings[:, :, :4]}
+    stamps = np.sort(np.concatenate([*every.values()]), kind="stable")  # mostly in order
+    stamps = stamps[np.append(True, np.diff(stamps) > 0)]
+    del every
+    capacitance = np.full((len(stamps), len(clusters), 4), np.nan)
+    status = np.full(capacitance.shape, Status.MISSING, dtype=np.uint8)
+    for number, own in enumerate(clusters.values()):
+        own.into(stamps, capacitance[:, number], status[:, number])
+    tables = {CAPACITANCE.name: capacitance}
+    for topic, width in ((WRENCH, 6), (SOCKET_POSE, 7), (PYLON_POSE, 7)):
+        tables[topic.name] = np.full((len(stamps), width), np.nan)
+        series[topic].into(stamps, tables[topic.name])
     for name, values in tables.items():
-        impossible = np.abs(values) > _IMPOSSIBLE
+        impossible = (values > _IMPOSSIBLE) | (values < -_IMPOSSIBLE)
         if impossible.any():
             values[impossible] = np.nan
             notify(
@@ -157,9 +167,38 @@ def read_measurements(
         socket=tables[SOCKET_POSE.name],
         pylon=tables[PYLON_POSE.name],
         clusters=tuple(clusters),
-        capacitance=tables[CAPACITANCE.name],
-        status=status.astype(np.uint8),
+        capacitance=capacitance,
+        status=status,
     )
+
+
+def _values(
+    topic: Topic, message: Any, records: Record
+) -> Iterator[tuple[str, tuple[NDArray[Any], ...]]]:
+    """Values of messages of one layout, a row each, by the name of the cluster or topic.
+
+    Args:
+        topic: Their topic.
+        message: One of them.
+        records: The numbers of all.
+    """
+    if topic is CAPACITANCE:
+        for number, cluster in enumerate(message.clusters):
+            own = records["clusters"][str(number)]
+            yield cluster.name, (own["capacitance"].astype(np.float64), own["status"].copy())
+    elif topic is TRIGGER:
+        yield topic.name, ()
+    else:
+        whole, *halves = _HALVES[topic]
+        yield topic.name, (np.hstack([records[whole][half] for half in halves]),)
+
+
+def _in_order(parts: list[tuple[NDArray[Any], ...]]) -> Iterator[NDArray[Any]]:
+    """Columns of the parts of a block in the order of the first, their places, without that."""
+    columns = [np.concatenate(column) for column in zip(*parts, strict=True)]
+    order = np.argsort(columns[0], kind="stable")
+    for column in columns[1:]:
+        yield column[order]
 
 
 def _stamp_notes(every: dict[str, IntArray]) -> Iterator[str]:
@@ -197,18 +236,6 @@ def _listed(parts: list[str], count: int) -> str:
     more = f" and {count - len(parts)} more" if count > len(parts) else ""
     times = "once" if count == 1 else f"{count} times"
     return f"{times} ({', '.join(parts)}{more})"
-
-
-def wrench_vector(wrench: Any) -> tuple[float, ...]:
-    """[M; F] of a Wrench message [N m, N]."""
-    torque, force = wrench.torque, wrench.force
-    return (torque.x, torque.y, torque.z, force.x, force.y, force.z)
-
-
-def pose_vector(pose: Any) -> tuple[float, ...]:
-    """Position [m] and quaternion (x, y, z, w) of a Pose message."""
-    p, q = pose.position, pose.orientation
-    return (p.x, p.y, p.z, q.x, q.y, q.z, q.w)
 
 
 def correct_measurements(

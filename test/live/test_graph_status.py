@@ -5,10 +5,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from support.bags import wrench_vector
 
 from socket_testbed.live.graph_status import MEASURED, GraphStatus
 from socket_testbed.trials.bag import BagReader, decode, message_class, stamp_of, typestore
-from socket_testbed.trials.synchronise import wrench_vector
 from socket_testbed.trials.topics import (
     CAPACITANCE,
     ESTIMATED_WRENCH,

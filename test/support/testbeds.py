@@ -22,7 +22,6 @@ from socket_testbed.nodes.conversions import stamp_from_ros
 from socket_testbed.simulation.trial import TRUTH_FILE
 from socket_testbed.simulation.world import World
 from socket_testbed.trials.bag import decode, stamp_of
-from socket_testbed.trials.synchronise import pose_vector, wrench_vector
 from socket_testbed.trials.topics import (
     CAPACITANCE,
     DIAGNOSTICS,
@@ -33,6 +32,7 @@ from socket_testbed.trials.topics import (
     WRENCH,
 )
 from socket_testbed.trials.trial import Trial
+from support.bags import pose_vector, wrench_vector
 from support.graph import Probe
 from support.pace import careful_time_scale
 

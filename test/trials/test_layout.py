@@ -1,11 +1,10 @@
 """Layouts read and fill messages as the library's own code does, of every type, in both orders."""
 
-from typing import Any
-
 import numpy as np
 import pytest
+from support.messages import Maker, encode, numbers_in, numbers_of, strings_of
 
-from socket_testbed.trials.bag import decode, fields_of, message_class, typestore
+from socket_testbed.trials.bag import decode, fields_of, typestore
 from socket_testbed.trials.layout import Layout, stamps_of
 
 TYPES = (
@@ -15,74 +14,6 @@ TYPES = (
     *("sensor_msgs/msg/CameraInfo", "sensor_msgs/msg/PointCloud2", "sensor_msgs/msg/BatteryState"),
     *("std_msgs/msg/Float64MultiArray", "shape_msgs/msg/Mesh", "std_msgs/msg/Empty"),
 )
-
-
-class Maker:
-    """Messages of any type with random numbers; strings and sequences as long as a seed says."""
-
-    def __init__(self, lengths: int, numbers: int) -> None:
-        self._lengths = np.random.default_rng(lengths)
-        self._numbers = np.random.default_rng(numbers)
-
-    def message(self, name: str) -> Any:
-        own = {}
-        for field in fields_of(name):
-            number = self._lengths.integers(4) if field.number == 0 else field.number
-            if number is None:
-                own[field.name] = self.one(field.type)
-            else:
-                many = [self.one(field.type) for _ in range(number)]
-                scalar = field.type != "string" and "/" not in field.type
-                kind = {"byte": "int8", "char": "uint8"}.get(field.type, field.type)
-                own[field.name] = np.array(many, dtype=kind) if scalar else many
-        return message_class(name)(**own)
-
-    def one(self, kind: str) -> Any:
-        if kind == "string":
-            return "".join(self._lengths.choice(list("abä_"), self._lengths.integers(9)))
-        if kind.startswith("float"):
-            return float(np.float32(self._numbers.normal()))
-        if "/" in kind:
-            return self.message(kind)
-        return int(self._numbers.integers(2 if kind == "bool" else 100))
-
-
-def encode(message: Any, kind: str, little: bool) -> bytes:
-    return bytes(typestore().serialize_cdr(message, kind, little_endian=little))
-
-
-def numbers_of(message: Any, kind: str) -> list[float]:
-    """All numbers of a message in the order of its fields, strings left out."""
-    found: list[float] = []
-    for field in fields_of(kind):
-        value = getattr(message, field.name)
-        for one in [value] if field.number is None else value:
-            if "/" in field.type:
-                found += numbers_of(one, field.type)
-            elif field.type != "string":
-                found.append(float(one))
-    return found
-
-
-def strings_of(message: Any, kind: str) -> list[Any]:
-    """All strings of a message and the lengths of its sequences, in the order of its fields."""
-    found: list[Any] = []
-    for field in fields_of(kind):
-        value = getattr(message, field.name)
-        found += [] if field.number is None else [len(value)]
-        for one in [value] if field.number is None else value:
-            if "/" in field.type:
-                found += strings_of(one, field.type)
-            elif field.type == "string":
-                found.append(one)
-    return found
-
-
-def numbers_in(record: np.ndarray) -> list[float]:
-    """All numbers of one record, in the order of its fields."""
-    if record.dtype.names is None:
-        return [float(value) for value in np.ravel(record)]
-    return [number for name in record.dtype.names for number in numbers_in(record[name])]
 
 
 @pytest.mark.parametrize("little", [True, False], ids=["little", "big"])

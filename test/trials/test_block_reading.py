@@ -1,0 +1,204 @@
+"""Reading in blocks gives what the library decodes, message by message."""
+
+import itertools
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from rosbags.rosbag2 import StoragePlugin, Writer
+from support import SHARED_DATA
+from support.bags import copy_configuration, pose_vector, wrench_vector
+from support.messages import Maker, encode, numbers_in, numbers_of, strings_of
+
+from socket_testbed.errors import TrialError
+from socket_testbed.samples import Status
+from socket_testbed.trials import bag as bags
+from socket_testbed.trials.bag import BagReader, BlockDecoder, decode, typestore
+from socket_testbed.trials.synchronise import Measurements
+from socket_testbed.trials.topics import CAPACITANCE, PYLON_POSE, SOCKET_POSE, TRIGGER, WRENCH
+from socket_testbed.trials.trial import Trial
+
+Message = tuple[str, int, bytes]  # topic, time of recording [ns], content
+
+
+@pytest.fixture(autouse=True)
+def small_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Blocks end often, and layouts are forgotten."""
+    monkeypatch.setattr(bags, "_BLOCK", 7)
+    monkeypatch.setattr(bags, "_LAYOUTS", 3)
+
+
+def check_every_message(path: Path) -> int:
+    """Compare all that is read in blocks with what the library decodes; returns their number."""
+    with BagReader(path) as bag:
+        expected: dict[str, list[Any]] = {name: [] for name in bag.types}
+        for raw in bag.messages():
+            expected[raw.topic].append(raw)
+        decoder, compared = BlockDecoder(path), 0
+        for block in bag.blocks(bag.types):
+            raws = [expected[block.topic].pop(0) for _ in block.data]
+            assert block.data == [raw.data for raw in raws]
+            assert block.times == [raw.time for raw in raws]
+            places = []
+            for own, sample, records in decoder.parts(block):
+                assert len(own) == len(records) and (np.diff(own) > 0).all()
+                for place, record in zip(own.tolist(), records, strict=True):
+                    message = decode(raws[place].data, block.type)
+                    assert strings_of(message, block.type) == strings_of(sample, block.type)
+                    numbers = numbers_of(message, block.type)
+                    np.testing.assert_array_equal(numbers_in(record), numbers)
+                places += own.tolist()
+            assert sorted(places) == list(range(len(raws)))
+            compared += len(raws)
+        assert not any(expected.values())
+    return compared
+
+
+def test_every_message_of_a_trial(hold: Path) -> None:
+    assert check_every_message(hold) == 6 * 240
+
+
+def test_every_message_of_real_bags() -> None:
+    folder = SHARED_DATA / "rosbag2"
+    if not folder.is_dir():
+        pytest.skip("the shared data are not there")
+    assert sum(check_every_message(path) for path in folder.iterdir() if path.is_dir()) > 0
+
+
+def varied(kind: str) -> Iterator[bytes]:
+    """Messages of changing lengths and byte orders, some of which come again."""
+    lengths = np.random.default_rng(0).integers(6, size=60)
+    for number, length in enumerate(lengths.tolist()):
+        yield encode(Maker(length, number).message(kind), kind, little=number % 3 > 0)
+
+
+@pytest.mark.parametrize("storage", list(StoragePlugin), ids=lambda storage: storage.name)
+def test_every_message_of_topics_whose_messages_vary(
+    storage: StoragePlugin, tmp_path: Path
+) -> None:
+    kinds = [name for name in typestore().types if name.startswith("socket_testbed_msgs/")]
+    with Writer(tmp_path / "varied", version=9, storage_plugin=storage) as writer:
+        for kind in kinds:
+            connection = writer.add_connection(f"/{kind[-9:]}", kind, typestore=typestore())
+            for time, raw in enumerate(varied(kind)):
+                writer.write(connection, 1_000 + 10 * time, raw)
+    assert check_every_message(tmp_path / "varied") == 60 * len(kinds)
+
+
+def plainly_read(path: Path) -> Measurements:
+    """The measurements of a bag, message by message, as a user would write it."""
+    values: dict[str, dict[int, Any]] = {}
+    clusters: dict[str, dict[int, Any]] = {}
+    with BagReader(path) as bag:
+        for raw in bag.messages():
+            message = decode(raw.data, raw.type)
+            stamp = message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
+            own = values.setdefault(raw.topic.removeprefix("/"), {})
+            if raw.topic.endswith(CAPACITANCE.name):
+                for cluster in message.clusters:
+                    clusters.setdefault(cluster.name, {})[stamp] = cluster
+            elif raw.topic.endswith(WRENCH.name):
+                own[stamp] = wrench_vector(message.wrench)
+            elif raw.topic.endswith("/pose"):
+                own[stamp] = pose_vector(message.pose)
+            elif raw.topic.endswith(TRIGGER.name):
+                own[stamp] = ()
+    columns = [values[topic.name] for topic in (TRIGGER, WRENCH, SOCKET_POSE, PYLON_POSE)]
+    stamps = sorted({stamp for column in (*columns, *clusters.values()) for stamp in column})
+
+    def table(topic: Any, width: int) -> np.ndarray:
+        return np.array([values[topic.name].get(stamp, [np.nan] * width) for stamp in stamps])
+
+    def readings(field: str, missing: float) -> np.ndarray:
+        rows = [
+            [getattr(own[at], field) if at in own else [missing] * 4 for own in clusters.values()]
+            for at in stamps
+        ]
+        return np.array(rows)
+
+    return Measurements(
+        stamps=np.array(stamps),
+        wrench=table(WRENCH, 6),
+        socket=table(SOCKET_POSE, 7),
+        pylon=table(PYLON_POSE, 7),
+        clusters=tuple(clusters),
+        capacitance=readings("capacitance", np.nan),
+        status=readings("status", Status.MISSING).astype(np.uint8),
+    )
+
+
+def copied(
+    source: Path,
+    target: Path,
+    change: Callable[[int, Message, str], Iterator[Message]],
+    storage: StoragePlugin = StoragePlugin.MCAP,
+) -> Path:
+    """A copy of a trial by another writer; `change` gets the number, message and type of each."""
+    with (
+        BagReader(source) as bag,
+        Writer(target, version=9, storage_plugin=storage) as writer,
+    ):
+        connections = {
+            name: writer.add_connection(name, kind, typestore=typestore())
+            for name, kind in bag.types.items()
+        }
+        for number, raw in enumerate(bag.messages()):
+            for topic, time, data in change(number, (raw.topic, raw.time, raw.data), raw.type):
+                writer.write(connections[topic], time, data)
+    return copy_configuration(source, target)
+
+
+def mixed(number: int, message: Message, kind: str) -> Iterator[Message]:
+    """Byte orders and frames change, clusters come and go, stamps are doubled, some is lost."""
+    topic, time, data = message
+    rng = np.random.default_rng(number)
+    decoded = decode(data, kind)
+    if topic.endswith(CAPACITANCE.name):
+        order = rng.permutation(4)[: rng.integers(1, 5)]
+        decoded.clusters = [decoded.clusters[i] for i in order]
+    if rng.random() < 0.3:
+        decoded.header.frame_id += "_" * int(rng.integers(3))
+    if rng.random() < 0.9:
+        yield topic, time, encode(decoded, kind, little=rng.random() < 0.5)
+    if rng.random() < 0.1:
+        if topic.endswith(WRENCH.name):
+            decoded.wrench.force.x += 1.0
+        yield topic, time + 1, encode(decoded, kind, little=True)
+
+
+@pytest.mark.parametrize("storage", list(StoragePlugin), ids=lambda storage: storage.name)
+def test_measurements_of_mixed_messages(storage: StoragePlugin, hold: Path, tmp_path: Path) -> None:
+    path = copied(hold, tmp_path / "mixed", mixed, storage)
+    expected, found = plainly_read(path), Trial(path).measurements()
+    assert found.clusters == expected.clusters
+    for field in ("stamps", "wrench", "socket", "pylon", "capacitance", "status"):
+        np.testing.assert_array_equal(getattr(found, field), getattr(expected, field), field)
+
+
+def test_measurements_of_a_trial(hold: Path) -> None:
+    expected, found = plainly_read(hold), Trial(hold).measurements()
+    assert found.clusters == expected.clusters
+    for field in ("stamps", "wrench", "socket", "pylon", "capacitance", "status"):
+        np.testing.assert_array_equal(getattr(found, field), getattr(expected, field), field)
+
+
+@pytest.mark.parametrize("duration", [0.0, 3.1, 1e3])
+def test_a_part_of_a_recording_ends_at_its_duration(hold: Path, duration: float) -> None:
+    with BagReader(hold) as bag:
+        names = [name for name in bag.types if not name.endswith("markers")]
+        messages = list(bag.messages(names))
+        expected = [m.time for m in messages if m.time <= messages[0].time + 1e9 * duration]
+        blocks = list(bag.blocks(names, duration))
+    assert sorted(itertools.chain(*(block.times for block in blocks))) == expected
+
+
+def test_a_message_that_cannot_be_decoded_is_named(hold: Path, tmp_path: Path) -> None:
+    def torn(number: int, message: Message, kind: str) -> Iterator[Message]:
+        topic, time, data = message
+        yield topic, time, data[:-9] if number == 500 else data
+
+    path = copied(hold, tmp_path / "torn", torn)
+    with pytest.raises(TrialError, match=r"a message on /.* cannot be decoded"):
+        Trial(path).samples()
