@@ -149,7 +149,7 @@ def _title(task: Task, ours: Measurement) -> str:
         f" smoothness {task.smoothness:.0e}\n"
         f"   stacked: {size.rows} rows x {size.columns} columns"
         f" ({size.rows * size.columns * 8e-6:.0f} MB dense); ours: {3 * task.points} variables,"
-        f" {100 * bound:.0f} % at their bound; Chebyshev length {size.chebyshev_length}"
+        f" {100 * bound:.0f} % at their bound; Chebyshev terms {size.chebyshev_terms}"
     )
 
 

@@ -18,7 +18,7 @@ from methods import METHODS
 from problems import Motion, StageTwoInput, make_problem
 from stacked import Solution, objective_value, stacked_shape
 
-from socket_testbed.identification.moments import chebyshev_length
+from socket_testbed.identification.gate_series import GateSeries
 
 _MOST_RUNS = 25
 
@@ -52,13 +52,13 @@ class ProblemSize:
         rows: Rows of the stacked matrix.
         columns: Columns of it.
         channels: Channels of the clusters.
-        chebyshev_length: Length of the Chebyshev series of the gate.
+        chebyshev_terms: Terms of the Chebyshev series of the gate, all panels.
     """
 
     rows: int
     columns: int
     channels: int
-    chebyshev_length: int
+    chebyshev_terms: int
 
 
 @dataclass(frozen=True)
@@ -154,7 +154,7 @@ def _measure(task: Task, sender: Connection) -> None:
 
 def _size(stage: StageTwoInput) -> ProblemSize:
     rows, columns = stacked_shape(stage)
-    length = chebyshev_length(stage.objective.position, stage.settings.gate_sharpness)
+    length = GateSeries(stage.objective.position, stage.settings.gate_sharpness).terms
     return ProblemSize(rows, columns, len(stage.objective.channels), length)
 
 

@@ -12,6 +12,7 @@ from functools import cached_property
 import numpy as np
 
 from socket_testbed.arrays import FloatArray
+from socket_testbed.identification.gate_series import GateSeries
 from socket_testbed.identification.rigid_bed import (
     displacement_map,
     force_changes,
@@ -19,6 +20,8 @@ from socket_testbed.identification.rigid_bed import (
     spring_displacements,
 )
 from socket_testbed.settings.identification import RIGID_VARIANTS, Variant
+
+_FEW = 100  # samples, for which a series never pays
 
 
 def gate(displacement: FloatArray, sharpness: float) -> FloatArray:
@@ -57,6 +60,40 @@ def gated_displacement(
     growth += 1.0
     displacement /= growth
     return displacement
+
+
+def gated_sums(
+    position: FloatArray, rest_positions: FloatArray, sharpness: float, weights: FloatArray
+) -> FloatArray:
+    """Sums of the gated displacements of all points, with weights.
+
+    Along each coordinate they are functions of that coordinate alone: of many samples they are
+    taken from their Chebyshev series, to double precision.
+
+    Args:
+        position: Limb positions q, shape (N, 3) [m].
+        rest_positions: Rest positions q_r, shape (n, 3) [m].
+        sharpness: Sharpness alpha of the gate [1/m].
+        weights: Weights of the m sums, shape (m, n, 3).
+
+    Returns:
+        Array of shape (N, m).
+    """
+    series = GateSeries(position, sharpness) if len(position) > _FEW else None
+    if series is None or series.terms > len(position):
+        gated = gated_displacement(position, rest_positions, sharpness)
+        return np.asarray(gated.reshape(len(position), -1) @ weights.reshape(len(weights), -1).T)
+    coefficients = []
+    for axis in range(3):
+        nodes, rest = series.nodes(axis)[..., None], rest_positions[:, axis, None]
+        gated = gated_displacement(nodes.reshape(-1, 1), rest, sharpness)[..., 0]
+        values = (gated @ weights[:, :, axis].T).reshape(*nodes.shape[:2], -1)
+        coefficients.append(series.transform @ values)
+    sums = np.empty((len(position), len(weights)))
+    for cell, rows, polynomials in series.by_cell(position, np.empty((len(position), 0))):
+        of_cell = [of[panel] for of, panel in zip(coefficients, cell, strict=True)]
+        sums[rows] = polynomials.T @ np.vstack(of_cell)
+    return sums
 
 
 def gated_slope(position: FloatArray, rest_positions: FloatArray, sharpness: float) -> FloatArray:
@@ -172,16 +209,39 @@ class ContactModel:
         Returns:
             Wrenches [M; F] in {S}, shape (N, 6) [N m, N].
         """
-        return self.predict(pose)[0]
+        motion = self._motion(pose)
+        return self._wrench_of(motion, self._bed_wrench(motion))
 
     def predict(self, pose: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Wrenches and forces in one pass: see `wrench` and `forces`."""
         motion = self._motion(pose)
         springs = self._spring_forces(motion)
-        wrench = springs.reshape(len(pose), -1) @ self._wrench_map.T + self.wrench_bias
+        wrench = self._wrench_of(motion, springs.reshape(len(pose), -1) @ self._wrench_map.T)
+        return wrench, springs + self._bias_in_socket_frame()
+
+    def _wrench_of(self, motion: FloatArray, springs: FloatArray) -> FloatArray:
+        """The wrench of the springs with the offsets, shape (N, 6) [N m, N]."""
+        wrench = springs + self.wrench_bias
         if self.variant == "rigid_bias":
             wrench += motion @ self.wrench_slope.T
-        return wrench, springs + self._bias_in_socket_frame()
+        return wrench
+
+    def _bed_wrench(self, motion: FloatArray) -> FloatArray:
+        """Wrench of the springs alone, without their single forces, shape (N, 6) [N m, N]."""
+        count, mapping = len(motion), self._wrench_map.reshape(6, -1, 3)
+        if self.is_rigid:
+            moved = (motion @ self._displacement_map.T).reshape(count, -1, 3)
+            gated = spring_displacements(moved, self.rest_positions, self.sharpness)
+            weights = np.matmul(self.rotations.transpose(0, 2, 1), mapping[..., None])[..., 0]
+            return np.asarray(
+                gated.reshape(count, -1) @ (weights * self.stiffness).reshape(6, -1).T
+            )
+        known = np.isfinite(motion).all(axis=1)
+        wrench = np.full((count, 6), np.nan)
+        wrench[known] = gated_sums(
+            motion[known], self.rest_positions, self.sharpness, mapping * self.stiffness
+        )
+        return wrench
 
     def bed_forces(self, pose: FloatArray) -> tuple[FloatArray, FloatArray]:
         r"""Forces of the springs alone, with a factor of their covariance: a rigid variant's.

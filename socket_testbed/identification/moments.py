@@ -7,37 +7,37 @@ Centring before the product keeps the digits that a hold would lose afterwards.
 
 There are two ways to the products, and `GatedMoments` takes the cheaper one. The direct way
 multiplies S out for each set of rest positions. The other way uses that every column of S is
-a function of one coordinate of q alone: with T the Chebyshev polynomials of the three
-coordinates and B the coefficients of the gate, :math:`S = T B`. The products
-:math:`T^T T` and :math:`T^T Y` are computed once; they hold for any rest positions, and each
-further set costs nothing in the number of samples.
+a function of one coordinate of q alone: with T the Chebyshev polynomials of the panels that
+`GateSeries` divides each coordinate into, and B the coefficients of the gate, :math:`S = T B`. A
+sample is in one panel of each coordinate, so that T has few entries in a row, however wide the
+motion. The products :math:`T^T T` and :math:`T^T Y` are computed once; they hold for any rest
+positions, and each further set costs nothing in the number of samples.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 import scipy.linalg
-from numpy.polynomial.chebyshev import chebpts1, chebvander
 
 from socket_testbed.arrays import BoolArray, FloatArray
 from socket_testbed.identification.contact import gated_displacement, gated_slope
+from socket_testbed.identification.gate_series import GateSeries
 
 Method = Literal["auto", "direct", "series"]
 
 _BLOCK = 512  # rows; keeps the products within the cache at any N
 LEAST_KEPT = 0.1  # [-]; of the products in any direction, where the noise is subtracted
 _RIDGE = 1e-10  # [-]; of the mean product, which makes directions without data defined
-_PRECISION = 1e-14  # [-]; of the series
 
 # Times on one thread, by which `series_is_cheaper` compares the two ways.
 _ELEMENT = 20.0  # [ns]; an element of S, or of the Chebyshev polynomials
 _PRODUCT = 0.1  # [ns]; a multiplication in a product over the samples
 _SMALL_PRODUCT = 0.2  # [ns]; a multiplication in a product of small matrices
+_CELL, _CELL_PRODUCT = 2e4, 3.0  # [ns]; what a cell takes, and each product of its polynomials
 _DIRECT_CALL, _SERIES_CALL = 5e4, 1.5e5  # [ns]; what a call takes at any size
 
 
@@ -237,31 +237,14 @@ def series_is_cheaper(position: FloatArray, sharpness: float, points: int, sets:
         points: Number n of points of interest.
         sets: How many sets of rest positions are expected.
     """
-    rows, length, width = len(position), chebyshev_length(position, sharpness), 3 * points
+    rows, width = len(position), 3 * points
+    series = GateSeries(position, sharpness)
+    length, terms, cells = 3 * series.length, series.terms, min(series.cells, rows)
     direct = _DIRECT_CALL + rows * width * (_ELEMENT + _PRODUCT * width)
-    once = _SERIES_CALL + rows * 3 * length * (_ELEMENT + _PRODUCT * 3 * length)
-    each = _SERIES_CALL + _SMALL_PRODUCT * 6 * points * length * (length + points)
+    once = _SERIES_CALL + rows * length * (_ELEMENT + _PRODUCT * length)
+    once += cells * (_CELL + _CELL_PRODUCT * length**2) + _SMALL_PRODUCT * terms**2 * length
+    each = _SERIES_CALL + _SMALL_PRODUCT * 2 * points * terms * (terms / 3 + points)
     return once + sets * each < sets * direct
-
-
-def chebyshev_length(position: FloatArray, sharpness: float) -> int:
-    r"""Length of the Chebyshev series that gives the gate to double precision.
-
-    The gate has its poles at the distance :math:`\pi / (2 \alpha)` from the real axis: on
-    an interval of half-width h the series converges like :math:`\rho^{-m}` with
-    :math:`\rho = y + \sqrt{1 + y^2}`, :math:`y = \pi / (2 \alpha h)` (Trefethen,
-    Approximation Theory and Approximation Practice, ch. 8).
-
-    Args:
-        position: Limb positions q, shape (N, 3) [m].
-        sharpness: Sharpness alpha of the gate [1/m].
-    """
-    half_width = 0.5 * float(np.ptp(position, axis=0).max())
-    if half_width == 0.0:
-        return 2
-    ratio = math.pi / (2.0 * sharpness * half_width)
-    rate = math.asinh(ratio)  # log(ratio + sqrt(1 + ratio^2))
-    return min(3 + math.ceil(-math.log(_PRECISION) / rate), 10**6)
 
 
 class _Direct:
@@ -286,56 +269,68 @@ class _Series:
     """The Chebyshev polynomials multiplied out once for all sets: see `GatedMoments`."""
 
     def __init__(self, position: FloatArray, sharpness: float, targets: FloatArray) -> None:
-        self._sharpness = sharpness
-        self._length = chebyshev_length(position, sharpness)
-        low, high = position.min(axis=0), position.max(axis=0)
-        self._middle, self._half_width = 0.5 * (low + high), 0.5 * (high - low)
-        self._count = len(position)
+        self._sharpness, self._count = sharpness, len(position)
+        self._centre = position.mean(axis=0)
         self._target_mean = targets.mean(axis=0)
         centred = targets - self._target_mean
         self._target_power = (centred**2).sum(axis=0)
-        mean, gram, cross = _centred_products(position, self._polynomials, centred)
-        terms = self._length - 1
-        self._mean = mean.reshape(3, terms)
-        self._gram = gram.reshape(3, terms, 3, terms)
-        self._cross = cross.reshape(3, terms, -1)
+        series = GateSeries(position, sharpness)
+        self._nodes = [series.nodes(axis).ravel() for axis in range(3)]
+        self._multiply(series, position, centred)
 
-    def _polynomials(self, position: FloatArray) -> FloatArray:
-        """T_1, T_2, ... of each coordinate, without the constant, shape (N, 3 (length - 1))."""
-        scale = np.where(self._half_width > 0.0, self._half_width, 1.0)
-        values = chebvander((position - self._middle) / scale, self._length - 1)[..., 1:]
-        return values.reshape(len(position), -1)
+    def _multiply(self, series: GateSeries, position: FloatArray, targets: FloatArray) -> None:
+        """Products of the functions that are 1 at one node and 0 at the others of its panel."""
+        length, panels = series.length, series.panels.tolist()
+        pairs = [(a, b) for a in range(3) for b in range(a, 3)]
+        gram = {(a, b): np.zeros((panels[a], length, panels[b], length)) for a, b in pairs}
+        cross = [np.zeros((count, length, targets.shape[1])) for count in panels]
+        of = [slice(a * length, (a + 1) * length) for a in range(3)]
+        for cell, _, values in series.by_cell(position, targets):
+            products = values @ values.T
+            for a, b in pairs:
+                gram[a, b][cell[a], :, cell[b]] += products[of[a], of[b]]
+            for a in range(3):
+                cross[a][cell[a]] += products[of[a], 3 * length :]
+        transform = series.transform
+        self._sum = [
+            (np.einsum("kjkm->kjm", gram[a, a])[:, 0] @ transform).ravel() for a in range(3)
+        ]
+        self._cross = [(transform.T @ of).reshape(-1, targets.shape[1]) for of in cross]
+        self._gram = {
+            (a, b): (
+                (transform.T @ of.reshape(panels[a], length, -1)).reshape(-1, length) @ transform
+            ).reshape(panels[a] * length, -1)
+            for (a, b), of in gram.items()
+        }
 
     def moments(self, rest_positions: FloatArray) -> Moments:
-        points = len(rest_positions)
-        series = self._coefficients(rest_positions)
+        points, count = len(rest_positions), self._count
+        at_centre = gated_displacement(self._centre[None], rest_positions, self._sharpness)[0]
         mean = np.empty((points, 3))
         gram = np.empty((points, 3, points, 3))
         cross = np.empty((points, 3, len(self._target_mean)))
+        # About the values at the mean position, which are close to the means: no digits are lost.
+        values = [
+            gated_displacement(nodes[:, None], rest_positions[:, a, None], self._sharpness)[..., 0]
+            - at_centre[:, a]
+            for a, nodes in enumerate(self._nodes)
+        ]
+        total = [sums @ of for sums, of in zip(self._sum, values, strict=True)]
         for a in range(3):
-            mean[:, a] = series[a, 0] + self._mean[a] @ series[a, 1:]
-            cross[:, a] = series[a, 1:].T @ self._cross[a]
+            mean[:, a] = at_centre[:, a] + total[a] / count
+            cross[:, a] = values[a].T @ self._cross[a]
             for b in range(a, 3):
-                block = series[a, 1:].T @ self._gram[a, :, b] @ series[b, 1:]
+                block = values[a].T @ self._gram[a, b] @ values[b]
+                block -= np.outer(total[a], total[b]) / count
                 gram[:, b, :, a], gram[:, a, :, b] = block.T, block
         return Moments(
-            count=self._count,
+            count=count,
             mean=mean.reshape(-1),
             gram=gram.reshape(3 * points, 3 * points),
             target_mean=self._target_mean,
             cross=cross.reshape(3 * points, -1),
             target_power=self._target_power,
         )
-
-    def _coefficients(self, rest_positions: FloatArray) -> FloatArray:
-        """Coefficients of the gated displacements, shape (3, length, n) [m]."""
-        nodes = chebpts1(self._length)
-        positions = self._middle + self._half_width * nodes[:, None]
-        values = gated_displacement(positions, rest_positions, self._sharpness)
-        transform = 2.0 / self._length * chebvander(nodes, self._length - 1).T
-        transform[0] *= 0.5
-        series = transform @ values.reshape(self._length, -1)
-        return series.reshape(self._length, -1, 3).transpose(2, 0, 1)
 
 
 def _centred_products(
