@@ -6,7 +6,9 @@ To add a figure, write a function of the results that yields a `ReportFigure`, a
 
 from __future__ import annotations
 
+import pickle
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Executor, Future
 from dataclasses import dataclass
 from functools import cache, partial
 from pathlib import Path
@@ -99,12 +101,25 @@ class ReportFigure:
         shown = self.panels or ((self.draw(style=DEFAULT_STYLE), self.description),)
         return [(svg_of(figure), description) for figure, description in shown]
 
-    def write(self, folder: Path, style: FigureStyle) -> None:
-        """Write the figure in a style, and its data."""
-        drawn = self.draw(style=style)
-        for suffix in _PICTURES:
-            save_figure(drawn, folder / f"{self.name}{suffix}")
+    def write(self, folder: Path, style: FigureStyle, worker: Executor) -> Future[None]:
+        """Write its data, and have a worker process write the figure in a style."""
         write_table(self.data, folder / f"{self.name}.csv")
+        # Packed here and now: the page draws the same figure meanwhile.
+        return worker.submit(_save_pictures, pickle.dumps(self.draw(style=style)), self._at(folder))
+
+    def write_here(self, folder: Path, style: FigureStyle) -> None:
+        """Write the figure in this process."""
+        _save_pictures(pickle.dumps(self.draw(style=style)), self._at(folder))
+
+    def _at(self, folder: Path) -> list[Path]:
+        return [folder / f"{self.name}{suffix}" for suffix in _PICTURES]
+
+
+def _save_pictures(packed: bytes, paths: Sequence[Path]) -> None:
+    """Write a pickled figure in the formats of some paths."""
+    figure = pickle.loads(packed)
+    for path in paths:
+        save_figure(figure, path)
 
 
 def wrench(results: Results) -> Iterator[ReportFigure]:

@@ -2,9 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import signal
+from collections.abc import Callable, Iterator
+from concurrent.futures import Executor
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
 from datetime import datetime
 from pathlib import Path
+
+from joblib.externals.loky import ProcessPoolExecutor
 
 from socket_testbed.errors import ConfigurationError
 from socket_testbed.files import atomic_output, check_outputs, refuse_existing
@@ -74,14 +80,15 @@ def write_report(
     """
     check_page_path(page, replace)
     folder = files_folder(page)
-    with atomic_output(page) as new_page, atomic_output(folder, replace) as new_folder:
+    with (
+        atomic_output(page) as new_page,
+        atomic_output(folder, replace) as new_folder,
+        worker_process() as worker,
+    ):
         new_folder.mkdir()
         figures = draw_figures(results)
         drawn = [figure for of_section in figures.values() for figure in of_section]
-        for done, figure in enumerate(drawn, start=1):
-            figure.write(new_folder, style)
-            if progress is not None:
-                progress(done, len(drawn))
+        written = [figure.write(new_folder, style, worker) for figure in drawn]
         write_table(errors_table(results.candidates), new_folder / _ERRORS)
         write_table(regions_frame(results.pressure), new_folder / "pressure.csv")
         write_table(residuals_table(results.candidates), new_folder / "residuals.csv")
@@ -99,3 +106,21 @@ def write_report(
             **page_content(results, command, made),
         )
         new_page.write_text(text, encoding="utf-8")
+        for done, (figure, files) in enumerate(zip(drawn, written, strict=True), start=1):
+            try:
+                files.result()
+            except BrokenProcessPool:  # the worker was killed, as for want of memory
+                figure.write_here(new_folder, style)
+            if progress is not None:
+                progress(done, len(drawn))
+
+
+@contextmanager
+def worker_process() -> Iterator[Executor]:
+    """A process beside this one; Ctrl-C reaches both, and it is left to this one."""
+    ignored = (signal.SIGINT, signal.SIG_IGN)
+    worker = ProcessPoolExecutor(1, initializer=signal.signal, initargs=ignored)
+    try:
+        yield worker
+    finally:
+        worker.shutdown(kill_workers=True)

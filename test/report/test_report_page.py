@@ -6,6 +6,8 @@ import argparse
 import io
 import json
 import re
+from concurrent.futures import Future
+from concurrent.futures.process import BrokenProcessPool
 from functools import partial
 from pathlib import Path
 from urllib.parse import unquote
@@ -29,10 +31,12 @@ from socket_testbed.identification.pareto import KNEE, SENSOR_ONLY, WRENCH_ONLY
 from socket_testbed.identification.pressure import TITLES, interval_end
 from socket_testbed.report import figure_files
 from socket_testbed.report.figures import style
+from socket_testbed.report.figures.channels import offsets_figure
 from socket_testbed.report.page import MASKED
 from socket_testbed.report.results import Results, compute_results
 from socket_testbed.report.sections import PAPER_FIGURES
-from socket_testbed.report.write import files_folder, write_report
+from socket_testbed.report.write import files_folder, worker_process, write_report
+from socket_testbed.samples import LOCAL_CHANNELS, WRENCH_CHANNELS
 from socket_testbed.settings.identification import PAPER_VARIANTS
 from socket_testbed.trials.trial import Trial
 
@@ -301,17 +305,39 @@ def test_the_scene_shows_each_set_of_values_on_the_tiles(page, results):
     assert tiles == sorted(results.trial.geometry.clusters.values())
 
 
+KILLED: Future[None] = Future()
+KILLED.set_exception(BrokenProcessPool())
+
+
 @pytest.fixture(scope="module")
 def nasty(spoilt: Path, tmp_path_factory) -> tuple[Path, str, str]:
     """The page of the spoilt trial with the figures that show names, and what was printed."""
     path = tmp_path_factory.mktemp("nasty") / "page.html"
     named = {"local": (figure_files.local_forces,), "force-map": (figure_files.force_map,)}
+    here: list[int] = []
     with pytest.MonkeyPatch.context() as patch:  # saving takes its time, and is tested above
         patch.setattr(figure_files, "FIGURES", dict.fromkeys(figure_files.FIGURES, ()) | named)
-        patch.setattr(figure_files.ReportFigure, "write", lambda *_: None)
+        patch.setattr(figure_files.ReportFigure, "write", lambda *_: KILLED)
+        patch.setattr(figure_files.ReportFigure, "write_here", lambda *_: here.append(1))
         patch.setattr(ConstrainedLayoutEngine, "execute", lambda *_: None)
         out, err = call(spoilt, "-o", path, "--thetas", 3)
+    assert len(here) == len(named), "a figure whose worker was killed is written without it"
     return path, out, err
+
+
+def test_a_worker_writes_what_the_figure_itself_would(tmp_path: Path) -> None:
+    channels = [*WRENCH_CHANNELS, *(f"distal.{name}" for name in LOCAL_CHANNELS)]
+    draw = partial(offsets_figure, channels, {"bias": np.arange(1.0, 10.0)})
+    figure = figure_files.ReportFigure("offsets", "", draw, "", pd.DataFrame({"a [-]": [1.0]}))
+    there, here = tmp_path / "there", tmp_path / "here"
+    for folder in (there, here):
+        folder.mkdir()
+    with worker_process() as worker:
+        figure.write(there, style.DEFAULT_STYLE, worker).result()
+    figure.write_here(here, style.DEFAULT_STYLE)
+    name = "offsets.png"
+    np.testing.assert_array_equal(imread(there / name), imread(here / name))
+    assert {path.name for path in there.iterdir()} == {*figure.files}
 
 
 def call(*words: object) -> tuple[str, str]:
