@@ -251,8 +251,8 @@ def _metadata(trials: Sequence[Trial]) -> dict[str, list[str]]:
 def _origins(found: Sequence[TrialPressure]) -> dict[str, list[str]]:
     return {
         "segment": [str(each.segment) for each in found],
-        "samples": [str(len(each.map.time)) for each in found],
-        "measured": [each.map.estimate.source for each in found],
+        "samples": [str(len(each.time)) for each in found],
+        "measured": [each.outputs.source for each in found],
         "socket": [each.trial.geometry.source or "no source" for each in found],
         "calibration": [
             f"{each.trial.calibration.source} ({each.trial.calibration.date})" for each in found

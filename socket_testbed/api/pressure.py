@@ -6,6 +6,7 @@ import dataclasses
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -53,7 +54,6 @@ class TrialPressure:
     Attributes:
         trial: The trial.
         segment: The segment.
-        map: The force map that they are computed from.
         places: The regions; the last one is the socket.
         outputs: The numbers, in SI units.
         threshold: Pressure above which a tile is in contact [kPa].
@@ -62,7 +62,6 @@ class TrialPressure:
 
     trial: Trial
     segment: Segment
-    map: TrialMap
     places: tuple[Region, ...]
     outputs: PressureOutputs
     threshold: float
@@ -75,6 +74,16 @@ class TrialPressure:
             f"TrialPressure({self.trial.name}, {self.segment}; {len(self.places)} regions, peak"
             f" pressure {low:.1f} to {high:.1f} kPa)"
         )
+
+    @property
+    def time(self) -> FloatArray:
+        """Times of the N samples since the first sample of the trial, shape (N,) [s]."""
+        return np.asarray(self.trial.samples().time[self.segment.rows])
+
+    @cached_property
+    def map(self) -> TrialMap:
+        """The force map that they are computed from, at every sample: 6 kB each."""
+        return TrialMap(self.trial, self.segment, self.time, self.outputs.estimate)
 
     @property
     def regions(self) -> pd.DataFrame:
@@ -124,7 +133,7 @@ class TrialPressure:
         found |= with_interval("shear [kPa]", of_shear, self.share)
         for tile, name in enumerate(self.trial.geometry.names):
             columns |= {f"{name}.{title}": values[:, tile] for title, values in found.items()}
-        return pd.DataFrame(columns, index=pd.Index(self.map.time, name="time [s]"))
+        return pd.DataFrame(columns, index=pd.Index(self.time, name="time [s]"))
 
     def to_document(self) -> dict[str, Any]:
         """The outputs for JSON: a value that is not determined is null beside its interval."""
@@ -138,11 +147,11 @@ class TrialPressure:
                 "start": self.segment.start,
                 "end": self.segment.end,
             },
-            "samples": len(self.map.time),
+            "samples": len(self.time),
             "threshold [kPa]": self.threshold,
             "largest reach of an interval [-]": self.share,
             "integrated time [s]": self.outputs.integrated,
-            "source": self.map.estimate.source,
+            "source": self.outputs.source,
             "regions": {
                 name: {
                     "tiles": [names[tile] for tile in tiles[str(name)]],
@@ -190,7 +199,7 @@ class TrialPressure:
         )
         from socket_testbed.report.figures.style import figure_style, save_figure
 
-        time, segment = self.map.time, self.segment
+        time, segment = self.time, self.segment
         maps, determined = instant_maps(self.outputs, time, self.share, segment.kind)
         bands = region_bands(self.outputs.series, [place.name for place in self.places])
         twelve = {f"{sector} {height}" for sector in SECTORS for height in HEIGHTS}
@@ -232,7 +241,7 @@ class TrialPressure:
         write_video(
             Path(path),
             self.trial.geometry,
-            self.map.time,
+            self.time,
             1e-3 * estimate.normal_pressure,
             pressures.determined(self.share),
             self.trial.metadata.side or "",
@@ -324,9 +333,7 @@ def pressure(
     with threadpool_limits(1):
         force_map = ForceMap(geometry, samples.clusters, settings.force_map)
         outputs = pressure_outputs(force_map, rows, geometry, places, 1e3 * threshold)
-    time = np.asarray(samples.time[chosen.rows])
-    found = TrialMap(trial, chosen, time, outputs.estimate)
-    return TrialPressure(trial, chosen, found, places, outputs, threshold, share)
+    return TrialPressure(trial, chosen, places, outputs, threshold, share)
 
 
 def _regions(trial: Trial, own: Mapping[str, Sequence[str]] | None) -> tuple[Region, ...]:

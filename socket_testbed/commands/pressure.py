@@ -132,8 +132,8 @@ def _show(options: argparse.Namespace, found: TrialPressure) -> None:
     if options.json:
         print(found.to_json())
         return
-    print(f"{found.trial.name}: {found.segment}, {len(found.map.time)} samples")
-    print(f"{found.map.estimate.source}\n")
+    print(f"{found.trial.name}: {found.segment}, {len(found.time)} samples")
+    print(f"{found.outputs.source}\n")
     print(pressure_tables(found))
     for path in filter(None, (options.output, options.figure, options.video)):
         print(f"\nwritten: {path}")
@@ -141,7 +141,7 @@ def _show(options: argparse.Namespace, found: TrialPressure) -> None:
 
 def _row(found: TrialPressure) -> Row:
     return {
-        "samples": len(found.map.time),
+        "samples": len(found.time),
         **segment_columns(found.segment),
         "threshold [kPa]": found.threshold,
         **pressure_columns(found),

@@ -58,7 +58,7 @@ _SMOOTHNESS = 1.5  # [-]; nu of the Matern covariance
 _AMPLITUDE_FREEDOM = 6.0  # [1]; degrees of freedom of the prior of the amplitude
 _OFFSETS = 4  # sizes of the clusters' offsets per draw
 _CHUNK = 256  # samples
-_MOST_DRAWN = 4_000_000  # numbers of joint draws at a time
+_DRAWN = 2048  # samples whose joint draws come at a time
 _TINY = 1e-12  # [N]
 _MOST_PATTERNS = 64  # of present channels that are kept
 
@@ -271,6 +271,72 @@ class _Conditioned:
         return mean.reshape(count, -1, 4), variances.reshape(count, -1, 4)
 
 
+@dataclass(frozen=True)
+class JointDraws:
+    """D joint draws of the forces on all n tiles at k samples, as the factors that vary.
+
+    Each of the M draws of the prior's sizes is a hypothesis. A draw of the forces in the tiles'
+    frames is :math:`G_m y + b_m E_{md}` with its hypothesis m at the sample; of the first D/2
+    draws, the others have the opposite errors.
+
+    Attributes:
+        rows: Indices of the samples, shape (k,).
+        channels: Their channels y, shape (k, d) [N m, N].
+        gain: G of the hypotheses, shape (M, 3n, d).
+        weights: Probabilities of the hypotheses, shape (k, M) [-].
+        sizes: Sizes b of the errors under each hypothesis, shape (k, M) [-].
+        hypotheses: Those of the draws, shape (k, D/2).
+        errors: E, shape (M, D/2, 3n) [N].
+    """
+
+    rows: IntArray
+    channels: FloatArray
+    gain: FloatArray
+    weights: FloatArray
+    sizes: FloatArray
+    hypotheses: IntArray
+    errors: FloatArray
+
+    def __getitem__(self, part: slice) -> JointDraws:
+        """The draws of some of the samples."""
+        return replace(
+            self,
+            rows=self.rows[part],
+            channels=self.channels[part],
+            weights=self.weights[part],
+            sizes=self.sizes[part],
+            hypotheses=self.hypotheses[part],
+        )
+
+    def forces(self) -> FloatArray:
+        """The forces in the tiles' frames, shape (k, D, n, 3) [N]."""
+        count, half = self.hypotheses.shape
+        each = np.arange(count)[:, None]
+        errors = self.errors[self.hypotheses, np.arange(half)]
+        errors *= self.sizes[each, self.hypotheses][..., None]
+        hypotheses, forces, channels = self.gain.shape
+        means = self.channels @ self.gain.reshape(-1, channels).T
+        means = means.reshape(count, hypotheses, forces)[each, self.hypotheses]
+        return np.concatenate([means + errors, means - errors], axis=1).reshape(
+            count, 2 * half, -1, 3
+        )
+
+    def mean(self) -> FloatArray:
+        """The estimate: mean of the forces over the hypotheses, shape (k, n, 3) [N]."""
+        weighted = self.weights[:, :, None] * self.channels[:, None]  # (k, M, d)
+        flat = np.swapaxes(self.gain, 1, 2).reshape(-1, self.gain.shape[1])
+        return np.asarray((weighted.reshape(-1, len(flat)) @ flat).reshape(len(weighted), -1, 3))
+
+    def normal(self, factors: FloatArray) -> JointDraws:
+        """The same of the normal force alone, times a factor for each tile, shape (n,)."""
+
+        def taken(values: FloatArray, axis: int) -> FloatArray:
+            along = np.moveaxis(values, axis, -1)[..., 2::3] * factors
+            return np.ascontiguousarray(np.moveaxis(along, -1, axis))
+
+        return replace(self, gain=taken(self.gain, 1), errors=taken(self.errors, 2))
+
+
 class ForceMap:
     """Maps one sample's clusters and wrench to the forces on all tiles, with uncertainty.
 
@@ -325,7 +391,12 @@ class ForceMap:
         mean = f"the springs of {bed.variant}" if bed is not None and posed.any() else "mean zero"
         return self._describe(forces, variances, present, mean)
 
-    def sample(self, samples: Samples, count: int = 200) -> Iterator[tuple[IntArray, FloatArray]]:
+    def source(self, samples: Samples) -> str:
+        """What the map at some samples is conditioned on, in words."""
+        _, present = _channels(samples.wrench, samples.local_forces, samples.status)
+        return self._source(present, "mean zero")
+
+    def sample(self, samples: Samples, count: int = 200) -> Iterator[JointDraws]:
         r"""Joint draws of the forces on all tiles, given the channels of each sample.
 
         A draw of the prior's sizes is chosen by its evidence, and the amplitude s from its
@@ -344,8 +415,7 @@ class ForceMap:
             count: Number D of draws, even.
 
         Yields:
-            Indices of some of the samples, shape (k,), and the forces in the tiles' frames, shape
-            (k, D, n, 3) [N], until every sample has come once, in whatever order.
+            The draws of some of the samples, until every sample has come once, in whatever order.
         """
         settings = _draw(self._settings)
         if count not in self._drawn:  # the same in all samples, and long to draw
@@ -356,32 +426,29 @@ class ForceMap:
         priors, errors, chosen, amplitude = self._drawn[count]
         values, present = _channels(samples.wrench, samples.local_forces, samples.status)
         tiles = len(self._areas)
-        chunk = max(1, _MOST_DRAWN // (count * tiles * 3))
         for pattern, rows in _by_pattern(present):
             conditioned = self._conditioned(pattern)
             gain = np.einsum(
                 "nij,mnid->mnjd", self._geometry.rotations, conditioned.gain[:, :, :3]
             ).reshape(len(settings), 3 * tiles, -1)
             left = priors - errors[..., conditioned.present] @ np.swapaxes(gain, 1, 2)
-            left = np.concatenate([left, -left], axis=1)  # (M, D, 3n)
             freedom = _AMPLITUDE_FREEDOM + len(conditioned.present)
-            spread = np.tile(chdtri(freedom, amplitude), 2)
-            for start in range(0, len(rows), chunk):
-                some = rows[start : start + chunk]
+            left /= np.sqrt(chdtri(freedom, amplitude))[:, None]
+            for start in range(0, len(rows), _DRAWN):
+                some = rows[start : start + _DRAWN]
                 measured = values[some][:, conditioned.present]
                 distance = conditioned.distance(measured)
-                cumulative = conditioned.weights(distance).cumsum(axis=1)
-                # The hypothesis of each draw at each sample, (k, D).
-                which = (chosen[:, None] > cumulative[:, None, :-1]).sum(axis=2)
-                which = np.tile(which, (1, 2))
-                scale = np.take_along_axis(_AMPLITUDE_FREEDOM + distance, which, axis=1) / spread
-                forces = left[which, np.arange(count)]
-                forces *= np.sqrt(scale)[..., None]
-                means = (measured @ gain.reshape(-1, gain.shape[2]).T).reshape(
-                    len(some), len(settings), 3 * tiles
+                weights = conditioned.weights(distance)
+                below = weights.cumsum(axis=1)[:, :-1, None]
+                yield JointDraws(
+                    rows=some,
+                    channels=measured,
+                    gain=gain,
+                    weights=weights,
+                    sizes=np.sqrt(_AMPLITUDE_FREEDOM + distance),
+                    hypotheses=(chosen > below).sum(axis=1),
+                    errors=left,
                 )
-                forces += means[np.arange(len(some))[:, None], which]
-                yield some, forces.reshape(len(some), count, tiles, 3)
 
     def _prior_draws(
         self, settings: list[ForceMapSettings], count: int, rng: np.random.Generator
@@ -469,17 +536,17 @@ class ForceMap:
             normal_pressure_standard_deviation=deviations[..., 3] / areas,
             shear=shear / areas,
             shear_standard_deviation=_rice_deviation(shear, np.sqrt(0.5 * tangential)) / areas,
-            source=f"prior: {mean}; measured: {self._words(present)}",
+            source=self._source(present, mean),
         )
 
-    def _words(self, present: BoolArray) -> str:
-        """What was measured."""
+    def _source(self, present: BoolArray, mean: str) -> str:
+        """What the prior's mean is, and what was measured."""
         wrench = len(WRENCH_CHANNELS)
         parts = ["wrench"] if present[:, :wrench].any() else []
         for number, cluster in enumerate(self._clusters):
             if present[:, wrench + 3 * number : wrench + 3 * (number + 1)].any():
                 parts.append(cluster)
-        return ", ".join(parts) or "nothing"
+        return f"prior: {mean}; measured: {', '.join(parts) or 'nothing'}"
 
 
 def _channels(

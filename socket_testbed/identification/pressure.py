@@ -26,8 +26,9 @@ interval moved to the value. For the peak the errors of the draws are widened.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -36,7 +37,7 @@ from socket_testbed.arrays import BoolArray, FloatArray, IntArray
 from socket_testbed.errors import TrialError
 from socket_testbed.geometry.regions import Region
 from socket_testbed.geometry.socket import SocketGeometry
-from socket_testbed.identification.force_map import ForceMap, MapEstimate
+from socket_testbed.identification.force_map import ForceMap, JointDraws, MapEstimate
 from socket_testbed.samples import Samples
 
 THRESHOLD = 5e3  # [Pa]; a tile above it is in contact, unless another is given
@@ -46,6 +47,9 @@ _PEAK_WIDENING = 1.25  # [-]; of the errors: the tails of true fields are longer
 _QUANTILES = (0.025, 0.5, 0.975)  # [-]
 _CONVEX = ("peak", "integral", "shear")  # functions of the forces
 _NEVER_NEGATIVE = ("area", "integral", "shear")
+_AT_ONCE = 256  # series of pressures that are computed at a time
+_EXPANDED = 32  # samples whose draws are expanded at a time
+_BLOCK = 128  # samples
 _LONGEST_STEP = 3.0  # usual steps between samples; what is longer is a gap
 _RIGHT_ANGLE = 0.5 * np.pi  # [rad]
 NORMAL_QUANTILE = 1.96  # [-]; standard deviations to each end of a 95 % interval
@@ -157,23 +161,60 @@ class PressureOutputs:
     """Outputs of a socket over a span of time.
 
     Attributes:
-        estimate: The force map, of N samples.
         regions: Over the span, shape (R,).
         tiles: Of every tile over the span, shape (n,).
-        series: Of the regions at every sample, shape (N, R); NaN where nothing was measured.
         integrated: Time that the integrals cover, without gaps [s].
+        peak_row: The sample with the highest pressure of a tile.
+        force_map: The force map.
+        samples: The N samples.
+        reader: Reads the outputs of the regions.
+        threshold: Pressure above which a tile is in contact [Pa].
     """
 
-    estimate: MapEstimate
     regions: RegionOutputs
     tiles: RegionOutputs
-    series: RegionOutputs
     integrated: float
+    peak_row: int
+    force_map: ForceMap
+    samples: Samples
+    reader: _Reader
+    threshold: float
 
     @property
-    def peak_row(self) -> int:
-        """The sample with the highest pressure of a tile; the last region is the socket."""
-        return int(np.nanargmax(self.series.peak.value[:, -1]))
+    def source(self) -> str:
+        """What the outputs are computed from, in words."""
+        return self.force_map.source(self.samples)
+
+    @cached_property
+    def estimate(self) -> MapEstimate:
+        """The force map of the N samples."""
+        return self.force_map.estimate(self.samples)
+
+    @cached_property
+    def series(self) -> RegionOutputs:
+        """Of the regions at every sample, shape (N, R); NaN where nothing was measured."""
+        return self.at(np.arange(len(self.samples)))
+
+    def at(self, rows: IntArray) -> RegionOutputs:
+        """Outputs of the regions at k of the samples, shape (k, R); NaN where nothing was measured.
+
+        Args:
+            rows: Indices of the samples, shape (k,).
+        """
+        samples = self.samples[rows]
+        kept = np.flatnonzero(measured_rows(samples))
+        areas = self.reader.areas
+        series: dict[str, Quantity] = {}
+        for draws in self.force_map.sample(samples[kept], _DRAWS):
+            for start in range(0, len(draws.rows), _EXPANDED):
+                some = draws[start : start + _EXPANDED]
+                alone = _instants(some.mean()[:, None], areas, self.threshold)
+                instants = _instants(some.forces(), areas, self.threshold)
+                spread = _PEAK_WIDENING * (instants.peak - alone.peak)
+                instants = replace(instants, peak=alone.peak + spread)
+                found = self.reader.outputs(alone.at((slice(None), 0)), instants)
+                _store(series, found, kept[some.rows], len(samples))
+        return RegionOutputs(**series)
 
 
 @dataclass(frozen=True)
@@ -223,6 +264,7 @@ class _Reader:
             member[region.tiles, number] = 1.0
         self._area_of_tiles = areas[:, None] * member
         self._areas = self._area_of_tiles.sum(axis=0)
+        self.areas = areas  # of the tiles
         # From compressive forces to their sums and first moments, by region.
         arms = np.column_stack([np.ones(count), anchors])
         self._moments = (arms[:, :, None] * member[:, None]).reshape(count, -1)
@@ -332,6 +374,171 @@ class _Span:
         )
 
 
+class _DrawnSpan:
+    """Fields of joint draws, gathered over the samples of a span.
+
+    In a block of samples, the extremes of a hypothesis's mean pressures and of its sizes bound the
+    pressure of a draw on a tile. Most draws press a tile in all of a block, or in none of it; then
+    sums of the channels over the block give the fields. The pressures of its samples are computed
+    only where the bounds enclose zero or the threshold, or exceed the draw's peak.
+
+    Args:
+        draws: Number D of draws.
+        areas: Areas of the n tiles, shape (n,) [m^2].
+        threshold: Pressure above which a tile is in contact [Pa].
+    """
+
+    def __init__(self, draws: int, areas: FloatArray, threshold: float) -> None:
+        shape = 2, draws // 2, len(areas)  # errors and their opposites, draws, tiles
+        self._areas = areas
+        self._threshold = threshold
+        self._samples = 0
+        self._force = np.zeros((*shape, 3))
+        self._peak = np.full(shape, -np.inf)
+        self._sums = np.zeros((3, *shape))  # of contact, compression and integral
+
+    def add(self, draws: JointDraws, pressure: FloatArray, weights: FloatArray) -> None:
+        """Add k samples.
+
+        Args:
+            draws: Their joint draws.
+            pressure: Their estimate, shape (k, n) [Pa].
+            weights: Their weights in integrals over time, shape (k,) [s].
+        """
+        self._samples += len(weights)
+        pushing = draws.normal(-1.0 / self._areas)
+        channels = np.zeros((*draws.errors.shape[:2], draws.channels.shape[1]))
+        sizes = np.zeros(draws.errors.shape[:2])
+        for start in range(0, len(weights), _BLOCK):
+            part = slice(start, start + _BLOCK)
+            block = _Block(pushing[part], weights[part])
+            self._add_block(block, pressure[part])
+            channels[block.m, block.d] += block.channels[0]
+            sizes[block.m, block.d] += block.sizes[0]
+        means = np.einsum("mdc,mic->di", channels, draws.gain, optimize=True)
+        errors = np.einsum("md,mdi->di", sizes, draws.errors)
+        self._force += np.stack([means + errors, means - errors]).reshape(self._force.shape)
+
+    def _add_block(self, block: _Block, pressure: FloatArray) -> None:
+        """Add a block of samples with their estimate, shape (k, n) [Pa]."""
+        low, high = block.bounds()
+        total, weighted = block.totals()
+        pressed, held = low >= 0.0, low > self._threshold
+        found = np.stack(
+            [
+                np.where(held, block.counts[:, None], 0.0),
+                np.where(pressed, total, 0.0),
+                np.where(held, weighted, 0.0),
+            ]
+        )
+        undecided = (pressed != (high > 0.0)) | (held != (high > self._threshold))
+        for where, values in block.pressures(undecided):
+            pushing = np.maximum(values, 0.0)
+            touching = values > self._threshold
+            found[0][where] = touching.sum(axis=1)
+            found[1][where] = pushing.sum(axis=1)
+            found[2][where] = (pushing * touching) @ block.weights
+        self._sums += np.add.reduceat(found, block.starts, axis=2)
+
+        spread = 1.0 - _PEAK_WIDENING
+        reach = _PEAK_WIDENING * high + spread * pressure.min(axis=0)
+        for where, values in block.pressures(reach > self._peak[:, block.d]):
+            sign, pair, tile = where
+            peaks = (_PEAK_WIDENING * values + spread * pressure.T[tile]).max(axis=1)
+            np.maximum.at(self._peak, (sign, block.d[pair], tile), peaks)
+
+    def fields(self) -> _Fields:
+        """The fields over the span, with the leading axis D."""
+        tiles = len(self._areas)
+        contact, compression, integral = self._sums.reshape(3, -1, tiles)
+        return _Fields(
+            force=self._force.reshape(-1, tiles, 3) / self._samples,
+            peak=self._peak.reshape(-1, tiles),
+            contact=contact / self._samples,
+            compression=compression * self._areas / self._samples,
+            integral=integral,
+        )
+
+
+class _Block:
+    """Joint draws of the pressures at k samples that follow each other.
+
+    Draws and hypotheses form pairs: a draw has a hypothesis at all, some or none of the samples.
+    P pairs occur, in the order of the draws.
+
+    Args:
+        draws: The joint draws of the pressures.
+        weights: Weights of the samples in integrals over time, shape (k,) [s].
+
+    Attributes:
+        weights: The weights.
+        m: Hypotheses of the pairs, shape (P,).
+        d: Draws of the pairs, shape (P,).
+        starts: The first pair of each draw, shape (D/2,).
+        counts: Numbers of the samples of each pair, shape (P,).
+        channels: Their sums of the channels, plain and weighted, shape (2, P, d).
+        sizes: Their sums of the sizes, likewise, shape (2, P).
+    """
+
+    def __init__(self, draws: JointDraws, weights: FloatArray) -> None:
+        self.weights = weights
+        hypotheses, half, _ = draws.errors.shape
+        taken = np.zeros((half, hypotheses), dtype=bool)
+        taken[np.arange(half), draws.hypotheses] = True
+        self.d, self.m = np.nonzero(taken)
+        self.starts = np.searchsorted(self.d, np.arange(half))
+        self._member = draws.hypotheses.T[self.d] == self.m[:, None]  # (P, k)
+        self.counts = self._member.sum(axis=1)
+        shared = np.stack([self._member, self._member * weights])
+        self.channels = shared @ draws.channels
+        self._size = draws.sizes.T  # (M, k)
+        self.sizes = (shared * self._size[self.m]).sum(axis=2)
+        self._gain = draws.gain
+        self._mean = draws.gain @ draws.channels.T  # (M, n, k)
+        self._error = draws.errors[self.m, self.d]  # (P, n)
+
+    def bounds(self) -> tuple[FloatArray, FloatArray]:
+        """Bounds of the pressures of each pair over the samples, shape (2, P, n) [Pa]."""
+        low, high = self._mean.min(axis=2)[self.m], self._mean.max(axis=2)[self.m]
+        ends = self._size.min(axis=1), self._size.max(axis=1)
+        one, other = (self._error * end[self.m, None] for end in ends)
+        least, most = np.minimum(one, other), np.maximum(one, other)
+        return np.stack([low + least, low - most]), np.stack([high + most, high - least])
+
+    def totals(self) -> FloatArray:
+        """Sums of the pressures of each pair, plain and weighted, shape (2, 2, P, n) [Pa, Pa s]."""
+        means = np.empty((2, *self._error.shape))
+        for m in range(len(self._gain)):
+            pairs = self.m == m
+            means[:, pairs] = self.channels[:, pairs] @ self._gain[m].T
+        errors = self.sizes[..., None] * self._error
+        return np.stack([means + errors, means - errors], axis=1)
+
+    def pressures(
+        self, wanted: BoolArray
+    ) -> Iterator[tuple[tuple[IntArray, IntArray, IntArray], FloatArray]]:
+        """Pressures at all samples of some pairs.
+
+        Args:
+            wanted: Signs, pairs and tiles, shape (2, P, n).
+
+        Yields:
+            The indices of some of those that are wanted, shape (e,) each, and their pressures,
+            shape (e, k) [Pa]: minus infinity where the draw has another hypothesis.
+        """
+        outside = np.where(self._member, 0.0, -np.inf)
+        sign, pair, tile = np.nonzero(wanted)
+        for start in range(0, len(sign), _AT_ONCE):
+            some = slice(start, start + _AT_ONCE)
+            s, p, i = sign[some], pair[some], tile[some]
+            m = self.m[p]
+            values = self._size[m]
+            values *= np.where(s == 0, self._error[p, i], -self._error[p, i])[:, None]
+            values += self._mean[m, i]
+            values += outside[p]
+            yield (s, p, i), values
+
+
 def pressure_outputs(
     force_map: ForceMap,
     samples: Samples,
@@ -339,7 +546,7 @@ def pressure_outputs(
     regions: Sequence[Region],
     threshold: float,
 ) -> PressureOutputs:
-    """The force map and the outputs of regions and tiles with 95 % intervals.
+    """The outputs of regions and tiles over a span with 95 % intervals.
 
     Args:
         force_map: The force map.
@@ -356,34 +563,29 @@ def pressure_outputs(
         raise TrialError(
             "no sample of the segment has a wrench or a trusted cluster", "choose another segment"
         )
-    estimate = force_map.estimate(samples)
     weights = integration_weights(samples.time[kept])
-    forces = np.einsum("nij,kni->knj", geometry.rotations, estimate.forces[kept])
-    of_regions = _Reader(geometry, regions)
-
-    single, drawn = _Span(1, geometry.areas), _Span(_DRAWS, geometry.areas)
-    series: dict[str, Quantity] = {}
-    for rows, draws in force_map.sample(samples[kept], _DRAWS):
-        alone = _instants(forces[rows, None], geometry.areas, threshold)
-        instants = _instants(draws, geometry.areas, threshold)
-        single.add(alone, weights[rows])
-        spread = _PEAK_WIDENING * (instants.peak - alone.peak)
-        instants = replace(instants, peak=alone.peak + spread)
-        drawn.add(instants, weights[rows])
-        _store(
-            series,
-            of_regions.outputs(alone.at((slice(None), 0)), instants),
-            kept[rows],
-            len(samples),
-        )
+    alone, drawn = _Span(1, geometry.areas), _DrawnSpan(_DRAWS, geometry.areas, threshold)
+    highest, peak_row = -np.inf, 0
+    for draws in force_map.sample(samples[kept], _DRAWS):
+        forces = draws.mean()
+        alone.add(_instants(forces[:, None], geometry.areas, threshold), weights[draws.rows])
+        pressure = -forces[..., 2] / geometry.areas
+        drawn.add(draws, pressure, weights[draws.rows])
+        peaks = pressure.max(axis=1)
+        if peaks.max() > highest:
+            highest, peak_row = peaks.max(), int(kept[draws.rows[peaks.argmax()]])
     each = [Region(name, np.array([tile])) for tile, name in enumerate(geometry.names)]
-    over_span = single.fields().at(0), drawn.fields()
+    over_span = alone.fields().at(0), drawn.fields()
+    reader = _Reader(geometry, regions)
     return PressureOutputs(
-        estimate=estimate,
-        regions=of_regions.outputs(*over_span),
+        regions=reader.outputs(*over_span),
         tiles=_Reader(geometry, each).outputs(*over_span),
-        series=RegionOutputs(**series),
         integrated=float(weights.sum()),
+        peak_row=peak_row,
+        force_map=force_map,
+        samples=samples,
+        reader=reader,
+        threshold=threshold,
     )
 
 

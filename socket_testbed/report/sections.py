@@ -101,7 +101,7 @@ def page_content(results: Results, command: str, made: datetime) -> dict[str, An
         "metadata": results.trial.metadata.described(),
         "threshold": 1e-3 * THRESHOLD,
         "share": 100.0 * SHARE,
-        "source": results.pressure.outputs.estimate.source,
+        "source": results.pressure.outputs.source,
         "summary": summarise(results),
         "notes": list_notes(results),
         "tables": {table.name: table for table in tables},

@@ -292,9 +292,9 @@ def test_joint_draws_have_the_posterior_of_a_plain_conditioning() -> None:
     force_map = ForceMap(GEOMETRY, CLUSTERS, settings)
     samples = some_samples(1)
     samples.status[0, 2] = Status.MISSING
-    ((rows, draws),) = force_map.sample(samples, 6000)
-    assert rows.tolist() == [0]
-    draws = draws.reshape(6000, -1)
+    (joint,) = force_map.sample(samples, 6000)
+    assert joint.rows.tolist() == [0]
+    draws = joint.forces().reshape(6000, -1)
 
     (drawn, *_) = _draw(settings)
     correlation = surface_correlation(GEOMETRY, settings.length)
@@ -322,9 +322,12 @@ def test_joint_draws_agree_with_the_map(force_map: ForceMap) -> None:
     samples.status[2, 1] = Status.SATURATED
     estimate = force_map.estimate(samples)
     seen = []
-    for rows, draws in force_map.sample(samples, 1000):
+    for draws in force_map.sample(samples, 1000):
+        rows = draws.rows
         seen += rows.tolist()
-        forces = np.einsum("nij,kdnj->kdni", GEOMETRY.rotations, draws)
+        forces = np.einsum("nij,kdnj->kdni", GEOMETRY.rotations, draws.forces())
+        mean = np.einsum("nij,knj->kni", GEOMETRY.rotations, draws.mean())
+        np.testing.assert_allclose(mean, estimate.forces[rows], atol=1e-7)  # [N]
         deviation = estimate.standard_deviations[rows]
         assert np.abs((forces.mean(axis=1) - estimate.forces[rows]) / deviation).max() < 0.1
         ratio = forces.std(axis=1) / deviation

@@ -13,7 +13,7 @@ from socket_testbed.errors import TrialError
 from socket_testbed.files import packaged
 from socket_testbed.geometry.regions import Region, all_regions
 from socket_testbed.geometry.socket import read_socket
-from socket_testbed.identification.force_map import ForceMap, MapEstimate
+from socket_testbed.identification.force_map import ForceMap, JointDraws, MapEstimate
 from socket_testbed.identification.pressure import (
     PressureOutputs,
     Quantity,
@@ -43,9 +43,28 @@ class KnownField(ForceMap):
         zero = np.zeros_like(pressure)
         return MapEstimate(forces, 0.0 * forces, pressure, zero, zero, zero, "known")
 
-    def sample(self, samples: Samples, count: int = 200) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    def sample(self, samples: Samples, count: int = 200) -> Iterator[JointDraws]:
         for rows in np.array_split(np.arange(len(samples)), 3):  # in chunks, as the map has it
-            yield rows, np.repeat(self.local[rows, None], count, axis=1)
+            yield draws_of(rows, self.local[rows], np.eye(3 * TILES)[None], count)
+
+    def source(self, samples: Samples) -> str:
+        return "known"
+
+
+def draws_of(
+    rows: np.ndarray, local: np.ndarray, gains: np.ndarray, count: int = 200
+) -> JointDraws:
+    """Draws without errors, of the field under one gain after the other."""
+    half, hypotheses = count // 2, len(gains)
+    return JointDraws(
+        rows=rows,
+        channels=local.reshape(len(rows), -1),
+        gain=gains,
+        weights=np.tile(np.eye(hypotheses)[0], (len(rows), 1)),
+        sizes=np.ones((len(rows), hypotheses)),
+        hypotheses=np.tile(np.arange(half) % hypotheses, (len(rows), 1)),
+        errors=np.zeros((hypotheses, half, local[0].size)),
+    )
 
 
 def samples_at(times: np.ndarray, wrench: np.ndarray | None = None) -> Samples:
@@ -189,10 +208,10 @@ def test_a_direction_near_half_a_turn_has_a_narrow_interval() -> None:
     """Directions of 179 and -179 degrees are 2 degrees apart."""
 
     class TwoFields(KnownField):
-        def sample(self, samples: Samples, count: int = 200):
-            turned = self.local * [1.0, -1.0, 1.0]
-            both = np.stack([self.local, turned] * (count // 2), axis=1)
-            yield np.arange(len(samples)), both
+        def sample(self, samples: Samples, count: int = 200) -> Iterator[JointDraws]:
+            turned = np.diag(np.tile([1.0, -1.0, 1.0], TILES))
+            gains = np.stack([np.eye(3 * TILES), turned])
+            yield draws_of(np.arange(len(samples)), self.local, gains, count)
 
     angle = np.radians(179.0)
     local = np.tile([3.0 * np.cos(angle), 3.0 * np.sin(angle), -9.0], (2, TILES, 1))
@@ -203,6 +222,61 @@ def test_a_direction_near_half_a_turn_has_a_narrow_interval() -> None:
     np.testing.assert_allclose(np.degrees(direction.low), 179.0, atol=1e-6)
     np.testing.assert_allclose(np.degrees(direction.high), 181.0, atol=1e-6)
     assert direction.determined(0.5).all()
+
+
+@pytest.mark.parametrize("threshold", [0.0, THRESHOLD])
+def test_blocks_of_samples_give_what_every_draw_at_every_sample_gives(threshold: float) -> None:
+    """Sums over blocks, and bounds within them, lose nothing, whatever moves and drops out."""
+    rng = np.random.default_rng(5)
+    samples = samples_at(0.01 * np.arange(700))
+    along = np.sin(np.linspace(0.0, 9.0, 700))
+    samples = replace(
+        samples,
+        wrench=samples.wrench * (0.6 + 0.5 * along[:, None]) + rng.normal(0.0, 0.2, (700, 6)),
+        local_forces=samples.local_forces * (0.7 - 0.6 * along[:, None, None])
+        + rng.normal(0.0, 0.3, samples.local_forces.shape),
+        position=np.full((700, 3), np.nan),  # which the map does not read
+    )
+    samples.wrench[rng.random(700) < 0.05] = np.nan
+    samples.status[rng.random(samples.status.shape) < 0.05] = Status.MISSING
+    force_map, regions = ForceMap(GEOMETRY, CLUSTERS), all_regions(GEOMETRY)
+    found = pressure_outputs(force_map, samples, GEOMETRY, regions, threshold)
+
+    values = force_map.estimate(samples)
+    pressure = values.normal_pressure
+    weights = integration_weights(samples.time)
+    peak = np.full((200, TILES), -np.inf)
+    force, push = np.zeros((200, TILES, 3)), np.zeros((200, TILES))
+    contact, integral = np.zeros((200, TILES)), np.zeros((200, TILES))
+    for draws in force_map.sample(samples):
+        for row, forces in zip(draws.rows, draws.forces(), strict=True):
+            drawn = -forces[..., 2] / GEOMETRY.areas
+            force += forces / 700
+            peak = np.maximum(peak, pressure[row] + 1.25 * (drawn - pressure[row]))
+            push += np.maximum(-forces[..., 2], 0.0) / 700
+            contact += (drawn > threshold) / 700
+            integral += weights[row] * np.where(drawn > threshold, np.maximum(drawn, 0.0), 0.0)
+
+    tiles = found.tiles
+    mean = -force[..., 2] / GEOMETRY.areas
+    assert found.peak_row == pressure.max(axis=1).argmax()
+    np.testing.assert_allclose(tiles.mean.value, pressure.mean(axis=0), rtol=1e-9)
+    np.testing.assert_allclose(tiles.peak.value, pressure.max(axis=0), rtol=1e-9)
+    np.testing.assert_allclose(tiles.area.value, contact.mean(axis=0) * GEOMETRY.areas, rtol=1e-9)
+    width = np.diff(np.quantile(mean, [0.025, 0.975], axis=0), axis=0)[0]
+    np.testing.assert_allclose(tiles.mean.high - tiles.mean.low, width, rtol=1e-9)
+    for quantity, drawn in ((tiles.peak, peak), (tiles.integral, integral)):
+        low, middle, high = np.quantile(drawn - quantity.value, [0.025, 0.5, 0.975], axis=0)
+        lowest, highest = np.minimum(low, low - middle), np.maximum(high, high - middle)
+        expected = np.maximum(quantity.value + np.minimum(lowest, 0.0), 0.0)
+        np.testing.assert_allclose(np.maximum(quantity.low, 0.0), expected, rtol=1e-9, atol=1e-6)
+        expected = quantity.value + np.maximum(highest, 0.0)
+        np.testing.assert_allclose(quantity.high, expected, rtol=1e-9, atol=1e-6)
+    centre = found.regions.centre
+    drawn = push @ GEOMETRY.anchors / push.sum(axis=1, keepdims=True)
+    low, high = np.quantile(drawn - centre.value[-1], [0.025, 0.975], axis=0)
+    np.testing.assert_allclose(centre.low[-1], centre.value[-1] + np.minimum(low, 0.0), rtol=1e-9)
+    np.testing.assert_allclose(centre.high[-1], centre.value[-1] + np.maximum(high, 0.0), rtol=1e-9)
 
 
 @pytest.mark.parametrize("tissue", ["soft", "stiff"])
