@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from socket_testbed.arrays import FloatArray, StatusArray
 from socket_testbed.calibration.model import read_calibration
 from socket_testbed.files import packaged
 from socket_testbed.nodes.base import ERROR, NEWEST_STAMP, OK, WARN, TestbedNode
@@ -49,11 +50,7 @@ class CalibrationNode(TestbedNode[CalibrationNodeSettings]):
         news = read.names != self._names
         if news:
             self._prepare(read.names)
-        stress, status = np.full((len(read.names), 3), np.nan), self._missing.copy()
-        if self._known:
-            stress[self._known], status[self._known] = self._coefficients.apply(
-                read.capacitance[self._known], read.status[self._known]
-            )
+        stress, status = self._calibrated(read.capacitance, read.status)
         states = status.tolist()
         for cluster, values, state in zip(self._clusters, stress.tolist(), states, strict=True):
             cluster[()] = (*values, state)
@@ -74,6 +71,20 @@ class CalibrationNode(TestbedNode[CalibrationNodeSettings]):
         self._missing = np.full(len(names), Status.MISSING, dtype=np.uint8)
         self._template = MessageTemplate(stress_to_ros(0, names, np.zeros(shape), self._missing))
         self._clusters = elements(self._template.numbers, "clusters")
+
+    def _calibrated(
+        self, capacitance: FloatArray, status: StatusArray
+    ) -> tuple[FloatArray, StatusArray]:
+        """Stress [Pa], shape (c, 3), and status of each cluster, shape (c,)."""
+        known = self._known
+        if len(known) == len(capacitance) > 0:
+            return self._coefficients.apply(capacitance, status)
+        stress, result = np.full((len(capacitance), 3), np.nan), self._missing.copy()
+        if known:
+            stress[known], result[known] = self._coefficients.apply(
+                capacitance[known], status[known]
+            )
+        return stress, result
 
     def _health(self, names: tuple[str, ...], status: list[int]) -> tuple[int, str]:
         unknown = [name for name in names if name not in self._calibration.clusters]

@@ -20,7 +20,6 @@ from socket_testbed.settings.acquisition import LoadCellSettings
 from socket_testbed.trials.topics import WRENCH
 
 _PATIENCE = 0.05  # [s]; for the conversions after a trigger
-_LOOK = 1e-3  # [s]
 
 
 class LoadCellNode(SensorNode[LoadCellSettings]):
@@ -32,6 +31,7 @@ class LoadCellNode(SensorNode[LoadCellSettings]):
         self._wrench = self.advertise(WRENCH)
         self._pack = wrench_packer()
         self._averaged = 0  # conversions around the last trigger
+        self._polled = threading.Condition()
         self._stopping = threading.Event()
         self._polling = threading.Thread(target=self._poll, name="load_cell")
         self._polling.start()
@@ -59,6 +59,8 @@ class LoadCellNode(SensorNode[LoadCellSettings]):
         due = clocks.monotonic()
         while not self._stopping.is_set():
             self._cell.poll()
+            with self._polled:
+                self._polled.notify_all()
             due = max(due + self._cell.period, clocks.monotonic() - self._cell.period)
             clocks.sleep(max(0.0, due - clocks.monotonic()))
 
@@ -67,8 +69,9 @@ class LoadCellNode(SensorNode[LoadCellSettings]):
         span = averaging_span(self.settings.average_over, self.period)
         over = self._cell.over(moment, span)
         clocks.sleep(max(0.0, over - clocks.monotonic()))
-        while not self._cell.ready(moment, span) and clocks.monotonic() < over + _PATIENCE:
-            clocks.sleep(_LOOK)
+        left = over + _PATIENCE - clocks.monotonic()
+        with self._polled:
+            self._polled.wait_for(lambda: self._cell.ready(moment, span), clocks.real(left))
         reading = self._cell.wrench_at(moment, span)
         self._averaged = reading.conversions
         if reading.fault:
