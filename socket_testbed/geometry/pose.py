@@ -119,6 +119,18 @@ def turned_quaternion(rotation: FloatArray, turn: FloatArray) -> FloatArray:
     return np.asarray(product / math.sqrt(product @ product))
 
 
+def rotation_of(quaternion: FloatArray) -> FloatArray:
+    """Rotation matrix, shape (3, 3), of a quaternion (x, y, z, w) of length 1."""
+    x, y, z, w = quaternion.tolist()
+    return np.array(
+        [
+            [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - z * w), 2.0 * (x * z + y * w)],
+            [2.0 * (x * y + z * w), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - x * w)],
+            [2.0 * (x * z - y * w), 2.0 * (y * z + x * w), 1.0 - 2.0 * (x * x + y * y)],
+        ]
+    )
+
+
 def about_z(angle: float) -> FloatArray:
     """Rotation about z by an angle [rad], shape (3, 3) [-]."""
     cosine, sine = np.cos(angle), np.sin(angle)

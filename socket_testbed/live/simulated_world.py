@@ -19,7 +19,7 @@ from socket_testbed import clocks
 from socket_testbed.arrays import FloatArray
 from socket_testbed.calibration.model import Calibration, read_calibration
 from socket_testbed.clocks import SteadyClock
-from socket_testbed.geometry.pose import Pose
+from socket_testbed.geometry.pose import rotation_of, turned_quaternion
 from socket_testbed.geometry.socket import SocketGeometry, read_socket
 from socket_testbed.live.processes import end_with_starter
 from socket_testbed.simulation.devices.natnet_server import NatNetServer
@@ -43,6 +43,7 @@ from socket_testbed.simulation.world import World
 
 _PERIOD = 0.04  # [s]; of the physics; between two states the world is linear
 _LEAD = 0.2  # [s]; of the physics ahead of the clock: a busy machine does not stop the world
+_SWITCH = 5e-4  # [s]; a frame that is due waits no longer for the physics
 _BODIES = ("socket", "pylon")
 
 
@@ -109,8 +110,12 @@ class LiveTestbed:
         )
         swayed = self._sway * np.sin(2.0 * np.pi * elapsed / np.array([3.0, 4.1, 5.3]))
         socket, pylon = self._bodies.poses(position[None], rotation[None], load[None], swayed)
-        poses = np.vstack(
-            [np.hstack([pose.translation, pose.quaternion()]) for pose in (socket, pylon)]
+        still = np.zeros(3)
+        poses = np.array(
+            [
+                np.concatenate([pose.translation[0], turned_quaternion(pose.rotation[0], still)])
+                for pose in (socket, pylon)
+            ]
         )
         self._world.push(moment, capacitance, load + self._offset, poses)
         self._history.append(
@@ -146,15 +151,12 @@ def markers_at(geometry: SocketGeometry, poses: FloatArray) -> list[FloatArray]:
 
     Args:
         geometry: The socket.
-        poses: Positions [m] and quaternions (x, y, z, w) of the two bodies, shape (2, 7).
+        poses: Positions [m] and unit quaternions (x, y, z, w) of the two bodies, shape (2, 7).
     """
-    bodies = Pose.from_quaternion(poses[:, :3], poses[:, 3:])
     references = (geometry.socket_markers, geometry.pylon_markers)
     return [
-        markers @ rotation.T + position
-        for markers, rotation, position in zip(
-            references, bodies.rotation, bodies.translation, strict=True
-        )
+        markers @ rotation_of(pose[3:]).T + pose[:3]
+        for markers, pose in zip(references, poses, strict=True)
     ]
 
 
@@ -185,6 +187,7 @@ def main() -> None:
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: ended.set())
     end_with_starter()
+    sys.setswitchinterval(_SWITCH)
     clock = SteadyClock()
     world = World(options.world)
     errors = SensorErrors()

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from support.problems import random_pose, random_socket
 
 from socket_testbed.errors import ConfigurationError
-from socket_testbed.geometry.pose import Pose, rotation_vectors, turned_quaternion
+from socket_testbed.geometry.pose import Pose, rotation_of, rotation_vectors, turned_quaternion
 from socket_testbed.geometry.socket import ScanFrame, read_socket, write_socket
 
 
@@ -52,7 +52,7 @@ def test_quaternions_are_ordered_x_y_z_w():
     np.testing.assert_allclose(unit, quarter_turn_about_z, atol=1e-15)
 
 
-def test_rotation_vectors_and_turned_quaternions_are_scipy_s(rng):
+def test_rotation_vectors_quaternions_and_matrices_are_scipy_s(rng):
     axes = rng.normal(size=(200, 3))
     axes /= np.linalg.norm(axes, axis=1, keepdims=True)
     angles = np.concatenate([[0.0, 1e-12, 1e-6, 3.1], rng.uniform(0.0, 3.1, 196)])
@@ -60,6 +60,9 @@ def test_rotation_vectors_and_turned_quaternions_are_scipy_s(rng):
     given = Rotation.from_rotvec(turns)
     np.testing.assert_allclose(rotation_vectors(given.as_matrix()), turns, atol=1e-13)
     for turn, expected in zip(turns, given, strict=True):
+        np.testing.assert_allclose(
+            rotation_of(expected.as_quat()), expected.as_matrix(), atol=1e-15
+        )
         first = random_pose(rng).rotation
         product = (Rotation.from_matrix(first) * expected).as_quat()
         np.testing.assert_allclose(turned_quaternion(first, turn), product, atol=1e-14)

@@ -77,7 +77,7 @@ class Scene:
         self._rng = rng
         self._ids: dict[str, int] = {}
         self._names: tuple[str, ...] = ()
-        self._seen: dict[tuple[str, int], FloatArray] = {}
+        self._seen: dict[tuple[str, int], FloatArray] = {}  # by name and number of markers
         self._changed = 0
 
     def restart(self) -> None:
@@ -131,16 +131,15 @@ class Scene:
 
     def _observe(self, name: str, true: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Markers by their labels, and which of them are hidden."""
-        markers = true + self._rng.normal(0.0, self._noise, true.shape) if self._noise else true
-        markers = markers.copy()
+        markers = (
+            true + self._rng.normal(0.0, self._noise, true.shape) if self._noise else true.copy()
+        )
         hidden = np.zeros(len(markers), dtype=bool)
         occluded = round(self._faults.get("mocap.occlude", 0.0)) - 1
-        for k in range(len(markers)):
-            if k == occluded:  # its last position goes out, as from Motive
-                hidden[k] = True
-                markers[k] = self._seen.get((name, k), markers[k])
-            else:
-                self._seen[name, k] = markers[k].copy()
+        if 0 <= occluded < len(markers):  # its last position goes out, as from Motive
+            hidden[occluded] = True
+            markers[occluded] = self._seen.get((name, len(markers)), markers)[occluded]
+        self._seen[name, len(markers)] = markers.copy()
         if self._rng.random() < self._faults.get("mocap.swap", 0.0):
             a, b = self._rng.choice(len(markers), 2, replace=False)
             markers[[a, b]] = markers[[b, a]]
