@@ -24,6 +24,7 @@ from typing import Any
 try:
     import rclpy
     from rclpy.experimental.events_executor import EventsExecutor
+    from rclpy.node import Node
 
     from socket_testbed.errors import ConfigurationError, TestbedError
     from socket_testbed.files import closest
@@ -79,8 +80,11 @@ def _run(names: list[str]) -> int:
     rclpy.init()
     end_with_starter()
     nodes: list[TestbedNode[Any]] = []
+    ready: Node | None = None
     try:
         if names == [SPARE]:
+            # The others know a process that has a node, and as long as it has one.
+            ready = rclpy.create_node("_spare", start_parameter_services=False, enable_rosout=False)
             names, TestbedNode.arguments = _split(_await_place())
             if not names:
                 return 0
@@ -90,6 +94,8 @@ def _run(names: list[str]) -> int:
                 _schedule(nodes[-1])
             if not any(hasattr(node.settings, "scheduling") for node in nodes):
                 os.nice(_NICENESS)
+            if ready is not None:
+                ready.destroy_node()
             _spin(nodes)
         finally:
             for node in nodes:
@@ -113,14 +119,11 @@ def _await_place() -> list[str]:
     for name in TestbedSettings().nodes():
         if name not in _RARE:
             _node_class(name)
-    # With a node, this process is known in the graph.
-    ready = rclpy.create_node("_spare", start_parameter_services=False, enable_rosout=False)
     while rclpy.ok() and not select.select([sys.stdin], [], [], _LOOK)[0]:
         pass
     words = json.loads(sys.stdin.read() or "[]") if rclpy.ok() else []
     os.environ[RESTARTED] = "1"
     _rename([*sys.orig_argv[:3], *words])
-    ready.destroy_node()
     return words
 
 
