@@ -19,7 +19,7 @@ import numpy as np
 
 from socket_testbed.arrays import FloatArray, StatusArray
 from socket_testbed.errors import IdentificationError, TestbedError
-from socket_testbed.geometry.pose import Pose
+from socket_testbed.geometry.pose import Pose, rotation_vector
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification.contact import ContactModel
 from socket_testbed.identification.fit import Fit
@@ -365,16 +365,15 @@ class OnlineEstimator:
         return refit.fit
 
     def _sample(self, stamp: int, measured: dict[str, Any]) -> Sample:
-        socket, pylon = (
-            Pose.from_quaternion(pose[None, :3], pose[None, 3:])
-            for pose in (measured[SOCKET_POSE.name], measured[PYLON_POSE.name])
-        )
+        both = np.array([measured[SOCKET_POSE.name], measured[PYLON_POSE.name]])
+        bodies = Pose.from_quaternion(both[:, :3], both[:, 3:])
+        socket, pylon = map(Pose, bodies.rotation, bodies.translation)
         forces, status = cluster_forces(self._geometry, measured[STRESS.name])
         limb = self._geometry.limb_pose(socket, pylon)
         return Sample(
             stamp=stamp,
-            position=limb.translation[0],
-            rotation=limb.rotation_vector()[0],
+            position=limb.translation,
+            rotation=rotation_vector(limb.rotation),
             wrench=measured[WRENCH.name],
             local_forces=forces,
             status=status,

@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from functools import cache
 from importlib import import_module
-from typing import Any, Generic, NamedTuple, TypeVar
+from typing import Any, Generic, NamedTuple, TypeAlias, TypeVar
 
 import numpy as np
 from builtin_interfaces.msg import Time
@@ -119,6 +119,10 @@ class MessageTemplate:
         return bytes(self._content)
 
 
+Stamped: TypeAlias = tuple[int, FloatArray]
+"""A stamp since the epoch [ns], and what was measured."""
+
+
 def elements(record: Record, field: str) -> list[Record]:
     """The numbers of the messages in a sequence, none where it is empty."""
     if field not in (record.dtype.names or ()):
@@ -164,6 +168,20 @@ def wrench_from_ros(wrench: Wrench) -> FloatArray:
     return np.array([t.x, t.y, t.z, f.x, f.y, f.z])
 
 
+def wrench_reader() -> MessageReader[Stamped]:
+    """Reads WrenchStamped: the stamp [ns] and [M; F], shape (6,) [N m, N]."""
+
+    def from_record(record: Record, like: Stamped) -> Stamped:
+        wrench = record["wrench"]
+        return stamp_from_record(record), np.concatenate([wrench["torque"], wrench["force"]])
+
+    return MessageReader(
+        WrenchStamped,
+        lambda message: (stamp_from_ros(message.header.stamp), wrench_from_ros(message.wrench)),
+        from_record,
+    )
+
+
 def wrench_to_ros(wrench: FloatArray) -> Wrench:
     """Wrench from [M; F], shape (6,) [N m, N]."""
     return Wrench(torque=vector_to_ros(wrench[:3]), force=vector_to_ros(wrench[3:]))
@@ -196,6 +214,20 @@ def pose_from_ros(pose: Pose) -> FloatArray:
     """Position [m] and quaternion (x, y, z, w), shape (7,)."""
     p, q = pose.position, pose.orientation
     return np.array([p.x, p.y, p.z, q.x, q.y, q.z, q.w])
+
+
+def pose_reader() -> MessageReader[Stamped]:
+    """Reads PoseStamped: the stamp [ns] and `pose_from_ros`, shape (7,)."""
+
+    def from_record(record: Record, like: Stamped) -> Stamped:
+        pose = record["pose"]
+        return stamp_from_record(record), np.concatenate([pose["position"], pose["orientation"]])
+
+    return MessageReader(
+        PoseStamped,
+        lambda message: (stamp_from_ros(message.header.stamp), pose_from_ros(message.pose)),
+        from_record,
+    )
 
 
 def pose_packer() -> Callable[[int, FloatArray], bytes]:
@@ -288,6 +320,26 @@ def stress_from_ros(message: ClusterStressArray) -> dict[str, tuple[FloatArray, 
         c.name: (np.array([c.normal, c.shear_x, c.shear_y]), int(c.status))
         for c in message.clusters
     }
+
+
+def stress_reader() -> MessageReader[tuple[int, dict[str, tuple[FloatArray, int]]]]:
+    """Reads messages of stresses: the stamp [ns] and `stress_from_ros`."""
+
+    def from_record(
+        record: Record, like: tuple[int, dict[str, tuple[FloatArray, int]]]
+    ) -> tuple[int, dict[str, tuple[FloatArray, int]]]:
+        numbers = (cluster.tolist() for cluster in elements(record, "clusters"))
+        found = {
+            name: (np.array([normal, shear_x, shear_y]), status)
+            for name, (normal, shear_x, shear_y, status) in zip(like[1], numbers, strict=True)
+        }
+        return stamp_from_record(record), found
+
+    return MessageReader(
+        ClusterStressArray,
+        lambda message: (stamp_from_ros(message.header.stamp), stress_from_ros(message)),
+        from_record,
+    )
 
 
 def stress_to_ros(

@@ -11,11 +11,11 @@ when enough steady data is in, or on request; a fit runs in a process of its own
 
 from __future__ import annotations
 
-from functools import partial
+from collections.abc import Callable
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
-from geometry_msgs.msg import WrenchStamped
 from std_srvs.srv import Trigger as TriggerService
 
 from socket_testbed.files import packaged
@@ -28,19 +28,18 @@ from socket_testbed.live.fit_worker import FitWorker
 from socket_testbed.live.online_map import OnlineMap
 from socket_testbed.nodes.base import NEWEST_STAMP, TestbedNode
 from socket_testbed.nodes.conversions import (
-    LOAD_CELL_FRAME,
-    header_to_ros,
-    pose_from_ros,
-    stamp_from_ros,
-    stress_from_ros,
-    wrench_from_ros,
-    wrench_to_ros,
+    MessageReader,
+    pose_reader,
+    stress_reader,
+    trigger_reader,
+    wrench_packer,
+    wrench_reader,
 )
 from socket_testbed.nodes.estimate_messages import (
-    ForceMapMessage,
+    ForceMapPacker,
     PressureMap,
     fit_to_ros,
-    local_forces_to_ros,
+    local_forces_packer,
     stored_model_to_ros,
 )
 from socket_testbed.settings.identification import check_solver
@@ -60,11 +59,11 @@ from socket_testbed.trials.topics import (
 )
 
 _PICTURE_PERIOD = 100_000_000  # [ns]; RViz needs no more
-_FROM_ROS = {
-    STRESS: stress_from_ros,
-    WRENCH: lambda message: wrench_from_ros(message.wrench),
-    SOCKET_POSE: lambda message: pose_from_ros(message.pose),
-    PYLON_POSE: lambda message: pose_from_ros(message.pose),
+_READERS: dict[Topic, Callable[[], MessageReader[Any]]] = {
+    STRESS: stress_reader,
+    WRENCH: wrench_reader,
+    SOCKET_POSE: pose_reader,
+    PYLON_POSE: pose_reader,
 }
 
 
@@ -80,7 +79,9 @@ class EstimatorNode(TestbedNode[EstimatorSettings]):
             self._geometry, lambda: self.settings, self._worker, self._on_model
         )
         self._online_map = OnlineMap(self._geometry, lambda: self.settings)
-        self._force_map_message = ForceMapMessage(self._geometry.names)
+        self._pack_map = ForceMapPacker(self._geometry.names).packed
+        self._pack_wrench = wrench_packer()
+        self._pack_forces = cache(local_forces_packer)  # by the names of the points
         self._picture = PressureMap(self._geometry)
         self._drawn = 0  # [ns]; stamp of the last picture
         self._wrench = self.advertise(ESTIMATED_WRENCH)
@@ -88,9 +89,10 @@ class EstimatorNode(TestbedNode[EstimatorSettings]):
         self._model = self.advertise(PARAMETERS)
         self._force_map = self.advertise(FORCE_MAP)
         self._pressure_map = self.advertise(PRESSURE_MAP)
-        for topic in _FROM_ROS:
-            self.listen(topic, partial(self._on_measured, topic))
-        self.listen(TRIGGER, self._on_trigger)
+        for topic, reader in _READERS.items():
+            self.listen(topic, partial(self._on_measured, topic, reader()), raw=True)
+        self._triggers = trigger_reader()
+        self.listen(TRIGGER, self._on_trigger, raw=True)
         self.serve(TriggerService, "estimator/fit", self._on_fit, slow=True)
         if self.settings.model:
             self._estimator.load(Path(self.settings.model))
@@ -118,13 +120,12 @@ class EstimatorNode(TestbedNode[EstimatorSettings]):
         """Whether the process of the fits runs."""
         return self._worker.ready
 
-    def _on_trigger(self, message: Any) -> None:
-        if self._estimator.trigger(stamp_from_ros(message.header.stamp)):
+    def _on_trigger(self, data: bytes) -> None:
+        if self._estimator.trigger(self._triggers.read(data)[0]):
             self._online_map.clear()
 
-    def _on_measured(self, topic: Topic, message: Any) -> None:
-        stamp = stamp_from_ros(message.header.stamp)
-        value = _FROM_ROS[topic](message)
+    def _on_measured(self, topic: Topic, reader: MessageReader[Any], data: bytes) -> None:
+        stamp, value = reader.read(data)
         found = self._online_map.add(topic, stamp, value)
         if found is not None:
             self._publish_map(stamp, found)
@@ -133,7 +134,7 @@ class EstimatorNode(TestbedNode[EstimatorSettings]):
             self._publish_estimate(estimate)
 
     def _publish_map(self, stamp: int, estimate: MapEstimate) -> None:
-        self._force_map.publish(self._force_map_message.filled(stamp, estimate))
+        self._force_map.publish(self._pack_map(stamp, estimate))
         due = abs(stamp - self._drawn) >= _PICTURE_PERIOD
         if due and self._pressure_map.get_subscription_count() > 0:
             self._drawn = stamp
@@ -141,9 +142,8 @@ class EstimatorNode(TestbedNode[EstimatorSettings]):
 
     def _publish_estimate(self, estimate: Estimate) -> None:
         stamp, model = estimate.stamp, estimate.model
-        header = header_to_ros(stamp, LOAD_CELL_FRAME)
-        self._wrench.publish(WrenchStamped(header=header, wrench=wrench_to_ros(estimate.wrench)))
-        self._forces.publish(local_forces_to_ros(stamp, model.names, estimate.forces))
+        self._wrench.publish(self._pack_wrench(stamp, estimate.wrench))
+        self._forces.publish(self._pack_forces(model.names)(stamp, estimate.forces))
 
     def _on_model(self, model: Fit | StoredModel) -> None:
         message = fit_to_ros(model) if isinstance(model, Fit) else stored_model_to_ros(model)

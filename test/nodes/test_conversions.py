@@ -1,16 +1,17 @@
 """The messages of the force map and its picture."""
 
 import dataclasses
+from typing import Any
 
 import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import PoseStamped, WrenchStamped
+from geometry_msgs.msg import PoseStamped, Vector3, WrenchStamped
 from rclpy.serialization import deserialize_message, serialize_message
 from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import CameraInfo
 from shape_msgs.msg import SolidPrimitive
-from socket_testbed_msgs.msg import ClusterCapacitanceArray, ForceMap, Trigger
+from socket_testbed_msgs.msg import ClusterCapacitanceArray, ForceMap, LocalForceArray, Trigger
 from visualization_msgs.msg import Marker
 
 from socket_testbed.files import packaged
@@ -27,14 +28,20 @@ from socket_testbed.nodes.conversions import (
     markers_to_ros,
     pose_from_ros,
     pose_packer,
-    stamp_from_ros,
+    pose_reader,
+    stress_reader,
     stress_to_ros,
     trigger_reader,
-    vectors_from_ros,
     wrench_from_ros,
     wrench_packer,
+    wrench_reader,
+    wrench_to_ros,
 )
-from socket_testbed.nodes.estimate_messages import ForceMapMessage, PressureMap
+from socket_testbed.nodes.estimate_messages import (
+    ForceMapPacker,
+    PressureMap,
+    local_forces_packer,
+)
 from socket_testbed.trials import bag
 from socket_testbed.trials.layout import stamps_of
 
@@ -51,19 +58,65 @@ def made_up_map(seed: int = 0) -> MapEstimate:
     )
 
 
-def test_the_message_holds_the_map_and_nothing_of_the_one_before() -> None:
-    message = ForceMapMessage(GEOMETRY.names)
-    message.filled(1, made_up_map(1))
-    estimate = made_up_map(2)
-    found = message.filled(STAMP, estimate)
-    assert stamp_from_ros(found.header.stamp) == STAMP and found.header.frame_id == "load_cell"
-    assert tuple(found.names) == GEOMETRY.names and found.source == "made up"
+def force_map_to_ros(stamp: int, estimate: MapEstimate) -> ForceMap:
+    """The message set field by field, which is what the node has to send."""
+    message = ForceMap(
+        header=header_to_ros(stamp), names=list(GEOMETRY.names), source=estimate.source
+    )
     for field in ("forces", "standard_deviations"):
-        values = vectors_from_ros(getattr(found, field))
-        np.testing.assert_array_equal(values, getattr(estimate, field)[0])
+        values = getattr(estimate, field)[0].tolist()
+        setattr(message, field, [Vector3(x=x, y=y, z=z) for x, y, z in values])
     for field in dataclasses.fields(MapEstimate)[2:-1]:
-        values = getattr(found, field.name)
-        np.testing.assert_array_equal(values, getattr(estimate, field.name)[0])
+        setattr(message, field.name, getattr(estimate, field.name)[0].tolist())
+    return message
+
+
+def check_sent(sent: bytes, message: Any) -> None:
+    """That bytes are what ROS would send, but for what it leaves in the gaps of alignment."""
+    assert len(sent) == len(serialize_message(message))
+    assert deserialize_message(sent, type(message)) == message
+
+
+def test_a_map_is_sent_as_ros_would_send_it_and_holds_nothing_of_the_one_before() -> None:
+    packer = ForceMapPacker(GEOMETRY.names)
+    other = dataclasses.replace(made_up_map(3), source="without a cluster")
+    for number, estimate in enumerate((made_up_map(1), made_up_map(2), other, made_up_map(4))):
+        sent = packer.packed(STAMP + number, estimate)
+        check_sent(sent, force_map_to_ros(STAMP + number, estimate))
+
+
+def test_local_forces_are_sent_as_ros_would_send_them() -> None:
+    pack = local_forces_packer(GEOMETRY.names)
+    for number in range(3):
+        forces = made_up_map(number).forces[0]
+        vectors = [Vector3(x=x, y=y, z=z) for x, y, z in forces.tolist()]
+        message = LocalForceArray(
+            header=header_to_ros(STAMP + number), names=list(GEOMETRY.names), forces=vectors
+        )
+        check_sent(pack(STAMP + number, forces), message)
+
+
+def test_stresses_wrenches_and_poses_are_read_as_ros_reads_them() -> None:
+    """Also after a message of another layout: with fewer clusters, or another frame."""
+    rng = np.random.default_rng(5)
+    stresses, wrenches, poses = stress_reader(), wrench_reader(), pose_reader()
+    for number, names in enumerate([("a", "bc"), ("a", "bc"), ("bc",), ("a", "d")]):
+        stamp, stress = STAMP + number, rng.normal(size=(len(names), 3))
+        status = rng.integers(4, size=len(names)).astype(np.uint8)
+        found = stresses.read(serialize_message(stress_to_ros(stamp, names, stress, status)))
+        assert found[0] == stamp and tuple(found[1]) == names
+        for row, (values, state) in enumerate(found[1].values()):
+            np.testing.assert_array_equal(values, stress[row])
+            assert state == status[row] and type(state) is int
+        header = header_to_ros(stamp, names[0])
+        wrench, pose = rng.normal(size=6), rng.normal(size=7)
+        message = WrenchStamped(header=header, wrench=wrench_to_ros(wrench))
+        read = wrenches.read(serialize_message(message))
+        assert read[0] == stamp
+        np.testing.assert_array_equal(read[1], wrench)
+        read = poses.read(pose_packer()(stamp, pose))
+        assert read[0] == stamp
+        np.testing.assert_array_equal(read[1], pose)
 
 
 def markers(pressure: float, deviation: float) -> list[Marker]:

@@ -5,12 +5,14 @@ import dataclasses
 import numpy as np
 import pytest
 import rclpy
+from rclpy.serialization import deserialize_message
+from socket_testbed_msgs.msg import ForceMap
 from support.graph import Probe
 from support.ring_socket import ring_socket
 
 from socket_testbed.identification.force_map import MapEstimate
 from socket_testbed.nodes.estimate_listener import ListenerNode
-from socket_testbed.nodes.estimate_messages import ForceMapMessage, map_from_ros
+from socket_testbed.nodes.estimate_messages import ForceMapPacker, map_from_ros
 from socket_testbed.nodes.view_node import LiveSource
 from socket_testbed.trials.topics import FORCE_MAP
 
@@ -28,7 +30,8 @@ def random_map() -> MapEstimate:
 
 def test_a_map_comes_back_from_its_message() -> None:
     estimate = random_map()
-    found = map_from_ros(ForceMapMessage(GEOMETRY.names).filled(1, estimate))
+    packed = ForceMapPacker(GEOMETRY.names).packed(1, estimate)
+    found = map_from_ros(deserialize_message(packed, ForceMap))
     for name, value in vars(estimate).items():
         np.testing.assert_array_equal(getattr(found, name), value)
 
@@ -44,7 +47,7 @@ def test_a_map_of_another_socket_is_named_and_not_drawn() -> None:
         publisher = probe.publisher(FORCE_MAP)
 
         def shows(geometry, drawn: bool) -> bool:
-            publisher.publish(ForceMapMessage(geometry.names).filled(1, random_map()))
+            publisher.publish(ForceMapPacker(geometry.names).packed(1, random_map()))
             instant = source.instant()
             words = " ".join(sensor.words for sensor in source.sensors())
             return (
