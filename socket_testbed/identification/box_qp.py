@@ -40,6 +40,7 @@ _EXCHANGES = 300
 _PATIENCE = 5  # block exchanges that may fail to help before single ones
 _RIDGES = 10.0 ** -np.arange(2.0, 14.0)  # [-]; of regularised pivoting, one after the other
 _ROUNDING = 1e-11  # [-]; of a value that counts as zero
+_REFINED = 1e-13  # [-]; gradient that a factor's solution is left with
 _FLAT = 1e-12  # [-]; curvature that counts as none, against the mean of a scaled problem
 
 
@@ -104,7 +105,7 @@ class BoxQP:
         return Certificate(
             primal=float(violation.max(initial=0.0)),
             stationarity=float(np.abs(natural).max(initial=0.0)),
-            gap=float(gap / (1.0 + abs(self.objective(x)))),
+            gap=float(gap / (1.0 + abs(0.5 * x @ (gradient + self.q)))),
         )
 
     def is_determined_at(self, x: FloatArray) -> bool:
@@ -156,7 +157,11 @@ class UncertifiedSolutionError(IdentificationError):
 
 
 def solve_box_qp(
-    problem: BoxQP, solver: str, tolerance: float, near: FloatArray | None = None
+    problem: BoxQP,
+    solver: str,
+    tolerance: float,
+    near: FloatArray | None = None,
+    least_curvature: float = 0.0,
 ) -> BoxSolution:
     """Solve a box QP and certify the answer; a solver's own verdict does not count.
 
@@ -166,6 +171,8 @@ def solve_box_qp(
         tolerance: Largest residual of the certificate [-].
         near: Solution of a similar problem, shape (p,) [-], from which pivoting takes fewer steps
             than from zero.
+        least_curvature: What the eigenvalues of P are known to exceed [-]: where they leave one
+            optimum, and it is the one near, nothing is factorised.
 
     Raises:
         ConfigurationError: If there is no such solver.
@@ -175,6 +182,10 @@ def solve_box_qp(
     _check_finite(problem)
 
     if near is not None:
+        if least_curvature > _FLAT:
+            certificate = problem.certificate(near)
+            if certificate.worst <= min(_REFINED, tolerance):
+                return BoxSolution(near, certificate, True, "warm start")
         found = pivot(problem, np.clip(near, problem.lower, problem.upper))
         if found.certificate.worst <= tolerance:
             return replace(found, found_by="warm start")
@@ -295,10 +306,14 @@ def _solve_on_sides(problem: BoxQP, side: IntArray) -> tuple[FloatArray, FloatAr
     """Optimum over the free variables with the others at bounds, gradient, least pivot."""
     x = np.where(side < 0, problem.lower, np.where(side > 0, problem.upper, 0.0))
     free = np.flatnonzero(side == 0)
-    rest = problem.q[free] + (problem.P @ x)[free]
-    factor = Cholesky(problem.P[free][:, free])
+    rest = (problem.q + problem.P @ x if x.any() else problem.q)[free]
+    factor = Cholesky(problem.P if len(free) == len(x) else problem.P[free][:, free])
     x[free] = -factor.solve(rest)
-    return x, problem.P @ x + problem.q, factor.least_pivot
+    gradient = problem.P @ x + problem.q
+    if np.abs(gradient[free]).max(initial=0.0) > _REFINED:  # of an ill-conditioned matrix
+        x[free] -= factor.solve(gradient[free])
+        gradient = problem.P @ x + problem.q
+    return x, gradient, factor.least_pivot
 
 
 def _wrong_side(problem: BoxQP, side: IntArray, x: FloatArray, gradient: FloatArray) -> IntArray:
@@ -330,18 +345,19 @@ class Cholesky:
     """
 
     def __init__(self, matrix: FloatArray) -> None:
-        self.least_pivot = np.inf
         self._below = np.empty_like(matrix)  # what L has below its diagonal blocks
         self._blocks: list[tuple[slice, FloatArray]] = []  # diagonal blocks' rows and inverses
+        pivots = np.empty(len(matrix))
         for start in range(0, len(matrix), _ROWS):
             rows = slice(start, min(start + _ROWS, len(matrix)))
             known = self._below[:, :start]
             left = matrix[start:, rows] - known[start:] @ known[rows].T
             diagonal = np.linalg.cholesky(left[:_ROWS])
-            self.least_pivot = min(self.least_pivot, float(np.diagonal(diagonal).min()) ** 2)
+            pivots[rows] = diagonal.diagonal()
             inverse = np.linalg.inv(diagonal)
             self._below[rows.stop :, rows] = left[_ROWS:] @ inverse.T
             self._blocks.append((rows, inverse))
+        self.least_pivot = float(pivots.min(initial=np.inf)) ** 2
 
     def solve(self, target: FloatArray) -> FloatArray:
         """Solve ``A x = b`` for b, shape (p,)."""

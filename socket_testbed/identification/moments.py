@@ -23,7 +23,7 @@ from typing import Literal
 import numpy as np
 import scipy.linalg
 
-from socket_testbed.arrays import BoolArray, FloatArray
+from socket_testbed.arrays import BoolArray, FloatArray, IntArray
 from socket_testbed.identification.contact import gated_displacement, gated_slope
 from socket_testbed.identification.gate_series import GateSeries
 
@@ -45,8 +45,10 @@ _DIRECT_CALL, _SERIES_CALL = 5e4, 1.5e5  # [ns]; what a call takes at any size
 class Moments:
     """Moments of N rows of gated displacements S (N, p) and targets Y (N, m).
 
+    Stacked moments of k sets have a first axis of length k in every array, the count included.
+
     Attributes:
-        count: Number of rows N.
+        count: Number of rows N, shape () or (k,).
         mean: Means of S, shape (p,) [m].
         gram: Centred products of S with itself, shape (p, p) [m^2].
         target_mean: Means of Y, shape (m,).
@@ -56,7 +58,7 @@ class Moments:
             None where it is not to be subtracted.
     """
 
-    count: int
+    count: int | IntArray
     mean: FloatArray
     gram: FloatArray
     target_mean: FloatArray
@@ -67,17 +69,24 @@ class Moments:
     @property
     def corrected_gram(self) -> FloatArray:
         """`gram` without what the noise of the pose adds, shape (p, p) [m^2]."""
-        return self.gram if self.noise is None else subtract_noise(self.gram, self.noise)
+        if self.noise is None:
+            return self.gram
+        if self.gram.ndim == 2:
+            return subtract_noise(self.gram, self.noise)
+        pairs = zip(self.gram, self.noise, strict=True)
+        return np.array([subtract_noise(gram, noise) for gram, noise in pairs])
 
     def about_zero(self) -> Moments:
         """The same moments without centring, as a model without offsets needs them."""
+        count = np.asarray(self.count)[..., None]
+        sums = count[..., None] * self.mean[..., None]
         return Moments(
             self.count,
             np.zeros_like(self.mean),
-            self.gram + self.count * np.outer(self.mean, self.mean),
+            self.gram + sums * self.mean[..., None, :],
             np.zeros_like(self.target_mean),
-            self.cross + self.count * np.outer(self.mean, self.target_mean),
-            self.target_power + self.count * self.target_mean**2,
+            self.cross + sums * self.target_mean[..., None, :],
+            self.target_power + count * self.target_mean**2,
             self.noise,
         )
 
@@ -106,13 +115,31 @@ class Moments:
         Returns:
             Array of shape (m,), in squares of the targets' units.
         """
-        explained = np.einsum("jp,jp->j", rows @ self.gram, rows)
-        common = np.einsum("jp,pj->j", rows, self.cross)
-        squares = (self.target_power - 2.0 * common + explained) / self.count
+        explained = ((rows @ self.gram) * rows).sum(axis=-1)
+        common = (rows * self.cross.swapaxes(-1, -2)).sum(axis=-1)
+        squares = (self.target_power - 2.0 * common + explained) / np.asarray(self.count)[..., None]
         squares = np.maximum(squares, 0.0)
         if not with_offset:
-            squares += (self.target_mean - rows @ self.mean) ** 2
+            squares += (self.target_mean - (rows @ self.mean[..., None])[..., 0]) ** 2
         return squares
+
+
+def stack(sets: Sequence[Moments]) -> Moments:
+    """Sets of moments, of a point's three columns and one target each, as one: see `Moments`."""
+
+    def stacked(name: str, *shape: int) -> FloatArray:
+        return np.array([getattr(of, name) for of in sets]).reshape(len(sets), *shape)
+
+    noisy = any(of.noise is not None for of in sets)
+    return Moments(
+        np.array([of.count for of in sets], dtype=np.int64),
+        stacked("mean", 3),
+        stacked("gram", 3, 3),
+        stacked("target_mean", 1),
+        stacked("cross", 3, 1),
+        stacked("target_power", 1),
+        stacked("noise", 3, 3) if noisy else None,
+    )
 
 
 def noise_products(

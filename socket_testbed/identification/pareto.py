@@ -2,7 +2,8 @@ r"""The trade-off between the wrench and the clusters: both stages, for one thet
 
 Stage 1 depends on theta, so that the gates do, too: each theta has rest positions of its own,
 which both of the paper's variants share. The samples are reduced once to what all thetas need
-(`StageTwoData`), and each program starts from the solution of the theta before.
+(`StageTwoData`). Stage 1 is one eigenproblem for all thetas, unless a bound holds its solution;
+each program of Stage 2 starts on a line through the solutions of the two thetas before.
 
 The two errors of a front are normalised by the sizes that the objective is normalised by, so
 that they are the same for every theta and both variants:
@@ -43,9 +44,10 @@ from socket_testbed.identification.problem import (
     StageTwoData,
     StageTwoMoments,
     build_objective,
-    build_stage_one,
     build_stage_two,
     rest_positions_of,
+    stage_one_program,
+    stage_one_terms,
 )
 from socket_testbed.samples import LOCAL_CHANNELS, WRENCH_CHANNELS, Samples, channel_unit
 from socket_testbed.settings.identification import (
@@ -269,26 +271,27 @@ class _Walk:
 
     def __init__(self, objective: Objective, thetas: int) -> None:
         self._objective = objective
+        self._rest = _RestPath(objective)
         self._data = StageTwoData(objective, sets=thetas)
-        self._last: dict[str, FloatArray] = {}
+        self._last: dict[str, list[tuple[float, FloatArray]]] = {}
 
     def solve_at(self, theta: float, variants: Sequence[Variant]) -> dict[Variant, FrontPoint]:
         """The solution of each variant at a theta."""
-        objective = self._objective.with_settings(theta=theta)
-        program = build_stage_one(objective)
+        objective = self._objective
+        program, near, least_curvature = self._rest.at(theta)
         try:
-            rest = self._solve(program, "Stage 1")
+            rest = self._solve(program, near, least_curvature)
         except UncertifiedSolutionError as error:
-            return {variant: _flawed(objective, error) for variant in variants}
+            return {variant: _flawed(objective, theta, error) for variant in variants}
         rest_positions = rest_positions_of(objective, rest.x)
         moments = self._data.moments(rest_positions)
         points = {}
         for variant in variants:
-            of_variant = objective.with_settings(variant=variant)
+            of_variant = objective.with_settings(theta=theta, variant=variant)
             try:
                 point = self._solve_springs(of_variant, rest_positions, moments)
             except UncertifiedSolutionError as error:
-                point = _flawed(objective, error)
+                point = _flawed(objective, theta, error)
             flaw = point.flaw or _undetermined(program, rest)
             residual = float(np.max([point.residual, rest.certificate.worst]))
             points[variant] = replace(point, flaw=flaw, residual=residual)
@@ -298,13 +301,18 @@ class _Walk:
         self, objective: Objective, rest_positions: FloatArray, moments: StageTwoMoments
     ) -> FrontPoint:
         program = build_stage_two(objective, moments).program
-        springs = self._solve(program, objective.settings.variant)
+        theta, last = (
+            objective.settings.theta,
+            self._last.setdefault(objective.settings.variant, []),
+        )
+        springs = self._solve(program, _extrapolate(last, theta))
+        last[:] = [*last[-1:], (theta, springs.x)]
         model = make_model(objective, rest_positions, moments, springs.x)
         wrench, local = channel_mean_squares(
             objective, moments, model.stiffness, objective.with_bias
         )
         return FrontPoint(
-            theta=objective.settings.theta,
+            theta=theta,
             model=model,
             rmse=np.sqrt(np.concatenate([wrench[objective.wrench_counts], local])),
             wrench_error=float(np.sqrt(objective.wrench_shares @ wrench)),
@@ -313,20 +321,66 @@ class _Walk:
             flaw=_undetermined(program, springs),
         )
 
-    def _solve(self, program: BoxQP, name: str) -> BoxSolution:
+    def _solve(
+        self, program: BoxQP, near: FloatArray | None, least_curvature: float = 0.0
+    ) -> BoxSolution:
         settings = self._objective.settings
-        near = self._last.get(name)
-        solution = solve_box_qp(program, settings.solver, settings.solver_tolerance, near)
-        self._last[name] = solution.x
-        return solution
+        return solve_box_qp(
+            program, settings.solver, settings.solver_tolerance, near, least_curvature
+        )
 
 
-def _flawed(objective: Objective, error: UncertifiedSolutionError) -> FrontPoint:
+class _RestPath:
+    r"""Stage 1 at any theta, and its solution where no bound holds it, from one eigenproblem.
+
+    Its terms are linear in theta. With V such that :math:`V^T P(1/2) V = I` and
+    :math:`V^T (P(1) - P(0)) V` is diagonal, with mu on the diagonal,
+    :math:`P(\theta)^{-1} = V\,\mathrm{diag}(1 + (\theta - 1/2) \mu)^{-1}\,V^T`.
+
+    Args:
+        objective: The samples and weights.
+    """
+
+    def __init__(self, objective: Objective) -> None:
+        self._objective = objective
+        ends = [stage_one_terms(objective.with_settings(theta=theta)) for theta in (0.0, 1.0)]
+        (self._P, self._q), (P, q) = ends
+        self._dP, self._dq = P - self._P, q - self._q
+        self._V, self._mu, self._least = np.zeros_like(P), np.zeros_like(q), 0.0
+        try:
+            inverse = np.linalg.inv(np.linalg.cholesky(self._P + 0.5 * self._dP))
+        except np.linalg.LinAlgError:
+            return
+        self._mu, vectors = np.linalg.eigh(inverse @ self._dP @ inverse.T)
+        self._V = inverse.T @ vectors
+        self._least = 1.0 / float((self._V**2).sum())  # below the eigenvalues of P(1/2)
+
+    def at(self, theta: float) -> tuple[BoxQP, FloatArray, float]:
+        """The program, its optimum without bounds, and what its eigenvalues exceed [-]."""
+        P, q = self._P + theta * self._dP, self._q + theta * self._dq
+        curvature = 1.0 + (theta - 0.5) * self._mu
+        least = self._least * float(curvature.min()) * len(q) / float(np.trace(P))
+        x = np.zeros_like(q)
+        if least > 0.0:
+            for _ in range(2):  # the second time against rounding
+                x -= self._V @ ((P @ x + q) @ self._V / curvature)
+        return stage_one_program(self._objective, P, q), x, least
+
+
+def _extrapolate(last: Sequence[tuple[float, FloatArray]], theta: float) -> FloatArray | None:
+    """Solution at a theta, along a line through the last one or two; None without any."""
+    if len(last) < 2:
+        return last[0][1] if last else None
+    (first, before), (second, x) = last
+    return x + (theta - second) / (second - first) * (x - before)
+
+
+def _flawed(objective: Objective, theta: float, error: UncertifiedSolutionError) -> FrontPoint:
     """The point of a theta at which a stage was not certified."""
     nan = float("nan")
     residual = nan if error.x is None else error.problem.certificate(error.x).worst
     rmse = np.full(len(_channels(objective)), nan)
-    return FrontPoint(objective.settings.theta, None, rmse, nan, nan, residual, error.fact)
+    return FrontPoint(theta, None, rmse, nan, nan, residual, error.fact)
 
 
 def _undetermined(program: BoxQP, solution: BoxSolution) -> str:
@@ -388,13 +442,9 @@ def channel_mean_squares(
     """
     rows = wrench_map(objective.geometry.anchors) * stiffness.reshape(-1)
     wrench = moments.wrench.mean_square_residuals(rows, with_bias)
-    local = [
-        of_channel.mean_square_residuals(
-            (channel.direction * stiffness[channel.point])[None], with_bias
-        )
-        for channel, of_channel in zip(objective.channels, moments.channels, strict=True)
-    ]
-    return wrench, np.concatenate(local)
+    directions = np.array([c.direction * stiffness[c.point] for c in objective.channels])
+    local = moments.channels.mean_square_residuals(directions.reshape(-1, 1, 3), with_bias)
+    return wrench, local[:, 0]
 
 
 def make_front(variant: Variant, channels: tuple[str, ...], points: Sequence[FrontPoint]) -> Front:

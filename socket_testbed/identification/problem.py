@@ -36,7 +36,7 @@ from socket_testbed.files import closest
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification.box_qp import BoxQP, BoxSolution
 from socket_testbed.identification.contact import ContactModel, wrench_map
-from socket_testbed.identification.moments import GatedMoments, Group, Method, Moments
+from socket_testbed.identification.moments import GatedMoments, Group, Method, Moments, stack
 from socket_testbed.identification.noise import (
     ChannelNoise,
     channel_noise,
@@ -362,12 +362,12 @@ class StageTwoMoments:
 
     Attributes:
         wrench: Moments of the gated displacements of all points and the wrench.
-        channels: For each channel of the clusters, moments of the gated displacement of its
-            point, p = 3, and the measured force, m = 1.
+        channels: For each channel of the clusters, stacked, moments of the gated displacement of
+            its point, p = 3, and the measured force, m = 1.
     """
 
     wrench: Moments
-    channels: tuple[Moments, ...]
+    channels: Moments
 
 
 class StageTwoData:
@@ -407,11 +407,11 @@ class StageTwoData:
     def moments(self, rest_positions: FloatArray) -> StageTwoMoments:
         """Moments at rest positions q_r, shape (n, 3) [m]."""
         groups = self._moments.at(rest_positions)
-        channels = (
+        channels = [
             groups[number].select(slice(3 * point, 3 * point + 3), slice(target, target + 1))
             for number, point, target in self._places
-        )
-        return StageTwoMoments(groups[0].select(slice(None), slice(6)), tuple(channels))
+        ]
+        return StageTwoMoments(groups[0].select(slice(None), slice(6)), stack(channels))
 
 
 @dataclass(frozen=True)
@@ -420,7 +420,7 @@ class StageTwo:
 
     Attributes:
         program: The program in the stiffnesses [kN/m], shape (3n,).
-        smoothness: Part of the program's P that is the smoothness, shape (3n, 3n) [-].
+        smoothness: Part of the program's P that is the smoothness, of one axis, shape (n, n) [-].
     """
 
     program: BoxQP
@@ -436,7 +436,7 @@ class StageTwo:
         if len(free) == 0:
             return 0.0
         P = self.program.P[np.ix_(free, free)]
-        data = P - self.smoothness[np.ix_(free, free)]
+        data = P - np.kron(self.smoothness, np.eye(3))[np.ix_(free, free)]
         return float(np.trace(np.linalg.solve(P + _JITTER * np.eye(len(free)), data)))
 
 
@@ -471,6 +471,17 @@ def build_stage_one(objective: Objective) -> BoxQP:
         The program in the offsets ``q_r - q_ref`` [mm] from the mean limb position, shape
         (3n,): see `rest_positions_of`.
     """
+    return stage_one_program(objective, *stage_one_terms(objective))
+
+
+def stage_one_program(objective: Objective, P: FloatArray, q: FloatArray) -> BoxQP:
+    """Stage 1 with its terms P, shape (3n, 3n), and q, shape (3n,), which are scaled in place."""
+    limit = np.full(len(q), objective.settings.rest_position_limit / MILLIMETRE)
+    return _normalised(P, q, -limit, limit, "Stage 1 (rest positions)")
+
+
+def stage_one_terms(objective: Objective) -> tuple[FloatArray, FloatArray]:
+    """Terms P and q of `build_stage_one` before they are normalised: linear in theta."""
     settings, reference = objective.settings, objective.reference
     points = len(objective.geometry)
     k0, scale = settings.initial_stiffness, MILLIMETRE
@@ -490,11 +501,8 @@ def build_stage_one(objective: Objective) -> BoxQP:
         outer = np.outer(channel.direction, channel.direction)
         P[block, block] += weight * k0 * scale * outer
         q[block] -= weight * local_target * channel.direction
-    smoothness = _smoothness(objective, settings.rest_position_difference / scale)
-    P += smoothness
-    limit = np.full(3 * points, settings.rest_position_limit / scale)
-    factor = _normalisation(P)
-    return BoxQP(factor * P, factor * q, -limit, limit, "Stage 1 (rest positions)")
+    _add_smoothness(P, objective, settings.rest_position_difference / scale)
+    return P, q
 
 
 def rest_positions_of(objective: Objective, x: FloatArray) -> FloatArray:
@@ -517,24 +525,24 @@ def build_stage_two(objective: Objective, moments: StageTwoMoments) -> StageTwo:
     mapping = wrench_map(objective.geometry.anchors)
     weighted = objective.wrench_weights[:, None] * mapping
 
-    used = moments.wrench if with_bias else moments.wrench.about_zero()
-    P = (mapping.T @ weighted) * used.corrected_gram
-    P *= scale**2 / used.count
+    used, local = moments.wrench, moments.channels
+    if not with_bias:
+        used, local = used.about_zero(), local.about_zero()
+    P = mapping.T @ (scale**2 / used.count * weighted)
+    P *= used.corrected_gram
     q = -scale / used.count * np.einsum("jc,cj->j", used.cross, weighted)
-    for channel, centred, channel_weight in zip(
-        objective.channels, moments.channels, objective.channel_weights, strict=True
-    ):
-        used = centred if with_bias else centred.about_zero()
-        along = scale * channel.direction
-        weight = channel_weight / used.count
-        block = slice(3 * channel.point, 3 * channel.point + 3)
-        P[block, block] += weight * np.outer(along, along) * used.corrected_gram
-        q[block] -= weight * along * used.cross[:, 0]
-    smoothness = _smoothness(objective, objective.settings.stiffness_difference / scale)
+    along = scale * np.array([c.direction for c in objective.channels]).reshape(-1, 3, 1)
+    weights = (objective.channel_weights / local.count)[:, None, None]
+    blocks = weights * along * along.swapaxes(1, 2) * local.corrected_gram
+    pulls = weights * along * local.cross
+    for channel, block, pull in zip(objective.channels, blocks, pulls, strict=True):
+        own = slice(3 * channel.point, 3 * channel.point + 3)
+        P[own, own] += block
+        q[own] -= pull[:, 0]
+    smoothness = _add_smoothness(P, objective, objective.settings.stiffness_difference / scale)
     lower, upper = np.zeros(len(q)), np.full(len(q), np.inf)
-    P += smoothness
     factor = _normalisation(P)
-    program = BoxQP(factor * P, factor * q, lower, upper, "Stage 2 (stiffnesses)")
+    program = _normalised(P, q, lower, upper, "Stage 2 (stiffnesses)")
     return StageTwo(program, factor * smoothness)
 
 
@@ -555,21 +563,37 @@ def recover_offsets(
     springs = stiffness.reshape(-1) * wrench.mean
     residual = wrench.target_mean - wrench_map(objective.geometry.anchors) @ springs
     wrench_bias[objective.wrench_counts] = residual[objective.wrench_counts]
-    for channel, means in zip(objective.channels, moments.channels, strict=True):
+    local = moments.channels
+    for channel, mean, target in zip(
+        objective.channels, local.mean, local.target_mean[:, 0].tolist(), strict=True
+    ):
         bias = force_bias.setdefault(channel.cluster, np.zeros(3))
-        predicted = (means.mean * stiffness[channel.point]) @ channel.direction
-        bias[channel.axis] = means.target_mean[0] - predicted
+        bias[channel.axis] = target - (mean * stiffness[channel.point]) @ channel.direction
     return wrench_bias, force_bias
 
 
-def _smoothness(objective: Objective, difference: float) -> FloatArray:
-    """Quadratic term of the smoothness, shape (3n, 3n), for an expected difference."""
+def _add_smoothness(P: FloatArray, objective: Objective, difference: float) -> FloatArray:
+    """Add the smoothness, for an expected difference, to a term of shape (3n, 3n).
+
+    Returns:
+        What was added for each axis, shape (n, n).
+    """
     weight = objective.settings.smoothness / (3.0 * difference**2)  # the mean over the axes
-    points = len(objective.geometry)
-    P = np.zeros((points, 3, points, 3))
+    own = weight * objective.laplacian
+    by_axis = P.reshape(len(own), 3, len(own), 3)
     for axis in range(3):
-        P[:, axis, :, axis] = weight * objective.laplacian
-    return P.reshape(3 * points, 3 * points)
+        by_axis[:, axis, :, axis] += own
+    return own
+
+
+def _normalised(
+    P: FloatArray, q: FloatArray, lower: FloatArray, upper: FloatArray, name: str
+) -> BoxQP:
+    """A program of terms that are scaled in place."""
+    factor = _normalisation(P)
+    P *= factor
+    q *= factor
+    return BoxQP(P, q, lower, upper, name)
 
 
 def _normalisation(P: FloatArray) -> float:

@@ -154,6 +154,10 @@ def test_what_does_not_pay_for_one_set_may_pay_for_many():
     assert series_is_cheaper(motion, 2000.0, 8, sets=101)
 
 
+def one_of(stacked, k):
+    return Moments(*(getattr(stacked, name)[k] for name in ("count", *FIELDS)))
+
+
 @pytest.mark.parametrize("gaps", [False, True])
 def test_the_moments_of_stage_two_do_not_depend_on_the_way(gaps):
     geometry, bed, samples, settings = make_case(4, gaps=gaps, leave_out=("Mz", "cluster_1.Fx"))
@@ -164,9 +168,9 @@ def test_the_moments_of_stage_two_do_not_depend_on_the_way(gaps):
         rest = FAR + bed.rest_positions + shift
         found, expected = (data[method].moments(rest) for method in data)
         assert_same_moments(found.wrench, expected.wrench, 1e-7)
-        assert len(found.channels) == len(expected.channels) == 8
-        for one, other in zip(found.channels, expected.channels, strict=True):
-            assert_same_moments(one, other, 1e-7)
+        assert len(found.channels.count) == len(expected.channels.count) == 8
+        for k in range(8):
+            assert_same_moments(one_of(found.channels, k), one_of(expected.channels, k), 1e-7)
 
 
 @pytest.mark.parametrize("with_offset", [False, True])

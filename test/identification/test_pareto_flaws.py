@@ -41,12 +41,12 @@ def fail_where(monkeypatch, fails, answer=True):
     """A solver path that gives up on some programs; `fails` gets the name and the count."""
     counts = {}
 
-    def solve(problem, solver, tolerance, near=None):
+    def solve(problem, *more):
         counts[problem.name] = count = counts.get(problem.name, -1) + 1
         if fails(problem.name, count):
             x = np.ones_like(problem.q) if answer else None
             raise UncertifiedSolutionError(f"{problem.name}: missed", "hint", problem, x)
-        return solve_box_qp(problem, solver, tolerance, near)
+        return solve_box_qp(problem, *more)
 
     monkeypatch.setattr(pareto, "solve_box_qp", solve)
 
