@@ -1,104 +1,132 @@
-"""How time and memory of the verbs grow with a trial: 10 and 60 minutes at 100 Hz.
+"""What reading a long trial takes, beside the bag library's own way through the raw messages.
 
     .venv/bin/python benchmarks/benchmark_long_trials.py [MINUTES ...]
 
-The trial is a simulated static hold of 2 minutes, repeated with its stamps going on; each verb is
-a process of its own, and its peak memory what the kernel counted. The ratios are to the first of
-the lengths: linear growth is the ratio of the lengths.
+The trial is a simulated static hold of 10 s at 100 Hz that is repeated, with its stamps going on,
+for 10 minutes (60 take some minutes more). The floor: rosbags goes through the raw messages of the
+five topics that samples are made of, and decodes none. Reading: `Trial.samples()`. Both are
+measured without the start of Python; the verbs, each on all of the trial, with it. Seconds are of
+the processor, memory is the peak of the process, and each is a process of its own.
 """
 
 from __future__ import annotations
 
+import multiprocessing
 import os
+import resource
+import shutil
 import subprocess
 import sys
 import tempfile
 import time
-from dataclasses import replace
+from collections.abc import Callable
 from pathlib import Path
 
-import numpy as np
+from rosbags.rosbag2 import Reader
 
 from socket_testbed.calibration.model import read_calibration
 from socket_testbed.files import packaged
-from socket_testbed.geometry.pose import Pose
 from socket_testbed.geometry.socket import read_socket
-from socket_testbed.simulation.trial import SimulatedTrial, simulate, write_simulated_trial
+from socket_testbed.simulation.trial import simulate, write_simulated_trial
+from socket_testbed.trials.bag import BagReader, BagWriter, fields_of, required_topics
+from socket_testbed.trials.layout import Layout
+from socket_testbed.trials.topics import match_topics
+from socket_testbed.trials.trial import CONFIGURATION_FILES, Trial
 
 RATE = 100.0  # [Hz]
-PIECE = 120.0  # [s]
+PIECE = 10.0  # [s]
 
 
-def repeat(trial: SimulatedTrial, times: int) -> SimulatedTrial:
-    """The same trial again and again."""
-    period = round(1e9 / RATE)
-    count = len(trial.stamps) * times
-
-    def again(array: np.ndarray) -> np.ndarray:
-        return np.tile(array, (times, *([1] * (array.ndim - 1))))
-
-    def poses(pose: Pose) -> Pose:
-        return Pose(again(pose.rotation), again(pose.translation))
-
-    truth = replace(
-        trial.truth,
-        **{name: again(getattr(trial.truth, name)) for name in ("wrench", "position", "rotation")},
-        forces=np.zeros((count, 0, 3)),
-    )
-    return replace(
-        trial,
-        tiles=(),
-        stamps=trial.stamps[0] + period * np.arange(count),
-        capacitance={name: again(values) for name, values in trial.capacitance.items()},
-        wrench=again(trial.wrench),
-        socket_markers=again(trial.socket_markers),
-        pylon_markers=again(trial.pylon_markers),
-        socket_pose=poses(trial.socket_pose),
-        pylon_pose=poses(trial.pylon_pose),
-        truth=truth,
-    )
+def repeat(source: Path, target: Path, times: int) -> None:
+    """Write the messages of a trial again and again, their stamps going on."""
+    with BagReader(source) as bag, BagWriter(target) as writer:
+        for topic, name in match_topics(bag.counts, str(source)).items():
+            writer.add_topic(name, topic)
+        raws = [(raw, Layout(raw.data, raw.type, fields_of)) for raw in bag.messages()]
+        for number in range(times):
+            later = number * round(PIECE)
+            for raw, layout in raws:
+                content, record = layout.blank()
+                record["header"]["stamp"]["sec"] += later
+                writer.write(raw.topic, raw.time + later * 10**9, bytes(content))
+    for name in CONFIGURATION_FILES:
+        shutil.copy(source / name, target)
 
 
-def measure(words: list[str]) -> tuple[float, float]:
-    """Seconds and peak memory [MB] of a verb."""
-    start = time.perf_counter()
-    child = subprocess.Popen(
-        [sys.executable, "-m", "socket_testbed", *words], stdout=subprocess.DEVNULL
-    )
+def iterate(path: Path) -> None:
+    """Go through the raw messages with the library alone."""
+    with BagReader(path) as bag:
+        topics = {name for topic, name in required_topics(bag).items() if topic.required}
+    (file,) = path.glob("*.mcap")
+    with Reader(file) as reader:
+        for _ in reader.messages([c for c in reader.connections if c.topic in topics]):
+            pass
+
+
+def read(path: Path) -> None:
+    """Read all samples."""
+    Trial(path).samples()
+
+
+def measured(work: Callable[[Path], None], path: Path) -> tuple[float, float]:
+    """Seconds of the processor and peak memory [MB] of some work in this process."""
+    start = time.process_time()
+    work(path)
+    seconds = time.process_time() - start
+    return seconds, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
+
+
+def apart(work: Callable[[Path], None], path: Path) -> tuple[float, float]:
+    """The same in a process of its own."""
+    with multiprocessing.get_context("spawn").Pool(1) as pool:
+        return pool.apply(measured, (work, path))
+
+
+def verb(words: list[str]) -> tuple[float, float]:
+    """Seconds of the processor and peak memory [MB] of a verb."""
+    command = [sys.executable, "-m", "socket_testbed", *words]
+    child = subprocess.Popen(command, stdout=subprocess.DEVNULL)
     _, status, usage = os.wait4(child.pid, 0)
     if os.waitstatus_to_exitcode(status) != 0:
         raise SystemExit(f"{words[0]} failed")
-    return time.perf_counter() - start, usage.ru_maxrss / 1024.0
+    return usage.ru_utime + usage.ru_stime, usage.ru_maxrss / 1024.0
 
 
 def main() -> None:
     """Measure and print."""
-    minutes = [float(word) for word in sys.argv[1:]] or [10.0, 60.0]
+    os.environ["OPENBLAS_NUM_THREADS"] = "1"
+    lengths = [float(word) for word in sys.argv[1:]] or [10.0]
     geometry = read_socket(packaged("config", "socket.yaml"))
     calibration = read_calibration(packaged("config", "calibration.yaml"))
-    piece = simulate(geometry, calibration, "static_hold", PIECE, RATE, seed=0)
-    first: dict[str, tuple[float, float]] = {}
     with tempfile.TemporaryDirectory() as folder:
-        for length in minutes:
-            trial = Path(folder) / f"{length:g}min"
-            times = max(1, round(60.0 * length / PIECE))
-            write_simulated_trial(repeat(piece, times), trial)
-            model = trial.with_suffix(".json")
+        piece = Path(folder) / "piece"
+        trial = simulate(geometry, calibration, "static_hold", PIECE, RATE, seed=0)
+        write_simulated_trial(trial, piece)
+        for length in lengths:
+            path = Path(folder) / f"{length:g}min"
+            repeat(piece, path, round(60.0 * length / PIECE))
+            print(f"{length:g} min at {RATE:g} Hz  processor  / floor  / reading   memory")
+            floor = apart(iterate, path)
+            reading = apart(read, path)
+            model = path.with_suffix(".json")
             verbs = {
                 "info": [],
                 "fit": ["--segment", "all", "-o", str(model)],
                 "evaluate": ["--segment", "all", "--model", str(model)],
-                "export": ["-o", str(trial.with_suffix(".parquet"))],
-                "report": ["--segment", "all", "-o", str(trial.with_suffix(".html"))],
+                "pressure": ["--segment", "all"],
+                "export": ["-o", str(path.with_suffix(".parquet"))],
             }
-            for verb, words in verbs.items():
-                seconds, memory = measure([verb, str(trial), *words])
-                base = first.setdefault(verb, (seconds, memory))
-                print(
-                    f"{length:4g} min  {verb:9s} {seconds:7.1f} s  x {seconds / base[0]:5.2f}"
-                    f"   {memory:6.0f} MB  x {memory / base[1]:5.2f}",
-                    flush=True,
-                )
+            rows = {"the bag library's iteration": floor, "reading all samples": reading}
+            for name, (seconds, memory) in rows.items():
+                show(name, seconds, memory, floor[0], reading[0])
+            for name, words in verbs.items():
+                show(name, *verb([name, str(path), *words]), floor[0], reading[0])
+
+
+def show(name: str, seconds: float, memory: float, floor: float, reading: float) -> None:
+    """Print a row."""
+    ratios = f"{seconds / floor:8.2f} {seconds / reading:9.2f}"
+    print(f"{name:28s} {seconds:6.2f} s {ratios} {memory:9.0f} MB", flush=True)
 
 
 if __name__ == "__main__":

@@ -277,21 +277,21 @@ class BagReader:
             topics: Names of the topics.
             duration: How much of the recording is read, from the first of these messages [s].
         """
-        blocks: dict[tuple[str, str], Block] = {}
+        blocks: dict[str, Block] = {}
         first, end = math.inf, math.inf
         for connection, time, data in self._entries(topics):
             if time < first:
                 first, end = time, time + 1e9 * duration
             elif time > end:
                 break
-            key = connection.topic, connection.msgtype
-            block = blocks.get(key)
-            if block is None:
-                block = blocks[key] = Block(*key, [], [])
+            block = blocks.get(connection.topic)
+            if block is None or len(block.data) == _BLOCK or block.type != connection.msgtype:
+                if block is not None:
+                    yield block
+                block = Block(connection.topic, connection.msgtype, [], [])
+                blocks[connection.topic] = block
             block.times.append(time)
             block.data.append(data)
-            if len(block.data) == _BLOCK:
-                yield blocks.pop(key)
         yield from blocks.values()
 
     def _entries(self, topics: Collection[str] | None) -> Iterator[tuple[Connection, int, bytes]]:
@@ -305,7 +305,10 @@ class BagReader:
             try:
                 for connection, time, data in reader.messages(connections):
                     left[connection.id] -= 1
-                    yield connection, time, _unpacked(bytes(data))
+                    content = bytes(data)
+                    if content.startswith(_ZSTD):
+                        content = _unpack_zstd(content)
+                    yield connection, time, content
             except Exception as error:  # the library raises whatever the bytes lead it to
                 raise _damaged(file, error) from None
             if any(left.values()):
@@ -488,11 +491,6 @@ def _unpack_zstd(data: bytes, size: int = _LARGEST) -> bytes:
     unpacker = zstd.ZstdDecompressor()
     content = unpacker.decompress(data, max_length=min(size, _LARGEST) + 1)
     return _complete(content, unpacker.eof, size)
-
-
-def _unpacked(data: bytes) -> bytes:
-    """A message that may have been compressed by itself."""
-    return _unpack_zstd(data) if data.startswith(_ZSTD) else data
 
 
 def _unpack_lz4(data: bytes, size: int) -> bytes:

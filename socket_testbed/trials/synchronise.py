@@ -10,8 +10,10 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections import defaultdict
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -76,6 +78,7 @@ class Measurements:
         return (self.stamps - self.stamps[0]) * 1e-9
 
 
+_AT_ONCE = 10_000  # samples; their rotations take more memory than they themselves
 _NAMED = 3  # how many stamps a note names
 _HALVES = {
     WRENCH: ("wrench", "torque", "force"),
@@ -86,26 +89,45 @@ _IMPOSSIBLE = 1e6  # [N m, N, m, pF]; no sensor of the testbed reads it
 
 
 class _Series:
-    """Arrays of values by stamp, in the order of the recording, in blocks."""
+    """Stamps and values in the order of the recording.
 
-    def __init__(self) -> None:
-        self._stamps: list[IntArray] = []
-        self._values: list[tuple[NDArray[Any], ...]] = []
+    Args:
+        capacity: How many are expected.
+        columns: Width and type of each array of values.
+    """
 
-    def add(self, stamps: IntArray, *values: NDArray[Any]) -> None:
-        self._stamps.append(stamps)
-        self._values.append(values)
+    def __init__(self, capacity: int, *columns: tuple[int, type]) -> None:
+        self._stamps = np.empty(capacity, dtype=np.int64)
+        self._values: list[NDArray[Any]] = [
+            np.empty((capacity, width), dtype) for width, dtype in columns
+        ]
+        self._count = 0
+
+    def add(self, *columns: NDArray[Any]) -> None:
+        """Append stamps, and rows of each array of values."""
+        end = self._count + len(columns[0])
+        for own, new in zip([self._stamps, *self._values], columns, strict=True):
+            if end > len(own):  # the index of the bag lists too few
+                own.resize((2 * end, *own.shape[1:]), refcheck=False)
+            own[self._count : end] = new
+        self._count = end
 
     @property
     def stamps(self) -> IntArray:
-        return np.concatenate(self._stamps) if self._stamps else np.empty(0, dtype=np.int64)
+        return self._stamps[: self._count]
 
-    def into(self, stamps: IntArray, *tables: NDArray[Any]) -> None:
-        """Put the values in the rows of sorted stamps; a later one replaces an earlier."""
-        for own, values in zip(self._stamps, self._values, strict=True):
-            rows = np.searchsorted(stamps, own)
-            for table, column in zip(tables, values, strict=True):
-                table[rows] = column
+    def at(self, stamps: IntArray) -> list[NDArray[Any]]:
+        """Rows for sorted stamps, missing where there is none; a later one replaces an earlier."""
+        values = [own[: self._count] for own in self._values]
+        if np.array_equal(stamps, self.stamps):
+            return values
+        rows = np.searchsorted(stamps, self.stamps)
+        tables = []
+        for own in values:
+            missing = Status.MISSING if own.dtype == np.uint8 else np.nan
+            tables.append(np.full((len(stamps), own.shape[1]), missing, own.dtype))
+            tables[-1][rows] = own
+        return tables
 
 
 def read_measurements(
@@ -124,8 +146,13 @@ def read_measurements(
     """
     topics = required_topics(bag)
     names = {topics[topic]: topic for topic in topics if topic.required}
-    series = {topic: _Series() for topic in (TRIGGER, WRENCH, SOCKET_POSE, PYLON_POSE)}
-    clusters: dict[str, _Series] = {}
+    series = {TRIGGER: _Series(bag.counts[topics[TRIGGER]])}
+    for topic, width in ((WRENCH, 6), (SOCKET_POSE, 7), (PYLON_POSE, 7)):
+        series[topic] = _Series(bag.counts[topics[topic]], (width, np.float64))
+    cluster_series = partial(
+        _Series, bag.counts[topics[CAPACITANCE]], (4, np.float64), (4, np.uint8)
+    )
+    clusters: dict[str, _Series] = defaultdict(cluster_series)
     decoder = BlockDecoder(bag.path)
     for block in bag.blocks(names, duration):
         topic = names[block.topic]
@@ -134,25 +161,23 @@ def read_measurements(
             for name, columns in _values(topic, message, records):
                 found.setdefault(name, []).append((places, stamps_of(records), *columns))
         for name, parts in found.items():
-            cluster = topic is CAPACITANCE
-            own = clusters.setdefault(name, _Series()) if cluster else series[topic]
-            own.add(*_in_order(parts))
+            (clusters[name] if topic is CAPACITANCE else series[topic]).add(*_in_order(parts))
     every = {topic.name: own.stamps for topic, own in series.items()}
     every |= {name: own.stamps for name, own in clusters.items()}
     every = {name: stamps for name, stamps in every.items() if len(stamps)}  # not at the beginning
     for note in _stamp_notes(every):
         notify(note)
-    stamps = np.sort(np.concatenate([*every.values()]), kind="stable")  # mostly in order
-    stamps = stamps[np.append(True, np.diff(stamps) > 0)]
+    stamps = _union(every.values())
     del every
-    capacitance = np.full((len(stamps), len(clusters), 4), np.nan)
-    status = np.full(capacitance.shape, Status.MISSING, dtype=np.uint8)
-    for number, own in enumerate(clusters.values()):
-        own.into(stamps, capacitance[:, number], status[:, number])
-    tables = {CAPACITANCE.name: capacitance}
-    for topic, width in ((WRENCH, 6), (SOCKET_POSE, 7), (PYLON_POSE, 7)):
-        tables[topic.name] = np.full((len(stamps), width), np.nan)
-        series[topic].into(stamps, tables[topic.name])
+    names_of_clusters = tuple(clusters)
+    capacitance = np.empty((len(stamps), len(clusters), 4))
+    status = np.empty(capacitance.shape, dtype=np.uint8)
+    for number, name in enumerate(names_of_clusters):
+        capacitance[:, number], status[:, number] = clusters.pop(name).at(stamps)
+    tables = {}
+    for topic in (WRENCH, SOCKET_POSE, PYLON_POSE):
+        (tables[topic.name],) = series.pop(topic).at(stamps)
+    tables[CAPACITANCE.name] = capacitance
     for name, values in tables.items():
         impossible = (values > _IMPOSSIBLE) | (values < -_IMPOSSIBLE)
         if impossible.any():
@@ -166,7 +191,7 @@ def read_measurements(
         wrench=tables[WRENCH.name],
         socket=tables[SOCKET_POSE.name],
         pylon=tables[PYLON_POSE.name],
-        clusters=tuple(clusters),
+        clusters=names_of_clusters,
         capacitance=capacitance,
         status=status,
     )
@@ -199,6 +224,16 @@ def _in_order(parts: list[tuple[NDArray[Any], ...]]) -> Iterator[NDArray[Any]]:
     order = np.argsort(columns[0], kind="stable")
     for column in columns[1:]:
         yield column[order]
+
+
+def _union(every: Iterable[IntArray]) -> IntArray:
+    """All stamps that there are, in order."""
+    union = np.empty(0, dtype=np.int64)
+    for stamps in every:
+        if not np.array_equal(stamps, union):
+            both = np.sort(np.concatenate([union, stamps]), kind="stable")  # mostly in order
+            union = both[np.append(True, np.diff(both) > 0)]
+    return union
 
 
 def _stamp_notes(every: dict[str, IntArray]) -> Iterator[str]:
@@ -345,34 +380,31 @@ def make_samples(
     measured: Measurements, calibration: Calibration, geometry: SocketGeometry
 ) -> Samples:
     """Samples from the corrected measurements of a trial, whose clusters both others know."""
-    local_forces, status = _local_forces(measured, calibration, geometry)
-    socket, pylon = (
-        Pose.from_quaternion(pose[:, :3], pose[:, 3:]) for pose in (measured.socket, measured.pylon)
-    )
-    limb = geometry.limb_pose(socket, pylon)
+    count, width = len(measured.stamps), len(measured.clusters)
+    position, rotation = np.empty((count, 3)), np.empty((count, 3))
+    forces, status = np.empty((count, width, 3)), np.empty((count, width), dtype=np.uint8)
+    for start in range(0, count, _AT_ONCE):
+        rows = slice(start, start + _AT_ONCE)
+        socket, pylon = (
+            Pose.from_quaternion(pose[rows, :3], pose[rows, 3:])
+            for pose in (measured.socket, measured.pylon)
+        )
+        limb = geometry.limb_pose(socket, pylon)
+        position[rows], rotation[rows] = limb.translation, limb.rotation_vector()
+        for column, name in enumerate(measured.clusters):
+            stress, status[rows, column] = calibration.clusters[name].apply(
+                measured.capacitance[rows, column], measured.status[rows, column]
+            )
+            forces[rows, column] = geometry.cluster_force(name, stress)
     return Samples(
         stamps=measured.stamps,
-        position=limb.translation,
-        rotation=limb.rotation_vector(),
+        position=position,
+        rotation=rotation,
         wrench=measured.wrench,
         clusters=measured.clusters,
-        local_forces=local_forces,
+        local_forces=forces,
         status=status,
     )
-
-
-def _local_forces(
-    measured: Measurements, calibration: Calibration, geometry: SocketGeometry
-) -> tuple[FloatArray, StatusArray]:
-    shape = (len(measured.stamps), len(measured.clusters))
-    forces = np.full((*shape, 3), np.nan)
-    status = np.full(shape, Status.MISSING, dtype=np.uint8)
-    for column, name in enumerate(measured.clusters):
-        stress, status[:, column] = calibration.clusters[name].apply(
-            measured.capacitance[:, column], measured.status[:, column]
-        )
-        forces[:, column] = geometry.cluster_force(name, stress)
-    return forces, status
 
 
 _SHARED = 1 + 6 + 6  # columns besides the clusters': time, wrench, the limb's pose
