@@ -201,7 +201,7 @@ class TrialPressure:
 
         time, segment = self.time, self.segment
         maps, determined = instant_maps(self.outputs, time, self.share, segment.kind)
-        bands = region_bands(self.outputs.series, [place.name for place in self.places])
+        bands = region_bands(self.outputs.mean_pressure(), [place.name for place in self.places])
         twelve = {f"{sector} {height}" for sector in SECTORS for height in HEIGHTS}
         for name in {SOCKET, *twelve} & {*bands}:
             del bands[name]

@@ -36,7 +36,7 @@ law itself, which may be wrong: `validation.judge_bed` judges a bed by clusters 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 
 import numpy as np
@@ -310,6 +310,10 @@ class JointDraws:
 
     def forces(self) -> FloatArray:
         """The forces in the tiles' frames, shape (k, D, n, 3) [N]."""
+        return self.values().reshape(len(self.rows), 2 * self.hypotheses.shape[1], -1, 3)
+
+    def values(self) -> FloatArray:
+        """The same in a row, or what `mapped` made of them, shape (k, D, 3n)."""
         count, half = self.hypotheses.shape
         each = np.arange(count)[:, None]
         errors = self.errors[self.hypotheses, np.arange(half)]
@@ -317,15 +321,22 @@ class JointDraws:
         hypotheses, forces, channels = self.gain.shape
         means = self.channels @ self.gain.reshape(-1, channels).T
         means = means.reshape(count, hypotheses, forces)[each, self.hypotheses]
-        return np.concatenate([means + errors, means - errors], axis=1).reshape(
-            count, 2 * half, -1, 3
-        )
+        return np.concatenate([means + errors, means - errors], axis=1)
 
     def mean(self) -> FloatArray:
         """The estimate: mean of the forces over the hypotheses, shape (k, n, 3) [N]."""
+        return self.mean_values().reshape(len(self.rows), -1, 3)
+
+    def mean_values(self) -> FloatArray:
+        """The same in a row, or what `mapped` made of them, shape (k, 3n)."""
         weighted = self.weights[:, :, None] * self.channels[:, None]  # (k, M, d)
         flat = np.swapaxes(self.gain, 1, 2).reshape(-1, self.gain.shape[1])
-        return np.asarray((weighted.reshape(-1, len(flat)) @ flat).reshape(len(weighted), -1, 3))
+        return np.asarray(weighted.reshape(-1, len(flat)) @ flat)
+
+    def mapped(self, mapping: FloatArray) -> JointDraws:
+        """The draws of r linear functions of the forces, by their matrix, shape (3n, r)."""
+        gain = np.ascontiguousarray(np.swapaxes(np.swapaxes(self.gain, 1, 2) @ mapping, 1, 2))
+        return replace(self, gain=gain, errors=self.errors @ mapping)
 
     def normal(self, factors: FloatArray) -> JointDraws:
         """The same of the normal force alone, times a factor for each tile, shape (n,)."""
@@ -390,6 +401,21 @@ class ForceMap:
                 forces[chunk], variances[chunk] = conditioned.average(measured)
         mean = f"the springs of {bed.variant}" if bed is not None and posed.any() else "mean zero"
         return self._describe(forces, variances, present, mean)
+
+    def mean(self, samples: Samples) -> MapEstimate:
+        """The mean of the map over N samples, as `MapEstimate.mean`, without the map at each."""
+        starts = range(0, len(samples), _CHUNK)
+        parts = [self.estimate(samples[start : start + _CHUNK]).mean() for start in starts]
+        shares = np.diff([*starts, len(samples)]) / len(samples)
+
+        def joined(name: str) -> FloatArray:
+            values = np.array([getattr(part, name) for part in parts])
+            if "deviation" in name:
+                return np.asarray(np.sqrt(np.tensordot(shares, values**2, 1)))
+            return np.asarray(np.tensordot(shares, values, 1))
+
+        names = [field.name for field in fields(MapEstimate) if field.name != "source"]
+        return MapEstimate(**{name: joined(name) for name in names}, source=self.source(samples))
 
     def source(self, samples: Samples) -> str:
         """What the map at some samples is conditioned on, in words."""

@@ -195,6 +195,20 @@ class PressureOutputs:
         """Of the regions at every sample, shape (N, R); NaN where nothing was measured."""
         return self.at(np.arange(len(self.samples)))
 
+    def mean_pressure(self) -> Quantity:
+        """Mean pressure of the regions at every sample, as in `series`, shape (N, R) [Pa]."""
+        mapping = self.reader.mean_pressure
+        found = _unknown((len(self.samples), mapping.shape[1]))
+        kept = np.flatnonzero(measured_rows(self.samples))
+        for draws in self.force_map.sample(self.samples[kept], _DRAWS):
+            of_regions = draws.mapped(mapping)
+            for start in range(0, len(draws.rows), _BLOCK):
+                some = of_regions[start : start + _BLOCK]
+                part = self.reader.interval("mean", some.mean_values(), some.values())
+                for name, values in vars(part).items():
+                    getattr(found, name)[kept[some.rows]] = values
+        return found
+
     def at(self, rows: IntArray) -> RegionOutputs:
         """Outputs of the regions at k of the samples, shape (k, R); NaN where nothing was measured.
 
@@ -275,6 +289,7 @@ class _Reader:
             linear[:, axis, axis] = mean[axis]
         linear[:, :, 3] = geometry.rotations[:, 2, :, None] * member[:, None]
         self._linear = linear.reshape(3 * count, -1)
+        self.mean_pressure = linear[:, :, 2].reshape(3 * count, -1)  # from forces, (3n, R) [1/m^2]
         self._axial = geometry.rotations[:, 2].reshape(-1)
         centres = (member.T @ anchors) / member.sum(axis=0)[:, None]
         apart = ((anchors[:, None] - centres) ** 2).sum(axis=2)
@@ -310,11 +325,11 @@ class _Reader:
         """
         values, drawn = self.read(estimate), self.read(draws)
         values["area"] = drawn["area"].mean(axis=-2)
-        found = {name: self._interval(name, values[name], drawn[name]) for name in values}
+        found = {name: self.interval(name, values[name], drawn[name]) for name in values}
         found.setdefault("integral", _unknown(values["mean"].shape))
         return RegionOutputs(**found)
 
-    def _interval(self, name: str, value: FloatArray, drawn: FloatArray) -> Quantity:
+    def interval(self, name: str, value: FloatArray, drawn: FloatArray) -> Quantity:
         """A quantity, by its name, from the estimate and the draws."""
         axis = value.ndim - (2 if name == "centre" else 1)
         difference = drawn - np.expand_dims(value, axis)

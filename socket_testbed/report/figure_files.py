@@ -271,7 +271,7 @@ def pressure_maps(results: Results) -> Iterator[ReportFigure]:
 def pressure_of_regions(results: Results) -> Iterator[ReportFigure]:
     """Pressure of the regions over the segment."""
     found = results.pressure
-    bands = region_bands(found.outputs.series, [place.name for place in found.places])
+    bands = region_bands(found.outputs.mean_pressure(), [place.name for place in found.places])
     events = [(event.time, event.label) for event in results.events]
     columns = {
         f"{name}.mean pressure{end} [kPa]": values
@@ -290,7 +290,8 @@ def pressure_of_regions(results: Results) -> Iterator[ReportFigure]:
 
 def force_map(results: Results) -> Iterator[ReportFigure]:
     """The mean force map over the segment with its uncertainty."""
-    geometry, mean = results.trial.geometry, results.pressure.outputs.estimate.mean()
+    geometry, outputs = results.trial.geometry, results.pressure.outputs
+    mean = outputs.force_map.mean(outputs.samples)
     yield ReportFigure(
         name="force_map",
         caption=(

@@ -71,7 +71,9 @@ class PressureResults:
     @property
     def peak_tile(self) -> int:
         """The tile with the highest pressure."""
-        return int(self.outputs.estimate.normal_pressure[self.outputs.peak_row].argmax())
+        outputs = self.outputs
+        peak = outputs.force_map.estimate(outputs.samples[outputs.peak_row : outputs.peak_row + 1])
+        return int(peak.normal_pressure[0].argmax())
 
 
 def read_pressure(

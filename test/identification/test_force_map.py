@@ -186,6 +186,14 @@ def test_the_mean_of_a_segment_is_as_uncertain_as_its_samples(force_map: ForceMa
         np.testing.assert_allclose(one, other)
 
 
+def test_the_mean_of_a_long_segment_is_that_of_its_maps(force_map: ForceMap) -> None:
+    samples = some_samples(600)
+    for one, other in zip(
+        fields(force_map.mean(samples)), fields(force_map.estimate(samples).mean()), strict=True
+    ):
+        np.testing.assert_allclose(one, other, rtol=1e-12)
+
+
 def test_outliers_and_channels_left_out_do_not_count() -> None:
     samples = some_samples(40)
     samples.local_forces[7, 2, 0] = 1e9

@@ -163,6 +163,9 @@ def test_what_was_not_measured_counts_in_nothing() -> None:
     np.testing.assert_allclose(found.regions.mean.high, fewer.regions.mean.high)
     assert np.isnan(found.series.mean.high[4]).all()
     assert np.isfinite(found.series.mean.high[kept]).all()
+    for part in ("value", "low", "high", "scale"):  # the mean pressure alone, by another way
+        expected = getattr(found.series.mean, part)
+        np.testing.assert_allclose(getattr(found.mean_pressure(), part), expected, rtol=1e-12)
 
     samples.wrench[:] = np.nan
     samples.status[:] = Status.MISSING

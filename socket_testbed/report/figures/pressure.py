@@ -16,7 +16,7 @@ from socket_testbed.geometry.axis import socket_axis
 from socket_testbed.geometry.socket import HEIGHTS, SECTORS, SocketGeometry
 from socket_testbed.identification.pressure import (
     PressureOutputs,
-    RegionOutputs,
+    Quantity,
     of_deviations,
 )
 from socket_testbed.report.figures.style import (
@@ -82,8 +82,9 @@ def instant_maps(
         The pressures, shape (n,) [kPa], and which of them are determined, by what they are.
     """
     peak = outputs.peak_row
-    pressure = outputs.estimate.normal_pressure[peak]
-    deviation = outputs.estimate.normal_pressure_standard_deviation[peak]
+    estimate = outputs.force_map.estimate(outputs.samples[peak : peak + 1])
+    pressure = estimate.normal_pressure[0]
+    deviation = estimate.normal_pressure_standard_deviation[0]
     at_peak = f"at the peak, {time[peak]:.2f} s"
     mean = f"mean over the {span if span in _SPANS else 'segment'}"
     values = {mean: 1e-3 * outputs.tiles.mean.value, at_peak: 1e-3 * pressure}
@@ -93,9 +94,8 @@ def instant_maps(
     }
 
 
-def region_bands(series: RegionOutputs, names: Sequence[str]) -> dict[str, Band]:
-    """Mean pressures of regions at every sample, by the regions' names in the outputs' order."""
-    mean = series.mean
+def region_bands(mean: Quantity, names: Sequence[str]) -> dict[str, Band]:
+    """Mean pressures of regions [Pa] at every sample, by the regions' names in their order."""
     return {
         name: Band(*(1e-3 * part[:, i] for part in (mean.value, mean.low, mean.high)))
         for i, name in enumerate(names)
