@@ -9,6 +9,7 @@ from problems import StageTwoInput
 
 from socket_testbed.identification.box_qp import solve_box_qp
 from socket_testbed.identification.contact import gated_displacement
+from socket_testbed.identification.evaluation import evaluate
 from socket_testbed.identification.fit import fit_contact_model
 from socket_testbed.identification.moments import Method
 from socket_testbed.identification.problem import (
@@ -35,6 +36,7 @@ def parts_of_fit(stage: StageTwoInput) -> dict[str, Callable[[], object]]:
     taken = moments()
     built = build_stage_two(objective, taken)
     stiffness = KILONEWTON_PER_METRE * np.reshape(solve_box_qp(built.program, *solver).x, (-1, 3))
+    model = fit_contact_model(stage.samples, stage.geometry, settings).model
     return {
         "build_objective": lambda: build_objective(stage.samples, stage.geometry, settings),
         "stage 1: build": lambda: build_stage_one(objective),
@@ -43,6 +45,7 @@ def parts_of_fit(stage: StageTwoInput) -> dict[str, Callable[[], object]]:
         "stage 2: build": lambda: build_stage_two(objective, taken),
         "stage 2: solve_box_qp": lambda: solve_box_qp(built.program, *solver),
         "stage 2: recover_offsets": lambda: recover_offsets(objective, taken, stiffness),
+        "errors of all channels": lambda: evaluate(objective.samples, model),
         "fit_contact_model": lambda: fit_contact_model(stage.samples, stage.geometry, settings),
         "moments, series": lambda: moments("series"),
         "moments, direct": lambda: moments("direct"),
