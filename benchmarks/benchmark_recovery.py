@@ -175,7 +175,7 @@ def main() -> None:
     parser.add_argument("--rate", type=float, default=10.0, help="of the trigger [Hz]")
     parser.add_argument("--nodes", nargs="+", default=[*OUTPUTS, "recorder_node"], metavar="NODE")
     parser.add_argument("--rounds", type=int, default=1, help="how often each node is killed")
-    parser.add_argument("--settle", type=float, default=9.0, help="time between kills [s]")
+    parser.add_argument("--settle", type=float, default=7.0, help="time between kills [s]")
     options = parser.parse_args()
     os.environ[BEGINNING] = str(SteadyClock().beginning)
     print(describe_machine(1), f"load {os.getloadavg()[0]:.1f}")
