@@ -9,7 +9,7 @@ import numpy as np
 import trimesh
 from scipy.spatial import KDTree
 from scipy.spatial.distance import cdist
-from trimesh.intersections import slice_faces_plane
+from trimesh.util import diagonal_dot
 
 from socket_testbed.arrays import BoolArray, FloatArray, IntArray
 from socket_testbed.socket_design.squares import (
@@ -24,6 +24,7 @@ FACING_WALL = -0.5  # [-]; cosine below which a surface is the wall on the other
 LEAST_FACING = 0.5  # [-]; cosine to a tile's normal below which a surface is folded away
 _SMALL_AREA = 0.1  # [edges]; triangles larger than it are looked at for every square
 _COVER = 0.003  # [-]; a footprint that differs more from its square is cut, folded or double
+_AT_ONCE = 16  # footprints that are found together
 _CLOSE = 0.1  # [edges]; gap from which on footprints cannot share anything
 _SHARED = 1e-8  # [m^2]; what rounding may make of two footprints that touch
 
@@ -71,9 +72,12 @@ class Footprints:
 
     def unfit(self, tiles: IntArray | Sequence[int]) -> list[int]:
         """Tiles that are cut, folded, double or too far from flat."""
+        new = np.array([tile for tile in tiles if tile not in self._footprints], dtype=np.int64)
+        for some in np.split(new, np.arange(_AT_ONCE, len(new), _AT_ONCE)):
+            self._find_footprints(some)
         unfit = []
         for tile in map(int, tiles):
-            footprint = self.footprint(tile)
+            footprint = self._footprints[tile]
             complete = abs(footprint.cover - 1.0) < _COVER and footprint.fold < _COVER
             if not complete or footprint.flatness > self._flatness:
                 unfit.append(tile)
@@ -95,7 +99,7 @@ class Footprints:
     def footprint(self, tile: int) -> Footprint:
         """The footprint of a square."""
         if tile not in self._footprints:
-            self._footprints[tile] = self._find_footprint(tile)
+            self._find_footprints(np.array([tile]))
         return self._footprints[tile]
 
     def shared_area(self, tile: int, other: int) -> float:
@@ -105,69 +109,111 @@ class Footprints:
             self._shared[pair] = self._find_shared_area(*pair)
         return self._shared[pair]
 
-    def _find_footprint(self, tile: int) -> Footprint:
-        squares = self._squares
-        normal, anchor = squares.rotations[tile][:, 2], squares.anchors[tile]
-        reach = np.hypot(squares.edge / np.sqrt(2.0), self._flatness) + _SMALL_AREA * squares.edge
-        near = self._small[np.array(self._tree.query_ball_point(anchor, reach), dtype=np.int64)]
-        near = np.concatenate([near, self._large])
-        triangles = self._triangles[near[self._normals[near] @ normal > FACING_WALL]]
-        triangles = self._above(triangles, tile)
-        height = (triangles - anchor) @ normal
-        in_band = (height.min(axis=1) < self._flatness) & (height.max(axis=1) > -self._flatness)
-        triangles = self._cut(triangles[in_band], tile)
-        height = (triangles - anchor) @ normal
-        crosses = trimesh.triangles.cross(triangles)
-        areas, projected = 0.5 * np.linalg.norm(crosses, axis=1), 0.5 * crosses @ normal
+    def _find_footprints(self, tiles: IntArray) -> None:
+        """Find the footprints of some squares."""
+        squares, flatness = self._squares.take(tiles), self._flatness
+        reach = np.hypot(squares.edge / np.sqrt(2.0), flatness) + _SMALL_AREA * squares.edge
+        balls = self._tree.query_ball_point(squares.anchors, reach)
+        faces = [np.append(self._small[np.array(ball, dtype=int)], self._large) for ball in balls]
+        owner = np.repeat(np.arange(len(tiles)), [len(some) for some in faces])
+        near = np.concatenate([np.zeros(0, dtype=np.int64), *faces])
+        facing = diagonal_dot(self._normals[near], squares.rotations[owner, :, 2]) > FACING_WALL
+        near, owner = near[facing], owner[facing]
+        seen = (self._triangles[near] - squares.anchors[owner, None]) @ squares.rotations[owner]
+        height = seen[:, :, 2]
+        in_band = (height.min(axis=1) < flatness) & (height.max(axis=1) > -flatness)
+        seen, owner = cut_to_square(seen[in_band], owner[in_band], squares.edge)
+
+        crosses = trimesh.triangles.cross(seen)
+        areas, projected = 0.5 * np.linalg.norm(crosses, axis=1), 0.5 * crosses[:, 2]
         steep = projected < LEAST_FACING * areas
-        return Footprint(
-            triangles,
-            area=float(areas.sum()),
-            cover=float(projected[~steep].sum()) / squares.edge**2,
-            fold=float(areas[steep].sum()) / squares.edge**2,
-            flatness=float(np.abs(height).max(initial=0.0)),
+        total, cover, fold = (
+            np.bincount(owner, weights, minlength=len(tiles))
+            for weights in (areas, np.where(steep, 0.0, projected), np.where(steep, areas, 0.0))
         )
+        highest = np.zeros(len(tiles))
+        np.maximum.at(highest, owner, np.abs(seen[:, :, 2]).max(axis=1))
+        for row, tile in enumerate(tiles.tolist()):
+            self._footprints[tile] = Footprint(
+                seen[owner == row] @ squares.rotations[row].T + squares.anchors[row],
+                area=float(total[row]),
+                cover=float(cover[row]) / squares.edge**2,
+                fold=float(fold[row]) / squares.edge**2,
+                flatness=float(highest[row]),
+            )
 
     def _find_shared_area(self, tile: int, other: int) -> float:
-        normal, anchor = self._squares.rotations[other][:, 2], self._squares.anchors[other]
-        triangles = self._above(self.footprint(tile).triangles, other)
-        if not len(triangles):
+        squares = self._squares
+        frame, anchor = squares.rotations[other], squares.anchors[other]
+        seen = self.footprint(tile).triangles @ frame - anchor @ frame
+        seen = seen[over_square(seen, squares.edge)]
+        if not len(seen):
             return 0.0
-        facing = trimesh.triangles.cross(triangles) @ normal > 0.0
-        height = np.abs((triangles - anchor) @ normal).min(axis=1)
-        triangles = self._cut(triangles[facing & (height < 2.0 * self._flatness)], other)
-        return 0.5 * float(np.linalg.norm(trimesh.triangles.cross(triangles), axis=1).sum())
+        facing = trimesh.triangles.cross(seen)[:, 2] > 0.0
+        close = np.abs(seen[:, :, 2]).min(axis=1) < 2.0 * self._flatness
+        seen, _ = cut_to_square(
+            seen[facing & close], np.zeros((facing & close).sum()), squares.edge
+        )
+        return 0.5 * float(np.linalg.norm(trimesh.triangles.cross(seen), axis=1).sum())
 
-    def _above(self, triangles: FloatArray, tile: int) -> FloatArray:
-        """Of triangles, shape (f, 3, 3), those not beside the column over a square."""
-        low, high = self._extents(triangles, tile)
-        half = 0.5 * self._squares.edge
-        return triangles[((low < half) & (high > -half)).all(axis=1)]
 
-    def _extents(self, triangles: FloatArray, tile: int) -> tuple[FloatArray, FloatArray]:
-        """Least and largest x and y of triangles in a square's frame, each of shape (f, 2) [m]."""
-        axes = self._squares.rotations[tile][:, :2]
-        a, b, c = np.moveaxis(triangles @ axes - self._squares.anchors[tile] @ axes, 1, 0)
-        return np.minimum(np.minimum(a, b), c), np.maximum(np.maximum(a, b), c)
+def over_square(triangles: FloatArray, edge: float) -> BoolArray:
+    """Whether triangles may reach over a square, shape (f,).
 
-    def _cut(self, triangles: FloatArray, tile: int) -> FloatArray:
-        """Triangles, shape (f, 3, 3), cut to the column over a square."""
-        triangles = self._above(triangles, tile)
-        anchor, half = self._squares.anchors[tile], 0.5 * self._squares.edge
-        low, high = self._extents(triangles, tile)
-        inside = ((low >= -half) & (high <= half)).all(axis=1)
-        crossing = triangles[~inside]
-        for axis in self._squares.rotations[tile].T[:2]:
-            for outward in (axis, -axis):
-                if len(crossing):
-                    vertices, faces, _ = slice_faces_plane(
-                        crossing.reshape(-1, 3),
-                        np.arange(3 * len(crossing)).reshape(-1, 3),
-                        -outward,
-                        anchor + half * outward,
-                    )
-                    crossing = vertices[faces]
-        return np.concatenate([triangles[inside], crossing])
+    Args:
+        triangles: Corners in the square's frame, shape (f, 3, 3) [m].
+        edge: Length of the square's edges [m].
+    """
+    x, y = triangles[:, :, 0], triangles[:, :, 1]
+    half = 0.5 * edge
+    beside = [side.min(axis=1) >= half for side in (x, -x, y, -y)]
+    return ~np.logical_or.reduce(beside)
+
+
+def cut_to_square(
+    triangles: FloatArray, owner: IntArray, edge: float
+) -> tuple[FloatArray, IntArray]:
+    """Triangles cut to the column over a square.
+
+    Args:
+        triangles: Corners, each in the frame of its square, shape (f, 3, 3) [m].
+        owner: What each triangle belongs to, shape (f,).
+        edge: Length of the squares' edges [m].
+
+    Returns:
+        The pieces, as triangles, and what they belong to.
+    """
+    over = over_square(triangles, edge)
+    triangles, owner = triangles[over], owner[over]
+    inside = (np.abs(triangles[:, :, :2]) <= 0.5 * edge).all(axis=(1, 2))
+    cut, owner_of_cut = triangles[~inside], owner[~inside]
+    for axis in (0, 1):
+        for side in (1.0, -1.0):
+            cut, owner_of_cut = _cut_off(cut, owner_of_cut, side * cut[:, :, axis] - 0.5 * edge)
+    return (
+        np.concatenate([triangles[inside], cut]),
+        np.concatenate([owner[inside], owner_of_cut]),
+    )
+
+
+def _cut_off(
+    triangles: FloatArray, owner: IntArray, beyond: FloatArray
+) -> tuple[FloatArray, IntArray]:
+    """Triangles, shape (f, 3, 3), without what is beyond a plane, by their corners' distances."""
+    out = beyond > 0.0
+    corners_out = out.sum(axis=1)
+    pieces, owners = [triangles[corners_out == 0]], [owner[corners_out == 0]]
+    for count, alone in (1, out), (2, ~out):
+        some = np.flatnonzero(corners_out == count)
+        order = (alone[some].argmax(axis=1)[:, None] + np.arange(3)) % 3  # the lone corner first
+        a, b, c = np.moveaxis(triangles[some[:, None], order], 1, 0)
+        distance = beyond[some[:, None], order]
+        to_b, to_c = (distance[:, :1] / (distance[:, :1] - distance[:, 1:])).T[:, :, None]
+        on_b, on_c = a + to_b * (b - a), a + to_c * (c - a)
+        cuts = [(a, on_b, on_c)] if count == 2 else [(on_b, b, c), (on_b, c, on_c)]
+        pieces += [np.stack(corners, axis=1) for corners in cuts]
+        owners += [owner[some]] * len(cuts)
+    return np.concatenate(pieces), np.concatenate(owners)
 
 
 _END = 10.0  # [deg]; a normal this close to the proximal direction has no proximal tangent
