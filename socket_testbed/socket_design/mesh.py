@@ -172,10 +172,22 @@ def number_cells(points: FloatArray, size: float) -> IntArray:
     Returns:
         The number of the cell of each point, shape (P,).
     """
+    return np.unique(cell_keys(points, size), return_inverse=True)[1]
+
+
+def cell_keys(points: FloatArray, size: float) -> IntArray:
+    """A number of its own for each cell of a cubic grid, rising by x, then y, then z.
+
+    Args:
+        points: Shape (P, 3) [m].
+        size: Edge of a cell [m].
+
+    Returns:
+        The number of the cell of each point, shape (P,).
+    """
     cell = np.floor(points / size).astype(np.int64)
     x, y, z = (cell - cell.min(axis=0)).T
-    key = (x * (y.max() + 1) + y) * (z.max() + 1) + z
-    return np.unique(key, return_inverse=True)[1]
+    return (x * (y.max() + 1) + y) * (z.max() + 1) + z
 
 
 def _centres_of_parts(count: int) -> FloatArray:

@@ -10,7 +10,7 @@ import trimesh
 from scipy.spatial import KDTree
 
 from socket_testbed.arrays import BoolArray, FloatArray, IntArray
-from socket_testbed.socket_design.mesh import number_cells
+from socket_testbed.socket_design.mesh import cell_keys, number_cells
 
 _SMALL = 1e-12  # in place of a zero that is divided by
 REACH = 1.45  # [edges]; squares that overlap have their centres within it
@@ -163,19 +163,22 @@ class SurfacePoints:
     areas: FloatArray
 
 
-def spread_points(mesh: trimesh.Trimesh, spacing: float, rng: np.random.Generator) -> SurfacePoints:
+def spread_points(
+    mesh: trimesh.Trimesh, spacing: float, rng: np.random.Generator, weighed: bool = True
+) -> SurfacePoints:
     """Spread points over a surface: about one in each square of the spacing.
 
     Args:
         mesh: The surface [m].
         spacing: About the distance of neighbouring points [m].
         rng: Source of the positions.
+        weighed: Whether the areas are needed; else they are 0.
     """
     count = int(np.ceil(_DRAWN * mesh.area / spacing**2))
     drawn, face = _draw(mesh, count, rng)
     kept = _one_a_cell(drawn, spacing)
     kept = kept[_apart(drawn[kept], _CLOSEST * spacing)]
-    nearest = KDTree(drawn[kept]).query(drawn)[1]
+    nearest = KDTree(drawn[kept]).query(drawn)[1] if weighed else np.zeros(0, dtype=np.int64)
     return SurfacePoints(
         positions=drawn[kept],
         normals=np.asarray(mesh.face_normals)[face[kept]],
@@ -201,16 +204,16 @@ def _one_a_cell(points: FloatArray, spacing: float) -> IntArray:
     """Of the points in each cell of a cubic grid, the one closest to the cell's centre."""
     cell = np.floor(points / spacing)
     off = ((points - (cell + 0.5) * spacing) ** 2).sum(axis=1)
-    index = number_cells(points, spacing)
-    order = np.lexsort((off, index))
-    first = np.concatenate([[True], np.diff(index[order]) > 0])
+    key = cell_keys(points, spacing)
+    order = np.lexsort((off, key))
+    first = np.concatenate([[True], np.diff(key[order]) > 0])
     return order[first]
 
 
 def _apart(points: FloatArray, distance: float) -> IntArray:
     """Indices of points of which no two are closer than a distance."""
     dropped = np.zeros(len(points), dtype=bool)
-    for a, b in KDTree(points).query_pairs(distance, output_type="ndarray"):
+    for a, b in KDTree(points).query_pairs(distance, output_type="ndarray").tolist():
         if not dropped[a]:
             dropped[b] = True
     return np.flatnonzero(~dropped)

@@ -340,7 +340,7 @@ def tile_interior(
     rng = np.random.default_rng(settings.seed)
     points = spread_points(mesh, _POINTS * settings.edge, rng)
     surroundings = Surroundings(points, rim_points(mesh, _RIM * settings.edge), proximal, anterior)
-    places = spread_points(mesh, _PLACES * settings.edge, rng)
+    places = spread_points(mesh, _PLACES * settings.edge, rng, weighed=False)
     fitting = fitting_squares(places, surroundings, settings.edge, settings.flatness)
     if not len(fitting):
         raise ScanError(
