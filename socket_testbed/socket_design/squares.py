@@ -15,7 +15,7 @@ from socket_testbed.socket_design.mesh import cell_keys, number_cells
 _SMALL = 1e-12  # in place of a zero that is divided by
 REACH = 1.45  # [edges]; squares that overlap have their centres within it
 _BLOCK = 0.4  # [-]; size of a block of centres, of the radius around them
-_OTHER_WALL = -0.2  # [-]; cosine between the normals of squares that are on different walls
+OTHER_WALL = -0.2  # [-]; cosine between the normals of squares that are on different walls
 
 
 @dataclass(frozen=True)
@@ -91,7 +91,7 @@ def gaps(squares: Squares, some: IntArray, others: IntArray) -> FloatArray:
     across = in_plane2 - np.minimum(along**2, along_other**2)
     sine_x = np.sqrt(np.maximum(1.0 - cosine_x**2, 0.0))
     reach = 0.5 * squares.edge * (1.0 + np.abs(cosine_x) + sine_x)
-    return np.where(cosine > _OTHER_WALL, np.sqrt(np.maximum(apart, across)) - reach, np.inf)
+    return np.where(cosine > OTHER_WALL, np.sqrt(np.maximum(apart, across)) - reach, np.inf)
 
 
 def overlapping(squares: Squares, some: IntArray, clearance: float) -> list[IntArray]:

@@ -22,6 +22,7 @@ from socket_testbed.errors import ScanError
 from socket_testbed.socket_design.clusters import ClusterPlace, LaidCluster, lay_clusters
 from socket_testbed.socket_design.mesh import number_cells
 from socket_testbed.socket_design.squares import (
+    OTHER_WALL,
     REACH,
     Squares,
     SurfacePoints,
@@ -115,9 +116,14 @@ class Search:
     def __init__(
         self, squares: Squares, points: SurfacePoints, footprints: Footprints, fixed: int = 0
     ) -> None:
-        self._squares = squares
         self._fixed = fixed
-        self._borders = border_points(squares, points)
+        self._borders = border_points(squares, points).astype(np.float32)
+        # Rounding, to 30 nm, is nothing beside the clearance, and half the numbers take half the time.
+        squares = Squares(
+            squares.anchors.astype(np.float32), squares.rotations.astype(np.float32), squares.edge
+        )
+        self._squares = squares
+        self._normals = np.ascontiguousarray(squares.rotations[:, :, 2])
         self._footprints = footprints
         self._clearance = np.full(len(squares), _CLEARANCE)
         self._alive = np.ones(len(squares), dtype=bool)
@@ -187,6 +193,8 @@ class Search:
             best = int(free[np.argmin(waste[free] * (1.0 + chance))])
             placed.append(best)
             taken = self._overlap(best, free)
+            if taken.all():
+                break
             waste -= self._overlaps(free[taken])
             free, chance = free[~taken], chance[~taken]
         return np.array(placed, dtype=np.int64)
@@ -211,10 +219,18 @@ class Search:
             if not wrong.intersection(pair):
                 wrong.add(pair[1])
                 for tile in pair:
-                    near = self._tree.query_ball_point(self._squares.anchors[tile], _SEARCH_AROUND)
-                    self._clearance[near] += _MORE
-                self._overlaps_of_tile.clear()
+                    self._raise_clearance(tile)
         return wrong
+
+    def _raise_clearance(self, tile: int) -> None:
+        """Raise the clearance of the squares around a tile, and forget what it changes."""
+        anchors, reach = self._squares.anchors, REACH * self._squares.edge + _SEARCH_AROUND
+        self._clearance[self._tree.query_ball_point(anchors[tile], _SEARCH_AROUND)] += _MORE
+        self._overlaps_of_tile = {
+            other: near
+            for other, near in self._overlaps_of_tile.items()
+            if np.linalg.norm(anchors[other] - anchors[tile]) > reach
+        }
 
     def _overlapping(self, tile: int) -> IntArray:
         """Squares that overlap a tile, itself included."""
@@ -226,15 +242,18 @@ class Search:
 
     def _overlap(self, index: int, others: IntArray) -> BoolArray:
         """Which of some squares overlap a given one."""
-        squares = self._squares
-        offset = squares.anchors[others] - squares.anchors[index]
-        near = np.flatnonzero((offset**2).sum(axis=1) <= (REACH * squares.edge) ** 2)
-        some = others[near]
+        squares, normals = self._squares, self._normals
+        x, y, z = (squares.anchors[others] - squares.anchors[index]).T
+        apart2 = x**2 + y**2 + z**2
+        # With less than an edge between their centres, squares overlap however they are turned.
+        overlap = apart2 < (squares.edge - _PLANE) ** 2
+        overlap &= normals[others] @ normals[index] > OTHER_WALL
+        unsure = np.flatnonzero(~overlap & (apart2 <= (REACH * squares.edge) ** 2))
+        some = others[unsure]
         gap = gaps(squares, np.array([index]), some)[0]
         close = np.abs(gap) < _PLANE
         gap[close] = border_gaps(squares, self._borders, index, some[close])
-        overlap = np.zeros(len(others), dtype=bool)
-        overlap[near] = gap < np.maximum(self._clearance[some], self._clearance[index])
+        overlap[unsure] = gap < np.maximum(self._clearance[some], self._clearance[index])
         return overlap
 
 
