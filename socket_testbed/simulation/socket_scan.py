@@ -33,27 +33,29 @@ _SCANNER = Rotation.from_matrix([[0, 1, 0], [0, 0, 1], [1, 0, 0]]) * Rotation.fr
 _OFFSET = np.array([34.0, -18.0, 410.0])  # [mm]; where the scanner's origin was
 
 
-def make_socket_scan(seed: int = 0) -> trimesh.Trimesh:
+def make_socket_scan(seed: int = 0, edge: float = _EDGE, noise: float = _NOISE) -> trimesh.Trimesh:
     """The interior of the socket as scanned, in mm, its normals outwards as many tools give them.
 
     Args:
         seed: Seed of the noise.
+        edge: Edge of a triangle [mm].
+        noise: Noise of a vertex [mm].
     """
     rng = np.random.default_rng(seed)
     # A flat disc of points, its radius the way from the end's middle up the wall, meshed and
     # then shaped: the triangles are irregular and there is no seam.
     reach = _BRIM + _END
-    rings = np.arange(0.0, reach, _EDGE)
+    rings = np.arange(0.0, reach, edge)
     disc = [np.zeros((1, 2))]
     for ring, way in enumerate(rings[1:]):
-        count = int(2.0 * np.pi * _END / _EDGE) if way > _END else int(2.0 * np.pi * way / _EDGE)
+        count = int(2.0 * np.pi * _END / edge) if way > _END else int(2.0 * np.pi * way / edge)
         angle = 2.0 * np.pi * (np.arange(count) + 0.5 * (ring % 2)) / count
         angle = angle + rng.uniform(-0.2, 0.2, count) * 2.0 * np.pi / count
         disc.append(np.column_stack([way * np.cos(angle), way * np.sin(angle)]))
     points = np.vstack(disc)
     faces = Delaunay(points).simplices
     vertices = _shape(np.linalg.norm(points, axis=1), np.arctan2(points[:, 1], points[:, 0]))
-    vertices += rng.normal(0.0, _NOISE, vertices.shape)
+    vertices += rng.normal(0.0, noise, vertices.shape)
     mesh = trimesh.Trimesh(_SCANNER.apply(vertices) + _OFFSET, faces, process=False)
     mesh.fix_normals()
     return mesh

@@ -96,6 +96,10 @@ class Footprints:
         pairs = zip(tiles[other].tolist(), tiles[known + later].tolist(), strict=True)
         return [pair for pair in pairs if self.shared_area(*pair) > _SHARED]
 
+    def keep(self, tiles: IntArray) -> None:
+        """Forget all but the footprints of some tiles: those on a fine scan are large."""
+        self._footprints = {tile: self.footprint(tile) for tile in tiles.tolist()}
+
     def footprint(self, tile: int) -> Footprint:
         """The footprint of a square."""
         if tile not in self._footprints:

@@ -118,7 +118,7 @@ class Search:
     ) -> None:
         self._fixed = fixed
         self._borders = border_points(squares, points).astype(np.float32)
-        # Rounding, to 30 nm, is nothing beside the clearance, and half the numbers take half the time.
+        # Rounded to 30 nm, which is nothing beside the clearance; it takes half the time.
         squares = Squares(
             squares.anchors.astype(np.float32), squares.rotations.astype(np.float32), squares.edge
         )
@@ -177,6 +177,7 @@ class Search:
             found = self._place(kept, np.flatnonzero(free), chance[free])
             if len(found) >= len(tiles) and not self._wrong(found, len(kept)):
                 tiles = found
+                self._footprints.keep(tiles)
                 current = set(tiles.tolist())
                 self._overlaps_of_tile = {
                     tile: near for tile, near in self._overlaps_of_tile.items() if tile in current
