@@ -11,9 +11,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import trimesh
+from numpy.typing import NDArray
 from scipy.spatial import KDTree
 from scipy.spatial.distance import cdist
 
@@ -67,7 +69,9 @@ def border_points(squares: Squares, points: SurfacePoints) -> FloatArray:
     return border
 
 
-def border_gaps(squares: Squares, borders: FloatArray, index: int, others: IntArray) -> FloatArray:
+def border_gaps(
+    squares: Squares, borders: NDArray[np.floating[Any]], index: int, others: IntArray
+) -> FloatArray:
     """Gaps between a square and others close to it, by the points of their borders.
 
     Negative where a point of one's border lies in the column over the other.
