@@ -23,7 +23,9 @@ from socket_testbed.identification.model_file import StoredModel
 from socket_testbed.nodes.conversions import (
     LOAD_CELL_FRAME,
     MessageTemplate,
+    elements,
     header_to_ros,
+    layout_of,
     point_to_ros,
     quaternion_to_ros,
     vector_to_ros,
@@ -158,7 +160,7 @@ _CORNERS = ((-1, -1), (-1, 1), (1, 1), (-1, -1), (1, 1), (1, -1))
 
 
 class PressureMap:
-    """The markers of a force map, of which only what a sample changes is made anew.
+    """The markers of a force map, a serialised message that is filled for each sample.
 
     A tile is a mesh of two triangles in its own frame, its force an arrow.
 
@@ -168,8 +170,7 @@ class PressureMap:
 
     def __init__(self, geometry: SocketGeometry) -> None:
         self._anchors = geometry.anchors
-        self._tiles = []
-        self._arrows = []
+        markers = []
         quaternions = Rotation.from_matrix(geometry.square_frames()).as_quat()
         for i, (anchor, quaternion) in enumerate(zip(self._anchors, quaternions, strict=True)):
             tile = Marker(ns="tiles", id=i, type=Marker.TRIANGLE_LIST, action=Marker.ADD)
@@ -180,13 +181,19 @@ class PressureMap:
             tile.points = [Point(x=half * x, y=half * y) for x, y in _CORNERS]
             arrow = Marker(ns="forces", id=i, type=Marker.ARROW, action=Marker.ADD)
             arrow.scale.x, arrow.scale.y = 0.002, 0.004
+            arrow.points = [tile.pose.position, tile.pose.position]
             for marker in (tile, arrow):
+                marker.header = header_to_ros(0, LOAD_CELL_FRAME)
                 marker.lifetime.sec = _LIFETIME
-            self._tiles.append(tile)
-            self._arrows.append(arrow)
+                markers.append(marker)
+        self._content, numbers = layout_of(MarkerArray(markers=markers)).blank()
+        records = elements(numbers, "markers")
+        self._stamps = [record["header"]["stamp"] for record in records]
+        self._colours = [record["color"] for record in records]
+        self._tips = [arrow["points"][1] for arrow in records[1::2]]
 
-    def markers(self, stamp: int, estimate: MapEstimate) -> MarkerArray:
-        """The message of a sample.
+    def serialised(self, stamp: int, estimate: MapEstimate) -> bytes:
+        """The message of a sample, a MarkerArray with a tile and an arrow for each force.
 
         The colour is the normal pressure, from pale to dark red at 30 kPa; what is uncertain is
         faint, from opaque to a tenth where the pressure's standard deviation is 10 kPa.
@@ -195,20 +202,17 @@ class PressureMap:
             stamp: Stamp since the epoch [ns].
             estimate: The map of this sample, with N = 1.
         """
-        header = header_to_ros(stamp, LOAD_CELL_FRAME)
         tips = self._anchors + _ARROW_SCALE * estimate.forces[0]
         shares = np.clip(estimate.normal_pressure[0] / _FULL_COLOUR, 0.0, 1.0)
         deviations = estimate.normal_pressure_standard_deviation[0]
         opacities = np.clip(1.0 - (1.0 - _FAINTEST) * deviations / _FAINT, _FAINTEST, 1.0)
-        colours = np.column_stack([1.0 - 0.4 * shares, 0.9 * (1.0 - shares), opacities]).tolist()
-        markers = []
-        for tile, arrow, tip, (red, other, opacity) in zip(
-            self._tiles, self._arrows, tips, colours, strict=True
-        ):
-            arrow.points = [tile.pose.position, point_to_ros(tip)]
-            for marker in (tile, arrow):
-                marker.header = header
-                colour = marker.color
-                colour.r, colour.g, colour.b, colour.a = red, other, other, opacity
-                markers.append(marker)
-        return MarkerArray(markers=markers)
+        other = 0.9 * (1.0 - shares)
+        colours = np.column_stack([1.0 - 0.4 * shares, other, other, opacities])
+        time = divmod(stamp, 1_000_000_000)
+        for own in self._stamps:
+            own[()] = time
+        for own, colour in zip(self._colours, colours.repeat(2, axis=0), strict=True):
+            own[:] = colour
+        for own, tip in zip(self._tips, tips, strict=True):
+            own[:] = tip
+        return bytes(self._content)

@@ -138,7 +138,7 @@ class EstimatorNode(TestbedNode[EstimatorSettings]):
         due = abs(stamp - self._drawn) >= _PICTURE_PERIOD
         if due and self._pressure_map.get_subscription_count() > 0:
             self._drawn = stamp
-            self._pressure_map.publish(self._picture.markers(stamp, estimate))
+            self._pressure_map.publish(self._picture.serialised(stamp, estimate))
 
     def _publish_estimate(self, estimate: Estimate) -> None:
         stamp, model = estimate.stamp, estimate.model

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import CameraInfo
 from shape_msgs.msg import SolidPrimitive
 from socket_testbed_msgs.msg import ClusterCapacitanceArray, ForceMap, LocalForceArray, Trigger
-from visualization_msgs.msg import Marker
+from visualization_msgs.msg import Marker, MarkerArray
 
 from socket_testbed.files import packaged
 from socket_testbed.geometry.socket import read_socket
@@ -126,7 +126,25 @@ def markers(pressure: float, deviation: float) -> list[Marker]:
         normal_pressure=np.full((1, count), pressure),
         normal_pressure_standard_deviation=np.full((1, count), deviation),
     )
-    return PressureMap(GEOMETRY).markers(STAMP, estimate).markers
+    return sent_markers(PressureMap(GEOMETRY).serialised(STAMP, estimate))
+
+
+def sent_markers(sent: bytes) -> list[Marker]:
+    """Those of a message that is as long as one that ROS sends."""
+    message = deserialize_message(sent, MarkerArray)
+    assert len(sent) == len(serialize_message(message))
+    return list(message.markers)
+
+
+def test_a_picture_holds_nothing_of_the_one_before() -> None:
+    picture = PressureMap(GEOMETRY)
+    picture.serialised(1, made_up_map(1))
+    found = sent_markers(picture.serialised(STAMP, made_up_map(2)))
+    assert found == sent_markers(PressureMap(GEOMETRY).serialised(STAMP, made_up_map(2)))
+    assert all(marker.header == header_to_ros(STAMP) for marker in found)
+    assert [(marker.ns, marker.id) for marker in found[:3]] == [
+        ("tiles", 0), ("forces", 0), ("tiles", 1)
+    ]  # fmt: skip
 
 
 def test_uncertain_tiles_look_uncertain() -> None:
