@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import NoReturn
 
 import numpy as np
-from scipy.ndimage import uniform_filter1d
+from scipy.ndimage import maximum_filter1d, minimum_filter1d, uniform_filter1d
 
-from socket_testbed.arrays import BoolArray, FloatArray
+from socket_testbed.arrays import BoolArray, FloatArray, IntArray
 from socket_testbed.errors import ConfigurationError, TrialError
 from socket_testbed.files import closest
 from socket_testbed.samples import Samples
@@ -155,7 +154,7 @@ def find_plateaus(
     steady = _steadiness(samples, settings, leave_out)
     found = []
     for start, end in steady.runs:
-        first, last = _longest_within(steady.mean[start:end], steady.limits)
+        first, last = longest_within(steady.mean[start:end], steady.limits)
         found.append(_segment("plateau", samples, start + first, start + last))
     lasting = [part for part in found if part.end - part.start >= settings.least_duration]
     return sorted(lasting, key=lambda part: part.start - part.end)
@@ -309,30 +308,33 @@ def _runs(flags: BoolArray) -> list[tuple[int, int]]:
     return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
 
 
-def _longest_within(values: FloatArray, limits: FloatArray) -> tuple[int, int]:
-    """Longest half-open range over which every column spreads no more than its limit."""
-    columns = [column.tolist() for column in values.T]
-    lowest: list[deque[int]] = [deque() for _ in columns]
-    highest: list[deque[int]] = [deque() for _ in columns]
-    best, start = (0, 0), 0
-    for end in range(len(values)):
-        for column, low, high, limit in zip(columns, lowest, highest, limits, strict=True):
-            value = column[end]
-            while low and column[low[-1]] >= value:
-                low.pop()
-            while high and column[high[-1]] <= value:
-                high.pop()
-            low.append(end)
-            high.append(end)
-            while column[high[0]] - column[low[0]] > limit:
-                start = max(start, min(low[0], high[0]) + 1)
-                (low if low[0] < high[0] else high).popleft()
-        for queue in (*lowest, *highest):
-            while queue[0] < start:
-                queue.popleft()
-        if end + 1 - start > best[1] - best[0]:
-            best = (start, end + 1)
-    return best
+def longest_within(values: FloatArray, limits: FloatArray) -> tuple[int, int]:
+    """First of the longest half-open ranges over which no column spreads by more than its limit.
+
+    What is within the limits over a range is so over each part of it: the length is bisected.
+
+    Args:
+        values: Values without gaps, shape (N, m).
+        limits: Largest spread of each column, shape (m,).
+    """
+    found, fits, too_long = 0, 0, len(values) + 1
+    length = len(values)
+    while fits < length < too_long:
+        starts = _starts_within(values, limits, length)
+        if len(starts):
+            found, fits = int(starts[0]), length
+        else:
+            too_long = length
+        length = (fits + too_long) // 2
+    return found, found + fits
+
+
+def _starts_within(values: FloatArray, limits: FloatArray, length: int) -> IntArray:
+    """Where ranges of a length start over which every column is within its limit."""
+    starts = slice(length // 2, length // 2 + len(values) - length + 1)
+    highest = maximum_filter1d(values, length, axis=0)[starts]
+    lowest = minimum_filter1d(values, length, axis=0)[starts]
+    return np.flatnonzero((highest - lowest <= limits).all(axis=1))
 
 
 def _segment(kind: str, samples: Samples, start: int, end: int) -> Segment:

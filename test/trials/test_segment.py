@@ -9,6 +9,7 @@ from socket_testbed.settings.identification import PlateauSettings
 from socket_testbed.trials.segment import (
     find_newest_plateaus,
     find_plateaus,
+    longest_within,
     moving_mean,
     select_segment,
 )
@@ -31,6 +32,17 @@ def samples_of_force(force: np.ndarray, seed: int = 0) -> Samples:
         local_forces=np.zeros((count, 1, 3)),
         status=np.zeros((count, 1), dtype=np.uint8),
     )
+
+
+@pytest.mark.parametrize("count", [1, 2, 7, 40])
+def test_the_longest_range_within_limits_is_that_of_all_ranges(count: int) -> None:
+    rng = np.random.default_rng(count)
+    for _ in range(30):
+        values = np.cumsum(rng.integers(-2, 3, size=(count, 3)), axis=0).astype(float)
+        limits = rng.integers(0, 6, size=3).astype(float)
+        ranges = [(i, j) for i in range(count) for j in range(i + 1, count + 1)]
+        fitting = [(i, j) for i, j in ranges if (np.ptp(values[i:j], axis=0) <= limits).all()]
+        assert longest_within(values, limits) == max(fitting, key=lambda r: (r[1] - r[0], -r[0]))
 
 
 def seconds(*parts: tuple[float, float]) -> np.ndarray:
