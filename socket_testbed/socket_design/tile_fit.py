@@ -9,7 +9,6 @@ import numpy as np
 import trimesh
 from scipy.spatial import KDTree
 from scipy.spatial.distance import cdist
-from trimesh.util import diagonal_dot
 
 from socket_testbed.arrays import BoolArray, FloatArray, IntArray
 from socket_testbed.socket_design.squares import (
@@ -115,18 +114,13 @@ class Footprints:
 
     def _find_footprints(self, tiles: IntArray) -> None:
         """Find the footprints of some squares."""
-        squares, flatness = self._squares.take(tiles), self._flatness
-        reach = np.hypot(squares.edge / np.sqrt(2.0), flatness) + _SMALL_AREA * squares.edge
-        balls = self._tree.query_ball_point(squares.anchors, reach)
-        faces = [np.append(self._small[np.array(ball, dtype=int)], self._large) for ball in balls]
-        owner = np.repeat(np.arange(len(tiles)), [len(some) for some in faces])
-        near = np.concatenate([np.zeros(0, dtype=np.int64), *faces])
-        facing = diagonal_dot(self._normals[near], squares.rotations[owner, :, 2]) > FACING_WALL
-        near, owner = near[facing], owner[facing]
-        seen = (self._triangles[near] - squares.anchors[owner, None]) @ squares.rotations[owner]
-        height = seen[:, :, 2]
-        in_band = (height.min(axis=1) < flatness) & (height.max(axis=1) > -flatness)
-        seen, owner = cut_to_square(seen[in_band], owner[in_band], squares.edge)
+        squares = self._squares.take(tiles)
+        around = [self._seen_around(tile) for tile in tiles.tolist()]
+        owner = np.repeat(np.arange(len(tiles)), [len(some) for some in around])
+        seen = np.concatenate([np.zeros((0, 3, 3)), *around])
+        seen, owner = cut_to_square(seen, owner, squares.edge)
+        order = np.argsort(owner, kind="stable")
+        seen, owner = seen[order], owner[order]
 
         crosses = trimesh.triangles.cross(seen)
         areas, projected = 0.5 * np.linalg.norm(crosses, axis=1), 0.5 * crosses[:, 2]
@@ -137,14 +131,27 @@ class Footprints:
         )
         highest = np.zeros(len(tiles))
         np.maximum.at(highest, owner, np.abs(seen[:, :, 2]).max(axis=1))
+        pieces = np.split(seen, np.searchsorted(owner, np.arange(1, len(tiles))))
         for row, tile in enumerate(tiles.tolist()):
             self._footprints[tile] = Footprint(
-                seen[owner == row] @ squares.rotations[row].T + squares.anchors[row],
+                pieces[row] @ squares.rotations[row].T + squares.anchors[row],
                 area=float(total[row]),
                 cover=float(cover[row]) / squares.edge**2,
                 fold=float(fold[row]) / squares.edge**2,
                 flatness=float(highest[row]),
             )
+
+    def _seen_around(self, tile: int) -> FloatArray:
+        """Triangles that may be under a square, in its frame, shape (f, 3, 3) [m]."""
+        edge, flatness = self._squares.edge, self._flatness
+        frame, anchor = self._squares.rotations[tile], self._squares.anchors[tile]
+        reach = np.hypot(edge / np.sqrt(2.0), flatness) + _SMALL_AREA * edge
+        small = self._small[np.array(self._tree.query_ball_point(anchor, reach), dtype=int)]
+        near = np.append(small, self._large)
+        near = near[self._normals[near] @ frame[:, 2] > FACING_WALL]
+        seen = (self._triangles[near] - anchor) @ frame
+        low, high = _ends(seen[:, :, 2])
+        return seen[(low < flatness) & (high > -flatness)]
 
     def _find_shared_area(self, tile: int, other: int) -> float:
         squares = self._squares
@@ -168,10 +175,14 @@ def over_square(triangles: FloatArray, edge: float) -> BoolArray:
         triangles: Corners in the square's frame, shape (f, 3, 3) [m].
         edge: Length of the square's edges [m].
     """
-    x, y = triangles[:, :, 0], triangles[:, :, 1]
-    half = 0.5 * edge
-    beside = [side.min(axis=1) >= half for side in (x, -x, y, -y)]
-    return ~np.logical_or.reduce(beside)
+    low, high = _ends(triangles[:, :, :2])
+    return np.all((low < 0.5 * edge) & (high > -0.5 * edge), axis=1)
+
+
+def _ends(corners: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Least and greatest values at the three corners of triangles, of (f, 3, ...)."""
+    a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
+    return np.minimum(np.minimum(a, b), c), np.maximum(np.maximum(a, b), c)
 
 
 def cut_to_square(
