@@ -41,7 +41,6 @@ except ModuleNotFoundError as error:
 
 _RARE = ("view_node",)  # its imports take as much memory as all others
 _LOOK = 0.2  # [s]
-_NICENESS = 5  # of the processes that do not measure: what comes late to them is not lost
 _SWITCH = 5e-4  # [s]; a thread that is due waits no longer for one that computes
 
 
@@ -92,8 +91,6 @@ def _run(names: list[str]) -> int:
             for name in names:
                 nodes.append(_node_class(name)())
                 _schedule(nodes[-1])
-            if not any(hasattr(node.settings, "scheduling") for node in nodes):
-                os.nice(_NICENESS)
             if ready is not None:
                 ready.destroy_node()
             _spin(nodes)
