@@ -587,9 +587,11 @@ def _channels(
 
 def _by_pattern(present: BoolArray) -> Iterator[tuple[BoolArray, IntArray]]:
     """Each pattern of present channels with the samples that have it."""
-    patterns, which = np.unique(present, axis=0, return_inverse=True)
-    for number, pattern in enumerate(patterns):
-        yield pattern, np.flatnonzero(which.reshape(-1) == number)
+    packed = np.packbits(present, axis=1)  # as one value per sample, these are sorted fast
+    keys = packed.view(np.dtype((np.void, packed.shape[1])))[:, 0]
+    _, first, which = np.unique(keys, return_index=True, return_inverse=True)
+    for number, row in enumerate(first):
+        yield present[row], np.flatnonzero(which == number)
 
 
 def _rice_deviation(size: FloatArray, sigma: FloatArray) -> FloatArray:

@@ -446,20 +446,22 @@ class _DrawnSpan:
                 np.where(held, weighted, 0.0),
             ]
         )
+        each = np.ones(len(block.weights))
         undecided = (pressed != (high > 0.0)) | (held != (high > self._threshold))
         for where, values in block.pressures(undecided):
             pushing = np.maximum(values, 0.0)
-            touching = values > self._threshold
-            found[0][where] = touching.sum(axis=1)
-            found[1][where] = pushing.sum(axis=1)
-            found[2][where] = (pushing * touching) @ block.weights
+            touching = (values > self._threshold).astype(float)
+            found[0][where] = touching @ each
+            found[1][where] = pushing @ each
+            pushing *= touching
+            found[2][where] = pushing @ block.weights
         self._sums += np.add.reduceat(found, block.starts, axis=2)
 
-        spread = 1.0 - _PEAK_WIDENING
-        reach = _PEAK_WIDENING * high + spread * pressure.min(axis=0)
+        moved = (_PEAK_WIDENING - 1.0) / _PEAK_WIDENING * pressure.T  # towards the estimate
+        reach = _PEAK_WIDENING * block.bounds(moved)[1]
         for where, values in block.pressures(reach > self._peak[:, block.d]):
             sign, pair, tile = where
-            peaks = (_PEAK_WIDENING * values + spread * pressure.T[tile]).max(axis=1)
+            peaks = _PEAK_WIDENING * (values - moved[tile]).max(axis=1)
             np.maximum.at(self._peak, (sign, block.d[pair], tile), peaks)
 
     def fields(self) -> _Fields:
@@ -512,9 +514,14 @@ class _Block:
         self._mean = draws.gain @ draws.channels.T  # (M, n, k)
         self._error = draws.errors[self.m, self.d]  # (P, n)
 
-    def bounds(self) -> tuple[FloatArray, FloatArray]:
-        """Bounds of the pressures of each pair over the samples, shape (2, P, n) [Pa]."""
-        low, high = self._mean.min(axis=2)[self.m], self._mean.max(axis=2)[self.m]
+    def bounds(self, less: FloatArray | None = None) -> tuple[FloatArray, FloatArray]:
+        """Bounds of the pressures of each pair over the samples, shape (2, P, n) [Pa].
+
+        Args:
+            less: What is subtracted from the pressures, shape (n, k) [Pa].
+        """
+        mean = self._mean if less is None else self._mean - less
+        low, high = mean.min(axis=2)[self.m], mean.max(axis=2)[self.m]
         ends = self._size.min(axis=1), self._size.max(axis=1)
         one, other = (self._error * end[self.m, None] for end in ends)
         least, most = np.minimum(one, other), np.maximum(one, other)
@@ -550,7 +557,8 @@ class _Block:
             values = self._size[m]
             values *= np.where(s == 0, self._error[p, i], -self._error[p, i])[:, None]
             values += self._mean[m, i]
-            values += outside[p]
+            parted = np.flatnonzero(self.counts[p] < len(self.weights))
+            values[parted] += outside[p[parted]]
             yield (s, p, i), values
 
 
