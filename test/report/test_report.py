@@ -182,7 +182,7 @@ def test_a_bad_folder_is_named_before_and_nothing_is_left(results, tmp_path):
 class HalfAFigure:
     """A figure that leaves a file."""
 
-    def write(self, folder, _):
+    def write(self, folder, *_):
         (folder / "figure.png").write_text("half a figure")
 
 
