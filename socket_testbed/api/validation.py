@@ -38,7 +38,7 @@ from socket_testbed.identification.validation import (
 )
 from socket_testbed.samples import Samples
 from socket_testbed.settings.testbed import EstimatorSettings, estimator_settings
-from socket_testbed.simulation.trial import TRUTH_FILE, read_truth
+from socket_testbed.simulation.trial import read_true_forces
 from socket_testbed.tables import write_table
 from socket_testbed.trials.metadata import TrialMetadata
 from socket_testbed.trials.trial import Trial
@@ -233,8 +233,7 @@ class _Recording:
         geometry = self.trial.geometry
         if not with_models:
             return judge_map(self.samples, geometry, self.settings, self.name)
-        simulated = (self.trial.path / TRUTH_FILE).is_file()
-        truth = read_truth(self.trial.path, self.samples.stamps).forces if simulated else None
+        truth = read_true_forces(self.trial.path, self.samples.stamps, geometry.names)
         return judge_samples(self.samples, geometry, self.settings, truth, self.name, self.note)
 
     def judge_others(self, others: Sequence[_Recording]) -> list[Judgement]:

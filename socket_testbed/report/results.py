@@ -49,7 +49,7 @@ from socket_testbed.report.pressure import PressureResults, read_pressure
 from socket_testbed.samples import LOCAL_CHANNELS, WRENCH_CHANNELS, Samples, Status
 from socket_testbed.settings.identification import PAPER_VARIANTS, VARIANTS, Variant
 from socket_testbed.settings.testbed import EstimatorSettings
-from socket_testbed.simulation.trial import TRUTH_FILE, read_truth
+from socket_testbed.simulation.trial import read_true_forces
 from socket_testbed.trials.events import Event
 from socket_testbed.trials.segment import Segment, find_plateaus, select_segment
 from socket_testbed.trials.trial import Trial
@@ -462,8 +462,7 @@ def _validate(
     trial: Trial, samples: Samples, settings: EstimatorSettings, notify: Callable[[str], None]
 ) -> tuple[tuple[Judgement, ...], str]:
     """The trial's judgements, or why there are none."""
-    simulated = (trial.path / TRUTH_FILE).is_file()
-    truth = read_truth(trial.path, samples.stamps).forces if simulated else None
+    truth = read_true_forces(trial.path, samples.stamps, trial.geometry.names)
     try:
         judged = judge_samples(samples, trial.geometry, settings, truth, trial.name, notify)
         return tuple(judged), ""

@@ -5,7 +5,7 @@ A simulated trial is a bag like a recorded one, with the ground truth beside it.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -299,6 +299,31 @@ def read_truth(path: Path, stamps: IntArray | None = None) -> GroundTruth:
     span = times[after] - times[after - 1]
     share = np.clip((stamps - times[after - 1]) / span, 0.0, 1.0)
     return GroundTruth(*(_between(array, after, share) for array in arrays))
+
+
+def read_true_forces(path: Path, stamps: IntArray, tiles: Sequence[str]) -> FloatArray | None:
+    """Forces on the tiles in a trial's ground truth.
+
+    Args:
+        path: Folder of the trial.
+        stamps: Times since the epoch for which they are wanted, shape (N,) [ns].
+        tiles: Names of the n tiles.
+
+    Returns:
+        Force of the limb on the socket in {S}, shape (N, n, 3) [N]; None where the trial was not
+        simulated, or with other tiles.
+
+    Raises:
+        TrialError: If the file is damaged.
+    """
+    if not (path / TRUTH_FILE).is_file():
+        return None
+    try:
+        with np.load(path / TRUTH_FILE) as data:
+            simulated = data["names"].tolist()
+    except Exception as error:  # it raises whatever its parsing meets
+        raise _damaged_truth(path, str(error)) from None
+    return read_truth(path, stamps).forces if simulated == list(tiles) else None
 
 
 def _damaged_truth(path: Path, why: str) -> TrialError:

@@ -11,7 +11,7 @@ from socket_testbed.__main__ import run
 from socket_testbed.errors import CalibrationError, ConfigurationError, TrialError
 from socket_testbed.files import atomic_output
 from socket_testbed.samples import Status
-from socket_testbed.simulation.trial import read_truth
+from socket_testbed.simulation.trial import TRUTH_FILE, read_true_forces, read_truth
 from socket_testbed.trials.bag import (
     BagReader,
     BagWriter,
@@ -36,6 +36,17 @@ def test_samples_agree_with_the_truth_within_the_sensors_errors(hold: Path) -> N
         tile = geometry.clusters[cluster]
         actual = truth.forces[:, tile] @ geometry.rotations[tile]
         assert np.abs(samples.local_forces[:, column] - actual).max() < 8.0
+
+
+def test_true_forces_are_those_of_the_simulated_tiles_alone(hold: Path, tmp_path: Path) -> None:
+    samples, tiles = Trial(hold).samples(), Trial(hold).geometry.names
+    forces = read_true_forces(hold, samples.stamps, tiles)
+    assert forces is not None and forces.shape == (len(samples), len(tiles), 3)
+    assert read_true_forces(hold, samples.stamps, [*tiles[:-1], "another"]) is None
+    assert read_true_forces(tmp_path, samples.stamps, tiles) is None
+    np.savez(tmp_path / TRUTH_FILE, forces=forces)
+    with pytest.raises(TrialError, match=f"{TRUTH_FILE}: is damaged"):
+        read_true_forces(tmp_path, samples.stamps, tiles)
 
 
 def test_what_is_missing_at_a_trigger_is_nan_and_not_an_older_value(
