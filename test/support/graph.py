@@ -75,10 +75,12 @@ class Probe:
             AssertionError: If it hangs.
         """
         deadline = time.monotonic() + HANGS
-        with self._news:
-            while not condition():
-                left = deadline - time.monotonic()
-                assert left > 0.0, f"not within {HANGS:g} s: {what}"
+        # Asked without the lock: a condition may itself wait for what the thread that takes the
+        # messages brings, such as a service's answer.
+        while not condition():
+            left = deadline - time.monotonic()
+            assert left > 0.0, f"not within {HANGS:g} s: {what}"
+            with self._news:
                 self._news.wait(min(left, 0.02))
 
     def call(self, kind: Any, name: str, request: Any) -> Any:
