@@ -122,6 +122,9 @@ class MessageTemplate:
 Stamped: TypeAlias = tuple[int, FloatArray]
 """A stamp since the epoch [ns], and what was measured."""
 
+VectorPacker: TypeAlias = Callable[[int, FloatArray], bytes]
+"""Makes a serialised message of a stamp since the epoch [ns] and its numbers in a row."""
+
 
 def elements(record: Record, field: str) -> list[Record]:
     """The numbers of the messages in a sequence, none where it is empty."""
@@ -170,16 +173,7 @@ def wrench_from_ros(wrench: Wrench) -> FloatArray:
 
 def wrench_reader() -> MessageReader[Stamped]:
     """Reads WrenchStamped: the stamp [ns] and [M; F], shape (6,) [N m, N]."""
-
-    def from_record(record: Record, like: Stamped) -> Stamped:
-        wrench = record["wrench"]
-        return stamp_from_record(record), np.concatenate([wrench["torque"], wrench["force"]])
-
-    return MessageReader(
-        WrenchStamped,
-        lambda message: (stamp_from_ros(message.header.stamp), wrench_from_ros(message.wrench)),
-        from_record,
-    )
+    return _vector_reader(WrenchStamped, "wrench", ("torque", "force"), wrench_from_ros)
 
 
 def wrench_to_ros(wrench: FloatArray) -> Wrench:
@@ -187,16 +181,9 @@ def wrench_to_ros(wrench: FloatArray) -> Wrench:
     return Wrench(torque=vector_to_ros(wrench[:3]), force=vector_to_ros(wrench[3:]))
 
 
-def wrench_packer() -> Callable[[int, FloatArray], bytes]:
+def wrench_packer() -> VectorPacker:
     """Packs a WrenchStamped from its stamp [ns] and [M; F], shape (6,) [N m, N]."""
-    template = MessageTemplate(WrenchStamped(header=header_to_ros(0)))
-    wrench = template.numbers["wrench"]
-
-    def pack(stamp: int, values: FloatArray) -> bytes:
-        wrench["torque"], wrench["force"] = values[:3], values[3:]
-        return template.serialised(stamp)
-
-    return pack
+    return _vector_packer(WrenchStamped(header=header_to_ros(0)), "wrench", ("torque", "force"))
 
 
 def vector_to_ros(vector: FloatArray) -> Vector3:
@@ -218,25 +205,38 @@ def pose_from_ros(pose: Pose) -> FloatArray:
 
 def pose_reader() -> MessageReader[Stamped]:
     """Reads PoseStamped: the stamp [ns] and `pose_from_ros`, shape (7,)."""
+    return _vector_reader(PoseStamped, "pose", ("position", "orientation"), pose_from_ros)
+
+
+def pose_packer() -> VectorPacker:
+    """Packs a PoseStamped in the world from its stamp [ns] and `pose_from_ros`, shape (7,)."""
+    blank = PoseStamped(header=header_to_ros(0, WORLD_FRAME))
+    return _vector_packer(blank, "pose", ("position", "orientation"))
+
+
+def _vector_reader(
+    kind: Any, field: str, halves: tuple[str, str], from_ros: Callable[[Any], FloatArray]
+) -> MessageReader[Stamped]:
+    """Reads a stamped message: the stamp [ns] and the numbers of a field's two halves in a row."""
 
     def from_record(record: Record, like: Stamped) -> Stamped:
-        pose = record["pose"]
-        return stamp_from_record(record), np.concatenate([pose["position"], pose["orientation"]])
+        whole = record[field]
+        return stamp_from_record(record), np.concatenate([whole[half] for half in halves])
 
     return MessageReader(
-        PoseStamped,
-        lambda message: (stamp_from_ros(message.header.stamp), pose_from_ros(message.pose)),
+        kind,
+        lambda message: (stamp_from_ros(message.header.stamp), from_ros(getattr(message, field))),
         from_record,
     )
 
 
-def pose_packer() -> Callable[[int, FloatArray], bytes]:
-    """Packs a PoseStamped in the world from its stamp [ns] and `pose_from_ros`, shape (7,)."""
-    template = MessageTemplate(PoseStamped(header=header_to_ros(0, WORLD_FRAME)))
-    pose = template.numbers["pose"]
+def _vector_packer(message: Any, field: str, halves: tuple[str, str]) -> VectorPacker:
+    """Packs a message from its stamp [ns] and the numbers of a field's two halves in a row."""
+    template = MessageTemplate(message)
+    first, second = (template.numbers[field][half] for half in halves)
 
     def pack(stamp: int, values: FloatArray) -> bytes:
-        pose["position"], pose["orientation"] = values[:3], values[3:]
+        first[:], second[:] = values[: len(first)], values[len(first) :]
         return template.serialised(stamp)
 
     return pack

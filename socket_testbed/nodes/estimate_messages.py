@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import cache
 from typing import Any
 
@@ -23,6 +23,7 @@ from socket_testbed.identification.model_file import StoredModel
 from socket_testbed.nodes.conversions import (
     LOAD_CELL_FRAME,
     MessageTemplate,
+    VectorPacker,
     elements,
     header_to_ros,
     layout_of,
@@ -43,7 +44,7 @@ _MAP_FIELDS = (
 )
 
 
-def local_forces_packer(names: Sequence[str]) -> Callable[[int, FloatArray], bytes]:
+def local_forces_packer(names: Sequence[str]) -> VectorPacker:
     """Packs a LocalForceArray from its stamp [ns] and forces in {S}, shape (n, 3) [N]."""
     template = MessageTemplate(
         LocalForceArray(
