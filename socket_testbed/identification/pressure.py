@@ -191,6 +191,11 @@ class PressureOutputs:
         return self.force_map.estimate(self.samples)
 
     @cached_property
+    def peak_map(self) -> MapEstimate:
+        """The force map of the sample `peak_row`, with N = 1."""
+        return self.force_map.estimate(self.samples[self.peak_row : self.peak_row + 1])
+
+    @cached_property
     def series(self) -> RegionOutputs:
         """Of the regions at every sample, shape (N, R); NaN where nothing was measured."""
         return self.at(np.arange(len(self.samples)))

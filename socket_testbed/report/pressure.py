@@ -71,9 +71,7 @@ class PressureResults:
     @property
     def peak_tile(self) -> int:
         """The tile with the highest pressure."""
-        outputs = self.outputs
-        peak = outputs.force_map.estimate(outputs.samples[outputs.peak_row : outputs.peak_row + 1])
-        return int(peak.normal_pressure[0].argmax())
+        return int(self.outputs.peak_map.normal_pressure[0].argmax())
 
 
 def read_pressure(

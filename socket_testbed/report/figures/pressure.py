@@ -81,11 +81,9 @@ def instant_maps(
     Returns:
         The pressures, shape (n,) [kPa], and which of them are determined, by what they are.
     """
-    peak = outputs.peak_row
-    estimate = outputs.force_map.estimate(outputs.samples[peak : peak + 1])
-    pressure = estimate.normal_pressure[0]
-    deviation = estimate.normal_pressure_standard_deviation[0]
-    at_peak = f"at the peak, {time[peak]:.2f} s"
+    pressure = outputs.peak_map.normal_pressure[0]
+    deviation = outputs.peak_map.normal_pressure_standard_deviation[0]
+    at_peak = f"at the peak, {time[outputs.peak_row]:.2f} s"
     mean = f"mean over the {span if span in _SPANS else 'segment'}"
     values = {mean: 1e-3 * outputs.tiles.mean.value, at_peak: 1e-3 * pressure}
     return values, {
