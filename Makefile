@@ -14,21 +14,24 @@ unexport PYTHONPATH AMENT_PREFIX_PATH CMAKE_PREFIX_PATH COLCON_PREFIX_PATH LD_LI
 unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE
 
 .DELETE_ON_ERROR:
-.PHONY: demo test quick docs setup lint benchmark colcon clean
+.PHONY: demo test quick test-slow docs setup lint benchmark colcon clean
 
 demo: setup
 	$(BIN)/socket-testbed demo
 
-# Side by side, a module at a time: one worker more than two cores, because graphs wait. The graphs
-# of each worker have a ROS domain of their own.
-PYTEST := $(BIN)/python -m pytest -n 3 --dist loadfile --no-loadscope-reorder --durations 15
+# Side by side, a module at a time: one worker more than two cores where graphs wait.
+PYTEST := $(BIN)/python -m pytest --dist loadfile --no-loadscope-reorder --durations 15
 
 test: lint
-	$(PYTEST)
+	$(PYTEST) -n 3 -m "not slow"
 
-# No graph, no processes, nothing slow: while you work.
+# No graph, no processes, no long case: while you work.
 quick: setup
-	$(PYTEST) -m "not graph and not slow"
+	$(PYTEST) -n 2 -m "not graph and not long and not slow"
+
+# The rest: packages, the documents' commands, kills, whole reports, real scans, statistics.
+test-slow: setup
+	$(PYTEST) -n 3 -m slow
 
 lint: setup
 	$(BIN)/ruff check

@@ -30,8 +30,9 @@ from rclpy.task import Future
 
 from socket_testbed.__main__ import run as verb
 from socket_testbed.clocks import BEGINNING, SteadyClock
-from socket_testbed.live.bringup import Simulation, end, simulated_testbed, start
+from socket_testbed.live.bringup import end, simulated_testbed, start
 from socket_testbed.live.processes import Graph
+from socket_testbed.live.simulated_world import Simulation
 from socket_testbed.nodes.base import message_type, subscriber_qos
 from socket_testbed.trials.bag import BagReader
 from socket_testbed.trials.topics import ESTIMATED_WRENCH, REQUIRED, TRIGGER, match_topics

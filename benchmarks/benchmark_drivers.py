@@ -29,9 +29,10 @@ from socket_testbed.drivers.load_cell.load_cell import LoadCell
 from socket_testbed.drivers.natnet.client import NatNetClient
 from socket_testbed.drivers.natnet.tracker import BodyTracker
 from socket_testbed.geometry.socket import read_socket
-from socket_testbed.live.bringup import Simulation, Testbed, simulate_hardware, simulated_testbed
+from socket_testbed.live.bringup import Testbed, simulate_hardware, simulated_testbed
 from socket_testbed.live.hardware import i2c_opener, spi_opener
 from socket_testbed.live.processes import Graph
+from socket_testbed.live.simulated_world import Simulation
 from socket_testbed.simulation.sensors import CAMERA_RATE
 
 _TRANSFERS, _ON_BUS = 44, 107e-6  # fewest per trigger; their mean time at 400 kHz [s]

@@ -45,7 +45,6 @@ def main() -> None:
     ours: dict[str, Measurement] = {}
     for task, methods in _tasks(arguments):
         print(_measure_table(task, methods, arguments.time_limit, ours), flush=True)
-    print(_parts_table(ours))
 
 
 def _tasks(arguments: argparse.Namespace) -> Iterator[tuple[Task, tuple[str, ...]]]:
@@ -149,7 +148,7 @@ def _title(task: Task, ours: Measurement) -> str:
         f" smoothness {task.smoothness:.0e}\n"
         f"   stacked: {size.rows} rows x {size.columns} columns"
         f" ({size.rows * size.columns * 8e-6:.0f} MB dense); ours: {3 * task.points} variables,"
-        f" {100 * bound:.0f} % at their bound; Chebyshev terms {size.chebyshev_terms}"
+        f" {100 * bound:.0f} % at their bound"
     )
 
 
@@ -165,20 +164,6 @@ def _row(outcome: Measurement, ours: Measurement, product: Measurement) -> str:
     largest = ours.solution.stiffness.max()
     off = np.abs(outcome.solution.stiffness - ours.solution.stiffness).max() / largest
     return f"{text} {outcome.value / ours.value - 1.0:10.1e} {off:10.1e}"
-
-
-def _parts_table(ours: dict[str, Measurement]) -> str:
-    """Times of the parts of our own fit, a column for each problem."""
-    width = 21
-    lines = [
-        "\n== Parts of our own fit, medians [ms]; columns: motion, smoothness, samples",
-        f"{'part':30}" + "".join(f"{name:>{width}}" for name in ours),
-    ]
-    parts = next(iter(ours.values())).parts if ours else {}
-    for part in parts:
-        times = (1e3 * outcome.parts[part] for outcome in ours.values())
-        lines.append(f"{part:30}" + "".join(f"{time:{width}.2f}" for time in times))
-    return "\n".join(lines)
 
 
 if __name__ == "__main__":

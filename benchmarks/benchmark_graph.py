@@ -24,8 +24,9 @@ from rclpy.executors import ExternalShutdownException
 from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.task import Future
 
-from socket_testbed.live.bringup import Simulation, end, simulated_testbed, start, summary
+from socket_testbed.live.bringup import end, simulated_testbed, start, summary
 from socket_testbed.live.processes import Graph
+from socket_testbed.live.simulated_world import Simulation
 from socket_testbed.nodes.base import (
     PolledSubscription,
     message_type,

@@ -53,7 +53,7 @@ def _payload(triads: tuple[np.ndarray, np.ndarray]) -> bytes:
     identity = np.array([0.0, 0.0, 0.0, 1.0])
     content = Content(
         number=1,
-        bodies=[Body(k, np.zeros(3), identity, triad) for k, triad in enumerate(triads, start=1)],
+        bodies=[Body(k, np.zeros(3), identity) for k in (1, 2)],
         markers=[
             Marker(k, label, position)
             for k, triad in enumerate(triads, start=1)

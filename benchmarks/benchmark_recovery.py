@@ -29,8 +29,9 @@ from benchmark_acquisition import Arrivals, listening
 from machine import describe_machine
 
 from socket_testbed.clocks import BEGINNING, SteadyClock
-from socket_testbed.live.bringup import Simulation, end, simulated_testbed, start
+from socket_testbed.live.bringup import end, simulated_testbed, start
 from socket_testbed.live.processes import Graph
+from socket_testbed.live.simulated_world import Simulation
 from socket_testbed.trials.bag import BagReader, decode, stamp_of
 from socket_testbed.trials.topics import (
     CAPACITANCE,

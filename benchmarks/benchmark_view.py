@@ -29,8 +29,9 @@ from websockets.sync.client import connect
 
 from socket_testbed.__main__ import run as verb
 from socket_testbed.clocks import BEGINNING, SteadyClock
-from socket_testbed.live.bringup import Simulation, end, simulated_testbed, start
+from socket_testbed.live.bringup import end, simulated_testbed, start
 from socket_testbed.live.processes import Graph, GraphNode
+from socket_testbed.live.simulated_world import Simulation
 from socket_testbed.settings.testbed import ViewSettings
 from socket_testbed.trials.topics import ESTIMATED_WRENCH, FORCE_MAP, TRIGGER
 

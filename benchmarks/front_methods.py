@@ -10,20 +10,21 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import qpsolvers
-from methods import prepare_cvxpy_plain, prepare_cvxpy_scaled
-from problems import Motion, StageTwoInput, make_problem
+from methods import pivot_from_zero, prepare_cvxpy_plain, prepare_cvxpy_scaled
+from problems import (
+    KILONEWTON_PER_METRE,
+    Motion,
+    StageTwoInput,
+    make_problem,
+    rest_positions_of,
+    with_rest,
+)
 
 from socket_testbed.arrays import FloatArray
 from socket_testbed.identification.box_qp import BoxQP, solve_box_qp
 from socket_testbed.identification.fit import fit_contact_model
 from socket_testbed.identification.pareto import pareto_front
-from socket_testbed.identification.problem import (
-    KILONEWTON_PER_METRE,
-    StageTwoData,
-    build_stage_one,
-    build_stage_two,
-    rest_positions_of,
-)
+from socket_testbed.identification.problem import Problem
 from socket_testbed.settings.identification import PAPER_VARIANTS
 
 _MOST_RUNS = 15
@@ -167,17 +168,19 @@ def walk_with(solve: Solve) -> Callable[[StageTwoInput, FloatArray], Stiffness]:
     """The programs that `pareto_front` makes, from shared moments, solved in another way."""
 
     def walk(problem: StageTwoInput, thetas: FloatArray) -> Stiffness:
-        data = StageTwoData(problem.objective, sets=len(thetas))
         last: dict[str, FloatArray] = {}
         found: Stiffness = {}
         for theta in thetas.tolist():
             objective = problem.objective.with_settings(theta=theta)
-            last["rest"] = solve(build_stage_one(objective), last.get("rest"))
-            moments = data.moments(rest_positions_of(objective, last["rest"]))
+            shared = Problem(objective)
+            last["rest"] = solve(shared.stage_one(), last.get("rest"))
+            x = with_rest(shared, rest_positions_of(shared, last["rest"]))
+            moments = shared.moments(x)
             for variant in PAPER_VARIANTS:
-                stage = build_stage_two(objective.with_settings(variant=variant), moments)
-                last[variant] = solve(stage.program, last.get(variant))
-                found[variant, theta] = KILONEWTON_PER_METRE * last[variant]
+                of_variant = Problem(objective.with_settings(variant=variant))
+                last[variant] = solve(of_variant.stage_two(moments), last.get(variant))
+                by_tile = last[variant].reshape(3, -1).T
+                found[variant, theta] = KILONEWTON_PER_METRE * by_tile.ravel()
         return found
 
     return walk
@@ -213,18 +216,16 @@ def _rest_positions(problem: StageTwoInput, thetas: FloatArray) -> list[FloatArr
     settings = problem.settings
     rest = []
     for theta in thetas.tolist():
-        objective = problem.objective.with_settings(theta=theta)
-        program = build_stage_one(objective)
-        x = solve_box_qp(program, settings.solver, settings.solver_tolerance).x
-        rest.append(rest_positions_of(objective, x))
+        at_theta = Problem(problem.objective.with_settings(theta=theta))
+        x = solve_box_qp(at_theta.stage_one(), settings.solver, settings.solver_tolerance).x
+        rest.append(rest_positions_of(at_theta, x))
     return rest
 
 
 def factorise_each(problem: StageTwoInput, thetas: FloatArray) -> Stiffness:
     """A factor of each program of Stage 2, which any way to its exact optimum needs."""
-    matrix = build_stage_two(
-        problem.objective, StageTwoData(problem.objective).moments(problem.rest_positions)
-    ).program.P
+    one = Problem(problem.objective)
+    matrix = one.stage_two(one.moments(with_rest(one, problem.rest_positions))).P
     for _ in range(len(PAPER_VARIANTS) * len(thetas)):
         np.linalg.cholesky(matrix)
     return {}
@@ -246,6 +247,11 @@ METHODS: dict[str, FrontMethod] = {
     "cold": FrontMethod(
         "the same programs, pivoting, cold",
         "both stages from shared moments, no errors; block pivoting from zero, each time",
+        walk_with(lambda program, _: pivot_from_zero(program).x),
+    ),
+    "ours cold": FrontMethod(
+        "the same programs, OSQP and pivoting, cold",
+        "likewise; OSQP as in a fit, then pivoting, each time",
         walk_with(lambda program, _: solve_box_qp(program, "osqp", 1e-8).x),
     ),
     "osqp warm": FrontMethod(

@@ -13,12 +13,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
 
-from breakdown import parts_of_fit
 from methods import METHODS
 from problems import Motion, StageTwoInput, make_problem
 from stacked import Solution, objective_value, stacked_shape
-
-from socket_testbed.identification.gate_series import GateSeries
 
 _MOST_RUNS = 25
 
@@ -52,13 +49,11 @@ class ProblemSize:
         rows: Rows of the stacked matrix.
         columns: Columns of it.
         channels: Channels of the clusters.
-        chebyshev_terms: Terms of the Chebyshev series of the gate, all panels.
     """
 
     rows: int
     columns: int
     channels: int
-    chebyshev_terms: int
 
 
 @dataclass(frozen=True)
@@ -73,7 +68,6 @@ class Measurement:
         memory: Peak resident memory above that after imports and set-up [MB].
         value: Objective reached [-]; NaN for the product.
         solution: The solution; None for the product.
-        parts: Median time of each part of the package's own fit [s].
     """
 
     size: ProblemSize
@@ -83,7 +77,6 @@ class Measurement:
     memory: float
     value: float
     solution: Solution | None
-    parts: dict[str, float]
 
 
 def measure_apart(task: Task, time_limit: float) -> Measurement | str:
@@ -134,10 +127,6 @@ def _measure(task: Task, sender: Connection) -> None:
         sender.send(f"failed: {error}")
         return
     memory = _peak_memory() - baseline
-    parts: dict[str, float] = {}
-    if task.method == "ours":
-        for name, part in parts_of_fit(stage).items():
-            parts[name] = statistics.median(repeat(part, 0.2 * task.budget))
     sender.send(
         Measurement(
             size=_size(stage),
@@ -147,15 +136,13 @@ def _measure(task: Task, sender: Connection) -> None:
             memory=memory,
             value=objective_value(stage, solution) if solution else float("nan"),
             solution=solution,
-            parts=parts,
         )
     )
 
 
 def _size(stage: StageTwoInput) -> ProblemSize:
     rows, columns = stacked_shape(stage)
-    length = GateSeries(stage.objective.position, stage.settings.gate_sharpness).terms
-    return ProblemSize(rows, columns, len(stage.objective.channels), length)
+    return ProblemSize(rows, columns, len(stage.objective.channels))
 
 
 def repeat(run: Callable[[], object], budget: float) -> list[float]:

@@ -4,24 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
 import qpsolvers
-from problems import StageTwoInput
+from problems import KILONEWTON_PER_METRE, StageTwoInput, gated_displacement, with_rest
 from scipy import sparse
 from scipy.optimize import lsq_linear
 from stacked import Solution, bounds, stack_dense, stack_sparse, to_solution
 
 from socket_testbed.arrays import FloatArray
-from socket_testbed.identification.box_qp import solve_box_qp
-from socket_testbed.identification.contact import gated_displacement
-from socket_testbed.identification.problem import (
-    KILONEWTON_PER_METRE,
-    StageTwoData,
-    build_stage_two,
-    recover_offsets,
-)
+from socket_testbed.identification.box_qp import BoxQP, BoxSolution, pivot, solve_box_qp
+from socket_testbed.identification.problem import Problem
 
 Run = Callable[[], Solution | None]
 Prepare = Callable[[StageTwoInput], Run]
@@ -52,19 +47,29 @@ class Method:
     module: str = "numpy"
 
 
-def prepare_ours(stage: StageTwoInput) -> Run:
+def pivot_from_zero(problem: BoxQP) -> BoxSolution:
+    """Pivoting without a solver: from the point of the box nearest to zero."""
+    return pivot(problem, np.clip(np.zeros_like(problem.q), problem.lower, problem.upper))
+
+
+def prepare_ours(stage: StageTwoInput, without_solver: bool = False) -> Run:
     """The package's own Stage 2: moments, program, certified solution, offsets."""
+    settings = stage.settings
 
     def run() -> Solution:
-        objective = stage.objective
-        moments = StageTwoData(objective).moments(stage.rest_positions)
-        built = build_stage_two(objective, moments)
-        found = solve_box_qp(built.program, stage.settings.solver, stage.settings.solver_tolerance)
-        stiffness = KILONEWTON_PER_METRE * found.x.reshape(-1, 3)
-        wrench_bias, force_bias = recover_offsets(objective, moments, stiffness)
-        channels = objective.channels
-        channel_bias = np.array([force_bias[c.cluster][c.axis] for c in channels])
-        return Solution(stiffness.ravel(), wrench_bias, channel_bias, found.status)
+        problem = Problem(stage.objective)
+        x = with_rest(problem, stage.rest_positions)
+        program = problem.stage_two(problem.moments(x))
+        found = (
+            pivot_from_zero(program)
+            if without_solver
+            else solve_box_qp(program, settings.solver, settings.solver_tolerance)
+        )
+        x[:3] = found.x.reshape(3, -1)
+        model = problem.model(x)
+        channels = stage.objective.channels
+        bias = np.array([model.force_bias[c.cluster][c.axis] for c in channels])
+        return Solution(model.stiffness.ravel(), model.wrench_bias, bias, found.status)
 
     return run
 
@@ -162,9 +167,14 @@ METHODS: dict[str, Method] = {
     ),
     "ours": Method(
         "ours: moments + OSQP, certified",
-        "StageTwoData + build_stage_two + solve_box_qp (pivoting, KKT residuals and gap <= 1e-6)"
-        " + recover_offsets",
+        "Problem: moments, Stage 2, solve_box_qp (OSQP, then pivoting; KKT residuals and gap"
+        " <= 1e-6), model with its offsets",
         prepare_ours,
+    ),
+    "pivoting": Method(
+        "the same, pivoting from zero alone",
+        "as ours, without OSQP",
+        partial(prepare_ours, without_solver=True),
     ),
     "qpsolvers": Method(
         "qpsolvers + OSQP, A'A of dense rows",

@@ -13,12 +13,9 @@ from socket_testbed.geometry.pose import Pose
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification.box_qp import solve_box_qp
 from socket_testbed.identification.contact import ContactModel
-from socket_testbed.identification.problem import (
-    Objective,
-    build_objective,
-    build_stage_one,
-    rest_positions_of,
-)
+from socket_testbed.identification.contact_law import gate
+from socket_testbed.identification.objective import Objective, build_objective
+from socket_testbed.identification.problem import Problem
 from socket_testbed.samples import Samples
 from socket_testbed.settings.identification import IdentificationSettings
 
@@ -74,10 +71,33 @@ def make_problem(
     samples = simulate(geometry, count, motion, np.random.default_rng(seed))
     settings = IdentificationSettings(variant="stiffness_bias", smoothness=smoothness)
     objective = build_objective(samples, geometry, settings)
-    program = build_stage_one(objective)
-    rest = solve_box_qp(program, settings.solver, settings.solver_tolerance)
-    rest_positions = rest_positions_of(objective, rest.x)
+    problem = Problem(objective)
+    rest = solve_box_qp(problem.stage_one(), settings.solver, settings.solver_tolerance)
+    rest_positions = rest_positions_of(problem, rest.x)
     return StageTwoInput(samples, geometry, settings, objective, rest_positions)
+
+
+KILONEWTON_PER_METRE, MILLIMETRE = 1e3, 1e-3  # [N/m, m]; scales of the paper's parameters
+
+
+def rest_positions_of(problem: Problem, x: FloatArray) -> FloatArray:
+    """Rest positions that a solution of Stage 1 stands for, shape (n, 3) [m]."""
+    return problem.law.reference_pose[:3] + MILLIMETRE * x.reshape(3, -1).T
+
+
+def with_rest(problem: Problem, rest_positions: FloatArray) -> FloatArray:
+    """Parameters with these rest positions, shape (6, n) [-]."""
+    x = problem.start.copy()
+    x[3:] = (rest_positions - problem.law.reference_pose[:3]).T / MILLIMETRE
+    return x
+
+
+def gated_displacement(
+    position: FloatArray, rest_positions: FloatArray, sharpness: float
+) -> FloatArray:
+    """Gated displacements of the paper's law, shape (N, n, 3) [m]."""
+    displacement = position[:, None] - rest_positions
+    return displacement * gate(displacement, sharpness)
 
 
 def cylinder(points: int) -> SocketGeometry:

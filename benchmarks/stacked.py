@@ -11,11 +11,11 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from problems import StageTwoInput
+from problems import StageTwoInput, gated_displacement
 from scipy import sparse
 
 from socket_testbed.arrays import FloatArray, IntArray
-from socket_testbed.identification.contact import gated_displacement, wrench_map
+from socket_testbed.identification.contact_law import wrench_map
 
 _BLOCK = 512  # rows at a time where the objective is evaluated
 

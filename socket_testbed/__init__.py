@@ -9,30 +9,26 @@ from typing import TYPE_CHECKING, Any
 __version__ = "0.1.0"
 
 if TYPE_CHECKING:
-    from socket_testbed.api import (
-        TestbedError,
-        annotate,
-        calibrate,
-        compare,
-        cycles,
+    # From the modules that define them: api.compare is a module, and the name of a function.
+    from socket_testbed.api.compare import compare, write_comparison
+    from socket_testbed.api.cycles import cycles
+    from socket_testbed.api.design import calibrate, register, tile
+    from socket_testbed.api.maps import force_map
+    from socket_testbed.api.models import (
         evaluate,
         export,
         fit,
-        force_map,
-        open_trial,
         pareto,
         predict,
-        pressure,
         read_model,
-        register,
-        select_segment,
-        simulate,
-        tile,
-        validate,
-        view,
-        write_comparison,
         write_report,
     )
+    from socket_testbed.api.paper import paper
+    from socket_testbed.api.pressure import pressure
+    from socket_testbed.api.trials import annotate, open_trial, select_segment, simulate
+    from socket_testbed.api.validation import validate
+    from socket_testbed.api.view import view
+    from socket_testbed.errors import TestbedError
 
 __all__ = [
     "TestbedError",
@@ -46,6 +42,7 @@ __all__ = [
     "fit",
     "force_map",
     "open_trial",
+    "paper",
     "pareto",
     "predict",
     "pressure",

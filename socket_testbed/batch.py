@@ -1,55 +1,35 @@
-"""Many trials: found in a folder, worked on in parallel, done once, in one summary table.
-
-On Dask the work is spread by Dask's own client: under joblib's backend for it, a worker that dies
-or that lacks a package leaves the caller waiting for ever (joblib 1.6).
-"""
+"""Many trials: found in a folder, worked on in parallel, done once, in one summary table."""
 
 from __future__ import annotations
 
-import hashlib
 import json
 import signal
 import time
-import warnings
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+from concurrent.futures import Executor, as_completed
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import closing, contextmanager
-from dataclasses import asdict, dataclass, field, replace
-from enum import StrEnum
-from functools import cache, partial
-from importlib.metadata import version
+from contextlib import ExitStack, closing, contextmanager
+from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
-from typing import Any, TypeAlias, TypeVar
+from typing import Any, TypeAlias
 
 from threadpoolctl import threadpool_limits
 
+from socket_testbed.documents import load_json
 from socket_testbed.errors import ConfigurationError, TestbedError, TrialError
-from socket_testbed.files import (
-    Section,
-    atomic_output,
-    check_new_folder,
-    check_outputs,
-    load_json,
-    make_folder,
-)
+from socket_testbed.files import atomic_output, check_new_folder, check_outputs, make_folder
 from socket_testbed.tables import split_unit, write_table
 from socket_testbed.trials.bag import is_storage
 from socket_testbed.trials.metadata import METADATA_FILE
+from socket_testbed.trials.reprocess import RECORDED
 from socket_testbed.trials.salvage import holds_nothing
 from socket_testbed.trials.trial import Trial
 
-SUMMARY = "summary"
 _RECORDS = ".done"
-_RECORD_KEYS = ("inputs", "output", "row")
-_LOCK = ".lock"
-_SOLVING = ("numpy", "scipy", "qpsolvers", "osqp")
 _PATIENCE = "15s"  # for Dask's scheduler to answer and a worker to be there
 
-Cell: TypeAlias = str | int | float | None
-Row: TypeAlias = dict[str, Cell]
-T = TypeVar("T")
-R = TypeVar("R")
-Results: TypeAlias = Generator[tuple[int, R | Exception], None, None]
+Row: TypeAlias = dict[str, str | int | float | None]
 
 
 def is_trial(folder: Path) -> bool:
@@ -133,59 +113,22 @@ class Task:
         work: Writes a job's output and returns its row of the summary: figures by column names
             that end in their unit, such as `Fx_rmse [N]`; None where there is none.
         settings: What the results depend on besides files, as JSON can hold it.
+        metadata: Fields of the trials' metadata that the results depend on.
         again: Whether finished trials are done again.
         replace: Whether files that it did not write are replaced.
-        metadata: Fields of the trials' metadata that the results depend on.
     """
 
     verb: str
     folder: Path
     work: Callable[[Job], Row]
     settings: Mapping[str, Any] = field(default_factory=dict)
+    metadata: Sequence[str] = ()
     again: bool = False
     replace: bool = False
-    metadata: Sequence[str] = ()
 
 
-class JobStatus(StrEnum):
-    """The state of a job at the end."""
-
-    OK = "ok"
-    SKIPPED = "skipped"
-    FAILED = "failed"
-    NOT_REACHED = "not reached"
-
-
-@dataclass(frozen=True)
-class Outcome:
-    """The result of a job.
-
-    Attributes:
-        name: Name of the trial.
-        status: Its state.
-        row: Its figures, by the names of the summary's columns.
-        error: The one-line error of a job that failed.
-        changed: What an older result differed in, and was therefore done again.
-    """
-
-    name: str
-    status: JobStatus
-    row: Row = field(default_factory=dict)
-    error: str | None = None
-    changed: tuple[str, ...] = ()
-
-    def __str__(self) -> str:
-        words = f"{self.name}: {self.status.value}"
-        if self.status is JobStatus.FAILED:
-            return f"{words}: {self.error}"
-        if self.changed:
-            words += f" again (changed: {', '.join(self.changed)})"
-        for title, value in self.row.items():
-            if title.startswith(("mean_", "median_")) and isinstance(value, float):
-                name, unit = split_unit(title)
-                name = name.replace("_rmse", " RMSE").replace("_", " ")
-                words += f", {name} {value:.3f} {unit}".removesuffix(" -")
-        return words
+Work: TypeAlias = Callable[[Job], tuple[str, Row]]
+Results: TypeAlias = Generator[tuple[str, Row], None, None]
 
 
 def plan_jobs(
@@ -194,6 +137,7 @@ def plan_jobs(
     suffix: str,
     files: Mapping[str, Path | None] | None = None,
     unloaded: tuple[tuple[float, float], ...] = (),
+    tare: str = RECORDED,
 ) -> list[Job]:
     """The jobs of a folder of trials; all paths are absolute, as workers elsewhere need them.
 
@@ -201,10 +145,11 @@ def plan_jobs(
         trials: Folders of the trials by their names, as `find_trials` finds them.
         output: Folder of the outputs, which mirrors that of the trials.
         suffix: The end of an output's name, such as `.json`.
-        files: Files that all results depend on, by the options that name them: `--geometry` and
-            `--calibration` replace each trial's own. A folder stands for the file in it that has
-            the trial's name, such as `models/s01/hold.json`.
+        files: Files that all results depend on, by the options that name them: `--geometry`,
+            `--calibration` and `--load-cell` replace each trial's own. A folder stands for the file
+            in it that has the trial's name, such as `models/s01/hold.json`.
         unloaded: Spans without load in every trial, see `Trial`.
+        tare: Tare in every trial, see `Trial`.
     """
     given = {option: path.absolute() for option, path in (files or {}).items() if path}
     return [
@@ -215,12 +160,11 @@ def plan_jobs(
                 given.get("--geometry"),
                 given.get("--calibration"),
                 unloaded=unloaded,
+                load_cell_file=given.get("--load-cell"),
+                tare=tare,
             ),
             output.absolute() / f"{name}{suffix}",
-            {
-                option: file / f"{name}.json" if file.is_dir() else file
-                for option, file in given.items()
-            },
+            {opt: file / f"{name}.json" if file.is_dir() else file for opt, file in given.items()},
         )
         for name, path in trials.items()
     ]
@@ -229,11 +173,12 @@ def plan_jobs(
 def run_batch(
     task: Task,
     jobs: Sequence[Job],
-    pool: Pool,
     report: Callable[[str], None],
     warn: Callable[[str], None],
-) -> list[Outcome]:
-    """Do a task on every trial, and write the summary table into the task's folder.
+    processes: int | None = None,
+    dask: str | None = None,
+) -> None:
+    """Do a task on every trial, and write `summary.csv` and `.parquet` into the task's folder.
 
     Finished results stay, even when it is interrupted; the summary then names the trials that were
     not reached.
@@ -241,423 +186,203 @@ def run_batch(
     Args:
         task: What is done with a trial.
         jobs: The trials, by `plan_jobs`.
-        pool: Where it is done.
         report: Called with one line per finished trial, and one that names the summary.
         warn: Called with each note on a trial and, at the end, each trial that failed.
-
-    Returns:
-        The outcomes of the jobs, in their order.
+        processes: Number of processes on this machine; None for one per core, 1 for this one.
+        dask: Address of a Dask scheduler, such as `tcp://host:8786`, whose workers do it instead.
 
     Raises:
-        ConfigurationError: If the folder of the outputs is not the task's own, another run works
-            on it, or the Dask cluster cannot be reached.
+        ConfigurationError: If the folder of the outputs is not the task's own, or the Dask cluster
+            cannot be reached.
         TrialError: At the end, if any trial failed; all others are done.
     """
     task = replace(task, folder=task.folder.absolute())  # a worker may be elsewhere
-    _require_own_folder(task)
-    outcomes = [Outcome(job.name, JobStatus.NOT_REACHED) for job in jobs]
-    done = 0
-    with _reserved(task):
-        try:
-            with closing(spread(partial(execute, task), jobs, pool)) as results:
-                for done, (number, result) in enumerate(results, start=1):
-                    outcome = (
-                        _lost(jobs[number], result) if isinstance(result, Exception) else result
-                    )
-                    outcomes[number] = outcome
-                    report(f"[{done}/{len(jobs)}] {outcome}")
-                    if outcome.row.get("notes"):
-                        warn(f"note: {outcome.name}: {outcome.row['notes']}")
-        finally:
-            if done:  # else an older summary stays, as its results do
-                metadata = [_metadata_columns(job, warn) for job in jobs]
-                _write_summary(outcomes, metadata, task.folder)
-    report(f"summary in {task.folder / SUMMARY}.csv and {SUMMARY}.parquet")
-    failed = [outcome for outcome in outcomes if outcome.status is JobStatus.FAILED]
-    for outcome in failed:
-        warn(f"{outcome.name}: {outcome.error}")
-    if failed:
-        raise TrialError(
-            f"{len(failed)} of {len(outcomes)} trials failed",
-            "fix them and run it again: finished trials are kept",
-        )
-    return outcomes
-
-
-def _require_own_folder(task: Task) -> None:
-    """Refuse a folder of outputs that is a file, another verb's, or holds another summary."""
-    if task.folder.exists() and not task.folder.is_dir():
-        raise ConfigurationError(
-            f"{task.folder} is not a folder", "give a folder for the results of many trials"
-        )
+    records = task.folder / _RECORDS / task.verb
     if not task.folder.exists():
         check_new_folder(task.folder)
-        return
-    records = task.folder / _RECORDS
-    for verb in sorted(records.iterdir()) if records.is_dir() else []:
-        if verb.name != task.verb:
-            raise ConfigurationError(
-                f"{task.folder} holds what '{verb.name}' wrote", "give a folder of its own"
-            )
-    if not (records / task.verb).exists():
-        check_outputs(*_summaries(task.folder), replace=task.replace)
-
-
-@contextmanager
-def _reserved(task: Task) -> Iterator[None]:
-    """Keep other runs of this verb out of the folder; the system forgets it with the process."""
-    records = task.folder / _RECORDS / task.verb
+    elif not records.exists():
+        check_outputs(*_summaries(task), replace=task.replace)
     make_folder(records)
-    with (records / _LOCK).open("w") as lock:
-        try:
-            import fcntl
-
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            raise ConfigurationError(
-                f"another run of '{task.verb}' works on {task.folder}",
-                "wait for it, or give a folder of its own",
-            ) from None
-        except (ImportError, OSError):  # Windows, a network drive without locks
-            pass
-        yield
-
-
-def _lost(job: Job, error: Exception) -> Outcome:
-    return Outcome(
-        job.name,
-        JobStatus.FAILED,
-        error=f"{job.trial.path}: its worker failed ({_one_line(error)}): check that the worker has"
-        " this package and memory enough, or give fewer --jobs",
-    )
+    rows: dict[str, Row] = {}
+    try:
+        with closing(_spread(partial(_do, task), jobs, processes, dask)) as done:
+            for name, row in done:
+                rows[name] = row
+                report(f"[{len(rows)}/{len(jobs)}] {_line(name, row)}")
+                if row.get("notes"):
+                    warn(f"note: {name}: {row['notes']}")
+    finally:
+        if rows:  # else an older summary stays, as its results do
+            _write_summary({job.name: rows.get(job.name, _NOT_REACHED) for job in jobs}, task)
+    report(f"summary in {task.folder / 'summary.csv'} and summary.parquet")
+    failed = [name for name in sorted(rows) if rows[name]["status"] == "failed"]
+    for name in failed:
+        warn(f"{name}: {rows[name]['error']}")
+    if failed:
+        raise TrialError(
+            f"{len(failed)} of {len(rows)} trials failed",
+            "fix them and run it again: finished trials are kept",
+        )
 
 
-def _one_line(error: Exception) -> str:
-    return " ".join(f"{type(error).__name__}: {error}".split())
+_NOT_REACHED: Row = {"status": "not reached", "error": None}
 
 
-def _metadata_columns(job: Job, warn: Callable[[str], None]) -> Row:
-    """Metadata of a trial as they are now: they may have changed since its result was made."""
-    trial = replace(job.trial, notify=lambda note: warn(f"note: {job.name}: {note}"))
-    return {**trial.metadata.columns()}
+def _line(name: str, row: Row) -> str:
+    if row["error"]:
+        return f"{name}: {row['status']}: {row['error']}"
+    words = [f"{name}: {row['status']}"]
+    for title, value in row.items():
+        if title.startswith(("mean_", "median_")) and isinstance(value, float):
+            quantity, unit = split_unit(title)
+            quantity = quantity.replace("_rmse", " RMSE").replace("_", " ")
+            words.append(f"{quantity} {value:.3f} {unit}".removesuffix(" -"))
+    return ", ".join(words)
 
 
-def _write_summary(outcomes: Sequence[Outcome], metadata: Sequence[Row], folder: Path) -> None:
-    """Write the table as `summary.csv` and `summary.parquet`, one row per outcome.
+def _summaries(task: Task) -> list[Path]:
+    return [task.folder / f"summary{suffix}" for suffix in (".csv", ".parquet")]
 
-    A job that was skipped is `ok`: the table lists the results, not in which run they were made.
-    """
+
+def _write_summary(rows: Mapping[str, Row], task: Task) -> None:
+    """Write the table; a skipped trial is `ok`: it has a result, whichever run made it."""
     import pandas as pd
 
-    rows = [
-        {
-            "trial": outcome.name,
-            "status": (
-                JobStatus.OK if outcome.status is JobStatus.SKIPPED else outcome.status
-            ).value,
-            "error": outcome.error,
-            **stated,
-            **outcome.row,
-        }
-        for outcome, stated in zip(outcomes, metadata, strict=True)
-    ]
-    table = pd.DataFrame(rows, dtype=object)  # counts stay integers even where one is missing
-    for path in _summaries(folder):
+    listed = [{"trial": name, **row} for name, row in rows.items()]
+    table = pd.DataFrame(listed, dtype=object)  # counts stay integers even where one is missing
+    table["status"] = table["status"].replace("skipped", "ok")
+    for path in _summaries(task):
         write_table(table, path)
 
 
-def _summaries(folder: Path) -> list[Path]:
-    return [folder / f"{SUMMARY}{suffix}" for suffix in (".csv", ".parquet")]
-
-
-def execute(task: Task, job: Job) -> Outcome:
-    """Do a job unless it is done; an error becomes its outcome, so that the others go on."""
+def _do(task: Task, job: Job) -> tuple[str, Row]:
+    """Do a job unless it is done; an error becomes its row, so that the others go on."""
+    notes: list[str] = []
+    trial = replace(job.trial, notify=notes.append)
+    record = task.folder / _RECORDS / task.verb / f"{job.name}.json"
+    row: Row = {"status": "ok", "error": None}
     try:
-        return _do_once(task, job)
+        row |= trial.metadata.columns()
+        inputs, old = _inputs(task, job), _read_record(record)
+        if not task.again and old[:2] == [inputs, _stamp(job.output)]:
+            row |= {"status": "skipped", **old[2]}
+            notes += old[3]
+        else:
+            _make_room(job.output, record, task.replace)
+            figures = _figures(task, replace(job, trial=trial))
+            with atomic_output(record) as staging:
+                staging.write_text(json.dumps([inputs, _stamp(job.output), figures, notes]))
+            row |= figures
     except TestbedError as error:
-        return Outcome(job.name, JobStatus.FAILED, error=str(error))
+        row |= {"status": "failed", "error": str(error)}
     except Exception as error:
-        return Outcome(
-            job.name,
-            JobStatus.FAILED,
-            error=f"{job.trial.path}: unexpected {_one_line(error)}: run '{task.verb}' on this"
-            " trial alone and report what it says",
-        )
+        hint = f"run '{task.verb}' on this trial alone"
+        row |= _failure(job, f"unexpected {_one_line(error)}", hint)
+    return job.name, row | {"notes": "; ".join(dict.fromkeys(notes)) or None}
 
 
-def _do_once(task: Task, job: Job) -> Outcome:
-    path = record_path(task, job)
-    inputs = fingerprint(job, task.settings, task.metadata)
-    record = _read_record(path)
-    changed: tuple[str, ...] = ()
-    if not path.exists():
-        make_folder(job.output.parent)
-        check_outputs(job.output, replace=task.replace)
-    if record is not None and record.output:
-        changed = _changes(record, inputs, job.output)
-        if not changed and not task.again:
-            return Outcome(job.name, JobStatus.SKIPPED, record.row)
-        # A result of other inputs must not stay and pass for this one if the work now fails.
-        job.output.unlink(missing_ok=True)
-        path.unlink()
-    # Known as ours from the start: an interruption may leave the output without its record.
-    _write_record(path, Record(inputs, "", {}))
-    try:
-        row = _work(task, job)
-    except Exception:
-        path.unlink()
-        raise
-    _write_record(path, Record(inputs, file_digest(job.output), row))
-    return Outcome(job.name, JobStatus.OK, row, changed=changed)
-
-
-def _work(task: Task, job: Job) -> Row:
+def _figures(task: Task, job: Job) -> Row:
     start = time.perf_counter()
-    notes: dict[str, None] = {}
-    trial = replace(job.trial, notify=lambda note: notes.update({note: None}))
     with threadpool_limits(1):  # the cores are for as many trials, not for one's linear algebra
-        row = task.work(replace(job, trial=trial))
-    elapsed = round(time.perf_counter() - start, 3)
-    return {**row, "computing_time [s]": elapsed, "notes": "; ".join(notes) or None}
+        row = task.work(job)
+    return {**row, "computing_time [s]": round(time.perf_counter() - start, 3)}
 
 
-@dataclass(frozen=True)
-class Record:
-    """A finished job, as it is kept beside the outputs.
-
-    Attributes:
-        inputs: Fingerprint of what it was made from.
-        output: Digest of the output; empty while it is being made.
-        row: Its figures.
-    """
-
-    inputs: dict[str, str]
-    output: str
-    row: Row
+def _failure(job: Job, problem: str, hint: str) -> Row:
+    return {"status": "failed", "error": f"{job.trial.path}: {problem}: {hint}"}
 
 
-def record_path(task: Task, job: Job) -> Path:
-    """Where the record of a job is kept."""
-    return task.folder / _RECORDS / task.verb / f"{job.name}.json"
+def _one_line(error: BaseException) -> str:
+    return " ".join(f"{type(error).__name__}: {error}".split())
 
 
-def _read_record(path: Path) -> Record | None:
-    """The record of a job; None if there is none, or it is torn."""
+def _inputs(task: Task, job: Job) -> str:
+    """What a result depends on: size and date of every file, and the settings, as JSON."""
+    files = [path for path in job.trial.path.iterdir() if path.is_file() and path.name[0] != "."]
+    stamps = {path.name: _stamp(path) for path in files if path.name != METADATA_FILE}
+    stamps |= {option: _stamp(path) for option, path in job.files.items()}
+    stated = [getattr(job.trial.metadata, name) for name in task.metadata]
+    return json.dumps([stamps, stated, task.settings], sort_keys=True)
+
+
+def _stamp(path: Path) -> list[int]:
+    """Size [byte] and date [ns] of a file; nothing of one that does not exist."""
+    if not path.exists():
+        return []
+    status = path.stat()
+    return [status.st_size, status.st_mtime_ns]
+
+
+def _make_room(output: Path, record: Path, replace_others: bool) -> None:
+    """Remove an older result, which must not pass for this one if the work now fails."""
+    make_folder(output.parent)
+    make_folder(record.parent)
+    check_outputs(output, replace=replace_others or record.exists())
+    record.write_text("")  # the output is ours even if an interruption leaves it without a record
+    output.unlink(missing_ok=True)
+
+
+def _read_record(path: Path) -> list[Any]:
+    """Inputs, stamp of the output, figures and notes of a finished job; empty without any."""
     try:
-        document = Section(load_json(path, "a record"), str(path)).expect(_RECORD_KEYS)
-        inputs, row = document.section("inputs"), document.section("row")
-        return Record(
-            {name: inputs.text(name) for name in inputs.names()},
-            document.text("output"),
-            {name: _cell(row.take(name)) for name in row.names()},
-        )
+        found = load_json(path, "a record")
     except ConfigurationError:
-        return None
+        return []
+    return found if isinstance(found, list) else []
 
 
-def _cell(value: Any) -> Cell:
-    if not isinstance(value, Cell):
-        raise ConfigurationError("a figure is a list or a mapping", "make the record again")
-    return value
-
-
-def _write_record(path: Path, record: Record) -> None:
-    make_folder(path.parent)
-    with atomic_output(path) as staging:
-        staging.write_text(json.dumps(asdict(record), indent=1, allow_nan=False), encoding="utf-8")
-
-
-def _changes(record: Record, inputs: dict[str, str], output: Path) -> tuple[str, ...]:
-    """Names of what differs from the record; empty if all is done."""
-    names = sorted(
-        name
-        for name in record.inputs.keys() | inputs.keys()
-        if record.inputs.get(name) != inputs.get(name)
-    )
-    if not output.is_file() or file_digest(output) != record.output:
-        names.append("the output")
-    return tuple(names)
-
-
-def fingerprint(
-    job: Job, settings: Mapping[str, Any], metadata: Sequence[str] = ()
-) -> dict[str, str]:
-    """What the result of a job depends on, by names for the user.
-
-    Contents count, not times: a copied trial is the same, a file restored with an old date is not.
-
-    Args:
-        job: The job.
-        settings: What the result depends on besides files.
-        metadata: Fields of the trial's metadata that it depends on.
-
-    Raises:
-        TrialError: If a file cannot be read.
-    """
-    trial = job.trial.path
-    try:
-        files = sorted(
-            path
-            for path in trial.iterdir()
-            if path.is_file() and not path.name.startswith(".") and path.name != METADATA_FILE
-        )
-    except OSError as error:
-        raise _unreadable(trial, error) from None
-    stated = job.trial.metadata if metadata else None
-    return (
-        {f"trial/{path.name}": file_digest(path) for path in files}
-        | {f"metadata {name}": json.dumps(getattr(stated, name)) for name in metadata}
-        | {name: file_digest(path) for name, path in job.files.items() if path.exists()}
-        | {f"setting {name}": json.dumps(value) for name, value in settings.items()}
-        | _software()
-    )
-
-
-def file_digest(path: Path) -> str:
-    """SHA-256 of a file's content.
-
-    Raises:
-        TrialError: If the file cannot be read.
-    """
-    try:
-        with path.open("rb") as stream:
-            return hashlib.file_digest(stream, "sha256").hexdigest()
-    except OSError as error:
-        raise _unreadable(path, error) from None
-
-
-def _unreadable(path: Path, error: OSError) -> TrialError:
-    return TrialError(
-        f"{path}: cannot be read ({error.strerror})",
-        "check the path and its permissions, even on the machine of the worker",
-    )
-
-
-@cache
-def _software() -> dict[str, str]:
-    """The package by its sources, since a checkout changes without a new version."""
-    package = Path(__file__).resolve().parent
-    sources = hashlib.sha256()
-    for path in sorted(package.rglob("*.py")):
-        sources.update(f"{path.relative_to(package).as_posix()} {file_digest(path)}\n".encode())
-    return {"socket_testbed": sources.hexdigest()} | {name: version(name) for name in _SOLVING}
-
-
-@dataclass(frozen=True)
-class Pool:
-    """Where work is done.
-
-    Attributes:
-        jobs: Number of processes on this machine; None for one per core, 1 for this process.
-        dask: Address of a Dask scheduler, such as `tcp://host:8786`, whose workers do it instead.
-    """
-
-    jobs: int | None = None
-    dask: str | None = None
-
-
-def spread(function: Callable[[T], R], items: Sequence[T], pool: Pool) -> Results[R]:
-    """Apply a function to every item, in parallel; close it if you leave it early.
-
-    Args:
-        function: The function, which raises nothing; it and its results must be picklable.
-        items: The items; picklable, too.
-        pool: Where it is done.
-
-    Yields:
-        The number of an item and its result as they come, or the error its worker ended with.
-
-    Raises:
-        ConfigurationError: If Dask is not installed, or no scheduler with a worker answers.
-    """
-    if pool.dask is not None:
-        return _spread_on_dask(function, items, pool.dask)
-    return _spread_here(function, items, pool.jobs)
-
-
-def _spread_here(function: Callable[[T], R], items: Sequence[T], wanted: int | None) -> Results[R]:
+def _spread(work: Work, jobs: Sequence[Job], processes: int | None, dask: str | None) -> Results:
+    """Names and rows of jobs as they come; close it to give up those that are not done."""
+    if processes == 1 and dask is None:
+        yield from map(work, jobs)
+        return
     from joblib import cpu_count
 
-    count = min(wanted or cpu_count(), len(items))
-    pending = dict(enumerate(items))
-    try:
-        with _applied(function, pending, count) as results:
-            for number, result in results:
-                del pending[number]
-                yield number, result
-    except BrokenProcessPool:
-        # One worker that dies, as for want of memory, takes the others' work with it: go on alone.
-        for number, item in pending.items():
-            try:
-                with _applied(function, {number: item}, count) as results:
-                    yield from results
-            except BrokenProcessPool as error:
-                yield number, error
+    with _executor(min(processes or cpu_count(), len(jobs)), dask) as executor:
+        futures = {executor.submit(work, job): job for job in jobs}
+        for future in as_completed(futures):
+            job, error = futures[future], future.exception()
+            if error is None:
+                yield future.result()
+            elif isinstance(error, BrokenProcessPool) and len(jobs) > 1:
+                # A worker that dies, as for want of memory, takes the others' work with it.
+                yield from _spread(work, [job], processes, dask)
+            else:
+                hint = "check that it has this package and memory enough, or give fewer --jobs"
+                yield job.name, _failure(job, f"its worker failed ({_one_line(error)})", hint)
 
 
 @contextmanager
-def _applied(
-    function: Callable[[T], R], items: dict[int, T], count: int
-) -> Iterator[Generator[tuple[int, R], None, None]]:
-    from joblib import Parallel, delayed, parallel_config
+def _executor(processes: int, dask: str | None) -> Iterator[Executor]:
+    """Processes of this machine, or Dask's workers; what they still do at the end is given up."""
+    if dask is None:
+        from joblib.externals.loky import ProcessPoolExecutor
 
-    with parallel_config("loky", n_jobs=count, initializer=_leave_interrupts_to_the_caller):
-        parallel = Parallel(return_as="generator_unordered")
-    results = parallel([delayed(_numbered)(function, *entry) for entry in items.items()])
-    try:
-        yield results
-    finally:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", UserWarning)  # on the work that is given up
-            results.close()
-
-
-def _leave_interrupts_to_the_caller() -> None:
-    """In a worker: Ctrl-C reaches the whole process group, and the caller ends its workers."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-
-
-def _numbered(function: Callable[[T], R], number: int, item: T) -> tuple[int, R]:
-    return number, function(item)
-
-
-def _spread_on_dask(function: Callable[[T], R], items: Sequence[T], address: str) -> Results[R]:
-    with _client(address) as client:
-        from distributed import as_completed
-
-        # The files may have changed since an equal call: the function is not pure.
-        futures = [client.submit(function, item, pure=False) for item in items]
-        numbers = {future.key: number for number, future in enumerate(futures)}
+        here = ProcessPoolExecutor(processes, initializer=_leave_interrupts_to_the_caller)
         try:
-            for future in as_completed(futures):
-                failed = future.status == "error"
-                yield numbers[future.key], future.exception() if failed else future.result()
+            yield here
         finally:
-            client.cancel(futures)
-
-
-@contextmanager
-def _client(address: str) -> Iterator[Any]:
+            here.shutdown(kill_workers=True)
+        return
     try:
         from distributed import Client
     except ImportError:
         raise ConfigurationError(
             "--dask: Dask is not installed", "run 'pip install -r requirements/dask.txt'"
         ) from None
-    try:
-        client = Client(address, timeout=_PATIENCE)
-    except (OSError, ValueError) as error:
-        raise _unreachable(address, error) from None
-    with client:
+    with ExitStack() as stack:
         try:
+            client = stack.enter_context(Client(dask, timeout=_PATIENCE))
             client.wait_for_workers(1, timeout=_PATIENCE)
-        except TimeoutError as error:
-            raise _unreachable(address, error) from None
-        yield client
+        except (OSError, ValueError) as error:
+            raise ConfigurationError(
+                f"--dask {dask}: no scheduler with a worker answers ({error})",
+                "give the address of a running one, such as tcp://host:8786",
+            ) from None
+        # The files may have changed since an equal call: the work is not pure.
+        yield client.get_executor(pure=False)
 
 
-def _unreachable(address: str, error: Exception) -> ConfigurationError:
-    return ConfigurationError(
-        f"--dask {address}: no scheduler with a worker answers ({error})",
-        "give the address of a running one, such as tcp://host:8786",
-    )
+def _leave_interrupts_to_the_caller() -> None:
+    """In a worker: Ctrl-C reaches the whole process group, and the caller ends its workers."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)

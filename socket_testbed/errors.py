@@ -81,3 +81,8 @@ def likely(word: str, known: Collection[str]) -> str:
 
     found = difflib.get_close_matches(word, list(known), n=1)
     return f"did you mean '{found[0]}'?" if found else ""
+
+
+def closest(word: str, known: Collection[str]) -> str:
+    """A hint for an unknown word: the likely one, or the list of the known ones."""
+    return likely(word, known) or "use one of " + (", ".join(sorted(known)) or "(none)")

@@ -7,8 +7,8 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from socket_testbed.errors import ConfigurationError
-from socket_testbed.files import atomic_output, closest
+from socket_testbed.errors import ConfigurationError, closest
+from socket_testbed.files import atomic_output
 
 if TYPE_CHECKING:
     import pandas as pd

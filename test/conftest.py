@@ -5,8 +5,8 @@ from pathlib import Path
 import pytest
 from support.domains import claim_domain
 
-# Every run, and every worker of pytest-xdist, has a ROS domain of its own, and no graph leaves
-# this machine. This must stand before rclpy is imported anywhere; child processes inherit it.
+# No graph leaves this machine, nor meets another's. This must stand before rclpy is imported
+# anywhere; child processes inherit it.
 os.environ["ROS_DOMAIN_ID"] = claim_domain()
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -14,6 +14,24 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 from support import SHARED_DATA
 
 from socket_testbed.__main__ import run
+
+_SLOW_WITHIN = 400.0  # [s]; with a module's fixtures, on a machine that others use
+
+# What runs whole verbs, or spoils whole files and scans: `make quick` leaves them out.
+LONG = {
+    *("commands", "test_api.py", "test_damaged_files.py", "test_compressed_bags.py"),
+    *("test_trials.py", "test_export.py", "test_salvage.py", "test_unloaded.py"),
+    *("test_scans.py", "test_registration.py", "test_tiling_parts.py", "test_socket_view.py"),
+    *("test_report.py", "test_page.py", "test_player.py", "test_natnet_client.py"),
+}
+
+
+@pytest.fixture(scope="module", autouse=True)
+def domain(request: pytest.FixtureRequest) -> None:
+    """Another ROS domain for a module with graphs: nodes killed in the last one linger for 20 s."""
+    own = (item for item in request.session.items if item.path == request.path)
+    if any(item.get_closest_marker(kind) for item in own for kind in ("graph", "slow")):
+        os.environ["ROS_DOMAIN_ID"] = claim_domain()
 
 
 @pytest.fixture(scope="session")
@@ -42,9 +60,14 @@ def shared_data() -> Iterator[Path]:
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Run the long modules first, those that wait for graphs beside those that compute."""
+    here = Path(__file__).parent
     turn: dict[Path, int] = {}
     counts = {"graph": 0, "slow": 0}
     for item in items:
+        if not LONG.isdisjoint(item.path.relative_to(here).parts):
+            item.add_marker("long")
+        if item.get_closest_marker("slow") and not item.get_closest_marker("timeout"):
+            item.add_marker(pytest.mark.timeout(_SLOW_WITHIN))
         kind = next((kind for kind in counts if item.get_closest_marker(kind)), None)
         if kind is not None and item.path not in turn:
             turn[item.path] = counts[kind]

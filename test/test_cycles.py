@@ -9,9 +9,8 @@ from support.bags import add_events
 
 import socket_testbed as st
 from socket_testbed.__main__ import run
-from socket_testbed.errors import ConfigurationError, TestbedError, TrialError
+from socket_testbed.errors import ConfigurationError, TrialError
 from socket_testbed.report.figures.cycles import cycles_figure
-from socket_testbed.report.figures.style import COLUMN, PAGE, FigureStyle
 from socket_testbed.trials.trial import Trial
 
 STEPS = np.array([5.0, 8.0, 11.5, 14.0, 17.0, 20.0, 40.0, 43.0])  # [s]; a pause of 20 s
@@ -50,10 +49,7 @@ def test_mean_and_deviation_are_those_of_the_cycles(walk: Trial) -> None:
     assert np.allclose(table["sine sd [kPa]"][inner], offsets.std(ddof=1), atol=2e-4)
     assert np.allclose(table["ramp mean [-]"][inner], percent[inner] / 100, atol=1e-3)
     assert (table["sine n [-]"] == 6).all()
-    assert str(found) == (
-        "6 cycles from each 'step' to the next one, 3.00 s (2.50 to 3.50 s); 1 left out, longer"
-        " than twice the median"
-    )
+    assert str(found).endswith("; 1 left out, longer than twice the median")
 
 
 def test_two_cycles_have_no_band_and_a_gap_lowers_the_number(walk: Trial) -> None:
@@ -68,18 +64,12 @@ def test_two_cycles_have_no_band_and_a_gap_lowers_the_number(walk: Trial) -> Non
 
 
 def test_cycles_between_two_events_end_at_the_second(walk: Trial) -> None:
-    found = st.cycles(walk, "Fz", by="step:off", segment="0:30")
+    found = st.cycles(walk, ["Fz", "distal.Fx [N]"], by="step:off", segment="0:30")
+    assert found.titles == ("Fz [N]", "distal.Fx [N]")  # named with or without the unit
     assert len(found) == 6 and np.allclose(found.durations, 1.8)
     samples = walk.samples()
     expected = np.interp(STEPS[:6], samples.time, samples.wrench[:, 5])
     assert np.allclose(found.curves[:, 0, 0], expected)
-
-
-def test_channels_are_named_with_or_without_their_unit(walk: Trial) -> None:
-    names = st.cycles(walk, ["Fz", "distal.Fx [N]"], by="step").titles
-    assert names == ("Fz [N]", "distal.Fx [N]")
-    every = st.cycles(walk, by="step").titles
-    assert "Mx [N m]" in every and not any("status" in title for title in every)
 
 
 def test_a_slow_recording_is_noted(walk: Trial) -> None:
@@ -96,8 +86,6 @@ def test_a_slow_recording_is_noted(walk: Trial) -> None:
         ({"by": "step", "segment": "21:39"}, TrialError, "no cycle by 'step' lies within 21.00 s"),
         ({"by": "step", "quantity": "Fw"}, ConfigurationError, "no channel 'Fw'"),
         ({"quantity": pd.DataFrame({"a": [1.0]})}, ConfigurationError, "no column 'time [s]'"),
-        ({"by": ""}, TrialError, "no event ''"),
-        ({"by": "a:b:c"}, TestbedError, "no event 'a'"),
     ],
 )
 def test_what_is_no_cycle_is_named(
@@ -123,19 +111,14 @@ def test_the_verb_writes_the_same_numbers(
 
 def test_a_figure_shows_mean_band_and_cycles(walk: Trial, tmp_path: Path) -> None:
     found = st.cycles(walk, ["Fz", "Mx", "q_x"], by="step")
-    for style in (FigureStyle(COLUMN), FigureStyle(PAGE)):
-        figure = cycles_figure(
-            found.titles, found.curves, found.mean, found.deviation, str(found), style
-        )
-        assert [panel.get_ylabel() for panel in figure.axes] == ["Fz [N]", "Mx [N m]", "q_x [m]"]
-        panel = figure.axes[0]
-        assert len(panel.lines) == len(found) + 1
-        np.testing.assert_array_equal(panel.lines[-1].get_ydata(), found.mean[:, 0])
-        low, high = panel.collections[0].get_datalim(panel.transData).intervaly
-        spread = found.deviation[:, 0]
-        assert low == pytest.approx((found.mean[:, 0] - spread).min())
-        assert high == pytest.approx((found.mean[:, 0] + spread).max())
-        assert sum(bool(panel.get_xlabel()) for panel in figure.axes) in (1, 2)
+    figure = cycles_figure(found.titles, found.curves, found.mean, found.deviation)
+    assert [panel.get_ylabel() for panel in figure.axes] == ["Fz [N]", "Mx [N m]", "q_x [m]"]
+    panel = figure.axes[0]
+    assert len(panel.lines) == len(found) + 1
+    np.testing.assert_array_equal(panel.lines[-1].get_ydata(), found.mean[:, 0])
+    ends = panel.collections[0].get_datalim(panel.transData).intervaly
+    low, high = found.mean[:, 0] - found.deviation[:, 0], found.mean[:, 0] + found.deviation[:, 0]
+    assert ends == pytest.approx([low.min(), high.max()])
     found.draw(tmp_path / "cycles.png")
     assert (tmp_path / "cycles.png").stat().st_size > 10_000
     with pytest.raises(ConfigurationError, match="name 12 at most"):

@@ -10,7 +10,7 @@ from pathlib import Path
 from zipfile import ZipFile
 
 import pytest
-from support.pages import ONE_FIGURE
+from support.pages import TWO_SECTIONS
 
 from socket_testbed import __version__
 
@@ -171,7 +171,7 @@ def test_a_wheel_holds_all_that_the_offline_verbs_need(workspace: Path, tmp_path
         str(wheel),
     )
     script = (
-        f"{ONE_FIGURE}\n"
+        f"{TWO_SECTIONS}\n"
         "import sys, socket_testbed;"
         "print(socket_testbed.__file__);"
         "from socket_testbed.__main__ import run;"

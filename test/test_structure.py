@@ -5,7 +5,6 @@ import inspect
 from graphlib import TopologicalSorter
 from pathlib import Path
 
-import pytest
 from rclpy.node import Node
 
 from socket_testbed.nodes.calibration_node import CalibrationNode
@@ -25,7 +24,7 @@ FILES = sorted(PACKAGE.rglob("*.py"))
 # From the ground up: a module imports from its own layer or from those below it.
 LAYERS = (
     ("arrays", "errors", "clocks"),
-    ("files", "samples", "tables"),
+    ("documents", "files", "samples", "tables"),
     ("settings", "geometry"),
     ("drivers", "calibration", "identification", "socket_design"),
     ("trials",),
@@ -45,14 +44,14 @@ def top(module: str) -> str:
     return module.split(".")[1]
 
 
-def imports(path: Path) -> set[str]:
+def imports(tree: ast.AST) -> set[str]:
     """Absolute names of the modules that a file imports."""
     found = set()
-    for node in ast.walk(ast.parse(path.read_text())):
+    for node in ast.walk(tree):
         if isinstance(node, ast.Import):
             found |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom):
-            assert node.level == 0, f"{path}: a relative import"
+            assert node.level == 0, f"a relative import: {ast.unparse(node)}"
             found.add(node.module or "")
             if (node.module or "").split(".")[0] == "socket_testbed":
                 found |= {f"{node.module}.{alias.name}" for alias in node.names}
@@ -63,29 +62,35 @@ def module_of(path: Path) -> str:
     return ".".join(["socket_testbed", *path.relative_to(PACKAGE).with_suffix("").parts])
 
 
-@pytest.mark.parametrize("path", FILES, ids=lambda p: str(p.relative_to(PACKAGE)))
-def test_imports_point_one_way(path: Path) -> None:
-    own = module_of(path)
-    if own == "socket_testbed.__init__":
-        return
-    for name in imports(path):
-        if name.startswith("socket_testbed.") and top(name) in LAYER_OF:
-            assert LAYER_OF[top(name)] <= LAYER_OF[top(own)], f"{own} imports {name}"
+TREES = {module_of(path): ast.parse(path.read_text()) for path in FILES}
+IMPORTS = {own: imports(tree) for own, tree in TREES.items()}
+
+
+def test_imports_point_one_way() -> None:
+    upward = [
+        f"{own} imports {name}"
+        for own, names in IMPORTS.items()
+        for name in names
+        if own != "socket_testbed.__init__"
+        and name.startswith("socket_testbed.")
+        and LAYER_OF.get(top(name), 0) > LAYER_OF[top(own)]
+    ]
+    assert not upward
 
 
 def test_no_imports_go_round_in_a_circle() -> None:
     """Not even those inside a function, or for types alone."""
-    known = {module_of(path) for path in FILES}
-    TopologicalSorter({module_of(path): imports(path) & known for path in FILES}).prepare()
+    TopologicalSorter({own: names & set(IMPORTS) for own, names in IMPORTS.items()}).prepare()
 
 
-@pytest.mark.parametrize("path", FILES, ids=lambda p: str(p.relative_to(PACKAGE)))
-def test_only_nodes_import_ros(path: Path) -> None:
-    if path.parent.name == "nodes":
-        return
-    for name in imports(path):
-        package = name.split(".")[0]
-        assert package not in ROS and not package.endswith(("_msgs", "_srvs")), f"{path}: {name}"
+def test_only_nodes_import_ros() -> None:
+    packages = {
+        (own, name.split(".")[0])
+        for own, names in IMPORTS.items()
+        for name in names
+        if top(own) != "nodes"
+    }
+    assert not [(o, p) for o, p in packages if p in ROS or p.endswith(("_msgs", "_srvs"))]
 
 
 NODES = (
@@ -112,31 +117,31 @@ def stored_attributes(kind: type) -> set[str]:
     }
 
 
-@pytest.mark.parametrize("kind", NODE_CLASSES)
-def test_a_node_hides_nothing_of_ros(kind: type) -> None:
+def test_a_node_hides_nothing_of_ros() -> None:
     """rclpy keeps names such as _parameters on the node: one of ours would break it."""
-    own = stored_attributes(kind)
-    own |= {name for name in vars(kind) if not name.startswith("__")}
     theirs = stored_attributes(Node) | set(dir(Node))
-    assert not own & theirs, own & theirs
+    for kind in NODE_CLASSES:
+        own = stored_attributes(kind)
+        own |= {name for name in vars(kind) if not name.startswith("__")}
+        assert not own & theirs, (kind, own & theirs)
 
 
 def test_every_class_that_derives_from_a_node_is_checked() -> None:
     checked = {kind.__name__ for kind in NODE_CLASSES}
-    for path in (PACKAGE / "nodes").glob("*.py"):
-        for statement in ast.walk(ast.parse(path.read_text())):
+    for tree in TREES.values():
+        for statement in ast.walk(tree):
             if isinstance(statement, ast.ClassDef):
                 bases = {ast.unparse(base).partition("[")[0] for base in statement.bases}
                 if bases & {"Node", *checked}:
                     assert statement.name in checked
 
 
-@pytest.mark.parametrize("path", FILES, ids=lambda p: str(p.relative_to(PACKAGE)))
-def test_a_node_without_parameter_services_is_hidden(path: Path) -> None:
+def test_a_node_without_parameter_services_is_hidden() -> None:
     """`ros2 param list` would wait for it: a name that begins with _ is not listed."""
-    for call in ast.walk(ast.parse(path.read_text())):
-        if isinstance(call, ast.Call) and any(
-            word.arg == "start_parameter_services" and ast.unparse(word.value) == "False"
-            for word in call.keywords
-        ):
-            assert ast.unparse(call.args[0]).lstrip("f").strip("'\"").startswith("_")
+    calls = (n for tree in TREES.values() for n in ast.walk(tree) if isinstance(n, ast.Call))
+    names = [
+        ast.unparse(call.args[0]).lstrip("f").strip("'\"")
+        for call in calls
+        if "start_parameter_services=False" in map(ast.unparse, call.keywords)
+    ]
+    assert names and all(name.startswith("_") for name in names), names

@@ -7,12 +7,11 @@ from importlib import import_module
 from typing import Any
 from xml.etree import ElementTree
 
-import pytest
 import yaml
 
 from socket_testbed.files import packaged
 from socket_testbed.settings.acquisition import ClusterSettings
-from socket_testbed.trials.topics import PRESSURE_MAP, STRESS, TOPICS, WRENCH
+from socket_testbed.trials.topics import STRESS, TOPICS, WRENCH
 
 BY_NAME = {f"/{topic.name.lstrip('/')}": topic for topic in TOPICS}
 SHOWN = {  # what a display of RViz shows
@@ -22,24 +21,19 @@ SHOWN = {  # what a display of RViz shows
 
 
 def test_rviz_shows_frames_map_and_wrenches() -> None:
-    manager = yaml.safe_load(packaged("config", "testbed.rviz").read_text())[
-        "Visualization Manager"
-    ]
+    document = yaml.safe_load(packaged("config", "testbed.rviz").read_text())
+    manager = document["Visualization Manager"]
     displays = manager["Displays"]
     assert all(display["Enabled"] and display["Value"] for display in displays)
-    shown = {d["Topic"]["Value"]: SHOWN[d["Class"]] for d in displays if "Topic" in d}
+    shown = {d["Topic"]["Value"]: d for d in displays if "Topic" in d}
     assert set(shown) == {"/estimate/pressure_map", "/load_cell/wrench", "/estimate/wrench"}
-    for name, kind in shown.items():
-        assert BY_NAME[name].type == kind
-    for display in displays:
-        if "Topic" in display:
-            assert display["Topic"]["Reliability Policy"] == "Reliable"
-            assert display["Topic"]["Durability Policy"] == "Volatile"
+    for name, display in shown.items():
+        assert BY_NAME[name].type == SHOWN[display["Class"]]
+        assert display["Topic"]["Reliability Policy"] == "Reliable"
+        assert display["Topic"]["Durability Policy"] == "Volatile"
+    assert set(shown["/estimate/pressure_map"]["Namespaces"]) == {"tiles", "forces"}
     assert "rviz_default_plugins/TF" in {display["Class"] for display in displays}
     assert manager["Global Options"]["Fixed Frame"] == "load_cell"
-    (picture,) = (d for d in displays if d["Class"].endswith("MarkerArray"))
-    assert picture["Topic"]["Value"] == f"/{PRESSURE_MAP.name}"
-    assert set(picture["Namespaces"]) == {"tiles", "forces"}
 
 
 def field_type(kind: str, path: str) -> str:
@@ -54,38 +48,19 @@ def field_type(kind: str, path: str) -> str:
     return kind
 
 
-@pytest.fixture(scope="module")
-def layout() -> ElementTree.Element:
-    return ElementTree.fromstring(packaged("config", "plotjuggler_layout.xml").read_text())
-
-
-def curves(layout: ElementTree.Element) -> list[str]:
-    return [curve.attrib["name"] for curve in layout.iter("curve")]
-
-
-def test_plotjuggler_s_curves_are_fields_of_the_topics_that_it_selects(
-    layout: ElementTree.Element,
-) -> None:
+def test_plotjuggler_draws_fields_of_the_topics_that_it_selects() -> None:
+    layout = ElementTree.fromstring(packaged("config", "plotjuggler_layout.xml").read_text())
     selected = {topic.attrib["name"] for topic in layout.iter("topic")}
-    for name in curves(layout):
+    plots = [{c.attrib["name"] for c in plot.iter("curve")} for plot in layout.iter("plot")]
+    curves = {name for names in plots for name in names}
+    for name in curves:
         (topic,) = (t for t in selected if name.startswith(f"{t}/"))
         assert field_type(BY_NAME[topic].type, name.removeprefix(f"{topic}/")) == "double"
-
-
-def test_plotjuggler_draws_six_channels_twice_and_every_cluster(
-    layout: ElementTree.Element,
-) -> None:
-    found = set(curves(layout))
-    for kind in ("force", "torque"):
-        for axis in "xyz":
-            pair = {f"/{name}/wrench/{kind}/{axis}" for name in (WRENCH.name, "estimate/wrench")}
-            assert pair <= found
-            plots = [{curve.get("name") for curve in plot} for plot in layout.iter("plot")]
-            assert any(pair <= names for names in plots), "beside each other"
-    titles = [area.attrib["name"] for area in layout.iter("DockArea")]
-    for i, name in enumerate(ClusterSettings().names):
-        assert f"{name} [Pa]" in titles
-        for field in ("normal", "shear_x", "shear_y"):
-            assert f"/{STRESS.name}/clusters[{i}]/{field}" in found
+    for path in (f"{kind}/{axis}" for kind in ("force", "torque") for axis in "xyz"):
+        pair = {f"/{name}/wrench/{path}" for name in (WRENCH.name, "estimate/wrench")}
+        assert any(pair <= names for names in plots), "measured and estimated beside each other"
+    for i in range(len(ClusterSettings().names)):
+        stresses = (f"/{STRESS.name}/clusters[{i}]/" + n for n in ("normal", "shear_x", "shear_y"))
+        assert curves.issuperset(stresses)
     for splitter in layout.iter("DockSplitter"):
         assert int(splitter.attrib["count"]) == len(splitter)

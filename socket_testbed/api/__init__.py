@@ -26,11 +26,12 @@ from socket_testbed.api.models import (
     read_model,
     write_report,
 )
+from socket_testbed.api.paper import paper
 from socket_testbed.api.pressure import TrialPressure, pressure
 from socket_testbed.api.trials import annotate, open_trial, select_segment, simulate
 from socket_testbed.api.validation import Validation, validate
 from socket_testbed.api.view import TrialPage, require_viewer, view
-from socket_testbed.comparison.table import Comparison
+from socket_testbed.comparison import Comparison
 from socket_testbed.errors import TestbedError
 
 __all__ = [
@@ -54,6 +55,7 @@ __all__ = [
     "fit",
     "force_map",
     "open_trial",
+    "paper",
     "pareto",
     "predict",
     "pressure",

@@ -11,8 +11,8 @@ import numpy as np
 
 from socket_testbed.api.trials import PathLike, select
 from socket_testbed.arrays import FloatArray, IntArray
-from socket_testbed.errors import ConfigurationError, TrialError
-from socket_testbed.files import check_picture, closest
+from socket_testbed.errors import ConfigurationError, TrialError, closest
+from socket_testbed.files import check_picture
 from socket_testbed.tables import split_unit, write_table
 from socket_testbed.trials.events import PLACED, cycle_spans
 from socket_testbed.trials.segment import Segment
@@ -79,8 +79,7 @@ class Cycles:
     @property
     def mean(self) -> FloatArray:
         """Mean over the cycles at each percent, shape (101, m); NaN where no cycle has a value."""
-        total = np.nansum(self.curves, axis=0)
-        return np.where(self.counts > 0, total / np.maximum(self.counts, 1), np.nan)
+        return np.asarray(np.ma.masked_invalid(self.curves).mean(axis=0).filled(np.nan))
 
     @property
     def deviation(self) -> FloatArray:
@@ -88,10 +87,8 @@ class Cycles:
 
         NaN where fewer than three cycles have a value: two make no band.
         """
-        squares = np.nansum((self.curves - self.mean) ** 2, axis=0)
-        return np.where(
-            self.counts >= _BAND, np.sqrt(squares / np.maximum(self.counts - 1, 1)), np.nan
-        )
+        spread = np.ma.masked_invalid(self.curves).std(axis=0, ddof=1).filled(np.nan)
+        return np.where(self.counts >= _BAND, spread, np.nan)
 
     def to_dataframe(self) -> pd.DataFrame:
         """A row per percent, indexed by `cycle [%]`.
@@ -101,13 +98,12 @@ class Cycles:
         """
         import pandas as pd
 
-        mean, deviation, counts = self.mean, self.deviation, self.counts
-        columns: dict[str, FloatArray | IntArray] = {}
-        for number, title in enumerate(self.titles):
-            name, unit = split_unit(title)
-            columns[f"{name} mean [{unit}]"] = mean[:, number]
-            columns[f"{name} sd [{unit}]"] = deviation[:, number]
-            columns[f"{name} n [-]"] = counts[:, number]
+        statistics = {"mean": self.mean, "sd": self.deviation, "n": self.counts}
+        columns = {
+            f"{name} {of} [{'-' if of == 'n' else unit}]": values[:, number]
+            for number, (name, unit) in enumerate(map(split_unit, self.titles))
+            for of, values in statistics.items()
+        }
         percent = np.linspace(0.0, 100.0, _POINTS)
         return pd.DataFrame(columns, index=pd.Index(percent, name="cycle [%]"))
 

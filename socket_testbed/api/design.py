@@ -12,8 +12,8 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from socket_testbed.arrays import FloatArray
-from socket_testbed.errors import ConfigurationError
-from socket_testbed.files import closest, packaged
+from socket_testbed.errors import ConfigurationError, closest
+from socket_testbed.files import packaged
 from socket_testbed.geometry.socket import read_socket, write_socket
 
 if TYPE_CHECKING:
@@ -210,15 +210,16 @@ def _check_socket_output(output: Path, bodies: PathLike | None) -> None:
 
 def _write_design(design: SocketDesign, output: Path) -> None:
     """Write the geometry, and a picture and a page beside it."""
-    from socket_testbed.report.figures.scene import socket_page
-    from socket_testbed.report.figures.socket_picture import socket_picture
+    from socket_testbed.report.figures.scene import simplify, socket_page
+    from socket_testbed.report.figures.style import save_figure
+    from socket_testbed.report.figures.tiles import socket_figure
 
-    vertices, faces = np.asarray(design.mesh.vertices), np.asarray(design.mesh.faces)
     title = f"{design.name}: {len(design.geometry)} tiles"
     write_socket(design.geometry, output)
-    socket_picture(vertices, faces, design.geometry, output.with_suffix(".png"), title)
+    picture = socket_figure(design.geometry, simplify(design.mesh), title)
+    save_figure(picture, output.with_suffix(".png"), dpi=200)
     page = output.with_suffix(".html")
-    socket_page(vertices, faces, design.geometry, page, title, design.facts())
+    socket_page(design.mesh, design.geometry, page, title, design.facts())
 
 
 def register(
@@ -236,7 +237,7 @@ def register(
         landmarks: YAML file: which marker is what, and where the landmarks are.
         socket: The `socket.yaml` to register.
         output: The `socket.yaml` to write; None to write nothing.
-        force: Whether landmarks that are far off, or whose plane hides a wrong sign, are accepted.
+        force: Whether landmarks that are far off, or put the limb outside the socket, are accepted.
 
     Returns:
         The registration with its uncertainty; `geometry` is the registered socket.

@@ -12,11 +12,8 @@ from threadpoolctl import threadpool_limits
 from socket_testbed.api.trials import PathLike, as_path, select
 from socket_testbed.arrays import FloatArray
 from socket_testbed.files import check_picture
-from socket_testbed.identification.contact import ContactModel
 from socket_testbed.identification.force_map import MapEstimate, map_samples
-from socket_testbed.identification.validation import judge_bed
-from socket_testbed.samples import Samples
-from socket_testbed.settings.testbed import EstimatorSettings, estimator_settings
+from socket_testbed.settings.testbed import estimator_settings
 from socket_testbed.tables import write_table
 from socket_testbed.trials.segment import Segment
 from socket_testbed.trials.trial import Trial
@@ -101,7 +98,7 @@ class TrialMap:
             title: Whether it has a title.
         """
         from socket_testbed.report.figures.style import figure_style, save_figure
-        from socket_testbed.report.figures.tile_maps import force_map_figure
+        from socket_testbed.report.sections.pressure import force_map_figure
 
         check_picture(Path(path))
         heading = f"{self.trial.name}, {self.segment}: force map"
@@ -114,7 +111,6 @@ def force_map(
     trial: Trial,
     segment: str | Segment = "plateau",
     *,
-    bed: str | None = None,
     params: PathLike | None = None,
 ) -> TrialMap:
     """Estimate the force on every tile from the clusters and the wrench, sample by sample.
@@ -125,15 +121,11 @@ def force_map(
     Args:
         trial: The trial.
         segment: The segment, or its specification, see `st.select_segment`.
-        bed: A `rigid` variant of the contact model, whose spring forces at the limb's pose shall be
-            the prior's mean. It is fitted on the loaded part of the trial, and used only if
-            clusters that are left out are predicted clearly better with it than without.
         params: A `testbed.yaml` to use instead of the trial's own; its group `force_map` is the
             prior.
 
     Raises:
-        ConfigurationError: For a wrong setting, or a bed that is no `rigid` variant.
-        IdentificationError: If the trial does not allow a fit of the bed.
+        ConfigurationError: For a wrong setting.
         TrialError: If the trial cannot be read or holds no such segment.
 
     >>> found = st.force_map(st.open_trial("trials/hold"), segment="10:20")
@@ -146,27 +138,11 @@ def force_map(
     settings = estimator_settings(trial.estimator, as_path(params))
     samples = trial.samples()
     chosen = select(trial, segment, settings)
-    model = None if bed is None else _trusted_bed(trial, samples, settings, bed)
     with threadpool_limits(1):
         estimate = map_samples(
             samples[chosen.rows],
             trial.geometry,
             settings.force_map,
             settings.identification.leave_out,
-            model,
         )
     return TrialMap(trial, chosen, np.asarray(samples.time[chosen.rows]), estimate)
-
-
-def _trusted_bed(
-    trial: Trial, samples: Samples, settings: EstimatorSettings, variant: str
-) -> ContactModel | None:
-    """The bed if it has earned trust; a note reports its errors on clusters left out."""
-    found = judge_bed(samples, trial.geometry, settings, variant)
-    if trial.notify is not None:
-        trial.notify(
-            f"the springs of {variant} are {'' if found.is_trusted else 'not '}the map's mean:"
-            f" error on clusters left out {found.error:.2f} with them, {found.error_without:.2f}"
-            " without"
-        )
-    return found.model if found.is_trusted else None

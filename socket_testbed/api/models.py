@@ -8,13 +8,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
 from socket_testbed.arrays import FloatArray
-from socket_testbed.files import atomic_output, check_number
+from socket_testbed.documents import check_number
+from socket_testbed.files import atomic_output
+from socket_testbed.identification.engagement import Engagement, engagement
 from socket_testbed.identification.evaluation import (
     ChannelErrors,
     errors_to_dataframe,
@@ -22,7 +24,7 @@ from socket_testbed.identification.evaluation import (
     predict_channels,
     summarise_errors,
 )
-from socket_testbed.identification.fit import Fit, fit_contact_model, implausible_notes
+from socket_testbed.identification.fit import Fit, fit_contact_model
 from socket_testbed.identification.force_map import map_samples
 from socket_testbed.identification.information import (
     LoadShare,
@@ -34,6 +36,7 @@ from socket_testbed.identification.information import (
 from socket_testbed.identification.model_file import (
     StoredModel,
     errors_document,
+    quoted_figures,
     write_model,
 )
 from socket_testbed.identification.model_file import read_model as _read_model
@@ -46,6 +49,7 @@ from socket_testbed.identification.pareto import (
 )
 from socket_testbed.identification.plausibility import (
     find_outliers,
+    implausible_notes,
     require_position,
     without_outliers,
 )
@@ -65,7 +69,7 @@ if TYPE_CHECKING:
 from socket_testbed.api.cycles import cycles as cycles_of
 from socket_testbed.api.pressure import TrialPressure
 from socket_testbed.api.pressure import pressure as pressure_of
-from socket_testbed.api.trials import PathLike, Progress, as_path, select, started
+from socket_testbed.api.trials import PathLike, Progress, as_path, select, select_frames, started
 
 _MOST_THETAS = 10_001
 
@@ -107,6 +111,8 @@ class TrialFit:
             "last_stamp": int(samples.stamps[-1]),
             "samples": len(samples),
             "unloaded": [list(span) for span in self.trial.unloaded],
+            "tare": self.trial.tare,
+            "load_cell": str(self.trial.load_cell_file or "recorded"),
         }
         write_model(self.fit, self.trial.geometry, identity, str(self.segment), Path(path))
 
@@ -211,6 +217,11 @@ class Evaluation:
         """Errors, one row per channel in the channel's unit."""
         return errors_to_dataframe(self.errors)
 
+    def engagement(self) -> Engagement:
+        """Engaged springs at every sample of the trial, their share of the time on the segment."""
+        window = self.model.settings.pose_smoothing
+        return engagement(self.trial.samples(), self.model.model, window, self.segment.rows)
+
     def document(self) -> dict[str, Any]:
         """The evaluation for JSON."""
         return {
@@ -219,6 +230,7 @@ class Evaluation:
             "segment": _segment_document(self.segment),
             "samples": self.samples,
             "channels": [errors_document(error) for error in self.errors],
+            "in_objective": quoted_figures(self.errors),
             **({"pressure": self.pressure.to_document()} if self.pressure else {}),
         }
 
@@ -251,8 +263,9 @@ def fit(
     weights: Weights | None = None,
     smoothness: float | None = None,
     leave_out: Sequence[str] | None = None,
-    noise_correction: bool | None = None,
     pose_smoothing: float | None = None,
+    frames: int | None = None,
+    initial_stiffness: float | Literal["auto"] | None = None,
     solver: str | None = None,
 ) -> TrialFit:
     """Identify the contact model on a segment of a trial.
@@ -269,9 +282,9 @@ def fit(
         weights: What weighs the channels of each of these groups: `size`, `noise` or `raw`.
         smoothness: Weight of the smoothness over neighbouring tiles [-].
         leave_out: Channels to leave out of the objective, such as `distal.Fx` or `Mz`.
-        noise_correction: Whether the share of the pose's noise is subtracted: for stiffness
-            rather than prediction.
         pose_smoothing: Centred window over which the poses are averaged [s].
+        frames: Number of samples that are used, from the segment's start; 0: all.
+        initial_stiffness: k0 of Stage 1 [N/m]; `auto`: from the slope of the wrench.
         solver: A solver that qpsolvers finds.
 
     Raises:
@@ -295,12 +308,13 @@ def fit(
         weights=weights,
         smoothness=smoothness,
         leave_out=leave_out,
-        noise_correction=noise_correction,
         pose_smoothing=pose_smoothing,
+        frames=frames,
+        initial_stiffness=initial_stiffness,
         solver=solver,
     )
     samples = trial.samples()
-    chosen = select(trial, segment, settings)
+    chosen = select_frames(trial, segment, settings)
     _note_implausible(trial, samples, chosen, settings.identification.leave_out)
     # With more threads a sum is rounded otherwise: the same trial is to give the same model on
     # every machine. These programs are small, and no slower for it.
@@ -476,8 +490,8 @@ class Tradeoff:
             title: Whether it has a title.
         """
         # matplotlib takes its time to import.
-        from socket_testbed.report.figures.pareto import pareto_figure
         from socket_testbed.report.figures.style import figure_style, save_figure
+        from socket_testbed.report.sections.fronts import pareto_figure
 
         heading = f"{self.trial.name}, {self.segment}: trade-off between wrench and clusters"
         style = figure_style(width, title)
@@ -506,8 +520,7 @@ def pareto(
         thetas: Number of values of theta from 0 to 1.
         params: As in `fit`.
         progress: See `Progress`.
-        choices: `weights`, `smoothness`, `leave_out`, `noise_correction`, `pose_smoothing` and
-            `solver` as in `fit`.
+        choices: Settings as in `fit`, but for `variant` and `theta`.
 
     Raises:
         TestbedError: As `fit`; also if one of the two groups has no channel in the objective.
@@ -519,7 +532,7 @@ def pareto(
     """
     check_thetas(thetas)
     settings = estimator_settings(trial.estimator, as_path(params), **choices)
-    chosen = select(trial, segment, settings)
+    chosen = select_frames(trial, segment, settings)
     leave_out = settings.identification.leave_out
     _note_implausible(trial, trial.samples(), chosen, leave_out)
     with threadpool_limits(1):
@@ -565,8 +578,7 @@ def write_report(
         width: Printed width of the figures in the folder, 88 or 180 [mm].
         title: Whether these figures have titles, and their keys errors.
         progress: See `Progress`.
-        choices: `theta`, `weights`, `smoothness`, `leave_out`, `noise_correction`,
-            `pose_smoothing` and `solver` as in `fit`.
+        choices: Settings as in `fit`, but for `variant`.
 
     Returns:
         All that the page shows.
@@ -624,7 +636,8 @@ def export(
         trial: The trial.
         path: The file; its suffix, `.csv`, `.parquet` or `.mat`, selects the format.
         segment: The part of the trial.
-        model: A model whose predictions are added as `predicted.*`.
+        model: A model whose predictions are added as `predicted.*`, and its engaged springs as
+            `springs.*`, see `Evaluation.engagement`.
         force_map: Whether the force map is added as `map.*`, see `st.force_map`.
         pressure: Whether pressure and shear of every region and tile are added as `pressure.*`,
             see `TrialPressure.over_time`.
@@ -651,6 +664,10 @@ def export(
     chosen = select(trial, segment, trial.estimator)
     predicted = None if stored is None else _predictions(samples, stored)
     table = sample_table(measured, samples, trial.calibration, chosen, predicted)
+    if stored is not None:
+        engaged = engagement(samples, stored.model, stored.settings.pose_smoothing)
+        springs = pd.DataFrame(engaged.columns("springs."))[chosen.rows]
+        table = pd.concat([table, springs.set_axis(table.index)], axis=1)
     if force_map:
         leave_out = trial.estimator.identification.leave_out
         mapped = map_samples(

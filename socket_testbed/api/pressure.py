@@ -14,13 +14,14 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from socket_testbed.api.maps import TrialMap
-from socket_testbed.api.trials import PathLike, Progress, as_path, select, started
+from socket_testbed.api.trials import PathLike, as_path, select
 from socket_testbed.arrays import FloatArray
-from socket_testbed.files import Section, check_number
+from socket_testbed.documents import check_number
 from socket_testbed.geometry.regions import Region, all_regions
-from socket_testbed.geometry.socket import HEIGHTS, SECTORS, SOCKET, read_region
+from socket_testbed.geometry.socket import HEIGHTS, SECTORS, SOCKET, find_regions
 from socket_testbed.identification.force_map import ForceMap, without_untrusted
 from socket_testbed.identification.model_file import finite_or_null
+from socket_testbed.identification.objective import check_channels
 from socket_testbed.identification.pressure import (
     SHARE,
     THRESHOLD,
@@ -33,7 +34,6 @@ from socket_testbed.identification.pressure import (
     read_column,
     with_interval,
 )
-from socket_testbed.identification.problem import check_channels
 from socket_testbed.settings.testbed import estimator_settings
 from socket_testbed.tables import write_table
 from socket_testbed.trials.segment import Segment
@@ -192,62 +192,31 @@ class TrialPressure:
         Raises:
             ConfigurationError: If the suffix is another, or the file cannot be written.
         """
-        from socket_testbed.report.figures.pressure import (
+        from socket_testbed.report.figures.style import figure_style, save_figure
+        from socket_testbed.report.sections.pressure import (
             instant_maps,
             pressure_figure,
-            region_bands,
         )
-        from socket_testbed.report.figures.style import figure_style, save_figure
 
         time, segment = self.time, self.segment
         maps, determined = instant_maps(self.outputs, time, self.share, segment.kind)
-        bands = region_bands(self.outputs.mean_pressure(), [place.name for place in self.places])
-        twelve = {f"{sector} {height}" for sector in SECTORS for height in HEIGHTS}
-        for name in {SOCKET, *twelve} & {*bands}:
-            del bands[name]
+        left_out = {SOCKET, *(f"{sector} {height}" for sector in SECTORS for height in HEIGHTS)}
+        names = [place.name for place in self.places]
+        regions = {name: i for i, name in enumerate(names) if name not in left_out}
         events = [(event.time, event.label) for event in self.trial.events()]
         figure = pressure_figure(
             self.trial.geometry,
             maps,
             determined,
             time,
-            bands,
+            self.outputs.mean_pressure(),
+            regions,
             events,
             self.trial.metadata.side or "",
             f"{self.trial.name}: pressure, {segment}",
             figure_style(width, title),
         )
         save_figure(figure, Path(path))
-
-    def animate(self, path: PathLike, progress: Progress | None = None) -> None:
-        """Write the unrolled map over the segment as a video, `.gif`, or `.mp4` by ffmpeg.
-
-        It runs in real time with ten frames a second, on one colour scale.
-
-        Args:
-            path: The file; an older one is replaced.
-            progress: See `Progress`.
-
-        Raises:
-            ConfigurationError: If the suffix is another, ffmpeg is missing, or it would be too
-                long: 3 min as a GIF, 15 min as an MP4.
-        """
-        from socket_testbed.report.figures.video import write_video
-
-        estimate = self.map.estimate
-        pressures = of_deviations(
-            estimate.normal_pressure, estimate.normal_pressure_standard_deviation
-        )
-        write_video(
-            Path(path),
-            self.trial.geometry,
-            self.time,
-            1e-3 * estimate.normal_pressure,
-            pressures.determined(self.share),
-            self.trial.metadata.side or "",
-            f"{self.trial.name}: pressure",
-            started(progress, "drawing frames"),
-        )
 
     def _table(
         self, found: RegionOutputs, names: Sequence[str], titles: Sequence[str]
@@ -340,9 +309,7 @@ def _regions(trial: Trial, own: Mapping[str, Sequence[str]] | None) -> tuple[Reg
     """The regions of a trial's socket."""
     geometry = trial.geometry
     if own is not None:
-        section = Section(dict(own), "regions")
-        index = {name: i for i, name in enumerate(geometry.names)}
-        given = {name: read_region(section, name, index) for name in section.names()}
+        given = find_regions(own, geometry.names, "regions")
         geometry = dataclasses.replace(geometry, regions=given)
     side = trial.metadata.side
     if side is None and trial.notify is not None:

@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING, TypeAlias
 
 from socket_testbed.batch import is_trial
 from socket_testbed.calibration.model import read_calibration
-from socket_testbed.errors import ConfigurationError, TrialError
-from socket_testbed.files import check_new_folder, check_number, closest, packaged
+from socket_testbed.documents import check_number
+from socket_testbed.errors import ConfigurationError, TrialError, closest
+from socket_testbed.files import check_new_folder, packaged
 from socket_testbed.geometry.regions import Side
 from socket_testbed.geometry.socket import read_socket
 from socket_testbed.samples import Samples
@@ -55,17 +56,25 @@ def open_trial(
     calibration: PathLike | None = None,
     unloaded: Iterable[tuple[float, float]] = (),
     notify: Callable[[str], None] | None = None,
+    *,
+    load_cell: PathLike | None = None,
+    tare: str = "recorded",
 ) -> Trial:
     """Open a trial: a folder that `record`, `run --record` or `simulate` wrote.
 
     Args:
         path: Folder of the trial.
-        geometry: A `socket.yaml` to use instead of the trial's own.
+        geometry: A `socket.yaml` to use instead of the trial's own. Where a body's markers differ
+            in it, its poses are fitted anew to the recorded markers.
         calibration: A `calibration.yaml` to use instead of the trial's own.
         unloaded: Spans without load, before and after, by which the drift of the clusters is
             corrected; seconds since the first sample.
         notify: Called with each note on the trial once, such as on channels that look implausible;
             None for warnings.
+        load_cell: A `testbed.yaml` whose load cell (matrix, signs, gains, ...) is used instead of
+            the trial's own, on the recorded ratios of the bridges.
+        tare: What is subtracted from the wrenches: the tare that was `recorded`, `none`, or the
+            mean of `T0:T1`, seconds without load since the first sample.
 
     Returns:
         The trial. `trial.samples()` are its synchronised samples, `trial.events()` its events,
@@ -73,6 +82,7 @@ def open_trial(
 
     Raises:
         TrialError: If there is no such trial.
+        ConfigurationError: If the tare or the spans without load are wrong.
 
     >>> trial = st.open_trial("trials/hold")
     >>> trial
@@ -86,7 +96,8 @@ def open_trial(
     """
     spans = tuple((float(start), float(end)) for start, end in unloaded)
     notify = cache(notify or _warn)
-    trial = Trial(Path(path), as_path(geometry), as_path(calibration), notify, spans)
+    files = as_path(geometry), as_path(calibration)
+    trial = Trial(Path(path), *files, notify, spans, as_path(load_cell), tare)
     if not trial.path.is_dir():
         with trial.open():
             pass  # says what is wrong
@@ -197,6 +208,12 @@ def select(trial: Trial, segment: str | Segment, settings: EstimatorSettings) ->
     )
 
 
+def select_frames(trial: Trial, segment: str | Segment, settings: EstimatorSettings) -> Segment:
+    """The part of a segment that a fit uses: its first `identification.frames` samples."""
+    chosen = select(trial, segment, settings)
+    return segments.first_frames(chosen, trial.samples(), settings.identification.frames)
+
+
 def simulate(
     path: PathLike,
     scenario: Scenario = "static_hold",
@@ -219,8 +236,8 @@ def simulate(
         path: Folder of the new trial.
         scenario: The load history: `static_hold`, `ramp`, `multi_direction` or `protocol`.
         tissue: The limb's tissue: `soft` like the published experiment's silicone, or `stiff`.
-        like_paper: Whether the load cell creeps and the clusters have offsets as large as in the
-            published experiment, with a calibration whose ranges admit them.
+        like_paper: Whether the load cell's creep and vibration and the clusters' offsets are as
+            large as in the published experiment, with a calibration whose ranges admit them.
         duration: Duration [s].
         rate: Rate of the trigger [Hz].
         seed: Seed of the random numbers.

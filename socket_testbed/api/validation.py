@@ -17,12 +17,12 @@ from socket_testbed.api.trials import PathLike, Progress, as_path, started
 from socket_testbed.errors import ConfigurationError, IdentificationError, TrialError
 from socket_testbed.identification.model_file import finite_or_null
 from socket_testbed.identification.noise import smooth_poses
+from socket_testbed.identification.objective import LEAST_SAMPLES
 from socket_testbed.identification.plausibility import (
     find_outliers,
     require_position,
     without_outliers,
 )
-from socket_testbed.identification.problem import LEAST_SAMPLES
 from socket_testbed.identification.validation import (
     LEVELS,
     Judgement,
@@ -85,7 +85,7 @@ class Validation:
             title: Whether it has a title.
         """
         from socket_testbed.report.figures.style import figure_style, save_figure
-        from socket_testbed.report.figures.validation import validation_figure
+        from socket_testbed.report.sections.validation import validation_figure
 
         several = len(self.trials) > 1
         name = f"{len(self.trials)} trials, means" if several else self.trials[0]

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
-import csv
 import io
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from socket_testbed.arrays import BoolArray, FloatArray, IntArray
+from socket_testbed.documents import decimal, read_text
 from socket_testbed.errors import CalibrationError
-from socket_testbed.files import closest, decimal
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 FORCES = {"N": 1.0, "kN": 1e3}  # a stress may be given as the force on the cluster's area
 COUNTS = 2.0**19  # [1/pF] of the converter, an FDC1004
@@ -97,7 +100,7 @@ def join_benches(parts: Sequence[BenchData]) -> BenchData:
     return BenchData(tuple(name for part in parts for name in part.files), **arrays)
 
 
-# What a reading can be; beyond it, the unit is not the one that is named.
+# Readings outside these ranges have another unit than the one that is named.
 _CAPACITANCE_RANGE = (0.01, 100.0)  # [pF]
 _STRESS_RANGES = {
     "normal": (-1e3, 2e6),  # [Pa]; a load cell's zero may be a little off
@@ -105,6 +108,7 @@ _STRESS_RANGES = {
     "shear_y": (-1e6, 1e6),
 }
 _STEP_RANGE = (1e-3, 60.0)  # [s] between readings, in the median
+_LARGEST_FILE = 2**27  # [bytes]
 
 
 def read_bench(
@@ -127,19 +131,30 @@ def read_bench(
         area: Area on which a stress in N acts [m^2].
 
     Raises:
+        ConfigurationError: If the file cannot be read as text.
         CalibrationError: If the file is wrong, naming the line and the column.
     """
-    table = read_table(path)
-    found = find_columns(table, (*STRESSES, *INPUTS), ("time", "cycle"), columns, units)
-    rows = len(table.lines)
+    found = _find_columns(path, (*STRESSES, *INPUTS), ("time", "cycle"), columns, units)
+    lines = np.array(found["c0"].cells.index, dtype=np.int64)
+    cycle = np.full(len(lines), UNNAMED)
+    if "cycle" in found:
+        cycle = np.unique(found["cycle"].filled_cells(), return_inverse=True)[1]
+    stress = [found[name].stress(area) for name in STRESSES]
+    capacitance = [found[name].values(*_CAPACITANCE_RANGE) for name in INPUTS]
+    for name, values in zip(INPUTS, capacitance, strict=True):
+        if np.ptp(values) == 0.0:
+            raise found[name].error(
+                f"is {values[0] / found[name].scale:g} {found[name].unit} in every row",
+                "check this input's wire, or name the column that holds it",
+            )
     return BenchData(
-        files=(table.name,),
-        file=np.zeros(rows, dtype=np.int64),
-        line=table.lines,
-        time=_time(found["time"]) if "time" in found else np.full(rows, np.nan),
-        cycle=_cycles(found["cycle"]) if "cycle" in found else np.full(rows, UNNAMED),
-        capacitance=np.column_stack([_changing_capacitance(found[name]) for name in INPUTS]),
-        stress=np.column_stack([_stress(found[name], area) for name in STRESSES]),
+        files=(path.name,),
+        file=np.zeros(len(lines), dtype=np.int64),
+        line=lines,
+        time=found["time"].times() if "time" in found else np.full(len(lines), np.nan),
+        cycle=cycle.astype(np.int64),
+        capacitance=np.column_stack(capacitance),
+        stress=np.column_stack(stress),
     )
 
 
@@ -155,363 +170,221 @@ def read_unloaded(path: Path, columns: Mapping[str, str], units: Mapping[str, st
         Capacitances by input, shape (N, 4) [pF].
 
     Raises:
+        ConfigurationError: If the file cannot be read as text.
         CalibrationError: If the file is wrong, naming the line and the column.
     """
-    found = find_columns(read_table(path), INPUTS, (), columns, units)
+    found = _find_columns(path, INPUTS, (), columns, units)
     return np.column_stack([found[name].values(*_CAPACITANCE_RANGE) for name in INPUTS])
 
 
-def _time(column: BenchColumn) -> FloatArray:
-    time = column.numbers() * column.scale
-    steps = np.diff(time)
-    backwards = np.flatnonzero(steps <= 0.0)
-    if len(backwards):
-        raise CalibrationError(
-            f"{column.table.name}: '{column.title}' does not increase at line"
-            f" {column.table.lines[backwards[0] + 1]}",
-            "give the readings in their order, and each run as a file of its own",
-        )
-    usual = float(np.median(steps)) if len(steps) else _STEP_RANGE[0]
-    if not _STEP_RANGE[0] <= usual <= _STEP_RANGE[1]:
-        other = "ms" if column.unit == "s" else "s"
-        raise CalibrationError(
-            f"{column.table.name}: the steps of '{column.title}' are {usual / column.scale:.3g}"
-            f" {column.unit} in the median, which no bench reads at",
-            f"correct the header, or give --units time={other} if these are {other}",
-        )
-    return time
-
-
-def _cycles(column: BenchColumn) -> IntArray:
-    return np.unique(column.texts(), return_inverse=True)[1].astype(np.int64)
-
-
-def _changing_capacitance(column: BenchColumn) -> FloatArray:
-    values = column.values(*_CAPACITANCE_RANGE)
-    if np.ptp(values) == 0.0:
-        raise CalibrationError(
-            f"{column.table.name}: '{column.title}' is {values[0] / column.scale:g} {column.unit}"
-            " in every row",
-            "check this input's wire, or name the column that holds it",
-        )
-    return values
-
-
-def _stress(column: BenchColumn, area: float | None) -> FloatArray:
-    if column.unit in FORCES:
-        if area is None:
-            raise CalibrationError(
-                f"{column.table.name}: '{column.title}' is a force in {column.unit}",
-                "give the area it acts on with --area, in m^2, or with --geometry",
-            )
-        column = replace(column, scale=FORCES[column.unit] / area)
-    return column.values(*_STRESS_RANGES[column.quantity])
-
-
-_NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?", flags=re.ASCII)
-_SEPARATORS = "\t;,"
-
-
 @dataclass(frozen=True)
-class BenchTable:
-    """The cells of a bench file.
+class _Column:
+    """A quantity's column: its cells as text by their lines, its unit and the unit's size."""
 
-    Attributes:
-        name: Name of the file, for errors and reports.
-        header: Titles of the columns as the file has them.
-        lines: Line of the file that each of the N rows stands on, shape (N,).
-        columns: The cells of each column, as text.
-        decimal_comma: Whether numbers may have a comma; not where commas separate the cells.
-    """
-
-    name: str
-    header: tuple[str, ...]
-    lines: IntArray
-    columns: tuple[tuple[str, ...], ...]
-    decimal_comma: bool
-
-
-@dataclass(frozen=True)
-class BenchColumn:
-    """The column of a quantity in a table.
-
-    Attributes:
-        table: The table.
-        quantity: The quantity, one of `UNITS`.
-        index: The column of the table.
-        unit: The quantity's unit; empty where it has none.
-        scale: Size of the unit in s, pF, Pa or N.
-    """
-
-    table: BenchTable
     quantity: str
-    index: int
+    file: str
+    title: str
+    cells: pd.Series
     unit: str = ""
-    scale: float = 1.0
+    scale: float = 1.0  # [s, pF, Pa or N]
 
-    @property
-    def title(self) -> str:
-        """Its title in the header."""
-        return self.table.header[self.index]
+    def error(self, fact: str, hint: str) -> CalibrationError:
+        return CalibrationError(f"{self.file}: '{self.title}' {fact}", hint)
 
-    def texts(self) -> tuple[str, ...]:
-        """The cells as text.
-
-        Raises:
-            CalibrationError: If one of them is empty.
-        """
-        cells = self.table.columns[self.index]
-        if "" in cells:
-            raise CalibrationError(
-                f"{self.table.name}: '{self.title}' is empty in line"
-                f" {self.table.lines[cells.index('')]}",
-                "fill the cell or remove the line",
-            )
-        return cells
+    def filled_cells(self) -> pd.Series:
+        empty = self.cells == ""
+        if empty.any():
+            raise self.error(f"is empty in line {empty.idxmax()}", "fill the cell or its line")
+        return self.cells
 
     def numbers(self) -> FloatArray:
-        """The cells as numbers, in the column's unit, shape (N,).
-
-        Raises:
-            CalibrationError: If one of them is none.
-        """
+        """The cells as numbers in the column's unit, shape (N,)."""
         values = []
-        for cell, line in zip(self.texts(), self.table.lines, strict=True):
-            written = cell.replace(",", ".") if self.table.decimal_comma else cell
+        for line, cell in self.filled_cells().items():
             try:
-                values.append(decimal(written))
+                values.append(decimal(cell))
             except ValueError:
-                raise CalibrationError(
-                    f"{self.table.name}: '{self.title}' holds '{cell}' in line {line}, which is no"
-                    " number",
+                raise self.error(
+                    f"holds '{cell}' in line {line}, which is not a number",
                     "give a number there; a unit belongs into the header",
                 ) from None
         return np.array(values)
 
     def values(self, least: float, largest: float) -> FloatArray:
-        """The cells as numbers in s, pF or Pa, shape (N,).
-
-        Raises:
-            CalibrationError: If one of them is none, or outside of the limits [s, pF or Pa].
-        """
+        """The cells within limits, all in s, pF or Pa, shape (N,)."""
         numbers = self.numbers()
         low, high = least / self.scale, largest / self.scale
         outside = np.flatnonzero((numbers < low) | (numbers > high))
         if len(outside):
-            raise CalibrationError(
-                f"{self.table.name}: '{self.title}' is {numbers[outside[0]]:g} {self.unit} in line"
-                f" {self.table.lines[outside[0]]}, outside {low:g} to {high:g} {self.unit}",
+            raise self.error(
+                f"is {numbers[outside[0]]:g} {self.unit} in line {self.cells.index[outside[0]]},"
+                f" outside {low:g} to {high:g} {self.unit}",
                 f"check the value, its sign and its unit; --units {self.quantity}=UNIT names"
                 " another",
             )
         return numbers * self.scale
 
+    def stress(self, area: float | None) -> FloatArray:
+        """A stress, or a force on an area, shape (N,) [Pa]."""
+        column = self
+        if self.unit in FORCES:
+            if area is None:
+                raise self.error(
+                    f"is a force in {self.unit}",
+                    "give the area it acts on with --area, in m^2, or with --geometry",
+                )
+            column = replace(self, scale=self.scale / area)
+        return column.values(*_STRESS_RANGES[self.quantity])
 
-def read_table(path: Path) -> BenchTable:
-    """Read a table whose cells are separated by commas, semicolons or tabs.
+    def times(self) -> FloatArray:
+        """Increasing times, shape (N,) [s]."""
+        numbers = self.numbers()
+        steps = np.diff(numbers)
+        if (steps <= 0.0).any():
+            raise self.error(
+                f"does not increase at line {self.cells.index[1:][steps <= 0.0][0]}",
+                "give the readings in their order, and each run as a file of its own",
+            )
+        usual = float(np.median(steps)) * self.scale if len(steps) else _STEP_RANGE[0]
+        if not _STEP_RANGE[0] <= usual <= _STEP_RANGE[1]:
+            other = "ms" if self.unit == "s" else "s"
+            raise self.error(
+                f"has steps of {usual / self.scale:.3g} {self.unit} in the median, which no bench"
+                " reads at",
+                f"correct the header, or give --units time={other} if these are {other}",
+            )
+        return numbers * self.scale
 
-    Lines without any content are left out.
 
-    Raises:
-        CalibrationError: If the file cannot be read, has no rows, has a row of another length
-            than the header, or repeats the header.
-    """
-    text = _read_text(path)
-    first = text.partition("\n")[0]
-    separator = max(_SEPARATORS, key=first.count)
-    reader = csv.reader(io.StringIO(text, newline=""), delimiter=separator, strict=True)
-    header: tuple[str, ...] = ()
-    rows: list[tuple[str, ...]] = []
-    lines: list[int] = []
+def _read_cells(path: Path) -> tuple[list[str], pd.DataFrame]:
+    """The titles, with the units of a row below them, and the cells as text by their lines."""
+    import pandas as pd  # only to read; this module is imported by every verb
+
+    text = read_text(path, largest=_LARGEST_FILE)
+    above = len(text) - len(text.lstrip())
+    first = text[above:].partition("\n")[0]
+    separator = max("\t;,", key=first.count)
     try:
-        for cells in reader:
-            row = tuple(cell.strip() for cell in cells)
-            if not any(row):
-                continue
-            if not header:
-                header = row
-                continue
-            if not rows and _is_units_row(header, row):
-                header = tuple(map(_titled, header, row))
-                continue
-            _check_row(path.name, header, row, reader.line_num, separator)
-            rows.append(row)
-            lines.append(reader.line_num)
-    except csv.Error as error:
+        cells = pd.read_csv(
+            io.StringIO(text[above:]),
+            sep=separator,
+            header=None,
+            dtype=str,
+            keep_default_na=False,
+            skip_blank_lines=False,
+        )
+    except pd.errors.EmptyDataError:
+        cells = pd.DataFrame()
+    except pd.errors.ParserError as error:
+        fact = str(error).strip().rpartition("error: ")[2].replace("row", "line")
         raise CalibrationError(
-            f"{path}: line {reader.line_num} cannot be read as a row ({error})", "correct that line"
+            f"{path}: {fact}",
+            "give every row as many fields as the header; separate them with ';' if the numbers"
+            " have decimal commas",
         ) from None
-    if not rows:
+    cells = cells.fillna("").apply(lambda column: column.str.strip())
+    cells.index += 1 + text[:above].count("\n")
+    cells = cells[cells.ne("").any(axis=1)]
+    if len(cells) < 2:
         raise CalibrationError(
             f"{path}: holds no row of data", "give a header and below it a row per reading"
         )
-    columns = tuple(zip(*rows, strict=True))
-    return BenchTable(path.name, header, np.array(lines, dtype=np.int64), columns, separator != ",")
+    titles, cells = cells.iloc[0].tolist(), cells[1:]
+    if separator != ",":
+        cells = cells.replace(",", ".", regex=True)
+    below = [cell.strip("[]()") for cell in cells.iloc[0]]
+    if set(below) & _ALL_UNITS and not any(re.match(r"[-+.]?\d", cell) for cell in below):
+        named = zip(titles, below, strict=True)
+        titles = [f"{t} [{unit}]" if unit and not _split(t)[1] else t for t, unit in named]
+        cells = cells[1:]
+    return titles, cells
 
 
-def _is_units_row(header: tuple[str, ...], row: tuple[str, ...]) -> bool:
-    """Whether a row names units, as an MTS export has them below its header."""
-    known = {unit for units in UNITS.values() for unit in units}
-    cells = {cell.strip("[]()") for cell in row if cell}
-    return (
-        len(row) == len(header)
-        and row != header
-        and not any(_NUMBER.fullmatch(cell.replace(",", ".")) for cell in cells)
-        and bool(cells & known)
-    )
-
-
-def _titled(title: str, unit: str) -> str:
-    """A title with its unit from the row below; its own unit counts more."""
-    unit = unit.strip("[]()")
-    return f"{title} [{unit}]" if unit and not split_title(title)[1] else title
-
-
-def _read_text(path: Path) -> str:
-    try:
-        return path.read_text(encoding="utf-8-sig")
-    except FileNotFoundError:
-        raise CalibrationError(f"{path}: no such file", "check the path") from None
-    except UnicodeDecodeError:
-        raise CalibrationError(
-            f"{path}: is not UTF-8 text", "save it as CSV (UTF-8) from the spreadsheet"
-        ) from None
-    except OSError as error:
-        raise CalibrationError(
-            f"{path}: cannot be read ({error.strerror or error})", "check the file"
-        ) from None
-
-
-def _check_row(
-    name: str, header: tuple[str, ...], row: tuple[str, ...], line: int, separator: str
-) -> None:
-    if row == header:
-        raise CalibrationError(
-            f"{name}: line {line} repeats the header",
-            "put what follows into a file of its own and give both files",
-        )
-    if len(row) == len(header):
-        return
-    hint = "give every row as many fields as the header"
-    if separator == "," and len(header) < len(row) <= 2 * len(header):
-        hint += ", or separate the fields with ';' if the numbers have decimal commas"
-    raise CalibrationError(
-        f"{name}: line {line} has {len(row)} fields under a header of {len(header)}", hint
-    )
-
-
-_SUFFIXES = "|".join(sorted({unit for units in UNITS.values() for unit in units}))
+_ALL_UNITS = {unit for units in UNITS.values() for unit in units}
 _BRACKETED = re.compile(r"(.*?)[\s_]*[\[(]([^\])]*)[\])]")
-_SUFFIXED = re.compile(rf"(.*?)[\s_]+({_SUFFIXES})", flags=re.IGNORECASE)
-_SHOWN = 8  # names of a header that an error lists
+_SUFFIXED = re.compile(rf"(.*?)[\s_]+({'|'.join(sorted(_ALL_UNITS))})", flags=re.IGNORECASE)
 
 
-def split_title(title: str) -> tuple[str, str]:
-    """Name and unit of a column: `normal [kPa]`, `normal (kPa)`, `normal_kPa`, `normal kPa`.
-
-    Returns:
-        The name and the unit; without a unit, the title and nothing.
-    """
+def _split(title: str) -> tuple[str, str]:
+    """Name and unit of a column: `normal [kPa]`, `normal (kPa)`, `normal_kPa`, `normal kPa`."""
     found = _BRACKETED.fullmatch(title) or _SUFFIXED.fullmatch(title)
     return (found[1].strip(), found[2].strip()) if found else (title, "")
 
 
-def find_columns(
-    table: BenchTable,
+def _find_columns(
+    path: Path,
     required: Sequence[str],
     optional: Sequence[str],
     titles: Mapping[str, str],
     units: Mapping[str, str],
-) -> dict[str, BenchColumn]:
-    """Find quantities in the columns of a table.
+) -> dict[str, _Column]:
+    """The columns of the quantities that a file has.
 
     Args:
-        table: The table.
+        path: The file.
         required: Quantities of `UNITS` that must be there.
         optional: Those that may be.
         titles: Names in the header, with or without the unit, of quantities that the header
             does not call by their own names.
         units: Units of quantities, instead of the header's.
-
-    Returns:
-        The columns of the quantities that are there.
-
-    Raises:
-        CalibrationError: If a quantity is missing, appears twice, shares its column with
-            another one, or has no unit or an unknown one.
     """
-    places = {name: _find(table, name, titles) for name in (*required, *optional)}
-    missing = [name for name in required if places[name] is None]
+    header, cells = _read_cells(path)
+    places: dict[str, int] = {}
+    missing = []
+    for name in (*required, *optional):
+        matches = _matches(header, name, titles.get(name))
+        if len(matches) > 1:
+            raise CalibrationError(
+                f"{path.name}: {name} is in {len(matches)} columns:"
+                f" {', '.join(repr(header[i]) for i in matches)}",
+                f"rename all but one, or name it with --columns {name}=NAME",
+            )
+        if matches:
+            places[name] = matches[0]
+        elif name in required or name in titles:
+            missing.append(name)
     if missing:
+        shown = ", ".join(f"'{title}'" for title in header if title)
         raise CalibrationError(
-            f"{table.name}: no column for {', '.join(missing)} (its header has {_shown(table)})",
+            f"{path.name}: no column for {', '.join(missing)} (its header has {shown})",
             f"name it with --columns {' '.join(f'{name}=NAME' for name in missing)}",
         )
-    columns = {
-        name: _with_unit(BenchColumn(table, name, index), units)
-        for name, index in places.items()
-        if index is not None
-    }
-    lacking = [name for name, column in columns.items() if UNITS[name] and not column.unit]
-    if lacking:
-        name = lacking[0]
-        example = next(iter(UNITS[name]))
-        raise CalibrationError(
-            f"{table.name}: no unit for {', '.join(lacking)}",
-            f"write it into the header, such as '{columns[name].title} [{example}]', or give"
-            f" --units {name}={example}",
-        )
     owners: dict[int, str] = {}
-    for name, column in columns.items():
-        owner = owners.setdefault(column.index, name)
-        if owner != name:
+    for name, index in places.items():
+        if owners.setdefault(index, name) != name:
             raise CalibrationError(
-                f"{table.name}: '{column.title}' is both {owner} and {name}",
+                f"{path.name}: '{header[index]}' is both {owners[index]} and {name}",
                 "name a column of its own for each with --columns",
             )
-    return columns
+    columns = [_Column(name, path.name, header[i], cells[i]) for name, i in places.items()]
+    return {column.quantity: _with_unit(column, units) for column in columns}
 
 
-def _find(table: BenchTable, name: str, titles: Mapping[str, str]) -> int | None:
-    wanted = titles.get(name)
+def _matches(header: Sequence[str], name: str, wanted: str | None) -> list[int]:
+    """The columns that may be a quantity's, by its name or the title that is wanted."""
     if wanted is None:
-        matches = [i for i, t in enumerate(table.header) if split_title(t)[0].lower() == name]
-    else:
-        matches = [i for i, t in enumerate(table.header) if t == wanted.strip()]
-        matches = matches or [
-            i for i, t in enumerate(table.header) if split_title(t)[0] == wanted.strip()
-        ]
-        if not matches:
-            raise CalibrationError(
-                f"{table.name}: no column '{wanted}' for {name} (its header has {_shown(table)})",
-                closest(wanted, [title for title in table.header if title]),
-            )
-    if len(matches) > 1:
-        raise CalibrationError(
-            f"{table.name}: {name} is in {len(matches)} columns:"
-            f" {', '.join(repr(table.header[i]) for i in matches)}",
-            f"rename all but one, or name it with --columns {name}=NAME",
-        )
-    return matches[0] if matches else None
+        return [i for i, title in enumerate(header) if _split(title)[0].lower() == name]
+    exact = [i for i, title in enumerate(header) if title == wanted.strip()]
+    return exact or [i for i, title in enumerate(header) if _split(title)[0] == wanted.strip()]
 
 
-def _with_unit(column: BenchColumn, units: Mapping[str, str]) -> BenchColumn:
+def _with_unit(column: _Column, units: Mapping[str, str]) -> _Column:
     """The column with the unit of its title, or the one that is named instead."""
-    known = UNITS[column.quantity]
-    written = units.get(column.quantity) or split_title(column.title)[1]
-    if not written or not known:
+    name, known = column.quantity, UNITS[column.quantity]
+    written = units.get(name) or _split(column.title)[1]
+    if not known:
         return column
+    if not written:
+        raise column.error(
+            "has no unit",
+            f"write it into the header, such as '{column.title} [{next(iter(known))}]', or give"
+            f" --units {name}={next(iter(known))}",
+        )
     # mPa is a thousandth, not a million: MPa has to be written as it is.
     alike = [u for u in known if u == written or (u.lower() == written.lower() and u != "MPa")]
     if not alike:
-        raise CalibrationError(
-            f"{column.table.name}: {column.quantity} is in '{written}', not one of its units",
-            f"name one of {', '.join(known)} in the header or with --units {column.quantity}=UNIT",
+        raise column.error(
+            f"is in '{written}', not one of the units of {name}",
+            f"name one of {', '.join(known)} in the header or with --units {name}=UNIT",
         )
     return replace(column, unit=alike[0], scale=known[alike[0]])
-
-
-def _shown(table: BenchTable) -> str:
-    named = [f"'{title}'" for title in table.header if title]
-    more = ", ..." if len(named) > _SHOWN else ""
-    return ", ".join(named[:_SHOWN]) + more

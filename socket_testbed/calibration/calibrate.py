@@ -45,6 +45,7 @@ from socket_testbed.calibration.quality import (
     CrossValidation,
     StressErrors,
     choose_groups,
+    cross_talk,
     cross_validate,
     half_widths,
     hysteresis,
@@ -152,6 +153,8 @@ class BenchCalibration:
         branches: `find_branches` of the sound rows; no branch of the others, shape (N, 3).
         hysteresis: Gap between rising and falling, shape (3,) [% of the full scale].
         repeatability: Spread of the cycles, shape (3,) [% of the full scale].
+        cross_talk: Apparent normal stress under pure shear and shear under pure normal stress,
+            held out, shape (3,) [% of the full scale].
     """
 
     cluster: ClusterCalibration
@@ -168,6 +171,7 @@ class BenchCalibration:
     branches: IntArray
     hysteresis: FloatArray
     repeatability: FloatArray
+    cross_talk: FloatArray
 
     @property
     def full_scale(self) -> FloatArray:
@@ -276,6 +280,7 @@ def calibrate_bench(
         repeatability=repeatability(
             bench[sound], residual, branches[sound], cycle_ids(bench)[sound]
         ),
+        cross_talk=cross_talk(bench[sound], (checked.predicted - bench.stress)[sound]),
     )
 
 
@@ -308,6 +313,7 @@ def bench_record(
         "training": _by_stress(calibrated.training),
         "hysteresis_percent": _by_stress(calibrated.hysteresis),
         "repeatability_percent": _by_stress(calibrated.repeatability),
+        "cross_talk_percent": _by_stress(calibrated.cross_talk),
         "interval_95": {
             "normal": calibrated.normal_half_width,
             "shear_x": calibrated.shear_half_width[0],

@@ -9,20 +9,20 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
-from datetime import date
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
+import msgspec
 import numpy as np
 import yaml
+from msgspec import Meta
 
 from socket_testbed.arrays import FloatArray, IntArray, StatusArray
-from socket_testbed.errors import CalibrationError, ConfigurationError
-from socket_testbed.files import Section, read_document
+from socket_testbed.documents import Document, FieldError, Text, read_document
+from socket_testbed.errors import CalibrationError
 from socket_testbed.samples import Status
 
-_LARGEST = 1e9  # [Pa, Pa/pF, Pa/pF^2, pF]; no coefficient comes near it
 SMALLEST_GAIN = 100.0  # [Pa/pF]; a smaller one is in another unit
 
 _OK, _SATURATED, _MISSING, _OUT_OF_RANGE = (np.uint8(status) for status in Status)
@@ -209,63 +209,59 @@ def write_calibration(calibration: Calibration, path: Path) -> None:
     path.write_text(_HEADER + text, encoding="utf-8")
 
 
+_Coefficient = Annotated[float, Meta(ge=-1e9, le=1e9)]  # [Pa, Pa/pF, Pa/pF^2, pF]
+_Pair = tuple[_Coefficient, _Coefficient]
+_Four = tuple[_Coefficient, _Coefficient, _Coefficient, _Coefficient]
+_Six = tuple[_Coefficient, _Coefficient, _Coefficient, _Coefficient, _Coefficient, _Coefficient]
+
+
+class _Cluster(Document):
+    normal: _Pair
+    shear_x: _Six
+    shear_y: _Six
+    mean_range: _Pair
+    difference_range: _Pair
+    wiring: _Four
+    baseline: _Four | None = None
+    bench: dict[str, Any] = msgspec.field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if sorted(self.wiring) != [0, 1, 2, 3]:
+            raise FieldError(f"wiring is {list(self.wiring)}", "give each of 0, 1, 2, 3 once")
+        for key in ("mean_range", "difference_range"):
+            low, high = getattr(self, key)
+            if low >= high:
+                raise FieldError(f"{key} is [{low:g}, {high:g}]", "give [low, high] in pF")
+        if self.normal[1] < SMALLEST_GAIN:
+            raise FieldError(
+                f"the gain of normal is {self.normal[1]:g} Pa/pF",
+                "give [offset in Pa, gain in Pa/pF], compression positive",
+            )
+
+
+class _Calibration(Document):
+    date: Text
+    source: Text
+    clusters: dict[str, _Cluster]
+
+
 def read_calibration(path: Path) -> Calibration:
     """Read `calibration.yaml`.
 
     Raises:
         ConfigurationError: If the file is missing or has a wrong entry.
     """
-    document = read_document(path).expect(("date", "source", "clusters"))
+    document = read_document(path, _Calibration)
     clusters = {
-        name: _cluster_from_section(section) for name, section in document.sections("clusters")
+        name: ClusterCalibration(
+            normal=np.array(cluster.normal),
+            shear=np.array([cluster.shear_x, cluster.shear_y]),
+            mean_range=np.array(cluster.mean_range),
+            difference_range=np.array(cluster.difference_range),
+            wiring=np.array(cluster.wiring, dtype=np.int64),
+            baseline=None if cluster.baseline is None else np.array(cluster.baseline),
+            bench=cluster.bench,
+        )
+        for name, cluster in document.clusters.items()
     }
-    return Calibration(clusters, _date(document), document.text("source"))
-
-
-def _date(document: Section) -> str:
-    value = document.take("date")
-    return value.isoformat() if isinstance(value, date) else document.text("date")
-
-
-_REQUIRED = ("normal", "shear_x", "shear_y", "mean_range", "difference_range", "wiring")
-_OPTIONAL = ("baseline", "bench")
-
-
-def _cluster_from_section(section: Section) -> ClusterCalibration:
-    section.expect((*_REQUIRED, *_OPTIONAL))
-    wiring = section.array("wiring", (4,))
-    if sorted(wiring.tolist()) != [0, 1, 2, 3]:
-        raise ConfigurationError(
-            f"{section.where}: wiring is {wiring.tolist()}", "give each of 0, 1, 2, 3 once"
-        )
-    ranges = {}
-    for key in ("mean_range", "difference_range"):
-        ranges[key] = section.array(key, (2,), limit=_LARGEST)
-        if ranges[key][0] >= ranges[key][1]:
-            raise ConfigurationError(
-                f"{section.where}: {key} is {ranges[key].tolist()}", "give [low, high] in pF"
-            )
-    normal = section.array("normal", (2,), limit=_LARGEST)
-    if normal[1] < SMALLEST_GAIN:
-        raise ConfigurationError(
-            f"{section.where}: the gain of normal is {normal[1]:g} Pa/pF",
-            "give [offset in Pa, gain in Pa/pF], compression positive",
-        )
-    return ClusterCalibration(
-        normal=normal,
-        shear=np.array(
-            [section.array(key, (6,), limit=_LARGEST) for key in ("shear_x", "shear_y")]
-        ),
-        mean_range=ranges["mean_range"],
-        difference_range=ranges["difference_range"],
-        wiring=wiring.astype(np.int64),
-        baseline=section.array("baseline", (4,), limit=_LARGEST)
-        if "baseline" in section.names()
-        else None,
-        bench=_bench_record(section) if "bench" in section.names() else {},
-    )
-
-
-def _bench_record(section: Section) -> Mapping[str, Any]:
-    record = section.section("bench")
-    return {name: record.take(name) for name in record.names()}
+    return Calibration(clusters, str(document.date), str(document.source))

@@ -17,6 +17,7 @@ from socket_testbed.calibration.polynomials import design_matrices, excitation_t
 from socket_testbed.errors import CalibrationError
 
 _LEVEL = 0.1  # [-] of the full scale; stresses within one level count as equal
+_PURE = 0.02  # [-] of the full scale; a smaller stress counts as none
 
 
 @dataclass(frozen=True)
@@ -124,6 +125,32 @@ def repeatability(
             variance = ((means - of_cell.transform("mean")) ** 2).sum() / freedom
             spread[axis] = 100.0 * np.sqrt(variance) / bench.full_scale[axis]
     return spread
+
+
+def cross_talk(bench: BenchData, residual: FloatArray) -> FloatArray:
+    """Apparent normal stress under pure shear, and apparent shear under pure normal stress.
+
+    A row is pure if the stress that loads it is at least a tenth of its full scale and the others
+    are at most 2 % of theirs; of pure shear, x and y may come together. The mean residuals of the
+    cells (see `hysteresis`) are compared, and the largest size counts.
+
+    Args:
+        bench: The bench data.
+        residual: Held-out prediction less known stress, shape (N, 3) [Pa].
+
+    Returns:
+        The apparent normal stress, shear x and shear y, shape (3,) [% of the full scale]; NaN
+        without a pure row.
+    """
+    share, cells = np.abs(bench.stress) / bench.full_scale, _levels(bench)
+    small, loaded = share <= _PURE, share >= _LEVEL
+    by_normal = loaded[:, 0] & small[:, 1:].all(axis=1)
+    by_shear = small[:, 0] & loaded[:, 1:].any(axis=1)
+    found = np.empty(3)
+    for axis, pure in enumerate((by_shear, by_normal, by_normal)):
+        means = cells[pure].assign(residual=residual[pure, axis]).groupby([*STRESSES]).mean()
+        found[axis] = 100.0 * means["residual"].abs().max() / bench.full_scale[axis]
+    return found
 
 
 def _levels(bench: BenchData) -> pd.DataFrame:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
+from math import isfinite
 from pathlib import Path
 
 from socket_testbed import api
@@ -20,8 +21,9 @@ from socket_testbed.commands.options import (
     print_note,
 )
 from socket_testbed.commands.text import number, table
-from socket_testbed.errors import ConfigurationError
-from socket_testbed.files import check_number, check_outputs, closest
+from socket_testbed.documents import check_number
+from socket_testbed.errors import ConfigurationError, closest
+from socket_testbed.files import check_outputs
 
 _SHOWN = 10  # outliers
 _AREAS = (1e-6, 0.05)  # [m^2]
@@ -205,11 +207,14 @@ def _errors(calibrated: BenchCalibration) -> str:
             number(calibrated.training[axis].rmse, 1),
             number(float(calibrated.hysteresis[axis]), 2),
             number(float(calibrated.repeatability[axis]), 2),
+            number(talk, 2) if isfinite(talk) else f"no pure {'normal' if axis else 'shear'}",
         ]
-        for axis, (name, held_out) in enumerate(zip(STRESSES, calibrated.held_out, strict=True))
+        for axis, (name, held_out, talk) in enumerate(
+            zip(STRESSES, calibrated.held_out, calibrated.cross_talk.tolist(), strict=True)
+        )
     ]
     header = ["stress", "from Pa", "to Pa", "held-out RMSE Pa", "% FS", "MAE Pa", "R2"]
-    header += ["training RMSE Pa", "hysteresis % FS", "repeatability % FS"]
+    header += ["training RMSE Pa", "hysteresis % FS", "repeatability % FS", "cross-talk % FS"]
     return table(header, rows)
 
 

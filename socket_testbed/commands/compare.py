@@ -1,4 +1,4 @@
-"""`compare`: trials, models or sockets side by side."""
+"""`compare`: trials side by side."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import pandas as pd
 
 from socket_testbed import api
 from socket_testbed.api import Comparison
-from socket_testbed.api.compare import PAGES, Comparable
+from socket_testbed.api.compare import PAGES
 from socket_testbed.batch import find_trials
 from socket_testbed.commands.options import (
     add_judgement,
@@ -25,23 +25,17 @@ from socket_testbed.commands.options import (
     trial_of,
 )
 from socket_testbed.commands.text import Progress, table
-from socket_testbed.comparison.table import LEGEND, Kind
+from socket_testbed.comparison import LEGEND
 from socket_testbed.files import check_outputs
-from socket_testbed.tables import check_format, split_unit
+from socket_testbed.tables import check_format
+from socket_testbed.trials.trial import Trial
 
-_SHOWN = 8  # tiles
-_BY_REGION: dict[Kind, tuple[str, ...]] = {
-    "trials": ("mean pressure", "peak pressure", "share of load"),
-    "models": (),
-    "sockets": ("area",),
-}
-_SHOWN_OF = {"errors": "mean|median", "offsets": "^[MF][xyz]$"}  # names; the others are in a file
+_BY_REGION = ("mean pressure", "peak pressure", "share of load")
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of the verb."""
-    what = "two or more of one kind; a folder of trials stands for all of them"
-    add_trial(parser, what, "+", "TRIAL|MODEL.json|SOCKET.yaml")
+    add_trial(parser, "two or more; a folder of trials stands for all of them", "+")
     add_segment(parser)
     add_unloaded(parser)
     add_judgement(parser)
@@ -72,7 +66,7 @@ def run(options: argparse.Namespace) -> None:
         check_format(options.output)
     check_outputs(options.output, replace=options.replace)
     found = api.compare(
-        *_items(options),
+        *_trials(options),
         segment=options.segment,
         threshold=options.threshold,
         share=options.share,
@@ -93,65 +87,33 @@ def run(options: argparse.Namespace) -> None:
         print(f"written: {options.output}")
 
 
-def _items(options: argparse.Namespace) -> list[Comparable]:
+def _trials(options: argparse.Namespace) -> list[Trial]:
     notify = cache(print_note)  # a note that several trials have is printed once
-    found: list[Comparable] = []
-    for path in options.trial:
-        if path.is_dir():
-            for folder in [*find_trials(path, print_note).values()] or [path]:
-                trial = trial_of(argparse.Namespace(**{**vars(options), "trial": folder}))
-                found.append(dataclasses.replace(trial, notify=notify))
-        else:
-            found.append(path)
-    return found
+    paths = [
+        trial
+        for path in options.trial
+        for trial in [*find_trials(path, print_note).values()] or [path]
+    ]
+    trials = [trial_of(argparse.Namespace(**{**vars(options), "trial": path})) for path in paths]
+    return [dataclasses.replace(trial, notify=notify) for trial in trials]
 
 
 def _show(found: Comparison) -> None:
-    print(f"{found.kind} {', '.join(found.items)}: {found.title}")
+    print(f"trials {', '.join(found.items)}: {found.title}")
     for note in found.notes:
         print(f"note: {note}")
-    for part in dict.fromkeys(found.table["part"]):
-        rows = found.cells(part)
-        if (found.table.loc[found.table["part"] == part, "text"].notna()).any():
-            _print_texts(found, part)
-        elif part == "tiles":
-            _show_tiles(found)
-        elif part == "regions":
-            if found.kind != "sockets":
-                _print("whole socket", rows.loc[["socket"]].droplevel("name"))
-            for quantity in _BY_REGION[found.kind]:
-                _print(f"{quantity} by region", found.cells(part, quantity).drop("socket"))
-        else:
-            shown = rows.index.get_level_values("name").str.contains(_SHOWN_OF.get(part, ""))
-            _print(part, rows[shown])
-    if differing := found.differing():
-        print("\n" + "\n  ".join(differing))
-    print(f"\n{LEGEND}")
-
-
-def _print_texts(found: Comparison, part: str) -> None:
-    """What is known in words: once, if it is the same of all."""
-    rows = found.table[(found.table["part"] == part) & found.table["text"].notna()]
     print()
-    for name, of_items in rows.groupby("name", sort=False):
-        texts = dict(zip(of_items["item"], of_items["text"], strict=True))
-        if len({*texts.values()}) == 1:
-            print(f"{name}: {next(iter(texts.values()))}")
-        else:
-            print(f"{name}: " + "; ".join(f"{item}: {text}" for item, text in texts.items()))
-
-
-def _show_tiles(found: Comparison) -> None:
-    """The tiles of the largest differences."""
-    if found.mapped is None:
-        return
-    quantity, _ = split_unit(found.mapped.title)
-    tiles = found.table[(found.table["part"] == "tiles") & (found.table["quantity"] == quantity)]
-    largest = tiles.groupby("name", sort=False)["difference"].agg(lambda d: d.abs().max())
-    chosen = largest.dropna().sort_values(ascending=False, kind="stable").index[:_SHOWN]
-    if len(chosen):
-        title = f"{quantity} of the {len(chosen)} tiles with the largest differences"
-        _print(title, found.cells("tiles", quantity).loc[chosen])
+    texts = found.table[found.table["text"].notna()]
+    for (_, name), of_items in texts.groupby(["part", "name"], sort=False):
+        several = of_items["item"] + ": " + of_items["text"]
+        alike = of_items["text"].nunique() == 1
+        print(f"{name}: " + (of_items["text"].iloc[0] if alike else "; ".join(several)))
+    _print("whole socket", found.cells("regions").loc[["socket"]].droplevel("name"))
+    for quantity in _BY_REGION:
+        _print(f"{quantity} by region", found.cells("regions", quantity).drop("socket"))
+    _print("wrench", found.cells("wrench"))
+    print("\n" + "\n  ".join(found.differing()))
+    print(f"\n{LEGEND}")
 
 
 def _print(title: str, cells: pd.DataFrame) -> None:

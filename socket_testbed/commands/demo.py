@@ -8,7 +8,6 @@ import shutil
 import sys
 import time
 from contextlib import ExitStack
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -23,7 +22,6 @@ from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification.force_map import ForceMap
 from socket_testbed.identification.validation import judge_tiles, without_cluster
 from socket_testbed.live.bringup import (
-    Simulation,
     end,
     replay_with_estimator,
     simulated_testbed,
@@ -32,13 +30,15 @@ from socket_testbed.live.bringup import (
 )
 from socket_testbed.live.graph_status import GraphStatus
 from socket_testbed.live.processes import Graph, require_ros
+from socket_testbed.live.simulated_world import Simulation
 from socket_testbed.live.time_scale import SLOWEST, busy_note, measure_speed, pace
 from socket_testbed.report.figures.style import save_figure
-from socket_testbed.report.figures.tile_maps import certainty_of, tile_map_figure
+from socket_testbed.report.figures.tiles import certainty_of, tile_map_figure
 from socket_testbed.samples import Samples
 from socket_testbed.settings.testbed import EstimatorSettings, ReplaySettings
 from socket_testbed.simulation.trial import TRUTH_FILE, GroundTruth, read_truth
 from socket_testbed.trials.segment import select_segment
+from socket_testbed.trials.topics import FORCE_MAP
 from socket_testbed.trials.trial import Trial
 
 _DURATION = 60.0  # [s] of the testbed; of the trial
@@ -52,19 +52,6 @@ _ATTEMPTS = 4  # after the first
 _HOPELESS = 0.7  # [-]; below it a recording is broken off
 _LEAST_JUDGED = 60  # triggers
 _IN_HAND = 10  # triggers; whose measurements may be on their way
-
-
-@dataclass(frozen=True)
-class _Live:
-    """Force maps that a subscriber received; NaN at samples without one.
-
-    Attributes:
-        forces: Forces on the tiles in {S} and their standard deviations, shape (2, N, n, 3) [N].
-        pressure: Normal pressures and their standard deviations, shape (2, N, n) [Pa].
-    """
-
-    forces: FloatArray
-    pressure: FloatArray
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -200,8 +187,13 @@ def _make_room(folder: Path) -> None:
     make_folder(folder)
 
 
-def _estimate(trial: Trial, samples: Samples, speed: float, log: Path) -> _Live:
-    """What a subscriber receives while the trial is replayed at a speed [-]."""
+def _estimate(trial: Trial, samples: Samples, speed: float, log: Path) -> FloatArray:
+    """The force maps that a subscriber receives while the trial is replayed at a speed [-].
+
+    Returns:
+        Values and standard deviations, shape (2, N, n, 4): the force on each tile in {S} [N], and
+        its normal pressure [Pa]; NaN at samples without a map.
+    """
     # ROS is imported only where a graph runs: the rest works without it.
     from socket_testbed.nodes.estimate_listener import EstimateListener
 
@@ -210,13 +202,14 @@ def _estimate(trial: Trial, samples: Samples, speed: float, log: Path) -> _Live:
     )
     with log.open("w", encoding="utf-8") as output, EstimateListener() as listener:
         replay_with_estimator(trial, replay, EstimatorSettings(), output)
+        received = len(listener.estimates[FORCE_MAP])
         print(
-            f"   {len(listener.maps)} force maps of {len(samples)} samples received,"
+            f"   {received} force maps of {len(samples)} samples received,"
             f" {listener.models} models fitted on the way"
         )
-        if not listener.maps:
+        if not received:
             raise TrialError("the graph published no force map", f"read {log}")
-        return _Live(*listener.map_series(samples.stamps.tolist(), len(trial.geometry)))
+        return np.moveaxis(listener.series(FORCE_MAP, samples.stamps.tolist()), 1, 0)
 
 
 _COLUMNS = ("tiles without sensor", "95 % hold", "left-out clusters", "M [N m]", "F [N]")
@@ -227,7 +220,7 @@ def _judged(
     samples: Samples,
     geometry: SocketGeometry,
     truth: GroundTruth,
-    live: _Live,
+    live: FloatArray,
 ) -> str:
     """The table of all estimates: on tiles, on clusters left out, of the wrench."""
     summary = found.summary()
@@ -246,7 +239,7 @@ def _judged(
         samples,
         geometry,
         truth.forces,
-        {"force map": lambda _: (live.forces[0], live.forces[1])},
+        {"force map": lambda _: (live[0, ..., :3], live[1, ..., :3])},
         "second half",
     )
     cells["force map, live (all samples)"] = {
@@ -262,7 +255,7 @@ def _judged(
     return f"{table(['estimate', *_COLUMNS], lines)}\n\n{legend}"
 
 
-def _draw(trial: Trial, samples: Samples, truth: GroundTruth, live: _Live) -> Figure:
+def _draw(trial: Trial, samples: Samples, truth: GroundTruth, live: FloatArray) -> Figure:
     """The map over the hold, its uncertainty and the truth, as mean normal pressures."""
     geometry = trial.geometry
     rows = select_segment(samples, "plateau", EstimatorSettings().plateau).rows
@@ -270,7 +263,7 @@ def _draw(trial: Trial, samples: Samples, truth: GroundTruth, live: _Live) -> Fi
         -np.einsum("kni,ni->kn", truth.forces[rows], geometry.rotations[:, :, 2]) / geometry.areas
     )
     estimate, deviation, actual = (
-        1e-3 * np.nanmean(values, axis=0) for values in (*live.pressure[:, rows], truth_pressure)
+        1e-3 * np.nanmean(values, axis=0) for values in (*live[..., 3][:, rows], truth_pressure)
     )
     name = "estimated live, mean over the hold; pale where it is uncertain"
     return tile_map_figure(

@@ -15,6 +15,7 @@ from socket_testbed.commands.options import (
     add_pose_smoothing,
     add_replace,
     add_segment,
+    add_stage_one,
     add_trials,
     add_unloaded,
     choices,
@@ -30,6 +31,7 @@ from socket_testbed.errors import IdentificationError
 from socket_testbed.identification.evaluation import ChannelErrors
 from socket_testbed.identification.information import LEAST_RATIO, share_warning
 from socket_testbed.identification.model_file import finite_or_null
+from socket_testbed.settings.identification import PAPER_VARIANTS
 from socket_testbed.trials.trial import Trial
 
 
@@ -40,6 +42,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     add_unloaded(parser)
     add_identification(parser)
     add_pose_smoothing(parser)
+    add_stage_one(parser)
     parser.add_argument(
         "-o",
         "--output",
@@ -69,6 +72,8 @@ def _show(options: argparse.Namespace, found: TrialFit) -> None:
         f" {fit.settings.weights}; the data determine {fit.determined:.0f} of {size} stiffness"
         " directions, the smoothness the others"
     )
+    if fit.model.variant in PAPER_VARIANTS:
+        print(f"stiffness k0 of Stage 1: {fit.settings.initial_stiffness:.4g} N/m")
     print(fit.status)
     print()
     print(errors_table(fit.errors))

@@ -6,10 +6,12 @@ import argparse
 import sys
 from pathlib import Path
 
-from socket_testbed.errors import ConfigurationError
-from socket_testbed.files import check_number, closest, packaged
+from socket_testbed.documents import check_number
+from socket_testbed.errors import ConfigurationError, closest
+from socket_testbed.files import packaged
 from socket_testbed.geometry.socket import read_socket
-from socket_testbed.live.bringup import Simulation, Testbed, testbed_settings
+from socket_testbed.live.bringup import Testbed, testbed_settings
+from socket_testbed.live.simulated_world import Simulation
 from socket_testbed.simulation.limb import SCENARIOS, TISSUES
 from socket_testbed.simulation.world import FAULTS
 

@@ -18,7 +18,6 @@ from socket_testbed.commands.options import (
 )
 from socket_testbed.commands.text import number, table
 from socket_testbed.files import check_outputs
-from socket_testbed.settings.identification import RIGID_VARIANTS
 from socket_testbed.tables import check_format
 
 _SHOWN = 8  # tiles
@@ -29,11 +28,6 @@ def configure(parser: argparse.ArgumentParser) -> None:
     add_trial(parser)
     add_segment(parser)
     add_unloaded(parser)
-    parser.add_argument(
-        "--bed",
-        choices=RIGID_VARIANTS,
-        help="springs whose force is the prior's mean, if clusters left out are predicted better",
-    )
     parser.add_argument(
         "--params", type=Path, metavar="TESTBED.yaml", help="instead of the trial's testbed.yaml"
     )
@@ -56,7 +50,7 @@ def run(options: argparse.Namespace) -> None:
     check_figure(options)
     check_outputs(options.output, options.figure, replace=options.replace)
     trial = trial_of(options)
-    found = api.force_map(trial, options.segment, bed=options.bed, params=options.params)
+    found = api.force_map(trial, options.segment, params=options.params)
     found.save(options.output)
     if options.figure is not None:
         found.draw(options.figure, **figure_choices(options))

@@ -10,26 +10,29 @@ from functools import cache, partial
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
-from socket_testbed.batch import Job, Pool, Row, Task, find_trials, plan_jobs, run_batch
+from socket_testbed.batch import Job, Row, Task, find_trials, plan_jobs, run_batch
 from socket_testbed.commands.arguments import ExtendList
+from socket_testbed.documents import check_number
 from socket_testbed.errors import ConfigurationError
-from socket_testbed.files import WIDTHS, check_number, check_outputs, check_picture
+from socket_testbed.files import WIDTHS, check_outputs, check_picture
 from socket_testbed.settings import testbed
 from socket_testbed.settings.identification import VARIANTS, WEIGHTS
 from socket_testbed.settings.testbed import EstimatorSettings
 from socket_testbed.trials.metadata import FIELDS, TrialMetadata, change_metadata
+from socket_testbed.trials.reprocess import RECORDED
 from socket_testbed.trials.synchronise import parse_unloaded
 from socket_testbed.trials.trial import Trial
 
-_FILES = ("geometry", "calibration", "params", "model")
+_FILES = ("geometry", "calibration", "load_cell", "params", "model")
 CHOICES = (
     "variant",
     "theta",
     "weights",
     "smoothness",
     "leave_out",
-    "noise_correction",
     "pose_smoothing",
+    "frames",
+    "initial_stiffness",
     "solver",
 )
 R = TypeVar("R")
@@ -43,14 +46,18 @@ def add_trial(
 ) -> None:
     """A trial, or several, and what is used instead of the configuration stored in it."""
     parser.add_argument("trial", type=Path, metavar=metavar, help=what, nargs=count)
+    for name, file, text in (
+        ("geometry", "SOCKET", "socket.yaml; poses are fitted anew to other markers"),
+        ("calibration", "CALIBRATION", "calibration.yaml"),
+        ("load-cell", "TESTBED", "matrix, signs and gains of the load cell"),
+    ):
+        help_ = f"instead of the trial's {text}"
+        parser.add_argument(f"--{name}", type=Path, metavar=f"{file}.yaml", help=help_)
     parser.add_argument(
-        "--geometry", type=Path, metavar="SOCKET.yaml", help="instead of the trial's socket.yaml"
-    )
-    parser.add_argument(
-        "--calibration",
-        type=Path,
-        metavar="CALIBRATION.yaml",
-        help="instead of the trial's calibration.yaml",
+        "--tare",
+        default=RECORDED,
+        metavar="T0:T1|none|recorded",
+        help="the mean wrench of these seconds, without load, as the tare (default: recorded)",
     )
 
 
@@ -235,12 +242,6 @@ def add_model_choice(
         metavar="CHANNEL",
         help="channels to leave out of the objective, such as Mz or Mz,distal.Fx",
     )
-    parser.add_argument(
-        "--noise-correction",
-        action=argparse.BooleanOptionalAction,
-        help="subtract the share of the pose's noise, for stiffness rather than prediction"
-        " (default: no)",
-    )
     parser.add_argument("--solver", help="any solver that qpsolvers finds (default: osqp)")
 
 
@@ -252,6 +253,27 @@ def add_pose_smoothing(parser: argparse.ArgumentParser, default: str = "0, none"
         metavar="SECONDS",
         help=f"centred window over which the poses are averaged (default: {default})",
     )
+
+
+def add_stage_one(parser: argparse.ArgumentParser, frames: str = "0, all") -> None:
+    """The samples of an offline fit, and what Stage 1 of the paper's variants starts from."""
+    parser.add_argument(
+        "--frames",
+        type=int,
+        metavar="N",
+        help=f"samples that are used, from the segment's start (default: {frames})",
+    )
+    parser.add_argument(
+        "--initial-stiffness",
+        type=_stiffness,
+        metavar="K0|auto",
+        help="stiffness of Stage 1 [N/m]; auto: from the slope of the wrench over the pose"
+        " (default: 3000)",
+    )
+
+
+def _stiffness(text: str) -> str | float:
+    return text if text == "auto" else float(text)
 
 
 def add_thetas(parser: argparse.ArgumentParser) -> None:
@@ -281,7 +303,12 @@ def trial_of(options: argparse.Namespace) -> Trial:
     """The trial of the options; each note on it goes to standard error once."""
     spans = parse_unloaded(getattr(options, "unloaded", None) or [])
     notify = cache(print_note)
-    return Trial(options.trial, options.geometry, options.calibration, notify, spans)
+    own = options.trial, options.geometry, options.calibration
+    return Trial(*own, notify, spans, options.load_cell, options.tare)
+
+
+def _option(name: str) -> str:
+    return f"--{name.replace('_', '-')}"
 
 
 def print_note(note: str) -> None:
@@ -331,24 +358,18 @@ class TrialVerb(Generic[R]):
             self.show(options, self.work(options, trial_of(options)))
             return
         estimator_settings(options, EstimatorSettings())  # wrong for all is reported once
-        files = {f"--{name}": getattr(options, name, None) for name in _FILES}
+        files = {_option(name): getattr(options, name, None) for name in _FILES}
         spans = parse_unloaded(options.unloaded or [])
-        jobs = plan_jobs(trials, options.output, self.suffix, files, spans)
-        settings = {name: getattr(options, name) for name in self.settings}
-        task = Task(
-            self.name,
-            options.output,
-            partial(self._do, options),
-            settings,
-            options.again,
-            options.replace,
-            self.metadata,
-        )
+        jobs = plan_jobs(trials, options.output, self.suffix, files, spans, options.tare)
+        settings = {name: getattr(options, name) for name in ("tare", *self.settings)}
+        work = partial(self._do, options)
+        again, replace = options.again, options.replace
+        task = Task(self.name, options.output, work, settings, self.metadata, again, replace)
         if options.jobs is not None:
             check_number(options.jobs, "--jobs", 1)
-        run_batch(task, jobs, Pool(options.jobs, options.dask), _report, _warn)
+        run_batch(task, jobs, _report, _warn, options.jobs, options.dask)
 
     def _do(self, options: argparse.Namespace, job: Job) -> Row:
-        files = {name: job.files.get(f"--{name}") for name in _FILES}
+        files = {name: job.files.get(_option(name)) for name in _FILES}
         own = argparse.Namespace(**{**vars(options), **files, "output": job.output})
         return self.row(self.work(own, job.trial))

@@ -14,6 +14,7 @@ from socket_testbed.commands.options import (
     add_pose_smoothing,
     add_replace,
     add_segment,
+    add_stage_one,
     add_thetas,
     add_trial,
     add_unloaded,
@@ -45,6 +46,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     add_unloaded(parser)
     add_identification(parser, variant=False, theta=False)  # both of the paper's
     add_pose_smoothing(parser)
+    add_stage_one(parser)
     add_thetas(parser)
     parser.add_argument(
         "-o", "--output", type=Path, metavar="FRONT.csv", help="table of every solution"

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 
 from socket_testbed import api
 from socket_testbed.api import TrialPressure
-from socket_testbed.api.trials import select
 from socket_testbed.batch import Row, find_trials
 from socket_testbed.commands.arguments import ExtendList
 from socket_testbed.commands.options import (
@@ -23,12 +22,11 @@ from socket_testbed.commands.options import (
     check_figure,
     figure_choices,
 )
-from socket_testbed.commands.text import Progress, number, segment_columns, table
+from socket_testbed.commands.text import number, segment_columns, table
 from socket_testbed.errors import ConfigurationError
 from socket_testbed.files import check_outputs
 from socket_testbed.identification.model_file import finite_or_null
 from socket_testbed.identification.pressure import TITLES, interval_end
-from socket_testbed.settings.testbed import estimator_settings
 from socket_testbed.tables import check_format
 from socket_testbed.trials.trial import Trial
 
@@ -68,12 +66,6 @@ def configure(parser: argparse.ArgumentParser) -> None:
         help="write a table of every sample instead: regions and tiles over time",
     )
     add_figure(parser, "FILE", "unrolled maps, mean and at the peak, and regions over time drawn")
-    parser.add_argument(
-        "--video",
-        type=Path,
-        metavar="FILE.mp4|gif",
-        help="the unrolled map over the segment in real time, 10 frames a second; .mp4 by ffmpeg",
-    )
     parser.add_argument("--json", action="store_true", help="print JSON on standard output")
     add_replace(parser)
     parser.set_defaults(run=run)
@@ -82,28 +74,22 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> None:
     """Compute, write and print."""
     trials = find_trials(options.trial)
-    if trials and (options.output is None or options.json or options.figure or options.video):
+    if trials and (options.output is None or options.json or options.figure):
         raise ConfigurationError(
             f"{options.trial} holds {len(trials)} trials",
-            "give -o FOLDER without --json, --figure and --video, or one trial",
+            "give -o FOLDER without --json and --figure, or one trial",
         )
     if options.over_time and options.output is None:
         raise ConfigurationError("--over-time has no output", "name its table with -o FILE.csv")
     if not trials and options.output is not None:
         check_format(options.output)
     check_figure(options)
-    if options.video is not None:
-        _check_video(options.video)
-    check_outputs(options.figure, options.video, replace=options.replace)
+    check_outputs(options.figure, replace=options.replace)
     verb = TrialVerb("pressure", ".pressure.csv", _SETTINGS, _compute, _row, _show, ("side",))
     verb.run(options)
 
 
 def _compute(options: argparse.Namespace, trial: Trial) -> TrialPressure:
-    if options.video is not None:
-        settings = estimator_settings(trial.estimator, options.params)
-        segment = select(trial, options.segment, settings)
-        _check_video(options.video, segment.end - segment.start)
     found = api.pressure(
         trial,
         options.segment,
@@ -116,16 +102,7 @@ def _compute(options: argparse.Namespace, trial: Trial) -> TrialPressure:
         found.save(options.output, over_time=options.over_time)
     if options.figure is not None:
         found.draw(options.figure, **figure_choices(options))
-    if options.video is not None:
-        found.animate(options.video, progress=Progress)
     return found
-
-
-def _check_video(path: Path, duration: float = 0.0) -> None:
-    # matplotlib takes its time to import.
-    from socket_testbed.report.figures.video import check_video
-
-    check_video(path, duration)
 
 
 def _show(options: argparse.Namespace, found: TrialPressure) -> None:
@@ -135,7 +112,7 @@ def _show(options: argparse.Namespace, found: TrialPressure) -> None:
     print(f"{found.trial.name}: {found.segment}, {len(found.time)} samples")
     print(f"{found.outputs.source}\n")
     print(pressure_tables(found))
-    for path in filter(None, (options.output, options.figure, options.video)):
+    for path in filter(None, (options.output, options.figure)):
         print(f"\nwritten: {path}")
 
 

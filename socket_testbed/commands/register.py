@@ -48,8 +48,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--force",
         action="store_true",
-        help=f"accept landmarks that are more than {_MM * MOST_RESIDUAL:g} mm off, or in one plane"
-        " that hides a wrong sign",
+        help=f"accept landmarks that are more than {_MM * MOST_RESIDUAL:g} mm off, or that put the"
+        " limb outside the socket",
     )
     add_replace(parser)
     parser.set_defaults(run=run)

@@ -13,14 +13,15 @@ from socket_testbed.commands.options import (
     trial_of,
 )
 from socket_testbed.commands.status_line import StatusLine
+from socket_testbed.documents import check_number
 from socket_testbed.errors import ConfigurationError
-from socket_testbed.files import check_number
 from socket_testbed.live.bringup import predict_with, replay_nodes
 from socket_testbed.live.processes import Graph, GraphNode
 from socket_testbed.settings.testbed import ReplaySettings
+from socket_testbed.trials.reprocess import RECORDED
 from socket_testbed.trials.trial import Trial, recorded_namespace
 
-_ESTIMATING = ("model", "geometry", "calibration", "params", *CHOICES)
+_ESTIMATING = ("model", "geometry", "calibration", "load_cell", "tare", "params", *CHOICES)
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -72,7 +73,7 @@ def _nodes(options: argparse.Namespace, trial: Trial, replay: ReplaySettings) ->
     """The nodes of the graph, the replay node last."""
     if not options.estimate:
         for name, value in vars(options).items():
-            if name in _ESTIMATING and value is not None:
+            if name in _ESTIMATING and value not in (None, RECORDED):
                 option = name.replace("_", "-")
                 raise ConfigurationError(f"--{option} is for the estimator", "add --estimate")
         return [GraphNode("replay_node", replay)]

@@ -18,6 +18,7 @@ from socket_testbed.commands.options import (
     add_pose_smoothing,
     add_replace,
     add_segment,
+    add_stage_one,
     add_thetas,
     add_trials,
     add_unloaded,
@@ -39,6 +40,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     add_unloaded(parser)
     add_identification(parser, variant=False)  # the paper's and the default
     add_pose_smoothing(parser)
+    add_stage_one(parser)
     add_thetas(parser)
     parser.add_argument(
         "--model", type=Path, metavar="MODEL", help="a model that 'fit' wrote, shown as well"
@@ -88,7 +90,7 @@ def _report(options: argparse.Namespace, trial: Trial) -> Results:
 
 
 def _show(options: argparse.Namespace, results: Results) -> None:
-    from socket_testbed.report.summary import summarise
+    from socket_testbed.report.sections.summary import summarise
     from socket_testbed.report.write import files_folder
 
     for line in summarise(results):

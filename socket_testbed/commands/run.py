@@ -21,12 +21,14 @@ from socket_testbed.commands.options import (
 )
 from socket_testbed.commands.status_line import StatusLine
 from socket_testbed.commands.text import say
+from socket_testbed.documents import check_number
 from socket_testbed.errors import ConfigurationError
-from socket_testbed.files import check_new_folder, check_number, make_folder
+from socket_testbed.files import check_new_folder, make_folder
 from socket_testbed.geometry.socket import read_socket
 from socket_testbed.identification.fit import check_names
-from socket_testbed.live.bringup import Simulation, Testbed, end, predict_with, start, summary
+from socket_testbed.live.bringup import Testbed, end, predict_with, start, summary
 from socket_testbed.live.processes import Graph, GraphNode
+from socket_testbed.live.simulated_world import Simulation
 from socket_testbed.live.time_scale import busy_note, measure_speed, pace
 from socket_testbed.settings.testbed import check_take_name
 from socket_testbed.trials.metadata import TrialMetadata

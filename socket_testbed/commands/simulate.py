@@ -31,7 +31,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--like-paper",
         action="store_true",
-        help="errors as large as published: the load cell creeps, clusters have offsets to 150 N",
+        help="errors as large as published: the load cell creeps and vibrates, clusters have"
+        " offsets to 150 N",
     )
     parser.add_argument("--seed", type=int, default=0, help="seed of all that is random")
     parser.add_argument(

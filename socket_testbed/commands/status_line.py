@@ -233,7 +233,7 @@ def status_parts(
         with suppress(OSError):  # the recorder has not made it yet, or it is gone
             parts.append(f"{1e-9 * shutil.disk_usage(disk).free:.3g} GB free")
     if status.wrench is not None:
-        forces, moments = status.wrench[:3], status.wrench[3:]
+        moments, forces = status.wrench[:3], status.wrench[3:]
         parts.append(f"F {' '.join(f'{force:.0f}' for force in forces)} N")
         parts.append(f"M {' '.join(f'{moment:.1f}' for moment in moments)} N m")
     if status.variant:

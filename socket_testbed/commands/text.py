@@ -9,7 +9,7 @@ from collections.abc import Sequence
 
 from socket_testbed.batch import Row
 from socket_testbed.identification.evaluation import ChannelErrors, summarise_errors
-from socket_testbed.identification.model_file import finite_or_null
+from socket_testbed.identification.model_file import finite_or_null, quoted_figures
 from socket_testbed.trials.metadata import TrialMetadata
 from socket_testbed.trials.segment import Segment
 
@@ -101,7 +101,8 @@ def errors_table(errors: Sequence[ChannelErrors]) -> str:
     summary = summarise_errors(errors)
     lines.append(
         f"mean moment RMSE {number(summary.moment_rmse)} N m, mean force RMSE"
-        f" {number(summary.force_rmse)} N, median local RMSE {number(summary.local_rmse)} N"
+        f" {number(summary.force_rmse)} N, median local RMSE {number(summary.local_rmse)} N,"
+        " of the channels in the objective"
     )
     lines.append(
         f"median skill of the wrench {number(summary.wrench_skill, 2)}, of the local forces"
@@ -136,19 +137,13 @@ def skill_columns(errors: Sequence[ChannelErrors], suffix: str = "") -> Row:
 
 
 def error_columns(errors: Sequence[ChannelErrors], skills: Row) -> Row:
-    """Columns of errors for a summary: means and median, skills, then those of every channel.
+    """Columns of errors for a summary: what the paper quotes, skills, then every channel.
 
     Args:
         errors: Errors of all channels.
         skills: What `skill_columns` made of these and of others.
     """
-    summary = summarise_errors(errors)
-    row: Row = {
-        "mean_moment_rmse [N m]": summary.moment_rmse,
-        "mean_force_rmse [N]": summary.force_rmse,
-        "median_local_rmse [N]": summary.local_rmse,
-        **skills,
-    }
+    row: Row = {**quoted_figures(errors), **skills}
     for error in errors:
         row |= {
             f"{error.name}_rmse [{error.unit}]": error.rmse,

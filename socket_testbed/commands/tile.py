@@ -11,7 +11,8 @@ import numpy as np
 from socket_testbed import api
 from socket_testbed.commands.options import add_replace
 from socket_testbed.commands.text import Progress
-from socket_testbed.files import check_number, check_outputs
+from socket_testbed.documents import check_number
+from socket_testbed.files import check_outputs
 from socket_testbed.socket_design.placement import parse_point
 from socket_testbed.socket_design.scan_file import METRES
 from socket_testbed.socket_design.tiling import TilingSettings

@@ -11,10 +11,11 @@ from pathlib import Path
 from socket_testbed import api
 from socket_testbed.commands.options import add_trial, trial_of
 from socket_testbed.commands.text import say
+from socket_testbed.documents import check_number
 from socket_testbed.errors import ConfigurationError
-from socket_testbed.files import check_number
 from socket_testbed.live.processes import Graph
 from socket_testbed.settings.testbed import ViewSettings
+from socket_testbed.trials.reprocess import RECORDED
 from socket_testbed.viewer.listening import listen
 
 _LOOK = 0.2  # [s]; between looks at the time
@@ -114,9 +115,10 @@ def _play(options: argparse.Namespace, ends: float) -> None:
 
 def _follow(options: argparse.Namespace, ends: float) -> None:
     """Serve the page of the running testbed until a time [s]."""
-    for name in ("model", "calibration"):
-        if getattr(options, name) is not None:
-            raise ConfigurationError(f"--{name} is for a trial", "give the folder of the trial")
+    for name in ("model", "calibration", "load_cell", "tare"):
+        if getattr(options, name) not in (None, RECORDED):
+            option = name.replace("_", "-")
+            raise ConfigurationError(f"--{option} is for a trial", "give the folder of the trial")
     settings = page_settings(options)
     with Graph() as graph:
         namespace = (options.namespace or "/").strip("/")

@@ -31,7 +31,13 @@ class EdgeLine(Protocol):
 
     def close(self) -> None:
         """Give the line back."""
-        ...
+
+
+class Lines(EdgeLine, Protocol):
+    """Lines whose edges the kernel stamps, and others that are set."""
+
+    def set(self, line: int, active: bool) -> None:
+        """Set an output line."""
 
 
 class GpiodLines:

@@ -3,29 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Protocol, TypeAlias
+from typing import TypeAlias
 
 from socket_testbed import clocks
-from socket_testbed.drivers.gpio import GpiodLines, Use
+from socket_testbed.drivers.gpio import GpiodLines, Lines, Use
 from socket_testbed.errors import DeviceError
 from socket_testbed.settings.acquisition import TriggerSettings
-
-
-class Lines(Protocol):
-    """The output and input line of a GPIO chip: what the trigger uses of gpiod."""
-
-    def set(self, active: bool) -> None:
-        """Set the output line."""
-
-    def edges(self, within: float) -> list[float]:
-        """Rising edges of the input line by their times on the steady clock [s].
-
-        Args:
-            within: How long to wait for the first [s].
-        """
-
-    def close(self) -> None:
-        """Give the lines back."""
 
 
 class TimerTrigger:
@@ -46,7 +29,7 @@ class GpioTrigger:
     """A pulse on a line, stamped by the kernel at its edge on another line wired to it.
 
     Args:
-        lines: The two lines.
+        lines: The lines of the chip that it is on.
         settings: How long to wait for the edge, and the pulse.
         clock: The steady clock [s].
         sleep: Sleeps for a time [s].
@@ -79,7 +62,7 @@ class GpioTrigger:
         try:
             self.stray += len(self._lines.edges(0.0))
             self._begun = self._clock()
-            self._lines.set(True)
+            self._lines.set(self._settings.output_line, True)
             # The line rises while this process sets it, which a busy machine may hold up.
             deadline = self._clock() + self._settings.edge_within
             left = self._settings.edge_within
@@ -108,7 +91,7 @@ class GpioTrigger:
         """End the pulse when it has lasted long enough."""
         self._sleep(max(0.0, self._begun + self._settings.pulse - self._clock()))
         try:
-            self._lines.set(False)
+            self._lines.set(self._settings.output_line, False)
         except OSError:
             return  # the next pulse reports it
 
@@ -120,7 +103,7 @@ class GpioTrigger:
 Trigger: TypeAlias = TimerTrigger | GpioTrigger
 
 
-class TriggerLines:
+def trigger_lines(settings: TriggerSettings) -> GpiodLines:
     """The lines of a GPIO chip, through gpiod.
 
     Args:
@@ -129,14 +112,5 @@ class TriggerLines:
     Raises:
         DeviceError: If the chip is not there, or may not be used.
     """
-
-    def __init__(self, settings: TriggerSettings) -> None:
-        self._output = settings.output_line
-        uses: dict[int, Use] = {settings.output_line: "output", settings.input_line: "rising"}
-        self._lines = GpiodLines(settings.chip, uses, "trigger_node", "chip", "source to timer")
-        self.edges = self._lines.edges
-        self.close = self._lines.close
-
-    def set(self, active: bool) -> None:
-        """Set the output line."""
-        self._lines.set(self._output, active)
+    uses: dict[int, Use] = {settings.output_line: "output", settings.input_line: "rising"}
+    return GpiodLines(settings.chip, uses, "trigger_node", "chip", "source to timer")

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+from msgspec import Meta
 from scipy.spatial.transform import Rotation
 
 from socket_testbed.arrays import FloatArray
-from socket_testbed.errors import ConfigurationError
-from socket_testbed.files import Section
+from socket_testbed.documents import Document, FieldError
 
 _UNIT = np.eye(3)
 _CROSS = np.cross(_UNIT[:, None], _UNIT).transpose(0, 2, 1).reshape(3, 9)  # [v]_x = v @ _CROSS
@@ -159,33 +159,40 @@ def about_z(angle: float) -> FloatArray:
 
 
 _ORTHONORMAL = 1e-6  # [-]; a file holds at least seven digits
+_Cosine = Annotated[float, Meta(ge=-2.0, le=2.0)]
+_Row = tuple[_Cosine, _Cosine, _Cosine]
+RotationRows = tuple[_Row, _Row, _Row]
+_Metres = Annotated[float, Meta(ge=-2.0, le=2.0, description="coordinates [m]")]
+Point = tuple[_Metres, _Metres, _Metres]
 
 
-def read_rotation(section: Section, key: str) -> FloatArray:
-    """A right-handed orthonormal frame, rows of R = [x y z], shape (3, 3) [-].
+class PoseDocument(Document):
+    """A pose in a document: rows of R = [x y z], and the translation [m]."""
+
+    rotation: RotationRows
+    translation: Point
+
+    def __post_init__(self) -> None:
+        check_rotation(self.rotation, "rotation")
+
+    def pose(self) -> Pose:
+        """The pose."""
+        return Pose(np.array(self.rotation), np.array(self.translation))
+
+
+def check_rotation(rows: RotationRows, field: str) -> None:
+    """Refuse rows of R = [x y z] that are not a right-handed orthonormal frame.
 
     Raises:
-        ConfigurationError: If it is no such frame.
+        FieldError: If they are not.
     """
-    rotation = section.array(key, (3, 3), limit=2.0)
+    rotation = np.array(rows)
     error = np.abs(rotation.T @ rotation - np.eye(3)).max()
     if error > _ORTHONORMAL or np.linalg.det(rotation) < 0.0:
-        raise ConfigurationError(
-            f"{section.where}: {key} is not a right-handed orthonormal frame (off by {error:.1g})",
+        raise FieldError(
+            f"{field} is not a right-handed orthonormal frame (off by {error:.1g})",
             "give columns x, y, z of unit length with y = z x x",
         )
-    return rotation
-
-
-def read_pose(section: Section, farthest: float) -> Pose:
-    """A pose, its translation at most so far along any axis [m].
-
-    Raises:
-        ConfigurationError: If it is no pose, or has other keys.
-    """
-    section.expect(("rotation", "translation"))
-    translation = section.array("translation", (3,), limit=farthest)
-    return Pose(read_rotation(section, "rotation"), translation)
 
 
 def pose_document(pose: Pose) -> dict[str, Any]:

@@ -2,25 +2,32 @@
 
 from __future__ import annotations
 
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
+import msgspec
 import numpy as np
 import yaml
+from msgspec import Meta
 from scipy.spatial import cKDTree
 
 from socket_testbed.arrays import FloatArray, IntArray
-from socket_testbed.errors import ConfigurationError
-from socket_testbed.files import Section, atomic_output, closest, read_document
+from socket_testbed.documents import Document, FieldError, Text, convert, load_yaml
+from socket_testbed.errors import ConfigurationError, closest
+from socket_testbed.files import atomic_output
 from socket_testbed.geometry.marker_bodies import FEWEST_MARKERS, MOST_MARKERS, body_fault
 from socket_testbed.geometry.pose import (
+    Point,
     Pose,
+    PoseDocument,
+    RotationRows,
     about_z,
+    check_rotation,
     plain,
     pose_document,
-    read_pose,
-    read_rotation,
 )
 
 HEIGHTS = ("proximal", "middle", "distal")
@@ -32,10 +39,8 @@ _STANDARD_REGIONS = {
     *(f"{sector} {height}" for sector in SECTORS for height in HEIGHTS),
 }
 _SAME_PLACE = 1e-4  # [m]
-_LARGEST_SOCKET = 2.0  # [m]; what is farther from the load cell is in another unit
-_FARTHEST_SCAN = 100.0  # [m]; its origin may be anywhere in a scanner's frame
-_LARGEST_BODY = 1.0  # [m]; likewise for a marker in its body
-_LARGEST_TILE = 0.05  # [m^2]
+_FromScan = Annotated[float, Meta(ge=-100.0, le=100.0)]  # [m]; a scanner's origin may be anywhere
+_InBody = Annotated[float, Meta(ge=-1.0, le=1.0)]  # [m]; what is farther is in another unit
 
 
 @dataclass(frozen=True)
@@ -214,6 +219,65 @@ _HEADER = """\
 """
 
 
+class _Tile(Document):
+    anchor: Point
+    frame: RotationRows
+    area: Annotated[float, Meta(ge=1e-8, le=0.05, description="the area [m^2]")]
+
+    def __post_init__(self) -> None:
+        check_rotation(self.frame, "frame")
+
+
+class _OnTile(Document):
+    tile: Text
+    turned: Annotated[float, Meta(ge=-360.0, le=360.0, description="the angle [deg]")]
+
+
+class _ScanPose(PoseDocument):
+    translation: tuple[_FromScan, _FromScan, _FromScan]
+
+
+class _Scan(Document):
+    unit: Annotated[float, Meta(ge=1e-6, le=1.0, description="the scan's unit [m]")]
+    in_load_cell: _ScanPose
+
+
+class _Body(Document):
+    markers: Annotated[
+        list[tuple[_InBody, _InBody, _InBody]],
+        Meta(min_length=FEWEST_MARKERS, max_length=MOST_MARKERS),
+    ]
+
+    def __post_init__(self) -> None:
+        fault = body_fault(np.array(self.markers))
+        if fault:
+            raise FieldError(f"markers: {fault[0]}", fault[1])
+
+
+class _SocketBody(_Body):
+    in_load_cell: PoseDocument
+
+
+class _PylonBody(_Body):
+    limb_in_body: PoseDocument
+
+
+class _Bodies(Document):
+    socket: _SocketBody
+    pylon: _PylonBody
+    registration: Text = ""
+
+
+class _Socket(Document):
+    tiles: Annotated[dict[str, _Tile], Meta(min_length=1)]
+    neighbours: list[Annotated[list[Text], Meta(min_length=2, max_length=2)]]
+    clusters: dict[str, Text | _OnTile]
+    bodies: _Bodies
+    source: Text = ""
+    scan: _Scan | None = None
+    regions: dict[str, list[Text]] = msgspec.field(default_factory=dict)
+
+
 def write_socket(geometry: SocketGeometry, path: Path) -> None:
     """Write `socket.yaml` atomically.
 
@@ -221,7 +285,7 @@ def write_socket(geometry: SocketGeometry, path: Path) -> None:
         ConfigurationError: If it could not be read again, or the file cannot be written.
     """
     document = geometry.to_document()
-    socket_from_section(Section(document, str(path)))
+    socket_from_document(document, str(path))
     text = yaml.safe_dump(document, sort_keys=False, default_flow_style=None, width=100)
     with atomic_output(path) as output:
         output.write_text(_HEADER + text, encoding="utf-8")
@@ -233,143 +297,102 @@ def read_socket(path: Path) -> SocketGeometry:
     Raises:
         ConfigurationError: If the file is missing or anything in it is not as it must be.
     """
-    return socket_from_section(read_document(path))
+    return socket_from_document(load_yaml(path), str(path))
 
 
-def socket_from_section(document: Section) -> SocketGeometry:
-    """Build the geometry from the content of `socket.yaml`, with every check."""
-    document.expect(("source", "scan", "tiles", "neighbours", "clusters", "regions", "bodies"))
-    tiles = dict(document.sections("tiles"))
-    if not tiles:
-        raise ConfigurationError(f"{document.where}: tiles is empty", "give at least one tile")
-    for tile in tiles.values():
-        tile.expect(("anchor", "frame", "area"))
-    index = {name: i for i, name in enumerate(tiles)}
-    bodies = document.section("bodies").expect(("registration", "socket", "pylon"))
-    socket = bodies.section("socket").expect(("markers", "in_load_cell"))
-    pylon = bodies.section("pylon").expect(("markers", "limb_in_body"))
-    clusters, turned = _clusters(document.section("clusters"), index)
+def socket_from_document(data: Any, where: str) -> SocketGeometry:
+    """Build the geometry from the content of `socket.yaml`, with every check.
+
+    Args:
+        data: The content.
+        where: What names it in an error.
+
+    Raises:
+        ConfigurationError: If anything in it is not as it must be.
+    """
+    document: _Socket = convert({} if data is None else data, _Socket, where)
+    tiles, bodies = document.tiles, document.bodies
+    names = tuple(tiles)
+    on = {
+        name: on if isinstance(on, _OnTile) else _OnTile(tile=on, turned=0.0)
+        for name, on in document.clusters.items()
+    }
+    clusters = {n: _index(at.tile, names, f"{where}: clusters: {n}") for n, at in on.items()}
+    if len(set(clusters.values())) < len(clusters):
+        shared = Counter(clusters.values()).most_common(1)[0][0]
+        raise ConfigurationError(
+            f"{where}: clusters: two clusters are on '{names[shared]}'", "give each its own tile"
+        )
+    anchors = np.array([tile.anchor for tile in tiles.values()])
+    _refuse_same_place(anchors, names, where)
+    scan = document.scan
     return SocketGeometry(
-        names=tuple(tiles),
-        anchors=_anchors(tiles),
-        rotations=np.array([read_rotation(tile, "frame") for tile in tiles.values()]),
-        areas=np.array([tile.number("area", 1e-8, _LARGEST_TILE) for tile in tiles.values()]),
-        neighbours=_neighbours(document, index),
+        names=names,
+        anchors=anchors,
+        rotations=np.array([tile.frame for tile in tiles.values()]),
+        areas=np.array([tile.area for tile in tiles.values()]),
+        neighbours=_neighbours(document.neighbours, names, f"{where}: neighbours"),
         clusters=clusters,
-        socket_markers=_markers(socket),
-        pylon_markers=_markers(pylon),
-        socket_body=read_pose(socket.section("in_load_cell"), _LARGEST_SOCKET),
-        limb=read_pose(pylon.section("limb_in_body"), _LARGEST_SOCKET),
-        source=document.text("source") if "source" in document.names() else "",
-        registration=bodies.text("registration") if "registration" in bodies.names() else "",
-        regions=_regions(document, index),
-        turned=turned,
-        scan=_scan(document.section("scan")) if "scan" in document.names() else None,
+        socket_markers=np.array(bodies.socket.markers),
+        pylon_markers=np.array(bodies.pylon.markers),
+        socket_body=bodies.socket.in_load_cell.pose(),
+        limb=bodies.pylon.limb_in_body.pose(),
+        source=str(document.source),
+        registration=str(bodies.registration),
+        regions=find_regions(document.regions, names, f"{where}: regions"),
+        turned={name: float(np.radians(at.turned)) for name, at in on.items() if at.turned},
+        scan=ScanFrame(scan.unit, scan.in_load_cell.pose()) if scan else None,
     )
 
 
-def _scan(section: Section) -> ScanFrame:
-    section.expect(("unit", "in_load_cell"))
-    unit = section.number("unit", 1e-6, 1.0)
-    return ScanFrame(unit, read_pose(section.section("in_load_cell"), _FARTHEST_SCAN))
+def _index(tile: Text, names: tuple[str, ...], where: str) -> int:
+    """Index of a tile."""
+    if str(tile) not in names:
+        raise ConfigurationError(f"{where}: no tile '{tile}'", closest(str(tile), names))
+    return names.index(str(tile))
 
 
-def _anchors(tiles: dict[str, Section]) -> FloatArray:
-    anchors = np.array([t.array("anchor", (3,), limit=_LARGEST_SOCKET) for t in tiles.values()])
+def _refuse_same_place(anchors: FloatArray, names: tuple[str, ...], where: str) -> None:
     apart, nearest = cKDTree(anchors).query(anchors, k=2)
     if apart[:, 1].min() < _SAME_PLACE:
         a = int(apart[:, 1].argmin())
         b = next(int(i) for i in nearest[a] if i != a)
-        names = list(tiles)
         raise ConfigurationError(
-            f"{tiles[names[a]].where}: is at the same place as {names[b]}", "remove one of them"
+            f"{where}: tiles: {names[a]}: is at the same place as {names[b]}", "remove one of them"
         )
-    return anchors
 
 
-def _neighbours(document: Section, index: dict[str, int]) -> IntArray:
-    where = f"{document.where}: neighbours"
-    pairs = document.take("neighbours")
-    if not isinstance(pairs, list):
-        raise ConfigurationError(f"{where} is not a list", "give pairs of tile names")
+def _neighbours(pairs: list[list[Text]], names: tuple[str, ...], where: str) -> IntArray:
     found = set()
     for pair in pairs:
-        names = [str(name) for name in pair] if isinstance(pair, list) else []
-        if len(names) != 2 or names[0] == names[1]:
+        a, b = sorted(_index(name, names, where) for name in pair)
+        if a == b:
             raise ConfigurationError(f"{where}: {pair} is not a pair", "give two different tiles")
-        for name in names:
-            if name not in index:
-                raise ConfigurationError(f"{where}: no tile '{name}'", closest(name, index))
-        a, b = sorted(index[name] for name in names)
         found.add((a, b))
     return np.array(sorted(found), dtype=np.int64).reshape(-1, 2)
 
 
-def _clusters(section: Section, index: dict[str, int]) -> tuple[dict[str, int], dict[str, float]]:
-    """The tile of each cluster, and the angles of those that are turned [rad]."""
-    clusters: dict[str, int] = {}
-    turned: dict[str, float] = {}
-    for name in section.names():
-        if isinstance(section.take(name), dict):
-            cluster = section.section(name).expect(("tile", "turned"))
-            tile, angle = cluster.text("tile"), cluster.number("turned", -360.0, 360.0)
-            turned |= {name: float(np.radians(angle))} if angle else {}
-        else:
-            tile = section.text(name)
-        if tile not in index:
-            raise ConfigurationError(
-                f"{section.where}: {name} is on '{tile}', which is not a tile", closest(tile, index)
-            )
-        if index[tile] in clusters.values():
-            raise ConfigurationError(
-                f"{section.where}: two clusters are on '{tile}'", "give each its own tile"
-            )
-        clusters[name] = index[tile]
-    return clusters, turned
-
-
-def _regions(document: Section, index: dict[str, int]) -> dict[str, tuple[int, ...]]:
-    if "regions" not in document.names():
-        return {}
-    section = document.section("regions")
-    return {name: read_region(section, name, index) for name in section.names()}
-
-
-def read_region(section: Section, name: str, index: dict[str, int]) -> tuple[int, ...]:
-    """Indices of the tiles of a region, ascending.
+def find_regions(
+    regions: Mapping[str, Sequence[Text]], names: tuple[str, ...], where: str
+) -> dict[str, tuple[int, ...]]:
+    """Indices of the tiles of a user's own regions, ascending, by the regions' names.
 
     Args:
-        section: Lists of tile names, by the names of the regions.
-        name: Name of the region.
-        index: Indices of the socket's tiles by their names.
+        regions: Names of tiles, by the names of the regions.
+        names: Names of the socket's tiles.
+        where: What names the regions' source in an error.
 
     Raises:
-        ConfigurationError: If it has no tile, an unknown one, one twice, or a reserved name.
+        ConfigurationError: If one has no tile, an unknown one, one twice, or a reserved name.
     """
-    where, tiles = f"{section.where}: {name}", section.take(name)
-    if name in _STANDARD_REGIONS:
-        raise ConfigurationError(f"{where} is the name of a standard region", "choose another name")
-    if not isinstance(tiles, list | tuple) or not tiles:
-        raise ConfigurationError(f"{where} has no tiles", f"write '{name}: [TILE, TILE]'")
-    for tile in map(str, tiles):
-        if tile not in index:
-            raise ConfigurationError(f"{where}: no tile '{tile}'", closest(tile, index))
-    found = sorted({index[str(tile)] for tile in tiles})
-    if len(found) < len(tiles):
-        raise ConfigurationError(f"{where} holds a tile twice", "name each tile once")
-    return tuple(found)
-
-
-def _markers(section: Section) -> FloatArray:
-    given = section.take("markers")
-    count = len(given) if isinstance(given, list) else FEWEST_MARKERS
-    if count > MOST_MARKERS:
-        raise ConfigurationError(
-            f"{section.where}: markers has {count} rows",
-            f"give {FEWEST_MARKERS} to {MOST_MARKERS} markers",
-        )
-    markers = section.array("markers", (max(count, FEWEST_MARKERS), 3), limit=_LARGEST_BODY)
-    fault = body_fault(markers)
-    if fault:
-        raise ConfigurationError(f"{section.where}: {fault[0]}", fault[1])
-    return markers
+    found = {}
+    for name, tiles in regions.items():
+        field = f"{where}: {name}"
+        if name in _STANDARD_REGIONS:
+            raise ConfigurationError(f"{field} is the name of a standard region", "choose another")
+        if isinstance(tiles, str) or not tiles:
+            raise ConfigurationError(f"{field} has no tiles", f"write '{name}: [TILE, TILE]'")
+        found[name] = tuple(sorted({_index(tile, names, field) for tile in tiles}))
+        if len(found[name]) < len(tiles):
+            raise ConfigurationError(f"{field} holds a tile twice", "name each tile once")
+    return found

@@ -2,10 +2,9 @@ r"""Quadratic programs with bounds, their solution and its certificate.
 
 .. math:: \min_x \tfrac12 x^T P x + q^T x \quad \text{s.t.} \quad l \le x \le u
 
-Pivoting moves from zero, or from the solution of a similar program, to the exact optimum. Where
-it does not reach one that is the only one, a solver (OSQP through qpsolvers, unless another one is
-named) gives it a start. The certificate, computed from the definition of an optimum, decides
-whether the answer is accepted.
+OSQP through qpsolvers, or another solver by name, solves every program that has no solution of a
+similar one to start from. Pivoting moves its answer, or that solution, to the exact optimum. The
+certificate, computed from the definition of an optimum, decides whether the answer is accepted.
 """
 
 from __future__ import annotations
@@ -16,26 +15,26 @@ from typing import Any
 
 import numpy as np
 import qpsolvers
+from scipy.linalg import cho_factor, cho_solve
 from scipy.sparse import csc_matrix
 
 from socket_testbed.arrays import FloatArray, IntArray
 from socket_testbed.errors import IdentificationError
 from socket_testbed.settings.identification import check_solver
 
-_ROWS = 32  # of a factor at a time; fewer cost calls, more cost arithmetic
-
-
-# OSQP gives a start, from which pivoting takes over. Its own rule for adapting rho may come from
-# a timer, and the same trial is to give the same answer.
+# The same trial is to give the same answer: OSQP's own rule adapts rho after a time that it
+# measures, a fixed interval of iterations does not.
 _OPTIONS: dict[str, dict[str, Any]] = {
     "osqp": {
-        "eps_abs": 1e-5,
+        "eps_abs": 1e-6,
         "eps_rel": 0.0,
-        "max_iter": 25,
+        "max_iter": 4000,
         "polishing": False,
-        "adaptive_rho": False,
+        "adaptive_rho": True,
+        "adaptive_rho_interval": 25,
     }
 }
+WARM_START = "warm start"  # what a solution says that no solver was called for
 _EXCHANGES = 300
 _PATIENCE = 5  # block exchanges that may fail to help before single ones
 _RIDGES = 10.0 ** -np.arange(2.0, 14.0)  # [-]; of regularised pivoting, one after the other
@@ -127,17 +126,30 @@ class BoxSolution:
         x: The solution, shape (p,) [-].
         certificate: Its residuals.
         determined: Whether no other point is optimal.
-        found_by: `pivoting` from zero, `warm start`, or the solver that gave the start.
+        solver: The solver that was called, or `WARM_START`.
+        iterations: Iterations of the solver; None where it does not say.
+        exchanges: Exchanges of the active set by which pivoting then reached the optimum.
+        course: Of a joint refinement its steps, in words: the solver gave the first of them.
     """
 
     x: FloatArray
     certificate: Certificate
     determined: bool
-    found_by: str
+    solver: str = WARM_START
+    iterations: int | None = None
+    exchanges: int = 0
+    course: str = ""
+
+    @property
+    def found_by(self) -> str:
+        """The solver with its iterations, and the exchanges of pivoting, in words."""
+        course = f"{self.course}, " if self.course else ""
+        iterations = "" if self.iterations is None else f" {self.iterations} iterations"
+        return f"{course}{self.solver}{iterations}, pivoting {self.exchanges} exchanges"
 
     @property
     def status(self) -> str:
-        """The solver's name with the certificate, in words."""
+        """What found the solution, with the certificate, in words."""
         kkt, gap = self.certificate.stationarity, self.certificate.gap
         return f"{self.found_by}: KKT {kkt:.1e}, gap {gap:.1e}"
 
@@ -157,11 +169,7 @@ class UncertifiedSolutionError(IdentificationError):
 
 
 def solve_box_qp(
-    problem: BoxQP,
-    solver: str,
-    tolerance: float,
-    near: FloatArray | None = None,
-    least_curvature: float = 0.0,
+    problem: BoxQP, solver: str, tolerance: float, near: FloatArray | None = None
 ) -> BoxSolution:
     """Solve a box QP and certify the answer; a solver's own verdict does not count.
 
@@ -169,10 +177,8 @@ def solve_box_qp(
         problem: The problem, in scaled units.
         solver: Any solver that qpsolvers finds.
         tolerance: Largest residual of the certificate [-].
-        near: Solution of a similar problem, shape (p,) [-], from which pivoting takes fewer steps
-            than from zero.
-        least_curvature: What the eigenvalues of P are known to exceed [-]: where they leave one
-            optimum, and it is the one near, nothing is factorised.
+        near: Solution of a similar problem, shape (p,) [-]: pivoting starts from its active set,
+            and the solver is called only where that leads nowhere.
 
     Raises:
         ConfigurationError: If there is no such solver.
@@ -180,22 +186,11 @@ def solve_box_qp(
     """
     check_solver(solver)
     _check_finite(problem)
-
     if near is not None:
-        if least_curvature > _FLAT:
-            certificate = problem.certificate(near)
-            if certificate.worst <= min(_REFINED, tolerance):
-                return BoxSolution(near, certificate, True, "warm start")
         found = pivot(problem, np.clip(near, problem.lower, problem.upper))
         if found.certificate.worst <= tolerance:
-            return replace(found, found_by="warm start")
-    found = pivot(problem, np.clip(np.zeros_like(problem.q), problem.lower, problem.upper))
-    if found.certificate.worst <= min(_ROUNDING, tolerance) and found.determined:
-        return found
-
-    start = _call_solver(problem, solver)
-    found = pivot_regularised(problem, np.clip(start, problem.lower, problem.upper))
-
+            return found
+    found = solve_cold(problem, solver)
     if not found.certificate.worst <= tolerance:
         raise UncertifiedSolutionError(
             f"{problem.name}: the answer of {solver} misses the KKT tolerance"
@@ -204,7 +199,18 @@ def solve_box_qp(
             problem,
             found.x,
         )
-    return replace(found, found_by=solver)
+    return found
+
+
+def solve_cold(problem: BoxQP, solver: str) -> BoxSolution:
+    """Solve a box QP from nothing: the solver, then pivoting from its answer.
+
+    Raises:
+        UncertifiedSolutionError: If the solver gives no answer; the caller judges the certificate.
+    """
+    start, iterations = _call_solver(problem, solver)
+    found = pivot_regularised(problem, np.clip(start, problem.lower, problem.upper))
+    return replace(found, solver=solver, iterations=iterations)
 
 
 def _check_finite(problem: BoxQP) -> None:
@@ -214,8 +220,8 @@ def _check_finite(problem: BoxQP) -> None:
         )
 
 
-def _call_solver(problem: BoxQP, solver: str) -> FloatArray:
-    """The answer of a solver, certified or not."""
+def _call_solver(problem: BoxQP, solver: str) -> tuple[FloatArray, int | None]:
+    """The answer of a solver, certified or not, and its iterations if it gives them."""
     try:
         with warnings.catch_warnings():
             # The certificate judges the answer: the solver's warnings say nothing new.
@@ -233,8 +239,8 @@ def _call_solver(problem: BoxQP, solver: str) -> FloatArray:
         raise UncertifiedSolutionError(
             f"{problem.name}: {solver} gave no answer", "try another solver", problem, None
         )
-    x: FloatArray = answer.x
-    return x
+    iterations = getattr(answer.extras.get("info"), "iter", None)
+    return answer.x, None if iterations is None else int(iterations)
 
 
 def pivot_regularised(problem: BoxQP, start: FloatArray) -> BoxSolution:
@@ -249,15 +255,18 @@ def pivot_regularised(problem: BoxQP, start: FloatArray) -> BoxSolution:
     """
     best = pivot(problem, start)
     x, centre = best.x, np.clip(np.zeros_like(start), problem.lower, problem.upper)
+    exchanges = best.exchanges
     for ridge in _RIDGES:
         if best.certificate.worst <= _ROUNDING:
             break
         P = problem.P + ridge * np.eye(len(x))
-        x = centre = pivot(replace(problem, P=P, q=problem.q - ridge * centre), x).x
+        near = pivot(replace(problem, P=P, q=problem.q - ridge * centre), x)
+        x = centre = near.x
         found = pivot(problem, x)
+        exchanges += near.exchanges + found.exchanges
         if found.certificate.worst < best.certificate.worst:
             best = found
-    return best
+    return replace(best, exchanges=exchanges)
 
 
 def pivot(problem: BoxQP, start: FloatArray) -> BoxSolution:
@@ -275,7 +284,8 @@ def pivot(problem: BoxQP, start: FloatArray) -> BoxSolution:
     trial = start - (problem.P @ start + problem.q)
     side = np.where(trial <= problem.lower, -1, np.where(trial >= problem.upper, 1, 0))
     fewest, patience, least = len(x) + 1, _PATIENCE, 0.0
-    for _ in range(_EXCHANGES):
+    exchanges = 0
+    while exchanges < _EXCHANGES:
         try:
             candidate, gradient, least = _solve_on_sides(problem, side)
         except np.linalg.LinAlgError:
@@ -296,24 +306,27 @@ def pivot(problem: BoxQP, start: FloatArray) -> BoxSolution:
         else:
             wrong = wrong[-1:]
         side[wrong] = change[wrong]
+        exchanges += 1
     else:
         least = 0.0
     determined = least > _FLAT or problem.is_determined_at(x)
-    return BoxSolution(x, certificate, determined, "pivoting")
+    return BoxSolution(x, certificate, determined, exchanges=exchanges)
 
 
 def _solve_on_sides(problem: BoxQP, side: IntArray) -> tuple[FloatArray, FloatArray, float]:
     """Optimum over the free variables with the others at bounds, gradient, least pivot."""
     x = np.where(side < 0, problem.lower, np.where(side > 0, problem.upper, 0.0))
     free = np.flatnonzero(side == 0)
+    if len(free) == 0:
+        return x, problem.P @ x + problem.q, np.inf
     rest = (problem.q + problem.P @ x if x.any() else problem.q)[free]
-    factor = Cholesky(problem.P if len(free) == len(x) else problem.P[free][:, free])
-    x[free] = -factor.solve(rest)
+    factor = cho_factor(problem.P[np.ix_(free, free)], lower=True, check_finite=False)
+    x[free] = -cho_solve(factor, rest, check_finite=False)
     gradient = problem.P @ x + problem.q
-    if np.abs(gradient[free]).max(initial=0.0) > _REFINED:  # of an ill-conditioned matrix
-        x[free] -= factor.solve(gradient[free])
+    if np.abs(gradient[free]).max() > _REFINED:  # of an ill-conditioned matrix
+        x[free] -= cho_solve(factor, gradient[free], check_finite=False)
         gradient = problem.P @ x + problem.q
-    return x, gradient, factor.least_pivot
+    return x, gradient, float(factor[0].diagonal().min()) ** 2
 
 
 def _wrong_side(problem: BoxQP, side: IntArray, x: FloatArray, gradient: FloatArray) -> IntArray:
@@ -326,52 +339,10 @@ def _wrong_side(problem: BoxQP, side: IntArray, x: FloatArray, gradient: FloatAr
     return change
 
 
-class Cholesky:
-    """Factor L of a symmetric positive definite matrix, ``L L' = A``, by blocks.
-
-    numpy has no triangular solve, and its own factor takes longer than this one and two
-    substitutions. scipy's are faster, but bring a thread pool of their own: where both have one,
-    the two stall each other.
-
-    Args:
-        matrix: The matrix A, shape (p, p).
-
-    Attributes:
-        least_pivot: Least pivot, which is the least squared diagonal element of L; infinite where
-            p is 0.
-
-    Raises:
-        LinAlgError: Unless the matrix is positive definite.
-    """
-
-    def __init__(self, matrix: FloatArray) -> None:
-        self._below = np.empty_like(matrix)  # what L has below its diagonal blocks
-        self._blocks: list[tuple[slice, FloatArray]] = []  # diagonal blocks' rows and inverses
-        pivots = np.empty(len(matrix))
-        for start in range(0, len(matrix), _ROWS):
-            rows = slice(start, min(start + _ROWS, len(matrix)))
-            known = self._below[:, :start]
-            left = matrix[start:, rows] - known[start:] @ known[rows].T
-            diagonal = np.linalg.cholesky(left[:_ROWS])
-            pivots[rows] = diagonal.diagonal()
-            inverse = np.linalg.inv(diagonal)
-            self._below[rows.stop :, rows] = left[_ROWS:] @ inverse.T
-            self._blocks.append((rows, inverse))
-        self.least_pivot = float(pivots.min(initial=np.inf)) ** 2
-
-    def solve(self, target: FloatArray) -> FloatArray:
-        """Solve ``A x = b`` for b, shape (p,)."""
-        x = target.copy()
-        for rows, inverse in self._blocks:
-            x[rows] = inverse @ (x[rows] - self._below[rows, : rows.start] @ x[: rows.start])
-        for rows, inverse in reversed(self._blocks):
-            x[rows] = (x[rows] - x[rows.stop :] @ self._below[rows.stop :, rows]) @ inverse
-        return x
-
-
 def is_definite(matrix: FloatArray, least: float) -> bool:
     """Whether a symmetric matrix, shape (p, p), is positive definite with pivots above `least`."""
     try:
-        return Cholesky(matrix).least_pivot > least
+        factor = np.linalg.cholesky(matrix)
     except np.linalg.LinAlgError:
         return False
+    return float(factor.diagonal().min(initial=np.inf)) ** 2 > least

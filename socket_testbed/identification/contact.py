@@ -1,4 +1,4 @@
-"""The contact law: unilateral tri-axial springs between the limb and the socket.
+"""Contact models: a bed of springs by a contact law, with the constant offsets of the sensors.
 
 Every force is the one that the limb applies to the socket. All quantities are in the
 frame of the load cell, {S}, unless a name says otherwise. A wrench is ordered [M; F].
@@ -12,137 +12,26 @@ from functools import cached_property
 import numpy as np
 
 from socket_testbed.arrays import FloatArray
-from socket_testbed.identification.gate_series import GateSeries
-from socket_testbed.identification.rigid_bed import (
-    displacement_map,
-    force_changes,
-    relative_pose,
-    spring_displacements,
-)
+from socket_testbed.identification.contact_law import ContactLaw
+from socket_testbed.identification.paper_law import PaperLaw
+from socket_testbed.identification.rigid_law import RigidLaw
 from socket_testbed.settings.identification import RIGID_VARIANTS, Variant
 
-_FEW = 100  # samples, for which a series never pays
-
-
-def gate(displacement: FloatArray, sharpness: float) -> FloatArray:
-    r"""Smooth unilateral gate, :math:`g(d) = 1/2 - 1/2 \tanh(\alpha d)`.
-
-    Args:
-        displacement: Displacement d [m], any shape.
-        sharpness: Sharpness alpha of the gate [1/m].
-
-    Returns:
-        Gate values in [0, 1] [-], 1 in compression (d < 0), of the same shape.
-    """
-    return 0.5 - 0.5 * np.tanh(sharpness * displacement)
-
-
-def gated_displacement(
-    position: FloatArray, rest_positions: FloatArray, sharpness: float
-) -> FloatArray:
-    r"""Gated displacement :math:`s = g(\delta) \circ \delta`, :math:`\delta_i = q - q_{r,i}`.
-
-    Computed as :math:`\delta / (1 + e^{2 \alpha \delta})`, the same gate without a tanh.
-
-    Args:
-        position: Limb positions q, shape (N, 3) [m].
-        rest_positions: Rest positions q_r, shape (n, 3) [m].
-        sharpness: Sharpness alpha of the gate [1/m].
-
-    Returns:
-        Gated displacements, shape (N, n, 3) [m].
-    """
-    displacement = position[:, None, :] - rest_positions[None, :, :]
-    growth = (2.0 * sharpness) * displacement
-    # Far outside the contact the exponential overflows to infinity, where s is 0.
-    with np.errstate(over="ignore"):
-        np.exp(growth, out=growth)
-    growth += 1.0
-    displacement /= growth
-    return displacement
-
-
-def gated_sums(
-    position: FloatArray, rest_positions: FloatArray, sharpness: float, weights: FloatArray
-) -> FloatArray:
-    """Sums of the gated displacements of all points, with weights.
-
-    Along each coordinate they are functions of that coordinate alone: of many samples they are
-    taken from their Chebyshev series, to double precision.
-
-    Args:
-        position: Limb positions q, shape (N, 3) [m].
-        rest_positions: Rest positions q_r, shape (n, 3) [m].
-        sharpness: Sharpness alpha of the gate [1/m].
-        weights: Weights of the m sums, shape (m, n, 3).
-
-    Returns:
-        Array of shape (N, m).
-    """
-    series = GateSeries(position, sharpness) if len(position) > _FEW else None
-    if series is None or series.terms > len(position):
-        gated = gated_displacement(position, rest_positions, sharpness)
-        return np.asarray(gated.reshape(len(position), -1) @ weights.reshape(len(weights), -1).T)
-    coefficients = []
-    for axis in range(3):
-        nodes, rest = series.nodes(axis)[..., None], rest_positions[:, axis, None]
-        gated = gated_displacement(nodes.reshape(-1, 1), rest, sharpness)[..., 0]
-        values = (gated @ weights[:, :, axis].T).reshape(*nodes.shape[:2], -1)
-        coefficients.append(series.transform @ values)
-    sums = np.empty((len(position), len(weights)))
-    for cell, rows, polynomials in series.by_cell(position, np.empty((len(position), 0))):
-        of_cell = [of[panel] for of, panel in zip(coefficients, cell, strict=True)]
-        sums[rows] = polynomials.T @ np.vstack(of_cell)
-    return sums
-
-
-def gated_slope(position: FloatArray, rest_positions: FloatArray, sharpness: float) -> FloatArray:
-    r"""Slope of the gated displacement, :math:`ds/dq = g(\delta) + \delta\, g'(\delta)`.
-
-    With the gate's own slope, :math:`g' = -2 \alpha g (1 - g)`.
-
-    Args:
-        position: Limb positions q, shape (N, 3) [m].
-        rest_positions: Rest positions q_r, shape (n, 3) [m].
-        sharpness: Sharpness alpha of the gate [1/m].
-
-    Returns:
-        Slopes per axis, shape (N, n, 3) [-].
-    """
-    displacement = position[:, None, :] - rest_positions[None, :, :]
-    gates = gate(displacement, sharpness)
-    return np.asarray(gates * (1.0 - 2.0 * sharpness * displacement * (1.0 - gates)))
-
-
-def wrench_map(anchors: FloatArray) -> FloatArray:
-    r"""Constant map C of the point forces onto the wrench, ``[M; F] = C F``.
-
-    .. math:: C = \begin{bmatrix} [a_1]_\times & \dots & [a_n]_\times \\
-                                  I & \dots & I \end{bmatrix}
-
-    Args:
-        anchors: Points of application a_i, shape (n, 3) [m].
-
-    Returns:
-        Array of shape (6, 3n); the moment rows are in m, the force rows in 1.
-    """
-    n = len(anchors)
-    x, y, z = anchors.T
-    mapping = np.zeros((6, n, 3))
-    mapping[0, :, 1], mapping[0, :, 2] = -z, y
-    mapping[1, :, 0], mapping[1, :, 2] = z, -x
-    mapping[2, :, 0], mapping[2, :, 1] = -y, x
-    for axis in range(3):
-        mapping[3 + axis, :, axis] = 1.0
-    return mapping.reshape(6, 3 * n)
+LAWS: dict[str, type[ContactLaw]] = {
+    "stiffness": PaperLaw,
+    "stiffness_bias": PaperLaw,
+    "rigid": RigidLaw,
+    "rigid_bias": RigidLaw,
+}
+"""The law of each variant."""
 
 
 @dataclass(frozen=True)
 class ContactModel:
     """A bed of unilateral tri-axial springs, with the constant offsets of the sensors.
 
-    The paper's variants read the position of the limb alone: see `gated_displacement`. The rigid
-    variants read its pose and work in the tiles' frames: see `rigid_bed`.
+    The paper's variants read the position of the limb alone: see `paper_law`. The rigid variants
+    read its pose and work in the tiles' frames: see `rigid_law`.
 
     Attributes:
         variant: The law, and which offsets the model has.
@@ -194,7 +83,8 @@ class ContactModel:
         Returns:
             Forces in {S}, shape (N, n, 3) [N]; NaN where the pose is NaN.
         """
-        return self._spring_forces(self._motion(pose)) + self._bias_in_socket_frame()
+        springs = self._springs(self.law.motion(pose))
+        return self._spring_forces(springs) + self._bias_in_socket_frame()
 
     def wrench(self, pose: FloatArray) -> FloatArray:
         """Wrench ``C F + b_w`` at the load cell, in `rigid_bias` with its slope over the pose.
@@ -209,39 +99,15 @@ class ContactModel:
         Returns:
             Wrenches [M; F] in {S}, shape (N, 6) [N m, N].
         """
-        motion = self._motion(pose)
-        return self._wrench_of(motion, self._bed_wrench(motion))
+        motion = self.law.motion(pose)
+        return self._wrench_of(motion, self._springs(motion))
 
     def predict(self, pose: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Wrenches and forces in one pass: see `wrench` and `forces`."""
-        motion = self._motion(pose)
-        springs = self._spring_forces(motion)
-        wrench = self._wrench_of(motion, springs.reshape(len(pose), -1) @ self._wrench_map.T)
-        return wrench, springs + self._bias_in_socket_frame()
-
-    def _wrench_of(self, motion: FloatArray, springs: FloatArray) -> FloatArray:
-        """The wrench of the springs with the offsets, shape (N, 6) [N m, N]."""
-        wrench = springs + self.wrench_bias
-        if self.variant == "rigid_bias":
-            wrench += motion @ self.wrench_slope.T
-        return wrench
-
-    def _bed_wrench(self, motion: FloatArray) -> FloatArray:
-        """Wrench of the springs alone, without their single forces, shape (N, 6) [N m, N]."""
-        count, mapping = len(motion), self._wrench_map.reshape(6, -1, 3)
-        if self.is_rigid:
-            moved = (motion @ self._displacement_map.T).reshape(count, -1, 3)
-            gated = spring_displacements(moved, self.rest_positions, self.sharpness)
-            weights = np.matmul(self.rotations.transpose(0, 2, 1), mapping[..., None])[..., 0]
-            return np.asarray(
-                gated.reshape(count, -1) @ (weights * self.stiffness).reshape(6, -1).T
-            )
-        known = np.isfinite(motion).all(axis=1)
-        wrench = np.full((count, 6), np.nan)
-        wrench[known] = gated_sums(
-            motion[known], self.rest_positions, self.sharpness, mapping * self.stiffness
-        )
-        return wrench
+        motion = self.law.motion(pose)
+        springs = self._springs(motion)
+        forces = self._spring_forces(springs) + self._bias_in_socket_frame()
+        return self._wrench_of(motion, springs), forces
 
     def bed_forces(self, pose: FloatArray) -> tuple[FloatArray, FloatArray]:
         r"""Forces of the springs alone, with a factor of their covariance: a rigid variant's.
@@ -256,43 +122,69 @@ class ContactModel:
             Forces in {S} without the offsets of sensors, shape (N, n, 3) [N], and the factor,
             shape (N, n, 3, r) [N].
         """
-        motion = self._motion(pose)
-        moved = (motion @ self._displacement_map.T).reshape(len(pose), -1, 3)
-        parameters = (self.stiffness.T, self.rest_positions.T, self.sharpness)
-        changed = force_changes(moved, *parameters, self.parameter_factor)
-        return self._spring_forces(motion), np.matmul(self.rotations, changed)
+        motion = self.law.motion(pose)
+        moved = self.law.displacements(motion) - self.rest_positions.T
+        changed = self.law.force_changes(moved, self.stiffness.T, self.parameter_factor)
+        return self._spring_forces(self._springs(motion)), np.matmul(self.law.frames, changed)
 
     def cluster_forces(self, pose: FloatArray) -> dict[str, FloatArray]:
         """Forces on the clusters, each in its cluster's frame, shape (N, 3) each [N]."""
-        springs = self._spring_forces(self._motion(pose), list(self.cluster_points.values()))
+        points = list(self.cluster_points.values())
+        forces = self._spring_forces(self._springs(self.law.motion(pose), points), points)
         no_bias = np.zeros(3)
         return {
-            name: springs[:, column] @ self.rotations[point] + self.force_bias.get(name, no_bias)
+            name: forces[:, column] @ self.rotations[point] + self.force_bias.get(name, no_bias)
             for column, (name, point) in enumerate(self.cluster_points.items())
         }
 
-    def _motion(self, pose: FloatArray) -> FloatArray:
-        """What the law reads of poses: the relative pose in a rigid variant, or the position."""
-        return relative_pose(pose, self.reference_pose) if self.is_rigid else pose[:, :3]
+    def gate_displacements(
+        self, pose: FloatArray, noise: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Displacements delta that the gates of the springs read, with their standard deviations.
+
+        Args:
+            pose: Poses of the limb, shape (N, 6) [m, rad].
+            noise: Covariance of the noise of a pose since the reference pose, shape (6, 6).
+
+        Returns:
+            Displacements along x, y, z of {S}, shape (N, n, 3), in the rigid variants along each
+            tile's inward normal, shape (N, n, 1) [m]: negative in compression, infinite without
+            stiffness. Standard deviations of the noise, shape (n, 3) or (n, 1) [m].
+        """
+        law, axes = self.law, list(self.law.GATES)
+        motion, stiff = law.motion(pose), self.stiffness > 0.0
+        if len(axes) < 3:
+            stiff = np.asarray(stiff.any(axis=1, keepdims=True))
+        moved = (law.displacements(motion) - self.rest_positions.T)[:, axes].swapaxes(1, 2)
+        rows = law.jacobian.reshape(3, len(self.names), -1)[axes]
+        size = rows.shape[2]
+        variance = np.einsum("anj,jk,ank->na", rows, noise[:size, :size], rows)
+        return np.where(stiff, moved, np.inf), np.sqrt(variance)
+
+    @cached_property
+    def law(self) -> ContactLaw:
+        """The contact law at the model's reference pose."""
+        kind = LAWS[self.variant]
+        return kind(self.anchors, self.rotations, self.sharpness, self.reference_pose)
+
+    def _springs(self, motion: FloatArray, points: list[int] | slice = slice(None)) -> FloatArray:
+        """Forces of the springs at some points in the law's frames, shape (N, 3, points) [N]."""
+        moved = self.law.displacements(motion)[:, :, points] - self.rest_positions[points].T
+        return self.stiffness[points].T * self.law.columns(moved)
 
     def _spring_forces(
-        self, motion: FloatArray, points: list[int] | slice = slice(None)
+        self, springs: FloatArray, points: list[int] | slice = slice(None)
     ) -> FloatArray:
-        """Forces of the springs at some points in {S}, shape (N, points, 3) [N]."""
-        stiffness, rest = self.stiffness[points], self.rest_positions[points]
-        if not self.is_rigid:
-            return stiffness * gated_displacement(motion, rest, self.sharpness)
-        moved = (motion @ self._displacement_map.T).reshape(len(motion), -1, 3)[:, points]
-        local = stiffness * spring_displacements(moved, rest, self.sharpness)
-        return np.matmul(self.rotations[points], local[..., None])[..., 0]
+        """The same in {S}, shape (N, points, 3) [N]."""
+        return np.einsum("nab,tbn->tna", self.law.frames[points], springs)
 
-    @cached_property
-    def _displacement_map(self) -> FloatArray:
-        return displacement_map(self.anchors, self.rotations, self.reference_pose[:3])
-
-    @cached_property
-    def _wrench_map(self) -> FloatArray:
-        return wrench_map(self.anchors)
+    def _wrench_of(self, motion: FloatArray, springs: FloatArray) -> FloatArray:
+        """The wrench of the springs with the offsets, shape (N, 6) [N m, N]."""
+        wrench = springs.reshape(len(motion), -1) @ self.law.onto.reshape(6, -1).T
+        wrench += self.wrench_bias
+        if self.wrench_slope.any():
+            wrench += motion @ self.wrench_slope.T
+        return np.asarray(wrench)
 
     def _bias_in_socket_frame(self) -> FloatArray:
         bias = np.zeros_like(self.anchors)

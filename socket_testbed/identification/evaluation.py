@@ -104,15 +104,13 @@ def errors_to_dataframe(errors: Iterable[ChannelErrors]) -> pd.DataFrame:
 
 @dataclass(frozen=True)
 class ErrorSummary:
-    """What the paper quotes of the errors of all channels; NaN where there is no channel.
+    """What the paper quotes of the errors of the channels in the objective; NaN without any.
 
     Attributes:
         moment_rmse: Mean RMSE of the moments [N m].
         force_rmse: Mean RMSE of the forces [N].
         local_rmse: Median RMSE of the clusters' channels [N].
-        local_unsteadiness: Root mean square sigma of the clusters' channels over their root
-            mean square error [-]: far below 1, the residuals are steady offsets.
-        skill: Median skill of all channels [-].
+        skill: Median skill of these channels [-].
         wrench_skill: Median skill of the wrench's channels [-].
         local_skill: Median skill of the clusters' channels [-].
         without_value: Channels that no sample has both measured and predicted; no figure
@@ -122,7 +120,6 @@ class ErrorSummary:
     moment_rmse: float
     force_rmse: float
     local_rmse: float
-    local_unsteadiness: float
     skill: float
     wrench_skill: float
     local_skill: float
@@ -130,19 +127,18 @@ class ErrorSummary:
 
 
 def summarise_errors(errors: Sequence[ChannelErrors]) -> ErrorSummary:
-    """Means and medians of the errors of all channels, as the paper quotes them.
+    """Means and medians over the channels in the objective, as the paper quotes them.
 
     Args:
         errors: Errors of the wrench's channels and the clusters'.
     """
-    known = [error for error in errors if error.samples > 0]
+    known = [error for error in errors if error.samples > 0 and error.in_objective]
     wrench = [error for error in known if error.name in WRENCH_CHANNELS]
     local = [error for error in known if error.name not in WRENCH_CHANNELS]
     return ErrorSummary(
         moment_rmse=_mean(error.rmse for error in wrench if error.name[0] == "M"),
         force_rmse=_mean(error.rmse for error in wrench if error.name[0] == "F"),
         local_rmse=_median(error.rmse for error in local),
-        local_unsteadiness=_unsteadiness(local),
         skill=_median(error.skill for error in known),
         wrench_skill=_median(error.skill for error in wrench),
         local_skill=_median(error.skill for error in local),
@@ -220,12 +216,6 @@ def trusted_values(samples: Samples) -> FloatArray:
     """All channels, the clusters' only where their status is OK, shape (N, 6 + 3c) [N m, N]."""
     count = 3 * len(samples.clusters)
     return np.hstack([samples.wrench, samples.trusted_forces.reshape(len(samples), count)])
-
-
-def _unsteadiness(errors: Sequence[ChannelErrors]) -> float:
-    power = sum(error.rmse**2 for error in errors)
-    spread = sum(error.sigma**2 for error in errors)
-    return float(np.sqrt(spread / power)) if power > 0.0 else float("nan")
 
 
 def _mean(values: Iterable[float]) -> float:

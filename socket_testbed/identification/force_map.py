@@ -2,7 +2,7 @@ r"""The force on every tile of the socket from one sample's clusters and wrench,
 
 The tiles' forces are a Gaussian process over the socket's surface, conditioned on the channels of
 one sample. Nothing is fitted beforehand. In the tiles' frames {L_i} (z is the inward normal) the
-prior has the mean m and the covariance
+prior has the mean zero and the covariance
 
 .. math:: K = T \bigl(K_{field} + K_{preload} + (U U^T) \circ (1 + \kappa^2 M)\bigr) T^T
 
@@ -21,16 +21,12 @@ Every term is positive semidefinite, and the field is definite. H maps the force
 y: the wrench [M; F], which the surface between the tiles bears as well, and each cluster's force
 in its frame. With the noise R of the channels
 
-.. math:: F = m + K H^T (H K H^T + R)^{-1} (y - H m)
+.. math:: F = K H^T (H K H^T + R)^{-1} y
 
 (Rasmussen & Williams, Gaussian Processes for Machine Learning, 2006, section 2.2). The sizes of
 the parts are uncertain. The common amplitude has an inverse-gamma prior and is integrated out; the
 sizes relative to it and the clusters' offsets are drawn from stated log-normal priors, and every
 draw counts by its evidence in the sample.
-
-The mean m is zero, or on request the force of a bed of springs at the sample's pose. What its
-parameters leave open, V V^T, then joins K; the amplitude scales it, too. That says nothing of the
-law itself, which may be wrong: `validation.judge_bed` judges a bed by clusters it has not seen.
 """
 
 from __future__ import annotations
@@ -45,7 +41,7 @@ from scipy.special import chdtri, i0e, i1e, ndtri
 from socket_testbed.arrays import BoolArray, FloatArray, IntArray, StatusArray
 from socket_testbed.geometry.axis import proximal_direction
 from socket_testbed.geometry.socket import SocketGeometry
-from socket_testbed.identification.contact import ContactModel, wrench_map
+from socket_testbed.identification.contact_law import wrench_map
 from socket_testbed.identification.plausibility import (
     Outliers,
     find_outliers,
@@ -174,30 +170,6 @@ class _Conditioned:
             variances=self.variances + lost**2,
         )
 
-    def widened(self, factor: FloatArray, mapped: FloatArray) -> _Conditioned:
-        """The same with V V' added to the prior covariance of the forces.
-
-        With B = V - G H V, what the channels leave of V under the gain G, and Q = I + V' H' P H V,
-        the gain grows by B Q^-1 V' H' P and the covariance by B Q^-1 B' (Woodbury's identity).
-
-        Args:
-            factor: V, shape (n, 4, r) [N].
-            mapped: H V of the present channels for the M draws, shape (M, d, r) [N m, N].
-        """
-        seen = self.precision @ mapped
-        inner = np.eye(factor.shape[2]) + np.swapaxes(mapped, 1, 2) @ seen
-        inverse = np.linalg.inv(inner)[:, None]
-        left = factor - self.gain @ mapped[:, None]
-        change = left @ inverse
-        gain = self.gain + change @ np.swapaxes(seen, 1, 2)[:, None]
-        return _Conditioned(
-            present=self.present,
-            gain=gain,
-            precision=self.precision - seen @ inverse[:, 0] @ np.swapaxes(seen, 1, 2),
-            log_determinant=self.log_determinant + np.linalg.slogdet(inner)[1],
-            variances=self.variances + (change * left).sum(axis=3),
-        )
-
     def average(self, measured: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Mean and variances of the forces over the draws, weighted by their evidence.
 
@@ -214,7 +186,13 @@ class _Conditioned:
         draws, tiles = self.variances.shape[:2]
         forces = measured @ self.gain.reshape(draws * tiles * 4, channels).T
         forces = forces.reshape(count, draws, tiles * 4)
-        return self._weighted(self.distance(measured), forces)
+        distance, freedom = self.distance(measured), _AMPLITUDE_FREEDOM
+        weights = self.weights(distance)
+        scales = weights * (freedom + distance) / max(freedom + channels - 2.0, 1.0)
+        mean = (weights[:, None] @ forces)[:, 0]
+        between = (weights[:, None] @ forces**2)[:, 0] - mean**2
+        variances = scales @ self.variances.reshape(draws, -1) + np.maximum(between, 0.0)
+        return mean.reshape(count, -1, 4), variances.reshape(count, -1, 4)
 
     def distance(self, measured: FloatArray) -> FloatArray:
         """Squared size of the channels, y' S^-1 y, under the draws, shape (N, M) [-].
@@ -228,20 +206,6 @@ class _Conditioned:
         whitened = whitened.reshape(len(measured), draws, channels)
         return np.asarray((whitened * measured[:, None]).sum(axis=2))
 
-    def average_about(self, measured: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """The same for one sample whose prior mean maps to other channels in each draw.
-
-        Args:
-            measured: The channels that are present less the mean's, shape (M, d).
-
-        Returns:
-            Forces less the mean, and their variances, as `average` has them with N = 1.
-        """
-        column = measured[..., None]
-        distance = (np.swapaxes(column, 1, 2) @ self.precision @ column).reshape(1, -1)
-        forces = (self.gain @ column[:, None]).reshape(1, len(measured), -1)
-        return self._weighted(distance, forces)
-
     def weights(self, distance: FloatArray) -> FloatArray:
         """Probabilities of the draws by their evidence, shape (N, M) [-].
 
@@ -253,22 +217,6 @@ class _Conditioned:
         evidence = self.log_determinant + exponent * np.log1p(distance / freedom)
         weights = np.exp(0.5 * (evidence.min(axis=1, keepdims=True) - evidence))
         return np.asarray(weights / weights.sum(axis=1, keepdims=True))
-
-    def _weighted(self, distance: FloatArray, forces: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Mean and variances over the draws.
-
-        Args:
-            distance: y' S^-1 y of each draw, shape (N, M).
-            forces: Of each draw, shape (N, M, 4n) [N].
-        """
-        count, draws = distance.shape
-        freedom = _AMPLITUDE_FREEDOM
-        weights = self.weights(distance)
-        scales = weights * (freedom + distance) / max(freedom + len(self.present) - 2.0, 1.0)
-        mean = (weights[:, None] @ forces)[:, 0]
-        between = (weights[:, None] @ forces**2)[:, 0] - mean**2
-        variances = scales @ self.variances.reshape(draws, -1) + np.maximum(between, 0.0)
-        return mean.reshape(count, -1, 4), variances.reshape(count, -1, 4)
 
 
 @dataclass(frozen=True)
@@ -338,15 +286,6 @@ class JointDraws:
         gain = np.ascontiguousarray(np.swapaxes(np.swapaxes(self.gain, 1, 2) @ mapping, 1, 2))
         return replace(self, gain=gain, errors=self.errors @ mapping)
 
-    def normal(self, factors: FloatArray) -> JointDraws:
-        """The same of the normal force alone, times a factor for each tile, shape (n,)."""
-
-        def taken(values: FloatArray, axis: int) -> FloatArray:
-            along = np.moveaxis(values, axis, -1)[..., 2::3] * factors
-            return np.ascontiguousarray(np.moveaxis(along, -1, axis))
-
-        return replace(self, gain=taken(self.gain, 1), errors=taken(self.errors, 2))
-
 
 class ForceMap:
     """Maps one sample's clusters and wrench to the forces on all tiles, with uncertainty.
@@ -372,14 +311,11 @@ class ForceMap:
         self._patterns: dict[bytes, _Conditioned] = {}
         self._drawn: dict[int, tuple[FloatArray, ...]] = {}  # by their number
 
-    def estimate(self, samples: Samples, bed: ContactModel | None = None) -> MapEstimate:
+    def estimate(self, samples: Samples) -> MapEstimate:
         """The map at every sample.
 
         Args:
-            samples: N samples; their poses count with a bed alone.
-            bed: A model of a `rigid` variant on the same tiles. The force of its springs at the
-                sample's pose is the prior's mean, and their uncertainty joins the prior; without
-                a pose the mean is zero.
+            samples: N samples; their poses do not count.
 
         Returns:
             The estimate; where a sample has no channel at all, that of the prior.
@@ -387,20 +323,13 @@ class ForceMap:
         values, present = _channels(samples.wrench, samples.local_forces, samples.status)
         forces = np.empty((len(samples), len(self._areas), 4))
         variances = np.empty((len(samples), len(self._areas), 4))
-        posed = np.full(len(samples), bed is not None) & np.isfinite(samples.pose).all(axis=1)
         for pattern, rows in _by_pattern(present):
             conditioned = self._conditioned(pattern)
-            if bed is not None:
-                for row in rows[posed[rows]]:
-                    found = self._about(bed, samples.pose[row], values[row], conditioned)
-                    forces[row], variances[row] = found
-            others = rows[~posed[rows]]
-            for start in range(0, len(others), _CHUNK):
-                chunk = others[start : start + _CHUNK]
+            for start in range(0, len(rows), _CHUNK):
+                chunk = rows[start : start + _CHUNK]
                 measured = values[chunk][:, conditioned.present]
                 forces[chunk], variances[chunk] = conditioned.average(measured)
-        mean = f"the springs of {bed.variant}" if bed is not None and posed.any() else "mean zero"
-        return self._describe(forces, variances, present, mean)
+        return self._describe(forces, variances, present)
 
     def mean(self, samples: Samples) -> MapEstimate:
         """The mean of the map over N samples, as `MapEstimate.mean`, without the map at each."""
@@ -420,7 +349,7 @@ class ForceMap:
     def source(self, samples: Samples) -> str:
         """What the map at some samples is conditioned on, in words."""
         _, present = _channels(samples.wrench, samples.local_forces, samples.status)
-        return self._source(present, "mean zero")
+        return self._source(present)
 
     def sample(self, samples: Samples, count: int = 200) -> Iterator[JointDraws]:
         r"""Joint draws of the forces on all tiles, given the channels of each sample.
@@ -514,20 +443,6 @@ class ForceMap:
         measured = values[:, conditioned.present]
         return self._describe(*conditioned.average(measured), present)
 
-    def _about(
-        self, bed: ContactModel, pose: FloatArray, values: FloatArray, conditioned: _Conditioned
-    ) -> tuple[FloatArray, FloatArray]:
-        """Forces and variances, (n, 4), at one sample with a bed's forces as the mean."""
-        mean, factor = bed.bed_forces(pose[None])
-        both = np.concatenate([mean[0][..., None], factor[0]], axis=2)  # (n, 3, 1 + r)
-        local = np.swapaxes(self._geometry.rotations, 1, 2) @ both
-        channels = self._mappings[:, conditioned.present] @ local.reshape(-1, both.shape[2])
-        in_four = np.concatenate([both, local[:, 2:]], axis=1)
-        widened = conditioned.widened(in_four[..., 1:], channels[..., 1:])
-        measured = values[conditioned.present] - channels[..., 0]
-        forces, variances = widened.average_about(measured)
-        return forces[0] + in_four[..., 0], variances[0]
-
     @cached_property
     def _mappings(self) -> FloatArray:
         """H of the M draws, shape (M, 6 + 3c, 3n)."""
@@ -547,7 +462,7 @@ class ForceMap:
         return self._patterns[key]
 
     def _describe(
-        self, forces: FloatArray, variances: FloatArray, present: BoolArray, mean: str = "mean zero"
+        self, forces: FloatArray, variances: FloatArray, present: BoolArray
     ) -> MapEstimate:
         """The estimate from forces and variances, (N, n, 4), and the present channels."""
         areas, deviations = self._areas, np.sqrt(variances)
@@ -562,17 +477,17 @@ class ForceMap:
             normal_pressure_standard_deviation=deviations[..., 3] / areas,
             shear=shear / areas,
             shear_standard_deviation=_rice_deviation(shear, np.sqrt(0.5 * tangential)) / areas,
-            source=self._source(present, mean),
+            source=self._source(present),
         )
 
-    def _source(self, present: BoolArray, mean: str) -> str:
-        """What the prior's mean is, and what was measured."""
+    def _source(self, present: BoolArray) -> str:
+        """The prior's mean and the measured channels."""
         wrench = len(WRENCH_CHANNELS)
         parts = ["wrench"] if present[:, :wrench].any() else []
         for number, cluster in enumerate(self._clusters):
             if present[:, wrench + 3 * number : wrench + 3 * (number + 1)].any():
                 parts.append(cluster)
-        return f"prior: {mean}; measured: {', '.join(parts) or 'nothing'}"
+        return f"prior: mean zero; measured: {', '.join(parts) or 'nothing'}"
 
 
 def _channels(
@@ -613,7 +528,6 @@ def map_samples(
     geometry: SocketGeometry,
     settings: ForceMapSettings,
     leave_out: tuple[str, ...] = (),
-    bed: ContactModel | None = None,
 ) -> MapEstimate:
     """The map at every sample, without single outliers and without channels that are left out.
 
@@ -622,10 +536,9 @@ def map_samples(
         geometry: Geometry of the socket.
         settings: The prior.
         leave_out: Channels that do not count, such as `distal.Fx`.
-        bed: A bed whose forces are the prior's mean: see `ForceMap.estimate`.
     """
     trusted = without_untrusted(samples, geometry, leave_out)
-    return ForceMap(geometry, samples.clusters, settings).estimate(trusted, bed)
+    return ForceMap(geometry, samples.clusters, settings).estimate(trusted)
 
 
 def without_untrusted(

@@ -19,7 +19,8 @@ from scipy.linalg import eigh
 
 from socket_testbed.arrays import FloatArray
 from socket_testbed.geometry.socket import SocketGeometry
-from socket_testbed.identification.contact import ContactModel, wrench_map
+from socket_testbed.identification.contact import ContactModel
+from socket_testbed.identification.contact_law import wrench_map
 from socket_testbed.identification.evaluation import predict_channels
 from socket_testbed.identification.noise import (
     ChannelNoise,

@@ -5,38 +5,35 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+from msgspec import Meta, Struct
 
 from socket_testbed.arrays import FloatArray
-from socket_testbed.errors import ConfigurationError
-from socket_testbed.files import Section, atomic_output, closest, decimal, load_json
-from socket_testbed.geometry.socket import SocketGeometry, socket_from_section
+from socket_testbed.documents import (
+    FINITE,
+    Document,
+    Text,
+    convert,
+    decimal,
+    load_json,
+    refuse_unknown,
+    shown,
+)
+from socket_testbed.errors import ConfigurationError, closest
+from socket_testbed.files import atomic_output
+from socket_testbed.geometry.socket import SocketGeometry, socket_from_document
 from socket_testbed.identification.contact import ContactModel
-from socket_testbed.identification.evaluation import ChannelErrors
+from socket_testbed.identification.evaluation import ChannelErrors, summarise_errors
 from socket_testbed.identification.fit import Fit
-from socket_testbed.settings.identification import VARIANTS, IdentificationSettings
+from socket_testbed.settings.identification import IdentificationSettings, Variant
 
 _FORMAT = "socket_testbed model 1"
-_KEYS = ("format", "trial", "segment", "settings", "geometry", "parameters", "quality")
-_LARGEST = 1e9  # [N/m, N, N m, 1/m]; no parameter comes near it
-_FARTHEST = 10.0  # [m, rad]
-_LEAST_STIFFNESS = -1.0  # [N/m]; solvers stay above it
-_PARAMETERS = (
-    "variant",
-    "sharpness",
-    "stiffness",
-    "rest_positions",
-    "wrench_bias",
-    "force_bias",
-    "clusters",
-    "reference_pose",
-    "wrench_slope",
-    "parameter_factor",
-)
+_AGAIN = "fit the trial again"
 
 
 @dataclass(frozen=True)
@@ -145,9 +142,126 @@ def errors_document(errors: ChannelErrors) -> dict[str, Any]:
     return {key: finite_or_null(value) for key, value in dataclasses.asdict(errors).items()}
 
 
+def quoted_figures(errors: Sequence[ChannelErrors]) -> dict[str, Any]:
+    """The figures that the paper quotes, over the channels in the objective, by name and unit."""
+    summary = summarise_errors(errors)
+    figures = {
+        "mean_moment_rmse [N m]": summary.moment_rmse,
+        "mean_force_rmse [N]": summary.force_rmse,
+        "median_local_rmse [N]": summary.local_rmse,
+    }
+    return {name: finite_or_null(value) for name, value in figures.items()}
+
+
 def finite_or_null(value: Any) -> Any:
     """A value for JSON, which has no NaN: None stands for it."""
     return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def _packed(factor: FloatArray) -> list[str]:
+    """A line per direction of the parameters' uncertainty, with six digits."""
+    return [" ".join(f"{v:.6g}" for v in way.ravel()) for way in np.moveaxis(factor, 2, 0)]
+
+
+_Parameter = Annotated[float, Meta(ge=-1e9, le=1e9)]  # [N/m, N, N m]; none comes near it
+_Stiffness = Annotated[float, Meta(ge=-1.0, le=1e9)]  # [N/m]; solvers stay above -1
+_Place = Annotated[float, Meta(ge=-10.0, le=10.0)]  # [m, rad]
+_Count = Annotated[int, Meta(ge=0, le=2**63 - 1)]
+_Figure = Annotated[float, Meta(ge=-FINITE, le=FINITE)] | None  # JSON has no NaN
+_Second = Annotated[float, Meta(ge=-FINITE, le=FINITE)]
+_Three = tuple[_Parameter, _Parameter, _Parameter]
+_Six = tuple[_Parameter, _Parameter, _Parameter, _Parameter, _Parameter, _Parameter]
+
+
+class _Parameters(Document):
+    variant: Variant
+    sharpness: Annotated[float, Meta(ge=1.0, le=1e9)]
+    stiffness: list[tuple[_Stiffness, _Stiffness, _Stiffness]]
+    rest_positions: list[tuple[_Place, _Place, _Place]]
+    wrench_bias: _Six
+    force_bias: dict[str, _Three]
+    clusters: list[Text]
+    # What older files lack, whose variants need none of it:
+    reference_pose: tuple[_Place, _Place, _Place, _Place, _Place, _Place] | None = None
+    wrench_slope: tuple[_Six, _Six, _Six, _Six, _Six, _Six] | None = None
+    parameter_factor: list[str] | None = None
+
+    def model(self, geometry: SocketGeometry, where: str) -> ContactModel:
+        """The contact model on a socket's tiles.
+
+        Raises:
+            ConfigurationError: If the parameters are of other tiles or clusters.
+        """
+        points, clusters = len(geometry), [str(name) for name in self.clusters]
+        for name in clusters:
+            if name not in geometry.clusters:
+                hint = closest(name, geometry.clusters)
+                raise ConfigurationError(f"{where}: clusters: no cluster '{name}'", hint)
+        refuse_unknown(self.force_bias, clusters, f"{where}: force_bias")
+        for key in ("stiffness", "rest_positions"):
+            if len(getattr(self, key)) != points:
+                raise ConfigurationError(
+                    f"{where}: {key} has {len(getattr(self, key))} rows for {points} tiles", _AGAIN
+                )
+        rigid = {
+            "reference_pose": self.reference_pose,
+            "wrench_slope": self.wrench_slope,
+            "parameter_factor": self._factor(points, where),
+        }
+        return ContactModel(
+            variant=self.variant,
+            names=geometry.names,
+            anchors=geometry.anchors,
+            rotations=geometry.rotations,
+            stiffness=np.array(self.stiffness),
+            rest_positions=np.array(self.rest_positions),
+            sharpness=self.sharpness,
+            wrench_bias=np.array(self.wrench_bias),
+            force_bias={name: np.array(bias) for name, bias in self.force_bias.items()},
+            cluster_points={name: geometry.clusters[name] for name in clusters},
+            **{name: np.array(value) for name, value in rigid.items() if value is not None},
+        )
+
+    def _factor(self, points: int, where: str) -> FloatArray | None:
+        """Undoes `_packed`."""
+        if not self.parameter_factor:
+            return None if self.parameter_factor is None else np.zeros((6, 0, 0))
+        try:
+            lines = [[*map(decimal, line.split())] for line in self.parameter_factor]
+            return np.moveaxis(np.array(lines).reshape(-1, 6, points), 0, 2)
+        except ValueError:
+            raise ConfigurationError(
+                f"{where}: parameter_factor does not hold 6 numbers per tile and line", _AGAIN
+            ) from None
+
+
+def _read_errors(errors: list[dict[str, Any]], where: str) -> tuple[ChannelErrors, ...]:
+    """Errors of the channels; JSON has no NaN, null stands for it."""
+    known = [{k: math.nan if v is None else v for k, v in each.items()} for each in errors]
+    return convert(known, tuple[ChannelErrors, ...], where)
+
+
+class _Quality(Struct):  # the certificates are for people
+    samples: _Count
+    last_stamp: _Count
+    wrench_rmse: tuple[_Figure, _Figure, _Figure, _Figure, _Figure, _Figure]
+    status: str
+    errors: list[dict[str, Any]] = []
+
+
+class _Trial(Struct):  # whatever else identifies it
+    name: Text
+    unloaded: list[tuple[_Second, _Second]] = []
+
+
+class _Model(Document):
+    format: str
+    trial: _Trial
+    settings: dict[str, Any]
+    geometry: dict[str, Any]
+    parameters: _Parameters
+    quality: _Quality
+    segment: str = ""
 
 
 def read_model(path: Path, geometry: SocketGeometry | None = None) -> StoredModel:
@@ -166,127 +280,25 @@ def read_model(path: Path, geometry: SocketGeometry | None = None) -> StoredMode
         raise ConfigurationError(error.fact, "give a file that 'fit' wrote") from None
     if not isinstance(data, dict) or "format" not in data:
         raise ConfigurationError(f"{path}: is not a model", "give a file that 'fit' wrote")
-    document = Section(data, str(path)).expect(_KEYS)
-    if document.text("format") != _FORMAT:
-        raise ConfigurationError(
-            f"{path}: is of the format '{document.text('format')}'", "fit the trial again"
-        )
-    fitted_on = socket_from_section(document.section("geometry"))
-    settings_section = document.section("settings")
-    values = {name: settings_section.take(name) for name in settings_section.names()}
-    parameters = document.section("parameters").expect(_PARAMETERS)
-    quality = document.section("quality")
+    if data["format"] != _FORMAT:
+        raise ConfigurationError(f"{path}: is of the format {shown(data['format'])}", _AGAIN)
+    document = convert(data, _Model, str(path))
+    fitted_on, quality = (
+        socket_from_document(document.geometry, f"{path}: geometry"),
+        document.quality,
+    )
     stored = StoredModel(
-        model=_model(parameters, fitted_on),
+        model=document.parameters.model(fitted_on, f"{path}: parameters"),
         geometry=fitted_on,
-        settings=IdentificationSettings.from_flat(values, f"{path}: settings"),
-        samples=quality.integer("samples"),
-        last_stamp=quality.integer("last_stamp"),
-        wrench_rmse=quality.array("wrench_rmse", (6,), finite=False),
-        errors=_errors(quality),
-        status=quality.text("status"),
-        trial=document.section("trial").text("name"),
-        unloaded=_unloaded(document.section("trial")),
+        settings=IdentificationSettings.from_flat(document.settings, f"{path}: settings"),
+        samples=quality.samples,
+        last_stamp=quality.last_stamp,
+        wrench_rmse=np.array(quality.wrench_rmse, dtype=float),
+        errors=_read_errors(quality.errors, f"{path}: quality: errors"),
+        status=quality.status,
+        trial=str(document.trial.name),
+        unloaded=tuple(document.trial.unloaded),
     )
     if geometry is not None:
         stored.require_socket(geometry)
     return stored
-
-
-def _errors(quality: Section) -> tuple[ChannelErrors, ...]:
-    listed = quality.take("errors") if "errors" in quality.names() else []
-    if not isinstance(listed, list):
-        raise ConfigurationError(f"{quality.where}: errors is not a list", "fit the trial again")
-    return tuple(_channel_errors(Section(each, f"{quality.where}: errors")) for each in listed)
-
-
-def _channel_errors(errors: Section) -> ChannelErrors:
-    """Errors of a channel; JSON has no NaN, null stands for it."""
-    figures = [
-        math.nan if errors.take(name) is None else errors.number(name)
-        for name in ("rmse", "mae", "sigma", "skill")
-    ]
-    return ChannelErrors(
-        errors.text("name"),
-        errors.text("unit"),
-        errors.flag("in_objective"),
-        errors.integer("samples"),
-        *figures,
-    )
-
-
-def _model(parameters: Section, geometry: SocketGeometry) -> ContactModel:
-    variant = parameters.text("variant")
-    if variant not in VARIANTS:
-        raise ConfigurationError(
-            f"{parameters.where}: variant is '{variant}'", closest(variant, VARIANTS)
-        )
-    clusters = parameters.texts("clusters")
-    for name in clusters:
-        if name not in geometry.clusters:
-            raise ConfigurationError(
-                f"{parameters.where}: no cluster '{name}'", closest(name, geometry.clusters)
-            )
-    bias = parameters.section("force_bias").expect(clusters)
-    points = len(geometry)
-    return ContactModel(
-        variant=variant,
-        names=geometry.names,
-        anchors=geometry.anchors,
-        rotations=geometry.rotations,
-        stiffness=_stiffness(parameters, points),
-        rest_positions=parameters.array("rest_positions", (points, 3), limit=_FARTHEST),
-        sharpness=parameters.number("sharpness", 1.0, _LARGEST),
-        wrench_bias=parameters.array("wrench_bias", (6,), limit=_LARGEST),
-        force_bias={name: bias.array(name, (3,), limit=_LARGEST) for name in bias.names()},
-        cluster_points={name: geometry.clusters[name] for name in clusters},
-        **_rigid_parameters(parameters, points),
-    )
-
-
-def _stiffness(parameters: Section, points: int) -> FloatArray:
-    stiffness = parameters.array("stiffness", (points, 3), limit=_LARGEST)
-    if stiffness.min() < _LEAST_STIFFNESS:
-        raise ConfigurationError(
-            f"{parameters.where}: stiffness holds {stiffness.min():g} N/m", "fit the trial again"
-        )
-    return stiffness
-
-
-def _packed(factor: FloatArray) -> list[str]:
-    """A line per direction of the parameters' uncertainty, with six digits."""
-    return [" ".join(f"{v:.6g}" for v in way.ravel()) for way in np.moveaxis(factor, 2, 0)]
-
-
-def _unpacked(parameters: Section, points: int) -> FloatArray:
-    lines = parameters.take("parameter_factor")
-    try:
-        ways = [np.array([*map(decimal, line.split())]).reshape(6, points) for line in lines]
-    except (AttributeError, TypeError, ValueError):
-        raise ConfigurationError(
-            f"{parameters.where}: parameter_factor does not hold 6 numbers per tile and line",
-            "fit the trial again",
-        ) from None
-    return np.stack(ways, axis=2) if ways else np.zeros((6, 0, 0))
-
-
-def _rigid_parameters(parameters: Section, points: int) -> dict[str, FloatArray]:
-    """What older files lack, whose variants need none of it."""
-    shapes = {"reference_pose": ((6,), _FARTHEST), "wrench_slope": ((6, 6), _LARGEST)}
-    known = set(parameters.names())
-    found = {
-        name: parameters.array(name, shape, limit=limit)
-        for name, (shape, limit) in shapes.items()
-        if name in known
-    }
-    if "parameter_factor" in known:
-        found["parameter_factor"] = _unpacked(parameters, points)
-    return found
-
-
-def _unloaded(trial: Section) -> tuple[tuple[float, float], ...]:
-    spans = trial.take("unloaded") if "unloaded" in trial.names() else []
-    if spans == []:
-        return ()
-    count = len(spans) if isinstance(spans, list) else 1
-    return tuple((start, end) for start, end in trial.array("unloaded", (count, 2)).tolist())

@@ -90,6 +90,23 @@ def channel_noise(samples: Samples) -> ChannelNoise:
     )
 
 
+def pose_covariance(samples: Samples, window: float) -> FloatArray:
+    """Covariance of the noise of a pose that is averaged over a window, see `smooth_poses`.
+
+    Args:
+        samples: Samples as measured, in the order of their stamps.
+        window: Length of the window [s].
+
+    Returns:
+        Array of shape (6, 6) [m^2, m rad, rad^2], NaN for a position whose noise the samples do
+        not show; a rotation that never changes has none.
+    """
+    covariance = channel_noise(samples).pose_covariance * smoothing_gain(samples, window)
+    still = np.isnan(np.diag(covariance)) & (np.arange(6) >= 3)
+    covariance[still] = covariance[:, still] = 0.0
+    return np.asarray(covariance)
+
+
 def noise_groups(noise: ChannelNoise, clusters: tuple[str, ...]) -> dict[str, FloatArray]:
     """The noise along x, y and z of each group of channels, with the unit in the group's name.
 

@@ -1,9 +1,8 @@
 r"""The trade-off between the wrench and the clusters: both stages, for one theta after another.
 
 Stage 1 depends on theta, so that the gates do, too: each theta has rest positions of its own,
-which both of the paper's variants share. The samples are reduced once to what all thetas need
-(`StageTwoData`). Stage 1 is one eigenproblem for all thetas, unless a bound holds its solution;
-each program of Stage 2 starts on a line through the solutions of the two thetas before.
+which both of the paper's variants share. The solver solves the programs of the first theta; each
+of the next ones starts from the solution of the theta before.
 
 The two errors of a front are normalised by the sizes that the objective is normalised by, so
 that they are the same for every theta and both variants:
@@ -27,8 +26,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from socket_testbed.arrays import BoolArray, FloatArray
+from socket_testbed.documents import check_number
 from socket_testbed.errors import ConfigurationError, IdentificationError
-from socket_testbed.files import atomic_output, check_number
+from socket_testbed.files import atomic_output
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification.box_qp import (
     BoxQP,
@@ -36,19 +36,11 @@ from socket_testbed.identification.box_qp import (
     UncertifiedSolutionError,
     solve_box_qp,
 )
-from socket_testbed.identification.contact import ContactModel, wrench_map
-from socket_testbed.identification.fit import make_model
+from socket_testbed.identification.contact import ContactModel
+from socket_testbed.identification.evaluation import evaluate
 from socket_testbed.identification.model_file import finite_or_null
-from socket_testbed.identification.problem import (
-    Objective,
-    StageTwoData,
-    StageTwoMoments,
-    build_objective,
-    build_stage_two,
-    rest_positions_of,
-    stage_one_program,
-    stage_one_terms,
-)
+from socket_testbed.identification.objective import Objective, build_objective
+from socket_testbed.identification.problem import Problem, StageTwoMoments
 from socket_testbed.samples import LOCAL_CHANNELS, WRENCH_CHANNELS, Samples, channel_unit
 from socket_testbed.settings.identification import (
     PAPER_VARIANTS,
@@ -248,7 +240,7 @@ def pareto_front(
     settings = replace(settings, variant=PAPER_VARIANTS[0])
     objective = build_objective(samples, geometry, settings)
     _require_both_groups(objective)
-    walk = _Walk(objective, len(thetas))
+    walk = _Walk(objective)
     points: dict[Variant, list[FrontPoint]] = {variant: [] for variant in variants}
     for done, theta in enumerate(thetas, start=1):
         for variant, point in walk.solve_at(float(theta), variants).items():
@@ -266,30 +258,29 @@ class _Walk:
 
     Args:
         objective: The samples and weights.
-        thetas: How many thetas there are.
     """
 
-    def __init__(self, objective: Objective, thetas: int) -> None:
+    def __init__(self, objective: Objective) -> None:
         self._objective = objective
-        self._rest = _RestPath(objective)
-        self._data = StageTwoData(objective, sets=thetas)
-        self._last: dict[str, list[tuple[float, FloatArray]]] = {}
+        self._last: dict[str, FloatArray] = {}  # solutions by the program's kind
 
     def solve_at(self, theta: float, variants: Sequence[Variant]) -> dict[Variant, FrontPoint]:
         """The solution of each variant at a theta."""
         objective = self._objective
-        program, near, least_curvature = self._rest.at(theta)
+        problem = Problem(objective.with_settings(theta=theta))
+        program = problem.stage_one()
         try:
-            rest = self._solve(program, near, least_curvature)
+            rest = self._solve(program, "rest positions")
         except UncertifiedSolutionError as error:
             return {variant: _flawed(objective, theta, error) for variant in variants}
-        rest_positions = rest_positions_of(objective, rest.x)
-        moments = self._data.moments(rest_positions)
+        x = problem.start.copy()
+        x[3:] = rest.x.reshape(3, -1)
+        moments = problem.moments(x)
         points = {}
         for variant in variants:
-            of_variant = objective.with_settings(theta=theta, variant=variant)
+            of_variant = Problem(objective.with_settings(theta=theta, variant=variant))
             try:
-                point = self._solve_springs(of_variant, rest_positions, moments)
+                point = self._solve_springs(of_variant, x, moments)
             except UncertifiedSolutionError as error:
                 point = _flawed(objective, theta, error)
             flaw = point.flaw or _undetermined(program, rest)
@@ -298,81 +289,31 @@ class _Walk:
         return points
 
     def _solve_springs(
-        self, objective: Objective, rest_positions: FloatArray, moments: StageTwoMoments
+        self, problem: Problem, x: FloatArray, moments: StageTwoMoments
     ) -> FrontPoint:
-        program = build_stage_two(objective, moments).program
-        theta, last = (
-            objective.settings.theta,
-            self._last.setdefault(objective.settings.variant, []),
-        )
-        springs = self._solve(program, _extrapolate(last, theta))
-        last[:] = [*last[-1:], (theta, springs.x)]
-        model = make_model(objective, rest_positions, moments, springs.x)
-        wrench, local = channel_mean_squares(
-            objective, moments, model.stiffness, objective.with_bias
-        )
+        objective = problem.objective
+        program = problem.stage_two(moments)
+        springs = self._solve(program, objective.settings.variant)
+        model = problem.model(np.vstack([springs.x.reshape(3, -1), x[3:]]))
+        errors = evaluate(objective.samples, model, objective.settings.leave_out)
+        rmse = np.array([error.rmse for error in errors if error.in_objective])
+        wrench = int(objective.wrench_counts.sum())
+        shares = objective.wrench_shares[objective.wrench_counts]
         return FrontPoint(
-            theta=theta,
+            theta=objective.settings.theta,
             model=model,
-            rmse=np.sqrt(np.concatenate([wrench[objective.wrench_counts], local])),
-            wrench_error=float(np.sqrt(objective.wrench_shares @ wrench)),
-            local_error=float(np.sqrt(objective.channel_shares @ local)),
+            rmse=rmse,
+            wrench_error=float(np.sqrt(shares @ rmse[:wrench] ** 2)),
+            local_error=float(np.sqrt(objective.channel_shares @ rmse[wrench:] ** 2)),
             residual=springs.certificate.worst,
             flaw=_undetermined(program, springs),
         )
 
-    def _solve(
-        self, program: BoxQP, near: FloatArray | None, least_curvature: float = 0.0
-    ) -> BoxSolution:
-        settings = self._objective.settings
-        return solve_box_qp(
-            program, settings.solver, settings.solver_tolerance, near, least_curvature
-        )
-
-
-class _RestPath:
-    r"""Stage 1 at any theta, and its solution where no bound holds it, from one eigenproblem.
-
-    Its terms are linear in theta. With V such that :math:`V^T P(1/2) V = I` and
-    :math:`V^T (P(1) - P(0)) V` is diagonal, with mu on the diagonal,
-    :math:`P(\theta)^{-1} = V\,\mathrm{diag}(1 + (\theta - 1/2) \mu)^{-1}\,V^T`.
-
-    Args:
-        objective: The samples and weights.
-    """
-
-    def __init__(self, objective: Objective) -> None:
-        self._objective = objective
-        ends = [stage_one_terms(objective.with_settings(theta=theta)) for theta in (0.0, 1.0)]
-        (self._P, self._q), (P, q) = ends
-        self._dP, self._dq = P - self._P, q - self._q
-        self._V, self._mu, self._least = np.zeros_like(P), np.zeros_like(q), 0.0
-        try:
-            inverse = np.linalg.inv(np.linalg.cholesky(self._P + 0.5 * self._dP))
-        except np.linalg.LinAlgError:
-            return
-        self._mu, vectors = np.linalg.eigh(inverse @ self._dP @ inverse.T)
-        self._V = inverse.T @ vectors
-        self._least = 1.0 / float((self._V**2).sum())  # below the eigenvalues of P(1/2)
-
-    def at(self, theta: float) -> tuple[BoxQP, FloatArray, float]:
-        """The program, its optimum without bounds, and what its eigenvalues exceed [-]."""
-        P, q = self._P + theta * self._dP, self._q + theta * self._dq
-        curvature = 1.0 + (theta - 0.5) * self._mu
-        least = self._least * float(curvature.min()) * len(q) / float(np.trace(P))
-        x = np.zeros_like(q)
-        if least > 0.0:
-            for _ in range(2):  # the second time against rounding
-                x -= self._V @ ((P @ x + q) @ self._V / curvature)
-        return stage_one_program(self._objective, P, q), x, least
-
-
-def _extrapolate(last: Sequence[tuple[float, FloatArray]], theta: float) -> FloatArray | None:
-    """Solution at a theta, along a line through the last one or two; None without any."""
-    if len(last) < 2:
-        return last[0][1] if last else None
-    (first, before), (second, x) = last
-    return x + (theta - second) / (second - first) * (x - before)
+    def _solve(self, program: BoxQP, kind: str) -> BoxSolution:
+        settings, near = self._objective.settings, self._last.get(kind)
+        found = solve_box_qp(program, settings.solver, settings.solver_tolerance, near)
+        self._last[kind] = found.x
+        return found
 
 
 def _flawed(objective: Objective, theta: float, error: UncertifiedSolutionError) -> FrontPoint:
@@ -423,28 +364,6 @@ def _require_a_solution(fronts: dict[Variant, Front]) -> None:
         f"no theta gives a solution without flaw: {flaw}",
         "give more smoothness, another solver or a longer segment",
     )
-
-
-def channel_mean_squares(
-    objective: Objective, moments: StageTwoMoments, stiffness: FloatArray, with_bias: bool
-) -> tuple[FloatArray, FloatArray]:
-    """Mean square errors of the channels over the samples of the objective.
-
-    Args:
-        objective: The samples; those of a channel left out are zeros.
-        moments: Moments of the data at the model's rest positions.
-        stiffness: Stiffnesses, shape (n, 3) [N/m].
-        with_bias: Whether the model has the offsets that suit it best.
-
-    Returns:
-        Those of the wrench, shape (6,) [(N m)^2, N^2], and of the clusters' channels in the
-        objective, shape (m,) [N^2].
-    """
-    rows = wrench_map(objective.geometry.anchors) * stiffness.reshape(-1)
-    wrench = moments.wrench.mean_square_residuals(rows, with_bias)
-    directions = np.array([c.direction * stiffness[c.point] for c in objective.channels])
-    local = moments.channels.mean_square_residuals(directions.reshape(-1, 1, 3), with_bias)
-    return wrench, local[:, 0]
 
 
 def make_front(variant: Variant, channels: tuple[str, ...], points: Sequence[FrontPoint]) -> Front:

@@ -9,11 +9,30 @@
 - Sign: a wall pushes and a socket opens at its proximal end, so that the force of the limb on the
   socket points to the distal end. Where it points the other way and is larger than the weight of
   a prosthesis that hangs on the limb, while the clusters are pressed, the wrench is negated.
+
+The paper leaves channels out whose reconstructed magnitudes lie far above the applied load.
+`find_implausible` proposes channels to leave out, over the samples of a segment. With the
+load L the median magnitude of the measured force, it proposes
+
+- a moment whose median magnitude exceeds L at twice the distance of the farthest tile from
+  the load cell: no force between limb and socket has such a lever;
+- a local force whose median magnitude exceeds L: one tile would carry more than all that is
+  applied; or whose peak exceeds `PEAK_RATIO` times the peak of the measured force. The paper left
+  out shear channels with peaks of more than 1000 N under about 300 N. A peak is the largest
+  magnitude but for the highest hundredth of the samples, one at least: no spike makes it;
+- a local normal force (Fz) in tension by more than `TENSION_SHARE` of L and `LEAST_TENSION` in
+  the median: a wall pushes, it does not pull;
+- all three channels of a cluster that is saturated or out of its calibrated range in more
+  than `OUTSIDE_SHARE` of the samples in which it was read.
+
+The first three need a load of at least `LEAST_LOAD`. Nothing is left out automatically: the
+user decides with `--leave-out`.
 """
 
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,7 +40,13 @@ import numpy as np
 from socket_testbed.arrays import BoolArray, FloatArray
 from socket_testbed.errors import IdentificationError
 from socket_testbed.geometry.socket import SocketGeometry
-from socket_testbed.samples import Samples, channel_unit
+from socket_testbed.samples import (
+    LOCAL_CHANNELS,
+    WRENCH_CHANNELS,
+    Samples,
+    Status,
+    channel_unit,
+)
 
 LARGEST_FORCE = 5000.0  # [N]; three times the weight of a person of 170 kg
 LARGEST_MOMENT = 500.0  # [N m]; more than a leg transmits below the knee
@@ -35,6 +60,13 @@ MOST_OUTLIERS = 0.1  # [-]; of the samples
 LEAST_MOMENT = 0.1  # [N m]; a channel group smaller than this is normalised by it
 LEAST_FORCE = 1.0  # [N]
 HANGING = 50.0  # [N]; weight of a prosthesis below the load cell
+LEAST_LOAD = 20.0  # [N]
+PEAK_RATIO = 3.0  # [-]; of the load's own peak; 3.3 in the paper
+PEAK_QUANTILE = 0.99  # [-]
+LEVER_FACTOR = 2.0  # [-]; of the farthest tile's distance
+TENSION_SHARE = 0.05  # [-]; of the load
+LEAST_TENSION = 10.0  # [N]; 11 kPa on a cluster of 9 cm^2, more than a sensor's usual offset
+OUTSIDE_SHARE = 0.5  # [-]; of the samples
 _WRENCH_GROUPS = (slice(0, 3), slice(3, 6))  # moments, forces
 _NAMED = 3  # how many outliers of a channel a note names
 
@@ -143,6 +175,127 @@ def sign_note(samples: Samples, geometry: SocketGeometry) -> str | None:
         f" {pull:.3g} N in the median, while {pressing} of {len(pressed)} clusters are pressed"
         f" ({sum(pressed):.3g} N), and walls only push; check the sign of the load cell"
     )
+
+
+@dataclass(frozen=True)
+class Implausible:
+    """A channel that `find_implausible` proposes to leave out of the objective.
+
+    Attributes:
+        channel: Name of the channel, such as Mx or distal.Fz.
+        reason: Why, with the numbers.
+    """
+
+    channel: str
+    reason: str
+
+
+def find_implausible(samples: Samples, geometry: SocketGeometry) -> tuple[Implausible, ...]:
+    """Propose channels to leave out of the objective, by the rule of this module.
+
+    Args:
+        samples: Samples of the segment, with the reconstructed forces of any status.
+        geometry: Geometry of the socket.
+
+    Returns:
+        The proposals in the order of the channels, one per channel and reason.
+    """
+    load = _median(np.linalg.norm(samples.wrench[:, 3:], axis=1))
+    found: list[Implausible] = []
+    if load >= LEAST_LOAD:
+        found += _implausible_moments(samples, geometry, load)
+        found += _implausible_forces(samples, load)
+    found += _outside_range(samples)
+    return tuple(sorted(found, key=lambda proposal: samples.channels.index(proposal.channel)))
+
+
+def implausible_notes(
+    samples: Samples,
+    geometry: SocketGeometry,
+    leave_out: tuple[str, ...],
+    start: int | None = None,
+) -> list[str]:
+    """Outliers, a negated wrench, and the proposals even for channels that are left out already.
+
+    Args:
+        samples: Samples of the segment.
+        geometry: Geometry of the socket.
+        leave_out: Channels that are not in the objective.
+        start: Stamp of the trial's first sample [ns]; None for that of the segment.
+    """
+    outliers = find_outliers(samples, geometry, leave_out)
+    notes = outlier_notes(samples, outliers, start)
+    sign = sign_note(samples, geometry)
+    notes += [sign] if sign else []
+    for proposal in find_implausible(samples, geometry):
+        name = proposal.channel
+        advice = "is left out" if name in leave_out else f"consider --leave-out {name}"
+        notes.append(f"{name} looks implausible: {proposal.reason}; {advice}")
+    return notes
+
+
+def _implausible_moments(
+    samples: Samples, geometry: SocketGeometry, load: float
+) -> Iterator[Implausible]:
+    reach = float(np.linalg.norm(geometry.anchors, axis=1).max())
+    for name, values in zip(WRENCH_CHANNELS[:3], samples.wrench.T, strict=False):
+        moment = _median(np.abs(values))
+        if moment > LEVER_FACTOR * reach * load:
+            yield Implausible(
+                name,
+                f"the median magnitude of {moment:.3g} N m would take the load of {load:.3g} N at a"
+                f" lever of {moment / load:.2g} m, where the farthest tile is {reach:.2g} m away",
+            )
+
+
+def _implausible_forces(samples: Samples, load: float) -> Iterator[Implausible]:
+    limit = max(LEAST_TENSION, TENSION_SHARE * load)
+    most = _peak(np.linalg.norm(samples.wrench[:, 3:], axis=1))
+    for name, force in zip(samples.channels[6:], samples.values[:, 6:].T, strict=True):
+        # In a cluster's frame z points inwards, so that compression is along -z.
+        size, pull = _median(np.abs(force)), _median(force)
+        if size > load:
+            yield Implausible(
+                name,
+                f"the median magnitude of {size:.3g} N on one tile is {size / load:.2g} times the"
+                f" total load of {load:.3g} N",
+            )
+        elif _peak(force) > PEAK_RATIO * most:
+            yield Implausible(
+                name,
+                f"its peaks of {_peak(force):.3g} N on one tile are {_peak(force) / most:.2g} times"
+                f" the largest load of {most:.3g} N",
+            )
+        if name.endswith(".Fz") and pull > limit:
+            yield Implausible(
+                name,
+                f"the wall would pull at the limb with {pull:.3g} N in the median, more than"
+                f" {limit:.3g} N under a load of {load:.3g} N",
+            )
+
+
+def _outside_range(samples: Samples) -> Iterator[Implausible]:
+    for cluster, status in zip(samples.clusters, samples.status.T, strict=True):
+        read = int((status != Status.MISSING).sum())
+        outside = int(((status == Status.SATURATED) | (status == Status.OUT_OF_RANGE)).sum())
+        if outside > OUTSIDE_SHARE * read:
+            for channel in LOCAL_CHANNELS:
+                yield Implausible(
+                    f"{cluster}.{channel}",
+                    f"{outside} of {read} readings are saturated or out of the calibrated range",
+                )
+
+
+def _median(values: FloatArray) -> float:
+    """Median of the finite values; NaN, which exceeds nothing, without any."""
+    finite = values[np.isfinite(values)]
+    return float(np.median(finite)) if len(finite) else float("nan")
+
+
+def _peak(values: FloatArray) -> float:
+    """The `PEAK_QUANTILE` of the magnitudes, below the largest; NaN without a value."""
+    finite = np.abs(values[np.isfinite(values)])
+    return float(np.quantile(finite, PEAK_QUANTILE, method="lower")) if len(finite) else np.nan
 
 
 def require_position(samples: Samples, geometry: SocketGeometry) -> None:

@@ -37,7 +37,7 @@ from socket_testbed.arrays import BoolArray, FloatArray, IntArray
 from socket_testbed.errors import TrialError
 from socket_testbed.geometry.regions import Region
 from socket_testbed.geometry.socket import SocketGeometry
-from socket_testbed.identification.force_map import ForceMap, JointDraws, MapEstimate
+from socket_testbed.identification.force_map import ForceMap, MapEstimate
 from socket_testbed.samples import Samples
 
 THRESHOLD = 5e3  # [Pa]; a tile above it is in contact, unless another is given
@@ -47,7 +47,7 @@ _PEAK_WIDENING = 1.25  # [-]; of the errors: the tails of true fields are longer
 _QUANTILES = (0.025, 0.5, 0.975)  # [-]
 _CONVEX = ("peak", "integral", "shear")  # functions of the forces
 _NEVER_NEGATIVE = ("area", "integral", "shear")
-_AT_ONCE = 256  # series of pressures that are computed at a time
+MOST_DRAWN = 2000  # samples of a span at which draws are expanded, evenly spread
 _EXPANDED = 32  # samples whose draws are expanded at a time
 _BLOCK = 128  # samples
 _LONGEST_STEP = 3.0  # usual steps between samples; what is longer is a gap
@@ -222,17 +222,11 @@ class PressureOutputs:
         """
         samples = self.samples[rows]
         kept = np.flatnonzero(measured_rows(samples))
-        areas = self.reader.areas
         series: dict[str, Quantity] = {}
-        for draws in self.force_map.sample(samples[kept], _DRAWS):
-            for start in range(0, len(draws.rows), _EXPANDED):
-                some = draws[start : start + _EXPANDED]
-                alone = _instants(some.mean()[:, None], areas, self.threshold)
-                instants = _instants(some.forces(), areas, self.threshold)
-                spread = _PEAK_WIDENING * (instants.peak - alone.peak)
-                instants = replace(instants, peak=alone.peak + spread)
-                found = self.reader.outputs(alone.at((slice(None), 0)), instants)
-                _store(series, found, kept[some.rows], len(samples))
+        drawn = _expanded(self.force_map, samples[kept], self.reader.areas, self.threshold)
+        for some, alone, instants in drawn:
+            found = self.reader.outputs(alone.at((slice(None), 0)), instants)
+            _store(series, found, kept[some], len(samples))
         return RegionOutputs(**series)
 
 
@@ -376,12 +370,16 @@ class _Span:
         """
         self._samples += len(weights)
         self._force += instants.force.sum(axis=0)
-        np.maximum(self._peak, instants.peak.max(axis=0), out=self._peak)
+        self.raise_peaks(instants)
         self._contact += instants.contact.sum(axis=0)
         self._compression += instants.compression.sum(axis=0)
         self._integral += np.einsum(
             "k,kdn,kdn->dn", weights, instants.compression, instants.contact
         )
+
+    def raise_peaks(self, instants: _Fields) -> None:
+        """Take k samples into the peaks alone."""
+        np.maximum(self._peak, instants.peak.max(axis=0), out=self._peak)
 
     def fields(self) -> _Fields:
         """The fields over the span, with the leading axis D."""
@@ -394,177 +392,17 @@ class _Span:
         )
 
 
-class _DrawnSpan:
-    """Fields of joint draws, gathered over the samples of a span.
-
-    In a block of samples, the extremes of a hypothesis's mean pressures and of its sizes bound the
-    pressure of a draw on a tile. Most draws press a tile in all of a block, or in none of it; then
-    sums of the channels over the block give the fields. The pressures of its samples are computed
-    only where the bounds enclose zero or the threshold, or exceed the draw's peak.
-
-    Args:
-        draws: Number D of draws.
-        areas: Areas of the n tiles, shape (n,) [m^2].
-        threshold: Pressure above which a tile is in contact [Pa].
-    """
-
-    def __init__(self, draws: int, areas: FloatArray, threshold: float) -> None:
-        shape = 2, draws // 2, len(areas)  # errors and their opposites, draws, tiles
-        self._areas = areas
-        self._threshold = threshold
-        self._samples = 0
-        self._force = np.zeros((*shape, 3))
-        self._peak = np.full(shape, -np.inf)
-        self._sums = np.zeros((3, *shape))  # of contact, compression and integral
-
-    def add(self, draws: JointDraws, pressure: FloatArray, weights: FloatArray) -> None:
-        """Add k samples.
-
-        Args:
-            draws: Their joint draws.
-            pressure: Their estimate, shape (k, n) [Pa].
-            weights: Their weights in integrals over time, shape (k,) [s].
-        """
-        self._samples += len(weights)
-        pushing = draws.normal(-1.0 / self._areas)
-        channels = np.zeros((*draws.errors.shape[:2], draws.channels.shape[1]))
-        sizes = np.zeros(draws.errors.shape[:2])
-        for start in range(0, len(weights), _BLOCK):
-            part = slice(start, start + _BLOCK)
-            block = _Block(pushing[part], weights[part])
-            self._add_block(block, pressure[part])
-            channels[block.m, block.d] += block.channels[0]
-            sizes[block.m, block.d] += block.sizes[0]
-        means = np.einsum("mdc,mic->di", channels, draws.gain, optimize=True)
-        errors = np.einsum("md,mdi->di", sizes, draws.errors)
-        self._force += np.stack([means + errors, means - errors]).reshape(self._force.shape)
-
-    def _add_block(self, block: _Block, pressure: FloatArray) -> None:
-        """Add a block of samples with their estimate, shape (k, n) [Pa]."""
-        low, high = block.bounds()
-        total, weighted = block.totals()
-        pressed, held = low >= 0.0, low > self._threshold
-        found = np.stack(
-            [
-                np.where(held, block.counts[:, None], 0.0),
-                np.where(pressed, total, 0.0),
-                np.where(held, weighted, 0.0),
-            ]
-        )
-        each = np.ones(len(block.weights))
-        undecided = (pressed != (high > 0.0)) | (held != (high > self._threshold))
-        for where, values in block.pressures(undecided):
-            pushing = np.maximum(values, 0.0)
-            touching = (values > self._threshold).astype(float)
-            found[0][where] = touching @ each
-            found[1][where] = pushing @ each
-            pushing *= touching
-            found[2][where] = pushing @ block.weights
-        self._sums += np.add.reduceat(found, block.starts, axis=2)
-
-        moved = (_PEAK_WIDENING - 1.0) / _PEAK_WIDENING * pressure.T  # towards the estimate
-        reach = _PEAK_WIDENING * block.bounds(moved)[1]
-        for where, values in block.pressures(reach > self._peak[:, block.d]):
-            sign, pair, tile = where
-            peaks = _PEAK_WIDENING * (values - moved[tile]).max(axis=1)
-            np.maximum.at(self._peak, (sign, block.d[pair], tile), peaks)
-
-    def fields(self) -> _Fields:
-        """The fields over the span, with the leading axis D."""
-        tiles = len(self._areas)
-        contact, compression, integral = self._sums.reshape(3, -1, tiles)
-        return _Fields(
-            force=self._force.reshape(-1, tiles, 3) / self._samples,
-            peak=self._peak.reshape(-1, tiles),
-            contact=contact / self._samples,
-            compression=compression * self._areas / self._samples,
-            integral=integral,
-        )
-
-
-class _Block:
-    """Joint draws of the pressures at k samples that follow each other.
-
-    Draws and hypotheses form pairs: a draw has a hypothesis at all, some or none of the samples.
-    P pairs occur, in the order of the draws.
-
-    Args:
-        draws: The joint draws of the pressures.
-        weights: Weights of the samples in integrals over time, shape (k,) [s].
-
-    Attributes:
-        weights: The weights.
-        m: Hypotheses of the pairs, shape (P,).
-        d: Draws of the pairs, shape (P,).
-        starts: The first pair of each draw, shape (D/2,).
-        counts: Numbers of the samples of each pair, shape (P,).
-        channels: Their sums of the channels, plain and weighted, shape (2, P, d).
-        sizes: Their sums of the sizes, likewise, shape (2, P).
-    """
-
-    def __init__(self, draws: JointDraws, weights: FloatArray) -> None:
-        self.weights = weights
-        hypotheses, half, _ = draws.errors.shape
-        taken = np.zeros((half, hypotheses), dtype=bool)
-        taken[np.arange(half), draws.hypotheses] = True
-        self.d, self.m = np.nonzero(taken)
-        self.starts = np.searchsorted(self.d, np.arange(half))
-        self._member = draws.hypotheses.T[self.d] == self.m[:, None]  # (P, k)
-        self.counts = self._member.sum(axis=1)
-        shared = np.stack([self._member, self._member * weights])
-        self.channels = shared @ draws.channels
-        self._size = draws.sizes.T  # (M, k)
-        self.sizes = (shared * self._size[self.m]).sum(axis=2)
-        self._gain = draws.gain
-        self._mean = draws.gain @ draws.channels.T  # (M, n, k)
-        self._error = draws.errors[self.m, self.d]  # (P, n)
-
-    def bounds(self, less: FloatArray | None = None) -> tuple[FloatArray, FloatArray]:
-        """Bounds of the pressures of each pair over the samples, shape (2, P, n) [Pa].
-
-        Args:
-            less: What is subtracted from the pressures, shape (n, k) [Pa].
-        """
-        mean = self._mean if less is None else self._mean - less
-        low, high = mean.min(axis=2)[self.m], mean.max(axis=2)[self.m]
-        ends = self._size.min(axis=1), self._size.max(axis=1)
-        one, other = (self._error * end[self.m, None] for end in ends)
-        least, most = np.minimum(one, other), np.maximum(one, other)
-        return np.stack([low + least, low - most]), np.stack([high + most, high - least])
-
-    def totals(self) -> FloatArray:
-        """Sums of the pressures of each pair, plain and weighted, shape (2, 2, P, n) [Pa, Pa s]."""
-        means = np.empty((2, *self._error.shape))
-        for m in range(len(self._gain)):
-            pairs = self.m == m
-            means[:, pairs] = self.channels[:, pairs] @ self._gain[m].T
-        errors = self.sizes[..., None] * self._error
-        return np.stack([means + errors, means - errors], axis=1)
-
-    def pressures(
-        self, wanted: BoolArray
-    ) -> Iterator[tuple[tuple[IntArray, IntArray, IntArray], FloatArray]]:
-        """Pressures at all samples of some pairs.
-
-        Args:
-            wanted: Signs, pairs and tiles, shape (2, P, n).
-
-        Yields:
-            The indices of some of those that are wanted, shape (e,) each, and their pressures,
-            shape (e, k) [Pa]: minus infinity where the draw has another hypothesis.
-        """
-        outside = np.where(self._member, 0.0, -np.inf)
-        sign, pair, tile = np.nonzero(wanted)
-        for start in range(0, len(sign), _AT_ONCE):
-            some = slice(start, start + _AT_ONCE)
-            s, p, i = sign[some], pair[some], tile[some]
-            m = self.m[p]
-            values = self._size[m]
-            values *= np.where(s == 0, self._error[p, i], -self._error[p, i])[:, None]
-            values += self._mean[m, i]
-            parted = np.flatnonzero(self.counts[p] < len(self.weights))
-            values[parted] += outside[p[parted]]
-            yield (s, p, i), values
+def _expanded(
+    force_map: ForceMap, samples: Samples, areas: FloatArray, threshold: float
+) -> Iterator[tuple[IntArray, _Fields, _Fields]]:
+    """Indices of some samples, their fields (k, 1) and those of draws (k, D), until all came."""
+    for draws in force_map.sample(samples, _DRAWS):
+        for start in range(0, len(draws.rows), _EXPANDED):
+            some = draws[start : start + _EXPANDED]
+            alone = _instants(some.mean()[:, None], areas, threshold)
+            instants = _instants(some.forces(), areas, threshold)
+            spread = _PEAK_WIDENING * (instants.peak - alone.peak)
+            yield some.rows, alone, replace(instants, peak=alone.peak + spread)
 
 
 def pressure_outputs(
@@ -591,17 +429,28 @@ def pressure_outputs(
         raise TrialError(
             "no sample of the segment has a wrench or a trusted cluster", "choose another segment"
         )
-    weights = integration_weights(samples.time[kept])
-    alone, drawn = _Span(1, geometry.areas), _DrawnSpan(_DRAWS, geometry.areas, threshold)
-    highest, peak_row = -np.inf, 0
-    for draws in force_map.sample(samples[kept], _DRAWS):
+    measured, areas = samples[kept], geometry.areas
+    weights = integration_weights(measured.time)
+    alone, drawn = _Span(1, areas), _Span(_DRAWS, areas)
+    highest, peaks = np.full(len(areas), -np.inf), np.zeros(len(areas), dtype=np.int64)
+    for draws in force_map.sample(measured, _DRAWS):
         forces = draws.mean()
-        alone.add(_instants(forces[:, None], geometry.areas, threshold), weights[draws.rows])
-        pressure = -forces[..., 2] / geometry.areas
-        drawn.add(draws, pressure, weights[draws.rows])
-        peaks = pressure.max(axis=1)
-        if peaks.max() > highest:
-            highest, peak_row = peaks.max(), int(kept[draws.rows[peaks.argmax()]])
+        alone.add(_instants(forces[:, None], areas, threshold), weights[draws.rows])
+        pressure = -forces[..., 2] / areas
+        top = pressure.argmax(axis=0)
+        higher = pressure.max(axis=0) > highest
+        peaks[higher] = draws.rows[top[higher]]
+        highest = np.maximum(highest, pressure.max(axis=0))
+    # What the channels leave open is the same in neighbouring samples: draws at some of them tell
+    # how far the means may be off. The peaks of the tiles are of any sample, and are drawn as well.
+    groups = np.arange(0, len(kept), -(-len(kept) // MOST_DRAWN))
+    thinned = (groups + np.append(groups[1:], len(kept)) - 1) // 2
+    of_groups = np.add.reduceat(weights, groups)
+    for rows, _, instants in _expanded(force_map, measured[thinned], areas, threshold):
+        drawn.add(instants, of_groups[rows])
+    if len(thinned) < len(kept):
+        for _, _, instants in _expanded(force_map, measured[np.unique(peaks)], areas, threshold):
+            drawn.raise_peaks(instants)
     each = [Region(name, np.array([tile])) for tile, name in enumerate(geometry.names)]
     over_span = alone.fields().at(0), drawn.fields()
     reader = _Reader(geometry, regions)
@@ -609,7 +458,7 @@ def pressure_outputs(
         regions=reader.outputs(*over_span),
         tiles=_Reader(geometry, each).outputs(*over_span),
         integrated=float(weights.sum()),
-        peak_row=peak_row,
+        peak_row=int(kept[peaks[highest.argmax()]]),
         force_map=force_map,
         samples=samples,
         reader=reader,

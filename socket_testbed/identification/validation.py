@@ -22,18 +22,17 @@ import numpy as np
 from scipy.special import ndtri
 
 from socket_testbed.arrays import BoolArray, FloatArray, IntArray, rms
-from socket_testbed.errors import ConfigurationError, IdentificationError
-from socket_testbed.files import closest
+from socket_testbed.errors import IdentificationError
 from socket_testbed.geometry.socket import SocketGeometry
-from socket_testbed.identification.contact import ContactModel, wrench_map
+from socket_testbed.identification.contact import ContactModel
+from socket_testbed.identification.contact_law import wrench_map
 from socket_testbed.identification.evaluation import ChannelErrors, evaluate, predict_channels
 from socket_testbed.identification.fit import fit_contact_model
-from socket_testbed.identification.force_map import ForceMap, without_untrusted
+from socket_testbed.identification.force_map import ForceMap
 from socket_testbed.identification.noise import channel_noise, smooth_poses
-from socket_testbed.identification.problem import LEAST_SAMPLES
-from socket_testbed.samples import LOCAL_CHANNELS, Samples, Status
+from socket_testbed.identification.objective import LEAST_SAMPLES
+from socket_testbed.samples import Samples, Status
 from socket_testbed.settings.identification import (
-    RIGID_VARIANTS,
     VARIANTS,
     ForceMapSettings,
     IdentificationSettings,
@@ -51,8 +50,6 @@ CONSTANT = "best constant"
 REGRESSION = "linear regression on the pose"
 MOST_SAMPLES = 1000  # of a trial, on which forces on tiles are judged
 
-_BED_SAMPLES = 50  # on which a bed is judged by clusters that are left out
-_CLEARLY = 0.6  # [-]; RMS of 12 channels over that of 12 others: 1 in 20 by chance (F test)
 _EXPONENT = 2.0  # [-]; Shepard's
 _NEAR = 1e-6  # [m]; a tile nearer than this to a cluster's is that tile
 _RANK = 1e-10  # [-]; smallest singular value of the standardised poses, relative to the largest
@@ -564,77 +561,6 @@ def judge_map(
     noise = measurement_errors(samples, channel_noise(samples).local_forces, settings.force_map)
     estimators = field_estimators(geometry, settings)
     return judge_clusters(samples, geometry, estimators, noise, name)
-
-
-@dataclass(frozen=True)
-class JudgedBed:
-    """A spring bed as the force map's mean, judged by clusters that it has not seen.
-
-    Attributes:
-        model: The bed, fitted with all clusters.
-        error: Root mean square error of the force on left-out clusters over the root mean square
-            of the forces, of the map whose mean is the bed fitted without that cluster [-].
-        error_without: The same of the map whose mean is zero [-].
-    """
-
-    model: ContactModel
-    error: float
-    error_without: float
-
-    @property
-    def is_trusted(self) -> bool:
-        """Whether the left-out clusters are predicted clearly better with the bed."""
-        return self.error < _CLEARLY * self.error_without
-
-
-def judge_bed(
-    samples: Samples, geometry: SocketGeometry, settings: EstimatorSettings, variant: str
-) -> JudgedBed:
-    """Fit a spring bed, and judge it as the force map's mean by leaving out each cluster.
-
-    How well a bed fits its own channels says nothing of the other tiles: they do not determine its
-    pattern. So the bed is fitted again without each cluster.
-
-    Args:
-        samples: Samples of the trial.
-        geometry: Geometry of the socket.
-        settings: Settings of the estimator; the variant does not matter.
-        variant: A `rigid` variant.
-
-    Raises:
-        ConfigurationError: For another variant.
-        IdentificationError: If the samples do not allow a fit, or hold no cluster to judge by.
-    """
-    if variant not in RIGID_VARIANTS:
-        raise ConfigurationError(
-            f"'{variant}' is no bed for the force map", closest(variant, RIGID_VARIANTS)
-        )
-    samples = samples[loaded_rows(samples, settings.plateau.least_force)]
-    chosen = dataclasses.replace(settings.identification, variant=variant)
-    bed = fit_contact_model(samples, geometry, chosen).model
-    force_map = ForceMap(geometry, samples.clusters, settings.force_map)
-    rows = thinned(np.ones(len(samples), dtype=bool), _BED_SAMPLES)
-    judged = without_untrusted(samples, geometry, chosen.leave_out)[rows]
-    with_bed, without, size = [], [], []
-    for column, cluster in enumerate(samples.clusters):
-        tile = geometry.clusters[cluster]
-        truth = judged.trusted_forces[:, column] @ geometry.rotations[tile].T
-        if not np.isfinite(truth).all(axis=1).any():
-            continue
-        hidden = {f"{cluster}.{channel}" for channel in LOCAL_CHANNELS}
-        leave_out = tuple(sorted(hidden.union(chosen.leave_out)))
-        fewer = dataclasses.replace(chosen, leave_out=leave_out)
-        model = fit_contact_model(samples, geometry, fewer).model
-        seen = without_cluster(judged, cluster)
-        with_bed.append(force_map.estimate(seen, model).forces[:, tile] - truth)
-        without.append(force_map.estimate(seen).forces[:, tile] - truth)
-        size.append(truth)
-    if not size:
-        raise IdentificationError(
-            "no cluster has a trusted force to judge a bed by", "give a trial with clusters"
-        )
-    scale = rms(np.array(size))
-    return JudgedBed(bed, rms(np.array(with_bed)) / scale, rms(np.array(without)) / scale)
 
 
 def measurement_errors(

@@ -5,8 +5,9 @@
 
 from __future__ import annotations
 
+import json
 import time
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import IO
 
@@ -16,12 +17,14 @@ from socket_testbed.calibration.model import read_calibration
 from socket_testbed.drivers.clusters import reader as clusters
 from socket_testbed.drivers.load_cell import bridges
 from socket_testbed.drivers.natnet.connection import server_address
-from socket_testbed.errors import ConfigurationError, TestbedError
-from socket_testbed.files import closest, packaged
+from socket_testbed.errors import ConfigurationError, TestbedError, closest
+from socket_testbed.files import packaged
 from socket_testbed.geometry.socket import SocketGeometry, read_socket
 from socket_testbed.identification.fit import check_names
 from socket_testbed.identification.model_file import read_model
+from socket_testbed.live.hardware import capacitive_chip
 from socket_testbed.live.processes import Graph, GraphNode
+from socket_testbed.live.simulated_world import Simulation
 from socket_testbed.samples import Status
 from socket_testbed.settings.identification import check_solver
 from socket_testbed.settings.testbed import (
@@ -33,7 +36,6 @@ from socket_testbed.settings.testbed import (
     read_testbed,
     write_testbed,
 )
-from socket_testbed.simulation.limb import Scenario, TissueKind
 from socket_testbed.simulation.trial import TRUTH_FILE
 from socket_testbed.simulation.world import World
 from socket_testbed.trials.metadata import (
@@ -48,29 +50,6 @@ from socket_testbed.trials.trial import Trial, recorded_namespace
 
 _UP_WITHIN = 120.0  # [s]; for the simulation, on a busy machine
 _DRAIN = 1.0  # [s] of the testbed; for the last trigger's sample to pass
-
-
-@dataclass(frozen=True)
-class Simulation:
-    """What is simulated.
-
-    Attributes:
-        scenario: The load history.
-        period: Its duration, after which it starts again [s].
-        seed: Seed of all random numbers.
-        pace: How much faster the load changes than in the scenario [-].
-        sway: How far the stand sways in the world [m].
-        time_scale: Testbed seconds per real second, in (0, 1] [-].
-        tissue: Kind of the limb's tissue.
-    """
-
-    scenario: Scenario = "static_hold"
-    period: float = 120.0
-    seed: int = 0
-    pace: float = 1.0
-    sway: float = 0.0
-    time_scale: float = 1.0
-    tissue: TissueKind = "soft"
 
 
 @dataclass(frozen=True)
@@ -125,7 +104,8 @@ class Testbed:
         Raises:
             TestbedError: If a device's settings are wrong.
         """
-        clusters.check_settings(self.settings.cluster_node)
+        cluster_node = self.settings.cluster_node
+        clusters.check_settings(cluster_node, capacitive_chip(cluster_node)[0])
         bridges.check_settings(self.settings.load_cell_node)
         if self.simulation is None:
             server_address(self.settings.mocap_node)
@@ -274,13 +254,9 @@ def simulate_hardware(
     graph.set_time_scale(simulation.time_scale)
     folder = graph.folder
     world = World(folder, create=True)
-    arguments = [str(folder), "--scenario", simulation.scenario]
-    arguments += ["--tissue", simulation.tissue]
-    arguments += ["--duration", str(simulation.period), "--seed", str(simulation.seed)]
-    arguments += ["--pace", str(simulation.pace), "--sway", str(simulation.sway)]
-    arguments += ["--geometry", str(testbed.geometry), "--calibration", str(testbed.calibration)]
-    if testbed.record is not None:
-        arguments += ["--truth", str(testbed.record.resolve() / TRUTH_FILE)]
+    truth = "" if testbed.record is None else str(testbed.record.resolve() / TRUTH_FILE)
+    described = json.dumps(asdict(simulation))
+    arguments = [str(folder), described, str(testbed.geometry), str(testbed.calibration), truth]
     graph.start_program("simulation", "socket_testbed.live.simulated_world", arguments)
     deadline = time.monotonic() + _UP_WITHIN
     while not world.port:
@@ -321,7 +297,7 @@ def replay_nodes(
     """The nodes that replay a trial through calibration and estimator, in the order of their start.
 
     Args:
-        trial: The trial; its geometry and calibration are used.
+        trial: The trial; its geometry, calibration, load cell and tare are used.
         replay: How it is replayed.
         estimator: Settings of the estimator.
 
@@ -338,7 +314,11 @@ def replay_nodes(
         GraphNode("estimator_node", estimator, namespace, use_sim_time=True),
     ]
     wait_for = (*(node.full_name for node in estimating), *replay.wait_for)
-    replay = replace(replay, measured_only=True, wait_for=wait_for, geometry=geometry)
+    load_cell = str(trial.load_cell_file.resolve()) if trial.load_cell_file else ""
+    replay = replace(
+        replay, measured_only=True, wait_for=wait_for, geometry=geometry, load_cell=load_cell,
+        tare=trial.tare,
+    )  # fmt: skip
     return [*estimating, GraphNode("replay_node", replay, full_namespace(replay.namespace))]
 
 

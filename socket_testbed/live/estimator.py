@@ -13,7 +13,7 @@ from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -24,7 +24,7 @@ from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification.contact import ContactModel
 from socket_testbed.identification.fit import Fit
 from socket_testbed.identification.model_file import StoredModel, read_model
-from socket_testbed.live.fit_worker import Refit, Steady
+from socket_testbed.live.fit_worker import FitWorker, Refit, Steady
 from socket_testbed.samples import Samples, Status
 from socket_testbed.settings.identification import IdentificationSettings
 from socket_testbed.settings.testbed import EstimatorSettings
@@ -207,24 +207,6 @@ class Estimate:
     forces: FloatArray
 
 
-class Fitter(Protocol):
-    """What fits models and finds outliers; see `FitWorker`."""
-
-    def submit(
-        self,
-        samples: Samples,
-        geometry: SocketGeometry,
-        settings: IdentificationSettings,
-        steady: Steady | None,
-    ) -> Future[Refit | None]:
-        """Fit on the newest steady stretch of some samples, or on all of them."""
-
-    def count_outliers(
-        self, samples: Samples, geometry: SocketGeometry, leave_out: tuple[str, ...]
-    ) -> Future[dict[str, int]]:
-        """Count the outliers of some samples by channel."""
-
-
 class OnlineEstimator:
     """Predicts every synchronised sample with the newest model, and has models fitted.
 
@@ -244,7 +226,7 @@ class OnlineEstimator:
         self,
         geometry: SocketGeometry,
         settings: Callable[[], EstimatorSettings],
-        fitter: Fitter,
+        fitter: FitWorker,
         notify: Callable[[Fit | StoredModel], None],
     ) -> None:
         self._geometry = geometry

@@ -20,6 +20,7 @@ from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification.contact import ContactModel
 from socket_testbed.identification.evaluation import predict_channels, trusted_values
 from socket_testbed.identification.fit import Fit, fit_contact_model
+from socket_testbed.identification.objective import LEAST_SAMPLES
 from socket_testbed.identification.plausibility import (
     LEAST_FORCE,
     LEAST_MOMENT,
@@ -28,7 +29,6 @@ from socket_testbed.identification.plausibility import (
     sign_note,
     without_outliers,
 )
-from socket_testbed.identification.problem import LEAST_SAMPLES
 from socket_testbed.live.processes import end_with_parent
 from socket_testbed.live.scheduling import schedule_ordinarily
 from socket_testbed.samples import Samples

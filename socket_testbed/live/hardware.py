@@ -11,22 +11,32 @@ import numpy as np
 
 from socket_testbed import clocks
 from socket_testbed.arrays import FloatArray
+from socket_testbed.drivers.clusters.chip import CapacitiveChip
+from socket_testbed.drivers.clusters.fdc1004 import Fdc1004
 from socket_testbed.drivers.clusters.i2c import I2cBus, open_i2c
+from socket_testbed.drivers.clusters.reader import ClusterReader
 from socket_testbed.drivers.gpio import GpiodLines, Use
 from socket_testbed.drivers.load_cell.ads131m0x import SpiDevice, open_spi
 from socket_testbed.drivers.load_cell.load_cell import LoadCell
-from socket_testbed.drivers.trigger import GpioTrigger, TimerTrigger, Trigger, TriggerLines
-from socket_testbed.errors import ConfigurationError
+from socket_testbed.drivers.trigger import GpioTrigger, TimerTrigger, Trigger, trigger_lines
+from socket_testbed.errors import ConfigurationError, closest
 from socket_testbed.settings.acquisition import (
     ClusterSettings,
     LoadCellSettings,
     TriggerSettings,
 )
 from socket_testbed.simulation.devices.ads131m0x import SimulatedLoadCellHardware
-from socket_testbed.simulation.devices.gpio_lines import SimulatedLines
-from socket_testbed.simulation.devices.i2c import SimulatedClusterHardware
+from socket_testbed.simulation.devices.fdc1004 import SimulatedFdc1004
+from socket_testbed.simulation.devices.gpio import SimulatedLines
+from socket_testbed.simulation.devices.i2c import SimulatedChip, SimulatedClusterHardware
 from socket_testbed.simulation.sensor_errors import SensorErrors, wrench_noise
 from socket_testbed.simulation.world import World
+
+# The driver of each chip that clusters can have and its simulated counterpart, by the name that
+# cluster_node's setting `chip` gives it.
+CAPACITIVE_CHIPS: dict[str, tuple[type[CapacitiveChip], type[SimulatedChip]]] = {
+    "fdc1004": (Fdc1004, SimulatedFdc1004),
+}
 
 _I2C_FREQUENCY = 400e3  # [Hz]
 _SHORTEST_SLEEP = 5e-4  # [s]
@@ -55,7 +65,7 @@ def make_trigger(settings: TriggerSettings) -> Trigger:
         faults = World(Path(settings.simulation)).faults
         return GpioTrigger(SimulatedLines(faults), settings)
     _require_real_time()
-    return GpioTrigger(TriggerLines(settings), settings)
+    return GpioTrigger(trigger_lines(settings), settings)
 
 
 def wall_clock(settings: TriggerSettings) -> Callable[[], int]:
@@ -63,6 +73,30 @@ def wall_clock(settings: TriggerSettings) -> Callable[[], int]:
     if settings.simulation:
         return World(Path(settings.simulation)).wall_clock
     return time.time_ns
+
+
+def capacitive_chip(
+    settings: ClusterSettings,
+) -> tuple[type[CapacitiveChip], type[SimulatedChip]]:
+    """The clusters' chip and its simulated counterpart.
+
+    Raises:
+        ConfigurationError: If there is no chip of this name.
+    """
+    if settings.chip not in CAPACITIVE_CHIPS:
+        raise ConfigurationError(
+            f"cluster_node: chip is '{settings.chip}'", closest(settings.chip, CAPACITIVE_CHIPS)
+        )
+    return CAPACITIVE_CHIPS[settings.chip]
+
+
+def make_clusters(settings: ClusterSettings) -> ClusterReader:
+    """The reader of the clusters.
+
+    Raises:
+        ConfigurationError: If the settings do not fit together, or as `i2c_opener`.
+    """
+    return ClusterReader(settings, capacitive_chip(settings)[0], i2c_opener(settings))
 
 
 def i2c_opener(settings: ClusterSettings) -> Callable[[int], I2cBus]:
@@ -86,7 +120,10 @@ def i2c_opener(settings: ClusterSettings) -> Callable[[int], I2cBus]:
         if duration >= _SHORTEST_SLEEP:
             clocks.sleep(duration)
 
-    return SimulatedClusterHardware(capacitance, world.faults, _I2C_FREQUENCY, sleep=sleep).open_bus
+    chip = capacitive_chip(settings)[1]
+    return SimulatedClusterHardware(
+        chip, capacitance, world.faults, _I2C_FREQUENCY, sleep=sleep
+    ).open_bus
 
 
 def make_load_cell(settings: LoadCellSettings) -> LoadCell:

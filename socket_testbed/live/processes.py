@@ -204,9 +204,9 @@ class Graph:
     def keep_spare(self, namespace: str = "/") -> None:
         """Keep a process beside the nodes that takes the place of one that is killed.
 
-        It has imported what nodes import, and the others know it: a new process is found by them
-        only seconds later (Fast DDS looks for others every 3 s, and for as long sends what is for
-        the new one to the memory of the killed one).
+        It has imported the node libraries and been discovered, so it takes over at once. A fresh
+        process needs 2 to 5 s: Fast DDS looks for others every 3 s, and for as long sends data for
+        the new process to the shared memory of the killed one.
         """
         self._spare = [SPARE, *_ros_arguments(namespace)]
 

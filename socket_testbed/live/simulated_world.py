@@ -5,11 +5,11 @@ Run as a process, `python -m socket_testbed.live.simulated_world`, beside the no
 
 from __future__ import annotations
 
-import argparse
+import json
 import signal
 import sys
 import threading
-from dataclasses import fields
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -23,14 +23,7 @@ from socket_testbed.geometry.pose import rotation_of, turned_quaternion
 from socket_testbed.geometry.socket import SocketGeometry, read_socket
 from socket_testbed.live.processes import end_with_starter
 from socket_testbed.simulation.devices.natnet_server import NatNetServer
-from socket_testbed.simulation.limb import (
-    SCENARIOS,
-    TISSUES,
-    LoadedLimb,
-    Scenario,
-    TissueKind,
-    load_history,
-)
+from socket_testbed.simulation.limb import LoadedLimb, Scenario, TissueKind, load_history
 from socket_testbed.simulation.sensor_errors import SensorErrors, wrench_offset
 from socket_testbed.simulation.sensors import (
     CAMERA_RATE,
@@ -47,6 +40,29 @@ _SWITCH = 5e-4  # [s]; a frame that is due waits no longer for the physics
 _BODIES = ("socket", "pylon")
 
 
+@dataclass(frozen=True)
+class Simulation:
+    """What is simulated.
+
+    Attributes:
+        scenario: The load history.
+        period: Its duration, after which it starts again [s].
+        seed: Seed of all random numbers.
+        pace: How much faster the load changes than in the scenario [-].
+        sway: How far the stand sways in the world [m].
+        time_scale: Testbed seconds per real second, in (0, 1] [-].
+        tissue: Kind of the limb's tissue.
+    """
+
+    scenario: Scenario = "static_hold"
+    period: float = 120.0
+    seed: int = 0
+    pace: float = 1.0
+    sway: float = 0.0
+    time_scale: float = 1.0
+    tissue: TissueKind = "soft"
+
+
 class LiveTestbed:
     """The physics of a testbed, one state of its world after the other.
 
@@ -54,13 +70,8 @@ class LiveTestbed:
         world: Where the states go.
         geometry: What the lab believes of the socket.
         calibration: What the lab believes of its clusters.
-        scenario: The load history; it starts again when it is over.
-        duration: Duration of the load history [s].
-        seed: Seed of everything that is random.
-        pace: How much faster the load changes than in the scenario [-].
-        sway: How far the stand sways in the world [m].
+        simulation: What is simulated.
         errors: Sizes of the sensors' errors.
-        tissue: Kind of the limb's tissue, see `simulation.limb.make_tissue`.
     """
 
     def __init__(
@@ -68,22 +79,18 @@ class LiveTestbed:
         world: World,
         geometry: SocketGeometry,
         calibration: Calibration,
-        scenario: Scenario,
-        duration: float,
-        seed: int,
-        pace: float,
-        sway: float,
+        simulation: Simulation,
         errors: SensorErrors,
-        tissue: TissueKind,
     ) -> None:
         calibration.require(geometry.clusters, "the socket")
-        tissue_rng, load_rng, cell_rng, cluster_rng, marker_rng = random_streams(seed)
+        streams = random_streams(simulation.seed)
+        tissue_rng, load_rng, cell_rng, cluster_rng, marker_rng, _ = streams
         self._world = world
         self._geometry = geometry
-        self._times = np.arange(0.0, duration, _PERIOD)
-        self._loads = load_history(scenario, pace * self._times, load_rng)
-        self._sway = sway
-        self._limb = LoadedLimb(geometry, self._loads[0], tissue_rng, tissue)
+        self._times = np.arange(0.0, simulation.period, _PERIOD)
+        self._loads = load_history(simulation.scenario, simulation.pace * self._times, load_rng)
+        self._sway = simulation.sway
+        self._limb = LoadedLimb(geometry, self._loads[0], tissue_rng, simulation.tissue)
         self._offset = wrench_offset(errors, cell_rng)
         self._sensors = {
             name: ClusterSensor(calibration.clusters[name], errors, cluster_rng)
@@ -169,41 +176,24 @@ def _padded(markers: list[FloatArray]) -> FloatArray:
 
 
 def main() -> None:
-    """Advance a world with the testbed's clock until this process is ended."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("world", type=Path, help="folder of the world; it is made there")
-    parser.add_argument("--geometry", type=Path, required=True)
-    parser.add_argument("--calibration", type=Path, required=True)
-    parser.add_argument("--scenario", choices=SCENARIOS, required=True)
-    parser.add_argument("--tissue", choices=TISSUES, required=True)
-    parser.add_argument("--duration", type=float, required=True, help="of the scenario [s]")
-    parser.add_argument("--seed", type=int, required=True)
-    parser.add_argument("--pace", type=float, required=True, help="of the load, relative [-]")
-    parser.add_argument("--sway", type=float, required=True, help="of the stand [m]")
-    parser.add_argument("--truth", type=Path, help="where to write what really happened")
-    options = parser.parse_args()
+    """Advance a world with the testbed's clock until this process is ended.
 
+    Arguments: the folder of the world, the `Simulation` as JSON, the paths of `socket.yaml` and
+    `calibration.yaml`, and where to write what really happened, empty for nowhere.
+    """
+    folder, described, socket_file, calibration_file, truth = sys.argv[1:]
+    simulation = Simulation(**json.loads(described))
     ended = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: ended.set())
     end_with_starter()
     sys.setswitchinterval(_SWITCH)
     clock = SteadyClock()
-    world = World(options.world)
+    world = World(Path(folder))
     errors = SensorErrors()
-    geometry = read_socket(options.geometry)
-    testbed = LiveTestbed(
-        world,
-        geometry,
-        read_calibration(options.calibration),
-        options.scenario,
-        options.duration,
-        options.seed,
-        options.pace,
-        options.sway,
-        errors,
-        options.tissue,
-    )
+    geometry = read_socket(Path(socket_file))
+    calibration = read_calibration(Path(calibration_file))
+    testbed = LiveTestbed(world, geometry, calibration, simulation, errors)
 
     def bodies(moment: float) -> list[tuple[str, FloatArray, FloatArray, FloatArray]]:
         poses = world.poses(moment)
@@ -222,7 +212,7 @@ def main() -> None:
         address=address,
         faults=world.faults,
         noise=errors.marker_noise,
-        seed=options.seed,
+        seed=simulation.seed,
     )
     world.port = server.address[1]
     try:
@@ -232,11 +222,11 @@ def main() -> None:
             ended.wait(clocks.real(max(0.0, moment - _LEAD - clocks.monotonic())))
     finally:
         server.close()
-    if options.truth is not None:
+    if truth:
         try:
-            testbed.save(options.truth, clock)
+            testbed.save(Path(truth), clock)
         except OSError as error:
-            print(f"error: {options.truth}: cannot be written ({error.strerror})", file=sys.stderr)
+            print(f"error: {truth}: cannot be written ({error.strerror})", file=sys.stderr)
 
 
 if __name__ == "__main__":

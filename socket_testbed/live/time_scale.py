@@ -7,11 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from socket_testbed.live.scheduling import measure_lateness
+
 SCALES = (1.0, 0.5, 0.25, 0.125, 0.0625)  # testbed seconds per real second [-]
 SLOWEST = SCALES[-1]
 
 _WATCHED = 0.5  # [s]; for each of the two measurements
-_NAP = 0.002  # [s]
 _UNIT = 115e-6  # [s]; for the unit of work on an idle core of the machine that this was tried on
 # Measured: with 0.034 of such a core for a busy process and threads that wake up 10 ms late, half
 # of real time left 2 % of the samples incomplete, real time 30 %.
@@ -39,13 +40,7 @@ class MachineSpeed:
 
 def measure_speed() -> MachineSpeed:
     """Measure what this machine manages; takes about a second."""
-    lateness = []
-    begin = now = time.perf_counter()
-    while now - begin < _WATCHED:
-        time.sleep(_NAP)
-        after = time.perf_counter()
-        lateness.append(after - now - _NAP)
-        now = after
+    lateness = measure_lateness(duration=_WATCHED)
     units = 0
     begin = now = time.perf_counter()
     while now - begin < _WATCHED:

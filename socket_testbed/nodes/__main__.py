@@ -9,7 +9,6 @@ killed: its standard input then gets that one's arguments, as a JSON list.
 
 from __future__ import annotations
 
-import ctypes
 import gc
 import json
 import os
@@ -26,8 +25,7 @@ try:
     from rclpy.experimental.events_executor import EventsExecutor
     from rclpy.node import Node
 
-    from socket_testbed.errors import ConfigurationError, TestbedError
-    from socket_testbed.files import closest
+    from socket_testbed.errors import ConfigurationError, TestbedError, closest
     from socket_testbed.live.processes import RESTARTED, SPARE, end_with_starter
     from socket_testbed.live.scheduling import schedule
     from socket_testbed.nodes.base import TestbedNode, spin
@@ -120,17 +118,7 @@ def _await_place() -> list[str]:
         pass
     words = json.loads(sys.stdin.read() or "[]") if rclpy.ok() else []
     os.environ[RESTARTED] = "1"
-    _rename([*sys.orig_argv[:3], *words])
     return words
-
-
-def _rename(words: list[str]) -> None:
-    """Let ps show other arguments, cut to the space that this process's own took."""
-    fields = Path("/proc/self/stat").read_text().rpartition(")")[2].split()
-    start, end = int(fields[45]), int(fields[46])  # arg_start, arg_end in proc(5)
-    size = end - start
-    title = "\0".join(words).encode()[: size - 1].ljust(size, b"\0")
-    ctypes.memmove(start, title, size)
 
 
 def _schedule(node: TestbedNode[Any]) -> None:

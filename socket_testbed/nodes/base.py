@@ -10,12 +10,11 @@ from __future__ import annotations
 import math
 import os
 import platform
-import queue
 import re
 import sys
-import threading
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager, suppress
 from importlib import import_module
 from typing import Any, ClassVar, Generic, TypeVar
 
@@ -28,6 +27,7 @@ from rcl_interfaces.msg import (
     SetParametersResult,
 )
 from rclpy.clock import Clock, ClockType
+from rclpy.duration import Duration
 from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from rclpy.parameter import Parameter
@@ -51,6 +51,7 @@ NEWEST_STAMP = "newest_stamp"
 ELAPSED = "elapsed"  # [s]; of the recording
 FREE = "free"  # [bytes]; of the recorder's disk
 LINKS = "links"  # topic=number of matched subscribers, separated by blanks
+HEARS = "hears"  # topics that it is linked only with a publisher of, separated by blanks
 
 _SUBSCRIBER_DEPTH = 2000  # [messages]; a fast replay or a busy moment loses nothing
 _PERIOD = 1.0  # [s]
@@ -82,6 +83,14 @@ def message_type(topic: Topic) -> Any:
     """Class of a topic's message type."""
     package, kind, name = topic.type.split("/")
     return getattr(import_module(f"{package}.{kind}"), name)
+
+
+def is_acknowledged(publisher: Publisher) -> bool:
+    """Whether all subscribers have acknowledged all that was published.
+
+    It waits for none: rclpy holds the interpreter, all threads of the process, while it waits.
+    """
+    return bool(publisher.wait_for_all_acked(Duration()))
 
 
 class PolledSubscription:
@@ -135,40 +144,6 @@ def spin(executor: Any, futures: list[Future]) -> None:
             executor.spin_until_future_complete(futures[0], timeout_sec=_END)
 
 
-class _SlowService:
-    """A service that is answered in a thread of its own: the events executor knows no coroutines.
-
-    The executor answers with what the callback returns, through `send_response`. Both only pass the
-    request on to the thread, which answers when it is done.
-    """
-
-    def __init__(self, node: Node, kind: Any, name: str, respond: Callable[..., Any]) -> None:
-        self._context = node.context
-        self._respond = respond
-        self._asked: queue.SimpleQueue[tuple[Any, Any] | None] = queue.SimpleQueue()
-        service = node.create_service(kind, name, lambda *given: given)
-        self._send = service.send_response
-        service.send_response = lambda given, header: self._asked.put((given, header))
-        # A node that fails while it starts is never closed: its threads must not hold it up.
-        self._thread = threading.Thread(target=self._answer, name=name, daemon=True)
-        self._thread.start()
-
-    def close(self) -> None:
-        """Stop answering; what was asked is answered."""
-        self._asked.put(None)
-        self._thread.join()
-
-    def _answer(self) -> None:
-        try:
-            while (asked := self._asked.get()) is not None:
-                given, header = asked
-                self._send(self._respond(*given), header)
-        except Exception:
-            # After Ctrl-C the service goes before this thread does.
-            if self._context.ok():
-                raise
-
-
 class TestbedNode(Node, Generic[S]):
     """A node with settings, topics, services and diagnostics.
 
@@ -204,7 +179,7 @@ class TestbedNode(Node, Generic[S]):
 
         self._inputs: list[Subscription] = []
         self._outputs: list[tuple[Publisher, bool]] = []
-        self._slow_services: list[_SlowService] = []
+        self._service_threads: list[ThreadPoolExecutor] = []
         self._settled_at = clocks.monotonic() + settle
         self._level, self._message = OK, "started"
         self._has_worked = RESTARTED in os.environ
@@ -238,10 +213,19 @@ class TestbedNode(Node, Generic[S]):
 
     def close(self) -> None:
         """End what the node has begun: called once, before it is destroyed."""
-        for service in self._slow_services:
-            service.close()
+        for thread in self._service_threads:
+            thread.shutdown()
 
     # What a node calls.
+
+    @contextmanager
+    def until_ros_ends(self) -> Iterator[None]:
+        """Errors count while ROS runs: after Ctrl-C publishers go before threads and callbacks."""
+        try:
+            yield
+        except Exception:
+            if self.context.ok():
+                raise
 
     def advertise(self, topic: Topic, name: str = "", needed: bool = False) -> Publisher:
         """A publisher.
@@ -276,12 +260,8 @@ class TestbedNode(Node, Generic[S]):
         """
 
         def hear(message: Any) -> None:
-            try:
+            with self.until_ros_ends():
                 callback(message)
-            except Exception:
-                # ROS may have ended meanwhile, before what it was to publish.
-                if self.context.ok():
-                    raise
 
         subscription = self.create_subscription(
             message_type(topic), name or topic.name, hear, subscriber_qos(topic), raw=raw
@@ -310,9 +290,29 @@ class TestbedNode(Node, Generic[S]):
             return response
 
         if slow:
-            self._slow_services.append(_SlowService(self, kind, name, respond))
+            self._serve_slowly(kind, name, respond)
         else:
             self.create_service(kind, name, respond)
+
+    def _serve_slowly(self, kind: Any, name: str, respond: Callable[..., Any]) -> None:
+        """Answer a service in a thread of its own: the events executor knows no coroutines.
+
+        The executor answers with what the callback returns, through `send_response`. Both only pass
+        the request on to the thread, which answers when it is done.
+        """
+        thread = ThreadPoolExecutor(1, thread_name_prefix=name)
+        service = self.create_service(kind, name, lambda *given: given)
+        send = service.send_response
+
+        def answer(given: Any, header: Any) -> None:
+            with self.until_ros_ends():
+                send(respond(*given), header)
+
+        # The result of an answer raises what went wrong, and so prints it.
+        service.send_response = lambda given, header: thread.submit(
+            answer, given, header
+        ).add_done_callback(lambda done: done.result())
+        self._service_threads.append(thread)
 
     def report(self, level: int, message: str) -> None:
         """Report how the node is; a new level or message goes out at once.
@@ -368,17 +368,13 @@ class TestbedNode(Node, Generic[S]):
         self.settings = self._read_settings({})
 
     def _look(self) -> None:
-        try:
+        with self.until_ros_ends():
             self.look()
             waiting = self._unlinked()
             self._looks += 1
             if waiting != self._waiting or self._looks * _LOOK >= _PERIOD:
                 self._waiting = waiting
                 self._publish_diagnostics()
-        except Exception:
-            # ROS may have ended meanwhile, at any of these calls.
-            if self.context.ok():
-                raise
 
     def _unlinked(self) -> list[str]:
         """Topics without a counterpart in the graph, and the node while it starts."""
@@ -399,7 +395,8 @@ class TestbedNode(Node, Generic[S]):
         self._looks = 0
         waiting = "(not looked yet)" if self._waiting is None else ", ".join(self._waiting)
         links = [f"{p.topic_name}={p.get_subscription_count()}" for p, _ in self._outputs]
-        values = {WAITING_FOR: waiting, LINKS: " ".join(links), **self.figures()}
+        hears = " ".join(s.topic_name for s in self._inputs)
+        values = {WAITING_FOR: waiting, LINKS: " ".join(links), HEARS: hears, **self.figures()}
         status = DiagnosticStatus(
             level=bytes([self._level]),
             name=self.get_fully_qualified_name(),

@@ -8,8 +8,8 @@ from __future__ import annotations
 import numpy as np
 
 from socket_testbed import clocks
-from socket_testbed.drivers.clusters.reader import ClusterReader, ClusterReading
-from socket_testbed.live.hardware import i2c_opener
+from socket_testbed.drivers.clusters.reader import ClusterReading
+from socket_testbed.live.hardware import make_clusters
 from socket_testbed.nodes.base import ERROR, OK
 from socket_testbed.nodes.conversions import MessageTemplate, capacitance_to_ros, elements
 from socket_testbed.nodes.sensor_node import SensorNode
@@ -24,7 +24,7 @@ class ClusterNode(SensorNode[ClusterSettings]):
 
     def __init__(self) -> None:
         super().__init__("cluster_node", ClusterSettings)
-        self._reader = ClusterReader(self.settings, i2c_opener(self.settings))
+        self._reader = make_clusters(self.settings)
         self._answering = False
         names = self.settings.names
         nothing = np.zeros((len(names), 4))

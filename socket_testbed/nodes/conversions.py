@@ -21,6 +21,7 @@ from socket_testbed_msgs.msg import (
     ClusterCapacitanceArray,
     ClusterStress,
     ClusterStressArray,
+    LoadCellRaw,
     RigidBodyMarkers,
     RigidBodyMarkersArray,
     Trigger,
@@ -184,6 +185,25 @@ def wrench_to_ros(wrench: FloatArray) -> Wrench:
 def wrench_packer() -> VectorPacker:
     """Packs a WrenchStamped from its stamp [ns] and [M; F], shape (6,) [N m, N]."""
     return _vector_packer(WrenchStamped(header=header_to_ros(0)), "wrench", ("torque", "force"))
+
+
+def load_cell_raw_packer() -> Callable[[int, FloatArray, FloatArray, int, int], bytes]:
+    """Packs a LoadCellRaw.
+
+    From its stamp [ns], the ratios, shape (6,) [mV/V], the tare [M; F], shape (6,) [N m, N], when
+    that was taken [ns], and a `Status`.
+    """
+    template = MessageTemplate(LoadCellRaw(header=header_to_ros(0)))
+    numbers = template.numbers
+
+    def pack(stamp: int, ratios: FloatArray, tare: FloatArray, tared: int, status: int) -> bytes:
+        numbers["ratios"] = 1e-3 * ratios
+        numbers["tare"]["torque"], numbers["tare"]["force"] = tare[:3], tare[3:]
+        numbers["tared"]["sec"], numbers["tared"]["nanosec"] = divmod(tared, 1_000_000_000)
+        numbers["status"] = status
+        return template.serialised(stamp)
+
+    return pack
 
 
 def vector_to_ros(vector: FloatArray) -> Vector3:

@@ -5,17 +5,17 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 import rclpy
-from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from socket_testbed_msgs.msg import Event, Trigger
 from std_msgs.msg import String
 
 from socket_testbed.errors import TestbedError
-from socket_testbed.nodes.base import publisher_qos, subscriber_qos
+from socket_testbed.nodes.base import is_acknowledged, publisher_qos, subscriber_qos
 from socket_testbed.nodes.conversions import LOAD_CELL_FRAME, header_to_ros, stamp_from_ros
 from socket_testbed.trials.topics import EVENT, RECORDED_TRIAL, TRIGGER, full_namespace
 
@@ -89,10 +89,10 @@ def publish_event(label: str, called: float, namespace: str = "/") -> Marked:
 
 
 class EventMarker:
-    """What an event is published with, and what is heard meanwhile.
+    """What events are published with, one after the other, for the life of a node.
 
     Args:
-        node: The node that publishes it.
+        node: The node that publishes them.
         wait: Waits until a condition holds, while the node is spun; returns whether it does within
             a duration [s].
     """
@@ -103,22 +103,22 @@ class EventMarker:
         self._triggers: list[tuple[float, int]] = []  # arrival [s] and stamp [ns]
         self._trial: str | None = None
         self._publisher = node.create_publisher(Event, EVENT.name, publisher_qos(EVENT))
-        self._subscriptions = [
-            node.create_subscription(kind, topic.name, callback, subscriber_qos(topic))
-            for kind, topic, callback in (
-                (Trigger, TRIGGER, self._on_trigger),
-                (String, RECORDED_TRIAL, self._on_trial),
-            )
-        ]
-
-    def close(self) -> None:
-        """Leave the node as it was."""
-        for subscription in self._subscriptions:
-            self._node.destroy_subscription(subscription)
-        self._node.destroy_publisher(self._publisher)
+        node.create_subscription(
+            String, RECORDED_TRIAL.name, self._on_trial, subscriber_qos(RECORDED_TRIAL)
+        )
 
     def mark(self, label: str, called: float) -> Marked:
-        """Publish the event, see `publish_event`."""
+        """Publish an event, see `publish_event`; triggers are heard meanwhile alone."""
+        self._triggers.clear()
+        triggers = self._node.create_subscription(
+            Trigger, TRIGGER.name, self._on_trigger, subscriber_qos(TRIGGER)
+        )
+        try:
+            return self._mark(label, called)
+        finally:
+            self._node.destroy_subscription(triggers)
+
+    def _mark(self, label: str, called: float) -> Marked:
         if not self._wait(self._is_linked, _FOUND_WITHIN):
             raise TestbedError(
                 f"nobody subscribes to {self._publisher.topic_name}", self._where_else()
@@ -131,7 +131,7 @@ class EventMarker:
             self._wait(lambda: self._has_triggers(span), span)
         header = header_to_ros(self._stamp(called), LOAD_CELL_FRAME)
         self._publisher.publish(Event(header=header, label=label))
-        if not self._publisher.wait_for_all_acked(Duration(seconds=_HEARD_WITHIN)):
+        if not self._wait(partial(is_acknowledged, self._publisher), _HEARD_WITHIN):
             raise TestbedError(
                 f"the event was not acknowledged within {_HEARD_WITHIN:g} s",
                 "check that the recorder runs, and 'info' of its trial for the event",

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import threading
 import time
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable, Mapping
 from functools import partial
+from itertools import chain
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.publisher import Publisher
 
-from socket_testbed.nodes.base import LINKS, NEWEST_STAMP, WAITING_FOR, TestbedNode
+from socket_testbed.nodes.base import HEARS, LINKS, NEWEST_STAMP, WAITING_FOR, TestbedNode
 from socket_testbed.trials.topics import DIAGNOSTICS
 
 _LOOK = 0.02  # [s]
@@ -34,6 +35,7 @@ class Followers:
         full = (name if name.startswith("/") else f"{namespace}/{name}" for name in names)
         self._waiting = dict.fromkeys(full, "not seen")
         self._links: dict[str, dict[str, int]] = {}
+        self._hears: dict[str, list[str]] = {}
         self._newest: dict[str, int] = {}
         self._sent: deque[int] = deque()
         self._stopped = stopped
@@ -49,7 +51,8 @@ class Followers:
     ) -> str:
         """Wait until all that publish and subscribe have found each other.
 
-        A node may not know yet of a subscriber that another knows of, and would publish past it.
+        A node may not know yet of a subscriber that another knows of, or of one that says so
+        itself, and would publish past it.
 
         Args:
             publishers: The waiting node's own publishers by topic.
@@ -59,9 +62,13 @@ class Followers:
         Returns:
             What is not linked after that, empty if nothing is.
         """
-        count = self._node.count_subscribers
 
         def linked() -> bool:
+            heard = Counter(chain.from_iterable(self._hears.values()))
+
+            def count(topic: str) -> int:
+                return max(heard[topic], self._node.count_subscribers(topic))
+
             return (
                 all(
                     publisher.get_subscription_count() >= max(count(name), name in needed)
@@ -130,6 +137,7 @@ class Followers:
                 values = {entry.key: entry.value for entry in status.values}
                 with self._news:
                     self._waiting[status.name] = values.get(WAITING_FOR, "")
+                    self._hears[status.name] = values.get(HEARS, "").split()
                     links = (link.split("=") for link in values.get(LINKS, "").split())
                     self._links[status.name] = {topic: int(count) for topic, count in links}
                     if NEWEST_STAMP in values:

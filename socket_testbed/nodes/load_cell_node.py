@@ -1,6 +1,7 @@
 """Load-cell node: the wrench at each trigger, averaged around it.
 
-Subscribes: trigger. Publishes: load_cell/wrench, /diagnostics. Service: load_cell/tare.
+Subscribes: trigger. Publishes: load_cell/wrench, load_cell/raw, /diagnostics.
+Service: load_cell/tare.
 """
 
 from __future__ import annotations
@@ -14,10 +15,10 @@ from socket_testbed import clocks
 from socket_testbed.drivers.averaging import averaging_span
 from socket_testbed.live.hardware import make_load_cell
 from socket_testbed.nodes.base import OK, WARN
-from socket_testbed.nodes.conversions import wrench_packer
+from socket_testbed.nodes.conversions import load_cell_raw_packer, wrench_packer
 from socket_testbed.nodes.sensor_node import SensorNode
 from socket_testbed.settings.acquisition import LoadCellSettings
-from socket_testbed.trials.topics import WRENCH
+from socket_testbed.trials.topics import LOAD_CELL_RAW, WRENCH
 
 _PATIENCE = 0.05  # [s]; for the conversions after a trigger
 
@@ -30,6 +31,8 @@ class LoadCellNode(SensorNode[LoadCellSettings]):
         self._cell = make_load_cell(self.settings)
         self._wrench = self.advertise(WRENCH)
         self._pack = wrench_packer()
+        self._raw = self.advertise(LOAD_CELL_RAW)
+        self._pack_raw = load_cell_raw_packer()
         self._averaged = 0  # conversions around the last trigger
         self._polled = threading.Condition()
         self._stopping = threading.Event()
@@ -78,6 +81,8 @@ class LoadCellNode(SensorNode[LoadCellSettings]):
             self.missing += bool(np.isnan(reading.wrench).any())
             self.fault.saw(reading.fault)
         self._wrench.publish(self._pack(stamp, reading.wrench))
+        raw = self._pack_raw(stamp, reading.ratios, reading.tare, reading.tared, reading.status)
+        self._raw.publish(raw)
 
     def health(self) -> tuple[int, str]:
         """That of the converter, or what the last wrenches lack."""

@@ -1,5 +1,7 @@
 """Replay node: a trial published again as raw bytes, in its order and timing, with /clock.
 
+Wrenches and poses that another load cell, tare or geometry changes are made anew.
+
 Publishes: the topics of the trial under their recorded names or in another namespace, /clock,
 /tf, /tf_static, /diagnostics. Service: replay/pause.
 """
@@ -7,19 +9,26 @@ Publishes: the topics of the trial under their recorded names or in another name
 from __future__ import annotations
 
 import threading
+from functools import partial
 from pathlib import Path
 
 from geometry_msgs.msg import PoseStamped
-from rclpy.duration import Duration
 from rclpy.serialization import deserialize_message
 from rosgraph_msgs.msg import Clock
 from std_srvs.srv import SetBool
 
+from socket_testbed.arrays import FloatArray
 from socket_testbed.errors import ConfigurationError, TestbedError, TrialError
-from socket_testbed.geometry.socket import read_socket
 from socket_testbed.live.pacing import Pacer
-from socket_testbed.nodes.base import ERROR, OK, WARN, TestbedNode
-from socket_testbed.nodes.conversions import pose_from_ros, stamp_from_ros, stamp_to_ros
+from socket_testbed.nodes.base import ERROR, OK, WARN, TestbedNode, is_acknowledged
+from socket_testbed.nodes.conversions import (
+    VectorPacker,
+    pose_from_ros,
+    pose_packer,
+    stamp_from_ros,
+    stamp_to_ros,
+    wrench_packer,
+)
 from socket_testbed.nodes.followers import Followers
 from socket_testbed.nodes.frames import FrameBroadcaster
 from socket_testbed.settings.testbed import ReplaySettings
@@ -29,6 +38,7 @@ from socket_testbed.trials.topics import (
     PYLON_POSE,
     SOCKET_POSE,
     TRIGGER,
+    WRENCH,
     Topic,
     full_namespace,
     match_topics,
@@ -55,7 +65,15 @@ class ReplayNode(TestbedNode[ReplaySettings]):
         self._published = 0
         self._position = 0.0  # [s]
 
-        self._bag = BagReader(Path(settings.trial))
+        self._trial = Trial(
+            Path(settings.trial),
+            Path(settings.geometry) if settings.geometry else None,
+            notify=self.get_logger().info,
+            load_cell_file=Path(settings.load_cell) if settings.load_cell else None,
+            tare=settings.tare,
+        )
+        self._remade = self._remake()
+        self._bag = BagReader(self._trial.path)
         self._bag.__enter__()
         self._topics = self._replayed_topics()
         self._by_topic = {
@@ -103,13 +121,23 @@ class ReplayNode(TestbedNode[ReplaySettings]):
             )
         return topics
 
+    def _remake(self) -> dict[Topic, tuple[VectorPacker, dict[int, FloatArray]]]:
+        """Numbers by stamp that replace the recorded ones; none where all stays as recorded."""
+        if not self._trial.remade:
+            return {}
+        found = self._trial.measurements()
+        pack_pose, stamps = pose_packer(), found.stamps.tolist()
+        remade = (
+            (WRENCH, wrench_packer(), found.wrench),
+            (SOCKET_POSE, pack_pose, found.socket),
+            (PYLON_POSE, pack_pose, found.pylon),
+        )
+        return {topic: (pack, dict(zip(stamps, rows, strict=True))) for topic, pack, rows in remade}
+
     def _broadcaster(self) -> FrameBroadcaster | None:
         """What publishes the transforms; None, with a warning, without the socket's geometry."""
-        given = self.settings.geometry
         try:
-            geometry = (
-                read_socket(Path(given)) if given else Trial(Path(self.settings.trial)).geometry
-            )
+            geometry = self._trial.geometry
         except TestbedError as error:
             self.get_logger().warning(f"transforms are left out: {error}")
             return None
@@ -130,21 +158,18 @@ class ReplayNode(TestbedNode[ReplaySettings]):
 
     def _replay(self) -> None:
         try:
-            self._await_ready()
-            self.report(OK, f"replaying {self.settings.trial}")
-            self._publish_once()
-            while self.settings.loop and not self._pacer.stopped:
-                self._catch_up(0)
-                self._followers.start_over()
+            with self.until_ros_ends():
+                self._await_ready()
+                self.report(OK, f"replaying {self.settings.trial}")
                 self._publish_once()
-            self._await_done()
+                while self.settings.loop and not self._pacer.stopped:
+                    self._catch_up(0)
+                    self._followers.start_over()
+                    self._publish_once()
+                self._await_done()
         except TestbedError as error:
             self._failure = error
             self.report(ERROR, str(error))
-        except Exception:
-            # After Ctrl-C the publishers go before this thread does.
-            if self.context.ok():
-                raise
         finally:
             self.finished.set_result(None)
 
@@ -161,11 +186,15 @@ class ReplayNode(TestbedNode[ReplaySettings]):
             self._position = (raw.time - first) * 1e-9
 
     def _publish(self, raw: RawMessage) -> None:
-        self._by_topic[raw.topic].publish(raw.data)
+        topic, data = self._topics[raw.topic], raw.data
+        if topic in self._remade:
+            pack, rows = self._remade[topic]
+            stamp = stamp_of(decode(data, raw.type))
+            data = pack(stamp, rows[stamp])
+        self._by_topic[raw.topic].publish(data)
         self._published += 1
-        topic = self._topics[raw.topic]
         if topic in {SOCKET_POSE, PYLON_POSE} and self._frames is not None and self._frames.wanted:
-            seen = deserialize_message(raw.data, PoseStamped)
+            seen = deserialize_message(data, PoseStamped)
             self._frames.move(stamp_from_ros(seen.header.stamp), {topic: pose_from_ros(seen.pose)})
         if topic is TRIGGER:
             self._followers.sent(stamp_of(decode(raw.data, raw.type)))
@@ -208,8 +237,7 @@ class ReplayNode(TestbedNode[ReplaySettings]):
         if self._followers:
             self._catch_up(0)
         for publisher in self._by_topic.values():
-            if publisher.get_subscription_count() > 0:
-                publisher.wait_for_all_acked(Duration(seconds=_DONE_WITHIN))
+            self._followers.wait(partial(is_acknowledged, publisher), _DONE_WITHIN)
 
     def _catch_up(self, behind: int) -> None:
         left = self._followers.catch_up(behind, _DONE_WITHIN)

@@ -92,7 +92,7 @@ class SensorNode(TestbedNode[S]):
         self._due.put((stamp, moment, self._trigger_period.add(stamp, sequence)))
 
     def _run(self) -> None:
-        try:
+        with self.until_ros_ends():
             while True:
                 try:
                     entry = self._due.get(timeout=clocks.real(_IDLE))
@@ -106,7 +106,3 @@ class SensorNode(TestbedNode[S]):
                 self.measure(stamp, moment)
                 self.samples += 1
                 self.busy_since = None
-        except Exception:
-            # After Ctrl-C the publishers go before this thread does.
-            if self.context.ok():
-                raise

@@ -26,7 +26,7 @@ from socket_testbed.nodes.followers import Followers
 from socket_testbed.settings.acquisition import TriggerSettings
 from socket_testbed.trials.topics import TRIGGER
 
-_READY_WITHIN = 30.0  # [s]; for the nodes waited for
+_READY_WITHIN = 60.0  # [s] of real time; for the nodes waited for
 _RECENT = 0.5  # [s]; how long a fault is reported after its last trigger, at least
 _FOREIGN = 5.0  # [s]; how long another testbed is reported
 _REMEMBERED = 200  # triggers, to know them again
@@ -95,7 +95,7 @@ class TriggerNode(TestbedNode[TriggerSettings]):
         return "not triggering"
 
     def _run(self) -> None:
-        try:
+        with self.until_ros_ends():
             self._await_followers()
             due = clocks.monotonic()
             while not self._stopping.is_set():
@@ -114,10 +114,6 @@ class TriggerNode(TestbedNode[TriggerSettings]):
                     self._fire()
             if self._trigger is not None:
                 self._trigger.close()
-        except Exception:
-            # After Ctrl-C the publisher goes before this thread does.
-            if self.context.ok():
-                raise
 
     def _fire(self) -> None:
         try:
@@ -139,9 +135,8 @@ class TriggerNode(TestbedNode[TriggerSettings]):
 
     def _await_followers(self) -> None:
         """Let the nodes that measure be linked before the first trigger."""
-        patience = clocks.real(_READY_WITHIN)
         outputs = {TRIGGER.name: self._output}
-        if lacking := self._followers.await_links(outputs, frozenset(), patience):
+        if lacking := self._followers.await_links(outputs, frozenset(), _READY_WITHIN):
             self.get_logger().warning(f"triggering without waiting any longer for {lacking}")
 
     def look(self) -> None:

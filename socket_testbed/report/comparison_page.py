@@ -1,63 +1,41 @@
-"""A comparison as one page that opens offline."""
+"""A comparison of trials as one page that opens offline, with maps on common colour scales."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
 from datetime import UTC, datetime
 from pathlib import Path
 
-import pandas as pd
+import numpy as np
 
-from socket_testbed.comparison.table import LEGEND, Comparison
+from socket_testbed.arrays import FloatArray
+from socket_testbed.comparison import LEGEND, Comparison
 from socket_testbed.files import atomic_output
-from socket_testbed.report.figures.comparison import difference_maps, item_maps
-from socket_testbed.report.figures.style import svg_of
-from socket_testbed.report.page import Table, pairs_table, render
-from socket_testbed.tables import split_unit
+from socket_testbed.geometry.socket import SocketGeometry
+from socket_testbed.report.figures.tiles import certainty_of, tile_map_figure
+from socket_testbed.report.page import (
+    Bullets,
+    Folded,
+    ReportFigure,
+    Section,
+    Table,
+    pairs_table,
+    render,
+)
 
 _HEADINGS = {
-    "metadata": "What is stated about the trials",
-    "trials": "What was measured, and with what",
-    "models": "The models",
-    "settings": "Settings that differ",
-    "sockets": "The sockets",
-    "sizes": "Sizes",
+    "metadata": "Metadata of the trials",
+    "trials": "Segments, sources and calibrations",
     "regions": "By region",
     "tiles": "Tile by tile",
     "wrench": "Wrench",
-    "errors": "Errors of the fits",
-    "offsets": "Offsets",
-    "clusters": "Clusters",
 }
-_DIFFERING = "What differs clearly"
 _INDEPENDENT = (
     "The interval of a difference takes the errors of both trials as independent, so that their"
     " variances add (Zou & Donner 2008). It covers what the sensors leave open under the prior of"
     " the force map. Errors that both trials share, such as those of the same sensors, cancel in"
     " part: then it is too wide. docs/compare.md states how often it held the true difference."
 )
-
-
-@dataclass(frozen=True)
-class Section:
-    """A section of the page.
-
-    Attributes:
-        name: Its identifier.
-        heading: Its title.
-        text: What to know of it; empty for nothing.
-        tables: Its tables.
-        pictures: Its figures as SVG, each with its description.
-        is_folded: Whether its tables are shown on demand.
-    """
-
-    name: str
-    heading: str
-    text: str = ""
-    tables: tuple[Table, ...] = ()
-    pictures: tuple[tuple[str, str], ...] = ()
-    is_folded: bool = False
 
 
 def write_page(found: Comparison, path: Path, command: str, made: datetime) -> None:
@@ -77,70 +55,92 @@ def write_page(found: Comparison, path: Path, command: str, made: datetime) -> N
         ("command", command),
     ]
     table = pairs_table("provenance-table", "What the page was made with", origin)
-    differing = found.differing()
-    sections = [*_sections(found), Section("provenance", "Provenance", tables=(table,))]
-    text = render(
-        "comparison.html",
-        title=f"Comparison of {found.kind}: {', '.join(found.items)}",
-        subtitle=found.title,
-        contents=({"differing": _DIFFERING} if differing else {})
-        | {section.name: section.heading for section in sections},
-        differing_heading=_DIFFERING,
-        notes=found.notes,
-        differing=differing,
-        sections=sections,
-        legend=LEGEND,
-    )
+    notes = Section("notes", "Notes", [Bullets(found.notes, "notes"), LEGEND])
+    sections = [notes, *_sections(found), Section("provenance", "Provenance", [table])]
+    text = render(f"Comparison of trials: {', '.join(found.items)}", found.title, sections)
     with atomic_output(path) as staging:
         staging.write_text(text, encoding="utf-8")
 
 
 def _sections(found: Comparison) -> Iterator[Section]:
-    parts = list(dict.fromkeys(found.table["part"]))
-    socket = None
-    if found.kind == "trials" and "regions" in parts:
-        table = found.cells("regions").loc["socket"].rename_axis("output")
-        socket = Table("socket-table", "Outputs of the socket", table)
-        yield Section("socket", "Whole socket", _INDEPENDENT, (socket,))
-    yield from _maps(found)
-    for part in parts:
+    differing = found.differing()
+    if differing:
+        yield Section(
+            "differing", "Clear differences", [f"{differing[0]}.", Bullets(differing[1:])]
+        )
+    cells = found.cells("regions").loc["socket"].rename_axis("output")
+    socket = Table("socket-table", "Outputs of the socket", cells)
+    yield Section("socket", "Whole socket", [_INDEPENDENT, socket])
+    if found.geometry is not None:
+        yield _maps(found, found.geometry)
+    for part in dict.fromkeys(found.table["part"]):
         rows = found.table[found.table["part"] == part]
         if part in {"regions", "tiles"}:
-            tables = tuple(
-                Table(f"{part}-{number}", f"{quantity} [{unit}]", found.cells(part, quantity))
-                for number, (quantity, unit) in enumerate(
-                    dict.fromkeys(zip(rows["quantity"], rows["unit"], strict=True))
-                )
-            )
+            titles = rows[["quantity", "unit"]].drop_duplicates().itertuples(index=False)
+            tables = [
+                Table(f"{part}-{number}", f"{name} [{unit}]", found.cells(part, name))
+                for number, (name, unit) in enumerate(titles)
+            ]
         else:
-            table = Table(
-                f"{part}-table",
-                _HEADINGS[part],
-                _one_index(found.cells(part)),
-                is_text=bool(rows["text"].notna().any()),
-            )
-            tables = (table,)
-        yield Section(part, _HEADINGS[part], "", tables, is_folded=part == "tiles")
+            cells = found.cells(part)
+            cells.index = [": ".join(filter(None, names)) for names in cells.index]
+            is_text = bool(rows["text"].notna().any())
+            tables = [Table(f"{part}-table", _HEADINGS[part], cells, is_text=is_text)]
+        shown = [Folded("Show the tables", tables)] if part == "tiles" else tables
+        yield Section(part, _HEADINGS[part], shown)
 
 
-def _maps(found: Comparison) -> Iterator[Section]:
-    if found.mapped is None or found.geometry is None:
-        return
-    name, unit = split_unit(found.mapped.title)
-    arguments = (found.geometry, found.mapped, found.items, found.side)
-    pictures = (
-        (svg_of(item_maps(*arguments)), f"Maps of the {name} of {', '.join(found.items)}"),
-        (svg_of(difference_maps(*arguments)), f"Maps of the differences to {found.items[0]}"),
-    )
+def _maps(found: Comparison, geometry: SocketGeometry) -> Section:
+    """Mean pressures on one colour scale, and their differences with zero in the middle of one."""
+    first, *others = found.items
+    differences = found.pressures[1:] - found.pressures[0]
+    spread = np.hypot(found.deviations[1:], found.deviations[0])
+    most = float(np.abs(differences).max()) or 1.0
+    scale = min(float(found.pressures.min()), 0.0), float(found.pressures.max())
+    pressures = dict(zip(found.items, found.pressures, strict=True))
+    named = {f"{item} - {first}": values for item, values in zip(others, differences, strict=True)}
+    unit = "mean pressure [kPa]"
+    figures = [
+        _map_figure(geometry, found.side, shown, deviations, title, limits, described)
+        for shown, deviations, title, limits, described in (
+            (pressures, found.deviations, unit, scale, "Maps of the mean pressure"),
+            (named, spread, f"difference in {unit}", (-most, most), f"Differences to {first}"),
+        )
+    ]
     text = (
-        f"The {name} [{unit}] on the unrolled wall and the distal end, on one colour scale, and"
-        f" below the differences to {found.items[0]} with zero in the middle of theirs. A tile is"
-        " pale where its value is uncertain against the largest ones. Thick outlines: clusters."
+        "The mean pressure [kPa] on the unrolled wall and the distal end, on one colour scale, and"
+        f" below the differences to {first} with zero in the middle of theirs. A tile is pale"
+        " where its value is uncertain against the largest ones. Thick outlines: clusters."
     )
-    yield Section("maps", "Maps", text, pictures=pictures)
+    return Section("maps", "Maps", [text, *figures])
 
 
-def _one_index(cells: pd.DataFrame) -> pd.DataFrame:
-    """The table with `name: quantity` in place of two columns that head its rows."""
-    names = [": ".join(filter(None, key)) for key in cells.index]
-    return cells.set_axis(pd.Index(names, name=""), axis=0)
+def _map_figure(
+    geometry: SocketGeometry,
+    side: str,
+    maps: Mapping[str, FloatArray],
+    deviations: FloatArray,
+    unit: str,
+    limits: tuple[float, float],
+    described: str,
+) -> ReportFigure:
+    """A map per set of values on one colour scale; pale where a value is uncertain."""
+    certainty = {
+        name: certainty_of(values, deviation)
+        for (name, values), deviation in zip(maps.items(), deviations, strict=True)
+    }
+    return ReportFigure(
+        name="",
+        caption=f"{described}.",
+        draw=lambda style: tile_map_figure(
+            geometry,
+            maps,
+            unit,
+            style=style,
+            limits=limits,
+            side=side,
+            certainty=certainty,
+        ),
+        description=f"{described}: {', '.join(maps)}",
+        is_map=True,
+    )

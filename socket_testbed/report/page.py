@@ -1,4 +1,4 @@
-"""What the templates of the pages need: tables as cells, numbers as text, and the renderer."""
+"""A page: sections of text, tables, figures and a 3D scene, rendered as one self-contained file."""
 
 from __future__ import annotations
 
@@ -8,15 +8,24 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from itertools import groupby
-from typing import Any
+from pathlib import Path
+from typing import Any, ClassVar
 
 import numpy as np
 import pandas as pd
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
+from matplotlib.figure import Figure
 from pandas.api.types import is_numeric_dtype
 
-from socket_testbed.report.figures.style import FONT
+from socket_testbed.report.figures.style import (
+    DEFAULT_STYLE,
+    FONT,
+    FigureStyle,
+    save_figure,
+    svg_of,
+)
+from socket_testbed.tables import write_table
 
 NOTHING = "\N{EN DASH}"  # in a cell without a value
 MASKED = "not determined"  # in a cell whose value is
@@ -25,26 +34,6 @@ MASKED = "not determined"  # in a cell whose value is
 def number(value: float, spec: str = ".3g") -> str:
     """A number for a reader, by a format specification; a dash if it is not finite."""
     return f"{value:{spec}}" if math.isfinite(value) else NOTHING
-
-
-def counted(count: int, noun: str) -> str:
-    """A number of things, in words."""
-    return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
-
-
-@dataclass(frozen=True)
-class Column:
-    """The header of a column.
-
-    Attributes:
-        group: Name of the columns that it belongs to; empty for none.
-        title: Its name.
-        is_number: Whether it holds numbers.
-    """
-
-    group: str
-    title: str
-    is_number: bool
 
 
 @dataclass(frozen=True)
@@ -61,6 +50,7 @@ class Table:
         is_text: Whether its cells hold running text, which wraps.
     """
 
+    kind: ClassVar = "table"
     name: str
     caption: str
     frame: pd.DataFrame
@@ -73,39 +63,125 @@ class Table:
         return str(self.frame.index.name or "")
 
     @property
-    def columns(self) -> list[Column]:
-        """The headers of the other columns."""
+    def columns(self) -> list[tuple[str, str, bool]]:
+        """Group, title, and whether it holds numbers, of each of the other columns."""
         labels = [label if isinstance(label, tuple) else ("", label) for label in self.frame]
-        return [
-            Column(group, title, is_numeric_dtype(dtype))
-            for (group, title), dtype in zip(labels, self.frame.dtypes, strict=True)
-        ]
+        numeric = map(is_numeric_dtype, self.frame.dtypes)
+        return [(*label, is_number) for label, is_number in zip(labels, numeric, strict=True)]
 
     @property
     def groups(self) -> list[tuple[str, int]]:
         """Names of neighbouring columns' groups, each with its width; nothing for no group."""
-        names = [column.group for column in self.columns]
+        names = [group for group, *_ in self.columns]
         return [(name, len([*run])) for name, run in groupby(names)] if any(names) else []
 
     @property
     def rows(self) -> Iterator[tuple[str, tuple[str, ...]]]:
         """The heading and the cells of each row."""
-        columns = [
-            [number(value, self._format(column)) for value in values]
-            if column.is_number
-            else values
-            for column, (_, values) in zip(self.columns, self.frame.items(), strict=True)
-        ]
+        columns = []
+        for (group, title, is_number), (_, cells) in zip(
+            self.columns, self.frame.items(), strict=True
+        ):
+            spec = self.formats.get(title) or self.formats.get(group, "z.3f")
+            columns.append([number(cell, spec) for cell in cells] if is_number else cells)
         return zip(self.frame.index, zip(*columns, strict=True), strict=True)
-
-    def _format(self, column: Column) -> str:
-        return self.formats.get(column.title) or self.formats.get(column.group, "z.3f")
 
 
 def pairs_table(name: str, caption: str, pairs: Sequence[tuple[str, str]]) -> Table:
     """A table of names and what they stand for, in words."""
     frame = pd.DataFrame([*pairs], columns=["name", "value"]).set_index("name")
     return Table(name, caption, frame, is_text=True)
+
+
+@dataclass(frozen=True)
+class ReportFigure:
+    """A figure on a page, and beside it as files with its data.
+
+    Attributes:
+        name: Name of its files; empty for a figure that has none.
+        caption: What is to be seen.
+        draw: Draws the figure in a style.
+        description: What it shows, in words for who cannot see it.
+        data: Its data, with units in the names of the columns.
+        is_map: Whether its colours stand for values: on a dark page they stay as they are.
+    """
+
+    kind: ClassVar = "figure"
+    name: str
+    caption: str
+    draw: Callable[[FigureStyle], Figure]
+    description: str
+    data: pd.DataFrame = field(default_factory=pd.DataFrame)
+    is_map: bool = False
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "draw", cache(self.draw))  # for the page and for its files
+
+    @property
+    def files(self) -> list[str]:
+        """Names of its files."""
+        return [f"{self.name}.{suffix}" for suffix in ("pdf", "png", "csv") if self.name]
+
+    @property
+    def svg(self) -> str:
+        """The picture on the page."""
+        return svg_of(self.draw(DEFAULT_STYLE))
+
+    def write(self, folder: Path, style: FigureStyle) -> None:
+        """Write its files to a folder."""
+        pdf, png, csv = (folder / name for name in self.files)
+        write_table(self.data, csv)
+        for path in (pdf, png):
+            save_figure(self.draw(style), path)
+
+
+@dataclass(frozen=True)
+class Heading:
+    """A heading within a section."""
+
+    kind: ClassVar = "heading"
+    text: str
+
+
+@dataclass(frozen=True)
+class Bullets:
+    """A list of statements; `notes` stand out."""
+
+    kind: ClassVar = "bullets"
+    lines: Sequence[str]
+    style: str = ""
+
+
+@dataclass(frozen=True)
+class Folded:
+    """Tables that are shown on demand, under a title."""
+
+    kind: ClassVar = "folded"
+    title: str
+    tables: Sequence[Table]
+
+
+@dataclass(frozen=True)
+class Section:
+    """A section of a page.
+
+    Attributes:
+        name: Its identifier.
+        title: Its heading, here and in the contents.
+        parts: What it holds, in order: paragraphs as text, headings, lists, tables, figures, and a
+            `Scene`.
+        files: Further tables in the folder beside the page, by the names of their CSV files.
+    """
+
+    name: str
+    title: str
+    parts: Sequence[Any]
+    files: Mapping[str, pd.DataFrame] = field(default_factory=dict)
+
+    @property
+    def figures(self) -> list[ReportFigure]:
+        """Its figures."""
+        return [part for part in self.parts if isinstance(part, ReportFigure)]
 
 
 _NOT_DRAWN = re.compile(
@@ -136,18 +212,21 @@ def _shortened(polyline: re.Match[str]) -> str:
     return f"M{start[0]:g} {start[1]:g}l" + " ".join(f"{x:g} {y:g}" for x, y in steps)
 
 
-def render(template: str, **content: Any) -> str:
-    """A page from its template; every text in it is escaped.
+def render(title: str, subtitle: str, sections: Sequence[Section], **content: Any) -> str:
+    """A page as one self-contained file; every text in it is escaped.
 
     Args:
-        template: File in `report/templates`.
-        content: What the template names; `markupsafe.Markup` stands as it is.
+        title: Its title.
+        subtitle: What it shows, below the title.
+        sections: Its sections.
+        content: `metadata`, names and texts under the title; `folder`, where the figures' files
+            are; `wide`, whether the page is as wide as the screen.
     """
-    return _environment().get_template(template).render(**content)
+    return _template().render(title=title, subtitle=subtitle, sections=sections, **content)
 
 
 @cache
-def _environment() -> Environment:
+def _template() -> Any:
     environment = Environment(
         loader=PackageLoader("socket_testbed", "report/templates"),
         autoescape=True,
@@ -155,11 +234,7 @@ def _environment() -> Environment:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    filters: dict[str, Callable[[Any], str]] = {
-        "svg_url": svg_url,
-        "g": lambda value: f"{value:g}",
-    }
-    environment.filters |= filters
+    environment.filters["svg_url"] = svg_url
     environment.globals |= {"font": FONT, "masked": MASKED}
     environment.policies["json.dumps_kwargs"] = {"separators": (",", ":")}
-    return environment
+    return environment.get_template("page.html")

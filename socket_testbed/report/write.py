@@ -2,33 +2,44 @@
 
 from __future__ import annotations
 
-import signal
-from collections.abc import Callable, Iterator
-from concurrent.futures import Executor
-from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
+from collections.abc import Callable
 from datetime import datetime
 from pathlib import Path
 
-from joblib.externals.loky import ProcessPoolExecutor
-
 from socket_testbed.errors import ConfigurationError
 from socket_testbed.files import atomic_output, check_outputs, refuse_existing
-from socket_testbed.report.figure_files import (
-    draw_figures,
-    errors_table,
-    residuals_table,
-    surface_scene,
-)
 from socket_testbed.report.figures.style import DEFAULT_STYLE, FigureStyle
-from socket_testbed.report.page import render
-from socket_testbed.report.pressure import regions_frame
+from socket_testbed.report.page import Section, render
 from socket_testbed.report.results import Results
-from socket_testbed.report.sections import page_content
+from socket_testbed.report.sections import (
+    channels,
+    fronts,
+    pressure,
+    provenance,
+    quality,
+    summary,
+    surface,
+    validation,
+)
 from socket_testbed.tables import write_table
 
 _SUFFIXES = (".html", ".htm")
-_ERRORS = "errors.csv"
+_ERRORS = "errors.csv"  # in the folder of every report
+
+# The sections in the order of the page; provenance, which needs the command, comes last.
+SECTIONS: tuple[Callable[[Results], Section], ...] = (
+    summary.section,
+    pressure.section,
+    channels.wrench_section,
+    channels.local_section,
+    channels.paper_section,
+    channels.errors_section,
+    validation.section,
+    fronts.section,
+    surface.section,
+    quality.section,
+    provenance.certificates_section,
+)
 
 
 def files_folder(page: Path) -> Path:
@@ -80,47 +91,24 @@ def write_report(
     """
     check_page_path(page, replace)
     folder = files_folder(page)
-    with (
-        atomic_output(page) as new_page,
-        atomic_output(folder, replace) as new_folder,
-        worker_process() as worker,
-    ):
+    sections = [make(results) for make in SECTIONS]
+    sections.append(provenance.section(results, command, made))
+    figures = [figure for section in sections for figure in section.figures]
+    with atomic_output(page) as new_page, atomic_output(folder, replace) as new_folder:
         new_folder.mkdir()
-        figures = draw_figures(results)
-        drawn = [figure for of_section in figures.values() for figure in of_section]
-        written = [figure.write(new_folder, style, worker) for figure in drawn]
-        write_table(errors_table(results.candidates), new_folder / _ERRORS)
-        write_table(regions_frame(results.pressure), new_folder / "pressure.csv")
-        write_table(residuals_table(results.candidates), new_folder / "residuals.csv")
+        for section in sections:
+            for name, frame in section.files.items():
+                write_table(frame, new_folder / name)
+        for done, figure in enumerate(figures, start=1):
+            figure.write(new_folder, style)
+            if progress is not None:
+                progress(done, len(figures))
         text = render(
-            "report.html",
-            title=f"Report on {results.trial.name}",
-            subtitle=(
-                f"{results.segment}, theta {results.settings.identification.theta:g}; measured"
-                " against predicted wrench and local forces, with and without offsets"
-            ),
-            segment=str(results.segment),
-            figures=figures,
+            f"Report on {results.trial.name}",
+            f"{results.segment}, theta {results.settings.identification.theta:g}; measured against"
+            " predicted wrench and local forces, with and without offsets",
+            sections,
+            metadata=results.trial.metadata.described(),
             folder=folder.name,
-            scene=surface_scene(results),
-            **page_content(results, command, made),
         )
         new_page.write_text(text, encoding="utf-8")
-        for done, (figure, files) in enumerate(zip(drawn, written, strict=True), start=1):
-            try:
-                files.result()
-            except BrokenProcessPool:  # the worker was killed, as for want of memory
-                figure.write_here(new_folder, style)
-            if progress is not None:
-                progress(done, len(drawn))
-
-
-@contextmanager
-def worker_process() -> Iterator[Executor]:
-    """A process beside this one; Ctrl-C reaches both, and it is left to this one."""
-    ignored = (signal.SIGINT, signal.SIG_IGN)
-    worker = ProcessPoolExecutor(1, initializer=signal.signal, initargs=ignored)
-    try:
-        yield worker
-    finally:
-        worker.shutdown(kill_workers=True)

@@ -57,6 +57,10 @@ class ClusterSettings(Settings):
         ("brim_lateral", "mid_anterior", "posterior_distal", "distal"),
         "names of the clusters [-]", fixed=True,
     )  # fmt: skip
+    chip: str = setting(
+        "fdc1004", "chip of the clusters, one of CAPACITIVE_CHIPS in live/hardware.py [-]",
+        fixed=True,
+    )  # fmt: skip
     buses: tuple[int, ...] = setting(
         (1, 1, 1, 1), "number N of the bus /dev/i2c-N that each cluster is on [1]", 0, 255,
         fixed=True,
@@ -68,8 +72,8 @@ class ClusterSettings(Settings):
         (0, 1, 2, 3), "channel of the multiplexer that each cluster is on [1]", 0, 7, fixed=True
     )
     sample_rate: int = setting(
-        400, "conversions of a chip, shared by its four inputs: 100, 200 or 400 [1/s]", 100, 400,
-        fixed=True,
+        400, "conversions of a chip, shared by its four inputs; FDC1004: 100, 200, 400 [1/s]", 1,
+        100_000, fixed=True,
     )  # fmt: skip
     simulation: str = setting(
         "", "folder of a simulated world; empty: the hardware [-]", fixed=True

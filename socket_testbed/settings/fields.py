@@ -3,30 +3,33 @@
 from __future__ import annotations
 
 import dataclasses
-import math
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cache
-from typing import Any, TypeVar, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 
+import msgspec
+from msgspec import Meta
+
+from socket_testbed.documents import FINITE, Document, convert, plain, refuse_unknown
 from socket_testbed.errors import ConfigurationError
-from socket_testbed.files import check_number, closest
 
 S = TypeVar("S", bound="Settings")
 
-_resolve = cache(get_type_hints)  # a front makes hundreds of settings
+# Switches of older files that the package no longer has; switched off, they change nothing.
+_RETIRED = ("noise_correction",)
 
-
-def _type_hints(kind: Any) -> dict[str, Any]:
-    return _resolve(kind)
+_hints: Callable[[Any], dict[str, Any]] = cache(get_type_hints)  # a front makes hundreds
 
 
 def setting(
     default: Any,
     description: str,
-    low: float = -math.inf,
-    high: float = math.inf,
+    low: float = -FINITE,
+    high: float = FINITE,
     choices: tuple[str, ...] = (),
     fixed: bool = False,
+    auto: float | None = None,
 ) -> Any:
     """A field of a settings class.
 
@@ -37,6 +40,7 @@ def setting(
         high: Largest value allowed.
         choices: The values allowed, for a text.
         fixed: Whether a node takes it at its start only.
+        auto: The number that the text `auto` stands for; None where it stands for none.
     """
     metadata = {
         "description": description,
@@ -44,32 +48,61 @@ def setting(
         "high": high,
         "choices": choices,
         "fixed": fixed,
+        "auto": auto,
     }
     return field(default=default, metadata=metadata)
 
 
+@cache
+def _document(kind: Any) -> type[msgspec.Struct]:
+    """The fields of settings as those of a document, without the settings below."""
+    hints = get_type_hints(kind)
+    declared = [
+        (item.name, _checked(hints[item.name], item.metadata))
+        for item in dataclasses.fields(kind)
+        if item.metadata
+    ]
+    return msgspec.defstruct(kind.__name__, declared, bases=(Document,))
+
+
+def _checked(kind: Any, limits: Mapping[str, Any]) -> Any:
+    """A type with the limits of its field."""
+    if get_origin(kind) is tuple:
+        return tuple[_checked(get_args(kind)[0], limits), ...]  # type: ignore[misc]
+    if limits["choices"]:
+        return Literal[limits["choices"]]
+    span = {"ge": limits["low"], "le": limits["high"]} if kind in (int, float) else {}
+    return Annotated[kind, Meta(description=limits["description"], **span)]
+
+
 @dataclass(frozen=True)
 class Settings:
-    """Base of the settings: every field is checked for type and range on construction."""
+    """Base of the settings: every field is checked for type and range on construction.
+
+    A text such as `1e-08` stands for the number: ROS may hand over one for the other.
+    """
 
     def __post_init__(self) -> None:
-        hints = _type_hints(type(self))
+        given = {}
         for item in dataclasses.fields(self):
             if item.metadata:
-                checked = _check(getattr(self, item.name), hints[item.name], item)
-                object.__setattr__(self, item.name, checked)
+                value, auto = getattr(self, item.name), item.metadata["auto"]
+                given[item.name] = auto if auto is not None and value == "auto" else plain(value)
+        kind: Any = type(self)  # a type is hashable, whatever its objects are
+        checked = convert(given, _document(kind), strict=False)
+        for name in given:
+            object.__setattr__(self, name, getattr(checked, name))
 
     @classmethod
     def flat(cls, prefix: str = "") -> dict[str, dataclasses.Field[Any]]:
         """All fields by their dotted names, those of the settings below included."""
         names: dict[str, dataclasses.Field[Any]] = {}
-        hints = _type_hints(cls)
+        hints = _hints(cls)
         for item in dataclasses.fields(cls):
-            kind = hints[item.name]
-            if issubclass(get_origin(kind) or kind, Settings):
-                names |= kind.flat(f"{prefix}{item.name}.")
-            else:
+            if item.metadata:
                 names[prefix + item.name] = item
+            else:
+                names |= hints[item.name].flat(f"{prefix}{item.name}.")
         return names
 
     @classmethod
@@ -85,16 +118,14 @@ class Settings:
             ConfigurationError: For an unknown name, or a wrong type or range.
         """
         if not prefix:
-            known = cls.flat()
-            for name in values:
-                if name not in known:
-                    raise ConfigurationError(f"{where}: unknown key '{name}'", closest(name, known))
-        hints = _type_hints(cls)
+            kept = [n for n in values if not (values[n] is False and n.endswith(_RETIRED))]
+            refuse_unknown(kept, cls.flat(), where)
+        hints = _hints(cls)
         arguments: dict[str, Any] = {}
         for item in dataclasses.fields(cls):
-            kind = hints[item.name]
-            if issubclass(get_origin(kind) or kind, Settings):
-                arguments[item.name] = kind.from_flat(values, where, f"{prefix}{item.name}.")
+            if not item.metadata:
+                below = f"{prefix}{item.name}."
+                arguments[item.name] = hints[item.name].from_flat(values, where, below)
             elif prefix + item.name in values:
                 arguments[item.name] = values[prefix + item.name]
         try:
@@ -120,28 +151,3 @@ def parameter_values(settings: Settings) -> dict[str, Any]:
     An empty list has no type in ROS: a list of one empty text stands for it.
     """
     return {name: [""] if v == [] else v for name, v in settings.to_flat().items()}
-
-
-def _check(value: Any, kind: Any, item: dataclasses.Field[Any]) -> Any:
-    limits = item.metadata
-    if get_origin(kind) is tuple:
-        element = get_args(kind)[0]
-        if not isinstance(value, list | tuple):
-            raise ConfigurationError(f"{item.name} is '{value}'", "give a list instead")
-        return tuple(_check_scalar(entry, element, item.name, limits) for entry in value)
-    return _check_scalar(value, kind, item.name, limits)
-
-
-def _check_scalar(value: Any, kind: Any, name: str, limits: Any) -> Any:
-    if kind is float:
-        return check_number(value, name, limits["low"], limits["high"])
-    if kind is int:
-        number = check_number(value, name, limits["low"], limits["high"])
-        if number != int(number):
-            raise ConfigurationError(f"{name} is {value}", "give a whole number instead")
-        return int(number)
-    if not isinstance(value, kind):
-        raise ConfigurationError(f"{name} is '{value}'", f"give a {kind.__name__} instead")
-    if limits["choices"] and value not in limits["choices"]:
-        raise ConfigurationError(f"{name} is '{value}'", closest(value, limits["choices"]))
-    return value

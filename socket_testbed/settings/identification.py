@@ -6,8 +6,7 @@ import sys
 from dataclasses import dataclass
 from typing import Literal, get_args
 
-from socket_testbed.errors import ConfigurationError
-from socket_testbed.files import closest
+from socket_testbed.errors import ConfigurationError, closest
 from socket_testbed.settings.fields import Settings, setting
 
 Variant = Literal["stiffness", "stiffness_bias", "rigid", "rigid_bias"]
@@ -55,12 +54,18 @@ class IdentificationSettings(Settings):
         2000.0, "sharpness alpha of the unilateral gate [1/m]", 1.0, 1e6
     )
     initial_stiffness: float = setting(
-        3000.0, "stiffness k0 of every spring in Stage 1 [N/m]", 1.0, 1e7
+        3000.0, "stiffness k0 of every spring in Stage 1; auto or 0: from the trial's slope [N/m]",
+        0.0, 1e7, auto=0.0,
+    )  # fmt: skip
+    reference_position: tuple[float, ...] = setting(
+        (),
+        "q_ref, centre of the rest positions' box; none: the mean limb position [m]",
+        -10.0,
+        10.0,
     )
     rest_position_limit: float = setting(
-        0.008, "largest distance of a rest position from the mean limb position, per axis [m]",
-        1e-5, 0.1,
-    )  # fmt: skip
+        0.008, "largest distance of a rest position from q_ref, per axis [m]", 1e-5, 0.1
+    )
     smoothness: float = setting(
         1e-3, "weight of the smoothness over neighbouring tiles against the errors [-]", 0.0, 1e6
     )
@@ -79,17 +84,25 @@ class IdentificationSettings(Settings):
     leave_out: tuple[str, ...] = setting(
         (), "channels left out of the objective, such as distal.Fx or Mz [-]"
     )
+    frames: int = setting(
+        0, "samples from the segment's start that offline fits use; 0: all [1]", 0, 10_000_000
+    )
     pose_smoothing: float = setting(
         0.0, "centred window of the mean pose in offline fits and evaluations; 0: none [s]",
         0.0, 60.0,
     )  # fmt: skip
-    noise_correction: bool = setting(
-        False, "subtract the share of the pose's noise from the products of Stage 2 [-]"
-    )
-    solver: str = setting("osqp", "for programs with many optima; any that qpsolvers supports [-]")
+    solver: str = setting("osqp", "what solves the programs: any solver that qpsolvers finds [-]")
     solver_tolerance: float = setting(
         1e-8, "largest KKT residual that a solution may have, in scaled units [-]", 1e-12, 1e-2
     )
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if len(self.reference_position) not in (0, 3):
+            raise ConfigurationError(
+                f"reference_position has {len(self.reference_position)} numbers",
+                "give x, y and z in m, or none for the mean limb position",
+            )
 
 
 @dataclass(frozen=True)

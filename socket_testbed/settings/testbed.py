@@ -12,8 +12,8 @@ from typing import Any
 
 import yaml
 
+from socket_testbed.documents import Document, read_document, refuse_unknown
 from socket_testbed.errors import ConfigurationError
-from socket_testbed.files import Section, read_document
 from socket_testbed.settings.acquisition import (
     ClusterSettings,
     LoadCellSettings,
@@ -149,7 +149,14 @@ class ReplaySettings(Settings):
         "", "namespace to publish into, such as /left; empty: as recorded [-]", fixed=True
     )
     geometry: str = setting(
-        "", "path of socket.yaml, for the transforms; empty: the trial's own [-]", fixed=True
+        "", "path of socket.yaml, for transforms and poses; empty: the trial's own [-]", fixed=True
+    )
+    load_cell: str = setting(
+        "", "path of testbed.yaml whose load cell makes the wrenches; empty: the trial's own [-]",
+        fixed=True,
+    )  # fmt: skip
+    tare: str = setting(
+        "recorded", "tare of the wrenches: recorded, none, or T0:T1 without load [s]", fixed=True
     )
     rate: float = setting(
         1.0, "speed of the replay against the recording [-]", 1e-3, 1e4, fixed=True
@@ -207,6 +214,10 @@ _OF_A_RUN = (
 )
 
 
+class _Node(Document):
+    ros__parameters: dict[str, Any]
+
+
 def read_testbed(path: Path, defaults: TestbedSettings | None = None) -> TestbedSettings:
     """Read `testbed.yaml`: node parameters in the ROS format, one section per node.
 
@@ -221,11 +232,11 @@ def read_testbed(path: Path, defaults: TestbedSettings | None = None) -> Testbed
     """
     defaults = defaults or TestbedSettings()
     kinds = {name: type(settings) for name, settings in defaults.nodes().items()}
-    document = read_document(path).expect(kinds)
+    document = read_document(path, dict[str, _Node])
+    refuse_unknown(document, kinds, str(path))
     given: dict[str, Any] = {}
-    for node in document.names():
-        parameters = document.section(node).expect(("ros__parameters",)).section("ros__parameters")
-        values = _flatten(parameters)
+    for node, section in document.items():
+        values = _flatten(section.ros__parameters)
         values.pop("use_sim_time", None)
         given[node] = kinds[node].from_flat(values, f"{path}: {node}")
     return replace(defaults, **given)
@@ -267,13 +278,11 @@ def write_testbed(nodes: dict[str, Settings], path: Path) -> None:
     path.write_text(yaml.safe_dump(document, sort_keys=False), encoding="utf-8")
 
 
-def _flatten(section: Section) -> dict[str, Any]:
+def _flatten(section: dict[str, Any]) -> dict[str, Any]:
     flat: dict[str, Any] = {}
-    for key in section.names():
-        value = section.take(key)
+    for key, value in section.items():
         if isinstance(value, dict):
-            nested = _flatten(section.section(key))
-            flat |= {f"{key}.{name}": entry for name, entry in nested.items()}
+            flat |= {f"{key}.{name}": entry for name, entry in _flatten(value).items()}
         else:
             flat[key] = value
     return flat

@@ -14,14 +14,22 @@ import numpy as np
 
 from socket_testbed.arrays import FloatArray, IntArray
 from socket_testbed.calibration.model import Calibration
+from socket_testbed.drivers.load_cell.bridges import Bridges
 from socket_testbed.errors import TrialError
-from socket_testbed.files import atomic_output, check_new_folder, make_folder
+from socket_testbed.files import atomic_output, check_new_folder, make_folder, packaged
 from socket_testbed.geometry.marker_bodies import fit_body
 from socket_testbed.geometry.pose import Pose
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.samples import Status
+from socket_testbed.settings.testbed import read_testbed
 from socket_testbed.simulation.limb import LoadedLimb, Scenario, TissueKind, load_history
-from socket_testbed.simulation.sensor_errors import SensorErrors, wrench_noise, wrench_offset
+from socket_testbed.simulation.sensor_errors import (
+    SensorErrors,
+    vibration,
+    wrench_noise,
+    wrench_offset,
+    wrench_vibration,
+)
 from socket_testbed.simulation.sensors import (
     CAMERA_RATE,
     ClusterSensor,
@@ -33,6 +41,7 @@ from socket_testbed.simulation.sensors import (
 from socket_testbed.trials.bag import BagWriter, encode, message_class
 from socket_testbed.trials.topics import (
     CAPACITANCE,
+    LOAD_CELL_RAW,
     MARKERS,
     PYLON_POSE,
     SOCKET_POSE,
@@ -48,6 +57,7 @@ TRUTH_FILE = "ground_truth.npz"
 _DELAYS = {
     TRIGGER: 0,
     WRENCH: 3_000_000,
+    LOAD_CELL_RAW: 3_100_000,
     SOCKET_POSE: 8_000_000,
     PYLON_POSE: 8_100_000,
     MARKERS: 8_200_000,
@@ -106,11 +116,11 @@ class SimulatedTrial:
 
 
 def random_streams(seed: int) -> tuple[np.random.Generator, ...]:
-    """Streams of tissue, load, load cell, clusters and markers.
+    """Streams of tissue, load, load cell, clusters, markers and vibration.
 
     One each: another duration or error size leaves the other parts as they are.
     """
-    return tuple(np.random.default_rng(child) for child in np.random.SeedSequence(seed).spawn(5))
+    return tuple(np.random.default_rng(child) for child in np.random.SeedSequence(seed).spawn(6))
 
 
 def simulate(
@@ -145,7 +155,7 @@ def simulate(
     """
     calibration.require(geometry.clusters, "the socket")
     errors = errors or SensorErrors()
-    tissue_rng, load_rng, cell_rng, cluster_rng, marker_rng = random_streams(seed)
+    tissue_rng, load_rng, cell_rng, cluster_rng, marker_rng, shake_rng = random_streams(seed)
     count = max(2, round(duration * rate))
     time = np.arange(count) / rate
     load = load_history(scenario, time, load_rng)
@@ -163,9 +173,12 @@ def simulate(
     for cluster in geometry.clusters:
         sensor = ClusterSensor(calibration.clusters[cluster], errors, cluster_rng)
         stress = cluster_stress(geometry, cluster, forces)
+        size = errors.stress_vibration * shake_rng.uniform(0.5, 1.5, 3)
+        stress += vibration(size, time, shake_rng)
         capacitance[cluster] = sensor.read(stress, time, cluster_rng)
     felt = load + wrench_offset(errors, cell_rng) + wrench_noise(errors, count, cell_rng)
     felt += wrench_creep(errors, load, time, cell_rng)
+    felt += vibration(wrench_vibration(errors), time, shake_rng)
 
     window = min(mocap_window, 1.0 / rate)
     markers, poses = _motion_capture(geometry, truth, rate, window, errors, marker_rng)
@@ -250,14 +263,16 @@ def write_simulated_trial(
         ConfigurationError: If the folder exists or cannot be written.
     """
     check_new_folder(path)
-    configuration = read_configuration(geometry_file, calibration_file)
+    parameters = packaged("config", "simulated.yaml")
+    configuration = read_configuration(geometry_file, calibration_file, parameters)
+    ratios = Bridges(read_testbed(parameters).load_cell_node).ratios_at(trial.wrench)
     make_folder(path.parent)
     with atomic_output(path) as staging:
         with BagWriter(staging) as bag:
             for topic in _DELAYS:
                 bag.add_topic("/" + topic.name, topic)
             for k, stamp in enumerate(trial.stamps.tolist()):
-                for topic, message in _messages(trial, k):
+                for topic, message in _messages(trial, ratios[k], k):
                     time = stamp + _DELAYS[topic]
                     bag.write("/" + topic.name, time, encode(message, topic.type))
         store_configuration(staging, configuration)
@@ -337,13 +352,13 @@ def _between(values: FloatArray, after: IntArray, share: FloatArray) -> FloatArr
     return np.asarray((1.0 - share) * values[after - 1] + share * values[after])
 
 
-def _messages(trial: SimulatedTrial, k: int) -> Iterator[tuple[Topic, Any]]:
-    """The messages of one trigger, in the order of their recording."""
+def _messages(trial: SimulatedTrial, ratios: FloatArray, k: int) -> Iterator[tuple[Topic, Any]]:
+    """The messages of trigger k, whose ratios [mV/V] are given, in the order of their recording."""
     stamp = int(trial.stamps[k])
     yield TRIGGER, _make(TRIGGER.type, header=_header(stamp), sequence=k)
-    moment, force = _vector(trial.wrench[k, :3]), _vector(trial.wrench[k, 3:])
-    wrench = _make("geometry_msgs/msg/Wrench", force=force, torque=moment)
-    yield WRENCH, _make(WRENCH.type, header=_header(stamp), wrench=wrench)
+    yield WRENCH, _make(WRENCH.type, header=_header(stamp), wrench=_wrench(trial.wrench[k]))
+    raw = {"ratios": 1e-3 * ratios, "tare": _wrench(np.zeros(6)), "tared": _time(0)}
+    yield LOAD_CELL_RAW, _make(LOAD_CELL_RAW.type, header=_header(stamp), **raw, status=Status.OK)
     for topic, pose in ((SOCKET_POSE, trial.socket_pose), (PYLON_POSE, trial.pylon_pose)):
         yield topic, _make(topic.type, header=_header(stamp, "world"), pose=_pose(pose, k))
     bodies = [
@@ -364,9 +379,17 @@ def _make(message_type: str, **content: Any) -> Any:
 
 
 def _header(stamp: int, frame: str = "load_cell") -> Any:
+    return _make("std_msgs/msg/Header", stamp=_time(stamp), frame_id=frame)
+
+
+def _time(stamp: int) -> Any:
     seconds, nanoseconds = divmod(stamp, 1_000_000_000)
-    time = _make("builtin_interfaces/msg/Time", sec=seconds, nanosec=nanoseconds)
-    return _make("std_msgs/msg/Header", stamp=time, frame_id=frame)
+    return _make("builtin_interfaces/msg/Time", sec=seconds, nanosec=nanoseconds)
+
+
+def _wrench(values: FloatArray) -> Any:
+    moment, force = _vector(values[:3]), _vector(values[3:])
+    return _make("geometry_msgs/msg/Wrench", force=force, torque=moment)
 
 
 def _vector(values: FloatArray) -> Any:

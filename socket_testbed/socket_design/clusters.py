@@ -9,20 +9,22 @@ import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 import trimesh
+from msgspec import Meta
 from trimesh.triangles import closest_point
 
 from socket_testbed.arrays import FloatArray
+from socket_testbed.documents import Document, FieldError, read_document
 from socket_testbed.errors import ConfigurationError
-from socket_testbed.files import Section, read_document
-from socket_testbed.geometry.pose import about_z, read_rotation
+from socket_testbed.geometry.pose import Point, RotationRows, about_z, check_rotation
 from socket_testbed.geometry.socket import ScanFrame
 from socket_testbed.socket_design.squares import Squares, SurfacePoints
 from socket_testbed.socket_design.tile_fit import Footprints, Surroundings, roughly_fit, squares_at
 
-_FARTHEST_SCAN = 1e5  # [of the scan's unit]
+_Scanned = Annotated[float, Meta(ge=-1e5, le=1e5)]  # in the scan's unit
 
 
 @dataclass(frozen=True)
@@ -59,27 +61,35 @@ def read_cluster_places(path: Path) -> list[ClusterPlace]:
     Raises:
         ConfigurationError: If anything in the file is not as it must be.
     """
-    document = read_document(path).expect(("clusters",))
-    return [_place(name, section) for name, section in document.sections("clusters")]
+    places = read_document(path, _Places).clusters
+    return [_place(name, place, f"{path}: clusters: {name}") for name, place in places.items()]
 
 
-def _place(name: str, section: Section) -> ClusterPlace:
-    section.expect(("point", "scan", "anchor", "frame"))
-    for key, limit in (("point", 2.0), ("scan", _FARTHEST_SCAN)):
-        if key in section.names():
-            if len(section.names()) > 1:
-                raise ConfigurationError(
-                    f"{section.where}: has a {key} and {_others(section, key)}",
-                    "give a point, or a point of the scan, or anchor and frame",
-                )
-            centre = section.array(key, (3,), limit=limit)
-            return ClusterPlace(name, centre, None, section.where, key == "scan")
-    centre = section.array("anchor", (3,), limit=2.0)
-    return ClusterPlace(name, centre, read_rotation(section, "frame"), section.where)
+class _Place(Document):
+    point: Point | None = None
+    scan: tuple[_Scanned, _Scanned, _Scanned] | None = None
+    anchor: Point | None = None
+    frame: RotationRows | None = None
+
+    def __post_init__(self) -> None:
+        given = [key for key in self.__struct_fields__ if getattr(self, key) is not None]
+        if given not in (["point"], ["scan"], ["anchor", "frame"]):
+            raise FieldError(
+                f"has {' and '.join(given) or 'no place'}",
+                "give a point, or a point of the scan, or anchor and frame",
+            )
+        if self.frame is not None:
+            check_rotation(self.frame, "frame")
 
 
-def _others(section: Section, key: str) -> str:
-    return " and ".join(f"a {other}" for other in section.names() if other != key)
+class _Places(Document):
+    clusters: dict[str, _Place]
+
+
+def _place(name: str, place: _Place, where: str) -> ClusterPlace:
+    centre = np.array(place.point or place.scan or place.anchor)
+    frame = None if place.frame is None else np.array(place.frame)
+    return ClusterPlace(name, centre, frame, where, place.scan is not None)
 
 
 @dataclass(frozen=True)

@@ -2,24 +2,24 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 import trimesh
+from trimesh.triangles import closest_point
 
-from socket_testbed.arrays import FloatArray
-from socket_testbed.geometry.axis import axis_through
+from socket_testbed.arrays import FloatArray, IntArray
+from socket_testbed.errors import ConfigurationError
+from socket_testbed.geometry.axis import SocketAxis, axis_through
+from socket_testbed.geometry.pose import about_z
 from socket_testbed.geometry.socket import ScanFrame, SocketGeometry
 from socket_testbed.socket_design.clusters import ClusterPlace
 from socket_testbed.socket_design.interior import find_interior
-from socket_testbed.socket_design.layout import (
-    nominal_places,
-    refuse_unusual,
-    tiled_socket,
-)
 from socket_testbed.socket_design.placement import Placement
 from socket_testbed.socket_design.scan_file import METRES, Scan, refuse_implausible
+from socket_testbed.socket_design.squares import Squares
 from socket_testbed.socket_design.tiling import Tiling, TilingSettings, tile_interior
 
 _MOVED = 1e-4  # [m]; a cluster's tile that is farther from where it was asked is worth a note
@@ -173,3 +173,157 @@ def _distal_end(mesh: trimesh.Trimesh, proximal: FloatArray) -> FloatArray:
     middle = 0.5 * (vertices.min(axis=0) + vertices.max(axis=0))
     lowest = float((vertices @ proximal).min())
     return middle + (lowest - middle @ proximal) * proximal
+
+
+def tile_names(anchors: FloatArray, axis: SocketAxis) -> tuple[str, ...]:
+    """Names such as `h092_a045`: 92 mm above the distal end, 45 degrees from anterior.
+
+    The angle is about the axis, counterclockwise seen from above. Tiles at one place to the
+    millimetre and the degree differ by a letter.
+
+    Args:
+        anchors: Centres of the tiles, shape (n, 3) [m].
+        axis: The socket's axis.
+    """
+    heights = np.maximum(np.round(1e3 * axis.heights(anchors)), 0).astype(int)
+    angles = np.degrees(axis.angles(anchors))
+    names: list[str] = []
+    for height, angle in zip(heights, np.round(angles).astype(int) % 360, strict=True):
+        name = f"h{height:03d}_a{angle:03d}"
+        twins = sum(other.startswith(name) for other in names)
+        names.append(name + (chr(ord("a") + twins) if twins else ""))
+    return tuple(names)
+
+
+# Where three of the testbed's clusters usually are: angle from anterior [deg], and height of all.
+_USUAL = {"brim_lateral": (90.0, 1.0), "mid_anterior": (0.0, 0.6), "posterior_distal": (180.0, 0.2)}
+_DISTAL = "distal"
+_MOST_TURNED = 45.0  # [deg]; from there, for the name to be right
+_MOST_RAISED = 1.5  # [edges]; likewise
+_LOW = 0.06  # [m]; what is higher is no distal end
+_OPEN = 0.005  # [m]; hole around the axis that opens it
+
+
+def nominal_places(squares: Squares, axis: SocketAxis) -> dict[str, int]:
+    """The tiles where the four clusters of the testbed usually are, for a socket without a file.
+
+    Args:
+        squares: The tiles.
+        axis: The socket's axis.
+    """
+    turned, raised = _from_usual(axis, squares.anchors)
+    score = {name: 3.0 * np.cos(turned[name]) - 4.0 * raised[name] for name in _USUAL}
+    score[_DISTAL] = -np.linalg.norm(squares.anchors - axis.end, axis=1)
+    places: dict[str, int] = {}
+    for name, value in score.items():
+        best = next((int(i) for i in np.argsort(-value) if int(i) not in places.values()), None)
+        if best is not None:
+            places[name] = best
+    return places
+
+
+def _from_usual(
+    axis: SocketAxis, points: FloatArray
+) -> tuple[dict[str, FloatArray], dict[str, FloatArray]]:
+    """Angles [rad] and parts of the height [-] of points from the usual places, by their names."""
+    height, angle = axis.heights(points), axis.angles(points)
+    level = height / max(float(height.max()), 1e-9)
+    turned = {name: angle - np.radians(usual) for name, (usual, _) in _USUAL.items()}
+    return turned, {name: np.abs(level - usual) for name, (_, usual) in _USUAL.items()}
+
+
+def refuse_unusual(
+    places: dict[str, int], squares: Squares, mesh: trimesh.Trimesh, axis: SocketAxis
+) -> None:
+    """Refuse nominal clusters that the socket has no usual place for.
+
+    Args:
+        places: The nominal tile of each cluster.
+        squares: The tiles.
+        mesh: The interior [m].
+        axis: The socket's axis.
+
+    Raises:
+        ConfigurationError: With the list of what is wrong.
+    """
+    turned, raised = _from_usual(axis, squares.anchors)
+    most = (
+        _MOST_RAISED * squares.edge / max(float(axis.heights(squares.anchors).max()), squares.edge)
+    )
+    found = []
+    for name, tile in places.items():
+        anchor = squares.anchors[tile]
+        where = f"{name} {1e3 * float(axis.heights(anchor)):.0f} mm above the distal end"
+        if name != _DISTAL:
+            off = float(np.degrees(np.arccos(np.cos(turned[name][tile]))))
+            if off > _MOST_TURNED or raised[name][tile] > most:
+                found.append(f"{where} and {off:.0f} deg from its side")
+        elif np.linalg.norm(anchor - axis.end) > squares.edge:
+            found.append(where)
+        elif (hole := _hole_around(mesh, axis)) > _OPEN:
+            found.append(f"{name} beside a hole of {1e3 * hole:.0f} mm around the axis")
+    if found:
+        raise ConfigurationError(
+            f"the usual places of clusters are not on this socket ({'; '.join(found)})",
+            "give with --clusters FILE where yours are",
+        )
+
+
+def _hole_around(mesh: trimesh.Trimesh, axis: SocketAxis) -> float:
+    """Distance of the distal end's surface from the axis, looking along it [m]."""
+    triangles = np.asarray(mesh.triangles)
+    low = triangles[axis.heights(triangles).min(axis=1) < _LOW]
+    flat = low - axis.heights(low)[..., None] * axis.proximal
+    nearest = closest_point(flat, np.broadcast_to(axis.end, (len(flat), 3)))
+    return float(np.linalg.norm(nearest - axis.end, axis=1).min())
+
+
+def tiled_socket(
+    tiling: Tiling,
+    axis: SocketAxis,
+    nominal: dict[str, int],
+    bodies: SocketGeometry,
+    source: str,
+    scan: ScanFrame,
+) -> SocketGeometry:
+    """The geometry of a tiled socket in {S}, its tiles in the order of their names.
+
+    A tile that a cluster is on has the cluster's name.
+
+    Args:
+        tiling: The tiles in {S}, around the clusters that are known.
+        axis: The socket's axis.
+        nominal: The tiles of clusters whose places are not known.
+        bodies: A geometry with the marker bodies to take over.
+        source: What the tiles were made from.
+        scan: Where the scan is.
+    """
+    squares = tiling.squares
+    clusters = {laid.name: tile for tile, laid in enumerate(tiling.clusters)} | nominal
+    turned = {laid.name: laid.turned for laid in tiling.clusters if laid.turned}
+    rotations = squares.rotations.copy()
+    for name, angle in turned.items():  # a tile's x is proximal, however its cluster is turned
+        rotations[clusters[name]] = rotations[clusters[name]] @ about_z(-angle)
+    names = tile_names(squares.anchors, axis)
+    order = np.array(sorted(range(len(names)), key=names.__getitem__))
+    place_of = np.argsort(order)
+    name_of_cluster_tile = {tile: cluster for cluster, tile in clusters.items()}
+    return dataclasses.replace(
+        bodies,
+        names=tuple(name_of_cluster_tile.get(int(tile), names[tile]) for tile in order),
+        anchors=squares.anchors[order],
+        rotations=rotations[order],
+        areas=np.full(len(names), squares.edge**2),
+        neighbours=_renumbered(tiling.neighbours, place_of),
+        clusters={cluster: int(place_of[tile]) for cluster, tile in clusters.items()},
+        source=source,
+        regions={},
+        turned=turned,
+        scan=scan,
+    )
+
+
+def _renumbered(pairs: IntArray, place_of: IntArray) -> IntArray:
+    """Pairs of tiles by their new indices, each and all sorted."""
+    pairs = np.sort(place_of[pairs], axis=1)
+    return pairs[np.lexsort(pairs.T[::-1])]

@@ -14,18 +14,94 @@ from trimesh.util import diagonal_dot
 from socket_testbed.arrays import BoolArray, FloatArray, IntArray
 from socket_testbed.errors import ScanError
 from socket_testbed.socket_design.mesh import (
-    Axis,
-    area_vectors,
     boundary_half_edges,
     boundary_loops,
-    fit_axis,
     loop_length,
     number_cells,
     plain_mesh,
-    sample_surface,
     separate,
     wind_alike,
 )
+
+_EXACT = 1e-6  # [-]; misfit of an axis that is as good as exact
+_IN_QUESTION = 5.0  # [-]; misfit of an axis that cannot be ruled out, of the best misfit
+_ALIKE = 1.3  # [-]; between misfits so close that all axes between theirs fit as well
+
+
+@dataclass(frozen=True)
+class Axis:
+    """A line.
+
+    Attributes:
+        origin: A point of it, shape (3,) [m].
+        direction: Unit vector along it, shape (3,).
+    """
+
+    origin: FloatArray
+    direction: FloatArray
+
+
+@dataclass(frozen=True)
+class AxisFit:
+    """How well a surface is one of revolution about axes of any direction.
+
+    Attributes:
+        middle: Middle of the surface, shape (3,) [m].
+        moment: Best moment about the middle of an axis a unit direction, shape (3, 3) [m].
+        misfits: Mean square misfit of the principal directions, rising, shape (3,) [-].
+        directions: The principal directions, one a row, shape (3, 3).
+    """
+
+    middle: FloatArray
+    moment: FloatArray
+    misfits: FloatArray
+    directions: FloatArray
+
+    def likely(self) -> list[Axis]:
+        """The best axis, and those at right angles to it that cannot be ruled out."""
+        limit = _IN_QUESTION * max(float(self.misfits[0]), _EXACT)
+        return [self._along(direction) for direction in self.directions[self.misfits <= limit]]
+
+    def near(self, direction: FloatArray) -> Axis:
+        """The principal axis near a direction, or that direction where many fit alike.
+
+        Args:
+            direction: Unit vector, shape (3,).
+        """
+        best = int(np.abs(self.directions @ direction).argmax())
+        ratio = np.fmax(self.misfits, _EXACT) / max(float(self.misfits[best]), _EXACT)
+        alike = self.directions[np.abs(np.log(ratio)) < np.log(_ALIKE)]
+        towards = alike.T @ (alike @ direction)
+        return self._along(towards / np.linalg.norm(towards))
+
+    @property
+    def is_sharp(self) -> bool:
+        """Whether the best axis stands out."""
+        return float(self.misfits[1]) > _ALIKE * max(float(self.misfits[0]), _EXACT)
+
+    def _along(self, direction: FloatArray) -> Axis:
+        return Axis(self.middle + np.cross(direction, self.moment @ direction), direction)
+
+
+def fit_axis(mesh: trimesh.Trimesh) -> AxisFit:
+    """Fit an axis of revolution to a surface.
+
+    A rotation about the direction c with the moment m moves the point p by c x p + m. It leaves
+    a surface of revolution in itself, so ``n . (c x p + m) = 0`` there; that is solved in least
+    squares for |c| = 1 (Pottmann and Randrup 1998, Computing 60, 307-322). Neither the sign of
+    the normals nor a part of the circumference that is missing matters.
+    """
+    weights = mesh.area_faces / mesh.area
+    normals, centres = np.asarray(mesh.face_normals), np.asarray(mesh.triangles_center)
+    middle = weights @ centres
+    points = centres - middle
+    scale = max(float(np.sqrt(weights @ (points**2).sum(axis=1))), np.finfo(float).tiny)
+    columns = np.hstack([np.cross(points / scale, normals), normals])
+    gram = columns.T @ (weights[:, None] * columns)
+    moment = -np.linalg.pinv(gram[3:, 3:], rcond=1e-9, hermitian=True) @ gram[3:, :3]
+    misfits, directions = np.linalg.eigh(gram[:3, :3] + gram[:3, 3:] @ moment)
+    return AxisFit(middle, scale * moment, misfits, directions.T)
+
 
 _LONGEST_ROUND = 0.45  # [-]; of the length, for the radius of a rounded end
 _NARROW = 0.5  # [-]; of the radius, for what is no wall of the cavity but of a bore
@@ -87,6 +163,7 @@ def _weighted_median(values: FloatArray, weights: FloatArray) -> float:
 
 
 _FINENESS = 100  # samples along the side of a square of the surface's area
+_PER_SQUARE = 10  # samples in a square of the spacing, on average
 _NO_DEPTH = 1e-9  # [m]; a point on the spine has a direction, too
 _GRAZING = 0.2  # [-]; cosine below which a face is seen from neither side
 
@@ -130,7 +207,13 @@ class SurfaceSamples:
 def spread_samples(mesh: trimesh.Trimesh) -> SurfaceSamples:
     """Points on a surface, close enough together for its overall shape."""
     spacing = float(np.sqrt(mesh.area)) / _FINENESS
-    return SurfaceSamples(*sample_surface(mesh, spacing), spacing)
+    count = int(_PER_SQUARE * _FINENESS**2)
+    points, owners = trimesh.sample.sample_surface(mesh, count, seed=0)
+    return SurfaceSamples(
+        np.concatenate([np.arange(len(mesh.faces)), owners]),
+        np.concatenate([mesh.triangles_center, points]),  # each face has a vote
+        spacing,
+    )
 
 
 def look(mesh: trimesh.Trimesh, samples: SurfaceSamples, spine: Spine) -> Visibility:
@@ -294,6 +377,11 @@ def _opposite(
     return diagonal_dot(normals[partner], own) < _OPPOSITE
 
 
+def _area_vectors(mesh: trimesh.Trimesh) -> FloatArray:
+    """Normals of the faces times their areas, shape (F, 3) [m^2]."""
+    return 0.5 * np.asarray(mesh.triangles_cross)
+
+
 _SOLID = 0.5  # [-]; share of directions in which a cavity sees the front of something first
 _LEAST_WALL = 0.05  # [-]; area of the wall of a cavity, of that of the surface
 _FLAT = 0.95  # [-]; area of the caps that close a wall, of its own
@@ -331,7 +419,7 @@ class Cavity:
         point inwards, add up to those of the caps that would close it, turned outwards. An
         opening at the spine's beginning counts against one at its end; one at its side not.
         """
-        return float(area_vectors(self.wall).sum(axis=0) @ self.spine.axis.direction)
+        return float(_area_vectors(self.wall).sum(axis=0) @ self.spine.axis.direction)
 
     @property
     def has_clear_end(self) -> bool:
@@ -342,7 +430,7 @@ class Cavity:
     def has_wall(self) -> bool:
         """Whether what is seen from its front is large and not flat."""
         area = float(self.wall.area)
-        caps = float(np.linalg.norm(area_vectors(self.wall).sum(axis=0)))
+        caps = float(np.linalg.norm(_area_vectors(self.wall).sum(axis=0)))
         return area > _LEAST_WALL * float(self.mesh.area) and caps < _FLAT * area
 
     def along(self, axis: Axis, open_above: bool = False) -> Cavity:

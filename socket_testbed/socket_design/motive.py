@@ -14,33 +14,19 @@ from __future__ import annotations
 import csv
 import io
 import math
-from collections.abc import Collection, Iterable, Iterator
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass
-from itertools import pairwise, zip_longest
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 
-from socket_testbed.arrays import FloatArray, IntArray
-from socket_testbed.errors import RegistrationError
-from socket_testbed.files import closest, decimal
+from socket_testbed.arrays import BoolArray, FloatArray, IntArray
+from socket_testbed.documents import decimal, read_text
+from socket_testbed.errors import RegistrationError, closest
 from socket_testbed.geometry.pose import Pose
 
 _UNNAMED = ("Unlabeled", "Unlabelled")
-
-
-@dataclass(frozen=True)
-class TrackedBody:
-    """A rigid body as Motive tracked it over N frames.
-
-    Attributes:
-        pose: Poses of Motive's body frame in `world`; NaN where the body was not tracked.
-        error: Motive's mean error of a marker, shape (N,), taken to metres with the unit of
-            the positions; NaN where it was not exported.
-    """
-
-    pose: Pose
-    error: FloatArray
 
 
 @dataclass(frozen=True)
@@ -54,7 +40,7 @@ class MotiveTake:
         units: Unit of length in the file, as written there; all below is in metres.
         frames: Frame numbers, shape (N,).
         times: Times since the start of the take, shape (N,) [s].
-        bodies: Rigid bodies by name.
+        bodies: Poses of Motive's rigid bodies in `world` by name; NaN where one was not tracked.
         markers: Measured markers by name, in `world`, shape (N, 3) [m]; NaN where occluded.
         solved: Markers where Motive's rigid bodies expect them, likewise.
         doubled: Names that occur twice among the bodies, markers or solved markers; what has
@@ -68,7 +54,7 @@ class MotiveTake:
     units: str
     frames: IntArray
     times: FloatArray
-    bodies: dict[str, TrackedBody]
+    bodies: dict[str, Pose]
     markers: dict[str, FloatArray]
     solved: dict[str, FloatArray]
     doubled: frozenset[str]
@@ -77,8 +63,8 @@ class MotiveTake:
     def __len__(self) -> int:
         return len(self.frames)
 
-    def body(self, name: str) -> TrackedBody:
-        """A rigid body.
+    def body(self, name: str) -> Pose:
+        """Poses of a rigid body.
 
         Raises:
             RegistrationError: If the take does not have it.
@@ -124,324 +110,215 @@ class MotiveTake:
         return RegistrationError(f"{self.path}: has no {what} '{name}'", closest(name, labelled))
 
 
-_OLDEST, _NEWEST = 1.2, 1.25
+_OLDEST, _NEWEST = 1.2, 1.25  # versions of the format
 _METRES = {"meters": 1.0, "centimeters": 1e-2, "millimeters": 1e-3}
 _AGAIN = "export the take from Motive again"
-
-
-@dataclass(frozen=True)
-class MotiveHeader:
-    """The header of a take.
-
-    Attributes:
-        version: Version of the format.
-        frame_rate: Frame rate of the export [Hz].
-        units: Unit of length, as written.
-        scale: Unit of length [m].
-        exported: Number of frames that were exported; None where the header does not state it.
-        notes: What a person should know of it.
-    """
-
-    version: str
-    frame_rate: float
-    units: str
-    scale: float
-    exported: int | None
-    notes: tuple[str, ...]
-
-
-def read_header(cells: list[str], path: Path) -> MotiveHeader:
-    """Read the header.
-
-    Raises:
-        RegistrationError: If this is no header of Motive, or one of a file that is not read here.
-    """
-    cells = [cell.strip() for cell in cells]
-    if cells[0] != "Format Version":
-        raise RegistrationError(
-            f"{path}: is not a Motive export, which begins with 'Format Version'",
-            "export the take to CSV from Motive, with the header information",
-        )
-    # A comma in the name of the take shifts the pairs: what follows a key is its value.
-    values = dict(pairwise(cells))
-    for key in ("Format Version", "Length Units", "Rotation Type"):
-        if not values.get(key):
-            raise RegistrationError(f"{path}: the header has no '{key}'", _AGAIN)
-    version, units = values["Format Version"], values["Length Units"]
-    space = values.get("Coordinate Space", "Global")
-    kind, too_old = values["Rotation Type"], not _header_number(version) >= _OLDEST
-    for wrong, what, hint in (
-        (kind != "Quaternion", f"rotations of the type {kind}", "export quaternions"),
-        (
-            units.lower() not in _METRES,
-            f"lengths in '{units}'",
-            "export metres, centimetres or millimetres",
-        ),
-        (
-            space != "Global",
-            f"coordinates in the space '{space}'",
-            "export global (world) coordinates",
-        ),
-        (
-            too_old,
-            f"the format version {version}",
-            "export the take from a newer Motive (format 1.20 to 1.25)",
-        ),
-    ):
-        if wrong:
-            raise RegistrationError(f"{path}: has {what}", hint)
-    rates = [_header_number(values.get(f"{rate} Frame Rate", "")) for rate in ("Export", "Capture")]
-    rate = next((rate for rate in rates if 0.0 < rate < math.inf), None)
-    if rate is None:
-        raise RegistrationError(f"{path}: the header has no frame rate", _AGAIN)
-    unknown = f"{path}: the format version {version} is not known; read as {_NEWEST}"
-    exported = values.get("Total Exported Frames", "")
-    return MotiveHeader(
-        version=version,
-        frame_rate=rate,
-        units=units,
-        scale=_METRES[units.lower()],
-        exported=int(exported) if exported.isdecimal() else None,
-        notes=(unknown,) if _header_number(version) > _NEWEST else (),
-    )
-
-
-def _header_number(text: str) -> float:
-    try:
-        return decimal(text)
-    except ValueError:
-        return math.nan
-
-
-BODY = "Rigid Body"
-MARKER = "Marker"
-SOLVED = "Rigid Body Marker"
-
-Part = tuple[str, str]  # property and axis
-ROTATION: tuple[Part, ...] = tuple(("Rotation", axis) for axis in "XYZW")
-POSITION: tuple[Part, ...] = tuple(("Position", axis) for axis in "XYZ")
-_ERRORS = (("Error Per Marker", ""), ("Mean Marker Error", ""))  # until 1.21, and since
-_NEEDED = {BODY: ROTATION + POSITION, MARKER: POSITION, SOLVED: POSITION}
-_FIRST_DATA = 2  # behind the frame and the time
-_NAME_ROWS = 4  # the header, types, names and properties
-
-Row = tuple[int, list[str]]  # number of the line and cells
-
-
-@dataclass(frozen=True)
-class TakeColumns:
-    """Columns of a take.
-
-    Attributes:
-        width: Number of columns.
-        things: By type and name, the column of each property and axis.
-        doubled: Names that occur twice for a type; they are not among the things.
-    """
-
-    width: int
-    things: dict[tuple[str, str], dict[Part, int]]
-    doubled: frozenset[str]
-
-    def of(self, kind: str) -> Iterator[tuple[str, dict[Part, int]]]:
-        """Names of the things of a type, with their columns."""
-        return ((name, parts) for (own, name), parts in self.things.items() if own == kind)
-
-    def read(self) -> list[int]:
-        """All columns that are read: the frame, the time, and those of the things."""
-        return sorted({0, 1}.union(*(parts.values() for parts in self.things.values())))
-
-    def title(self, column: int) -> str:
-        """What names a column in an error."""
-        for (kind, name), parts in self.things.items():
-            for (meaning, axis), place in parts.items():
-                if place == column:
-                    return f"column {column + 1} ({kind} {name}, {meaning} {axis}".rstrip() + ")"
-        return f"column {column + 1} ({('frame', 'time')[column]})"
-
-
-def read_columns(rows: list[Row], path: Path) -> tuple[TakeColumns, int]:
-    """Columns of a file, and which of its rows holds the first frame.
-
-    Raises:
-        RegistrationError: If the rows of names are not as Motive writes them.
-    """
-    axes_row = next((i for i, (_, row) in enumerate(rows) if row[0].strip() == "Frame"), None)
-    if axes_row is None or axes_row < _NAME_ROWS:
-        raise RegistrationError(
-            f"{path}: has no rows of types, names, properties and axes above its frames",
-            "export the take again, with the header information",
-        )
-    title_rows = [[cell.strip() for cell in row] for _, row in rows[1 : axes_row + 1]]
-    *names_rows, properties, axes = title_rows
-    labelled = {row[1]: row for row in (*names_rows, properties) if len(row) > 1}
-    kinds = labelled.get("Type", title_rows[0])
-    names = labelled.get("Name", title_rows[1])
-    width = max(i + 1 for row in title_rows for i, cell in enumerate(row) if cell)
-    things: dict[tuple[str, str], dict[Part, int]] = {}
-    doubled = set()
-    titles = list(zip_longest(kinds, names, properties, axes, fillvalue=""))
-    for column, (kind, name, meaning, axis) in enumerate(titles[:width]):
-        if column < _FIRST_DATA or kind not in _NEEDED:
-            continue
-        parts = things.setdefault((kind, name), {})
-        if (meaning, axis) in parts:
-            doubled.add((kind, name))
-        parts[meaning, axis] = column
-    things = {key: parts for key, parts in things.items() if key not in doubled}
-    if not things:
-        raise RegistrationError(
-            f"{path}: has neither rigid bodies nor markers",
-            "export rigid bodies and markers from Motive",
-        )
-    for (kind, name), parts in things.items():
-        for meaning, axis in _NEEDED[kind]:
-            if (meaning, axis) not in parts:
-                raise RegistrationError(
-                    f"{path}: the {kind.lower()} '{name}' has no column {meaning} {axis}",
-                    "export the take again, with all its columns",
-                )
-    return TakeColumns(width, things, frozenset(name for _, name in doubled)), axes_row + 1
-
-
+_LARGEST_FILE = 2**28  # [bytes]
 _LARGEST = 1e9  # nothing that Motive writes is larger, frame numbers included
 _UNIT_LENGTH = 1e-3  # [-]; the quaternions have six decimals
+
+_BODY, _MARKER, _SOLVED = "Rigid Body", "Marker", "Rigid Body Marker"
+_Part = tuple[str, str]  # property and axis
+_ROTATION: list[_Part] = [("Rotation", axis) for axis in "XYZW"]
+_POSITION: list[_Part] = [("Position", axis) for axis in "XYZ"]
+_NEEDED = {_BODY: _ROTATION + _POSITION, _MARKER: _POSITION, _SOLVED: _POSITION}
+_FIRST = 2  # column behind the frame and the time
+_Columns = dict[tuple[str, str], dict[_Part, int]]  # by type and name
 
 
 def read_motive_csv(path: Path) -> MotiveTake:
     """Read a take; a last line that was cut short is left out, with a note.
 
     Raises:
-        RegistrationError: If the file is missing or anything in it is not as it must be.
+        ConfigurationError: If the file is missing or not text.
+        RegistrationError: If anything in it is not as it must be.
     """
-    text = _read_text(path)
-    rows = _split(text, path)
-    header = read_header(rows[0][1], path)
-    columns, first = read_columns(rows, path)
-    ended = text.endswith(("\n", "\r"))
-    frames, notes = _complete_frames(rows[first:], columns, ended, header, path)
-    table = _read_numbers(frames, columns, path)
-    _require_order(table, frames, path)
-    _require_unit_quaternions(columns, table, frames, path)
+    text = read_text(path, "a take", _LARGEST_FILE)
+    header, titles, first = _read_titles(text, path)
+    values, notes = _read_header(header, path)
+    columns, doubled = _find_columns(titles, path)
+    rows, more = _read_rows(text, first, len(titles[0]), path)
+    exported = values.get("Total Exported Frames", "")
+    if exported.isdecimal() and int(exported) != len(rows):
+        more.append(f"{path}: holds {len(rows)} frames, {exported} were exported")
+    table = _read_numbers(rows, columns, path)
+    scale = _METRES[values["Length Units"].lower()]
 
-    def positions(parts: dict[Part, int]) -> FloatArray:
-        return header.scale * table[:, [parts[part] for part in POSITION]]
+    def take_columns(parts: dict[_Part, int], which: list[_Part]) -> FloatArray:
+        return table[:, [parts[part] for part in which]]
 
-    def body(parts: dict[Part, int]) -> TrackedBody:
-        quaternion = table[:, [parts[part] for part in ROTATION]]
-        errors = [header.scale * table[:, parts[part]] for part in _ERRORS if part in parts]
-        return TrackedBody(
-            Pose.from_quaternion(positions(parts), quaternion),
-            errors[0] if errors else np.full(len(table), np.nan),
-        )
+    def positions(kind: str) -> dict[str, FloatArray]:
+        own = {name: parts for (other, name), parts in columns.items() if other == kind}
+        return {name: scale * take_columns(parts, _POSITION) for name, parts in own.items()}
 
+    bodies = {}
+    for name, place in positions(_BODY).items():
+        quaternion = take_columns(columns[_BODY, name], _ROTATION)
+        off = np.abs(np.linalg.norm(quaternion, axis=1) - 1.0) > _UNIT_LENGTH
+        _refuse_rows(off, rows, f"the quaternion of '{name}' is not of length 1", path)
+        bodies[name] = Pose.from_quaternion(place, quaternion)
     return MotiveTake(
         path=path,
-        version=header.version,
-        frame_rate=header.frame_rate,
-        units=header.units,
+        version=values["Format Version"],
+        frame_rate=_number(values["Export Frame Rate"]),
+        units=values["Length Units"],
         frames=table[:, 0].astype(np.int64),
         times=table[:, 1],
-        bodies={name: body(parts) for name, parts in columns.of(BODY)},
-        markers={name: positions(parts) for name, parts in columns.of(MARKER)},
-        solved={name: positions(parts) for name, parts in columns.of(SOLVED)},
-        doubled=columns.doubled,
-        notes=(*header.notes, *notes),
+        bodies=bodies,
+        markers=positions(_MARKER),
+        solved=positions(_SOLVED),
+        doubled=doubled,
+        notes=(*notes, *more),
     )
 
 
-def _read_text(path: Path) -> str:
+def _read_titles(text: str, path: Path) -> tuple[list[str], list[list[str]], int]:
+    """The header, the rows of titles padded to one width, and the number of lines above data."""
+    reader = csv.reader(io.StringIO(text), strict=True)
+    rows: list[list[str]] = []
     try:
-        text = path.read_bytes().decode("utf-8-sig")
-    except FileNotFoundError:
-        raise RegistrationError(f"{path}: no such file", "check the path") from None
-    except UnicodeDecodeError:
-        raise RegistrationError(f"{path}: is not UTF-8 text", _AGAIN) from None
-    except OSError as error:
-        raise RegistrationError(
-            f"{path}: cannot be read ({error.strerror})", "check the file"
-        ) from None
-    if not text.strip():
-        raise RegistrationError(f"{path}: is empty", _AGAIN)
-    return text
-
-
-def _split(text: str, path: Path) -> list[Row]:
-    """The lines that hold something, with their numbers."""
-    reader = csv.reader(io.StringIO(text, newline=""), strict=True)
-    try:
-        return [(reader.line_num, row) for row in reader if any(map(str.strip, row))]
+        for cells in reader:
+            row = [cell.strip() for cell in cells]
+            if not rows and row[:1] != ["Format Version"]:
+                break
+            rows += [row] if any(row) else []
+            if row[:1] == ["Frame"]:
+                break
     except csv.Error as error:
         raise RegistrationError(
             f"{path}: line {reader.line_num} is not CSV ({error})", _AGAIN
         ) from None
+    if not rows:
+        raise RegistrationError(
+            f"{path}: is not a Motive export, which begins with 'Format Version'",
+            "export the take to CSV from Motive, with the header information",
+        )
+    if len(rows) <= _TITLE_ROWS or rows[-1][0] != "Frame":
+        raise RegistrationError(
+            f"{path}: has no rows of types, names, properties and axes above its frames",
+            "export the take again, with the header information",
+        )
+    width = max(i + 1 for row in rows[1:] for i, cell in enumerate(row) if cell)
+    titles = [(row + [""] * width)[:width] for row in rows[1:]]
+    return rows[0], titles, reader.line_num
 
 
-def _complete_frames(
-    rows: list[Row], columns: TakeColumns, ended: bool, header: MotiveHeader, path: Path
-) -> tuple[list[Row], list[str]]:
-    """The rows of complete frames, and notes on what is missing."""
-    notes = []
+_TITLE_ROWS = 4
+
+
+def _read_header(cells: list[str], path: Path) -> tuple[dict[str, str], list[str]]:
+    """Values of the header by their keys, and notes."""
+    # A comma in the name of the take shifts the pairs: the value follows its key.
+    values = dict(pairwise(cells))
+    values["Export Frame Rate"] = values.get("Export Frame Rate") or values.get(
+        "Capture Frame Rate", ""
+    )
+    for key in ("Format Version", "Length Units", "Rotation Type", "Export Frame Rate"):
+        if not values.get(key):
+            raise RegistrationError(f"{path}: the header has no '{key}'", _AGAIN)
+    version, units = values["Format Version"], values["Length Units"]
+    space = values.get("Coordinate Space", "Global")
+    rotation, metres = values["Rotation Type"], "metres, centimetres or millimetres"
+    for right, fact, hint in (
+        (rotation == "Quaternion", f"rotations of the type {rotation}", "export quaternions"),
+        (units.lower() in _METRES, f"lengths in '{units}'", f"export {metres}"),
+        (space == "Global", f"coordinates in the space '{space}'", "export global coordinates"),
+        (_number(version) >= _OLDEST, f"the format version {version}", "use 1.20 to 1.25"),
+        (_number(values["Export Frame Rate"]) > 0.0, "no frame rate in its header", _AGAIN),
+    ):
+        if not right:
+            raise RegistrationError(f"{path}: has {fact}", hint)
+    newer = _number(version) > _NEWEST
+    note = f"{path}: the format version {version} is not known; read as {_NEWEST}"
+    return values, [note] if newer else []
+
+
+def _find_columns(titles: list[list[str]], path: Path) -> tuple[_Columns, frozenset[str]]:
+    """Columns of each thing by property and axis, and the names that occur twice."""
+    *names_rows, properties, axes = titles
+    labelled = {row[1]: row for row in names_rows}
+    kinds, names = labelled.get("Type", titles[0]), labelled.get("Name", titles[1])
+    columns: _Columns = {}
+    doubled = set()
+    for column, (kind, name, meaning, axis) in enumerate(
+        zip(kinds, names, properties, axes, strict=True)
+    ):
+        if column >= _FIRST and (meaning, axis) in _NEEDED.get(kind, ()):
+            parts = columns.setdefault((kind, name), {})
+            if (meaning, axis) in parts:
+                doubled.add((kind, name))
+            parts[meaning, axis] = column
+    columns = {key: parts for key, parts in columns.items() if key not in doubled}
+    if not columns:
+        raise RegistrationError(
+            f"{path}: has neither rigid bodies nor markers",
+            "export rigid bodies and markers from Motive",
+        )
+    for (kind, name), parts in columns.items():
+        for meaning, axis in _NEEDED[kind]:
+            if (meaning, axis) not in parts:
+                raise RegistrationError(
+                    f"{path}: the {kind.lower()} '{name}' has no column {meaning} {axis}",
+                    "export the take again, with all its columns",
+                )
+    return columns, frozenset(name for _, name in doubled)
+
+
+def _read_rows(
+    text: str, first: int, width: int, path: Path
+) -> tuple[dict[int, list[str]], list[str]]:
+    """The cells of the complete frames by their lines, and notes."""
+    lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
+    rows = {
+        number: [cell.strip() for cell in line.split(",")]
+        for number, line in enumerate(lines[first:], start=first + 1)
+        if line.strip(", ")
+    }
+    last, notes = max(rows, default=0), []
     # Without its line end even a last line of full width may lack digits of its last number.
-    if rows and (not ended or len(rows[-1][1]) < columns.width):
-        notes.append(f"{path}: line {rows[-1][0]}, the last, is cut short; it is left out")
-        rows = rows[:-1]
+    if rows and (lines[-1] or len(rows[last]) < width):
+        notes.append(f"{path}: line {last}, the last, is cut short; it is left out")
+        del rows[last]
     if not rows:
         raise RegistrationError(f"{path}: holds no frame", _AGAIN)
-    for line, row in rows:
-        if len(row) < columns.width or any(row[columns.width :]):
+    for line, row in rows.items():
+        if len(row) < width or any(row[width:]):
             raise RegistrationError(
-                f"{path}: line {line} has {len(row)} columns, the header {columns.width}", _AGAIN
+                f"{path}: line {line} has {len(row)} columns, the header {width}", _AGAIN
             )
-    if header.exported not in {None, len(rows)}:
-        notes.append(f"{path}: holds {len(rows)} frames, {header.exported} were exported")
     return rows, notes
 
 
-def _read_numbers(rows: list[Row], columns: TakeColumns, path: Path) -> FloatArray:
+def _read_numbers(rows: dict[int, list[str]], columns: _Columns, path: Path) -> FloatArray:
     """A table as wide as the file, NaN where a cell is blank or in a column that is not read."""
-    read = columns.read()
-    table = np.full((len(rows), columns.width), np.nan)
-    for i, (line, row) in enumerate(rows):
-        column = 0
-        try:
-            table[i, read] = [_number(row[column := place]) for place in read]
-        except ValueError:
-            raise RegistrationError(
-                f"{path}: line {line}, {columns.title(column)} holds '{row[column]}'",
-                f"{_AGAIN}, or put the number there",
-            ) from None
+    titles = {0: "frame", 1: "time"} | {
+        column: f"{kind} {name}, {meaning} {axis}".rstrip()
+        for (kind, name), parts in columns.items()
+        for (meaning, axis), column in parts.items()
+    }
+    table = np.full((len(rows), max(titles) + 1), np.nan)
+    for numbers, (line, row) in zip(table, rows.items(), strict=True):
+        for column, title in titles.items():
+            numbers[column] = _number(row[column])
+            if row[column] and not abs(numbers[column]) < _LARGEST:
+                raise RegistrationError(
+                    f"{path}: line {line}, column {column + 1} ({title}) holds '{row[column]}'",
+                    f"{_AGAIN}, or put the number there",
+                )
+    for column in (0, 1):
+        rising = np.diff(table[:, column], prepend=-np.inf) > 0.0  # a blank cell does not, either
+        _refuse_rows(~rising, rows, f"the {titles[column]} does not follow the one before", path)
     return table
 
 
 def _number(cell: str) -> float:
-    if not cell:
+    """A number; NaN where there is none."""
+    try:
+        return decimal(cell)
+    except ValueError:
         return math.nan
-    number = decimal(cell)
-    if not abs(number) < _LARGEST:
-        raise ValueError
-    return number
 
 
-def _require_order(table: FloatArray, rows: list[Row], path: Path) -> None:
-    for column, what in enumerate(("frame", "time")):
-        rising = np.diff(table[:, column], prepend=-np.inf) > 0.0
-        if not rising.all():  # a blank cell does not follow anything either
-            raise RegistrationError(
-                f"{path}: line {rows[int(np.argmin(rising))][0]}: the {what} does not follow the"
-                " one before",
-                _AGAIN,
-            )
-
-
-def _require_unit_quaternions(
-    columns: TakeColumns, table: FloatArray, rows: list[Row], path: Path
-) -> None:
-    for name, parts in columns.of(BODY):
-        length = np.linalg.norm(table[:, [parts[part] for part in ROTATION]], axis=1)
-        off = np.abs(length - 1.0) > _UNIT_LENGTH
-        if off.any():
-            raise RegistrationError(
-                f"{path}: line {rows[int(np.argmax(off))][0]}: the quaternion of '{name}' has the"
-                f" length {length[off][0]:.3g}",
-                _AGAIN,
-            )
+def _refuse_rows(wrong: BoolArray, rows: dict[int, list[str]], fact: str, path: Path) -> None:
+    if wrong.any():
+        raise RegistrationError(f"{path}: line {[*rows][np.argmax(wrong)]}: {fact}", _AGAIN)

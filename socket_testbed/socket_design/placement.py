@@ -5,19 +5,19 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
+from msgspec import Meta
 
 from socket_testbed.arrays import FloatArray
+from socket_testbed.documents import Document, read_document
 from socket_testbed.errors import ConfigurationError, RegistrationError
-from socket_testbed.files import read_document
 from socket_testbed.geometry.pose import Pose
 from socket_testbed.socket_design.landmarks import register_landmarks
 
 _AXES = {"x": 0, "y": 1, "z": 2}
-_LARGEST_SCAN = 1e6  # of a coordinate in the scan's unit
 _SMALLEST_SINE = 0.1  # [-]; directions closer to each other than some 6 degrees span no plane
-_LARGEST = 10.0  # [m]
 _LARGEST_RESIDUAL = 0.01  # [m]
 
 
@@ -132,6 +132,19 @@ def place_by_points(points: FloatArray) -> Placement:
     return Placement(Pose(rotation, -rotation @ points[0]), "three picked points")
 
 
+_Scanned = Annotated[float, Meta(ge=-1e6, le=1e6)]  # in the scan's unit
+_Metres = Annotated[float, Meta(ge=-10.0, le=10.0)]
+
+
+class _Landmark(Document):
+    scan: tuple[_Scanned, _Scanned, _Scanned]
+    load_cell: tuple[_Metres, _Metres, _Metres]
+
+
+class _Landmarks(Document):
+    landmarks: dict[str, _Landmark]
+
+
 def place_by_landmarks(path: Path, scale: float) -> Placement:
     """{S} by landmarks that are known in it and were picked in the scan.
 
@@ -146,22 +159,17 @@ def place_by_landmarks(path: Path, scale: float) -> Placement:
         ConfigurationError: If anything in the file is not as it must be.
         RegistrationError: If the landmarks hold no frame, or fit by more than 10 mm badly.
     """
-    document = read_document(path).expect(("landmarks",))
-    sections = dict(document.sections("landmarks"))
-    for section in sections.values():
-        section.expect(("scan", "load_cell"))
-    picked = [s.array("scan", (3,), limit=_LARGEST_SCAN) for s in sections.values()]
-    scan = np.array(picked).reshape(-1, 3) * scale
-    known = [s.array("load_cell", (3,), limit=_LARGEST) for s in sections.values()]
-    load_cell = np.array(known).reshape(-1, 3)
+    landmarks = read_document(path, _Landmarks).landmarks
+    scan = np.array([each.scan for each in landmarks.values()]).reshape(-1, 3) * scale
+    load_cell = np.array([each.load_cell for each in landmarks.values()]).reshape(-1, 3)
     try:
-        fit = register_landmarks(scan, load_cell, tuple(sections))
+        fit = register_landmarks(scan, load_cell, tuple(landmarks))
     except RegistrationError as error:
         raise RegistrationError(f"{path}: {error.fact}", error.hint) from None
     if fit.rms > _LARGEST_RESIDUAL:
-        worst = sections[fit.names[int(fit.residual.argmax())]].where
+        worst = fit.names[int(fit.residual.argmax())]
         raise RegistrationError(
             f"{path}: the landmarks fit by {1e3 * fit.rms:.1f} mm only",
-            f"check the scan's unit and the coordinates, first of {worst}",
+            f"check the scan's unit and the coordinates, first of '{worst}'",
         )
-    return Placement(fit.pose, f"{len(sections)} landmarks, rms {1e3 * fit.rms:.2f} mm")
+    return Placement(fit.pose, f"{len(landmarks)} landmarks, rms {1e3 * fit.rms:.2f} mm")

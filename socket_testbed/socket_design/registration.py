@@ -18,7 +18,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from socket_testbed.arrays import BoolArray, FloatArray, IntArray
 from socket_testbed.errors import RegistrationError
@@ -42,7 +41,6 @@ from socket_testbed.socket_design.landmarks import (
     LandmarkFit,
     Side,
     TriadLabels,
-    in_one_plane,
     register_landmarks,
 )
 from socket_testbed.socket_design.motive import MotiveTake, read_motive_csv
@@ -193,36 +191,20 @@ def fit_labels(observed: FloatArray, where: str) -> BodyFit:
     seen = np.isfinite(between).all(axis=(1, 2))
     if not seen.any():
         raise RegistrationError(
-            f"{where}: no frame shows all {_in_words(observed)} markers",
+            f"{where}: no frame shows all {observed.shape[1]} markers",
             "check their labels in Motive",
         )
     usual = np.median(between[seen], axis=0)
     # The frame that is nearest to the usual one has no swapped labels.
     nearest = int(np.abs(between[seen] - usual).max(axis=(1, 2)).argmin())
-    reference = _from_distances(usual, observed[seen][nearest])
+    reference = observed[seen][nearest]
     fault = body_fault(reference)
     if fault:
         raise RegistrationError(f"{where}: {fault[0]}", fault[1])
-    known = relabel(observed, fit_body(reference, observed).order)[seen]
-    return fit_body(_from_distances(np.median(distances(known), axis=0), known[nearest]), observed)
-
-
-def _in_words(observed: FloatArray) -> str:
-    return "three" if observed.shape[1] == FEWEST_MARKERS else str(observed.shape[1])
-
-
-def _from_distances(usual: FloatArray, like: FloatArray) -> FloatArray:
-    """Markers of some distances, as those of a frame lie, shape (k, 3) [m].
-
-    Classical scaling (Torgerson 1952, doi:10.1007/BF02288916): coordinates from the
-    eigenvectors of the centred squares of the distances, turned or mirrored onto the frame.
-    """
-    centre = np.eye(len(usual)) - 1.0 / len(usual)
-    values, vectors = np.linalg.eigh(-0.5 * centre @ usual**2 @ centre)
-    points = vectors[:, -3:] * np.sqrt(np.maximum(values[-3:], 0.0))
-    arms = like - like.mean(axis=0)
-    left, _, right = np.linalg.svd(points.T @ arms)
-    return np.asarray(points @ left @ right)
+    fit = fit_body(reference, observed)
+    arms = relabel(observed, fit.order) - fit.pose.translation[:, None]
+    in_body = arms @ fit.pose.rotation
+    return fit_body(in_body[(fit.order >= 0).all(axis=1)].mean(axis=0), observed)
 
 
 def relabel(observed: FloatArray, order: IntArray) -> FloatArray:
@@ -384,12 +366,12 @@ def register_take(
         take: A static take that shows both bodies and all landmarks.
         landmarks: Which marker is what.
         geometry: The socket, whose tiles stay.
-        force: Accept landmarks whose residual is above `MOST_RESIDUAL`, or whose signs
-            nothing shows.
+        force: Accept landmarks whose residual is above `MOST_RESIDUAL`, or that put the limb
+            outside the socket.
 
     Raises:
         RegistrationError: If a marker is missing, the take is not static, shows too few
-            complete frames, or the landmarks do not fit or could be mirrored unseen.
+            complete frames, or the landmarks do not fit.
     """
     notes = [*take.notes]
     bodies = []
@@ -402,7 +384,7 @@ def register_take(
     limb_in_cell = socket.landmarks.pose.inverse() @ pylon.landmarks.pose
     q, turn, origin = limb_in_cell.translation, limb_in_cell.rotation, np.zeros(3)
     if not force:
-        _require_signs(landmarks, limb_in_cell, geometry)
+        _require_limb_in_socket(q, geometry, landmarks.socket.where)
     return Registration(
         take=take,
         geometry=dataclasses.replace(
@@ -433,7 +415,7 @@ def _register_body(take: MotiveTake, side: Side) -> RegisteredBody:
     whole = np.asarray((fit.order >= 0).all(axis=1))
     still = average_still((*names, *side.landmarks), positions, whole, where)
     if isinstance(side.triad, str):
-        tracked = take.body(side.triad).pose
+        tracked = take.body(side.triad)
         used = Pose(tracked.rotation[still.used], tracked.translation[still.used])
         in_world = tracked_frame(positions[still.used, :count], used, where)
     else:
@@ -487,62 +469,17 @@ def _require_residual(fit: LandmarkFit, where: str, force: bool) -> None:
 
 
 _AROUND = 0.03  # [m]; a limb whose position is farther from the tiles' cylinder is in no socket
-_SAME_PLACE = 0.01  # [m]; a wrong sign that moves the limb less
-_SAME_DIRECTION = np.radians(3.0)  # and turns {S} less does no harm
 
 
-def _require_signs(landmarks: LandmarkFile, limb: Pose, geometry: SocketGeometry) -> None:
-    """Refuse landmarks in one plane unless the limb's place shows their coordinates' signs.
-
-    A wrong sign leaves no residual there; it reflects what is beyond the plane. What shows it is
-    that the limb is in the socket as it is given, and would not be with another sign.
-
-    Args:
-        landmarks: The landmarks.
-        limb: Pose of the limb in {S}.
-        geometry: The socket.
-    """
-    flat = [s for s in (landmarks.socket, landmarks.pylon) if in_one_plane(s.points())]
-    if not flat:
-        return
-    sides = f"{flat[0].where}{' and limb' if len(flat) > 1 else ''}"
-    fact = (
-        f"{sides}: the landmarks lie in one plane, so a wrong sign leaves no residual, and the limb"
-    )
-    hint = "check the signs, give a fourth landmark off the plane, or accept it with --force"
-    given = _shown(limb.translation)
-    if not _in_socket(limb.translation, geometry):
-        raise RegistrationError(f"{fact} would be at {given}, outside the socket", hint)
-    for other in _other_places(landmarks, flat, limb):
-        if _in_socket(other, geometry):
-            raise RegistrationError(
-                f"{fact} may be at {given} or as well at {_shown(other)}, both in the socket", hint
-            )
-
-
-def _other_places(landmarks: LandmarkFile, flat: list[Side], limb: Pose) -> list[FloatArray]:
-    """Where the limb is in {S} with another sign of a coordinate that would do harm, (3,) [m]."""
-    places = []
-    if landmarks.pylon in flat:
-        mirrored = limb.apply(_reflection(landmarks.pylon.points()).translation)
-        if np.linalg.norm(mirrored - limb.translation) > _SAME_PLACE:
-            places.append(mirrored)
-    if landmarks.socket in flat:
-        reflection = _reflection(landmarks.socket.points())
-        for sign in 1.0 - 2.0 * np.eye(3):
-            turn = Rotation.from_matrix(sign[:, None] * reflection.rotation).magnitude()
-            for place in (limb.translation, *places[:1]):
-                other = sign * reflection.apply(place)
-                if turn > _SAME_DIRECTION or np.linalg.norm(other - place) > _SAME_PLACE:
-                    places.append(other)
-    return places
-
-
-def _reflection(points: FloatArray) -> Pose:
-    """The reflection at the plane of some points, an improper rotation, shape (k, 3) [m]."""
-    middle = points.mean(axis=0)
-    normal = np.linalg.svd(points - middle)[2][2]
-    return Pose(np.eye(3) - 2.0 * np.outer(normal, normal), 2.0 * (middle @ normal) * normal)
+def _require_limb_in_socket(limb: FloatArray, geometry: SocketGeometry, where: str) -> None:
+    """Refuse a limb position, shape (3,) [m], outside the socket: a coordinate's sign is wrong."""
+    if not _in_socket(limb, geometry):
+        place = ", ".join(f"{1e3 * value:.0f}" for value in limb)
+        raise RegistrationError(
+            f"{where}: the limb would be at ({place}) mm of {{S}}, outside the socket",
+            "check the signs of the landmarks' coordinates, and that the take has right-handed"
+            " axes, or accept it with --force",
+        )
 
 
 def _in_socket(place: FloatArray, geometry: SocketGeometry) -> bool:
@@ -553,10 +490,6 @@ def _in_socket(place: FloatArray, geometry: SocketGeometry) -> bool:
     return bool(inside and axis.radii(place) < widest + _AROUND)
 
 
-def _shown(point: FloatArray) -> str:
-    return f"({', '.join(f'{1e3 * value:.0f}' for value in point)}) mm of {{S}}"
-
-
 def _notes(body: RegisteredBody) -> list[str]:
     fit = body.landmarks
     off = [
@@ -564,4 +497,7 @@ def _notes(body: RegisteredBody) -> list[str]:
         for name, residual in zip(fit.names, fit.residual, strict=True)
         if residual > NOTED_RESIDUAL
     ]
-    return [*body.still.notes, *off, *fit.blind]
+    if fit.flat:
+        names = ", ".join(fit.names)
+        off.append(f"{names} lie in one plane: a wrong sign of a coordinate would not be seen")
+    return [*body.still.notes, *off]

@@ -175,29 +175,15 @@ def spread_points(
         weighed: Whether the areas are needed; else they are 0.
     """
     count = int(np.ceil(_DRAWN * mesh.area / spacing**2))
-    drawn, face = _draw(mesh, count, rng)
+    drawn, face = trimesh.sample.sample_surface(mesh, count, seed=rng)
     kept = _one_a_cell(drawn, spacing)
-    kept = kept[_apart(drawn[kept], _CLOSEST * spacing)]
+    kept = kept[trimesh.points.remove_close(drawn[kept], _CLOSEST * spacing)[1]]
     nearest = KDTree(drawn[kept]).query(drawn)[1] if weighed else np.zeros(0, dtype=np.int64)
     return SurfacePoints(
         positions=drawn[kept],
         normals=np.asarray(mesh.face_normals)[face[kept]],
         areas=np.bincount(nearest, minlength=len(kept)) * (mesh.area / count),
     )
-
-
-def _draw(
-    mesh: trimesh.Trimesh, count: int, rng: np.random.Generator
-) -> tuple[FloatArray, IntArray]:
-    """Random points, uniform in the area, and the faces that they are on."""
-    until = np.cumsum(mesh.area_faces)
-    face = np.searchsorted(until, rng.uniform(0.0, until[-1], count)).clip(max=len(until) - 1)
-    a, b = rng.random((2, count, 1))
-    outside = a + b > 1.0  # in the other half of the parallelogram: mirrored back
-    a, b = np.where(outside, 1.0 - a, a), np.where(outside, 1.0 - b, b)
-    corner = np.asarray(mesh.triangles)[face]
-    points = corner[:, 0] + a * (corner[:, 1] - corner[:, 0]) + b * (corner[:, 2] - corner[:, 0])
-    return points, face
 
 
 def _one_a_cell(points: FloatArray, spacing: float) -> IntArray:
@@ -208,12 +194,3 @@ def _one_a_cell(points: FloatArray, spacing: float) -> IntArray:
     order = np.lexsort((off, key))
     first = np.concatenate([[True], np.diff(key[order]) > 0])
     return order[first]
-
-
-def _apart(points: FloatArray, distance: float) -> IntArray:
-    """Indices of points of which no two are closer than a distance."""
-    dropped = np.zeros(len(points), dtype=bool)
-    for a, b in KDTree(points).query_pairs(distance, output_type="ndarray").tolist():
-        if not dropped[a]:
-            dropped[b] = True
-    return np.flatnonzero(~dropped)

@@ -23,7 +23,6 @@ FACING_WALL = -0.5  # [-]; cosine below which a surface is the wall on the other
 LEAST_FACING = 0.5  # [-]; cosine to a tile's normal below which a surface is folded away
 _SMALL_AREA = 0.1  # [edges]; triangles larger than it are looked at for every square
 _COVER = 0.003  # [-]; a footprint that differs more from its square is cut, folded or double
-_AT_ONCE = 16  # footprints that are found together
 _CLOSE = 0.1  # [edges]; gap from which on footprints cannot share anything
 _SHARED = 1e-8  # [m^2]; what rounding may make of two footprints that touch
 
@@ -71,12 +70,9 @@ class Footprints:
 
     def unfit(self, tiles: IntArray | Sequence[int]) -> list[int]:
         """Tiles that are cut, folded, double or too far from flat."""
-        new = np.array([tile for tile in tiles if tile not in self._footprints], dtype=np.int64)
-        for some in np.split(new, np.arange(_AT_ONCE, len(new), _AT_ONCE)):
-            self._find_footprints(some)
         unfit = []
         for tile in map(int, tiles):
-            footprint = self._footprints[tile]
+            footprint = self.footprint(tile)
             complete = abs(footprint.cover - 1.0) < _COVER and footprint.fold < _COVER
             if not complete or footprint.flatness > self._flatness:
                 unfit.append(tile)
@@ -102,7 +98,7 @@ class Footprints:
     def footprint(self, tile: int) -> Footprint:
         """The footprint of a square."""
         if tile not in self._footprints:
-            self._find_footprints(np.array([tile]))
+            self._footprints[tile] = self._find_footprint(tile)
         return self._footprints[tile]
 
     def shared_area(self, tile: int, other: int) -> float:
@@ -112,34 +108,19 @@ class Footprints:
             self._shared[pair] = self._find_shared_area(*pair)
         return self._shared[pair]
 
-    def _find_footprints(self, tiles: IntArray) -> None:
-        """Find the footprints of some squares."""
-        squares = self._squares.take(tiles)
-        around = [self._seen_around(tile) for tile in tiles.tolist()]
-        owner = np.repeat(np.arange(len(tiles)), [len(some) for some in around])
-        seen = np.concatenate([np.zeros((0, 3, 3)), *around])
-        seen, owner = cut_to_square(seen, owner, squares.edge)
-        order = np.argsort(owner, kind="stable")
-        seen, owner = seen[order], owner[order]
-
+    def _find_footprint(self, tile: int) -> Footprint:
+        frame, anchor = self._squares.rotations[tile], self._squares.anchors[tile]
+        seen = cut_to_square(self._seen_around(tile), self._squares.edge)
         crosses = trimesh.triangles.cross(seen)
         areas, projected = 0.5 * np.linalg.norm(crosses, axis=1), 0.5 * crosses[:, 2]
         steep = projected < LEAST_FACING * areas
-        total, cover, fold = (
-            np.bincount(owner, weights, minlength=len(tiles))
-            for weights in (areas, np.where(steep, 0.0, projected), np.where(steep, areas, 0.0))
+        return Footprint(
+            seen @ frame.T + anchor,
+            area=float(areas.sum()),
+            cover=float(projected[~steep].sum()) / self._squares.edge**2,
+            fold=float(areas[steep].sum()) / self._squares.edge**2,
+            flatness=float(np.abs(seen[:, :, 2]).max(initial=0.0)),
         )
-        highest = np.zeros(len(tiles))
-        np.maximum.at(highest, owner, np.abs(seen[:, :, 2]).max(axis=1))
-        pieces = np.split(seen, np.searchsorted(owner, np.arange(1, len(tiles))))
-        for row, tile in enumerate(tiles.tolist()):
-            self._footprints[tile] = Footprint(
-                pieces[row] @ squares.rotations[row].T + squares.anchors[row],
-                area=float(total[row]),
-                cover=float(cover[row]) / squares.edge**2,
-                fold=float(fold[row]) / squares.edge**2,
-                flatness=float(highest[row]),
-            )
 
     def _seen_around(self, tile: int) -> FloatArray:
         """Triangles that may be under a square, in its frame, shape (f, 3, 3) [m]."""
@@ -162,9 +143,7 @@ class Footprints:
             return 0.0
         facing = trimesh.triangles.cross(seen)[:, 2] > 0.0
         close = np.abs(seen[:, :, 2]).min(axis=1) < 2.0 * self._flatness
-        seen, _ = cut_to_square(
-            seen[facing & close], np.zeros((facing & close).sum()), squares.edge
-        )
+        seen = cut_to_square(seen[facing & close], squares.edge)
         return 0.5 * float(np.linalg.norm(trimesh.triangles.cross(seen), axis=1).sum())
 
 
@@ -185,39 +164,27 @@ def _ends(corners: FloatArray) -> tuple[FloatArray, FloatArray]:
     return np.minimum(np.minimum(a, b), c), np.maximum(np.maximum(a, b), c)
 
 
-def cut_to_square(
-    triangles: FloatArray, owner: IntArray, edge: float
-) -> tuple[FloatArray, IntArray]:
-    """Triangles cut to the column over a square.
+def cut_to_square(triangles: FloatArray, edge: float) -> FloatArray:
+    """Triangles cut to the column over a square, as triangles.
 
     Args:
-        triangles: Corners, each in the frame of its square, shape (f, 3, 3) [m].
-        owner: What each triangle belongs to, shape (f,).
-        edge: Length of the squares' edges [m].
-
-    Returns:
-        The pieces, as triangles, and what they belong to.
+        triangles: Corners in the square's frame, shape (f, 3, 3) [m].
+        edge: Length of the square's edges [m].
     """
-    over = over_square(triangles, edge)
-    triangles, owner = triangles[over], owner[over]
+    triangles = triangles[over_square(triangles, edge)]
     inside = (np.abs(triangles[:, :, :2]) <= 0.5 * edge).all(axis=(1, 2))
-    cut, owner_of_cut = triangles[~inside], owner[~inside]
+    cut = triangles[~inside]
     for axis in (0, 1):
         for side in (1.0, -1.0):
-            cut, owner_of_cut = _cut_off(cut, owner_of_cut, side * cut[:, :, axis] - 0.5 * edge)
-    return (
-        np.concatenate([triangles[inside], cut]),
-        np.concatenate([owner[inside], owner_of_cut]),
-    )
+            cut = _cut_off(cut, side * cut[:, :, axis] - 0.5 * edge)
+    return np.concatenate([triangles[inside], cut])
 
 
-def _cut_off(
-    triangles: FloatArray, owner: IntArray, beyond: FloatArray
-) -> tuple[FloatArray, IntArray]:
-    """Triangles, shape (f, 3, 3), without what is beyond a plane, by their corners' distances."""
+def _cut_off(triangles: FloatArray, beyond: FloatArray) -> FloatArray:
+    """Triangles, shape (f, 3, 3), cut at a plane, by their corners' distances beyond it."""
     out = beyond > 0.0
     corners_out = out.sum(axis=1)
-    pieces, owners = [triangles[corners_out == 0]], [owner[corners_out == 0]]
+    pieces = [triangles[corners_out == 0]]
     for count, alone in (1, out), (2, ~out):
         some = np.flatnonzero(corners_out == count)
         order = (alone[some].argmax(axis=1)[:, None] + np.arange(3)) % 3  # the lone corner first
@@ -227,8 +194,7 @@ def _cut_off(
         on_b, on_c = a + to_b * (b - a), a + to_c * (c - a)
         cuts = [(a, on_b, on_c)] if count == 2 else [(on_b, b, c), (on_b, c, on_c)]
         pieces += [np.stack(corners, axis=1) for corners in cuts]
-        owners += [owner[some]] * len(cuts)
-    return np.concatenate(pieces), np.concatenate(owners)
+    return np.concatenate(pieces)
 
 
 _END = 10.0  # [deg]; a normal this close to the proximal direction has no proximal tangent
@@ -262,26 +228,6 @@ def rim_points(mesh: trimesh.Trimesh, spacing: float) -> FloatArray:
     edge = np.repeat(np.arange(len(count)), count)
     step = np.arange(len(edge)) - np.repeat(np.cumsum(count) - count, count)
     return start[edge] + (step / count[edge])[:, None] * (end - start)[edge]
-
-
-def fitting_squares(
-    places: SurfacePoints, surroundings: Surroundings, edge: float, flatness: float
-) -> Squares:
-    """The squares that fit the surface, of all that are centred on the given places.
-
-    A square fits if all of it lies on the surface: no rim inside, the surface nowhere
-    farther from its plane than the flatness, nor folded away from it.
-
-    Args:
-        places: Centres to try.
-        surroundings: The surface.
-        edge: Length of the squares' edges [m].
-        flatness: Largest distance of the surface from a tile's plane [m].
-    """
-    squares = squares_at(places, surroundings, edge)
-    if not len(squares):
-        return squares
-    return squares.take(roughly_fit(squares, surroundings, flatness))
 
 
 def squares_at(places: SurfacePoints, surroundings: Surroundings, edge: float) -> Squares:
@@ -329,6 +275,9 @@ def _mean_normals(places: SurfacePoints, points: SurfacePoints, radius: float) -
 
 def roughly_fit(squares: Squares, surroundings: Surroundings, flatness: float) -> BoolArray:
     """Which squares fit the surface as far as its points can show, shape (m,).
+
+    A square fits if all of it lies on the surface: no rim inside, the surface nowhere
+    farther from its plane than the flatness, nor folded away from it.
 
     Args:
         squares: The squares.

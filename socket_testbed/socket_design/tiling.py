@@ -30,13 +30,15 @@ from socket_testbed.socket_design.squares import (
     SurfacePoints,
     gaps,
     overlapping,
+    seen_from,
     spread_points,
 )
 from socket_testbed.socket_design.tile_fit import (
     Footprints,
     Surroundings,
-    fitting_squares,
     rim_points,
+    roughly_fit,
+    squares_at,
 )
 
 _STEPS = 2  # towards the surface; it is a plane around each of its points
@@ -99,16 +101,14 @@ _WASTE_SPACING = 0.15  # [edges]; of the squares by which waste is counted
 _CHANCE = (0.0, 0.02, 0.1, 0.3)  # [-]; how far a recreation strays from least waste
 _FEWEST_RUINED, _MOST_RUINED = 3, 14
 _PLANE = 0.002  # [m]; gaps smaller than it are measured on the surface itself
-_CLEARANCE = 0.0001  # [m]; between tiles, for what the plane geometry of the search leaves out
-_MORE = 0.0001  # [m]; it grows where footprints overlap all the same,
-_SEARCH_AROUND = 0.003  # [m]; and around there
+_CLEARANCE = 0.0001  # [m]; between tiles, as the plane geometry of the search is not exact
 
 
 class Search:
     """Greedy placement and its improvement.
 
     The search sees squares as plane; each set of tiles that it keeps is checked on the surface
-    itself, and what it got wrong it does not try again.
+    itself, and a square that is wrong there is not tried again.
 
     Args:
         squares: The squares that fit.
@@ -129,7 +129,6 @@ class Search:
         self._squares = squares
         self._normals = np.ascontiguousarray(squares.rotations[:, :, 2])
         self._footprints = footprints
-        self._clearance = np.full(len(squares), _CLEARANCE)
         self._alive = np.ones(len(squares), dtype=bool)
         self._tree = KDTree(squares.anchors)
         self._overlaps_of_tile: dict[int, IntArray] = {}
@@ -219,23 +218,11 @@ class Search:
             known: So many of the first are known to be complete and to share nothing.
         """
         wrong = set(self._footprints.unfit(tiles[known:]))
-        self._alive[list(wrong)] = False
         for pair in self._footprints.overlapping(tiles, known):
             if not wrong.intersection(pair):
                 wrong.add(pair[1])
-                for tile in pair:
-                    self._raise_clearance(tile)
+        self._alive[list(wrong)] = False
         return wrong
-
-    def _raise_clearance(self, tile: int) -> None:
-        """Raise the clearance of the squares around a tile, and forget what it changes."""
-        anchors, reach = self._squares.anchors, REACH * self._squares.edge + _SEARCH_AROUND
-        self._clearance[self._tree.query_ball_point(anchors[tile], _SEARCH_AROUND)] += _MORE
-        self._overlaps_of_tile = {
-            other: near
-            for other, near in self._overlaps_of_tile.items()
-            if np.linalg.norm(anchors[other] - anchors[tile]) > reach
-        }
 
     def _overlapping(self, tile: int) -> IntArray:
         """Squares that overlap a tile, itself included."""
@@ -258,7 +245,7 @@ class Search:
         gap = gaps(squares, np.array([index]), some)[0]
         close = np.abs(gap) < _PLANE
         gap[close] = border_gaps(squares, self._borders, index, some[close])
-        overlap[unsure] = gap < np.maximum(self._clearance[some], self._clearance[index])
+        overlap[unsure] = gap < _CLEARANCE
         return overlap
 
 
@@ -273,16 +260,11 @@ def nearby_pairs(squares: Squares) -> IntArray:
     Returns:
         Pairs (a, b) with a < b, sorted, shape (e, 2).
     """
-    normals = squares.rotations[:, :, 2]
-    pairs = []
-    for tile in range(len(squares)):
-        later = np.arange(tile + 1, len(squares))
-        later = later[normals[later] @ normals[tile] > _FOLD]
-        offset = squares.anchors[later] - squares.anchors[tile]
-        later = later[np.linalg.norm(offset, axis=1) < _FARTHEST * squares.edge]
-        near = later[gaps(squares, np.array([tile]), later)[0] < _NEAR * squares.edge]
-        pairs += [(tile, int(other)) for other in near]
-    return np.array(pairs, dtype=np.int64).reshape(-1, 2)
+    every, normals = np.arange(len(squares)), squares.rotations[:, :, 2]
+    near = gaps(squares, every, every) < _NEAR * squares.edge
+    near &= normals @ normals.T > _FOLD
+    near &= cdist(squares.anchors, squares.anchors) < _FARTHEST * squares.edge
+    return np.argwhere(np.triu(near, 1))
 
 
 _PLACES = 1 / 30  # [edges]; spacing of the centres that are tried
@@ -365,13 +347,8 @@ def tile_interior(
     points = spread_points(mesh, _POINTS * settings.edge, rng)
     surroundings = Surroundings(points, rim_points(mesh, _RIM * settings.edge), proximal, anterior)
     places = spread_points(mesh, _PLACES * settings.edge, rng, weighed=False)
-    fitting = fitting_squares(places, surroundings, settings.edge, settings.flatness)
-    if not len(fitting):
-        raise ScanError(
-            f"no {1e3 * settings.edge:g} mm tile fits the interior"
-            f" ({1e4 * mesh.area:.1f} cm^2) within {1e3 * settings.flatness:g} mm of flat",
-            "check the unit of the scan, or give a smaller --size or a larger --flatness",
-        )
+    fitting = squares_at(places, surroundings, settings.edge)
+    fitting = fitting.take(roughly_fit(fitting, surroundings, settings.flatness))
     laid: list[LaidCluster] = []
     if clusters:
         glued, laid = lay_clusters(
@@ -379,8 +356,15 @@ def tile_interior(
         )
         fitting = glued.join(fitting)
     footprints = Footprints(mesh, fitting, settings.flatness)
-    search = Search(fitting, points, footprints, len(laid))
-    tiles = search.improve(search.fill(), settings.rounds, rng, progress)
+    search = Search(fitting, points, footprints, len(laid)) if len(fitting) else None
+    tiles = search.fill() if search else np.zeros(0, dtype=np.int64)
+    if not search or not len(tiles):
+        raise ScanError(
+            f"no {1e3 * settings.edge:g} mm tile fits the interior"
+            f" ({1e4 * mesh.area:.1f} cm^2) within {1e3 * settings.flatness:g} mm of flat",
+            "check the unit of the scan, or give a smaller --size or a larger --flatness",
+        )
+    tiles = search.improve(tiles, settings.rounds, rng, progress)
     kept = [footprints.footprint(int(tile)) for tile in tiles]
     squares = fitting.take(tiles)
     covered = _covered(points, squares)
@@ -406,11 +390,9 @@ def _distance(points: FloatArray, others: FloatArray) -> FloatArray:
 
 def _covered(points: SurfacePoints, squares: Squares) -> BoolArray:
     """Which points lie under a square."""
-    tree, half = KDTree(points.positions), 0.5 * squares.edge
-    covered = np.zeros(len(points.areas), dtype=bool)
-    for anchor, frame in zip(squares.anchors, squares.rotations, strict=True):
-        near = np.array(tree.query_ball_point(anchor, 2.0 * half))
-        x, y, _ = ((points.positions[near] - anchor) @ frame).T
-        facing = points.normals[near] @ frame[:, 2] > 0.0
-        covered[near[(np.abs(x) < half) & (np.abs(y) < half) & facing]] = True
-    return covered
+    half = 0.5 * squares.edge
+    x, y, _ = np.abs(seen_from(squares, points.positions))
+    covered = (x < half) & (y < half)
+    covered &= squares.rotations[:, :, 2] @ points.normals.T > 0.0
+    covered &= cdist(squares.anchors, points.positions) < squares.edge
+    return np.asarray(covered.any(axis=0))

@@ -41,8 +41,9 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
 from socket_testbed.arrays import IntArray
+from socket_testbed.documents import load_yaml
 from socket_testbed.errors import TrialError
-from socket_testbed.files import load_yaml, packaged
+from socket_testbed.files import packaged
 from socket_testbed.trials.layout import Field, Layout, Record
 from socket_testbed.trials.salvage import SalvagedRecording, salvage
 from socket_testbed.trials.topics import PUBLISHER_DEPTH, REQUIRED, TOPICS, Topic, match_topics

@@ -18,8 +18,7 @@ import numpy as np
 from scipy.ndimage import median_filter
 
 from socket_testbed.arrays import FloatArray
-from socket_testbed.errors import ConfigurationError, TrialError
-from socket_testbed.files import closest
+from socket_testbed.errors import ConfigurationError, TrialError, closest
 from socket_testbed.samples import Samples
 from socket_testbed.settings.identification import PlateauSettings
 from socket_testbed.trials.bag import BagReader, decode_message, stamp_of

@@ -7,16 +7,22 @@ import json
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, get_args
+from typing import Annotated, Any, get_args
 
-from socket_testbed.errors import ConfigurationError
-from socket_testbed.files import atomic_output, check_number, closest, read_document
+from msgspec import Meta
+
+from socket_testbed.documents import convert, plain, read_document, refuse_unknown
+from socket_testbed.errors import ConfigurationError, closest
+from socket_testbed.files import atomic_output
 from socket_testbed.geometry.regions import Side
 
 METADATA_FILE = "trial.yaml"
 
 SIDES: tuple[Side, ...] = get_args(Side)
 MASS_RANGE = (5.0, 400.0)  # [kg]
+_MASS: Any = Annotated[
+    float, Meta(ge=MASS_RANGE[0], le=MASS_RANGE[1], description="the body mass [kg]")
+]
 
 _LONGEST = {"notes": 2000}  # [characters]; 80 otherwise
 _CODES = {"subject": "a code such as S01, never a name", "operator": "initials or a code"}
@@ -82,7 +88,7 @@ COLUMNS = {name: name for name in FIELDS} | {"mass": "mass [kg]", "notes": "tria
 
 def _checked(name: str, value: Any) -> Any:
     if name == "mass":
-        return check_number(value, "mass", *MASS_RANGE)
+        return convert(plain(value), _MASS, "mass")
     if not isinstance(value, str):
         raise ConfigurationError(f"{name} is {value}, no text", "give a text, in quotes in YAML")
     text = " ".join(value.split())
@@ -109,9 +115,10 @@ def read_metadata(path: Path) -> TrialMetadata:
     Raises:
         ConfigurationError: If it is missing or unreadable, or a field is unknown or wrong.
     """
-    document = read_document(path).expect(FIELDS)
+    given = read_document(path, dict[str, Any])
+    refuse_unknown(given, FIELDS, str(path))
     try:
-        return TrialMetadata(**{name: document.take(name) for name in document.names()})
+        return TrialMetadata(**given)
     except ConfigurationError as error:
         raise ConfigurationError(f"{path}: {error.fact}", error.hint) from None
 

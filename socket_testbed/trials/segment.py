@@ -11,8 +11,7 @@ import numpy as np
 from scipy.ndimage import maximum_filter1d, minimum_filter1d, uniform_filter1d
 
 from socket_testbed.arrays import BoolArray, FloatArray, IntArray
-from socket_testbed.errors import ConfigurationError, TrialError
-from socket_testbed.files import closest
+from socket_testbed.errors import ConfigurationError, TrialError, closest
 from socket_testbed.samples import Samples
 from socket_testbed.settings.identification import PlateauSettings
 from socket_testbed.trials.events import Event, event_span, find_events, is_loaded, loaded_span
@@ -98,6 +97,14 @@ def select_segment(
             f"{near} Otherwise {hint}" if near.endswith("?") else hint,
         ) from None
     return _span(samples, start, end, "span")
+
+
+def first_frames(segment: Segment, samples: Samples, frames: int) -> Segment:
+    """The first samples of a segment, so many at most; 0 for all of it."""
+    start, stop = segment.rows.start, segment.rows.stop
+    if not 0 < frames < stop - start:
+        return segment
+    return _segment(segment.kind, samples, start, start + frames)
 
 
 _NAMES = ("plateau", "hold", "auto", "all")

@@ -11,9 +11,8 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
-from functools import partial
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -31,6 +30,7 @@ from socket_testbed.calibration.drift import (
 )
 from socket_testbed.calibration.model import Calibration
 from socket_testbed.errors import ConfigurationError, TrialError
+from socket_testbed.geometry.marker_bodies import MOST_MARKERS
 from socket_testbed.geometry.pose import Pose
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.samples import LOCAL_CHANNELS, Samples, Status, channel_unit
@@ -39,6 +39,8 @@ from socket_testbed.trials.layout import Record, stamps_of
 from socket_testbed.trials.segment import Segment
 from socket_testbed.trials.topics import (
     CAPACITANCE,
+    LOAD_CELL_RAW,
+    MARKERS,
     PYLON_POSE,
     SOCKET_POSE,
     TRIGGER,
@@ -62,6 +64,10 @@ class Measurements:
         clusters: Names of the c clusters.
         capacitance: Capacitances by the converter's input, shape (N, c, 4) [pF].
         status: Status of each of them, shape (N, c, 4).
+        ratios: Ratios of the load cell's bridges, shape (N, 6) [-]; empty unless they were asked
+            for, as are the following.
+        tares: Tares that were subtracted, [M; F], shape (N, 6) [N m, N].
+        markers: Markers in the world by body, shape (N, k, 3) [m], with k the most of any body.
     """
 
     stamps: IntArray
@@ -71,6 +77,9 @@ class Measurements:
     clusters: tuple[str, ...]
     capacitance: FloatArray
     status: StatusArray
+    ratios: FloatArray = field(default_factory=lambda: np.empty((0, 6)))
+    tares: FloatArray = field(default_factory=lambda: np.empty((0, 6)))
+    markers: dict[str, FloatArray] = field(default_factory=dict)
 
     @property
     def time(self) -> FloatArray:
@@ -84,6 +93,14 @@ _HALVES = {
     WRENCH: ("wrench", "torque", "force"),
     SOCKET_POSE: ("pose", "position", "orientation"),
     PYLON_POSE: ("pose", "position", "orientation"),
+}
+_WIDTHS = {WRENCH: 6, LOAD_CELL_RAW: 12, SOCKET_POSE: 7, PYLON_POSE: 7}
+_NEEDED_FOR = {
+    LOAD_CELL_RAW: ("its wrenches cannot be made anew", "leave out --load-cell and --tare"),
+    MARKERS: (
+        "its poses cannot be fitted to other markers",
+        "give --geometry with the trial's own",
+    ),
 }
 _IMPOSSIBLE = 1e6  # [N m, N, m, pF]; no sensor of the testbed reads it
 
@@ -131,7 +148,10 @@ class _Series:
 
 
 def read_measurements(
-    bag: BagReader, notify: Callable[[str], None], duration: float = math.inf
+    bag: BagReader,
+    notify: Callable[[str], None],
+    duration: float = math.inf,
+    more: Collection[Topic] = (),
 ) -> Measurements:
     """Read the measurements of a bag.
 
@@ -140,19 +160,23 @@ def read_measurements(
         notify: Called with a note on stamps that jump back, and on stamps that a topic holds more
             than once.
         duration: How much of the recording is read, from its first measurement [s].
+        more: Which of LOAD_CELL_RAW and MARKERS to read as well.
 
     Raises:
         TrialError: If the bag cannot be read or lacks a topic.
     """
     topics = required_topics(bag)
-    names = {topics[topic]: topic for topic in topics if topic.required}
+    _require_more(bag, topics, more)
+    names = {topics[topic]: topic for topic in topics if topic.required or topic in more}
     series = {TRIGGER: _Series(bag.counts[topics[TRIGGER]])}
-    for topic, width in ((WRENCH, 6), (SOCKET_POSE, 7), (PYLON_POSE, 7)):
-        series[topic] = _Series(bag.counts[topics[topic]], (width, np.float64))
-    cluster_series = partial(
-        _Series, bag.counts[topics[CAPACITANCE]], (4, np.float64), (4, np.uint8)
+    for topic in filter(_WIDTHS.__contains__, names.values()):
+        series[topic] = _Series(bag.counts[topics[topic]], (_WIDTHS[topic], np.float64))
+    clusters: dict[str, _Series] = defaultdict(
+        lambda: _Series(bag.counts[topics[CAPACITANCE]], (4, np.float64), (4, np.uint8))
     )
-    clusters: dict[str, _Series] = defaultdict(cluster_series)
+    markers: dict[str, _Series] = defaultdict(
+        lambda: _Series(bag.counts[topics[MARKERS]], (3 * MOST_MARKERS, np.float64))
+    )
     decoder = BlockDecoder(bag.path)
     for block in bag.blocks(names, duration):
         topic = names[block.topic]
@@ -161,9 +185,11 @@ def read_measurements(
             for name, columns in _values(topic, message, records):
                 found.setdefault(name, []).append((places, stamps_of(records), *columns))
         for name, parts in found.items():
-            (clusters[name] if topic is CAPACITANCE else series[topic]).add(*_in_order(parts))
+            own = {CAPACITANCE: clusters, MARKERS: markers}.get(topic)
+            (series[topic] if own is None else own[name]).add(*_in_order(parts))
     every = {topic.name: own.stamps for topic, own in series.items()}
     every |= {name: own.stamps for name, own in clusters.items()}
+    every |= {f"{MARKERS.name} of {name}": own.stamps for name, own in markers.items()}
     every = {name: stamps for name, stamps in every.items() if len(stamps)}  # not at the beginning
     for note in _stamp_notes(every):
         notify(note)
@@ -186,6 +212,7 @@ def read_measurements(
                 f"{name} holds {int(impossible.sum())} values beyond {_IMPOSSIBLE:g}, which count"
                 " as missing: check the recording"
             )
+    raw = series[LOAD_CELL_RAW].at(stamps)[0] if LOAD_CELL_RAW in series else np.empty((0, 12))
     return Measurements(
         stamps=stamps,
         wrench=tables[WRENCH.name],
@@ -194,13 +221,25 @@ def read_measurements(
         clusters=names_of_clusters,
         capacitance=capacitance,
         status=status,
+        ratios=raw[:, :6],
+        tares=raw[:, 6:],
+        markers={
+            name: own.at(stamps)[0].reshape(-1, MOST_MARKERS, 3) for name, own in markers.items()
+        },
     )
+
+
+def _require_more(bag: BagReader, topics: dict[Topic, str], more: Collection[Topic]) -> None:
+    for topic in more:
+        if not bag.counts.get(topics.get(topic, "")):
+            why, hint = _NEEDED_FOR[topic]
+            raise TrialError(f"{bag.path}: holds no '{topic.name}', so {why}", hint)
 
 
 def _values(
     topic: Topic, message: Any, records: Record
 ) -> Iterator[tuple[str, tuple[NDArray[Any], ...]]]:
-    """Values of messages of one layout, a row each, by the name of the cluster or topic.
+    """Values of messages of one layout, a row each, by the name of the cluster, body or topic.
 
     Args:
         topic: Their topic.
@@ -211,6 +250,14 @@ def _values(
         for number, cluster in enumerate(message.clusters):
             own = records["clusters"][str(number)]
             yield cluster.name, (own["capacitance"].astype(np.float64), own["status"].copy())
+    elif topic is MARKERS:
+        for number, body in enumerate(message.bodies):
+            seen = np.full((len(records), MOST_MARKERS, 3), np.nan)
+            seen[:, : len(body.markers)] = records["bodies"][str(number)]["markers"]
+            yield body.name, (seen.reshape(len(records), -1),)
+    elif topic is LOAD_CELL_RAW:
+        tare = records["tare"]
+        yield topic.name, (np.hstack([records["ratios"], tare["torque"], tare["force"]]),)
     elif topic is TRIGGER:
         yield topic.name, ()
     else:
@@ -484,16 +531,23 @@ def parse_unloaded(spans: list[str]) -> tuple[tuple[float, float], ...]:
     Raises:
         ConfigurationError: If one is none, or they are wrong together: see `check_unloaded`.
     """
-    parsed = tuple(_parse(span) for span in spans)
+    parsed = tuple(parse_span(span, "--unloaded") for span in spans)
     check_unloaded(parsed)
     return parsed
 
 
-def _parse(span: str) -> tuple[float, float]:
+def parse_span(span: str, option: str, others: str = "") -> tuple[float, float]:
+    """A span written as `T0:T1` [s]; the option, and what else it takes, are for the error.
+
+    Raises:
+        ConfigurationError: If it is none.
+    """
     try:
         start, end = (float(part) for part in span.split(":"))
+        if start < end:
+            return start, end
     except ValueError:
-        raise ConfigurationError(
-            f"--unloaded is '{span}'", "give seconds as T0:T1, with T0 before T1"
-        ) from None
-    return start, end
+        pass
+    raise ConfigurationError(
+        f"{option} is '{span}'", f"give seconds as T0:T1, with T0 before T1{others}"
+    )

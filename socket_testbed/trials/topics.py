@@ -33,6 +33,7 @@ CAPACITANCE = Topic(
     "clusters/capacitance", "socket_testbed_msgs/msg/ClusterCapacitanceArray", required=True
 )
 WRENCH = Topic("load_cell/wrench", "geometry_msgs/msg/WrenchStamped", required=True)
+LOAD_CELL_RAW = Topic("load_cell/raw", "socket_testbed_msgs/msg/LoadCellRaw")
 SOCKET_POSE = Topic("mocap/socket/pose", "geometry_msgs/msg/PoseStamped", required=True)
 PYLON_POSE = Topic("mocap/pylon/pose", "geometry_msgs/msg/PoseStamped", required=True)
 MARKERS = Topic("mocap/markers", "socket_testbed_msgs/msg/RigidBodyMarkersArray")
@@ -53,6 +54,7 @@ TOPICS = (
     TRIGGER,
     CAPACITANCE,
     WRENCH,
+    LOAD_CELL_RAW,
     SOCKET_POSE,
     PYLON_POSE,
     MARKERS,

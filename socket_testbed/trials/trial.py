@@ -15,10 +15,18 @@ from socket_testbed.errors import ConfigurationError, TrialError
 from socket_testbed.files import packaged
 from socket_testbed.geometry.socket import SocketGeometry, read_socket
 from socket_testbed.samples import Samples
-from socket_testbed.settings.testbed import EstimatorSettings, read_testbed
+from socket_testbed.settings.testbed import EstimatorSettings, TestbedSettings, read_testbed
 from socket_testbed.trials.bag import BagReader, decode_message, required_topics, sync
 from socket_testbed.trials.events import Event, find_events, join_events, read_events
 from socket_testbed.trials.metadata import METADATA_FILE, TrialMetadata, read_metadata
+from socket_testbed.trials.reprocess import (
+    RECORDED,
+    other_markers,
+    parse_tare,
+    read_load_cell,
+    refit_poses,
+    remake_wrenches,
+)
 from socket_testbed.trials.synchronise import (
     Measurements,
     check_unloaded,
@@ -26,7 +34,7 @@ from socket_testbed.trials.synchronise import (
     make_samples,
     read_measurements,
 )
-from socket_testbed.trials.topics import CAPACITANCE, TRIGGER
+from socket_testbed.trials.topics import CAPACITANCE, LOAD_CELL_RAW, MARKERS, TRIGGER, Topic
 
 SOCKET_FILE = "socket.yaml"
 CALIBRATION_FILE = "calibration.yaml"
@@ -40,14 +48,18 @@ class Trial:
 
     Attributes:
         path: Folder of the trial.
-        socket_file: A `socket.yaml` to use instead of the trial's own.
+        socket_file: A `socket.yaml` to use instead of the trial's own. Poses of a body whose
+            markers differ are fitted anew to its recorded markers.
         calibration_file: A `calibration.yaml` to use instead of the trial's own.
         notify: Called with each note on the trial: on its bag, whenever it is opened, and on drift.
         unloaded: Spans without load, before and after, by which the clusters' drift is
             corrected; seconds since the first sample.
+        load_cell_file: A `testbed.yaml` whose load cell is used instead of the trial's own.
+        tare: Tare of the wrenches: `recorded`, `none`, or `T0:T1`, seconds since the first sample
+            without load.
 
     Raises:
-        ConfigurationError: If the spans are wrong, see `check_unloaded`.
+        ConfigurationError: If the spans are wrong, see `check_unloaded` and `parse_tare`.
     """
 
     path: Path
@@ -55,9 +67,12 @@ class Trial:
     calibration_file: Path | None = None
     notify: Callable[[str], None] | None = None
     unloaded: tuple[tuple[float, float], ...] = ()
+    load_cell_file: Path | None = None
+    tare: str = RECORDED
 
     def __post_init__(self) -> None:
         check_unloaded(self.unloaded)
+        parse_tare(self.tare)
 
     def __repr__(self) -> str:
         return f"Trial({str(self.path)!r})"
@@ -75,26 +90,59 @@ class Trial:
                 self._notify(note)
             yield bag
 
+    @property
+    def needs_all(self) -> bool:
+        """Whether a part of the trial cannot be read without the rest."""
+        return bool(self.unloaded or parse_tare(self.tare))
+
+    @property
+    def remade(self) -> tuple[Topic, ...]:
+        """The raw topics that measurements are made anew from, as the files or the tare differ."""
+        other_wrenches = self.load_cell_file is not None or self.tare != RECORDED
+        return (LOAD_CELL_RAW,) * other_wrenches + (MARKERS,) * bool(self._other_markers)
+
+    @cached_property
+    def _other_markers(self) -> tuple[str, ...]:
+        """The bodies whose markers in the geometry are not those of the recording."""
+        if self.socket_file is None:
+            return ()
+        try:
+            recorded = read_socket(self.path / SOCKET_FILE)
+        except ConfigurationError as error:
+            self._notify(f"the poses stay as recorded, with markers that are not known: {error}")
+            return ()
+        return other_markers(recorded, self.geometry)
+
     def measurements(self, duration: float = math.inf) -> Measurements:
-        """The measurements, corrected for drift by the spans without load; read anew.
+        """The measurements, with what is replaced made anew, corrected for drift; read anew.
 
         Args:
             duration: How much of the recording is read, from its start [s].
 
         Raises:
-            TrialError: If the trial cannot be read or lacks a topic, or the load cell measured a
-                load in a span without load.
+            TrialError: If the trial cannot be read or lacks a topic, the load cell measured a
+                load in a span without load, or what is replaced cannot be made anew.
+            ConfigurationError: If a file that replaces the trial's own is wrong.
             CalibrationError: If the calibration lacks a cluster of the trial, or a span without
                 load holds too few readings.
         """
         with self.open() as bag:
-            measured = read_measurements(bag, self._notify, duration)
+            measured = read_measurements(bag, self._notify, duration, self.remade)
+        where = str(self.path)
+        if LOAD_CELL_RAW in self.remade:
+            given = read_load_cell(self.load_cell_file) if self.load_cell_file else None
+            recorded = self._parameters.load_cell_node
+            measured = remake_wrenches(measured, recorded, given, self.tare, where, self._notify)
+        if self._other_markers:
+            measured = refit_poses(
+                measured, self.geometry, self._other_markers, where, self._notify
+            )
         if not self.unloaded:
             return measured
         self._require_clusters(measured.clusters)
         least_force = self.estimator.plateau.least_force
         return correct_measurements(
-            measured, self.unloaded, self.calibration, least_force, str(self.path), self._notify
+            measured, self.unloaded, self.calibration, least_force, where, self._notify
         )
 
     def samples(self) -> Samples:
@@ -225,8 +273,12 @@ class Trial:
     @cached_property
     def estimator(self) -> EstimatorSettings:
         """Settings of the estimator with which the trial was recorded, or the defaults."""
+        return self._parameters.estimator_node
+
+    @cached_property
+    def _parameters(self) -> TestbedSettings:
         stored = self.path / PARAMETERS_FILE
-        return read_testbed(stored).estimator_node if stored.is_file() else EstimatorSettings()
+        return read_testbed(stored) if stored.is_file() else TestbedSettings()
 
 
 def recorded_namespace(trial: Trial) -> str:

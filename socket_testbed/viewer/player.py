@@ -185,7 +185,7 @@ class Player:
         self._places = all_regions(trial.geometry, trial.metadata.side)
         with trial.open() as bag:
             duration, triggers = bag.duration, bag.counts[required_topics(bag)[TRIGGER]]
-        long = triggers > 2 * _AT_ONCE and not trial.unloaded
+        long = triggers > 2 * _AT_ONCE and not trial.needs_all
         self._part = self._read(duration * _AT_ONCE / triggers if long else math.inf)
         # At the end of what is read, measurements of the last trigger may be missing.
         end = float(self._part.time[-2 if long else -1])

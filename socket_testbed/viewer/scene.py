@@ -16,7 +16,7 @@ from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification.force_map import MapEstimate
 from socket_testbed.identification.pressure import NORMAL_QUANTILE, SHARE
 from socket_testbed.report.figures.style import CLUSTER, SCALE, SURFACE, VEIL
-from socket_testbed.report.figures.unrolled import wall_tiles
+from socket_testbed.report.figures.tiles import wall_tiles
 from socket_testbed.viewer.legend import DEVIATION, PRESSURE, SHEAR, Legend
 from socket_testbed.viewer.source import Instant
 

@@ -1,86 +1,111 @@
-"""Bench files: units, and values that cannot be."""
+"""Bench files: however they are written they give the same numbers, and no unit is guessed."""
 
 import csv
 import dataclasses
+from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
 from support.benches import HEADER, bench_of, exact_bench, write_bench
 
 from socket_testbed.calibration.bench_data import join_benches, read_bench, read_unloaded
-from socket_testbed.errors import CalibrationError
+from socket_testbed.errors import CalibrationError, TestbedError
+
+QUANTITIES = ("time", "normal", "shear_x", "shear_y", "c0", "c1", "c2", "c3")
+STRESS = {"Pa": 1.0, "kPa": 1e3, "MPa": 1e6, "N": 1.0 / 9e-4, "kN": 1e3 / 9e-4}
+CAPACITANCE = {"pF": 1.0, "fF": 1e-3, "nF": 1e3, "counts": 2.0**-19}
+SCALES = [{"s": 1.0, "ms": 1e-3, "sec": 1.0}, *[STRESS] * 3, *[CAPACITANCE] * 4]
 
 
-def refusal(path, columns=None, units=None, area=None) -> CalibrationError:
-    with pytest.raises(CalibrationError) as caught:
-        read_bench(path, columns or {}, units or {}, area)
-    assert "\n" not in str(caught.value)
+def refusal(path, columns=None, units=None) -> TestbedError:
+    with pytest.raises(TestbedError) as caught:
+        read_bench(path, columns or {}, units or {})
     assert path.name in caught.value.fact
     return caught.value
 
 
+@settings(max_examples=60, deadline=None)
+@given(
+    units=st.tuples(*[st.sampled_from([*scales]) for scales in SCALES]),
+    order=st.permutations(range(8)),
+    style=st.sampled_from(["{} [{}]", "{} ({})", "{}_{}", "{}  {}", "{}_({})", "below"]),
+    dialect=st.sampled_from([",.", ";.", ";,", "\t,", "\t."]),
+    ending=st.sampled_from(["\n", "\r\n"]),
+    quoted=st.booleans(),
+    blank=st.booleans(),
+    bom=st.booleans(),
+)
+def test_a_bench_is_the_same_however_it_is_written(
+    units, order, style, dialect, ending, quoted, blank, bom
+):
+    bench = exact_bench()[np.arange(0, 200, 9)]
+    separator, point = dialect
+    scales = [table[unit] for table, unit in zip(SCALES, units, strict=True)]
+    columns = np.column_stack([bench.time, bench.stress, bench.capacitance]) / scales
+    titles = [style.format(*pair) for pair in zip(QUANTITIES, units, strict=True)]
+    rows = [[repr(value).replace(".", point) for value in row] for row in columns.tolist()]
+    if style == "below":
+        titles = list(QUANTITIES)
+        rows.insert(0, [f"({unit})" for unit in units])
+    lines = [
+        separator.join(f'"{row[i]}"' if quoted else f" {row[i]} ".strip("\t") for i in order)
+        for row in [titles, *rows]
+    ]
+    if blank:
+        lines[:1] = ["", lines[0], ""]
+        lines.insert(5, separator * 7)
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "bench.csv"
+        text = ending.join(lines) + ending
+        path.write_bytes(text.encode("utf-8-sig" if bom else "utf-8"))
+        found = read_bench(path, {}, {}, area=9e-4)
+    np.testing.assert_allclose(found.stress, bench.stress, rtol=1e-12)
+    np.testing.assert_allclose(found.capacitance, bench.capacitance, rtol=1e-12)
+    np.testing.assert_allclose(found.time, bench.time, rtol=1e-12)
+    # The line of a row is that of the file.
+    last = [number for number, line in enumerate(lines, 1) if line.strip(separator)][-1]
+    assert found.line[-1] == last and found.place(len(found) - 1) == f"bench.csv line {last}"
+
+
+@settings(max_examples=80, deadline=None)
+@given(cell=st.text(st.characters(codec="utf-8", exclude_characters='\r\n,"'), max_size=8))
+@example("nan")
+@example("inf")
+@example("1_000")
+@example("3 kPa")
+@example("#N/A")
+@example("")
+@example("٣")
+def test_a_cell_is_a_plain_number_or_named_with_its_line(cell):
+    bench = exact_bench()[np.arange(0, 200, 9)]
+    try:
+        plain = float(cell.strip()) if cell.isascii() and "_" not in cell else np.nan
+    except ValueError:
+        plain = np.nan
+    with TemporaryDirectory() as folder:
+        path = write_bench(Path(folder) / "bench.csv", bench)
+        edit(path, with_cell(3, 2, cell))
+        if np.isfinite(plain) and abs(plain) <= 1e3:
+            assert read_bench(path, {}, {}).stress[2, 1] == pytest.approx(1e3 * plain, rel=1e-12)
+        else:
+            error = refusal(path)
+            assert "line 4" in error.fact and "'shear_x [kPa]'" in error.fact
+
+
 def edit(path, change):
     """Rewrite a bench file cell by cell."""
-    with path.open(newline="") as stream:
-        rows = list(csv.reader(stream))
-    rows = change(rows)
-    path.write_text("\n".join(",".join(row) for row in rows) + "\n")
+    with path.open(newline="", encoding="utf-8") as stream:
+        rows = change(list(csv.reader(stream)))
+    text = "\n".join(",".join(row) for row in rows) + "\n"
+    path.write_text(text, encoding="utf-8")
     return path
 
 
-@pytest.fixture
-def bench_file(tmp_path):
-    return write_bench(tmp_path / "bench.csv", exact_bench())
-
-
-def test_a_file_gives_back_what_was_written(bench_file):
-    bench, found = exact_bench(), read_bench(bench_file, {}, {})
-    assert found.files == ("bench.csv",) and found.place(0) == "bench.csv line 2"
-    np.testing.assert_allclose(found.stress, bench.stress, rtol=1e-8, atol=1e-6)
-    np.testing.assert_allclose(found.capacitance, bench.capacitance, rtol=1e-8)
-    np.testing.assert_allclose(found.time, bench.time, rtol=1e-8)
-    assert (found.cycle == -1).all()
-
-
-@pytest.mark.parametrize(
-    ("header", "scales", "area"),
-    [
-        (("time_ms", "normal_Pa", "shear_x (MPa)", "shear_y [kPa]"), (1e3, 1e3, 1e-3, 1.0), None),
-        (("time_s", "normal_N", "shear_x_N", "shear_y [Pa]"), (1.0, 0.9, 0.9, 1e3), 9e-4),
-    ],
-)
-def test_units_bring_all_to_the_same_numbers(tmp_path, bench_file, header, scales, area):
-    header = (*header, "c0 [fF]", "c1 [nF]", "c2 [pF]", "c3_pF")
-    factors = np.array([*scales, 1e3, 1e-3, 1.0, 1.0])
-    values = np.loadtxt(bench_file, delimiter=",", skiprows=1) * factors
-    other = tmp_path / "other.csv"
-    lines = [",".join(map(repr, row)) for row in values.tolist()]
-    other.write_text("\n".join([",".join(header), *lines]))
-    found, expected = read_bench(other, {}, {}, area), read_bench(bench_file, {}, {})
-    for field in ("time", "capacitance", "stress"):
-        np.testing.assert_allclose(getattr(found, field), getattr(expected, field), rtol=1e-12)
-
-
-def test_time_and_cycles_may_be_missing(bench_file):
-    edit(bench_file, lambda rows: [row[1:] for row in rows])
-    found = read_bench(bench_file, {}, {})
-    assert np.isnan(found.time).all() and (found.cycle == -1).all()
-
-
-def test_cycles_have_any_names(bench_file):
-    def name(rows):
-        return [[*rows[0], "run"]] + [[*row, "ab"[k % 2]] for k, row in enumerate(rows[1:])]
-
-    cycle = read_bench(edit(bench_file, name), {"cycle": "run"}, {}).cycle
-    assert set(cycle) == {0, 1} and (cycle[::2] == cycle[0]).all() and cycle[0] != cycle[1]
-
-
 def with_title(column: int, title: str):
-    def change(rows):
-        rows[0][column] = title
-        return rows
-
-    return change
+    return with_cell(0, column, title)
 
 
 def with_cell(row: int, column: int, value: str):
@@ -98,38 +123,68 @@ def with_column(column: int, value: str):
     return change
 
 
-@pytest.mark.parametrize(
-    ("change", "facts", "hint"),
-    [
-        (with_title(4, "c0 [fF]"), ("'c0 [fF]'", "line 2", "outside 10 to"), "--units c0=UNIT"),
-        (with_title(4, "c0 [nF]"), ("'c0 [nF]'", "line 2"), "--units c0=UNIT"),
-        (with_title(1, "normal [MPa]"), ("'normal [MPa]'", "outside"), "unit"),
-        (with_title(2, "shear_x [MPa]"), ("'shear_x [MPa]'", "outside"), "unit"),
-        (with_cell(7, 1, "-50"), ("-50 kPa in line 8", "outside -1 to 2000 kPa"), "sign"),
-        (with_title(0, "time [ms]"), ("'time [ms]'", "0.1 ms in the median"), "--units time=s"),
-        (with_cell(9, 0, "0.1"), ("does not increase at line 10",), "order"),
-        (with_column(6, "6.5"), ("'c2 [pF]' is 6.5 pF in every row",), "wire"),
-        (with_title(1, "normal [N]"), ("force in N",), "--area"),
-        (lambda rows: [*rows[:50], rows[0], *rows[50:]], ("line 51 repeats the header",), "file"),
-        (with_cell(3, 5, ""), ("'c1 [pF]' is empty in line 4",), "fill"),
-        (with_cell(3, 5, "O.5"), ("'O.5' in line 4",), "number"),
-        (lambda rows: [row[:-1] for row in rows], ("no column for c3",), "c3=NAME"),
-        (with_title(7, "c2 [pF]"), ("c2 is in 2 columns",), "rename"),
-        (with_title(7, "c3"), ("no unit for c3",), "c3=pF"),
-    ],
-)
-def test_a_bad_file_is_named_with_its_hint(bench_file, change, facts, hint):
-    error = refusal(edit(bench_file, change))
-    for fact in facts:
-        assert fact in error.fact
-    assert hint in error.hint
+NONE: dict[str, str] = {}
+BAD = [
+    (with_title(4, "c0 [fF]"), NONE, NONE, ("'c0 [fF]'", "line 2", "outside 10 to"), "c0=UNIT"),
+    (with_title(1, "normal [MPa]"), NONE, NONE, ("'normal [MPa]'", "outside"), "unit"),
+    (with_title(2, "shear_x [MPa]"), NONE, NONE, ("'shear_x [MPa]'", "outside"), "unit"),
+    (with_cell(7, 1, "-50"), NONE, NONE, ("-50 kPa in line 8", "-1 to 2000 kPa"), "sign"),
+    (with_title(0, "time [ms]"), NONE, NONE, ("'time [ms]'", "0.1 ms in the"), "--units time=s"),
+    (with_cell(9, 0, "0.1"), NONE, NONE, ("does not increase at line 10",), "order"),
+    (with_column(6, "6.5"), NONE, NONE, ("'c2 [pF]' is 6.5 pF in every row",), "wire"),
+    (with_title(1, "normal [N]"), NONE, NONE, ("force in N",), "--area"),
+    (lambda rows: [*rows[:50], rows[0], *rows[50:]], NONE, NONE, ("in line 51",), "number"),
+    (lambda rows: rows[:1], NONE, NONE, ("holds no row",), "header"),
+    (lambda rows: [], NONE, NONE, ("holds no row",), "header"),
+    (lambda rows: [*rows[:5], [*rows[5], "1"], *rows[6:]], NONE, NONE, ("line 6",), "';'"),
+    (lambda rows: [*rows[:5], rows[5][:-1], *rows[6:]], NONE, NONE, ("empty in line 6",), "fill"),
+    (lambda rows: [row[:-1] for row in rows], NONE, NONE, ("no column for c3",), "c3=NAME"),
+    (with_title(7, "c2 [pF]"), NONE, NONE, ("c2 is in 2 columns",), "rename"),
+    (with_title(7, "C2_pF"), NONE, NONE, ("c2 is in 2 columns",), "--columns c2=NAME"),
+    (with_title(7, "c3"), NONE, NONE, ("'c3' has no unit",), "c3=pF"),
+    (with_title(1, "normal [psi]"), NONE, NONE, ("'psi'",), "--units normal=UNIT"),
+    (with_title(1, "normal [mPa]"), NONE, NONE, ("'mPa'",), "MPa"),
+    (with_title(1, "normal [Pa]"), NONE, {"normal": "pF"}, ("'pF'",), "Pa"),
+    (list, {"c0": "c9"}, NONE, ("no column for c0",), "c0=NAME"),
+    (list, {"time": "normal"}, {"time": "s"}, ("is both",), "own"),
+]
 
 
-def test_milliseconds_under_seconds_are_named(tmp_path):
-    bench = exact_bench()
-    path = write_bench(tmp_path / "b.csv", dataclasses.replace(bench, time=bench.time * 1e3))
-    assert "--units time=ms" in refusal(path).hint
-    np.testing.assert_allclose(read_bench(path, {}, {"time": "ms"}).time, bench.time, atol=1e-9)
+def test_a_bad_file_is_named_with_its_hint(tmp_path):
+    for change, columns, units, facts, hint in BAD:
+        path = write_bench(tmp_path / "bench.csv", exact_bench())
+        error = refusal(edit(path, change), columns, units)
+        for fact in facts:
+            assert fact in error.fact
+        assert hint in error.hint
+    for path in (tmp_path / "none.csv", tmp_path):
+        assert str(path) in refusal(path).fact
+    path.joinpath("sheet.xlsx").write_bytes(b"PK\x03\x04\xff\xfe\x00\x9c")
+    assert "UTF-8" in refusal(tmp_path / "sheet.xlsx").hint
+
+
+def test_columns_are_named_with_or_without_their_unit_and_units_replaced(tmp_path):
+    path, bench = tmp_path / "bench.csv", exact_bench()
+    edit(write_bench(path, bench), with_title(1, "sigma [Pa]"))
+    for title in ("sigma [Pa]", "sigma"):
+        found = read_bench(path, {"normal": title}, {"normal": "kPa"})
+        np.testing.assert_allclose(found.stress, bench.stress, rtol=1e-8, atol=1e-6)
+    late = write_bench(path, dataclasses.replace(bench, time=bench.time * 1e3))
+    assert "--units time=ms" in refusal(late).hint
+    np.testing.assert_allclose(read_bench(late, {}, {"time": "ms"}).time, bench.time, atol=1e-9)
+
+
+def test_time_and_cycles_are_optional_and_cycles_have_any_names(tmp_path):
+    path = write_bench(tmp_path / "bench.csv", exact_bench())
+    edit(path, lambda rows: [row[1:] for row in rows])
+    found = read_bench(path, {}, {})
+    assert np.isnan(found.time).all() and (found.cycle == -1).all()
+
+    def name(rows):
+        return [[*rows[0], "run"]] + [[*row, "ab"[k % 2]] for k, row in enumerate(rows[1:])]
+
+    cycle = read_bench(edit(path, name), {"cycle": "run"}, {}).cycle
+    np.testing.assert_array_equal(cycle, np.arange(len(cycle)) % 2)
 
 
 def test_unloaded_readings_need_no_stress(tmp_path):
@@ -146,14 +201,12 @@ def test_files_are_joined_in_their_order():
     np.testing.assert_array_equal(joined[joined.file == 2].stress, second.stress)
 
 
-def test_a_real_log_is_refused_for_the_columns_it_lacks(shared_data):
-    error = refusal(shared_data / "fdc1004_orthosis" / "Data2.csv")
+def test_a_real_log_lacks_columns_and_its_seconds_are_not_milliseconds(shared_data, tmp_path):
+    real = shared_data / "fdc1004_orthosis" / "Data2.csv"
+    error = refusal(real)
     assert "no column for normal, shear_x, shear_y, c0, c3" in error.fact
     assert "'timestamp(ms)'" in error.fact and "--columns normal=NAME" in error.hint
-
-
-def test_a_real_log_s_seconds_are_not_taken_for_milliseconds(shared_data, tmp_path):
-    with (shared_data / "fdc1004_orthosis" / "Data2.csv").open(newline="") as stream:
+    with real.open(newline="") as stream:
         times = [row[0] for row in csv.reader(stream)][1:]
     rows = np.column_stack([np.full(len(times), 10.0)] * 3 + [np.linspace(5, 6, len(times))] * 4)
     path = tmp_path / "log.csv"
@@ -165,14 +218,14 @@ def test_a_real_log_s_seconds_are_not_taken_for_milliseconds(shared_data, tmp_pa
     assert np.ptp(read_bench(path, columns, {"time": "s"}).time) == pytest.approx(14.996)
 
 
-def test_a_real_sheet_is_refused_until_its_columns_are_named(shared_data):
+def test_a_real_sheet_is_refused_until_its_columns_and_units_are_named(shared_data):
     path = shared_data / "fdc1004_orthosis" / "Book1.csv"
     assert "c1 is in 3 columns: 'C1 pF', 'C1 (2)', 'C1(3)'" in refusal(path).fact.replace("  ", " ")
     columns = {"normal": "Distance_diminué", "shear_x": "Tour", "shear_y": "d"}
     columns |= {"c0": "C1  pF", "c1": "C1 (2)", "c2": "C1(3)", "c3": "C2 avce C1 (2)"}
-    assert "c1 is in '2', not one of its units" in refusal(path, columns).fact
-    units = dict.fromkeys(("c1", "c2", "c3"), "pF")
-    assert "no unit for normal, shear_x, shear_y" in refusal(path, columns, units).fact
-    units |= dict.fromkeys(("normal", "shear_x", "shear_y"), "kPa")
+    units = dict.fromkeys(("normal", "shear_x", "shear_y"), "kPa")
+    assert "'C1 (2)' is in '2', not one of the units of c1" in refusal(path, columns, units).fact
+    units |= dict.fromkeys(("c1", "c2", "c3"), "pF")
     found = read_bench(path, columns, units)
     assert len(found) == 31 and found.stress[:, 0].max() == 7500.0
+    assert isinstance(refusal(path, columns), CalibrationError)

@@ -11,9 +11,9 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-import yaml
 from distributed import LocalCluster
 from support import HANGS
+from support.verbs import call, refused
 
 import socket_testbed as st
 from socket_testbed.__main__ import run
@@ -22,14 +22,6 @@ pytestmark = pytest.mark.graph  # worker processes, interrupted and killed
 
 GOOD = ("s01/hold", "s02/hold", "walk")
 BROKEN = "s01/broken"
-
-
-def call(capsys: pytest.CaptureFixture[str], *words: object) -> tuple[int, str, str]:
-    """Exit code, standard output and standard error of a call."""
-    capsys.readouterr()
-    code = run([str(word) for word in words])
-    captured = capsys.readouterr()
-    return code, captured.out, captured.err
 
 
 @pytest.fixture(scope="session")
@@ -92,43 +84,31 @@ def models(whole_study: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_in_parallel_the_models_are_those_of_single_calls(models: Path, one_by_one: Path) -> None:
+def test_the_summary_holds_the_figures_of_the_models_of_single_calls(models, one_by_one) -> None:
     assert_models(models, one_by_one)
-    assert not list(models.rglob("*.partial"))
-
-
-def test_the_summary_says_what_the_models_say(models: Path) -> None:
     table = pd.read_csv(models / "summary.csv")
     same = pd.read_parquet(models / "summary.parquet")
     pd.testing.assert_frame_equal(table, same, check_dtype=False, check_exact=True)
-    assert table["trial"].tolist() == sorted((*GOOD, BROKEN))
     table = table.set_index("trial")
+    assert list(table.index) == sorted((*GOOD, BROKEN))
     assert table["status"].to_dict() == {BROKEN: "failed", **dict.fromkeys(GOOD, "ok")}
     assert "truncated" in table["error"][BROKEN] and table["error"][list(GOOD)].isna().all()
     assert table.loc[BROKEN].drop(["status", "error"]).isna().all()
-    for name in GOOD:
-        row = table.loc[name]
-        model = json.loads((models / f"{name}.json").read_text())
-        quality = model["quality"]
-        assert row["samples"] == quality["samples"]
-        assert row["variant"] == model["parameters"]["variant"]
-        assert row["theta [-]"] == model["settings"]["theta"]
-        assert f"{row['segment']} {row['segment_start [s]']:.2f} s" in model["segment"]
-        for error in quality["errors"]:
-            for figure in ("rmse", "mae", "sigma"):
-                title = f"{error['name']}_{figure} [{error['unit']}]"
-                assert row[title] == error[figure], title
-            skill = row[f"{error['name']}_skill [-]"]
-            assert skill == error["skill"] or (np.isnan(skill) and error["skill"] is None)
-        moments = [error["rmse"] for error in quality["errors"][:3]]
-        local = [error["rmse"] for error in quality["errors"][6:]]
-        assert row["mean_moment_rmse [N m]"] == pytest.approx(np.mean(moments))
-        assert row["median_local_rmse [N]"] == pytest.approx(np.median(local))
-        skills = [np.nan if e["skill"] is None else e["skill"] for e in quality["errors"]]
-        assert row["median_wrench_skill_in_sample [-]"] == pytest.approx(np.median(skills[:6]))
-        assert row["median_local_skill_in_sample [-]"] == pytest.approx(np.nanmedian(skills[6:]))
-        solved = [quality[key] for key in ("stage_1", "stage_2", "joint")]
-        assert row["kkt_residual [-]"] == max(each["stationarity"] for each in solved) < 1e-8
+    row = table.loc["walk"]
+    model = json.loads((models / "walk.json").read_text())
+    quality = model["quality"]
+    assert (row["samples"], row["theta [-]"]) == (quality["samples"], model["settings"]["theta"])
+    assert f"{row['segment']} {row['segment_start [s]']:.2f} s" in model["segment"]
+    for error in quality["errors"]:
+        for figure in ("rmse", "mae", "sigma"):
+            assert row[f"{error['name']}_{figure} [{error['unit']}]"] == error[figure]
+    skills = np.array([error["skill"] for error in quality["errors"]], dtype=float)
+    assert row["median_wrench_skill_in_sample [-]"] == pytest.approx(np.median(skills[:6]))
+    assert row["median_local_skill_in_sample [-]"] == pytest.approx(np.nanmedian(skills[6:]))
+    moments = [error["rmse"] for error in quality["errors"][:3]]
+    assert row["mean_moment_rmse [N m]"] == pytest.approx(np.mean(moments))
+    solved = [quality[key] for key in ("stage_1", "stage_2", "joint")]
+    assert row["kkt_residual [-]"] == max(each["stationarity"] for each in solved) < 1e-8
 
 
 def test_the_summary_of_fits_judges_each_on_a_half_that_it_has_not_seen(
@@ -147,66 +127,47 @@ def test_the_summary_of_fits_judges_each_on_a_half_that_it_has_not_seen(
     assert row["median_local_skill_unseen_half [-]"] == pytest.approx(np.nanmedian(errors[6:]))
 
 
-def test_a_changed_setting_or_calibration_is_never_passed_over(study, tmp_path, capsys) -> None:
-    shutil.rmtree(study / BROKEN)
-    shutil.rmtree(study / "s02")
+def test_a_changed_option_is_never_passed_over(study, tmp_path, capsys) -> None:
+    shutil.rmtree(study / "s01")
     fit = ["fit", study, "-o", tmp_path / "models", "--jobs", 1]
+    assert call(capsys, *fit)[1].count(": ok, mean") == 2
+    assert call(capsys, *fit)[1].count(": skipped, mean") == 2
+    assert call(capsys, *fit, "--theta", 0.9)[1].count(": ok, mean") == 2
     model = tmp_path / "models" / "walk.json"
-
-    def statuses(*more: object) -> list[str]:
-        code, out, _ = call(capsys, *fit, *more)
-        assert code == 0
-        return [line.split(": ", 1)[1].partition(", mean")[0] for line in out.splitlines()[:-1]]
-
-    assert statuses() == ["ok", "ok"]
-    first = model.read_bytes()
-    assert statuses() == ["skipped", "skipped"]
-    assert statuses("--theta", 0.9) == ["ok again (changed: setting theta)"] * 2
     assert json.loads(model.read_text())["settings"]["theta"] == 0.9
-
-    document = yaml.safe_load((study / "walk" / "calibration.yaml").read_text())
-    document["clusters"]["distal"]["normal"][1] *= 1.1
-    (study / "walk" / "calibration.yaml").write_text(yaml.safe_dump(document))
-    other = statuses()
-    assert other[0] == "ok again (changed: setting theta)"
-    assert other[1] == "ok again (changed: setting theta, trial/calibration.yaml)"
-    assert model.read_bytes() != first
 
 
 def test_trials_are_judged_by_their_own_models_or_all_by_one(
     whole_study, one_by_one, tmp_path, capsys
 ) -> None:
-    words = ["evaluate", whole_study, "--jobs", 1]
-    own, crossed = tmp_path / "own", tmp_path / "crossed"
-    code, _, err = call(capsys, *words, "--model", one_by_one, "-o", own)
-    assert code == 1 and err.count("1 of 4 trials failed") == 1
-    assert call(capsys, *words, "--model", one_by_one / "walk.json", "-o", crossed)[0] == 1
-    for folder, model in ((own, "s02/hold"), (crossed, "walk")):
-        single = ["evaluate", whole_study / "s02/hold", "--model", one_by_one / f"{model}.json"]
-        code, out, _ = call(capsys, *single, "--json", "-o", tmp_path / f"{folder.name}.json")
-        assert code == 0
-        expected = json.loads(out)
-        assert json.loads((tmp_path / f"{folder.name}.json").read_text()) == expected
-        assert json.loads((folder / "s02/hold.errors.json").read_text()) == expected
-        row = pd.read_csv(folder / "summary.csv").set_index("trial").loc["s02/hold"]
+    for name, models, model in (
+        ("own", one_by_one, "s02/hold"),
+        ("crossed", one_by_one / "walk.json", "walk"),
+    ):
+        words = ["--jobs", 1, "--model", models, "-o", tmp_path / name]
+        code, _, err = call(capsys, "evaluate", whole_study, *words)
+        assert code == 1 and err.count("1 of 4 trials failed") == 1
+        expected = st.evaluate(
+            st.open_trial(whole_study / "s02/hold"), one_by_one / f"{model}.json"
+        ).document()
+        found = json.loads((tmp_path / name / "s02/hold.errors.json").read_text())
+        assert found == expected
+        row = pd.read_csv(tmp_path / name / "summary.csv").set_index("trial").loc["s02/hold"]
         assert row["model"] == model.rpartition("/")[2]
         assert row["Fz_rmse [N]"] == expected["channels"][5]["rmse"]
-        assert row["samples"] == expected["samples"]
-        assert row["in_sample"] == ("yes" if model == "s02/hold" else "no")
-        skills = [c["skill"] for c in expected["channels"][:6]]
-        assert row["median_wrench_skill [-]"] == pytest.approx(np.median(skills))
+        assert row["in_sample"] == ("yes" if name == "own" else "no")
 
 
 @pytest.mark.parametrize(
     ("words", "names"),
     [
-        (["fit", "-o", "OUT", "--theta", 7], ["theta", "[0, 1]"]),
+        (["fit", "-o", "OUT", "--theta", 7], ["theta", "from 0 to 1"]),
         (["fit", "-o", "OUT", "--jobs", 0], ["--jobs", "0"]),
         (["fit", "-o", "OUT", "--params", "no.yaml"], ["no.yaml", "no such file"]),
         (["evaluate", "--model", "MODELS"], ["4 trials", "-o"]),
         (["evaluate", "--model", "MODELS", "-o", "OUT", "--json"], ["4 trials", "--json"]),
         (["evaluate", "--model", "no.json", "-o", "OUT"], ["no.json", "no such model"]),
-        (["evaluate", "--model", "MODELS", "-o", "MODELS"], ["holds what 'fit' wrote"]),
+        (["evaluate", "--model", "MODELS", "-o", "MODELS"], ["summary.csv exists already"]),
     ],
 )
 def test_what_is_wrong_for_all_is_one_line(
@@ -214,10 +175,7 @@ def test_what_is_wrong_for_all_is_one_line(
 ) -> None:
     places = {"OUT": tmp_path / "out", "MODELS": models}
     verb, *rest = (places.get(word, word) for word in words)
-    code, out, err = call(capsys, verb, whole_study, *rest)
-    assert code == 1 and out == ""
-    assert err.startswith(f"socket-testbed {verb}: error: ") and err.count("\n") == 1, err
-    assert all(name in err for name in names), err
+    refused(capsys, verb, whole_study, *rest, named=names)
     assert not (tmp_path / "out").exists()
 
 
@@ -268,22 +226,7 @@ def test_one_segment_takes_holds_and_ramps_through_a_batch(
     study = tmp_path / "study"
     shutil.copytree(hold, study / "hold")
     st.simulate(study / "ramp", "ramp", duration=60)
-    evaluate = ["evaluate", study, "--model", hold_model, "--jobs", 1, "--segment"]
-    assert call(capsys, *evaluate, "auto", "-o", tmp_path / "auto")[0] == 0
+    evaluate = ["evaluate", study, "--model", hold_model, "--jobs", 1, "--segment", "auto"]
+    assert call(capsys, *evaluate, "-o", tmp_path / "auto")[0] == 0
     table = pd.read_csv(tmp_path / "auto" / "summary.csv", index_col="trial")
     assert table["segment"].to_dict() == {"hold": "hold", "ramp": "loaded"}
-    between = "event:placed+1:removed-1"
-    assert call(capsys, *evaluate, between, "-o", tmp_path / "between")[0] == 0
-    table = pd.read_csv(tmp_path / "between" / "summary.csv", index_col="trial")
-    assert set(table["segment"]) == {between}
-    for name in table.index:
-        placed, removed, *_ = st.open_trial(study / name).events()
-        assert table["segment_start [s]"][name] == pytest.approx(placed.time + 1, abs=0.25)
-        assert table["segment_end [s]"][name] == pytest.approx(removed.time - 1, abs=0.25)
-
-    fit = ["fit", study / "ramp", "-o", tmp_path / "model.json"]
-    code, _, error = call(capsys, *fit)
-    assert code == 1 and "no plateau" in error
-    segment = error.split("--segment ")[1].split()[0]
-    code, out, _ = call(capsys, *fit, "--segment", segment)
-    assert code == 0 and "ramp: span 3." in out

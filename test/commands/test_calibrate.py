@@ -24,7 +24,7 @@ from socket_testbed.commands import calibrate
 from socket_testbed.errors import TestbedError
 from socket_testbed.files import packaged
 from socket_testbed.samples import Status
-from socket_testbed.simulation.sensors import ClusterSensor
+from socket_testbed.simulation.sensors import ClusterSensor, invert_calibration
 
 WIRING = ("--wiring", 2, 3, 0, 1)  # of the package's own 'distal', whose sensor is simulated
 
@@ -94,6 +94,31 @@ def test_the_report_names_all_that_is_to_be_known(call, bench_file):
     for words in ("hysteresis % FS", "repeatability % FS", "calibrated range", "no outliers"):
         assert words in out
     assert "distal added in" in out
+
+
+@pytest.mark.parametrize("coupling", [0.0, 0.03, 0.06])
+def test_cross_talk_is_the_coupling_of_the_sensor(call, tmp_path, output, coupling):
+    """Full shear x feels like so much of the full normal stress, and the other way round."""
+    ramp = np.concatenate([np.linspace(0.0, 1.0, 15), np.linspace(1.0, 0.0, 15)])
+    pure = [np.outer(ramp, [0.0, side * FULL_SCALE[1], 0.0]) for side in (1.0, -1.0) * 2]
+    applied = np.concatenate([load_path(), *pure])
+    felt = applied / FULL_SCALE
+    felt[:, :2] += coupling * felt[:, 1::-1]
+    bench = bench_of(invert_calibration(nominal(), felt * FULL_SCALE), applied)
+    out = call(write_bench(tmp_path / "bench.csv", bench), *WIRING, "--force")
+    found = record(output)["cross_talk_percent"]
+    assert found["normal"] == pytest.approx(100.0 * coupling, rel=0.1, abs=0.1)
+    # Normal stress has one sign: the fit's constant takes its mean, about a third, off the shear.
+    assert 50.0 * coupling <= found["shear_x"] <= 100.0 * coupling + 0.1
+    assert found["shear_y"] < 0.3
+    assert "cross-talk % FS" in out and "no pure" not in out
+
+
+def test_a_bench_without_pure_shear_says_so_instead_of_a_number(call, bench_file, output):
+    out = call(bench_file, *WIRING)
+    found = record(output)["cross_talk_percent"]
+    assert found["normal"] is None and "no pure shear" in out
+    assert 0.0 < found["shear_x"] < 3.0 and "no pure normal" not in out
 
 
 def test_the_record_says_where_the_coefficients_come_from(call, bench_file, output):
@@ -234,9 +259,9 @@ def test_a_figure_is_drawn_even_of_a_fit_that_is_refused(refused, tmp_path, suff
         ((*WIRING, "--units", "normel=kPa"), ("no quantity 'normel'", "normal")),
         ((*WIRING, "--units", "c0=pF", "c0=fF"), ("c0 is given twice", "once")),
         ((*WIRING, "--units", "normal=Pa"), ("normal spans only 60 Pa", "--units normal=UNIT")),
-        ((*WIRING, "--columns", "normal=load"), ("no column 'load' for normal", "")),
-        ((*WIRING, "--limit", -1), ("--limit", "check")),
-        ((*WIRING, "--area", 900), ("--area is 900", "unit")),
+        ((*WIRING, "--columns", "normal=load"), ("no column for normal", "")),
+        ((*WIRING, "--limit", -1), ("--limit", "from 0 to 100")),
+        ((*WIRING, "--area", 900), ("--area is 900", "from 1e-06 to 0.05")),
         ((*WIRING, "--figure", "fit.txt"), ("fit.txt", ".png or .pdf")),
         ((*WIRING, "--baseline", "a", "b", "c"), ("--baseline: 3 files", "before")),
         ((*WIRING, "--baseline", "none.csv"), ("none.csv", "no such file")),

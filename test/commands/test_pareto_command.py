@@ -10,7 +10,6 @@ import pytest
 from socket_testbed.__main__ import run as run_verb
 from socket_testbed.api import models
 from socket_testbed.commands import pareto as verb
-from socket_testbed.errors import TestbedError
 from socket_testbed.identification.pareto import KNEE, SENSOR_ONLY, WRENCH_ONLY
 from socket_testbed.settings.identification import PAPER_VARIANTS
 
@@ -83,24 +82,3 @@ def test_flawed_solutions_are_named_with_their_thetas(hold, monkeypatch, capsys)
     assert len(rows) == 2 and all(row.endswith("-  not determined") for row in rows)
     assert sum("left out: 1 at theta 0: not determined" in line for line in lines) == 2
     assert sum("left out: 2 at theta 0.5 to 0.75: not certified" in line for line in lines) == 2
-
-
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        (["--thetas", "1"], "--thetas"),
-        (["--figure", "front.jpg"], "front.jpg"),
-        (["--leave-out", "distal.fx"], "did you mean 'distal.Fx'"),
-        (["--segment", "900:999"], "900:999"),
-        (["--params", "none.yaml"], "none.yaml"),
-        (["-o", "/proc/front.csv", "--thetas", "3"], "cannot be written"),
-    ],
-)
-def test_a_wrong_call_gets_one_line_and_leaves_nothing(
-    words, said, hold, tmp_path, monkeypatch, capsys
-):
-    monkeypatch.chdir(tmp_path)
-    with pytest.raises(TestbedError, match=said) as caught:
-        call(hold, *words)
-    assert "\n" not in str(caught.value)
-    assert capsys.readouterr().out == "" and list(tmp_path.iterdir()) == []

@@ -184,22 +184,6 @@ def test_without_a_side_a_note_says_how_to_state_it(hold: Path, tmp_path: Path) 
     assert "left proximal" in found.regions.index
 
 
-@pytest.mark.parametrize(
-    ("options", "says"),
-    [
-        (["--threshold", "-1"], "--threshold is -1, outside"),
-        (["--share", "-0.1"], "--share is -0.1, outside"),
-        (["--segment", "500:600"], "holds 0 samples: give seconds within"),
-        (["--leave-out", "distl.Fz"], "no channel 'distl.Fz': did you mean 'distal.Fz'"),
-        (["--over-time"], "--over-time has no output"),
-        (["-o", "regions.foo"], "'.foo' is not a table format"),
-    ],
-)
-def test_wrong_calls_are_refused_in_one_line(hold: Path, options, says, capsys) -> None:
-    assert run(["pressure", str(hold), *options]) == 1
-    assert says in capsys.readouterr().err
-
-
 def test_a_folder_of_trials_gives_a_table_each_and_a_summary(hold: Path, tmp_path: Path) -> None:
     trials = tmp_path / "trials"
     for name in ("one", "two"):
@@ -212,26 +196,15 @@ def test_a_folder_of_trials_gives_a_table_each_and_a_summary(hold: Path, tmp_pat
     assert len([*(tmp_path / "out").glob("*.pressure.csv")]) == 2
 
 
-def test_a_figure_and_a_video_are_those_of_the_api(hold: Path, tmp_path, capsys) -> None:
-    figure, video = tmp_path / "map.png", tmp_path / "map.gif"
+def test_a_figure_is_that_of_the_api(hold: Path, tmp_path, capsys) -> None:
+    figure = tmp_path / "map.png"
     drawing = ["--figure", str(figure), "--width", "88", "--no-title"]
-    call = ["pressure", str(hold), "--segment", "10:11", "--video", str(video), *drawing]
+    call = ["pressure", str(hold), "--segment", "10:11", *drawing]
     assert run(call) == 0
     assert f"written: {figure}" in capsys.readouterr().out
     own = st.pressure(st.open_trial(hold), "10:11")
     own.draw(tmp_path / "own.png", width=88, title=False)
-    own.animate(tmp_path / "own.gif")
     assert (tmp_path / "own.png").read_bytes() == figure.read_bytes()
-    assert (tmp_path / "own.gif").read_bytes() == video.read_bytes()
     assert run(call) != 0  # nothing is replaced unasked
     with pytest.raises(ConfigurationError, match="width of 120 mm"):
         own.draw(tmp_path / "other.png", width=120)
-
-
-@pytest.mark.parametrize("option", ["--figure", "--video"])
-def test_a_picture_of_another_format_is_refused_before_any_work(
-    hold: Path, tmp_path, option, monkeypatch
-) -> None:
-    monkeypatch.setattr("socket_testbed.api.pressure", lambda *_, **__: pytest.fail("computed"))
-    assert run(["pressure", str(hold), option, str(tmp_path / "map.bmp")]) != 0
-    assert list(tmp_path.iterdir()) == []

@@ -122,11 +122,12 @@ def test_an_event_that_nobody_hears_is_an_error(capfd: pytest.CaptureFixture[str
         assert "error: '" in capfd.readouterr().err
 
 
+@pytest.mark.timeout(300)  # 10 s of a testbed that may be 16 times slower
 def test_run_ends_by_itself_and_a_fault_is_seen(
     tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     path = tmp_path / "trial"
-    words = ["run", *SIMULATED, "--rate", "20", "--duration", "20", "--record", str(path)]
+    words = ["run", *SIMULATED, "--rate", "20", "--duration", "10", "--record", str(path)]
     assert run([*words, "--fault", "clusters.nack=3", "--one-process"]) == 0
     out, err = capfd.readouterr()
     assert "no answer at 0x50 behind channel 2 of 0x70 on i2c-1: check" in err
@@ -151,7 +152,7 @@ def test_doctor_finds_all_that_is_simulated(capsys: pytest.CaptureFixture[str]) 
         "ADS131M06 on spidev0.0, ID 0x26",
         "0 of 1000 frames corrupted",
         "NatNet 4.1",
-        "jitter",
+        "motion capture clock",
         "spidev0.0 converts",
         "its three markers are seen",
     ):
@@ -194,40 +195,6 @@ def test_doctor_without_hardware(capsys: pytest.CaptureFixture[str], tmp_path: P
     for named in ("/dev/i2c-250", "dtparam=i2c_arm=on", "spidev250.7", "'no such chip'"):
         assert named in table
     assert "Traceback" not in table
-
-
-@pytest.mark.parametrize(
-    ("words", "text"),
-    [
-        (["--fault", "mocap.drop=1"], "add --simulated"),
-        (["--simulated", "--fault", "mocap.dorp=1"], "did you mean 'mocap.drop'?"),
-        (["--simulated", "--fault", "mocap.drop=often"], "'often' is not a number"),
-        (["--simulated", "--record", "."], "exists already"),
-        (["--simulated", "--record", "/proc/trial"], "name another folder"),
-        (["--simulated", "--fault", "clusters.nack=nan"], "clusters.nack"),
-        (["--simulated", "--period", "1"], "--period"),
-        (["--simulated", "--rate", "1e6"], "rate"),
-        (["--simulated", "--leave-out", "distal.Fq"], "distal.F"),
-        (["--simulated", "--time-scale", "2"], "--time-scale is 2"),
-        (["--simulated", "--time-scale", "slow"], "'slow' is not a number"),
-        (["--simulated", "--side", "left"], "--side is for a trial that is recorded"),
-        (
-            ["--simulated", "--record", "new", "--side", "lft"],
-            "--side is 'lft': did you mean 'left'",
-        ),
-        (["--time-scale", "0.5"], "add --simulated"),
-        (["--simulated", "--view-port", "8081"], "--view-port is for a page: add --view"),
-        (["--simulated", "--view", "--view-host", "192.0.2.1"], "cannot listen on 192.0.2.1"),
-        (["--duration", "1"], "load_cell_node: "),
-    ],
-)
-def test_what_is_wrong_is_named_in_a_line(
-    words: list[str], text: str, capfd: pytest.CaptureFixture[str]
-) -> None:
-    assert run(["run", *words]) == 1
-    err = capfd.readouterr().err
-    assert text in err and "Traceback" not in err
-    assert err.splitlines()[-1].startswith("socket-testbed run: error: ")
 
 
 def test_a_cluster_on_no_tile_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -15,6 +15,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+import numpy as np
 import pytest
 from support import HANGS
 
@@ -134,7 +135,7 @@ def test_a_node_s_last_words_come_though_it_was_killed(terminal: Terminal) -> No
 def test_the_line_keeps_to_the_width(terminal: Terminal) -> None:
     with status_on(terminal) as status:
         with_triggers(status, 1)
-        status._status.wrench = (1.0, -2.0, -612.0, 0.1, 0.2, 0.3)
+        status._status.wrench = np.array([0.1, 0.2, 0.3, 1.0, -2.0, -612.0])
         for columns in (200, 60, 40, 12, 1, 60):
             terminal.resize(columns)
             status.renew()
@@ -204,9 +205,10 @@ def test_a_status_is_in_words(tmp_path: Path) -> None:
     status = GraphStatus()
     status.triggers, status.complete = 12, 11
     status.trial, status.variant = "s01\x1b[2J", "rigid_bias"
-    status.wrench = (1.4, -2.0, -612.0, 0.12, 0.2, 0.3)
     status.heard = time.monotonic() - 30.5
-    status._errors.append((0, 3 * 4.0**2, 3 * 0.25**2))
+    status.add_wrench(0, np.zeros(6))
+    status.add_prediction(0, np.array([0.25, -0.25, 0.25, 4.0, 4.0, -4.0]))
+    status.wrench = np.array([0.12, 0.2, 0.3, 1.4, -2.0, -612.0])
     elapsed, *parts, model = status_line.status_parts(status, 3661.0, tmp_path)
     assert elapsed == "0:00:00 of 1:01:01"
     assert model == "rigid_bias off by 4.0 N, 0.25 N m"

@@ -10,14 +10,9 @@ import numpy as np
 import pandas as pd
 import pytest
 import yaml
+from support.verbs import call
 
 import socket_testbed as st
-from socket_testbed.__main__ import run
-
-
-def call(capsys, *words: object) -> tuple[int, str, str]:
-    code = run([str(word) for word in words])
-    return code, *capsys.readouterr()
 
 
 @pytest.fixture(scope="module")

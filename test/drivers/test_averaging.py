@@ -7,33 +7,25 @@ from socket_testbed.drivers.averaging import averaging_span, line_weights
 from socket_testbed.settings.acquisition import LoadCellSettings, MocapSettings
 
 
-@pytest.mark.parametrize(
-    ("wanted", "period", "span"),
-    [
-        (-1.0, 0.01, 0.01),
-        (-1.0, 0.25, 0.25),
-        (-1.0, 1.0, 0.25),
-        (-1.0, 0.0, 0.0),
-        (0.0, 0.05, 0.0),
-        (0.1, 0.05, 0.1),
-        (0.5, 0.0, 0.5),
-    ],
-)
-def test_the_span_is_the_setting_or_the_trigger_s_period(wanted, period, span) -> None:
-    assert averaging_span(wanted, period) == span
+def test_the_span_is_the_setting_or_the_trigger_s_period() -> None:
+    for wanted, period, span in (
+        (-1.0, 0.01, 0.01), (-1.0, 0.25, 0.25), (-1.0, 1.0, 0.25), (-1.0, 0.0, 0.0),
+        (0.0, 0.05, 0.0), (0.1, 0.05, 0.1), (0.5, 0.0, 0.5),
+    ):  # fmt: skip
+        assert averaging_span(wanted, period) == span
 
 
 def test_by_default_load_cell_and_motion_capture_average_alike() -> None:
     assert LoadCellSettings().average_over == MocapSettings().window < 0.0
 
 
-@pytest.mark.parametrize("count", [2, 3, 7, 60])
-def test_the_weights_are_those_of_the_line_at_the_trigger(count: int) -> None:
-    rng = np.random.default_rng(count)
-    offsets = np.sort(rng.uniform(-0.1, 0.15, count))
-    values = rng.normal(size=count)
-    expected = np.polynomial.Polynomial.fit(offsets, values, 1)(0.0)
-    assert line_weights(offsets) @ values == pytest.approx(expected, abs=1e-9)
+def test_the_weights_are_those_of_the_line_at_the_trigger() -> None:
+    for count in (2, 3, 7, 60):
+        rng = np.random.default_rng(count)
+        offsets = np.sort(rng.uniform(-0.1, 0.15, count))
+        values = rng.normal(size=count)
+        expected = np.polynomial.Polynomial.fit(offsets, values, 1)(0.0)
+        assert line_weights(offsets) @ values == pytest.approx(expected, abs=1e-9)
 
 
 def test_even_offsets_make_a_mean() -> None:

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from support import HANGS
 from support.natnet import Link, markers_at, scene, until
+from support.wording import refused
 
 from socket_testbed import clocks
 from socket_testbed.drivers.natnet.client import NatNetClient
@@ -69,43 +70,39 @@ def group() -> tuple[str, int]:
     return GROUP, port
 
 
-@pytest.mark.parametrize("version", VERSIONS)
-def test_frames_come_with_their_exposure_on_the_steady_clock(version):
-    with Link(version=version) as link:
-        link.until_fine()
-        assert min(link.check_sample() for _ in range(5)) < ACCURACY
-        assert link.client.describe()["bodies"] == "pylon, socket"
-        numbers, moments = zip(*link.frames, strict=True)
-        assert all(a < b for a, b in itertools.pairwise(numbers))
-        assert all(a < b for a, b in itertools.pairwise(moments))
+def test_frames_of_every_version_come_with_their_exposure_on_the_steady_clock():
+    for version in VERSIONS:
+        with Link(version=version) as link:
+            link.until_fine()
+            assert min(link.check_sample() for _ in range(5)) < ACCURACY
+            assert link.client.describe()["bodies"] == "pylon, socket"
+            numbers, moments = zip(*link.frames, strict=True)
+            assert all(a < b for a, b in itertools.pairwise(numbers))
+            assert all(a < b for a, b in itertools.pairwise(moments))
 
 
-def test_health_and_description_say_who_streams(link):
-    expected = "240 Hz from simulated Motive (Motive 3.1, NatNet 4.1), clock +- "
-    until(lambda: link.is_fine() and link.health()[1].startswith(expected), "the rate")
-    table = link.client.describe()
-    assert table["server"] == "simulated Motive"
-    assert table["application"] == "3.1"
-    assert table["bodies"] == "pylon, socket"
-    assert {"rate", "clock uncertainty", "clock jitter", "NatNet"} <= set(table)
-    assert link.client.figures()["frames"] > 0
-    assert table["state"] == "connected"
-
-
-def test_a_unicast_server_is_asked_for_little_in_the_wanted_version():
+def test_a_unicast_server_is_asked_for_little_in_the_wanted_version_and_described():
     with Link(version=(4, 4)) as link:
         link.until_fine()
+        expected = "frames of simulated Motive 3.1, NatNet 4.4 come, its clock is known within 0."
+        assert link.health()[1].startswith(expected)
+        table = link.client.describe()
+        assert (table["server"], table["state"]) == (
+            "simulated Motive 3.1, NatNet 4.4",
+            "connected",
+        )
+        assert {"rate", "clock uncertainty", "address"} <= set(table)
+        until(lambda: round(link.client.figures()["rate"]) in range(200, 280), "the rate")
         until(lambda: len(link.server.commands) >= 3, "the subscriptions")
-        asked = list(dict.fromkeys(link.server.commands))
-        assert asked == [
+        assert list(dict.fromkeys(link.server.commands)) == [
             "Bitstream,4.1", "SubscribeToData,RigidBody,All", "SubscribeToData,LabeledMarkers,All",
         ]  # fmt: skip
 
 
-def test_a_server_of_2_x_is_reported_as_too_old():
+def test_a_server_of_2_x_is_too_old():
     with Link(version=(2, 10)) as link:
-        link.until_level(2, "stamps no exposures")
-        assert not link.frames
+        link.until_level(2, "NatNet 2.10 is too old, NatNet 3.0 is needed: update Motive to 2.0")
+        assert not link.frames and link.client.figures()["bad_datagrams"] == 0
 
 
 def ask(link, command: str) -> Answer:
@@ -115,27 +112,19 @@ def ask(link, command: str) -> Answer:
     return future.result(HANGS)
 
 
-def test_commands_are_answered(link):
+def test_commands_are_answered_or_say_why_not(link):
     assert unpack("<f", ask(link, "FrameRate").raw) == (240.0,)
-    assert unpack("<f", ask(link, "UnitsToMillimeters").raw) == (1000.0,)
-    live = ask(link, "LiveMode")
-    assert live.raw == bytes(4) and live.accepted
+    assert ask(link, "LiveMode").accepted
     unknown = ask(link, "Tango,now")
     assert not unknown.accepted
     assert unknown.fault("Tango,now") == "the server does not know Tango"
-
-
-def test_a_command_without_an_answer_says_so(link):
     link.faults["mocap.unplugged"] = 1.0
     answer = ask(link, "StartRecording")
     assert answer.raw is None and not answer.accepted
     assert answer.fault("StartRecording") == "no answer to StartRecording"
     assert "StartRecording" not in link.server.commands
-
-
-def test_a_client_that_was_not_started_says_so(link):
-    client = NatNetClient(link.settings, lambda *_: None)
-    assert client.health(clocks.monotonic()) == (2, "not started")
+    idle = NatNetClient(link.settings, lambda *_: None)
+    assert idle.health(clocks.monotonic()) == (2, "not started")
 
 
 def test_commands_of_many_threads_get_their_own_answers(link):
@@ -184,17 +173,6 @@ def test_what_went_wrong_is_reported_for_less_than_a_second():
     assert statistics.figures()["lost_frames"] == 7
 
 
-def test_the_rate_is_reported_without_flicker():
-    statistics, now, shown = LinkStatistics(), 0.0, []
-    rng = np.random.default_rng(1)
-    for rate in (232.0, 240.0, 120.0, 48.0):
-        for _ in range(int(3 * rate)):
-            now += 1.0 / rate
-            statistics.delivered(now + rng.normal(0.0, 3e-4))
-        shown += [statistics.steady_rate(now + 1e-4 * k) for k in range(3)]
-    assert shown == [230.0] * 3 + [240.0] * 3 + [120.0] * 3 + [48.0] * 3
-
-
 @pytest.mark.parametrize("fault", FAULTS)
 def test_a_fault_is_reported_within_a_second_and_so_is_its_end(link, fault):
     value, level, text = FAULTS[fault]
@@ -210,16 +188,7 @@ def test_a_fault_is_reported_within_a_second_and_so_is_its_end(link, fault):
     assert link.client.figures()["sessions"] == (2 if level == 2 else 1)
 
 
-def test_swapped_labels_are_put_right(link):
-    link.faults["mocap.swap"] = 0.5
-    seen = len(link.frames)
-    until(lambda: len(link.frames) > seen + 10, "frames")
-    for _ in range(10):
-        assert link.check_sample() < ACCURACY
-    link.until_fine()
-
-
-def test_an_occluded_marker_is_missing_until_it_is_seen_again(link):
+def test_an_occluded_marker_is_missing_until_it_is_seen_again_and_swapped_labels_are_repaired(link):
     for _ in range(4):
         link.check_sample()
     link.faults["mocap.occlude"] = 2.0
@@ -233,18 +202,21 @@ def test_an_occluded_marker_is_missing_until_it_is_seen_again(link):
     truth = np.array([markers_at(body, trigger) for body in range(2)])
     assert np.nanmax(np.abs(sample.markers - truth)) < ACCURACY
     link.faults.clear()
+    link.faults["mocap.swap"] = 0.5
     until(lambda: link.tracker.sample(clocks.monotonic() - 0.06).faults == ("", ""), "the end")
-
-
-@pytest.mark.parametrize(
-    "faults", [("drop", "duplicate"), ("truncate", "reorder"), ("corrupt", "duplicate")]
-)
-def test_two_faults_at_once_do_not_end_it(faults):
-    with Link(seed=5) as link:
-        link.faults.update({f"mocap.{fault}": 0.3 for fault in faults})
-        until(lambda: len(link.frames) > 50, "frames")
-        link.faults.clear()
+    for _ in range(10):
         assert link.check_sample() < ACCURACY
+    link.until_fine()
+
+
+def test_two_faults_at_once_do_not_end_it():
+    with Link(seed=5) as link:
+        for faults in (("drop", "duplicate"), ("truncate", "reorder"), ("corrupt", "duplicate")):
+            link.faults.update({f"mocap.{fault}": 0.3 for fault in faults})
+            received = len(link.frames)
+            until(lambda n=received: len(link.frames) > n + 50, "frames")
+            link.faults.clear()
+            assert link.check_sample() < ACCURACY
 
 
 def test_replies_that_are_lost_are_asked_for_again():
@@ -255,17 +227,17 @@ def test_replies_that_are_lost_are_asked_for_again():
         until(lambda: len(link.frames) > 20, "frames")
 
 
-@pytest.mark.parametrize("first", ["client", "server"])
-def test_a_server_is_waited_for_and_found(first):
-    with Link(client=first != "client") as link:
-        address = link.server.address
-        link.server.close()
-        if first == "client":
-            link.client.start()
-        link.until_level(2, "check that Motive streams (Data Streaming, unicast")
-        link.server = NatNetServer(scene, address=address, faults=link.faults, seed=9)
-        assert link.until_fine() < 1.5
-        assert link.check_sample() < ACCURACY
+def test_a_server_is_waited_for_and_found():
+    for first in ("client", "server"):
+        with Link(client=first != "client") as link:
+            address = link.server.address
+            link.server.close()
+            if first == "client":
+                link.client.start()
+            link.until_level(2, "check that Motive streams (Data Streaming, unicast")
+            link.server = NatNetServer(scene, address=address, faults=link.faults, seed=9)
+            assert link.until_fine() < 1.5
+            assert link.check_sample() < ACCURACY
 
 
 @pytest.mark.parametrize("version", [(3, 1), (4, 4)])
@@ -350,11 +322,10 @@ class TestRecording:
         until(lambda: link.server.takes == ["trial_1", "trial_2", "trial_3"], "another take")
         until(lambda: link.client.recording_fault == "", "the end of all faults")
 
-    @pytest.mark.parametrize("fault", ["drop", "duplicate", "truncate"])
-    def test_lost_replies_do_not_make_more_takes(self, fault):
+    def test_lost_replies_do_not_make_more_takes(self):
         with Link(seed=3) as link:
             link.until_fine()
-            link.faults[f"mocap.{fault}"] = 0.6
+            link.faults.update({"mocap.drop": 0.4, "mocap.duplicate": 0.5, "mocap.truncate": 0.3})
             for number in range(2):
                 link.client.set_recording(f"take {number}")
                 until(lambda: link.server.recording, "the recording")
@@ -363,16 +334,7 @@ class TestRecording:
                 until(lambda: not link.server.recording, "the end")
             assert link.server.takes == ["take 0", "take 1"]
 
-    def test_a_take_goes_on_after_a_restart(self, link):
-        link.client.set_recording("long")
-        until(lambda: link.server.recording, "the recording")
-        link.faults["mocap.restart"] = 1.0
-        until(lambda: link.server.takes == ["long", "long"], "another take")
-        until(lambda: link.client.recording_fault == "" and link.is_fine(), "the end of faults")
-        link.client.set_recording(None)
-        until(lambda: not link.server.recording, "the end")
-
-    def test_a_network_that_comes_back_finds_its_take(self, link):
+    def test_a_take_goes_on_after_a_restart_and_after_a_network_that_comes_back(self, link):
         link.client.set_recording("long")
         until(lambda: link.client._session.takes.settled and link.server.recording, "it")
         link.faults["mocap.unplugged"] = 1.0
@@ -380,6 +342,11 @@ class TestRecording:
         link.faults.clear()
         until(lambda: link.client.recording_fault == "" and link.is_fine(), "the end of faults")
         assert link.server.takes == ["long"]
+        link.faults["mocap.restart"] = 1.0
+        until(lambda: link.server.takes == ["long", "long"], "another take")
+        until(lambda: link.client.recording_fault == "" and link.is_fine(), "the end of faults")
+        link.client.set_recording(None)
+        until(lambda: not link.server.recording, "the end")
 
     def test_an_unplugged_server_is_stopped_later(self, link):
         link.client.set_recording("long")
@@ -408,7 +375,7 @@ class TestRecording:
 
 
 class TestMulticast:
-    def test_frames_of_a_group(self, group):
+    def test_frames_of_a_group_also_after_a_restart(self, group):
         with Link(multicast=group, data_port=group[1], version=(4, 2)) as link:
             link.until_fine()
             assert link.check_sample() < ACCURACY
@@ -416,30 +383,22 @@ class TestMulticast:
             link.until_level(2)
             link.faults.clear()
             link.until_fine()
-            assert link.check_sample() < ACCURACY
-
-    def test_a_restart(self, group):
-        with Link(multicast=group, data_port=group[1], version=(3, 1)) as link:
-            link.until_fine()
+            sessions = link.client.figures()["sessions"]
             link.faults["mocap.restart"] = 1.0
-            took = until(lambda: link.client.figures()["sessions"] == 2, "a session")
+            until(lambda: link.client.figures()["sessions"] > sessions, "a session")
             received = len(link.frames)
-            took += until(lambda: len(link.frames) > received, "frames")
-            assert took < 1.3
+            until(lambda: len(link.frames) > received, "frames")
             link.until_fine()
             assert link.check_sample() < ACCURACY
 
-    def test_a_port_that_another_program_has(self, group):
+    def test_a_port_that_another_program_has_and_a_server_in_another_mode(self, group):
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
             other.bind(("", group[1]))
             settings = MocapSettings(
                 server="127.0.0.1", multicast=group[0], data_port=group[1], interface="127.0.0.1"
             )
-            client = NatNetClient(settings, lambda *_: None)
-            with pytest.raises(DeviceError, match=f"another program has the data port {group[1]}"):
-                client.start()
-
-    def test_a_server_in_another_mode_is_reported(self, group):
+            with refused(DeviceError, f"another program has the data port {group[1]}"):
+                NatNetClient(settings, lambda *_: None).start()
         with Link(multicast=group, data_port=group[1], client=False) as link:
             settings = MocapSettings(server="127.0.0.1", command_port=link.server.address[1])
             link.client = NatNetClient(settings, lambda *_: None)
@@ -447,22 +406,17 @@ class TestMulticast:
             link.until_level(2, f"streams to the group {group[0]}: choose unicast")
 
 
-@pytest.mark.parametrize(
-    ("settings", "text"),
-    [
-        ({}, "mocap_node: server is empty: give the address of the computer that runs Motive"),
-        ({"server": "no such host.invalid"}, "mocap_node: server 'no such host.invalid' is not"),
+def test_a_wrong_address_is_refused_at_once():
+    for settings, text in (
+        ({}, "server is empty"),
+        ({"server": "no such host.invalid"}, "server 'no such host.invalid' is not known"),
         ({"server": "127.0.0.1", "bitstream": "four"}, "bitstream is 'four'"),
-        (
-            {"server": "127.0.0.1", "multicast": "10.0.0.1"},
-            "'10.0.0.1', which is not a multicast group",
-        ),
+        ({"server": "127.0.0.1", "bitstream": "2.10"}, "bitstream is '2.10', which is too old"),
+        ({"server": "127.0.0.1", "multicast": "10.0.0.1"}, "multicast is '10.0.0.1'"),
         ({"server": "127.0.0.1", "interface": "wlan0"}, "interface is 'wlan0'"),
-    ],
-)
-def test_a_wrong_address_is_reported_at_once(settings, text):
-    with pytest.raises(ConfigurationError, match=text):
-        NatNetClient(MocapSettings(**settings), lambda *_: None)
+    ):
+        with refused(ConfigurationError, f"mocap_node: {text}"):
+            NatNetClient(MocapSettings(**settings), lambda *_: None)
 
 
 def test_an_interface_that_is_not_there_is_waited_for():

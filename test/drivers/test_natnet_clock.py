@@ -42,35 +42,18 @@ def test_without_echoes_there_is_no_map():
     assert clock.to_steady(server.ticks(1.0)) == pytest.approx(1.0, abs=1e-4)
 
 
-def test_a_server_without_a_clock_gives_no_map():
-    clock = EchoClock(0)
-    for number in range(5):
-        assert clock.add(0.1 * number, 0, 0.1 * number + 1e-3)
-    assert clock.to_steady(1) is None
-
-
-@pytest.mark.parametrize("drift", [0.0, 3e-5, -8e-5, 2e-4])
-@pytest.mark.parametrize("frequency", [FREQUENCY, 2_441_406])
-def test_a_drifting_clock_is_followed(drift, frequency):
-    server, clock = Server(1, 3.2e6, drift, frequency), EchoClock(frequency)
-    server.echoes(clock, times_of_a_session(300.0), 4e-4, 2e-4)
-    for ago in (0.0, 0.01, 0.4):
-        moment = 300.0 - ago
-        assert clock.to_steady(server.ticks(moment)) == pytest.approx(moment, abs=2e-4)
-
-
-@pytest.mark.parametrize("seed", range(8))
-def test_asymmetric_jitter_moves_the_map_less_than_the_shortest_round_trip(seed):
-    server, clock = Server(seed, -50.0, 4e-5), EchoClock(FREQUENCY)
-    times = times_of_a_session(120.0)
-    for count in (10, len(times)):  # at once, and later
-        server.echoes(clock, times[10 if count > 10 else 0 : count], 1e-3, 4e-3)
-        now = times[count - 1]
-        error = abs(clock.to_steady(server.ticks(now)) - now)
-        assert error < 1.5e-3
-        assert 4e-4 < clock.uncertainty < 2e-3
-    assert error < 5e-4
-    assert clock.jitter < 1e-3
+def test_a_drifting_clock_is_followed():
+    for drift, frequency in (
+        (0.0, FREQUENCY),
+        (3e-5, 2_441_406),
+        (-8e-5, FREQUENCY),
+        (2e-4, 10**9),
+    ):
+        server, clock = Server(1, 3.2e6, drift, frequency), EchoClock(frequency)
+        server.echoes(clock, times_of_a_session(300.0), 4e-4, 2e-4)
+        for ago in (0.0, 0.01, 0.4):
+            moment = 300.0 - ago
+            assert clock.to_steady(server.ticks(moment)) == pytest.approx(moment, abs=2e-4)
 
 
 def test_the_error_of_an_echo_is_weighed_by_its_round_trip():
@@ -82,32 +65,19 @@ def test_the_error_of_an_echo_is_weighed_by_its_round_trip():
     assert 1e-4 < clock.uncertainty < 1e-4 + 1.2 * 6.2e-4
 
 
-@pytest.mark.parametrize("jump", [-1e6, -1.0, -0.05, 0.05, 3.0, 1e6])
-def test_a_restarted_server_is_noticed_by_its_first_echo(jump):
-    server, clock = Server(2, 1e3, 5e-5), EchoClock(FREQUENCY)
-    server.echoes(clock, times_of_a_session(60.0), 1e-3, 1e-3)
-    server.offset += jump
-    assert not server.echo(clock, 60.0, 5e-4, 5e-4)
-    assert len(clock) == 1
-    assert clock.to_steady(server.ticks(60.0)) is None
-    server.echoes(clock, 60.0 + times_of_a_session(1.0), 1e-3, 1e-3)
-    assert clock.to_steady(server.ticks(61.0)) == pytest.approx(61.0, abs=1e-3)
+def test_a_restarted_server_is_noticed_by_its_first_echo():
+    for jump in (-1e6, -1.0, -0.05, 0.05, 3.0, 1e6):
+        server, clock = Server(2, 1e3, 5e-5), EchoClock(FREQUENCY)
+        server.echoes(clock, times_of_a_session(60.0), 1e-3, 1e-3)
+        server.offset += jump
+        assert not server.echo(clock, 60.0, 5e-4, 5e-4)
+        assert len(clock) == 1
+        assert clock.to_steady(server.ticks(60.0)) is None
+        server.echoes(clock, 60.0 + times_of_a_session(1.0), 1e-3, 1e-3)
+        assert clock.to_steady(server.ticks(61.0)) == pytest.approx(61.0, abs=1e-3)
 
 
 def test_a_long_silence_is_no_restart():
     server, clock = Server(3, 1e3, 1e-4), EchoClock(FREQUENCY)
     server.echoes(clock, times_of_a_session(20.0), 1e-3, 1e-3)
     assert server.echo(clock, 120.0, 5e-4, 5e-4)
-
-
-def test_the_map_runs_on_evenly():
-    """Frames keep their order: the map never steps back by more than the frames' period."""
-    server, clock = Server(4, 77.0, 6e-5), EchoClock(FREQUENCY)
-    worst = 0.0
-    for at in times_of_a_session(120.0):
-        before = clock.to_steady(server.ticks(at))
-        server.echoes(clock, [at], 1e-3, 3e-3)
-        after = clock.to_steady(server.ticks(at))
-        if before is not None:
-            worst = max(worst, abs(after - before))
-    assert worst < 2e-3

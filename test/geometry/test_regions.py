@@ -8,9 +8,9 @@ import yaml
 from support.ring_socket import ring_socket
 
 from socket_testbed.errors import ConfigurationError
-from socket_testbed.files import Section, packaged
+from socket_testbed.files import packaged
 from socket_testbed.geometry.regions import all_regions, anatomical_regions
-from socket_testbed.geometry.socket import read_socket, socket_from_section, write_socket
+from socket_testbed.geometry.socket import read_socket, socket_from_document, write_socket
 
 GEOMETRY = read_socket(packaged("config", "socket.yaml"))
 
@@ -66,17 +66,17 @@ def test_own_regions_stand_in_the_file_and_before_the_socket(tmp_path) -> None:
     ("regions", "says"),
     [
         ({"heel": []}, "regions: heel has no tiles"),
-        ({"heel": None}, "regions: heel has no tiles"),
-        ({"heel": "distal"}, "regions: heel has no tiles"),
+        ({"heel": None}, "regions: heel is empty"),
+        ({"heel": "distal"}, "regions: heel is 'distal'"),
         ({"heel": ["dstal"]}, "no tile 'dstal': did you mean 'distal'"),
         ({"heel": ["distal", "distal"]}, "holds a tile twice"),
         ({"anterior proximal": ["distal"]}, "name of a standard region"),
         ({"medial": ["distal"]}, "name of a standard region"),
         ({"socket": ["distal"]}, "name of a standard region"),
-        (["distal"], "a mapping is expected"),
+        (["distal"], "regions is a list of 1"),
     ],
 )
 def test_wrong_regions_are_refused(regions, says) -> None:
     document = yaml.safe_load(packaged("config", "socket.yaml").read_text()) | {"regions": regions}
     with pytest.raises(ConfigurationError, match=says):
-        socket_from_section(Section(document, "socket.yaml"))
+        socket_from_document(document, "socket.yaml")

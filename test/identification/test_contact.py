@@ -1,17 +1,15 @@
-"""The contact law against its definition."""
+"""The contact laws against their definitions, and the models that use them."""
 
 import dataclasses
 
 import numpy as np
 import pytest
-from support.problems import moving_limb, naive_gated, random_bed, random_socket
+from scipy.spatial.transform import Rotation
+from support.problems import moving_limb, naive_gated, random_bed, random_socket, uniform_bed
 
-from socket_testbed.identification.contact import (
-    gate,
-    gated_displacement,
-    gated_slope,
-    wrench_map,
-)
+from socket_testbed.identification.contact import LAWS
+from socket_testbed.identification.contact_law import gate, wrench_map
+from socket_testbed.identification.rigid_law import relative_pose
 from socket_testbed.settings.identification import PAPER_VARIANTS, VARIANTS
 
 ALPHA = 2000.0  # [1/m]
@@ -22,63 +20,85 @@ def rng():
     return np.random.default_rng(1)
 
 
-@pytest.mark.parametrize(
-    ("displacement", "value"), [(-1.0, 1.0), (-0.01, 1.0), (0.0, 0.5), (0.01, 0.0), (1.0, 0.0)]
-)
-def test_gate_is_open_in_compression_and_shut_in_tension(displacement, value):
-    assert gate(np.array(displacement), ALPHA) == pytest.approx(value, abs=1e-12)
+def law_of(variant, geometry, sharpness=ALPHA, reference=(0.01, -0.02, 0.15, 0.02, 0.1, -0.05)):
+    return LAWS[variant](geometry.anchors, geometry.rotations, sharpness, np.array(reference))
 
 
-def test_gate_falls_and_is_antisymmetric_about_one_half():
-    d = np.linspace(-0.003, 0.003, 101)
-    values = gate(d, ALPHA)
-    assert (np.diff(values) < 0.0).all()
-    np.testing.assert_allclose(values + gate(-d, ALPHA), 1.0, rtol=0.0, atol=1e-15)
+def test_every_variant_has_a_law():
+    assert tuple(LAWS) == VARIANTS
 
 
-@pytest.mark.parametrize("sharpness", [1.0, 300.0, 2000.0, 1e5])
-def test_gated_displacement_equals_the_tanh_form(rng, sharpness):
-    position = rng.uniform(-0.01, 0.01, (20, 3))
-    rest = rng.uniform(-0.01, 0.01, (7, 3))
-    displacement = position[:, None] - rest
-    expected = naive_gated(displacement, sharpness)
-    found = gated_displacement(position, rest, sharpness)
-    # The tanh form cancels where the gate is shut: it is exact to rounding of the displacement.
-    np.testing.assert_allclose(found, expected, rtol=1e-13, atol=1e-16)
-
-
-@pytest.mark.parametrize("sharpness", [2000.0, 1e6])
-@pytest.mark.parametrize(("metre", "expected"), [(1.0, 0.0), (-1.0, -1.0)])
-def test_gated_displacement_survives_a_metre(sharpness, metre, expected):
+def test_gate_is_the_paper_s_open_in_compression_and_shut_in_tension():
+    d = np.array([-1.0, -0.01, -1e-4, 0.0, 1e-4, 0.01, 1.0])
     with np.errstate(over="raise"):  # the law itself must keep its overflow quiet
-        s = gated_displacement(np.full((2, 3), metre), np.zeros((1, 3)), sharpness)
-    np.testing.assert_array_equal(s, np.full((2, 1, 3), expected))
+        np.testing.assert_allclose(gate(d, ALPHA), 0.5 - 0.5 * np.tanh(ALPHA * d), atol=1e-15)
 
 
-@pytest.mark.parametrize("sharpness", [300.0, 2000.0])
-def test_gated_slope_is_the_derivative_of_the_gated_displacement(rng, sharpness):
-    position = rng.uniform(-0.004, 0.004, (50, 3))
-    rest = rng.uniform(-0.004, 0.004, (7, 3))
-    step = 1e-7  # [m]
-    after, before = (gated_displacement(position + s, rest, sharpness) for s in (step, -step))
-    found = gated_slope(position, rest, sharpness)
-    np.testing.assert_allclose(found, (after - before) / (2.0 * step), atol=1e-6)
-    far = gated_slope(np.array([[1.0, -1.0, 0.0]]), np.zeros((1, 3)), sharpness)
-    np.testing.assert_array_equal(far, [[[0.0, 1.0, 0.5]]])
+@pytest.mark.parametrize("sharpness", [1.0, 300.0, 1e5])
+def test_columns_of_the_paper_s_law_are_the_gated_displacements(rng, sharpness):
+    law = law_of("stiffness", random_socket(rng), sharpness)
+    moved = rng.uniform(-0.01, 0.01, (20, 3, 7))
+    before = moved.copy()
+    np.testing.assert_allclose(law.columns(moved), naive_gated(moved, sharpness), atol=1e-16)
+    np.testing.assert_array_equal(moved, before)
+    far = law.columns(np.full((1, 3, 1), 1e3))
+    np.testing.assert_array_equal(far, np.zeros((1, 3, 1)))
+    d = np.linspace(0.0, 10.0 / sharpness, 10_001)[:, None, None] * np.ones((1, 3, 1))
+    # A property of the paper's gate: how much a spring can pull.
+    assert law.columns(d).max() * sharpness == pytest.approx(0.139, abs=5e-4)
 
 
-def test_gated_displacement_does_not_change_its_arguments(rng):
-    position, rest = rng.normal(size=(5, 3)), rng.normal(size=(4, 3))
-    before = position.copy(), rest.copy()
-    gated_displacement(position, rest, ALPHA)
-    np.testing.assert_array_equal(position, before[0])
-    np.testing.assert_array_equal(rest, before[1])
+@pytest.mark.parametrize("variant", [v for v in VARIANTS if LAWS[v].REFINED])
+def test_slopes_and_bends_are_the_derivatives_of_the_columns(rng, variant):
+    law = law_of(variant, random_socket(rng), 300.0)
+    moved, step = rng.uniform(-0.004, 0.004, (30, 3, 5)), 1e-7  # [m]
+    slopes, bends = law.slopes(moved), law.bends(moved)
+    for along in range(3):
+        change = step * np.eye(3)[along][:, None]
+        after, before = (law.columns(moved + sign * change) for sign in (1.0, -1.0))
+        steeper, flatter = (law.slopes(moved + sign * change) for sign in (1.0, -1.0))
+        for axis in range(3):
+            expected = (after - before)[:, axis] / (2.0 * step)
+            np.testing.assert_allclose(slopes.get((axis, along), 0.0), expected, atol=1e-6)
+            for other in range(along + 1):
+                none = np.zeros((30, 5))
+                bend = steeper.get((axis, other), none) - flatter.get((axis, other), none)
+                found = bends.get((axis, other, along), none)
+                np.testing.assert_allclose(found, bend / (2.0 * step), atol=2e-4 * 300.0)
 
 
-def test_tension_is_bounded_by_the_laws_maximum():
-    d = np.linspace(0.0, 0.01, 100_001)
-    s = gated_displacement(np.repeat(d[:, None], 3, axis=1), np.zeros((1, 3)), ALPHA)
-    assert s.max() * ALPHA == pytest.approx(0.139, abs=5e-4)  # a property of the paper's gate
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_a_motion_moves_the_tiles_as_a_limb_does(rng, variant):
+    """The whole limb in the paper's law, a rigid body about the reference in the rigid ones."""
+    geometry = random_socket(rng)
+    law = law_of(variant, geometry)
+    pose = law.reference_pose + rng.normal(0.0, [1e-3] * 3 + [1e-2] * 3, (5, 6))
+    start = Rotation.from_rotvec(law.reference_pose[3:])
+    turns = (Rotation.from_rotvec(pose[:, 3:]) * start.inv()).as_rotvec()
+    found = law.displacements(law.motion(pose))
+    for tile, anchor in enumerate(geometry.anchors):
+        moved = pose[:, :3] - law.reference_pose[:3]
+        if variant not in PAPER_VARIANTS:
+            moved = moved + np.cross(turns, anchor - law.reference_pose[:3])
+        np.testing.assert_allclose(found[:, :, tile], moved @ law.frames[tile], atol=1e-15)
+
+
+def test_what_the_springs_leave_is_a_constant_and_a_slope_over_the_pose(rng):
+    law = law_of("rigid_bias", random_socket(rng))
+    motion, slope = rng.normal(0.0, 1e-3, (300, 6)), rng.normal(0.0, 1e4, (6, 6))
+    residual = 5.0 + motion @ slope.T
+    constant, found = law.wrench_offsets(motion, residual, 50.0 * motion)
+    np.testing.assert_allclose(found, slope, atol=0.02 * np.abs(slope).max())
+    np.testing.assert_allclose(constant, 5.0, atol=0.1)
+
+
+def test_a_relative_pose_is_none_where_the_pose_is_none(rng):
+    pose = rng.normal(size=(4, 6))
+    pose[1, 2] = pose[2, 4] = np.nan
+    found = relative_pose(pose, pose[0])
+    np.testing.assert_allclose(found[0], 0.0, atol=1e-15)
+    assert np.isnan(found[1:3]).all() and np.isfinite(found[3]).all()
+    assert np.isnan(relative_pose(pose[1:3], pose[0])).all()
 
 
 def test_wrench_map_sums_the_moments_and_the_forces(rng):
@@ -87,90 +107,70 @@ def test_wrench_map_sums_the_moments_and_the_forces(rng):
     np.testing.assert_allclose(wrench_map(anchors) @ forces.reshape(-1), expected, rtol=1e-12)
 
 
-@pytest.mark.parametrize(("count", "amplitude"), [(15, 0.003), (3000, 0.003), (3000, 1e-4)])
 @pytest.mark.parametrize("variant", PAPER_VARIANTS)
-def test_wrench_is_that_of_the_spring_forces_and_its_own_offset(rng, variant, count, amplitude):
-    geometry = random_socket(rng)
-    bed = random_bed(rng, geometry, variant)
-    q = moving_limb(rng, count, amplitude)
-    q[7] = np.nan
-    springs = bed.stiffness * naive_gated(q[:, None] - bed.rest_positions, bed.sharpness)
-    moment = np.cross(geometry.anchors, springs).sum(axis=1) + bed.wrench_bias[:3]
-    force = springs.sum(axis=1) + bed.wrench_bias[3:]
-    np.testing.assert_allclose(bed.wrench(q), np.hstack([moment, force]), atol=1e-10)
-
-
-@pytest.mark.parametrize("variant", PAPER_VARIANTS)
-def test_cluster_forces_are_in_their_frame_with_their_offset(rng, variant):
+def test_the_paper_s_model_is_its_springs_with_their_offsets(rng, variant):
     geometry = random_socket(rng)
     bed = random_bed(rng, geometry, variant)
     q = moving_limb(rng, 15)
     springs = bed.stiffness * naive_gated(q[:, None] - bed.rest_positions, bed.sharpness)
-    forces = bed.cluster_forces(q)
-    assert set(forces) == set(geometry.clusters)
-    for name, point in geometry.clusters.items():
-        for axis in range(3):  # each component is the projection on the frame's own axis
-            along = springs[:, point] @ geometry.rotations[point][:, axis]
-            offset = bed.force_bias[name][axis] if variant == "stiffness_bias" else 0.0
-            np.testing.assert_allclose(forces[name][:, axis], along + offset, atol=1e-10)
+    moment = np.cross(geometry.anchors, springs).sum(axis=1)
+    wrench = np.hstack([moment, springs.sum(axis=1)]) + bed.wrench_bias
+    np.testing.assert_allclose(bed.wrench(q), wrench, atol=1e-10)
+    forces, local = bed.forces(q), bed.cluster_forces(q)
+    assert set(local) == set(geometry.clusters)
+    for tile in range(len(geometry)):
+        offset = np.zeros(3)
+        for name in (name for name, point in geometry.clusters.items() if point == tile):
+            offset = geometry.rotations[tile] @ bed.force_bias.get(name, np.zeros(3))
+            expected = (springs[:, tile] + offset) @ geometry.rotations[tile]
+            np.testing.assert_allclose(local[name], expected, atol=1e-10)
+        np.testing.assert_allclose(forces[:, tile], springs[:, tile] + offset, atol=1e-10)
 
 
-def test_offsets_of_the_clusters_are_no_part_of_the_wrench(rng):
-    bed = random_bed(rng, random_socket(rng), "stiffness_bias")
-    q = moving_limb(rng, 8)
-    louder = dataclasses.replace(
-        bed, force_bias={name: f + 100.0 for name, f in bed.force_bias.items()}
+def test_a_rigid_model_gates_in_the_tile_s_frame_and_never_pulls(rng):
+    geometry = random_socket(rng)
+    bed = uniform_bed(geometry, [2000.0, 1500.0, 6000.0])
+    pose = np.hstack([rng.normal(0.0, 0.004, (40, 3)), rng.normal(0.0, 0.02, (40, 3))])
+    forces, alpha = bed.forces(pose), bed.sharpness
+    for tile, (anchor, frame) in enumerate(zip(bed.anchors, bed.rotations, strict=True)):
+        moved = pose[:, :3] + np.cross(pose[:, 3:], anchor)
+        x, y, z = (moved @ frame - bed.rest_positions[tile]).T
+        opened = 0.5 - 0.5 * np.tanh(alpha * z)
+        normal = -6000.0 * np.log1p(np.exp(-2.0 * alpha * z)) / (2.0 * alpha)
+        expected = np.stack([2000.0 * opened * x, 1500.0 * opened * y, normal], axis=1)
+        np.testing.assert_allclose(forces[:, tile] @ frame, expected, rtol=1e-9, atol=1e-9)
+        assert normal.max() <= 0.0
+
+
+def test_forces_of_a_rigid_model_do_not_depend_on_the_frame_of_the_load_cell(rng):
+    """The bed in a rotated {S} gives the rotated forces."""
+    bed = uniform_bed(
+        random_socket(rng), [2e3, 2e3, 6e3], reference_pose=np.array([0, 0, 0.1, 0.1, 0, 0.2])
     )
-    np.testing.assert_array_equal(louder.wrench(q), bed.wrench(q))
-    point = next(iter(bed.cluster_points.values()))
-    assert np.linalg.norm(louder.forces(q)[:, point] - bed.forces(q)[:, point], axis=1).min() > 100
+    pose = bed.reference_pose + rng.normal(0.0, 0.01, (5, 6))
+    turn = Rotation.from_rotvec([0.3, -0.8, 0.5])
+    R = turn.as_matrix()
 
+    def turned(pose):
+        rotated = (turn * Rotation.from_rotvec(pose[..., 3:])).as_rotvec()
+        return np.concatenate([pose[..., :3] @ R.T, rotated], axis=-1)
 
-def test_offset_touches_only_the_tiles_under_clusters(rng):
-    bed = random_bed(rng, random_socket(rng), "stiffness_bias")
-    bare = dataclasses.replace(bed, force_bias={}, wrench_bias=np.zeros(6))
-    q = moving_limb(rng, 8)
-    touched = np.abs(bed.forces(q) - bare.forces(q)).max(axis=(0, 2)) > 0.0
-    assert set(np.flatnonzero(touched)) == set(bed.cluster_points.values())
-
-
-@pytest.mark.parametrize("axis", range(3))
-def test_force_on_the_socket_points_where_the_limb_pushes(rng, axis):
-    bed = random_bed(rng, random_socket(rng))
-    q = np.full((1, 3), 0.1)  # out of every spring but along one axis
-    q[0, axis] = bed.rest_positions[:, axis].min() - 0.005
-    forces = bed.forces(q)[0]
-    assert (forces[:, axis] < 0.0).all()
-    np.testing.assert_allclose(np.delete(forces, axis, axis=1), 0.0, atol=1e-9)
-
-
-def test_force_of_a_compressed_spring_grows_with_the_stiffness_and_the_depth(rng):
-    bed = random_bed(rng, random_socket(rng))
-    depth = np.array([0.004, 0.008])
-    q = np.tile(bed.rest_positions[2], (2, 1)) - depth[:, None]
-    force = bed.forces(q)[:, 2]
-    # At 4 mm the gate has opened to 1 - 1e-7.
-    np.testing.assert_allclose(force, -depth[:, None] * bed.stiffness[2], rtol=1e-6)
+    other = dataclasses.replace(
+        bed,
+        anchors=bed.anchors @ R.T,
+        rotations=R @ bed.rotations,
+        reference_pose=turned(bed.reference_pose),
+    )
+    np.testing.assert_allclose(other.forces(turned(pose)), bed.forces(pose) @ R.T, atol=1e-9)
 
 
 @pytest.mark.parametrize("variant", VARIANTS)
-def test_predict_is_the_wrench_and_the_forces(rng, variant):
+def test_predict_is_the_wrench_and_the_forces_and_nothing_without_a_pose(rng, variant):
     bed = random_bed(rng, random_socket(rng), variant)
-    q = np.hstack([moving_limb(rng, 10), rng.normal(0.0, 0.02, (10, 3))])
-    wrench, forces = bed.predict(q)
-    np.testing.assert_allclose(wrench, bed.wrench(q), rtol=1e-12)
-    np.testing.assert_allclose(forces, bed.forces(q), rtol=1e-12)
-
-
-@pytest.mark.parametrize("variant", PAPER_VARIANTS)
-def test_an_unknown_position_gives_no_force(rng, variant):
-    bed = random_bed(rng, random_socket(rng), variant)
-    q = moving_limb(rng, 3)
-    q[1] = np.nan
-    wrench, forces = bed.predict(q)
-    assert np.isnan(wrench[1]).all()
-    assert np.isnan(forces[1]).all()
-    for local in bed.cluster_forces(q).values():
-        np.testing.assert_array_equal(np.isnan(local).any(axis=1), [False, True, False])
-    assert np.isfinite(wrench[[0, 2]]).all()
-    assert np.isfinite(forces[[0, 2]]).all()
+    pose = np.hstack([moving_limb(rng, 10), rng.normal(0.0, 0.02, (10, 3))])
+    pose[4] = np.nan
+    wrench, forces = bed.predict(pose)
+    np.testing.assert_allclose(wrench, bed.wrench(pose), rtol=1e-12)
+    np.testing.assert_allclose(forces, bed.forces(pose), rtol=1e-12)
+    for values in (wrench, forces.reshape(10, -1), *bed.cluster_forces(pose).values()):
+        assert np.isnan(values[4]).all() and np.isfinite(np.delete(values, 4, axis=0)).all()

@@ -5,9 +5,15 @@ import math
 
 import numpy as np
 import pytest
-from support.problems import moving_limb, random_bed, random_socket, samples_of_bed
+from support.problems import make_case, moving_limb, random_bed, random_socket, samples_of_bed
 
-from socket_testbed.identification.evaluation import channel_errors, errors_to_dataframe, evaluate
+from socket_testbed.identification.evaluation import (
+    channel_errors,
+    errors_to_dataframe,
+    evaluate,
+    predict_channels,
+    summarise_errors,
+)
 from socket_testbed.samples import channel_unit
 
 
@@ -21,26 +27,6 @@ def test_errors_of_a_small_channel_by_hand():
     assert found.sigma == pytest.approx(math.sqrt(5.0 / 4.0 - 1.0 / 16.0))
     assert found.skill == pytest.approx(1.0 - math.sqrt(5.0 / 14.0))
     assert (found.name, found.unit, found.samples, found.in_objective) == ("Fx", "N", 4, False)
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_the_mean_square_is_spread_plus_offset(seed):
-    rng = np.random.default_rng(seed)
-    measured, predicted = rng.normal(size=50), rng.normal(2.0, 1.0, 50)
-    found = channel_errors("Fx", measured, predicted)
-    offset = (predicted - measured).mean()
-    assert found.rmse**2 == pytest.approx(found.sigma**2 + offset**2)
-    assert found.mae <= found.rmse
-
-
-def test_a_perfect_prediction_has_all_skill_and_the_best_constant_none():
-    measured = np.array([1.0, -2.0, 4.0, 0.5])
-    perfect = channel_errors("Fx", measured, measured)
-    assert (perfect.rmse, perfect.mae, perfect.sigma, perfect.skill) == (0.0, 0.0, 0.0, 1.0)
-    constant = channel_errors("Fx", measured, np.full(4, measured.mean()))
-    assert constant.skill == pytest.approx(0.0, abs=1e-12)
-    worse = channel_errors("Fx", measured, np.full(4, measured.mean() + 1.0))
-    assert worse.skill < 0.0
 
 
 def test_samples_without_a_value_are_left_out():
@@ -58,20 +44,19 @@ def test_a_channel_without_any_value_has_no_errors(count):
     assert all(math.isnan(v) for v in (found.rmse, found.mae, found.sigma, found.skill))
 
 
-@pytest.mark.parametrize("value", [0.0, 2.5, 0.1, -1.1e3, 1e-7])
-@pytest.mark.parametrize("count", [1, 3, 7, 1000])
-def test_a_constant_channel_has_no_skill(value, count):
-    found = channel_errors("Fx", np.full(count, value), np.full(count, value + 1.0))
-    assert found.rmse == pytest.approx(1.0)
-    assert math.isnan(found.skill)
+def test_a_constant_channel_has_no_skill_and_the_best_constant_none():
+    for value, count in ((0.0, 1), (0.1, 3), (-1.1e3, 7), (1e-7, 1000)):
+        found = channel_errors("Fx", np.full(count, value), np.full(count, value + 1.0))
+        assert found.rmse == pytest.approx(1.0)
+        assert math.isnan(found.skill)
+    measured = np.array([1.0, -2.0, 4.0, 0.5])
+    constant = channel_errors("Fx", measured, np.full(4, measured.mean()))
+    assert constant.skill == pytest.approx(0.0, abs=1e-12)
 
 
-@pytest.mark.parametrize(
-    ("name", "unit"),
-    [("Mx", "N m"), ("Mz", "N m"), ("Fx", "N"), ("distal.Fz", "N"), ("Mid.Fx", "N")],
-)
-def test_a_channels_unit_follows_its_name(name, unit):
-    assert channel_unit(name) == unit
+def test_a_channels_unit_follows_its_name():
+    units = {"Mx": "N m", "Mz": "N m", "Fx": "N", "distal.Fz": "N", "Mid.Fx": "N"}
+    assert {name: channel_unit(name) for name in units} == units
 
 
 @pytest.fixture
@@ -82,38 +67,17 @@ def case():
     return samples_of_bed(rng, bed, moving_limb(rng, 30)), bed
 
 
-def test_the_truth_has_no_errors_in_any_channel(case):
-    samples, bed = case
-    errors = evaluate(samples, bed)
-    assert tuple(e.name for e in errors) == samples.channels
-    assert max(e.rmse for e in errors) < 1e-10
-    assert all(e.samples == 30 for e in errors)
-
-
 def test_each_error_belongs_to_its_own_channel(case):
     samples, bed = case
     shifts = np.arange(1.0, 1.0 + len(samples.channels))
     local = samples.local_forces + shifts[6:].reshape(1, -1, 3)
     shifted = dataclasses.replace(samples, wrench=samples.wrench + shifts[:6], local_forces=local)
+    shifted.position[[2, 9]] = np.nan
     errors = evaluate(shifted, bed)
+    assert tuple(e.name for e in errors) == samples.channels
+    assert {e.samples for e in errors} == {28}
     np.testing.assert_allclose([e.rmse for e in errors], shifts, rtol=1e-9)
     np.testing.assert_allclose([e.sigma for e in errors], 0.0, atol=1e-9)
-
-
-def test_channels_left_out_of_the_objective_are_marked_and_still_judged(case):
-    samples, bed = case
-    left_out = ("My", "cluster_1.Fz")
-    errors = evaluate(samples, bed, left_out)
-    assert tuple(e.name for e in errors if not e.in_objective) == left_out
-    assert all(math.isfinite(e.rmse) for e in errors)
-
-
-def test_an_unknown_limb_position_counts_in_no_channel(case):
-    samples, bed = case
-    position = samples.position.copy()
-    position[[2, 9]] = np.nan
-    errors = evaluate(dataclasses.replace(samples, position=position), bed)
-    assert {e.samples for e in errors} == {28}
 
 
 def test_the_errors_are_a_table_by_channel(case):
@@ -126,3 +90,29 @@ def test_the_errors_are_a_table_by_channel(case):
     assert table.loc["Mz", "unit"] == "N m" and table.loc["cluster_0.Fz", "unit"] == "N"
     assert table["skill"].tolist() == pytest.approx([e.skill for e in errors])
     assert table.index[~table["in objective"]].tolist() == ["My"]
+
+
+def test_the_quoted_figures_are_means_and_medians_of_the_channels_in_the_objective():
+    rng = np.random.default_rng(1)
+    names = ("Mx", "My", "Mz", "Fx", "Fy", "Fz", "a.Fx", "a.Fy", "Mid.Fx")
+    errors = [channel_errors(name, *rng.normal(size=(2, 50))) for name in names]
+    found = summarise_errors(errors)
+    rmse = np.array([error.rmse for error in errors])
+    assert found.moment_rmse == pytest.approx(rmse[:3].mean())
+    assert found.force_rmse == pytest.approx(rmse[3:6].mean())
+    assert found.local_rmse == pytest.approx(np.median(rmse[6:]))
+    assert found.skill == pytest.approx(np.median([error.skill for error in errors]))
+    left_out = [channel_errors(name, 1e3 * np.ones(5), np.zeros(5), False) for name in names]
+    assert summarise_errors([*errors, *left_out]) == found
+    dead = [channel_errors(name, np.full(30, np.nan), np.zeros(30)) for name in ("Mz", "a.Fy")]
+    named = summarise_errors([*errors, *dead])
+    assert named == dataclasses.replace(found, without_value=("Mz", "a.Fy"))
+    assert math.isnan(summarise_errors(dead).moment_rmse)
+
+
+def test_predictions_do_not_depend_on_the_chunks(monkeypatch):
+    _, bed, samples, _ = make_case(3, gaps=True)
+    whole = predict_channels(bed, samples.position, samples.clusters)
+    monkeypatch.setattr("socket_testbed.identification.evaluation._CHUNK", 7)
+    chunked = predict_channels(bed, samples.position, samples.clusters)
+    np.testing.assert_allclose(chunked, whole, rtol=1e-12)

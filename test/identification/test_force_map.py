@@ -4,11 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from support.problems import uniform_bed
 
 from socket_testbed.files import packaged
 from socket_testbed.geometry.socket import read_socket
-from socket_testbed.identification.contact import ContactModel, wrench_map
+from socket_testbed.identification.contact_law import wrench_map
 from socket_testbed.identification.force_map import (
     ForceMap,
     MapEstimate,
@@ -179,13 +178,6 @@ def test_the_shear_s_deviation_is_that_of_a_rice_distribution() -> None:
         assert found == pytest.approx(expected, rel=0.01)
 
 
-def test_the_mean_of_a_segment_is_as_uncertain_as_its_samples(force_map: ForceMap) -> None:
-    estimate = force_map.estimate(some_samples(1))
-    twice = force_map.estimate(some_samples(1)[np.array([0, 0])])
-    for one, other in zip(fields(estimate), fields(twice.mean()), strict=True):
-        np.testing.assert_allclose(one, other)
-
-
 def test_the_mean_of_a_long_segment_is_that_of_its_maps(force_map: ForceMap) -> None:
     samples = some_samples(600)
     for one, other in zip(
@@ -203,95 +195,6 @@ def test_outliers_and_channels_left_out_do_not_count() -> None:
     samples.wrench[:, 2] = np.nan
     expected = ForceMap(GEOMETRY, CLUSTERS).estimate(samples)
     np.testing.assert_allclose(found.forces, expected.forces)
-
-
-def uncertain_bed(uncertainty: float) -> ContactModel:
-    """A limb on equal springs, known but for a common factor and a rest displacement."""
-    stiffness = [600.0, 600.0, 3000.0]
-    factor = np.zeros((6, len(GEOMETRY), 2))
-    factor[:3, :, 0] = uncertainty * np.array(stiffness)[:, None]
-    factor[5, :, 1] = uncertainty * 0.001
-    return uniform_bed(GEOMETRY, stiffness, parameter_factor=factor)
-
-
-def samples_on(bed: ContactModel, factor: float = 1.0) -> tuple[Samples, np.ndarray]:
-    """What perfect sensors measure on a bed whose forces are `factor` as large, and the forces."""
-    rng = np.random.default_rng(5)
-    pose = np.hstack([rng.normal(0.0, 0.002, (4, 3)), rng.normal(0.0, 0.02, (4, 3))])
-    forces = factor * bed.forces(pose)
-    tiles = list(GEOMETRY.clusters.values())
-    samples = replace(
-        some_samples(4),
-        position=pose[:, :3],
-        rotation=pose[:, 3:],
-        wrench=forces.reshape(4, -1) @ wrench_map(GEOMETRY.anchors).T,
-        local_forces=np.einsum("cji,kcj->kci", GEOMETRY.rotations[tiles], forces[:, tiles]),
-    )
-    return samples, forces
-
-
-ALL_ON_TILES = ForceMapSettings(share=1.0, share_spread=0.0)
-
-
-def test_a_perfect_bed_takes_over() -> None:
-    bed = uncertain_bed(0.1)
-    samples, truth = samples_on(bed)
-    force_map = ForceMap(GEOMETRY, CLUSTERS, ALL_ON_TILES)
-    found, without = force_map.estimate(samples, bed), force_map.estimate(samples)
-    np.testing.assert_allclose(found.forces, truth, atol=1e-6)
-    assert np.linalg.norm(without.forces - truth) > 0.05 * np.linalg.norm(truth)
-    assert "prior: the springs of rigid;" in found.source
-    assert "prior: mean zero;" in without.source
-
-
-def test_an_uncertain_bed_gives_way_to_the_channels() -> None:
-    """Springs twice as stiff as the limb, and known to be that uncertain."""
-    wrong = uncertain_bed(1.0)
-    samples, truth = samples_on(wrong, 0.5)
-    force_map = ForceMap(GEOMETRY, CLUSTERS, ALL_ON_TILES)
-    found, without = force_map.estimate(samples, wrong), force_map.estimate(samples)
-    errors, size = found.forces - truth, np.linalg.norm(truth)
-    assert np.linalg.norm(errors) <= np.linalg.norm(without.forces - truth) + 0.02 * size
-    assert np.mean(np.abs(errors) < 1.96 * found.standard_deviations) > 0.9
-
-
-def test_a_bed_s_uncertainty_joins_the_prior() -> None:
-    """Against a direct conditioning with K + V V' and the mean m, in one draw."""
-    settings = replace(ALL_ON_TILES, draws=1, cluster_error_spread=0.0)
-    bed = uncertain_bed(0.3)
-    samples, _ = samples_on(bed, 0.8)
-    samples.status[0, 1] = Status.MISSING
-    found = ForceMap(GEOMETRY, CLUSTERS, settings).estimate(samples[:1], bed)
-
-    mean, factor = (np.swapaxes(GEOMETRY.rotations, 1, 2) @ v for v in _columns(bed, samples))
-    drawn = _draw(settings)[0]
-    correlation = surface_correlation(GEOMETRY, settings.length)
-    motions = _rigid_motions(GEOMETRY, settings.arm)
-    mapping = _mapping(GEOMETRY, CLUSTERS, 1.0)
-    prior = _prior(GEOMETRY, correlation, motions, drawn)
-    noise = _noise(mapping @ prior @ mapping.T, drawn)
-    kept = np.delete(np.arange(18), [9, 10, 11])
-    wide = prior + factor.reshape(-1, 2) @ factor.reshape(-1, 2).T
-    mapping, noise = mapping[kept], noise[np.ix_(kept, kept)]
-    measured = samples.values[0, kept] - mapping @ mean.ravel()
-    gain = wide @ mapping.T @ np.linalg.inv(mapping @ wide @ mapping.T + noise)
-    local = (mean.ravel() + gain @ measured).reshape(-1, 3, 1)
-    np.testing.assert_allclose(found.forces[0], (GEOMETRY.rotations @ local)[..., 0], rtol=1e-6)
-
-
-def _columns(bed: ContactModel, samples: Samples) -> tuple[np.ndarray, np.ndarray]:
-    """A bed's mean force, (n, 3, 1), and factor, (n, 3, r), at the first sample."""
-    mean, factor = bed.bed_forces(samples.pose[:1])
-    return mean[0][..., None], factor[0]
-
-
-def test_without_a_pose_the_mean_is_zero(force_map: ForceMap) -> None:
-    samples = some_samples(3)
-    samples.position[1] = np.nan
-    found = force_map.estimate(samples, uncertain_bed(0.1))
-    without = force_map.estimate(samples)
-    np.testing.assert_allclose(found.forces[1], without.forces[1], rtol=1e-12)
-    assert np.abs(found.forces[0] - without.forces[0]).max() > 0.1
 
 
 def test_joint_draws_have_the_posterior_of_a_plain_conditioning() -> None:

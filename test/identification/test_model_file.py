@@ -4,6 +4,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from support.damage import changed
+from support.wording import refused
 
 from socket_testbed.errors import ConfigurationError
 from socket_testbed.identification.evaluation import evaluate
@@ -14,7 +16,7 @@ from socket_testbed.trials.segment import select_segment
 from socket_testbed.trials.trial import Trial
 
 
-@pytest.mark.parametrize("variant", ["stiffness", "stiffness_bias"])
+@pytest.mark.parametrize("variant", ["stiffness_bias", "rigid_bias"])
 def test_a_model_reads_back_as_it_was_written(hold: Path, tmp_path: Path, variant) -> None:
     trial = Trial(hold)
     samples = trial.samples()
@@ -30,9 +32,10 @@ def test_a_model_reads_back_as_it_was_written(hold: Path, tmp_path: Path, varian
     np.testing.assert_array_equal(stored.model.stiffness, fit.model.stiffness)
     for name, bias in fit.model.force_bias.items():
         np.testing.assert_array_equal(stored.model.force_bias[name], bias)
-    np.testing.assert_allclose(
-        stored.model.wrench(samples.position), fit.model.wrench(samples.position), atol=1e-5
-    )
+    found, expected = (model.wrench(samples.pose) for model in (stored.model, fit.model))
+    np.testing.assert_allclose(found, expected, atol=1e-5)
+    factor = fit.model.parameter_factor
+    np.testing.assert_allclose(stored.model.parameter_factor, factor, rtol=1e-5, atol=1e-12)
     assert dataclasses.astuple(stored.errors[0]) == dataclasses.astuple(fit.errors[0])
     assert [error.name for error in stored.errors] == [error.name for error in fit.errors]
     for before, after in zip(fit.errors, evaluate(samples, stored.model), strict=True):
@@ -40,35 +43,49 @@ def test_a_model_reads_back_as_it_was_written(hold: Path, tmp_path: Path, varian
 
 
 @pytest.mark.parametrize(
-    ("change", "name"),
+    ("place", "value", "error"),
     [
-        (lambda d: d.update(format="socket_testbed model 0"), "format"),
-        (lambda d: d["parameters"].update(variant="stiff"), "variant"),
-        (lambda d: d["parameters"].update(stiffness=[[1.0, 2.0, 3.0]]), "stiffness"),
-        (lambda d: d["parameters"]["force_bias"].update(elsewhere=[0, 0, 0]), "elsewhere"),
-        (lambda d: d.pop("geometry"), "geometry"),
-        (lambda d: d.update(extra=1), "extra"),
-        (lambda d: d["quality"].update(wrench_rmse=[]), "wrench_rmse"),
-        (lambda d: d["parameters"].update(clusters=["nowhere"]), "nowhere"),
-        (lambda d: d["quality"].update(errors="none"), "errors is not a list"),
-        (lambda d: d["quality"]["errors"][0].pop("mae"), "errors: 'mae' is missing"),
-        (lambda d: d["quality"]["errors"][0].update(rmse="small"), "errors: rmse is 'small'"),
+        (
+            ("format",),
+            "socket_testbed model 0",
+            "is of the format 'socket_testbed model 0': fit the trial again",
+        ),
+        (("parameters", "variant"), "stiff", "variant is 'stiff': did you mean 'stiffness'"),
+        (("parameters", "stiffness"), [[1.0, 2.0, 3.0]], "stiffness has 1 rows for "),
+        (("parameters", "stiffness", 1, 2), -2000.5, "stiffness[1][2] is -2000.5: give a number"),
+        (("parameters", "rest_positions", 1, 2), 1e300, "rest_positions[1][2] is 1e+300: give"),
+        (("parameters", "parameter_factor"), ["1_0 nan"], "parameter_factor does not hold 6"),
+        (("parameters", "force_bias", "elsewhere"), [0, 0, 0], "unknown key 'elsewhere'"),
+        (("parameters", "clusters"), ["nowhere"], "clusters: no cluster 'nowhere'"),
+        (("quality", "errors", 0, "rmse"), "small", "quality: errors[0]: rmse is 'small': give"),
     ],
 )
-def test_a_spoilt_model_is_refused(hold_model: Path, tmp_path: Path, change, name) -> None:
-    document = json.loads(hold_model.read_text())
-    change(document)
+def test_a_spoilt_model_is_refused(hold_model: Path, tmp_path: Path, place, value, error) -> None:
     path = tmp_path / "model.json"
-    path.write_text(json.dumps(document))
-    with pytest.raises(ConfigurationError, match=name):
+    path.write_text(json.dumps(changed(json.loads(hold_model.read_text()), place, value)))
+    with refused(ConfigurationError, str(path), error):
         read_model(path)
 
 
-def test_a_model_of_an_older_version_has_no_errors(hold_model: Path, tmp_path: Path) -> None:
+def test_an_uncertainty_that_is_not_finite_is_refused(hold_model: Path, tmp_path: Path) -> None:
+    document = json.loads(hold_model.read_text())
+    lines = document["parameters"]["parameter_factor"]
+    lines[0] = f"nan {lines[0].partition(' ')[2]}"
+    (tmp_path / "model.json").write_text(json.dumps(document))
+    with refused(ConfigurationError, "parameter_factor does not hold 6 numbers"):
+        read_model(tmp_path / "model.json")
+
+
+def test_a_model_of_an_older_version_is_read(hold_model: Path, tmp_path: Path) -> None:
     document = json.loads(hold_model.read_text())
     document["quality"].pop("errors")
+    document["settings"]["noise_correction"] = False
     (tmp_path / "model.json").write_text(json.dumps(document))
     assert read_model(tmp_path / "model.json").errors == ()
+    document["settings"]["noise_correction"] = True  # such a fit cannot be repeated
+    (tmp_path / "model.json").write_text(json.dumps(document))
+    with pytest.raises(ConfigurationError, match="unknown key 'noise_correction'"):
+        read_model(tmp_path / "model.json")
 
 
 def test_half_a_model_is_refused(hold_model: Path, tmp_path: Path) -> None:

@@ -7,10 +7,15 @@ import pytest
 from support.problems import make_case, make_samples, random_socket
 
 from socket_testbed.errors import IdentificationError
-from socket_testbed.identification.fit import fit_contact_model, implausible_notes
+from socket_testbed.identification.fit import fit_contact_model
+from socket_testbed.identification.objective import LEAST_SAMPLES
 from socket_testbed.identification.pareto import pareto_front
-from socket_testbed.identification.plausibility import HANGING, find_outliers, sign_note
-from socket_testbed.identification.problem import LEAST_SAMPLES
+from socket_testbed.identification.plausibility import (
+    HANGING,
+    find_outliers,
+    implausible_notes,
+    sign_note,
+)
 
 
 def refused(samples, geometry, settings) -> IdentificationError:
@@ -24,7 +29,7 @@ def refused(samples, geometry, settings) -> IdentificationError:
     return caught.value
 
 
-@pytest.mark.parametrize("count", [2, 3, 10, LEAST_SAMPLES - 1])
+@pytest.mark.parametrize("count", [2, LEAST_SAMPLES - 1])
 def test_a_fit_on_few_samples_is_refused_with_the_number_it_needs(count):
     geometry, _, samples, settings = make_case(1)
     error = refused(samples[:count], geometry, settings)
@@ -86,7 +91,7 @@ def spoilt(array, place, value):
     return geometry, samples, settings, expected
 
 
-@pytest.mark.parametrize("value", [1e9, -1e9, 1e4, 2e3])
+@pytest.mark.parametrize("value", [-1e9, 2e3])
 @pytest.mark.parametrize(
     ("array", "place", "name"),
     [
@@ -126,10 +131,10 @@ def test_an_outlier_of_a_channel_that_is_left_out_drops_no_sample():
     assert fit_contact_model(samples, geometry, settings).samples == len(samples)
 
 
-@pytest.mark.parametrize("seed", range(5))
-def test_sound_samples_have_no_outlier(seed):
-    geometry, _, samples, _ = make_case(seed, gaps=True)
-    assert not find_outliers(samples, geometry).rows.any()
+def test_sound_samples_have_no_outlier():
+    for seed in range(5):
+        geometry, _, samples, _ = make_case(seed, gaps=True)
+        assert not find_outliers(samples, geometry).rows.any()
 
 
 @pytest.fixture

@@ -13,6 +13,7 @@ from socket_testbed.errors import TrialError
 from socket_testbed.files import packaged
 from socket_testbed.geometry.regions import Region, all_regions
 from socket_testbed.geometry.socket import read_socket
+from socket_testbed.identification import pressure
 from socket_testbed.identification.force_map import ForceMap, JointDraws, MapEstimate
 from socket_testbed.identification.pressure import (
     PressureOutputs,
@@ -37,7 +38,7 @@ class KnownField(ForceMap):
 
     local: np.ndarray
 
-    def estimate(self, samples: Samples, bed: object = None) -> MapEstimate:
+    def estimate(self, samples: Samples) -> MapEstimate:
         forces = np.einsum("nij,knj->kni", GEOMETRY.rotations, self.local[: len(samples)])
         pressure = -self.local[: len(samples), :, 2] / GEOMETRY.areas
         zero = np.zeros_like(pressure)
@@ -227,21 +228,47 @@ def test_a_direction_near_half_a_turn_has_a_narrow_interval() -> None:
     assert direction.determined(0.5).all()
 
 
-@pytest.mark.parametrize("threshold", [0.0, THRESHOLD])
-def test_blocks_of_samples_give_what_every_draw_at_every_sample_gives(threshold: float) -> None:
-    """Sums over blocks, and bounds within them, lose nothing, whatever moves and drops out."""
+def moving_samples(count: int) -> Samples:
+    """A load that comes and goes, noise, and channels that drop out."""
     rng = np.random.default_rng(5)
-    samples = samples_at(0.01 * np.arange(700))
-    along = np.sin(np.linspace(0.0, 9.0, 700))
+    samples = samples_at(0.01 * np.arange(count))
+    along = np.sin(np.linspace(0.0, 9.0, count))
     samples = replace(
         samples,
-        wrench=samples.wrench * (0.6 + 0.5 * along[:, None]) + rng.normal(0.0, 0.2, (700, 6)),
+        wrench=samples.wrench * (0.6 + 0.5 * along[:, None]) + rng.normal(0.0, 0.2, (count, 6)),
         local_forces=samples.local_forces * (0.7 - 0.6 * along[:, None, None])
         + rng.normal(0.0, 0.3, samples.local_forces.shape),
-        position=np.full((700, 3), np.nan),  # which the map does not read
+        position=np.full((count, 3), np.nan),  # which the map does not read
     )
-    samples.wrench[rng.random(700) < 0.05] = np.nan
+    samples.wrench[rng.random(count) < 0.05] = np.nan
     samples.status[rng.random(samples.status.shape) < 0.05] = Status.MISSING
+    return samples
+
+
+def test_draws_at_some_samples_tell_what_draws_at_all_tell(monkeypatch) -> None:
+    """Values come from all samples, and a peak between those that are drawn is not lost."""
+    samples, regions = moving_samples(700), all_regions(GEOMETRY)
+    samples.local_forces[333], samples.wrench[333] = [2.0, -0.8, -80.0], 6.0 * samples.wrench[0]
+    samples.status[333] = Status.OK  # a peak of one sample
+    force_map = ForceMap(GEOMETRY, CLUSTERS)
+    every = pressure_outputs(force_map, samples, GEOMETRY, regions, THRESHOLD)
+    monkeypatch.setattr(pressure, "MOST_DRAWN", 100)
+    some = pressure_outputs(force_map, samples, GEOMETRY, regions, THRESHOLD)
+    assert some.peak_row == every.peak_row == 333
+    assert some.integrated == pytest.approx(every.integrated)
+    for name, quantity in vars(some.regions).items():
+        expected = getattr(every.regions, name)
+        exact = 0.02 * expected.value if name == "area" else 1e-9  # the mean of the draws
+        np.testing.assert_allclose(quantity.value, expected.value, atol=np.max(np.abs(exact)))
+        share = 0.15 if name in ("peak", "direction") else 0.05
+        width = share * (expected.high - expected.low) + 1e-9
+        assert (np.abs(quantity.low - expected.low) <= width).all(), name
+        assert (np.abs(quantity.high - expected.high) <= width).all(), name
+
+
+@pytest.mark.parametrize("threshold", [0.0, THRESHOLD])
+def test_a_span_gives_what_every_draw_at_every_sample_gives(threshold: float) -> None:
+    samples = moving_samples(700)
     force_map, regions = ForceMap(GEOMETRY, CLUSTERS), all_regions(GEOMETRY)
     found = pressure_outputs(force_map, samples, GEOMETRY, regions, threshold)
 

@@ -7,10 +7,10 @@ import dataclasses
 import numpy as np
 import pytest
 from scipy.optimize import minimize
-from support.problems import make_case, make_samples, random_socket, uniform_bed
+from support.problems import make_case, make_samples, random_socket
 
-from socket_testbed.errors import ConfigurationError, IdentificationError
-from socket_testbed.identification.contact import wrench_map
+from socket_testbed.errors import IdentificationError
+from socket_testbed.identification.contact_law import wrench_map
 from socket_testbed.identification.fit import fit_contact_model
 from socket_testbed.identification.validation import (
     CLOSED,
@@ -23,7 +23,6 @@ from socket_testbed.identification.validation import (
     fit_regression,
     fit_variants,
     inverse_distance,
-    judge_bed,
     judge_clusters,
     judge_tiles,
     judge_wrench,
@@ -38,9 +37,7 @@ from socket_testbed.identification.validation import (
 from socket_testbed.settings.identification import (
     PAPER_VARIANTS,
     ForceMapSettings,
-    IdentificationSettings,
 )
-from socket_testbed.settings.testbed import EstimatorSettings
 
 
 def local_to_socket(geometry, local):
@@ -56,9 +53,8 @@ def moving_samples(rng, count=60, slope=None, noise=0.0):
     return dataclasses.replace(samples, rotation=pose[:, 3:]), slope
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_a_uniform_pressure_is_interpolated_exactly(seed):
-    rng = np.random.default_rng(seed)
+def test_a_uniform_pressure_is_interpolated_exactly():
+    rng = np.random.default_rng(0)
     geometry = random_socket(rng)
     local = rng.normal(size=3)
     given = np.tile(local, (5, len(geometry.clusters), 1))
@@ -341,48 +337,3 @@ def test_a_summary_is_the_mean_over_the_trials():
     assert row["judged [1]"] == 2
     assert row["error [-]"] == pytest.approx(np.mean(errors))
     assert row["worst error [-]"] == max(errors)
-
-
-def uniform_bed_case(seed: int, unexplained: float):
-    """A limb on equal springs, and forces on the clusters that no spring explains [N]."""
-    rng = np.random.default_rng(seed)
-    geometry = random_socket(rng, rings=3, columns=5, clusters=4)
-    bed = uniform_bed(geometry, [400.0, 400.0, 6000.0])
-    phase = np.linspace(0.0, 2.0 * np.pi, 80)[:, None] * [1.0, 2.0, 3.0, 2.0, 3.0, 1.0]
-    pose = np.sin(phase + rng.uniform(0.0, 2.0 * np.pi, 6)) * ([0.002] * 3 + [0.03] * 3)
-    forces = {
-        name: force + rng.normal(0.0, unexplained, 3) + rng.normal(0.0, 0.2, force.shape)
-        for name, force in bed.cluster_forces(pose).items()
-    }
-    wrench = bed.wrench(pose) + rng.normal(0.0, [0.1] * 3 + [1.0] * 3, (len(pose), 6))
-    samples = make_samples(pose[:, :3], wrench, forces)
-    settings = EstimatorSettings(
-        identification=IdentificationSettings(prior=1e-2, contact_sharpness=bed.sharpness),
-        force_map=ForceMapSettings(share=1.0, share_spread=0.0),
-    )
-    return geometry, dataclasses.replace(samples, rotation=pose[:, 3:]), settings
-
-
-@pytest.mark.parametrize("seed", range(2))
-def test_a_bed_is_trusted_only_if_it_predicts_what_it_has_not_seen(seed):
-    geometry, samples, settings = uniform_bed_case(seed, 0.0)
-    good = judge_bed(samples, geometry, settings, "rigid")
-    assert good.is_trusted
-    assert good.error < 0.3 * good.error_without
-
-    geometry, samples, settings = uniform_bed_case(seed, 30.0)
-    useless = judge_bed(samples, geometry, settings, "rigid_bias")
-    assert not useless.is_trusted
-
-
-def test_no_paper_variant_is_a_bed_of_the_map():
-    geometry, samples, settings = uniform_bed_case(0, 0.0)
-    with pytest.raises(ConfigurationError, match="rigid"):
-        judge_bed(samples, geometry, settings, "stiffness")
-
-
-def test_a_bed_needs_a_cluster_to_be_judged_by():
-    geometry, samples, settings = uniform_bed_case(0, 0.0)
-    samples.status[:] = 2
-    with pytest.raises(IdentificationError, match="cluster"):
-        judge_bed(samples, geometry, settings, "rigid")

@@ -2,12 +2,13 @@
 
 import os
 import signal
-from pathlib import Path
 
 import pytest
+from support.graph import Probe
 
 from socket_testbed.live.processes import SPARE, Graph, NodeFailedError
 from socket_testbed.settings.testbed import CalibrationNodeSettings
+from socket_testbed.trials.topics import DIAGNOSTICS
 
 
 @pytest.mark.graph
@@ -25,7 +26,13 @@ def test_a_graph_ends_with_what_it_needs_and_goes_on_without_what_is_optional() 
 @pytest.mark.graph
 def test_a_spare_process_takes_the_place_of_a_killed_node() -> None:
     said: list[str] = []
-    with open(os.devnull, "w") as nowhere, Graph(nowhere) as graph:  # noqa: PTH123
+    with open(os.devnull, "w") as nowhere, Graph(nowhere) as graph, Probe() as probe:  # noqa: PTH123
+        probe.listen(DIAGNOSTICS)
+
+        def heard_of(node: str) -> list[str]:
+            statuses = (s for m in probe.received[DIAGNOSTICS.name] for s in m.status)
+            return [status.message for status in statuses if status.name == f"/{node}"]
+
         graph.start("calibration_node", CalibrationNodeSettings())
         graph.keep_spare()
         graph.watch(lambda: SPARE in graph._members, said.append)
@@ -34,9 +41,7 @@ def test_a_spare_process_takes_the_place_of_a_killed_node() -> None:
         graph.watch(lambda: bool(said), said.append)
         assert said == ["calibration_node was ended by SIGKILL: started again"]
         assert graph._members["calibration_node"].process is spare
-        # It has taken it when ps shows it as that node.
-        shown = Path(f"/proc/{spare.pid}/cmdline")
-        graph.watch(lambda: b"calibration_node" in shown.read_bytes(), said.append)
+        graph.watch(lambda: "started again" in heard_of("calibration_node"), said.append)
         # There is another spare one; a dead one leaves the restart to a new process.
         graph.watch(lambda: SPARE in graph._members, said.append)
         for name in (SPARE, "calibration_node"):

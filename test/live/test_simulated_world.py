@@ -11,7 +11,7 @@ from socket_testbed.calibration.model import read_calibration
 from socket_testbed.clocks import SteadyClock
 from socket_testbed.files import packaged
 from socket_testbed.geometry.socket import read_socket
-from socket_testbed.live.simulated_world import LiveTestbed, markers_at
+from socket_testbed.live.simulated_world import LiveTestbed, Simulation, markers_at
 from socket_testbed.simulation.limb import SCENARIOS, TISSUES
 from socket_testbed.simulation.sensor_errors import SensorErrors
 from socket_testbed.simulation.trial import GroundTruth
@@ -28,13 +28,8 @@ def test_the_limb_follows_a_scenario_again_and_again(tmp_path: Path, scenario, t
         world,
         read_socket(packaged("config", "socket.yaml")),
         read_calibration(packaged("config", "calibration.yaml")),
-        scenario,
-        PERIOD,
-        seed=1,
-        pace=6.0,
-        sway=0.05,
-        errors=SensorErrors(),
-        tissue=tissue,
+        Simulation(scenario, PERIOD, seed=1, pace=6.0, sway=0.05, tissue=tissue),
+        SensorErrors(),
     )
     start = clocks.monotonic()
     for moment in np.arange(0.0, 2.2 * PERIOD, 0.2):  # a busy machine makes long steps

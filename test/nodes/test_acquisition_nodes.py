@@ -11,8 +11,8 @@ from std_srvs.srv import Trigger as TriggerService
 from support.graph import Probe
 from support.testbeds import LiveTestbed
 
-from socket_testbed.live.bringup import Simulation
 from socket_testbed.live.processes import Graph
+from socket_testbed.live.simulated_world import Simulation
 from socket_testbed.settings.acquisition import MocapSettings
 from socket_testbed.settings.testbed import RecorderSettings
 from socket_testbed.simulation.devices.natnet_server import NatNetServer

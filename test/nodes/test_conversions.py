@@ -11,7 +11,13 @@ from rclpy.serialization import deserialize_message, serialize_message
 from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import CameraInfo
 from shape_msgs.msg import SolidPrimitive
-from socket_testbed_msgs.msg import ClusterCapacitanceArray, ForceMap, LocalForceArray, Trigger
+from socket_testbed_msgs.msg import (
+    ClusterCapacitanceArray,
+    ForceMap,
+    LoadCellRaw,
+    LocalForceArray,
+    Trigger,
+)
 from visualization_msgs.msg import Marker, MarkerArray
 
 from socket_testbed.files import packaged
@@ -25,10 +31,12 @@ from socket_testbed.nodes.conversions import (
     elements,
     header_to_ros,
     layout_of,
+    load_cell_raw_packer,
     markers_to_ros,
     pose_from_ros,
     pose_packer,
     pose_reader,
+    stamp_from_ros,
     stress_reader,
     stress_to_ros,
     trigger_reader,
@@ -235,7 +243,7 @@ STATES = np.array([[0, 1, 2, 0], [0, 0, 2, 0], [0, 0, 0, 3]], dtype=np.uint8)
 
 
 def test_packed_wrenches_and_poses_are_what_ros_decodes() -> None:
-    pack_wrench, pack_pose = wrench_packer(), pose_packer()
+    pack_wrench, pack_pose, pack_raw = wrench_packer(), pose_packer(), load_cell_raw_packer()
     for number in range(3):
         values = np.append(NUMBERS[number], NUMBERS[1, :3])
         wrench = deserialize_message(pack_wrench(STAMP + number, values[:6]), WrenchStamped)
@@ -244,6 +252,12 @@ def test_packed_wrenches_and_poses_are_what_ros_decodes() -> None:
         pose = deserialize_message(pack_pose(STAMP + number, values), PoseStamped)
         assert pose.header == header_to_ros(STAMP + number, "world")
         np.testing.assert_array_equal(pose_from_ros(pose.pose), values)
+        taken = pack_raw(STAMP + number, values[:6], values[1:], STAMP + 7, number)
+        raw = deserialize_message(taken, LoadCellRaw)
+        assert (raw.header, raw.status) == (header_to_ros(STAMP + number), number)
+        assert stamp_from_ros(raw.tared) == STAMP + 7
+        np.testing.assert_array_equal(raw.ratios, 1e-3 * values[:6])
+        np.testing.assert_array_equal(wrench_from_ros(raw.tare), values[1:])
 
 
 @pytest.mark.parametrize("names", [CLUSTERS, CLUSTERS[:1], ()])

@@ -8,7 +8,7 @@ from support.testbeds import MEASURED, LiveTestbed, Recorded
 
 from socket_testbed.trials.topics import WRENCH
 
-pytestmark = pytest.mark.graph
+pytestmark = [pytest.mark.graph, pytest.mark.slow]
 
 COMPUTING = ("calibration_node", "estimator_node")
 

@@ -13,6 +13,10 @@ CONTRACT = {
     "Trigger": "std_msgs/Header header; uint64 sequence",
     "ClusterCapacitance": "string name; float64[4] capacitance; uint8[4] status",
     "ClusterCapacitanceArray": "std_msgs/Header header; ClusterCapacitance[] clusters",
+    "LoadCellRaw": (
+        "std_msgs/Header header; float64[6] ratios; geometry_msgs/Wrench tare;"
+        " builtin_interfaces/Time tared; uint8 status"
+    ),
     "RigidBodyMarkers": "string name; geometry_msgs/Point[] markers",
     "RigidBodyMarkersArray": "std_msgs/Header header; RigidBodyMarkers[] bodies",
     "ClusterStress": (

@@ -14,8 +14,9 @@ from std_srvs.srv import Trigger as TriggerService
 from support.graph import Probe
 from support.testbeds import manageable
 
-from socket_testbed.live.bringup import Simulation, end, simulated_testbed, start
+from socket_testbed.live.bringup import end, simulated_testbed, start
 from socket_testbed.live.processes import Graph
+from socket_testbed.live.simulated_world import Simulation
 from socket_testbed.trials.topics import DIAGNOSTICS, TF, TF_STATIC, TRIGGER, WRENCH
 
 pytestmark = pytest.mark.graph

@@ -126,7 +126,8 @@ def test_a_replay_is_the_recording_in_its_order(hold: Path, tmp_path: Path) -> N
         )
     with BagReader(hold) as before, BagReader(recorded) as after:
         for name in names:
-            sent = [raw.data for raw in before.messages([name])]
+            raws = list(before.messages([name]))
+            sent = [raw.data + bytes(-len(raw.data) % 4) for raw in raws]  # DDS pads to words
             received = [raw.data for raw in after.messages([name])]
             assert received == sent, name
         assert after.counts["/diagnostics"] > 0

@@ -10,7 +10,7 @@ from support.graph import Probe
 from support.testbeds import LiveTestbed
 
 from socket_testbed.errors import ConfigurationError, TestbedError
-from socket_testbed.live.bringup import Simulation
+from socket_testbed.live.simulated_world import Simulation
 from socket_testbed.nodes import service_controls
 from socket_testbed.nodes.service_controls import ServiceControls
 from socket_testbed.trials.metadata import TrialMetadata
@@ -70,7 +70,7 @@ def test_events_that_are_marked_at_once_are_all_heard(
     for thread in threads:
         thread.start()
     for thread in threads:
-        thread.join()
+        thread.join(HANGS)
     assert len(said) == 2 and all(line.startswith("marked 'step'") for line in said)
 
 

@@ -2,41 +2,22 @@
 
 import re
 import zlib
-from functools import cache, partial
+from itertools import product
 
 import numpy as np
 import pytest
 from matplotlib import colormaps, rc_context
 from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.colors import to_rgb
 from matplotlib.image import imread
 from matplotlib.text import Text
 from support.benches import nominal, sensor_bench
-from support.pareto_cases import made_up_front
-from support.ring_socket import ring_socket
 
 from socket_testbed.calibration.calibrate import calibrate_bench
-from socket_testbed.identification.evaluation import channel_errors
-from socket_testbed.identification.validation import CLOSED, FORCE_MAP, INVERSE_DISTANCE, Judgement
 from socket_testbed.report.figures.calibration import bench_figure
-from socket_testbed.report.figures.channels import (
-    Panel,
-    Prediction,
-    offsets_figure,
-    overview_figure,
-    panels_figure,
-)
-from socket_testbed.report.figures.pareto import pareto_figure
-from socket_testbed.report.figures.pressure import (
-    Band,
-    pressure_maps_figure,
-    pressure_views_figure,
-    regions_figure,
-)
+from socket_testbed.report.figures.cycles import cycles_figure
 from socket_testbed.report.figures.style import (
     BAR_STYLES,
     LINE_STYLES,
-    MODEL_STYLES,
     SCALE,
     WIDTHS,
     FigureStyle,
@@ -44,95 +25,42 @@ from socket_testbed.report.figures.style import (
     save_figure,
     wrap,
 )
-from socket_testbed.report.figures.tile_maps import tile_map_figure
-from socket_testbed.report.figures.validation import validation_figure
-from socket_testbed.samples import channel_names
-
-CLUSTERS = ("posterior_distal", "brim_lateral")
-TITLE = "subject07_morning_walk_2, plateau 65.75 s to 104.50 s: a title of a usual length, and more"
-RNG = np.random.default_rng(5)
-TIME = np.linspace(0.0, 120.0, 400)
-SOCKET = ring_socket()
-TILES = RNG.uniform(5.0, 40.0, len(SOCKET))
-SIDES = ("anterior", "medial", "posterior", "lateral")
-BANDS = {
-    f"{side} {height}": Band(TILES[:1] + RNG.normal(size=400), 0 * TIME, 60.0 + 0 * TIME)
-    for side in SIDES
-    for height in ("proximal", "middle", "distal")
-}
-EVENTS = [(10.0, "placed"), (60.0, "step"), (60.5, "note"), (118.0, "removed")]
+from socket_testbed.report.results import Results
+from socket_testbed.report.sections.pressure import instant_maps, pressure_figure
+from socket_testbed.report.write import SECTIONS
 
 
-def panel(name: str, scale: float) -> Panel:
-    measured = scale * RNG.normal(size=400)
-    labels = ("stiffness", "stiffness_bias", "rigid_bias")
-    errors = channel_errors(name, measured, -measured, name != "Mz")
-    return Panel(
-        TIME, measured, tuple(Prediction(n, -measured, errors) for n in labels), (30.0, 90.0)
-    )
-
-
-def judgement(question: str, cluster: str, predictor: str) -> Judgement:
-    return Judgement(
-        question, predictor, "left out", "", "a", cluster, 9, 0.8, coverage=(0.5, 0.8, 0.9)
-    )
-
-
-WRENCH = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
-LOCAL = [f"{cluster}.F{axis}" for cluster in CLUSTERS for axis in "xyz"]
-MAPS = {
-    "mean over the hold, 42.00 s to 60.00 s": TILES,
-    "at the peak, 51.20 s": np.where(np.arange(len(SOCKET)) % 7, 1.5 * TILES, np.nan),
-}
-FIGURES = {
-    "wrench": partial(panels_figure, [panel(n, 300.0) for n in WRENCH], 3, TITLE),
-    "local": partial(panels_figure, [panel(n, 30.0) for n in LOCAL], 3, TITLE),
-    "panel": partial(panels_figure, [panel(LOCAL[0], 30.0)], 1),
-    "overview": partial(
-        overview_figure,
-        TIME,
-        RNG.normal(size=(400, 6)),
-        [(10.0, 50.0)],
-        (60.0, 90.0),
-        {name: RNG.random(400) < 0.1 for name in ("Mx", "posterior_distal (Fx, Fy, Fz)")},
-    ),
-    "offsets": partial(
-        offsets_figure,
-        channel_names(CLUSTERS),
-        {name: RNG.normal(size=12) for name in ("stiffness_bias", "rigid_bias")},
-    ),
-    "pareto": partial(
-        pareto_figure, [made_up_front(), made_up_front("stiffness_bias", 0.02)], TITLE
-    ),
-    "validation": partial(
-        validation_figure,
-        [
-            judgement(*row, predictor)
-            for row in [("cluster", name) for name in (*CLUSTERS, "")] + [("tiles", "")]
-            for predictor in (INVERSE_DISTANCE, CLOSED, FORCE_MAP)
-        ],
-        TITLE,
-    ),
-    "tile_map": partial(
-        tile_map_figure,
-        SOCKET,
-        {f"q_r along {axis} of the tile's frame": k * TILES for k, axis in enumerate("xyz", 1)},
-        "rest position from the mean limb position [mm]",
-        TITLE,
-    ),
-    "pressure_maps": partial(pressure_maps_figure, SOCKET, MAPS, "left", TITLE),
-    "pressure_views": partial(pressure_views_figure, SOCKET, MAPS, "left", TITLE),
-    "regions": partial(regions_figure, TIME, BANDS, EVENTS, TITLE),
-}
-
-
-@cache
-def calibrated():
-    bench = sensor_bench(play=2e3, repeats=1)
-    return calibrate_bench(bench, nominal().wiring, True, False)
-
-
-FIGURES["bench"] = lambda style: bench_figure(calibrated(), "distal", style)
+@pytest.fixture(scope="module")
+def figures(results: Results) -> dict:
+    """What draws every figure, by its name."""
+    drawn = {f.name: f.draw for make in SECTIONS for f in make(results).figures}
+    bench = calibrate_bench(sensor_bench(play=2e3, repeats=1), nominal().wiring, True, False)
+    found, geometry = results.pressure, results.trial.geometry
+    maps, determined = instant_maps(found.outputs, found.time, 0.5, "plateau")
+    maps["a map with a name of a length that does not fit above it, and more"] = geometry.areas
+    regions = {place.name: column for column, place in enumerate(found.places)}
+    events = [(found.time[0] + 9.0 * k, name) for k, name in enumerate(("placed", "step", "note"))]
+    title = "subject07_morning_walk_2, plateau 65.75 s to 104.50 s: a title of a usual length, more"
+    curves = np.random.default_rng(5).normal(size=(9, 101, 3))
+    of_cycles = ("Fz [N]", "mean pressure of the region [kPa]", "Mx [N m]")
+    return drawn | {
+        "bench": lambda style: bench_figure(bench, "distal", style),
+        "pressure": lambda style: pressure_figure(
+            geometry,
+            maps,
+            determined,
+            found.time,
+            found.outputs.mean_pressure(),
+            regions,
+            events,
+            "left",
+            title,
+            style,
+        ),
+        "cycles": lambda style: cycles_figure(
+            of_cycles, curves, curves.mean(axis=0), curves.std(axis=0), title, style
+        ),
+    }
 
 
 @in_style  # as figures are saved
@@ -166,20 +94,20 @@ def overlap(a, b) -> float:
     return min(across, along)
 
 
-def check_words(figure) -> None:
+def check_words(name: str, figure) -> None:
     """Every word is of 7 pt, inside the figure, and beside the panels and the other words."""
     texts, panels = drawn_texts(figure)
     for text, size, box in texts:
-        assert size >= 7.0, text
-        assert box.x0 > -0.5 and box.x1 < figure.bbox.width + 0.5, text
-        assert box.y0 > -0.5 and box.y1 < figure.bbox.height + 0.5, text
+        assert size >= 7.0, (name, text)
+        assert box.x0 > -0.5 and box.x1 < figure.bbox.width + 0.5, (name, text)
+        assert box.y0 > -0.5 and box.y1 < figure.bbox.height + 0.5, (name, text)
         for panel in panels:
             inside = panel.x0 <= box.x0 and box.x1 <= panel.x1
             inside = inside and panel.y0 <= box.y0 and box.y1 <= panel.y1
-            assert inside or overlap(box, panel) < 1.5, text
+            assert inside or overlap(box, panel) < 1.5, (name, text)
     for i, (text, _, box) in enumerate(texts):
         for other, _, beside in texts[:i]:
-            assert overlap(box, beside) < 1.5, (text, other)
+            assert overlap(box, beside) < 1.5, (name, text, other)
 
 
 def check_pdf(content: bytes, width: float) -> None:
@@ -199,30 +127,27 @@ def check_pdf(content: bytes, width: float) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("titles", [True, False])
-@pytest.mark.parametrize("width", WIDTHS)
-@pytest.mark.parametrize("draw", FIGURES.values(), ids=FIGURES)
-def test_a_figure_is_as_wide_as_stated_and_every_word_legible(draw, width, titles, tmp_path):
-    figure = draw(style=FigureStyle(width, titles))
-    check_words(figure)
-    assert titles or not figure.get_suptitle()  # then the caption says what is shown
-    if titles:
-        save_figure(figure, tmp_path / "figure.pdf")
-        check_pdf((tmp_path / "figure.pdf").read_bytes(), width)
+def test_every_figure_is_as_wide_as_stated_and_every_word_legible(figures, tmp_path):
+    alike = {"tile_stiffness_stiffness", "tile_stiffness_stiffness_bias", "tile_stiffness_given"}
+    for name, width, titles in product({*figures} - alike, WIDTHS, (True, False)):
+        figure = figures[name](FigureStyle(width, titles))
+        check_words(name, figure)
+        assert titles or not figure.get_suptitle()  # then the caption says what is shown
+        if titles:
+            save_figure(figure, tmp_path / "figure.pdf")
+            check_pdf((tmp_path / "figure.pdf").read_bytes(), width)
 
 
-@pytest.mark.parametrize("width", WIDTHS)
-def test_a_png_has_300_pixels_to_the_inch(width, tmp_path):
-    save_figure(FIGURES["pareto"](style=FigureStyle(width)), tmp_path / "figure.png")
-    assert imread(tmp_path / "figure.png").shape[1] == pytest.approx(width / 25.4 * 300, abs=1.0)
-
-
-def test_a_users_settings_change_nothing():
-    style = FigureStyle()
-    expected = drawn_texts(FIGURES["offsets"](style=style))[0]
-    with rc_context({"font.size": 4.0, "xtick.labelsize": 3.0, "savefig.bbox": "tight"}):
-        found = drawn_texts(FIGURES["offsets"](style=style))[0]
-    assert [size for _, size, _ in found] == [size for _, size, _ in expected]
+def test_a_png_has_300_pixels_to_the_inch_whatever_a_user_has_set(figures, tmp_path):
+    for width in WIDTHS:
+        figure = figures["pareto"](FigureStyle(width))
+        expected = [size for _, size, _ in drawn_texts(figure)[0]]
+        with rc_context({"font.size": 4.0, "xtick.labelsize": 3.0, "savefig.bbox": "tight"}):
+            save_figure(figure, tmp_path / "figure.png")
+            found = drawn_texts(figures["pareto"](FigureStyle(width, True)))[0]
+        pixels = imread(tmp_path / "figure.png").shape[1]
+        assert pixels == pytest.approx(width / 25.4 * 300, abs=1.0)
+        assert [size for _, size, _ in found] == expected
 
 
 def lightness(colour) -> float:
@@ -232,28 +157,16 @@ def lightness(colour) -> float:
     return 116.0 * np.cbrt(y) - 16.0 if y > 0.008856 else 903.3 * y
 
 
-def test_the_scale_prints_in_grey_even_for_signed_values():
-    """Its lightness rises throughout: the sign of a value about zero is not lost in grey."""
+def test_scale_lines_and_bars_can_be_read_in_grey():
+    """The scale's lightness rises throughout: the sign of a value about zero is not lost."""
     values = [lightness(colour[:3]) for colour in colormaps[SCALE](np.linspace(0.0, 1.0, 101))]
     assert (np.diff(values) > 0.0).all() and np.ptp(values) > 70.0
+    for styles, mark in ((LINE_STYLES, "linestyle"), (BAR_STYLES, "hatch")):
+        assert len({str(style[mark]) for style in styles}) == len(styles) == 4  # models
 
 
-@pytest.mark.parametrize("styles", [MODEL_STYLES, LINE_STYLES])
-def test_lines_differ_without_colour(styles):
-    assert len({str(style["linestyle"]) for style in styles}) == len(styles)
-
-
-def test_bars_differ_without_colour():
-    for i, style in enumerate(BAR_STYLES):
-        for other in BAR_STYLES[:i]:
-            apart = abs(
-                lightness(to_rgb(style["facecolor"])) - lightness(to_rgb(other["facecolor"]))
-            )
-            assert apart > 20.0 or style.get("hatch") != other.get("hatch")
-
-
-@pytest.mark.parametrize("text", ["one two three " * 20, "a" * 300, "$\\frac$ " * 30, "", "  "])
-def test_a_wrapped_text_keeps_its_words(text):
-    lines = wrap(text, 84.0).split("\n")
-    assert "".join("".join(lines).split()) == "".join(text.split())
-    assert max(map(len, lines)) < 80
+def test_a_wrapped_text_keeps_its_words():
+    for text in ("one two three " * 20, "a" * 300, "$\\frac$ " * 30, "", "  "):
+        lines = wrap(text, 84.0).split("\n")
+        assert "".join("".join(lines).split()) == "".join(text.split())
+        assert max(map(len, lines)) < 80

@@ -4,9 +4,11 @@ import dataclasses
 import math
 from pathlib import Path
 
+import numpy as np
 import pytest
 import qpsolvers
 import yaml
+from support.wording import refused
 
 from socket_testbed.__main__ import run
 from socket_testbed.errors import ConfigurationError
@@ -26,13 +28,6 @@ NODES = {name: type(settings) for name, settings in TestbedSettings().nodes().it
 ALL = sorted(
     {*NODES.values(), IdentificationSettings, TestbedSettings}, key=lambda kind: kind.__name__
 )
-
-
-def assert_one_line(error: ConfigurationError, *words: str) -> None:
-    assert "\n" not in str(error)
-    assert error.hint
-    for word in words:
-        assert word in str(error)
 
 
 @pytest.mark.parametrize("kind", ALL)
@@ -72,47 +67,40 @@ def test_changed_values_come_back_from_their_flat_form():
     assert EstimatorSettings.from_flat(flat, "here") == settings
 
 
-@pytest.mark.parametrize(("value", "expected"), [(1, 1.0), (0, 0.0), (0.25, 0.25)])
-def test_whole_numbers_are_numbers(value, expected):
+@pytest.mark.parametrize("value", [1, 1.0, "1e0", "1.0", np.float32(1.0), np.array(1.0)])
+def test_whatever_means_a_number_is_one(value):
     theta = IdentificationSettings(theta=value).theta
-    assert isinstance(theta, float)
-    assert theta == expected
-
-
-def test_a_whole_number_may_come_with_a_point():
+    assert type(theta) is float and theta == 1.0
     least = WindowSettings(least_samples=50.0).least_samples
-    assert isinstance(least, int)
-    assert least == 50
+    assert type(least) is int and least == 50
+    assert IdentificationSettings(initial_stiffness="auto").initial_stiffness == 0.0
+    assert IdentificationSettings(reference_position=np.ones(3)).reference_position == (1.0,) * 3
+
+
+THETA = "give a number from 0 to 1: weight of the wrench against the clusters"
 
 
 @pytest.mark.parametrize(
-    ("kind", "name", "value", "words"),
+    ("kind", "name", "value", "error"),
     [
-        (IdentificationSettings, "theta", 1.01, ("theta", "[0, 1]")),
-        (IdentificationSettings, "theta", -0.01, ("theta", "[0, 1]")),
-        (IdentificationSettings, "theta", math.nan, ("theta", "finite")),
-        (IdentificationSettings, "smoothness", math.inf, ("smoothness", "finite")),
-        (IdentificationSettings, "theta", "high", ("theta", "number")),
-        (IdentificationSettings, "theta", True, ("theta", "number")),
-        (IdentificationSettings, "theta", None, ("theta", "number")),
-        (IdentificationSettings, "gate_sharpness", 0.0, ("gate_sharpness",)),
-        (IdentificationSettings, "variant", "stifness", ("variant", "stiffness")),
-        (IdentificationSettings, "variant", 3, ("variant", "str")),
-        (IdentificationSettings, "leave_out", "Mz", ("leave_out", "list")),
-        (IdentificationSettings, "leave_out", [1], ("leave_out", "str")),
-        (IdentificationSettings, "solver", 1.0, ("solver", "str")),
-        (WindowSettings, "least_samples", 50.5, ("least_samples", "whole")),
-        (WindowSettings, "least_samples", 5, ("least_samples", "10")),
-        (WindowSettings, "least_samples", math.nan, ("least_samples", "finite")),
-        (EstimatorSettings, "auto_fit", 1, ("auto_fit", "bool")),
-        (EstimatorSettings, "auto_fit", "yes", ("auto_fit", "bool")),
-        (EstimatorSettings, "geometry", ["a"], ("geometry", "str")),
+        (IdentificationSettings, "theta", 1.01, f"theta is 1.01: {THETA}"),
+        (IdentificationSettings, "theta", math.nan, f"theta is nan: {THETA}"),
+        (IdentificationSettings, "smoothness", math.inf, "smoothness is inf: give a number"),
+        (IdentificationSettings, "theta", "high", f"theta is 'high': {THETA}"),
+        (IdentificationSettings, "theta", True, f"theta is True: {THETA}"),
+        (IdentificationSettings, "theta", None, f"theta is empty: {THETA}"),
+        (IdentificationSettings, "variant", "stifness", "did you mean 'stiffness'"),
+        (IdentificationSettings, "leave_out", "Mz", "leave_out is 'Mz': give a list"),
+        (IdentificationSettings, "leave_out", [1], "leave_out[0] is 1: give a text"),
+        (IdentificationSettings, "initial_stiffness", "aut", "is 'aut': give a number from 0"),
+        (IdentificationSettings, "reference_position", [1.0], "give x, y and z in m"),
+        (WindowSettings, "least_samples", 50.5, "least_samples is 50.5: give a whole number"),
+        (EstimatorSettings, "auto_fit", "yes", "auto_fit is 'yes': give true or false"),
     ],
 )
-def test_a_wrong_value_is_named_with_the_hint(kind, name, value, words):
-    with pytest.raises(ConfigurationError) as caught:
+def test_a_wrong_value_is_refused_by_its_name(kind, name, value, error):
+    with refused(ConfigurationError, error):
         kind(**{name: value})
-    assert_one_line(caught.value, *words)
 
 
 def test_a_solver_that_is_not_installed_is_refused_where_it_is_set(
@@ -139,25 +127,13 @@ def test_a_solver_that_is_not_installed_is_refused_where_it_is_set(
     assert estimator_settings(EstimatorSettings()).identification.solver == "osqp"
 
 
-@pytest.mark.parametrize(
-    ("typo", "meant"),
-    [
-        ("identification.tetha", "identification.theta"),
-        ("identification.gate_sharpnes", "identification.gate_sharpness"),
-        ("plateau.smothing", "plateau.smoothing"),
-        ("modell", "model"),
-    ],
-)
-def test_a_typo_suggests_the_right_name(typo, meant):
-    with pytest.raises(ConfigurationError) as caught:
-        EstimatorSettings.from_flat({typo: 0.5}, "here")
-    assert_one_line(caught.value, "here", f"'{typo}'", f"'{meant}'")
-
-
-def test_a_wrong_value_below_is_named_by_its_dotted_name():
-    with pytest.raises(ConfigurationError) as caught:
-        EstimatorSettings.from_flat({"identification.theta": 7}, "here")
-    assert_one_line(caught.value, "here", "identification.theta", "7")
+def test_a_wrong_name_or_value_below_is_named_by_its_dotted_name():
+    for name, error in (
+        ("identification.tetha", "here: unknown key 'identification.tetha': did you mean 'iden"),
+        ("identification.theta", "here: identification.theta is 7: give a number from 0 to 1"),
+    ):
+        with refused(ConfigurationError, error):
+            EstimatorSettings.from_flat({name: 7}, "here")
 
 
 # --- testbed.yaml
@@ -228,47 +204,28 @@ def test_what_is_written_comes_back_but_for_what_belongs_to_one_run(tmp_path):
     assert found.trigger_node == TriggerSettings(rate=20.0)
 
 
-@pytest.mark.parametrize("text", ["1e-3", "1E-3", "1.0e-3", "0.001"])
-def test_a_number_may_be_written_in_any_way_that_ros_reads(write, text):
-    path = write(f"estimator_node: {{ros__parameters: {{identification: {{smoothness: {text}}}}}}}")
-    assert read_testbed(path).estimator_node.identification.smoothness == 1e-3
-
-
 @pytest.mark.parametrize(
-    ("content", "words"),
+    ("content", "error"),
     [
-        ({"estimater_node": {"ros__parameters": {}}}, ("estimater_node", "'estimator_node'")),
-        ({"lamp_post": {"ros__parameters": {}}}, ("lamp_post", "use one of")),
-        ({"estimator_node": {"ros_parameters": {}}}, ("ros_parameters", "'ros__parameters'")),
-        ({"estimator_node": {}}, ("estimator_node", "ros__parameters")),
-        ({"estimator_node": None}, ("estimator_node", "mapping")),
-        ({"estimator_node": {"ros__parameters": [1]}}, ("estimator_node", "mapping")),
         (
-            {"estimator_node": {"ros__parameters": {"identification": {"tetha": 0.5}}}},
-            ("estimator_node", "identification.tetha", "'identification.theta'"),
+            "estimater_node: {ros__parameters: {}}",
+            "'estimater_node': did you mean 'estimator_node'",
+        ),
+        ("lamp_post: {ros__parameters: {}}", "unknown key 'lamp_post': use one of"),
+        ("estimator_node: {ros_parameters: {}}", "did you mean 'ros__parameters'"),
+        ("estimator_node: {}", "estimator_node: 'ros__parameters' is missing: add"),
+        ("estimator_node:", "estimator_node is empty: give 'key: value' lines"),
+        (
+            "estimator_node: {ros__parameters: {identification: {tetha: 1}}}",
+            "unknown key 'identification.tetha': did you mean 'identification.theta'",
         ),
         (
-            {"estimator_node": {"ros__parameters": {"identification": {"theta": 3}}}},
-            ("estimator_node", "identification.theta", "[0, 1]"),
-        ),
-        (
-            {"estimator_node": {"ros__parameters": {"identification": 3}}},
-            ("estimator_node", "identification"),
-        ),
-        (
-            {"recorder_node": {"ros__parameters": {"record": "maybe"}}},
-            ("recorder_node", "record", "maybe"),
+            "estimator_node: {ros__parameters: {identification: 3}}",
+            "estimator_node: unknown key 'identification'",
         ),
     ],
 )
-def test_a_bad_file_is_named_with_its_field_and_the_hint(write, content, words):
+def test_a_bad_file_is_named_with_its_field_and_the_hint(write, content, error):
     path = write(content)
-    with pytest.raises(ConfigurationError) as caught:
+    with refused(ConfigurationError, str(path), error):
         read_testbed(path)
-    assert_one_line(caught.value, str(path), *words)
-
-
-def test_no_file_is_named(tmp_path):
-    with pytest.raises(ConfigurationError) as caught:
-        read_testbed(tmp_path / "none.yaml")
-    assert_one_line(caught.value, "none.yaml", "path")

@@ -5,9 +5,9 @@ import pytest
 from smbus2 import i2c_msg
 from support.clocks import FakeClock
 
+from socket_testbed.simulation.devices.fdc1004 import SimulatedFdc1004
 from socket_testbed.simulation.devices.i2c import (
     SimulatedClusterHardware,
-    SimulatedFdc1004,
     SimulatedI2cBus,
     SimulatedTca9548a,
 )
@@ -170,7 +170,9 @@ def test_a_conversion_under_way_keeps_its_capdac() -> None:
 
 def test_two_mask_bits_put_two_chips_on_the_same_wires() -> None:
     clock = FakeClock()
-    hardware = SimulatedClusterHardware(lambda c, n, t: 0.0, {}, None, clock, clock.sleep)
+    hardware = SimulatedClusterHardware(
+        SimulatedFdc1004, lambda c, n, t: 0.0, {}, None, clock, clock.sleep
+    )
     bus = hardware.open_bus(1)
 
     def chip(mask: int, register: int, value: int | None = None) -> int:
@@ -198,7 +200,9 @@ def test_two_mask_bits_put_two_chips_on_the_same_wires() -> None:
 
 def test_transfers_take_nine_bits_a_byte() -> None:
     clock = FakeClock()
-    hardware = SimulatedClusterHardware(lambda c, n, t: 0.0, {}, 400e3, clock, clock.sleep)
+    hardware = SimulatedClusterHardware(
+        SimulatedFdc1004, lambda c, n, t: 0.0, {}, 400e3, clock, clock.sleep
+    )
     bus = hardware.open_bus(1)
     start = clock.now
     bus.i2c_rdwr(i2c_msg.write(MULTIPLEXER, [1]))
@@ -216,7 +220,7 @@ def test_transfers_take_their_time_on_average_however_sleeps_are(shortest: float
             clock.sleep(duration + 7e-5)
 
     bus = SimulatedClusterHardware(
-        lambda c, n, t: 0.0, {}, 400e3, clock, sleep
+        SimulatedFdc1004, lambda c, n, t: 0.0, {}, 400e3, clock, sleep
     ).open_bus(1)  # fmt: skip
     start, took = clock.now, 2 * 9 / 400e3
     for k in range(1, 1001):

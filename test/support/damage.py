@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -12,6 +13,7 @@ import numpy as np
 Rng = np.random.Generator
 T = TypeVar("T")
 
+DELETE = object()  # instead of a value
 DEEP = 3000  # levels; Python's own limit is 1000
 _LAUGHS = "".join(
     f"a{i}: &a{i} [{', '.join([f'*a{i - 1}' if i else 'lol'] * 9)}]\n" for i in range(9)
@@ -19,7 +21,20 @@ _LAUGHS = "".join(
 # What stands for no number where one belongs: each is refused, or is a value that is missing.
 NO_NUMBERS = {
     "yaml": (
-        *("null", "~", "''", "true", "no", "'1.5'", "1:30", "010", "1_000", "0b11", "1.5.2", "--1"),
+        *(
+            "null",
+            "~",
+            "''",
+            "true",
+            "no",
+            "'1.5 '",
+            "1:30",
+            "010",
+            "1_000",
+            "0b11",
+            "1.5.2",
+            "--1",
+        ),
         *("[1.5]", "[[1, 2], [3]]", "{a: 1}", ".nan", ".inf", "-.INF", "1e999", "-1e999"),
         *("9" * 400, "9" * 5000, "0x" + "f" * 5000, "1:" + "30:" * 3000 + "1", "1e", "2026-01-01"),
         *("2026-13-45", "2001-12-14t21:59:43.10-99:99", "!!int x", "!!float x", "!!timestamp x"),
@@ -218,6 +233,19 @@ def _encode(rng: Rng, content: bytes, kind: str) -> bytes:
 
 
 _TEXTUAL = (_word, _word, _word, _lines, _insert, _encode)
+
+
+def changed(document: Any, place: Sequence[str | int], value: Any) -> Any:
+    """A copy of a document with another value at a place, or without it for `DELETE`."""
+    document = copy.deepcopy(document)
+    parent = document
+    for key in place[:-1]:
+        parent = parent[key]
+    if value is DELETE:
+        del parent[place[-1]]
+    else:
+        parent[place[-1]] = value
+    return document
 
 
 def numbers_of(value: Any) -> np.ndarray:

@@ -170,6 +170,19 @@ def make_case(
     return geometry, bed, samples, settings
 
 
+def count_solver_calls(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """The solvers that are really called from now on, in their order."""
+    calls: list[str] = []
+    solve = qpsolvers.solve_problem
+
+    def counted(problem: Any, solver: str, **options: Any) -> Any:
+        calls.append(solver)
+        return solve(problem, solver, **options)
+
+    monkeypatch.setattr(qpsolvers, "solve_problem", counted)
+    return calls
+
+
 def installed(*solvers: str) -> list:
     """Solvers as parameters of a test, which skips those that are not installed."""
     return [

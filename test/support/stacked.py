@@ -54,8 +54,8 @@ class StackedRows:
 def stack_stage_one(
     samples: Samples, geometry: SocketGeometry, settings: IdentificationSettings
 ) -> StackedRows:
-    """Stage 1 row by row, in the rest positions about the mean limb position [mm]."""
-    reference = samples.position.mean(axis=0)
+    """Stage 1 row by row, in the rest positions about q_ref [mm]."""
+    reference = np.array(settings.reference_position or samples.position.mean(axis=0))
     n, k0 = len(geometry), settings.initial_stiffness
 
     def springs(k: int) -> tuple[np.ndarray, np.ndarray]:
@@ -135,7 +135,7 @@ def _stack(samples, geometry, settings, springs, difference, bounds, with_bias) 
         raw = group_weight * 2.0 / power[kept].sum() / usable.sum(axis=0)
         root[kept] = np.sqrt(raw[kept])
 
-    maps = [_channel_row(samples, geometry, i) for i in range(len(names))]
+    maps = [channel_row(samples, geometry, i) for i in range(len(names))]
     offset_rows = np.zeros((len(names), len(kept) if with_bias else 0))
     if with_bias:
         offset_rows[kept, range(len(kept))] = 1.0
@@ -164,7 +164,7 @@ def _stack(samples, geometry, settings, springs, difference, bounds, with_bias) 
     )
 
 
-def _channel_row(samples: Samples, geometry: SocketGeometry, channel: int) -> np.ndarray:
+def channel_row(samples: Samples, geometry: SocketGeometry, channel: int) -> np.ndarray:
     """How the forces on all tiles in {S} make one channel, shape (3n,)."""
     row = np.zeros((len(geometry), 3))
     for tile in range(len(geometry)):

@@ -15,8 +15,9 @@ from typing import Any, Self
 import numpy as np
 
 from socket_testbed.geometry.marker_bodies import fit_triad
-from socket_testbed.live.bringup import Simulation, Testbed, end, simulated_testbed, start
+from socket_testbed.live.bringup import Testbed, end, simulated_testbed, start
 from socket_testbed.live.processes import Graph
+from socket_testbed.live.simulated_world import Simulation
 from socket_testbed.live.time_scale import SLOWEST, busy_note
 from socket_testbed.nodes.conversions import stamp_from_ros
 from socket_testbed.simulation.trial import TRUTH_FILE
@@ -189,16 +190,16 @@ class Recorded:
         triggers = {stamp for stamp in self.stamps(TRIGGER.name) if stamp <= until}
         return {t.name: len(triggers - self.stamps(t.name)) for t in MEASURED}
 
-    def _felt(self, name: str, stamp: float) -> np.ndarray:
+    def felt(self, name: str, stamp: float) -> np.ndarray:
         """What the sensors felt at a time, linear between the simulation's steps."""
         stamps, values = self._truth["stamps"], self._truth[f"felt_{name}"]
         after = int(np.clip(np.searchsorted(stamps, stamp), 1, len(stamps) - 1))
         share = (stamp - stamps[after - 1]) / (stamps[after] - stamps[after - 1])
         return (1.0 - share) * values[after - 1] + share * values[after]
 
-    def _averaged(self, name: str, stamp: float) -> np.ndarray:
+    def averaged(self, name: str, stamp: float) -> np.ndarray:
         """The mean of what the sensors felt around a time."""
-        return np.mean([self._felt(name, stamp + offset) for offset in self._around], axis=0)
+        return np.mean([self.felt(name, stamp + offset) for offset in self._around], axis=0)
 
     def _known(self, topic: str) -> list[tuple[int, Any]]:
         """Messages of a topic, but for those around which a busy machine held the world up."""
@@ -227,7 +228,7 @@ class Recorded:
         for stamp, message in self._known(WRENCH.name):
             wrench = np.array(wrench_vector(message.wrench))
             if np.isfinite(wrench).all():
-                felt = (self._averaged("wrench", stamp), self._felt("wrench", stamp))
+                felt = (self.averaged("wrench", stamp), self.felt("wrench", stamp))
                 off = np.abs(wrench - np.clip(wrench, np.minimum(*felt), np.maximum(*felt)))
                 assert (off < np.repeat([0.1, 0.9], 3)).all(), (stamp, off)
                 counts[WRENCH.name] += 1
@@ -235,7 +236,7 @@ class Recorded:
                 assert np.isnan(wrench).all()
         for stamp, message in self._known(CAPACITANCE.name):
             moments = stamp + np.linspace(-0.03e9, 0.055e9, 12)
-            felt = np.array([self._felt("capacitance", moment) for moment in moments])
+            felt = np.array([self.felt("capacitance", moment) for moment in moments])
             for i, cluster in enumerate(message.clusters):
                 values = np.asarray(cluster.capacitance)
                 fine = np.asarray(cluster.status) == 0
@@ -251,13 +252,13 @@ class Recorded:
                 if not np.isfinite(pose).all():
                     assert np.isnan(pose).all()
                     continue
-                true = fit_triad(triad, self._averaged("markers", stamp)[k][None]).pose
+                true = fit_triad(triad, self.averaged("markers", stamp)[k][None]).pose
                 turn = abs(pose[3:] @ true.quaternion()[0])
                 assert np.linalg.norm(pose[:3] - true.translation[0]) < 6e-4, stamp
                 assert 2.0 * np.arccos(min(turn, 1.0)) < 0.01, stamp
                 counts[topic.name] += 1
         for stamp, message in self._known(MARKERS.name):
-            felt = self._felt("markers", stamp)
+            felt = self.felt("markers", stamp)
             for body, true in zip(message.bodies, felt, strict=True):
                 seen = np.array([(m.x, m.y, m.z) for m in body.markers])
                 off = np.linalg.norm(seen - true, axis=1)

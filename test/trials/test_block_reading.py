@@ -57,7 +57,7 @@ def check_every_message(path: Path) -> int:
 
 
 def test_every_message_of_a_trial(hold: Path) -> None:
-    assert check_every_message(hold) == 6 * 240
+    assert check_every_message(hold) == 7 * 240
 
 
 def test_every_message_of_real_bags() -> None:

@@ -11,6 +11,7 @@ import pytest
 from scipy.io import loadmat
 from support.bags import rewrite
 
+import socket_testbed as st
 from socket_testbed.calibration.model import channel_features
 from socket_testbed.commands import export
 from socket_testbed.commands.export import configure
@@ -161,7 +162,10 @@ def test_predictions_have_the_errors_that_evaluate_finds(
             measured[columns[f"{cluster}.status [-]"] != 0] = np.nan
         residual = columns[f"predicted.{error.name} [{error.unit}]"] - measured
         assert np.sqrt(np.nanmean(residual**2)) == pytest.approx(error.rmse, rel=1e-12)
-    assert len(columns) == 58 + 18
+    engaged = st.evaluate(st.open_trial(gappy), hold_model, "all").engagement()
+    for name, values in engaged.columns("springs.").items():
+        np.testing.assert_array_equal(columns[name], values)
+    assert len(columns) == 58 + 18 + 3
 
 
 def test_names_are_such_as_matlab_can_have() -> None:

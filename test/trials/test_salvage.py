@@ -300,10 +300,10 @@ def cut_trial(hold: Path, tmp_path: Path) -> Iterator[Path]:
         for topic, name in match_topics(old.counts, "hold").items():
             bag.add_topic(name, topic)
         for k, raw in enumerate(old.messages()):
-            if k == 200 * 6:
+            if k == 200 * 7:
                 break
             bag.write(raw.topic, raw.time, raw.data)
-            if k % 24 == 23:
+            if k % 28 == 27:
                 bag.flush()
     bag.abandon()
     file = target / "trial.mcap"

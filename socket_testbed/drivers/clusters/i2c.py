@@ -85,6 +85,8 @@ def opening_failed(number: int, error: OSError) -> DeviceError:
 class I2cPort:
     """One chip on a bus, its registers sent the most significant byte first; for one thread.
 
+    Transfers that fail raise a `BusError`.
+
     Args:
         bus: The bus.
         bus_name: Its name, such as i2c-1.
@@ -108,28 +110,16 @@ class I2cPort:
         self.where = " ".join(f"0x{address:02X} {place} on {bus_name}".split())
 
     def read(self, register: int) -> int:
-        """Read a register, 0..0xFFFF [1]: its pointer, then a repeated start.
-
-        Raises:
-            BusError: If the transfer failed.
-        """
+        """Read a register, 0..0xFFFF [1]: its pointer, then a repeated start."""
         self._transfer(self._message(register), self._answer)
         return int.from_bytes(self._answer.buf[:2], "big")
 
     def write(self, register: int, value: int) -> None:
-        """Write a register, 0..0xFFFF [1].
-
-        Raises:
-            BusError: If the transfer failed.
-        """
+        """Write a register, 0..0xFFFF [1]."""
         self._transfer(self._message(register, value >> 8, value & 0xFF))
 
     def write_byte(self, value: int) -> None:
-        """Write one byte to a chip without registers.
-
-        Raises:
-            BusError: If the transfer failed.
-        """
+        """Write one byte to a chip without registers."""
         self._transfer(self._message(value))
 
     def _message(self, *data: int) -> i2c_msg:

@@ -12,7 +12,7 @@ from smbus2 import i2c_msg
 
 from socket_testbed import clocks
 from socket_testbed.arrays import FloatArray, StatusArray
-from socket_testbed.drivers.clusters.fdc1004 import ADDRESS, INPUTS, Fdc1004, InputReader
+from socket_testbed.drivers.clusters.chip import INPUTS, CapacitiveChip, InputReader
 from socket_testbed.drivers.clusters.i2c import (
     BusError,
     BusGoneError,
@@ -54,6 +54,7 @@ class ClusterReader:
 
     Args:
         settings: What is wired where.
+        chip: The chip that each cluster has.
         open_bus: Opens the bus of a number.
         clock: The steady clock [s].
         sleep: Waits [s].
@@ -65,12 +66,14 @@ class ClusterReader:
     def __init__(
         self,
         settings: ClusterSettings,
+        chip: type[CapacitiveChip],
         open_bus: Callable[[int], I2cBus],
         clock: Callable[[], float] = clocks.monotonic,
         sleep: Callable[[float], None] = clocks.sleep,
     ) -> None:
-        check_settings(settings)
+        check_settings(settings, chip)
         self._settings = settings
+        self._chip = chip
         self._clock = clock
         self._sleep = sleep
         self._pause = _PAUSE * INPUTS / settings.sample_rate  # [s]
@@ -112,7 +115,7 @@ class ClusterReader:
             try:
                 cluster.select()
                 chip.check_identity()
-                found[cluster.name] = f"FDC1004 at {chip.where}"
+                found[cluster.name] = f"{chip.name} at {chip.where}"
             except DeviceError as error:
                 found[cluster.name] = error
         return found
@@ -128,8 +131,8 @@ class ClusterReader:
     def _describe(self, name: str, number: int, channel: int) -> _Cluster:
         bus, address = self._buses[number], self._settings.multiplexer
         place = f"behind channel {channel} of 0x{address:02X}" if address else ""
-        chip = Fdc1004(I2cPort(bus, bus.name, ADDRESS, place), self._sleep)
-        inputs = InputReader(chip, self._settings.sample_rate, self._clock)
+        port, rate = I2cPort(bus, bus.name, self._chip.address, place), self._settings.sample_rate
+        inputs = InputReader(self._chip(port, rate, self._sleep), rate, self._clock)
         return _Cluster(name, bus, channel, inputs)
 
     def _advance(self, cluster: _Cluster) -> bool:
@@ -165,7 +168,7 @@ class ClusterReader:
         if isinstance(error, BusTimeoutError):
             # Every transfer on a bus that hangs takes its whole time-out: one is enough.
             bus.given_up = str(error)
-        of_multiplexer = isinstance(error, BusError) and error.address != ADDRESS
+        of_multiplexer = isinstance(error, BusError) and error.address != self._chip.address
         if bus.is_open and not of_multiplexer and not isinstance(error, BusGoneError):
             cluster.backoff.failed(now)
             return
@@ -279,7 +282,7 @@ class _Cluster:
         self.bus.select(self.channel)
 
 
-def check_settings(settings: ClusterSettings) -> None:
+def check_settings(settings: ClusterSettings, chip: type[CapacitiveChip]) -> None:
     """Check what the ranges of single settings cannot.
 
     Raises:
@@ -291,8 +294,11 @@ def check_settings(settings: ClusterSettings) -> None:
             f"{len(names)} names, {len(buses)} buses and {len(channels)} channels of clusters",
             "give each cluster one of each",
         )
-    if settings.sample_rate not in {100, 200, 400}:
-        raise ConfigurationError(f"sample_rate is {settings.sample_rate}", "give 100, 200 or 400")
+    if settings.sample_rate not in chip.sample_rates:
+        raise ConfigurationError(
+            f"sample_rate is {settings.sample_rate}",
+            f"give one of those of the {chip.name}: {', '.join(map(str, chip.sample_rates))}",
+        )
     if settings.multiplexer and settings.multiplexer < 0x70:
         fact = f"multiplexer is 0x{settings.multiplexer:02X}"
         raise ConfigurationError(fact, "give 0x70 to 0x77, or 0 for none")

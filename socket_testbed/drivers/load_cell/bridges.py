@@ -55,6 +55,26 @@ class Bridges:
         """Wrenches [M; F], shape (..., 6) [N m, N], of ratios, shape (..., 6) [mV/V]."""
         return ratios @ self.matrix.T
 
+    def ratios_at(self, wrenches: FloatArray) -> FloatArray:
+        """Ratios, shape (..., 6) [mV/V], of wrenches [M; F], shape (..., 6): undoes `wrenches`."""
+        return np.asarray(wrenches @ np.linalg.inv(self.matrix).T)
+
+    def ratios_from(self, other: Bridges, ratios: FloatArray) -> FloatArray:
+        """Ratios, shape (..., 6) [mV/V], of the voltages that make given ones by other settings.
+
+        The converter's own gain was set in it, and is that of the other settings.
+
+        Raises:
+            ConfigurationError: If a bridge is on an input that the other settings do not read.
+        """
+        if lacking := sorted(set(self.inputs.tolist()) - set(other.inputs.tolist())):
+            raise _wrong(
+                f"inputs names input {lacking[0]}, which was not recorded",
+                f"give inputs of {', '.join(map(str, sorted(other.inputs.tolist())))}",
+            )
+        bridges = [other.inputs.tolist().index(place) for place in self.inputs]
+        return np.asarray((ratios / other._scale)[..., bridges] * self._scale)
+
     def overload(self, peak: FloatArray) -> tuple[int, str]:
         """How far absolute values of [M; F], shape (6,), go beyond the cell.
 
@@ -71,6 +91,12 @@ class Bridges:
         limit = f"{10 * tenths} % of its full scale of {self.full_scale[worst]:g} {UNITS[worst]}"
         hint = "unload the cell" if level == 2 else "do not load it further"
         return level, f"{AXES[worst]} is above {limit}: {hint}"
+
+
+def in_words(wrench: FloatArray) -> str:
+    """The values of [M; F], shape (6,) [N m, N], with their names and units."""
+    values = zip(AXES, wrench, UNITS, strict=True)
+    return ", ".join(f"{axis} {value:.4g} {unit}" for axis, value, unit in values)
 
 
 def check_settings(settings: LoadCellSettings) -> None:

@@ -19,6 +19,7 @@ from socket_testbed.drivers.load_cell.ads131m0x import (
     CHECK_WIRING,
     Ads131m0x,
     ChecksumError,
+    ConverterFrame,
     SpiDevice,
     at_rail,
     conversion_period,
@@ -301,16 +302,11 @@ class ConverterReader:
     def _read_waiting(self, converter: Ads131m0x) -> None:
         for _ in range(_FRAMES):
             begin = self._clock()
-            try:
-                frame = converter.read()
-            except ChecksumError:
+            if (frame := self._read(converter, begin)) is None:
                 # It may have held a conversion: those behind it cannot be told apart.
                 self._times.lose()
-                with self._lock:
-                    self._corrupted = begin
-                    self._counts["checksum_errors"] += 1
                 continue
-            self._matched = read = self._clock()
+            read = self._matched
             if not frame.new:
                 # Held up in the middle of a frame, nobody knows when nothing waited.
                 if read - begin < _HELD_UP * self.period:
@@ -323,6 +319,18 @@ class ConverterReader:
             self._take(frame.codes, read, self._times.conversion_end(read))
         self._expect_conversions()
 
+    def _read(self, converter: Ads131m0x, begin: float) -> ConverterFrame | None:
+        """A frame, begun at a time [s]; None if it is corrupted."""
+        try:
+            frame = converter.read()
+        except ChecksumError:
+            with self._lock:
+                self._corrupted = begin
+                self._counts["checksum_errors"] += 1
+            return None
+        self._matched = self._clock()
+        return frame
+
     def _read_edges(self, converter: Ads131m0x, line: EdgeLine) -> None:
         """Read a frame for each edge; what cannot be told apart is dropped."""
         begin = self._clock()
@@ -331,15 +339,10 @@ class ConverterReader:
             self._synchronise(converter, line)
             edges = []
         for edge in edges:
-            try:
-                frame = converter.read()
-            except ChecksumError:
+            if (frame := self._read(converter, begin)) is None:
                 self._synchronised = False  # whether it took a conversion along is unknown
-                with self._lock:
-                    self._corrupted = begin
-                    self._counts["checksum_errors"] += 1
                 return
-            self._matched = read = self._clock()
+            read = self._matched
             if read > edges[0] + _PAUSE * self.period:  # a third conversion pushed out the first
                 self._synchronised = False
                 return

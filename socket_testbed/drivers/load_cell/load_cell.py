@@ -6,23 +6,28 @@ import json
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
+from msgspec import Meta
 
 from socket_testbed import clocks
 from socket_testbed.arrays import BoolArray, FloatArray
+from socket_testbed.clocks import SteadyClock
+from socket_testbed.documents import Document, read_document
 from socket_testbed.drivers.averaging import line_weights
 from socket_testbed.drivers.gpio import EdgeLine
 from socket_testbed.drivers.load_cell.ads131m0x import SpiDevice
-from socket_testbed.drivers.load_cell.bridges import AXES, UNITS, Bridges
+from socket_testbed.drivers.load_cell.bridges import AXES, UNITS, Bridges, in_words
 from socket_testbed.drivers.load_cell.converter_reader import ConverterReader
 from socket_testbed.errors import ConfigurationError, DeviceError
-from socket_testbed.files import atomic_output, make_folder, read_document
+from socket_testbed.files import atomic_output, make_folder
+from socket_testbed.samples import Status
 from socket_testbed.settings.acquisition import LoadCellSettings
 
-_LARGEST = 1e3  # [mV/V]; no bridge comes near it
+_EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 _BROKEN_WIRE = 5  # conversions in a row at a rail
 _AFTER = 0.25  # part of the window that is after the trigger
 _WORST = 3.0  # variance of a wrench from what is left of a window, against the complete one's
@@ -36,6 +41,10 @@ class Tare:
     Args:
         path: File that keeps them; empty for none. It need not exist yet.
 
+    Attributes:
+        no_load: Ratios at no load, shape (6,) [mV/V], and when they were taken, since the epoch
+            [ns]; 0 if never.
+
     Raises:
         ConfigurationError: If the file is there but damaged.
     """
@@ -43,39 +52,49 @@ class Tare:
     def __init__(self, path: str) -> None:
         self._path = Path(path).expanduser() if path else None
         self._writing = threading.Lock()
-        self._offsets: FloatArray = np.zeros(6)
+        self.no_load: tuple[FloatArray, int] = np.zeros(6), 0
         if self._path is not None and self._path.exists():
-            self._offsets = _read(self._path)
+            self.no_load = _read(self._path)
 
-    @property
-    def offsets(self) -> FloatArray:
-        """Ratios at no load, shape (6,) [mV/V]."""
-        return self._offsets
+    def set(self, offsets: FloatArray, time: int) -> None:
+        """Take other ratios and write them to the file.
 
-    def set(self, offsets: FloatArray) -> None:
-        """Take other ratios, shape (6,) [mV/V], and write them to the file.
+        Args:
+            offsets: Ratios at no load, shape (6,) [mV/V].
+            time: When they were taken, since the epoch [ns]; kept to a microsecond.
 
         Raises:
             ConfigurationError: If the file cannot be written; the tare stays as it was.
         """
         with self._writing:
             if self._path is not None:
-                content = {
-                    "offsets_mV_per_V": offsets.tolist(),
-                    "time": datetime.now(UTC).isoformat(timespec="seconds"),
-                }
+                content = {"offsets_mV_per_V": offsets.tolist(), "time": _written(time)}
                 make_folder(self._path.parent)
                 with atomic_output(self._path) as path:
                     path.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
-            self._offsets = offsets.copy()
+            self.no_load = offsets.copy(), 1000 * (time // 1000)
 
 
-def _read(path: Path) -> FloatArray:
+def _written(time: int) -> str:
+    """A time since the epoch [ns] in the form of ISO 8601, to a microsecond."""
+    return (_EPOCH + timedelta(microseconds=time // 1000)).isoformat()
+
+
+_Ratio = Annotated[float, Meta(ge=-1e3, le=1e3)]  # [mV/V]; no bridge comes near it
+
+
+class _TareDocument(Document):
+    offsets_mV_per_V: tuple[_Ratio, _Ratio, _Ratio, _Ratio, _Ratio, _Ratio]
+    time: Annotated[datetime, Meta(tz=True)]
+
+
+def _read(path: Path) -> tuple[FloatArray, int]:
     try:
-        document = read_document(path).expect(("offsets_mV_per_V", "time"))
-        return document.array("offsets_mV_per_V", (6,), limit=_LARGEST)
+        document = read_document(path, _TareDocument)
     except ConfigurationError as error:
         raise ConfigurationError(error.fact, "remove the file and tare again") from None
+    since = document.time - _EPOCH
+    return np.array(document.offsets_mV_per_V), 1000 * (since // timedelta(microseconds=1))
 
 
 @dataclass(frozen=True)
@@ -84,11 +103,19 @@ class WrenchReading:
 
     Attributes:
         wrench: Wrench [M; F], shape (6,) [N m, N]; all NaN if it was not measured.
+        ratios: Ratios of the bridges that it was made of, shape (6,) [mV/V]; NaN likewise.
+        tare: What was subtracted, [M; F], shape (6,) [N m, N].
+        tared: When that was taken, since the epoch [ns]; 0 if never.
+        status: OK, SATURATED or MISSING.
         conversions: Number of conversions around the time.
         fault: What is wrong; empty if nothing is. An overload leaves the wrench as it is.
     """
 
     wrench: FloatArray
+    ratios: FloatArray
+    tare: FloatArray
+    tared: int
+    status: Status
     conversions: int
     fault: str
 
@@ -168,8 +195,13 @@ class LoadCell:
         return self._reader.connect().check_frames(count)
 
     def figures(self) -> dict[str, object]:
-        """Numbers of conversions, of corrupted frames and of restarts."""
-        return dict(self._reader.counts())
+        """Numbers of conversions, of corrupted frames and of restarts, and the tare."""
+        offsets, time = self._tare.no_load
+        tare = {
+            "tare": in_words(self._bridges.wrenches(offsets)),
+            "tared": _written(time) if time else "never",
+        }
+        return {**self._reader.counts(), **tare}
 
     def over(self, moment: float, span: float = 0.0) -> float:
         """When the last conversion ends that makes the wrench at a time [s].
@@ -209,7 +241,8 @@ class LoadCell:
             return self.wrench_at(moment)
         missing = np.full(6, np.nan)
         if rails.any():
-            return WrenchReading(missing, len(times), self._saturated(rails))
+            fault = self._saturated(rails)
+            return self._reading(missing, len(times), Status.SATURATED, fault)
         expected = window / self.period
         weights = line_weights(times - moment)
         # The line of all conversions has a variance of 1.75 / expected of theirs: see _AFTER.
@@ -217,12 +250,21 @@ class LoadCell:
         if len(times) < max(1.0, 0.5 * expected) or uncertain:
             fault = f"{len(times)} of {expected:.0f} conversions around the trigger"
             level, fact, hint = self._reader.trouble(self._clock())
-            return WrenchReading(
-                missing, len(times), f"{fault}; {fact}: {hint}" if level else fault
-            )
-        wrench = self._bridges.wrenches(weights @ ratios - self._tare.offsets)
-        level, text = self._bridges.overload(np.abs(wrench))
-        return WrenchReading(wrench, len(times), text if level > 1 else "")
+            fault = f"{fault}; {fact}: {hint}" if level else fault
+            return self._reading(missing, len(times), Status.MISSING, fault)
+        return self._reading(weights @ ratios, len(times))
+
+    def _reading(
+        self, ratios: FloatArray, conversions: int, status: Status = Status.OK, fault: str = ""
+    ) -> WrenchReading:
+        """The reading of ratios, shape (6,) [mV/V], which are NaN unless the status is OK."""
+        offsets, time = self._tare.no_load
+        wrench = self._bridges.wrenches(ratios - offsets)
+        if status is Status.OK:
+            level, text = self._bridges.overload(np.abs(wrench))
+            fault = text if level > 1 else ""
+        tare = self._bridges.wrenches(offsets)
+        return WrenchReading(wrench, ratios, tare, time, status, conversions, fault)
 
     def health(self, now: float) -> tuple[int, str]:
         """How it is at a time [s].
@@ -241,8 +283,8 @@ class LoadCell:
             fact = self._saturated(rails)
             found.append((1, f"{fact} at times: unload the cell, or lower the gain"))
         valid = ratios[~rails.any(axis=1)]
-        peak = np.abs(self._bridges.wrenches(valid - self._tare.offsets)).max(axis=0, initial=0.0)
-        found.append(self._bridges.overload(peak))
+        wrenches = self._bridges.wrenches(valid - self._tare.no_load[0])
+        found.append(self._bridges.overload(np.abs(wrenches).max(axis=0, initial=0.0)))
         level, text = max(found, key=lambda entry: entry[0])
         return level, text if level else f"spidev{self.settings.device} converts"
 
@@ -287,10 +329,9 @@ class LoadCell:
                 "hold the cell still and tare again",
             )
         offsets = ratios.mean(axis=0)
-        removed = self._bridges.wrenches(offsets - self._tare.offsets)
-        self._tare.set(offsets)
-        values = zip(AXES, removed, UNITS, strict=True)
-        return "tared: removed " + ", ".join(f"{a} {v:.4g} {unit}" for a, v, unit in values)
+        removed = self._bridges.wrenches(offsets - self._tare.no_load[0])
+        self._tare.set(offsets, SteadyClock().to_epoch(now))
+        return f"tared: removed {in_words(removed)}"
 
     def _reach(self, span: float) -> tuple[float, float]:
         """How far before and after a time the conversions are that make its wrench [s]."""

@@ -100,7 +100,7 @@ class NatNetClient:
     def health(self, now: float) -> tuple[int, str]:
         """State of the link at a time of the steady clock [s]: 0, 1 or 2, and a line of text."""
         session = self._session
-        server, statistics = session.server, session.statistics
+        server = session.server
         if self._thread is None:
             return ERROR, "not started"
         if session.state != CONNECTED or server is None:
@@ -110,8 +110,8 @@ class NatNetClient:
         if session.models is None:
             return WARN, f"{server} has not sent its rigid bodies yet"
         return OK, (
-            f"{statistics.steady_rate(now):.0f} Hz from {server.name} (Motive {_app(server)},"
-            f" NatNet {_natnet(server)}), clock +- {_rounded(session.echoes.uncertainty)} ms"
+            f"frames of {server} come, its clock is known within"
+            f" {_rounded(session.echoes.uncertainty)} ms"
         )
 
     def _frames_fault(self, server: ServerInfo, now: float) -> tuple[int, str] | None:
@@ -136,7 +136,7 @@ class NatNetClient:
         """Why a server that answers gives no frames; empty: frames come, but none can be used."""
         session = self._session
         if not server.clock:
-            return f"{server} stamps no exposures: update Motive to 2.0 or later"
+            return f"{server} is too old, NatNet 3.0 is needed: update Motive to 2.0 or later"
         if now - session.last_frame <= SILENCE or session.statistics.warning(now):
             return ""
         if server.multicast and not session.settings.multicast:
@@ -161,7 +161,6 @@ class NatNetClient:
             "sessions": session.sessions,
             "rate": round(session.statistics.rate(clocks.monotonic()), 1),
             "clock_uncertainty": round(session.echoes.uncertainty, 6),
-            "clock_jitter": round(session.echoes.jitter, 6),
         }
 
     def describe(self) -> dict[str, str]:
@@ -169,16 +168,9 @@ class NatNetClient:
         session = self._session
         table = {"address": self._where, "state": session.state}
         if (server := session.server) is not None:
-            table |= {
-                "server": server.name,
-                "application": _app(server),
-                "NatNet": _natnet(server),
-            }
+            table["server"] = str(server)
         if len(session.echoes):
-            table |= {
-                "clock uncertainty": f"{1e3 * session.echoes.uncertainty:.2f} ms",
-                "clock jitter": f"{1e3 * session.echoes.jitter:.2f} ms",
-            }
+            table["clock uncertainty"] = f"{1e3 * session.echoes.uncertainty:.2f} ms"
         table["rate"] = f"{session.statistics.rate(clocks.monotonic()):.0f} Hz"
         if (models := session.models) is not None:
             table["bodies"] = ", ".join(sorted(models)) or "none"
@@ -214,14 +206,6 @@ class NatNetClient:
             session.step(clocks.monotonic())
         except Exception as error:  # whatever it was, the next datagram is another one
             session.statistics.count("failed", now, error=f"{type(error).__name__}: {error}")
-
-
-def _app(server: ServerInfo) -> str:
-    return ".".join(str(part) for part in server.app_version[:2])
-
-
-def _natnet(server: ServerInfo) -> str:
-    return ".".join(str(part) for part in server.version)
 
 
 def _rounded(uncertainty: float) -> str:

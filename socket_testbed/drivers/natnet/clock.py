@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections import deque
-from math import inf, sqrt
+from math import inf
 from typing import NamedTuple, TypeAlias
 
 _WINDOW = 200  # echoes
 _OLDEST = 40.0  # [s]
 _NEEDED = 3  # echoes, before times are mapped
-_FLOOR = 5e-5  # [s]; error of an echo with the shortest round trip, for the jitter
 _DRIFT = 6e-4  # [-]; of two crystals and what steers a computer's clock, at most
 _WANDER = 1e-5  # [-]; change of the drift within the oldest echo's age, at most
 _TOLERANCE = 0.005  # [s]; of an echo against the map
@@ -46,7 +45,6 @@ class EchoClock:
         frequency: Frequency of the server's clock [Hz]; 0: it has none.
 
     Attributes:
-        jitter: Weighted root-mean-square distance of the echoes' middles from the map [s].
         uncertainty: Largest error at the newest echo [s].
     """
 
@@ -56,7 +54,6 @@ class EchoClock:
         self._echoes: deque[tuple[float, float, float]] = deque(maxlen=_WINDOW)
         self._origin = 0  # [ticks]
         self._map = _Map(0.0, 0.0, [])
-        self.jitter = 0.0
         self.uncertainty = 0.0
 
     def __len__(self) -> int:
@@ -125,19 +122,6 @@ class EchoClock:
             self._map = _Map(at, base, region)
         low, high = self._map.offsets(at)
         self.uncertainty = 0.5 * (high - low)
-        self.jitter = self._spread()
-
-    def _spread(self) -> float:
-        at = self._map.at
-        now, before = (0.5 * sum(self._map.offsets(moment)) for moment in (at, at - 1.0))
-        shortest = min(high - low for _, low, high in self._echoes)
-        weights = square = 0.0
-        for elapsed, low, high in self._echoes:
-            weight = 1.0 / (_FLOOR + 0.5 * (high - low - shortest)) ** 2
-            distance = 0.5 * (low + high) - now - (now - before) * (elapsed - at)
-            weights += weight
-            square += weight * distance**2
-        return sqrt(square / weights)
 
 
 def _between(region: _Region, ahead: float, low: float, high: float) -> _Region:

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from socket_testbed import clocks
 from socket_testbed.drivers.natnet.messages import (
     LARGEST_DATAGRAM,
-    UNRECOGNIZED,
+    OLDEST,
     Version,
     encode_command,
 )
@@ -65,7 +65,13 @@ def bitstream_version(settings: MocapSettings) -> Version:
         raise ConfigurationError(
             f"mocap_node: bitstream is '{settings.bitstream}'", "give a version such as 4.1"
         )
-    return int(parts[0]), int(parts[1])
+    version = int(parts[0]), int(parts[1])
+    if version < OLDEST:
+        raise ConfigurationError(
+            f"mocap_node: bitstream is '{settings.bitstream}', which is too old",
+            "give 3.0 or later, such as 4.1",
+        )
+    return version
 
 
 def _check_address(name: str, value: str) -> None:
@@ -264,11 +270,11 @@ class CommandQueue:
         self._next = now + _INTERVAL
         send(encode_command(self._current[0]))
 
-    def answer(self, message: int, payload: bytes, now: float) -> None:
+    def answer(self, answer: Answer, now: float) -> None:
         """Take a reply."""
         if self._current is not None and self._sent:
             self._sent -= 1
-            self._finish(Answer(payload, message != UNRECOGNIZED), now)
+            self._finish(answer, now)
         elif self._strays:
             self._strays -= 1
             if not self._strays:

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import threading
 from collections import deque
-from math import floor, log10
 
 _RECENT = 0.8  # [s]; a fault that ended is no longer reported within a second
 _SPAN = 1.0  # [s]; over which the rate is measured
 _MOST = 2000  # events
-_CLEARLY = 0.6  # of the last digit shown
 _EARLIEST, _LATEST = 1.0, 0.005  # [s]; before and after its arrival that a frame can be from
 _ODD = 10  # frames in a row; of another server, not of the network
 _SUSPICION = 2.0  # [s]; between two guesses that it is another server
@@ -35,7 +33,6 @@ class LinkStatistics:
         self._totals = dict.fromkeys(KINDS, 0)
         self._frames: deque[float] = deque(maxlen=_MOST)
         self._delivered = 0
-        self._steady_rate = 0.0  # [Hz]
         self._warning = ("", 0.0, frozenset[str]())
         self.last_error = ""
 
@@ -66,15 +63,6 @@ class LinkStatistics:
             if len(self._frames) < 2:
                 return 0.0
             return (len(self._frames) - 1) / max(self._frames[-1] - self._frames[0], 1e-6)
-
-    def steady_rate(self, now: float) -> float:
-        """The rate to two digits, the same until it is clearly another [Hz]."""
-        rate = self.rate(now)
-        rounded = float(f"{rate:.1e}")
-        digit = 10.0 ** (floor(log10(rounded)) - 1) if rounded else 0.0
-        if abs(rate - self._steady_rate) > _CLEARLY * digit:
-            self._steady_rate = rounded
-        return self._steady_rate
 
     def warning(self, now: float) -> str:
         """The faults of the last second in one line; empty for none.

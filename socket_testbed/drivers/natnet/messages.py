@@ -1,7 +1,11 @@
-"""NatNet 2.6 to 4.4: requests, replies, rigid bodies and frames, within the datagram's bounds."""
+"""NatNet 3.0 to 4.4: requests, replies, rigid bodies and frames, within the datagram's bounds.
+
+A datagram that does not hold what its counts say is a `MalformedDatagram`, whoever reads it.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from math import isfinite
 from struct import Struct
@@ -28,7 +32,7 @@ Version: TypeAlias = tuple[int, int]  # of NatNet: major, minor
 Position: TypeAlias = tuple[float, float, float]
 Quaternion: TypeAlias = tuple[float, float, float, float]
 
-_OLDEST = (2, 6)  # before it, markers do not say whether they are occluded
+OLDEST = (3, 0)  # of Motive 2.0; before it, frames do not say when they were exposed
 _NEWEST = (4, 4)  # whose layout is known
 
 _HEADER = Struct("<HH")
@@ -38,9 +42,6 @@ _NAME = 256  # [bytes]
 _LARGEST_CLOCK = 10**11  # [Hz]
 _BODY = Struct("<i8fh")  # id, position, quaternion, error, flags
 _MARKER = Struct("<i4fhf")  # id, position, size, flags, residual
-_MARKER_2 = Struct("<i4fh")
-_SUFFIX_2_6 = Struct("<IIfhi")
-_SUFFIX_2_7 = Struct("<IIdhi")
 _SUFFIX_3 = Struct("<IIdQQQhi")
 _SUFFIX_4_1 = Struct("<IIdQQQIIhi")
 _TRACKED = 1
@@ -50,12 +51,6 @@ _RECORDING, _MODELS_CHANGED, _BITSTREAM_CHANGED = 1, 2, 8
 
 class MalformedDatagram(DeviceError):  # noqa: N818  (what it is, not that it is an error)
     """A datagram that does not hold what its counts say."""
-
-    def __init__(self, fact: str) -> None:
-        super().__init__(fact, "it was dropped; if this goes on, check the Wi-Fi and the version")
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return type(self), (self.fact,)
 
 
 class Reader:
@@ -74,7 +69,10 @@ class Reader:
 
     def bad(self, fact: str) -> MalformedDatagram:
         """The error of this payload."""
-        return MalformedDatagram(f"{self._what} of {self.end} bytes: {fact} at byte {self.offset}")
+        return MalformedDatagram(
+            f"{self._what} of {self.end} bytes: {fact} at byte {self.offset}",
+            "it was dropped; if this goes on, check the Wi-Fi and the version",
+        )
 
     def skip(self, size: int) -> int:
         """Go on by some bytes; the offset before them."""
@@ -161,11 +159,7 @@ def encode_echo(stamp: int) -> bytes:
 
 
 def split_datagram(datagram: bytes) -> tuple[int, bytes]:
-    """Id and payload of a datagram.
-
-    Raises:
-        MalformedDatagram: If it is shorter than its header demands.
-    """
+    """Id and payload of a datagram."""
     reader = Reader(datagram, "datagram")
     message, size = reader.unpack(_HEADER)
     begin = reader.skip(size)
@@ -173,13 +167,13 @@ def split_datagram(datagram: bytes) -> tuple[int, bytes]:
 
 
 def parse_server_info(payload: bytes) -> ServerInfo:
-    """Parse SERVERINFO; before NatNet 3.0 it ends after the versions."""
+    """Parse SERVERINFO; before NatNet 3.0 it ends after the versions, and gives no clock."""
     reader = Reader(payload, "server info")
     begin = reader.skip(_NAME)
     name = payload[begin : begin + _NAME].partition(b"\0")[0].decode("utf-8", "replace")
     app, version = (tuple(payload[(at := reader.skip(4)) : at + 4]) for _ in range(2))
     natnet = (version[0], version[1])
-    if natnet < (3, 0):
+    if natnet < OLDEST:
         return ServerInfo(name, app, natnet)
     clock, port, multicast, *group = reader.unpack(Struct("<QHB4B"))
     if not 1 <= clock <= _LARGEST_CLOCK:
@@ -202,7 +196,7 @@ class RigidBodyDefinition:
     Attributes:
         name: Its name.
         id: Its streaming id; labelled markers carry it as their model.
-        markers: Its markers in its own frame [m]; empty before NatNet 3.0.
+        markers: Its markers in its own frame [m].
     """
 
     name: str
@@ -214,11 +208,7 @@ BodiesByName: TypeAlias = dict[str, RigidBodyDefinition]
 
 
 def parse_model_definitions(payload: bytes, version: Version) -> BodiesByName:
-    """Parse MODELDEF; of all that is defined, the rigid bodies are kept, by name.
-
-    Raises:
-        MalformedDatagram: If it does not hold what its counts say.
-    """
+    """Parse MODELDEF; of all that is defined, the rigid bodies are kept, by name."""
     sized = version >= (4, 1)
     reader = Reader(bytes(payload), "model definitions")
     bodies: BodiesByName = {}
@@ -241,17 +231,14 @@ def parse_model_definitions(payload: bytes, version: Version) -> BodiesByName:
 
 
 def _rigid_body(reader: Reader, version: Version) -> RigidBodyDefinition:
-    name = reader.text() if version >= (2, 0) else ""
-    identity = reader.integer()
+    name, identity = reader.text(), reader.integer()
     reader.skip(4 + 12 + (16 if version >= (4, 2) else 0))  # parent, offset, its quaternion
-    markers: tuple[Position, ...] = ()
-    if version >= (3, 0):
-        count = reader.count(16)
-        values = reader.unpack(Struct(f"<{3 * count}f"))
-        markers = tuple(zip(values[::3], values[1::3], values[2::3], strict=True))
-        reader.skip(4 * count)  # labels of active markers
-        if version >= (4, 0):
-            _skip_texts(reader, count)
+    count = reader.count(16)
+    values = reader.unpack(Struct(f"<{3 * count}f"))
+    reader.skip(4 * count)  # labels of active markers
+    if version >= (4, 0):
+        _skip_texts(reader, count)
+    markers = tuple(zip(values[::3], values[1::3], values[2::3], strict=True))
     return RigidBodyDefinition(name, identity, markers)
 
 
@@ -331,7 +318,7 @@ class MocapFrame:
         bodies: Rigid bodies.
         markers: Labelled markers.
         timestamp: Time since the server's begin [s].
-        mid_exposure: Middle of the exposure by the server's clock; 0 before 3.0 [ticks].
+        mid_exposure: Middle of the exposure by the server's clock [ticks].
         recording: Whether the server records.
         models_changed: Whether its rigid bodies have changed.
         bitstream_changed: Whether its stream has changed version.
@@ -352,41 +339,22 @@ def parse_frame(payload: bytes | memoryview, version: Version) -> MocapFrame:
 
     Args:
         payload: The payload of the datagram.
-        version: NatNet version of the stream.
-
-    Raises:
-        MalformedDatagram: If it does not hold what its counts say.
+        version: NatNet version of the stream, 3.0 or later.
     """
-    if version < _OLDEST:
-        raise MalformedDatagram(f"frame of NatNet {version[0]}.{version[1]}, which is too old")
+    sized = version >= (4, 1)
     reader = Reader(bytes(payload), "frame")
+    if version < OLDEST:
+        raise reader.bad(f"NatNet {version[0]}.{version[1]} is too old")
     number = reader.integer()
-    if version >= (4, 1):
-        for smallest in (5, 12):  # marker sets, other markers
-            _skip_sized(reader, smallest)
-        bodies = _bodies(reader, _sized_count(reader, _BODY.size))
-        for smallest in (8, 12):  # skeletons, assets
-            _skip_sized(reader, smallest)
-        markers = _markers(reader, _sized_count(reader, _MARKER.size), _MARKER)
-        for _ in range(2):  # force plates, devices
-            _skip_sized(reader, 8)
-    else:
-        for _ in range(reader.count(5)):
-            reader.text()
-            reader.skip(12 * reader.count(12))
-        reader.skip(12 * reader.count(12))
-        bodies = _any_bodies(reader, version)
-        for _ in range(reader.count(8)):
-            reader.skip(4)
-            _any_bodies(reader, version)
-        layout = _MARKER if version >= (3, 0) else _MARKER_2
-        markers = _markers(reader, reader.count(layout.size), layout)
-        if version >= (2, 9):
-            _skip_channels(reader)
-        if version >= (2, 11):
-            _skip_channels(reader)
-        if version < (3, 0):
-            reader.skip(4)  # latency
+    _skip_section(reader, sized, 5, _skip_marker_set)
+    _skip_section(reader, sized, 12, lambda reader: reader.skip(12))  # other markers
+    bodies = _bodies(reader, sized)
+    _skip_section(reader, sized, 8, _skip_skeleton)
+    if sized:
+        _skip_section(reader, sized, 12, _skip_skeleton)  # assets
+    markers = _markers(reader, sized)
+    for _ in range(2):  # force plates, devices
+        _skip_section(reader, sized, 8, _skip_channels)
     timestamp, ticks, flags = _suffix(reader, version)
     return MocapFrame(
         number,
@@ -400,51 +368,57 @@ def parse_frame(payload: bytes | memoryview, version: Version) -> MocapFrame:
     )
 
 
-def _sized_count(reader: Reader, element: int) -> int:
-    """Number of elements of a section whose elements all have one size."""
-    count, size = reader.count(element), reader.integer()
-    if size != count * element:
-        raise reader.bad(f"a section of {size} bytes for {count} of {element}")
-    return count
+def _skip_section(
+    reader: Reader, sized: bool, smallest: int, skip_element: Callable[[Reader], object]
+) -> None:
+    """Pass over a section: by its size from 4.1 on, element by element before."""
+    count = reader.count(smallest)
+    if sized:
+        size = reader.count(1)
+        if size < count * smallest:
+            raise reader.bad(f"a section of {size} bytes for {count}")
+        reader.skip(size)
+        return
+    for _ in range(count):
+        skip_element(reader)
 
 
-def _skip_sized(reader: Reader, smallest: int) -> None:
-    count, size = reader.count(smallest), reader.count(1)
-    if size < count * smallest:
-        raise reader.bad(f"a section of {size} bytes for {count}")
-    reader.skip(size)
+def _skip_marker_set(reader: Reader) -> None:
+    reader.text()
+    reader.skip(12 * reader.count(12))
 
 
-def _bodies(reader: Reader, count: int) -> tuple[RigidBody, ...]:
-    size = count * _BODY.size
-    begin = reader.skip(size)
+def _skip_skeleton(reader: Reader) -> None:
+    reader.skip(4)
+    reader.skip(_BODY.size * reader.count(_BODY.size))
+
+
+def _skip_channels(reader: Reader) -> None:
+    """A force plate or a device."""
+    reader.skip(4)
+    for _ in range(reader.count(4)):
+        reader.skip(4 * reader.count(4))
+
+
+def _elements(reader: Reader, sized: bool, layout: Struct) -> Iterator[tuple[Any, ...]]:
+    """Elements of a section that all have one layout."""
+    count = reader.count(layout.size)
+    if sized and (size := reader.integer()) != count * layout.size:
+        raise reader.bad(f"a section of {size} bytes for {count} of {layout.size}")
+    begin = reader.skip(count * layout.size)
+    return layout.iter_unpack(reader.payload[begin : reader.offset])
+
+
+def _bodies(reader: Reader, sized: bool) -> tuple[RigidBody, ...]:
     return tuple(
         RigidBody(
             identity, (x, y, z), (qx, qy, qz, qw), bool(flags & _TRACKED) and isfinite(x + y + z)
         )
-        for identity, x, y, z, qx, qy, qz, qw, _, flags in _BODY.iter_unpack(
-            reader.payload[begin : begin + size]
-        )
+        for identity, x, y, z, qx, qy, qz, qw, _, flags in _elements(reader, sized, _BODY)
     )
 
 
-def _any_bodies(reader: Reader, version: Version) -> tuple[RigidBody, ...]:
-    """Bodies before 4.1; before 3.0 each carries its markers."""
-    if version >= (3, 0):
-        return _bodies(reader, reader.count(_BODY.size))
-    found: list[RigidBody] = []
-    for _ in range(reader.count(_BODY.size + 4)):
-        begin = reader.skip(32)
-        reader.skip(20 * reader.count(20))  # markers: position, id, size
-        tail = reader.skip(6)
-        whole = reader.payload[begin : begin + 32] + reader.payload[tail : tail + 6]
-        found += _bodies(Reader(whole, "rigid body"), 1)
-    return tuple(found)
-
-
-def _markers(reader: Reader, count: int, layout: Struct) -> tuple[LabelledMarker, ...]:
-    size = count * layout.size
-    begin = reader.skip(size)
+def _markers(reader: Reader, sized: bool) -> tuple[LabelledMarker, ...]:
     return tuple(
         LabelledMarker(
             (identity >> 16) & 0xFFFF,
@@ -453,29 +427,14 @@ def _markers(reader: Reader, count: int, layout: Struct) -> tuple[LabelledMarker
             bool(flags & _OCCLUDED) or not isfinite(x + y + z),
             bool(flags & _MODEL_FILLED),
         )
-        for identity, x, y, z, _, flags, *_ in layout.iter_unpack(
-            reader.payload[begin : begin + size]
-        )
+        for identity, x, y, z, _, flags, _ in _elements(reader, sized, _MARKER)
     )
-
-
-def _skip_channels(reader: Reader) -> None:
-    """Force plates or devices before 4.1."""
-    for _ in range(reader.count(8)):
-        reader.skip(4)
-        for _ in range(reader.count(4)):
-            reader.skip(4 * reader.count(4))
 
 
 def _suffix(reader: Reader, version: Version) -> tuple[float, int, int]:
     """Timestamp [s], mid-exposure [ticks] and flags."""
-    if version >= (3, 0):
-        layout = _SUFFIX_4_1 if version >= (4, 1) else _SUFFIX_3
-        _, _, timestamp, ticks, *_, flags, end = reader.unpack(layout)
-    else:
-        layout = _SUFFIX_2_7 if version >= (2, 7) else _SUFFIX_2_6
-        _, _, timestamp, flags, end = reader.unpack(layout)
-        ticks = 0
+    layout = _SUFFIX_4_1 if version >= (4, 1) else _SUFFIX_3
+    _, _, timestamp, ticks, *_, flags, end = reader.unpack(layout)
     # A count that lies leads elsewhere than to the end tag. A newer version may hold more.
     if end != 0 or (version <= _NEWEST and reader.offset != reader.end):
         raise reader.bad(f"end tag {end} and {reader.end - reader.offset} bytes left")

@@ -8,32 +8,10 @@ from collections.abc import Callable
 from typing import TypeAlias
 
 from socket_testbed.clocks import Backoff
+from socket_testbed.drivers.natnet import messages
 from socket_testbed.drivers.natnet.clock import EchoClock
 from socket_testbed.drivers.natnet.connection import Answer, CommandQueue, Done, NatNetSockets
 from socket_testbed.drivers.natnet.frame_filter import FrameFilter, LinkStatistics
-from socket_testbed.drivers.natnet.messages import (
-    DISCONNECT,
-    ECHORESPONSE,
-    FRAME,
-    KEEPALIVE,
-    MODELDEF,
-    REQUEST_MODELDEF,
-    RESPONSE,
-    SERVERINFO,
-    UNRECOGNIZED,
-    BodiesByName,
-    MocapFrame,
-    ServerInfo,
-    Version,
-    encode_connect,
-    encode_echo,
-    encode_message,
-    parse_echo,
-    parse_frame,
-    parse_model_definitions,
-    parse_server_info,
-    split_datagram,
-)
 from socket_testbed.errors import DeviceError
 from socket_testbed.settings.acquisition import MocapSettings
 from socket_testbed.settings.testbed import check_take_name
@@ -54,7 +32,7 @@ _CONTRADICTED = 1.0  # [s]
 
 CONNECTING, CONNECTED, LOST = "connecting", "connected", "lost"
 
-OnFrame: TypeAlias = Callable[[MocapFrame, float, BodiesByName | None], None]
+OnFrame: TypeAlias = Callable[[messages.MocapFrame, float, messages.BodiesByName | None], None]
 
 
 class TakeKeeper:
@@ -72,12 +50,10 @@ class TakeKeeper:
         self._started: str | None = None  # the take that may be on
         self._confirmed = False
         self._busy = False
-        self._now = 0.0
-        self._next = 0.0
-        self._moment = 0.0  # frames before it may be of an earlier take
+        self._next = 0.0  # [s]; of a command
+        self._moment = 0.0  # [s]; frames before it may be of an earlier take
         self._idle_since: float | None = None
         self._session = 0
-        self._trouble = ""
         self.fault = ""
 
     @property
@@ -114,54 +90,45 @@ class TakeKeeper:
 
     def step(self, now: float, connected: bool) -> None:
         """Do what is due at a time of the steady clock [s]."""
-        self._judge(now, connected)
-        if self._busy or self.settled or not connected or now < self._next:
-            return
-        wanted = self._wanted
-        self._now = now
-        if self._started is not None and self._started != wanted:
-            self._issue("StopRecording", self._stopped)
-        elif wanted is not None:
-            self._issue(f"SetRecordTakeName,{wanted}", lambda: self._start(wanted))
+        if self.settled:
+            idle = self._idle_since is not None and now - self._idle_since > _CONTRADICTED
+            self._note("the frames say that the server does not record" if idle else "")
+        elif not connected:
+            self._note("no connection")
+        elif not self._busy and now >= self._next:
+            stop = self._started not in (None, self._wanted)
+            self._issue("StopRecording" if stop else f"SetRecordTakeName,{self._wanted}", now)
 
-    def _start(self, name: str) -> None:
-        if name == self._wanted:
-            self._started, self._moment = name, self._now + _IN_FLIGHT
-            self._issue("StartRecording", self._confirm)
-
-    def _confirm(self) -> None:
-        self._confirmed = True
-        self._idle_since = None
-
-    def _stopped(self) -> None:
-        self._started, self._confirmed = None, False
-
-    def _issue(self, command: str, then: Callable[[], None]) -> None:
-        session = self._session
+    def _issue(self, command: str, now: float) -> None:
+        session, wanted = self._session, self._wanted
 
         def done(answer: Answer) -> None:
             self._busy = False
-            # A server that does not record may refuse to stop: then that is what was wanted.
-            idle = then == self._stopped and self._idle_since is not None
-            self._trouble = "" if idle and answer.raw is not None else answer.fault(command)
-            if self._trouble:
-                self._next = self._now + _RETRY
-            elif session == self._session:
-                then()
+            fault = answer.fault(command)
+            idle = self._idle_since is not None and answer.raw is not None
+            if command == "StopRecording" and idle:
+                fault = ""  # a server that does not record may refuse to stop
+            self._note(fault)
+            if fault:
+                self._next = now + _RETRY
+            elif session != self._session:
+                return
+            elif command == "StopRecording":
+                self._started, self._confirmed = None, False
+            elif command == "StartRecording":
+                self._confirmed, self._idle_since = True, None
+            elif wanted == self._wanted:
+                self._started, self._moment = wanted, now + _IN_FLIGHT
+                self._issue("StartRecording", now)
 
         self._busy = True
         self._submit(command, done)
 
-    def _judge(self, now: float, connected: bool) -> None:
+    def _note(self, reason: str) -> None:
         wanted = self._wanted
         doing = "no take is stopped" if wanted is None else f"take '{wanted}' is not recorded"
-        if not self.settled:
-            reason = self._trouble if connected else "no connection"
-            self.fault = f"{doing}: {reason}" if reason else ""
-            return
-        self._trouble = self.fault = ""
-        if wanted is not None and self._idle_since and now - self._idle_since > _CONTRADICTED:
-            self.fault = f"{doing}: the frames say that the server does not record"
+        unwanted = wanted is None and self._started is None
+        self.fault = f"{doing}: {reason}" if reason and not unwanted else ""
 
 
 class Session:
@@ -183,15 +150,15 @@ class Session:
     def __init__(
         self,
         settings: MocapSettings,
-        bitstream: Version,
+        bitstream: messages.Version,
         sockets: NatNetSockets,
         commands: CommandQueue,
         on_frame: OnFrame,
     ) -> None:
         self.settings = settings
         self.state = CONNECTING
-        self.server: ServerInfo | None = None
-        self.models: BodiesByName | None = None
+        self.server: messages.ServerInfo | None = None
+        self.models: messages.BodiesByName | None = None
         self.echoes = EchoClock(0)
         self.clock_error = 0.0
         self.statistics = LinkStatistics()
@@ -202,7 +169,7 @@ class Session:
         self.stranger = ""
         self.network = ""
         self._bitstream = bitstream
-        self._version: Version = bitstream
+        self._version: messages.Version = bitstream
         self._sockets = sockets
         self._commands = commands
         self._on_frame = on_frame
@@ -215,13 +182,15 @@ class Session:
         self._models_changed = False
         self._filter = FrameFilter(self.statistics)
         self._handlers: dict[int, Callable[[bytes, float], None]] = {
-            SERVERINFO: self._take_server_info,
-            FRAME: self._take_frame,
-            MODELDEF: self._take_models,
-            ECHORESPONSE: self._take_echo,
-            DISCONNECT: lambda payload, now: self._restart(),
-            RESPONSE: lambda payload, now: commands.answer(RESPONSE, payload, now),
-            UNRECOGNIZED: lambda payload, now: commands.answer(UNRECOGNIZED, payload, now),
+            messages.SERVERINFO: self._take_server_info,
+            messages.FRAME: self._take_frame,
+            messages.MODELDEF: self._take_models,
+            messages.ECHORESPONSE: self._take_echo,
+            messages.DISCONNECT: lambda payload, now: self._restart(),
+            messages.RESPONSE: lambda payload, now: commands.answer(Answer(payload), now),
+            messages.UNRECOGNIZED: lambda payload, now: commands.answer(
+                Answer(payload, recognized=False), now
+            ),
         }
 
     def step(self, now: float) -> None:
@@ -244,7 +213,7 @@ class Session:
             MalformedDatagram: If it does not hold what its counts demand.
         """
         self._heard = now
-        message, payload = split_datagram(datagram)
+        message, payload = messages.split_datagram(datagram)
         handler = self._handlers.get(message)
         if handler is not None:
             handler(payload, now)
@@ -292,13 +261,13 @@ class Session:
             except (OSError, DeviceError) as error:
                 self.network = str(error)
                 return
-        self.send(encode_connect("socket_testbed", self._bitstream))
+        self.send(messages.encode_connect("socket_testbed", self._bitstream))
 
     def _stay(self, now: float) -> None:
         """Keep the session alive and its knowledge fresh."""
         if now >= self._next_keepalive:
             self._next_keepalive = now + _KEEPALIVE
-            self.send(encode_message(KEEPALIVE))
+            self.send(messages.encode_message(messages.KEEPALIVE))
         if now >= self._next_echo:
             quick = len(self.echoes) < _QUICK_ECHOES
             quiet = now - self.last_frame > 0.5 * SILENCE
@@ -307,13 +276,13 @@ class Session:
             self._next_echo = now + (_ECHO_QUICK if quick else pause)
             stamp = round(now * 1e9)
             self._pending.append(stamp)
-            self.send(encode_echo(stamp))
+            self.send(messages.encode_echo(stamp))
         if self._models_wanted and self.streaming and now >= self._next_models:
             self._next_models = now + _MODELS_RETRY
-            self.send(encode_message(REQUEST_MODELDEF))
+            self.send(messages.encode_message(messages.REQUEST_MODELDEF))
 
     def _take_server_info(self, payload: bytes, now: float) -> None:
-        info = parse_server_info(payload)
+        info = messages.parse_server_info(payload)
         if not self._awaiting:
             if self.state == CONNECTED and info != self.server:
                 self._restart()
@@ -323,7 +292,7 @@ class Session:
             self._begin(info, now)
         self._negotiate(info)
 
-    def _begin(self, info: ServerInfo, now: float) -> None:
+    def _begin(self, info: messages.ServerInfo, now: float) -> None:
         self.state, self.server = CONNECTED, info
         self.sessions += 1
         self._forget()
@@ -335,10 +304,10 @@ class Session:
         self._connecting.succeeded()
         self.takes.restarted(now)
 
-    def _negotiate(self, info: ServerInfo) -> None:
+    def _negotiate(self, info: messages.ServerInfo) -> None:
         """Settle the version of the stream, and subscribe to what is needed: Wi-Fi is slow."""
         if self.settings.multicast or info.version < (4, 1):
-            self._version, self.streaming = info.version, True
+            self._version, self.streaming = info.version, info.version >= messages.OLDEST
             return
         session = self.sessions
         wanted = min(self._bitstream, info.version)
@@ -370,12 +339,12 @@ class Session:
 
     def _take_models(self, payload: bytes, now: float) -> None:
         if self.streaming:
-            self.models = parse_model_definitions(payload, self._version)
+            self.models = messages.parse_model_definitions(payload, self._version)
             self._models_wanted = False
             self._next_models = now + _MODELS_AGAIN
 
     def _take_echo(self, payload: bytes, now: float) -> None:
-        stamp, ticks = parse_echo(payload)
+        stamp, ticks = messages.parse_echo(payload)
         if stamp in self._pending:
             self._pending.remove(stamp)
             if not self.echoes.add(stamp * 1e-9, ticks, now):
@@ -384,7 +353,7 @@ class Session:
     def _take_frame(self, payload: bytes, now: float) -> None:
         if not self.streaming:
             return
-        frame = parse_frame(payload, self._version)
+        frame = messages.parse_frame(payload, self._version)
         self.last_frame = now
         self._connecting.succeeded()
         taken = self._filter.is_next(frame.number, now)
@@ -405,7 +374,7 @@ class Session:
         if not taken and self._filter.suspects(now):
             self._restart()
 
-    def _watch_models(self, frame: MocapFrame) -> None:
+    def _watch_models(self, frame: messages.MocapFrame) -> None:
         changed = frame.models_changed and not self._models_changed
         self._models_changed = frame.models_changed
         if changed:

@@ -47,8 +47,8 @@ class MocapSample:
         time: Time of the trigger on the steady clock [s].
         positions: Origins of the bodies in the world, shape (2, 3) [m].
         quaternions: Their orientations (x, y, z, w), shape (2, 4) [-].
-        markers: Their markers in the bodies' order, shape (2, k, 3) [m], where k is that of the
-            body with more; beyond its own, a body's are NaN.
+        markers: Their markers in the bodies' order, as labelled where they do not fit, shape
+            (2, k, 3) [m], where k is that of the body with more; beyond its own, a body's are NaN.
         faults: Why a body has no pose; empty if it has one.
         frames: Number of frames that make each pose [1]; 0 where there is none.
     """
@@ -291,11 +291,17 @@ class _TrackedBody:
     def _by_label(
         self, fit: BodyFit, seen: FloatArray, pair: tuple[int, int], weight: float
     ) -> FloatArray:
-        """Markers that are seen in both frames and moved little, though a body has no fit."""
+        """Markers that are seen in both frames and moved little, though a body has no fit.
+
+        All of a body whose markers are not where the geometry has them are kept as labelled: its
+        poses can be fitted later, with the right geometry.
+        """
         known = self._usual_order()
         start, end = (
             _in_order(seen[row], fit.order[row])
             if fit.found[row]
+            else seen[row]
+            if np.isfinite(seen[row]).all()
             else self._labelled(seen[row], known)
             for row in pair
         )

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from socket_testbed.arrays import FloatArray
 from socket_testbed.report.figures.style import (
     DEFAULT_STYLE,
-    MODEL_STYLES,
+    LINE_STYLES,
     FigureStyle,
     in_style,
     lay_out,
@@ -51,11 +51,9 @@ def cycles_figure(
     for number, (panel, name) in enumerate(zip(panels, titles, strict=False)):
         if len(curves) <= _MOST_LINES:
             panel.plot(percent, curves[:, :, number].T, color="0.8", linewidth=0.5)
-        middle, spread = mean[:, number], deviation[:, number]
-        colour = MODEL_STYLES[1]["color"]
-        panel.fill_between(
-            percent, middle - spread, middle + spread, color=colour, alpha=_BAND, linewidth=0.0
-        )
+        middle, spread, colour = mean[:, number], deviation[:, number], LINE_STYLES[1]["color"]
+        band = middle - spread, middle + spread
+        panel.fill_between(percent, *band, color=colour, alpha=_BAND, linewidth=0.0)
         panel.plot(percent, middle, color=colour)
         if not np.isfinite(middle).any():
             panel.text(0.5, 0.5, "no value", transform=panel.transAxes, ha="center", color="0.3")

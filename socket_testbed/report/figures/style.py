@@ -33,24 +33,21 @@ AXES = ("#B2182B", "#1B7837", "#2166AC")  # x, y, z
 SCALE = "cividis"  # Nunez et al. 2018, doi:10.1371/journal.pone.0199239: even in lightness
 
 
-# Okabe & Ito's colours differ in lightness, too, and every line has its own dashes.
-MODEL_STYLES: tuple[dict[str, Any], ...] = (
-    {"color": "#D55E00", "linestyle": (0, (4, 1.5)), "linewidth": 1.1},
-    {"color": "#0072B2", "linestyle": "-", "linewidth": 1.1},
-    {"color": "#222222", "linestyle": (0, (1, 1.2)), "linewidth": 1.3},
-)
-# The same for bars: in grey the first two are told apart by their hatches.
-BAR_STYLES: tuple[dict[str, Any], ...] = (
-    {"facecolor": "#D55E00", "edgecolor": "white", "hatch": "/////", "linewidth": 0.0},
-    {"facecolor": "#0072B2", "linewidth": 0.0},
-    {"facecolor": "#222222", "linewidth": 0.0},
-)
-# Of several alike: Okabe & Ito's colours, which differ in lightness, and their own dashes.
+# Okabe & Ito's colours differ in lightness, too; lines have their own dashes, bars their hatches.
 LINE_STYLES: tuple[dict[str, Any], ...] = (
+    {"color": "#D55E00", "linestyle": (0, (4, 1.5))},
     {"color": "#0072B2", "linestyle": "-"},
-    {"color": "#D55E00", "linestyle": (0, (5, 1.5))},
-    {"color": "#009E73", "linestyle": (0, (1, 1.2))},
-    {"color": "#222222", "linestyle": (0, (5, 1.5, 1, 1.5))},
+    {"color": "#222222", "linestyle": (0, (1, 1.2))},
+    {"color": "#009E73", "linestyle": (0, (5, 1.5, 1, 1.5))},
+)
+BAR_STYLES: tuple[dict[str, Any], ...] = tuple(
+    {"facecolor": line["color"], "edgecolor": "white", "hatch": hatch, "linewidth": 0.0}
+    for line, hatch in zip(LINE_STYLES, ("/////", "", ".....", "xxxxx"), strict=True)
+)
+MOST_POINTS = 1000  # per line
+THINNED = (
+    f"Lines of more than {MOST_POINTS} samples are drawn by the lowest and highest value of equally"
+    " many, so every peak shows; the CSV holds all."
 )
 MEASURED_STYLE: dict[str, Any] = {"color": "0.72", "linewidth": 2.4}
 SEGMENT_STYLE: dict[str, Any] = {"color": "0.94", "linewidth": 0.0, "zorder": 0.5}
@@ -159,6 +156,23 @@ def style_axes(axis: Axes) -> None:
     axis.spines[["top", "right"]].set_visible(False)
 
 
+def add_legend(where: Axes | Figure, *entries: Any, **options: Any) -> None:
+    """A legend without markup; that of a panel is above it, with a bold title.
+
+    Args:
+        where: The panel or the figure.
+        entries: Handles and labels, where the legend cannot find them itself.
+        options: As matplotlib's.
+    """
+    if isinstance(where, Axes):
+        bold = {"size": LABEL, "weight": "bold"}
+        above = {"loc": "lower left", "bbox_to_anchor": (-0.01, 1.0), "borderaxespad": 0.0}
+        options = above | {"alignment": "left", "title_fontproperties": bold} | options
+    legend = where.legend(*entries, **options)
+    for text in (legend.get_title(), *legend.get_texts()):
+        text.set_parse_math(False)
+
+
 def lay_out(figure: Figure) -> Figure:
     """The same figure with its layout done once; every saving would repeat it."""
     engine = figure.get_layout_engine()
@@ -196,7 +210,7 @@ def svg_of(figure: Figure) -> str:
     return buffer.getvalue()
 
 
-def thin(x: FloatArray, y: FloatArray, most: int) -> tuple[FloatArray, FloatArray]:
+def thin(x: FloatArray, y: FloatArray, most: int = MOST_POINTS) -> tuple[FloatArray, FloatArray]:
     """Keep the lowest and the highest value of each of equally many samples.
 
     Args:

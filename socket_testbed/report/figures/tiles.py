@@ -1,108 +1,67 @@
-"""Tiles as they are drawn: surface, squares, colours and axes of {S}."""
+"""Tiles in colours on paper: the socket's wall unrolled around its axis, and its distal end."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import textwrap
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import trimesh
+from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
+from matplotlib.collections import PolyCollection
 from matplotlib.colors import Normalize, to_rgba
+from matplotlib.figure import Figure, SubFigure
+from matplotlib.patches import Patch, Rectangle
+from matplotlib.patheffects import withStroke
 
 from socket_testbed.arrays import BoolArray, FloatArray, IntArray
-from socket_testbed.errors import ConfigurationError, ScanError
+from socket_testbed.errors import ConfigurationError
+from socket_testbed.geometry.axis import SocketAxis, socket_axis
 from socket_testbed.geometry.pose import Pose
 from socket_testbed.geometry.socket import SocketGeometry
-from socket_testbed.report.figures.style import CLUSTER, EDGE, NO_VALUE, PALE, SCALE, TILE
+from socket_testbed.report.figures.style import (
+    CLUSTER,
+    DEFAULT_STYLE,
+    EDGE,
+    HATCH,
+    MM,
+    NO_VALUE,
+    PALE,
+    SCALE,
+    SMALL,
+    SURFACE,
+    TILE,
+    FigureStyle,
+    in_style,
+    lay_out,
+    wrap,
+)
 
-_LARGEST_SURFACE = 2.0  # [m]; what is larger is in another unit
-_GROWTH = 1.1  # [-]; of the cells, from one attempt to the next
-_SMALLEST_CELL = 1e-5  # [-]; of the surface's size, so that a cell's number is an int64
-_FACES_PER_CELL = 2.0  # [-]; of a triangulation
-
-
-def drawable_surface(vertices: FloatArray, faces: IntArray, most_faces: int) -> trimesh.Trimesh:
-    """A surface that can be drawn: checked, and of no more faces than a drawing can hold.
-
-    Args:
-        vertices: Vertices in {S}, shape (v, 3) [m].
-        faces: Indices of each face's vertices, shape (f, 3).
-        most_faces: Largest number of faces of the result.
-
-    Raises:
-        ScanError: If this is no surface, or not in metres.
-    """
-    vertices, faces = np.asarray(vertices, dtype=float), np.asarray(faces)
-    _check(vertices, faces)
-    return _simplify(trimesh.Trimesh(vertices, faces, process=False), most_faces)
-
-
-def _simplify(surface: trimesh.Trimesh, most_faces: int) -> trimesh.Trimesh:
-    """Merge the vertices in each cell of a cubic grid, in cells that grow until it suffices.
-
-    Vertex clustering (Rossignac and Borrel 1993, doi:10.1007/978-3-642-78114-8_29), with the
-    mean of a cell's vertices, or of those on the rim, for all of them. It needs no manifold,
-    so it takes any scan.
-
-    Raises:
-        ScanError: If its faces have so little in common that none is left.
-    """
-    cell = max(
-        np.sqrt(_FACES_PER_CELL * surface.area / most_faces),
-        _SMALLEST_CELL * float(np.ptp(surface.vertices, axis=0).max()),
-    )
-    edges = surface.edges_sorted
-    rim = np.zeros(len(surface.vertices), dtype=bool)
-    rim[edges[trimesh.grouping.group_rows(edges, require_count=1)]] = True
-    simplified = surface
-    while len(simplified.faces) > most_faces:
-        simplified = _merge_within_cells(surface, rim, cell)
-        cell *= _GROWTH
-    if not len(simplified.faces):
-        raise ScanError("the surface's faces do not hang together", "repair the scan")
-    return simplified
-
-
-def _merge_within_cells(surface: trimesh.Trimesh, rim: BoolArray, cell: float) -> trimesh.Trimesh:
-    place = ((surface.vertices - surface.vertices.min(axis=0)) / cell).astype(np.int64)
-    key = np.ravel_multi_index(tuple(place.T), tuple(place.max(axis=0) + 1))
-    _, cell_of_vertex = np.unique(key, return_inverse=True)
-    # The rest of a cell at the rim would draw the rim inwards, here more and there less.
-    weight = np.where(np.bincount(cell_of_vertex, rim)[cell_of_vertex] > 0, rim, 1.0)
-    sums = [np.bincount(cell_of_vertex, weight * axis) for axis in surface.vertices.T]
-    mean = np.column_stack(sums) / np.bincount(cell_of_vertex, weight)[:, None]
-    faces = cell_of_vertex[surface.faces]
-    a, b, c = faces.T
-    faces = faces[(a != b) & (b != c) & (c != a)]
-    _, first = np.unique(np.sort(faces, axis=1), axis=0, return_index=True)
-    return trimesh.Trimesh(mean, faces[np.sort(first)], process=False)
-
-
-def _check(vertices: FloatArray, faces: IntArray) -> None:
-    for what, array in (("vertices", vertices), ("faces", faces)):
-        if array.ndim != 2 or array.shape[1] != 3 or not len(array):
-            raise ScanError(
-                f"the surface's {what} have the shape {array.shape}", "give one row of three each"
-            )
-    if not np.issubdtype(faces.dtype, np.integer):
-        raise ScanError("the surface's faces are no whole numbers", "give indices of vertices")
-    if faces.min() < 0 or faces.max() >= len(vertices):
-        raise ScanError(
-            f"a face of the surface has a vertex that is none of the {len(vertices)}",
-            "give indices of vertices, from 0",
-        )
-    if not np.isfinite(vertices).all():
-        raise ScanError("a vertex of the surface is not finite", "repair the scan")
-    size = float(np.ptp(vertices, axis=0).max())
-    if not 0.0 < size <= _LARGEST_SURFACE:
-        raise ScanError(f"the surface is {size:g} m long", "give its vertices in m")
-
+_WALL = np.sqrt(0.5)  # [-]; of the normals of what is at 45 degrees; the end faces up more
+_WIDEST_FACE = 60.0  # [deg]; a wider one is at the axis, where there is no angle
+_BESIDE = 3.0  # [deg]; free on both sides of the unrolled wall
+_ABOVE = 0.03  # [-]; of its height, free above and below
+_AROUND = 0.06  # [-]; of the socket's size, free around its distal end
+_LEAST_FACING = 0.15  # [-]; cosine; what is seen more edge-on is no square any more
+_WALL_SHARE = 3.4  # [-]; width of the wall by that of the distal end
+_SMALLEST = 3.0  # [pt]; of a name on a tile
+_LONGEST_LINE = 9  # characters
+_CHARACTER, _LINE = 0.62, 1.25  # [-]; width of a character, height of a line, by the font's size
+_PALEST = 0.15  # [-]; of a tile's colour: white has no value
+_ALIKE = 2.0  # [-]; ratio of ranges that are still seen on one scale
+_AXIS, _BAR = 12.0, 15.0  # [mm]; beside a map: its axis; the bar of colours
+_BAR_LABEL = 38.0  # [mm]; longest line beside a bar
+_UNDER = 14.0  # [mm]; above and below a map: its name and its axis
+HEADING = 12.0  # [mm]; for a title above the maps and a key below
 
 # Corners of a square of edge 2 in {L}, counter-clockwise about the inward normal.
 _CORNERS = np.array([[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [1.0, 1.0, 0.0], [-1.0, 1.0, 0.0]])
-_DARK = 0.45  # [-]; luminance below which ink is white
-_LUMINANCE = np.array([0.2126, 0.7152, 0.0722])  # ITU-R BT.709
+_WORD = 0.62 * len("posterior") * SMALL / 72.0 / MM  # [mm]; width of the longest of the sides
+_SHORT = {"anterior": "ant.", "posterior": "post.", "lateral": "lat.", "medial": "med."}
+_DEGREES = {angle: f"{angle}°".replace("-", "\N{MINUS SIGN}") for angle in range(-180, 181, 90)}
 
 
 def tile_squares(geometry: SocketGeometry) -> FloatArray:
@@ -112,8 +71,7 @@ def tile_squares(geometry: SocketGeometry) -> FloatArray:
         Corners (-x, -y), (+x, -y), (+x, +y), (-x, +y) of each tile's frame, shape
         (n, 4, 3) [m].
     """
-    half_edges = 0.5 * np.sqrt(geometry.areas)
-    corners_in_tile = half_edges[:, None, None] * _CORNERS
+    corners_in_tile = 0.5 * np.sqrt(geometry.areas)[:, None, None] * _CORNERS
     tiles_in_socket = Pose(geometry.square_frames()[:, None], geometry.anchors[:, None])
     return tiles_in_socket.apply(corners_in_tile)
 
@@ -129,9 +87,18 @@ def tile_labels(geometry: SocketGeometry) -> list[str]:
 
 def covered_tiles(geometry: SocketGeometry) -> BoolArray:
     """Which tiles a cluster covers, shape (n,)."""
-    covered = np.zeros(len(geometry), dtype=bool)
-    covered[list(geometry.clusters.values())] = True
-    return covered
+    return np.isin(np.arange(len(geometry)), [*geometry.clusters.values()])
+
+
+def wall_tiles(geometry: SocketGeometry, around: SocketAxis) -> BoolArray:
+    """Which tiles are on the wall, not on the distal end, shape (n,).
+
+    Args:
+        geometry: The socket.
+        around: Its axis; a tile at it counts as one of the end.
+    """
+    steep = geometry.rotations[:, :, 2] @ around.proximal < _WALL
+    return steep & (around.radii(geometry.anchors) >= np.sqrt(geometry.areas))
 
 
 def value_range(geometry: SocketGeometry, values: FloatArray) -> tuple[float, float]:
@@ -149,19 +116,28 @@ def value_range(geometry: SocketGeometry, values: FloatArray) -> tuple[float, fl
             f"values of the shape {values.shape} do not fit {len(geometry)} tiles",
             "give one value per tile, NaN where there is none",
         )
-    if np.isinf(values).any():
-        name = geometry.names[int(np.argwhere(np.isinf(values))[0, -1])]
-        raise ConfigurationError(
-            f"the value of tile '{name}' is infinite", "give a finite value, or NaN for none"
-        )
     finite = values[np.isfinite(values)]
     if not len(finite):
         return 0.0, 1.0
     low, high = float(finite.min()), float(finite.max())
-    if low == high:
-        margin = 0.1 * abs(low) or 1.0
-        return low - margin, high + margin
-    return low, high
+    margin = 0.0 if low < high else 0.1 * abs(low) or 1.0
+    return low - margin, high + margin
+
+
+def certainty_of(values: FloatArray, deviation: FloatArray) -> FloatArray:
+    """How certain values are, from their standard deviation relative to their size.
+
+    The size is that of the value or half of the largest one, whichever is more.
+
+    Args:
+        values: One value per tile, shape (n,).
+        deviation: Their standard deviations, shape (n,).
+
+    Returns:
+        1 where certain, less where not, never so little that nothing is seen, shape (n,) [-].
+    """
+    size = np.maximum(np.abs(values), 0.5 * np.abs(values).max())
+    return np.asarray(np.clip(1.0 - deviation / size, _PALEST, 1.0))
 
 
 @dataclass(frozen=True)
@@ -170,126 +146,368 @@ class TilePaint:
 
     Attributes:
         fills: Fill of each tile, RGBA, shape (n, 4) [-].
-        edges: Outline of each tile, RGBA, shape (n, 4) [-].
-        widths: Widths of the outlines, shape (n,) [pt].
-        labels: What is written on each tile.
-        scale: The colours' scale; None where they show kinds, not values.
         hatched: Tiles without a value, or whose value is not determined, shape (n,).
+        scale: The colours' scale.
     """
 
     fills: FloatArray
-    edges: FloatArray
-    widths: FloatArray
-    labels: Sequence[str]
-    scale: ScalarMappable | None
     hatched: BoolArray
-
-    def ink(self, tile: int) -> str:
-        """Colour that is legible on a tile."""
-        return "white" if self.fills[tile, :3] @ _LUMINANCE < _DARK else "black"
+    scale: ScalarMappable
 
 
 def paint_tiles(
     geometry: SocketGeometry,
-    values: FloatArray | None = None,
+    values: FloatArray,
     limits: tuple[float, float] | None = None,
-    labels: Sequence[str] | None = None,
     certainty: FloatArray | None = None,
     determined: BoolArray | None = None,
 ) -> TilePaint:
-    """Paint tiles by their values, or else tiles with and without a cluster in two colours.
-
-    A tile with a cluster has a thick outline, too.
+    """Paint tiles by their values.
 
     Args:
         geometry: The socket.
-        values: One value per tile, shape (n,); NaN, white and hatched, where there is none.
+        values: One value per tile, shape (n,); NaN, hatched in white, where there is none.
         limits: Ends of the colour scale; None for those of the values.
-        labels: What is written on each tile; None for its name.
-        certainty: How certain each value is, 0 to 1, shape (n,) [-]: a tile fades to white as it
-            falls; None where that is not known.
-        determined: Which values are determined, shape (n,): the others are pale and hatched; None
-            if all are.
+        certainty: 1 for a value's full colour, less for a paler one, shape (n,) [-]. None: full
+            where a value is determined.
+        determined: Which values are determined, shape (n,): the others are hatched, pale.
 
     Raises:
         ConfigurationError: If the values are not those of these tiles.
     """
-    covered = covered_tiles(geometry)
-    if values is None:
-        fills, scale = _choose(covered, CLUSTER, TILE), None
-        hatched = np.zeros(len(geometry), dtype=bool)
-    else:
-        low, high = value_range(geometry, values)
-        unknown = np.isnan(values)
-        hatched = unknown if determined is None else unknown | ~determined
-        scale = ScalarMappable(Normalize(*(limits or (low, high))), SCALE)
-        fills = np.where(unknown[:, None], to_rgba(NO_VALUE), scale.to_rgba(values))
-        if certainty is None:
-            certainty = np.where(hatched, PALE, 1.0)
-        white = np.array(to_rgba(NO_VALUE))
-        fills = white + certainty[:, None] * (fills - white)
-    edges = _choose(covered, "black" if values is None else CLUSTER, EDGE)
-    widths = np.where(covered, 1.6, 0.6)
-    return TilePaint(fills, edges, widths, labels or tile_labels(geometry), scale, hatched)
+    scale = ScalarMappable(Normalize(*(limits or value_range(geometry, values))), SCALE)
+    unknown = np.isnan(values)
+    hatched = unknown if determined is None else unknown | ~determined
+    fills = np.where(unknown[:, None], to_rgba(NO_VALUE), scale.to_rgba(values))
+    if certainty is None:
+        certainty = np.where(hatched, PALE, 1.0)
+    white = np.array(to_rgba(NO_VALUE))
+    return TilePaint(white + certainty[:, None] * (fills - white), hatched, scale)
 
 
-def _choose(covered: BoolArray, with_cluster: str, without: str) -> FloatArray:
-    return np.where(covered[:, None], to_rgba(with_cluster), to_rgba(without))
+def _paint_kinds(geometry: SocketGeometry) -> TilePaint:
+    """Tiles with and without a cluster in two colours."""
+    fills = np.where(covered_tiles(geometry)[:, None], to_rgba(CLUSTER), to_rgba(TILE))
+    return TilePaint(fills, np.zeros(len(geometry), dtype=bool), ScalarMappable())
 
 
-AXIS_NAMES = ("x", "y", "z")
-_LONGEST = 0.25  # [-]; of the socket's diagonal
-_FARTHEST = 0.6  # [-]; likewise, of the origin from the socket
-_BELOW = 1.3  # [-]; of the axes' length
+def _draw_unrolled(
+    axis: Axes,
+    geometry: SocketGeometry,
+    paint: TilePaint,
+    labels: Sequence[str],
+    surface: trimesh.Trimesh | None = None,
+    side: str = "",
+) -> None:
+    """The wall as one sees it walking around it outside: anterior, left, posterior, right.
 
-
-@dataclass(frozen=True)
-class AxesOfS:
-    """The axes of {S} as three arrows.
-
-    Attributes:
-        start: Where they start in {S}, shape (3,) [m].
-        length: Their length, a round number [m].
-        moved: Whether they start elsewhere than in the origin, which is far off.
+    The angle is that around the socket's axis, from anterior towards left. Lengths across are
+    true at the tiles' median radius only.
     """
+    around = socket_axis(geometry)
+    tiles = np.flatnonzero(wall_tiles(geometry, around))
+    corners = tile_squares(geometry)
+    squares = _unroll(corners[tiles], geometry.anchors[tiles], around)
+    faces = np.zeros((0, 3, 2)) if surface is None else _faces_around(surface, around)
+    heights = np.concatenate([faces[..., 1].ravel(), 1e3 * around.heights(corners).ravel()])
+    angles = squares[..., 0]
+    margin = _ABOVE * np.ptp(heights)
+    left, right = min(-180.0, angles.min(initial=0.0)), max(180.0, angles.max(initial=0.0))
+    axis.set_xlim(left - _BESIDE, right + _BESIDE)
+    axis.set_ylim(heights.min() - margin, heights.max() + margin)
+    axis.set_aspect(1.0 / (1e3 * np.radians(1.0) * max(_radius(geometry, around), 1e-3)))
+    axis.set_ylabel("height [mm]")
+    _name_sides(axis, side)
+    wall = _polygons(faces, facecolors=SURFACE, edgecolors=SURFACE, linewidths=0.3, rasterized=True)
+    axis.add_collection(wall, autolim=False)
+    wall.set_clip_path(Rectangle((-180.0, 0.0), 360.0, 1.0, transform=axis.get_xaxis_transform()))
+    _draw_tiles(axis, geometry, paint, labels, tiles, squares)
 
-    start: FloatArray
-    length: float
-    moved: bool
 
-    def describe(self) -> str:
-        """What they are, for a legend."""
-        where = ", moved here from the far origin" if self.moved else ""
-        return f"axes of {{S}}, {1e3 * self.length:g} mm{where}"
-
-
-def drawn_bounds(
-    geometry: SocketGeometry, surface: trimesh.Trimesh | None = None
-) -> tuple[FloatArray, FloatArray]:
-    """Lowest and highest coordinates in {S} of the tiles and a surface, shape (3,) each [m]."""
-    corners = tile_squares(geometry).reshape(-1, 3)
+def _draw_end(
+    axis: Axes,
+    geometry: SocketGeometry,
+    paint: TilePaint,
+    labels: Sequence[str],
+    surface: trimesh.Trimesh | None = None,
+) -> None:
+    """The distal end from inside, along z of {S}: anterior is up, and left on the left."""
+    squares = tile_squares(geometry)
+    points = squares.reshape(-1, 3) if surface is None else surface.vertices
+    low, high = 1e3 * points.min(axis=0), 1e3 * points.max(axis=0)
+    margin = _AROUND * (high - low)
+    axis.set_xlim(high[1] + margin[1], low[1] - margin[1])
+    axis.set_ylim(low[0] - margin[0], high[0] + margin[0])
+    axis.set_aspect("equal")
     if surface is not None:
-        corners = np.vstack([corners, surface.bounds])
-    return corners.min(axis=0), corners.max(axis=0)
+        faces = 1e3 * surface.triangles[..., [1, 0]]
+        grey: dict[str, Any] = {"facecolors": SURFACE, "edgecolors": SURFACE, "linewidths": 0.3}
+        axis.add_collection(_polygons(faces, rasterized=True, **grey), autolim=False)
+    facing = geometry.rotations[:, 2, 2] > _LEAST_FACING
+    tiles = np.flatnonzero(~wall_tiles(geometry, socket_axis(geometry)) & facing)
+    tiles = tiles[np.argsort(geometry.anchors[tiles, 2])]
+    _draw_tiles(axis, geometry, paint, labels, tiles, 1e3 * squares[tiles][..., [1, 0]])
 
 
-def place_axes(low: FloatArray, high: FloatArray) -> AxesOfS:
-    """The axes at the origin; right below the socket where the origin is far from it.
+def _draw_tiles(
+    axis: Axes,
+    geometry: SocketGeometry,
+    paint: TilePaint,
+    labels: Sequence[str],
+    tiles: IntArray,
+    squares: FloatArray,
+) -> None:
+    """Draw some tiles, with corners in the panel, shape (m, 4, 2), hatches and labels."""
+    covered = covered_tiles(geometry)[tiles]
+    edges = np.where(covered[:, None], to_rgba(CLUSTER), to_rgba(EDGE))
+    look: dict[str, Any] = {"edgecolors": edges, "linewidths": np.where(covered, 1.6, 0.6)}
+    hatch: dict[str, Any] = {"facecolors": "none", "edgecolors": "0.35", "hatch": HATCH}
+    axis.add_collection(_polygons(squares, facecolors=paint.fills[tiles], **look))
+    hatched = squares[paint.hatched[tiles]]
+    axis.add_collection(_polygons(hatched, linewidths=0.0, **hatch), autolim=False)
+    for tile, corners in zip(tiles, squares, strict=True):
+        _write(axis, labels[tile], corners)
+
+
+def _write(axis: Axes, label: str, corners: FloatArray) -> None:
+    """Write a name inside a tile, as large as fits, unless that is too small; no markup.
+
+    A number of one or two digits is written at full size, legible on any fill.
+    """
+    words = label.strip() if len(label) <= _LONGEST_LINE else label.replace("_", "_ ")
+    lines = textwrap.wrap(words, _LONGEST_LINE, break_long_words=False)
+    if not lines:
+        return
+    width, height = np.ptp(corners, axis=0) * _points_per_unit(axis)
+    size = min(width / (_CHARACTER * max(map(len, lines))), height / (_LINE * len(lines)), SMALL)
+    look: dict[str, Any] = {"fontsize": size, "linespacing": 1.0}
+    if len(label) <= 2:
+        outline = withStroke(linewidth=2.0, foreground="white")
+        look = {"fontsize": SMALL, "path_effects": [outline]}
+    if look["fontsize"] >= _SMALLEST:
+        text = "\n".join(lines).replace("_ ", "_")
+        x, y = corners.mean(axis=0)
+        axis.text(x, y, text, ha="center", va="center", zorder=3, parse_math=False, **look)
+
+
+def _points_per_unit(axis: Axes) -> FloatArray:
+    """Printed size of a unit of the panel's two axes, shape (2,) [pt]."""
+    figure = np.array(axis.figure.bbox.size) * 72.0 / axis.figure.dpi
+    panel = axis.get_position(original=True).size * figure
+    span = np.abs([np.subtract(*axis.get_xlim()), np.subtract(*axis.get_ylim())])
+    aspect = axis.get_aspect()
+    per_x = min(panel[0] / span[0], panel[1] / (span[1] * aspect))
+    return np.array([per_x, per_x * aspect])
+
+
+def _polygons(corners: FloatArray, **style: Any) -> PolyCollection:
+    """Polygons of k corners, shape (m, k, 2); matplotlib makes them faster from an array."""
+    array: Any = corners  # its types name sequences only
+    return PolyCollection(array, **style)
+
+
+def _radius(geometry: SocketGeometry, around: SocketAxis) -> float:
+    """Median radius of the tiles on the wall, or of all where none is [m]."""
+    tiles = wall_tiles(geometry, around)
+    radii = around.radii(geometry.anchors)
+    return float(np.median(radii[tiles] if tiles.any() else radii))
+
+
+def _name_sides(axis: Axes, side: str) -> None:
+    left, right = {"left": ("lateral", "medial"), "right": ("medial", "lateral")}.get(
+        side, ("left", "right")
+    )
+    names = ["posterior", right, "anterior", left, "posterior"]
+    if 90.0 * _points_per_unit(axis)[0] / 72.0 / MM < _WORD:
+        names = [_SHORT.get(name, name) for name in names]
+    ticks = [f"{degrees}\n{name}" for degrees, name in zip(_DEGREES.values(), names, strict=True)]
+    axis.set_xticks([*_DEGREES], ticks)
+
+
+def _faces_around(surface: trimesh.Trimesh, around: SocketAxis) -> FloatArray:
+    """Faces around the axis, those beyond an end of the turn at both ends, shape (f, 3, 2)."""
+    faces = _unroll(surface.triangles, surface.triangles[:, 0], around)
+    faces = faces[np.ptp(faces[..., 0], axis=1) < _WIDEST_FACE]
+    over = faces[(np.abs(faces[..., 0]) > 180.0).any(axis=1)]
+    turn = np.where(over[:, :1, :1] > 0.0, -360.0, 360.0)
+    return np.concatenate([faces, over + turn * [1.0, 0.0]])
+
+
+def _unroll(points: FloatArray, near: FloatArray, around: SocketAxis) -> FloatArray:
+    """Angles [deg] and heights [mm] of points in {S}, shape (m, k, 3) [m].
+
+    Each k of them are in the turn of the point near them, shape (m, 3) [m], in +-180 degrees.
+    """
+    angles = np.degrees(around.angles(points))
+    reference = np.degrees(around.angles(near))[:, None]
+    turned = reference + (angles - reference + 180.0) % 360.0 - 180.0
+    return np.stack([turned, 1e3 * around.heights(points)], axis=-1)
+
+
+def _scales_of(
+    geometry: SocketGeometry, values: Mapping[str, FloatArray], from_zero: bool = False
+) -> list[tuple[float, float]]:
+    """Ends of the colour scale of every map: the same for those whose ranges are alike."""
+    ranges = np.array([value_range(geometry, row) for row in values.values()])
+    if from_zero:
+        ranges[:, 0] = np.minimum(ranges[:, 0], 0.0)
+    spans = np.ptp(ranges, axis=1)
+    left = np.ones(len(ranges), dtype=bool)
+    while left.any():
+        alike = left & (_ALIKE * spans >= spans[left].max())
+        ranges[alike] = ranges[alike, 0].min(), ranges[alike, 1].max()
+        left &= ~alike
+    return [(float(low), float(high)) for low, high in ranges]
+
+
+def _columns_of(count: int, style: FigureStyle) -> int:
+    """Number of maps in a row."""
+    return 1 if style.is_narrow else min(2, count)
+
+
+def _maps_height(
+    geometry: SocketGeometry, style: FigureStyle, scales: Sequence[tuple[float, float]]
+) -> float:
+    """Height that maps need, with a title and a key [mm]."""
+    columns = _columns_of(len(scales), style)
+    bars = 1 if len(set(scales)) == 1 else columns
+    wall = (style.width - _AXIS * columns - _BAR * bars) / columns
+    wall *= _WALL_SHARE / (_WALL_SHARE + 1.0)
+    around = socket_axis(geometry)
+    turn = np.radians(360.0 + 2.0 * _BESIDE) * _radius(geometry, around)
+    aspect = np.ptp(around.heights(tile_squares(geometry))) * (1.0 + 2.0 * _ABOVE) / turn
+    return HEADING + -(-len(scales) // columns) * (float(wall * aspect) + _UNDER)
+
+
+def _draw_maps(
+    figure: Figure | SubFigure,
+    geometry: SocketGeometry,
+    values: Mapping[str, FloatArray],
+    unit: str,
+    scales: Sequence[tuple[float, float]],
+    style: FigureStyle,
+    *,
+    side: str = "",
+    certainty: Mapping[str, FloatArray] | None = None,
+    determined: Mapping[str, BoolArray] | None = None,
+    notes: Mapping[str, str] | None = None,
+) -> None:
+    """Draw maps of values in rows, with one bar if their scales are the same, and a key below.
+
+    Tiles with a cluster have a thick outline and a number, which the key explains.
+    """
+    certainty, determined, notes = certainty or {}, determined or {}, notes or {}
+    labels = [""] * len(geometry)
+    key = []
+    for number, (cluster, tile) in enumerate(geometry.clusters.items(), start=1):
+        labels[tile] = str(number)
+        key.append(": ".join(filter(None, [f"{number} {cluster}", notes.get(cluster)])))
+    columns = _columns_of(len(values), style)
+    rows = -(-len(values) // columns)
+    axes = figure.subplots(
+        rows, 2 * columns, width_ratios=(_WALL_SHARE, 1.0) * columns, squeeze=False
+    ).reshape(-1, 2)
+    has_end = not wall_tiles(geometry, socket_axis(geometry)).all()
+    free = style.width / columns - _AXIS - _BAR
+    common = len(set(scales)) == 1
+    any_hatched = False
+    bar: dict[str, Any] = {"label": wrap(unit, _BAR_LABEL), "pad": 0.01}
+    for panels, (name, row), limits in zip(axes, values.items(), scales, strict=False):
+        paint = paint_tiles(geometry, row, limits, certainty.get(name), determined.get(name))
+        any_hatched |= bool(paint.hatched.any())
+        _draw_unrolled(panels[0], geometry, paint, labels, side=side)
+        heading = wrap(name, 0.9 * free)  # bold type is wider
+        panels[0].set_title(heading, loc="left", fontweight="bold", parse_math=False)
+        _draw_end(panels[1], geometry, paint, labels)
+        panels[1].set_axis_off()
+        panels[1].set_title("distal end" if has_end else "", fontsize=SMALL, y=1.0)
+        if not common:
+            figure.colorbar(paint.scale, ax=[*panels], aspect=20.0, **bar)
+    for panel in axes[len(values) :].flat:
+        panel.set_visible(False)
+    if common:
+        figure.colorbar(paint.scale, ax=[*axes.flat], aspect=25.0 * rows, **bar)
+    add_key(figure, style, *key, "hatched: not determined" * any_hatched)
+
+
+def add_key(figure: Figure | SubFigure, style: FigureStyle, *parts: str) -> None:
+    """Write what marks mean below a figure, in lines that fit; no markup."""
+    text = wrap(", ".join(filter(None, parts)), 0.96 * style.width, SMALL)
+    if text:
+        figure.supxlabel(text, fontsize=SMALL, parse_math=False)
+
+
+@in_style
+def tile_map_figure(
+    geometry: SocketGeometry,
+    values: Mapping[str, FloatArray],
+    unit: str,
+    title: str = "",
+    style: FigureStyle = DEFAULT_STYLE,
+    *,
+    limits: tuple[float, float] | None = None,
+    from_zero: bool = False,
+    below: tuple[float, Callable[[SubFigure], None]] | None = None,
+    **marks: Any,
+) -> Figure:
+    """Tiles by their values in colours that print in grey, a map per set of values.
+
+    Tiles with a cluster have a thick outline and a number, which the key below the maps explains.
 
     Args:
-        low: Lowest coordinates of the socket in {S}, shape (3,) [m].
-        high: Highest coordinates, shape (3,) [m].
+        geometry: The socket.
+        values: One value per tile in `unit`, shape (n,), by what it is; NaN, hatched, where there
+            is none.
+        unit: What the values are, with their unit, such as `stiffness [N/m]`.
+        title: What is shown.
+        style: How it is set.
+        limits: Ends of one colour scale for all maps. None: one scale for maps whose ranges are
+            alike.
+        from_zero: Whether such a scale begins at zero, unless a value is below.
+        below: Height [mm] of what else is drawn below the maps, and what draws it.
+        marks: `side`, the leg that wears the socket, `left` or `right`; `certainty` and
+            `determined` of the values, see `paint_tiles`, by what they are; `notes`, what the key
+            says of a cluster, by its name.
+
+    Raises:
+        ConfigurationError: If the values are not those of these tiles.
     """
-    diagonal = float(np.linalg.norm(high - low))
-    length = _round_length(_LONGEST * diagonal)
-    gap = float(np.linalg.norm(np.clip(0.0, low, high)))
-    if gap <= _FARTHEST * diagonal:
-        return AxesOfS(np.zeros(3), length, moved=False)
-    middle = 0.5 * (low + high)
-    return AxesOfS(np.array([middle[0], middle[1], low[2] - _BELOW * length]), length, moved=True)
+    scales = [limits] * len(values) if limits else _scales_of(geometry, values, from_zero)
+    height, draw = below or (0.0, None)
+    heights = _maps_height(geometry, style, scales), height
+    figure = style.figure(sum(heights))
+    parts: Any = [figure] if draw is None else figure.subfigures(2, 1, height_ratios=heights)
+    style.add_title(parts[0], title)
+    _draw_maps(parts[0], geometry, values, unit, scales, style, **marks)
+    if draw is not None:
+        draw(parts[1])
+    return lay_out(figure)
 
 
-def _round_length(longest: float) -> float:
-    """The longest of 1, 2 or 5 times a power of ten."""
-    decade = 10.0 ** np.floor(np.log10(longest))
-    return float(decade * max(step for step in (1.0, 2.0, 5.0) if step * decade <= longest))
+@in_style
+def socket_figure(
+    geometry: SocketGeometry, surface: trimesh.Trimesh | None = None, title: str = ""
+) -> Figure:
+    """The tiles of a socket with their names, on its interior surface where that is known.
+
+    Args:
+        geometry: The socket.
+        surface: The interior surface in {S} [m].
+        title: What is shown.
+    """
+    figure = FigureStyle(300.0).figure(140.0)
+    FigureStyle(300.0).add_title(figure, title)
+    wall, end = figure.subplots(1, 2, width_ratios=(_WALL_SHARE, 1.0))
+    paint, labels = _paint_kinds(geometry), tile_labels(geometry)
+    _draw_unrolled(wall, geometry, paint, labels, surface)
+    wall.set_title("the wall unrolled, seen from outside")
+    _draw_end(end, geometry, paint, labels, surface)
+    end.set_title("distal end, seen from +z,\nthrough the opening")
+    end.set_xlabel("y of {S} [mm]")
+    end.set_ylabel("x of {S} [mm]")
+    kinds = {"tile": TILE, "tile with a cluster": CLUSTER}
+    if surface is not None:
+        kinds["interior surface"] = SURFACE
+    handles = [Patch(facecolor=colour, label=name) for name, colour in kinds.items()]
+    figure.legend(handles=handles, loc="outside lower center", ncols=3)
+    return lay_out(figure)

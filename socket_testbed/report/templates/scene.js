@@ -21,7 +21,7 @@
     const values = set.values[row], known = [], unknown = [];
     values.forEach((value, tile) => (value === null ? unknown : known).push(tile));
     const facts = values.flatMap((value, tile) => Array(5).fill(
-      `<b>${choices.names[tile]}</b><br>${set.unit}: ${value === null ? "none" : +value.toPrecision(4)}`
+      `${choices.names[tile]}<br>${set.unit}: ${value === null ? "none" : +value.toPrecision(4)}`
     ));
     [known, unknown].forEach((tiles, i) => {
       const corner = (c) => tiles.flatMap((tile) => FAN.map((face) => 5 * tile + face[c]));
@@ -37,11 +37,9 @@
   }
   const chosen = () => choices.sets[control("source").value][control("value").value];
   function show() {
-    if (choices) {
-      const set = chosen(), row = control("instant").value;
-      control("instant-shown").value = set.times ? `${set.times[row].toFixed(2)} s` : "";
-      paint(set, row);
-    }
+    const set = chosen(), row = control("instant").value;
+    control("instant-shown").value = set.times ? `${set.times[row].toFixed(2)} s` : "";
+    paint(set, row);
     return Plotly.react(box, figure.data, figure.layout, {
       responsive: true, displayModeBar: false,
     });
@@ -59,12 +57,10 @@
     control("instant").value = set.start;
     control("time").hidden = !set.times;
   }
-  if (choices) {
-    offer();
-    control("source").addEventListener("change", () => { offer(); show(); });
-    control("value").addEventListener("change", () => { rewind(); show(); });
-    control("instant").addEventListener("input", show);
-  }
+  offer();
+  control("source").addEventListener("change", () => { offer(); show(); });
+  control("value").addEventListener("change", () => { rewind(); show(); });
+  control("instant").addEventListener("input", show);
   box.replaceChildren();
   state.hidden = true;
   await show();

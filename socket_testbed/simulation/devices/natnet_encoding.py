@@ -1,4 +1,4 @@
-"""What a NatNet server sends, in versions 2.6 to 4.4, and how its counts go wrong."""
+"""What a NatNet server sends, in versions 3.0 to 4.4, and how its counts go wrong."""
 
 from __future__ import annotations
 
@@ -9,24 +9,30 @@ from struct import Struct, pack, pack_into
 import numpy as np
 
 from socket_testbed.arrays import FloatArray
-from socket_testbed.drivers.natnet.messages import FRAME, MODELDEF, SERVERINFO, ServerInfo, Version
+from socket_testbed.drivers.natnet.messages import (
+    FRAME,
+    MODELDEF,
+    OLDEST,
+    SERVERINFO,
+    ServerInfo,
+    Version,
+)
 
 OCCLUDED, SOLVED, MODEL_FILLED, HAS_MODEL, UNLABELLED = 1, 2, 4, 8, 16
 
 _HEADER = Struct("<HH")
 _BODY = Struct("<i8fh")
-_MARKER = Struct("<i4fh")
+_MARKER = Struct("<i4fhf")
 _WRONG_COUNTS = (-1, 0, 1, 2, 7, 1000, 0x7FFFFFFF, -0x80000000)
 
 
 @dataclass(frozen=True)
 class Body:
-    """A rigid body in a frame: id, position [m], quaternion (x, y, z, w), marker positions [m]."""
+    """A rigid body in a frame: id, position [m], quaternion (x, y, z, w)."""
 
     id: int
     position: FloatArray
     quaternion: FloatArray
-    markers: FloatArray
     tracked: bool = True
 
 
@@ -139,7 +145,7 @@ def encode_server_info(info: ServerInfo) -> Message:
     """SERVERINFO; before NatNet 3.0 it ends after the versions."""
     data = info.name.encode()[:255].ljust(256, b"\0")
     data += bytes(info.app_version) + bytes((*info.version, 0, 0))
-    if info.version >= (3, 0):
+    if info.version >= OLDEST:
         group = bytes(int(part) for part in (info.group or "0.0.0.0").split("."))
         data += pack("<QHB", info.clock, info.data_port, info.multicast) + group
     return Message.of(SERVERINFO, data)
@@ -155,25 +161,26 @@ def encode_frame(content: Content, version: Version) -> Message:
         part.section(len(positions), False, Message(bytearray(_floats(positions))))
     frame.section(len(content.marker_sets), sized, part)
     frame.section(len(content.others), sized, Message(bytearray(_floats(content.others))))
-    frame.section(len(content.bodies), sized, _bodies(content.bodies, version))
+    frame.section(len(content.bodies), sized, _bodies(content.bodies))
     part = Message(bytearray())
     for identity, bodies in content.skeletons:
         part.add(pack("<i", identity))
-        part.section(len(bodies), False, _bodies(bodies, version))
+        part.section(len(bodies), False, _bodies(bodies))
     frame.section(len(content.skeletons), sized, part)
     if version >= (4, 1):
         part = Message(bytearray())
         for identity, bodies, markers in content.assets:
             part.add(pack("<i", identity))
-            part.section(len(bodies), False, _bodies(bodies, version))
-            part.section(len(markers), False, _markers(markers, version))
+            part.section(len(bodies), False, _bodies(bodies))
+            part.section(len(markers), False, _markers(markers))
         frame.section(len(content.assets), sized, part)
-    frame.section(len(content.markers), sized, _markers(content.markers, version))
-    if version >= (2, 9):
-        frame.section(len(content.plates), sized, _channels(content.plates))
-    if version >= (2, 11):
-        frame.section(len(content.devices), sized, _channels(content.devices))
-    frame.add(_suffix(content, version))
+    frame.section(len(content.markers), sized, _markers(content.markers))
+    frame.section(len(content.plates), sized, _channels(content.plates))
+    frame.section(len(content.devices), sized, _channels(content.devices))
+    flags = int(content.recording) | 2 * int(content.models_changed)
+    precision = (0, 0) if sized else ()
+    suffix = (0, 0, content.timestamp, *content.ticks, *precision, flags, 0)
+    frame.add(pack("<IIdQQQIIhi" if sized else "<IIdQQQhi", *suffix))
     return frame.finished()
 
 
@@ -195,12 +202,11 @@ def encode_model_definitions(definitions: Iterable[Definition], version: Version
         body.add(pack("<ii3f", definition.id, -1, 0.0, 0.0, 0.0))
         if version >= (4, 2):
             body.add(pack("<4f", 0.0, 0.0, 0.0, 1.0))
-        if version >= (3, 0):
-            body.count(len(members))
-            body.add(_floats(definition.markers) + bytes(4 * len(members)))
-            if version >= (4, 0):
-                for member in members:
-                    body.text(member)
+        body.count(len(members))
+        body.add(_floats(definition.markers) + bytes(4 * len(members)))
+        if version >= (4, 0):
+            for member in members:
+                body.text(member)
         for kind, part in ((0, marker_set), (1, body)):
             number += 1
             content.add(pack("<i", kind))
@@ -216,29 +222,22 @@ def _floats(values: FloatArray) -> bytes:
     return np.asarray(values, dtype="<f4").tobytes()
 
 
-def _bodies(bodies: Iterable[Body], version: Version) -> Message:
-    part = Message(bytearray())
-    for body in bodies:
-        packed = _BODY.pack(body.id, *body.position, *body.quaternion, 1e-4, int(body.tracked))
-        if version >= (3, 0):
-            part.add(packed)
-            continue
-        part.add(packed[:32])
-        number = len(body.markers)
-        part.count(number)
-        part.add(_floats(body.markers) + pack(f"<{number}i", *range(1, number + 1)))
-        part.add(pack(f"<{number}f", *[0.014] * number) + packed[32:])
-    return part
+def _bodies(bodies: Iterable[Body]) -> Message:
+    return Message(
+        bytearray().join(
+            _BODY.pack(body.id, *body.position, *body.quaternion, 1e-4, int(body.tracked))
+            for body in bodies
+        )
+    )
 
 
-def _markers(markers: Iterable[Marker], version: Version) -> Message:
-    part = Message(bytearray())
-    for marker in markers:
-        identity = marker.model << 16 | marker.member
-        part.add(_MARKER.pack(identity, *marker.position, 0.014, marker.flags))
-        if version >= (3, 0):
-            part.add(pack("<f", 2e-4))
-    return part
+def _markers(markers: Iterable[Marker]) -> Message:
+    return Message(
+        bytearray().join(
+            _MARKER.pack(m.model << 16 | m.member, *m.position, 0.014, m.flags, 2e-4)
+            for m in markers
+        )
+    )
 
 
 def _channels(plates: Iterable[tuple[int, Sequence[Sequence[float]]]]) -> Message:
@@ -250,14 +249,3 @@ def _channels(plates: Iterable[tuple[int, Sequence[Sequence[float]]]]) -> Messag
             part.count(len(values))
             part.add(pack(f"<{len(values)}f", *values))
     return part
-
-
-def _suffix(content: Content, version: Version) -> bytes:
-    data = pack("<f", 0.004) if version < (3, 0) else b""
-    data += pack("<II", 0, 0) + pack("<d" if version >= (2, 7) else "<f", content.timestamp)
-    if version >= (3, 0):
-        data += pack("<QQQ", *content.ticks)
-    if version >= (4, 1):
-        data += pack("<II", 0, 0)
-    flags = int(content.recording) | 2 * int(content.models_changed)
-    return data + pack("<hi", flags, 0)

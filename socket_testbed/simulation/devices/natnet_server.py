@@ -16,35 +16,8 @@ from scipy.spatial.transform import Rotation
 
 from socket_testbed import clocks
 from socket_testbed.arrays import FloatArray
-from socket_testbed.drivers.natnet.messages import (
-    CONNECT,
-    DISCONNECT,
-    ECHOREQUEST,
-    ECHORESPONSE,
-    KEEPALIVE,
-    LARGEST_DATAGRAM,
-    REQUEST,
-    REQUEST_MODELDEF,
-    RESPONSE,
-    UNRECOGNIZED,
-    MalformedDatagram,
-    ServerInfo,
-    Version,
-    split_datagram,
-)
-from socket_testbed.simulation.devices.natnet_encoding import (
-    HAS_MODEL,
-    OCCLUDED,
-    SOLVED,
-    Body,
-    Content,
-    Definition,
-    Marker,
-    Message,
-    encode_frame,
-    encode_model_definitions,
-    encode_server_info,
-)
+from socket_testbed.drivers.natnet import messages
+from socket_testbed.simulation.devices import natnet_encoding as encoding
 
 # Name, markers in the world (m, 3) [m], position (3,) [m], quaternion (4,) of each body.
 Bodies: TypeAlias = Callable[[float], Sequence[tuple[str, FloatArray, FloatArray, FloatArray]]]
@@ -85,20 +58,20 @@ class Scene:
         self._seen.clear()
         self._names = ()
 
-    def definitions(self, moment: float) -> list[Definition]:
+    def definitions(self, moment: float) -> list[encoding.Definition]:
         """The rigid bodies as they are defined at a time of the steady clock [s]."""
         found = []
         for name, markers, position, quaternion in self._bodies(moment):
             in_body = Rotation.from_quat(quaternion).inv().apply(markers - position)
-            found.append(Definition(name, self._identify(name), in_body))
+            found.append(encoding.Definition(name, self._identify(name), in_body))
         return found
 
     def content(
         self, moment: float, number: int, ticks: tuple[int, int, int], recording: bool
-    ) -> Content:
+    ) -> encoding.Content:
         """The frame that is exposed at a time of the steady clock [s]."""
-        bodies: list[Body] = []
-        labelled: list[Marker] = []
+        bodies: list[encoding.Body] = []
+        labelled: list[encoding.Marker] = []
         sets: dict[str, FloatArray] = {}
         scene = self._bodies(moment)
         names = tuple(name for name, *_ in scene)
@@ -109,12 +82,12 @@ class Scene:
         for name, true, position, quaternion in scene:
             identity = self._identify(name)
             markers, hidden = self._observe(name, np.asarray(true, dtype=float))
-            bodies.append(Body(identity, position, quaternion, markers, not hidden.any()))
+            bodies.append(encoding.Body(identity, position, quaternion, not hidden.any()))
             sets[name] = markers
             for k in range(len(markers)):
-                flags = HAS_MODEL | (OCCLUDED if hidden[k] else SOLVED)
-                labelled.append(Marker(identity, k + 1, markers[k], flags))
-        return Content(
+                flags = encoding.HAS_MODEL | (encoding.OCCLUDED if hidden[k] else encoding.SOLVED)
+                labelled.append(encoding.Marker(identity, k + 1, markers[k], flags))
+        return encoding.Content(
             number=number,
             ticks=ticks,
             timestamp=(ticks[0] % 10**14) * 1e-7,
@@ -147,6 +120,15 @@ class Scene:
         return markers, hidden
 
 
+# By fault, the bytes of a message that are sent, and how often.
+_STRIKES: dict[str, Callable[[encoding.Message, bytes, np.random.Generator], tuple[bytes, int]]] = {
+    "corrupt": lambda message, data, rng: (message.corrupted(rng), 1),
+    "truncate": lambda message, data, rng: (data[: int(rng.integers(len(data)))], 1),
+    "duplicate": lambda message, data, rng: (data, 2),
+    "drop": lambda message, data, rng: (data, 0),
+}
+
+
 class FaultyNetwork:
     """Sends datagrams of a socket, with the faults that are on.
 
@@ -164,21 +146,19 @@ class FaultyNetwork:
         self._rng = rng
         self._held: list[tuple[bytes, Address]] = []
 
-    def send(self, message: Message, address: Address) -> None:
+    def send(self, message: encoding.Message, address: Address) -> None:
         """Send a message, or what becomes of it."""
         if self._faults.get("mocap.unplugged", 0.0):
             self._held.clear()
             return
-        if self._happens("drop"):
-            return
-        data = message.corrupted(self._rng) if self._happens("corrupt") else bytes(message.data)
-        if self._happens("truncate"):
-            data = data[: int(self._rng.integers(len(data)))]
-        if not self._held and self._happens("reorder"):
+        data, copies = bytes(message.data), 1
+        for fault, strike in _STRIKES.items():
+            if self._happens(fault):
+                data, copies = strike(message, data, self._rng)
+        if copies and not self._held and self._happens("reorder"):
             self._held.append((data, address))
             return
-        self._put(data, address)
-        if self._happens("duplicate"):
+        for _ in range(copies):
             self._put(data, address)
         held, self._held = self._held, []
         for late in held:
@@ -196,7 +176,7 @@ class FaultyNetwork:
 @dataclass
 class _Client:
     heard: float
-    version: Version
+    version: messages.Version
     subscribed: bool = False  # whether it gets only what it has subscribed to
     subscriptions: set[str] = field(default_factory=set)
 
@@ -225,7 +205,7 @@ class NatNetServer:
         self,
         bodies: Bodies,
         rate: float = 240.0,
-        version: Version = (4, 1),
+        version: messages.Version = (4, 1),
         address: Address = ("127.0.0.1", 0),
         multicast: Address | None = None,
         faults: Mapping[str, float] | None = None,
@@ -254,12 +234,12 @@ class NatNetServer:
             self._socket.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_LOOP, 1)
         self._network = FaultyNetwork(self._socket, self._faults, network_rng)
         self._answers: dict[int, Callable[[bytes, Address, float], None]] = {
-            CONNECT: self._connect,
-            REQUEST: self._request,
-            REQUEST_MODELDEF: self._send_models,
-            KEEPALIVE: lambda payload, client, now: None,
-            ECHOREQUEST: self._echo,
-            DISCONNECT: self._disconnect,
+            messages.CONNECT: self._connect,
+            messages.REQUEST: self._request,
+            messages.REQUEST_MODELDEF: self._send_models,
+            messages.KEEPALIVE: lambda payload, client, now: None,
+            messages.ECHOREQUEST: self._echo,
+            messages.DISCONNECT: self._disconnect,
         }
         self._restarts = self._faults.get("mocap.restart", 0.0)
         self._restart(clocks.monotonic())
@@ -310,7 +290,7 @@ class NatNetServer:
     def _listen(self) -> None:
         for _ in range(64):
             try:
-                datagram, client = self._socket.recvfrom(LARGEST_DATAGRAM)
+                datagram, client = self._socket.recvfrom(messages.LARGEST_DATAGRAM)
             except BlockingIOError:
                 return
             except OSError:  # a client that is gone
@@ -318,15 +298,15 @@ class NatNetServer:
             if self._faults.get("mocap.unplugged", 0.0):
                 continue
             try:
-                message, payload = split_datagram(datagram)
-            except MalformedDatagram:
+                message, payload = messages.split_datagram(datagram)
+            except messages.MalformedDatagram:
                 continue
             now = clocks.monotonic()
             if client in self._clients:
                 self._clients[client].heard = now
             answer = self._answers.get(message)
             if answer is None:
-                self._network.send(Message.of(UNRECOGNIZED), client)
+                self._network.send(encoding.Message.of(messages.UNRECOGNIZED), client)
             else:
                 answer(payload, client, now)
 
@@ -338,10 +318,10 @@ class NatNetServer:
         if self._multicast is None:
             self._clients[client] = known
         group, port = self._multicast or ("", 1511)
-        info = ServerInfo(
+        info = messages.ServerInfo(
             "simulated Motive", (3, 1, 0, 0), self._version, CLOCK, port, bool(group), group
         )
-        self._network.send(encode_server_info(info), client)
+        self._network.send(encoding.encode_server_info(info), client)
 
     def _disconnect(self, payload: bytes, client: Address, now: float) -> None:
         self._clients.pop(client, None)
@@ -349,20 +329,24 @@ class NatNetServer:
     def _echo(self, payload: bytes, client: Address, now: float) -> None:
         if len(payload) >= 8:
             reply = payload[:8] + pack("<Q", self._ticks(now))
-            self._network.send(Message.of(ECHORESPONSE, reply), client)
+            self._network.send(encoding.Message.of(messages.ECHORESPONSE, reply), client)
 
     def _send_models(self, payload: bytes, client: Address, now: float) -> None:
         known = self._clients.get(client)
         version = known.version if known else self._version
         definitions = self._scene.definitions(now)
-        self._network.send(encode_model_definitions(definitions, version), client)
+        self._network.send(encoding.encode_model_definitions(definitions, version), client)
 
     def _request(self, payload: bytes, client: Address, now: float) -> None:
         text = payload.partition(b"\0")[0].decode("utf-8", "replace")
         self.commands.append(text)
         name, _, argument = text.partition(",")
         reply = self._obey(name, argument, self._clients.get(client))
-        message = Message.of(UNRECOGNIZED) if reply is None else Message.of(RESPONSE, reply)
+        message = (
+            encoding.Message.of(messages.UNRECOGNIZED)
+            if reply is None
+            else encoding.Message.of(messages.RESPONSE, reply)
+        )
         self._network.send(message, client)
 
     def _obey(self, name: str, argument: str, client: _Client | None) -> bytes | None:
@@ -412,10 +396,12 @@ class NatNetServer:
         ticks = (self._ticks(moment), self._ticks(moment + 0.5 * _LATENCY), self._ticks(now))
         content = self._scene.content(moment, self._number, ticks, self.recording)
         for address, client in targets.items():
-            self._network.send(encode_frame(_subscribed(content, client), client.version), address)
+            self._network.send(
+                encoding.encode_frame(_subscribed(content, client), client.version), address
+            )
 
 
-def _subscribed(content: Content, client: _Client) -> Content:
+def _subscribed(content: encoding.Content, client: _Client) -> encoding.Content:
     """What of a frame a client gets."""
     if not client.subscribed:
         return content

@@ -1,0 +1,67 @@
+"""The paper's pipeline on a trial, and its figures beside the printed ones."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from socket_testbed.api.models import check_thetas, fit, pareto
+from socket_testbed.api.trials import PathLike, Progress
+from socket_testbed.identification.published import PUBLISHED_FRAMES, beside_published
+from socket_testbed.settings.identification import PAPER_VARIANTS
+from socket_testbed.trials.segment import Segment
+from socket_testbed.trials.trial import Trial
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+
+def paper(
+    trial: Trial,
+    segment: str | Segment = "plateau",
+    *,
+    thetas: int = 101,
+    params: PathLike | None = None,
+    progress: Progress | None = None,
+    **choices: Any,
+) -> pd.DataFrame:
+    """Run the paper's pipeline: both stages, without and with offsets, and the front over theta.
+
+    Unless they are given, the first 1000 samples of the segment and raw weights are taken; other
+    settings are those of `fit`, whose defaults are the paper's where known. See docs/paper.md.
+
+    Args:
+        trial: The trial.
+        segment: The segment, or its specification.
+        thetas: Number of values of theta from 0 to 1.
+        params: As in `fit`.
+        progress: See `Progress`.
+        choices: Settings as in `fit`, but for `variant`.
+
+    Returns:
+        A row per figure of the paper, see `beside_published`; its `attrs` name the segment, the
+        number of samples in the objective, and the settings.
+
+    Raises:
+        TestbedError: As `fit` and `pareto`.
+
+    >>> found = st.paper(st.open_trial("trials/hold"), thetas=5)
+    >>> found.loc["RMSE of Mx [N m]", "the paper"].tolist()
+    [3.99, 0.95]
+    """
+    given = {name: value for name, value in choices.items() if value is not None}
+    chosen = {"weights": "raw", "frames": PUBLISHED_FRAMES, **given}
+    check_thetas(thetas)
+    fits = {v: fit(trial, segment, params=params, variant=v, **chosen) for v in PAPER_VARIANTS}
+    fronts = pareto(
+        trial, segment, thetas=thetas, params=params, progress=progress, **chosen
+    ).fronts
+    errors = {variant: found.fit.errors for variant, found in fits.items()}
+    last = fits[PAPER_VARIANTS[-1]]
+    rows, settings = trial.samples()[last.segment.rows], last.fit.settings
+    table = beside_published(errors, fronts, rows, settings)
+    table.attrs |= {
+        "segment": str(last.segment),
+        "samples": last.fit.samples,
+        "settings": settings.to_flat(),
+    }
+    return table

@@ -1,1 +1,0 @@
-"""Trials, models or sockets side by side."""

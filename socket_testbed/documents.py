@@ -1,0 +1,371 @@
+"""Documents: YAML and JSON files, checked against types that declare their fields."""
+
+from __future__ import annotations
+
+import re
+import sys
+from collections.abc import Collection, Iterable
+from pathlib import Path
+from typing import Annotated, Any, TypeAlias, TypeVar
+
+import msgspec
+import yaml
+from msgspec import Meta, inspect
+
+from socket_testbed.errors import ConfigurationError, closest
+
+T = TypeVar("T")
+Text: TypeAlias = str | int | float  # YAML reads a name such as 12 as a number
+FINITE = sys.float_info.max
+
+_LARGEST_DOCUMENT = 2**24  # [bytes]
+_MOST_VALUES = 200_000  # of a YAML document, aliases counted as what they stand for
+_DEEPEST = 50  # [levels]; the C parser of YAML overruns its stack at some ten thousand
+_SHOWN = 60  # [characters] of a value in an error
+
+
+class Document(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
+    """A mapping of a document, declared by its fields: their names, types and ranges."""
+
+
+class FieldError(ValueError):
+    """Raised by `__post_init__` of a `Document`; `convert` adds the file and the mapping's name.
+
+    Args:
+        fact: What is wrong.
+        hint: What to do about it.
+    """
+
+    def __init__(self, fact: str, hint: str) -> None:
+        super().__init__(fact, hint)
+
+
+def read_document(path: Path, kind: type[T]) -> T:
+    """Read a YAML file; an empty one is an empty mapping.
+
+    Raises:
+        ConfigurationError: If the file is missing or unreadable, or a field is wrong.
+    """
+    data = load_yaml(path)
+    return convert({} if data is None else data, kind, str(path))
+
+
+def convert(data: Any, kind: type[T], where: str = "", strict: bool = True) -> T:
+    """Check data against a type.
+
+    Args:
+        data: The content of a file, or a value.
+        kind: A `Document`, or another type that msgspec knows.
+        where: What names the data in an error: the file and the field.
+        strict: Whether a text such as `1e-8` is refused where a number belongs.
+
+    Raises:
+        ConfigurationError: If a field is missing or unknown, or has a wrong type, shape or range.
+    """
+    try:
+        return msgspec.convert(data, kind, strict=strict)
+    except msgspec.ValidationError as error:
+        raise _explained(error, data, kind, where, strict) from None
+
+
+def check_number(value: Any, where: str, low: float = -FINITE, high: float = FINITE) -> float:
+    """A finite number within [low, high]; whole numbers count as numbers.
+
+    Raises:
+        ConfigurationError: Otherwise, naming `where`.
+    """
+    kind: Any = Annotated[float, Meta(ge=low, le=high)]
+    number: float = convert(plain(value), kind, where)
+    return number
+
+
+def refuse_unknown(keys: Iterable[str], known: Collection[str], where: str) -> None:
+    """Refuse a key that is not known.
+
+    Raises:
+        ConfigurationError: With the likely key.
+    """
+    for key in keys:
+        if key not in known:
+            raise ConfigurationError(f"{where}: unknown key '{key}'", closest(key, known))
+
+
+def plain(value: Any) -> Any:
+    """A value with numbers and arrays of numpy as numbers and lists of Python."""
+    if isinstance(value, list | tuple):
+        return [plain(each) for each in value]
+    return value.tolist() if hasattr(value, "tolist") else value
+
+
+# --- errors
+
+
+def _explained(
+    error: msgspec.ValidationError, data: Any, kind: Any, where: str, strict: bool
+) -> ConfigurationError:
+    """The error for a person: msgspec names the place, its type tells what belongs there."""
+    value, expected = data, _chosen(inspect.type_info(kind), data)
+    place = str(error).rpartition(" - at `$")[2] if " - at `$" in str(error) else ""
+    for name, index in re.findall(r"\.(\w+)|\[(\d+|\.\.\.)\]", place):
+        if index.isdecimal():
+            step: Any = int(index)
+            where = f"{where}[{index}]"
+        else:
+            step = name or _wrong_key(error, data, value, kind, strict)
+            where = f"{where}: {step}" if where else step
+        value = value[step]
+        expected = _chosen(_below(expected, step), value)
+    if isinstance(error.__cause__, FieldError):
+        fact, hint = error.__cause__.args
+        return ConfigurationError(f"{where}: {fact}", hint)
+    if isinstance(expected, _OF_FIELDS) and isinstance(value, dict):
+        refuse_unknown(value, [field.encode_name for field in expected.fields], where)
+        for field in expected.fields:
+            if field.required and field.encode_name not in value:
+                key = field.encode_name
+                return ConfigurationError(f"{where}: '{key}' is missing", f"add '{key}: ...'")
+    return ConfigurationError(f"{where} is {shown(value)}", _hint(expected, value))
+
+
+def _wrong_key(
+    error: msgspec.ValidationError, data: Any, mapping: dict[str, Any], kind: Any, strict: bool
+) -> str:
+    """The key of a wrong entry: msgspec names fields, not the keys of other mappings."""
+    entries = dict(mapping)
+    try:
+        for key, value in entries.items():
+            mapping.clear()
+            mapping[key] = value
+            try:
+                msgspec.convert(data, kind, strict=strict)
+            except msgspec.ValidationError as again:
+                if str(again) == str(error):
+                    return key
+    finally:
+        mapping.clear()
+        mapping.update(entries)
+    raise AssertionError(str(error))
+
+
+_OF_FIELDS = (inspect.StructType, inspect.DataclassType)
+_OF_MAPPINGS = (*_OF_FIELDS, inspect.DictType)
+_OF_NUMBERS = (inspect.FloatType, inspect.IntType)
+_OF_LISTS = (inspect.ListType, inspect.TupleType, inspect.VarTupleType)
+
+
+def _chosen(expected: inspect.Type, value: Any) -> inspect.Type:
+    """The type of a union that a mapping or a list is to be; any other type itself."""
+    kinds = _OF_MAPPINGS if isinstance(value, dict) else _OF_LISTS
+    if not isinstance(value, dict | list):
+        return expected
+    types = getattr(expected, "types", (expected,))
+    return next((each for each in types if isinstance(each, kinds)), expected)
+
+
+def _below(expected: Any, step: str | int) -> inspect.Type:
+    """The type of a field, an entry or an item."""
+    if isinstance(expected, _OF_FIELDS):
+        return next(each.type for each in expected.fields if each.encode_name == step)
+    if isinstance(expected, inspect.TupleType):
+        return expected.item_types[int(step)]
+    item: inspect.Type = getattr(expected, "value_type", None) or expected.item_type
+    return item
+
+
+def _hint(expected: Any, value: Any) -> str:
+    """What belongs there."""
+    if isinstance(expected, inspect.Metadata):
+        about = (expected.extra_json_schema or {}).get("description", "")
+        return f"{_hint(expected.type, value)}: {about}"
+    if isinstance(expected, inspect.LiteralType):
+        return closest(str(value), [str(each) for each in expected.values])
+    types = getattr(expected, "types", (expected,))
+    if any(isinstance(each, inspect.StrType) for each in types):  # a `Text`
+        types = [each for each in types if not isinstance(each, _OF_NUMBERS)]
+    return f"give {' or '.join(filter(None, map(_named, types)))}"
+
+
+def _named(expected: Any) -> str:
+    """A type in words."""
+    if isinstance(expected, _OF_NUMBERS):
+        number = "a number" if isinstance(expected, inspect.FloatType) else "a whole number"
+        low, high = expected.ge, expected.le
+        if low is None or high is None or high - low > FINITE:
+            return f"{number} that is finite"
+        return f"{number} from {low:g} to {high:g}"
+    if isinstance(expected, inspect.TupleType):
+        below = expected.item_types[0]
+        inner = f" lists of {len(below.item_types)}" if isinstance(below, type(expected)) else ""
+        return f"a list of {len(expected.item_types)}{inner}"
+    if high := getattr(expected, "max_length", None):
+        low = expected.min_length
+        return f"a list of {high}" if low == high else f"a list of {low} to {high}"
+    return _WORDS.get(type(expected), "'key: value' lines")
+
+
+_WORDS: dict[Any, str] = {
+    inspect.StrType: "a text, in quotes",
+    inspect.BoolType: "true or false",
+    inspect.DateTimeType: "a date and time with its zone",
+    inspect.ListType: "a list",
+    inspect.VarTupleType: "a list",
+    inspect.NoneType: "",
+}
+
+
+def shown(value: Any) -> str:
+    """A value of a file as an error shows it."""
+    if value is None:
+        return "empty"
+    if isinstance(value, dict):
+        return "a mapping" if value else "an empty mapping"
+    if isinstance(value, list | tuple):
+        return f"a list of {len(value)}"
+    text = str(value)
+    text = text if len(text) <= _SHOWN else f"{text[:_SHOWN]}..."
+    return f"'{text}'" if isinstance(value, str) else text
+
+
+# --- YAML
+
+
+class _Loader(getattr(yaml, "CSafeLoader", yaml.SafeLoader)):  # type: ignore[misc]
+    """YAML with numbers as in 1.2 and no dates; a key is a text and occurs once."""
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[str, Any]:
+        """A mapping."""
+        mapping: dict[str, Any] = {}
+        for key, value in node.value:
+            if not isinstance(key, yaml.ScalarNode):
+                raise _fault("a key is not a word", key)
+            if key.value in mapping:
+                raise _fault(f"the key {shown(key.value)} is repeated", key)
+            mapping[key.value] = self.construct_object(value, deep=True)
+        return mapping
+
+
+_Loader.yaml_implicit_resolvers = {
+    first: [each for each in resolvers if each[0].rpartition(":")[2] in {"bool", "null"}]
+    for first, resolvers in _Loader.yaml_implicit_resolvers.items()
+}
+for _kind, _pattern in {
+    "int": r"[-+]?(0|[1-9][0-9]{0,18})$",  # 1:30, 010 and 1_000 are texts
+    "float": r"[-+]?([0-9]+\.[0-9]*|\.[0-9]+)([eE][-+]?[0-9]+)?$|[-+]?[0-9]+[eE][-+]?[0-9]+$"
+    r"|[-+]?\.(inf|Inf|INF)$|\.(nan|NaN|NAN)$",
+}.items():
+    _tag = f"tag:yaml.org,2002:{_kind}"
+    _Loader.add_implicit_resolver(_tag, re.compile(_pattern), list("-+.0123456789"))
+
+
+def load_yaml(path: Path) -> Any:
+    """Read a YAML file; what it takes of memory and time is bounded.
+
+    Raises:
+        ConfigurationError: If the file is missing, unreadable, not YAML, too large or too deep.
+    """
+    text = read_text(path)
+    try:
+        _refuse_bombs(text)
+        return yaml.load(text, Loader=_Loader)
+    except (yaml.YAMLError, ValueError) as error:
+        mark = getattr(error, "problem_mark", None)
+        line = f" at line {mark.line + 1}" if mark else ""
+        problem = getattr(error, "problem", None) or "not YAML"
+        raise ConfigurationError(f"{path}: {problem}{line}", "correct the YAML there") from None
+
+
+def _refuse_bombs(text: str) -> None:
+    """Refuse a YAML text that is deep, has tags, or whose aliases stand for very much."""
+    if re.search("^%TAG", text, re.MULTILINE):  # the C parser compares each with all before it
+        raise yaml.MarkedYAMLError(None, None, "holds a directive %TAG", None)
+    above: list[tuple[str | None, int]] = []  # anchor, values before it
+    sizes: dict[str | None, int] = {}  # [values] of what an anchor names
+    values = 0
+    for event in yaml.parse(text, Loader=_Loader):
+        if isinstance(event, yaml.CollectionEndEvent):
+            anchor, before = above.pop()
+            sizes[anchor] = values - before
+        elif isinstance(event, yaml.AliasEvent):
+            if event.anchor not in sizes:
+                raise _fault("an alias stands for nothing before it", event)
+            values += sizes[event.anchor]
+        elif isinstance(event, yaml.NodeEvent):
+            if event.tag is not None:  # type: ignore[attr-defined]
+                raise _fault("tags are not supported", event)
+            if isinstance(event, yaml.CollectionStartEvent):
+                above.append((event.anchor, values))
+            else:
+                sizes[event.anchor] = 1
+            values += 1
+        if len(above) > _DEEPEST:
+            raise _fault("lists or mappings are too deep", event)
+        if values > _MOST_VALUES:
+            raise _fault(f"holds more than {_MOST_VALUES} values", event)
+
+
+def _fault(problem: str, place: Any) -> yaml.MarkedYAMLError:
+    return yaml.MarkedYAMLError(None, None, problem, place.start_mark)
+
+
+# --- JSON and text
+
+
+def load_json(path: Path, kind: str) -> Any:
+    """Read a JSON file; every number in it is finite.
+
+    Args:
+        path: The file.
+        kind: What it is, for an error, such as `a model`.
+
+    Raises:
+        ConfigurationError: If the file is missing, unreadable, not JSON, too large or too deep.
+    """
+    try:
+        return msgspec.json.decode(read_text(path, kind))
+    except (RecursionError, msgspec.DecodeError) as error:
+        raise ConfigurationError(f"{path}: is not {kind} ({error})", "make it again") from None
+
+
+def read_text(path: Path, kind: str = "a file", largest: int = _LARGEST_DOCUMENT) -> str:
+    """Read a document of UTF-8 text.
+
+    Args:
+        path: The file.
+        kind: What it is, for an error, such as `a model`.
+        largest: A larger file is refused [bytes].
+
+    Raises:
+        ConfigurationError: If the file is missing, unreadable, too large or no such text.
+    """
+    try:
+        with path.open("rb") as stream:
+            content = stream.read(largest + 1)
+        if len(content) > largest:
+            raise ValueError(f"larger than {largest // 2**20} MiB")
+        return content.decode("utf-8-sig")
+    except FileNotFoundError:
+        missing = f"no such {kind.removeprefix('a ')}"
+        raise ConfigurationError(f"{path}: {missing}", "check the path") from None
+    except UnicodeDecodeError:
+        what = "UTF-8 text" if kind == "a file" else f"{kind} (not UTF-8 text)"
+        raise ConfigurationError(f"{path}: is not {what}", "save it as text in UTF-8") from None
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise ConfigurationError(
+            f"{path}: cannot be read ({reason})", f"check that it is {kind}"
+        ) from None
+
+
+_DECIMAL = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?", flags=re.ASCII)
+
+
+def decimal(text: str) -> float:
+    """A finite number from its decimal digits; not from nan, 1_000 or the digits of other scripts.
+
+    Raises:
+        ValueError: If the text is no such number.
+    """
+    number = float(text) if _DECIMAL.fullmatch(text) else float("nan")
+    if not abs(number) <= FINITE:
+        raise ValueError(f"{shown(text)} is not a number")
+    return number

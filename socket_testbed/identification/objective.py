@@ -1,0 +1,294 @@
+r"""The channels of a fit and their weights.
+
+The objective of both stages is
+
+.. math:: \theta J_w + (1 - \theta) J_f + \lambda J_s
+
+with J_w and J_f the weighted squares of the wrench's and the clusters' errors, and J_s the mean
+square difference between neighbouring tiles, divided by the expected difference. See
+docs/identification.md and `problem`. The setting `weights` names what weighs the channels:
+
+- `size`: J_w and J_f are means over their channels of the mean square error, divided by the mean
+  square of its group of channels (moments, forces, cluster forces): newton metres and newtons
+  count alike;
+- `noise`: every channel is weighed by 1 / (noise^2 + e^2) with its `channel_noise` and an error e
+  for what no spring bed explains: `MODEL_ERROR` of the RMS force, for a moment at the root mean
+  square distance of the tiles. A common factor of each group makes predicting zero cost 1, as
+  with `size`;
+- `raw`: sums of squares in N^2 and (N m)^2 as the paper prints them, with one common factor that
+  makes predicting zero cost 2 in J_w + J_f, as with `size`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from socket_testbed.arrays import BoolArray, FloatArray, rms
+from socket_testbed.errors import ConfigurationError, IdentificationError, closest
+from socket_testbed.geometry.socket import SocketGeometry
+from socket_testbed.identification.noise import (
+    ChannelNoise,
+    channel_noise,
+    smooth_poses,
+)
+from socket_testbed.identification.plausibility import (
+    LEAST_FORCE,
+    LEAST_MOMENT,
+    MOST_OUTLIERS,
+    find_outliers,
+    outlier_notes,
+    require_load,
+    require_units,
+    without_outliers,
+)
+from socket_testbed.samples import LOCAL_CHANNELS, WRENCH_CHANNELS, Samples
+from socket_testbed.settings.identification import IdentificationSettings
+
+MODEL_ERROR = 0.01  # [-]; of the RMS of the forces
+
+_GROUPS = (slice(0, 3), slice(3, 6))  # moments, forces
+_JITTER = 1e-12  # [-]; keeps a factorisation of a flat problem defined
+LEAST_SAMPLES = 12  # [1]; 3 s at the trigger's default rate
+
+
+@dataclass(frozen=True)
+class ClusterChannel:
+    """One channel of a cluster's force that is in the objective.
+
+    Attributes:
+        cluster: Name of the cluster.
+        point: Index of its point of interest.
+        axis: Axis of the cluster's frame: 0, 1, 2.
+        direction: That axis in {S}, shape (3,) [-].
+        rows: Samples in which the channel was measured, shape (N,).
+        force: The measured force in those samples [N].
+        weight: Weight of its mean square error in a `Problem` [1/N^2].
+    """
+
+    cluster: str
+    point: int
+    axis: int
+    direction: FloatArray
+    rows: BoolArray
+    force: FloatArray
+    weight: float = 0.0
+
+
+@dataclass(frozen=True)
+class Objective:
+    """The samples of a fit with the weight of each channel, on a socket, by its settings.
+
+    Attributes:
+        geometry: Geometry of the socket.
+        settings: Settings of the identification.
+        samples: The N samples that are used, without outliers, their poses averaged if asked.
+        wrench: Measured wrenches, zero where a channel does not count, shape (N, 6)
+            [N m, N].
+        wrench_counts: Channels of the wrench that are in the objective, shape (6,).
+        wrench_shares: Weight of each squared wrench error in J_w, zero where it does not
+            count, shape (6,) [1/(N m)^2, 1/N^2].
+        channels: Channels of the clusters in the objective.
+        channel_shares: Weight of each channel's squared error in J_f, shape (m,) [1/N^2].
+    """
+
+    geometry: SocketGeometry
+    settings: IdentificationSettings
+    samples: Samples
+    wrench: FloatArray
+    wrench_counts: BoolArray
+    wrench_shares: FloatArray
+    channels: tuple[ClusterChannel, ...]
+    channel_shares: FloatArray
+
+    @property
+    def position(self) -> FloatArray:
+        """Limb positions q, shape (N, 3) [m]."""
+        return self.samples.position
+
+    @property
+    def wrench_weights(self) -> FloatArray:
+        """Weight of each squared wrench error, shape (6,) [1/(N m)^2, 1/N^2]."""
+        return self.settings.theta * self.wrench_shares
+
+    @property
+    def channel_weights(self) -> FloatArray:
+        """Weight of each cluster channel's squared error, shape (m,) [1/N^2]."""
+        return (1.0 - self.settings.theta) * self.channel_shares
+
+    def with_settings(self, **changes: Any) -> Objective:
+        """The same samples with another theta, smoothness or variant."""
+        return replace(self, settings=replace(self.settings, **changes))
+
+
+def check_channels(leave_out: tuple[str, ...], names: tuple[str, ...]) -> None:
+    """Check that every name is a channel.
+
+    Raises:
+        ConfigurationError: With the likely name.
+    """
+    for name in leave_out:
+        if name not in names:
+            raise ConfigurationError(f"leave_out: no channel '{name}'", closest(name, names))
+
+
+def _usable_rows(samples: Samples, wrench_counts: BoolArray) -> BoolArray:
+    """Samples with a limb position and every wrench channel that counts, shape (N,).
+
+    Raises:
+        IdentificationError: If fewer than `LEAST_SAMPLES` are left, naming what is missing.
+    """
+    position = np.isfinite(samples.position).all(axis=1)
+    measured = np.isfinite(samples.wrench)
+    dead = wrench_counts & ~measured.any(axis=0) & (len(samples) > 0)
+    for channel in np.flatnonzero(dead).tolist():
+        name = WRENCH_CHANNELS[channel]
+        raise IdentificationError(
+            f"{name} of the load cell has no value in any of the {len(samples)} samples",
+            f"leave it out of the objective (--leave-out {name}) or check the load cell",
+        )
+    rows = np.asarray(position & (measured | ~wrench_counts).all(axis=1))
+    if rows.sum() < LEAST_SAMPLES:
+        raise IdentificationError(
+            f"only {int(rows.sum())} of {len(samples)} samples have a limb position"
+            f" ({int(position.sum())}) and a wrench, and a fit needs {LEAST_SAMPLES}",
+            "check the markers and the load cell with 'info', or give another segment",
+        )
+    return rows
+
+
+def _without_outliers(
+    samples: Samples, geometry: SocketGeometry, leave_out: tuple[str, ...]
+) -> Samples:
+    outliers = find_outliers(samples, geometry, leave_out)
+    count = int(outliers.rows.sum())
+    if count > MOST_OUTLIERS * len(samples):
+        raise IdentificationError(
+            f"{count} of {len(samples)} samples are outliers:"
+            f" {'; '.join(outlier_notes(samples, outliers))}",
+            "check these channels, leave them out (--leave-out), or give another segment",
+        )
+    return without_outliers(samples, outliers)
+
+
+def build_objective(
+    samples: Samples, geometry: SocketGeometry, settings: IdentificationSettings
+) -> Objective:
+    """Choose, check and normalise the channels of a fit.
+
+    Args:
+        samples: Samples; those without a wrench or a limb position are passed over, and so are
+            outliers (see `plausibility`).
+        geometry: Geometry of the socket.
+        settings: Settings of the identification.
+
+    Raises:
+        ConfigurationError: For an unknown channel or cluster.
+        IdentificationError: If there are too few samples, no value in a channel that counts, no
+            load, many outliers, or sizes that no limb in a socket gives.
+    """
+    check_channels(settings.leave_out, samples.channels)
+    counts = np.array([name not in settings.leave_out for name in samples.channels])
+    wrench_counts, cluster_counts = counts[:6], counts[6:].reshape(-1, 3)
+    _usable_rows(samples, wrench_counts)
+    require_units(samples, geometry, settings.leave_out)
+    samples = _without_outliers(samples, geometry, settings.leave_out)
+    noise = channel_noise(samples) if settings.weights == "noise" else None
+    samples = smooth_poses(samples, settings.pose_smoothing)
+    samples = samples[_usable_rows(samples, wrench_counts)]
+    require_load(samples, wrench_counts)
+    wrench = np.where(wrench_counts, samples.wrench, 0.0)
+    channels = _cluster_channels(samples, geometry, cluster_counts)
+    if not wrench_counts.any() and not channels:
+        raise IdentificationError("every channel is left out", "leave fewer channels out")
+
+    wrench_shares, channel_shares = _shares(
+        samples, geometry, settings.weights, wrench_counts, channels, noise
+    )
+    return Objective(
+        geometry=geometry,
+        settings=settings,
+        samples=samples,
+        wrench=wrench,
+        wrench_counts=wrench_counts,
+        wrench_shares=wrench_shares,
+        channels=channels,
+        channel_shares=channel_shares,
+    )
+
+
+def _cluster_channels(
+    samples: Samples, geometry: SocketGeometry, counts: BoolArray
+) -> tuple[ClusterChannel, ...]:
+    channels = []
+    for column, cluster in enumerate(samples.clusters):
+        if cluster not in geometry.clusters:
+            raise ConfigurationError(
+                f"cluster '{cluster}' of the samples is on no tile of the socket",
+                closest(cluster, geometry.clusters),
+            )
+        point = geometry.clusters[cluster]
+        for axis in np.flatnonzero(counts[column]).tolist():
+            force = samples.trusted_forces[:, column, axis]
+            rows = np.isfinite(force)
+            if rows.sum() < 2:
+                names = [f"{cluster}.{LOCAL_CHANNELS[a]}" for a in np.flatnonzero(counts[column])]
+                raise IdentificationError(
+                    f"{cluster}.{LOCAL_CHANNELS[axis]} has no usable value in any of the"
+                    f" {len(samples)} samples",
+                    f"check the cluster or leave it out (--leave-out {' '.join(names)})",
+                )
+            direction = geometry.rotations[point][:, axis]
+            channels.append(ClusterChannel(cluster, point, axis, direction, rows, force[rows]))
+    return tuple(channels)
+
+
+def _shares(
+    samples: Samples,
+    geometry: SocketGeometry,
+    weights: str,
+    wrench_counts: BoolArray,
+    channels: tuple[ClusterChannel, ...],
+    noise: ChannelNoise | None,
+) -> tuple[FloatArray, FloatArray]:
+    """Weights of the channels' squared errors: see this module.
+
+    Args:
+        samples: Samples of the fit.
+        geometry: Geometry of the socket.
+        weights: What weighs the channels.
+        wrench_counts: Channels of the wrench that are in the objective, shape (6,).
+        channels: The m channels of the clusters in the objective.
+        noise: Noise of every channel, for the weights `noise`.
+
+    Returns:
+        Those of the wrench, shape (6,) [1/(N m)^2, 1/N^2], and of the clusters, shape (m,) [1/N^2].
+    """
+    least = np.repeat([LEAST_MOMENT, LEAST_FORCE], 3)
+    power = np.where(wrench_counts, (samples.wrench**2).mean(axis=0), 0.0)
+    local_power = np.array([np.mean(channel.force**2) for channel in channels])
+    if weights == "raw":
+        factor = 2.0 / max(power.sum() + local_power.sum(), LEAST_FORCE**2)
+        return factor * wrench_counts, np.full(len(channels), factor)
+
+    # The mean square of each channel's group, which is at least that of the smallest group.
+    moment, force = (
+        max(power[g].sum() / max(wrench_counts[g].sum(), 1), least[g][0] ** 2) for g in _GROUPS
+    )
+    local = max(rms(np.concatenate([c.force for c in channels] or [np.zeros(1)])), LEAST_FORCE)
+    if noise is None:
+        shares = wrench_counts / np.repeat([moment, force], 3)
+        local_shares = np.full(len(channels), 1.0 / local**2)
+        return shares / max(wrench_counts.sum(), 1), local_shares / max(len(channels), 1)
+
+    lever = rms(np.linalg.norm(geometry.anchors, axis=1))
+    model_error = MODEL_ERROR**2 * force * np.repeat([lever**2, 1.0], 3)
+    shares = wrench_counts / (np.nan_to_num(noise.wrench) ** 2 + model_error)
+    places = [(samples.clusters.index(c.cluster), c.axis) for c in channels]
+    deviations = np.array([noise.local_forces[place] for place in places])
+    local_shares = 1.0 / (np.nan_to_num(deviations) ** 2 + (MODEL_ERROR * local) ** 2)
+    zero = max(shares @ power, shares @ least**2, _JITTER)
+    local_zero = max(local_shares @ local_power, local_shares.sum() * LEAST_FORCE**2, _JITTER)
+    return shares / zero, local_shares / local_zero

@@ -1,0 +1,96 @@
+"""The joint minimum over all parameters of a problem whose law is refined."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from socket_testbed.arrays import FloatArray
+from socket_testbed.identification.box_qp import (
+    BoxQP,
+    BoxSolution,
+    is_definite,
+    pivot,
+    solve_cold,
+)
+from socket_testbed.identification.problem import Problem
+
+_STEPS = 100
+_DAMPING = 1e-2  # [-]; of the first step, against the mean curvature
+_ROUNDING = 1e-13  # [-]; of the objective's value
+_FLAT = 1e-10  # [-]; least pivot of a step's program
+
+
+def refine(
+    problem: Problem, x: FloatArray, solver: str, tolerance: float
+) -> tuple[FloatArray, BoxSolution]:
+    """Minimise the joint objective over all parameters, from a start on.
+
+    Each step minimises a quadratic model of the objective in the bounds: its gradient with the
+    Hessian where that is definite, else with the Gauss-Newton matrix, damped after Levenberg and
+    Marquardt (Nielsen's rule: Madsen, Nielsen & Tingleff, Methods for Non-Linear Least Squares
+    Problems, 3.2). A step that does not lower the objective is taken back and damped more. The
+    solver gives the first step; the next ones start from the active set of the last.
+
+    Args:
+        problem: The objective.
+        x: Start, shape (6, n) [-].
+        solver: Any solver that qpsolvers finds.
+        tolerance: Largest residual of the certificate [-].
+
+    Returns:
+        The minimum with its certificate. Where the noise of the poses leaves a long flat valley,
+        the last and best point after `_STEPS` steps, which says so.
+    """
+    shape, prior = x.shape, problem.prior
+    lower, upper = problem.lower.reshape(-1), problem.upper.reshape(-1)
+    damping, growth, terms = _DAMPING, 2.0, problem.evaluate(x)
+    first: BoxSolution | None = None
+    exchanges = 0
+    for done in range(_STEPS + 1):
+        here = x.reshape(-1)
+        hessian = terms.gauss_newton + prior
+        factor = len(hessian) / float(np.trace(hessian))
+        local = _quadratic(hessian, terms.gradient, here, lower, upper, factor)
+        certificate = local.certificate(here)
+        if certificate.worst <= tolerance or done == _STEPS:
+            break
+        ridge = damping / factor * np.eye(len(hessian))
+        # A stiffness that is held at its bound does not move: its curvature does not count.
+        free = (here > lower) | (terms.gradient <= 0.0)
+        exact = hessian + np.where(np.outer(free, free), terms.curvature, 0.0)
+        if is_definite(factor * (exact + ridge), _FLAT):
+            hessian = exact
+        program = _quadratic(hessian + ridge, terms.gradient, here, lower, upper, factor)
+        found = pivot(program, here) if first else solve_cold(program, solver)
+        first, exchanges = first or found, exchanges + found.exchanges
+        step = found.x - here
+        expected = -float(terms.gradient @ step + 0.5 * step @ hessian @ step)
+        trial = (here + step).reshape(shape)
+        gained = terms.value - problem.value(trial)
+        if gained > 0.0 or abs(gained) <= _ROUNDING * terms.value:
+            x, terms = trial, problem.evaluate(trial)
+            ratio = min(gained / max(expected, _ROUNDING * terms.value), 1.0)
+            damping *= max(0.1, 1.0 - (2.0 * ratio - 1.0) ** 3)
+            growth = 2.0
+        else:
+            damping, growth = damping * growth, growth * 2.0
+    early = "" if certificate.worst <= tolerance else ", stopped early"
+    course = f"joint refinement in {done} steps{early}"
+    solved = first or BoxSolution(here, certificate, True)
+    return x, replace(
+        solved, x=here, certificate=certificate, determined=True, exchanges=exchanges, course=course
+    )
+
+
+def _quadratic(
+    hessian: FloatArray,
+    gradient: FloatArray,
+    x: FloatArray,
+    lower: FloatArray,
+    upper: FloatArray,
+    factor: float,
+) -> BoxQP:
+    q = factor * (gradient - hessian @ x)
+    return BoxQP(factor * hessian, q, lower, upper, "joint refinement")

@@ -1,0 +1,165 @@
+"""The trade-off between wrench and clusters: fronts of the paper's variants."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.axis import Axis
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator
+
+from socket_testbed.identification.pareto import (
+    KNEE,
+    SENSOR_ONLY,
+    WRENCH_ONLY,
+    Front,
+    front_table,
+)
+from socket_testbed.report.figures.style import (
+    DEFAULT_STYLE,
+    LINE_STYLES,
+    FigureStyle,
+    in_style,
+    lay_out,
+    style_axes,
+)
+from socket_testbed.report.page import Bullets, ReportFigure, Section, Table
+from socket_testbed.report.results import Results
+
+_MARKS: dict[str, dict[str, Any]] = {
+    SENSOR_ONLY: {"marker": "s", "markersize": 6},
+    KNEE: {"marker": "*", "markersize": 10},
+    WRENCH_ONLY: {"marker": "^", "markersize": 6},
+}
+_THETA = "\N{GREEK SMALL LETTER THETA}"
+_MEANINGS = {SENSOR_ONLY: f" ({_THETA} = 0)", KNEE: "", WRENCH_ONLY: f" ({_THETA} = 1)"}
+_HOLLOW: dict[str, Any] = {
+    "linestyle": "none",
+    "markerfacecolor": "white",
+    "markeredgewidth": 1.0,
+}
+_FAINT = 0.3  # opacity
+_MARGIN = 0.08  # [-]; around the solutions
+_LEAST_ERROR = 1e-8  # [-]; zero has no place on a logarithmic axis, and errors no more digits
+_WIDE = 5.0  # [-]; ratio of an axis' ends above which its numbers go by 1, 2, 5
+_WRENCH_LABEL = "wrench error \N{SQUARE ROOT}J_w [-]"
+_LOCAL_LABEL = "local error \N{SQUARE ROOT}J_f [-]"
+_HEIGHT = 0.62  # [-]; of the panel by its width
+
+
+def section(results: Results) -> Section:
+    """The section on the fronts, or why there are none."""
+    if not results.fronts:
+        return Section("fronts", "Pareto fronts", [f"None: {results.no_fronts}."])
+    fronts = [*results.fronts.values()]
+    figure = ReportFigure(
+        "pareto",
+        "Normalised error of the clusters against that of the wrench over theta; both are the"
+        " square roots of the terms of the objective, 1 stands for predicting zero. Dominated"
+        " solutions are faint.",
+        lambda style: pareto_figure(fronts, results.title("Trade-off"), style),
+        "Pareto fronts of the paper's variants with the sensor-only, knee, wrench-only solutions",
+        front_table(fronts),
+    )
+    verdicts = [f"{front.variant}: {front.knee.verdict}." for front in fronts]
+    return Section("fronts", "Pareto fronts", [Bullets(verdicts), figure, _marks(fronts)])
+
+
+def _marks(fronts: Iterable[Front]) -> Table:
+    rows = []
+    for front in fronts:
+        for name in (SENSOR_ONLY, KNEE, WRENCH_ONLY):
+            row: dict[str, Any] = {"variant": front.variant, "solution": name, "remark": "none"}
+            index = front.marks.get(name)
+            if index is not None:
+                row |= {
+                    "theta [-]": front.theta[index],
+                    "wrench error [-]": front.wrench_error[index],
+                    "local error [-]": front.local_error[index],
+                    "mean moment RMSE [N m]": front.moment_rmse[index],
+                    "mean force RMSE [N]": front.force_rmse[index],
+                    "median local RMSE [N]": front.local_rmse[index],
+                    "remark": "" if front.non_dominated[index] else "dominated",
+                }
+            rows.append(row)
+    frame = pd.DataFrame(rows).set_index("variant")
+    frame["remark"] = frame.pop("remark")  # the last column
+    formats = {"theta [-]": ".3g", "wrench error [-]": ".4g", "local error [-]": ".4g"}
+    return Table("marks", "The solutions that stand out on each front", frame, formats)
+
+
+@in_style
+def pareto_figure(
+    fronts: Iterable[Front], title: str, style: FigureStyle = DEFAULT_STYLE
+) -> Figure:
+    """Draw both normalised errors of every front on logarithmic axes: the roots of J_w and J_f.
+
+    Dominated solutions are faint; those with a flaw are not shown.
+
+    Args:
+        fronts: Fronts of the same samples, two at most.
+        title: What is shown.
+        style: How it is set.
+    """
+    columns = 2 if style.is_narrow else 3
+    figure = style.figure(_HEIGHT * style.width + 30.0 - 6.0 * columns)
+    style.add_title(figure, title)
+    axes = figure.subplots()
+    for front, line in zip(fronts, LINE_STYLES, strict=False):
+        _draw_front(axes, front, line)
+    _scale(axes)
+    style_axes(axes)
+    handles = [*axes.get_legend_handles_labels()[0], *_mark_legend()]
+    figure.legend(handles=handles, loc="outside lower center", ncols=columns)
+    return lay_out(figure)
+
+
+def _draw_front(axes: Axes, front: Front, style: dict[str, Any]) -> None:
+    kept = np.flatnonzero(front.non_dominated)
+    kept = kept[np.argsort(front.wrench_error[kept], kind="stable")]
+    dominated = front.sound & ~front.non_dominated
+    errors = np.maximum([front.wrench_error, front.local_error], _LEAST_ERROR)
+    colour = style["color"]
+    dots: dict[str, Any] = {"color": colour, "linestyle": "none", "marker": "o", "markersize": 3}
+    axes.plot(*errors[:, kept], label=_describe(front), **style)
+    axes.plot(*errors[:, kept], **dots)
+    axes.plot(*errors[:, dominated], alpha=_FAINT, markeredgewidth=0.0, **dots)
+    for name, index in front.marks.items():
+        axes.plot(*errors[:, [index]], color=colour, **_HOLLOW, **_MARKS[name])
+
+
+def _describe(front: Front) -> str:
+    knee = front.knee.index
+    bend = "no knee" if knee is None else f"knee at {_THETA} = {front.theta[knee]:.3g}"
+    return f"{front.variant}: {bend}"
+
+
+def _mark_legend() -> list[Line2D]:
+    dot: dict[str, Any] = {"linestyle": "none", "marker": "o", "markersize": 3, "color": "0.3"}
+    marks = [
+        Line2D([], [], color="0.3", label=name + _MEANINGS[name], **_HOLLOW, **shape)
+        for name, shape in _MARKS.items()
+    ]
+    return [*marks, Line2D([], [], alpha=_FAINT, label="dominated", **dot)]
+
+
+def _scale(axes: Axes) -> None:
+    axes.set_xscale("log")
+    axes.set_yscale("log")
+    axes.margins(_MARGIN)
+    axes.set_xlabel(_WRENCH_LABEL)
+    axes.set_ylabel(_LOCAL_LABEL)
+    _write_plain_numbers(axes.xaxis, axes.get_xlim())
+    _write_plain_numbers(axes.yaxis, axes.get_ylim())
+
+
+def _write_plain_numbers(axis: Axis, limits: tuple[float, float]) -> None:
+    wide = limits[1] / limits[0] > _WIDE
+    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)) if wide else MaxNLocator(6))
+    axis.set_major_formatter("{x:g}")
+    axis.set_minor_locator(NullLocator())

@@ -1,0 +1,243 @@
+"""Data quality: triggers, gaps, drop-outs, noise, and the plateaus of the trial."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+import pandas as pd
+from matplotlib.figure import Figure
+
+from socket_testbed.arrays import BoolArray, FloatArray, StatusArray
+from socket_testbed.identification.noise import channel_noise, noise_groups
+from socket_testbed.report.figures.style import (
+    THINNED,
+    FigureStyle,
+    in_style,
+    lay_out,
+    style_axes,
+    thin,
+)
+from socket_testbed.report.page import Bullets, Heading, ReportFigure, Section, Table, number
+from socket_testbed.report.results import Results
+from socket_testbed.samples import LOCAL_CHANNELS, WRENCH_CHANNELS, Samples, Status
+from socket_testbed.trials.segment import Segment
+
+_GAP = 1.5  # [-]; of the usual period
+_MOST_GAPS = 5  # in the list
+_LOAD, _DROP_OUTS, _DROP_OUTS_AXIS = 36.0, 4.5, 16.0  # [mm]
+_BINS = 400  # of the trial's time
+_FLAWS = {"saturated [1]": Status.SATURATED, "out of range [1]": Status.OUT_OF_RANGE}
+_CHOSEN, _OTHER = "0.80", "0.93"  # greys
+
+
+def section(results: Results) -> Section:
+    """The section on the data of a trial."""
+    samples, limits = results.samples, results.settings.plateau
+    gaps = find_gaps(samples.time)
+    listed = [f"{length:.3f} s from {start:.2f} s" for start, length in gaps[:_MOST_GAPS]]
+    period = usual_period(samples.time)
+    noise = pd.DataFrame.from_dict(
+        noise_groups(channel_noise(samples), samples.clusters), "index", columns=["x", "y", "z"]
+    ).rename_axis("measurement")
+    drop_outs = find_drop_outs(samples, results.segment)
+    counts = dict.fromkeys(drop_outs, ".0f") | {"missing [%]": ".2f", "longest [s]": ".2f"}
+    return Section(
+        "quality",
+        "Data quality",
+        [
+            _overview(results),
+            Heading("Triggers"),
+            f"{len(samples)} samples in {samples.time[-1]:.2f} s at {number(1.0 / period)} Hz,"
+            f" {int(samples.complete.sum())} with a wrench and a limb position. Gaps longer than"
+            f" {_GAP:g} periods: {len(gaps)}" + (", the longest:" if gaps else "."),
+            Bullets(listed),
+            Heading("The segment"),
+            f"Asked for: {results.specification}; in use: {results.segment}; plateaus found:"
+            f" {len(results.plateaus)}. 'plateau' is the longest. A plateau is a stretch of"
+            f" {limits.least_duration:g} s or more without an intended change of load (the means"
+            f" over {limits.smoothing:g} s before and after agree within {limits.force_change:g} N"
+            f" and {limits.moment_change:g} N m), with a steady mean wrench (spread within"
+            f" {limits.force_drift:g} N and {limits.moment_drift:g} N m on every axis), at most"
+            f" {100 * limits.missing_fraction:g} % missing channels, and a mean force of"
+            f" {limits.least_force:g} N or more.",
+            _plateaus(results),
+            Heading("Drop-outs"),
+            "A saturated reading has no value; one out of the calibrated range has one, but it is"
+            " an extrapolation: nothing is fitted to it or judged by it.",
+            Table("drop-outs", "Samples of the trial without a measurement", drop_outs, counts),
+            Heading("Noise"),
+            "From the fast content of the trial, its third differences, without outliers and"
+            " steps. Motion from sample to sample, such as the sway of a person, counts as noise.",
+            Table(
+                "noise",
+                "Standard deviation of the noise of one sample, along each axis",
+                noise,
+                dict.fromkeys(noise, ".2g"),
+            ),
+        ],
+    )
+
+
+def usual_period(time: FloatArray) -> float:
+    """Median time between triggers [s]; NaN for fewer than two."""
+    return float(np.median(np.diff(time))) if len(time) > 1 else float("nan")
+
+
+def find_gaps(time: FloatArray) -> list[tuple[float, float]]:
+    """Starts and durations [s] of more than one and a half usual periods, the longest first.
+
+    Args:
+        time: Times of the triggers since the first one, rising, shape (N,) [s].
+    """
+    periods = np.diff(time)
+    gaps = np.flatnonzero(periods > _GAP * usual_period(time))
+    longest_first = gaps[np.argsort(-periods[gaps], kind="stable")]
+    return [(float(time[i]), float(periods[i])) for i in longest_first]
+
+
+def unusable(samples: Samples) -> dict[str, BoolArray]:
+    """Samples in which a measurement cannot be used, shape (N,) each, by its name."""
+    return _missing(samples) | {
+        name: np.asarray(status != Status.OK) for name, status in _statuses(samples).items()
+    }
+
+
+def find_drop_outs(samples: Samples, segment: Segment) -> pd.DataFrame:
+    """What each measurement lacks: a row per channel of the wrench, limb position and cluster.
+
+    Returns:
+        `missing [1]` and `missing [%]` of the samples, `of them in the segment [1]`, the `longest
+        [s]` time without it, and `saturated [1]` and `out of range [1]` of the clusters, NaN for
+        the others.
+    """
+    statuses = _statuses(samples)
+    rows = {}
+    for name, missing in _missing(samples).items():
+        status = statuses.get(name)
+        rows[name] = {
+            "missing [1]": missing.sum(),
+            "missing [%]": 100.0 * missing.mean(),
+            "of them in the segment [1]": missing[segment.rows].sum(),
+            "longest [s]": _longest(missing, samples.time),
+        } | {
+            title: np.nan if status is None else (status == code).sum()
+            for title, code in _FLAWS.items()
+        }
+    return pd.DataFrame.from_dict(rows, orient="index").rename_axis("measurement")
+
+
+def _missing(samples: Samples) -> dict[str, BoolArray]:
+    """Samples without a measurement, shape (N,) each, by its name."""
+    nothing: dict[str, BoolArray] = {
+        name: np.isnan(samples.wrench[:, i]) for i, name in enumerate(WRENCH_CHANNELS)
+    }
+    nothing["limb position"] = np.asarray(np.isnan(samples.position).any(axis=1))
+    return nothing | {
+        name: np.asarray(status == Status.MISSING) for name, status in _statuses(samples).items()
+    }
+
+
+def _statuses(samples: Samples) -> dict[str, StatusArray]:
+    """Status of each cluster's channels, which come together, shape (N,) each."""
+    return {
+        f"{name} ({', '.join(LOCAL_CHANNELS)})": samples.status[:, column]
+        for column, name in enumerate(samples.clusters)
+    }
+
+
+def _longest(missing: BoolArray, time: FloatArray) -> float:
+    """Longest time without a value, from the last one to the next, within the trial [s]."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], missing, [False]]).astype(np.int8)))
+    first, after = edges[::2], edges[1::2]
+    before = np.maximum(first - 1, 0)
+    return float((time[np.minimum(after, len(time) - 1)] - time[before]).max(initial=0.0))
+
+
+def mean_and_sigma(vectors: FloatArray) -> tuple[float, float]:
+    """Magnitude of the mean of the whole vectors, shape (N, 3), and the spread of magnitudes."""
+    vectors = vectors[np.isfinite(vectors).all(axis=1)]
+    if not len(vectors):
+        return float("nan"), float("nan")
+    magnitude = float(np.linalg.norm(vectors.mean(axis=0)))
+    return magnitude, float(np.linalg.norm(vectors, axis=1).std())
+
+
+def _plateaus(results: Results) -> Table:
+    listed = [*results.plateaus]
+    if results.segment not in listed:
+        listed.insert(0, results.segment)
+    rows = []
+    for part in listed:
+        wrench = results.samples.wrench[part.rows]
+        force, force_sigma = mean_and_sigma(wrench[:, 3:])
+        moment, moment_sigma = mean_and_sigma(wrench[:, :3])
+        rows.append(
+            {
+                "from, to [s]": f"{part.start:.2f} to {part.end:.2f}",
+                "duration [s]": part.end - part.start,
+                "mean force [N]": force,
+                "its sigma [N]": force_sigma,
+                "mean moment [N m]": moment,
+                "its sigma [N m]": moment_sigma,
+                "remark": "in use" if part == results.segment else "",
+            }
+        )
+    formats = dict.fromkeys(rows[0], ".2f") | {"mean force [N]": ".1f", "its sigma [N m]": ".3f"}
+    frame = pd.DataFrame(rows).set_index("from, to [s]")
+    return Table("plateaus", "The plateaus, the longest first", frame, formats)
+
+
+def _overview(results: Results) -> ReportFigure:
+    """The trial at a glance."""
+    samples, lacking = results.samples, unusable(results.samples)
+    columns = {
+        "force magnitude [N]": np.linalg.norm(samples.wrench[:, 3:], axis=1),
+        "moment magnitude [N m]": np.linalg.norm(samples.wrench[:, :3], axis=1),
+    }
+    columns |= {f"{name} not usable [-]": flags.astype(int) for name, flags in lacking.items()}
+    return ReportFigure(
+        "overview",
+        "The measured load over the trial, with the plateaus in light and the segment in use in"
+        " darker grey; below, the share of samples in which a measurement could not be used"
+        f" (missing, saturated or out of range). {THINNED}",
+        lambda style: _draw_overview(results, lacking, style),
+        "Magnitudes of the measured force and moment over time, and drop-outs by measurement",
+        results.series(columns),
+    )
+
+
+@in_style
+def _draw_overview(
+    results: Results, lacking: Mapping[str, BoolArray], style: FigureStyle
+) -> Figure:
+    """The magnitudes of force and moment, and the share of samples that cannot be used."""
+    time, wrench = results.samples.time, results.samples.wrench
+    raster = _DROP_OUTS * len(lacking) + _DROP_OUTS_AXIS
+    figure = style.figure(2.0 * _LOAD + raster)
+    axes = figure.subplots(3, 1, sharex=True, height_ratios=(_LOAD, _LOAD, raster))
+    for axis, columns, label, colour in (
+        (axes[0], slice(3, 6), "force [N]", "#0072B2"),
+        (axes[1], slice(0, 3), "moment [N m]", "#D55E00"),
+    ):
+        parts = [(part, _OTHER) for part in results.plateaus] + [(results.segment, _CHOSEN)]
+        for part, grey in parts:
+            axis.axvspan(part.start, part.end, color=grey, linewidth=0.0)
+        magnitude = np.linalg.norm(wrench[:, columns], axis=1)
+        axis.plot(*thin(time, magnitude), color=colour, linewidth=1.0)
+        axis.set_ylabel(f"magnitude of the\n{label}")
+        style_axes(axis)
+    count = max(1, min(_BINS, len(time) // 2))
+    edges = np.linspace(time[0], max(time[-1], time[0] + 1e-3), count + 1)
+    bins = np.clip(np.searchsorted(edges, time, side="right") - 1, 0, count - 1)
+    triggers = np.bincount(bins, minlength=count)
+    lost = [np.bincount(bins, flags, minlength=count) for flags in lacking.values()]
+    # Without a trigger nothing was measured at all.
+    share = np.where(triggers > 0, np.array(lost) / np.maximum(triggers, 1), 1.0)
+    rows = np.arange(len(lacking) + 1) - 0.5
+    mesh = axes[2].pcolormesh(edges, rows, share, cmap="Greys", vmin=0.0, vmax=1.0, rasterized=True)
+    axes[2].set_yticks(range(len(lacking)), list(lacking), parse_math=False)
+    axes[2].invert_yaxis()
+    axes[2].set_xlabel("time [s]")
+    figure.colorbar(mesh, ax=axes[2], pad=0.01, aspect=12).set_label("not usable [-]")
+    return lay_out(figure)

@@ -1,0 +1,223 @@
+"""Estimates judged on what they have not seen, who bears the load, what the pose reveals."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from socket_testbed.identification.information import LEAST_RATIO
+from socket_testbed.identification.validation import (
+    CLOSED,
+    FORCE_MAP,
+    INVERSE_DISTANCE,
+    LEVELS,
+    Judgement,
+    judgements_table,
+    summarise_judgements,
+)
+from socket_testbed.report.figures.style import (
+    DEFAULT_STYLE,
+    LINE_STYLES,
+    FigureStyle,
+    in_style,
+    lay_out,
+    style_axes,
+)
+from socket_testbed.report.page import Bullets, Heading, ReportFigure, Section, Table, number
+from socket_testbed.report.results import Results
+
+_COLOURS = {INVERSE_DISTANCE: "0.75", CLOSED: "0.5", FORCE_MAP: LINE_STYLES[1]["color"]}
+_QUESTIONS = {"cluster": "all clusters", "tiles": "tiles without a sensor"}
+_MARKERS = {"cluster": "o", "tiles": "s"}
+_TRUTH = "tiles without a sensor (simulated truth)"
+
+
+def section(results: Results) -> Section:
+    """The section on what the estimates are worth."""
+    judged: list[Any] = [f"None: {results.no_validation}."]
+    if results.validation:
+        forces, wrench = _tables(results.validation)
+        figure = ReportFigure(
+            "validation",
+            "Left: error of the forces on each cluster that was left out, over the root mean square"
+            " of all clusters' forces, and on the tiles without a sensor where a simulation knows"
+            " them. Right: share of the values within the force map's intervals; on the line, its"
+            " uncertainty is right.",
+            lambda style: validation_figure(
+                results.validation, f"{results.trial.name}: Validation", style
+            ),
+            "Bars of the relative error by cluster for the force map and inverse distance, and the"
+            " coverage of the force map's intervals",
+            judgements_table(results.validation),
+        )
+        judged = [
+            "Estimates judged on what they have not seen, beside rivals that need no model. The"
+            " error is the root mean square error over the root mean square of the forces:"
+            " predicting zero has 1. The columns after it hold the share of the values within the"
+            " estimate's intervals of that probability. The skill compares with the constants that"
+            " fit the judged samples best; negative, such a constant would have been better.",
+            forces,
+            figure,
+            wrench,
+        ]
+    difference = results.settings.identification.stiffness_difference
+    known = [
+        f"{candidate.label}: {number(candidate.known, '.1f')} of"
+        f" {candidate.model.stiffness.size} stiffness directions."
+        for candidate in results.candidates
+    ]
+    return Section(
+        "validation",
+        "Validation",
+        [
+            *judged,
+            Heading("Who bears the load"),
+            "Projections of the springs' and the offsets' part of the prediction onto the measured"
+            " load; with what the model leaves, they add up to 100 %. What the offsets bear says"
+            " nothing about another load.",
+            _shares(results),
+            Heading("What the pose reveals"),
+            "Standard deviation of the motion over the segment against that of the noise. In"
+            f" {results.motion.directions} of 6 independent directions the motion is"
+            f" {LEAST_RATIO:g} times the noise or more; elsewhere the noise shrinks the"
+            " stiffnesses, and the smoothness decides them.",
+            Bullets([str(excitation) for excitation in results.motion.excitations]),
+            "With the noise of the channels and of the pose, and only the directions of the pose"
+            " that move, the data show so many stiffnesses, or combinations of them, to"
+            f" {difference:g} N/m or better:",
+            Bullets(known),
+        ],
+    )
+
+
+def _tables(judgements: Sequence[Judgement]) -> list[Table]:
+    """Forces on left-out clusters and bare tiles, and the wrench from the pose alone."""
+    summary = summarise_judgements(judgements)
+    percent = {f"within {100 * level:g} % [-]": f"in {100 * level:g} % [%]" for level in LEVELS}
+    forces = summary[["error [-]", *percent]].rename(columns=percent)
+    forces[[*percent.values()]] *= 100.0
+    figures = [title for title in summary if title.startswith(("moment", "force"))]
+    formats = {"error [-]": ".2f", **dict.fromkeys(percent.values(), ".0f")}
+    skills = {title: "z.2f" for title in figures if "skill" in title}
+    return [
+        _side_by_side(
+            "validation-forces",
+            "Forces estimated without having seen them",
+            {"a cluster left out": ("cluster", "left out"), _TRUTH: ("tiles", "second half")},
+            forces,
+            formats,
+        ),
+        _side_by_side(
+            "validation-wrench",
+            "The wrench predicted from the pose alone, fitted on the first half under load",
+            {
+                "the other half": ("wrench", "second half"),
+                "the half that was fitted (in-sample)": ("wrench", "in-sample"),
+            },
+            summary[figures],
+            skills,
+        ),
+    ]
+
+
+def _side_by_side(
+    name: str,
+    caption: str,
+    groups: dict[str, tuple[str, str]],
+    summary: pd.DataFrame,
+    formats: dict[str, str],
+) -> Table:
+    """A row per predictor, a group of columns per question and test that was answered."""
+    parts = {
+        title: summary[[place == key for place in summary.index.droplevel("predictor")]]
+        for title, key in groups.items()
+    }
+    parts = {title: part.droplevel([0, 1]) for title, part in parts.items() if len(part)}
+    longest = max(parts.values(), key=len)
+    return Table(name, caption, pd.concat(parts, axis=1).reindex(longest.index), formats)
+
+
+def _shares(results: Results) -> Table:
+    columns = {
+        (candidate.label, f"{part} [%]"): [
+            100.0 * getattr(share, part) for share in candidate.shares
+        ]
+        for candidate in results.candidates
+        for part in ("springs", "offsets", "residual")
+    }
+    names = [share.name for share in results.candidates[0].shares]
+    frame = pd.DataFrame(columns, index=pd.Index(names, name="measured"))
+    formats = dict.fromkeys((title for _, title in columns), ".0f")
+    return Table("shares", "Who bears the measured load over the segment", frame, formats)
+
+
+@in_style
+def validation_figure(
+    judgements: Sequence[Judgement], title: str, style: FigureStyle = DEFAULT_STYLE
+) -> Figure:
+    """Draw the errors of forces by left-out cluster, and the coverage of the map's intervals.
+
+    Args:
+        judgements: Judgements of one trial, or of several: then their means are drawn.
+        title: What is shown.
+        style: How it is set.
+    """
+    narrow = style.is_narrow
+    figure = style.figure(130.0 if narrow else 75.0)
+    style.add_title(figure, title)
+    shape: dict[str, Any] = {"nrows": 2} if narrow else {"ncols": 2, "width_ratios": (3, 2)}
+    errors, coverage = figure.subplots(**shape)
+    _draw_errors(errors, judgements)
+    _draw_coverage(coverage, judgements)
+    return lay_out(figure)
+
+
+def _draw_errors(axes: Axes, judgements: Sequence[Judgement]) -> None:
+    found: dict[tuple[str, str], list[float]] = {}
+    for j in judgements:
+        if j.question in _QUESTIONS and j.predictor in _COLOURS:
+            row = j.cluster or _QUESTIONS[j.question]
+            found.setdefault((row, j.predictor), []).append(j.error)
+    rows = list(dict.fromkeys(row for row, _ in found))
+    thickness = 0.8 / len(_COLOURS)
+    places = np.arange(len(rows))
+    for i, (predictor, colour) in enumerate(_COLOURS.items()):
+        shift = (i - 0.5 * (len(_COLOURS) - 1)) * thickness
+        widths = [np.mean(found.get((row, predictor), np.nan)) for row in rows]
+        axes.barh(places + shift, widths, thickness, color=colour, label=predictor)
+    axes.axvline(1.0, color="0.3", linewidth=0.8)
+    axes.set_yticks(places, rows, parse_math=False)
+    axes.invert_yaxis()
+    axes.set_xlabel("error over the rms of the forces [-]\n1: predicting zero")
+    style_axes(axes)
+    axes.legend()
+
+
+def _draw_coverage(axes: Axes, judgements: Sequence[Judgement]) -> None:
+    levels = 100.0 * np.array(LEVELS)
+    axes.plot([40.0, 100.0], [40.0, 100.0], color="0.3", linewidth=0.8)
+    for question, label in _QUESTIONS.items():
+        coverages = [
+            j.coverage
+            for j in judgements
+            if j.predictor == FORCE_MAP and j.question == question and not j.cluster
+        ]
+        if coverages:
+            axes.plot(
+                levels,
+                100.0 * np.mean(coverages, axis=0),
+                color=_COLOURS[FORCE_MAP],
+                marker=_MARKERS[question],
+                markerfacecolor="white",
+                label=label,
+            )
+    axes.set_xlabel("stated probability of the interval [%]")
+    axes.set_ylabel("values within the force map's\ninterval [%]")
+    axes.set_xticks(levels)
+    style_axes(axes)
+    axes.legend()

@@ -1,0 +1,149 @@
+"""The FDC1004, register by register."""
+
+from __future__ import annotations
+
+import math
+
+from socket_testbed.simulation.devices.i2c import SimulatedChip, no_answer
+
+_CONF_MEAS, _FDC_CONF, _OFFSET, _GAIN = 0x08, 0x0C, 0x0D, 0x11
+_IDENTITY = {0xFE: 0x5449, 0xFF: 0x1004}
+_RESET, _REPEAT, _SETTABLE = 0x8000, 0x0100, 0x0DF0
+_RATES = (0.0, 100.0, 200.0, 400.0)  # [1/s]
+_CAPDAC, _NO_INPUT = 4, 7  # CHB
+_CAPDAC_UNIT = 3.125  # [pF]
+_HIGHEST, _LOWEST = 0x7FFFFF, -0x800000
+
+
+class SimulatedFdc1004(SimulatedChip):
+    """The chip; it converts as time passes, whether or not anyone reads it.
+
+    The offset and gain registers are kept but have no effect.
+    """
+
+    address = 0x50
+
+    def power_up(self) -> None:
+        """Fall into the reset state, as a RST does."""
+        super().power_up()
+        self._pointer = 0
+        self._kept = {_CONF_MEAS + n: 0x1C00 for n in range(4)}
+        self._kept |= {_OFFSET + n: 0 for n in range(4)} | {_GAIN + n: 0x4000 for n in range(4)}
+        self._conf = 0  # FDC_CONF without DONE
+        self._done = [False] * 4
+        self._codes = [0] * 4
+        self._low = [0] * 4  # the LSB registers, held since the MSB was read
+        self._high_was_read = [False] * 4
+        self._sequence: list[int] = []
+        self._next = 0  # index in the sequence of the conversion under way
+        self._settings = 0  # CONF_MEAS as it was when that one began
+        self._end = math.inf  # when that one ends [s]
+
+    def stop(self) -> None:
+        """Convert no more, until it is reset; what is done stays."""
+        self._convert(self._clock())
+        self._sequence, self._end = [], math.inf
+
+    def write(self, data: bytes) -> None:
+        """Take the bytes of a write.
+
+        Raises:
+            OSError: EREMOTEIO where the chip does not acknowledge.
+        """
+        self._convert(self._clock())
+        register = data[0]
+        known = register < _GAIN + 4 or register in _IDENTITY
+        if not known or len(data) not in {1, 3}:
+            raise no_answer()
+        self._pointer = register
+        if len(data) == 1:
+            return
+        value = int.from_bytes(data[1:], "big")
+        if register == _FDC_CONF:
+            self._configure(value)
+        elif register in self._kept:
+            self._kept[register] = value
+        else:
+            raise no_answer()  # read-only
+
+    def read(self, length: int) -> bytes:
+        """Answer with the register that the pointer is at, over and over.
+
+        Raises:
+            OSError: EREMOTEIO where the chip does not acknowledge.
+        """
+        self._convert(self._clock())
+        value = self._value(self._pointer).to_bytes(2, "big")
+        return (value * length)[:length]
+
+    def _value(self, register: int) -> int:
+        if register in _IDENTITY:
+            return _IDENTITY[register]
+        if register == _FDC_CONF:
+            return self._conf | sum(8 >> n for n in range(4) if self._done[n])
+        if register in self._kept:
+            return self._kept[register]
+        n = register // 2
+        if register % 2 == 0:
+            self._low[n] = (self._codes[n] & 0xFF) << 8
+            self._high_was_read[n] = True
+            return self._codes[n] >> 8 & 0xFFFF
+        if self._high_was_read[n]:
+            self._done[n] = self._high_was_read[n] = False
+        return self._low[n]
+
+    def _configure(self, value: int) -> None:
+        if value & _RESET:
+            self.power_up()
+            return
+        self._conf = value & _SETTABLE
+        self._done = [False] * 4
+        self._sequence = [n for n in range(4) if value & 0x80 >> n]
+        # Without repeat, one measurement at a time is all that the chip can do.
+        valid = bool(value & _REPEAT) or len(self._sequence) == 1
+        if not valid or not self._sequence or not self._period:
+            self._sequence, self._end = [], math.inf
+            return
+        self._next = 0
+        self._start(0)
+        self._end = self._clock() + self._period
+
+    @property
+    def _period(self) -> float:
+        """Time of one conversion [s]; 0 for the reserved rate."""
+        rate = _RATES[self._conf >> 10 & 3] * self._speed
+        return 1.0 / rate if rate else 0.0
+
+    def _convert(self, now: float) -> None:
+        if now < self._end:
+            return
+        # Rounds that nobody read leave no trace: only the last one is computed.
+        behind = math.floor((now - self._end) / self._period) + 1
+        skipped = max(0, behind - len(self._sequence)) if self._conf & _REPEAT else 0
+        if skipped:
+            self._end += skipped * self._period
+            self._start(skipped)
+        while now >= self._end:
+            n = self._sequence[self._next]
+            self._codes[n] = self._code(self._end)
+            self._done[n] = True
+            if not self._conf & _REPEAT:
+                self._conf &= ~0x00F0
+                self._sequence, self._end = [], math.inf
+                return
+            self._end += self._period
+            self._start(1)
+
+    def _start(self, further: int) -> None:
+        """Begin a conversion so many further in the sequence."""
+        self._next = (self._next + further) % len(self._sequence)
+        self._settings = self._kept[_CONF_MEAS + self._sequence[self._next]]
+
+    def _code(self, moment: float) -> int:
+        positive, negative = self._settings >> 13 & 7, self._settings >> 10 & 7
+        difference = self.input(positive, moment)
+        if negative == _CAPDAC:
+            difference -= _CAPDAC_UNIT * (self._settings >> 5 & 0x1F)
+        elif negative != _NO_INPUT:
+            difference -= self.input(negative, moment)
+        return min(max(round(difference * 2**19), _LOWEST), _HIGHEST)

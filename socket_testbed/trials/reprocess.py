@@ -1,0 +1,205 @@
+"""Measurements made anew from what was recorded raw: wrenches from ratios, poses from markers."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from socket_testbed.arrays import FloatArray
+from socket_testbed.drivers.load_cell import bridges
+from socket_testbed.drivers.load_cell.bridges import AXES, UNITS, Bridges
+from socket_testbed.errors import ConfigurationError, TrialError
+from socket_testbed.geometry.marker_bodies import fit_body
+from socket_testbed.geometry.pose import Pose
+from socket_testbed.geometry.socket import SocketGeometry
+from socket_testbed.settings.acquisition import LoadCellSettings
+from socket_testbed.settings.testbed import read_testbed
+from socket_testbed.trials.synchronise import Measurements, parse_span
+
+RECORDED, NO_TARE = "recorded", "none"
+_SAME_MARKER = 1e-6  # [m]
+_SAME_WRENCH = 1e-6  # of the full scale
+
+
+def parse_tare(tare: str) -> tuple[float, float] | None:
+    """The span of a tare written as `T0:T1` [s]; None for `recorded` and `none`.
+
+    Raises:
+        ConfigurationError: If it is none of these.
+    """
+    fixed = tare in (RECORDED, NO_TARE)
+    return None if fixed else parse_span(tare, "--tare", ", or none, recorded")
+
+
+def read_load_cell(path: Path) -> LoadCellSettings:
+    """The load cell's settings in a `testbed.yaml`.
+
+    Raises:
+        ConfigurationError: If the file or a setting is wrong or missing.
+    """
+    settings = read_testbed(path).load_cell_node
+    try:
+        bridges.check_settings(settings)
+    except ConfigurationError as error:
+        raise ConfigurationError(f"{path}: {error.fact}", error.hint) from None
+    return settings
+
+
+def remake_wrenches(
+    measured: Measurements,
+    recorded: LoadCellSettings,
+    given: LoadCellSettings | None,
+    tare: str,
+    where: str,
+    notify: Callable[[str], None],
+) -> Measurements:
+    """Wrenches by another load cell's settings, or with another tare.
+
+    The ratios are those of the voltages that were measured: by the given settings they have other
+    signs, gains, excitation or inputs. The converter's own gain was set in it, and stays.
+
+    Args:
+        measured: The measurements, with ratios and tares.
+        recorded: Settings with which they were recorded; without a matrix if the trial has none.
+        given: Settings to use instead; None for no others.
+        tare: `recorded`, `none`, or `T0:T1` in seconds since the first sample, whose mean it is.
+        where: Name of the trial in an error.
+        notify: Called with the tare that is used.
+
+    Raises:
+        TrialError: If the settings stored in the trial do not allow it, or the span of the tare
+            holds no wrench or a load that moves.
+    """
+    offsets = measured.tares
+    wrenches = measured.wrench + offsets
+    if given is not None:
+        new, ratios = Bridges(given), 1e3 * measured.ratios
+        if recorded.matrix:
+            old = Bridges(recorded)
+            off = np.nan_to_num(np.abs(old.wrenches(ratios) - wrenches))
+            if (off > _SAME_WRENCH * old.full_scale).any():
+                raise TrialError(
+                    f"{where}: its testbed.yaml's load cell does not make the recorded wrenches",
+                    "remove load_cell_node from that file: the ratios are then used as they are",
+                )
+            offsets = new.wrenches(new.ratios_from(old, old.ratios_at(offsets)))
+            ratios = new.ratios_from(old, ratios)
+        elif tare == RECORDED and np.nan_to_num(offsets).any():
+            raise TrialError(
+                f"{where}: does not store the load cell's matrix, with which its tare was computed",
+                "give --tare as well: T0:T1 without load, or none",
+            )
+        wrenches = new.wrenches(ratios)
+    span = parse_tare(tare)
+    if span is not None:
+        offsets = _mean_load(measured.time, wrenches, span, given or recorded, where)
+    elif tare == NO_TARE:
+        offsets = np.zeros(6)
+    last = np.broadcast_to(offsets, wrenches.shape)[np.isfinite(wrenches).all(axis=1)][-1:]
+    used = "".join(map(bridges.in_words, last))
+    notify(f"the wrenches are made anew from load_cell/raw, with the tare {tare}: {used}")
+    return replace(measured, wrench=wrenches - offsets)
+
+
+def _mean_load(
+    time: FloatArray,
+    wrenches: FloatArray,
+    span: tuple[float, float],
+    limits: LoadCellSettings,
+    where: str,
+) -> FloatArray:
+    """Mean of the wrenches in a span [s], shape (6,) [N m, N], where the load must not move."""
+    start, end = span
+    rows = (time >= start) & (time <= end) & np.isfinite(wrenches).all(axis=1)
+    if not rows.any():
+        raise TrialError(
+            f"{where}: --tare {start:g}:{end:g} holds no wrench",
+            f"give seconds since the first sample, from 0 to {time[-1]:g}",
+        )
+    spread = wrenches[rows].std(axis=0)
+    excess = spread / np.repeat([limits.tare_moment, limits.tare_force], 3)
+    worst = int(excess.argmax())
+    if excess[worst] > 1.0:
+        raise TrialError(
+            f"{where}: --tare {start:g}:{end:g}: {AXES[worst]} moves by {spread[worst]:.3g}"
+            f" {UNITS[worst]} (standard deviation)",
+            "give a span without load, at rest",
+        )
+    return wrenches[rows].mean(axis=0)
+
+
+def other_markers(recorded: SocketGeometry, given: SocketGeometry) -> tuple[str, ...]:
+    """The bodies, of `socket` and `pylon`, whose markers differ between two geometries."""
+    pairs = {
+        body: (_markers(recorded, body), _markers(given, body)) for body in ("socket", "pylon")
+    }
+    return tuple(
+        body
+        for body, (old, new) in pairs.items()
+        if old.shape != new.shape or not np.allclose(old, new, rtol=0.0, atol=_SAME_MARKER)
+    )
+
+
+def _markers(geometry: SocketGeometry, body: str) -> FloatArray:
+    return geometry.socket_markers if body == "socket" else geometry.pylon_markers
+
+
+def refit_poses(
+    measured: Measurements,
+    geometry: SocketGeometry,
+    bodies: tuple[str, ...],
+    where: str,
+    notify: Callable[[str], None],
+) -> Measurements:
+    """Poses of bodies fitted to their recorded markers, as mocap_node fits them to a frame's.
+
+    A recorded pose is a mean of frames; a new one is that of the markers at the trigger.
+
+    Args:
+        measured: The measurements, with markers.
+        geometry: The markers in their bodies.
+        bodies: Which bodies to fit.
+        where: Name of the trial in an error.
+        notify: Called with how far the poses of a body moved.
+
+    Raises:
+        TrialError: If more markers of a body were recorded than it has.
+    """
+    for body in bodies:
+        reference = _markers(geometry, body)
+        seen = measured.markers.get(body, np.full((len(measured.stamps), *reference.shape), np.nan))
+        count = int(np.flatnonzero(np.isfinite(seen).any(axis=(0, 2))).max(initial=-1)) + 1
+        if count > len(reference):
+            raise TrialError(
+                f"{where}: {count} markers of the {body} were recorded, and the geometry has"
+                f" {len(reference)}",
+                "give the socket.yaml of this trial's marker bodies with --geometry",
+            )
+        fitted = fit_body(reference, seen[:, : len(reference)]).pose
+        recorded = getattr(measured, body)
+        notify(f"{body}: {_moved(Pose.from_quaternion(recorded[:, :3], recorded[:, 3:]), fitted)}")
+        pose = np.hstack([fitted.translation, fitted.quaternion()])
+        measured = replace(measured, **{body: pose})  # type: ignore[arg-type]
+    return measured
+
+
+def _moved(recorded: Pose, fitted: Pose) -> str:
+    """How far N poses are from the recorded ones, in words."""
+    found, known = (np.isfinite(pose.translation[:, 0]) for pose in (fitted, recorded))
+    text = (
+        f"poses fitted anew to the recorded markers: {found.sum()} of {len(found)} found,"
+        f" {(known & ~found).sum()} of the recorded ones refused, {(found & ~known).sum()} new"
+    )
+    both = found & known
+    if not both.any():
+        return text
+    old, new = (Pose(pose.rotation[both], pose.translation[both]) for pose in (recorded, fitted))
+    shifts = 1e3 * np.linalg.norm(new.translation - old.translation, axis=1)
+    turns = 1e3 * np.linalg.norm((old.inverse() @ new).rotation_vector(), axis=1)
+    return (
+        f"{text}; moved by {np.median(shifts):.3g} mm and {np.median(turns):.3g} mrad (median),"
+        f" {shifts.max():.3g} mm and {turns.max():.3g} mrad (largest)"
+    )

@@ -1,0 +1,102 @@
+"""A testbed that was registered and tared wrong, recorded by its nodes and repaired later."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from std_srvs.srv import Trigger as TriggerService
+from support.bags import pose_vector, wrench_vector
+from support.graph import Probe
+from support.testbeds import Recorded, manageable
+
+from socket_testbed.files import packaged
+from socket_testbed.geometry.marker_bodies import fit_triad
+from socket_testbed.geometry.socket import read_socket, write_socket
+from socket_testbed.live.bringup import Simulation, end, simulate_hardware, simulated_testbed
+from socket_testbed.live.processes import Graph
+from socket_testbed.nodes.conversions import stamp_from_ros
+from socket_testbed.settings.testbed import ReplaySettings, read_testbed
+from socket_testbed.trials.topics import LOAD_CELL_RAW, SOCKET_POSE, WRENCH
+from socket_testbed.trials.trial import Trial
+
+pytestmark = pytest.mark.graph
+RIGHT = packaged("config", "socket.yaml")
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """With a marker of the socket 5 mm off in socket.yaml, and tared with the pylon on the cell."""
+    folder = tmp_path_factory.mktemp("wrong")
+    geometry = read_socket(RIGHT)
+    markers = geometry.socket_markers.copy()
+    markers[1, 0] += 0.005
+    write_socket(dataclasses.replace(geometry, socket_markers=markers), folder / "wrong.yaml")
+    simulation = manageable(Simulation("static_hold", 1800.0), 20.0)
+    right = simulated_testbed(folder / "trial", 20.0, simulation)
+    with Probe() as probe, Graph() as graph:
+        raws = probe.listen(LOAD_CELL_RAW)
+        testbed, _ = simulate_hardware(graph, right, simulation)
+        testbed = dataclasses.replace(testbed, geometry=folder / "wrong.yaml")
+        graph.start_nodes(testbed.nodes(graph.folder))
+        probe.wait(lambda: len(raws) > 20, "the first samples")
+        request = TriggerService.Request()
+        probe.wait(lambda: probe.call(TriggerService, "load_cell/tare", request).success, "a tare")
+        probe.wait(lambda: raws[-1].tared.sec > 0, "wrenches with the tare")
+        tared = len(raws)
+        probe.wait(lambda: len(raws) > tared + 40, "more of them")
+        end(graph, testbed)
+    yield folder / "trial"
+
+
+def test_ratios_and_tare_are_those_of_the_wrench(recorded: Path) -> None:
+    settings = read_testbed(recorded / "testbed.yaml").load_cell_node
+    matrix = 1e3 * np.roll(np.reshape(settings.matrix, (6, 6)), 3, axis=0)
+    by_topic = Recorded(recorded).by_topic
+    wrenches, raws = by_topic[WRENCH.name], by_topic[LOAD_CELL_RAW.name]
+    assert set(wrenches) == set(raws) and len(raws) > 60
+    tared = set()
+    for stamp, raw in raws.items():
+        wrench = matrix @ raw.ratios - wrench_vector(raw.tare)
+        again = wrench_vector(wrenches[stamp].wrench)
+        np.testing.assert_allclose(wrench, again, rtol=1e-12, atol=1e-11)
+        assert raw.status == (0 if np.isfinite(raw.ratios).all() else 2)
+        tared.add(stamp_from_ros(raw.tared))
+        assert any(wrench_vector(raw.tare)) == (stamp_from_ros(raw.tared) > 0)
+    assert len(tared) == 2 and 0 in tared
+    assert min(raws) < max(tared) < max(raws)
+
+
+def test_wrenches_and_poses_are_repaired(recorded: Path) -> None:
+    wrong = Trial(recorded).measurements()
+    assert np.isnan(wrong.socket).all()  # no pose fits the markers of the wrong file
+    assert np.nanmax(np.abs(wrong.wrench[-20:, 5])) < 5.0  # the pylon's 91 N are gone
+    found = Trial(recorded, RIGHT, tare="none").measurements()
+    oracle = Recorded(recorded)
+    markers = read_socket(RIGHT).socket_markers
+    checked = 0
+    for stamp, wrench, socket in zip(found.stamps, found.wrench, found.socket, strict=True):
+        if np.isfinite(wrench).all():
+            off = np.abs(wrench - oracle.averaged("wrench", stamp))
+            assert (off < np.repeat([0.1, 0.9], 3)).all()
+        if np.isfinite(socket).all():
+            seen = fit_triad(markers, oracle.felt("markers", stamp)[0][None]).pose
+            assert np.linalg.norm(socket[:3] - seen.translation[0]) < 6e-4
+            assert abs(socket[3:] @ seen.quaternion()[0]) > 1.0 - 1e-5
+            checked += 1
+    assert checked > 0.7 * len(found.stamps)
+
+
+def test_a_replay_publishes_what_is_repaired(recorded: Path) -> None:
+    replay = ReplaySettings(trial=str(recorded), rate=50.0, geometry=str(RIGHT), tare="none")
+    with Probe() as probe, Graph() as graph:
+        wrenches, poses = probe.listen(WRENCH), probe.listen(SOCKET_POSE)
+        graph.start("replay_node", replay)
+        graph.wait("replay_node")
+        found = Trial(recorded, RIGHT, tare="none").measurements()
+        probe.wait(lambda: len(wrenches) == len(poses) == len(found.stamps), "the whole trial")
+    np.testing.assert_array_equal([wrench_vector(m.wrench) for m in wrenches], found.wrench)
+    np.testing.assert_array_equal([pose_vector(m.pose) for m in poses], found.socket)

@@ -1,0 +1,253 @@
+"""The figures hold what they were given."""
+
+import copy
+import dataclasses
+
+import numpy as np
+import pytest
+from matplotlib import colormaps
+from matplotlib.collections import PolyCollection, QuadMesh
+from matplotlib.colors import Normalize
+from matplotlib.patches import Rectangle
+from support.problems import random_socket
+from support.ring_socket import ring_socket
+
+from socket_testbed.identification.evaluation import channel_errors
+from socket_testbed.identification.pressure import Quantity
+from socket_testbed.identification.validation import CLOSED, FORCE_MAP, INVERSE_DISTANCE, Judgement
+from socket_testbed.report.figures.style import (
+    DEFAULT_STYLE,
+    LINE_STYLES,
+    MOST_POINTS,
+    SCALE,
+    thin,
+    thin_band,
+)
+from socket_testbed.report.figures.tiles import certainty_of, paint_tiles, tile_map_figure
+from socket_testbed.report.page import Section, svg_url
+from socket_testbed.report.sections import quality, surface
+from socket_testbed.report.sections.channels import wrench_section
+from socket_testbed.report.sections.pressure import group_regions, regions_figure
+from socket_testbed.report.sections.validation import validation_figure
+
+NASTY = "a$_b <i>"
+
+
+@pytest.fixture
+def rng():
+    return np.random.default_rng(6)
+
+
+def drawn(section: Section, name: str):
+    """A figure of a section."""
+    (figure,) = [figure for figure in section.figures if figure.name == name]
+    return figure.draw(DEFAULT_STYLE)
+
+
+def test_a_panel_draws_every_model_with_its_errors(results):
+    axis, candidates = drawn(wrench_section(results), "wrench").axes[0], results.candidates
+    expected = [results.samples.wrench[:, 3], *(c.predicted[:, 3] for c in candidates)]
+    time = results.samples.time
+    for line, values in zip(axis.lines, expected, strict=True):
+        np.testing.assert_array_equal(line.get_xydata(), np.stack([time, values], axis=1))
+    measured, *key = [text.get_text() for text in axis.get_legend().get_texts()]
+    assert measured == "measured" and axis.get_ylabel() == "force [N]" and len(key) == 4
+    for text, candidate in zip(key, candidates, strict=True):
+        error = candidate.errors[3]
+        assert text.startswith(f"{candidate.label}:\nRMSE {error.rmse:.2f}, MAE {error.mae:.2f}")
+        assert f"{error.sigma:.2f} N, skill" in text
+    assert len({line.get_color() for line in axis.lines}) == 5
+
+
+def test_a_channel_left_out_is_marked_and_one_without_a_value_says_so(results):
+    first, *others = results.candidates
+    nothing = np.full(3, np.nan)
+    errors = [*first.errors]
+    errors[3] = channel_errors("Fx", nothing, nothing)
+    errors[4] = dataclasses.replace(errors[4], in_objective=False)
+    changed = dataclasses.replace(first, errors=tuple(errors))
+    spoilt = dataclasses.replace(results, candidates=(changed, *others))
+    legends = [axis.get_legend() for axis in drawn(wrench_section(spoilt), "wrench").axes[:2]]
+    assert "no value" in legends[0].get_texts()[1].get_text()
+    assert legends[1].get_title().get_text() == "Fy (not in objective)"
+
+
+def test_a_thinned_line_keeps_its_peaks_its_order_and_its_gaps(rng):
+    for count in (10, 1000, 1001, 12_345):
+        for most in (10, 100, MOST_POINTS):
+            x, y = np.arange(count) / 4.0, rng.normal(size=count)
+            thin_x, thin_y = thin(x, y, most)
+            assert len(thin_x) <= max(most, 2) or len(x) <= most
+            assert (np.diff(thin_x) >= 0.0).all()
+            assert (thin_y.min(), thin_y.max()) == (y.min(), y.max())
+            np.testing.assert_array_equal(thin_y, y[np.round(thin_x * 4.0).astype(int)])
+    y = rng.normal(size=10_000)
+    y[4000:6000] = np.nan
+    x, kept = thin(np.arange(10_000.0), y, 500)
+    assert np.isnan(kept[(x >= 4100) & (x < 5900)]).all()
+    low, high = rng.normal(size=(2, 10_001))
+    low[5000:5100] = np.nan
+    thinned = thin_band(np.arange(10_001.0), low, high, 500)
+    assert all(len(part) <= 500 for part in thinned)
+    assert np.nanmin(thinned[1]) == np.nanmin(low) and thinned[2].max() == high.max()
+
+
+def test_the_overview_shows_when_what_was_lost(results):
+    samples = copy.deepcopy(results.samples)  # two in a bin
+    samples.wrench[80:160, 2] = np.nan
+    spoilt = dataclasses.replace(results, samples=samples)
+    raster = drawn(quality.section(spoilt), "overview").axes[2]
+    (mesh,) = [c for c in raster.collections if isinstance(c, QuadMesh)]
+    names = [label.get_text() for label in raster.get_yticklabels()]
+    share = np.asarray(mesh.get_array()).reshape(len(names), -1)[names.index("Mz")]
+    assert share.sum() * 2.0 == pytest.approx(80.0, abs=2.0)
+    assert share[60] == 1.0 and share[20] == share[100] == 0.0
+
+
+def test_the_bars_are_the_offsets(results):
+    figure = drawn(surface.section(results), "offsets")
+    models = [c.model for c in results.candidates if c.label != "stiffness"]
+    clusters = [np.concatenate([*model.force_bias.values()]) for model in models]
+    rows = (
+        [model.wrench_bias[:3] for model in models],
+        [m.wrench_bias[3:] for m in models],
+        clusters,
+    )
+    for axis, expected in zip(figure.axes, rows, strict=True):
+        bars = [bar.get_width() for bar in axis.patches if isinstance(bar, Rectangle)]
+        np.testing.assert_allclose(bars, np.concatenate(expected))
+    names = [label.get_text() for axis in figure.axes for label in axis.get_yticklabels()]
+    assert names == list(results.samples.channels)
+
+
+def test_the_validation_shows_every_error_and_the_coverage():
+    unknown = (np.nan,) * 3
+    judgements = [
+        Judgement(question, predictor, "left out", "", "a", cluster, 9, error, coverage=coverage)
+        for question, cluster, errors in (
+            ("cluster", NASTY, (0.8, 0.7, 0.5)),
+            ("cluster", "", (0.9, 0.6, 0.4)),
+            ("tiles", "", (0.5, 0.45, 0.3)),
+        )
+        for predictor, error, coverage in zip(
+            (INVERSE_DISTANCE, CLOSED, FORCE_MAP),
+            errors,
+            (unknown, unknown, (0.5, 0.7, 0.9)),
+            strict=True,
+        )
+    ]
+    bars, coverage = validation_figure(judgements, NASTY).axes
+    names = [text.get_text() for text in bars.get_yticklabels()]
+    assert names == [NASTY, "all clusters", "tiles without a sensor"]
+    widths = [[bar.get_width() for bar in shown] for shown in bars.containers]
+    assert widths == [[0.8, 0.9, 0.5], [0.7, 0.6, 0.45], [0.5, 0.4, 0.3]]
+    drawn = [line.get_xydata().tolist() for line in coverage.lines[1:]]
+    assert drawn == [[[50.0, 50.0], [80.0, 70.0], [95.0, 90.0]]] * 2
+
+
+def squares_of(axis) -> PolyCollection:
+    """The tiles on an unrolled wall, behind which the surface is drawn."""
+    return [c for c in axis.collections if isinstance(c, PolyCollection)][1]
+
+
+def test_tiles_have_the_colours_of_their_values_on_one_scale_unless_their_ranges_differ(rng):
+    geometry = dataclasses.replace(random_socket(rng, rings=3, columns=6), clusters={NASTY: 4})
+    for larger in (1.5, 9.0):
+        values = {"x": rng.uniform(0.0, 1.0, 18), "y": rng.uniform(0.0, larger, 18)}
+        figure = tile_map_figure(geometry, values, "stiffness [N/m]", notes={NASTY: "a note"})
+        bars = [axis for axis in figure.axes if axis.get_ylabel() == "stiffness [N/m]"]
+        rows = [np.concatenate([*values.values()])] if larger < 2.0 else [*values.values()]
+        ends = [(row.min(), row.max()) for row in rows]
+        np.testing.assert_allclose([bar.get_ylim() for bar in bars], ends)
+        maps = [axis for axis in figure.axes if axis.get_xlim()[0] < -180.0]
+        for axis, row, scale in zip(maps, values.values(), [*ends, *ends], strict=False):
+            expected = colormaps[SCALE](Normalize(*scale)(row))
+            np.testing.assert_allclose(squares_of(axis).get_facecolors(), expected)
+        assert figure.get_supxlabel() == f"1 {NASTY}: a note"
+    # Maps that are alike share a scale beside another one.
+    estimate, truth = rng.uniform(0.0, 30.0, 18), rng.uniform(0.0, 40.0, 18)
+    maps = {"estimate": estimate, "its standard deviation": 0.1 * estimate, "truth": truth}
+    bars = [a for a in tile_map_figure(geometry, maps, "kPa").axes if a.get_ylabel() == "kPa"]
+    both = min(estimate.min(), truth.min()), max(estimate.max(), truth.max())
+    deviation = 0.1 * estimate.min(), 0.1 * estimate.max()
+    np.testing.assert_allclose([bar.get_ylim() for bar in bars], [both, deviation, both])
+
+
+def test_pressure_begins_at_zero_and_hatches_what_is_not_determined(rng):
+    geometry = ring_socket()
+    values = rng.uniform(5.0, 30.0, len(geometry))
+    values[3] = np.nan
+    determined = np.arange(len(geometry)) != 11
+    maps, marks = {"mean": values}, {"determined": {"mean": determined}}
+    figure = tile_map_figure(geometry, maps, "pressure [kPa]", from_zero=True, **marks)
+    hatched = sum(len(c.get_paths()) for a in figure.axes for c in a.collections if c.get_hatch())
+    assert hatched == 2 and "hatched: not determined" in figure.get_supxlabel()
+    (bar,) = [axis for axis in figure.axes if axis.get_ylabel() == "pressure [kPa]"]
+    assert bar.get_ylim() == pytest.approx((0.0, np.nanmax(values)))
+    np.testing.assert_array_equal(paint_tiles(geometry, values).fills[3], 1.0)
+    known = tile_map_figure(geometry, {"mean": np.nan_to_num(values)}, "pressure [kPa]")
+    assert "hatched" not in known.get_supxlabel()
+
+
+def test_tiles_on_the_distal_end_alone_have_a_map_which_pales_where_it_is_uncertain(rng):
+    geometry = random_socket(rng, rings=3, columns=6)
+    upwards = np.tile(np.diag([-1.0, -1.0, 1.0]), (18, 1, 1))
+    geometry = dataclasses.replace(geometry, rotations=upwards)
+    values = np.linspace(1.0, 2.0, 18)
+    certainty = certainty_of(values, np.where(np.arange(18) < 9, 0.0, 1.0))
+    assert (certainty[:9] == 1.0).all() and (certainty[9:] < 0.6).all()
+    maps, marks = {"x": values}, {"certainty": {"x": certainty}}
+    wall, end = tile_map_figure(geometry, maps, "N/m", **marks).axes[:2]
+    assert len(squares_of(wall).get_paths()) == 0
+    colours = colormaps[SCALE](Normalize(1.0, 2.0)(values))
+    shown = end.collections[0].get_facecolors()
+    expected = 1.0 - certainty[:, None] * (1.0 - colours)  # the higher tiles over the lower ones
+    np.testing.assert_allclose(shown, expected[np.argsort(geometry.anchors[:, 2])], atol=1e-12)
+
+
+def test_the_sides_of_a_map_are_those_of_the_leg():
+    geometry = ring_socket()
+    sides = {"right": ("medial", "lateral"), "left": ("lateral", "medial"), "": ("left", "right")}
+    for side, (at_left, at_right) in sides.items():
+        axis = tile_map_figure(geometry, {"mean": geometry.areas}, "", side=side).axes[0]
+        names = {
+            round(float(place)): label.get_text().split("\n")[1].strip(".")
+            for place, label in zip(axis.get_xticks(), axis.get_xticklabels(), strict=True)
+        }
+        for angle, name in ((90, at_left), (-90, at_right), (0, "anterior"), (180, "posterior")):
+            assert name.startswith(names[angle])
+
+
+def test_regions_of_one_kind_share_a_panel():
+    sides = ("anterior", "lateral", "posterior", "medial")
+    names = [f"{side} {height}" for side in sides for height in ("proximal", "middle", "distal")]
+    groups = group_regions([*names, "fibula head"])
+    assert [heading for heading, _ in groups] == ["proximal", "middle", "distal", ""]
+    assert groups[0][1] == {f"{side} proximal": side for side in sides}
+    parts = group_regions([*sides, "proximal", "middle", "distal", "socket"])
+    assert [heading for heading, _ in parts] == ["sectors", "heights", ""]
+    several = group_regions([f"r{i}" for i in range(2 * len(LINE_STYLES) + 1)])
+    assert [len(group) for _, group in several] == [len(LINE_STYLES)] * 2 + [1]
+
+
+def test_regions_have_their_lines_bands_and_events(rng):
+    time = np.linspace(0.0, 60.0, 250)
+    values = rng.normal(10.0, 1.0, (250, 2))
+    mean = Quantity(1e3 * values, 1e3 * values - 2e3, 1e3 * values + 3e3, 0.0 * values)
+    regions = {"a$_b": 1, "fibula head": 0}
+    events = [(30.0, "removed"), (10.0, "placed"), (50.0, "placed")]
+    figure = regions_figure(time, mean, regions, events)
+    (axis,) = figure.axes
+    lines = [line for line in axis.lines if len(line.get_xdata()) == 250]
+    for line, shade, column in zip(lines, axis.collections, regions.values(), strict=True):
+        np.testing.assert_allclose(line.get_xydata(), np.stack([time, values[:, column]], axis=1))
+        points = shade.get_paths()[0].vertices[:, 1]
+        ends = values[:, column].min() - 2.0, values[:, column].max() + 3.0
+        assert (points.min(), points.max()) == pytest.approx(ends)
+    marks = sorted(line.get_xdata()[0] for line in axis.lines if len(line.get_xdata()) == 2)
+    assert marks == [10.0, 30.0, 50.0] and "1 placed, 2 removed" in figure.get_supxlabel()
+
+
+def test_a_picture_on_a_page_has_its_points_to_a_tenth_and_no_names():
+    svg = '<?xml version="1.0"?><svg><g id="x"><path d="M 1.04 2 \nL 3.06 4 "/></g></svg>'
+    assert svg_url(svg) == "data:image/svg+xml,<svg><g><path d='M1 2l2.1 2'/></g></svg>"

@@ -1,0 +1,212 @@
+"""Motive's CSV exports: of every version, broken, and of a real system."""
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from support.motive_takes import UNITS, Written, motive_lines, write_lines, write_take
+from support.problems import SOCKET_TRIAD, random_pose
+
+from socket_testbed.errors import RegistrationError
+from socket_testbed.geometry.marker_bodies import fit_triad
+from socket_testbed.geometry.pose import Pose
+from socket_testbed.socket_design.motive import MotiveTake, read_motive_csv
+from socket_testbed.socket_design.registration import tracked_frame
+
+FIRST_FRAME = 7  # index of its line in formats until 1.22
+
+
+@pytest.fixture
+def scene() -> Written:
+    """A body with its triad and a loose marker over 30 frames, some of it occluded."""
+    rng = np.random.default_rng(5)
+    pose = random_pose(rng, 1.0, 30)
+    triad = np.array([p.apply(SOCKET_TRIAD) for p in map(Pose, pose.rotation, pose.translation)])
+    noisy = (triad + rng.normal(0.0, 1e-4, triad.shape)).swapaxes(0, 1)
+    markers = {f"Socket:Marker{i + 1}": noisy[i] for i in range(3)}
+    markers["Unlabeled:108"] = rng.uniform(-1.0, 1.0, (30, 3))
+    markers["Socket:Marker2"][4:9] = np.nan
+    solved = {f"Socket_{i + 1}": triad[:, i] for i in range(3)}
+    return Written(markers, solved, {"Socket": pose})
+
+
+def read(lines: list[str], folder: Path) -> MotiveTake:
+    return read_motive_csv(write_lines(lines, folder / "take.csv"))
+
+
+def check(take: MotiveTake, scene: Written, within: float = 1e-6) -> None:
+    """The take holds all of the scene, within the digits of the file [m]."""
+    for found, true in ((take.markers, scene.markers), (take.solved, scene.solved)):
+        assert list(found) == list(true)
+        for name, positions in true.items():
+            np.testing.assert_allclose(found[name], positions, atol=within)
+    for name, pose in scene.bodies.items():
+        np.testing.assert_allclose(take.body(name).translation, pose.translation, atol=within)
+        np.testing.assert_allclose(take.body(name).rotation, pose.rotation, atol=3e-6)
+    np.testing.assert_array_equal(take.frames, np.arange(30))
+    np.testing.assert_allclose(take.times, np.arange(30) / 120.0, atol=1e-6)
+    assert take.notes == () and take.frame_rate == 120.0
+
+
+def test_every_version_unit_and_line_end_is_read(scene, tmp_path):
+    path = tmp_path / "take.csv"
+    for version in ("1.2", "1.20", "1.21", "1.22", "1.23", "1.24", "1.25"):
+        take = read_motive_csv(write_take(dataclasses.replace(scene, version=version), path))
+        check(take, scene)
+        assert take.version == version
+    for unit, metres in UNITS.items():
+        take = read_motive_csv(write_take(dataclasses.replace(scene, unit=unit), path))
+        check(take, scene, 1e-6 * metres)
+        assert take.units == unit
+    for newline in ("\n", "\r\n"):
+        check(read_motive_csv(write_take(scene, path, newline, bom=True)), scene)
+    lines = motive_lines(dataclasses.replace(scene, version="1.25"))
+    newer = read([lines[0].replace("1.25", "1.31"), *lines[1:]], tmp_path)
+    assert "1.31" in newer.notes[0] and len(newer) == 30
+
+
+def test_columns_that_are_not_needed_do_not_matter(scene, tmp_path):
+    lines = motive_lines(dataclasses.replace(scene, version="1.24"))
+    extra = [",Bone", ",Hips", ",0A", ",Position", ",X", *[",not read"] * 30]
+    codes = ["", "", "", "", "TimeCode", *["15:26:46:12.02"] * 30]
+    for i, (bone, code) in enumerate(zip(extra, codes, strict=True), start=2):
+        frame, time, *cells = lines[i].split(",")
+        lines[i] = ",".join([frame, time, code, *cells]) + bone + ",,,"
+    # A comma in the name of the take shifts the pairs of the header.
+    lines[0] = lines[0].replace("Take 2024-05-05", "Static, left, 2024-05-05")
+    check(read(lines, tmp_path), scene)
+
+
+def test_q_and_minus_q_are_one_rotation_and_a_lost_body_has_no_pose(scene, tmp_path):
+    lines = motive_lines(scene)
+    for i in range(FIRST_FRAME, len(lines), 2):
+        cells = lines[i].split(",")
+        cells[2:6] = [f"{-float(cell):.6f}" for cell in cells[2:6]]
+        lines[i] = ",".join(cells)
+    check(read(lines, tmp_path), scene)
+    cells = lines[FIRST_FRAME + 3].split(",")
+    lines[FIRST_FRAME + 3] = ",".join([*cells[:2], *[""] * 8, *cells[10:]])
+    pose = read(lines, tmp_path).body("Socket")
+    lost = np.isnan(pose.rotation).all(axis=(1, 2)) & np.isnan(pose.translation).all(axis=1)
+    np.testing.assert_array_equal(np.flatnonzero(lost), [3])
+
+
+def test_a_take_that_was_cut_short_keeps_its_whole_frames(scene, tmp_path):
+    path = tmp_path / "take.csv"
+    whole = write_take(scene, path).read_bytes()
+    for lost in (1, 2, 4, 30, 200):
+        path.write_bytes(whole[:-lost])
+        take = read_motive_csv(path)
+        # Without its line end it may have lost digits, too; a lone carriage return is an end.
+        kept = 30 if lost == 1 else 29
+        expected = scene.markers["Unlabeled:108"][:kept]
+        np.testing.assert_allclose(take.markers["Unlabeled:108"], expected, atol=1e-6)
+        assert lost == 1 or ("cut short" in take.notes[0] and "30 were exported" in take.notes[1])
+
+
+def test_missing_and_doubled_names_are_named(scene, tmp_path):
+    lines = motive_lines(scene)
+    take = read(lines, tmp_path)
+    for ask, fact, hint in (
+        (lambda: take.body("Pylon"), "no rigid body 'Pylon'", "Socket"),
+        (lambda: take.stack(["Sockt:Marker1"]), "no marker 'Sockt:", "mean 'Socket:Marker1'"),
+        (lambda: take.stack(["LC1"]), "no marker 'LC1'", "Socket:Marker3"),
+        (lambda: take.stack(["Socket_2"]), "not a measured one", "Markers"),
+    ):
+        with pytest.raises(RegistrationError, match=fact) as caught:
+            ask()
+        assert hint in caught.value.hint and "108" not in caught.value.hint
+    lines[3] = lines[3].replace("Socket:Marker3", "Socket:Marker1")
+    take = read(lines, tmp_path)
+    assert "Socket:Marker1" not in take.markers and "Socket:Marker2" in take.markers
+    with pytest.raises(RegistrationError, match="'Socket:Marker1' occurs twice"):
+        take.stack(["Socket:Marker1"])
+    # Since format 1.22 solved markers have the names of measured ones.
+    solved = dict(zip(take.markers_of("Socket"), scene.solved.values(), strict=False))
+    both = dataclasses.replace(scene, solved=solved, version="1.23")
+    check(read(motive_lines(both), tmp_path), both)
+
+
+def cell(line: int, column: int, value: str):
+    def change(lines: list[str]) -> list[str]:
+        cells = lines[line].split(",")
+        cells[column] = value
+        return [*lines[:line], ",".join(cells), *lines[line + 1 :]]
+
+    return change
+
+
+def text(old: str, new: str):
+    return lambda lines: [line.replace(old, new) for line in lines]
+
+
+BAD = [
+    (lambda lines: [], "not a Motive export", "export"),
+    (lambda lines: ["x,y,z", "1,2,3"], "not a Motive export", "header information"),
+    (lambda lines: lines[FIRST_FRAME - 1 :], "not a Motive export", "header information"),
+    (lambda lines: lines[:1], "no rows of types", "header information"),
+    (lambda lines: lines[:1] + lines[6:], "no rows of types", "header information"),
+    (lambda lines: lines[:FIRST_FRAME], "holds no frame", "export"),
+    (text("Length Units,Meters", "Length,Meters"), "'Length Units'", "export"),
+    (text("Rotation Type,Quaternion,", ""), "'Rotation Type'", "export"),
+    (text("Frame Rate,120.000000", "Rate,120"), "Frame Rate", "export"),
+    (text("Frame Rate,120.000000", "Frame Rate,0"), "no frame rate", "export"),
+    (text("Quaternion", "XYZ"), "type XYZ", "export quaternions"),
+    (text(",Meters", ",Furlongs"), "'Furlongs'", "metres"),
+    (text("Global", "Local"), "'Local'", "global"),
+    (text("Version,1.21", "Version,1.1"), "version 1.1", "1.20 to 1.25"),
+    (text("Version,1.21", "Version,new"), "version new", "1.20 to 1.25"),
+    (lambda lines: text("Rigid Body", "B")(text("Marker", "M")(lines)), "neither", "markers"),
+    (cell(6, 5, "Q"), "rigid body 'Socket' has no column Rotation W", "all its"),
+    (cell(6, 22, "U"), "no column Position X", "all its"),
+    (cell(10, 7, "O.5"), "line 11, column 8 (Rigid Body Socket, Position", "number"),
+    (cell(10, 7, "inf"), "line 11, column 8", "number"),
+    (cell(12, 23, "1e"), "line 13, column 24 (Marker Socket:Marker1", "number"),
+    (cell(12, 23, '"1.0'), "line 13, column 24", "number"),
+    (cell(9, 0, "x"), "line 10, column 1 (frame) holds 'x'", "number"),
+    (cell(9, 0, ""), "line 10: the frame does not follow", "export"),
+    (cell(9, 0, "1"), "line 10: the frame does not follow", "export"),
+    (cell(9, 1, "0.0"), "line 10: the time does not follow", "export"),
+    (cell(11, 2, "7.0"), "line 12: the quaternion of 'Socket'", "export"),
+    (lambda lines: [*lines[:9], lines[9] + ",1.0", *lines[10:]], "line 10 has", "export"),
+    (lambda lines: [*lines[:9], lines[9][:30], *lines[10:]], "line 10 has", "export"),
+    (text("Total", "x" * 140_000), "line 1 is not CSV", "export"),
+]
+
+
+def test_a_bad_file_is_named_with_its_place_and_a_hint(scene, tmp_path):
+    for change, fact, hint in BAD:
+        with pytest.raises(RegistrationError) as caught:
+            read(change(motive_lines(scene)), tmp_path)
+        assert str(tmp_path / "take.csv") in caught.value.fact and fact in caught.value.fact
+        assert hint in caught.value.hint
+
+
+@pytest.fixture(scope="module")
+def real(shared_data: Path) -> MotiveTake:
+    return read_motive_csv(shared_data / "motive_csv" / "sample_optitrack_take.csv")
+
+
+def test_a_real_take_is_read(real):
+    assert len(real) == 250 and real.frame_rate == 120.0 and real.units == "Meters"
+    assert real.notes == () and list(real.bodies) == ["Rigid Body 1"]
+    assert real.markers_of("Rigid Body 1") == tuple(f"Rigid Body 1:Marker{i}" for i in (1, 2, 3))
+    np.testing.assert_allclose(real.times, real.frames / 120.0, atol=1e-6)
+    unlabelled = [real.markers[name] for name in real.markers if name.startswith("Unlabeled")]
+    assert np.isnan(unlabelled).any()
+
+
+def test_the_markers_of_a_real_take_give_the_pose_of_motive(real):
+    motive = real.body("Rigid Body 1")
+    measured = real.stack(real.markers_of("Rigid Body 1"))
+    for observed in (measured, np.stack([*real.solved.values()], axis=1)):
+        arms = observed - motive.translation[:, None]
+        fit = fit_triad((arms @ motive.rotation).mean(axis=0), observed)
+        off = np.linalg.norm(fit.pose.translation - motive.translation, axis=1)
+        turn = np.swapaxes(motive.rotation, 1, 2) @ fit.pose.rotation
+        assert off.max() < 5e-5 and Rotation.from_matrix(turn).magnitude().max() < 3e-4
+    between = tracked_frame(measured, motive, "take").inverse() @ motive
+    assert np.linalg.norm(between.translation.mean(axis=0)) < 5e-5
+    assert np.linalg.norm(Rotation.from_matrix(between.rotation).mean().as_rotvec()) < 3e-4

@@ -1,0 +1,251 @@
+"""Documents: what stands in a field is read, or refused by its name with a hint."""
+
+import dataclasses
+import json
+from collections.abc import Callable, Iterator
+from functools import cache
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+import pytest
+import yaml
+from hypothesis import given, settings
+from hypothesis import strategies as draw
+from msgspec import Meta
+from support.damage import DELETE, changed, numbers_of
+from support.problems import make_case, random_pose, random_socket
+from support.wording import check_line, refused
+
+from socket_testbed.calibration.model import read_calibration
+from socket_testbed.documents import (
+    Document,
+    FieldError,
+    Text,
+    check_number,
+    convert,
+    load_json,
+    load_yaml,
+    read_document,
+)
+from socket_testbed.errors import ConfigurationError, TestbedError
+from socket_testbed.files import packaged
+from socket_testbed.geometry.socket import ScanFrame, read_socket
+from socket_testbed.identification.fit import fit_contact_model
+from socket_testbed.identification.model_file import read_model, write_model
+from socket_testbed.settings.testbed import TestbedSettings, read_testbed
+from socket_testbed.socket_design.clusters import read_cluster_places
+from socket_testbed.socket_design.landmarks import read_landmarks
+
+
+class Lamp(Document):
+    """A document of these tests."""
+
+    power: Annotated[float, Meta(ge=0.0, le=100.0, description="what it takes [W]")]
+    colour: Literal["red", "green"] = "red"
+    count: int = 1
+    lit: bool = False
+    names: list[Text] = []  # noqa: RUF012
+    at: tuple[tuple[float, float], tuple[float, float]] | None = None
+    inside: "dict[str, Lamp]" = {}  # noqa: RUF012
+
+    def __post_init__(self) -> None:
+        if self.power == 13.0:
+            raise FieldError("power is 13", "give another number")
+
+
+@pytest.mark.parametrize(
+    ("data", "error"),
+    [
+        ({}, "lamp: 'power' is missing: add 'power: ...'"),
+        ({"power": 1, "colur": "red"}, "lamp: unknown key 'colur': did you mean 'colour'?"),
+        ({"power": 101}, "lamp: power is 101: give a number from 0 to 100: what it takes [W]"),
+        ({"power": float("nan")}, "lamp: power is nan: give a number from 0 to 100: what it"),
+        ({"power": True}, "lamp: power is True: give a number"),
+        ({"power": "1e-8"}, "lamp: power is '1e-8': give a number"),
+        ({"power": None}, "lamp: power is empty: give a number"),
+        ({"power": {}}, "lamp: power is an empty mapping: give a number"),
+        ({"power": 10**400}, "lamp: power is 1000"),
+        ({"power": 13}, "lamp: power is 13: give another number"),
+        ({"power": 1, "colour": "rad"}, "lamp: colour is 'rad': did you mean 'red'?"),
+        ({"power": 1, "count": 1.5}, "lamp: count is 1.5: give a whole number"),
+        ({"power": 1, "lit": 1}, "lamp: lit is 1: give true or false"),
+        ({"power": 1, "names": ["a", []]}, "lamp: names[1] is a list of 0: give a text, in quotes"),
+        ({"power": 1, "at": [1, 2]}, "lamp: at[0] is 1: give a list of 2"),
+        ({"power": 1, "at": [[1, 2]]}, "lamp: at is a list of 1: give a list of 2 lists of 2"),
+        ({"power": 1, "at": 3}, "lamp: at is 3: give a list of 2 lists of 2"),
+        ({"power": 1, "inside": []}, "lamp: inside is a list of 0: give 'key: value' lines"),
+        (
+            {"power": 1, "inside": {"a": {"power": 1}, "b": {"power": 2, "inside": {"c": {}}}}},
+            "lamp: inside: b: inside: c: 'power' is missing",
+        ),
+        ({"power": 1, "inside": {"a": {"power": 1}, "b": {"power": 13}}}, "inside: b: power is 13"),
+        ([], "lamp is a list of 0: give 'key: value' lines"),
+    ],
+)
+def test_an_error_names_the_field_and_tells_what_belongs_there(data: Any, error: str) -> None:
+    with refused(ConfigurationError, error):
+        convert(data, Lamp, "lamp")
+
+
+def test_whole_numbers_are_numbers_and_names_may_be_numbers() -> None:
+    lamp = convert({"power": 2, "names": [12, "a"]}, Lamp, "lamp")
+    assert isinstance(lamp.power, float) and [str(name) for name in lamp.names] == ["12", "a"]
+    assert check_number(np.float32(0.5), "x") == check_number(np.array(0.5), "x") == 0.5
+    assert check_number(np.int64(2**60), "x") == 2.0**60
+
+
+# --- YAML
+
+BAD_YAML = {
+    "? [a, b]": "a key is not a word at line 1",
+    "? {a: 1}\n: 2": "a key is not a word",
+    "a: !!int 1": "tags are not supported at line 1",
+    "a: !!python/object:os.system x": "tags are not supported",
+    "a: \ufffe": "correct the YAML",
+    "a: &b {c: *b}": "an alias stands for nothing before it",
+    "a: *b": "an alias stands for nothing before it",
+    "a: " + "[" * 100_000: "too deep",  # once a segmentation fault
+    "- " * 100_000: "too deep",
+    "a: &a [" + "x, " * 999 + "]\nb: [" + "*a, " * 999 + "]": "holds more than 200000 values",
+    "%TAG !a! tag:a:\n" * 9 + "--- {}": "holds a directive %TAG",
+    "a: 1\na: 2": "the key 'a' is repeated at line 2",
+    "]": "correct the YAML",
+    "\t- x": "correct the YAML",
+    "\0\x80": "YAML",
+    "x" * (2**24 + 1): "larger than 16 MiB",
+}
+
+
+@pytest.mark.parametrize("text", BAD_YAML, ids=lambda text: text[:20])
+def test_no_yaml_that_cannot_be_is_more_than_one_line(text: str, tmp_path: Path) -> None:
+    path = tmp_path / "damaged.yaml"
+    path.write_text(text, encoding="utf-8")
+    with refused(ConfigurationError, str(path), BAD_YAML[text]) as caught:
+        load_yaml(path)
+    assert len(str(caught.value)) < 300
+
+
+def test_a_file_that_is_no_text_or_is_not_there_is_named(tmp_path: Path) -> None:
+    (tmp_path / "binary.yaml").write_bytes(bytes(range(256)))
+    with refused(ConfigurationError, "binary.yaml", "UTF-8"):
+        load_yaml(tmp_path / "binary.yaml")
+    with refused(ConfigurationError, "none.yaml", "check the path"):
+        load_yaml(tmp_path / "none.yaml")
+    with refused(ConfigurationError, str(tmp_path), "cannot be read"):
+        load_yaml(tmp_path)
+    for text in ("[" * 10_000, '{"a": NaN}', '{"a": 1e999}', "{"):
+        (tmp_path / "model.json").write_text(text)
+        with refused(ConfigurationError, "is not a model"):
+            load_json(tmp_path / "model.json", "a model")
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["1:30", "010", "1_000", "'1.5'", "true", "9" * 18 + "x", "2026-01-01", "9" * 30, ".nan"],
+)
+def test_what_only_yaml_1_1_takes_for_a_number_is_none(text: str, tmp_path: Path) -> None:
+    path = tmp_path / "number.yaml"
+    path.write_text(f"power: {text}")
+    with refused(ConfigurationError, "power is ", "give a number"):
+        read_document(path, Lamp)
+
+
+@pytest.mark.parametrize("text", ["1e-3", "1E-3", "+1.0e-3", ".001", "1.e-3"])
+def test_a_number_may_be_written_in_any_way_that_ros_reads(text: str, tmp_path: Path) -> None:
+    path = tmp_path / "number.yaml"
+    path.write_text(f"power: &a {text}\ninside: {{007: {{power: *a}}}}")
+    lamp = read_document(path, Lamp)
+    assert lamp.power == lamp.inside["007"].power == 1e-3
+
+
+# --- every reader
+
+
+@cache
+def documents() -> dict[str, tuple[Any, Callable[[Path], Any]]]:
+    """A good document for every reader."""
+    rng = np.random.default_rng(0)
+    geometry = dataclasses.replace(random_socket(rng), scan=ScanFrame(1e-3, random_pose(rng)))
+    points = {f"mark_{i}": [0.01 * i, 0.05, 0.03 * (i % 2)] for i in range(4)}
+    landmarks = {
+        "bodies": {"socket": ["s1", "s2", "s3"], "pylon": {"rigid_body": "Pylon"}},
+        "load_cell": points,
+        "limb": {f"limb_{name}": point for name, point in points.items()},
+    }
+    anchor = {"anchor": [0.0, 0.0, 0.1], "frame": np.eye(3).tolist()}
+    places = {"clusters": {"distal": {"point": [0.0, 0.0, 0.1]}, "brim": anchor}}
+    nodes = TestbedSettings().nodes().items()
+    testbed = {name: {"ros__parameters": node.to_flat()} for name, node in nodes}
+    calibration = yaml.safe_load(packaged("config", "calibration.yaml").read_text())
+    return {
+        "socket": (geometry.to_document(), read_socket),
+        "calibration": (calibration | {"date": "2026-01-01"}, read_calibration),
+        "testbed": (testbed, read_testbed),
+        "landmarks": (landmarks, read_landmarks),
+        "clusters": (places, read_cluster_places),
+        "model": (None, read_model),
+    }
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("documents")
+
+
+@cache
+def model(folder: Path) -> Any:
+    """The document of a model."""
+    geometry, _, samples, chosen = make_case(0)
+    fit = fit_contact_model(samples, geometry, chosen)
+    trial = {"name": "hold", "unloaded": [[0.5, 2.5]]}
+    write_model(fit, geometry, trial, "plateau", folder / "good.json")
+    return json.loads((folder / "good.json").read_text())
+
+
+def places(document: Any, above: tuple[str | int, ...] = ()) -> Iterator[tuple[str | int, ...]]:
+    """Every place in a document."""
+    pairs = document.items() if isinstance(document, dict) else enumerate(document)
+    for key, value in pairs:
+        yield (*above, key)
+        if isinstance(value, dict | list):
+            yield from places(value, (*above, key))
+
+
+_SCALARS = (
+    draw.none()
+    | draw.booleans()
+    | draw.floats()
+    | draw.sampled_from((0, -1, 7, 2**70, 1e9, -1e-3, 1e300))
+    | draw.text("ab1.e-: '#[{é\n", max_size=6)
+)
+VALUES = (
+    _SCALARS
+    | draw.lists(_SCALARS, max_size=4)
+    | draw.dictionaries(draw.text("ab", min_size=1), _SCALARS, max_size=2)
+)
+
+
+@pytest.mark.parametrize("name", documents())
+@given(data=draw.data())
+@settings(max_examples=150, deadline=None, derandomize=True, database=None)
+def test_whatever_stands_in_a_field_is_read_or_refused_by_its_name(
+    name: str, folder: Path, data: draw.DataObject
+) -> None:
+    document, read = documents()[name]
+    document = model(folder) if document is None else document
+    place = data.draw(draw.sampled_from([*places(document)]))
+    value = data.draw(VALUES | draw.just(DELETE) if isinstance(place[-1], str) else VALUES)
+    path = folder / f"{name}.yaml"
+    wrong = changed(document, place, value)
+    path.write_text(json.dumps(wrong) if name == "model" else yaml.safe_dump(wrong))
+    try:
+        found = read(path)
+    except TestbedError as error:
+        check_line(str(error), str(path))
+        fields = [key for key in place if isinstance(key, str)][-2:]
+        if "is not a model" not in error.fact:  # NaN is no JSON, whatever the field
+            assert any(field in error.fact for field in fields)
+    else:
+        known = numbers_of(found)
+        assert np.isfinite(known[~np.isnan(known)]).all()

@@ -1,0 +1,319 @@
+"""Trials recorded with a wrong load cell, tare or marker model, and repaired when they are read."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+from support.bags import pose_vector, rewrite
+
+import socket_testbed as st
+from socket_testbed.__main__ import run
+from socket_testbed.errors import ConfigurationError, TestbedError, TrialError
+from socket_testbed.geometry.marker_bodies import fit_body
+from socket_testbed.geometry.pose import Pose
+from socket_testbed.geometry.socket import SocketGeometry, read_socket, write_socket
+from socket_testbed.settings.acquisition import LoadCellSettings
+from socket_testbed.settings.testbed import TestbedSettings, read_testbed, write_testbed
+from socket_testbed.trials.bag import BagReader, decode, stamp_of
+from socket_testbed.trials.topics import MARKERS
+from socket_testbed.trials.trial import Trial
+
+WRONG = {"sign": (1.0, -1.0, 1.0, 1.0, 1.0, 1.0), "excitation": 4.0, "inputs": (1, 0, 2, 3, 4, 5)}
+HALVES = ("torque", "force")
+
+
+def set_vectors(wrench: Any, values: np.ndarray) -> None:
+    for half, numbers in zip(HALVES, values.reshape(2, 3), strict=True):
+        vector = getattr(wrench, half)
+        vector.x, vector.y, vector.z = numbers.tolist()
+
+
+def matrix_of(settings: LoadCellSettings) -> np.ndarray:
+    """[M; F] over the ratios in V/V."""
+    return 1e3 * np.roll(np.reshape(settings.matrix, (6, 6)), 3, axis=0)
+
+
+def raws_of(path: Path) -> dict[int, Any]:
+    with BagReader(path) as bag:
+        raws = bag.messages(["/load_cell/raw"])
+        return {stamp_of(m): m for m in (decode(raw.data, raw.type) for raw in raws)}
+
+
+@pytest.fixture(scope="module")
+def right(hold: Path) -> LoadCellSettings:
+    return read_testbed(hold / "testbed.yaml").load_cell_node
+
+
+@pytest.fixture(scope="module")
+def miswired(hold: Path, right: LoadCellSettings, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The hold recorded with another matrix, wrong wiring and a tare under load."""
+    rng = np.random.default_rng(4)
+    matrix = np.array(right.matrix) * (1.0 + 0.1 * rng.normal(size=36))
+    wrong = dataclasses.replace(right, matrix=tuple(matrix), **WRONG)
+    true = {stamp: np.array(m.ratios) for stamp, m in raws_of(hold).items()}
+
+    def misread(ratios: np.ndarray) -> np.ndarray:
+        return ratios[list(WRONG["inputs"])] * WRONG["sign"] * right.excitation / 4.0
+
+    under_load = matrix_of(wrong) @ misread(list(true.values())[100])
+
+    def change(topic: str, message: Any) -> Any:
+        if topic.startswith("/load_cell"):
+            ratios = misread(true[stamp_of(message)])
+            if topic == "/load_cell/wrench":
+                set_vectors(message.wrench, matrix_of(wrong) @ ratios - under_load)
+            else:
+                message.ratios = ratios
+                set_vectors(message.tare, under_load)
+        return message
+
+    path = rewrite(hold, tmp_path_factory.mktemp("trials") / "miswired", change)
+    store(wrong, path / "testbed.yaml")
+    return path
+
+
+def store(settings: LoadCellSettings, path: Path) -> Path:
+    nodes = dataclasses.replace(TestbedSettings(), load_cell_node=settings).nodes()
+    write_testbed({"load_cell_node": nodes["load_cell_node"]}, path)
+    return path
+
+
+def test_simulated_ratios_make_the_simulated_wrenches(hold: Path, right: LoadCellSettings) -> None:
+    raws = raws_of(hold)
+    ratios = np.array([message.ratios for message in raws.values()])
+    wrench = Trial(hold).samples().wrench
+    np.testing.assert_allclose(ratios @ matrix_of(right).T, wrench, rtol=1e-12, atol=1e-11)
+    assert {m.status for m in raws.values()} == {m.tared.sec for m in raws.values()} == {0}
+
+
+def test_a_wrong_load_cell_and_tare_are_repaired(
+    hold: Path, miswired: Path, right: LoadCellSettings, tmp_path: Path
+) -> None:
+    file, notes = store(right, tmp_path / "right.yaml"), []
+    true = Trial(hold).samples()
+    assert np.abs(Trial(miswired).samples().wrench - true.wrench).max() > 100.0
+    before = {path.name: path.read_bytes() for path in miswired.iterdir()}
+
+    def wrench(tare: str) -> np.ndarray:
+        trial = st.open_trial(miswired, load_cell=file, tare=tare, notify=notes.append)
+        return trial.samples().wrench
+
+    np.testing.assert_allclose(wrench("none"), true.wrench, rtol=0.0, atol=1e-9)
+    unloaded = true.wrench[true.time <= 5.0].mean(axis=0)
+    np.testing.assert_allclose(wrench("0:5"), true.wrench - unloaded, rtol=0.0, atol=1e-9)
+    # The tare was of the hundredth sample's ratios: it is by the new matrix, too.
+    np.testing.assert_allclose(
+        wrench("recorded"), true.wrench - true.wrench[100], rtol=0.0, atol=1e-9
+    )
+    assert "with the tare 0:5: Mx" in notes[1]
+    table = tmp_path / "table.csv"
+    words = ["export", str(miswired), "--load-cell", str(file), "--tare", "0:5", "-o", str(table)]
+    assert run(words) == 0
+    np.testing.assert_array_equal(pd.read_csv(table).iloc[:, 2:8], wrench("0:5"))
+    assert {path.name: path.read_bytes() for path in miswired.iterdir()} == before
+
+
+def test_a_tare_alone_needs_no_matrix(hold: Path, miswired: Path, tmp_path: Path) -> None:
+    path = rewrite(miswired, tmp_path / "trial", lambda topic, message: message)
+    (path / "testbed.yaml").unlink()
+    recorded = Trial(miswired).samples()
+    shifted = Trial(path, tare="0:5").samples()
+    mean = recorded.wrench[recorded.time <= 5.0].mean(axis=0)
+    np.testing.assert_allclose(shifted.wrench, recorded.wrench - mean, rtol=0.0, atol=1e-9)
+
+
+def test_ratios_of_unknown_settings_are_used_as_they_are(
+    hold: Path, right: LoadCellSettings, tmp_path: Path
+) -> None:
+    path = rewrite(hold, tmp_path / "trial", lambda topic, message: message)
+    (path / "testbed.yaml").unlink()
+    doubled = dataclasses.replace(right, matrix=tuple(2.0 * np.array(right.matrix)))
+    file = store(doubled, tmp_path / "doubled.yaml")
+    wrench = Trial(path, load_cell_file=file).samples().wrench
+    np.testing.assert_allclose(wrench, 2.0 * Trial(hold).samples().wrench, rtol=1e-12, atol=1e-11)
+
+
+def without(topic: str) -> Callable[[str, Any], Any]:
+    return lambda name, message: None if name == topic else message
+
+
+def test_what_cannot_be_repaired_is_refused(
+    hold: Path, miswired: Path, right: LoadCellSettings, tmp_path: Path
+) -> None:
+    file = store(right, tmp_path / "right.yaml")
+    old = rewrite(hold, tmp_path / "old", without("/load_cell/raw"))
+    unknown = rewrite(miswired, tmp_path / "unknown", lambda topic, message: message)
+    (unknown / "testbed.yaml").unlink()
+    other = rewrite(miswired, tmp_path / "other", lambda topic, message: message)
+    store(right, other / "testbed.yaml")
+    few = store(dataclasses.replace(right, matrix=(1.0,) * 35), tmp_path / "few.yaml")
+    moved = dataclasses.replace(right, channels=8, inputs=(0, 1, 2, 3, 4, 7))
+    moved = store(moved, tmp_path / "moved.yaml")
+    for path, given, text in (
+        (old, {"tare": "none"}, "old: holds no 'load_cell/raw'"),
+        (old, {"load_cell_file": file}, "leave out --load-cell and --tare"),
+        (unknown, {"load_cell_file": file}, "does not store the load cell's matrix"),
+        (
+            other,
+            {"load_cell_file": file},
+            "load cell does not make the recorded wrenches",
+        ),
+        (hold, {"load_cell_file": few}, "few.yaml: load_cell_node: matrix has 35 numbers"),
+        (hold, {"load_cell_file": moved}, "inputs names input 7, which was not recorded"),
+        (hold, {"tare": "100:110"}, "holds no wrench: give seconds since the first sample"),
+        (hold, {"tare": "0:30"}, "--tare 0:30: Fz moves by"),
+        (hold, {"tare": "5"}, "--tare is '5': give seconds as T0:T1, with T0 before T1, or none"),
+        (hold, {"tare": "5:1"}, "--tare is '5:1'"),
+    ):
+        with pytest.raises(TestbedError) as raised:
+            Trial(path, **given).samples()
+        assert text in str(raised.value) and isinstance(
+            raised.value, ConfigurationError | TrialError
+        )
+
+
+def test_results_of_many_trials_depend_on_load_cell_and_tare(
+    hold: Path, right: LoadCellSettings, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "study").mkdir()
+    (tmp_path / "study" / "hold").symlink_to(hold)
+    file = store(right, tmp_path / "right.yaml")
+    words = ["fit", str(tmp_path / "study"), "-o", str(tmp_path / "models"), "--jobs", "1"]
+    for given, text in (
+        (["--tare", "none"], "hold: ok, "),
+        (["--tare", "none"], "hold: skipped"),
+        (["--tare", "0:5"], "hold: ok, "),
+        (["--tare", "0:5", "--load-cell", str(file)], "hold: ok, "),
+    ):
+        assert run([*words, *given]) == 0
+        out, err = capsys.readouterr()
+        assert text in out and "made anew from load_cell/raw" in err
+    identity = json.loads((tmp_path / "models" / "hold.json").read_text())["trial"]
+    assert (identity["tare"], identity["load_cell"]) == ("0:5", str(file))
+
+
+@pytest.fixture(scope="module")
+def geometry(hold: Path) -> SocketGeometry:
+    return read_socket(hold / "socket.yaml")
+
+
+def recorded_with(hold: Path, path: Path, wrong: SocketGeometry) -> Path:
+    """The hold as the node would record it that knows other markers of the socket."""
+    seen = Trial(hold).measurements()
+    with BagReader(hold) as bag:
+        stamps, markers = [], []
+        for raw in bag.messages([f"/{MARKERS.name}"]):
+            message = decode(raw.data, raw.type)
+            stamps.append(stamp_of(message))
+            markers.append([(m.x, m.y, m.z) for m in message.bodies[0].markers])
+    pose = fit_body(wrong.socket_markers, np.array(markers)).pose
+    rows = dict(zip(stamps, np.hstack([pose.translation, pose.quaternion()]), strict=True))
+    assert np.array_equal(stamps, seen.stamps)
+
+    def change(topic: str, message: Any) -> Any:
+        if topic == "/mocap/socket/pose":
+            p, q = message.pose.position, message.pose.orientation
+            p.x, p.y, p.z, q.x, q.y, q.z, q.w = rows[stamp_of(message)].tolist()
+            assert np.array_equal(pose_vector(message.pose), rows[stamp_of(message)], True)
+        return message
+
+    path = rewrite(hold, path, change)
+    write_socket(wrong, path / "socket.yaml")
+    return path
+
+
+def moved_marker(geometry: SocketGeometry, by: float) -> SocketGeometry:
+    markers = geometry.socket_markers.copy()
+    markers[1, 0] += by
+    return dataclasses.replace(geometry, socket_markers=markers)
+
+
+@pytest.mark.parametrize("by", [0.005, 0.001])
+def test_a_marker_that_was_registered_wrong_is_repaired(
+    hold: Path, geometry: SocketGeometry, tmp_path: Path, by: float
+) -> None:
+    """Wrong by 5 mm it has no pose, by 1 mm a wrong one."""
+    path, notes = recorded_with(hold, tmp_path / "trial", moved_marker(geometry, by)), []
+    file, true = hold / "socket.yaml", Trial(hold).measurements()
+    trial = st.open_trial(path, geometry=file, notify=notes.append)
+    found = trial.measurements()
+    np.testing.assert_array_equal(found.pylon, true.pylon)
+    right = recorded_with(hold, tmp_path / "right", geometry)
+    np.testing.assert_allclose(found.socket, Trial(right).measurements().socket, atol=1e-12)
+    missing = int(np.isnan(found.socket[:, 0]).sum())
+    text = f"socket: poses fitted anew to the recorded markers: {240 - missing} of 240 found, "
+    assert len(notes) == 1 and notes[0].startswith(text)
+    recorded = Trial(path).measurements().socket
+    if by > 0.002:
+        assert np.isnan(recorded).all() and notes[0].endswith(
+            f"0 of the recorded ones refused, {240 - missing} new"
+        )
+    else:
+        shift = 1e3 * np.linalg.norm(found.socket[:, :3] - recorded[:, :3], axis=1)
+        assert f"moved by {np.nanmedian(shift):.3g} mm and " in notes[0]
+        assert f", {np.nanmax(shift):.3g} mm and " in notes[0]
+    # The recorded means have less noise than a frame's markers have.
+    position, wanted = trial.samples().position, Trial(hold).samples().position
+    assert np.nanmax(np.abs(position - wanted)) < 2e-4
+    table = tmp_path / "table.csv"
+    assert run(["export", str(path), "--geometry", str(file), "-o", str(table)]) == 0
+    np.testing.assert_array_equal(pd.read_csv(table)["q_x [m]"], position[:, 0])
+
+
+def test_another_frame_of_a_body_moves_its_poses_and_not_the_limb(
+    hold: Path, geometry: SocketGeometry, tmp_path: Path
+) -> None:
+    turn = Pose.from_quaternion(np.array([0.02, -0.03, 0.05]), np.array([0.2, -0.1, 0.3, 0.9]))
+    other = dataclasses.replace(
+        geometry,
+        socket_markers=turn.apply(geometry.socket_markers),
+        socket_body=geometry.socket_body @ turn.inverse(),
+    )
+    write_socket(other, tmp_path / "other.yaml")
+    samples, wanted = Trial(hold, tmp_path / "other.yaml").samples(), Trial(hold).samples()
+    both = np.isfinite(samples.position).all(axis=1)
+    assert both.mean() > 0.95
+    assert np.abs(samples.position - wanted.position)[both].max() < 2e-4
+    # Where the markers are the same, the recorded poses are, too.
+    same = dataclasses.replace(geometry, socket_body=turn @ geometry.socket_body)
+    write_socket(same, tmp_path / "same.yaml")
+    trial = Trial(hold, tmp_path / "same.yaml")
+    np.testing.assert_array_equal(trial.measurements().socket, Trial(hold).measurements().socket)
+    shifted = turn.apply(wanted.position)
+    np.testing.assert_allclose(trial.samples().position, shifted, atol=1e-7)
+
+
+def test_poses_of_unknown_markers_stay_with_a_note(
+    hold: Path, geometry: SocketGeometry, tmp_path: Path
+) -> None:
+    path, notes = rewrite(hold, tmp_path / "trial", lambda topic, message: message), []
+    (path / "socket.yaml").write_text("tiles: {}")
+    write_socket(moved_marker(geometry, 0.005), tmp_path / "other.yaml")
+    found = Trial(path, tmp_path / "other.yaml", notify=notes.append).measurements()
+    np.testing.assert_array_equal(found.socket, Trial(hold).measurements().socket)
+    assert len(notes) == 1 and notes[0].startswith("the poses stay as recorded, with markers")
+
+
+def test_markers_that_cannot_be_fitted_are_refused(
+    hold: Path, geometry: SocketGeometry, tmp_path: Path
+) -> None:
+    write_socket(moved_marker(geometry, 0.005), tmp_path / "other.yaml")
+    bare = rewrite(hold, tmp_path / "bare", without(f"/{MARKERS.name}"))
+    with pytest.raises(TrialError, match="bare: holds no 'mocap/markers', so its poses cannot"):
+        Trial(bare, tmp_path / "other.yaml").samples()
+
+    def four(topic: str, message: Any) -> Any:
+        if topic == f"/{MARKERS.name}":
+            message.bodies[0].markers.append(message.bodies[0].markers[0])
+        return message
+
+    more = rewrite(hold, tmp_path / "more", four)
+    with pytest.raises(TrialError, match="4 markers of the socket were recorded, and the geometry"):
+        Trial(more, tmp_path / "other.yaml").samples()
