@@ -190,6 +190,8 @@ class ReplayNode(TestbedNode[ReplaySettings]):
         if topic in self._remade:
             pack, rows = self._remade[topic]
             stamp = stamp_of(decode(data, raw.type))
+            if stamp not in rows:
+                return  # the trial lacks its trigger
             data = pack(stamp, rows[stamp])
         self._by_topic[raw.topic].publish(data)
         self._published += 1

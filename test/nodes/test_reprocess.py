@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from geometry_msgs.msg import PoseStamped, WrenchStamped
 from std_srvs.srv import Trigger as TriggerService
 from support.bags import pose_vector, wrench_vector
 from support.graph import Probe
@@ -20,7 +21,7 @@ from socket_testbed.live.bringup import Simulation, end, simulate_hardware, simu
 from socket_testbed.live.processes import Graph
 from socket_testbed.nodes.conversions import stamp_from_ros
 from socket_testbed.settings.testbed import ReplaySettings, read_testbed
-from socket_testbed.trials.topics import LOAD_CELL_RAW, SOCKET_POSE, WRENCH
+from socket_testbed.trials.topics import LOAD_CELL_RAW, SOCKET_POSE, WRENCH, Topic
 from socket_testbed.trials.trial import Trial
 
 pytestmark = pytest.mark.graph
@@ -91,12 +92,27 @@ def test_wrenches_and_poses_are_repaired(recorded: Path) -> None:
 
 
 def test_a_replay_publishes_what_is_repaired(recorded: Path) -> None:
-    replay = ReplaySettings(trial=str(recorded), rate=50.0, geometry=str(RIGHT), tare="none")
+    found = Trial(recorded, RIGHT, tare="none").measurements()
+    rows = {stamp: row for row, stamp in enumerate(found.stamps.tolist())}
+    held = Recorded(recorded)
+    replay = ReplaySettings(trial=str(recorded), rate=2.0, geometry=str(RIGHT), tare="none")
     with Probe() as probe, Graph() as graph:
-        wrenches, poses = probe.listen(WRENCH), probe.listen(SOCKET_POSE)
+        # Discovery may outlast the first messages; a recording may end within a sample.
+        heard = {topic: probe.listen(topic) for topic in (WRENCH, SOCKET_POSE)}
         graph.start("replay_node", replay)
-        graph.wait("replay_node")
-        found = Trial(recorded, RIGHT, tare="none").measurements()
-        probe.wait(lambda: len(wrenches) == len(poses) == len(found.stamps), "the whole trial")
-    np.testing.assert_array_equal([wrench_vector(m.wrench) for m in wrenches], found.wrench)
-    np.testing.assert_array_equal([pose_vector(m.pose) for m in poses], found.socket)
+        last = {topic: max(held.stamps(topic.name)) for topic in heard}
+
+        def at_its_end(topic: Topic) -> bool:
+            return bool(heard[topic]) and _stamp(heard[topic][-1]) == last[topic]
+
+        probe.wait(lambda: all(map(at_its_end, heard)), "the last sample")
+    for topic, vector, numbers in (
+        (WRENCH, lambda message: wrench_vector(message.wrench), found.wrench),
+        (SOCKET_POSE, lambda message: pose_vector(message.pose), found.socket),
+    ):
+        order = [rows[_stamp(message)] for message in heard[topic]]
+        np.testing.assert_array_equal([vector(m) for m in heard[topic]], numbers[order])
+
+
+def _stamp(message: WrenchStamped | PoseStamped) -> int:
+    return stamp_from_ros(message.header.stamp)
