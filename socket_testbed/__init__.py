@@ -6,7 +6,7 @@ The public names, such as `socket_testbed.fit`, are those of `socket_testbed.api
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 if TYPE_CHECKING:
     # From the modules that define them: api.compare is a module, and the name of a function.
