@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 from support import CHECKOUT
 
+from socket_testbed import __version__
 from socket_testbed.__main__ import VERBS
 from socket_testbed.trials.topics import TOPICS
 
@@ -94,7 +95,8 @@ def test_the_pages_programs_compile() -> None:
 
 
 def test_the_readme_names_every_verb() -> None:
-    assert set(re.findall(r"^\| `([a-z]+)", README, flags=re.MULTILINE)) == set(VERBS)
+    rows = README.partition("| for | verbs")[2].partition("\n\n")[0]
+    assert set(re.findall(r"`([a-z]+)`", rows)) == set(VERBS)
 
 
 def test_the_conventions_name_every_topic_with_its_type() -> None:
@@ -114,9 +116,21 @@ def test_the_page_on_the_paper_names_functions_that_exist() -> None:
             assert re.search(rf"(def|class) {defined.rpartition('.')[2]}\b", file.read_text()), name
 
 
+def anchors(page: Path) -> set[str]:
+    """The anchors of a page's headings, as GitHub forms them."""
+    text = re.sub(r"```.*?```", "", page.read_text(), flags=re.DOTALL)
+    headings = re.findall(r"^#+ (.+)$", text, flags=re.MULTILINE)
+    return {re.sub(r"[^\w -]", "", heading.lower()).replace(" ", "-") for heading in headings}
+
+
 def test_every_link_leads_somewhere() -> None:
-    links = [(p, t) for p in PAGES for t in re.findall(r"\]\(([^)#:]+)\)", p.read_text())]
-    assert links and not [(p.name, t) for p, t in links if not (p.parent / t).exists()]
+    links = [(p, t) for p in PAGES for t in re.findall(r"\]\(([^):]+)\)", p.read_text())]
+    assert links
+    for page, target in links:
+        path, _, anchor = target.partition("#")
+        found = page.parent / path if path else page
+        assert found.exists(), (page.name, target)
+        assert not anchor or anchor in anchors(found), (page.name, target)
 
 
 def test_the_map_names_folders_and_files_that_exist() -> None:
@@ -125,3 +139,23 @@ def test_the_map_names_folders_and_files_that_exist() -> None:
     known = {path.name for top in shown for path in (top, *top.rglob("*"))}
     named = {name.rstrip("/") for name in re.findall(r"[a-z0-9_]+\.py\b|[a-z0-9_]+/(?= )", page)}
     assert named and not named - known
+    text = page + (CHECKOUT / "docs" / "data_flow.svg").read_text()
+    for name in re.findall(r"(?:[a-z0-9_]+/)+(?:[a-z0-9_]+\.(?:py|md)\b|(?=</text>))", text):
+        assert any((top / name).exists() for top in (CHECKOUT / "socket_testbed", CHECKOUT)), name
+
+
+def test_lines_fit_on_a_screen() -> None:
+    for page in PAGES:
+        for line in page.read_text().splitlines():
+            assert len(line) <= 120 or line.startswith(("|", "![")), (page.name, line)
+
+
+def test_one_version_stands_everywhere() -> None:
+    places = {
+        "package.xml": rf"<version>{__version__}</version>",
+        "msg_defs/package.xml": rf"<version>{__version__}</version>",
+        "CITATION.cff": rf"\nversion: {__version__}\n",
+        "CHANGELOG.md": rf"\n## \[{__version__}\] - 20",
+    }
+    for name, pattern in places.items():
+        assert re.search(pattern, (CHECKOUT / name).read_text()), name
