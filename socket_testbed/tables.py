@@ -128,3 +128,4 @@ _WRITERS: dict[str, Callable[[pd.DataFrame, Path], None]] = {
     ".parquet": _write_parquet,
     ".mat": _write_mat,
 }
+FORMATS = tuple(_WRITERS)

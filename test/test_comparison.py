@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import gamma
 
-from socket_testbed.comparison import Comparison, difference_intervals, values_table
+from socket_testbed.api.comparison import Comparison, difference_intervals, values_table
 
 RNG = np.random.default_rng(12)
 TRIALS = ("one", "two")

@@ -28,7 +28,7 @@ LAYERS = (
     ("settings", "geometry"),
     ("drivers", "calibration", "identification", "socket_design"),
     ("trials",),
-    ("batch", "comparison", "simulation", "report"),
+    ("batch", "simulation", "report"),
     ("live", "viewer"),
     ("api",),
     ("nodes",),

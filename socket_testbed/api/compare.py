@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from datetime import UTC, datetime
 from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from socket_testbed.api.comparison import Comparison, texts_table, values_table
 from socket_testbed.api.pressure import OF_TILES, TrialPressure, pressure
 from socket_testbed.api.trials import PathLike, Progress, open_trial, started
-from socket_testbed.comparison import Comparison, texts_table, values_table
 from socket_testbed.errors import ConfigurationError, TrialError
 from socket_testbed.geometry.regions import Region
 from socket_testbed.identification.pressure import (
@@ -51,7 +50,7 @@ def compare(
     mean wrench, and the metadata. All must be of one socket, unless `by_region`.
 
     The interval of a difference takes the errors of both trials as independent, see
-    `socket_testbed.comparison`; docs/compare.md states how often it held the true difference.
+    `socket_testbed.api.comparison`; docs/compare.md states how often it held the true difference.
 
     Args:
         items: Two to twelve trials, or their folders.
@@ -125,13 +124,10 @@ def write_comparison(
     >>> found = st.compare("trials/hold", "trials/walk", segment="15:20")
     >>> st.write_comparison(found, "liners.html")
     """
-    # matplotlib takes its time to import.
-    from socket_testbed.report.comparison_page import write_page
-
     path = Path(page)
     if path.suffix.lower() not in PAGES:
         raise ConfigurationError(f"{path}: a comparison is a page", "let it end in .html")
-    write_page(found, path, command, datetime.now(UTC))
+    found.write_page(path, command)
 
 
 def _open(items: Sequence[Trial | PathLike]) -> list[Trial]:

@@ -4,22 +4,24 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from socket_testbed.api.trials import PathLike, select
+from socket_testbed.api.result import Result
+from socket_testbed.api.trials import select
 from socket_testbed.arrays import FloatArray, IntArray
 from socket_testbed.errors import ConfigurationError, TrialError, closest
-from socket_testbed.files import check_picture
-from socket_testbed.tables import split_unit, write_table
+from socket_testbed.tables import split_unit
 from socket_testbed.trials.events import PLACED, cycle_spans
 from socket_testbed.trials.segment import Segment
 from socket_testbed.trials.trial import Trial
 
 if TYPE_CHECKING:
     import pandas as pd
+    from matplotlib.figure import Figure
+
+    from socket_testbed.report.figures.style import FigureStyle
 
 _POINTS = 101  # 0 to 100 % of a cycle
 _LONG = 2.0  # medians; a longer cycle holds a pause
@@ -30,24 +32,15 @@ _TIME = "time [s]"
 
 
 @dataclass(frozen=True, repr=False)
-class Cycles:
-    """Quantities over 0 to 100 % of each cycle of a trial.
-
-    Attributes:
-        trial: The trial.
-        by: The events that delimit the cycles, see `st.cycles`.
-        spans: Start and end of each of the K cycles since the first sample, shape (K, 2) [s].
-        left_out: Number of cycles that were left out because they hold a pause.
-        titles: Names of the m quantities with their units, such as `Fz [N]`.
-        curves: Their values at 0, 1, ... 100 % of each cycle, shape (K, 101, m).
-    """
+class Cycles(Result):
+    """Quantities over 0 to 100 % of each cycle of a trial."""
 
     trial: Trial
-    by: str
-    spans: FloatArray
-    left_out: int
-    titles: tuple[str, ...]
-    curves: FloatArray
+    by: str  # the events that delimit the cycles, see `st.cycles`
+    spans: FloatArray  # (K, 2) [s], start and end of each cycle since the first sample
+    left_out: int  # number of cycles that hold a pause
+    titles: tuple[str, ...]  # of the m quantities with their units, such as `Fz [N]`
+    curves: FloatArray  # (K, 101, m), their values at 0, 1, ... 100 % of each cycle
 
     def __repr__(self) -> str:
         return f"Cycles({self})"
@@ -107,25 +100,10 @@ class Cycles:
         percent = np.linspace(0.0, 100.0, _POINTS)
         return pd.DataFrame(columns, index=pd.Index(percent, name="cycle [%]"))
 
-    def save(self, path: PathLike) -> None:
-        """Write `to_dataframe` as `.csv`, `.parquet` or `.mat`; an older file is replaced."""
-        write_table(self.to_dataframe(), Path(path))
-
-    def draw(self, path: PathLike, width: float = 180, title: bool = True) -> None:
-        """Draw each quantity with its band, mean and one standard deviation, as `.png` or `.pdf`.
-
-        Args:
-            path: The file; an older one is replaced.
-            width: Its printed width, 88 or 180 [mm].
-            title: Whether it has a title.
-
-        Raises:
-            ConfigurationError: For more than twelve quantities, or another suffix.
-        """
+    def _figure(self, style: FigureStyle) -> Figure:
+        """Each quantity with its band: mean and one standard deviation."""
         from socket_testbed.report.figures.cycles import cycles_figure
-        from socket_testbed.report.figures.style import figure_style, save_figure
 
-        check_picture(Path(path))
         if len(self.titles) > _MOST_PANELS:
             raise ConfigurationError(
                 f"a figure of {len(self.titles)} quantities",
@@ -133,9 +111,7 @@ class Cycles:
             )
         band = "mean and one standard deviation" if len(self) >= _BAND else "mean, no band"
         heading = f"{self.trial.name}: {self}; {band}"
-        style = figure_style(width, title)
-        figure = cycles_figure(self.titles, self.curves, self.mean, self.deviation, heading, style)
-        save_figure(figure, Path(path))
+        return cycles_figure(self.titles, self.curves, self.mean, self.deviation, heading, style)
 
 
 def cycles(

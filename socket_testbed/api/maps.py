@@ -3,39 +3,33 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from socket_testbed.api.result import Result, origin, records
 from socket_testbed.api.trials import PathLike, as_path, select
 from socket_testbed.arrays import FloatArray
-from socket_testbed.files import check_picture
 from socket_testbed.identification.force_map import MapEstimate, map_samples
 from socket_testbed.settings.testbed import estimator_settings
-from socket_testbed.tables import write_table
 from socket_testbed.trials.segment import Segment
 from socket_testbed.trials.trial import Trial
 
 if TYPE_CHECKING:
     import pandas as pd
+    from matplotlib.figure import Figure
+
+    from socket_testbed.report.figures.style import FigureStyle
 
 
 @dataclass(frozen=True, repr=False)
-class TrialMap:
-    """Forces on all tiles over a segment of a trial, with their standard deviations.
-
-    Attributes:
-        trial: The trial.
-        segment: The segment.
-        time: Times of its N samples since the first sample of the trial, shape (N,) [s].
-        estimate: The forces and pressures.
-    """
+class TrialMap(Result):
+    """Forces on all tiles over a segment of a trial, with their standard deviations."""
 
     trial: Trial
     segment: Segment
-    time: FloatArray
+    time: FloatArray  # (N,) [s], of its samples since the first sample of the trial
     estimate: MapEstimate
 
     def __repr__(self) -> str:
@@ -81,30 +75,17 @@ class TrialMap:
         )
         return table.sort_values("pressure [kPa]", ascending=False, kind="stable")
 
-    def save(self, path: PathLike) -> None:
-        """Write the table of `to_dataframe` as `.csv`, `.parquet` or `.mat`.
+    def document(self) -> dict[str, Any]:
+        """The map for JSON, with its means over the segment by tile."""
+        means = records(self.summary().reset_index())
+        return origin(self.trial, self.segment) | {"tiles": means} | super().document()
 
-        Raises:
-            ConfigurationError: If the suffix is no format or the file cannot be written.
-        """
-        write_table(self.to_dataframe(), Path(path))
-
-    def draw(self, path: PathLike, width: float = 180, title: bool = True) -> None:
-        """Draw the mean pressure and its standard deviation on the tiles, as `.png` or `.pdf`.
-
-        Args:
-            path: The file; an older one is replaced.
-            width: Its printed width, 88 or 180 [mm].
-            title: Whether it has a title.
-        """
-        from socket_testbed.report.figures.style import figure_style, save_figure
+    def _figure(self, style: FigureStyle) -> Figure:
+        """The mean pressure on the tiles, and its standard deviation."""
         from socket_testbed.report.sections.pressure import force_map_figure
 
-        check_picture(Path(path))
         heading = f"{self.trial.name}, {self.segment}: force map"
-        style = figure_style(width, title)
-        figure = force_map_figure(self.trial.geometry, self.estimate.mean(), heading, style)
-        save_figure(figure, Path(path))
+        return force_map_figure(self.trial.geometry, self.estimate.mean(), heading, style)
 
 
 def force_map(

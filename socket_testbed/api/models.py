@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -13,9 +12,13 @@ from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from socket_testbed.api.cycles import cycles as cycles_of
+from socket_testbed.api.pressure import TrialPressure
+from socket_testbed.api.pressure import pressure as pressure_of
+from socket_testbed.api.result import Result, origin
+from socket_testbed.api.trials import PathLike, Progress, as_path, select, select_frames, started
 from socket_testbed.arrays import FloatArray
 from socket_testbed.documents import check_number
-from socket_testbed.files import atomic_output
 from socket_testbed.identification.engagement import Engagement, engagement
 from socket_testbed.identification.evaluation import (
     ChannelErrors,
@@ -44,6 +47,7 @@ from socket_testbed.identification.noise import smooth_poses
 from socket_testbed.identification.pareto import (
     Front,
     front_document,
+    front_table,
     pareto_front,
     write_fronts,
 )
@@ -57,31 +61,27 @@ from socket_testbed.identification.validation import judge_unseen_half
 from socket_testbed.samples import Samples, channel_unit
 from socket_testbed.settings.identification import Variant, Weights
 from socket_testbed.settings.testbed import estimator_settings
-from socket_testbed.tables import check_format, write_table
+from socket_testbed.tables import FORMATS, check_format, write_table
 from socket_testbed.trials.segment import Segment
 from socket_testbed.trials.synchronise import sample_table
 from socket_testbed.trials.trial import Trial
 
 if TYPE_CHECKING:
     import pandas as pd
+    from matplotlib.figure import Figure
 
+    from socket_testbed.report.figures.style import FigureStyle
     from socket_testbed.report.results import Results
-from socket_testbed.api.cycles import cycles as cycles_of
-from socket_testbed.api.pressure import TrialPressure
-from socket_testbed.api.pressure import pressure as pressure_of
-from socket_testbed.api.trials import PathLike, Progress, as_path, select, select_frames, started
 
 _MOST_THETAS = 10_001
 
 
 @dataclass(frozen=True, repr=False)
-class TrialFit:
-    """A contact model fitted on a segment of a trial.
+class TrialFit(Result):
+    """A contact model fitted on a segment of a trial, with its certificates.
 
-    Attributes:
-        trial: The trial.
-        segment: The segment.
-        fit: The fit with its certificates.
+    Its table holds the errors on the samples of the fit, its figure the stiffness of every tile,
+    and `save` writes the model that `st.read_model` reads.
     """
 
     trial: Trial
@@ -99,7 +99,7 @@ class TrialFit:
         """Write the model with its geometry, settings, certificates and the trial's identity.
 
         Args:
-            path: The JSON file; an older one is replaced.
+            path: The JSON file, whatever its suffix; an older one is replaced.
 
         Raises:
             ConfigurationError: If the file cannot be written.
@@ -178,29 +178,34 @@ class TrialFit:
         """Errors on the samples of the fit, one row per channel in the channel's unit."""
         return errors_to_dataframe(self.fit.errors)
 
+    def document(self) -> dict[str, Any]:
+        """The errors on the samples of the fit for JSON; `save` writes the model itself."""
+        model = {"trial": self.trial.name, "variant": self.fit.model.variant}
+        return _errors_document(self.trial, model, self.segment, self.fit.samples, self.fit.errors)
+
+    def _figure(self, style: FigureStyle) -> Figure:
+        from socket_testbed.report.figures.tiles import tile_map_figure
+
+        model = self.fit.model
+        frame = "the tile's frame" if model.is_rigid else "{S}"
+        maps = {f"k along {x} of {frame}": k for x, k in zip("xyz", model.stiffness.T, strict=True)}
+        heading = f"{self.trial.name}, {self.segment}: stiffness, {model.variant}"
+        return tile_map_figure(self.trial.geometry, maps, "stiffness [N/m]", heading, style)
+
 
 Model: TypeAlias = TrialFit | StoredModel | PathLike
 
 
 @dataclass(frozen=True, repr=False)
-class Evaluation:
-    """A model judged on a segment of a trial.
-
-    Attributes:
-        trial: The trial.
-        model: The model.
-        segment: The segment.
-        samples: Number of its samples with a wrench and a limb position.
-        errors: Errors of every channel.
-        pressure: The segment's pressure outputs, if they were asked for.
-    """
+class Evaluation(Result):
+    """A model judged on a segment of a trial, with the errors of every channel."""
 
     trial: Trial
     model: StoredModel
     segment: Segment
-    samples: int
+    samples: int  # of the segment with a wrench and a limb position
     errors: tuple[ChannelErrors, ...]
-    pressure: TrialPressure | None = None
+    pressure: TrialPressure | None = None  # if it was asked for
 
     def __repr__(self) -> str:
         return (
@@ -224,25 +229,52 @@ class Evaluation:
 
     def document(self) -> dict[str, Any]:
         """The evaluation for JSON."""
+        model = {"trial": self.model.trial, "variant": self.model.model.variant}
         return {
-            "trial": self.trial.name,
-            "model": {"trial": self.model.trial, "variant": self.model.model.variant},
-            "segment": _segment_document(self.segment),
-            "samples": self.samples,
-            "channels": [errors_document(error) for error in self.errors],
-            "in_objective": quoted_figures(self.errors),
-            **({"pressure": self.pressure.to_document()} if self.pressure else {}),
+            **_errors_document(self.trial, model, self.segment, self.samples, self.errors),
+            **({"pressure": self.pressure.document()} if self.pressure else {}),
         }
 
     def save(self, path: PathLike) -> None:
-        """Write the errors as JSON; an older file is replaced."""
-        with atomic_output(Path(path)) as staging:
-            text = json.dumps(self.document(), indent=1, allow_nan=False)
-            staging.write_text(text, encoding="utf-8")
+        """Write the errors as JSON, or as a table if the suffix is one; an older file is replaced.
+
+        Args:
+            path: The file; JSON unless it ends in `.csv`, `.parquet` or `.mat`.
+
+        Raises:
+            ConfigurationError: If the file cannot be written.
+        """
+        path = Path(path)
+        if path.suffix.lower() in FORMATS:
+            super().save(path)
+        else:
+            self._write_json(path)
+
+    def _figure(self, style: FigureStyle) -> Figure:
+        from socket_testbed.report.sections.channels import wrench_figure
+
+        predicted = _predictions(self.trial.samples(), self.model)
+        shown = [(self.model.model.variant, predicted, self.errors)]
+        heading = f"{self.trial.name}, {self.segment}: measured and predicted wrench"
+        return wrench_figure(self.trial.samples(), self.segment, shown, heading, style)
 
 
-def _segment_document(segment: Segment) -> dict[str, Any]:
-    return {"kind": segment.kind, "start": segment.start, "end": segment.end}
+def _errors_document(
+    trial: Trial,
+    model: dict[str, str],
+    segment: Segment,
+    samples: int,
+    errors: Sequence[ChannelErrors],
+) -> dict[str, Any]:
+    identity = origin(trial, segment)
+    return {
+        "trial": identity["trial"],
+        "model": model,
+        "segment": identity["segment"],
+        "samples": samples,
+        "channels": [errors_document(error) for error in errors],
+        "in_objective": quoted_figures(errors),
+    }
 
 
 def _means(errors: Sequence[ChannelErrors]) -> str:
@@ -452,50 +484,45 @@ def evaluate(
 
 
 @dataclass(frozen=True, repr=False)
-class Tradeoff:
-    """The trade-off between the wrench and the clusters on a segment of a trial.
-
-    Attributes:
-        trial: The trial.
-        segment: The segment.
-        fronts: The solutions along theta, by variant.
-    """
+class Tradeoff(Result):
+    """The trade-off between the wrench and the clusters on a segment of a trial."""
 
     trial: Trial
     segment: Segment
-    fronts: dict[Variant, Front]
+    fronts: dict[Variant, Front]  # the solutions along theta
 
     def __repr__(self) -> str:
         fronts = "; ".join(map(repr, self.fronts.values()))
         return f"Tradeoff({self.trial.name}, {self.segment}; {fronts})"
 
+    def to_dataframe(self) -> pd.DataFrame:
+        """Every solution of both fronts, a row each: see `Front.to_dataframe`."""
+        return front_table(self.fronts.values())
+
     def document(self) -> dict[str, Any]:
         """The fronts for JSON."""
-        return {
-            "trial": self.trial.name,
-            "segment": _segment_document(self.segment),
-            "fronts": [front_document(front) for front in self.fronts.values()],
-        }
+        fronts = [front_document(front) for front in self.fronts.values()]
+        return origin(self.trial, self.segment) | {"fronts": fronts}
 
     def save(self, path: PathLike) -> None:
-        """Write a CSV table of every solution; an older file is replaced."""
-        write_fronts(self.fronts.values(), Path(path))
-
-    def draw(self, path: PathLike, width: float = 180, title: bool = True) -> None:
-        """Draw both fronts as a `.png` or a `.pdf`; an older file is replaced.
+        """Write every solution as a table, or the fronts as JSON; an older file is replaced.
 
         Args:
-            path: The file.
-            width: Its printed width, 88 or 180 [mm].
-            title: Whether it has a title.
+            path: `.csv`, `.parquet` or `.mat`, or `.json`.
+
+        Raises:
+            ConfigurationError: For another suffix, or if the file cannot be written.
         """
-        # matplotlib takes its time to import.
-        from socket_testbed.report.figures.style import figure_style, save_figure
+        if Path(path).suffix.lower() == ".csv":
+            write_fronts(self.fronts.values(), Path(path))  # numbers of ten digits
+        else:
+            super().save(path)
+
+    def _figure(self, style: FigureStyle) -> Figure:
         from socket_testbed.report.sections.fronts import pareto_figure
 
         heading = f"{self.trial.name}, {self.segment}: trade-off between wrench and clusters"
-        style = figure_style(width, title)
-        save_figure(pareto_figure([*self.fronts.values()], heading, style), Path(path))
+        return pareto_figure([*self.fronts.values()], heading, style)
 
 
 def check_thetas(thetas: int) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -14,6 +13,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from socket_testbed.api.maps import TrialMap
+from socket_testbed.api.result import Result, origin
 from socket_testbed.api.trials import PathLike, as_path, select
 from socket_testbed.arrays import FloatArray
 from socket_testbed.documents import check_number
@@ -41,6 +41,9 @@ from socket_testbed.trials.trial import Trial
 
 if TYPE_CHECKING:
     import pandas as pd
+    from matplotlib.figure import Figure
+
+    from socket_testbed.report.figures.style import FigureStyle
 
 _CENTRES = [title for title in TITLES if title.startswith("centre of pressure")]
 OF_TILES = tuple(title for title in TITLES if title not in (*_CENTRES, "contact area [cm^2]"))
@@ -48,24 +51,15 @@ _OVER_TIME = tuple(title for title in TITLES if not title.startswith("pressure-t
 
 
 @dataclass(frozen=True, repr=False)
-class TrialPressure:
-    """Pressure outputs over a segment of a trial, by region and tile, with 95 % intervals.
-
-    Attributes:
-        trial: The trial.
-        segment: The segment.
-        places: The regions; the last one is the socket.
-        outputs: The numbers, in SI units.
-        threshold: Pressure above which a tile is in contact [kPa].
-        share: A value whose interval reaches farther than this share of it is not determined [-].
-    """
+class TrialPressure(Result):
+    """Pressure outputs over a segment of a trial, by region and tile, with 95 % intervals."""
 
     trial: Trial
     segment: Segment
-    places: tuple[Region, ...]
+    places: tuple[Region, ...]  # the last one is the socket
     outputs: PressureOutputs
-    threshold: float
-    share: float
+    threshold: float  # [kPa]; a tile with a higher pressure is in contact
+    share: float  # [-]; of a value: if its interval reaches farther, it is not determined
 
     def __repr__(self) -> str:
         socket = self.regions.iloc[-1]
@@ -108,6 +102,10 @@ class TrialPressure:
         table.insert(0, "cluster", [clusters.get(tile, "") for tile in range(len(geometry))])
         return table
 
+    def to_dataframe(self) -> pd.DataFrame:
+        """The table of `regions`."""
+        return self.regions
+
     def over_time(self) -> pd.DataFrame:
         """Outputs of the regions and stresses of the tiles at every sample, by `time [s]`.
 
@@ -135,18 +133,13 @@ class TrialPressure:
             columns |= {f"{name}.{title}": values[:, tile] for title, values in found.items()}
         return pd.DataFrame(columns, index=pd.Index(self.time, name="time [s]"))
 
-    def to_document(self) -> dict[str, Any]:
+    def document(self) -> dict[str, Any]:
         """The outputs for JSON: a value that is not determined is null beside its interval."""
         regions = self.regions
         tiles = {place.name: place.tiles for place in self.places}
         names = self.trial.geometry.names
         return {
-            "trial": self.trial.name,
-            "segment": {
-                "kind": self.segment.kind,
-                "start": self.segment.start,
-                "end": self.segment.end,
-            },
+            **origin(self.trial, self.segment),
             "samples": len(self.time),
             "threshold [kPa]": self.threshold,
             "largest reach of an interval [-]": self.share,
@@ -163,40 +156,24 @@ class TrialPressure:
             "tiles": {name: _values(row, OF_TILES) for name, row in self.tiles.iterrows()},
         }
 
-    def to_json(self) -> str:
-        """The outputs as JSON."""
-        return json.dumps(self.to_document(), indent=1, allow_nan=False)
-
     def save(self, path: PathLike, over_time: bool = False) -> None:
-        """Write the table of `regions`, or of every sample, as `.csv`, `.parquet` or `.mat`.
+        """Write the table of `regions`, or of every sample; an older file is replaced.
 
         Args:
-            path: The file; its suffix selects the format.
+            path: `.csv`, `.parquet` or `.mat`; or `.json` for the document.
             over_time: Whether the table is that of `over_time`, rather than of `regions`.
 
         Raises:
-            ConfigurationError: If the suffix is no format or the file cannot be written.
+            ConfigurationError: For another suffix, or if the file cannot be written.
         """
-        write_table(self.over_time() if over_time else self.regions, Path(path))
+        if over_time:
+            write_table(self.over_time(), Path(path))
+        else:
+            super().save(path)
 
-    def draw(self, path: PathLike, width: float = 180, title: bool = True) -> None:
-        """Draw unrolled maps, mean and at the peak, and regions over time, as `.png` or `.pdf`.
-
-        The regions are the sectors, the heights and your own.
-
-        Args:
-            path: The file; an older one is replaced.
-            width: Its printed width, 88 or 180 [mm].
-            title: Whether it has a title.
-
-        Raises:
-            ConfigurationError: If the suffix is another, or the file cannot be written.
-        """
-        from socket_testbed.report.figures.style import figure_style, save_figure
-        from socket_testbed.report.sections.pressure import (
-            instant_maps,
-            pressure_figure,
-        )
+    def _figure(self, style: FigureStyle) -> Figure:
+        """Unrolled maps, mean and at the peak; sectors, heights and own regions over time."""
+        from socket_testbed.report.sections.pressure import instant_maps, pressure_figure
 
         time, segment = self.time, self.segment
         maps, determined = instant_maps(self.outputs, time, self.share, segment.kind)
@@ -204,7 +181,7 @@ class TrialPressure:
         names = [place.name for place in self.places]
         regions = {name: i for i, name in enumerate(names) if name not in left_out}
         events = [(event.time, event.label) for event in self.trial.events()]
-        figure = pressure_figure(
+        return pressure_figure(
             self.trial.geometry,
             maps,
             determined,
@@ -214,9 +191,8 @@ class TrialPressure:
             events,
             self.trial.metadata.side or "",
             f"{self.trial.name}: pressure, {segment}",
-            figure_style(width, title),
+            style,
         )
-        save_figure(figure, Path(path))
 
     def _table(
         self, found: RegionOutputs, names: Sequence[str], titles: Sequence[str]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -13,6 +12,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from socket_testbed.api.result import Result
 from socket_testbed.api.trials import PathLike, Progress, as_path, started
 from socket_testbed.errors import ConfigurationError, IdentificationError, TrialError
 from socket_testbed.identification.model_file import finite_or_null
@@ -39,32 +39,27 @@ from socket_testbed.identification.validation import (
 from socket_testbed.samples import Samples
 from socket_testbed.settings.testbed import EstimatorSettings, estimator_settings
 from socket_testbed.simulation.trial import read_true_forces
-from socket_testbed.tables import write_table
 from socket_testbed.trials.metadata import TrialMetadata
 from socket_testbed.trials.trial import Trial
 
 if TYPE_CHECKING:
     import pandas as pd
+    from matplotlib.figure import Figure
+
+    from socket_testbed.report.figures.style import FigureStyle
 
 T = TypeVar("T")
 _MOST_FITTED = 12  # trials that models are fitted on; and trials that each of them is tested on
 
 
 @dataclass(frozen=True, repr=False)
-class Validation:
-    """Estimates judged on what they have not seen.
+class Validation(Result):
+    """Estimates judged on what they have not seen; `save` writes the table of `by_trial`."""
 
-    Attributes:
-        trials: Names of the trials.
-        fitted: Names of those that models were fitted on.
-        judgements: Every judgement.
-        metadata: What is stated about each trial.
-    """
-
-    trials: tuple[str, ...]
-    fitted: tuple[str, ...]
+    trials: tuple[str, ...]  # their names
+    fitted: tuple[str, ...]  # names of those that models were fitted on
     judgements: tuple[Judgement, ...]
-    metadata: tuple[TrialMetadata, ...]
+    metadata: tuple[TrialMetadata, ...]  # of each trial
 
     def __repr__(self) -> str:
         return (
@@ -75,23 +70,6 @@ class Validation:
     def to_dataframe(self) -> pd.DataFrame:
         """Every judgement, a row each: see `judgements_table`."""
         return judgements_table(self.judgements)
-
-    def draw(self, path: PathLike, width: float = 180, title: bool = True) -> None:
-        """Draw errors by cluster and the coverage of intervals, as a `.png` or a `.pdf`.
-
-        Args:
-            path: The file; an older one is replaced.
-            width: Its printed width, 88 or 180 [mm].
-            title: Whether it has a title.
-        """
-        from socket_testbed.report.figures.style import figure_style, save_figure
-        from socket_testbed.report.sections.validation import validation_figure
-
-        several = len(self.trials) > 1
-        name = f"{len(self.trials)} trials, means" if several else self.trials[0]
-        style = figure_style(width, title)
-        figure = validation_figure(self.judgements, f"{name}: validation", style)
-        save_figure(figure, Path(path))
 
     def summary(self) -> pd.DataFrame:
         """Means over the trials, a row per question, test and predictor."""
@@ -108,13 +86,16 @@ class Validation:
         table = pd.DataFrame(stated, index=pd.Index(self.trials, name="trial"), dtype=object)
         return table.join(judgements_by_trial(self.judgements))
 
-    def save(self, path: PathLike) -> None:
-        """Write the table of `by_trial` as `.csv`, `.parquet` or `.mat`.
+    def _saved_table(self) -> pd.DataFrame:
+        return self.by_trial()
 
-        Raises:
-            ConfigurationError: If the suffix is no format or the file cannot be written.
-        """
-        write_table(self.by_trial(), Path(path))
+    def _figure(self, style: FigureStyle) -> Figure:
+        """Errors by cluster and the coverage of intervals."""
+        from socket_testbed.report.sections.validation import validation_figure
+
+        several = len(self.trials) > 1
+        name = f"{len(self.trials)} trials, means" if several else self.trials[0]
+        return validation_figure(self.judgements, f"{name}: validation", style)
 
     def document(self) -> dict[str, Any]:
         """The validation for JSON."""
@@ -132,10 +113,6 @@ class Validation:
                 for judgement in self.judgements
             ],
         }
-
-    def to_json(self) -> str:
-        """The validation as JSON."""
-        return json.dumps(self.document(), indent=1, allow_nan=False)
 
 
 def validate(

@@ -14,6 +14,7 @@ import pandas as pd
 from socket_testbed import api
 from socket_testbed.api import Comparison
 from socket_testbed.api.compare import PAGES
+from socket_testbed.api.comparison import LEGEND
 from socket_testbed.batch import find_trials
 from socket_testbed.commands.options import (
     add_judgement,
@@ -25,7 +26,6 @@ from socket_testbed.commands.options import (
     trial_of,
 )
 from socket_testbed.commands.text import Progress, table
-from socket_testbed.comparison import LEGEND
 from socket_testbed.files import check_outputs
 from socket_testbed.tables import check_format
 from socket_testbed.trials.trial import Trial

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 from pathlib import Path
 
 from socket_testbed import api
@@ -81,7 +80,7 @@ def _evaluate(options: argparse.Namespace, trial: Trial) -> Evaluation:
 
 def _show(options: argparse.Namespace, found: Evaluation) -> None:
     if options.json:
-        print(json.dumps(found.document(), indent=1, allow_nan=False))
+        print(found.to_json())
         return
     print(f"{found.trial.name}: {found.segment}, {found.samples} samples")
     print(f"model {found.model.model.variant} of {found.model.trial}\n")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 
 from socket_testbed import api
 from socket_testbed.commands.options import (
@@ -18,8 +17,7 @@ from socket_testbed.commands.options import (
     trial_of,
 )
 from socket_testbed.commands.text import Progress, number, table
-from socket_testbed.identification.model_file import finite_or_null
-from socket_testbed.identification.published import PUBLISHED_FRAMES, THEIRS
+from socket_testbed.identification.published import PUBLISHED_FRAMES
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -41,26 +39,24 @@ def run(options: argparse.Namespace) -> None:
     found = api.paper(
         trial, options.segment, thetas=options.thetas, progress=Progress, **choices(options)
     )
-    titles = [f"paper: {title}" if source == THEIRS else title for source, title in found]
-    figures = found.set_axis(titles, axis=1)
     if options.json:
-        rows = {
-            name: {title: finite_or_null(value) for title, value in row.items()}
-            for name, row in figures.iterrows()
-        }
-        document = {"trial": trial.name, **found.attrs, "figures": rows}
-        print(json.dumps(document, indent=1, allow_nan=False))
+        print(found.to_json())
         return
-    settings = found.attrs["settings"]
-    print(f"{trial.name}: {found.attrs['segment']}, {found.attrs['samples']} samples")
+    settings = found.settings.to_flat()
+    print(f"{trial.name}: {found.segment}, {found.samples} samples")
     print(
         f"theta {settings['theta']:g}, weights {settings['weights']}; rest positions within"
         f" {1e3 * settings['rest_position_limit']:g} mm of"
         f" {settings['reference_position'] or 'the mean limb position'}; k0"
         f" {settings['initial_stiffness']:.4g} N/m, alpha {settings['gate_sharpness']:g} 1/m\n"
     )
+    figures = found.document()["figures"]
     cells = [
-        [str(name), *(number(value) for value in row.iloc[:-1]), row.iloc[-1]]
-        for name, row in figures.iterrows()
+        [
+            name,
+            *("-" if v is None else v if isinstance(v, str) else number(v) for v in row.values()),
+        ]
+        for name, row in figures.items()
     ]
+    titles = next(iter(figures.values()))
     print(table(["figure", *titles], cells))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -72,7 +71,7 @@ def run(options: argparse.Namespace) -> None:
     if options.figure is not None:
         found.draw(options.figure, **figure_choices(options))
     if options.json:
-        print(json.dumps(found.document(), indent=1, allow_nan=False))
+        print(found.to_json())
         return
     print(f"{trial.name}: {found.segment}, theta from 0 to 1 in {options.thetas} values\n")
     fronts = [*found.fronts.values()]

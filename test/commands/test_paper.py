@@ -8,12 +8,13 @@ import pytest
 
 import socket_testbed as st
 from socket_testbed.__main__ import run
+from socket_testbed.api import PaperTable
 
 WITHOUT, WITH = ("this trial", "without offsets"), ("this trial", "with offsets")
 
 
 @pytest.fixture(scope="module")
-def figures(hold, tmp_path_factory) -> tuple[pd.DataFrame, dict]:
+def figures(hold, tmp_path_factory) -> tuple[PaperTable, dict]:
     """The table of the first 50 samples, and the models of two plain fits."""
     folder = tmp_path_factory.mktemp("paper")
     frames = ["--frames", "50", "--leave-out", "distal.Fy", "--initial-stiffness", "auto"]
@@ -29,7 +30,8 @@ def figures(hold, tmp_path_factory) -> tuple[pd.DataFrame, dict]:
 
 
 def test_the_figures_are_those_of_the_paper_s_variants_on_the_first_frames(hold, figures) -> None:
-    rows, models = figures
+    found, models = figures
+    rows = found.to_dataframe()
     for title, model in models.items():
         rmse = {error["name"]: error["rmse"] for error in model["quality"]["errors"]}
         assert model["quality"]["samples"] <= 50
@@ -44,18 +46,17 @@ def test_the_figures_are_those_of_the_paper_s_variants_on_the_first_frames(hold,
     samples = st.open_trial(hold).samples()
     start = st.select_segment(samples).rows.start
     span = f"plateau {samples.time[start]:.2f} s to {samples.time[start + 49]:.2f} s"
-    assert rows.attrs["segment"] == span
+    assert str(found.segment) == span
     k0 = {model["settings"]["initial_stiffness"] for model in models.values()}
     assert len(k0) == 1 and k0 != {0.0}
 
 
 def test_the_thetas_are_those_of_the_front(hold, figures) -> None:
-    rows, _ = figures
+    rows = figures[0].to_dataframe()
     trial = st.open_trial(hold)
-    segment = rows.attrs["segment"].replace(" s", "").split()
     same = st.pareto(
         trial,
-        f"{segment[1]}:{segment[3]}",
+        figures[0].segment,
         thetas=11,
         leave_out=["distal.Fy"],
         weights="raw",
@@ -69,7 +70,7 @@ def test_the_thetas_are_those_of_the_front(hold, figures) -> None:
 
 
 def test_a_printed_number_stands_with_the_reason_why_it_is_not_comparable(figures) -> None:
-    rows, _ = figures
+    rows = figures[0].to_dataframe()
     printed = {
         "mean RMSE of the moments [N m]": (1.69, 0.44),
         "mean RMSE of the forces [N]": (5.94, 5.25),
@@ -88,12 +89,12 @@ def test_a_printed_number_stands_with_the_reason_why_it_is_not_comparable(figure
 
 
 def test_the_command_prints_what_the_api_gives(hold, figures, capsys) -> None:
-    rows, _ = figures
+    rows = figures[0].to_dataframe()
     words = ["paper", str(hold), "--thetas", "11", "--frames", "50", "--leave-out", "distal.Fy"]
     words += ["--initial-stiffness", "auto"]
     assert run([*words, "--json"]) == 0
     document = json.loads(capsys.readouterr().out)
-    assert document["settings"] == rows.attrs["settings"]
+    assert document == figures[0].document()
     found = pd.DataFrame.from_dict(document["figures"], orient="index")
     np.testing.assert_array_equal(found.iloc[:, :4].astype(float), rows.iloc[:, :4])
     assert run(words) == 0

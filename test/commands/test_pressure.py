@@ -106,7 +106,7 @@ def mapped_times(trial) -> np.ndarray:
 def test_verb_api_and_files_give_the_same_numbers(hold: Path, found, tmp_path, capsys) -> None:
     options = [str(hold), "--segment", "10:20", "--share", "2"]
     assert run(["pressure", *options, "--json"]) == 0
-    assert json.loads(capsys.readouterr().out) == found.to_document()
+    assert json.loads(capsys.readouterr().out) == found.document()
 
     for suffix, read in ((".csv", pd.read_csv), (".parquet", pd.read_parquet)):
         table = tmp_path / f"regions{suffix}"
@@ -140,7 +140,7 @@ def test_export_and_evaluate_bring_the_same_outputs(hold: Path, tmp_path, capsys
     capsys.readouterr()
     asked = ["evaluate", str(hold), "--model", str(model), *out, "--pressure"]
     assert run([*asked, "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["pressure"] == found.to_document()
+    assert json.loads(capsys.readouterr().out)["pressure"] == found.document()
     assert run(asked) == 0
     assert "socket" in capsys.readouterr().out
 
@@ -149,7 +149,7 @@ def test_what_is_not_determined_is_never_bare(hold: Path, capsys) -> None:
     found = st.pressure(st.open_trial(hold), "10:20", share=0.01)
     assert found.regions["peak pressure [kPa]"].isna().all()
     assert found.regions["peak pressure high [kPa]"].notna().all()
-    document = found.to_document()["regions"]["socket"]["peak pressure [kPa]"]
+    document = found.document()["regions"]["socket"]["peak pressure [kPa]"]
     assert document["value"] is None
     assert document["low"] < document["high"]
     assert run(["pressure", str(hold), "--segment", "10:20", "--share", "0.01"]) == 0

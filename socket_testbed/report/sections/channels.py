@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from math import isfinite
+from typing import TypeAlias
 
 import numpy as np
 import pandas as pd
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from socket_testbed.arrays import FloatArray
 from socket_testbed.identification.evaluation import (
     ChannelErrors,
     summarise_errors,
@@ -31,8 +32,9 @@ from socket_testbed.report.figures.style import (
 )
 from socket_testbed.report.page import Heading, ReportFigure, Section, Table
 from socket_testbed.report.results import Results
-from socket_testbed.samples import WRENCH_CHANNELS, channel_unit
+from socket_testbed.samples import WRENCH_CHANNELS, Samples, channel_unit
 from socket_testbed.settings.identification import PAPER_VARIANTS
+from socket_testbed.trials.segment import Segment
 
 _PANEL, _KEY_LINE = 34.0, 3.1  # [mm]; height of a panel without its key; of a line of the key
 _WIDE = 80.0  # [mm]; of a panel that takes a model and its errors in two lines
@@ -151,63 +153,86 @@ def _remark(results: Results, errors: Sequence[ChannelErrors]) -> str:
     return f"not in objective of {', '.join(left_out)}"
 
 
+Shown: TypeAlias = tuple[str, FloatArray, Sequence[ChannelErrors]]
+"""A model's label, what it predicts for all samples, (N, 6 + 3c), and its errors."""
+
+
+def wrench_figure(
+    samples: Samples, segment: Segment, models: Sequence[Shown], title: str, style: FigureStyle
+) -> Figure:
+    """Measured against predicted wrench, a panel per channel with the models' errors.
+
+    Args:
+        samples: The samples.
+        segment: The part of them that the errors are over.
+        models: The models.
+        title: What is shown.
+        style: How it is set.
+    """
+    return _draw(samples, segment, models, _FORCES_FIRST, title, style)
+
+
 def _channels(results: Results, name: str, title: str, channels: Sequence[int]) -> ReportFigure:
-    measured, columns = trusted_values(results.samples), {}
+    samples, segment = results.samples, results.segment
+    measured, columns = trusted_values(samples), {}
     for i in channels:
-        channel, unit = results.samples.channels[i], channel_unit(results.samples.channels[i])
+        channel, unit = samples.channels[i], channel_unit(samples.channels[i])
         columns[f"{channel} measured [{unit}]"] = measured[:, i]
         for candidate in results.candidates:
             columns[f"{channel} predicted {candidate.label} [{unit}]"] = candidate.predicted[:, i]
+    models = [(c.label, c.predicted, c.errors) for c in results.candidates]
+    heading = results.title(title)
     return ReportFigure(
         name,
-        f"{title}, {results.segment}; the errors in the panels are over the shaded segment, to"
-        f" which the variants were fitted (in-sample). {THINNED}",
-        lambda style: _draw(results, channels, title, style),
+        f"{title}, {segment}; the errors in the panels are over the shaded segment, to which the"
+        f" variants were fitted (in-sample). {THINNED}",
+        lambda style: _draw(samples, segment, models, channels, heading, style),
         f"{title} over time, a panel per channel with its errors; the table of errors holds them",
         results.series(columns),
     )
 
 
 @in_style
-def _draw(results: Results, channels: Sequence[int], title: str, style: FigureStyle) -> Figure:
+def _draw(
+    samples: Samples,
+    segment: Segment,
+    models: Sequence[Shown],
+    channels: Sequence[int],
+    title: str,
+    style: FigureStyle,
+) -> Figure:
     """A panel per channel, three in a row of a page, with its errors unless there are no titles."""
     across = 3 if not style.is_narrow else 1 if style.titles else 2
     rows = -(-len(channels) // across)
-    lines = 2 if style.width / across >= _WIDE else 3
-    key = _KEY_LINE * (2.5 + lines * len(results.candidates)) if style.titles else 0.0
+    lines = (2 if style.width / across >= _WIDE else 3) if style.titles else 0
+    key = _KEY_LINE * (2.5 + lines * len(models)) if style.titles else 0.0
     figure = style.figure(rows * (_PANEL + key) + (12.0 if style.titles else 20.0))
-    style.add_title(figure, results.title(title))
+    style.add_title(figure, title)
     axes = figure.subplots(rows, across, squeeze=False, sharex=True).ravel()
+    measured = trusted_values(samples)
     for axis, channel in zip(axes, channels, strict=False):
-        _draw_panel(axis, results, channel, lines if style.titles else 0)
+        first = models[0][2][channel]
+        axis.axvspan(segment.start, segment.end, **SEGMENT_STYLE)
+        axis.plot(*thin(samples.time, measured[:, channel]), label="measured", **MEASURED_STYLE)
+        for (label, predicted, errors), look in zip(models, LINE_STYLES, strict=False):
+            described = _describe(label, errors[channel], lines)
+            axis.plot(*thin(samples.time, predicted[:, channel]), label=described, **look)
+        axis.set_ylabel(f"{_QUANTITIES[first.unit]} [{first.unit}]")
+        style_axes(axis)
+        name = first.name + " (not in objective)" * (not first.in_objective)
+        if lines:
+            add_legend(axis, title=name, labelspacing=0.2, handlelength=1.8)
+        else:
+            axis.set_title(wrap(name, _NAME), loc="left", fontweight="bold", parse_math=False)
     for axis in axes[len(channels) :]:
         axis.set_visible(False)
     for axis in axes[max(0, len(channels) - across) : len(channels)]:
         axis.set_xlabel("time [s]")
         axis.tick_params(labelbottom=True)
-    if not style.titles:
+    if not lines:
         handles, labels = axes[0].get_legend_handles_labels()
         add_legend(figure, handles, labels, loc="outside lower center", ncols=across + 1)
     return lay_out(figure)
-
-
-def _draw_panel(axis: Axes, results: Results, channel: int, lines: int) -> None:
-    """Draw a channel, above it its name and a key with 2 or 3 lines of a model; 0 for no key."""
-    time, candidates = results.samples.time, results.candidates
-    first = candidates[0].errors[channel]
-    axis.axvspan(results.segment.start, results.segment.end, **SEGMENT_STYLE)
-    measured = trusted_values(results.samples)[:, channel]
-    axis.plot(*thin(time, measured), label="measured", **MEASURED_STYLE)
-    for candidate, look in zip(candidates, LINE_STYLES[: len(candidates)], strict=True):
-        label = _describe(candidate.label, candidate.errors[channel], lines)
-        axis.plot(*thin(time, candidate.predicted[:, channel]), label=label, **look)
-    axis.set_ylabel(f"{_QUANTITIES[first.unit]} [{first.unit}]")
-    style_axes(axis)
-    name = first.name + " (not in objective)" * (not first.in_objective)
-    if not lines:
-        axis.set_title(wrap(name, _NAME), loc="left", fontweight="bold", parse_math=False)
-        return
-    add_legend(axis, title=name, labelspacing=0.2, handlelength=1.8)
 
 
 def _describe(label: str, e: ChannelErrors, lines: int) -> str:

@@ -12,22 +12,26 @@ limits about effect measures, Statistics in Medicine 27, 2008).
 
 from __future__ import annotations
 
-import json
-import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from socket_testbed.api.result import Result, records
 from socket_testbed.arrays import BoolArray, FloatArray
+from socket_testbed.files import atomic_output
 from socket_testbed.geometry.socket import SocketGeometry
-from socket_testbed.identification.model_file import finite_or_null
-from socket_testbed.tables import split_unit, write_table
+from socket_testbed.tables import split_unit
 
 if TYPE_CHECKING:
     import pandas as pd
+    from matplotlib.figure import Figure
+
+    from socket_testbed.report.figures.style import FigureStyle
+    from socket_testbed.report.page import Section
 
 _VALUE = ("value", "low", "high")
 _DIFFERENCE = ("difference", "difference low", "difference high")
@@ -35,6 +39,25 @@ _VALUES = (*_VALUE, *_DIFFERENCE)
 COLUMNS = ("part", "name", "quantity", "unit", "item", *_VALUES, "text")
 LEGEND = (
     "value (95 % interval); n.d.: not determined; *: the interval of the difference excludes 0."
+)
+_MEAN = "mean pressure [kPa]"
+_HEADINGS = {
+    "metadata": "Metadata of the trials",
+    "trials": "Segments, sources and calibrations",
+    "regions": "By region",
+    "tiles": "Tile by tile",
+    "wrench": "Wrench",
+}
+_INDEPENDENT = (
+    "The interval of a difference takes the errors of both trials as independent, so that their"
+    " variances add (Zou & Donner 2008). It covers what the sensors leave open under the prior of"
+    " the force map. Errors that both trials share, such as those of the same sensors, cancel in"
+    " part: then it is too wide. docs/compare.md states how often it held the true difference."
+)
+_MAPS = (
+    "On the unrolled wall and the distal end; each set of maps has one colour scale, that of the"
+    " differences with zero in its middle. A tile is pale where its value is uncertain against the"
+    " largest ones. Thick outlines: clusters."
 )
 _DIGITS = {"1": 0, "-": 2, "N m": 2}  # behind the point; 1 unless given
 
@@ -123,28 +146,17 @@ def texts_table(
 
 
 @dataclass(frozen=True, repr=False)
-class Comparison:
-    """Trials side by side.
+class Comparison(Result):
+    """Trials side by side."""
 
-    Attributes:
-        items: Names of the trials.
-        title: What they are compared over, in words.
-        notes: What a reader must know.
-        table: Every value, a row per thing, quantity and trial, see `to_dataframe`.
-        geometry: Their socket; None where their sockets differ or regions alone are compared.
-        pressures: Mean pressures of the tiles, shape (k, n) [kPa], for the maps.
-        deviations: Their standard deviations, shape (k, n) [kPa].
-        side: The leg that wears it, if that is stated.
-    """
-
-    items: tuple[str, ...]
-    title: str
-    notes: tuple[str, ...]
-    table: pd.DataFrame
-    geometry: SocketGeometry | None
-    pressures: FloatArray
-    deviations: FloatArray
-    side: str = ""
+    items: tuple[str, ...]  # names of the trials
+    title: str  # what they are compared over
+    notes: tuple[str, ...]  # what a reader must know
+    table: pd.DataFrame  # see `to_dataframe`
+    geometry: SocketGeometry | None  # None: sockets differ, or regions alone are compared
+    pressures: FloatArray  # (k, n) [kPa], means of the tiles
+    deviations: FloatArray  # (k, n) [kPa], their standard deviations
+    side: str = ""  # the leg that wears the socket, if that is stated
 
     def __repr__(self) -> str:
         names = self.table.groupby("part")["name"].nunique()
@@ -214,26 +226,108 @@ class Comparison:
 
     def document(self) -> dict[str, Any]:
         """The comparison for JSON: the rows of `to_dataframe`, null where there is no value."""
-        rows = self.table.to_dict("records")
         return {
             "kind": "trials",
             "items": list(self.items),
             "title": self.title,
             "notes": list(self.notes),
-            "rows": [{name: finite_or_null(value) for name, value in row.items()} for row in rows],
+            "rows": records(self.table),
         }
 
-    def to_json(self) -> str:
-        """The comparison as JSON."""
-        return json.dumps(self.document(), indent=1, allow_nan=False)
+    def _figure(self, style: FigureStyle) -> Figure:
+        """Maps of the mean pressure on one colour scale."""
+        if self.geometry is None:
+            return super()._figure(style)
+        from socket_testbed.report.figures.tiles import certainty_of, tile_map_figure
 
-    def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the table of `to_dataframe` as `.csv` or `.parquet`; an older file is replaced.
+        low, high = min(float(self.pressures.min()), 0.0), float(self.pressures.max())
+        certainty = map(certainty_of, self.pressures, self.deviations)
+        return tile_map_figure(
+            self.geometry,
+            dict(zip(self.items, self.pressures, strict=True)),
+            _MEAN,
+            style=style,
+            limits=(low, high),
+            side=self.side,
+            certainty=dict(zip(self.items, certainty, strict=True)),
+        )
+
+    def _differences(self, style: FigureStyle) -> Figure:
+        """Maps of the differences to the first trial, with zero in the middle of one scale."""
+        from socket_testbed.report.figures.tiles import certainty_of, tile_map_figure
+
+        differences = self.pressures[1:] - self.pressures[0]
+        spread = np.hypot(self.deviations[1:], self.deviations[0])
+        most = float(np.abs(differences).max()) or 1.0
+        names = [self._difference(item) for item in self.items[1:]]
+        assert self.geometry is not None
+        return tile_map_figure(
+            self.geometry,
+            dict(zip(names, differences, strict=True)),
+            f"difference in {_MEAN}",
+            style=style,
+            limits=(-most, most),
+            side=self.side,
+            certainty=dict(zip(names, map(certainty_of, differences, spread), strict=True)),
+        )
+
+    def write_page(self, path: Path, command: str) -> None:
+        """Write the comparison as one page that opens offline; an older one is replaced.
+
+        Args:
+            path: The page.
+            command: What made it, for the record.
 
         Raises:
-            ConfigurationError: If the suffix is no format or the file cannot be written.
+            ConfigurationError: If it cannot be written.
         """
-        write_table(self.table, Path(path))
+        # matplotlib takes its time to import.
+        from socket_testbed.report.page import Bullets, Section, pairs_table, render
+
+        made = datetime.now(UTC).strftime("%Y-%m-%d %H:%M:%S UTC")
+        origin = [("page made", made), ("command", command)]
+        table = pairs_table("provenance-table", "What the page was made with", origin)
+        sections = [
+            Section("notes", "Notes", [Bullets(self.notes, "notes"), LEGEND]),
+            *self._sections(),
+            Section("provenance", "Provenance", [table]),
+        ]
+        text = render(f"Comparison of trials: {', '.join(self.items)}", self.title, sections)
+        with atomic_output(path) as staging:
+            staging.write_text(text, encoding="utf-8")
+
+    def _sections(self) -> Iterator[Section]:
+        from socket_testbed.report.page import Bullets, Folded, ReportFigure, Section, Table
+
+        count, *clearest = self.differing()
+        yield Section("differing", "Clear differences", [f"{count}.", Bullets(clearest)])
+        cells = self.cells("regions").loc["socket"].rename_axis("output")
+        socket = Table("socket-table", "Outputs of the socket", cells)
+        yield Section("socket", "Whole socket", [_INDEPENDENT, socket])
+        if self.geometry is not None:
+            figures = [
+                ReportFigure("", f"{shown}.", draw, f"{shown}: {', '.join(names)}", is_map=True)
+                for shown, draw, names in (
+                    ("Maps of the mean pressure", self._figure, self.items),
+                    (f"Differences to {self.items[0]}", self._differences, self.items[1:]),
+                )
+            ]
+            yield Section("maps", "Maps", [_MAPS, *figures])
+        for part in dict.fromkeys(self.table["part"]):
+            rows = self.table[self.table["part"] == part]
+            if part in {"regions", "tiles"}:
+                titles = rows[["quantity", "unit"]].drop_duplicates().itertuples(index=False)
+                tables = [
+                    Table(f"{part}-{number}", f"{name} [{unit}]", self.cells(part, name))
+                    for number, (name, unit) in enumerate(titles)
+                ]
+            else:
+                cells = self.cells(part)
+                cells.index = [": ".join(filter(None, names)) for names in cells.index]
+                is_text = bool(rows["text"].notna().any())
+                tables = [Table(f"{part}-table", _HEADINGS[part], cells, is_text=is_text)]
+            shown = [Folded("Show the tables", tables)] if part == "tiles" else tables
+            yield Section(part, _HEADINGS[part], shown)
 
 
 def _cell(row: Mapping[str, Any], columns: Sequence[str]) -> str:

@@ -1,0 +1,112 @@
+"""What the functions of the API return: every result has the same methods."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from socket_testbed.api.trials import PathLike
+from socket_testbed.errors import ConfigurationError
+from socket_testbed.files import atomic_output, check_picture
+from socket_testbed.identification.model_file import finite_or_null
+from socket_testbed.tables import write_table
+from socket_testbed.trials.segment import Segment
+from socket_testbed.trials.trial import Trial
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.figure import Figure
+
+    from socket_testbed.report.figures.style import FigureStyle
+
+
+class Result:
+    """A result: a table, a document for JSON, a file and a figure."""
+
+    def to_dataframe(self) -> pd.DataFrame:
+        """The result as a pandas table, with units in the names of the columns."""
+        raise NotImplementedError
+
+    def document(self) -> dict[str, Any]:
+        """The result as JSON can hold it: null where there is no value."""
+        table = self.to_dataframe()
+        rows = table if table.index.name is None else table.reset_index()
+        return {"rows": records(rows)}
+
+    def to_json(self) -> str:
+        """The result as JSON."""
+        return json.dumps(self.document(), indent=1, allow_nan=False)
+
+    def save(self, path: PathLike) -> None:
+        """Write the result in the format of the file's suffix; an older file is replaced.
+
+        Args:
+            path: `.csv`, `.parquet` or `.mat` for its table, `.json` for its document.
+
+        Raises:
+            ConfigurationError: For another suffix, or if the file cannot be written.
+        """
+        path = Path(path)
+        if path.suffix.lower() == ".json":
+            self._write_json(path)
+        else:
+            write_table(self._saved_table(), path)
+
+    def figure(self, width: float = 180, title: bool = True) -> Figure:
+        """The result as a figure of matplotlib.
+
+        Args:
+            width: Its printed width, 88 or 180 [mm].
+            title: Whether it has a title.
+
+        Raises:
+            ConfigurationError: If figures are not laid out for the width, or it has none.
+        """
+        from socket_testbed.report.figures.style import figure_style  # matplotlib takes its time
+
+        return self._figure(figure_style(width, title))
+
+    def draw(self, path: PathLike, width: float = 180, title: bool = True) -> None:
+        """Write `figure` as `.png` or `.pdf`; an older file is replaced.
+
+        Args:
+            path: The file.
+            width: Its printed width, 88 or 180 [mm].
+            title: Whether it has a title.
+
+        Raises:
+            ConfigurationError: As `figure`, or if the file cannot be written.
+        """
+        check_picture(Path(path))
+        from socket_testbed.report.figures.style import save_figure
+
+        save_figure(self.figure(width, title), Path(path))
+
+    def _saved_table(self) -> pd.DataFrame:
+        return self.to_dataframe()
+
+    def _write_json(self, path: Path) -> None:
+        with atomic_output(path) as staging:
+            staging.write_text(self.to_json(), encoding="utf-8")
+
+    def _figure(self, style: FigureStyle) -> Figure:
+        raise ConfigurationError(
+            f"{type(self).__name__} has no figure", "draw its table: see to_dataframe()"
+        )
+
+
+def records(table: pd.DataFrame) -> list[dict[str, Any]]:
+    """The rows of a table for JSON."""
+    return [
+        {name: finite_or_null(value) for name, value in row.items()}
+        for row in table.to_dict("records")
+    ]
+
+
+def origin(trial: Trial, segment: Segment) -> dict[str, Any]:
+    """The trial and the segment of a result for JSON."""
+    return {
+        "trial": trial.name,
+        "segment": {"kind": segment.kind, "start": segment.start, "end": segment.end},
+    }
