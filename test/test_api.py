@@ -25,6 +25,7 @@ from support.pages import TWO_SECTIONS
 
 import socket_testbed as st
 from socket_testbed.__main__ import run
+from socket_testbed.api import Result
 from socket_testbed.files import packaged
 from socket_testbed.report import write
 from socket_testbed.socket_design import tiling
@@ -112,6 +113,39 @@ def test_the_verbs_write_the_same_bytes(folder, tmp_path, monkeypatch, capsys) -
     assert len(written) == 6
     for name in written:
         assert Path(name).read_bytes() == Path(name.replace("api", "verb", 1)).read_bytes(), name
+
+
+def test_every_result_has_a_table_a_document_files_and_a_figure(folder, tmp_path) -> None:
+    trial = st.open_trial(folder / "trials" / "hold", notify=lambda note: None)
+    fitted = st.fit(trial)
+    results = [
+        fitted,
+        st.evaluate(trial, fitted, pressure=True),
+        st.pareto(trial, thetas=3),
+        st.force_map(trial, "10:12"),
+        st.pressure(trial, "10:12"),
+        st.cycles(trial, "Fz", by="placed:removed"),
+        st.validate(trial),
+        st.compare(trial, folder / "trials" / "walk", segment="15:17"),
+        st.calibrate(folder / "bench.csv", "distal", wiring=(2, 3, 0, 1)),
+        st.paper(trial, thetas=3, frames=40),
+    ]
+    assert {type(found) for found in results} == {*Result.__subclasses__()}
+    for found in results:
+        name = type(found).__name__
+        assert repr(found).startswith(f"{name}(") and len(found.to_dataframe())
+        assert json.loads(found.to_json()) == found.document()
+        found.save(tmp_path / f"{name}.csv")
+        assert (tmp_path / f"{name}.csv").stat().st_size > 100
+        if name == "PaperTable":
+            with pytest.raises(st.TestbedError, match="PaperTable has no figure"):
+                found.figure()
+        else:
+            assert found.figure(88, title=False).get_figwidth() * 25.4 == pytest.approx(88)
+    for name in ("TrialMap", "TrialPressure", "Validation", "Tradeoff"):
+        (found,) = (found for found in results if type(found).__name__ == name)
+        found.save(tmp_path / "found.json")
+        assert json.loads((tmp_path / "found.json").read_text()) == found.document()
 
 
 @pytest.mark.slow

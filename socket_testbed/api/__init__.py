@@ -12,7 +12,7 @@ line says what is wrong and how to fix it. The examples run in a folder with two
 from socket_testbed.api.compare import compare, write_comparison
 from socket_testbed.api.comparison import Comparison
 from socket_testbed.api.cycles import Cycles, cycles
-from socket_testbed.api.design import calibrate, register, tile
+from socket_testbed.api.design import CalibratedCluster, calibrate, register, tile
 from socket_testbed.api.maps import TrialMap, force_map
 from socket_testbed.api.models import (
     Evaluation,
@@ -29,16 +29,19 @@ from socket_testbed.api.models import (
 )
 from socket_testbed.api.paper import PaperTable, paper
 from socket_testbed.api.pressure import TrialPressure, pressure
+from socket_testbed.api.result import Result
 from socket_testbed.api.trials import annotate, open_trial, select_segment, simulate
 from socket_testbed.api.validation import Validation, validate
 from socket_testbed.api.view import TrialPage, require_viewer, view
 from socket_testbed.errors import TestbedError
 
 __all__ = [
+    "CalibratedCluster",
     "Comparison",
     "Cycles",
     "Evaluation",
     "PaperTable",
+    "Result",
     "TestbedError",
     "Tradeoff",
     "TrialFit",

@@ -3,25 +3,142 @@
 from __future__ import annotations
 
 import dataclasses
+import difflib
 import os
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from datetime import date
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from socket_testbed.api.result import Result
+from socket_testbed.api.trials import PathLike, Progress, as_path, started
 from socket_testbed.arrays import FloatArray
+from socket_testbed.calibration.model import Calibration, read_calibration, write_calibration
 from socket_testbed.errors import ConfigurationError, closest
-from socket_testbed.files import packaged
+from socket_testbed.files import atomic_output, packaged, refuse_existing
 from socket_testbed.geometry.socket import read_socket, write_socket
 
 if TYPE_CHECKING:
-    from socket_testbed.calibration.calibrate import CalibratedCluster
+    import pandas as pd
+    from matplotlib.figure import Figure
+
+    from socket_testbed.calibration.calibrate import BenchCalibration
+    from socket_testbed.calibration.drift import Drift
+    from socket_testbed.report.figures.style import FigureStyle
     from socket_testbed.socket_design.design import SocketDesign
     from socket_testbed.socket_design.registration import Registration
     from socket_testbed.socket_design.tiling import TilingSettings
-from socket_testbed.api.trials import PathLike, Progress, as_path, started
+
+
+@dataclass(frozen=True, repr=False)
+class CalibratedCluster(Result):
+    """A cluster calibrated from bench data, on its way into a calibration."""
+
+    name: str
+    quality: BenchCalibration
+    baseline: FloatArray | None  # (4,) [pF], capacitances without load before the bench run
+    drift: Drift | None  # over the bench run, for which the data was corrected
+    existing: Calibration | None = None  # the calibration whose other clusters are kept
+    existing_file: Path | None = None
+
+    def __repr__(self) -> str:
+        errors = self.to_dataframe()["held-out RMSE [%]"]
+        words = ", ".join(f"{name} {percent:.2g} %" for name, percent in errors.items())
+        return (
+            f"CalibratedCluster({self.name}: {len(self.quality.bench)} readings; held-out RMSE of"
+            f" full scale: {words})"
+        )
+
+    def to_dataframe(self) -> pd.DataFrame:
+        """Errors on held-out data by stress, in Pa and percent of the full scale."""
+        import pandas as pd
+
+        from socket_testbed.calibration.bench_data import STRESSES
+
+        held_out = self.quality.held_out
+        columns = {
+            "held-out RMSE [Pa]": [errors.rmse for errors in held_out],
+            "held-out RMSE [%]": [errors.percent for errors in held_out],
+            "held-out MAE [Pa]": [errors.mae for errors in held_out],
+            "held-out R2 [-]": [errors.r2 for errors in held_out],
+            "hysteresis [%]": self.quality.hysteresis,
+            "repeatability [%]": self.quality.repeatability,
+            "cross-talk [%]": self.quality.cross_talk,
+        }
+        return pd.DataFrame(columns, index=pd.Index(STRESSES, name="stress"))
+
+    def notes(self) -> list[str]:
+        """Notes on clusters of the calibration that were fitted to the same readings."""
+        old = self.existing.clusters if self.existing else {}
+        new = self.quality.cluster
+        same = [
+            name
+            for name, cluster in old.items()
+            if name != self.name
+            and np.allclose(cluster.normal, new.normal, rtol=1e-9)
+            and np.allclose(cluster.mean_range, new.mean_range, rtol=1e-9)
+        ]
+        if not same:
+            return []
+        return [
+            f"{self.name} has the same bench readings as {', '.join(same)}: calibrate every cluster"
+            " on a bench run of its own"
+        ]
+
+    def calibration(self, limit: float = 10.0, force: bool = False) -> Calibration:
+        """The existing calibration with this cluster, replaced or added.
+
+        Args:
+            limit: Largest held-out RMSE [% of the full scale].
+            force: Whether a cluster above the limit is accepted, and marked as forced.
+
+        Raises:
+            CalibrationError: If the gain has the wrong sign, or the limit is exceeded.
+        """
+        from socket_testbed.calibration.calibrate import bench_record
+
+        self.quality.require_gain()
+        if not force:
+            self.quality.require_accuracy(limit)
+        today, forced = date.today().isoformat(), bool(self.quality.above(limit))
+        record = bench_record(self.quality, today, limit, forced, self.drift)
+        cluster = dataclasses.replace(self.quality.cluster, baseline=self.baseline, bench=record)
+        old = self.existing
+        clusters = {**(old.clusters if old else {}), self.name: cluster}
+        if old is not None and not all(c.bench for c in clusters.values()):
+            # Date and source stay those of the clusters that have none of their own.
+            return dataclasses.replace(old, clusters=clusters)
+        sources = [f"{name}: {c.bench.get('source')}" for name, c in clusters.items()]
+        return Calibration(clusters, today, "; ".join(sources))
+
+    def save(self, path: PathLike, limit: float = 10.0, force: bool = False) -> None:
+        """Write `calibration` to a file, which must not exist unless it is the existing one.
+
+        Args:
+            path: The YAML file, whatever its suffix.
+            limit: Largest held-out RMSE [% of the full scale].
+            force: Whether a cluster above the limit is accepted.
+
+        Raises:
+            ConfigurationError: If the file exists or cannot be written.
+            CalibrationError: See `calibration`.
+        """
+        path = Path(path)
+        if self.existing_file is None or self.existing_file.resolve() != path.resolve():
+            refuse_existing(path)
+        calibration = self.calibration(limit, force)
+        with atomic_output(path) as staging:
+            write_calibration(calibration, staging)
+
+    def _figure(self, style: FigureStyle) -> Figure:
+        """Calibrated against known stress, residuals, and hysteresis."""
+        from socket_testbed.report.figures.calibration import bench_figure
+
+        return bench_figure(self.quality, self.name, style)
 
 
 def calibrate(
@@ -65,8 +182,8 @@ def calibrate(
     >>> found.save("calibration.yaml", limit=10.0)
     """
     from socket_testbed.calibration.bench_data import join_benches, read_bench, read_unloaded
-    from socket_testbed.calibration.calibrate import calibrate_cluster
-    from socket_testbed.calibration.drift import average_baseline
+    from socket_testbed.calibration.calibrate import calibrate_bench
+    from socket_testbed.calibration.drift import average_baseline, correct_bench, measure_drift
 
     paths = [bench] if isinstance(bench, str | os.PathLike) else list(bench)
     columns, units = columns or {}, units or {}
@@ -78,6 +195,14 @@ def calibrate(
         )
     if wiring is not None and sorted(wiring) != [0, 1, 2, 3]:
         raise ConfigurationError(f"--wiring is {[*wiring]}", "give each of 0, 1, 2, 3 once")
+    existing = None if into is None else read_calibration(Path(into))
+    old = existing.clusters if existing else {}
+    if cluster not in old:
+        for near in difflib.get_close_matches(cluster, old, n=1, cutoff=0.9):
+            raise ConfigurationError(
+                f"--cluster is '{cluster}', which the calibration does not hold",
+                f"did you mean '{near}'? For a new cluster choose a name less like it",
+            )
     with threadpool_limits(1):
         data = join_benches([read_bench(Path(path), columns, units, area) for path in paths])
         ends = (data.time[0], data.time[-1])
@@ -85,8 +210,14 @@ def calibrate(
             average_baseline(time, read_unloaded(Path(path), columns, units), str(path))
             for path, time in zip(baseline, ends, strict=False)
         ]
-        inputs = None if wiring is None else np.array(wiring)
-        return calibrate_cluster(cluster, data, baselines, as_path(into), inputs, drop_outliers)
+        if len(baselines) == 2:
+            data = correct_bench(data, *baselines)
+        usual = old[cluster].wiring if cluster in old else np.arange(4)
+        inputs = usual if wiring is None else np.array(wiring)
+        quality = calibrate_bench(data, inputs, wiring is not None, drop_outliers)
+        drift = measure_drift(quality.cluster, *baselines) if len(baselines) == 2 else None
+    unloaded = baselines[0].capacitance if baselines else None
+    return CalibratedCluster(cluster, quality, unloaded, drift, existing, as_path(into))
 
 
 def _tile_area(geometry: Path, cluster: str) -> float:

@@ -2,13 +2,9 @@
 
 from __future__ import annotations
 
-import difflib
 import math
-from collections.abc import Iterable, Sequence
-from dataclasses import asdict, dataclass, replace
-from datetime import date
-from os import PathLike
-from pathlib import Path
+from collections.abc import Iterable
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -19,20 +15,14 @@ from socket_testbed.calibration.bench_data import STRESSES, BenchData, scaled_st
 from socket_testbed.calibration.drift import (
     DRIFT_LIMIT,
     NEITHER,
-    Baseline,
     Drift,
-    correct_bench,
     cycle_ids,
     find_branches,
-    measure_drift,
 )
 from socket_testbed.calibration.model import (
     SMALLEST_GAIN,
-    Calibration,
     ClusterCalibration,
     channel_features,
-    read_calibration,
-    write_calibration,
 )
 from socket_testbed.calibration.outliers import Outlier, find_outliers
 from socket_testbed.calibration.polynomials import (
@@ -52,8 +42,7 @@ from socket_testbed.calibration.quality import (
     repeatability,
     stress_errors,
 )
-from socket_testbed.errors import CalibrationError, ConfigurationError
-from socket_testbed.files import atomic_output, refuse_existing
+from socket_testbed.errors import CalibrationError
 
 _MOST_DROPPED = 0.05  # [-]; more than that are no outliers but another law
 
@@ -347,135 +336,3 @@ def _plain(value: Any) -> Any:
     if isinstance(value, float):
         return float(f"{value:.{_DIGITS}g}") if math.isfinite(value) else None
     return value
-
-
-@dataclass(frozen=True)
-class CalibratedCluster:
-    """A cluster calibrated from bench data, on its way into a calibration.
-
-    Attributes:
-        name: Name of the cluster.
-        quality: Its calibration with its quality.
-        baseline: Capacitances without load before the bench run, shape (4,) [pF]; None without.
-        drift: Drift over the bench run, for which the data was corrected; None if unknown.
-        existing: The calibration whose other clusters are kept; None without.
-        existing_file: Its file.
-    """
-
-    name: str
-    quality: BenchCalibration
-    baseline: FloatArray | None
-    drift: Drift | None
-    existing: Calibration | None = None
-    existing_file: Path | None = None
-
-    def notes(self) -> list[str]:
-        """What needs a look: clusters of the calibration that were fitted to the same readings."""
-        old = self.existing.clusters if self.existing else {}
-        new = self.quality.cluster
-        same = [
-            name
-            for name, cluster in old.items()
-            if name != self.name
-            and np.allclose(cluster.normal, new.normal, rtol=1e-9)
-            and np.allclose(cluster.mean_range, new.mean_range, rtol=1e-9)
-        ]
-        if not same:
-            return []
-        return [
-            f"{self.name} has the same bench readings as {', '.join(same)}: calibrate every cluster"
-            " on a bench run of its own"
-        ]
-
-    def __repr__(self) -> str:
-        errors = zip(STRESSES, self.quality.held_out, strict=True)
-        words = ", ".join(f"{name} {error.percent:.2g} %" for name, error in errors)
-        return (
-            f"CalibratedCluster({self.name}: {len(self.quality.bench)} readings; held-out RMSE of"
-            f" full scale: {words})"
-        )
-
-    def calibration(self, limit: float = 10.0, force: bool = False) -> Calibration:
-        """The existing calibration with this cluster, replaced or added.
-
-        Args:
-            limit: Largest held-out RMSE [% of the full scale].
-            force: Whether a cluster above the limit is accepted, and marked as forced.
-
-        Raises:
-            CalibrationError: If the gain has the wrong sign, or the limit is exceeded.
-        """
-        self.quality.require_gain()
-        if not force:
-            self.quality.require_accuracy(limit)
-        today, forced = date.today().isoformat(), bool(self.quality.above(limit))
-        record = bench_record(self.quality, today, limit, forced, self.drift)
-        cluster = replace(self.quality.cluster, baseline=self.baseline, bench=record)
-        old = self.existing
-        clusters = {**(old.clusters if old else {}), self.name: cluster}
-        if old is not None and not all(c.bench for c in clusters.values()):
-            # Date and source stay those of the clusters that have none of their own.
-            return replace(old, clusters=clusters)
-        sources = [f"{name}: {c.bench.get('source')}" for name, c in clusters.items()]
-        return Calibration(clusters, today, "; ".join(sources))
-
-    def save(self, path: str | PathLike[str], limit: float = 10.0, force: bool = False) -> None:
-        """Write `calibration` to a file, which must not exist unless it is the existing one.
-
-        Args:
-            path: The file.
-            limit: Largest held-out RMSE [% of the full scale].
-            force: Whether a cluster above the limit is accepted.
-
-        Raises:
-            ConfigurationError: If the file exists or cannot be written.
-            CalibrationError: See `calibration`.
-        """
-        path = Path(path)
-        if self.existing_file is None or self.existing_file.resolve() != path.resolve():
-            refuse_existing(path)
-        calibration = self.calibration(limit, force)
-        with atomic_output(path) as staging:
-            write_calibration(calibration, staging)
-
-
-def calibrate_cluster(
-    name: str,
-    bench: BenchData,
-    baselines: Sequence[Baseline] = (),
-    into: Path | None = None,
-    wiring: IntArray | None = None,
-    drop_outliers: bool = False,
-) -> CalibratedCluster:
-    """Calibrate a cluster from bench data, corrected for its drift where that is known.
-
-    Args:
-        name: Name of the cluster.
-        bench: The bench data.
-        baselines: Capacitances without load before the bench run, and after it.
-        into: File of the calibration that the cluster goes into.
-        wiring: Input that holds each channel, shape (4,); None for the existing cluster's, else
-            0, 1, 2, 3.
-        drop_outliers: Whether outliers are left out of the fit.
-
-    Raises:
-        CalibrationError: See `calibrate_bench`.
-        ConfigurationError: If the existing calibration is wrong, or has a cluster of nearly the
-            same name.
-    """
-    existing = None if into is None else read_calibration(into)
-    old = existing.clusters if existing else {}
-    if name not in old:
-        for near in difflib.get_close_matches(name, old, n=1, cutoff=0.9):
-            raise ConfigurationError(
-                f"--cluster is '{name}', which the calibration does not hold",
-                f"did you mean '{near}'? For a new cluster choose a name less like it",
-            )
-    if len(baselines) == 2:
-        bench = correct_bench(bench, *baselines)
-    usual = old[name].wiring if name in old else np.arange(4)
-    chosen = usual if wiring is None else wiring
-    quality = calibrate_bench(bench, chosen, wiring is not None, drop_outliers)
-    drift = measure_drift(quality.cluster, *baselines) if len(baselines) == 2 else None
-    baseline = baselines[0].capacitance if baselines else None
-    return CalibratedCluster(name, quality, baseline, drift, existing, into)

@@ -8,9 +8,10 @@ from math import isfinite
 from pathlib import Path
 
 from socket_testbed import api
+from socket_testbed.api import CalibratedCluster
 from socket_testbed.arrays import FloatArray
 from socket_testbed.calibration.bench_data import STRESSES, UNITS
-from socket_testbed.calibration.calibrate import BenchCalibration, CalibratedCluster
+from socket_testbed.calibration.calibrate import BenchCalibration
 from socket_testbed.calibration.drift import DRIFT_LIMIT, Drift
 from socket_testbed.calibration.model import SHEAR_TERMS
 from socket_testbed.commands.options import (
@@ -125,7 +126,7 @@ def run(options: argparse.Namespace) -> None:
         print_note(note)
     print(_report(found))
     if options.figure is not None:
-        _draw(found, options)
+        found.draw(options.figure, **figure_choices(options))
     found.save(options.output, options.limit, options.force)
     old = found.existing.clusters if found.existing else {}
     others = [name for name in old if name != found.name]
@@ -149,15 +150,6 @@ def _assignments(words: Sequence[str], option: str) -> dict[str, str]:
             raise ConfigurationError(f"{option}: {name} is given twice", "give it once")
         found[name] = value
     return found
-
-
-def _draw(found: CalibratedCluster, options: argparse.Namespace) -> None:
-    # matplotlib takes its time to import.
-    from socket_testbed.report.figures.calibration import bench_figure
-    from socket_testbed.report.figures.style import figure_style, save_figure
-
-    style = figure_style(**figure_choices(options))
-    save_figure(bench_figure(found.quality, found.name, style), options.figure)
 
 
 def _report(found: CalibratedCluster) -> str:
