@@ -31,7 +31,7 @@ from socket_testbed.report import write
 from socket_testbed.socket_design import tiling
 from socket_testbed.socket_design.tiling import TilingSettings
 
-FUNCTIONS = [name for name in st.__all__ if name not in {"TestbedError", "__version__"}]
+FUNCTIONS = [name for name in st.__all__ if name.islower()]
 
 
 @pytest.fixture(scope="module")
@@ -198,6 +198,8 @@ def test_wrong_input_is_a_testbed_error(folder) -> None:
     trial = st.open_trial(folder / "trials" / "hold")
     with pytest.raises(st.TestbedError, match=r"theta.*from 0 to 1"):
         st.fit(trial, theta=5.0)
+    with pytest.raises(st.TestbedError, match="segment is None: give"):
+        st.fit(trial, segment=None)
     with pytest.raises(AttributeError, match="no attribute 'fitt'"):
         _ = st.fitt  # type: ignore[attr-defined]
     with pytest.raises(st.TestbedError, match="unknown scenario 'walk'"):

@@ -9,68 +9,39 @@ Lengths are in metres, forces in newtons, times in seconds. An error is a `Testb
 line says what is wrong and how to fix it. The examples run in a folder with two simulated trials.
 """
 
-from socket_testbed.api.compare import compare, write_comparison
-from socket_testbed.api.comparison import Comparison
-from socket_testbed.api.cycles import Cycles, cycles
-from socket_testbed.api.design import CalibratedCluster, calibrate, register, tile
-from socket_testbed.api.maps import TrialMap, force_map
-from socket_testbed.api.models import (
-    Evaluation,
-    Tradeoff,
-    TrialFit,
-    check_thetas,
-    evaluate,
-    export,
-    fit,
-    pareto,
-    predict,
-    read_model,
-    write_report,
-)
-from socket_testbed.api.paper import PaperTable, paper
-from socket_testbed.api.pressure import TrialPressure, pressure
-from socket_testbed.api.result import Result
-from socket_testbed.api.trials import annotate, open_trial, select_segment, simulate
-from socket_testbed.api.validation import Validation, validate
-from socket_testbed.api.view import TrialPage, require_viewer, view
-from socket_testbed.errors import TestbedError
-
-__all__ = [
-    "CalibratedCluster",
-    "Comparison",
-    "Cycles",
-    "Evaluation",
-    "PaperTable",
-    "Result",
-    "TestbedError",
-    "Tradeoff",
-    "TrialFit",
-    "TrialMap",
-    "TrialPage",
-    "TrialPressure",
-    "Validation",
-    "annotate",
-    "calibrate",
-    "check_thetas",
-    "compare",
-    "cycles",
-    "evaluate",
-    "export",
-    "fit",
-    "force_map",
-    "open_trial",
-    "paper",
-    "pareto",
-    "predict",
-    "pressure",
-    "read_model",
-    "register",
-    "require_viewer",
-    "select_segment",
-    "simulate",
-    "tile",
-    "validate",
-    "view",
-    "write_comparison",
-    "write_report",
-]
+# Each public name stands once, here; `socket_testbed` takes its own from this list.
+from socket_testbed.api.compare import compare as compare
+from socket_testbed.api.compare import write_comparison as write_comparison
+from socket_testbed.api.comparison import Comparison as Comparison
+from socket_testbed.api.cycles import Cycles as Cycles
+from socket_testbed.api.cycles import cycles as cycles
+from socket_testbed.api.design import CalibratedCluster as CalibratedCluster
+from socket_testbed.api.design import calibrate as calibrate
+from socket_testbed.api.design import register as register
+from socket_testbed.api.design import tile as tile
+from socket_testbed.api.maps import TrialMap as TrialMap
+from socket_testbed.api.maps import force_map as force_map
+from socket_testbed.api.models import Evaluation as Evaluation
+from socket_testbed.api.models import Tradeoff as Tradeoff
+from socket_testbed.api.models import TrialFit as TrialFit
+from socket_testbed.api.models import evaluate as evaluate
+from socket_testbed.api.models import export as export
+from socket_testbed.api.models import fit as fit
+from socket_testbed.api.models import pareto as pareto
+from socket_testbed.api.models import predict as predict
+from socket_testbed.api.models import read_model as read_model
+from socket_testbed.api.models import write_report as write_report
+from socket_testbed.api.paper import PaperTable as PaperTable
+from socket_testbed.api.paper import paper as paper
+from socket_testbed.api.pressure import TrialPressure as TrialPressure
+from socket_testbed.api.pressure import pressure as pressure
+from socket_testbed.api.result import Result as Result
+from socket_testbed.api.trials import annotate as annotate
+from socket_testbed.api.trials import open_trial as open_trial
+from socket_testbed.api.trials import select_segment as select_segment
+from socket_testbed.api.trials import simulate as simulate
+from socket_testbed.api.validation import Validation as Validation
+from socket_testbed.api.validation import validate as validate
+from socket_testbed.api.view import TrialPage as TrialPage
+from socket_testbed.api.view import view as view
+from socket_testbed.errors import TestbedError as TestbedError

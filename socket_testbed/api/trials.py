@@ -198,10 +198,12 @@ def select_segment(samples: Samples, specification: str = "plateau") -> Segment:
     return segments.select_segment(samples, specification, PlateauSettings())
 
 
-def select(trial: Trial, segment: str | Segment, settings: EstimatorSettings) -> Segment:
+def select(trial: Trial, segment: str | Segment | None, settings: EstimatorSettings) -> Segment:
     """The segment of a trial that is given itself or by its specification."""
     if isinstance(segment, Segment):
         return segment
+    if segment is None:
+        raise ConfigurationError("segment is None", "give 'plateau', 'all' or 'T0:T1', or leave it")
     leave_out = settings.identification.leave_out
     return segments.select_segment(
         trial.samples(), segment, settings.plateau, leave_out, trial.events

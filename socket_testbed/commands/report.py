@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from socket_testbed import api
+from socket_testbed.api.models import check_thetas
 from socket_testbed.batch import Row
 from socket_testbed.commands.options import (
     CHOICES,
@@ -60,7 +61,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> None:
     """Report on a trial, or on every trial of a folder."""
-    api.check_thetas(options.thetas)
+    check_thetas(options.thetas)
     # The command as it was typed, but for where the program lies.
     options.command = shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]])
     settings = (

@@ -9,6 +9,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from socket_testbed import api
+from socket_testbed.api.view import require_viewer
 from socket_testbed.commands.options import add_trial, trial_of
 from socket_testbed.commands.text import say
 from socket_testbed.documents import check_number
@@ -81,7 +82,7 @@ def check_page(settings: ViewSettings) -> None:
     Raises:
         ConfigurationError: If what serves it is not installed, or its port is taken.
     """
-    api.require_viewer()
+    require_viewer()
     listen(settings.host, settings.port).close()
 
 
