@@ -10,7 +10,6 @@ from support.bags import add_events
 import socket_testbed as st
 from socket_testbed.__main__ import run
 from socket_testbed.errors import ConfigurationError, TrialError
-from socket_testbed.report.figures.cycles import cycles_figure
 from socket_testbed.trials.trial import Trial
 
 STEPS = np.array([5.0, 8.0, 11.5, 14.0, 17.0, 20.0, 40.0, 43.0])  # [s]; a pause of 20 s
@@ -111,7 +110,7 @@ def test_the_verb_writes_the_same_numbers(
 
 def test_a_figure_shows_mean_band_and_cycles(walk: Trial, tmp_path: Path) -> None:
     found = st.cycles(walk, ["Fz", "Mx", "q_x"], by="step")
-    figure = cycles_figure(found.titles, found.curves, found.mean, found.deviation)
+    figure = found.figure()
     assert [panel.get_ylabel() for panel in figure.axes] == ["Fz [N]", "Mx [N m]", "q_x [m]"]
     panel = figure.axes[0]
     assert len(panel.lines) == len(found) + 1

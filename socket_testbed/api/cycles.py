@@ -28,6 +28,9 @@ _LONG = 2.0  # medians; a longer cycle holds a pause
 _BAND = 3  # cycles that a band needs
 _FEW = 10  # samples of a cycle
 _MOST_PANELS = 12  # of a figure
+_PANEL, _HEADING = 44.0, 12.0  # [mm]; heights
+_MOST_LINES = 30  # single cycles, in a panel
+_OPACITY = 0.25  # [-]; of a band
 _TIME = "time [s]"
 
 
@@ -102,16 +105,41 @@ class Cycles(Result):
 
     def _figure(self, style: FigureStyle) -> Figure:
         """Each quantity with its band: mean and one standard deviation."""
-        from socket_testbed.report.figures.cycles import cycles_figure
+        from socket_testbed.report.figures.style import LINE_STYLES, lay_out, style_axes, wrap
 
-        if len(self.titles) > _MOST_PANELS:
+        count = len(self.titles)
+        if count > _MOST_PANELS:
             raise ConfigurationError(
-                f"a figure of {len(self.titles)} quantities",
+                f"a figure of {count} quantities",
                 f"name {_MOST_PANELS} at most, such as st.cycles(trial, ['Fz', 'Mx'])",
             )
+        across = 1 if style.is_narrow else min(2, count)
+        rows = -(-count // across)
+        figure = style.figure(_HEADING + rows * _PANEL)
         band = "mean and one standard deviation" if len(self) >= _BAND else "mean, no band"
-        heading = f"{self.trial.name}: {self}; {band}"
-        return cycles_figure(self.titles, self.curves, self.mean, self.deviation, heading, style)
+        style.add_title(figure, f"{self.trial.name}: {self}; {band}")
+        panels = figure.subplots(rows, across, squeeze=False, sharex=True).ravel()
+        percent, colour = np.linspace(0.0, 100.0, _POINTS), LINE_STYLES[1]["color"]
+        columns = zip(panels, self.titles, self.mean.T, self.deviation.T, strict=False)
+        for number, (panel, name, mean, deviation) in enumerate(columns):
+            if len(self) <= _MOST_LINES:
+                panel.plot(percent, self.curves[:, :, number].T, color="0.8", linewidth=0.5)
+            band_ends = mean - deviation, mean + deviation
+            panel.fill_between(percent, *band_ends, color=colour, alpha=_OPACITY, linewidth=0.0)
+            panel.plot(percent, mean, color=colour)
+            if not np.isfinite(mean).any():
+                middle = {"transform": panel.transAxes, "ha": "center", "color": "0.3"}
+                panel.text(0.5, 0.5, "no value", **middle)
+                panel.set_yticks([])
+            panel.set_ylabel(wrap(name, 0.75 * _PANEL), parse_math=False)
+            panel.set_xlim(0.0, 100.0)
+            style_axes(panel)
+        for panel in panels[count:]:
+            panel.remove()
+        for panel in panels[max(0, count - across) : count]:
+            panel.tick_params(labelbottom=True)
+            panel.set_xlabel("cycle [%]")
+        return lay_out(figure)
 
 
 def cycles(

@@ -16,7 +16,7 @@ from threadpoolctl import threadpool_limits
 
 from socket_testbed.api.result import Result
 from socket_testbed.api.trials import PathLike, Progress, as_path, started
-from socket_testbed.arrays import FloatArray
+from socket_testbed.arrays import FloatArray, IntArray
 from socket_testbed.calibration.model import Calibration, read_calibration, write_calibration
 from socket_testbed.errors import ConfigurationError, closest
 from socket_testbed.files import atomic_output, packaged, refuse_existing
@@ -24,6 +24,8 @@ from socket_testbed.geometry.socket import read_socket, write_socket
 
 if TYPE_CHECKING:
     import pandas as pd
+    from matplotlib.artist import Artist
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
     from socket_testbed.calibration.calibrate import BenchCalibration
@@ -32,6 +34,9 @@ if TYPE_CHECKING:
     from socket_testbed.socket_design.design import SocketDesign
     from socket_testbed.socket_design.registration import Registration
     from socket_testbed.socket_design.tiling import TilingSettings
+
+_MOST_POINTS = 4000  # of a panel
+_LEVELS = 12  # of the stress, over which residuals are averaged
 
 
 @dataclass(frozen=True, repr=False)
@@ -135,10 +140,74 @@ class CalibratedCluster(Result):
             write_calibration(calibration, staging)
 
     def _figure(self, style: FigureStyle) -> Figure:
-        """Calibrated against known stress, residuals, and hysteresis."""
-        from socket_testbed.report.figures.calibration import bench_figure
+        """Calibrated over known stress, residuals, and those of rising and falling branches.
 
-        return bench_figure(self.quality, self.name, style)
+        A column of panels per stress, in kPa.
+        """
+        from socket_testbed.calibration.bench_data import STRESSES
+        from socket_testbed.report.figures.style import lay_out, style_axes
+
+        found = self.quality
+        groups = found.cross_validation.groups
+        known, fitted, held_out = (
+            1e-3 * stress
+            for stress in (found.bench.stress, found.fitted, found.cross_validation.predicted)
+        )
+        some = slice(None, None, 1 + len(known) // _MOST_POINTS)
+        figure = style.figure(150.0)
+        axes = figure.subplots(3, 3, sharex="col")
+        files = ", ".join(found.bench.files)
+        style.add_title(figure, f"{self.name}: {files}; {groups} held out in turn")
+        for k, name in enumerate(STRESSES):
+            x, residual = known[:, k], (fitted - known)[:, k]
+            above, middle, below = axes[:, k]
+            ends = [x[some].min(), x[some].max()]
+            above.plot(ends, ends, color="0.72", linewidth=2.4)
+            above.plot(x[some], fitted[some, k], ".", color="0.2", markersize=2.0)
+            if outliers := [o for o in found.outliers if o.axis == k]:
+                places = np.array([(o.known, o.fitted) for o in outliers]).T * 1e-3
+                above.plot(*places, "o", color="#D55E00", fillstyle="none", label="outlier")
+            unseen = (held_out - known)[some, k]
+            middle.plot(x[some], unseen, "x", color="#D55E00", markersize=3.0, label="held out")
+            middle.plot(
+                x[some], residual[some], ".", color="0.2", markersize=2.0, label="in the fit"
+            )
+            middle.axhline(0.0, color="0.72", linewidth=1.0)
+            _draw_loop(below, x, residual, found.branches[:, k])
+            error = f"\nheld-out:\n{found.held_out[k].percent:.1f} % of\nfull scale"
+            above.set_title(name + error * style.titles)
+            below.set_xlabel("known [kPa]")
+        for axis, label in zip(
+            axes[:, 0], ("calibrated", "residual", "mean residual"), strict=True
+        ):
+            axis.set_ylabel(f"{label} [kPa]")
+        keys: dict[str, Artist] = {}
+        for axis in axes.flat:
+            style_axes(axis)
+            axis.locator_params(nbins=4 if style.is_narrow else 6)
+            handles, labels = axis.get_legend_handles_labels()
+            keys |= dict(zip(labels, handles, strict=True))
+        columns = 3 if style.is_narrow else 5
+        figure.legend(keys.values(), keys.keys(), loc="outside lower center", ncols=columns)
+        return lay_out(figure)
+
+
+def _draw_loop(axis: Axes, known: FloatArray, residual: FloatArray, branches: IntArray) -> None:
+    """Mean residual of the rising and the falling branch over the known stress."""
+    from socket_testbed.calibration.drift import FALLING, RISING
+
+    edges = np.linspace(known.min(), known.max(), _LEVELS + 1)
+    level = np.clip(np.searchsorted(edges, known, side="right") - 1, 0, _LEVELS - 1)
+    # Okabe & Ito's colours; the marks tell the branches apart in grey, too.
+    looks = ((RISING, "rising", "#0072B2", "^"), (FALLING, "falling", "#D55E00", "v"))
+    for branch, label, color, marker in looks:
+        rows = branches == branch
+        count = np.bincount(level[rows], minlength=_LEVELS)
+        total = np.bincount(level[rows], residual[rows], minlength=_LEVELS)
+        centres, mean = (0.5 * (edges[1:] + edges[:-1]))[count > 0], (total / np.maximum(count, 1))
+        shown = mean[count > 0]
+        axis.plot(centres, shown, label=label, color=color, marker=marker, markersize=4.0)
+    axis.axhline(0.0, color="0.72", linewidth=1.0)
 
 
 def calibrate(

@@ -1,11 +1,10 @@
-"""Models: fitted on a trial, judged on trials, traded off, and reported."""
+"""Models: fitted on a trial, judged on trials, and exported with its samples."""
 
 from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
@@ -16,9 +15,8 @@ from socket_testbed.api.cycles import cycles as cycles_of
 from socket_testbed.api.pressure import TrialPressure
 from socket_testbed.api.pressure import pressure as pressure_of
 from socket_testbed.api.result import Result, origin
-from socket_testbed.api.trials import PathLike, Progress, as_path, select, select_frames, started
+from socket_testbed.api.trials import PathLike, as_path, select, select_frames
 from socket_testbed.arrays import FloatArray
-from socket_testbed.documents import check_number
 from socket_testbed.identification.engagement import Engagement, engagement
 from socket_testbed.identification.evaluation import (
     ChannelErrors,
@@ -44,13 +42,6 @@ from socket_testbed.identification.model_file import (
 )
 from socket_testbed.identification.model_file import read_model as _read_model
 from socket_testbed.identification.noise import smooth_poses
-from socket_testbed.identification.pareto import (
-    Front,
-    front_document,
-    front_table,
-    pareto_front,
-    write_fronts,
-)
 from socket_testbed.identification.plausibility import (
     find_outliers,
     implausible_notes,
@@ -71,9 +62,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from socket_testbed.report.figures.style import FigureStyle
-    from socket_testbed.report.results import Results
-
-_MOST_THETAS = 10_001
 
 
 @dataclass(frozen=True, repr=False)
@@ -347,7 +335,7 @@ def fit(
     )
     samples = trial.samples()
     chosen = select_frames(trial, segment, settings)
-    _note_implausible(trial, samples, chosen, settings.identification.leave_out)
+    note_implausible(trial, samples, chosen, settings.identification.leave_out)
     # With more threads a sum is rounded otherwise: the same trial is to give the same model on
     # every machine. These programs are small, and no slower for it.
     with threadpool_limits(1):
@@ -355,9 +343,10 @@ def fit(
     return TrialFit(trial, chosen, found)
 
 
-def _note_implausible(
+def note_implausible(
     trial: Trial, samples: Samples, segment: Segment, leave_out: tuple[str, ...]
 ) -> None:
+    """Note the channels of a segment that look implausible."""
     if trial.notify is not None:
         start, chosen = int(samples.stamps[0]), samples[segment.rows]
         for note in implausible_notes(chosen, trial.geometry, leave_out, start):
@@ -380,7 +369,8 @@ def read_model(path: PathLike) -> StoredModel:
     return _read_model(Path(path))
 
 
-def _stored(model: Model) -> StoredModel:
+def stored_model(model: Model) -> StoredModel:
+    """A model, whatever way it is given."""
     if isinstance(model, StoredModel):
         return model
     return model.stored() if isinstance(model, TrialFit) else read_model(model)
@@ -388,7 +378,7 @@ def _stored(model: Model) -> StoredModel:
 
 def model_for(trial: Trial, model: Model) -> StoredModel:
     """A model that is to be used on a trial; an error if it is of another socket."""
-    stored = _stored(model)
+    stored = stored_model(model)
     stored.require_socket(trial.geometry)
     return stored
 
@@ -473,7 +463,7 @@ def evaluate(
     rows = samples[chosen.rows]
     leave_out = stored.settings.leave_out
     require_position(rows, trial.geometry)
-    _note_implausible(trial, samples, chosen, leave_out)
+    note_implausible(trial, samples, chosen, leave_out)
     rows = without_outliers(rows, find_outliers(rows, trial.geometry, leave_out))
     if trial.notify is not None and bool(trial.unloaded) != bool(stored.unloaded):
         fitted = "with" if stored.unloaded else "without"
@@ -481,171 +471,6 @@ def evaluate(
     errors = evaluate_predictions(rows, _predictions(rows, stored), leave_out)
     outputs = pressure_of(trial, chosen) if pressure else None
     return Evaluation(trial, stored, chosen, int(rows.complete.sum()), errors, outputs)
-
-
-@dataclass(frozen=True, repr=False)
-class Tradeoff(Result):
-    """The trade-off between the wrench and the clusters on a segment of a trial."""
-
-    trial: Trial
-    segment: Segment
-    fronts: dict[Variant, Front]  # the solutions along theta
-
-    def __repr__(self) -> str:
-        fronts = "; ".join(map(repr, self.fronts.values()))
-        return f"Tradeoff({self.trial.name}, {self.segment}; {fronts})"
-
-    def to_dataframe(self) -> pd.DataFrame:
-        """Every solution of both fronts, a row each: see `Front.to_dataframe`."""
-        return front_table(self.fronts.values())
-
-    def document(self) -> dict[str, Any]:
-        """The fronts for JSON."""
-        fronts = [front_document(front) for front in self.fronts.values()]
-        return origin(self.trial, self.segment) | {"fronts": fronts}
-
-    def save(self, path: PathLike) -> None:
-        """Write every solution as a table, or the fronts as JSON; an older file is replaced.
-
-        Args:
-            path: `.csv`, `.parquet` or `.mat`, or `.json`.
-
-        Raises:
-            ConfigurationError: For another suffix, or if the file cannot be written.
-        """
-        if Path(path).suffix.lower() == ".csv":
-            write_fronts(self.fronts.values(), Path(path))  # numbers of ten digits
-        else:
-            super().save(path)
-
-    def _figure(self, style: FigureStyle) -> Figure:
-        from socket_testbed.report.sections.fronts import pareto_figure
-
-        heading = f"{self.trial.name}, {self.segment}: trade-off between wrench and clusters"
-        return pareto_figure([*self.fronts.values()], heading, style)
-
-
-def check_thetas(thetas: int) -> None:
-    """Refuse a number of thetas, before long work."""
-    check_number(thetas, "--thetas", 2, _MOST_THETAS)
-
-
-def pareto(
-    trial: Trial,
-    segment: str | Segment = "plateau",
-    *,
-    thetas: int = 101,
-    params: PathLike | None = None,
-    progress: Progress | None = None,
-    **choices: Any,
-) -> Tradeoff:
-    """Identify the contact model along theta, for the paper's variants, and find the knees.
-
-    Args:
-        trial: The trial.
-        segment: The segment, or its specification.
-        thetas: Number of values of theta from 0 to 1.
-        params: As in `fit`.
-        progress: See `Progress`.
-        choices: Settings as in `fit`, but for `variant` and `theta`.
-
-    Raises:
-        TestbedError: As `fit`; also if one of the two groups has no channel in the objective.
-
-    >>> tradeoff = st.pareto(st.open_trial("trials/hold"), thetas=11)
-    >>> tradeoff.fronts["stiffness"]
-    Front(stiffness, 11 solutions, ... not dominated; knee of depth ...)
-    >>> tradeoff.draw("front.png")
-    """
-    check_thetas(thetas)
-    settings = estimator_settings(trial.estimator, as_path(params), **choices)
-    chosen = select_frames(trial, segment, settings)
-    leave_out = settings.identification.leave_out
-    _note_implausible(trial, trial.samples(), chosen, leave_out)
-    with threadpool_limits(1):
-        fronts = pareto_front(
-            trial.samples()[chosen.rows],
-            trial.geometry,
-            settings.identification,
-            np.linspace(0.0, 1.0, thetas),
-            progress=started(progress, "solving for every theta"),
-        )
-    return Tradeoff(trial, chosen, fronts)
-
-
-def write_report(
-    trial: Trial,
-    page: PathLike,
-    segment: str = "plateau",
-    *,
-    model: Model | None = None,
-    thetas: int = 101,
-    params: PathLike | None = None,
-    command: str = "socket_testbed.write_report",
-    replace: bool = False,
-    width: float = 180,
-    title: bool = True,
-    progress: Progress | None = None,
-    **choices: Any,
-) -> Results:
-    """Write the results of a trial as one page, and a folder of its figures and data beside it.
-
-    The paper's variants are fitted, and the one of the settings beside them (`rigid_bias` by
-    default); the trade-off of the paper's is walked along theta.
-
-    Args:
-        trial: The trial.
-        page: The page, ending in `.html`.
-        segment: The specification of the segment.
-        model: A model that is shown as well.
-        thetas: Number of values of theta from 0 to 1.
-        params: As in `fit`.
-        command: What made the page, for the record.
-        replace: Whether an older page and its folder are replaced; else they are an error.
-        width: Printed width of the figures in the folder, 88 or 180 [mm].
-        title: Whether these figures have titles, and their keys errors.
-        progress: See `Progress`.
-        choices: Settings as in `fit`, but for `variant`.
-
-    Returns:
-        All that the page shows.
-
-    Raises:
-        TestbedError: As `fit`; also if the page exists or cannot be written.
-
-    >>> results = st.write_report(st.open_trial("trials/hold"), "hold.html", thetas=5)
-    >>> list(results.fitted)
-    ['stiffness', 'stiffness_bias', 'rigid_bias']
-    """
-    # matplotlib and plotly take their time to import.
-    from socket_testbed.report.figures.style import figure_style
-    from socket_testbed.report.results import compute_results
-    from socket_testbed.report.write import check_page_path
-    from socket_testbed.report.write import write_report as write_page
-
-    page = Path(page)
-    check_thetas(thetas)
-    check_page_path(page, replace)
-    style = figure_style(width, title)
-    settings = estimator_settings(trial.estimator, as_path(params), **choices)
-    stored = None if model is None else _stored(model)
-    with threadpool_limits(1):
-        results = compute_results(
-            trial,
-            segment,
-            settings,
-            np.linspace(0.0, 1.0, thetas),
-            stored,
-            started(progress, "solving for every theta"),
-        )
-    leave_out = settings.identification.leave_out
-    _note_implausible(trial, results.samples, results.segment, leave_out)
-    if trial.notify is not None:
-        for note in results.bag_notes:
-            trial.notify(note)
-    drawing = started(progress, "drawing")
-    write_page(results, page, command, datetime.now(UTC), drawing, replace, style)
-    return results
 
 
 def export(

@@ -1,4 +1,4 @@
-"""Pressure as a lab reads it: peak, mean, area, integral, centre, by region and tile."""
+"""The force on every tile, and pressure as a lab reads it by region; neither needs a fit."""
 
 from __future__ import annotations
 
@@ -12,14 +12,18 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from socket_testbed.api.maps import TrialMap
-from socket_testbed.api.result import Result, origin
+from socket_testbed.api.result import Result, origin, records
 from socket_testbed.api.trials import PathLike, as_path, select
 from socket_testbed.arrays import FloatArray
 from socket_testbed.documents import check_number
 from socket_testbed.geometry.regions import Region, all_regions
-from socket_testbed.geometry.socket import HEIGHTS, SECTORS, SOCKET, find_regions
-from socket_testbed.identification.force_map import ForceMap, without_untrusted
+from socket_testbed.geometry.socket import SocketGeometry, find_regions
+from socket_testbed.identification.force_map import (
+    ForceMap,
+    MapEstimate,
+    map_samples,
+    without_untrusted,
+)
 from socket_testbed.identification.model_file import finite_or_null
 from socket_testbed.identification.objective import check_channels
 from socket_testbed.identification.pressure import (
@@ -48,6 +52,111 @@ if TYPE_CHECKING:
 _CENTRES = [title for title in TITLES if title.startswith("centre of pressure")]
 OF_TILES = tuple(title for title in TITLES if title not in (*_CENTRES, "contact area [cm^2]"))
 _OVER_TIME = tuple(title for title in TITLES if not title.startswith("pressure-time"))
+
+
+@dataclass(frozen=True, repr=False)
+class TrialMap(Result):
+    """Forces on all tiles over a segment of a trial, with their standard deviations."""
+
+    trial: Trial
+    segment: Segment
+    time: FloatArray  # (N,) [s], of its samples since the first sample of the trial
+    estimate: MapEstimate
+
+    def __repr__(self) -> str:
+        mean = self.estimate.mean()
+        peak = int(mean.normal_pressure[0].argmax())
+        return (
+            f"TrialMap({self.trial.name}, {self.segment}; {len(self.time)} samples, highest mean"
+            f" pressure {1e-3 * mean.normal_pressure[0, peak]:.1f} +-"
+            f" {1e-3 * mean.normal_pressure_standard_deviation[0, peak]:.1f} kPa on"
+            f" {self.trial.geometry.names[peak]})"
+        )
+
+    def to_dataframe(self) -> pd.DataFrame:
+        """The map as a pandas table, a row per sample, indexed by `time [s]`.
+
+        Columns per tile: force in {S} with its standard deviations, such as `tile_012.Fz [N]` and
+        `tile_012.Fz.sd [N]`, then `pressure [Pa]` (positive in compression) and `shear [Pa]`.
+        """
+        import pandas as pd
+
+        columns = self.estimate.columns(self.trial.geometry.names)
+        return pd.DataFrame(columns, index=pd.Index(self.time, name="time [s]"))
+
+    def summary(self) -> pd.DataFrame:
+        """Means over the segment, a row per tile, the highest pressure first.
+
+        A standard deviation is that of the mean's error: it does not shrink with the number of
+        samples, since what the sensors leave open stays the same.
+        """
+        import pandas as pd
+
+        geometry, mean = self.trial.geometry, self.estimate.mean()
+        table = pd.DataFrame(
+            {
+                "cluster": _clusters_by_tile(geometry),
+                "pressure [kPa]": 1e-3 * mean.normal_pressure[0],
+                "pressure sd [kPa]": 1e-3 * mean.normal_pressure_standard_deviation[0],
+                "shear [kPa]": 1e-3 * mean.shear[0],
+                "shear sd [kPa]": 1e-3 * mean.shear_standard_deviation[0],
+            },
+            index=pd.Index(geometry.names, name="tile"),
+        )
+        return table.sort_values("pressure [kPa]", ascending=False, kind="stable")
+
+    def document(self) -> dict[str, Any]:
+        """The map for JSON, with its means over the segment by tile."""
+        means = records(self.summary().reset_index())
+        return origin(self.trial, self.segment) | {"tiles": means} | super().document()
+
+    def _figure(self, style: FigureStyle) -> Figure:
+        """The mean pressure on the tiles, and its standard deviation."""
+        from socket_testbed.report.sections.pressure import force_map_figure
+
+        heading = f"{self.trial.name}, {self.segment}: force map"
+        return force_map_figure(self.trial.geometry, self.estimate.mean(), heading, style)
+
+
+def force_map(
+    trial: Trial,
+    segment: str | Segment = "plateau",
+    *,
+    params: PathLike | None = None,
+) -> TrialMap:
+    """Estimate the force on every tile from the clusters and the wrench, sample by sample.
+
+    A Gaussian process over the socket's surface; it needs no fitted model. Channels that are
+    missing, saturated, out of range or left out do not count.
+
+    Args:
+        trial: The trial.
+        segment: The segment, or its specification, see `st.select_segment`.
+        params: A `testbed.yaml` to use instead of the trial's own; its group `force_map` is the
+            prior.
+
+    Raises:
+        ConfigurationError: For a wrong setting.
+        TrialError: If the trial cannot be read or holds no such segment.
+
+    >>> found = st.force_map(st.open_trial("trials/hold"), segment="10:20")
+    >>> found
+    TrialMap(hold, span 10.00 s to 20.00 s; 41 samples, highest mean pressure ... kPa on ...)
+    >>> found.estimate.forces.shape, list(found.to_dataframe())[:2]
+    ((41, 79, 3), ['distal.Fx [N]', 'distal.Fx.sd [N]'])
+    >>> found.save("map.csv")
+    """
+    settings = estimator_settings(trial.estimator, as_path(params))
+    samples = trial.samples()
+    chosen = select(trial, segment, settings)
+    with threadpool_limits(1):
+        estimate = map_samples(
+            samples[chosen.rows],
+            trial.geometry,
+            settings.force_map,
+            settings.identification.leave_out,
+        )
+    return TrialMap(trial, chosen, np.asarray(samples.time[chosen.rows]), estimate)
 
 
 @dataclass(frozen=True, repr=False)
@@ -98,8 +207,7 @@ class TrialPressure(Result):
         geometry = self.trial.geometry
         table = self._table(self.outputs.tiles, list(geometry.names), OF_TILES)
         table.index.name = "tile"
-        clusters = {tile: cluster for cluster, tile in geometry.clusters.items()}
-        table.insert(0, "cluster", [clusters.get(tile, "") for tile in range(len(geometry))])
+        table.insert(0, "cluster", _clusters_by_tile(geometry))
         return table
 
     def to_dataframe(self) -> pd.DataFrame:
@@ -173,25 +281,19 @@ class TrialPressure(Result):
 
     def _figure(self, style: FigureStyle) -> Figure:
         """Unrolled maps, mean and at the peak; sectors, heights and own regions over time."""
-        from socket_testbed.report.sections.pressure import instant_maps, pressure_figure
+        from socket_testbed.report.sections.pressure import pressure_figure
 
-        time, segment = self.time, self.segment
-        maps, determined = instant_maps(self.outputs, time, self.share, segment.kind)
-        left_out = {SOCKET, *(f"{sector} {height}" for sector in SECTORS for height in HEIGHTS)}
-        names = [place.name for place in self.places]
-        regions = {name: i for i, name in enumerate(names) if name not in left_out}
-        events = [(event.time, event.label) for event in self.trial.events()]
         return pressure_figure(
             self.trial.geometry,
-            maps,
-            determined,
-            time,
-            self.outputs.mean_pressure(),
-            regions,
-            events,
+            self.places,
+            self.outputs,
+            self.time,
+            self.segment,
+            [(event.time, event.label) for event in self.trial.events()],
             self.trial.metadata.side or "",
-            f"{self.trial.name}: pressure, {segment}",
+            f"{self.trial.name}: pressure, {self.segment}",
             style,
+            self.share,
         )
 
     def _table(
@@ -214,6 +316,11 @@ class TrialPressure(Result):
             return ""
         geometry = self.trial.geometry
         return geometry.names[int(np.linalg.norm(geometry.anchors - centre, axis=1).argmin())]
+
+
+def _clusters_by_tile(geometry: SocketGeometry) -> list[str]:
+    clusters = {tile: cluster for cluster, tile in geometry.clusters.items()}
+    return [clusters.get(tile, "") for tile in range(len(geometry))]
 
 
 def _values(row: pd.Series, titles: Sequence[str]) -> dict[str, Any]:

@@ -63,9 +63,11 @@ class Result:
         Raises:
             ConfigurationError: If figures are not laid out for the width, or it has none.
         """
-        from socket_testbed.report.figures.style import figure_style  # matplotlib takes its time
+        # matplotlib takes its time to import.
+        from socket_testbed.report.figures.style import figure_style, in_style
 
-        return self._figure(figure_style(width, title))
+        found: Figure = in_style(self._figure)(figure_style(width, title))
+        return found
 
     def draw(self, path: PathLike, width: float = 180, title: bool = True) -> None:
         """Write `figure` as `.png` or `.pdf`; an older file is replaced.

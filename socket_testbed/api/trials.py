@@ -198,15 +198,21 @@ def select_segment(samples: Samples, specification: str = "plateau") -> Segment:
     return segments.select_segment(samples, specification, PlateauSettings())
 
 
+def require_segment(specification: str | None) -> str:
+    """The specification of a segment; an error if there is none."""
+    if specification is None:
+        raise ConfigurationError("segment is None", "give 'plateau', 'all' or 'T0:T1', or leave it")
+    return specification
+
+
 def select(trial: Trial, segment: str | Segment | None, settings: EstimatorSettings) -> Segment:
     """The segment of a trial that is given itself or by its specification."""
     if isinstance(segment, Segment):
         return segment
-    if segment is None:
-        raise ConfigurationError("segment is None", "give 'plateau', 'all' or 'T0:T1', or leave it")
+    specification = require_segment(segment)
     leave_out = settings.identification.leave_out
     return segments.select_segment(
-        trial.samples(), segment, settings.plateau, leave_out, trial.events
+        trial.samples(), specification, settings.plateau, leave_out, trial.events
     )
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from socket_testbed import api
-from socket_testbed.api.models import check_thetas
+from socket_testbed.api.tradeoff import check_thetas
 from socket_testbed.batch import Row
 from socket_testbed.commands.options import (
     CHOICES,

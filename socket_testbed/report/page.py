@@ -40,27 +40,16 @@ def number(value: float, spec: str = ".3g") -> str:
 class Table:
     """A table of a page.
 
-    Attributes:
-        name: Its identifier on the page.
-        caption: What it holds.
-        frame: Its values. The index heads the rows; columns have one level, or two of which the
-            first names groups of columns.
-        formats: Format specifications of the columns with numbers, by title or group; three
-            decimals unless given.
-        is_text: Whether its cells hold running text, which wraps.
+    The index of its frame heads the rows; columns have one level, or two of which the first names
+    groups of columns.
     """
 
     kind: ClassVar = "table"
-    name: str
+    name: str  # its identifier on the page
     caption: str
     frame: pd.DataFrame
-    formats: Mapping[str, str] = field(default_factory=dict)
-    is_text: bool = False
-
-    @property
-    def heading(self) -> str:
-        """Title of the column that heads the rows."""
-        return str(self.frame.index.name or "")
+    formats: Mapping[str, str] = field(default_factory=dict)  # by title or group of numbers
+    is_text: bool = False  # its cells hold running text, which wraps
 
     @property
     def columns(self) -> list[tuple[str, str, bool]]:
@@ -95,24 +84,15 @@ def pairs_table(name: str, caption: str, pairs: Sequence[tuple[str, str]]) -> Ta
 
 @dataclass(frozen=True)
 class ReportFigure:
-    """A figure on a page, and beside it as files with its data.
-
-    Attributes:
-        name: Name of its files; empty for a figure that has none.
-        caption: What is to be seen.
-        draw: Draws the figure in a style.
-        description: What it shows, in words for who cannot see it.
-        data: Its data, with units in the names of the columns.
-        is_map: Whether its colours stand for values: on a dark page they stay as they are.
-    """
+    """A figure on a page, and beside it as files with its data."""
 
     kind: ClassVar = "figure"
-    name: str
+    name: str  # of its files; empty for a figure that has none
     caption: str
     draw: Callable[[FigureStyle], Figure]
-    description: str
+    description: str  # for who cannot see it
     data: pd.DataFrame = field(default_factory=pd.DataFrame)
-    is_map: bool = False
+    is_map: bool = False  # its colours stand for values: on a dark page they stay as they are
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "draw", cache(self.draw))  # for the page and for its files
@@ -163,20 +143,12 @@ class Folded:
 
 @dataclass(frozen=True)
 class Section:
-    """A section of a page.
+    """A section of a page: paragraphs as text, headings, lists, tables, figures, a `Scene`."""
 
-    Attributes:
-        name: Its identifier.
-        title: Its heading, here and in the contents.
-        parts: What it holds, in order: paragraphs as text, headings, lists, tables, figures, and a
-            `Scene`.
-        files: Further tables in the folder beside the page, by the names of their CSV files.
-    """
-
-    name: str
+    name: str  # its identifier
     title: str
     parts: Sequence[Any]
-    files: Mapping[str, pd.DataFrame] = field(default_factory=dict)
+    files: Mapping[str, pd.DataFrame] = field(default_factory=dict)  # further CSV files by name
 
     @property
     def figures(self) -> list[ReportFigure]:
@@ -193,11 +165,7 @@ _RESERVED = str.maketrans({"%": "%25", "#": "%23", "&": "%26", '"': "'"})
 
 
 def svg_url(svg: str) -> Markup:
-    """A picture as the address of an image: lines to a tenth of a point, no names, no comments.
-
-    Args:
-        svg: What matplotlib writes, whose attributes hold no apostrophe.
-    """
+    """A picture as the address of an image: lines to a tenth of a point, no names, no comments."""
     drawn = _POLYLINE.sub(_shortened, _NOT_DRAWN.sub("", svg))
     drawn = _PLACE.sub(lambda place: re.sub(r"(\.\d)\d+", r"\1", place[0]), drawn)
     drawn = re.sub(r">\s+<", "><", drawn.replace("xlink:href", "href"))

@@ -12,7 +12,6 @@ from numpy.typing import ArrayLike
 from socket_testbed.arrays import BoolArray, FloatArray
 from socket_testbed.errors import IdentificationError
 from socket_testbed.geometry.regions import Region, Side, all_regions
-from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification.contact import ContactModel
 from socket_testbed.identification.engagement import Engagement, engagement
 from socket_testbed.identification.evaluation import (
@@ -61,23 +60,14 @@ _INSTANTS = 60  # of the trial, at which the pressure is shown in 3D
 
 @dataclass(frozen=True)
 class PressureResults:
-    """Pressure over the segment, and at instants of the trial.
+    """Pressure over the segment, and at instants of the trial."""
 
-    Attributes:
-        side: The leg that wears the socket; None where that is not stated.
-        places: The regions; the last one is the socket.
-        time: Times of the segment's samples since the first one of the trial, shape (N,) [s].
-        outputs: The outputs of the places and the tiles over the segment.
-        instants: Times spread over the trial, that of the peak among them, shape (k,) [s].
-        over_trial: The force map at the instants.
-    """
-
-    side: Side | None
-    places: tuple[Region, ...]
-    time: FloatArray
-    outputs: PressureOutputs
-    instants: FloatArray
-    over_trial: MapEstimate
+    side: Side | None  # the leg that wears the socket, if that is stated
+    places: tuple[Region, ...]  # the last one is the socket
+    time: FloatArray  # (N,) [s], of the segment's samples since the first one of the trial
+    outputs: PressureOutputs  # over the segment
+    instants: FloatArray  # (k,) [s], spread over the trial, that of the peak among them
+    over_trial: MapEstimate  # at the instants
 
     @property
     def peak_time(self) -> float:
@@ -92,93 +82,51 @@ class PressureResults:
 
 @dataclass(frozen=True)
 class Candidate:
-    """A model whose predictions are shown.
+    """A model whose predictions are shown."""
 
-    Attributes:
-        label: The variant that was fitted here, or `given`.
-        model: The model.
-        leave_out: Channels that were not in the objective of its fit.
-        predicted: What it predicts over the trial, in the order of the samples' channels,
-            shape (N, 6 + 3c) [N m, N].
-        errors: Its errors over the segment.
-        held_out: Its errors over the rest of the trial; empty where there is too little.
-        shares: Shares of the load over the segment that its springs and offsets bear.
-        known: Number of stiffness directions that the segment shows despite all noise [-].
-        engagement: Its engaged springs over the trial; their share of the time over the segment.
-        fit: The fit over the segment; None for a model that was given.
-        given: The model that was given; None for one that was fitted here.
-    """
-
-    label: str
+    label: str  # the variant that was fitted here, or `given`
     model: ContactModel
-    leave_out: tuple[str, ...]
-    predicted: FloatArray
-    errors: tuple[ChannelErrors, ...]
-    held_out: tuple[ChannelErrors, ...]
-    shares: tuple[LoadShare, ...]
-    known: float
-    engagement: Engagement
-    fit: Fit | None = None
-    given: StoredModel | None = None
+    predicted: FloatArray  # (N, 6 + 3c) [N m, N], over the trial
+    errors: tuple[ChannelErrors, ...]  # over the segment
+    held_out: tuple[ChannelErrors, ...]  # over the rest; empty where there is too little
+    shares: tuple[LoadShare, ...]  # of the load over the segment
+    known: float  # [-], stiffness directions that the segment shows despite all noise
+    engagement: Engagement  # of the springs over the trial
+    leave_out: tuple[str, ...]  # channels that were not in the objective of the fit
+    fit: Fit | None = None  # None for a model that was given
+    given: StoredModel | None = None  # None for one that was fitted here
 
 
 @dataclass(frozen=True)
 class Results:
-    """The results of a trial.
-
-    Attributes:
-        trial: The trial.
-        samples: Its samples.
-        segment: The segment that was fitted.
-        specification: How the segment was asked for.
-        settings: Settings of the estimator; its variant is fitted beside the paper's.
-        candidates: The models: the variants, then one that was given, if any.
-        fronts: The trade-off fronts by variant; empty where there are none.
-        no_fronts: Why there are none; empty where there are.
-        implausible: Channels that are proposed to be left out.
-        plateaus: Steady stretches of the trial, the longest first.
-        events: Events of the trial in the order of their times.
-        bag_notes: What a reader must know of the trial's bag.
-        motion: How the pose moves over the segment, against its noise.
-        validation: Estimates judged on what they have not seen of the trial; empty where it does
-            not allow that.
-        no_validation: Why not; empty where it does.
-        pressure: Pressure on all tiles and regions over the segment.
-    """
+    """The results of a trial."""
 
     trial: Trial
     samples: Samples
-    segment: Segment
-    specification: str
-    settings: EstimatorSettings
-    candidates: tuple[Candidate, ...]
-    fronts: dict[Variant, Front]
-    no_fronts: str
-    implausible: tuple[Implausible, ...]
-    plateaus: tuple[Segment, ...]
+    segment: Segment  # that was fitted
+    specification: str  # by which the segment was asked for
+    settings: EstimatorSettings  # its variant is fitted beside the paper's
+    candidates: tuple[Candidate, ...]  # the variants, then the model that was given, if any
+    fronts: dict[Variant, Front]  # empty where there are none,
+    no_fronts: str  # for this reason
+    implausible: tuple[Implausible, ...]  # channels that are proposed to be left out
+    plateaus: tuple[Segment, ...]  # the longest first
     events: tuple[Event, ...]
     bag_notes: tuple[str, ...]
-    motion: Motion
-    validation: tuple[Judgement, ...]
-    no_validation: str
+    motion: Motion  # of the pose over the segment, against its noise
+    validation: tuple[Judgement, ...]  # empty where the trial does not allow it,
+    no_validation: str  # for this reason
     pressure: PressureResults
 
     @property
     def in_segment(self) -> BoolArray:
         """Samples of the segment, shape (N,)."""
-        rows = np.zeros(len(self.samples), dtype=bool)
-        rows[self.segment.rows] = True
-        return rows
+        return _rows_of(self.segment, self.samples)
 
     @property
     def fitted(self) -> dict[str, Candidate]:
         """The models that were fitted here, by variant."""
         return {c.label: c for c in self.candidates if c.fit is not None}
-
-    @property
-    def fits(self) -> dict[str, Fit]:
-        """The fits of these models, by variant."""
-        return {c.label: c.fit for c in self.candidates if c.fit is not None}
 
     def series(self, columns: Mapping[str, ArrayLike]) -> pd.DataFrame:
         """Columns of the samples, shape (N,) each, behind their stamps and times."""
@@ -199,6 +147,12 @@ class Results:
         return np.asarray(np.nanmean(self.samples.position[self.segment.rows], axis=0))
 
 
+def _rows_of(segment: Segment, samples: Samples) -> BoolArray:
+    rows = np.zeros(len(samples), dtype=bool)
+    rows[segment.rows] = True
+    return rows
+
+
 def compute_results(
     trial: Trial,
     specification: str,
@@ -216,11 +170,6 @@ def compute_results(
         thetas: Weights of the wrench against the clusters, rising [-].
         given: A model to be shown as well.
         progress: Called with the number of thetas done and of all.
-
-    Raises:
-        TrialError: If the trial cannot be read or holds no such segment.
-        ConfigurationError: For wrong settings or thetas, or a model of another socket.
-        IdentificationError: If the segment does not allow a fit.
     """
     if given is not None:
         given.require_socket(trial.geometry)
@@ -265,7 +214,7 @@ def compute_results(
         motion=measure_motion(chosen, trial.geometry, settings.identification.pose_smoothing),
         validation=validation,
         no_validation=no_validation,
-        pressure=_read_pressure(measured, segment, trial.geometry, settings, trial.metadata.side),
+        pressure=_read_pressure(trial, measured, segment, settings),
     )
 
 
@@ -293,8 +242,7 @@ def _judge(samples: Samples, segment: Segment, label: str, source: Fit | StoredM
     model, leave_out = source.model, source.settings.leave_out
     smooth = smooth_poses(samples, source.settings.pose_smoothing)
     predicted = predict_channels(model, smooth.pose, samples.clusters)
-    outside = np.ones(len(samples), dtype=bool)
-    outside[segment.rows] = False
+    outside = ~_rows_of(segment, samples)
     held_out = evaluate_predictions(samples[outside], predicted[outside], leave_out)
     enough = max(error.samples for error in held_out) >= _LEAST_HELD_OUT
     chosen = samples[segment.rows]
@@ -316,26 +264,18 @@ def _judge(samples: Samples, segment: Segment, label: str, source: Fit | StoredM
 
 
 def _read_pressure(
-    samples: Samples,
-    segment: Segment,
-    geometry: SocketGeometry,
-    settings: EstimatorSettings,
-    side: Side | None,
+    trial: Trial, samples: Samples, segment: Segment, settings: EstimatorSettings
 ) -> PressureResults:
     """Pressure over a segment and at instants of the trial, from the force map."""
+    geometry, side = trial.geometry, trial.metadata.side
     leave_out = settings.identification.leave_out
-    every = without_untrusted(samples, geometry, leave_out)
+    usable = without_untrusted(samples, geometry, leave_out)
     chosen = without_untrusted(samples[segment.rows], geometry, leave_out)
     force_map = ForceMap(geometry, samples.clusters, settings.force_map)
     places = all_regions(geometry, side)
     outputs = pressure_outputs(force_map, chosen, geometry, places, THRESHOLD)
     spread = np.linspace(0, len(samples) - 1, min(len(samples), _INSTANTS)).round()
     rows = np.union1d(spread.astype(np.int64), [segment.rows.start + outputs.peak_row])
-    return PressureResults(
-        side=side,
-        places=places,
-        time=samples.time[segment.rows],
-        outputs=outputs,
-        instants=samples.time[rows],
-        over_trial=force_map.estimate(every[rows]),
-    )
+    time = samples.time
+    over_trial = force_map.estimate(usable[rows])
+    return PressureResults(side, places, time[segment.rows], outputs, time[rows], over_trial)

@@ -15,7 +15,6 @@ from socket_testbed.report.sections import (
     channels,
     fronts,
     pressure,
-    provenance,
     quality,
     summary,
     surface,
@@ -26,7 +25,7 @@ from socket_testbed.tables import write_table
 _SUFFIXES = (".html", ".htm")
 _ERRORS = "errors.csv"  # in the folder of every report
 
-# The sections in the order of the page; provenance, which needs the command, comes last.
+# In the order of the page; the origin, which needs the command, comes last.
 SECTIONS: tuple[Callable[[Results], Section], ...] = (
     summary.section,
     pressure.section,
@@ -38,7 +37,6 @@ SECTIONS: tuple[Callable[[Results], Section], ...] = (
     fronts.section,
     surface.section,
     quality.section,
-    provenance.certificates_section,
 )
 
 
@@ -49,10 +47,6 @@ def files_folder(page: Path) -> Path:
 
 def check_page_path(page: Path, replace: bool = False) -> None:
     """Refuse a page that cannot be written, before long work.
-
-    Args:
-        page: The page.
-        replace: Whether an older page and its folder are replaced.
 
     Raises:
         ConfigurationError: If it is not an HTML file, if it or its folder exists and is not to be
@@ -92,7 +86,7 @@ def write_report(
     check_page_path(page, replace)
     folder = files_folder(page)
     sections = [make(results) for make in SECTIONS]
-    sections.append(provenance.section(results, command, made))
+    sections.append(summary.origin_section(results, command, made))
     figures = [figure for section in sections for figure in section.figures]
     with atomic_output(page) as new_page, atomic_output(folder, replace) as new_folder:
         new_folder.mkdir()

@@ -8,7 +8,7 @@ import json
 import pytest
 
 from socket_testbed.__main__ import run as run_verb
-from socket_testbed.api import models
+from socket_testbed.api import tradeoff
 from socket_testbed.commands import pareto as verb
 from socket_testbed.identification.pareto import KNEE, SENSOR_ONLY, WRENCH_ONLY
 from socket_testbed.settings.identification import PAPER_VARIANTS
@@ -68,14 +68,14 @@ def test_with_offsets_the_front_of_a_hold_collapses(hold, capsys):
 
 
 def test_flawed_solutions_are_named_with_their_thetas(hold, monkeypatch, capsys):
-    solve = models.pareto_front
+    solve = tradeoff.pareto_front
 
     def spoil(*args, **kwargs):
         flaws = ("not determined", "", "not certified", "not certified", "")
         fronts = solve(*args, **kwargs)
         return {v: dataclasses.replace(front, flaws=flaws) for v, front in fronts.items()}
 
-    monkeypatch.setattr(models, "pareto_front", spoil)
+    monkeypatch.setattr(tradeoff, "pareto_front", spoil)
     call(hold, "--thetas", 5)
     lines = capsys.readouterr().out.splitlines()
     rows = [line for line in lines if SENSOR_ONLY in line]

@@ -8,7 +8,6 @@ import pytest
 from matplotlib import colormaps
 from matplotlib.collections import PolyCollection, QuadMesh
 from matplotlib.colors import Normalize
-from matplotlib.patches import Rectangle
 from support.problems import random_socket
 from support.ring_socket import ring_socket
 
@@ -25,9 +24,9 @@ from socket_testbed.report.figures.style import (
 )
 from socket_testbed.report.figures.tiles import certainty_of, paint_tiles, tile_map_figure
 from socket_testbed.report.page import Section, svg_url
-from socket_testbed.report.sections import quality, surface
+from socket_testbed.report.sections import quality
 from socket_testbed.report.sections.channels import wrench_section
-from socket_testbed.report.sections.pressure import group_regions, regions_figure
+from socket_testbed.report.sections.pressure import draw_regions, group_regions
 from socket_testbed.report.sections.validation import validation_figure
 
 NASTY = "a$_b <i>"
@@ -102,22 +101,6 @@ def test_the_overview_shows_when_what_was_lost(results):
     share = np.asarray(mesh.get_array()).reshape(len(names), -1)[names.index("Mz")]
     assert share.sum() * 2.0 == pytest.approx(80.0, abs=2.0)
     assert share[60] == 1.0 and share[20] == share[100] == 0.0
-
-
-def test_the_bars_are_the_offsets(results):
-    figure = drawn(surface.section(results), "offsets")
-    models = [c.model for c in results.candidates if c.label != "stiffness"]
-    clusters = [np.concatenate([*model.force_bias.values()]) for model in models]
-    rows = (
-        [model.wrench_bias[:3] for model in models],
-        [m.wrench_bias[3:] for m in models],
-        clusters,
-    )
-    for axis, expected in zip(figure.axes, rows, strict=True):
-        bars = [bar.get_width() for bar in axis.patches if isinstance(bar, Rectangle)]
-        np.testing.assert_allclose(bars, np.concatenate(expected))
-    names = [label.get_text() for axis in figure.axes for label in axis.get_yticklabels()]
-    assert names == list(results.samples.channels)
 
 
 def test_the_validation_shows_every_error_and_the_coverage():
@@ -218,25 +201,19 @@ def test_the_sides_of_a_map_are_those_of_the_leg():
             assert name.startswith(names[angle])
 
 
-def test_regions_of_one_kind_share_a_panel():
+def test_regions_have_their_panels_lines_bands_and_events(rng):
     sides = ("anterior", "lateral", "posterior", "medial")
-    names = [f"{side} {height}" for side in sides for height in ("proximal", "middle", "distal")]
-    groups = group_regions([*names, "fibula head"])
-    assert [heading for heading, _ in groups] == ["proximal", "middle", "distal", ""]
-    assert groups[0][1] == {f"{side} proximal": side for side in sides}
-    parts = group_regions([*sides, "proximal", "middle", "distal", "socket"])
+    parts = group_regions([*sides, "proximal", "fibula head", "middle"])
     assert [heading for heading, _ in parts] == ["sectors", "heights", ""]
     several = group_regions([f"r{i}" for i in range(2 * len(LINE_STYLES) + 1)])
     assert [len(group) for _, group in several] == [len(LINE_STYLES)] * 2 + [1]
-
-
-def test_regions_have_their_lines_bands_and_events(rng):
     time = np.linspace(0.0, 60.0, 250)
     values = rng.normal(10.0, 1.0, (250, 2))
     mean = Quantity(1e3 * values, 1e3 * values - 2e3, 1e3 * values + 3e3, 0.0 * values)
     regions = {"a$_b": 1, "fibula head": 0}
     events = [(30.0, "removed"), (10.0, "placed"), (50.0, "placed")]
-    figure = regions_figure(time, mean, regions, events)
+    figure = DEFAULT_STYLE.figure(60.0)
+    draw_regions(figure, time, mean, regions, events, DEFAULT_STYLE)
     (axis,) = figure.axes
     lines = [line for line in axis.lines if len(line.get_xdata()) == 250]
     for line, shade, column in zip(lines, axis.collections, regions.values(), strict=True):

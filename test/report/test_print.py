@@ -12,11 +12,9 @@ from matplotlib.image import imread
 from matplotlib.text import Text
 from support.benches import nominal, sensor_bench
 
+from socket_testbed.api import CalibratedCluster, Cycles
 from socket_testbed.calibration.calibrate import calibrate_bench
-from socket_testbed.report.figures.calibration import bench_figure
-from socket_testbed.report.figures.cycles import cycles_figure
 from socket_testbed.report.figures.style import (
-    BAR_STYLES,
     LINE_STYLES,
     SCALE,
     WIDTHS,
@@ -26,40 +24,20 @@ from socket_testbed.report.figures.style import (
     wrap,
 )
 from socket_testbed.report.results import Results
-from socket_testbed.report.sections.pressure import instant_maps, pressure_figure
 from socket_testbed.report.write import SECTIONS
 
 
 @pytest.fixture(scope="module")
 def figures(results: Results) -> dict:
-    """What draws every figure, by its name."""
+    """What draws every figure of the report and two of the API, by its name."""
     drawn = {f.name: f.draw for make in SECTIONS for f in make(results).figures}
-    bench = calibrate_bench(sensor_bench(play=2e3, repeats=1), nominal().wiring, True, False)
-    found, geometry = results.pressure, results.trial.geometry
-    maps, determined = instant_maps(found.outputs, found.time, 0.5, "plateau")
-    maps["a map with a name of a length that does not fit above it, and more"] = geometry.areas
-    regions = {place.name: column for column, place in enumerate(found.places)}
-    events = [(found.time[0] + 9.0 * k, name) for k, name in enumerate(("placed", "step", "note"))]
-    title = "subject07_morning_walk_2, plateau 65.75 s to 104.50 s: a title of a usual length, more"
+    quality = calibrate_bench(sensor_bench(play=2e3, repeats=1), nominal().wiring, True, False)
     curves = np.random.default_rng(5).normal(size=(9, 101, 3))
+    spans = np.arange(18.0).reshape(9, 2)
     of_cycles = ("Fz [N]", "mean pressure of the region [kPa]", "Mx [N m]")
     return drawn | {
-        "bench": lambda style: bench_figure(bench, "distal", style),
-        "pressure": lambda style: pressure_figure(
-            geometry,
-            maps,
-            determined,
-            found.time,
-            found.outputs.mean_pressure(),
-            regions,
-            events,
-            "left",
-            title,
-            style,
-        ),
-        "cycles": lambda style: cycles_figure(
-            of_cycles, curves, curves.mean(axis=0), curves.std(axis=0), title, style
-        ),
+        "bench": in_style(CalibratedCluster("distal", quality, None, None)._figure),
+        "cycles": in_style(Cycles(results.trial, "placed", spans, 0, of_cycles, curves)._figure),
     }
 
 
@@ -157,12 +135,11 @@ def lightness(colour) -> float:
     return 116.0 * np.cbrt(y) - 16.0 if y > 0.008856 else 903.3 * y
 
 
-def test_scale_lines_and_bars_can_be_read_in_grey():
+def test_scale_and_lines_can_be_read_in_grey():
     """The scale's lightness rises throughout: the sign of a value about zero is not lost."""
     values = [lightness(colour[:3]) for colour in colormaps[SCALE](np.linspace(0.0, 1.0, 101))]
     assert (np.diff(values) > 0.0).all() and np.ptp(values) > 70.0
-    for styles, mark in ((LINE_STYLES, "linestyle"), (BAR_STYLES, "hatch")):
-        assert len({str(style[mark]) for style in styles}) == len(styles) == 4  # models
+    assert len({str(style["linestyle"]) for style in LINE_STYLES}) == len(LINE_STYLES) == 4
 
 
 def test_a_wrapped_text_keeps_its_words():

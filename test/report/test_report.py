@@ -19,9 +19,8 @@ from socket_testbed.identification.validation import CONSTANT, FORCE_MAP, REGRES
 from socket_testbed.report import write
 from socket_testbed.report.results import Results, compute_results
 from socket_testbed.report.sections import fronts, validation
-from socket_testbed.report.sections.provenance import provenance
 from socket_testbed.report.sections.quality import find_drop_outs, find_gaps, unusable
-from socket_testbed.report.sections.summary import list_notes, summarise
+from socket_testbed.report.sections.summary import list_notes, provenance, summarise
 from socket_testbed.report.write import check_page_path, write_report
 from socket_testbed.settings.identification import PAPER_VARIANTS
 from socket_testbed.trials.segment import Segment

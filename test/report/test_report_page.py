@@ -140,9 +140,6 @@ def test_the_pressure_on_the_page_is_that_of_the_api(page, page_path, results):
                 assert value == MASKED or printed(value) == values.iloc[i]
                 ends = [printed(end) for end in interval.split(" to ")]
                 assert ends == [low.iloc[i], high.iloc[i]]
-    socket = page.rows("pressure-socket")
-    low, high = (f"{columns['peak pressure [kPa]'][end].iloc[-1]:.1f}" for end in (1, 2))
-    assert socket["peak pressure [kPa]"][1] == f"{low} to {high}"
     written = pd.read_csv(files_folder(page_path) / "pressure.csv", index_col="region")
     for title, (values, low, high) in columns.items():
         for part, expected in (("", values), ("low", low), ("high", high)):
@@ -180,7 +177,9 @@ def test_the_page_tells_where_it_comes_from(page, results):
     assert np.__version__ in rows["version of numpy"][0]
     assert "nominal" in rows["geometry, registration"][0]
     assert page.rows("settings")["identification.theta"] == ["0.5"]
-    kkt = [row for row in page.tables["kkt"] if row[0] in PAPER_VARIANTS]
+    kkt = [
+        row for row in page.tables["kkt"] if row[1][:2] in {"1,", "2,"} and row[0] != "rigid_bias"
+    ]
     solutions = [
         stage.certificate
         for variant in PAPER_VARIANTS
@@ -196,7 +195,7 @@ def test_every_figure_is_there_as_pdf_and_png_with_its_data(page, page_path):
     assert folder.name == "my report_files"
     figures = {path.stem for path in folder.glob("*.pdf")}
     assert figures == {path.stem for path in folder.glob("*.png")}
-    tables = {"engaged_tiles", "errors", "pressure"}
+    tables = {"engaged_tiles", "errors", "offsets", "pressure", "pressure_of_regions"}
     assert figures == {path.stem for path in folder.glob("*.csv")} - tables
     linked = {unquote(link) for link in page.attributes("href") if not link.startswith("#")}
     assert linked == {
@@ -244,6 +243,7 @@ def test_the_files_hold_series_and_parameters_as_they_are(page_path, results):
             np.testing.assert_allclose(rest, expected, rtol=1e-6, atol=1e-9)
         if label != PLAIN:
             offsets = np.concatenate([model.wrench_bias, *map(model.force_bias.get, clusters)])
+            assert files["offsets"]["channel"].tolist() == list(samples.channels)
             shown = files["offsets"][f"offset {label} [unit of the row]"]
             np.testing.assert_allclose(shown, offsets, rtol=1e-9)
 

@@ -65,27 +65,15 @@ _AXIS = {
 
 @dataclass(frozen=True)
 class TileValues:
-    """Values that colour the tiles of a scene.
+    """Values that colour the tiles of a scene, at one instant or several."""
 
-    Attributes:
-        title: What they are, with their unit, such as `pressure [kPa]`.
-        values: One value per tile, shape (n,); NaN, left white, where there is none. Or such a
-            row for every instant, shape (k, n).
-        times: The instants since the first sample, shape (k,) [s]; None for a single row.
-        start: Index of the instant that is shown first.
-    """
-
-    title: str
-    values: FloatArray
-    times: FloatArray | None = None
-    start: int = 0
+    title: str  # with the unit, such as `pressure [kPa]`
+    values: FloatArray  # (n,) or (k, n); NaN, left white, where there is none
+    times: FloatArray | None = None  # (k,) [s], since the first sample
+    start: int = 0  # the instant that is shown first
 
     def document(self, geometry: SocketGeometry) -> dict[str, Any]:
-        """What the page needs of them; null stands for no value.
-
-        Raises:
-            ConfigurationError: If the values are not those of these tiles.
-        """
+        """What the page needs of them; null stands for no value."""
         low, high = value_range(geometry, self.values)
         digits = _DIGITS if self.times is None else _DIGITS_OVER_TIME
         return {
@@ -103,24 +91,15 @@ class TileValues:
 
 @dataclass(frozen=True)
 class Scene:
-    """A scene as the page shows it.
-
-    Attributes:
-        description: What is to be seen, in words.
-        figure: Traces and layout, as JSON.
-        viewer: The viewer's code, compressed by gzip, in base64.
-        still: The picture in its place as SVG.
-        choices: Names of the sets of values that the page offers.
-        values: What the pointer shows of the tiles, and the sets, by their names.
-    """
+    """A scene as the page shows it."""
 
     kind: ClassVar = "scene"
     description: str
-    figure: Markup
-    viewer: Markup
-    still: str
-    choices: Sequence[str]
-    values: Mapping[str, Any]
+    figure: Markup  # traces and layout, as JSON
+    viewer: Markup  # its code, compressed by gzip, in base64
+    still: str  # the picture in its place as SVG
+    choices: Sequence[str]  # names of the sets of values
+    values: Mapping[str, Any]  # facts on the tiles, and the sets, by their names
 
 
 def tile_scene(
@@ -136,9 +115,6 @@ def tile_scene(
         sets: Values by what they are of, and there by what they are; the first are shown first.
         description: What is to be seen, in words.
         surface: The interior surface in {S} [m]; None where it is not known.
-
-    Raises:
-        ConfigurationError: If the values are not those of these tiles.
     """
     first = next(iter(next(iter(sets.values())).values()))
     if surface is None:
@@ -169,18 +145,7 @@ def socket_page(
     title: str,
     facts: Sequence[tuple[str, str]],
 ) -> None:
-    """Write a page with the interior surface of a socket and its tiles, in one file.
-
-    Args:
-        surface: The interior surface in {S} [m].
-        geometry: The socket.
-        path: File to write or replace.
-        title: Heading of the page.
-        facts: Rows of a table: what, and how much with its unit.
-
-    Raises:
-        ConfigurationError: If the file cannot be written.
-    """
+    """Write a page with the interior surface of a socket in {S} [m] and its tiles, in one file."""
     heights = 1e3 * socket_axis(geometry).heights(geometry.anchors)
     sets = {
         "tiles": {
@@ -289,15 +254,9 @@ def _camera(traces: Sequence[Any]) -> dict[str, Any]:
 
 def _cluster_names(geometry: SocketGeometry) -> list[dict[str, Any]]:
     """Annotations with the names of the clusters, each with an arrow to its tile."""
-    look: dict[str, Any] = {
-        "ax": 0,
-        "ay": -32,
-        "arrowhead": 6,
-        "arrowsize": 0.7,
-        "arrowwidth": 1.5,
-        "borderpad": 2,
-    }
-    look |= {"bgcolor": "rgba(255, 255, 255, 0.85)", "bordercolor": CLUSTER}
+    look: dict[str, Any] = {"ax": 0, "ay": -32, "arrowhead": 6, "arrowsize": 0.7}
+    look |= {"arrowwidth": 1.5, "borderpad": 2, "bordercolor": CLUSTER}
+    look["bgcolor"] = "rgba(255, 255, 255, 0.85)"
     return [
         {**dict(zip("xyz", (1e3 * geometry.anchors[tile]).tolist(), strict=True)), **look}
         | {"text": _escape(name)}
@@ -336,7 +295,6 @@ def _lines(polylines: FloatArray, colour: str, width: int, name: str = "") -> go
         "mode": "lines",
         "hoverinfo": "skip",
     }
-    look["mode"] = "lines"
     if name:
         text = [""] * (len(points) - 1) + [name]
         look |= {"mode": "lines+text", "text": text, "textfont": {"color": colour, "size": 16}}

@@ -33,16 +33,12 @@ AXES = ("#B2182B", "#1B7837", "#2166AC")  # x, y, z
 SCALE = "cividis"  # Nunez et al. 2018, doi:10.1371/journal.pone.0199239: even in lightness
 
 
-# Okabe & Ito's colours differ in lightness, too; lines have their own dashes, bars their hatches.
+# Okabe & Ito's colours differ in lightness, too, and each line has its own dashes.
 LINE_STYLES: tuple[dict[str, Any], ...] = (
     {"color": "#D55E00", "linestyle": (0, (4, 1.5))},
     {"color": "#0072B2", "linestyle": "-"},
     {"color": "#222222", "linestyle": (0, (1, 1.2))},
     {"color": "#009E73", "linestyle": (0, (5, 1.5, 1, 1.5))},
-)
-BAR_STYLES: tuple[dict[str, Any], ...] = tuple(
-    {"facecolor": line["color"], "edgecolor": "white", "hatch": hatch, "linewidth": 0.0}
-    for line, hatch in zip(LINE_STYLES, ("/////", "", ".....", "xxxxx"), strict=True)
 )
 MOST_POINTS = 1000  # per line
 THINNED = (
@@ -88,15 +84,10 @@ _NO_LAYOUT = {"figure.autolayout": False, "figure.constrained_layout.use": False
 
 @dataclass(frozen=True)
 class FigureStyle:
-    """How a figure is set for print.
+    """How a figure is set for print."""
 
-    Attributes:
-        width: Its width [mm], such as `COLUMN` or `PAGE`.
-        titles: Whether it has a title, and its keys errors. In a paper, the caption says these.
-    """
-
-    width: float = PAGE
-    titles: bool = True
+    width: float = PAGE  # [mm], such as `COLUMN` or `PAGE`
+    titles: bool = True  # and errors in keys; in a paper, the caption says these
 
     @property
     def is_narrow(self) -> bool:
@@ -118,15 +109,7 @@ DEFAULT_STYLE = FigureStyle()
 
 
 def figure_style(width: float, title: bool) -> FigureStyle:
-    """The style that a user asks for.
-
-    Args:
-        width: `COLUMN` or `PAGE` [mm].
-        title: Whether figures have titles, and their keys errors.
-
-    Raises:
-        ConfigurationError: If figures are not laid out for the width.
-    """
+    """The style that a user asks for; an error if figures are not laid out for its width."""
     if width not in WIDTHS:
         raise ConfigurationError(
             f"figures are not laid out for a width of {width:g} mm",
@@ -157,13 +140,7 @@ def style_axes(axis: Axes) -> None:
 
 
 def add_legend(where: Axes | Figure, *entries: Any, **options: Any) -> None:
-    """A legend without markup; that of a panel is above it, with a bold title.
-
-    Args:
-        where: The panel or the figure.
-        entries: Handles and labels, where the legend cannot find them itself.
-        options: As matplotlib's.
-    """
+    """A legend without markup; that of a panel is above it, with a bold title."""
     if isinstance(where, Axes):
         bold = {"size": LABEL, "weight": "bold"}
         above = {"loc": "lower left", "bbox_to_anchor": (-0.01, 1.0), "borderaxespad": 0.0}
@@ -187,12 +164,7 @@ def lay_out(figure: Figure) -> Figure:
 
 @in_style
 def save_figure(figure: Figure, path: Path, dpi: int = 300) -> None:
-    """Write a figure at its printed size; text stays text in a PDF.
-
-    Args:
-        figure: The figure.
-        path: File to write or replace, `.png` or `.pdf`.
-        dpi: Resolution of pixels [1/inch].
+    """Write a figure at its printed size as `.png` or `.pdf`; text stays text in a PDF.
 
     Raises:
         ConfigurationError: If the suffix is another, or the file cannot be written.
@@ -219,43 +191,25 @@ def thin(x: FloatArray, y: FloatArray, most: int = MOST_POINTS) -> tuple[FloatAr
         most: Largest number of points to keep.
 
     Returns:
-        The kept points in their order, shape (M,) each, M <= `most`; all of them if they
-        are no more. A gap is kept where all values of its samples are missing.
+        The kept points in their order, shape (M,) each; all of them if they are no more than
+        `most`. A gap is kept where all values of its samples are missing.
     """
     if len(x) <= most:
         return x, y
     size = -(-2 * len(x) // most)
-    whole = len(x) // size * size
-    kept = [_extremes(y[:whole].reshape(-1, size), 0)]
-    if whole < len(x):
-        kept.append(_extremes(y[None, whole:], whole))
-    index = np.concatenate(kept)
+    rows = np.pad(y, (0, -len(y) % size), constant_values=np.nan).reshape(-1, size)
+    start = size * np.arange(len(rows))
+    lowest = start + np.where(np.isnan(rows), np.inf, rows).argmin(axis=1)
+    highest = start + np.where(np.isnan(rows), -np.inf, rows).argmax(axis=1)
+    index = np.sort(np.stack([lowest, highest], axis=1), axis=1).ravel()
     return x[index], y[index]
 
 
 def thin_band(
     x: FloatArray, low: FloatArray, high: FloatArray, most: int
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Keep the outermost ends of an interval of each of equally many samples.
-
-    Args:
-        x: Positions, shape (N,).
-        low: Lower ends, shape (N,); NaN where there is none.
-        high: Upper ends, shape (N,).
-        most: Largest number of points to keep.
-
-    Returns:
-        Positions and ends, shape (M,) each, M <= `most`; all of them if they are no more.
-    """
+    """Keep the outermost ends of an interval of each of equally many samples, as `thin`."""
     if len(x) <= most:
         return x, low, high
     starts = np.arange(0, len(x), -(-len(x) // most))
     return x[starts], np.fmin.reduceat(low, starts), np.fmax.reduceat(high, starts)
-
-
-def _extremes(rows: FloatArray, first: int) -> FloatArray:
-    """Indices of the lowest and the highest value of each row, in their order."""
-    start = first + rows.shape[1] * np.arange(len(rows))
-    lowest = start + np.where(np.isnan(rows), np.inf, rows).argmin(axis=1)
-    highest = start + np.where(np.isnan(rows), -np.inf, rows).argmax(axis=1)
-    return np.sort(np.stack([lowest, highest], axis=1), axis=1).ravel()

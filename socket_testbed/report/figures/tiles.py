@@ -65,11 +65,9 @@ _DEGREES = {angle: f"{angle}°".replace("-", "\N{MINUS SIGN}") for angle in rang
 
 
 def tile_squares(geometry: SocketGeometry) -> FloatArray:
-    """Corners of the tiles' squares in {S}, of edge sqrt(area) around the anchors.
+    """Corners of the tiles' squares in {S}, of edge sqrt(area), shape (n, 4, 3) [m].
 
-    Returns:
-        Corners (-x, -y), (+x, -y), (+x, +y), (-x, +y) of each tile's frame, shape
-        (n, 4, 3) [m].
+    They are (-x, -y), (+x, -y), (+x, +y), (-x, +y) of each tile's frame.
     """
     corners_in_tile = 0.5 * np.sqrt(geometry.areas)[:, None, None] * _CORNERS
     tiles_in_socket = Pose(geometry.square_frames()[:, None], geometry.anchors[:, None])
@@ -91,22 +89,13 @@ def covered_tiles(geometry: SocketGeometry) -> BoolArray:
 
 
 def wall_tiles(geometry: SocketGeometry, around: SocketAxis) -> BoolArray:
-    """Which tiles are on the wall, not on the distal end, shape (n,).
-
-    Args:
-        geometry: The socket.
-        around: Its axis; a tile at it counts as one of the end.
-    """
+    """Which tiles are on the wall, shape (n,); those of the end and at the axis are not."""
     steep = geometry.rotations[:, :, 2] @ around.proximal < _WALL
     return steep & (around.radii(geometry.anchors) >= np.sqrt(geometry.areas))
 
 
 def value_range(geometry: SocketGeometry, values: FloatArray) -> tuple[float, float]:
-    """Ends of the colour scale: the finite values' range, widened where it is a point.
-
-    Args:
-        geometry: The socket.
-        values: One value per tile, NaN where there is none; or several such rows, shape (..., n).
+    """Ends of the colour scale: the range of finite values (..., n), widened where it is a point.
 
     Raises:
         ConfigurationError: If the values are not those of these tiles.
@@ -125,16 +114,10 @@ def value_range(geometry: SocketGeometry, values: FloatArray) -> tuple[float, fl
 
 
 def certainty_of(values: FloatArray, deviation: FloatArray) -> FloatArray:
-    """How certain values are, from their standard deviation relative to their size.
+    """How certain values of the tiles are, from their standard deviation relative to their size.
 
-    The size is that of the value or half of the largest one, whichever is more.
-
-    Args:
-        values: One value per tile, shape (n,).
-        deviation: Their standard deviations, shape (n,).
-
-    Returns:
-        1 where certain, less where not, never so little that nothing is seen, shape (n,) [-].
+    The size is that of the value or half of the largest one, whichever is more. 1 is certain; the
+    least is more than 0, so that something is seen.
     """
     size = np.maximum(np.abs(values), 0.5 * np.abs(values).max())
     return np.asarray(np.clip(1.0 - deviation / size, _PALEST, 1.0))
@@ -142,16 +125,10 @@ def certainty_of(values: FloatArray, deviation: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True)
 class TilePaint:
-    """How the tiles are painted.
+    """How the tiles are painted."""
 
-    Attributes:
-        fills: Fill of each tile, RGBA, shape (n, 4) [-].
-        hatched: Tiles without a value, or whose value is not determined, shape (n,).
-        scale: The colours' scale.
-    """
-
-    fills: FloatArray
-    hatched: BoolArray
+    fills: FloatArray  # (n, 4) [-], RGBA
+    hatched: BoolArray  # (n,), tiles without a value, or whose value is not determined
     scale: ScalarMappable
 
 
@@ -171,9 +148,6 @@ def paint_tiles(
         certainty: 1 for a value's full colour, less for a paler one, shape (n,) [-]. None: full
             where a value is determined.
         determined: Which values are determined, shape (n,): the others are hatched, pale.
-
-    Raises:
-        ConfigurationError: If the values are not those of these tiles.
     """
     scale = ScalarMappable(Normalize(*(limits or value_range(geometry, values))), SCALE)
     unknown = np.isnan(values)
@@ -468,9 +442,6 @@ def tile_map_figure(
         marks: `side`, the leg that wears the socket, `left` or `right`; `certainty` and
             `determined` of the values, see `paint_tiles`, by what they are; `notes`, what the key
             says of a cluster, by its name.
-
-    Raises:
-        ConfigurationError: If the values are not those of these tiles.
     """
     scales = [limits] * len(values) if limits else _scales_of(geometry, values, from_zero)
     height, draw = below or (0.0, None)
@@ -488,13 +459,7 @@ def tile_map_figure(
 def socket_figure(
     geometry: SocketGeometry, surface: trimesh.Trimesh | None = None, title: str = ""
 ) -> Figure:
-    """The tiles of a socket with their names, on its interior surface where that is known.
-
-    Args:
-        geometry: The socket.
-        surface: The interior surface in {S} [m].
-        title: What is shown.
-    """
+    """The tiles of a socket with their names, on its interior surface in {S} [m] if known."""
     figure = FigureStyle(300.0).figure(140.0)
     FigureStyle(300.0).add_title(figure, title)
     wall, end = figure.subplots(1, 2, width_ratios=(_WALL_SHARE, 1.0))

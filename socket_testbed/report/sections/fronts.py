@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
-from matplotlib.axis import Axis
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator
@@ -97,14 +96,9 @@ def _marks(fronts: Iterable[Front]) -> Table:
 def pareto_figure(
     fronts: Iterable[Front], title: str, style: FigureStyle = DEFAULT_STYLE
 ) -> Figure:
-    """Draw both normalised errors of every front on logarithmic axes: the roots of J_w and J_f.
+    """Draw both normalised errors of at most two fronts on logarithmic axes.
 
     Dominated solutions are faint; those with a flaw are not shown.
-
-    Args:
-        fronts: Fronts of the same samples, two at most.
-        title: What is shown.
-        style: How it is set.
     """
     columns = 2 if style.is_narrow else 3
     figure = style.figure(_HEIGHT * style.width + 30.0 - 6.0 * columns)
@@ -112,9 +106,21 @@ def pareto_figure(
     axes = figure.subplots()
     for front, line in zip(fronts, LINE_STYLES, strict=False):
         _draw_front(axes, front, line)
-    _scale(axes)
+    axes.set(xscale="log", yscale="log", xlabel=_WRENCH_LABEL, ylabel=_LOCAL_LABEL)
+    axes.margins(_MARGIN)
+    for axis, (low, high) in ((axes.xaxis, axes.get_xlim()), (axes.yaxis, axes.get_ylim())):
+        wide = high / low > _WIDE
+        axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)) if wide else MaxNLocator(6))
+        axis.set_major_formatter("{x:g}")
+        axis.set_minor_locator(NullLocator())
     style_axes(axes)
-    handles = [*axes.get_legend_handles_labels()[0], *_mark_legend()]
+    dot: dict[str, Any] = {"linestyle": "none", "marker": "o", "markersize": 3, "color": "0.3"}
+    marks = [
+        Line2D([], [], color="0.3", label=name + _MEANINGS[name], **_HOLLOW, **shape)
+        for name, shape in _MARKS.items()
+    ]
+    handles = [*axes.get_legend_handles_labels()[0], *marks]
+    handles.append(Line2D([], [], alpha=_FAINT, label="dominated", **dot))
     figure.legend(handles=handles, loc="outside lower center", ncols=columns)
     return lay_out(figure)
 
@@ -137,29 +143,3 @@ def _describe(front: Front) -> str:
     knee = front.knee.index
     bend = "no knee" if knee is None else f"knee at {_THETA} = {front.theta[knee]:.3g}"
     return f"{front.variant}: {bend}"
-
-
-def _mark_legend() -> list[Line2D]:
-    dot: dict[str, Any] = {"linestyle": "none", "marker": "o", "markersize": 3, "color": "0.3"}
-    marks = [
-        Line2D([], [], color="0.3", label=name + _MEANINGS[name], **_HOLLOW, **shape)
-        for name, shape in _MARKS.items()
-    ]
-    return [*marks, Line2D([], [], alpha=_FAINT, label="dominated", **dot)]
-
-
-def _scale(axes: Axes) -> None:
-    axes.set_xscale("log")
-    axes.set_yscale("log")
-    axes.margins(_MARGIN)
-    axes.set_xlabel(_WRENCH_LABEL)
-    axes.set_ylabel(_LOCAL_LABEL)
-    _write_plain_numbers(axes.xaxis, axes.get_xlim())
-    _write_plain_numbers(axes.yaxis, axes.get_ylim())
-
-
-def _write_plain_numbers(axis: Axis, limits: tuple[float, float]) -> None:
-    wide = limits[1] / limits[0] > _WIDE
-    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)) if wide else MaxNLocator(6))
-    axis.set_major_formatter("{x:g}")
-    axis.set_minor_locator(NullLocator())

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -11,7 +10,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure, SubFigure
 
 from socket_testbed.arrays import BoolArray, FloatArray
-from socket_testbed.geometry.socket import HEIGHTS, SECTORS, SocketGeometry
+from socket_testbed.geometry.regions import Region
+from socket_testbed.geometry.socket import HEIGHTS, SECTORS, SOCKET, SocketGeometry
 from socket_testbed.identification.force_map import MapEstimate
 from socket_testbed.identification.pressure import (
     SHARE,
@@ -29,8 +29,6 @@ from socket_testbed.report.figures.style import (
     THINNED,
     FigureStyle,
     add_legend,
-    in_style,
-    lay_out,
     style_axes,
     thin,
     thin_band,
@@ -43,6 +41,7 @@ from socket_testbed.report.figures.tiles import (
 from socket_testbed.report.page import MASKED, NOTHING, Heading, ReportFigure, Section, Table
 from socket_testbed.report.results import PressureResults, Results
 from socket_testbed.report.sections.surface import scene_values
+from socket_testbed.trials.segment import Segment
 
 _DECIMALS = {
     "peak pressure [kPa]": 1,
@@ -57,7 +56,7 @@ _DECIMALS = {
     "centre of pressure z [mm]": 0,
 }
 _PRESSURES = 5  # columns of the first table by region
-_MAP_SHARE = 1.0  # [-]; as `SHARE`, in pictures: what is determined is not zero
+_MAP_SHARE = 1.0  # [-]; as `SHARE`, in pictures
 _SPANS = ("plateau", "hold")
 _UNIT = "pressure [kPa]"
 _MOST_POINTS = 300  # per line
@@ -68,7 +67,6 @@ _NUMBER = 0.04  # [-]; of a panel's width, for the number of an event
 def section(results: Results) -> Section:
     """The section on pressure."""
     found, geometry = results.pressure, results.trial.geometry
-    socket, pressures, shears = pressure_tables(found, geometry)
     sets = {"force map": _scene_pressures(found)} | {
         candidate.label: scene_values(results, candidate) for candidate in results.candidates
     }
@@ -78,14 +76,12 @@ def section(results: Results) -> Section:
         [
             f"Over {results.segment}. A value whose 95 % interval reaches farther than"
             f" {100.0 * SHARE:g} % of it is not determined; its interval stands alone. In contact:"
-            f" above {1e-3 * THRESHOLD:g} kPa. 'socket-testbed pressure' gives the same numbers,"
-            " and those of another segment or threshold.",
-            socket,
-            _maps(results),
-            Heading("By region"),
-            pressures,
-            shears,
-            _regions(results),
+            f" above {1e-3 * THRESHOLD:g} kPa; the integrals cover"
+            f" {found.outputs.integrated:.1f} s, while in contact. The direction of the shear is"
+            " that from proximal about the inward normal. 'socket-testbed pressure' gives the same"
+            " numbers, and those of another segment or threshold.",
+            _overview(results),
+            *pressure_tables(found),
             Heading("In 3D, over time"),
             "The colour scale is that of the chosen values. Tiles without a value are white, and"
             " those whose pressure or shear has an interval that reaches farther than the value"
@@ -99,7 +95,7 @@ def section(results: Results) -> Section:
             " as one sample, since what the sensors leave open does not change.",
             _force_map(results),
         ],
-        {"pressure.csv": regions_frame(found)},
+        {"pressure.csv": regions_frame(found), "pressure_of_regions.csv": _over_time(found)},
     )
 
 
@@ -115,40 +111,23 @@ def regions_frame(pressure: PressureResults) -> pd.DataFrame:
     return pd.DataFrame(columns, index=names)
 
 
-def pressure_tables(pressure: PressureResults, geometry: SocketGeometry) -> list[Table]:
-    """The outputs of the socket, then those of the regions, with their intervals."""
+def pressure_tables(pressure: PressureResults) -> list[Table]:
+    """The outputs of the regions, of which the last is the socket, with their intervals."""
     rows = range(len(pressure.places))
     cells = pd.DataFrame(
         {
             title.replace("^2", "\N{SUPERSCRIPT TWO}"): [
-                _words(pressure, title, row) for row in rows
+                "\n".join(_words(pressure, title, row)) for row in rows
             ]
             for title in _DECIMALS
         },
         index=pd.Index([place.name for place in pressure.places], name="region"),
     )
-    socket = pd.DataFrame(
-        cells.iloc[-1].tolist(), cells.columns.rename("socket"), ["value", "95 % interval"]
-    )
-    socket[""] = [_remarks(pressure, geometry).get(title, "") for title in _DECIMALS]
-    regions = cells.map("\n".join)
-    below = "the 95 % interval below each value"
+    below = "by region, the 95 % interval below each value"
+    first, second = cells.iloc[:, :_PRESSURES], cells.iloc[:, _PRESSURES:]
     return [
-        Table(
-            "pressure-socket",
-            "The socket over the segment",
-            socket.drop(index="share of load [%]"),
-        ),
-        Table(
-            "pressure-regions",
-            f"Pressure and load by region, {below}",
-            regions.iloc[:, :_PRESSURES],
-        ),
-        Table(
-            "pressure-shear",
-            f"Shear and centre of pressure by region, {below}",
-            regions.iloc[:, _PRESSURES:],
-        ),
+        Table("pressure-regions", f"Pressure and load {below}", first),
+        Table("pressure-shear", f"Shear and centre of pressure {below}", second),
     ]
 
 
@@ -177,26 +156,6 @@ def _words(pressure: PressureResults, title: str, row: int) -> tuple[str, str]:
     )
 
 
-def _remarks(pressure: PressureResults, geometry: SocketGeometry) -> dict[str, str]:
-    """What is to be said of the outputs of the socket."""
-    outputs = pressure.outputs
-    centre = outputs.regions.centre.value[-1]
-    nearest = geometry.names[int(np.linalg.norm(geometry.anchors - centre, axis=1).argmin())]
-    return {
-        "peak pressure [kPa]": (
-            f"on {geometry.names[pressure.peak_tile]} at {pressure.peak_time:.2f} s"
-        ),
-        "mean pressure [kPa]": "over all tiles and the segment",
-        "contact area [cm^2]": (
-            f"above {1e-3 * THRESHOLD:g} kPa; all tiles have {1e4 * geometry.areas.sum():.0f}"
-        ),
-        "pressure-time integral [kPa s]": f"over {outputs.integrated:.1f} s, while in contact",
-        "shear [kPa]": "of the mean tangential stress",
-        "shear direction [deg]": "from proximal, about the inward normal",
-        "centre of pressure x [mm]": f"near {nearest}",
-    }
-
-
 def _scene_pressures(found: PressureResults) -> dict[str, TileValues]:
     """Pressure and shear on the tiles, where they are determined, by the name of the choice."""
     over_trial, tiles = found.over_trial, found.outputs.tiles
@@ -218,8 +177,8 @@ def _scene_pressures(found: PressureResults) -> dict[str, TileValues]:
     }
 
 
-def _maps(results: Results) -> ReportFigure:
-    """Pressure over the segment and at its peak, unrolled."""
+def _overview(results: Results) -> ReportFigure:
+    """Pressure over the segment and at its peak, unrolled, and that of the regions over time."""
     geometry, found = results.trial.geometry, results.pressure
     maps, determined = instant_maps(found.outputs, found.time, _MAP_SHARE, results.segment.kind)
     values = {
@@ -227,35 +186,41 @@ def _maps(results: Results) -> ReportFigure:
         for name, pressure in maps.items()
     }
     estimates = {f"{name}, estimate [kPa]": pressure for name, pressure in maps.items()}
-    marks: dict[str, Any] = {"side": found.side or "", "determined": determined}
+    events = [(event.time, event.label) for event in results.events]
     return ReportFigure(
         "pressure_map",
         f"Pressure on the unrolled socket, {results.segment}. Hatched, pale tiles are not"
         " determined: their 95 % interval reaches farther than the value itself. Tiles with a"
-        " cluster are outlined.",
-        lambda style: tile_map_figure(geometry, maps, _UNIT, "", style, from_zero=True, **marks),
-        "Pressure on the unrolled socket: the mean over the segment, and at its peak",
+        " cluster are outlined. Below, the mean pressure of sectors, heights and own regions."
+        f" {THINNED}",
+        lambda style: pressure_figure(
+            geometry,
+            found.places,
+            found.outputs,
+            found.time,
+            results.segment,
+            events,
+            found.side or "",
+            "",
+            style,
+        ),
+        "Pressure on the unrolled socket: the mean over the segment, and at its peak; below, that"
+        " of the regions over time",
         pd.DataFrame({"tile": geometry.names, **values, **estimates}),
         is_map=True,
     )
 
 
-def _regions(results: Results) -> ReportFigure:
-    """Pressure of the regions over the segment."""
-    found, mean = results.pressure, results.pressure.outputs.mean_pressure()
-    regions = {place.name: column for column, place in enumerate(found.places)}
-    events = [(event.time, event.label) for event in results.events]
-    columns = {
-        f"{name}.mean pressure{end} [kPa]": 1e-3 * values[:, column]
-        for name, column in regions.items()
-        for end, values in (("", mean.value), (" low", mean.low), (" high", mean.high))
-    }
-    return ReportFigure(
-        "pressure_of_regions",
-        f"Mean pressure of the regions over the segment, with 95 % intervals. {THINNED}",
-        lambda style: regions_figure(found.time, mean, regions, events, style),
-        "Mean pressure of every region over the segment with its interval",
-        pd.DataFrame({"time [s]": found.time, **columns}),
+def _over_time(found: PressureResults) -> pd.DataFrame:
+    """Mean pressure of every region over the segment with its interval."""
+    mean = found.outputs.mean_pressure()
+    return pd.DataFrame(
+        {"time [s]": found.time}
+        | {
+            f"{place.name}.mean pressure{end} [kPa]": 1e-3 * values[:, column]
+            for column, place in enumerate(found.places)
+            for end, values in (("", mean.value), (" low", mean.low), (" high", mean.high))
+        }
     )
 
 
@@ -291,12 +256,6 @@ def force_map_figure(
     """Normal pressure of the first sample of a force map, and below its standard deviation.
 
     The pressure fades to white where it is uncertain: see `certainty_of`.
-
-    Args:
-        geometry: The socket.
-        estimate: The map, such as the mean of a segment.
-        title: What is shown.
-        style: How it is set.
     """
     pressure = 1e-3 * estimate.normal_pressure[0]
     deviation = 1e-3 * estimate.normal_pressure_standard_deviation[0]
@@ -312,7 +271,7 @@ def instant_maps(
     """Pressures of the tiles over a span and at its peak, the sample with the highest pressure.
 
     Args:
-        outputs: The outputs over the span; its last region is the socket.
+        outputs: The outputs over the span.
         time: Times of its samples since the first sample of the trial, shape (N,) [s].
         share: A value whose interval reaches farther than this share of it is not determined [-].
         span: Kind of the span, such as `plateau`.
@@ -333,76 +292,59 @@ def instant_maps(
 
 def pressure_figure(
     geometry: SocketGeometry,
-    maps: Mapping[str, FloatArray],
-    determined: Mapping[str, BoolArray],
+    places: Sequence[Region],
+    outputs: PressureOutputs,
     time: FloatArray,
-    mean: Quantity,
-    regions: Mapping[str, int],
+    span: Segment,
     events: Sequence[tuple[float, str]] = (),
     side: str = "",
     title: str = "",
     style: FigureStyle = DEFAULT_STYLE,
+    share: float = _MAP_SHARE,
 ) -> Figure:
-    """Unrolled maps of the pressure, and below them the pressure of regions over time.
+    """Unrolled maps of the pressure, and below them that of sectors, heights and own regions.
 
     Args:
         geometry: The socket.
-        maps: Pressures, shape (n,) [kPa], by what they are.
-        determined: Which of them are determined, likewise: the others are pale and hatched.
-        time: Times since the first sample of the trial, shape (N,) [s].
-        mean: Mean pressure of every region, shape (N, r) [Pa].
-        regions: Columns of the regions that are drawn over time, by name.
+        places: Its regions.
+        outputs: Their outputs over a span.
+        time: Times of its samples since the first sample of the trial, shape (N,) [s].
+        span: The span.
         events: Times since the first sample of the trial [s] and labels.
         side: The leg that wears the socket, `left` or `right`; empty where that is not known.
         title: What is shown.
         style: How it is set.
+        share: As in `instant_maps` [-]; with 1, what is determined is not zero.
     """
-    marks: dict[str, Any] = {"from_zero": True, "side": side, "determined": determined}
-    if regions:
-        marks["below"] = (
+    maps, determined = instant_maps(outputs, time, share, span.kind)
+    left_out = {SOCKET, *(f"{sector} {height}" for sector in SECTORS for height in HEIGHTS)}
+    regions = {place.name: i for i, place in enumerate(places) if place.name not in left_out}
+    mean = outputs.mean_pressure()
+    return tile_map_figure(
+        geometry,
+        maps,
+        _UNIT,
+        title,
+        style,
+        from_zero=True,
+        side=side,
+        determined=determined,
+        below=(
             _regions_height(regions, style),
-            lambda part: _draw_regions(part, time, mean, regions, events, style),
-        )
-    return tile_map_figure(geometry, maps, _UNIT, title, style, **marks)
+            lambda part: draw_regions(part, time, mean, regions, events, style),
+        ),
+    )
 
 
-@in_style
-def regions_figure(
-    time: FloatArray,
-    mean: Quantity,
-    regions: Mapping[str, int],
-    events: Sequence[tuple[float, str]] = (),
-    style: FigureStyle = DEFAULT_STYLE,
-) -> Figure:
-    """Pressure of regions over time with 95 % bands, four to a panel, events as marks.
-
-    Arguments as in `pressure_figure`.
-    """
-    figure = style.figure(_regions_height(regions, style))
-    _draw_regions(figure, time, mean, regions, events, style)
-    return lay_out(figure)
-
-
-def group_regions(names: Sequence[str]) -> list[tuple[str, dict[str, str]]]:
-    """Regions by panel: those of one height together, else as many as there are line styles.
-
-    Args:
-        names: Names of the regions, such as `anterior distal`.
-
-    Returns:
-        For every panel its heading, such as `distal`, and by the regions' names what they are
-        called in it, such as `anterior`.
-    """
-    groups: dict[str, dict[str, str]] = {}
+def group_regions(names: Sequence[str]) -> list[tuple[str, list[str]]]:
+    """Heading and names of every panel: sectors, heights, others; at most a name per line style."""
+    groups: dict[str, list[str]] = {}
     for name in names:
-        sector, _, height = name.rpartition(" ")
-        heading, short = (height, sector) if sector and height in HEIGHTS else ("", name)
-        if name in SECTORS or name in HEIGHTS:
-            heading = "sectors" if name in SECTORS else "heights"
-        groups.setdefault(heading, {})[name] = short
+        heading = "sectors" if name in SECTORS else "heights" if name in HEIGHTS else ""
+        groups.setdefault(heading, []).append(name)
     most = len(LINE_STYLES)
     return [
-        (heading, dict([*group.items()][start : start + most]))
+        (heading, group[start : start + most])
         for heading, group in groups.items()
         for start in range(0, len(group), most)
     ]
@@ -420,7 +362,7 @@ def _regions_height(regions: Mapping[str, int], style: FigureStyle) -> float:
     return (62.0 - 6.0 * key_columns) * rows + 12.0
 
 
-def _draw_regions(
+def draw_regions(
     figure: Figure | SubFigure,
     time: FloatArray,
     mean: Quantity,
@@ -428,18 +370,19 @@ def _draw_regions(
     events: Sequence[tuple[float, str]],
     style: FigureStyle,
 ) -> None:
+    """Draw the pressure of regions over time with 95 % bands, a panel per kind, and events."""
     groups, (rows, columns, key_columns) = group_regions([*regions]), _shape(regions, style)
     events = sorted(event for event in events if time[0] <= event[0] <= time[-1])
     numbers = {label: i for i, label in enumerate(dict.fromkeys(e[1] for e in events), start=1)}
     axes = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True)
     for panel, (heading, group) in zip(axes.flat, groups, strict=False):
-        for (name, short), line in zip(group.items(), LINE_STYLES, strict=False):
+        for name, line in zip(group, LINE_STYLES, strict=False):
             value, low, high = (
                 1e-3 * part[:, regions[name]] for part in (mean.value, mean.low, mean.high)
             )
             edges = thin_band(time, low, high, _MOST_POINTS)
             panel.fill_between(*edges, color=line["color"], alpha=_BAND, linewidth=0.0)
-            panel.plot(*thin(time, value, _MOST_POINTS), label=short, **line)
+            panel.plot(*thin(time, value, _MOST_POINTS), label=name, **line)
         _mark_events(panel, [(at, numbers[label]) for at, label in events])
         style_axes(panel)
         add_legend(panel, title=heading, ncols=key_columns, columnspacing=1.0)

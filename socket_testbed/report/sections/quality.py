@@ -34,41 +34,31 @@ _CHOSEN, _OTHER = "0.80", "0.93"  # greys
 def section(results: Results) -> Section:
     """The section on the data of a trial."""
     samples, limits = results.samples, results.settings.plateau
-    gaps = find_gaps(samples.time)
-    listed = [f"{length:.3f} s from {start:.2f} s" for start, length in gaps[:_MOST_GAPS]]
-    period = usual_period(samples.time)
     noise = pd.DataFrame.from_dict(
         noise_groups(channel_noise(samples), samples.clusters), "index", columns=["x", "y", "z"]
     ).rename_axis("measurement")
     drop_outs = find_drop_outs(samples, results.segment)
     counts = dict.fromkeys(drop_outs, ".0f") | {"missing [%]": ".2f", "longest [s]": ".2f"}
+    gaps = find_gaps(samples.time)
+    listed = [f"{length:.3f} s from {start:.2f} s" for start, length in gaps[:_MOST_GAPS]]
     return Section(
         "quality",
         "Data quality",
         [
-            _overview(results),
-            Heading("Triggers"),
-            f"{len(samples)} samples in {samples.time[-1]:.2f} s at {number(1.0 / period)} Hz,"
-            f" {int(samples.complete.sum())} with a wrench and a limb position. Gaps longer than"
-            f" {_GAP:g} periods: {len(gaps)}" + (", the longest:" if gaps else "."),
+            f"{len(samples)} samples in {samples.time[-1]:.2f} s at"
+            f" {number(1.0 / usual_period(samples.time))} Hz, {int(samples.complete.sum())} with a"
+            f" wrench and a limb position; {len(gaps)} gaps longer than {_GAP:g} periods.",
             Bullets(listed),
-            Heading("The segment"),
-            f"Asked for: {results.specification}; in use: {results.segment}; plateaus found:"
-            f" {len(results.plateaus)}. 'plateau' is the longest. A plateau is a stretch of"
-            f" {limits.least_duration:g} s or more without an intended change of load (the means"
-            f" over {limits.smoothing:g} s before and after agree within {limits.force_change:g} N"
-            f" and {limits.moment_change:g} N m), with a steady mean wrench (spread within"
-            f" {limits.force_drift:g} N and {limits.moment_drift:g} N m on every axis), at most"
-            f" {100 * limits.missing_fraction:g} % missing channels, and a mean force of"
-            f" {limits.least_force:g} N or more.",
-            _plateaus(results),
-            Heading("Drop-outs"),
-            "A saturated reading has no value; one out of the calibrated range has one, but it is"
-            " an extrapolation: nothing is fitted to it or judged by it.",
+            _overview(results),
             Table("drop-outs", "Samples of the trial without a measurement", drop_outs, counts),
+            Heading("The segment"),
+            f"Asked for: {results.specification}; in use: {results.segment}. A plateau, of which"
+            f" 'plateau' is the longest, lasts {limits.least_duration:g} s or more under a steady"
+            f" load of {limits.least_force:g} N or more; its limits are among the settings below.",
+            _plateaus(results),
             Heading("Noise"),
-            "From the fast content of the trial, its third differences, without outliers and"
-            " steps. Motion from sample to sample, such as the sway of a person, counts as noise.",
+            "From the third differences of the trial, without outliers and steps. Motion from"
+            " sample to sample, such as the sway of a person, counts as noise.",
             Table(
                 "noise",
                 "Standard deviation of the noise of one sample, along each axis",
@@ -85,11 +75,7 @@ def usual_period(time: FloatArray) -> float:
 
 
 def find_gaps(time: FloatArray) -> list[tuple[float, float]]:
-    """Starts and durations [s] of more than one and a half usual periods, the longest first.
-
-    Args:
-        time: Times of the triggers since the first one, rising, shape (N,) [s].
-    """
+    """Starts and durations [s] of more than one and a half usual periods, the longest first."""
     periods = np.diff(time)
     gaps = np.flatnonzero(periods > _GAP * usual_period(time))
     longest_first = gaps[np.argsort(-periods[gaps], kind="stable")]
@@ -106,10 +92,7 @@ def unusable(samples: Samples) -> dict[str, BoolArray]:
 def find_drop_outs(samples: Samples, segment: Segment) -> pd.DataFrame:
     """What each measurement lacks: a row per channel of the wrench, limb position and cluster.
 
-    Returns:
-        `missing [1]` and `missing [%]` of the samples, `of them in the segment [1]`, the `longest
-        [s]` time without it, and `saturated [1]` and `out of range [1]` of the clusters, NaN for
-        the others.
+    Saturated readings and those out of range are counted for the clusters, NaN for the others.
     """
     statuses = _statuses(samples)
     rows = {}
@@ -128,7 +111,6 @@ def find_drop_outs(samples: Samples, segment: Segment) -> pd.DataFrame:
 
 
 def _missing(samples: Samples) -> dict[str, BoolArray]:
-    """Samples without a measurement, shape (N,) each, by its name."""
     nothing: dict[str, BoolArray] = {
         name: np.isnan(samples.wrench[:, i]) for i, name in enumerate(WRENCH_CHANNELS)
     }
@@ -149,9 +131,9 @@ def _statuses(samples: Samples) -> dict[str, StatusArray]:
 def _longest(missing: BoolArray, time: FloatArray) -> float:
     """Longest time without a value, from the last one to the next, within the trial [s]."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], missing, [False]]).astype(np.int8)))
-    first, after = edges[::2], edges[1::2]
-    before = np.maximum(first - 1, 0)
-    return float((time[np.minimum(after, len(time) - 1)] - time[before]).max(initial=0.0))
+    before = np.maximum(edges[::2] - 1, 0)
+    after = np.minimum(edges[1::2], len(time) - 1)
+    return float((time[after] - time[before]).max(initial=0.0))
 
 
 def mean_and_sigma(vectors: FloatArray) -> tuple[float, float]:
@@ -164,11 +146,8 @@ def mean_and_sigma(vectors: FloatArray) -> tuple[float, float]:
 
 
 def _plateaus(results: Results) -> Table:
-    listed = [*results.plateaus]
-    if results.segment not in listed:
-        listed.insert(0, results.segment)
     rows = []
-    for part in listed:
+    for part in (results.segment, *(p for p in results.plateaus if p != results.segment)):
         wrench = results.samples.wrench[part.rows]
         force, force_sigma = mean_and_sigma(wrench[:, 3:])
         moment, moment_sigma = mean_and_sigma(wrench[:, :3])
@@ -180,16 +159,14 @@ def _plateaus(results: Results) -> Table:
                 "its sigma [N]": force_sigma,
                 "mean moment [N m]": moment,
                 "its sigma [N m]": moment_sigma,
-                "remark": "in use" if part == results.segment else "",
             }
         )
     formats = dict.fromkeys(rows[0], ".2f") | {"mean force [N]": ".1f", "its sigma [N m]": ".3f"}
     frame = pd.DataFrame(rows).set_index("from, to [s]")
-    return Table("plateaus", "The plateaus, the longest first", frame, formats)
+    return Table("plateaus", "The segment, then the plateaus, the longest first", frame, formats)
 
 
 def _overview(results: Results) -> ReportFigure:
-    """The trial at a glance."""
     samples, lacking = results.samples, unusable(results.samples)
     columns = {
         "force magnitude [N]": np.linalg.norm(samples.wrench[:, 3:], axis=1),
@@ -199,8 +176,9 @@ def _overview(results: Results) -> ReportFigure:
     return ReportFigure(
         "overview",
         "The measured load over the trial, with the plateaus in light and the segment in use in"
-        " darker grey; below, the share of samples in which a measurement could not be used"
-        f" (missing, saturated or out of range). {THINNED}",
+        " darker grey; below, the share of samples in which a measurement could not be used: it"
+        " was missing, saturated, or out of the calibrated range, where it would be an"
+        f" extrapolation. {THINNED}",
         lambda style: _draw_overview(results, lacking, style),
         "Magnitudes of the measured force and moment over time, and drop-outs by measurement",
         results.series(columns),

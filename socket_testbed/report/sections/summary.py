@@ -1,15 +1,34 @@
-"""The summary: numbers in fixed sentences, and what a reader must know before using them."""
+"""The first and the last sections: what was found, what to know before using it, and its origin."""
 
 from __future__ import annotations
 
+import hashlib
+import platform
+from datetime import UTC, datetime
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
 import numpy as np
+import pandas as pd
 
 from socket_testbed.identification.evaluation import summarise_errors
 from socket_testbed.identification.information import share_warning
-from socket_testbed.report.page import Bullets, Heading, Section, number
+from socket_testbed.report.page import (
+    Bullets,
+    Folded,
+    Heading,
+    Section,
+    Table,
+    number,
+    pairs_table,
+)
 from socket_testbed.report.results import Candidate, Results
 from socket_testbed.report.sections.pressure import describe_pressure
 from socket_testbed.report.sections.quality import find_gaps, mean_and_sigma
+from socket_testbed.trials.trial import PARAMETERS_FILE
+
+_LIBRARIES = ("socket_testbed", "numpy", "scipy", "osqp", "qpsolvers", "matplotlib", "plotly")
+_DIGEST = 16  # hexadecimal digits: enough to tell files apart
 
 
 def section(results: Results) -> Section:
@@ -20,23 +39,20 @@ def section(results: Results) -> Section:
 
 
 def summarise(results: Results) -> list[str]:
-    """What was found: a statement each on pressure, data, every model, and the fronts."""
+    """A statement each on the pressure, the data and every model."""
     wrench = results.samples.wrench[results.segment.rows]
     (force, _), (moment, _) = mean_and_sigma(wrench[:, 3:]), mean_and_sigma(wrench[:, :3])
-    fronts = "; ".join(f"{name}, {front.knee.verdict}" for name, front in results.fronts.items())
     return [
         describe_pressure(results.pressure, results.trial.geometry),
         f"Fitted to the segment, {results.segment}: {int(results.in_segment.sum())} of"
         f" {len(results.samples)} samples, mean force {number(force)} N, mean moment"
         f" {number(moment)} N m. Errors over it are in-sample, those over the rest held-out.",
         *(_describe(candidate) for candidate in results.candidates),
-        f"Trade-off between wrench and clusters, in normalised errors: {fronts or 'none'}.",
     ]
 
 
 def _describe(candidate: Candidate) -> str:
-    """Errors of a model, and what it rests on."""
-    model, parts = candidate.model, []
+    parts = []
     for title, errors in (("in-sample", candidate.errors), ("held-out", candidate.held_out)):
         if errors:
             found = summarise_errors(errors)
@@ -45,77 +61,176 @@ def _describe(candidate: Candidate) -> str:
                 f" forces {number(found.force_rmse)} N, the median RMSE of the local forces"
                 f" {number(found.local_rmse)} N, the median skill {number(found.skill, 'z.2f')}"
             )
-    offset = float(np.linalg.norm(model.wrench_bias[3:]))
+    offset = float(np.linalg.norm(candidate.model.wrench_bias[3:]))
     if offset > 0.0:
         parts.append(f"its constant force, which no tile bears, {number(offset)} N")
-    if candidate.fit is not None:
-        parts.append(
-            f"the data determine {candidate.fit.determined:.0f} of {model.stiffness.size}"
-            " stiffness directions, the smoothness the others"
-        )
     return f"{candidate.label}: {'; '.join(parts)}."
 
 
 def list_notes(results: Results) -> list[str]:
     """What a reader must know of the trial before using the figures."""
     warnings = {c.label: share_warning(c.shares) for c in results.candidates}
-    return [
-        *results.bag_notes,
-        *_implausible(results),
-        *_gaps(results),
-        *(f"{label}: {warning}." for label, warning in warnings.items() if warning),
-        *_configuration(results),
-    ]
-
-
-def _implausible(results: Results) -> list[str]:
-    left_out = results.settings.identification.leave_out
-    return [
-        f"{found.channel} looks implausible: {found.reason}. "
-        + (
+    samples, geometry = results.samples, results.trial.geometry
+    notes = [*results.bag_notes]
+    for found in results.implausible:
+        left_out = found.channel in results.settings.identification.leave_out
+        fate = (
             "It was left out of the objective."
-            if found.channel in left_out
+            if left_out
             else f"It is in the objective; --leave-out {found.channel} leaves it out."
         )
-        for found in results.implausible
-    ]
-
-
-def _gaps(results: Results) -> list[str]:
-    lines = []
-    gaps = find_gaps(results.samples.time)
+        notes.append(f"{found.channel} looks implausible: {found.reason}. {fate}")
+    gaps = find_gaps(samples.time)
     if gaps:
-        lines.append(
+        notes.append(
             f"Gaps of the triggers: {len(gaps)}, the longest of {gaps[0][1]:.2f} s after"
             f" {gaps[0][0]:.2f} s."
         )
     inside = int(results.in_segment.sum())
-    unfitted = inside - max(fit.samples for fit in results.fits.values())
+    unfitted = inside - max(c.fit.samples for c in results.candidates if c.fit is not None)
     if unfitted:
-        lines.append(
+        notes.append(
             f"{unfitted} of the segment's {inside} samples are in no fit: they lack the limb"
             " position or a channel of the wrench that is in the objective."
         )
-    return lines
-
-
-def _configuration(results: Results) -> list[str]:
-    geometry = results.trial.geometry
-    lines = []
+    notes += [f"{label}: {warning}." for label, warning in warnings.items() if warning]
     if results.pressure.side is None:
-        lines.append(
+        notes.append(
             "No side of the leg is stated: regions are left and right, not medial and lateral."
             f" 'annotate {results.trial.name} --side left|right' states it."
         )
     if not geometry.registration:
-        lines.append(
+        notes.append(
             "The marker bodies are not registered with the socket: their placement in socket.yaml"
             " is nominal, and every limb position rests on it."
         )
-    bare = [name for name in geometry.clusters if name not in results.samples.clusters]
+    bare = [name for name in geometry.clusters if name not in samples.clusters]
     if bare:
-        lines.append(f"No reading of the clusters {', '.join(bare)} is in this trial.")
+        notes.append(f"No reading of the clusters {', '.join(bare)} is in this trial.")
     dead = summarise_errors(results.candidates[0].errors).without_value
     if dead:
-        lines.append(f"Never measured over the segment: {', '.join(dead)}.")
-    return lines
+        notes.append(f"Never measured over the segment: {', '.join(dead)}.")
+    return notes
+
+
+def origin_section(results: Results, command: str, made: datetime) -> Section:
+    """The section on the solvers' certificates and the origin of the report.
+
+    Args:
+        results: The results.
+        command: The command line, for the record.
+        made: When the report is made.
+    """
+    settings = [
+        (name, ", ".join(map(str, value)) if isinstance(value, list | tuple) else str(value))
+        for name, value in results.settings.to_flat().items()
+        if name.startswith(("identification.", "plateau.")) and name != "identification.variant"
+    ]
+    tolerance = results.settings.identification.solver_tolerance
+    return Section(
+        "provenance",
+        "Provenance",
+        [
+            pairs_table(
+                "provenance-table",
+                "What the report was made from and with",
+                provenance(results, command, made),
+            ),
+            Folded(
+                "Settings of the identification and the plateaus",
+                [pairs_table("settings", "Settings by their names in parameters.yaml", settings)],
+            ),
+            Heading("Solver certificates"),
+            "Karush-Kuhn-Tucker residuals and duality gap in the scaled units of each stage,"
+            " computed from the solution, whatever the solver reports; none may exceed"
+            f" {tolerance:g}.",
+            _certificates(results),
+        ],
+    )
+
+
+def provenance(results: Results, command: str, made: datetime) -> list[tuple[str, str]]:
+    """What the report was made from and with, as pairs of name and value."""
+    trial, geometry = results.trial, results.trial.geometry
+    calibration, stored = trial.calibration, trial.path / PARAMETERS_FILE
+    first, last = (int(results.samples.stamps[end]) for end in (0, -1))
+    rows = [
+        ("report made", _moment(made)),
+        ("command", command),
+        ("trial", trial.name),
+        ("trial, first sample", f"{_moment_of(first)} (stamp {first} ns)"),
+        ("trial, last sample", f"{_moment_of(last)} (stamp {last} ns)"),
+        ("geometry", _file(trial.geometry_path, trial.socket_file is not None)),
+        ("geometry, source", geometry.source or "not stated"),
+        ("geometry, registration", geometry.registration or "none: nominal"),
+        ("calibration", _file(trial.calibration_path, trial.calibration_file is not None)),
+        ("calibration, source and date", f"{calibration.source} ({calibration.date})"),
+    ]
+    for name, cluster in calibration.clusters.items():
+        if cluster.bench:
+            words = [cluster.bench[key] for key in ("source", "date") if key in cluster.bench]
+            rows.append((f"calibration of {name}", ", ".join(words) or "see its bench record"))
+    if stored.is_file():
+        rows.append(("parameters in the trial", _file(stored, given=False)))
+    for candidate in results.candidates:
+        if given := candidate.given:
+            described = f"{candidate.model.variant} of {given.trial}; {given.status}"
+            rows.append((f"model {candidate.label}", described))
+    rows += [(f"version of {name}", _version(name)) for name in _LIBRARIES]
+    return [*rows, ("Python", f"{platform.python_version()} on {platform.system()}")]
+
+
+def _file(path: Path, given: bool) -> str:
+    digest = hashlib.sha256(path.read_bytes()).hexdigest()[:_DIGEST]
+    origin = "given on the command line" if given else "stored in the trial"
+    return f"{path.name}, {origin}, SHA-256 {digest}..."
+
+
+def _moment_of(stamp: int) -> str:
+    return _moment(datetime.fromtimestamp(stamp * 1e-9, UTC))
+
+
+def _moment(moment: datetime) -> str:
+    return moment.astimezone(UTC).strftime("%Y-%m-%d %H:%M:%S UTC")
+
+
+def _version(name: str) -> str:
+    try:
+        return version(name)
+    except PackageNotFoundError:  # a checkout that is not installed
+        return "not installed as a package"
+
+
+def _certificates(results: Results) -> Table:
+    rows = [
+        {
+            "variant": label,
+            "stage": stage,
+            "bound violation [-]": solution.certificate.primal,
+            "stationarity [-]": solution.certificate.stationarity,
+            "duality gap [-]": solution.certificate.gap,
+            "solver": solution.solver,
+            "determined stiffnesses": f"{fit.determined:.1f} of {fit.model.stiffness.size}",
+        }
+        for label, fit in ((c.label, c.fit) for c in results.candidates if c.fit is not None)
+        for stage, solution in (
+            ("1, rest positions", fit.stage_one),
+            ("2, stiffnesses", fit.stage_two),
+            ("joint", fit.joint),
+        )
+        if solution is not None
+    ]
+    rows += [
+        {
+            "variant": variant,
+            "stage": f"front, {int(front.sound.sum())} of {len(front.theta)} solutions sound",
+            "stationarity [-]": front.worst_residual,
+            "solver": "",
+            "determined stiffnesses": "",
+        }
+        for variant, front in results.fronts.items()
+    ]
+    frame = pd.DataFrame(rows).set_index("variant")
+    caption = "Residuals of both stages of each fit, and the largest of each front"
+    formats = {title: ".1e" for title in frame if title.endswith("[-]")}
+    return Table("kkt", caption, frame, formats)

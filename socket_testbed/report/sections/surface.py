@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -12,27 +12,24 @@ from matplotlib.figure import Figure, SubFigure
 from socket_testbed.arrays import FloatArray
 from socket_testbed.report.figures.scene import TileValues
 from socket_testbed.report.figures.style import (
-    BAR_STYLES,
     LINE_STYLES,
     SEGMENT_STYLE,
     THINNED,
     FigureStyle,
     add_legend,
-    in_style,
-    lay_out,
     style_axes,
     thin,
-    wrap,
 )
 from socket_testbed.report.figures.tiles import tile_map_figure
-from socket_testbed.report.page import ReportFigure, Section
+from socket_testbed.report.page import ReportFigure, Section, Table
 from socket_testbed.report.results import Candidate, Results
-from socket_testbed.samples import LOCAL_CHANNELS, WRENCH_CHANNELS, channel_unit
+from socket_testbed.samples import LOCAL_CHANNELS, channel_unit
 from socket_testbed.settings.identification import BIAS_VARIANTS
+from socket_testbed.tables import split_unit
 
 _LINES = 68.0  # [mm]; height of two panels over time with their key
-_BAR, _BARS_AXIS = 6.0, 14.0  # [mm]
-_TITLES = ("moment [N m]", "force [N]", "force on a cluster, in its frame [N]")
+_STIFFNESS = ("k", "stiffness [N/m]")
+_REST = ("q_r", "rest position from the mean limb position [mm]")
 
 
 def section(results: Results) -> Section:
@@ -42,13 +39,15 @@ def section(results: Results) -> Section:
         " the inward normal), its rest positions from the reference pose; those of the paper's"
         " variants are in {S}, their rest positions from the mean limb position of the segment. The"
         " offset of a cluster is in the cluster's own frame; the wrench's offset belongs to no"
-        " tile."
+        " tile. A channel that is not in the objective has no offset."
     )
+    offsets = _offsets(results)
+    shown = Table("offsets", "Constant offsets, added to what the springs predict", offsets)
     return Section(
         "surface",
         "Parameters on the socket's surface",
-        [text, *_tile_maps(results), _engaged_springs(results), _offsets(results)],
-        {"engaged_tiles.csv": _engaged_tiles(results)},
+        [text, *_tile_maps(results), _engaged_springs(results), shown],
+        {"engaged_tiles.csv": _engaged_tiles(results), "offsets.csv": offsets},
     )
 
 
@@ -92,55 +91,47 @@ def _tile_maps(results: Results) -> Iterator[ReportFigure]:
     """The stiffnesses of every model, and its rest positions unless they are the last one's."""
     shown: FloatArray | None = None
     for candidate in results.candidates:
-        model, label, frame = candidate.model, candidate.label, _frame(candidate)
+        model, label = candidate.model, candidate.label
+        stiffness = f"Stiffness of every tile, model {label}"
         yield _tile_map(
-            results,
-            f"tile_stiffness_{label}",
-            f"Stiffness of every tile along the axes of {frame}, model {label}",
-            model.stiffness,
-            ("k", "stiffness", "N/m"),
-            frame,
+            results, candidate, f"tile_stiffness_{label}", stiffness, model.stiffness, _STIFFNESS
         )
-        if shown is not None and np.array_equal(model.rest_positions, shown):
-            continue
-        shown = model.rest_positions
-        shared = candidate.fit is not None and not model.is_rigid
-        whose = "the same for the paper's variants" if shared else f"model {label}"
-        origin = "reference pose" if model.is_rigid else "mean limb position of the segment"
-        yield _tile_map(
-            results,
-            "rest_positions" if shared else f"rest_positions_{label}",
-            f"Rest positions along the axes of {frame} from the {origin}, {whose}",
-            _rest_offsets(results, candidate),
-            ("q_r", "rest position from the mean limb position", "mm"),
-            frame,
-        )
+        if shown is None or not np.array_equal(model.rest_positions, shown):
+            shown = model.rest_positions
+            shared = candidate.fit is not None and not model.is_rigid
+            name = "rest_positions" if shared else f"rest_positions_{label}"
+            whose = "the same for the paper's variants" if shared else f"model {label}"
+            title, values = f"Rest positions, {whose}", _rest_offsets(results, candidate)
+            yield _tile_map(results, candidate, name, title, values, _REST)
 
 
 def _tile_map(
     results: Results,
+    candidate: Candidate,
     name: str,
     title: str,
     values: FloatArray,
-    kind: tuple[str, str, str],
-    frame: str,
+    kind: tuple[str, str],
 ) -> ReportFigure:
-    """Maps of values of the tiles, shape (n, 3), of a symbol, a quantity and a unit, in a frame."""
-    symbol, quantity, unit = kind
-    geometry = results.trial.geometry
+    """Maps of values of the tiles along x, y, z, shape (n, 3), of a symbol and a quantity."""
+    (symbol, quantity), geometry = kind, results.trial.geometry
+    frame, described = _frame(candidate), split_unit(quantity)
     clusters = {tile: cluster for cluster, tile in geometry.clusters.items()}
     columns = {f"anchor {axis} in S [m]": geometry.anchors[:, i] for i, axis in enumerate("xyz")}
-    columns |= {f"{quantity} {axis} [{unit}]": values[:, i] for i, axis in enumerate("xyz")}
-    of_clusters = [clusters.get(tile, "") for tile in range(len(geometry))]
+    columns |= {
+        f"{described[0]} {axis} [{described[1]}]": values[:, i] for i, axis in enumerate("xyz")
+    }
+    of_tiles = [clusters.get(tile, "") for tile in range(len(geometry))]
     maps = {f"{symbol} along {axis} of {frame}": values[:, i] for i, axis in enumerate("xyz")}
     return ReportFigure(
         name,
-        f"{title}; the wall is unrolled and seen from outside. Tiles with a cluster are outlined.",
+        f"{title}, along the axes of {frame}; the wall is unrolled and seen from outside. Tiles"
+        " with a cluster are outlined.",
         lambda style: tile_map_figure(
-            geometry, maps, f"{quantity} [{unit}]", f"{results.trial.name}: {title}", style
+            geometry, maps, quantity, f"{results.trial.name}: {title}", style
         ),
         f"{title}: tiles of the unrolled socket in the colours of their values",
-        pd.DataFrame({"tile": geometry.names, "cluster": of_clusters, **columns}),
+        pd.DataFrame({"tile": geometry.names, "cluster": of_tiles, **columns}),
         is_map=True,
     )
 
@@ -176,28 +167,19 @@ def _engaged_tiles(results: Results) -> pd.DataFrame:
     return pd.DataFrame(columns)
 
 
-def _offsets(results: Results) -> ReportFigure:
-    """The offsets of the models that have some."""
-    samples = results.samples
-    zero = np.zeros(3)
-    by_label = {
-        label: np.concatenate(
+def _offsets(results: Results) -> pd.DataFrame:
+    """The offsets of every channel, a column per model that has some."""
+    samples, zero = results.samples, np.zeros(3)
+    columns = {
+        f"offset {label} [unit of the row]": np.concatenate(
             [model.wrench_bias, *(model.force_bias.get(name, zero) for name in samples.clusters)]
         )
         for label, model in ((c.label, c.model) for c in results.candidates)
         if model.variant in BIAS_VARIANTS
     }
-    columns = {f"offset {label} [unit of the row]": values for label, values in by_label.items()}
     units = [channel_unit(name) for name in samples.channels]
-    return ReportFigure(
-        "offsets",
-        "The constant offsets of the models with offsets: of the wrench, and of each cluster in its"
-        " own frame. They are added to what the springs predict; a channel that is not in the"
-        " objective has none.",
-        lambda style: _draw_offsets(samples.channels, by_label, style),
-        "Bars of the fitted offset of every channel",
-        pd.DataFrame({"channel": samples.channels, "unit": units, **columns}),
-    )
+    index = pd.Index(samples.channels, name="channel")
+    return pd.DataFrame({"unit": units, **columns}, index=index)
 
 
 def _draw_engagement(results: Results, style: FigureStyle) -> Figure:
@@ -228,30 +210,3 @@ def _draw_engagement(results: Results, style: FigureStyle) -> Figure:
         limits=(0.0, 100.0),
         below=(_LINES, draw_lines),
     )
-
-
-@in_style
-def _draw_offsets(
-    channels: Sequence[str], offsets: Mapping[str, FloatArray], style: FigureStyle
-) -> Figure:
-    """Offsets of every channel, a bar per model: moments, forces, the clusters' forces."""
-    groups = [[0, 1, 2], [3, 4, 5], [*range(len(WRENCH_CHANNELS), len(channels))]]
-    heights = [_BAR * len(indices) + _BARS_AXIS for indices in groups]
-    figure = style.figure(sum(heights))
-    axes = figure.subplots(3, 1, height_ratios=heights)
-    thickness = 0.8 / len(offsets)
-    for axis, title, indices in zip(axes, _TITLES, groups, strict=True):
-        places = np.arange(len(indices))
-        # The first look is that of the model without offsets.
-        for number, ((label, values), look) in enumerate(
-            zip(offsets.items(), BAR_STYLES[1 : 1 + len(offsets)], strict=True)
-        ):
-            shift = (number - 0.5 * (len(offsets) - 1)) * thickness
-            axis.barh(places + shift, values[indices], thickness, label=label, **look)
-        axis.axvline(0.0, color="0.3", linewidth=0.8)
-        axis.set_yticks(places, [channels[i] for i in indices], parse_math=False)
-        axis.invert_yaxis()
-        axis.set_xlabel(wrap(f"offset of the {title}", 0.55 * style.width))
-        style_axes(axis)
-    add_legend(figure, *axes[0].get_legend_handles_labels(), loc="outside upper center")
-    return lay_out(figure)

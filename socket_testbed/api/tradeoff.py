@@ -1,0 +1,289 @@
+"""The trade-off over theta, the paper's pipeline, and the report that shows all of a trial."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from socket_testbed.api.models import Model, fit, note_implausible, stored_model
+from socket_testbed.api.result import Result, origin, records
+from socket_testbed.api.trials import (
+    PathLike,
+    Progress,
+    as_path,
+    require_segment,
+    select_frames,
+    started,
+)
+from socket_testbed.documents import check_number
+from socket_testbed.identification.pareto import (
+    Front,
+    front_document,
+    front_table,
+    pareto_front,
+    write_fronts,
+)
+from socket_testbed.identification.published import PUBLISHED_FRAMES, THEIRS, beside_published
+from socket_testbed.settings.identification import PAPER_VARIANTS, IdentificationSettings, Variant
+from socket_testbed.settings.testbed import estimator_settings
+from socket_testbed.trials.segment import Segment
+from socket_testbed.trials.trial import Trial
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.figure import Figure
+
+    from socket_testbed.report.figures.style import FigureStyle
+    from socket_testbed.report.results import Results
+
+_MOST_THETAS = 10_001
+
+
+@dataclass(frozen=True, repr=False)
+class Tradeoff(Result):
+    """The trade-off between the wrench and the clusters on a segment of a trial."""
+
+    trial: Trial
+    segment: Segment
+    fronts: dict[Variant, Front]  # the solutions along theta
+
+    def __repr__(self) -> str:
+        fronts = "; ".join(map(repr, self.fronts.values()))
+        return f"Tradeoff({self.trial.name}, {self.segment}; {fronts})"
+
+    def to_dataframe(self) -> pd.DataFrame:
+        """Every solution of both fronts, a row each: see `Front.to_dataframe`."""
+        return front_table(self.fronts.values())
+
+    def document(self) -> dict[str, Any]:
+        """The fronts for JSON."""
+        fronts = [front_document(front) for front in self.fronts.values()]
+        return origin(self.trial, self.segment) | {"fronts": fronts}
+
+    def save(self, path: PathLike) -> None:
+        """Write every solution as a table, or the fronts as JSON; an older file is replaced.
+
+        Args:
+            path: `.csv`, `.parquet` or `.mat`, or `.json`.
+
+        Raises:
+            ConfigurationError: For another suffix, or if the file cannot be written.
+        """
+        if Path(path).suffix.lower() == ".csv":
+            write_fronts(self.fronts.values(), Path(path))  # numbers of ten digits
+        else:
+            super().save(path)
+
+    def _figure(self, style: FigureStyle) -> Figure:
+        from socket_testbed.report.sections.fronts import pareto_figure
+
+        heading = f"{self.trial.name}, {self.segment}: trade-off between wrench and clusters"
+        return pareto_figure([*self.fronts.values()], heading, style)
+
+
+def check_thetas(thetas: int) -> None:
+    """Refuse a number of thetas, before long work."""
+    check_number(thetas, "--thetas", 2, _MOST_THETAS)
+
+
+def pareto(
+    trial: Trial,
+    segment: str | Segment = "plateau",
+    *,
+    thetas: int = 101,
+    params: PathLike | None = None,
+    progress: Progress | None = None,
+    **choices: Any,
+) -> Tradeoff:
+    """Identify the contact model along theta, for the paper's variants, and find the knees.
+
+    Args:
+        trial: The trial.
+        segment: The segment, or its specification.
+        thetas: Number of values of theta from 0 to 1.
+        params: As in `fit`.
+        progress: See `Progress`.
+        choices: Settings as in `fit`, but for `variant` and `theta`.
+
+    Raises:
+        TestbedError: As `fit`; also if one of the two groups has no channel in the objective.
+
+    >>> tradeoff = st.pareto(st.open_trial("trials/hold"), thetas=11)
+    >>> tradeoff.fronts["stiffness"]
+    Front(stiffness, 11 solutions, ... not dominated; knee of depth ...)
+    >>> tradeoff.draw("front.png")
+    """
+    check_thetas(thetas)
+    settings = estimator_settings(trial.estimator, as_path(params), **choices)
+    chosen = select_frames(trial, segment, settings)
+    leave_out = settings.identification.leave_out
+    note_implausible(trial, trial.samples(), chosen, leave_out)
+    with threadpool_limits(1):
+        fronts = pareto_front(
+            trial.samples()[chosen.rows],
+            trial.geometry,
+            settings.identification,
+            np.linspace(0.0, 1.0, thetas),
+            progress=started(progress, "solving for every theta"),
+        )
+    return Tradeoff(trial, chosen, fronts)
+
+
+@dataclass(frozen=True, repr=False)
+class PaperTable(Result):
+    """The figures of the paper for a trial, beside the printed ones."""
+
+    trial: Trial
+    segment: Segment
+    samples: int  # in the objective
+    settings: IdentificationSettings
+    table: pd.DataFrame  # a row per figure, see `beside_published`
+
+    def __repr__(self) -> str:
+        return f"PaperTable({self.trial.name}, {self.segment}; {len(self.table)} figures)"
+
+    def to_dataframe(self) -> pd.DataFrame:
+        """A row per figure, see `beside_published`."""
+        return self.table.copy()
+
+    def document(self) -> dict[str, Any]:
+        """The figures for JSON, with the settings that they were found with."""
+        table = self._saved_table()
+        return {
+            "trial": self.trial.name,
+            "segment": str(self.segment),
+            "samples": self.samples,
+            "settings": self.settings.to_flat(),
+            "figures": dict(zip(table.index, records(table), strict=True)),
+        }
+
+    def _saved_table(self) -> pd.DataFrame:
+        titles = [f"paper: {title}" if of == THEIRS else title for of, title in self.table]
+        return self.table.set_axis(titles, axis=1)
+
+
+def paper(
+    trial: Trial,
+    segment: str | Segment = "plateau",
+    *,
+    thetas: int = 101,
+    params: PathLike | None = None,
+    progress: Progress | None = None,
+    **choices: Any,
+) -> PaperTable:
+    """Run the paper's pipeline: both stages, without and with offsets, and the front over theta.
+
+    Unless they are given, the first 1000 samples of the segment and raw weights are taken; other
+    settings are those of `fit`, whose defaults are the paper's where known. See docs/paper.md.
+
+    Args:
+        trial: The trial.
+        segment: The segment, or its specification.
+        thetas: Number of values of theta from 0 to 1.
+        params: As in `fit`.
+        progress: See `Progress`.
+        choices: Settings as in `fit`, but for `variant`.
+
+    Returns:
+        The figures; their table has a row each, see `beside_published`.
+
+    Raises:
+        TestbedError: As `fit` and `pareto`.
+
+    >>> found = st.paper(st.open_trial("trials/hold"), thetas=5)
+    >>> found.to_dataframe().loc["RMSE of Mx [N m]", "the paper"].tolist()
+    [3.99, 0.95]
+    """
+    given = {name: value for name, value in choices.items() if value is not None}
+    chosen = {"weights": "raw", "frames": PUBLISHED_FRAMES, **given}
+    check_thetas(thetas)
+    fits = {v: fit(trial, segment, params=params, variant=v, **chosen) for v in PAPER_VARIANTS}
+    fronts = pareto(
+        trial, segment, thetas=thetas, params=params, progress=progress, **chosen
+    ).fronts
+    errors = {variant: found.fit.errors for variant, found in fits.items()}
+    last = fits[PAPER_VARIANTS[-1]]
+    rows, settings = trial.samples()[last.segment.rows], last.fit.settings
+    table = beside_published(errors, fronts, rows, settings)
+    return PaperTable(trial, last.segment, last.fit.samples, settings, table)
+
+
+def write_report(
+    trial: Trial,
+    page: PathLike,
+    segment: str = "plateau",
+    *,
+    model: Model | None = None,
+    thetas: int = 101,
+    params: PathLike | None = None,
+    command: str = "socket_testbed.write_report",
+    replace: bool = False,
+    width: float = 180,
+    title: bool = True,
+    progress: Progress | None = None,
+    **choices: Any,
+) -> Results:
+    """Write the results of a trial as one page, and a folder of its figures and data beside it.
+
+    The paper's variants are fitted, and the one of the settings beside them (`rigid_bias` by
+    default); the trade-off of the paper's is walked along theta.
+
+    Args:
+        trial: The trial.
+        page: The page, ending in `.html`.
+        segment: The specification of the segment.
+        model: A model that is shown as well.
+        thetas: Number of values of theta from 0 to 1.
+        params: As in `fit`.
+        command: What made the page, for the record.
+        replace: Whether an older page and its folder are replaced; else they are an error.
+        width: Printed width of the figures in the folder, 88 or 180 [mm].
+        title: Whether these figures have titles, and their keys errors.
+        progress: See `Progress`.
+        choices: Settings as in `fit`, but for `variant`.
+
+    Returns:
+        All that the page shows.
+
+    Raises:
+        TestbedError: As `fit`; also if the page exists or cannot be written.
+
+    >>> results = st.write_report(st.open_trial("trials/hold"), "hold.html", thetas=5)
+    >>> list(results.fitted)
+    ['stiffness', 'stiffness_bias', 'rigid_bias']
+    """
+    # matplotlib and plotly take their time to import.
+    from socket_testbed.report.figures.style import figure_style
+    from socket_testbed.report.results import compute_results
+    from socket_testbed.report.write import check_page_path
+    from socket_testbed.report.write import write_report as write_page
+
+    page = Path(page)
+    check_thetas(thetas)
+    require_segment(segment)
+    check_page_path(page, replace)
+    style = figure_style(width, title)
+    settings = estimator_settings(trial.estimator, as_path(params), **choices)
+    stored = None if model is None else stored_model(model)
+    with threadpool_limits(1):
+        results = compute_results(
+            trial,
+            segment,
+            settings,
+            np.linspace(0.0, 1.0, thetas),
+            stored,
+            started(progress, "solving for every theta"),
+        )
+    leave_out = settings.identification.leave_out
+    note_implausible(trial, results.samples, results.segment, leave_out)
+    if trial.notify is not None:
+        for note in results.bag_notes:
+            trial.notify(note)
+    drawing = started(progress, "drawing")
+    write_page(results, page, command, datetime.now(UTC), drawing, replace, style)
+    return results
