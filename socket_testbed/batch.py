@@ -12,7 +12,7 @@ from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 from threadpoolctl import threadpool_limits
 
@@ -26,6 +26,9 @@ from socket_testbed.trials.reprocess import RECORDED
 from socket_testbed.trials.salvage import holds_nothing
 from socket_testbed.trials.trial import Trial
 
+if TYPE_CHECKING:
+    import pandas as pd
+
 _RECORDS = ".done"
 _PATIENCE = "15s"  # for Dask's scheduler to answer and a worker to be there
 
@@ -33,10 +36,7 @@ Row: TypeAlias = dict[str, str | int | float | None]
 
 
 def is_trial(folder: Path) -> bool:
-    """Whether a folder is a bag: it holds a metadata.yaml or a storage file itself.
-
-    A broken bag is a trial all the same: it must show up as failed.
-    """
+    """Whether a folder is a bag, even a broken one, which must show up as failed."""
     return (folder / "metadata.yaml").exists() or any(is_storage(file) for file in folder.iterdir())
 
 
@@ -44,18 +44,11 @@ def find_trials(folder: Path, notify: Callable[[str], None] = lambda note: None)
     """Find the trials below a folder, at any depth.
 
     Hidden folders and the inside of a trial are passed over; links are followed. Recordings that
-    hold nothing, because their recorder was killed while it started, are left out.
-
-    Args:
-        folder: The folder, or anything else.
-        notify: Called with a note on each recording that is left out.
+    hold nothing, because their recorder was killed while it started, are left out with a note.
 
     Returns:
-        The trials' folders in the order of their names, which are their paths below the folder,
-        such as `s01/hold`. Empty if the folder is a trial itself or no folder.
-
-    Raises:
-        TrialError: If a folder cannot be read.
+        The trials' folders by their names, which are their paths below the folder, such as
+        `s01/hold`. Empty if the folder is a trial itself or no folder.
     """
     try:
         if not folder.is_dir() or is_trial(folder):
@@ -87,44 +80,29 @@ def _walk(folder: Path, above: tuple[Path, ...]) -> Iterator[Path]:
 
 @dataclass(frozen=True)
 class Job:
-    """Work on one trial.
+    """Work on one trial."""
 
-    Attributes:
-        name: Name of the trial: its path below the folder, such as `s01/hold`.
-        trial: The trial.
-        output: The file to write.
-        files: Files that the result depends on besides the trial's, by the option that names
-            them, such as `--model`.
-    """
-
-    name: str
+    name: str  # its path below the folder of trials, such as `s01/hold`
     trial: Trial
     output: Path
-    files: Mapping[str, Path] = field(default_factory=dict)
+    files: Mapping[str, Path] = field(default_factory=dict)  # further inputs, by their options
 
 
 @dataclass(frozen=True)
 class Task:
     """What is done with every trial. It is sent to the workers, so it must be picklable.
 
-    Attributes:
-        verb: The verb that does it.
-        folder: Folder of the outputs.
-        work: Writes a job's output and returns its row of the summary: figures by column names
-            that end in their unit, such as `Fx_rmse [N]`; None where there is none.
-        settings: What the results depend on besides files, as JSON can hold it.
-        metadata: Fields of the trials' metadata that the results depend on.
-        again: Whether finished trials are done again.
-        replace: Whether files that it did not write are replaced.
+    The work writes a job's output and returns its row of the summary: figures by column names that
+    end in their unit, such as `Fx_rmse [N]`; None where there is none.
     """
 
-    verb: str
-    folder: Path
+    verb: str  # that does it
+    folder: Path  # of the outputs
     work: Callable[[Job], Row]
-    settings: Mapping[str, Any] = field(default_factory=dict)
-    metadata: Sequence[str] = ()
-    again: bool = False
-    replace: bool = False
+    settings: Mapping[str, Any] = field(default_factory=dict)  # that the results depend on
+    metadata: Sequence[str] = ()  # fields that the results depend on
+    again: bool = False  # finished trials are done again
+    replace: bool = False  # files that it did not write are replaced
 
 
 Work: TypeAlias = Callable[[Job], tuple[str, Row]]
@@ -145,9 +123,8 @@ def plan_jobs(
         trials: Folders of the trials by their names, as `find_trials` finds them.
         output: Folder of the outputs, which mirrors that of the trials.
         suffix: The end of an output's name, such as `.json`.
-        files: Files that all results depend on, by the options that name them: `--geometry`,
-            `--calibration` and `--load-cell` replace each trial's own. A folder stands for the file
-            in it that has the trial's name, such as `models/s01/hold.json`.
+        files: Files that all results depend on, by the options that name them. A folder stands for
+            the file in it that has the trial's name, such as `models/s01/hold.json`.
         unloaded: Spans without load in every trial, see `Trial`.
         tare: Tare in every trial, see `Trial`.
     """
@@ -198,10 +175,11 @@ def run_batch(
     """
     task = replace(task, folder=task.folder.absolute())  # a worker may be elsewhere
     records = task.folder / _RECORDS / task.verb
+    summaries = [task.folder / f"summary{suffix}" for suffix in (".csv", ".parquet")]
     if not task.folder.exists():
         check_new_folder(task.folder)
     elif not records.exists():
-        check_outputs(*_summaries(task), replace=task.replace)
+        check_outputs(*summaries, replace=task.replace)
     make_folder(records)
     rows: dict[str, Row] = {}
     try:
@@ -213,8 +191,10 @@ def run_batch(
                     warn(f"note: {name}: {row['notes']}")
     finally:
         if rows:  # else an older summary stays, as its results do
-            _write_summary({job.name: rows.get(job.name, _NOT_REACHED) for job in jobs}, task)
-    report(f"summary in {task.folder / 'summary.csv'} and summary.parquet")
+            all_rows = {job.name: rows.get(job.name, _NOT_REACHED) for job in jobs}
+            for path in summaries:
+                write_table(_summary(all_rows), path)
+    report(f"summary in {summaries[0]} and summary.parquet")
     failed = [name for name in sorted(rows) if rows[name]["status"] == "failed"]
     for name in failed:
         warn(f"{name}: {rows[name]['error']}")
@@ -240,19 +220,14 @@ def _line(name: str, row: Row) -> str:
     return ", ".join(words)
 
 
-def _summaries(task: Task) -> list[Path]:
-    return [task.folder / f"summary{suffix}" for suffix in (".csv", ".parquet")]
-
-
-def _write_summary(rows: Mapping[str, Row], task: Task) -> None:
-    """Write the table; a skipped trial is `ok`: it has a result, whichever run made it."""
+def _summary(rows: Mapping[str, Row]) -> pd.DataFrame:
+    """The table; a skipped trial is `ok`: it has a result, whichever run made it."""
     import pandas as pd
 
     listed = [{"trial": name, **row} for name, row in rows.items()]
     table = pd.DataFrame(listed, dtype=object)  # counts stay integers even where one is missing
     table["status"] = table["status"].replace("skipped", "ok")
-    for path in _summaries(task):
-        write_table(table, path)
+    return table
 
 
 def _do(task: Task, job: Job) -> tuple[str, Row]:
@@ -268,32 +243,24 @@ def _do(task: Task, job: Job) -> tuple[str, Row]:
             row |= {"status": "skipped", **old[2]}
             notes += old[3]
         else:
-            _make_room(job.output, record, task.replace)
-            figures = _figures(task, replace(job, trial=trial))
+            _remove_older(job.output, record, task.replace)
+            start = time.perf_counter()
+            with threadpool_limits(1):  # the cores are for as many trials
+                figures = task.work(replace(job, trial=trial))
+            figures = {**figures, "computing_time [s]": round(time.perf_counter() - start, 3)}
             with atomic_output(record) as staging:
                 staging.write_text(json.dumps([inputs, _stamp(job.output), figures, notes]))
             row |= figures
     except TestbedError as error:
         row |= {"status": "failed", "error": str(error)}
     except Exception as error:
-        hint = f"run '{task.verb}' on this trial alone"
-        row |= _failure(job, f"unexpected {_one_line(error)}", hint)
+        row |= _failure(job, "unexpected ", error, f": run '{task.verb}' on this trial alone")
     return job.name, row | {"notes": "; ".join(dict.fromkeys(notes)) or None}
 
 
-def _figures(task: Task, job: Job) -> Row:
-    start = time.perf_counter()
-    with threadpool_limits(1):  # the cores are for as many trials, not for one's linear algebra
-        row = task.work(job)
-    return {**row, "computing_time [s]": round(time.perf_counter() - start, 3)}
-
-
-def _failure(job: Job, problem: str, hint: str) -> Row:
-    return {"status": "failed", "error": f"{job.trial.path}: {problem}: {hint}"}
-
-
-def _one_line(error: BaseException) -> str:
-    return " ".join(f"{type(error).__name__}: {error}".split())
+def _failure(job: Job, before: str, error: BaseException, after: str) -> Row:
+    described = " ".join(f"{type(error).__name__}: {error}".split())
+    return {"status": "failed", "error": f"{job.trial.path}: {before}{described}{after}"}
 
 
 def _inputs(task: Task, job: Job) -> str:
@@ -313,7 +280,7 @@ def _stamp(path: Path) -> list[int]:
     return [status.st_size, status.st_mtime_ns]
 
 
-def _make_room(output: Path, record: Path, replace_others: bool) -> None:
+def _remove_older(output: Path, record: Path, replace_others: bool) -> None:
     """Remove an older result, which must not pass for this one if the work now fails."""
     make_folder(output.parent)
     make_folder(record.parent)
@@ -348,8 +315,8 @@ def _spread(work: Work, jobs: Sequence[Job], processes: int | None, dask: str | 
                 # A worker that dies, as for want of memory, takes the others' work with it.
                 yield from _spread(work, [job], processes, dask)
             else:
-                hint = "check that it has this package and memory enough, or give fewer --jobs"
-                yield job.name, _failure(job, f"its worker failed ({_one_line(error)})", hint)
+                hint = "): check that it has this package and memory enough, or give fewer --jobs"
+                yield job.name, _failure(job, "its worker failed (", error, hint)
 
 
 @contextmanager
