@@ -67,13 +67,7 @@ def difference_intervals(
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Differences to the first of k trials with the ends of their intervals, shape (k, m) each.
 
-    Args:
-        values: Values of k trials, shape (k, m).
-        low: Lower ends of their intervals, shape (k, m).
-        high: Upper ends of their intervals, shape (k, m).
-
-    Returns:
-        Differences, lower and upper ends; NaN in the first row.
+    NaN in the first row.
     """
     below, above = np.maximum(values - low, 0.0), np.maximum(high - values, 0.0)
     difference = values - values[0]

@@ -34,7 +34,12 @@ from socket_testbed.report.results import Results
 _COLOURS = {INVERSE_DISTANCE: "0.75", CLOSED: "0.5", FORCE_MAP: LINE_STYLES[1]["color"]}
 _QUESTIONS = {"cluster": "all clusters", "tiles": "tiles without a sensor"}
 _MARKERS = {"cluster": "o", "tiles": "s"}
-_TRUTH = "tiles without a sensor (simulated truth)"
+_TESTS = {
+    ("cluster", "left out"): "a cluster left out",
+    ("tiles", "second half"): "tiles without a sensor (simulated truth)",
+    ("wrench", "second half"): "the other half",
+    ("wrench", "in-sample"): "the half that was fitted (in-sample)",
+}
 
 
 def section(results: Results) -> Section:
@@ -98,48 +103,21 @@ def section(results: Results) -> Section:
 def _tables(judgements: Sequence[Judgement]) -> list[Table]:
     """Forces on left-out clusters and bare tiles, and the wrench from the pose alone."""
     summary = summarise_judgements(judgements)
+    questions = summary.index.get_level_values("question")
+    tests = summary.index.get_level_values("test")
+    summary.index = [f"{_TESTS.get(key[:2], key[1])}: {key[2]}" for key in summary.index]
     percent = {f"within {100 * level:g} % [-]": f"in {100 * level:g} % [%]" for level in LEVELS}
-    forces = summary[["error [-]", *percent]].rename(columns=percent)
+    forces = summary[["error [-]", *percent]].rename(columns=percent)[questions != "wrench"]
     forces[[*percent.values()]] *= 100.0
     figures = [title for title in summary if title.startswith(("moment", "force"))]
-    formats = {"error [-]": ".2f", **dict.fromkeys(percent.values(), ".0f")}
+    wrench = summary[figures][(questions == "wrench") & (tests != "other trial")]
     skills = {title: "z.2f" for title in figures if "skill" in title}
+    formats = {"error [-]": ".2f", **dict.fromkeys(percent.values(), ".0f")}
+    caption = "The wrench predicted from the pose alone, fitted on the first half under load"
     return [
-        _side_by_side(
-            "validation-forces",
-            "Forces estimated without having seen them",
-            {"a cluster left out": ("cluster", "left out"), _TRUTH: ("tiles", "second half")},
-            forces,
-            formats,
-        ),
-        _side_by_side(
-            "validation-wrench",
-            "The wrench predicted from the pose alone, fitted on the first half under load",
-            {
-                "the other half": ("wrench", "second half"),
-                "the half that was fitted (in-sample)": ("wrench", "in-sample"),
-            },
-            summary[figures],
-            skills,
-        ),
+        Table("validation-forces", "Forces estimated without having seen them", forces, formats),
+        Table("validation-wrench", caption, wrench, skills),
     ]
-
-
-def _side_by_side(
-    name: str,
-    caption: str,
-    groups: dict[str, tuple[str, str]],
-    summary: pd.DataFrame,
-    formats: dict[str, str],
-) -> Table:
-    """A row per predictor, a group of columns per question and test that was answered."""
-    parts = {
-        title: summary[[place == key for place in summary.index.droplevel("predictor")]]
-        for title, key in groups.items()
-    }
-    parts = {title: part.droplevel([0, 1]) for title, part in parts.items() if len(part)}
-    longest = max(parts.values(), key=len)
-    return Table(name, caption, pd.concat(parts, axis=1).reindex(longest.index), formats)
 
 
 def _shares(results: Results) -> Table:
@@ -162,10 +140,7 @@ def validation_figure(
 ) -> Figure:
     """Draw the errors of forces by left-out cluster, and the coverage of the map's intervals.
 
-    Args:
-        judgements: Judgements of one trial, or of several: then their means are drawn.
-        title: What is shown.
-        style: How it is set.
+    Of the judgements of several trials the means are drawn.
     """
     narrow = style.is_narrow
     figure = style.figure(130.0 if narrow else 75.0)
