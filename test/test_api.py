@@ -9,7 +9,6 @@ import sys
 import warnings
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import matplotlib as mpl
 import nbformat
@@ -30,6 +29,7 @@ from socket_testbed.files import packaged
 from socket_testbed.report import write
 from socket_testbed.socket_design import tiling
 from socket_testbed.socket_design.tiling import TilingSettings
+from socket_testbed.trials.trial import Trial
 
 FUNCTIONS = [name for name in st.__all__ if name.islower()]
 
@@ -253,47 +253,33 @@ def test_the_readme_s_lines_run(tmp_path, monkeypatch, capsys) -> None:
     assert "pressure sd [kPa]" in printed and "RMSE" in printed
 
 
-def spoilt(source: Path, target: Path, change) -> tuple[Any, list[str], str]:
-    """A copy of a trial with changed wrenches, fitted: the fit, the notes and the refusal."""
-    count = iter(range(10**6))
-
-    def spoil(topic: str, message):
-        if topic == "/load_cell/wrench":
-            change(next(count), message.wrench.force)
-        return message
-
-    notes: list[str] = []
-    trial = st.open_trial(rewrite(source, target, spoil), notify=notes.append)
-    try:
-        return st.fit(trial, "20:35"), notes, ""
-    except st.TestbedError as error:
-        return None, notes, str(error)
-
-
-def scale_force(factor: float, only: int | None = None):
-    def change(number: int, force) -> None:
-        if only in (None, number):
-            force.x, force.y, force.z = (factor * value for value in (force.x, force.y, force.z))
-
-    return change
-
-
 def test_a_fit_is_never_silently_of_wrong_values(folder, tmp_path) -> None:
+    """What counts as wrong: identification/test_plausibility.py."""
     hold = folder / "trials" / "hold"
-    fitted, notes, _ = spoilt(hold, tmp_path / "negated", scale_force(-1.0))
-    assert fitted is not None and any("the wrench looks negated" in note for note in notes)
-    _, _, refusal = spoilt(hold, tmp_path / "milli", scale_force(1e3))
-    assert "Fz is" in refusal and "millinewtons" in refusal
-    _, _, refusal = spoilt(hold, tmp_path / "zero", scale_force(0.0))
-    assert "exceeds 0 N" in refusal and "holds no load" in refusal
-    _, notes, _ = spoilt(hold, tmp_path / "impossible", scale_force(1e7, only=100))
-    assert any("beyond 1e+06, which count as missing" in note for note in notes)
-    fitted, notes, _ = spoilt(hold, tmp_path / "spike", scale_force(1e3, only=100))
-    (note,) = [note for note in notes if note.startswith("Fz")]
-    assert "an outlier (-2.7" in note and "at 25.00 s" in note
-    assert fitted is not None and fitted.fit.errors[5].rmse < 50.0
-    with pytest.raises(st.TestbedError, match=r"only \d of 5 samples .* needs 12"):
-        st.fit(st.open_trial(hold), "20:21")
+    fitted = st.fit(st.open_trial(hold))
+
+    def scaled(factor: float, ending: str, part: str) -> tuple[Trial, list[str]]:
+        def change(topic: str, message):
+            if topic.endswith(ending):
+                vector = getattr(message, topic.rpartition("/")[2])
+                vector = getattr(vector, part)
+                vector.x, vector.y, vector.z = (factor * v for v in (vector.x, vector.y, vector.z))
+            return message
+
+        notes: list[str] = []
+        path = rewrite(hold, tmp_path / f"{part}{factor}", change)
+        return st.open_trial(path, notify=notes.append), notes
+
+    trial, notes = scaled(-1.0, "/wrench", "force")
+    st.fit(trial, "20:35")
+    assert any("the wrench looks negated" in note for note in notes)
+    with pytest.raises(st.TestbedError, match=r"Fz is .*millinewtons"):
+        st.fit(scaled(1e3, "/wrench", "force")[0], "20:35")
+    trial, notes = scaled(1e3, "/pose", "position")
+    for use in (st.fit, lambda t: st.predict(t, fitted), lambda t: st.evaluate(t, fitted)):
+        with pytest.raises(st.TestbedError, match=r"limb position is .* likely in millimetres"):
+            use(trial)
+    assert notes == []
 
 
 def test_a_model_is_judged_on_poses_averaged_as_in_its_fit(folder, tmp_path) -> None:
@@ -314,21 +300,3 @@ def test_a_model_is_judged_on_poses_averaged_as_in_its_fit(folder, tmp_path) -> 
     np.testing.assert_allclose(shown, st.predict(trial, stored)["Fz [N]"])
     with pytest.raises(st.TestbedError, match="pose_smoothing is -1"):
         st.evaluate(trial, model, pose_smoothing=-1.0)
-
-
-def test_limb_positions_in_millimetres_are_refused(folder, tmp_path) -> None:
-    hold = folder / "trials" / "hold"
-    fitted = st.fit(st.open_trial(hold))
-
-    def scale(topic: str, message):
-        if topic in {"/mocap/socket/pose", "/mocap/pylon/pose"}:
-            p = message.pose.position
-            p.x, p.y, p.z = 1e3 * p.x, 1e3 * p.y, 1e3 * p.z
-        return message
-
-    notes: list[str] = []
-    trial = st.open_trial(rewrite(hold, tmp_path / "milli", scale), notify=notes.append)
-    for use in (st.fit, lambda t: st.predict(t, fitted), lambda t: st.evaluate(t, fitted)):
-        with pytest.raises(st.TestbedError, match=r"limb position is .* likely in millimetres"):
-            use(trial)
-    assert notes == []
