@@ -161,16 +161,7 @@ def compute_results(
     given: StoredModel | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Results:
-    """Fit the variants on a segment of a trial, walk along theta, and judge all of it.
-
-    Args:
-        trial: The trial.
-        specification: The segment, see `select_segment`.
-        settings: Settings of the estimator; its variant is fitted beside the paper's.
-        thetas: Weights of the wrench against the clusters, rising [-].
-        given: A model to be shown as well.
-        progress: Called with the number of thetas done and of all.
-    """
+    """Fit the variants on a segment of a trial, walk along theta, and judge all of it."""
     if given is not None:
         given.require_socket(trial.geometry)
     notes: list[str] = []

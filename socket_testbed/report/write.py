@@ -79,9 +79,6 @@ def write_report(
         progress: Called with the number of figures written and of all.
         replace: Whether an older page and the folder beside it are replaced.
         style: How the figures in the folder are set.
-
-    Raises:
-        ConfigurationError: If they cannot be written, see `check_page_path`.
     """
     check_page_path(page, replace)
     folder = files_folder(page)

@@ -160,15 +160,7 @@ Shown: TypeAlias = tuple[str, FloatArray, Sequence[ChannelErrors]]
 def wrench_figure(
     samples: Samples, segment: Segment, models: Sequence[Shown], title: str, style: FigureStyle
 ) -> Figure:
-    """Measured against predicted wrench, a panel per channel with the models' errors.
-
-    Args:
-        samples: The samples.
-        segment: The part of them that the errors are over.
-        models: The models.
-        title: What is shown.
-        style: How it is set.
-    """
+    """Measured against predicted wrench, a panel per channel with errors over the segment."""
     return _draw(samples, segment, models, _FORCES_FIRST, title, style)
 
 

@@ -268,16 +268,9 @@ def force_map_figure(
 def instant_maps(
     outputs: PressureOutputs, time: FloatArray, share: float, span: str
 ) -> tuple[dict[str, FloatArray], dict[str, BoolArray]]:
-    """Pressures of the tiles over a span and at its peak, the sample with the highest pressure.
+    """Pressures of the tiles over a span and at its peak, and which of them are determined.
 
-    Args:
-        outputs: The outputs over the span.
-        time: Times of its samples since the first sample of the trial, shape (N,) [s].
-        share: A value whose interval reaches farther than this share of it is not determined [-].
-        span: Kind of the span, such as `plateau`.
-
-    Returns:
-        The pressures, shape (n,) [kPa], and which of them are determined, by what they are.
+    Shapes (n,), in kPa, by what they are.
     """
     pressure = outputs.peak_map.normal_pressure[0]
     deviation = outputs.peak_map.normal_pressure_standard_deviation[0]
@@ -311,10 +304,10 @@ def pressure_figure(
         time: Times of its samples since the first sample of the trial, shape (N,) [s].
         span: The span.
         events: Times since the first sample of the trial [s] and labels.
-        side: The leg that wears the socket, `left` or `right`; empty where that is not known.
+        side: The leg that wears the socket; empty where that is not known.
         title: What is shown.
         style: How it is set.
-        share: As in `instant_maps` [-]; with 1, what is determined is not zero.
+        share: Of a value: if its interval reaches farther, it is not determined [-].
     """
     maps, determined = instant_maps(outputs, time, share, span.kind)
     left_out = {SOCKET, *(f"{sector} {height}" for sector in SECTORS for height in HEIGHTS)}

@@ -114,13 +114,7 @@ def list_notes(results: Results) -> list[str]:
 
 
 def origin_section(results: Results, command: str, made: datetime) -> Section:
-    """The section on the solvers' certificates and the origin of the report.
-
-    Args:
-        results: The results.
-        command: The command line, for the record.
-        made: When the report is made.
-    """
+    """The section on the origin of the report and the solvers' certificates."""
     settings = [
         (name, ", ".join(map(str, value)) if isinstance(value, list | tuple) else str(value))
         for name, value in results.settings.to_flat().items()
