@@ -51,7 +51,7 @@ def test_the_given_model_is_the_one_that_was_given(results, hold_model):
     np.testing.assert_allclose(given.predicted, fitted.predicted, rtol=1e-6, atol=1e-6)
 
 
-def test_the_summary_has_the_numbers_of_every_model_and_labels_them(results):
+def test_the_summary_has_the_numbers_of_every_model_and_its_weakness(results):
     found = {line.partition(": ")[0]: line for line in summarise(results)}
     for candidate in results.candidates:
         in_sample, _, held_out = found[candidate.label].partition("; held-out ")
@@ -63,9 +63,6 @@ def test_the_summary_has_the_numbers_of_every_model_and_labels_them(results):
     offset = np.linalg.norm(results.fitted[BIAS].model.wrench_bias[3:])
     assert f"which no tile bears, {offset:.3g} N" in found[BIAS]
     assert "no tile bears" not in found[PLAIN]
-
-
-def test_springs_that_bear_little_are_noted(results):
     notes = [note for note in list_notes(results) if "springs bear" in note]
     little = {c.label: c.shares[1].springs for c in results.candidates if c.shares[1].springs < 0.5}
     assert BIAS in little  # a hold
@@ -169,13 +166,10 @@ def test_what_fails_in_the_middle_leaves_nothing(results, tmp_path, monkeypatch)
     assert list(tmp_path.iterdir()) == []
 
 
-def test_gaps_are_found_the_longest_first():
+def test_gaps_and_drop_outs_are_counted():
     time = np.array([0.0, 0.25, 0.5, 1.5, 1.75, 2.0, 5.0, 5.25, 5.6])
-    assert find_gaps(time) == [(2.0, 3.0), (0.5, 1.0)]
+    assert find_gaps(time) == [(2.0, 3.0), (0.5, 1.0)]  # the longest first
     assert find_gaps(np.arange(100) * 0.25) == find_gaps(np.array([1.0])) == []
-
-
-def test_drop_outs_are_counted_by_measurement():
     rng = np.random.default_rng(8)
     samples = make_samples(
         rng.normal(size=(200, 3)), rng.normal(size=(200, 6)), {"a": rng.normal(size=(200, 3))}

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import argparse
 import io
 import json
 import re
+from contextlib import redirect_stderr, redirect_stdout
 from functools import partial
 from pathlib import Path
 from urllib.parse import unquote
@@ -19,7 +19,7 @@ from matplotlib.layout_engine import ConstrainedLayoutEngine
 from support.pages import MADE, NASTY, Page, columns, numbers
 
 import socket_testbed as st
-from socket_testbed.commands import report
+from socket_testbed.__main__ import run
 from socket_testbed.identification.evaluation import evaluate, summarise_errors, trusted_values
 from socket_testbed.identification.pareto import KNEE, SENSOR_ONLY, WRENCH_ONLY
 from socket_testbed.identification.pressure import TITLES, interval_end
@@ -73,7 +73,7 @@ def test_the_page_loads_nothing_and_could_not(page, page_path):
     assert page_path.stat().st_size < MOST_BYTES
 
 
-def test_every_section_is_in_the_contents_and_every_picture_says_what_it_shows(page):
+def test_the_contents_list_every_section_and_pictures_and_tables_say_what_they_show(page):
     ids = page.attributes("id")
     assert len(ids) == len(set(ids))
     sections = [a["id"] for tag, a in page.tags if tag == "section"]
@@ -82,6 +82,11 @@ def test_every_section_is_in_the_contents_and_every_picture_says_what_it_shows(p
     pictures = [a for tag, a in page.tags if tag == "img"]
     assert len(pictures) >= 12 and all(len(a["alt"]) > 20 for a in pictures)
     assert dict(page.tags)["html"]["lang"] == "en"
+    regions = [a["aria-labelledby"] for _, a in page.tags if a.get("role") == "region"]
+    tables = [a["id"] for tag, a in page.tags if tag == "table"]
+    assert regions == [f"{name}-caption" for name in tables]
+    assert all(page.said["caption"]) and len(page.said["caption"]) == len(tables)
+    assert all(a.get("scope") for tag, a in page.tags if tag == "th")
 
 
 def test_the_errors_on_the_page_and_in_the_file_are_those_of_the_evaluation(
@@ -252,43 +257,26 @@ def test_the_scene_shows_each_set_of_values_on_the_tiles(page, results):
     assert tiles == sorted(results.trial.geometry.clusters.values())
 
 
-@pytest.fixture(scope="module")
-def nasty(spoilt: Path, tmp_path_factory) -> tuple[Path, str, str]:
-    """The page of the spoilt trial, and what was printed."""
-    path = tmp_path_factory.mktemp("nasty") / "page.html"
-    with pytest.MonkeyPatch.context() as patch:  # saving takes its time, and is tested above
-        patch.setattr(ReportFigure, "write", lambda *_: None)
-        patch.setattr(ConstrainedLayoutEngine, "execute", lambda *_: None)
-        out, err = call(spoilt, "-o", path, "--thetas", 3)
-    return path, out, err
+def test_a_spoilt_trial_is_told_and_its_names_are_no_markup(spoilt, tmp_path, monkeypatch):
+    path, out, err = tmp_path / "page.html", io.StringIO(), io.StringIO()
+    monkeypatch.setattr(ReportFigure, "write", lambda *_: None)  # tested above
+    monkeypatch.setattr(ConstrainedLayoutEngine, "execute", lambda *_: None)
+    with redirect_stdout(out), redirect_stderr(err):
+        assert run(["report", str(spoilt), "-o", str(path), "--thetas", "3"]) == 0
+    assert f"note: {NASTY}.Fx looks implausible" in err.getvalue()
+    assert "--leave-out" in err.getvalue() and str(path) in out.getvalue()
+    assert sum(line.startswith("- ") for line in out.getvalue().splitlines()) >= 3
 
-
-def call(*words: object) -> tuple[str, str]:
-    """What the verb prints on standard output and standard error."""
-    parser = argparse.ArgumentParser()
-    report.configure(parser)
-    options = parser.parse_args([str(word) for word in words])
-    out, err = io.StringIO(), io.StringIO()
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("sys.stdout", out)
-        patch.setattr("sys.stderr", err)
-        options.run(options)
-    return out.getvalue(), err.getvalue()
-
-
-def test_names_are_no_markup(nasty):
-    text = nasty[0].read_text(encoding="utf-8")
+    text = path.read_text(encoding="utf-8")
     page = Page(text)
     assert f"Report on {NASTY}" in page.text
-    assert f"{NASTY}.Fx" in page.rows("errors")
     assert (page.said["dt"], page.said["dd"]) == (["side", "notes"], ["left", NASTY])
     assert not [tag for tag, _ in page.tags if tag == "b"]
     assert NASTY not in text
     assert str(escape(NASTY)) in text and escape(NASTY).unescape() == NASTY
 
-
-def test_gaps_and_drop_outs_are_told(nasty):
-    page = Page(nasty[0].read_text(encoding="utf-8"))
+    assert f"{NASTY}.Fx looks implausible" in page.text
+    assert "not in objective" not in page.rows("errors")[f"{NASTY}.Fx"]
     assert "Gaps of the triggers: 1, the longest of 2.25 s" in page.text
     rows = page.rows("drop-outs")
     cells = rows[f"{NASTY} (Fx, Fy, Fz)"]
@@ -297,20 +285,3 @@ def test_gaps_and_drop_outs_are_told(nasty):
     noise = page.rows("noise")
     assert float(noise["force [N]"][2]) == pytest.approx(0.15, rel=0.2)  # the simulated load cell's
     assert f"{NASTY} [N]" in noise
-
-
-def test_an_implausible_channel_is_printed_and_shown_and_still_fitted(nasty):
-    path, out, err = nasty
-    assert f"note: {NASTY}.Fx looks implausible" in err and "--leave-out" in err
-    page = Page(path.read_text(encoding="utf-8"))
-    assert f"{NASTY}.Fx looks implausible" in page.text
-    assert "not in objective" not in page.rows("errors")[f"{NASTY}.Fx"]
-    assert out.count("\n- ") + out.startswith("- ") >= 3 and str(path) in out
-
-
-def test_every_table_is_named_and_scrolls_inside_itself(page):
-    regions = [a["aria-labelledby"] for _, a in page.tags if a.get("role") == "region"]
-    tables = [a["id"] for tag, a in page.tags if tag == "table"]
-    assert regions == [f"{name}-caption" for name in tables]
-    assert all(page.said["caption"]) and len(page.said["caption"]) == len(tables)
-    assert all(a.get("scope") for tag, a in page.tags if tag == "th")
