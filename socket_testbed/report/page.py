@@ -11,7 +11,6 @@ from itertools import groupby
 from pathlib import Path
 from typing import Any, ClassVar
 
-import numpy as np
 import pandas as pd
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
@@ -159,25 +158,16 @@ class Section:
 _NOT_DRAWN = re.compile(
     r'<\?xml.*?\?>|<!DOCTYPE.*?>|<!--.*?-->|<metadata>.*?</metadata>|(?<=<g) id="[^"]*"', re.DOTALL
 )
-_POLYLINE = re.compile(r"M[-\d.\s]+(?:L[-\d.\s]+)+")
-_PLACE = re.compile(r'translate\([^)]*\)| [xy]="[^"]*"')
+_COORDINATES = re.compile(r' d="[^"]*"|translate\([^)]*\)| [xy]="[^"]*"')
 _RESERVED = str.maketrans({"%": "%25", "#": "%23", "&": "%26", '"': "'"})
 
 
 def svg_url(svg: str) -> Markup:
-    """A picture as the address of an image: lines to a tenth of a point, no names, no comments."""
-    drawn = _POLYLINE.sub(_shortened, _NOT_DRAWN.sub("", svg))
-    drawn = _PLACE.sub(lambda place: re.sub(r"(\.\d)\d+", r"\1", place[0]), drawn)
+    """A picture as the address of an image: to a hundredth of a point, no names, no comments."""
+    drawn = _NOT_DRAWN.sub("", svg)
+    drawn = _COORDINATES.sub(lambda part: re.sub(r"(\.\d\d)\d+", r"\1", part[0]), drawn)
     drawn = re.sub(r">\s+<", "><", drawn.replace("xlink:href", "href"))
     return Markup("data:image/svg+xml," + " ".join(drawn.split()).translate(_RESERVED))
-
-
-def _shortened(polyline: re.Match[str]) -> str:
-    """A line from point to point as steps; rounded points, so that no error adds up."""
-    points = np.array(polyline[0].replace("M", " ").replace("L", " ").split(), dtype=float)
-    tenths = np.round(10.0 * points.reshape(-1, 2)).astype(np.int64)
-    start, *steps = np.diff(tenths, axis=0, prepend=0) / 10.0
-    return f"M{start[0]:g} {start[1]:g}l" + " ".join(f"{x:g} {y:g}" for x, y in steps)
 
 
 def render(title: str, subtitle: str, sections: Sequence[Section], **content: Any) -> str:

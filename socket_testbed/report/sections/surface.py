@@ -29,7 +29,10 @@ from socket_testbed.tables import split_unit
 
 _LINES = 68.0  # [mm]; height of two panels over time with their key
 _STIFFNESS = ("k", "stiffness [N/m]")
-_REST = ("q_r", "rest position from the mean limb position [mm]")
+_REST = {
+    False: ("q_r", "rest position from the mean limb position [mm]"),
+    True: ("q_r", "rest position from the reference pose [mm]"),  # of a rigid variant
+}
 
 
 def section(results: Results) -> Section:
@@ -102,7 +105,7 @@ def _tile_maps(results: Results) -> Iterator[ReportFigure]:
             name = "rest_positions" if shared else f"rest_positions_{label}"
             whose = "the same for the paper's variants" if shared else f"model {label}"
             title, values = f"Rest positions, {whose}", _rest_offsets(results, candidate)
-            yield _tile_map(results, candidate, name, title, values, _REST)
+            yield _tile_map(results, candidate, name, title, values, _REST[model.is_rigid])
 
 
 def _tile_map(
