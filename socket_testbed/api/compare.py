@@ -1,4 +1,4 @@
-"""Trials side by side: what is the same, what differs, and by how much."""
+"""Trials side by side: their values, and the differences to the first."""
 
 from __future__ import annotations
 
@@ -244,7 +244,7 @@ def _of_output(
 
 
 def _wrench(found: TrialPressure) -> pd.DataFrame:
-    """The wrench over the segment, of which the statistics pass over what is missing."""
+    """The wrench over the segment, as a table whose statistics skip missing values."""
     import pandas as pd
 
     wrench = found.trial.samples()[found.segment.rows].wrench

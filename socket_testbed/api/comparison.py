@@ -90,7 +90,7 @@ def values_table(
     """A quantity of m things, such as regions, in k trials, in the columns of `COLUMNS`.
 
     Args:
-        part: What the things are, such as `regions`.
+        part: Kind of the things, such as `regions`.
         names: Names of the things.
         title: The quantity with its unit, such as `peak pressure [kPa]`; degrees repeat after 360.
         items: Names of the trials.

@@ -206,7 +206,7 @@ def cycles(
 def _series(
     trial: Trial, quantity: str | Sequence[str] | pd.DataFrame | None
 ) -> tuple[FloatArray, tuple[str, ...], FloatArray]:
-    """Times [s], titles and values, shape (N, m), of what is wanted."""
+    """Times [s], titles and values, shape (N, m), of the chosen quantities."""
     import pandas as pd
 
     table = quantity

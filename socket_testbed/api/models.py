@@ -384,7 +384,7 @@ def model_for(trial: Trial, model: Model) -> StoredModel:
 
 
 def _predictions(samples: Samples, stored: StoredModel) -> FloatArray:
-    """What a model predicts for samples, (N, 6 + 3c), from poses averaged as in its fit."""
+    """Predictions of a model, shape (N, 6 + 3c), from poses averaged as in its fit."""
     smooth = smooth_poses(samples, stored.settings.pose_smoothing)
     with threadpool_limits(1):
         return predict_channels(stored.model, smooth.pose, samples.clusters)

@@ -1,4 +1,4 @@
-"""What the functions of the API return: every result has the same methods."""
+"""The results of the API's functions: each has the same methods."""
 
 from __future__ import annotations
 

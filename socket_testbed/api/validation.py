@@ -162,7 +162,7 @@ def validate(
     fitted: list[_Recording] = []
     with threadpool_limits(1):
         for done, recording in enumerate(recordings):
-            with _passed_over(recording, several):
+            with _passed_over(recording.name, recording.trial, several):
                 judgements += recording.judge(with_models=recording in chosen)
                 fitted += [recording] if recording in chosen else []
             report(done + 1, total)
@@ -171,7 +171,7 @@ def validate(
         for done, recording in enumerate(chosen if several else ()):
             others = [other for other in recordings if other is not recording]
             if recording in fitted:
-                with _passed_over(recording, several):
+                with _passed_over(recording.name, recording.trial, several):
                     judgements += recording.judge_others(_spread(others, _MOST_FITTED))
             report(len(recordings) + done + 1, total)
     names, fitted_names = ([r.name for r in listed] for listed in (recordings, fitted))
@@ -180,14 +180,15 @@ def validate(
 
 
 @contextmanager
-def _passed_over(recording: _Recording, several: bool) -> Iterator[None]:
+def _passed_over(name: str, trial: Trial, several: bool) -> Iterator[None]:
     """Among several trials, note the error of one and go on."""
     try:
         yield
-    except IdentificationError as error:
+    except (IdentificationError, TrialError) as error:
         if not several:
             raise
-        recording.note(f"passed over: {error}")
+        if trial.notify is not None:
+            trial.notify(f"{name}: passed over: {error}")
 
 
 def _spread(items: Sequence[T], most: int) -> list[T]:
@@ -206,7 +207,7 @@ class _Recording:
     samples: Samples
 
     def judge(self, with_models: bool) -> list[Judgement]:
-        """What the trial says alone; with fits of the models, or of estimates without a fit."""
+        """Judgements on this trial alone, with fits of the models or without."""
         geometry = self.trial.geometry
         if not with_models:
             return judge_map(self.samples, geometry, self.settings, self.name)
@@ -256,13 +257,13 @@ def _recordings(
         if path in paths[:number]:
             raise ConfigurationError(f"{trial.path} is given twice", "give each trial once")
         name = trial.name if names.count(trial.name) == 1 else str(trial.path)
-        try:
-            found.append(_recording(name, trial, params, choices))
-        except (IdentificationError, TrialError) as error:
-            if len(trials) == 1:
-                raise
-            if trial.notify is not None:
-                trial.notify(f"{name}: passed over: {error}")
+        with _passed_over(name, trial, len(trials) > 1):
+            settings = estimator_settings(trial.estimator, params, **choices)
+            samples = trial.samples()
+            require_position(samples, trial.geometry)
+            leave_out = settings.identification.leave_out
+            samples = without_outliers(samples, find_outliers(samples, trial.geometry, leave_out))
+            found.append(_Recording(name, trial, settings, samples))
     first = found[0].trial if found else trials[0]
     for trial in (recording.trial for recording in found):
         if not trial.geometry.same_tiles(first.geometry):
@@ -272,12 +273,3 @@ def _recordings(
                 "validate the trials of one socket at a time",
             )
     return found
-
-
-def _recording(name: str, trial: Trial, params: Path | None, choices: dict[str, Any]) -> _Recording:
-    settings = estimator_settings(trial.estimator, params, **choices)
-    samples = trial.samples()
-    require_position(samples, trial.geometry)
-    leave_out = settings.identification.leave_out
-    samples = without_outliers(samples, find_outliers(samples, trial.geometry, leave_out))
-    return _Recording(name, trial, settings, samples)

@@ -73,7 +73,7 @@ class TileValues:
     start: int = 0  # the instant that is shown first
 
     def document(self, geometry: SocketGeometry) -> dict[str, Any]:
-        """What the page needs of them; null stands for no value."""
+        """The values for the page; null where there is none."""
         low, high = value_range(geometry, self.values)
         digits = _DIGITS if self.times is None else _DIGITS_OVER_TIME
         return {
@@ -265,7 +265,7 @@ def _cluster_names(geometry: SocketGeometry) -> list[dict[str, Any]]:
 
 
 def _tile_facts(geometry: SocketGeometry) -> list[str]:
-    """What the pointer shows of each tile."""
+    """Facts on each tile, shown under the pointer."""
     return [
         f"<b>{_escape(label)}</b><br>anchor {_vector(1e3 * geometry.anchors[tile], 1)} mm"
         f"<br>inward normal {_vector(geometry.rotations[tile, :, 2], 3)}"

@@ -1,4 +1,4 @@
-"""What figures share: their size in print, type, colours, lines that differ in grey, files."""
+"""Shared by all figures: printed size, type, colours, lines that differ in grey, files."""
 
 from __future__ import annotations
 

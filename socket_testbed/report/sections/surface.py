@@ -142,19 +142,15 @@ def _tile_map(
 def _engaged_springs(results: Results) -> ReportFigure:
     """Which springs of every model are engaged, over time and over the socket."""
     models = {candidate.label: candidate.engagement for candidate in results.candidates}
-    counts = "; ".join(
-        f"{label} {found.time_share.sum():.0f} of {found.springs}, {found.switching} only at times"
-        for label, found in models.items()
-    )
     columns = [found.columns(f"{label}.springs.") for label, found in models.items()]
     return ReportFigure(
         "engaged_springs",
         "Springs that are engaged (compressed, with a stiffness above zero), and uncertain ones,"
         " which one standard deviation of the pose's noise can switch. The maps show the share of"
         " the time over the shaded segment in which the springs of a tile are engaged;"
-        f" engaged_tiles.csv holds it for each. Engaged on the segment: {counts}. {THINNED}",
+        f" engaged_tiles.csv holds it for each. {THINNED}",
         lambda style: _draw_engagement(results, style),
-        f"Engaged springs on the unrolled socket, and over time: {counts}",
+        "Share of the time with engaged springs on the unrolled socket, and their number over time",
         results.series({name: of for found in columns for name, of in found.items()}),
         is_map=True,
     )
