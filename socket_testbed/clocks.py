@@ -67,24 +67,15 @@ def real(seconds: float) -> float:
 
 
 class SteadyClock:
-    """The system clock as it was once, advanced by the steady clock.
-
-    Args:
-        wall: The system clock, since the epoch [ns].
-        steady: The steady clock, since some moment [ns].
-
-    Attributes:
-        beginning: Time since the epoch at which the steady clock was zero [ns].
-    """
+    """The system clock as it was once, advanced by the steady clock; both in ns."""
 
     def __init__(
-        self,
-        wall: Callable[[], int] = time.time_ns,
-        steady: Callable[[], int] = monotonic_ns,
+        self, wall: Callable[[], int] = time.time_ns, steady: Callable[[], int] = monotonic_ns
     ) -> None:
         self._wall = wall
         self._steady = steady
         shared = os.environ.get(BEGINNING)
+        # Time since the epoch at which the steady clock was zero [ns].
         self.beginning = int(shared) if shared else wall() - steady()
 
     def now(self) -> int:
@@ -118,22 +109,17 @@ class TriggerTime:
     clock was set in between, stamps seem to come from the future or from long ago, all by the same
     difference: then their arrival shows it. Triggers that were held up come from long ago, too,
     but each by another difference.
-
-    Attributes:
-        shift: How far the trigger's clock is from this process's [s]; 0 as a rule.
     """
 
     def __init__(self, clock: SteadyClock) -> None:
         self._clock = clock
         self._differences: deque[float] = deque(maxlen=_ENOUGH)
-        self.shift = 0.0
+        self.shift = 0.0  # [s]; how far the trigger's clock is from this process's; 0 as a rule
 
     def steady(self, stamp: int, arrival: float) -> float:
         """Time of a trigger on the steady clock [s]; minus infinity while it is unknown.
 
-        Args:
-            stamp: Its stamp since the epoch [ns].
-            arrival: When it arrived, on the steady clock [s].
+        Its stamp is since the epoch [ns], its arrival on the steady clock [s].
         """
         plain = self._clock.to_steady(stamp)
         for shift in (self.shift, 0.0):
@@ -165,11 +151,9 @@ class TriggerPeriod:
         self._intervals: deque[float] = deque(maxlen=_INTERVALS)
 
     def add(self, stamp: int, sequence: int) -> float:
-        """Add a trigger; returns the period [s], 0 until it is known.
+        """Add a trigger with its stamp [ns] and number; returns the period [s], 0 until known.
 
-        Args:
-            stamp: Its stamp since the epoch [ns].
-            sequence: Its number; numbers that do not rise are those of another trigger node.
+        Numbers that do not rise are those of another trigger node.
         """
         if self._last is not None:
             duration, pulses = stamp - self._last[0], sequence - self._last[1]
@@ -186,11 +170,7 @@ _LONGEST = 0.4  # [s]; a recovery is seen within a second
 
 
 class Backoff:
-    """Spaces out attempts: each failure doubles the wait, a success ends it.
-
-    Args:
-        longest: Longest wait [s].
-    """
+    """Spaces out attempts: a failure doubles the wait up to the longest [s], a success ends it."""
 
     def __init__(self, longest: float = _LONGEST) -> None:
         self._longest = longest

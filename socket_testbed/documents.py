@@ -29,38 +29,20 @@ class Document(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
 
 
 class FieldError(ValueError):
-    """Raised by `__post_init__` of a `Document`; `convert` adds the file and the mapping's name.
-
-    Args:
-        fact: What is wrong.
-        hint: What to do about it.
-    """
-
-    def __init__(self, fact: str, hint: str) -> None:
-        super().__init__(fact, hint)
+    """A fact and its hint, raised by a `Document`'s `__post_init__`; `convert` adds the place."""
 
 
 def read_document(path: Path, kind: type[T]) -> T:
-    """Read a YAML file; an empty one is an empty mapping.
-
-    Raises:
-        ConfigurationError: If the file is missing or unreadable, or a field is wrong.
-    """
+    """Read a YAML file; an empty one is an empty mapping."""
     data = load_yaml(path)
     return convert({} if data is None else data, kind, str(path))
 
 
 def convert(data: Any, kind: type[T], where: str = "", strict: bool = True) -> T:
-    """Check data against a type.
+    """Check data against a `Document`, or another type that msgspec knows.
 
-    Args:
-        data: The content of a file, or a value.
-        kind: A `Document`, or another type that msgspec knows.
-        where: What names the data in an error: the file and the field.
-        strict: Whether a text such as `1e-8` is refused where a number belongs.
-
-    Raises:
-        ConfigurationError: If a field is missing or unknown, or has a wrong type, shape or range.
+    Errors name the data as `where`: the file and the field. Strictly, a text such as `1e-8` is no
+    number.
     """
     try:
         return msgspec.convert(data, kind, strict=strict)
@@ -69,22 +51,13 @@ def convert(data: Any, kind: type[T], where: str = "", strict: bool = True) -> T
 
 
 def check_number(value: Any, where: str, low: float = -FINITE, high: float = FINITE) -> float:
-    """A finite number within [low, high]; whole numbers count as numbers.
-
-    Raises:
-        ConfigurationError: Otherwise, naming `where`.
-    """
+    """A finite number within [low, high]; whole numbers count as numbers."""
     kind: Any = Annotated[float, Meta(ge=low, le=high)]
-    number: float = convert(plain(value), kind, where)
-    return number
+    return float(convert(plain(value), kind, where))
 
 
 def refuse_unknown(keys: Iterable[str], known: Collection[str], where: str) -> None:
-    """Refuse a key that is not known.
-
-    Raises:
-        ConfigurationError: With the likely key.
-    """
+    """Refuse a key that is not known."""
     for key in keys:
         if key not in known:
             raise ConfigurationError(f"{where}: unknown key '{key}'", closest(key, known))
@@ -148,16 +121,15 @@ def _wrong_key(
 
 
 _OF_FIELDS = (inspect.StructType, inspect.DataclassType)
-_OF_MAPPINGS = (*_OF_FIELDS, inspect.DictType)
 _OF_NUMBERS = (inspect.FloatType, inspect.IntType)
 _OF_LISTS = (inspect.ListType, inspect.TupleType, inspect.VarTupleType)
 
 
 def _chosen(expected: inspect.Type, value: Any) -> inspect.Type:
     """The type of a union that a mapping or a list is to be; any other type itself."""
-    kinds = _OF_MAPPINGS if isinstance(value, dict) else _OF_LISTS
     if not isinstance(value, dict | list):
         return expected
+    kinds = (*_OF_FIELDS, inspect.DictType) if isinstance(value, dict) else _OF_LISTS
     types = getattr(expected, "types", (expected,))
     return next((each for each in types if isinstance(each, kinds)), expected)
 
@@ -258,11 +230,7 @@ for _kind, _pattern in {
 
 
 def load_yaml(path: Path) -> Any:
-    """Read a YAML file; what it takes of memory and time is bounded.
-
-    Raises:
-        ConfigurationError: If the file is missing, unreadable, not YAML, too large or too deep.
-    """
+    """Read a YAML file; what it takes of memory and time is bounded."""
     text = read_text(path)
     try:
         _refuse_bombs(text)
@@ -311,15 +279,7 @@ def _fault(problem: str, place: Any) -> yaml.MarkedYAMLError:
 
 
 def load_json(path: Path, kind: str) -> Any:
-    """Read a JSON file; every number in it is finite.
-
-    Args:
-        path: The file.
-        kind: What it is, for an error, such as `a model`.
-
-    Raises:
-        ConfigurationError: If the file is missing, unreadable, not JSON, too large or too deep.
-    """
+    """Read a JSON file, named in errors as a kind such as `a model`; its numbers are finite."""
     try:
         return msgspec.json.decode(read_text(path, kind))
     except (RecursionError, msgspec.DecodeError) as error:
@@ -327,16 +287,7 @@ def load_json(path: Path, kind: str) -> Any:
 
 
 def read_text(path: Path, kind: str = "a file", largest: int = _LARGEST_DOCUMENT) -> str:
-    """Read a document of UTF-8 text.
-
-    Args:
-        path: The file.
-        kind: What it is, for an error, such as `a model`.
-        largest: A larger file is refused [bytes].
-
-    Raises:
-        ConfigurationError: If the file is missing, unreadable, too large or no such text.
-    """
+    """Read UTF-8 text, in errors a kind such as `a model`; a larger file [bytes] is refused."""
     try:
         with path.open("rb") as stream:
             content = stream.read(largest + 1)
@@ -360,11 +311,7 @@ _DECIMAL = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?", flags=re.ASCII)
 
 
 def decimal(text: str) -> float:
-    """A finite number from its decimal digits; not from nan, 1_000 or the digits of other scripts.
-
-    Raises:
-        ValueError: If the text is no such number.
-    """
+    """A finite number from its decimal digits, or a ValueError: not from nan or 1_000."""
     number = float(text) if _DECIMAL.fullmatch(text) else float("nan")
     if not abs(number) <= FINITE:
         raise ValueError(f"{shown(text)} is not a number")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Collection
-from typing import Any
 
 
 class TestbedError(Exception):
@@ -19,11 +18,10 @@ class TestbedError(Exception):
     def __init__(self, fact: str, hint: str) -> None:
         self.fact = _one_line(fact)
         self.hint = _one_line(hint)
-        super().__init__(f"{self.fact}: {self.hint}")
+        super().__init__(self.fact, self.hint)
 
-    def __reduce__(self) -> tuple[Any, ...]:
-        # Errors come back from worker processes whatever their constructors take.
-        return _restore, (type(self), self.args, self.__dict__)
+    def __str__(self) -> str:
+        return f"{self.fact}: {self.hint}"
 
 
 _LONGEST = 2000  # [characters]
@@ -37,14 +35,6 @@ def _one_line(text: str) -> str:
     return "".join(
         letter if letter.isprintable() else "\N{REPLACEMENT CHARACTER}" for letter in text
     )
-
-
-def _restore(
-    kind: type[TestbedError], arguments: tuple[Any, ...], state: dict[str, Any]
-) -> TestbedError:
-    error = kind.__new__(kind, *arguments)
-    error.__dict__.update(state)
-    return error
 
 
 class ConfigurationError(TestbedError):

@@ -3,14 +3,10 @@
 from __future__ import annotations
 
 import errno
-import os
-import platform
-import shutil
-import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
-from itertools import count
+from contextlib import contextmanager
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 from socket_testbed.errors import ConfigurationError
 
@@ -35,11 +31,7 @@ def packaged(folder: str, name: str) -> Path:
 
 
 def refuse_existing(path: Path) -> None:
-    """Refuse to write over something.
-
-    Raises:
-        ConfigurationError: If the path exists.
-    """
+    """Refuse to write over something."""
     if path.exists():
         raise ConfigurationError(f"{path} exists already", "name another output or remove it")
 
@@ -50,9 +42,6 @@ def check_outputs(*paths: Path | None, replace: bool) -> None:
     Args:
         paths: The files; None for one that is not wanted.
         replace: Whether files that exist are replaced.
-
-    Raises:
-        ConfigurationError: If one is a folder, exists, or lies in a folder that does not exist.
     """
     for path in filter(None, paths):
         if path.is_dir():
@@ -67,22 +56,14 @@ def check_outputs(*paths: Path | None, replace: bool) -> None:
 
 
 def check_new_folder(path: Path) -> None:
-    """Refuse a folder that exists, or that lies more than one folder below what exists.
-
-    Raises:
-        ConfigurationError: In these cases.
-    """
+    """Refuse a folder that exists, or that lies more than one folder below what exists."""
     refuse_existing(path)
     if not path.parent.exists():
         _require_parent(path.parent)
 
 
 def make_folder(path: Path) -> None:
-    """Make a folder, and those above it, unless it exists.
-
-    Raises:
-        ConfigurationError: If it cannot be made.
-    """
+    """Make a folder, and those above it, unless it exists."""
     try:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -102,11 +83,7 @@ def _require_parent(path: Path) -> None:
 
 
 def check_picture(path: Path) -> None:
-    """Refuse a file whose suffix names no format of a picture.
-
-    Raises:
-        ConfigurationError: If it is neither `.png` nor `.pdf`.
-    """
+    """Refuse a file whose suffix names no format of a picture."""
     if path.suffix.lower() not in _PICTURES:
         raise ConfigurationError(
             f"{path}: a picture cannot be a '{path.suffix}' file", "name a .png or .pdf file"
@@ -119,8 +96,7 @@ def atomic_output(path: Path, replace: bool = False) -> Iterator[Path]:
 
     A file replaces an older one; a folder must not exist yet, unless it is to be replaced. Several
     processes may write the same output: each writes in a folder of its own, and the last one to
-    finish wins, of folders the first unless they are replaced. What a killed process left is
-    removed by the next one.
+    finish wins, of folders the first unless they are replaced.
 
     Args:
         path: The output, a file or a folder.
@@ -128,78 +104,30 @@ def atomic_output(path: Path, replace: bool = False) -> Iterator[Path]:
 
     Yields:
         The path to write to, with the same last part, in a folder that did not exist.
-
-    Raises:
-        ConfigurationError: If the output cannot be written, or its folder does not exist.
     """
     path = path.resolve()  # a link stays a link
     _require_parent(path)
     if path.exists() and not (path.is_file() or path.is_dir()):
         raise ConfigurationError(f"{path} is not an ordinary file", "name a file for the output")
-    staging = None
     try:
-        _remove_leftovers(path)
-        prefix = f"{_staging_prefix(path)}{os.getpid()}."
-        staging = Path(tempfile.mkdtemp(_PARTIAL, prefix, path.parent))
-        yield staging / path.name
-        _put(staging / path.name, path, replace)
+        with TemporaryDirectory(
+            ".partial", f".{path.name}.", path.parent, ignore_cleanup_errors=True
+        ) as staging:
+            new = Path(staging) / path.name
+            yield new
+            if replace and new.is_dir() and path.is_dir():
+                path.replace(Path(staging) / f"older {path.name}")
+            new.replace(path)
     except OSError as error:
+        if error.errno in {errno.ENOTEMPTY, errno.EEXIST}:
+            raise ConfigurationError(
+                f"{path} exists already: another run wrote it meanwhile",
+                "name another output or remove it",
+            ) from None
         raise ConfigurationError(
             f"{path}: cannot be written ({error.strerror or error})",
             "check the folder, its permissions and the space left",
         ) from None
-    finally:
-        if staging is not None:
-            shutil.rmtree(staging, ignore_errors=True)
-
-
-def _put(new: Path, path: Path, replace: bool) -> None:
-    """Give an output its name; where a folder has it, that moves away first."""
-    for number in count():
-        try:
-            new.replace(path)
-            return
-        except OSError as error:
-            if error.errno not in {errno.ENOTEMPTY, errno.EEXIST}:
-                raise
-        if not replace:
-            raise ConfigurationError(
-                f"{path} exists already: another run wrote it meanwhile",
-                "name another output or remove it",
-            )
-        with suppress(FileNotFoundError):  # another run moved it
-            path.replace(new.with_name(f"older.{number}"))
-
-
-_PARTIAL = ".partial"
-
-
-def _staging_prefix(path: Path) -> str:
-    """Start of the names of this machine's staging folders for an output; a process id follows."""
-    return f".{path.name}.{platform.node()}-"
-
-
-def _remove_leftovers(path: Path) -> None:
-    """Remove the staging folders of processes of this machine that no longer run."""
-    prefix = _staging_prefix(path)
-    for entry in path.parent.iterdir():
-        if entry.name.startswith(prefix) and entry.suffix == _PARTIAL:
-            process = entry.name.removeprefix(prefix).partition(".")[0]
-            if process.isdecimal() and not _runs(int(process)):
-                shutil.rmtree(entry, ignore_errors=True)
-
-
-def _runs(process: int) -> bool:
-    """Whether a process of this machine runs; on Windows, where asking would end it, assumed."""
-    if os.name == "nt":
-        return True
-    try:
-        os.kill(process, 0)
-    except ProcessLookupError:
-        return False
-    except OSError:  # it is another user's
-        pass
-    return True
 
 
 _PICTURES = (".png", ".pdf")

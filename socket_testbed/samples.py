@@ -74,21 +74,14 @@ class Samples:
     def __getitem__(self, rows: slice | BoolArray | IntArray) -> Samples:
         """The samples of some rows."""
         return Samples(
-            self.stamps[rows],
-            self.position[rows],
-            self.rotation[rows],
-            self.wrench[rows],
-            self.clusters,
-            self.local_forces[rows],
-            self.status[rows],
-        )
+            self.stamps[rows], self.position[rows], self.rotation[rows], self.wrench[rows],
+            self.clusters, self.local_forces[rows], self.status[rows],
+        )  # fmt: skip
 
     @property
     def time(self) -> FloatArray:
         """Time since the first sample, shape (N,) [s]."""
-        if len(self) == 0:
-            return np.zeros(0)
-        return (self.stamps - self.stamps[0]) * 1e-9
+        return (self.stamps - self.stamps[:1]).astype(np.float64) * 1e-9
 
     @property
     def pose(self) -> FloatArray:
@@ -98,9 +91,8 @@ class Samples:
     @property
     def complete(self) -> BoolArray:
         """Rows with a wrench and a limb position, which is what a fit needs, shape (N,)."""
-        return np.asarray(
-            np.isfinite(self.position).all(axis=1) & np.isfinite(self.wrench).all(axis=1)
-        )
+        needed = np.hstack([self.position, self.wrench])
+        return np.asarray(np.isfinite(needed).all(axis=1))
 
     @property
     def trusted_forces(self) -> FloatArray:
@@ -133,15 +125,12 @@ class Samples:
         """
         import pandas as pd
 
-        def titled(prefix: str, names: tuple[str, ...], values: FloatArray) -> None:
-            for name, column in zip(names, values.T, strict=True):
-                columns[f"{prefix}{name} [{channel_unit(name)}]"] = column
-
-        columns: dict[str, FloatArray | StatusArray] = {}
-        titled("", WRENCH_CHANNELS, self.wrench)
+        titles = [f"{name} [{channel_unit(name)}]" for name in self.channels]
+        values = dict(zip(titles, self.values.T, strict=True))
+        columns: dict[str, FloatArray | StatusArray] = {name: values[name] for name in titles[:6]}
         columns |= {f"q_{axis} [m]": self.position[:, i] for i, axis in enumerate("xyz")}
         columns |= {f"phi_{axis} [rad]": self.rotation[:, i] for i, axis in enumerate("xyz")}
-        for number, cluster in enumerate(self.clusters):
-            titled(f"{cluster}.", LOCAL_CHANNELS, self.local_forces[:, number])
-            columns[f"{cluster}.status [-]"] = self.status[:, number]
+        for i, cluster in enumerate(self.clusters):
+            columns |= {name: values[name] for name in titles[6 + 3 * i : 9 + 3 * i]}
+            columns[f"{cluster}.status [-]"] = self.status[:, i]
         return pd.DataFrame(columns, index=pd.Index(self.time, name="time [s]"))

@@ -3,13 +3,19 @@ import os
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
 
 import numpy as np
 import pytest
 
 from socket_testbed import clocks as clocks_module
-from socket_testbed.clocks import BEGINNING, TIME_SCALE, SteadyClock, TriggerPeriod, TriggerTime
+from socket_testbed.clocks import (
+    BEGINNING,
+    TIME_SCALE,
+    Backoff,
+    SteadyClock,
+    TriggerPeriod,
+    TriggerTime,
+)
 
 START = 1_760_000_000_123_456_789  # [ns]
 
@@ -32,35 +38,21 @@ def clocks() -> Clocks:
 
 
 @pytest.fixture
-def clock(clocks: Clocks) -> Iterator[SteadyClock]:
-    yield SteadyClock(lambda: clocks.wall, lambda: clocks.steady)
+def clock(clocks: Clocks) -> SteadyClock:
+    return SteadyClock(lambda: clocks.wall, lambda: clocks.steady)
 
 
-def test_it_starts_as_the_system_clock_and_keeps_its_pace(clocks, clock) -> None:
+def test_it_keeps_its_pace_and_measures_steps_of_the_system_clock(clocks, clock) -> None:
     assert clock.now() == START and clock.step() == 0.0
     clocks.pass_time(1_234_567_891)
     assert clock.now() == clocks.wall == START + 1_234_567_891
-
-
-@pytest.mark.parametrize("step", [3600.0, 0.25, -0.25, -3600.0])
-def test_a_step_of_the_system_clock_is_measured_and_not_followed(clocks, clock, step) -> None:
-    clocks.pass_time(10**9)
-    before = clock.now()
-    clocks.wall += round(step * 1e9)
-    assert clock.now() == before
-    assert clock.step() == pytest.approx(step, abs=1e-9)
-    clocks.pass_time(7)
-    assert clock.now() == before + 7
-
-
-def test_times_never_go_back_whatever_the_system_clock_does(clocks, clock) -> None:
-    rng = np.random.default_rng(0)
-    times = []
-    for _ in range(200):
-        clocks.pass_time(int(rng.integers(0, 10**8)))
-        clocks.wall += int(rng.integers(-(10**10), 10**10))
-        times.append(clock.now())
-    assert times == sorted(times)
+    for step in (3600.0, 0.25, -0.25, -3600.0):
+        before, stepped = clock.now(), clock.step()
+        clocks.wall += round(step * 1e9)
+        assert clock.now() == before
+        assert clock.step() - stepped == pytest.approx(step, abs=1e-6)
+        clocks.pass_time(7)
+        assert clock.now() == before + 7
 
 
 def test_steady_times_and_stamps_are_each_other_s_inverse(clocks, clock) -> None:
@@ -100,69 +92,56 @@ def in_process(scale: str, code: str) -> subprocess.CompletedProcess[str]:
     )
 
 
-@pytest.mark.parametrize("scale", [1.0, 0.25])
-def test_the_processes_of_a_testbed_run_at_its_scale(scale: float) -> None:
+def test_the_processes_of_a_testbed_run_at_its_scale() -> None:
     code = (
         "import time; a = time.monotonic(), time.monotonic_ns();"
         "print(clocks.time_scale(), clocks.real(3.0), clocks.monotonic() - clocks.time_scale()"
         " * a[0], clocks.monotonic_ns() - clocks.time_scale() * a[1])"
     )
-    found, real, later, later_ns = map(float, in_process(str(scale), code).stdout.split())
-    assert (found, real) == (scale, 3.0 / scale)
-    assert later >= 0.0 and later_ns >= -256.0  # [ns]; what a float resolves
-
-
-@pytest.mark.parametrize("scale", ["0", "-1", "1.5", "nan", "slow"])
-def test_a_wrong_scale_is_refused_in_a_line(scale: str) -> None:
-    ended = in_process(scale, "")
-    assert ended.returncode == 1
-    assert ended.stderr.startswith(f"error: SOCKET_TESTBED_TIME_SCALE={scale}: set a number")
-
-
-def test_a_scaled_testbed_s_time_begins_now() -> None:
+    for scale in (1.0, 0.25):
+        found, real, later, later_ns = map(float, in_process(str(scale), code).stdout.split())
+        assert (found, real) == (scale, 3.0 / scale)
+        assert later >= 0.0 and later_ns >= -256.0  # [ns]; what a float resolves
     beginning = int(clocks_module.shared_environment(0.25)[BEGINNING])
     now = beginning + 0.25 * time.monotonic_ns()
     assert now == pytest.approx(time.time_ns(), abs=60e9)
 
 
-def clock_of(wall: list[int], steady: list[int]) -> SteadyClock:
-    return SteadyClock(lambda: wall[0], lambda: steady[0])
+def test_a_wrong_scale_is_refused_in_a_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    for scale in ("0", "-1", "1.5", "nan", "slow"):
+        monkeypatch.setenv(TIME_SCALE, scale)
+        with pytest.raises(SystemExit, match=f"^error: {TIME_SCALE}={scale}: set a number"):
+            clocks_module._inherited_scale()
 
 
-def test_a_stamp_finds_its_time_whatever_the_travel() -> None:
-    wall, steady = [1_700_000_000_000_000_000], [50_000_000_000]
-    time = TriggerTime(clock_of(wall, steady))
-    stamp = wall[0] + 3_000_000_000
+def test_a_stamp_finds_its_time_whatever_the_travel(clocks, clock) -> None:
+    trigger = TriggerTime(clock)
     for travel in (0.0002, 0.02, 0.3):
-        assert time.steady(stamp, 53.0 + travel) == pytest.approx(53.0, abs=1e-6)
-    assert time.shift == 0.0
+        assert trigger.steady(START + 3 * 10**9, 8.0 + travel) == pytest.approx(8.0, abs=1e-6)
+    assert trigger.shift == 0.0
 
 
-@pytest.mark.parametrize("step", [-3600.0, -2.0, 2.0, 86400.0])
-def test_a_clock_set_between_two_starts_is_found_by_the_arrival(step: float) -> None:
-    wall, steady = [1_700_000_000_000_000_000], [50_000_000_000]
-    time = TriggerTime(clock_of(wall, steady))
-    found = []
-    for k in range(10):
-        sent = 60.0 + k
-        stamp = wall[0] + round((sent - 50.0 + step) * 1e9)
-        found.append(time.steady(stamp, sent + 0.0004 + 0.0003 * (k % 3)) - sent)
-    assert found[:4] == [-math.inf] * 4
-    assert found[4:] == pytest.approx([0.0] * 6, abs=1e-3)
-    assert time.shift == pytest.approx(-step, abs=1e-3)
-    # The trigger's node starts again, too: the clocks agree once more.
-    assert time.steady(wall[0] + 30_000_000_000, 80.0004) == pytest.approx(80.0, abs=1e-6)
-    assert time.shift == 0.0
+def test_a_clock_set_between_two_starts_is_found_by_the_arrival(clock) -> None:
+    for step in (-3600.0, -2.0, 2.0, 86400.0):
+        trigger, found = TriggerTime(clock), []
+        for k in range(10):
+            stamp = START + round((10.0 + k + step) * 1e9)
+            arrival = 15.0 + k + 0.0004 + 0.0003 * (k % 3)
+            found.append(trigger.steady(stamp, arrival) - (15.0 + k))
+        assert found[:4] == [-math.inf] * 4
+        assert found[4:] == pytest.approx([0.0] * 6, abs=1e-3)
+        assert trigger.shift == pytest.approx(-step, abs=1e-3)
+        # The trigger's node starts again, too: the clocks agree once more.
+        assert trigger.steady(START + 30 * 10**9, 35.0004) == pytest.approx(35.0, abs=1e-6)
+        assert trigger.shift == 0.0
 
 
-def test_triggers_that_were_held_up_are_not_taken_for_another_clock() -> None:
-    wall, steady = [1_700_000_000_000_000_000], [50_000_000_000]
-    time = TriggerTime(clock_of(wall, steady))
-    stamps = [wall[0] + round((3.0 + 0.05 * k) * 1e9) for k in range(40)]
-    for k, stamp in enumerate(stamps):  # all at once, when the node begins to listen
-        found = time.steady(stamp, 55.0 + 1e-5 * k)
-        assert found in (-math.inf, pytest.approx(53.0 + 0.05 * k, abs=1e-6))
-    assert time.shift == 0.0
+def test_triggers_that_were_held_up_are_not_taken_for_another_clock(clock) -> None:
+    trigger = TriggerTime(clock)
+    for k in range(40):  # all at once, when the node begins to listen
+        found = trigger.steady(START + round((3.0 + 0.05 * k) * 1e9), 10.0 + 1e-5 * k)
+        assert found in (-math.inf, pytest.approx(8.0 + 0.05 * k, abs=1e-6))
+    assert trigger.shift == 0.0
 
 
 def periods_of(triggers: list[tuple[float, int]]) -> list[float]:
@@ -194,3 +173,16 @@ def test_another_rate_or_another_trigger_node_is_followed() -> None:
     assert periods_of(restarted)[-5:] == pytest.approx([0.0] * 3 + [0.1] * 2)
     steps = [(10.0 + 0.1 * k, k) for k in range(4)] + [(5.0 + 0.1 * k, 4 + k) for k in range(4)]
     assert periods_of(steps) == pytest.approx([0.0] * 3 + [0.1] + [0.0] * 3 + [0.1])
+
+
+def test_the_waits_double_up_to_the_longest_and_a_success_ends_them() -> None:
+    backoff, now, waits = Backoff(0.4), 10.0, []
+    assert backoff.due(now)
+    for _ in range(6):
+        backoff.failed(now)
+        assert not backoff.due(now)
+        waits.append(next(w for w in (0.05, 0.1, 0.2, 0.4) if backoff.due(now + w + 1e-9)))
+        now += 1.0
+    assert waits == [0.05, 0.1, 0.2, 0.4, 0.4, 0.4]
+    backoff.succeeded()
+    assert backoff.due(now)

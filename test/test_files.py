@@ -1,11 +1,8 @@
 """Outputs are complete or not there, even if several processes write them."""
 
-import os
-import subprocess
-import sys
 from pathlib import Path
 
-import pytest
+from support.wording import refused
 
 from socket_testbed.errors import ConfigurationError
 from socket_testbed.files import atomic_output, check_new_folder, check_outputs
@@ -21,30 +18,9 @@ def test_two_writers_of_one_output_do_not_meet(tmp_path: Path) -> None:
     assert path.read_text() == "first" and list(tmp_path.iterdir()) == [path]
 
 
-def test_what_a_killed_process_left_is_removed_and_a_live_one_s_is_kept(tmp_path: Path) -> None:
-    path = tmp_path / "out.txt"
-    program = (
-        "import os, pathlib, sys; from socket_testbed.files import atomic_output\n"
-        "with atomic_output(pathlib.Path(sys.argv[1])) as staging:\n"
-        "    staging.write_text('half of')\n"
-        "    os._exit(1)\n"
-    )
-    subprocess.run([sys.executable, "-c", program, str(path)], check=False)
-    (leftover,) = tmp_path.iterdir()
-    own = tmp_path / leftover.name.replace(leftover.name.split("-")[-1], f"{os.getpid()}.x.partial")
-    other = tmp_path / ".other.txt.elsewhere-1.x.partial"
-    own.mkdir()
-    other.mkdir()
-    with atomic_output(path) as staging:
-        assert not leftover.exists()
-        staging.write_text("complete")
-    assert sorted(tmp_path.iterdir()) == sorted([path, own, other])
-
-
 def test_the_first_of_two_writers_of_a_folder_keeps_it(tmp_path: Path) -> None:
     path = tmp_path / "trial"
-    refused = pytest.raises(ConfigurationError, match="another run wrote it meanwhile")
-    with refused, atomic_output(path) as second:
+    with refused(ConfigurationError, "another run wrote it"), atomic_output(path) as second:
         (second / "deep").mkdir(parents=True)
         with atomic_output(path) as first:
             first.mkdir()
@@ -66,30 +42,30 @@ def test_an_output_replaces_nothing_and_makes_no_folder_unless_asked(tmp_path: P
     taken.write_text("data")
     check_outputs(tmp_path / "new.json", None, replace=False)
     check_outputs(taken, replace=True)
-    with pytest.raises(ConfigurationError, match=r"exists already.*--replace"):
+    with refused(ConfigurationError, "exists already", "--replace"):
         check_outputs(None, taken, replace=False)
-    with pytest.raises(ConfigurationError, match="as a folder"):
+    with refused(ConfigurationError, "as a folder"):
         check_outputs(tmp_path, replace=True)
     for mistyped, fact in (("modles/m.json", "no such folder"), ("bench.csv/m", "is not a folder")):
-        with pytest.raises(ConfigurationError, match=fact):
+        with refused(ConfigurationError, fact):
             check_outputs(tmp_path / mistyped, replace=True)
-        with pytest.raises(ConfigurationError, match=fact), atomic_output(tmp_path / mistyped):
+        with refused(ConfigurationError, fact), atomic_output(tmp_path / mistyped):
             pass
     assert list(tmp_path.iterdir()) == [taken]
 
 
 def test_a_new_folder_lies_at_most_one_below_what_exists(tmp_path: Path) -> None:
     check_new_folder(tmp_path / "trials" / "s01")
-    with pytest.raises(ConfigurationError, match="no such folder"):
+    with refused(ConfigurationError, "no such folder"):
         check_new_folder(tmp_path / "home" / "trials" / "s01")
-    with pytest.raises(ConfigurationError, match="exists already"):
+    with refused(ConfigurationError, "exists already"):
         check_new_folder(tmp_path)
 
 
 def test_an_error_leaves_the_older_file(tmp_path: Path) -> None:
     path = tmp_path / "out.txt"
     path.write_text("older")
-    with pytest.raises(ConfigurationError, match="No space left"), atomic_output(path) as staging:
+    with refused(ConfigurationError, "No space left"), atomic_output(path) as staging:
         staging.write_text("half of")
         raise OSError(28, "No space left on device")
     assert path.read_text() == "older" and list(tmp_path.iterdir()) == [path]

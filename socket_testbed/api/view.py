@@ -73,9 +73,8 @@ def view(
     http://127.0.0.1:...
     """
     require_viewer()
-    from socket_testbed.viewer.page import Page
+    from socket_testbed.viewer.page import Page, PageServer
     from socket_testbed.viewer.player import Player
-    from socket_testbed.viewer.server import PageServer
 
     player = Player(trial, None if model is None else model_for(trial, model))
     server = PageServer(host, port, names)

@@ -29,9 +29,9 @@ from socket_testbed.live.bringup import (
     summary,
 )
 from socket_testbed.live.graph_status import GraphStatus
+from socket_testbed.live.machine import SLOWEST, busy_note, measure_speed, pace
 from socket_testbed.live.processes import Graph, require_ros
 from socket_testbed.live.simulated_world import Simulation
-from socket_testbed.live.time_scale import SLOWEST, busy_note, measure_speed, pace
 from socket_testbed.report.figures.style import save_figure
 from socket_testbed.report.figures.tiles import certainty_of, tile_map_figure
 from socket_testbed.samples import Samples

@@ -27,9 +27,9 @@ from socket_testbed.files import check_new_folder, make_folder
 from socket_testbed.geometry.socket import read_socket
 from socket_testbed.identification.fit import check_names
 from socket_testbed.live.bringup import Testbed, end, predict_with, start, summary
+from socket_testbed.live.machine import busy_note, measure_speed, pace
 from socket_testbed.live.processes import Graph, GraphNode
 from socket_testbed.live.simulated_world import Simulation
-from socket_testbed.live.time_scale import busy_note, measure_speed, pace
 from socket_testbed.settings.testbed import check_take_name
 from socket_testbed.trials.metadata import TrialMetadata
 from socket_testbed.trials.topics import full_namespace

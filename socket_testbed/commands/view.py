@@ -17,7 +17,6 @@ from socket_testbed.errors import ConfigurationError
 from socket_testbed.live.processes import Graph
 from socket_testbed.settings.testbed import ViewSettings
 from socket_testbed.trials.reprocess import RECORDED
-from socket_testbed.viewer.listening import listen
 
 _LOOK = 0.2  # [s]; between looks at the time
 
@@ -83,6 +82,8 @@ def check_page(settings: ViewSettings) -> None:
         ConfigurationError: If what serves it is not installed, or its port is taken.
     """
     require_viewer()
+    from socket_testbed.viewer.page import listen
+
     listen(settings.host, settings.port).close()
 
 

@@ -54,32 +54,19 @@ _DRAIN = 1.0  # [s] of the testbed; for the last trigger's sample to pass
 
 @dataclass(frozen=True)
 class Testbed:
-    """What is brought up.
-
-    Attributes:
-        settings: Settings of its nodes.
-        geometry: Path of the `socket.yaml` in use.
-        calibration: Path of the `calibration.yaml` in use.
-        simulation: What is simulated; None on hardware.
-        record: Folder of the new trial; None to record nothing.
-        one_process: Whether all nodes but the trigger's and the recorder's share a process.
-        metadata: Metadata of the new trial, over those of the recorder's settings.
-        namespace: Namespace of its nodes and topics.
-
-    Raises:
-        TestbedError: If these do not belong together.
-    """
+    """What is brought up."""
 
     __test__ = False
 
-    settings: TestbedSettings = field(default_factory=TestbedSettings)
+    settings: TestbedSettings = field(default_factory=TestbedSettings)  # settings of its nodes
     geometry: Path = field(default_factory=lambda: packaged("config", "socket.yaml"))
     calibration: Path = field(default_factory=lambda: packaged("config", "calibration.yaml"))
-    simulation: Simulation | None = None
-    record: Path | None = None
-    one_process: bool = False
+    simulation: Simulation | None = None  # what is simulated; None on hardware
+    record: Path | None = None  # folder of the new trial; None to record nothing
+    one_process: bool = False  # for all nodes but the trigger's and the recorder's
+    # Metadata of the new trial, over those of the recorder's settings
     metadata: TrialMetadata = field(default_factory=TrialMetadata)
-    namespace: str = "/"
+    namespace: str = "/"  # namespace of its nodes and topics
 
     def __post_init__(self) -> None:
         check_solver(self.settings.estimator_node.identification.solver)
@@ -99,11 +86,7 @@ class Testbed:
         return self.simulation.time_scale if self.simulation else 1.0
 
     def check_devices(self) -> None:
-        """Check what the devices are said to be, before anything starts.
-
-        Raises:
-            TestbedError: If a device's settings are wrong.
-        """
+        """Check what the devices are said to be, before anything starts."""
         cluster_node = self.settings.cluster_node
         clusters.check_settings(cluster_node, capacitive_chip(cluster_node)[0])
         bridges.check_settings(self.settings.load_cell_node)
@@ -114,13 +97,7 @@ class Testbed:
         """The nodes of the testbed, in the order of their start.
 
         The trigger waits for all others. A node that is started again gets the same settings, and
-        the load-cell node finds its tare.
-
-        Args:
-            folder: A folder that exists as long as the testbed runs.
-
-        Raises:
-            ConfigurationError: If the namespace or the metadata are wrong.
+        the load-cell node finds its tare, from a folder that exists as long as the testbed runs.
         """
         given = self.settings
         geometry, calibration = str(self.geometry), str(self.calibration)
@@ -138,10 +115,7 @@ class Testbed:
         process = "testbed" if self.one_process else ""
         nodes = [
             GraphNode("trigger_node", trigger, namespace),
-            *(
-                GraphNode(name, settings, namespace, process=process)
-                for name, settings in acquiring.items()
-            ),
+            *(GraphNode(name, own, namespace, process=process) for name, own in acquiring.items()),
         ]
         if self.record is None:
             return nodes
@@ -170,16 +144,9 @@ class Testbed:
 
 
 def testbed_settings(params: Path | None, simulation: Simulation | None) -> TestbedSettings:
-    """Settings of the nodes from a testbed.yaml.
+    """Settings of the nodes from a testbed.yaml; None for the defaults.
 
     A simulated load cell is described by the package; a real one only by its owner.
-
-    Args:
-        params: The testbed.yaml; None for the defaults.
-        simulation: What is simulated; None on hardware.
-
-    Raises:
-        ConfigurationError: If the file is wrong.
     """
     settings = TestbedSettings()
     if simulation is not None:
@@ -197,14 +164,7 @@ def simulated_testbed(
 
 
 def start(graph: Graph, testbed: Testbed) -> World | None:
-    """Bring a testbed up.
-
-    Returns:
-        The simulated world, or None on hardware.
-
-    Raises:
-        TestbedError: If a device's settings are wrong, or the simulation does not come up.
-    """
+    """Bring a testbed up; returns the simulated world, None on hardware."""
     testbed.check_devices()
     world = None
     if testbed.simulation is not None:
@@ -224,11 +184,7 @@ def end(graph: Graph, testbed: Testbed) -> None:
 
 
 def summary(path: Path) -> str:
-    """What a trial holds, in a line.
-
-    Raises:
-        TrialError: If it holds no trigger or cannot be read.
-    """
+    """What a trial holds, in a line."""
     samples = Trial(path).samples()
     missing = {
         "wrench": ~np.isfinite(samples.wrench).all(axis=1),
@@ -243,14 +199,7 @@ def summary(path: Path) -> str:
 def simulate_hardware(
     graph: Graph, testbed: Testbed, simulation: Simulation
 ) -> tuple[Testbed, World]:
-    """Start a simulated world and put a testbed into it.
-
-    Returns:
-        The testbed, with the simulated world in the place of hardware, and the world.
-
-    Raises:
-        TestbedError: If the simulation does not come up.
-    """
+    """Start a simulated world; returns the testbed, with the world in place of hardware, and it."""
     graph.set_time_scale(simulation.time_scale)
     folder = graph.folder
     world = World(folder, create=True)
@@ -282,11 +231,7 @@ def simulate_hardware(
 def predict_with(
     model: Path, estimator: EstimatorSettings, geometry: SocketGeometry
 ) -> EstimatorSettings:
-    """An estimator's settings with which it predicts with a stored model and fits none.
-
-    Raises:
-        ConfigurationError: If the model cannot be read, or was fitted on another socket.
-    """
+    """An estimator's settings with which it predicts with a stored model and fits none."""
     read_model(model, geometry)
     return replace(estimator, model=str(model.resolve()), auto_fit=False)
 
@@ -296,13 +241,7 @@ def replay_nodes(
 ) -> list[GraphNode]:
     """The nodes that replay a trial through calibration and estimator, in the order of their start.
 
-    Args:
-        trial: The trial; its geometry, calibration, load cell and tare are used.
-        replay: How it is replayed.
-        estimator: Settings of the estimator.
-
-    Raises:
-        TestbedError: If the trial or its configuration is wrong.
+    The trial's geometry, calibration, load cell and tare are used.
     """
     check_names(estimator.identification, trial.check())
     namespace = full_namespace(replay.namespace or recorded_namespace(trial))
@@ -328,17 +267,7 @@ def replay_with_estimator(
     estimator: EstimatorSettings,
     output: IO[str] | None = None,
 ) -> None:
-    """Replay a trial through the calibration and estimator nodes.
-
-    Args:
-        trial: The trial; its geometry and calibration are used.
-        replay: How it is replayed.
-        estimator: Settings of the estimator.
-        output: Where the nodes print to; None for this process's own output.
-
-    Raises:
-        TestbedError: If the trial or its configuration is wrong, or a node fails.
-    """
+    """Replay a trial through the calibration and estimator nodes, see `replay_nodes`."""
     nodes = replay_nodes(trial, replay, estimator)
     with Graph(output) as graph:
         graph.start_nodes(nodes)

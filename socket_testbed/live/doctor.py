@@ -16,7 +16,7 @@ from socket_testbed.geometry.marker_bodies import FEWEST_MARKERS
 from socket_testbed.geometry.socket import read_socket
 from socket_testbed.live.bringup import Testbed
 from socket_testbed.live.hardware import make_clusters, make_load_cell, make_trigger
-from socket_testbed.live.scheduling import measure_lateness
+from socket_testbed.live.machine import LATEST, measure_lateness
 
 _FRAMES = 1000
 _PULSES = 5
@@ -25,43 +25,31 @@ _READINGS, _MOST_READINGS = 6, 18
 _WATCHED = 1.0  # [s]; of the load cell's conversions
 _LOOK = 0.05  # [s]
 _PRIORITY = 10  # that is tried where none is set
-_LATEST = 3e-3  # [s]; lateness that the drivers bridge
 _OF_A_PERIOD = 0.25  # [-]; part of the trigger's period that a reading may be late
 
 
 @dataclass(frozen=True)
 class Finding:
-    """What was found at one place.
+    """What was found at one place."""
 
-    Attributes:
-        what: What was looked at.
-        found: What was found there.
-        hint: What to do; empty if all is well.
-    """
-
-    what: str
-    found: str
-    hint: str = ""
-
-
-Check = Callable[[Testbed], Iterator[Finding]]
+    what: str  # what was looked at
+    found: str  # what was found there
+    hint: str = ""  # what to do; empty if all is well
 
 
 def examine(testbed: Testbed) -> list[Finding]:
     """Look at everything that is configured, one device after the other."""
-    return [finding for check in CHECKS for finding in _guarded(check, testbed)]
+    findings: list[Finding] = []
+    for check in CHECKS:
+        try:
+            findings.extend(check(testbed))
+        except TestbedError as error:
+            what = check.__name__.removeprefix("check_").replace("_", " ")
+            findings.append(Finding(what, error.fact, error.hint))
+    return findings
 
 
-def _guarded(check: Check, testbed: Testbed) -> Iterator[Finding]:
-    try:
-        yield from check(testbed)
-    except TestbedError as error:
-        yield Finding(
-            check.__name__.removeprefix("check_").replace("_", " "), error.fact, error.hint
-        )
-
-
-def _of_message(what: str, message: str) -> Finding:
+def _failure(what: str, message: str) -> Finding:
     """A failing finding from a fact and its hint in one line."""
     fact, _, hint = message.rpartition(": ")
     return Finding(what, fact or message, hint if fact else "see docs/faults.md")
@@ -99,7 +87,7 @@ def check_scheduling(testbed: Testbed) -> Iterator[Finding]:
     else:
         found += "; no right to a real-time priority"
     used = urgent if wanted and len(urgent) else ordinary
-    enough = np.percentile(used, 99) <= min(_LATEST, _OF_A_PERIOD / rate)
+    enough = np.percentile(used, 99) <= min(LATEST, _OF_A_PERIOD / rate)
     found += f": {'soon enough' if enough else 'too late'} for {rate:g} Hz"
     hint = ""
     if not enough and testbed.simulation is None:
@@ -129,7 +117,7 @@ def check_clusters(testbed: Testbed) -> Iterator[Finding]:
             if isinstance(found, DeviceError):
                 yield Finding(f"cluster {name}", found.fact, found.hint)
             elif name in faults:
-                yield _of_message(f"cluster {name}", faults[name].partition("; ")[0])
+                yield _failure(f"cluster {name}", faults[name].partition("; ")[0])
             else:
                 yield Finding(f"cluster {name}", found)
     finally:
@@ -155,11 +143,7 @@ def check_load_cell(testbed: Testbed) -> Iterator[Finding]:
             found = f"{counts['conversions']} edges on line {line}"
             found += f", STATUS disagrees with {counts['status_disagrees']}"
             yield Finding("load cell DRDY", found)
-        yield (
-            _of_message("load cell bridges", message)
-            if level
-            else Finding("load cell bridges", message)
-        )
+        yield (_failure if level else Finding)("load cell bridges", message)
     finally:
         cell.close()
 
@@ -182,24 +166,20 @@ def check_motion_capture(testbed: Testbed) -> Iterator[Finding]:
         client.close()
     level, message = health
     if level > 1:
-        yield _of_message("motion capture", message)
+        yield _failure("motion capture", message)
         return
     found = f"{link['server']}, {link['rate']}, at {link['address']}"
     yield Finding("motion capture", found)
     if level:
-        yield _of_message("motion capture stream", message)
+        yield _failure("motion capture stream", message)
     yield Finding("motion capture clock", f"known within {link['clock uncertainty']}")
     counts = (len(geometry.socket_markers), len(geometry.pylon_markers))
     names = (settings.socket_body, settings.pylon_body)
     for body, count, fault in zip(names, counts, seen.faults, strict=True):
         what, number = f"rigid body {body}", "three" if count == FEWEST_MARKERS else count
-        yield _of_message(what, fault) if fault else Finding(what, f"its {number} markers are seen")
+        yield _failure(what, fault) if fault else Finding(what, f"its {number} markers are seen")
 
 
-CHECKS: tuple[Check, ...] = (
-    check_trigger,
-    check_scheduling,
-    check_clusters,
-    check_load_cell,
-    check_motion_capture,
+CHECKS: tuple[Callable[[Testbed], Iterator[Finding]], ...] = (
+    *(check_trigger, check_scheduling, check_clusters, check_load_cell, check_motion_capture),
 )

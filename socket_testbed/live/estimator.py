@@ -45,7 +45,7 @@ class StampSynchroniser:
         pending: Number of stamps kept while their measurements come in.
 
     Attributes:
-        incomplete: Number of stamps given up before all their measurements were in.
+        incomplete: Number of stamps given up.
     """
 
     def __init__(self, kinds: Iterable[str], pending: int) -> None:
@@ -55,12 +55,7 @@ class StampSynchroniser:
         self.incomplete = 0
 
     def add(self, kind: str, stamp: int, value: Any) -> dict[str, Any] | None:
-        """Add a measurement.
-
-        Args:
-            kind: Its name.
-            stamp: Stamp of its trigger since the epoch [ns].
-            value: The measurement.
+        """Add a measurement by its name and the stamp of its trigger [ns].
 
         Returns:
             All measurements of the stamp by name if this was the last, else None.
@@ -80,65 +75,35 @@ class StampSynchroniser:
         self._open.clear()
 
 
-@dataclass(frozen=True)
-class Sample:
-    """One synchronised sample; see `Samples` for shapes, units and frames."""
-
-    stamp: int
-    position: FloatArray
-    rotation: FloatArray
-    wrench: FloatArray
-    local_forces: FloatArray
-    status: StatusArray
-
-    @property
-    def pose(self) -> FloatArray:
-        """Pose of the limb in {S}: position, then rotation vector, shape (6,) [m, rad]."""
-        return np.concatenate([self.position, self.rotation])
-
-
 class SampleWindow:
-    """The newest samples, up to a duration, kept so that handing them out takes no time.
-
-    Args:
-        clusters: Names of the clusters, in the order of the samples' local forces.
-        duration: Length of the window [s].
-    """
+    """The newest samples, up to a duration [s], kept so that handing them out takes no time."""
 
     def __init__(self, clusters: tuple[str, ...], duration: float) -> None:
         self._clusters = clusters
         self._duration = round(duration * 1e9)
         width = len(clusters)
-        self._buffer = np.empty(
-            _SMALLEST_BUFFER,
-            dtype=[
-                ("stamp", np.int64),
-                ("position", np.float64, (3,)),
-                ("rotation", np.float64, (3,)),
-                ("wrench", np.float64, (6,)),
-                ("local_forces", np.float64, (width, 3)),
-                ("status", np.uint8, (width,)),
-            ],
-        )
+        fields: list[tuple[str, type, tuple[int, ...]]] = [
+            ("stamps", np.int64, ()),
+            ("position", np.float64, (3,)),
+            ("rotation", np.float64, (3,)),
+            ("wrench", np.float64, (6,)),
+            ("local_forces", np.float64, (width, 3)),
+            ("status", np.uint8, (width,)),
+        ]
+        self._buffer = np.empty(_SMALLEST_BUFFER, dtype=fields)
+        self._names = [name for name, *_ in fields]
         self._start = self._end = 0
 
     def __len__(self) -> int:
         return self._end - self._start
 
-    def add(self, sample: Sample) -> None:
+    def add(self, sample: Samples) -> None:
         """Add the newest sample; those older than the window go."""
         if self._end == len(self._buffer):
             self._make_room()
-        self._buffer[self._end] = (
-            sample.stamp,
-            sample.position,
-            sample.rotation,
-            sample.wrench,
-            sample.local_forces,
-            sample.status,
-        )
+        self._buffer[self._end] = tuple(getattr(sample, name)[0] for name in self._names)
         self._end += 1
-        while self._buffer["stamp"][self._start] < sample.stamp - self._duration:
+        while self._buffer["stamps"][self._start] < sample.stamps[0] - self._duration:
             self._start += 1
 
     def clear(self) -> None:
@@ -148,16 +113,8 @@ class SampleWindow:
     def samples(self) -> Samples:
         """The samples of the window in the order of their stamps."""
         rows = self._buffer[self._start : self._end]
-        rows = rows[np.argsort(rows["stamp"], kind="stable")]
-        return Samples(
-            stamps=rows["stamp"],
-            position=rows["position"],
-            rotation=rows["rotation"],
-            wrench=rows["wrench"],
-            clusters=self._clusters,
-            local_forces=rows["local_forces"],
-            status=rows["status"],
-        )
+        rows = rows[np.argsort(rows["stamps"], kind="stable")]
+        return Samples(clusters=self._clusters, **{name: rows[name] for name in self._names})
 
     def _make_room(self) -> None:
         """Move the samples to the front, into a larger buffer where they fill half of it."""
@@ -192,19 +149,12 @@ def cluster_forces(
 
 @dataclass(frozen=True)
 class Estimate:
-    """What the model says of one sample, from the pose alone.
+    """What the model says of one sample, from the pose alone."""
 
-    Attributes:
-        stamp: Stamp of the sample's trigger since the epoch [ns].
-        model: The model.
-        wrench: Predicted wrench [M; F] in {S}, shape (6,) [N m, N].
-        forces: Predicted force at each of the n points in {S}, shape (n, 3) [N].
-    """
-
-    stamp: int
+    stamp: int  # stamp of the sample's trigger since the epoch [ns]
     model: ContactModel
-    wrench: FloatArray
-    forces: FloatArray
+    wrench: FloatArray  # predicted wrench [M; F] in {S}, shape (6,) [N m, N]
+    forces: FloatArray  # predicted force at each of the n points in {S}, shape (n, 3) [N]
 
 
 class OnlineEstimator:
@@ -254,7 +204,7 @@ class OnlineEstimator:
 
     @property
     def state(self) -> tuple[int, str]:
-        """How it is: 0 OK, 1 warning or 2 error, and why, in one line."""
+        """0 OK, 1 warning or 2 error, and why, in one line."""
         level, text = self._state
         if not self._outliers:
             return level, text
@@ -267,11 +217,7 @@ class OnlineEstimator:
         return {**self._counts, "incomplete": incomplete, "window": len(self._window)}
 
     def load(self, path: Path) -> None:
-        """Predict with a stored model.
-
-        Raises:
-            ConfigurationError: If it cannot be read, or was fitted on another socket.
-        """
+        """Predict with a stored model."""
         stored = read_model(path, self._geometry)
         self._model, self._last_stamp = stored.model, 0
         self._origin = f"predicting with the model of {stored.trial}"
@@ -315,7 +261,7 @@ class OnlineEstimator:
         self._counts["samples"] += 1
         estimate = None
         if (model := self._model) is not None:
-            wrench, forces = model.predict(sample.pose[None])
+            wrench, forces = model.predict(sample.pose)
             estimate = Estimate(stamp, model, wrench[0], forces[0])
             self._counts["predictions"] += 1
         self.newest = max(self.newest, stamp)
@@ -329,12 +275,7 @@ class OnlineEstimator:
         return estimate
 
     def fit(self) -> Fit:
-        """Fit on all samples of the window, and wait for the model.
-
-        Raises:
-            IdentificationError: If a fit is running, if this one is ended, or if the samples do
-                not determine a model.
-        """
+        """Fit on all samples of the window, and wait for the model."""
         started = self._start_fit(steady=False)
         if started is None:
             raise IdentificationError("a fit is running already", "ask again when it is done")
@@ -346,26 +287,24 @@ class OnlineEstimator:
             raise IdentificationError("no samples to fit on", "ask again when there are some")
         return refit.fit
 
-    def _sample(self, stamp: int, measured: dict[str, Any]) -> Sample:
+    def _sample(self, stamp: int, measured: dict[str, Any]) -> Samples:
         both = np.array([measured[SOCKET_POSE.name], measured[PYLON_POSE.name]])
         bodies = Pose.from_quaternion(both[:, :3], both[:, 3:])
         socket, pylon = map(Pose, bodies.rotation, bodies.translation)
         forces, status = cluster_forces(self._geometry, measured[STRESS.name])
         limb = self._geometry.limb_pose(socket, pylon)
-        return Sample(
-            stamp=stamp,
-            position=limb.translation,
-            rotation=rotation_vector(limb.rotation),
-            wrench=measured[WRENCH.name],
-            local_forces=forces,
-            status=status,
+        return Samples(
+            np.array([stamp]),
+            limb.translation[None],
+            rotation_vector(limb.rotation)[None],
+            measured[WRENCH.name][None],
+            self._clusters,
+            forces[None],
+            status[None],
         )
 
     def _fit_is_due(self) -> bool:
-        """Auto fit: on, enough samples in the window, and enough new ones since the last attempt.
-
-        After the first model, `refit_after` of 0 ends it.
-        """
+        """Auto fit is on, with enough samples, and enough new ones since the last attempt."""
         settings = self._settings()
         due = settings.window.refit_after if self._model is not None else _FIRST_ATTEMPT
         return (
@@ -376,11 +315,7 @@ class OnlineEstimator:
         )
 
     def _start_fit(self, steady: bool) -> Future[Refit | None] | None:
-        """Start a fit on the window's newest steady stretch, or on all of it.
-
-        Returns:
-            The fit to come; None while another runs.
-        """
+        """Start a fit on the window's newest steady stretch, or on all of it."""
         settings = self._settings()
         with self._lock:
             if self._fitting:
@@ -404,10 +339,7 @@ class OnlineEstimator:
         )
 
     def _take_over(self, settings: IdentificationSettings, future: Future[Refit | None]) -> None:
-        """Predict with a fitted model from now on, unless the present one predicts better.
-
-        Called in a thread of the fitter's.
-        """
+        """Predict with a fitted model from now on, unless the present one predicts better."""
         self._fitting = False
         if future.cancelled():
             return
@@ -437,7 +369,6 @@ class OnlineEstimator:
         self._notify(fit)
 
     def _count_outliers(self, stamp: int) -> None:
-        """Have the outliers of the window counted for the state."""
         self._counting, self._last_count = True, stamp
         with self._lock:
             samples = self._window.samples()
@@ -446,7 +377,6 @@ class OnlineEstimator:
         future.add_done_callback(self._take_outliers)
 
     def _take_outliers(self, future: Future[dict[str, int]]) -> None:
-        """Name the outliers in the state; called in a thread of the fitter's."""
         self._counting = False
         if not future.cancelled() and future.exception() is None:
             self._outliers = future.result()

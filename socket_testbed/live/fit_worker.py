@@ -29,8 +29,8 @@ from socket_testbed.identification.plausibility import (
     sign_note,
     without_outliers,
 )
+from socket_testbed.live.machine import schedule_ordinarily
 from socket_testbed.live.processes import end_with_parent
-from socket_testbed.live.scheduling import schedule_ordinarily
 from socket_testbed.samples import Samples
 from socket_testbed.settings.identification import IdentificationSettings, PlateauSettings
 from socket_testbed.trials.segment import find_newest_plateaus
@@ -44,36 +44,24 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class Steady:
-    """What a fit by itself, on steady data, depends on.
+    """What a fit by itself, on steady data, depends on."""
 
-    Attributes:
-        plateau: What counts as a plateau.
-        least_samples: Smallest number of samples to fit on.
-        after: Stamp that the newest of these samples has to exceed [ns].
-        rival: The model that the fit is to replace, if the two are to be compared.
-    """
-
-    plateau: PlateauSettings
-    least_samples: int
-    after: int = 0
+    plateau: PlateauSettings  # what counts as a plateau
+    least_samples: int  # smallest number of samples to fit on
+    after: int = 0  # stamp that the newest of these samples has to exceed [ns]
+    # The model that the fit is to replace, if the two are to be compared
     rival: ContactModel | None = None
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """Two models judged by the newest samples, which the fit of the new one left out.
+    """Two models judged by the newest samples, which the fit of the new one left out."""
 
-    Attributes:
-        samples: Number of these samples.
-        old: Error of the model to be replaced [-]: root mean square over the channels of the
-            objective, relative to the size of their group, the wrench and the clusters weighed by
-            theta.
-        new: The same of the new one [-].
-    """
-
-    samples: int
+    samples: int  # number of these samples
+    # Error of the model to be replaced [-]: root mean square over the channels of the objective,
+    # relative to the size of their group, the wrench and the clusters weighed by theta
     old: float
-    new: float
+    new: float  # the same of the new one [-]
 
     def __str__(self) -> str:
         return (
@@ -84,16 +72,11 @@ class Comparison:
 
 @dataclass(frozen=True)
 class Refit:
-    """A fit on a steady stretch or on all samples.
-
-    Attributes:
-        fit: The fit.
-        comparison: Of the fit with the model that it is to replace.
-        cause: Why the stretch begins where it does, if a channel slipped or drifts, in words.
-    """
+    """A fit on a steady stretch or on all samples."""
 
     fit: Fit
-    comparison: Comparison | None = None
+    comparison: Comparison | None = None  # of the fit with the model that it is to replace
+    # Why the stretch begins where it does, if a channel slipped or drifts, in words
     cause: str = ""
 
     @property
@@ -127,13 +110,7 @@ class FitWorker:
         settings: IdentificationSettings,
         steady: Steady | None,
     ) -> Future[Refit | None]:
-        """Fit on the newest steady stretch of some samples, or on all of them.
-
-        Args:
-            samples: The samples.
-            geometry: Geometry of the socket.
-            settings: Settings of the identification.
-            steady: What counts as steady; None to fit on all samples.
+        """Fit on the newest steady stretch of some samples; without `steady` on all of them.
 
         Returns:
             The fit to come; None where there is no steady stretch that is large and new enough.
@@ -143,13 +120,7 @@ class FitWorker:
     def count_outliers(
         self, samples: Samples, geometry: SocketGeometry, leave_out: tuple[str, ...]
     ) -> Future[dict[str, int]]:
-        """Count the outliers of some samples by channel; see `plausibility`.
-
-        Args:
-            samples: The samples.
-            geometry: Geometry of the socket.
-            leave_out: Channels that do not count.
-        """
+        """Count the outliers of some samples by channel, but for those left out."""
         return self._submit(partial(_count_outliers, samples, geometry, leave_out))
 
     def _submit(self, work: Callable[[], T]) -> Future[T]:

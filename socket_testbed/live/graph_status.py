@@ -18,25 +18,15 @@ _JUDGED = 10.0  # [s]; over which predictions are compared with measurements
 
 
 class GraphStatus:
-    """Counts the samples of a graph, and compares what is predicted with what is measured.
-
-    Attributes:
-        triggers: Number of triggers.
-        complete: Number of triggers of which every measurement has come and none is missing.
-        wrench: The newest wrench [M; F], shape (6,) [N m, N]; None before any.
-        variant: Variant of the model that predicts; empty before any.
-        trial: Name of the trial that is being recorded; empty if none is.
-        heard: When the newest trigger arrived, on this machine's monotonic clock [s]; None before
-            any.
-    """
+    """Counts the samples of a graph, and compares predictions with measurements."""
 
     def __init__(self) -> None:
         self.triggers = 0
-        self.complete = 0
-        self.wrench: FloatArray | None = None
-        self.variant = ""
-        self.trial = ""
-        self.heard: float | None = None
+        self.complete = 0  # triggers of which every measurement has come and none is missing
+        self.wrench: FloatArray | None = None  # the newest [M; F], shape (6,) [N m, N]
+        self.variant = ""  # of the model that predicts; empty before any
+        self.trial = ""  # that is being recorded; empty if none is
+        self.heard: float | None = None  # when the newest trigger arrived [s], monotonic clock
         self._first = self._last = 0  # stamps of triggers [ns]
         self._pending: dict[int, set[Topic]] = {}
         self._measured: dict[int, FloatArray] = {}

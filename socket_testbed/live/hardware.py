@@ -53,12 +53,7 @@ def _require_real_time() -> None:
 
 
 def make_trigger(settings: TriggerSettings) -> Trigger:
-    """The trigger.
-
-    Raises:
-        DeviceError: If the lines cannot be had.
-        ConfigurationError: If there is no such simulated world, or a time scale on hardware.
-    """
+    """The trigger."""
     if settings.source == "timer":
         return TimerTrigger()
     if settings.simulation:
@@ -78,11 +73,7 @@ def wall_clock(settings: TriggerSettings) -> Callable[[], int]:
 def capacitive_chip(
     settings: ClusterSettings,
 ) -> tuple[type[CapacitiveChip], type[SimulatedChip]]:
-    """The clusters' chip and its simulated counterpart.
-
-    Raises:
-        ConfigurationError: If there is no chip of this name.
-    """
+    """The clusters' chip and its simulated counterpart."""
     if settings.chip not in CAPACITIVE_CHIPS:
         raise ConfigurationError(
             f"cluster_node: chip is '{settings.chip}'", closest(settings.chip, CAPACITIVE_CHIPS)
@@ -91,20 +82,12 @@ def capacitive_chip(
 
 
 def make_clusters(settings: ClusterSettings) -> ClusterReader:
-    """The reader of the clusters.
-
-    Raises:
-        ConfigurationError: If the settings do not fit together, or as `i2c_opener`.
-    """
+    """The reader of the clusters."""
     return ClusterReader(settings, capacitive_chip(settings)[0], i2c_opener(settings))
 
 
 def i2c_opener(settings: ClusterSettings) -> Callable[[int], I2cBus]:
-    """What opens an I2C bus by its number.
-
-    Raises:
-        ConfigurationError: If there is no such simulated world, or a time scale on hardware.
-    """
+    """A function that opens an I2C bus by its number."""
     if not settings.simulation:
         _require_real_time()
         return lambda number: open_i2c(number, settings.bus_timeout)
@@ -127,11 +110,7 @@ def i2c_opener(settings: ClusterSettings) -> Callable[[int], I2cBus]:
 
 
 def make_load_cell(settings: LoadCellSettings) -> LoadCell:
-    """The load cell, with its converter's DRDY where that is wired.
-
-    Raises:
-        ConfigurationError: If a setting is wrong, or as `spi_opener`.
-    """
+    """The load cell, with its converter's DRDY where that is wired."""
     if settings.data_ready_line < 0:
         return LoadCell(settings, spi_opener(settings))
     if settings.simulation:
@@ -149,11 +128,7 @@ def make_load_cell(settings: LoadCellSettings) -> LoadCell:
 
 
 def spi_opener(settings: LoadCellSettings) -> Callable[[], SpiDevice]:
-    """What opens the load cell's converter.
-
-    Raises:
-        ConfigurationError: If there is no such simulated world, or a time scale on hardware.
-    """
+    """A function that opens the load cell's converter."""
     if not settings.simulation:
         _require_real_time()
         return lambda: open_spi(settings.device, settings.spi_clock)

@@ -55,30 +55,17 @@ class Pacer:
         self._first, self._start = first, time.monotonic()
 
     def wait_for(self, stamp: int) -> bool:
-        """Wait until the message of a time is due, with the clock ticking.
-
-        Args:
-            stamp: Time of the recording [ns].
-
-        Returns:
-            False if it was stopped meanwhile.
-        """
-        self._wait_while_paused()
-        while (left := self._due(stamp) - time.monotonic()) > 0.0 and not self.stopped:
+        """Wait until the message of a time [ns] is due, the clock ticking; False if stopped."""
+        while True:
+            if not self._going.is_set():  # a pause moves everything that follows
+                before = time.monotonic()
+                self._going.wait()
+                self._start += time.monotonic() - before
+            if self.stopped:
+                return False
+            due = self._start + (stamp - self._first) * 1e-9 / self._rate
+            if (left := due - time.monotonic()) <= 0.0:
+                self._tick(stamp)
+                return True
             self._tick(stamp - round(left * self._rate * 1e9))
             self._stopping.wait(min(left, _TICK_PERIOD))
-            self._wait_while_paused()
-        if self.stopped:
-            return False
-        self._tick(stamp)
-        return True
-
-    def _due(self, stamp: int) -> float:
-        return self._start + (stamp - self._first) * 1e-9 / self._rate
-
-    def _wait_while_paused(self) -> None:
-        """A pause moves everything that follows."""
-        if not self._going.is_set():
-            before = time.monotonic()
-            self._going.wait()
-            self._start += time.monotonic() - before

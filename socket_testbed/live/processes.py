@@ -65,23 +65,14 @@ class NodeFailedError(TestbedError):
 
 @dataclass(frozen=True)
 class GraphNode:
-    """A node and how it is started.
+    """A node and how it is started."""
 
-    Attributes:
-        name: Its name and that of its module, such as estimator_node.
-        settings: Its settings.
-        namespace: Its namespace.
-        use_sim_time: Whether it takes its time from /clock.
-        process: Name of the process that it shares with others; empty for one of its own.
-        optional: Whether the graph starts without it, too.
-    """
-
-    name: str
+    name: str  # and that of its module, such as estimator_node
     settings: Settings
     namespace: str = "/"
-    use_sim_time: bool = False
-    process: str = ""
-    optional: bool = False
+    use_sim_time: bool = False  # whether it takes its time from /clock
+    process: str = ""  # name of the process that it shares with others; empty for one of its own
+    optional: bool = False  # whether the graph starts without it, too
 
     @property
     def full_name(self) -> str:
@@ -91,25 +82,16 @@ class GraphNode:
 
 def write_parameters(nodes: Iterable[GraphNode], path: Path) -> Path:
     """Write the ROS parameter file that nodes start with, in any namespace; returns its path."""
-    document = {
-        f"/**/{node.name}": {
-            "ros__parameters": {
-                "use_sim_time": node.use_sim_time,
-                **parameter_values(node.settings),
-            }
-        }
-        for node in nodes
-    }
+    document = {}
+    for node in nodes:
+        values = {"use_sim_time": node.use_sim_time, **parameter_values(node.settings)}
+        document[f"/**/{node.name}"] = {"ros__parameters": values}
     path.write_text(yaml.safe_dump(document), encoding="utf-8")
     return path
 
 
 def require_ros() -> None:
-    """Refuse to go on without ROS 2 and the messages.
-
-    Raises:
-        ConfigurationError: If either cannot be imported.
-    """
+    """Refuse to go on without ROS 2 and the messages."""
     for package in ("rclpy", "socket_testbed_msgs"):
         if importlib.util.find_spec(package) is None:
             raise ConfigurationError(
@@ -151,9 +133,6 @@ class Graph:
 
     Attributes:
         folder: A folder that exists as long as the graph.
-
-    Raises:
-        ConfigurationError: On entry, if ROS 2 cannot be imported.
     """
 
     def __init__(
@@ -165,11 +144,7 @@ class Graph:
         self._spare: list[str] = []  # its arguments; empty for none
         self._temporary = tempfile.TemporaryDirectory(prefix="socket_testbed_")
         self.folder = Path(self._temporary.name)
-        self._environment = {
-            **os.environ,
-            PARENT: str(os.getpid()),
-            **shared_environment(),
-        }
+        self._environment = {**os.environ, PARENT: str(os.getpid()), **shared_environment()}
 
     def __enter__(self) -> Self:
         require_ros()
@@ -241,11 +216,7 @@ class Graph:
         return self._spawn(ended.command, again=True)
 
     def wait(self, node: str) -> None:
-        """Wait until a node has done its work.
-
-        Raises:
-            NodeFailedError: If it, or another meanwhile, ended with an error.
-        """
+        """Wait until a node has done its work; a NodeFailedError if one ends with an error."""
         while (code := self._members[node].exit_code()) is None:
             for name, member in self._members.items():
                 if name != node and (other := member.exit_code()) is not None:
@@ -270,19 +241,15 @@ class Graph:
                 raise _failure(name, code)
 
     def watch(self, done: Callable[[], bool], notify: Callable[[str], None]) -> None:
-        """Keep the processes running until something is done: what is killed is started again.
+        """Keep the processes running until something is done; `notify` gets a line per restart.
 
-        Args:
-            done: Called to know whether it is.
-            notify: Called with a line about each restart.
-
-        Raises:
-            NodeFailedError: If a process ends with an error in the first seconds.
+        A process that is killed is started again; one that fails at first is a NodeFailedError.
         """
         began = time.monotonic()
         while not done():
             now = time.monotonic()
-            if self._spare and SPARE not in self._members and self._calm(now):
+            calm = all(now - member.started > _CALM for member in self._members.values())
+            if self._spare and SPARE not in self._members and calm:
                 self.start_program(SPARE, _NODES, self._spare, optional=True)
             for name, member in list(self._members.items()):
                 code = member.exit_code()
@@ -300,10 +267,6 @@ class Graph:
                     member.process = self._replace(member)
                     member.started = now
             self.pause()
-
-    def _calm(self, now: float) -> bool:
-        """Whether all processes have run for a while."""
-        return all(now - member.started > _CALM for member in self._members.values())
 
     def stop(self, *names: str) -> None:
         """End some processes, or all of them: ask, then insist."""

@@ -42,36 +42,21 @@ _BODIES = ("socket", "pylon")
 
 @dataclass(frozen=True)
 class Simulation:
-    """What is simulated.
+    """What is simulated."""
 
-    Attributes:
-        scenario: The load history.
-        period: Its duration, after which it starts again [s].
-        seed: Seed of all random numbers.
-        pace: How much faster the load changes than in the scenario [-].
-        sway: How far the stand sways in the world [m].
-        time_scale: Testbed seconds per real second, in (0, 1] [-].
-        tissue: Kind of the limb's tissue.
-    """
-
-    scenario: Scenario = "static_hold"
-    period: float = 120.0
-    seed: int = 0
-    pace: float = 1.0
-    sway: float = 0.0
-    time_scale: float = 1.0
-    tissue: TissueKind = "soft"
+    scenario: Scenario = "static_hold"  # the load history
+    period: float = 120.0  # its duration, after which it starts again [s]
+    seed: int = 0  # of all random numbers
+    pace: float = 1.0  # how much faster the load changes than in the scenario [-]
+    sway: float = 0.0  # how far the stand sways in the world [m]
+    time_scale: float = 1.0  # testbed seconds per real second, in (0, 1] [-]
+    tissue: TissueKind = "soft"  # kind of the limb's tissue
 
 
 class LiveTestbed:
     """The physics of a testbed, one state of its world after the other.
 
-    Args:
-        world: Where the states go.
-        geometry: What the lab believes of the socket.
-        calibration: What the lab believes of its clusters.
-        simulation: What is simulated.
-        errors: Sizes of the sensors' errors.
+    Geometry and calibration are what the lab believes of the socket and its clusters.
     """
 
     def __init__(
@@ -117,10 +102,9 @@ class LiveTestbed:
         )
         swayed = self._sway * np.sin(2.0 * np.pi * elapsed / np.array([3.0, 4.1, 5.3]))
         socket, pylon = self._bodies.poses(position[None], rotation[None], load[None], swayed)
-        still = np.zeros(3)
         poses = np.array(
             [
-                np.concatenate([pose.translation[0], turned_quaternion(pose.rotation[0], still)])
+                [*pose.translation[0], *turned_quaternion(pose.rotation[0], np.zeros(3))]
                 for pose in (socket, pylon)
             ]
         )
@@ -147,18 +131,14 @@ class LiveTestbed:
         }
         moments = columns.pop("moment").tolist()
         stamps = np.array([clock.to_epoch(moment) for moment in moments], dtype=np.int64)
-        truth = GroundTruth(
-            **{field.name: columns.pop(field.name) for field in fields(GroundTruth)}
-        )
+        truth = GroundTruth(**{each.name: columns.pop(each.name) for each in fields(GroundTruth)})
         save_truth(path, self._geometry.names, stamps, truth, **columns)
 
 
 def markers_at(geometry: SocketGeometry, poses: FloatArray) -> list[FloatArray]:
     """Markers of socket and pylon in the world, shape (k, 3) each [m].
 
-    Args:
-        geometry: The socket.
-        poses: Positions [m] and unit quaternions (x, y, z, w) of the two bodies, shape (2, 7).
+    Poses are positions [m] and unit quaternions (x, y, z, w) of the two bodies, shape (2, 7).
     """
     references = (geometry.socket_markers, geometry.pylon_markers)
     return [
@@ -204,16 +184,11 @@ def main() -> None:
 
     moment = clocks.monotonic()
     testbed.advance(moment)
-    # Started again, it is where the clients look for it.
-    address = ("127.0.0.1", world.port)
     server = NatNetServer(
-        bodies,
-        rate=CAMERA_RATE,
-        address=address,
-        faults=world.faults,
-        noise=errors.marker_noise,
+        bodies, rate=CAMERA_RATE, faults=world.faults, noise=errors.marker_noise,
         seed=simulation.seed,
-    )
+        address=("127.0.0.1", world.port),  # started again, it is where the clients look for it
+    )  # fmt: skip
     world.port = server.address[1]
     try:
         while not ended.is_set():

@@ -31,6 +31,7 @@ from socket_testbed.files import packaged
 from socket_testbed.geometry.pose import Pose
 from socket_testbed.geometry.socket import SocketGeometry, read_socket
 from socket_testbed.identification.force_map import MapEstimate
+from socket_testbed.live.online_map import OnlineMap
 from socket_testbed.nodes.base import ELAPSED, FREE, OK, PolledSubscription, TestbedNode
 from socket_testbed.nodes.conversions import (
     pose_from_ros,
@@ -53,9 +54,7 @@ from socket_testbed.trials.topics import (
     WRENCH,
     Topic,
 )
-from socket_testbed.viewer.live_regions import LiveRegions
-from socket_testbed.viewer.page import Page
-from socket_testbed.viewer.server import PageServer
+from socket_testbed.viewer.page import Page, PageServer
 from socket_testbed.viewer.source import HISTORY, Controls, Instant, RegionsNow, SensorState
 from socket_testbed.viewer.source import Recording as RecordingNow
 
@@ -121,7 +120,8 @@ class LiveSource:
         self._sensors: dict[str, tuple[DiagnosticArray, float]] = {}
         self._rates: dict[str, tuple[float, float, float]] = {}  # count, time [s], rate [Hz]
         self._trial = ("", 0.0)
-        self._regions = LiveRegions(geometry)
+        self._settings = EstimatorSettings()  # those of the estimator that runs
+        self._regions = OnlineMap(geometry, lambda: self._settings)
         self._outputs: RegionsNow | None = None
         self._next_outputs = -math.inf  # [s]
         self._asked = False
@@ -197,8 +197,10 @@ class LiveSource:
             stamp = stamp_from_ros(message.header.stamp)
             row = self._rows.get(stamp)
             wrench = np.full(6, np.nan) if row is None else row[:6]
-            at = 1e-9 * (stamp - self._first)
-            self._outputs = self._regions.outputs(at, wrench, stress_from_ros(message))
+            outputs = self._regions.outputs(wrench, stress_from_ros(message))
+            if outputs is not None:
+                at = 1e-9 * (stamp - self._first)
+                self._outputs = RegionsNow(at, self._regions.places, outputs)
         return self._outputs
 
     def _ask_settings(self) -> None:
@@ -213,7 +215,7 @@ class LiveSource:
             values = [parameter_value_to_python(value) for value in answer.result().values]
             given = dict(zip(names, values, strict=True))
             given["identification.leave_out"] = [n for n in given[names[-1]] or () if n]
-            self._regions.settings = EstimatorSettings.from_flat(given, _ESTIMATOR)
+            self._settings = EstimatorSettings.from_flat(given, _ESTIMATOR)
 
         request = GetParameters.Request(names=names)
         self._estimator.call_async(request).add_done_callback(take)

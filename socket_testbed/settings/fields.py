@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from functools import cache
+from functools import cache, partial
 from typing import Annotated, Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 
 import msgspec
@@ -31,26 +31,23 @@ def setting(
     fixed: bool = False,
     auto: float | None = None,
 ) -> Any:
-    """A field of a settings class.
+    """A field of a settings class; the description has the unit in brackets.
 
     Args:
         default: Default value.
-        description: What it is, with its unit in brackets.
+        description: What it is.
         low: Smallest value allowed.
         high: Largest value allowed.
         choices: The values allowed, for a text.
         fixed: Whether a node takes it at its start only.
-        auto: The number that the text `auto` stands for; None where it stands for none.
+        auto: The number that the text `auto` stands for, if any.
     """
-    metadata = {
-        "description": description,
-        "low": low,
-        "high": high,
-        "choices": choices,
-        "fixed": fixed,
-        "auto": auto,
-    }
+    metadata = {"description": description, "low": low, "high": high}
+    metadata |= {"choices": choices, "fixed": fixed, "auto": auto}
     return field(default=default, metadata=metadata)
+
+
+fixed = partial(setting, fixed=True)  # a node takes it at its start only
 
 
 @cache
@@ -113,9 +110,6 @@ class Settings:
             values: Values by their dotted names; what is not named keeps its default.
             where: What names the source in an error.
             prefix: Prefix of the names, for settings below others.
-
-        Raises:
-            ConfigurationError: For an unknown name, or a wrong type or range.
         """
         if not prefix:
             kept = [n for n in values if not (values[n] is False and n.endswith(_RETIRED))]

@@ -19,11 +19,7 @@ WEIGHTS: tuple[Weights, ...] = get_args(Weights)
 
 
 def check_solver(solver: str) -> None:
-    """Check that qpsolvers finds a solver; a model fitted elsewhere may name one that it does not.
-
-    Raises:
-        ConfigurationError: With the likely name.
-    """
+    """Check that qpsolvers finds a solver: a model may name one that is not installed here."""
     import qpsolvers  # it imports every solver
 
     installed = qpsolvers.available_solvers
@@ -58,11 +54,9 @@ class IdentificationSettings(Settings):
         0.0, 1e7, auto=0.0,
     )  # fmt: skip
     reference_position: tuple[float, ...] = setting(
-        (),
-        "q_ref, centre of the rest positions' box; none: the mean limb position [m]",
-        -10.0,
-        10.0,
-    )
+        (), "q_ref, centre of the rest positions' box; none: the mean limb position [m]",
+        -10.0, 10.0,
+    )  # fmt: skip
     rest_position_limit: float = setting(
         0.008, "largest distance of a rest position from q_ref, per axis [m]", 1e-5, 0.1
     )

@@ -20,7 +20,7 @@ from socket_testbed.settings.acquisition import (
     MocapSettings,
     TriggerSettings,
 )
-from socket_testbed.settings.fields import Settings, setting
+from socket_testbed.settings.fields import Settings, fixed, setting
 from socket_testbed.settings.identification import (
     ForceMapSettings,
     IdentificationSettings,
@@ -33,24 +33,20 @@ from socket_testbed.settings.identification import (
 class WindowSettings(Settings):
     """The samples from which the estimator fits while a trial runs."""
 
-    duration: float = setting(
-        60.0, "length of the window of newest samples [s]", 1.0, 3600.0, fixed=True
-    )
+    duration: float = fixed(60.0, "length of the window of newest samples [s]", 1.0, 3600.0)
     least_samples: int = setting(80, "steady samples before a fit by itself [1]", 10, 1000000)
     refit_after: int = setting(
         80, "new samples after which it fits again; 0: it never does by itself [1]", 0, 1000000
     )
-    pending: int = setting(
-        200, "stamps kept while their measurements come in [1]", 2, 100000, fixed=True
-    )
+    pending: int = fixed(200, "stamps kept while their measurements come in [1]", 2, 100000)
 
 
 @dataclass(frozen=True)
 class EstimatorSettings(Settings):
     """Parameters of the estimator node."""
 
-    geometry: str = setting("", "path of socket.yaml; empty: the package's own [-]", fixed=True)
-    model: str = setting("", "path of a fitted model to start from; empty: none [-]", fixed=True)
+    geometry: str = fixed("", "path of socket.yaml; empty: the package's own [-]")
+    model: str = fixed("", "path of a fitted model to start from; empty: none [-]")
     auto_fit: bool = setting(True, "fit when enough steady data is in [-]")
     identification: IdentificationSettings = IdentificationSettings()
     plateau: PlateauSettings = PlateauSettings()
@@ -62,9 +58,7 @@ class EstimatorSettings(Settings):
 class CalibrationNodeSettings(Settings):
     """Parameters of the calibration node."""
 
-    calibration: str = setting(
-        "", "path of calibration.yaml; empty: the package's own [-]", fixed=True
-    )
+    calibration: str = fixed("", "path of calibration.yaml; empty: the package's own [-]")
 
 
 _FORBIDDEN = ',<>:"/\\|?*'  # Motive's commands end at a comma, Windows refuses the rest in a name
@@ -72,12 +66,7 @@ _LONGEST_NAME = 200  # [bytes]
 
 
 def check_take_name(name: str) -> str:
-    """Refuse the name of a trial that cannot be that of a take in Motive; returns it.
-
-    Raises:
-        ConfigurationError: If it is empty, too long, cannot be encoded, or holds what a command
-            or a file name of Windows cannot hold.
-    """
+    """Refuse the name of a trial that cannot be that of a take in Motive; returns it."""
     hint = f"give letters, digits, blanks, '-', '_' and '.', {_LONGEST_NAME} bytes at most"
     shown = ascii(name if len(name) <= 40 else f"{name[:40]}...")
     if not name.isprintable() or set(name) & set(_FORBIDDEN):
@@ -115,24 +104,16 @@ class NextTrialSettings(Settings):
 class RecorderSettings(Settings):
     """Parameters of the recorder node."""
 
-    directory: str = setting("trials", "folder of the trials, or of the one trial [-]", fixed=True)
-    record: bool = setting(False, "record from the start, into `directory` itself [-]", fixed=True)
-    geometry: str = setting(
-        "", "path of the socket.yaml to store; empty: the package's own [-]", fixed=True
+    directory: str = fixed("trials", "folder of the trials, or of the one trial [-]")
+    record: bool = fixed(False, "record from the start, into `directory` itself [-]")
+    geometry: str = fixed("", "path of the socket.yaml to store; empty: the package's own [-]")
+    calibration: str = fixed(
+        "", "path of the calibration.yaml to store; empty: the package's own [-]"
     )
-    calibration: str = setting(
-        "", "path of the calibration.yaml to store; empty: the package's own [-]", fixed=True
-    )
-    parameters: str = setting(
-        "", "path of the testbed.yaml to store; empty: the package's own [-]", fixed=True
-    )
-    metadata: str = setting(
-        "", "path of a trial.yaml that every trial starts from; empty: none [-]", fixed=True
-    )
+    parameters: str = fixed("", "path of the testbed.yaml to store; empty: the package's own [-]")
+    metadata: str = fixed("", "path of a trial.yaml that every trial starts from; empty: none [-]")
     next: NextTrialSettings = NextTrialSettings()
-    flush_period: float = setting(
-        1.0, "longest time before data is on the disk [s]", 0.05, 60.0, fixed=True
-    )
+    flush_period: float = fixed(1.0, "longest time before data is on the disk [s]", 0.05, 60.0)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -144,46 +125,33 @@ class RecorderSettings(Settings):
 class ReplaySettings(Settings):
     """Parameters of the replay node."""
 
-    trial: str = setting("", "path of the trial [-]", fixed=True)
-    namespace: str = setting(
-        "", "namespace to publish into, such as /left; empty: as recorded [-]", fixed=True
+    trial: str = fixed("", "path of the trial [-]")
+    namespace: str = fixed("", "namespace to publish into, such as /left; empty: as recorded [-]")
+    geometry: str = fixed(
+        "", "path of socket.yaml, for transforms and poses; empty: the trial's own [-]"
     )
-    geometry: str = setting(
-        "", "path of socket.yaml, for transforms and poses; empty: the trial's own [-]", fixed=True
+    load_cell: str = fixed(
+        "", "path of testbed.yaml whose load cell makes the wrenches; empty: the trial's own [-]"
     )
-    load_cell: str = setting(
-        "", "path of testbed.yaml whose load cell makes the wrenches; empty: the trial's own [-]",
-        fixed=True,
-    )  # fmt: skip
-    tare: str = setting(
-        "recorded", "tare of the wrenches: recorded, none, or T0:T1 without load [s]", fixed=True
+    tare: str = fixed("recorded", "tare of the wrenches: recorded, none, or T0:T1 without load [s]")
+    rate: float = fixed(1.0, "speed of the replay against the recording [-]", 1e-3, 1e4)
+    loop: bool = fixed(False, "start again at the end [-]")
+    paused: bool = fixed(False, "start paused; see the service replay/pause [-]")
+    measured_only: bool = fixed(
+        False, "leave out what was computed: other nodes compute it anew [-]"
     )
-    rate: float = setting(
-        1.0, "speed of the replay against the recording [-]", 1e-3, 1e4, fixed=True
-    )
-    loop: bool = setting(False, "start again at the end [-]", fixed=True)
-    paused: bool = setting(False, "start paused; see the service replay/pause [-]", fixed=True)
-    measured_only: bool = setting(
-        False, "leave out what was computed: other nodes compute it anew [-]", fixed=True
-    )
-    wait_for: tuple[str, ...] = setting(
-        (), "nodes that must be ready before the first message [-]", fixed=True
-    )
+    wait_for: tuple[str, ...] = fixed((), "nodes that must be ready before the first message [-]")
 
 
 @dataclass(frozen=True)
 class ViewSettings(Settings):
     """Parameters of the view node."""
 
-    geometry: str = setting("", "path of socket.yaml; empty: the package's own [-]", fixed=True)
-    host: str = setting("127.0.0.1", "address that the page is served on [-]", fixed=True)
-    port: int = setting(8080, "port of the page; 0: one that is free [1]", 0, 65535, fixed=True)
-    names: tuple[str, ...] = setting(
-        (), "further names by which the page may be called [-]", fixed=True
-    )
-    buttons: bool = setting(
-        False, "allow the buttons where other machines see the page [-]", fixed=True
-    )
+    geometry: str = fixed("", "path of socket.yaml; empty: the package's own [-]")
+    host: str = fixed("127.0.0.1", "address that the page is served on [-]")
+    port: int = fixed(8080, "port of the page; 0: one that is free [1]", 0, 65535)
+    names: tuple[str, ...] = fixed((), "further names by which the page may be called [-]")
+    buttons: bool = fixed(False, "allow the buttons where other machines see the page [-]")
 
 
 @dataclass(frozen=True)
@@ -226,9 +194,6 @@ def read_testbed(path: Path, defaults: TestbedSettings | None = None) -> Testbed
     Args:
         path: The file.
         defaults: Settings of the nodes that the file does not name; None for the defaults.
-
-    Raises:
-        ConfigurationError: For an unknown node or key, or a wrong type or range.
     """
     defaults = defaults or TestbedSettings()
     kinds = {name: type(settings) for name, settings in defaults.nodes().items()}
@@ -251,9 +216,6 @@ def estimator_settings(
         stored: Settings that are stored with the trial.
         params: A `testbed.yaml` to use instead of them.
         choices: Fields of `IdentificationSettings`, such as `theta`; None for no choice.
-
-    Raises:
-        ConfigurationError: If the file or a choice is wrong.
     """
     settings = stored if params is None else read_testbed(params).estimator_node
     given = {name: value for name, value in choices.items() if value is not None}

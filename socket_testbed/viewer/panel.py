@@ -1,4 +1,4 @@
-"""What is beside the scene: how good the data is, regions, buttons, and the wrench's plots."""
+"""What is beside the scene: state of the sensors, wrench, regions, buttons or player controls."""
 
 from __future__ import annotations
 
@@ -8,9 +8,18 @@ import time
 from collections.abc import Callable, Sequence
 from datetime import datetime
 from html import escape
+from typing import Any
 
 import numpy as np
-from viser import GuiButtonHandle, GuiEvent, GuiHtmlHandle, GuiInputHandle, ViserServer, uplot
+from viser import (
+    GuiButtonHandle,
+    GuiEvent,
+    GuiHtmlHandle,
+    GuiInputHandle,
+    GuiSliderHandle,
+    ViserServer,
+    uplot,
+)
 
 from socket_testbed.arrays import FloatArray
 from socket_testbed.errors import TestbedError
@@ -18,10 +27,10 @@ from socket_testbed.geometry.regions import Region
 from socket_testbed.geometry.socket import HEIGHTS
 from socket_testbed.identification.pressure import SHARE, read_column
 from socket_testbed.trials.metadata import SIDES
-from socket_testbed.viewer.playback_panel import PlaybackPanel
 from socket_testbed.viewer.source import (
     HISTORY,
     Controls,
+    Playback,
     Recording,
     RegionsNow,
     SensorState,
@@ -36,6 +45,12 @@ _BINS = 150  # of a plot's time, each with its smallest and largest value
 _FILLS, _MARGIN = 0.3, 0.2  # [-]; of an axis by its values, and beside them
 _LEAST = 0.5  # [N m, N]; beside the values of an axis
 _NEWS = 2  # outcomes that are shown
+_SPEEDS = {"0.1x": 0.1, "0.25x": 0.25, "0.5x": 0.5, "1x": 1.0, "2x": 2.0, "5x": 5.0, "20x": 20.0}
+_STEP = 0.01  # [s]; of the timeline
+_JUMP = 5.0  # [s]; by the arrow keys
+_MOVED_EVERY = 0.2  # [s]; between movements of the timeline
+_NAMED = 5  # events whose labels have room below the timeline
+_CHOOSE = "go to an event"
 _GREEN, _AMBER, _RED, _GREY = "#2b8a3e", "#b35c00", "#c92a2a", "#6b7280"
 _MEASURED, _PREDICTED = "#1c5d99", "#e07b00"
 _CHANNELS = ("Fx [N]", "Fy [N]", "Fz [N]", "Mx [N m]", "My [N m]", "Mz [N m]")
@@ -61,12 +76,7 @@ _STYLE = (
 
 
 class Panel:
-    """The panel of a page.
-
-    Args:
-        server: Serves the page.
-        source: What is shown.
-    """
+    """All that is beside the scene of a page."""
 
     def __init__(self, server: ViserServer, source: Source) -> None:
         gui = server.gui
@@ -79,7 +89,7 @@ class Panel:
         data.dock_left()
         data.set_width(280)
         playback = source.playback
-        self._playback = None if playback is None else PlaybackPanel(server, playback)
+        self._playback = None if playback is None else _Player(server, playback)
         self._recording = gui.add_html("", visible=False)
         self._regions = gui.add_html("")
         self._buttons = Buttons(server, source) if playback is None else None
@@ -103,19 +113,23 @@ class Panel:
             _show(self._regions, regions_html(source.regions()))
 
 
+def _set(handle: Any, name: str, value: object) -> None:
+    """Change a property: one that is so already is not sent again."""
+    if getattr(handle, name) != value:
+        setattr(handle, name, value)
+
+
 def _show(handle: GuiHtmlHandle, text: str) -> None:
-    """Show a text; what is shown already is not sent again, and nothing takes no room."""
+    """Show a text; an empty one takes no space."""
     text = text and f'<div class="tb">{_STYLE}{text}</div>'
-    if handle.content != text:
-        handle.content = text
-    if handle.visible != bool(text):
-        handle.visible = bool(text)
+    _set(handle, "content", text)
+    _set(handle, "visible", bool(text))
 
 
 def sensors_html(sensors: Sequence[SensorState]) -> str:
     """The state of the data in a line, and of every sensor in a row."""
     if not sensors:
-        return f'<b style="color:{_AMBER}">nothing is heard of the testbed</b>'
+        return f'<b style="color:{_AMBER}">no data from the testbed</b>'
     rows, bad = [], 0
     for sensor in sensors:
         level, words = sensor.level, sensor.words
@@ -123,32 +137,27 @@ def sensors_html(sensors: Sequence[SensorState]) -> str:
             level, words = 2, f"silent for {sensor.age:.0f} s; it said: {words}"
         bad += level > 0
         rate = f"{sensor.rate:.3g}&nbsp;Hz" if math.isfinite(sensor.rate) else ""
-        # What is well is said in a line, what is not in full.
-        said = "" if level else escape(words)
+        name = sensor.name.lstrip("/").removesuffix("_node").replace("_", " ")
+        healthy = "" if level else escape(words)  # a fault gets a row of its own
         rows.append(
-            f'<tr class="row"><td>{_mark(level)}&nbsp;{escape(_short(sensor.name))}</td>'
-            f'<td class="words" title="{said}">{said}</td><td>{rate}</td>'
+            f'<tr class="row"><td>{_mark(level)}&nbsp;{escape(name)}</td>'
+            f'<td class="words" title="{healthy}">{healthy}</td><td>{rate}</td>'
             f"<td>{max(sensor.age, 0.0):.0f}&nbsp;s</td></tr>"
         )
         if level:
             rows.append(f'<tr><td colspan="4">{escape(words)}</td></tr>')
-    worst = _mark(2 if bad else 0)
-    told = f"{bad} of {len(sensors)} need attention" if bad else f"all {len(sensors)} are well"
+    state = f"{bad} of {len(sensors)} need attention" if bad else f"all {len(sensors)} are well"
     head = (
         '<colgroup><col style="width:34%"><col><col style="width:19%"><col style="width:11%">'
         "</colgroup><tr><th></th><th></th><th>rate</th><th>age</th></tr>"
     )
-    return f"<b>{worst} Data: {told}</b><table>{head}{''.join(rows)}</table>"
+    return f"<b>{_mark(2 if bad else 0)} Data: {state}</b><table>{head}{''.join(rows)}</table>"
 
 
 def _mark(level: int) -> str:
     """A level as a sign of its own shape and colour."""
     sign, colour = (("●", _GREEN), ("▲", _AMBER), ("■", _RED))[min(level, 2)]
     return f'<span style="color:{colour}">{sign}</span>'
-
-
-def _short(name: str) -> str:
-    return name.lstrip("/").removesuffix("_node").replace("_", " ")
 
 
 def recording_html(recording: Recording | None) -> str:
@@ -180,12 +189,13 @@ def regions_html(found: RegionsNow | None) -> str:
             continue
         cells = []
         for quantity, known in zip(quantities, determined, strict=True):
-            low, high = (_digits(end[number]) for end in (quantity.low, quantity.high))
-            value = _digits(quantity.value[number]) if known[number] else "<i>undetermined</i>"
-            if not math.isfinite(quantity.value[number]):
+            value, low, high = (q[number] for q in (quantity.value, quantity.low, quantity.high))
+            if not math.isfinite(value):
                 cells.append("<td>-</td>")
                 continue
-            cells.append(f"<td>{value}<br><small>{low} to {high}</small></td>")
+            shown = _digits(value) if known[number] else "<i>undetermined</i>"
+            reach = f"{_digits(low)} to {_digits(high)}"
+            cells.append(f"<td>{shown}<br><small>{reach}</small></td>")
         rows.append(f'<tr class="row"><td>{escape(place.name)}</td>{"".join(cells)}</tr>')
     head = "".join(f"<th>{title}</th>" for title in _COLUMNS.values())
     widths = '<colgroup><col style="width:19%"></colgroup>'
@@ -268,12 +278,7 @@ def _scales(span: tuple[float, float]) -> dict[str, uplot.Scale]:
 
 
 def fitting(values: FloatArray, span: tuple[float, float]) -> tuple[float, float]:
-    """The range of an axis: the one that it has, while the values fit and fill it.
-
-    Args:
-        values: The values; NaN where missing.
-        span: The range as it is.
-    """
+    """The range of an axis for some values: the one that it has, while they fit and fill it."""
     known = values[np.isfinite(values)]
     if not len(known):
         return span
@@ -291,15 +296,10 @@ def _dots(label: str, colour: str, size: float) -> uplot.Series:
 
 
 def thinned(at: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """The smallest and the largest value in each of some equal parts of the time.
+    """The smallest and the largest value in each of `_BINS` parts of the time.
 
-    Args:
-        at: Times, ascending, shape (N,) [s].
-        values: Shape (N, c); NaN where missing.
-
-    Returns:
-        Times, shape (M,), and values, shape (M, c), M at most about 2 * `_BINS`; what was given if
-        it is no more than that. A part without a value is NaN.
+    Times (N,) [s] and values (N, c) become (M,) and (M, c) with M at most about 2 * `_BINS`; fewer
+    stay as they are. A part without a value is NaN.
     """
     if len(at) <= 2 * _BINS:
         return at, values
@@ -307,20 +307,12 @@ def thinned(at: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]
     starts = np.flatnonzero(np.diff(bins, prepend=bins[0] - 1))
     low = np.fmin.reduceat(values, starts, axis=0)
     high = np.fmax.reduceat(values, starts, axis=0)
-    middle = (bins[starts] + 0.5) * (HISTORY / _BINS)
-    return (
-        np.stack([bins[starts] * (HISTORY / _BINS), middle], axis=1).reshape(-1),
-        np.stack([low, high], axis=1).reshape(-1, values.shape[1]),
-    )
+    times = np.add.outer(bins[starts], [0.0, 0.5]) * (HISTORY / _BINS)
+    return times.reshape(-1), np.stack([low, high], axis=1).reshape(-1, values.shape[1])
 
 
 class Buttons:
-    """The buttons of a running testbed; each says what came of it.
-
-    Args:
-        server: Serves the page.
-        source: The testbed.
-    """
+    """The buttons of a running testbed; each says what came of it."""
 
     def __init__(self, server: ViserServer, source: Source) -> None:
         self._server = server
@@ -341,11 +333,9 @@ class Buttons:
             self._metadata: dict[str, GuiInputHandle[str]] = {
                 "subject": gui.add_text("subject", "", hint="a code such as S01"),
                 "side": gui.add_dropdown("side", ("", *SIDES)),
-                "socket": gui.add_text("socket", ""),
-                "liner": gui.add_text("liner", ""),
+                **{name: gui.add_text(name, "") for name in ("socket", "liner")},
                 "mass": gui.add_text("mass [kg]", ""),
-                "operator": gui.add_text("operator", ""),
-                "protocol": gui.add_text("protocol", ""),
+                **{name: gui.add_text(name, "") for name in ("operator", "protocol")},
                 "notes": gui.add_text("notes", "", multiline=True),
             }
         self._button("Tare", "tare", lambda c: c.tare())
@@ -413,8 +403,79 @@ class Buttons:
         """Grey out the buttons whose call runs, and show of record and stop the one with effect."""
         without_effect = {None: "", True: "record", False: "stop"}[self._recorded]
         for what, button in self._buttons.items():
-            if button.visible != (what != without_effect):
-                button.visible = what != without_effect
-            disabled = what in self._running and what != "event"
-            if button.disabled != disabled:
-                button.disabled = disabled
+            _set(button, "visible", what != without_effect)
+            _set(button, "disabled", what in self._running and what != "event")
+
+
+class _Player:
+    """The controls of a trial that is played.
+
+    The space bar plays and pauses, the arrow keys go 5 s back and forward.
+    """
+
+    def __init__(self, server: ViserServer, playback: Playback) -> None:
+        self._playback = playback
+        self._gui = gui = server.gui
+        self._moved = -math.inf  # [s]; when the timeline was last moved
+        with gui.add_folder("Trial") as self._folder:
+            self._play = gui.add_button("Play", hint="the space bar does the same", order=0)
+            self._events = gui.add_dropdown("event", (_CHOOSE,), order=2)
+            self._speed = gui.add_dropdown("speed", tuple(_SPEEDS), initial_value="1x", order=3)
+        self._known = self._extent()
+        self._timeline = self._make_timeline()
+        self._play.on_click(lambda _: self._toggle())
+        self._events.on_update(self._on_event)
+        self._speed.on_update(lambda _: playback.set_speed(_SPEEDS[self._speed.value]))
+        gui.add_command("Play or pause", hotkey="space").on_trigger(lambda _: self._toggle())
+        back = gui.add_command("Back by 5 s", hotkey="arrowleft")
+        back.on_trigger(lambda _: playback.seek(playback.position - _JUMP))
+        forward = gui.add_command("Forward by 5 s", hotkey="arrowright")
+        forward.on_trigger(lambda _: playback.seek(playback.position + _JUMP))
+
+    def update(self) -> None:
+        """Show how the trial is played; called for every frame that is drawn."""
+        playback = self._playback
+        _set(self._play, "label", "Pause" if playback.playing else "Play")
+        if self._extent() != self._known:  # more of the trial has been read
+            self._known = self._extent()
+            self._timeline.remove()
+            self._timeline = self._make_timeline()
+        now = time.monotonic()
+        if now - self._moved >= _MOVED_EVERY:
+            _set(self._timeline, "value", round(min(playback.position, self._timeline.max), 2))
+            self._moved = now
+
+    def _extent(self) -> tuple[float, tuple[tuple[float, str], ...]]:
+        return self._playback.duration, tuple(self._playback.events)
+
+    def _make_timeline(self) -> GuiSliderHandle[float]:
+        """The timeline with the events as marks, those with room with their labels."""
+        duration, events = self._known
+        self._events.options = (_CHOOSE, *(f"{at:.2f} s: {label}" for at, label in events))
+        named = len(events) <= _NAMED
+        with self._folder:
+            timeline = self._gui.add_slider(
+                "time [s]",
+                min=0.0,
+                max=max(round(duration, 2), _STEP),
+                step=_STEP,
+                initial_value=0.0,
+                marks=tuple((at, label) if named else at for at, label in events),
+                order=1,
+            )
+        timeline.on_update(self._on_seek)
+        return timeline
+
+    def _toggle(self) -> None:
+        (self._playback.pause if self._playback.playing else self._playback.play)()
+
+    def _on_seek(self, event: GuiEvent[GuiSliderHandle[float]]) -> None:
+        if event.client_id is not None:  # moved by a person
+            self._playback.seek(event.target.value)
+
+    def _on_event(self, _: object) -> None:
+        number = self._events.options.index(self._events.value) - 1
+        if number >= 0:
+            at, _ = self._known[1][number]
+            self._playback.seek(at)
+            self._events.value = _CHOOSE  # type: ignore[misc]

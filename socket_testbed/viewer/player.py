@@ -45,11 +45,7 @@ _WORDS = {
 
 
 class TrialPlayback:
-    """The position in a trial that is played, paused and sought.
-
-    Args:
-        duration: From the first sample to the last [s].
-        now: The time [s]: a person watches in real time.
+    """The position in a trial that is played, paused and sought, as a person watches: in real time.
 
     Attributes:
         duration: From the first sample to the last [s].
@@ -68,13 +64,7 @@ class TrialPlayback:
         self._lock = threading.RLock()
 
     def limit(self, end: float, duration: float, events: list[tuple[float, str]]) -> None:
-        """Go no farther than what has been read of the trial.
-
-        Args:
-            end: Time up to which it has been read [s].
-            duration: From its first sample to its last, as far as that is known [s].
-            events: Times [s] and labels of its events, as far as they are known.
-        """
+        """Go no farther than what has been read [s]; duration and events as far as known."""
         with self._lock:
             self.seek(self.position)
             self._end, self.duration, self.events = end, duration, events
@@ -123,32 +113,20 @@ class TrialPlayback:
 
 @dataclass(frozen=True, eq=False)
 class _Part:
-    """A trial, read from its start to some time.
+    """A trial, read from its start to some time."""
 
-    Attributes:
-        samples: N samples as recorded.
-        time: Their times since the first one, shape (N,) [s].
-        gap: Time after a sample from which on there is a gap [s].
-        trusted: The samples without single outliers and channels that are left out.
-        poses: The limb's poses as the model takes them, shape (N, 6) [m, rad].
-        predicted: Predicted wrenches [M; F], shape (N, 6) [N m, N]; filled in as they are wanted.
-        is_predicted: Which of them are filled in, shape (N,).
-        socket: Poses of {S} in the world, N of them.
-        limb: Poses of the limb in the world, N of them.
-        map: The force map of the samples' clusters.
-        sensors: Statuses (`Status`) of every sensor by its name, shape (N,) each.
-    """
-
-    samples: Samples
-    time: FloatArray
-    gap: float
-    trusted: Samples
-    poses: FloatArray
+    samples: Samples  # N samples as recorded
+    time: FloatArray  # their times since the first one, shape (N,) [s]
+    gap: float  # time after a sample from which on there is a gap [s]
+    trusted: Samples  # the samples without single outliers and channels that are left out
+    poses: FloatArray  # the limb's poses as the model takes them, shape (N, 6) [m, rad]
+    # Predicted wrenches [M; F], shape (N, 6) [N m, N]; filled in as they are wanted
     predicted: FloatArray
-    is_predicted: BoolArray
-    socket: Pose
-    limb: Pose
-    map: ForceMap
+    is_predicted: BoolArray  # which of them are filled in, shape (N,)
+    socket: Pose  # poses of {S} in the world, N of them
+    limb: Pose  # poses of the limb in the world, N of them
+    map: ForceMap  # the force map of the samples' clusters
+    # Statuses (`Status`) of every sensor by its name, shape (N,) each
     sensors: dict[str, StatusArray]
 
 
@@ -159,17 +137,9 @@ class Player:
         trial: The trial.
         model: Predicts the wrench; None for no prediction.
         now: The time [s].
-
-    Attributes:
-        geometry: Geometry of the socket.
-        controls: None: a recorded trial has no services.
-        playback: How it is played.
-
-    Raises:
-        TrialError, CalibrationError, ConfigurationError: If the trial cannot be read, see `Trial`,
-            or the model is of another socket.
-        IdentificationError: If there is a model and the limb positions are in another unit.
     """
+
+    controls = None  # a recorded trial has no services
 
     def __init__(
         self,
@@ -178,7 +148,6 @@ class Player:
         now: Callable[[], float] = time.monotonic,
     ) -> None:
         self.geometry: SocketGeometry = trial.geometry
-        self.controls = None
         if model is not None:
             model.require_socket(trial.geometry)
         self._trial, self._model, self._now = trial, model, now
@@ -206,31 +175,25 @@ class Player:
         part, position = self._part, self.playback.position
         row = _row_at(part, position)
         if position - part.time[row] > part.gap:
-            return self._nothing(part, position)
-        if self._shown is None or self._shown.stamp != part.samples.stamps[row]:
-            self._shown = self._sample(part, row)
+            self._shown = None
+            unknown = np.full(6, np.nan)
+            stamp = int(part.samples.stamps[0]) + round(1e9 * position)
+            return Instant(stamp, position, None, unknown, unknown, None, None)
+        stamp = int(part.samples.stamps[row])
+        if self._shown is None or self._shown.stamp != stamp:
+            trusted = part.trusted
+            known = bool(measured_rows(trusted[row : row + 1])[0])
+            measured = trusted.wrench[row], trusted.local_forces[row], trusted.status[row]
+            self._shown = Instant(
+                stamp=stamp,
+                time=float(part.time[row]),
+                map=part.map.update(*measured) if known else None,
+                wrench=part.samples.wrench[row],
+                predicted=self._predicted(part, slice(row, row + 1))[0],
+                socket_in_world=_pose_at(part.socket, row),
+                limb_in_world=_pose_at(part.limb, row),
+            )
         return self._shown
-
-    def _sample(self, part: _Part, row: int) -> Instant:
-        samples, trusted = part.samples, part.trusted
-        known = bool(measured_rows(trusted[row : row + 1])[0])
-        measured = trusted.wrench[row], trusted.local_forces[row], trusted.status[row]
-        return Instant(
-            stamp=int(samples.stamps[row]),
-            time=float(part.time[row]),
-            map=part.map.update(*measured) if known else None,
-            wrench=samples.wrench[row],
-            predicted=self._predicted(part, slice(row, row + 1))[0],
-            socket_in_world=_pose_at(part.socket, row),
-            limb_in_world=_pose_at(part.limb, row),
-        )
-
-    def _nothing(self, part: _Part, position: float) -> Instant:
-        """A position in a gap of the recording."""
-        self._shown = None
-        unknown = np.full(6, np.nan)
-        stamp = int(part.samples.stamps[0]) + round(1e9 * position)
-        return Instant(stamp, position, None, unknown, unknown, None, None)
 
     def wrenches(self) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Times, measured and predicted wrenches of the 30 s before the position."""

@@ -1,8 +1,10 @@
-"""The socket in 3D: its tiles coloured, shear as arrows, clusters, load cell and limb."""
+"""The socket in 3D, its tiles coloured, shear as arrows; and the legend of the colours."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from html import escape
 
 import matplotlib as mpl
 import numpy as np
@@ -12,13 +14,15 @@ from viser import SceneApi, ViserServer
 from socket_testbed.arrays import FloatArray
 from socket_testbed.geometry.axis import SocketAxis, socket_axis
 from socket_testbed.geometry.pose import Pose
+from socket_testbed.geometry.regions import anatomical_regions
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification.force_map import MapEstimate
 from socket_testbed.identification.pressure import NORMAL_QUANTILE, SHARE
-from socket_testbed.report.figures.style import CLUSTER, SCALE, SURFACE, VEIL
+from socket_testbed.report.figures.style import CLUSTER, FONT, SCALE, SURFACE, VEIL
 from socket_testbed.report.figures.tiles import wall_tiles
-from socket_testbed.viewer.legend import DEVIATION, PRESSURE, SHEAR, Legend
 from socket_testbed.viewer.source import Instant
+
+PRESSURE, SHEAR, DEVIATION = "normal pressure", "shear", "standard deviation"
 
 _SMALLEST = 0.4  # [-]; edge of a tile of which nothing is known, by its own
 _LARGEST = 0.92  # [-]; edge of a tile whose value is determined
@@ -38,6 +42,16 @@ _LIMB = (224, 172, 140)
 _MAP = 0.7  # [-]; scale of the unrolled wall
 _VIEW = np.radians(32.0)  # [rad]; of the camera, from above to below
 _AWAY = 1.3  # [-]; of names from the axis, by the socket's radius
+
+_KPA = 1e3  # [Pa]
+_LEAST = 2.0  # [kPa]; upper end of an automatic scale at least
+_FALLS = 0.4  # [-]; of the scale, below which the values let an automatic scale fall
+_ENDS = (1.0, 2.0, 3.0, 5.0, 10.0)  # times a power of ten, upper ends of automatic scales
+_TICKS = 5
+_STOPS = ", ".join(
+    f"rgb({red:.0f} {green:.0f} {blue:.0f})"
+    for red, green, blue in _COLOURS[np.linspace(0, 255, 9).astype(int)]
+)
 
 
 class Scene:
@@ -90,12 +104,7 @@ class Scene:
         )
 
     def update(self, instant: Instant, legend: Legend) -> None:
-        """Draw a sample.
-
-        Args:
-            instant: The sample.
-            legend: Says what the colours show.
-        """
+        """Draw a sample in the colours of the legend."""
         wanted = (instant, legend.quantity, legend.limit)
         if wanted == self._drawn:
             return
@@ -140,10 +149,73 @@ class Scene:
                 self._world = socket.inverse()
             moved = self._world @ socket
             self._socket.position, self._socket.wxyz = moved.translation, _wxyz(moved)
-        self._limb.visible = limb is not None and self._world is not None
+        self._limb.visible = False
         if limb is not None and self._world is not None:
             moved = self._world @ limb
             self._limb.position, self._limb.wxyz = moved.translation, _wxyz(moved)
+            self._limb.visible = True
+
+
+class Legend:
+    """The colour bar of a page, with the choice of what is shown, the same in all browsers.
+
+    Args:
+        server: Serves the page.
+        geometry: Geometry of the socket.
+
+    Attributes:
+        quantity: What the colours show: `PRESSURE`, `SHEAR` or `DEVIATION`, of the pressure.
+        limit: Upper end of the scale, whose lower end is 0 [Pa].
+    """
+
+    def __init__(self, server: ViserServer, geometry: SocketGeometry) -> None:
+        gui = server.gui
+        self._geometry = geometry
+        self._places = _places(geometry)
+        self.quantity = PRESSURE
+        self.limit = 30.0 * _KPA
+        self._words = gui.add_html("")
+        self._choice = gui.add_dropdown("colours", (PRESSURE, SHEAR, DEVIATION))
+        self._bar = gui.add_html("")
+        self._automatic = gui.add_checkbox("automatic scale", True)
+        self._end = gui.add_number("scale to [kPa]", 30.0, min=0.1, step=1.0, visible=False)
+
+        @self._automatic.on_update
+        def _(event: object) -> None:
+            self._end.visible = not self._automatic.value
+
+    def update(self, estimate: MapEstimate | None) -> None:
+        """Show the scale and the words of a map."""
+        self.quantity = self._choice.value
+        if estimate is None:
+            self._words.content = _said("no force map", "the estimator is silent", False)
+            return
+        highest = float(np.nanmax(_shown(estimate, self.quantity)[0], initial=0.0)) / _KPA
+        end = self.limit / _KPA
+        if not self._automatic.value:
+            end = float(self._end.value)
+        elif highest > end or highest < _FALLS * end:
+            end = _upper_end(highest)
+        self.limit = end * _KPA
+        self._bar.content = _bar(end, self.quantity)
+        self._words.content = self._describe(estimate)
+
+    def _describe(self, estimate: MapEstimate) -> str:
+        """The peak, how well it is known, and how much of the map is determined."""
+        pressure = estimate.normal_pressure[0]
+        deviation = estimate.normal_pressure_standard_deviation[0]
+        if not np.isfinite(pressure).any():
+            return _said("no force map", estimate.source, False)
+        peak = int(np.nanargmax(pressure))
+        reach = NORMAL_QUANTILE * deviation
+        known = reach <= SHARE * np.abs(pressure)
+        place = self._places[peak]
+        head = f"peak {pressure[peak] / _KPA:.0f} ± {reach[peak] / _KPA:.0f} kPa, {place}"
+        body = f"determined on {known.sum()} of {len(pressure)} tiles; {estimate.source}"
+        measured = estimate.source.partition("measured: ")[2].split(", ")
+        lacking = [name for name in ("wrench", *self._geometry.clusters) if name not in measured]
+        warning = f"without {', '.join(lacking)}" if lacking else ""
+        return _said(head, body, bool(known[peak]), warning)
 
 
 @dataclass(frozen=True)
@@ -174,12 +246,7 @@ class _Tiles:
     """
 
     def __init__(
-        self,
-        scene: SceneApi,
-        path: str,
-        poses: Pose,
-        geometry: SocketGeometry,
-        scale: float = 1.0,
+        self, scene: SceneApi, path: str, poses: Pose, geometry: SocketGeometry, scale: float = 1.0
     ) -> None:
         self._edges = (scale * np.sqrt(geometry.areas)).astype(np.float32)
         white = np.full((len(geometry), 3), 255, dtype=np.uint8)
@@ -215,12 +282,7 @@ class _Tiles:
             )
 
     def paint(self, colours: NDArray[np.uint8], certainty: NDArray[np.float32]) -> None:
-        """Show values.
-
-        Args:
-            colours: RGB, shape (n, 3).
-            certainty: How certain they are, 0 to 1, shape (n,) [-]: the less, the smaller.
-        """
+        """Show RGB colours, shape (n, 3); the smaller, the less certain, 0 to 1, shape (n,) [-]."""
         self._values.batched_colors = colours
         self._values.batched_scales = self._edges * (_SMALLEST + (_LARGEST - _SMALLEST) * certainty)
 
@@ -230,13 +292,7 @@ class _Tiles:
 
 
 class _Map:
-    """The unrolled wall, as seen from outside with anterior in its middle; beside the socket.
-
-    Args:
-        geometry: Geometry of the socket.
-        axis: Its axis.
-        size: Its size.
-    """
+    """The unrolled wall, as seen from outside with anterior in its middle; beside the socket."""
 
     def __init__(self, geometry: SocketGeometry, axis: SocketAxis, size: _Size) -> None:
         wall = wall_tiles(geometry, axis)
@@ -256,10 +312,9 @@ class _Map:
 
     def add_names(self, scene: SceneApi) -> None:
         """Name the sides below the wall."""
-        for turn, name in zip(
-            range(-2, 3), ("posterior", "right", "anterior", "left", "posterior"), strict=True
-        ):
-            across = 0.5 * np.pi * self._radius * turn
+        names = ("posterior", "right", "anterior", "left", "posterior")
+        for turn, name in enumerate(names):
+            across = 0.5 * np.pi * self._radius * (turn - 2)
             place = self._place(np.array([across]), np.array([-0.01]))[0]
             scene.add_label(
                 f"/map/{turn}", name, position=place, anchor="top-center", font_screen_scale=0.8
@@ -272,16 +327,12 @@ class _Map:
 
 def _add_names(scene: SceneApi, axis: SocketAxis, size: _Size) -> None:
     """Where anterior and left are, and the frame of the load cell."""
-    sides = (
-        ("anterior", axis.anterior),
-        ("posterior", -axis.anterior),
-        ("left", axis.left),
-        ("right", -axis.left),
-    )
-    rays = np.array([[[0.0, 0.0, 0.0], direction] for _, direction in sides])
-    rays = axis.end + size.radius * np.array([1.1, _AWAY])[None, :, None] * rays[:, 1:]
+    sides = {"anterior": axis.anterior, "left": axis.left}
+    sides |= {"posterior": -axis.anterior, "right": -axis.left}
+    ends = size.radius * np.array([1.1, _AWAY])
+    rays = axis.end + np.array([np.outer(ends, direction) for direction in sides.values()])
     scene.add_line_segments("/sides", rays, _rgb(VEIL), thickness=_OUTLINE)
-    for name, direction in sides:
+    for name, direction in sides.items():
         place = axis.end + (_AWAY + 0.1) * size.radius * direction
         scene.add_label(f"/sides/{name}", name, position=place, anchor="center-center")
     scene.add_frame("/socket/load_cell", axes_length=0.04, axes_radius=0.0015, origin_radius=0.003)
@@ -291,40 +342,33 @@ def _add_names(scene: SceneApi, axis: SocketAxis, size: _Size) -> None:
 def _add_limb(scene: SceneApi, axis: SocketAxis, size: _Size) -> None:
     """The limb as a rod with its lumped mass, drawn in its frame: that is as {S}, but moved."""
     turn = np.column_stack([axis.anterior, axis.left, axis.proximal])
-    wxyz = _wxyz(Pose(turn, np.zeros(3)))
-    above = size.height
     scene.add_cylinder(
         "/limb/body",
         radius=0.55 * size.radius,
-        height=1.1 * above,
+        height=1.1 * size.height,
         color=_LIMB,
         opacity=0.35,
-        wxyz=wxyz,
-        position=0.15 * above * axis.proximal,
+        wxyz=_wxyz(Pose(turn, np.zeros(3))),
+        position=0.15 * size.height * axis.proximal,
         cast_shadow=False,
         receive_shadow=False,
     )
-    scene.add_label("/limb/name", "limb", position=0.75 * above * axis.proximal)
+    scene.add_label("/limb/name", "limb", position=0.75 * size.height * axis.proximal)
 
 
 def _shown(estimate: MapEstimate, quantity: str) -> tuple[FloatArray, NDArray[np.float32]]:
     """Values of a quantity [Pa] and how certain they are, shape (n,) each."""
-    deviation = estimate.normal_pressure_standard_deviation[0]
-    if quantity == DEVIATION:
-        return deviation, np.ones(len(deviation), dtype=np.float32)
-    if quantity == SHEAR:
-        return estimate.shear[0], _certainty(
-            estimate.shear[0], estimate.shear_standard_deviation[0]
-        )
-    assert quantity == PRESSURE
-    return estimate.normal_pressure[0], _certainty(estimate.normal_pressure[0], deviation)
+    pressure, deviation = estimate.normal_pressure, estimate.normal_pressure_standard_deviation
+    values, deviations = {
+        PRESSURE: (pressure, deviation),
+        SHEAR: (estimate.shear, estimate.shear_standard_deviation),
+        DEVIATION: (deviation, 0.0 * deviation),
+    }[quantity]
+    return values[0], _certainty(values[0], deviations[0])
 
 
 def _certainty(values: FloatArray, deviations: FloatArray) -> NDArray[np.float32]:
-    """How certain values are: 1 where they are determined, less the wider their interval is.
-
-    A value is determined if its interval reaches no farther than `SHARE` of it.
-    """
+    """How certain values are: 1 where they are determined, less the wider their interval is."""
     reach = np.maximum(NORMAL_QUANTILE * deviations, 1e-9)
     shares = np.nan_to_num(np.clip(SHARE * np.abs(values) / reach, 0.0, 1.0))
     return (np.round(_STEPS * shares) / _STEPS).astype(np.float32)
@@ -352,3 +396,44 @@ def _rgb(colour: str) -> tuple[int, int, int]:
 def _wxyz(pose: Pose) -> FloatArray:
     """Quaternions in viser's order."""
     return np.roll(pose.quaternion(), 1, axis=-1)
+
+
+def _upper_end(highest: float) -> float:
+    """The end of a scale to a value [kPa]: 1, 2, 3 or 5 times a power of ten."""
+    highest = max(highest, _LEAST)
+    decade = 10.0 ** math.floor(math.log10(highest))
+    return next(end * decade for end in _ENDS if end * decade >= highest)
+
+
+def _places(geometry: SocketGeometry) -> list[str]:
+    """Where each tile is, in words."""
+    words = [""] * len(geometry)
+    for region in anatomical_regions(geometry):
+        for tile in region.tiles:
+            words[tile] = region.name  # the last and smallest one
+    for name, tile in geometry.clusters.items():
+        words[tile] = f"measured by {name}"
+    return words
+
+
+def _bar(end: float, quantity: str) -> str:
+    ticks = "".join(f"<span>{end * tick / (_TICKS - 1):g}</span>" for tick in range(_TICKS))
+    note = "full squares are determined; the smaller, the wider the 95 % interval"
+    if quantity == DEVIATION:
+        note = ""
+    return (
+        f'<div style="padding:0 1em;font:12px {FONT}">'
+        f'<div style="height:14px;background:linear-gradient(to right,{_STOPS})"></div>'
+        f'<div style="display:flex;justify-content:space-between">{ticks}</div>'
+        f"<div>{quantity} [kPa]</div><div>{note}</div></div>"
+    )
+
+
+def _said(head: str, body: str, certain: bool, warning: str = "") -> str:
+    colour = "inherit" if certain else "#8a8a8a"
+    return (
+        f'<div style="padding:0.5em 1em;font:12px {FONT}">'
+        f'<div style="font-size:17px;font-weight:600;color:{colour}">{escape(head)}</div>'
+        f'<div style="font-weight:600;color:#b35900">{escape(warning)}</div>'
+        f"<div>{escape(body)}</div></div>"
+    )

@@ -6,7 +6,6 @@ open, from the thread that draws.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -22,74 +21,45 @@ HISTORY = 30.0  # [s]; of the wrenches that a source keeps
 
 @dataclass(frozen=True, eq=False)
 class Instant:
-    """The newest sample.
+    """The newest sample."""
 
-    Attributes:
-        stamp: Its stamp since the epoch [ns].
-        time: The same since the first sample [s].
-        map: The force map, with N = 1; None while there is none.
-        wrench: Measured wrench [M; F] in {S}, shape (6,) [N m, N]; NaN where it is missing.
-        predicted: Predicted wrench, likewise.
-        socket_in_world: Pose of {S} in the world; None where the socket is not tracked.
-        limb_in_world: Pose of the limb in the world; None where the limb is not tracked.
-    """
-
-    stamp: int
-    time: float
-    map: MapEstimate | None
+    stamp: int  # its stamp since the epoch [ns]
+    time: float  # the same since the first sample [s]
+    map: MapEstimate | None  # the force map, with N = 1; None while there is none
+    # Measured wrench [M; F] in {S}, shape (6,) [N m, N]; NaN where it is missing
     wrench: FloatArray
-    predicted: FloatArray
-    socket_in_world: Pose | None
-    limb_in_world: Pose | None
+    predicted: FloatArray  # predicted wrench, likewise
+    socket_in_world: Pose | None  # pose of {S} in the world; None where the socket is not tracked
+    limb_in_world: Pose | None  # pose of the limb in the world; None where the limb is not tracked
 
 
 @dataclass(frozen=True)
 class SensorState:
-    """How a sensor, or what works on its data, is.
+    """How a sensor, or what works on its data, is."""
 
-    Attributes:
-        name: Its name.
-        level: 0 ok, 1 warning, 2 error.
-        words: How it is, in words.
-        rate: How often it measures [Hz]; NaN where that is not known.
-        age: How long ago it last reported [s].
-    """
-
-    name: str
-    level: int
-    words: str
-    rate: float
-    age: float
+    name: str  # its name
+    level: int  # 0 ok, 1 warning, 2 error
+    words: str  # how it is, in words
+    rate: float  # how often it measures [Hz]; NaN where that is not known
+    age: float  # how long ago it last reported [s]
 
 
 @dataclass(frozen=True)
 class Recording:
-    """A trial that is being recorded.
+    """A trial that is being recorded."""
 
-    Attributes:
-        trial: Its name; empty while none is being recorded.
-        elapsed: How long it has been recorded [s].
-        free: Free space on its disk [bytes]; NaN where that is not known.
-    """
-
-    trial: str
-    elapsed: float
-    free: float
+    trial: str  # its name; empty while none is being recorded
+    elapsed: float  # how long it has been recorded [s]
+    free: float  # free space on its disk [bytes]; NaN where that is not known
 
 
 @dataclass(frozen=True, eq=False)
 class RegionsNow:
-    """The standard outputs of the newest sample.
+    """The standard outputs of the newest sample."""
 
-    Attributes:
-        time: Time of the sample since the first one [s].
-        places: The R regions; the last one is the socket.
-        outputs: Their outputs, shape (R,).
-    """
-
-    time: float
-    places: tuple[Region, ...]
-    outputs: RegionOutputs
+    time: float  # time of the sample since the first one [s]
+    places: tuple[Region, ...]  # the R regions; the last one is the socket
+    outputs: RegionOutputs  # their outputs, shape (R,)
 
 
 class Controls(Protocol):
@@ -100,66 +70,48 @@ class Controls(Protocol):
 
     def tare(self) -> str:
         """Tare the load cell."""
-        ...
 
     def fit(self) -> str:
         """Fit the contact model."""
-        ...
 
     def record(self, name: str, metadata: dict[str, str]) -> str:
         """Record a trial with this name, empty for one by the time, and this metadata."""
-        ...
 
     def stop_recording(self) -> str:
         """Close the trial that is being recorded."""
-        ...
 
     def event(self, label: str) -> str:
         """Mark an event."""
-        ...
 
     def trigger(self, on: bool) -> str:
         """Switch the trigger on or off."""
-        ...
 
 
 class Playback(Protocol):
-    """A trial that is played.
+    """A trial that is played."""
 
-    Attributes:
-        duration: From its first sample to its last [s].
-        position: Where it is played [s].
-        playing: Whether it is played on.
-        speed: How fast, 1 is as recorded [-].
-        events: Times [s] and labels of its events.
-    """
+    duration: float  # from its first sample to its last [s]
+    events: list[tuple[float, str]]  # times [s] and labels
 
     @property
-    def duration(self) -> float: ...  # noqa: D102
+    def position(self) -> float:
+        """Where it is played [s]."""
+
     @property
-    def position(self) -> float: ...  # noqa: D102
-    @property
-    def playing(self) -> bool: ...  # noqa: D102
-    @property
-    def speed(self) -> float: ...  # noqa: D102
-    @property
-    def events(self) -> Sequence[tuple[float, str]]: ...  # noqa: D102
+    def playing(self) -> bool:
+        """Whether it is played on."""
 
     def play(self) -> None:
         """Play on; from the start at the end."""
-        ...
 
     def pause(self) -> None:
         """Pause."""
-        ...
 
     def seek(self, time: float) -> None:
         """Go to a time [s]."""
-        ...
 
     def set_speed(self, speed: float) -> None:
         """Set the speed [-]."""
-        ...
 
 
 class Source(Protocol):
@@ -180,7 +132,6 @@ class Source(Protocol):
 
     def instant(self) -> Instant | None:
         """The newest sample; None before the first."""
-        ...
 
     def wrenches(self) -> tuple[FloatArray, FloatArray, FloatArray]:
         """The last `HISTORY` seconds.
@@ -189,20 +140,15 @@ class Source(Protocol):
             Times since the first sample, shape (N,) [s], ascending; measured and predicted
             wrenches [M; F], shape (N, 6) each [N m, N], NaN where they are missing.
         """
-        ...
 
     def sensors(self) -> list[SensorState]:
         """How every sensor is."""
-        ...
 
     def recording(self) -> Recording | None:
         """What is being recorded; None where nothing can be."""
-        ...
 
     def regions(self) -> RegionsNow | None:
         """The standard outputs by region, computed anew at most once a second."""
-        ...
 
     def watched(self, on: bool) -> None:
         """The first browser was opened, or the last one was closed."""
-        ...

@@ -7,7 +7,7 @@ import pytest
 from socket_testbed.commands import demo
 from socket_testbed.errors import TrialError
 from socket_testbed.live.graph_status import GraphStatus
-from socket_testbed.live.time_scale import MachineSpeed
+from socket_testbed.live.machine import MachineSpeed
 from socket_testbed.trials.trial import Trial
 
 

@@ -17,7 +17,7 @@ from socket_testbed.drivers.natnet.client import NatNetClient
 from socket_testbed.drivers.natnet.connection import Answer
 from socket_testbed.drivers.natnet.frame_filter import LinkStatistics
 from socket_testbed.errors import ConfigurationError, DeviceError
-from socket_testbed.live.time_scale import measure_speed
+from socket_testbed.live.machine import measure_speed
 from socket_testbed.settings.acquisition import MocapSettings
 from socket_testbed.simulation.devices.natnet_server import NatNetServer
 

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from support import HANGS
+from support.wording import refused
 
 from socket_testbed.errors import IdentificationError
 from socket_testbed.identification.contact import ContactModel
@@ -105,22 +106,28 @@ def test_a_refit_is_judged_by_the_newest_samples_which_it_left_out(
     assert refit(samples[: row + 16], after).is_worse
 
 
-def test_older_data_than_the_model_s_is_not_fitted(
+def test_without_enough_steady_data_that_is_newer_than_the_model_s_there_is_no_fit(
     worker: FitWorker, trial: Trial, samples: Samples
 ) -> None:
-    steady = dataclasses.replace(STEADY, after=int(samples.stamps[-1]))
-    assert worker.submit(samples, trial.geometry, SETTINGS, steady).result(HANGS) is None
+    older = dataclasses.replace(STEADY, after=int(samples.stamps[-1]))
+    for some, steady in (
+        (samples, older),
+        (samples, Steady(PLATEAU, 10_000)),
+        (samples[:20], Steady(PLATEAU, 5)),
+    ):
+        assert worker.submit(some, trial.geometry, SETTINGS, steady).result(HANGS) is None
 
 
-def test_an_all_zero_or_negated_wrench_is_refused(
+def test_what_cannot_be_fitted_is_refused_with_its_error(
     worker: FitWorker, trial: Trial, samples: Samples
 ) -> None:
-    for wrench, text in ((0.0 * samples.wrench, "no load"), (-samples.wrench, "negated")):
-        wrong = dataclasses.replace(samples, wrench=wrench)
-        for steady in (STEADY, None):
-            submitted = worker.submit(wrong, trial.geometry, SETTINGS, steady)
-            with pytest.raises(IdentificationError, match=text):
-                submitted.result(HANGS)
+    zero, negated = (dataclasses.replace(samples, wrench=k * samples.wrench) for k in (0.0, -1.0))
+    cases = [(zero, steady, "no load") for steady in (STEADY, None)]
+    cases += [(negated, steady, "negated") for steady in (STEADY, None)]
+    for wrong, steady, text in (*cases, (samples[:0], None, "only 0 of 0 samples")):
+        submitted = worker.submit(wrong, trial.geometry, SETTINGS, steady)
+        with refused(IdentificationError, text):
+            submitted.result(HANGS)
 
 
 def test_outliers_are_counted_by_channel_and_do_not_end_a_stretch(
@@ -143,45 +150,23 @@ def test_outliers_are_counted_by_channel_and_do_not_end_a_stretch(
     assert found.fit.samples == clean.fit.samples - 3
 
 
-def test_live_fits_do_not_average_the_poses(worker: FitWorker, hold: Path) -> None:
-    trial = Trial(hold)
-    samples = trial.samples()
+def test_live_fits_do_not_average_the_poses(
+    worker: FitWorker, trial: Trial, samples: Samples
+) -> None:
     settings = dataclasses.replace(SETTINGS, pose_smoothing=2.0)
     refit = worker.submit(samples, trial.geometry, settings, None).result(HANGS)
     here = fit_contact_model(samples, trial.geometry, SETTINGS)
     assert refit is not None and refit.fit.settings.pose_smoothing == 0.0
-    fit = refit.fit
-    np.testing.assert_allclose(fit.model.stiffness, here.model.stiffness, rtol=1e-6, atol=1e-3)
+    found = refit.fit.model.stiffness
+    np.testing.assert_allclose(found, here.model.stiffness, rtol=1e-6, atol=1e-3)
 
 
-def test_without_enough_steady_data_there_is_no_fit(worker: FitWorker, hold: Path) -> None:
-    trial = Trial(hold)
-    samples = trial.samples()
-    for some, least in ((samples, 10_000), (samples[:20], 5)):
-        submitted = worker.submit(some, trial.geometry, SETTINGS, Steady(PLATEAU, least))
-        assert submitted.result(HANGS) is None
-
-
-def test_an_error_comes_back_as_it_was_raised(worker: FitWorker, hold: Path) -> None:
-    trial = Trial(hold)
-    none = trial.samples()[:0]
-    with pytest.raises(IdentificationError, match="only 0 of 0 samples") as raised:
-        worker.submit(none, trial.geometry, SETTINGS, None).result(HANGS)
-    assert raised.value.hint
-
-
-def test_a_killed_worker_is_replaced(hold: Path) -> None:
-    trial = Trial(hold)
-    samples = trial.samples()
-    worker = FitWorker()
-    try:
-        worker.submit(samples, trial.geometry, SETTINGS, None).result(HANGS)
-        (process,) = worker._pool._processes
-        os.kill(process, signal.SIGKILL)
-        with pytest.raises(BrokenProcessPool):
-            while True:  # until the pool has noticed
-                worker._pool.submit(os.getpid).result(HANGS)
-        submitted = worker.submit(samples, trial.geometry, SETTINGS, None)
-        assert submitted.result(HANGS) is not None
-    finally:
-        worker.close()
+def test_a_killed_worker_is_replaced(worker: FitWorker, trial: Trial, samples: Samples) -> None:
+    worker.submit(samples, trial.geometry, SETTINGS, None).result(HANGS)
+    (process,) = worker._pool._processes
+    os.kill(process, signal.SIGKILL)
+    with pytest.raises(BrokenProcessPool):
+        while True:  # until the pool has noticed
+            worker._pool.submit(os.getpid).result(HANGS)
+    submitted = worker.submit(samples, trial.geometry, SETTINGS, None)
+    assert submitted.result(HANGS) is not None

@@ -1,6 +1,7 @@
 """The force map of live samples, without ROS."""
 
 import dataclasses
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -8,10 +9,14 @@ import pytest
 from socket_testbed.files import packaged
 from socket_testbed.geometry.socket import read_socket
 from socket_testbed.identification.force_map import ForceMap, MapEstimate
+from socket_testbed.identification.pressure import THRESHOLD, RegionOutputs, pressure_outputs
 from socket_testbed.live.online_map import OnlineMap
 from socket_testbed.settings.identification import ForceMapSettings, IdentificationSettings
 from socket_testbed.settings.testbed import EstimatorSettings
 from socket_testbed.trials.topics import PYLON_POSE, SOCKET_POSE, STRESS, WRENCH
+from socket_testbed.trials.trial import Trial
+from socket_testbed.viewer.panel import regions_html
+from socket_testbed.viewer.source import RegionsNow
 
 GEOMETRY = read_socket(packaged("config", "socket.yaml"))
 CLUSTERS = tuple(GEOMETRY.clusters)
@@ -19,6 +24,7 @@ PRIOR = ForceMapSettings(draws=4)
 RNG = np.random.default_rng(0)
 STRESSES = {name: (RNG.normal([1e4, 0.0, 0.0], 3e3), 0) for name in CLUSTERS}
 MEASURED = np.array([2.0, -3.0, 0.5, 10.0, 20.0, -280.0])
+NOTHING = {name: (np.full(3, np.nan), 2) for name in CLUSTERS}
 
 
 class Bench:
@@ -58,45 +64,36 @@ def test_clusters_and_wrench_make_a_map_without_poses_or_a_model() -> None:
     bench = Bench()
     assert_same(bench.send(), expected())
     assert bench.map.add(WRENCH, 2, MEASURED) is None
+    for topic in (SOCKET_POSE, PYLON_POSE):
+        assert bench.map.add(topic, 2, np.zeros(7)) is None
     found = bench.map.add(STRESS, 2, STRESSES)
     assert found is not None
     assert_same(found, expected())
     assert bench.map.count == 2
 
 
-def test_poses_and_other_stamps_make_no_map() -> None:
+def test_nothing_of_another_stamp_or_of_before_a_jump_back_in_time_is_matched() -> None:
     bench = Bench()
-    for topic in (SOCKET_POSE, PYLON_POSE, SOCKET_POSE):
-        assert bench.map.add(topic, 1, np.zeros(7)) is None
     assert bench.map.add(STRESS, 1, STRESSES) is None
     assert bench.map.add(WRENCH, 2, MEASURED) is None
-
-
-def test_after_a_jump_back_in_time_nothing_old_is_matched() -> None:
-    bench = Bench()
-    bench.map.add(STRESS, 1, STRESSES)
     bench.map.clear()
     assert bench.map.add(WRENCH, 1, MEASURED) is None
 
 
-def test_a_value_that_no_limb_gives_does_not_count() -> None:
+def test_a_channel_that_is_left_out_or_that_no_limb_gives_does_not_count() -> None:
     wrench = MEASURED.copy()
     wrench[3] = np.nan
     for wrong in (1e9, -1e9, np.inf):
         spoilt = MEASURED.copy()
         spoilt[3] = wrong
         assert_same(Bench().send(wrench=spoilt), expected(wrench))
-
-
-def test_a_channel_that_is_left_out_of_the_objective_does_not_count() -> None:
     bench = Bench(leave_out=("distal.Fz", "no such channel"))
     assert_same(bench.send(), expected(missing="distal"))
 
 
 def test_without_any_channel_there_is_the_prior() -> None:
     bench = Bench()
-    nothing = {name: (np.full(3, np.nan), 2) for name in CLUSTERS}
-    bench.map.add(STRESS, 1, nothing)
+    bench.map.add(STRESS, 1, NOTHING)
     found = bench.map.add(WRENCH, 1, np.full(6, np.nan))
     assert found is not None and np.isfinite(found.standard_deviations).all()
     assert "nothing" in found.source
@@ -111,3 +108,44 @@ def test_a_changed_prior_counts_from_the_next_sample() -> None:
     assert_same(bench.send(2), expected(prior=prior))
     with pytest.raises(AssertionError):
         assert_same(bench.send(3), expected())
+
+
+# --- outputs by region
+
+
+def test_outputs_of_a_sample_are_those_of_pressure(hold: Path) -> None:
+    trial = Trial(hold)
+    geometry, one = trial.geometry, trial.samples()[100:101]
+    unit = {c: np.array([geometry.cluster_force(c, axis) for axis in np.eye(3)]) for c in CLUSTERS}
+    stresses = {
+        name: (np.linalg.solve(unit[name].T, one.local_forces[0, k]), int(one.status[0, k]))
+        for k, name in enumerate(one.clusters)
+    }
+    live = OnlineMap(geometry, EstimatorSettings)
+    found = live.outputs(one.wrench[0], stresses)
+    whole = ForceMap(geometry, one.clusters)
+    theirs = pressure_outputs(whole, one, geometry, live.places, THRESHOLD).regions
+    assert found is not None
+    for name in ("mean", "peak", "area", "share"):
+        for end in ("value", "high"):
+            ours, known = (getattr(getattr(of, name), end) for of in (found, theirs))
+            np.testing.assert_allclose(ours, known, rtol=1e-9)
+    text = regions_html(RegionsNow(7.0, live.places, found))
+    assert "socket" in text and "undetermined" in text and "anterior proximal" not in text
+    assert f"{theirs.peak.value[-1] * 1e-3:.0f}" in text and "at 7.0 s" in text
+
+
+def test_outputs_follow_the_estimator_and_leave_out_what_cannot_be() -> None:
+    def peak(found: RegionOutputs | None) -> float:
+        assert found is not None
+        return float(found.peak.high[-1])
+
+    bench, name = Bench(), CLUSTERS[0]
+    usual = peak(bench.map.outputs(MEASURED, STRESSES))
+    without = peak(bench.map.outputs(MEASURED, STRESSES | {name: NOTHING[name]}))
+    assert without != usual
+    absurd = STRESSES | {name: (np.full(3, 1e9), 0)}
+    assert peak(bench.map.outputs(MEASURED, absurd)) == pytest.approx(without)
+    left_out = Bench(leave_out=tuple(f"{name}.{axis}" for axis in ("Fx", "Fy", "Fz")))
+    assert peak(left_out.map.outputs(MEASURED, STRESSES)) == pytest.approx(without)
+    assert bench.map.outputs(np.full(6, np.nan), NOTHING) is None

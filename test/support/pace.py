@@ -1,6 +1,6 @@
 """How fast a test lets a simulated testbed run."""
 
-from socket_testbed.live.time_scale import SLOWEST, measure_speed
+from socket_testbed.live.machine import SLOWEST, measure_speed
 
 
 def careful_time_scale() -> float:

@@ -7,18 +7,15 @@ from collections.abc import Iterator
 from http.server import BaseHTTPRequestHandler, HTTPServer
 from pathlib import Path
 from threading import Thread
-from typing import Any
 
 import numpy as np
 import pytest
 from playwright.sync_api import Browser
 from support.browser import CHROMIUM, Tab, open_browser
-from support.ring_socket import ring_socket
+from support.sources import NOTHING, StillSource, estimate_of
 
 import socket_testbed as st
-from socket_testbed.identification.force_map import MapEstimate
-from socket_testbed.viewer.page import Page
-from socket_testbed.viewer.server import PageServer
+from socket_testbed.viewer.page import Page, PageServer
 from socket_testbed.viewer.source import Instant, SensorState
 
 pytestmark = [
@@ -26,54 +23,26 @@ pytestmark = [
     pytest.mark.skipif(CHROMIUM is None, reason="no browser: chromium is not installed"),
 ]
 
-GEOMETRY = ring_socket()
-PUSHED = int(np.argmax(GEOMETRY.anchors[:, 0]))  # the foremost tile
 
-
-def free_port() -> int:
-    with socket.create_server(("127.0.0.1", 0)) as listening:
-        return int(listening.getsockname()[1])
-
-
-class Pushed:
+class Pushed(StillSource):
     """A source that shows how hard the foremost tile is pushed, and how a sensor is."""
-
-    geometry = GEOMETRY
-    controls = playback = None
 
     def __init__(self) -> None:
         self.sensor = SensorState("load cell", 0, "measures", 100.0, 0.0)
         self.push(10e3)
 
     def push(self, pressure: float) -> None:
-        n = len(GEOMETRY)
-        pressures = np.full((1, n), 2e3)
-        pressures[0, PUSHED] = pressure
-        forces = np.zeros((1, n, 3))
-        words = "prior: mean zero; measured: wrench, " + ", ".join(GEOMETRY.clusters)
-        estimate = MapEstimate(
-            forces, forces, pressures, 0.02 * pressures, 0 * pressures, 0 * pressures, words
-        )
-        wrench = np.full(6, np.nan)
-        self._shown = Instant(round(pressure), 1e-3, estimate, wrench, wrench, None, None)
+        pressures = np.full(len(self.geometry), 2e3)
+        pressures[np.argmax(self.geometry.anchors[:, 0])] = pressure
+        words = "prior: mean zero; measured: wrench, " + ", ".join(self.geometry.clusters)
+        estimate = estimate_of(pressures, words)
+        self._shown = Instant(round(pressure), 1e-3, estimate, NOTHING, NOTHING, None, None)
 
     def instant(self) -> Instant:
         return self._shown
 
-    def wrenches(self) -> tuple[Any, Any, Any]:
-        return np.zeros(0), np.zeros((0, 6)), np.zeros((0, 6))
-
     def sensors(self) -> list[SensorState]:
         return [self.sensor]
-
-    def recording(self) -> None:
-        return None
-
-    def regions(self) -> None:
-        return None
-
-    def watched(self, on: bool) -> None:
-        pass
 
 
 @pytest.fixture(scope="module")
@@ -89,7 +58,8 @@ def source() -> Pushed:
 
 @pytest.fixture(scope="module")
 def port() -> int:
-    return free_port()
+    with socket.create_server(("127.0.0.1", 0)) as listening:
+        return int(listening.getsockname()[1])
 
 
 @pytest.fixture(scope="module")
@@ -108,7 +78,7 @@ def tab(browser: Browser, served: list[Page], port: int) -> Iterator[Tab]:
     tab.close()
 
 
-def test_the_page_shows_a_push(tab: Tab, source: Pushed) -> None:
+def test_the_page_shows_a_push_and_a_sensor_that_fails(tab: Tab, source: Pushed) -> None:
     """In words and in colours, and asks nobody but its own server."""
     source.push(40e3)
     tab.reads("peak 40 ± .*, anterior")
@@ -117,41 +87,27 @@ def test_the_page_shows_a_push(tab: Tab, source: Pushed) -> None:
     source.push(3e3)
     tab.reads("peak 3 ± ")
     tab.shows(lambda colours: np.abs(colours - pushed).max() > 60.0)
-    source.push(10e3)
-    tab.reads("peak 10 ± ")
+    tab.reads("all 1 are well")
+    source.sensor = SensorState("load cell", 2, "the chip is gone: check its wires", 0.0, 1.0)
+    tab.reads("1 of 1 need attention[^]*the chip is gone: check its wires")
     assert not tab.errors
     for url in tab.asked:
         assert url.startswith(("http://localhost:", "ws://localhost:", "blob:http://localhost:"))
 
 
-def test_a_sensor_that_fails_is_seen_in_words(tab: Tab, source: Pushed) -> None:
-    tab.reads("all 1 are well")
-    source.sensor = SensorState("load cell", 2, "the chip is gone: check its wires", 0.0, 1.0)
-    tab.reads("1 of 1 need attention[^]*the chip is gone: check its wires")
-    source.sensor = SensorState("load cell", 0, "recovered", 100.0, 0.0)
-    tab.reads("all 1 are well[^]*recovered")
-
-
-def test_five_browsers_see_the_same(tab: Tab, browser: Browser, source: Pushed, port: int) -> None:
-    tabs = [tab, *(Tab(browser, f"http://127.0.0.1:{port}") for _ in range(4))]
-    for pressure in (20e3, 10e3):
-        source.push(pressure)
-        for each in tabs:
-            each.reads(f"peak {1e-3 * pressure:.0f} ± ")
-    for other in tabs[1:]:
-        assert not other.errors
-        other.close()
-
-
-def test_the_page_of_a_server_that_comes_back_comes_back(
-    tab: Tab, served: list[Page], source: Pushed, port: int
+def test_browsers_see_the_same_and_come_back_with_their_server(
+    tab: Tab, browser: Browser, served: list[Page], source: Pushed, port: int
 ) -> None:
+    other = Tab(browser, f"http://127.0.0.1:{port}")
+    source.push(20e3)
+    for each in (tab, other):
+        each.reads("peak 20 ± ")
+    assert not other.errors
+    other.close()
     served[-1].close()
     source.push(30e3)
     served.append(Page(source, PageServer("127.0.0.1", port)))
     tab.reads("peak 30 ± ")
-    source.push(10e3)
-    tab.reads("peak 10 ± ")
 
 
 class _Foreign(BaseHTTPRequestHandler):
@@ -165,7 +121,7 @@ class _Foreign(BaseHTTPRequestHandler):
 
 
 def test_another_site_s_page_is_refused(browser: Browser, served: list[Page], port: int) -> None:
-    """It reaches neither the page nor its websocket, as this machine's own browser calls them."""
+    """It does not reach the websocket, although this machine's own browser calls it."""
     foreign = HTTPServer(("127.0.0.1", 0), _Foreign)
     thread = Thread(target=foreign.serve_forever)
     thread.start()

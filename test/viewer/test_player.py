@@ -72,28 +72,27 @@ def played(hold: Path, hold_model: Path) -> Player:
     return Player(st.open_trial(hold), st.read_model(hold_model))
 
 
-@pytest.mark.parametrize("time", [0.0, 12.34, 30.0, 59.75])
-def test_an_instant_is_that_of_the_verbs(played: Player, hold: Path, time: float) -> None:
+def test_an_instant_is_that_of_the_verbs(played: Player, hold: Path) -> None:
     """Of the newest sample: measured, predicted, mapped, posed."""
     trial = st.open_trial(hold)
-    samples = trial.samples()
-    row = int(np.flatnonzero(samples.time <= time + 1e-6)[-1])
-    played.playback.seek(time)
-    instant = played.instant()
-    assert instant.stamp == samples.stamps[row]
-    np.testing.assert_array_equal(instant.wrench, samples.wrench[row])
-    estimate = st.force_map(trial, "all").estimate
-    assert instant.map is not None
-    for name in ("forces", "normal_pressure", "normal_pressure_standard_deviation", "shear"):
-        found, known = getattr(instant.map, name)[0], getattr(estimate, name)[row]
-        np.testing.assert_allclose(found, known, rtol=1e-9, atol=1e-9)
+    samples, estimate = trial.samples(), st.force_map(trial, "all").estimate
     assert played._model is not None
-    predicted = st.predict(trial, played._model).to_numpy()[row, :6]
-    np.testing.assert_allclose(instant.predicted, predicted, rtol=1e-9, atol=1e-9)
-    assert instant.socket_in_world is not None and instant.limb_in_world is not None
-    limb = instant.socket_in_world.inverse() @ instant.limb_in_world
-    np.testing.assert_allclose(limb.translation, samples.position[row], atol=1e-9)
-    np.testing.assert_allclose(limb.rotation_vector(), samples.rotation[row], atol=1e-9)
+    predicted = st.predict(trial, played._model).to_numpy()
+    for time in (0.0, 12.34, 59.75):
+        row = int(np.flatnonzero(samples.time <= time + 1e-6)[-1])
+        played.playback.seek(time)
+        instant = played.instant()
+        assert instant.stamp == samples.stamps[row]
+        np.testing.assert_array_equal(instant.wrench, samples.wrench[row])
+        assert instant.map is not None
+        for name in ("forces", "normal_pressure", "normal_pressure_standard_deviation", "shear"):
+            found, known = getattr(instant.map, name)[0], getattr(estimate, name)[row]
+            np.testing.assert_allclose(found, known, rtol=1e-9, atol=1e-9)
+        np.testing.assert_allclose(instant.predicted, predicted[row, :6], rtol=1e-9, atol=1e-9)
+        assert instant.socket_in_world is not None and instant.limb_in_world is not None
+        limb = instant.socket_in_world.inverse() @ instant.limb_in_world
+        np.testing.assert_allclose(limb.translation, samples.position[row], atol=1e-9)
+        np.testing.assert_allclose(limb.rotation_vector(), samples.rotation[row], atol=1e-9)
 
 
 def test_the_wrenches_are_those_of_the_last_30_seconds(played: Player, hold: Path) -> None:
@@ -170,7 +169,9 @@ def test_what_is_missing_is_said_in_words(gappy: Player) -> None:
     assert instant.map is not None and ", distal" not in instant.map.source
 
 
-def test_nothing_is_shown_in_a_gap_of_the_recording(gappy: Player) -> None:
+def test_events_are_marks_and_nothing_is_shown_in_a_gap(gappy: Player) -> None:
+    events = [(round(time, 6), label) for time, label in gappy.playback.events]
+    assert events[0][1] == "placed" and events[1] == (12.5, "cough")
     gappy.playback.seek(22.0)
     instant = gappy.instant()
     assert instant.map is None and np.isnan(instant.wrench).all()
@@ -178,46 +179,29 @@ def test_nothing_is_shown_in_a_gap_of_the_recording(gappy: Player) -> None:
     assert {state.words.split(";")[0] for state in gappy.sensors()} == {"not triggered for 2.0 s"}
 
 
-def test_the_events_are_marks(gappy: Player) -> None:
-    labels = [label for _, label in gappy.playback.events]
-    assert labels[:2] == ["placed", "cough"]
-    assert (12.5, "cough") in [(round(time, 6), label) for time, label in gappy.playback.events]
-
-
 def test_a_trial_opens_before_all_of_it_is_read(
-    hold: Path, monkeypatch: pytest.MonkeyPatch
+    hold: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    read_on = Player._read_on
-    monkeypatch.setattr(playing, "_AT_ONCE", 40)
-    monkeypatch.setattr(Player, "_read_on", lambda self: None)
-    player = Player(st.open_trial(hold))
+    path = tmp_path / "trial"
+    shutil.copytree(hold, path)
+    with monkeypatch.context() as patch:
+        patch.setattr(playing, "_AT_ONCE", 40)
+        patch.setattr(Player, "_read_on", lambda self: None)
+        player, damaged = Player(st.open_trial(hold)), Player(st.open_trial(path))
     assert player.playback.duration == pytest.approx(60.0, abs=1.0)
     player.playback.seek(50.0)
-    at = player.playback.position
-    assert 5.0 < at < 15.0
+    assert 5.0 < player.playback.position < 15.0
     assert player.instant().map is not None
     assert "the rest is being read" in player.sensors()[0].words
-    read_on(player)
+    player._read_on()
     player.playback.seek(50.0)
     assert player.instant().time == 50.0
     assert all("read" not in state.words for state in player.sensors())
     assert player.playback.duration == pytest.approx(59.75)
-
-
-def test_the_rest_of_a_damaged_trial_is_said_to_be_unread(
-    hold: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(playing, "_AT_ONCE", 40)
-    monkeypatch.setattr(Player, "_read_on", lambda self: None)
-    path = tmp_path / "trial"
-    shutil.copytree(hold, path)
-    player = Player(st.open_trial(path))
-    monkeypatch.undo()
-    (bag,) = path.glob("*.mcap")
-    bag.write_bytes(b"")
-    player._read_on()
-    assert player.sensors()[0].words.startswith("only the first 10 s are read")
-    assert player.instant().map is not None
+    next(path.glob("*.mcap")).write_bytes(b"")
+    damaged._read_on()
+    assert damaged.sensors()[0].words.startswith("only the first 10 s are read")
+    assert damaged.instant().map is not None
 
 
 def test_a_model_of_another_socket_is_refused(hold: Path, hold_model: Path) -> None:

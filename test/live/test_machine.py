@@ -1,21 +1,30 @@
-"""Real-time scheduling: what is set, what is refused, and what `doctor` makes of the lateness."""
+"""Scheduling, time scale, and what `doctor` makes of the lateness."""
 
 import errno
 import json
 import os
 import subprocess
 import sys
-import threading
 from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from support import HANGS
+from support.wording import refused
 
-from socket_testbed.live import doctor, scheduling
+from socket_testbed import clocks
+from socket_testbed.errors import ConfigurationError
+from socket_testbed.live import doctor, hardware, machine
 from socket_testbed.live.bringup import Testbed, simulated_testbed
-from socket_testbed.live.scheduling import measure_lateness, schedule
+from socket_testbed.live.machine import (
+    SCALES,
+    MachineSpeed,
+    busy_note,
+    measure_lateness,
+    measure_speed,
+    schedule,
+)
 from socket_testbed.settings.acquisition import (
     ClusterSettings,
     LoadCellSettings,
@@ -27,7 +36,7 @@ from socket_testbed.settings.acquisition import (
 EVERY_THREAD = """
 import json, os, threading
 from pathlib import Path
-from socket_testbed.live.scheduling import schedule
+from socket_testbed.live.machine import schedule
 from socket_testbed.settings.acquisition import SchedulingSettings
 core = min(os.sched_getaffinity(0))
 done = threading.Event()
@@ -70,9 +79,9 @@ def test_what_is_refused_is_said_and_the_rest_is_done(monkeypatch: pytest.Monkey
     monkeypatch.setattr(os, "sched_setscheduler", refuse)
     monkeypatch.setattr(os, "sched_setaffinity", lambda thread, cores: changed.append(cores))
     monkeypatch.setattr(
-        scheduling.ctypes, "CDLL", lambda *_, **__: SimpleNamespace(mlockall=lambda flags: -1)
+        machine.ctypes, "CDLL", lambda *_, **__: SimpleNamespace(mlockall=lambda flags: -1)
     )
-    monkeypatch.setattr(scheduling.ctypes, "get_errno", lambda: errno.EPERM)
+    monkeypatch.setattr(machine.ctypes, "get_errno", lambda: errno.EPERM)
     lines = schedule(SchedulingSettings(priority=20, cores=(1,), lock_memory=True))
     assert [line.partition(" is refused (Operation not permitted): ")[0] for line in lines] == [
         "scheduling.priority 20",
@@ -83,9 +92,7 @@ def test_what_is_refused_is_said_and_the_rest_is_done(monkeypatch: pytest.Monkey
     assert changed and not any("\n" in line for line in lines)
     assert len(measure_lateness(20, 0.01)) == 0
     assert schedule(SchedulingSettings()) == []
-
-
-def test_a_core_that_is_not_there_is_refused() -> None:
+    monkeypatch.undo()
     (line,) = schedule(SchedulingSettings(cores=(1023,)))
     assert line.startswith("scheduling.cores [1023] is refused") and "0 to" in line
 
@@ -100,43 +107,60 @@ def test_this_machine_is_measured_in_a_thread_of_its_own() -> None:
     before = os.sched_getscheduler(0)
     lateness = measure_lateness(duration=0.05)
     assert len(lateness) and lateness.min() >= 0.0
-    assert os.sched_getscheduler(0) == before and threading.active_count() >= 1
+    assert os.sched_getscheduler(0) == before
+    assert measure_speed().time_scale() in SCALES
 
 
-@pytest.mark.parametrize(
-    ("ordinary", "urgent", "priority", "rate", "ok"),
-    [
+def test_a_busier_machine_gets_a_slower_testbed_and_a_note() -> None:
+    for lateness, speed, scale in (
+        (0.0, 5.0, 1.0),
+        (1e-4, 0.1, 0.5),
+        (1e-4, 0.04, 0.25),
+        (4e-3, 1.0, 0.5),
+        (6e-3, 0.02, 0.125),
+        (0.1, 0.001, 0.0625),
+    ):
+        assert MachineSpeed(lateness, speed).time_scale() == scale
+    assert busy_note(1.0) == ""
+    assert busy_note(0.25).endswith("the simulated testbed runs at a quarter of real time")
+    assert busy_note(0.3).endswith("0.3 of real time")
+
+
+def test_hardware_keeps_to_real_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(clocks, "_scale", 0.5)
+    for make in (
+        lambda: hardware.make_trigger(TriggerSettings()),
+        lambda: hardware.i2c_opener(ClusterSettings()),
+        lambda: hardware.spi_opener(LoadCellSettings()),
+    ):
+        with refused(ConfigurationError, "TIME_SCALE=0.5 is for a simulated testbed"):
+            make()
+
+
+def test_doctor_says_whether_it_is_enough_for_the_rate(monkeypatch: pytest.MonkeyPatch) -> None:
+    for ordinary, urgent, priority, rate, ok in (
         (1e-3, 1e-4, 0, 100.0, True),
         (2.6e-3, 1e-4, 0, 100.0, False),  # a quarter of the period is 2.5 ms
         (2.6e-3, 1e-4, 0, 4.0, True),
         (4e-3, 1e-4, 0, 4.0, False),  # a converter's value is overwritten by then
         (20e-3, 1e-4, 10, 100.0, True),
         (20e-3, None, 10, 100.0, False),  # the priority is set, but there is no right to it
-    ],
-)
-def test_doctor_says_whether_it_is_enough_for_the_rate(
-    monkeypatch: pytest.MonkeyPatch,
-    ordinary: float,
-    urgent: float | None,
-    priority: int,
-    rate: float,
-    ok: bool,
-) -> None:
-    def measured(asked: int = 0) -> np.ndarray:
-        p99 = urgent if asked else ordinary
-        return np.array([] if p99 is None else [*199 * [p99], 10.0 * p99])
+    ):
 
-    monkeypatch.setattr(doctor, "measure_lateness", measured)
-    settings = simulated_testbed().settings
-    trigger = TriggerSettings(rate=rate, scheduling=SchedulingSettings(priority=priority))
-    hardware = Testbed(settings=replace(settings, trigger_node=trigger))
-    (finding,) = doctor.check_scheduling(hardware)
-    assert (finding.hint == "") == ok
-    assert finding.found.endswith(f"{'soon enough' if ok else 'too late'} for {rate:g} Hz")
-    assert ("no right to a real-time priority" in finding.found) == (urgent is None)
-    # A simulated testbed runs as slowly as the machine needs.
-    simulated = replace(simulated_testbed(rate=rate), settings=hardware.settings)
-    assert [f.hint for f in doctor.check_scheduling(simulated)] == [""]
+        def measured(asked: int = 0, of: tuple = (ordinary, urgent)) -> np.ndarray:
+            p99 = of[asked > 0]
+            return np.array([] if p99 is None else [*199 * [p99], 10.0 * p99])
+
+        monkeypatch.setattr(doctor, "measure_lateness", measured)
+        trigger = TriggerSettings(rate=rate, scheduling=SchedulingSettings(priority=priority))
+        settings = replace(simulated_testbed().settings, trigger_node=trigger)
+        (finding,) = doctor.check_scheduling(Testbed(settings=settings))
+        assert (finding.hint == "") == ok
+        assert finding.found.endswith(f"{'soon enough' if ok else 'too late'} for {rate:g} Hz")
+        assert ("no right to a real-time priority" in finding.found) == (urgent is None)
+        # A simulated testbed runs as slowly as the machine needs.
+        simulated = replace(simulated_testbed(rate=rate), settings=settings)
+        assert [f.hint for f in doctor.check_scheduling(simulated)] == [""]
 
 
 @pytest.mark.parametrize(("late", "failed"), [(0, False), (12, False), (1000, True)])
