@@ -6,6 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from support.bags import add_events
+from support.wording import refused
 
 import socket_testbed as st
 from socket_testbed.__main__ import run
@@ -78,21 +79,15 @@ def test_a_slow_recording_is_noted(walk: Trial) -> None:
     assert any("has 8 samples" in note and "higher rate" in note for note in notes)
 
 
-@pytest.mark.parametrize(
-    ("arguments", "error", "says"),
-    [
+def test_what_is_no_cycle_is_named(walk: Trial) -> None:
+    for arguments, error, fact in (
         ({"by": "stp"}, TrialError, "no event 'stp': did you mean 'step'?"),
         ({"by": "step", "segment": "21:39"}, TrialError, "no cycle by 'step' lies within 21.00 s"),
         ({"by": "step", "quantity": "Fw"}, ConfigurationError, "no channel 'Fw'"),
         ({"quantity": pd.DataFrame({"a": [1.0]})}, ConfigurationError, "no column 'time [s]'"),
-    ],
-)
-def test_what_is_no_cycle_is_named(
-    walk: Trial, arguments: dict, error: type[Exception], says: str
-) -> None:
-    with pytest.raises(error) as caught:
-        st.cycles(walk, **arguments)
-    assert says in str(caught.value)
+    ):
+        with refused(error, fact):
+            st.cycles(walk, **arguments)
 
 
 def test_the_verb_writes_the_same_numbers(

@@ -13,6 +13,7 @@ import pytest
 import yaml
 from support import CHECKOUT
 from support.bags import move_to_namespace
+from support.wording import refused
 
 from socket_testbed.errors import TestbedError
 from socket_testbed.files import packaged
@@ -144,36 +145,30 @@ def test_a_simulated_testbed_is_launched_with_its_world(
     assert "Traceback" not in capsys.readouterr().err
 
 
-def test_on_hardware_what_is_needed_is_asked_for(launch: Launch) -> None:
+def test_what_is_wrong_is_named_before_any_node_starts(launch: Launch, params: Path) -> None:
     with pytest.raises(TestbedError, match=r"mocap_node|load_cell_node"):
-        launch("testbed")
-
-
-def test_without_a_trial_there_is_no_recorder(launch: Launch, params: Path) -> None:
-    launched = nodes(launch("testbed", params=params))
-    assert "recorder_node" not in launched
-    assert "recorder_node" not in parameters(launched["trigger_node"])["wait_for"]
+        launch("testbed")  # what hardware needs
+    content = yaml.safe_load(params.read_text())
+    content["cluster_node"] = {"ros__parameters": {"names": ["distale", "a", "b", "c"]}}
+    params.write_text(yaml.safe_dump(content))
+    with refused(TestbedError, "distale"):
+        launch("testbed", params=params)
 
 
 def test_a_load_cell_node_that_is_started_again_finds_its_tare(
     launch: Launch, params: Path, tmp_path: Path
 ) -> None:
     """A respawn runs the same command: the tare's file is in it, in a folder that stays."""
-    tare = Path(parameters(nodes(launch("testbed", params=params))["load_cell_node"])["tare_file"])
+    launched = nodes(launch("testbed", params=params))
+    assert "recorder_node" not in launched  # without a trial to record
+    assert "recorder_node" not in parameters(launched["trigger_node"])["wait_for"]
+    tare = Path(parameters(launched["load_cell_node"])["tare_file"])
     assert tare.parent.is_dir() and not tare.exists()
     content = yaml.safe_load(params.read_text())
     content["load_cell_node"]["ros__parameters"]["tare_file"] = str(tmp_path / "mine.json")
     params.write_text(yaml.safe_dump(content))
     launched = nodes(launch("testbed", params=params))
     assert parameters(launched["load_cell_node"])["tare_file"] == str(tmp_path / "mine.json")
-
-
-def test_what_is_wrong_is_named_before_any_node_starts(launch: Launch, params: Path) -> None:
-    content = yaml.safe_load(params.read_text())
-    content["cluster_node"] = {"ros__parameters": {"names": ["distale", "a", "b", "c"]}}
-    params.write_text(yaml.safe_dump(content))
-    with pytest.raises(TestbedError, match="distale"):
-        launch("testbed", params=params)
 
 
 def test_a_trial_is_replayed_through_calibration_and_estimator(launch: Launch, hold: Path) -> None:

@@ -20,20 +20,11 @@ ROOT = Path(__file__).resolve().parents[1]
 BIN = Path(sys.executable).parent
 PACKAGES = ("socket_testbed", "socket_testbed_msgs")
 SOURCES = (
-    "config",
-    "launch",
-    "msg_defs",
-    "requirements",
-    "resource",
-    "socket_testbed",
-    "test",
-    "LICENSE",
-    "colcon_defaults.yaml",
-    "package.xml",
-    "pyproject.toml",
-    "setup.cfg",
-    "setup.py",
+    *("config", "launch", "msg_defs", "requirements", "resource", "socket_testbed", "test"),
+    *("LICENSE", "colcon_defaults.yaml", "package.xml", "pyproject.toml", "setup.cfg", "setup.py"),
 )
+
+_BOOTSTRAP = "_ROS_WHEELS_BOOTSTRAP_COMPLETE"
 
 needs_colcon = pytest.mark.skipif(
     shutil.which("colcon") is None and not (BIN / "colcon").exists(), reason="colcon is missing"
@@ -76,11 +67,7 @@ def test_colcon_finds_both_packages_as_what_they_are(workspace: Path) -> None:
         "socket_testbed": "(ros.ament_python)",
         "socket_testbed_msgs": "(ros.ament_cmake)",
     }
-
-
-@needs_colcon
-def test_a_workspace_never_builds_our_stand_in_for_tf2_msgs(workspace: Path) -> None:
-    """On a ROS installation it would hide the distribution's package."""
+    # On a ROS installation our stand-in for tf2_msgs would hide the distribution's package.
     assert (workspace / "requirements" / "tf2_msgs" / "package.xml").is_file()
     assert call(workspace, "colcon", "list", "--base-paths", "requirements", "*/*") == ""
 
@@ -108,13 +95,7 @@ def test_a_plain_colcon_build_gives_a_package_that_works_anywhere(
         "from socket_testbed.__main__ import run;"
         "sys.exit(run(['simulate', '-o', 'trial', '--duration', '10']))"
     )
-    out = call(
-        tmp_path,
-        sys.executable,
-        "-c",
-        script,
-        PYTHONPATH=":".join(map(str, paths)),
-    )
+    out = call(tmp_path, sys.executable, "-c", script, PYTHONPATH=":".join(map(str, paths)))
     assert all(str(path) in out for path in paths)
     assert (tmp_path / "trial" / "trial.mcap").is_file()
 
@@ -134,11 +115,7 @@ def check_nodes_run_in_the_active_environment(
             check=False,
             capture_output=True,
             text=True,
-            env={
-                name: value
-                for name, value in os.environ.items()
-                if name != "_ROS_WHEELS_BOOTSTRAP_COMPLETE"
-            }
+            env={name: value for name, value in os.environ.items() if name != _BOOTSTRAP}
             | {"PATH": f"{environment / 'bin'}:{os.environ['PATH']}"}
             | {"PYTHONPATH": ":".join(map(str, paths))},
         )
@@ -148,7 +125,6 @@ def check_nodes_run_in_the_active_environment(
     assert re.fullmatch(rf"error: {other}/bin/python3? has no module '\w+': .*\n", said[other])
 
 
-@pytest.mark.slow
 def test_a_wheel_holds_all_that_the_offline_verbs_need(workspace: Path, tmp_path: Path) -> None:
     pip = (sys.executable, "-m", "pip", "--disable-pip-version-check", "--quiet")
     build = ("--no-deps", "--no-build-isolation", "--no-index")
@@ -159,17 +135,8 @@ def test_a_wheel_holds_all_that_the_offline_verbs_need(workspace: Path, tmp_path
     assert {"numpy", "qpsolvers", "rosbags", "matplotlib", "pandas"} <= needed
 
     site = tmp_path / "site"
-    call(
-        tmp_path,
-        *pip,
-        "install",
-        "--no-deps",
-        "--no-index",
-        "--no-compile",
-        "--target",
-        str(site),
-        str(wheel),
-    )
+    quick = ("--no-deps", "--no-index", "--no-compile")
+    call(tmp_path, *pip, "install", *quick, "--target", str(site), str(wheel))
     script = (
         f"{TWO_SECTIONS}\n"
         "import sys, socket_testbed;"

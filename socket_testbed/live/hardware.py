@@ -20,11 +20,7 @@ from socket_testbed.drivers.load_cell.ads131m0x import SpiDevice, open_spi
 from socket_testbed.drivers.load_cell.load_cell import LoadCell
 from socket_testbed.drivers.trigger import GpioTrigger, TimerTrigger, Trigger, trigger_lines
 from socket_testbed.errors import ConfigurationError, closest
-from socket_testbed.settings.acquisition import (
-    ClusterSettings,
-    LoadCellSettings,
-    TriggerSettings,
-)
+from socket_testbed.settings.acquisition import ClusterSettings, LoadCellSettings, TriggerSettings
 from socket_testbed.simulation.devices.ads131m0x import SimulatedLoadCellHardware
 from socket_testbed.simulation.devices.fdc1004 import SimulatedFdc1004
 from socket_testbed.simulation.devices.gpio import SimulatedLines
@@ -35,7 +31,7 @@ from socket_testbed.simulation.world import World
 # The driver of each chip that clusters can have and its simulated counterpart, by the name that
 # cluster_node's setting `chip` gives it.
 CAPACITIVE_CHIPS: dict[str, tuple[type[CapacitiveChip], type[SimulatedChip]]] = {
-    "fdc1004": (Fdc1004, SimulatedFdc1004),
+    "fdc1004": (Fdc1004, SimulatedFdc1004)
 }
 
 _I2C_FREQUENCY = 400e3  # [Hz]
@@ -70,9 +66,7 @@ def wall_clock(settings: TriggerSettings) -> Callable[[], int]:
     return time.time_ns
 
 
-def capacitive_chip(
-    settings: ClusterSettings,
-) -> tuple[type[CapacitiveChip], type[SimulatedChip]]:
+def capacitive_chip(settings: ClusterSettings) -> tuple[type[CapacitiveChip], type[SimulatedChip]]:
     """The clusters' chip and its simulated counterpart."""
     if settings.chip not in CAPACITIVE_CHIPS:
         raise ConfigurationError(

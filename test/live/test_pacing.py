@@ -9,9 +9,7 @@ from socket_testbed.live import pacing
 from socket_testbed.live.pacing import Pacer
 
 
-def test_the_clock_never_runs_back_and_ends_at_the_message(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_the_clock_never_runs_back_and_ends_at_the_message(monkeypatch: pytest.MonkeyPatch) -> None:
     # 10 ms pass with each look at the clock, however fast the machine is.
     clock = FakeClock(look=0.01)
     monkeypatch.setattr(pacing, "time", SimpleNamespace(monotonic=clock))

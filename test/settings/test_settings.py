@@ -14,7 +14,7 @@ from socket_testbed.__main__ import run
 from socket_testbed.errors import ConfigurationError
 from socket_testbed.live.bringup import Testbed
 from socket_testbed.settings.acquisition import TriggerSettings
-from socket_testbed.settings.identification import IdentificationSettings, PlateauSettings
+from socket_testbed.settings.identification import IdentificationSettings
 from socket_testbed.settings.testbed import (
     EstimatorSettings,
     TestbedSettings,
@@ -25,52 +25,23 @@ from socket_testbed.settings.testbed import (
 )
 
 NODES = {name: type(settings) for name, settings in TestbedSettings().nodes().items()}
-ALL = sorted(
-    {*NODES.values(), IdentificationSettings, TestbedSettings}, key=lambda kind: kind.__name__
-)
 
 
-@pytest.mark.parametrize("kind", ALL)
-def test_the_defaults_are_valid_and_come_back_from_their_flat_form(kind):
-    settings = kind()
-    assert kind.from_flat(settings.to_flat(), "here") == settings
-    assert set(settings.to_flat()) == set(kind.flat())
-    assert kind.from_flat({}, "here") == settings
+def test_every_setting_has_a_unit_and_its_default_comes_back_from_its_flat_form():
+    for kind in {*NODES.values(), IdentificationSettings, TestbedSettings}:
+        settings = kind()
+        assert kind.from_flat(settings.to_flat(), "here") == kind.from_flat({}, "here") == settings
+        assert set(settings.to_flat()) == set(kind.flat())
+        for field in kind.flat().values():
+            assert field.metadata["description"].rstrip().endswith("]"), field.name
+        with pytest.raises(dataclasses.FrozenInstanceError):
+            setattr(settings, dataclasses.fields(kind)[0].name, None)
 
 
-@pytest.mark.parametrize("kind", ALL)
-def test_every_setting_says_what_it_is_and_its_unit(kind):
-    for field in kind.flat().values():
-        assert field.metadata["description"].rstrip().endswith("]"), field.name
-
-
-@pytest.mark.parametrize("kind", ALL)
-def test_settings_are_frozen(kind):
-    with pytest.raises(dataclasses.FrozenInstanceError):
-        setattr(kind(), dataclasses.fields(kind)[0].name, None)
-
-
-def test_changed_values_come_back_from_their_flat_form():
-    settings = EstimatorSettings(
-        model="m",
-        auto_fit=False,
-        identification=IdentificationSettings(
-            variant="stiffness", theta=0.2, leave_out=("Mz", "distal.Fx")
-        ),
-        plateau=PlateauSettings(smoothing=3.0),
-        window=WindowSettings(least_samples=50),
-    )
-    flat = settings.to_flat()
-    assert flat["identification.theta"] == 0.2
-    assert flat["identification.leave_out"] == ["Mz", "distal.Fx"]
-    assert flat["window.least_samples"] == 50
-    assert EstimatorSettings.from_flat(flat, "here") == settings
-
-
-@pytest.mark.parametrize("value", [1, 1.0, "1e0", "1.0", np.float32(1.0), np.array(1.0)])
-def test_whatever_means_a_number_is_one(value):
-    theta = IdentificationSettings(theta=value).theta
-    assert type(theta) is float and theta == 1.0
+def test_whatever_means_a_number_is_one():
+    for value in (1, 1.0, "1e0", "1.0", np.float32(1.0), np.array(1.0)):
+        theta = IdentificationSettings(theta=value).theta
+        assert type(theta) is float and theta == 1.0
     least = WindowSettings(least_samples=50.0).least_samples
     assert type(least) is int and least == 50
     assert IdentificationSettings(initial_stiffness="auto").initial_stiffness == 0.0
@@ -80,27 +51,33 @@ def test_whatever_means_a_number_is_one(value):
 THETA = "give a number from 0 to 1: weight of the wrench against the clusters"
 
 
-@pytest.mark.parametrize(
-    ("kind", "name", "value", "error"),
-    [
-        (IdentificationSettings, "theta", 1.01, f"theta is 1.01: {THETA}"),
-        (IdentificationSettings, "theta", math.nan, f"theta is nan: {THETA}"),
-        (IdentificationSettings, "smoothness", math.inf, "smoothness is inf: give a number"),
-        (IdentificationSettings, "theta", "high", f"theta is 'high': {THETA}"),
-        (IdentificationSettings, "theta", True, f"theta is True: {THETA}"),
-        (IdentificationSettings, "theta", None, f"theta is empty: {THETA}"),
-        (IdentificationSettings, "variant", "stifness", "did you mean 'stiffness'"),
-        (IdentificationSettings, "leave_out", "Mz", "leave_out is 'Mz': give a list"),
-        (IdentificationSettings, "leave_out", [1], "leave_out[0] is 1: give a text"),
-        (IdentificationSettings, "initial_stiffness", "aut", "is 'aut': give a number from 0"),
-        (IdentificationSettings, "reference_position", [1.0], "give x, y and z in m"),
-        (WindowSettings, "least_samples", 50.5, "least_samples is 50.5: give a whole number"),
-        (EstimatorSettings, "auto_fit", "yes", "auto_fit is 'yes': give true or false"),
-    ],
+WRONG = (
+    (IdentificationSettings, "theta", 1.01, f"theta is 1.01: {THETA}"),
+    (IdentificationSettings, "theta", math.nan, f"theta is nan: {THETA}"),
+    (IdentificationSettings, "smoothness", math.inf, "smoothness is inf: give a number"),
+    (IdentificationSettings, "theta", "high", f"theta is 'high': {THETA}"),
+    (IdentificationSettings, "theta", True, f"theta is True: {THETA}"),
+    (IdentificationSettings, "theta", None, f"theta is empty: {THETA}"),
+    (IdentificationSettings, "variant", "stifness", "did you mean 'stiffness'"),
+    (IdentificationSettings, "leave_out", "Mz", "leave_out is 'Mz': give a list"),
+    (IdentificationSettings, "leave_out", [1], "leave_out[0] is 1: give a text"),
+    (IdentificationSettings, "initial_stiffness", "aut", "is 'aut': give a number from 0"),
+    (IdentificationSettings, "reference_position", [1.0], "give x, y and z in m"),
+    (WindowSettings, "least_samples", 50.5, "least_samples is 50.5: give a whole number"),
+    (EstimatorSettings, "auto_fit", "yes", "auto_fit is 'yes': give true or false"),
 )
-def test_a_wrong_value_is_refused_by_its_name(kind, name, value, error):
-    with refused(ConfigurationError, error):
-        kind(**{name: value})
+
+
+def test_a_wrong_value_is_refused_by_its_name():
+    for kind, name, value, error in WRONG:
+        with refused(ConfigurationError, error):
+            kind(**{name: value})
+    for name, error in (
+        ("identification.tetha", "here: unknown key 'identification.tetha': did you mean 'iden"),
+        ("identification.theta", "here: identification.theta is 7: give a number from 0 to 1"),
+    ):
+        with refused(ConfigurationError, error):
+            EstimatorSettings.from_flat({name: 7}, "here")
 
 
 def test_a_solver_that_is_not_installed_is_refused_where_it_is_set(
@@ -125,15 +102,6 @@ def test_a_solver_that_is_not_installed_is_refused_where_it_is_set(
         estimator_settings(EstimatorSettings(), solver="osqp")
     # A trial that was recorded elsewhere can be read all the same.
     assert estimator_settings(EstimatorSettings()).identification.solver == "osqp"
-
-
-def test_a_wrong_name_or_value_below_is_named_by_its_dotted_name():
-    for name, error in (
-        ("identification.tetha", "here: unknown key 'identification.tetha': did you mean 'iden"),
-        ("identification.theta", "here: identification.theta is 7: give a number from 0 to 1"),
-    ):
-        with refused(ConfigurationError, error):
-            EstimatorSettings.from_flat({name: 7}, "here")
 
 
 # --- testbed.yaml
@@ -175,13 +143,9 @@ def test_a_file_of_parameters_gives_the_settings_of_its_nodes(write):
     assert found.replay_node.rate == 2.0
 
 
-def test_all_defaults_written_to_a_file_come_back(write):
+def test_all_defaults_written_to_a_file_come_back_as_those_of_an_empty_file(write):
     content = {n: {"ros__parameters": kind().to_flat()} for n, kind in NODES.items()}
-    assert read_testbed(write(content)) == TestbedSettings()
-
-
-def test_an_empty_file_leaves_all_defaults(write):
-    assert read_testbed(write("")) == TestbedSettings()
+    assert read_testbed(write(content)) == read_testbed(write("")) == TestbedSettings()
 
 
 def test_a_file_over_another_replaces_the_nodes_that_it_names(write):
@@ -204,28 +168,17 @@ def test_what_is_written_comes_back_but_for_what_belongs_to_one_run(tmp_path):
     assert found.trigger_node == TriggerSettings(rate=20.0)
 
 
-@pytest.mark.parametrize(
-    ("content", "error"),
-    [
-        (
-            "estimater_node: {ros__parameters: {}}",
-            "'estimater_node': did you mean 'estimator_node'",
-        ),
+def test_a_bad_file_is_named_with_its_field_and_the_hint(write):
+    known = "estimator_node: {ros__parameters: {identification: "
+    for content, error in (
+        ("estimater_node: {ros__parameters: {}}", "did you mean 'estimator_node'"),
         ("lamp_post: {ros__parameters: {}}", "unknown key 'lamp_post': use one of"),
         ("estimator_node: {ros_parameters: {}}", "did you mean 'ros__parameters'"),
         ("estimator_node: {}", "estimator_node: 'ros__parameters' is missing: add"),
         ("estimator_node:", "estimator_node is empty: give 'key: value' lines"),
-        (
-            "estimator_node: {ros__parameters: {identification: {tetha: 1}}}",
-            "unknown key 'identification.tetha': did you mean 'identification.theta'",
-        ),
-        (
-            "estimator_node: {ros__parameters: {identification: 3}}",
-            "estimator_node: unknown key 'identification'",
-        ),
-    ],
-)
-def test_a_bad_file_is_named_with_its_field_and_the_hint(write, content, error):
-    path = write(content)
-    with refused(ConfigurationError, str(path), error):
-        read_testbed(path)
+        (f"{known}{{tetha: 1}}}}}}", "'identification.tetha': did you mean 'identification.theta'"),
+        (f"{known}3}}}}", "estimator_node: unknown key 'identification'"),
+    ):
+        path = write(content)
+        with refused(ConfigurationError, str(path), error):
+            read_testbed(path)

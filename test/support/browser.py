@@ -88,9 +88,7 @@ class Tab:
     def reads(self, pattern: str) -> None:
         """Wait until a regular expression is to be read."""
         self.page.wait_for_function(
-            "pattern => new RegExp(pattern).test(document.body.innerText)",
-            arg=pattern,
-            polling=200,
+            "pattern => new RegExp(pattern).test(document.body.innerText)", arg=pattern, polling=200
         )
 
     def press(self, button: str) -> None:

@@ -16,9 +16,6 @@ def claim_domain() -> str:
     It is kept until the process ends, or for a while after the next one is claimed. An abstract
     address of Unix sockets exists once per network namespace, as a domain does, and is free again
     however its process ends.
-
-    Raises:
-        RuntimeError: If all domains are taken.
     """
     now = time.monotonic()
     while len(_claims) > 1 and _claims[0][1] < now - _HAUNTED:

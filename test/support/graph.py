@@ -77,11 +77,7 @@ class Probe:
         return publisher
 
     def wait(self, condition: Callable[[], bool], what: str) -> None:
-        """Wait until a condition holds.
-
-        Raises:
-            AssertionError: If it hangs, or at once if the thread has died that takes messages.
-        """
+        """Wait until a condition holds."""
         deadline = time.monotonic() + HANGS
         # Asked without the lock: a condition may itself wait for what the thread that takes the
         # messages brings, such as a service's answer.

@@ -63,14 +63,6 @@ def power_save(awake: float, beacon: float = 0.1024) -> Delay:
 class NatNetLink:
     """A server and a client's session with a network between them.
 
-    Args:
-        way: Delay from the client to the server.
-        back: Delay from the server to the client.
-        rate_error: How much faster the server's clock runs at a time of the link [s], as the
-            time that it has gained by then [s].
-        seed: Seed of the delays.
-        settings: Settings of the session.
-
     Attributes:
         frames: Time [s], error and stated uncertainty [s] of each frame that was used.
         unused: Times of the frames that were not used [s].

@@ -32,19 +32,7 @@ def open_cone(
     flare: float = 0.0,
     arc: float = FULL,
 ) -> trimesh.Trimesh:
-    """A wall with its distal end, open at the top: one surface.
-
-    Args:
-        distal_radius: Radius of the wall at z = 0.
-        proximal_radius: Radius of the wall at z = height.
-        height: Height of the wall.
-        edge: About the length of the triangles' edges.
-        dome: Whether the distal end is a half ball, down to z = -distal_radius, or flat.
-        closed: Whether there is a distal end at all.
-        hole: Radius of a hole in the distal end.
-        flare: Radius of an arc that turns the brim outwards, by `FLARE`.
-        arc: How much of the circumference is there, from the x axis [rad].
-    """
+    """A wall with its distal end, open at the top: one surface."""
     profile = _profile(distal_radius, proximal_radius, height, edge, dome, closed, hole, flare)
     return _revolve([profile], edge, arc)
 

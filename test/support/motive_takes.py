@@ -124,25 +124,15 @@ def write_lines(lines: list[str], path: Path, newline: str = "\n", bom: bool = F
 
 @dataclass
 class Bench:
-    """A socket and its limb on the bench with landmarks, and what the cameras see of them.
+    """A socket and its limb on the bench with landmarks, and what the cameras see of them."""
 
-    Attributes:
-        geometry: A socket whose triads, `socket_body` and `limb` are out of date.
-        socket_body: True pose of the socket's own triad frame in {S}.
-        limb: True pose of the limb in the pylon's own triad frame.
-        q: True limb position in {S} [m].
-        places: True places of the markers in `world`, by name [m].
-        take: The take.
-        document: Content of LANDMARKS.yaml.
-    """
-
-    geometry: SocketGeometry
-    socket_body: Pose
-    limb: Pose
-    q: np.ndarray
-    places: dict[str, np.ndarray]
-    take: Written
-    document: dict
+    geometry: SocketGeometry  # A socket whose triads, `socket_body` and `limb` are out of date
+    socket_body: Pose  # true pose of the socket's own triad frame in {S}
+    limb: Pose  # true pose of the limb in the pylon's own triad frame
+    q: np.ndarray  # true limb position in {S} [m]
+    places: dict[str, np.ndarray]  # true places of the markers in `world`, by name [m]
+    take: Written  # the take
+    document: dict  # content of LANDMARKS.yaml
 
 
 def make_bench(
@@ -154,17 +144,7 @@ def make_bench(
     scene: np.random.Generator | None = None,
     **changes: object,
 ) -> Bench:
-    """A random bench.
-
-    Args:
-        rng: Source of all that is random.
-        frames: Number of frames.
-        noise: 1-sigma noise of a coordinate of a marker in a frame [m].
-        placement: 1-sigma error of a coordinate of a landmark's place [m].
-        landmarks: Number of landmarks on either side, at most 5.
-        scene: Source of the poses, if it is another one.
-        changes: Other fields of `Written`.
-    """
+    """A random bench."""
     scene = scene or rng
     cell_in_world = random_pose(scene, 1.0)
     limb_in_cell = Pose(np.eye(3), IN_SOCKET) @ random_pose(scene, 0.01)

@@ -106,9 +106,7 @@ def moving_limb(rng: np.random.Generator, count: int, amplitude: float = 0.003) 
 
 
 def make_samples(
-    position: np.ndarray,
-    wrench: np.ndarray,
-    forces: dict[str, np.ndarray],
+    position: np.ndarray, wrench: np.ndarray, forces: dict[str, np.ndarray]
 ) -> Samples:
     """Complete samples at 4 Hz."""
     count = len(position)
@@ -197,13 +195,7 @@ def installed(*solvers: str) -> list:
 
 
 def uniform_bed(geometry: SocketGeometry, stiffness: list[float], **more: Any) -> ContactModel:
-    """A rigid limb on equal springs, 1 mm from rest.
-
-    Args:
-        geometry: Geometry of the socket.
-        stiffness: Along x, y, z of every tile's frame [N/m].
-        more: Further attributes of the model.
-    """
+    """A rigid limb on equal springs, 1 mm from rest."""
     return ContactModel(
         variant="rigid",
         names=geometry.names,

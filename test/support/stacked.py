@@ -19,21 +19,13 @@ OPTIMUM = 1e-6  # [-]; what two solvers of one convex problem may differ by
 
 @dataclass(frozen=True)
 class StackedRows:
-    """A least-squares problem ``min |A x - b|^2`` in bounds, every sample a block of rows.
+    """A least-squares problem ``min |A x - b|^2`` in bounds, every sample a block of rows."""
 
-    Attributes:
-        A: Rows, shape (m, p).
-        b: Targets, shape (m,).
-        lower: Lower bounds, shape (p,).
-        upper: Upper bounds, shape (p,).
-        parameters: How many of the p unknowns come first; the offsets follow.
-    """
-
-    A: np.ndarray
-    b: np.ndarray
-    lower: np.ndarray
-    upper: np.ndarray
-    parameters: int
+    A: np.ndarray  # rows, shape (m, p)
+    b: np.ndarray  # targets, shape (m,)
+    lower: np.ndarray  # lower bounds, shape (p,)
+    upper: np.ndarray  # upper bounds, shape (p,)
+    parameters: int  # how many of the p unknowns come first; the offsets follow
 
     def solve(self) -> np.ndarray:
         """All unknowns at the optimum, by an active-set method on the rows themselves."""

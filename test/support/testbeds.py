@@ -123,13 +123,7 @@ class LiveTestbed:
         return self.said(node)[1]
 
     def wait_for_moment(self, node: str, level: str, since: int) -> None:
-        """Wait until a node has reported a level, however briefly.
-
-        Args:
-            node: Its name.
-            level: The level; several are separated by bars.
-            since: Number of diagnostics messages that do not count.
-        """
+        """Wait until a node has reported a level, however briefly."""
 
         def reported() -> bool:
             new = [s for m in self.diagnostics[since:] for s in m.status if s.name == f"/{node}"]

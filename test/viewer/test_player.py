@@ -106,9 +106,7 @@ def test_the_wrenches_are_those_of_the_last_30_seconds(played: Player, hold: Pat
         assert np.isfinite(predicted).all()
 
 
-def test_regions_are_those_of_pressure_and_are_drawn_once_a_second(
-    hold: Path,
-) -> None:
+def test_regions_are_those_of_pressure_and_are_drawn_once_a_second(hold: Path) -> None:
     watch = Watch()
     played = Player(st.open_trial(hold), now=watch)
     found = st.pressure(st.open_trial(hold), "10:20")
