@@ -28,87 +28,19 @@ from socket_testbed.samples import Samples, Status
 from socket_testbed.trials.bag import required_topics
 from socket_testbed.trials.topics import TRIGGER
 from socket_testbed.trials.trial import Trial
-from socket_testbed.viewer.source import HISTORY, Instant, RegionsNow, SensorState
+from socket_testbed.viewer.source import HISTORY, Instant, Playback, RegionsNow, SensorState
 
 _AT_ONCE = 3000  # samples, read before the page opens
 _TINY = 1e-6  # [s]; what the times of samples are rounded by
 _GAP = 3.0  # usual steps between samples; what is longer is a gap
 _RATE_OVER = 5.0  # [s] up to the position, over which rates are counted
 _REGIONS_EVERY = 1.0  # [s] at least between joint draws
-_FASTEST, _SLOWEST = 100.0, 0.01  # [-]; speeds
 _WORDS = {
     Status.OK: "measures",
     Status.SATURATED: "saturated",
     Status.MISSING: "missing",
     Status.OUT_OF_RANGE: "outside the calibrated range",
 }
-
-
-class TrialPlayback:
-    """The position in a trial that is played, paused and sought, as a person watches: in real time.
-
-    Attributes:
-        duration: From the first sample to the last [s].
-        speed: How fast it is played, 1 is as recorded [-].
-        events: Times [s] and labels of the events.
-    """
-
-    def __init__(self, duration: float, now: Callable[[], float] = time.monotonic) -> None:
-        self.duration = duration
-        self.speed = 1.0
-        self.events: list[tuple[float, str]] = []
-        self._now = now
-        self._playing = False
-        self._end = duration  # [s]; as far as it has been read
-        self._anchor, self._since = 0.0, now()  # the position when it was last set, and that time
-        self._lock = threading.RLock()
-
-    def limit(self, end: float, duration: float, events: list[tuple[float, str]]) -> None:
-        """Go no farther than what has been read [s]; duration and events as far as known."""
-        with self._lock:
-            self.seek(self.position)
-            self._end, self.duration, self.events = end, duration, events
-
-    @property
-    def position(self) -> float:
-        """Time since the first sample [s]."""
-        with self._lock:
-            run = (self._now() - self._since) * self.speed if self._playing else 0.0
-            if self._anchor + run >= self._end:  # wait for what is being read
-                self.seek(self._end)
-                self._playing = self._playing and self._end < self.duration
-                return self._anchor
-            return self._anchor + run
-
-    @property
-    def playing(self) -> bool:
-        """Whether it is played on; not at the end."""
-        _ = self.position  # at the end it stops
-        return self._playing
-
-    def seek(self, time: float) -> None:
-        """Go to a time since the first sample, or to the nearest that has been read [s]."""
-        with self._lock:
-            self._anchor = min(max(time, 0.0), self._end)
-            self._since = self._now()
-
-    def play(self) -> None:
-        """Play on; from the start at the end."""
-        with self._lock:
-            self.seek(0.0 if self.position >= self.duration else self.position)
-            self._playing = True
-
-    def pause(self) -> None:
-        """Stay at the position."""
-        with self._lock:
-            self.seek(self.position)
-            self._playing = False
-
-    def set_speed(self, speed: float) -> None:
-        """Set the speed, 0.01 to 100 times that of the recording [-]."""
-        with self._lock:
-            self.seek(self.position)
-            self.speed = min(max(speed, _SLOWEST), _FASTEST)
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,7 +90,7 @@ class Player:
         self._part = self._read(duration * _AT_ONCE / triggers if long else math.inf)
         # At the end of what is read, measurements of the last trigger may be missing.
         end = float(self._part.time[-2 if long else -1])
-        self.playback = TrialPlayback(end, now)
+        self.playback = Playback(end, now)
         self._reading = ""  # how far it is, in words
         if long:
             self.playback.limit(end, duration, self._events())

@@ -6,6 +6,9 @@ open, from the thread that draws.
 
 from __future__ import annotations
 
+import threading
+import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -17,13 +20,14 @@ from socket_testbed.identification.force_map import MapEstimate
 from socket_testbed.identification.pressure import RegionOutputs
 
 HISTORY = 30.0  # [s]; of the wrenches that a source keeps
+_FASTEST, _SLOWEST = 100.0, 0.01  # [-]; speeds
 
 
 @dataclass(frozen=True, eq=False)
 class Instant:
     """The newest sample."""
 
-    stamp: int  # its stamp since the epoch [ns]
+    stamp: int  # since the epoch [ns]
     time: float  # the same since the first sample [s]
     map: MapEstimate | None  # the force map, with N = 1; None while there is none
     # Measured wrench [M; F] in {S}, shape (6,) [N m, N]; NaN where it is missing
@@ -37,7 +41,7 @@ class Instant:
 class SensorState:
     """How a sensor, or what works on its data, is."""
 
-    name: str  # its name
+    name: str
     level: int  # 0 ok, 1 warning, 2 error
     words: str  # how it is, in words
     rate: float  # how often it measures [Hz]; NaN where that is not known
@@ -87,31 +91,65 @@ class Controls(Protocol):
         """Switch the trigger on or off."""
 
 
-class Playback(Protocol):
-    """A trial that is played."""
+class Playback:
+    """The position in a trial that is played in real time, paused and sought."""
 
-    duration: float  # from its first sample to its last [s]
-    events: list[tuple[float, str]]  # times [s] and labels
+    def __init__(self, duration: float, now: Callable[[], float] = time.monotonic) -> None:
+        self.duration = duration  # from the first sample to the last [s]
+        self.speed = 1.0  # [-]; 1 is as recorded
+        self.events: list[tuple[float, str]] = []  # times [s] and labels
+        self._now = now
+        self._playing = False
+        self._end = duration  # [s]; as far as it has been read
+        self._anchor, self._since = 0.0, now()  # the position when it was last set, and that time
+        self._lock = threading.RLock()
+
+    def limit(self, end: float, duration: float, events: list[tuple[float, str]]) -> None:
+        """Go no farther than what has been read [s]; duration and events as far as known."""
+        with self._lock:
+            self.seek(self.position)
+            self._end, self.duration, self.events = end, duration, events
 
     @property
     def position(self) -> float:
-        """Where it is played [s]."""
+        """Time since the first sample [s]."""
+        with self._lock:
+            run = (self._now() - self._since) * self.speed if self._playing else 0.0
+            if self._anchor + run >= self._end:  # wait for what is being read
+                self.seek(self._end)
+                self._playing = self._playing and self._end < self.duration
+                return self._anchor
+            return self._anchor + run
 
     @property
     def playing(self) -> bool:
-        """Whether it is played on."""
+        """Whether it is played on; not at the end."""
+        _ = self.position  # at the end it stops
+        return self._playing
+
+    def seek(self, time: float) -> None:
+        """Go to a time since the first sample, or to the nearest that has been read [s]."""
+        with self._lock:
+            self._anchor = min(max(time, 0.0), self._end)
+            self._since = self._now()
 
     def play(self) -> None:
         """Play on; from the start at the end."""
+        with self._lock:
+            self.seek(0.0 if self.position >= self.duration else self.position)
+            self._playing = True
 
     def pause(self) -> None:
-        """Pause."""
-
-    def seek(self, time: float) -> None:
-        """Go to a time [s]."""
+        """Stay at the position."""
+        with self._lock:
+            self.seek(self.position)
+            self._playing = False
 
     def set_speed(self, speed: float) -> None:
-        """Set the speed [-]."""
+        """Set the speed, 0.01 to 100 times that of the recording [-]."""
+        with self._lock:
+            self.seek(self.position)
+            self.speed = min(max(speed, _SLOWEST), _FASTEST)
 
 
 class Source(Protocol):

@@ -16,7 +16,8 @@ from socket_testbed.errors import TestbedError
 from socket_testbed.identification.pressure import read_column
 from socket_testbed.samples import Status
 from socket_testbed.viewer import player as playing
-from socket_testbed.viewer.player import Player, TrialPlayback
+from socket_testbed.viewer.player import Player
+from socket_testbed.viewer.source import Playback
 
 
 class Watch:
@@ -31,7 +32,7 @@ class Watch:
 
 def test_the_position_follows_play_pause_seek_and_speed() -> None:
     watch = Watch()
-    playback = TrialPlayback(60.0, watch)
+    playback = Playback(60.0, watch)
     watch.now += 5.0
     assert playback.position == 0.0 and not playback.playing
     playback.play()
@@ -55,7 +56,7 @@ def test_the_position_follows_play_pause_seek_and_speed() -> None:
 
 def test_playing_waits_for_what_is_being_read() -> None:
     watch = Watch()
-    playback = TrialPlayback(10.0, watch)
+    playback = Playback(10.0, watch)
     playback.limit(10.0, 60.0, [])
     playback.seek(50.0)
     playback.play()
