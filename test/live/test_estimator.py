@@ -2,13 +2,11 @@
 
 import dataclasses
 import json
-import time
-from collections.abc import Callable
 from concurrent.futures import Future
 from concurrent.futures.process import BrokenProcessPool
-from dataclasses import dataclass
 from pathlib import Path
 from threading import Event, Thread
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -27,7 +25,7 @@ from socket_testbed.live.estimator import (
     SampleWindow,
     StampSynchroniser,
 )
-from socket_testbed.live.fit_worker import Comparison, FitWorker, Refit, Steady
+from socket_testbed.live.fit_worker import Comparison, Refit, Steady
 from socket_testbed.samples import Samples
 from socket_testbed.settings.identification import IdentificationSettings
 from socket_testbed.settings.testbed import EstimatorSettings, WindowSettings
@@ -37,32 +35,22 @@ from socket_testbed.trials.trial import Trial
 PERIOD = 250_000_000  # [ns]
 
 
-@dataclass
-class Request:
-    """What a fitter was asked for, and the future it gave."""
-
-    samples: Samples
-    settings: IdentificationSettings
-    steady: Steady | None
-    future: "Future[Refit | None]"
-
-
 class FakeFitter:
     """A fitter without a process: the test says when and how each fit ends."""
 
     def __init__(self) -> None:
-        self.requests: list[Request] = []
+        self.requests: list[SimpleNamespace] = []
         self.counts: list[tuple[Samples, Future[dict[str, int]]]] = []
 
     def submit(self, samples, geometry, settings, steady) -> "Future[Refit | None]":
         future: Future[Refit | None] = Future()
-        self.requests.append(Request(samples, settings, steady, future))
+        asked = SimpleNamespace(samples=samples, settings=settings, steady=steady, future=future)
+        self.requests.append(asked)
         return future
 
     def count_outliers(self, samples, geometry, leave_out) -> "Future[dict[str, int]]":
-        future: Future[dict[str, int]] = Future()
-        self.counts.append((samples, future))
-        return future
+        self.counts.append((samples, Future()))
+        return self.counts[-1][1]
 
 
 @pytest.fixture(scope="module")
@@ -126,13 +114,6 @@ def fitted(bench: Bench, fit: Fit) -> Bench:
     bench.send(20)
     bench.answer(0, fit)
     return bench
-
-
-def wait(condition: Callable[[], Any]) -> None:
-    deadline = time.monotonic() + HANGS
-    while not condition():
-        assert time.monotonic() < deadline
-        Event().wait(0.01)
 
 
 # --- measurements by stamp, and the window
@@ -394,7 +375,8 @@ def test_a_fit_on_request_takes_all_of_the_window(bench: Bench, fit: Fit) -> Non
     answers: list[Fit] = []
     thread = Thread(target=lambda: answers.append(bench.estimator.fit()))
     thread.start()
-    wait(lambda: bench.fitter.requests)
+    while not bench.fitter.requests:
+        Event().wait(0.01)
     (request,) = bench.fitter.requests
     assert len(request.samples) == 7 and request.steady is None
     request.future.set_result(Refit(fit))
@@ -450,51 +432,3 @@ def test_a_model_of_another_socket_is_refused(
         bench.estimator.load(other)
     bench.send(2)
     assert not bench.models and not bench.estimates
-
-
-# --- with the real worker
-
-
-def test_a_trial_is_fitted_and_predicted_as_it_is_offline(
-    trial: Trial, request: pytest.FixtureRequest
-) -> None:
-    worker = FitWorker()
-    request.addfinalizer(worker.close)
-    samples, measured = trial.samples(), trial.measurements()
-    bench = Bench(trial, worker, duration=3600.0)
-    published = IdentificationSettings(variant="stiffness_bias")  # within hundredths of a second
-    bench.settings = dataclasses.replace(bench.settings, auto_fit=False, identification=published)
-
-    def send_all() -> list[Estimate | None]:
-        estimates = []
-        for k, stamp in enumerate(measured.stamps.tolist()):
-            applied = (
-                trial.calibration.clusters[name].apply(c, s)
-                for name, c, s in zip(
-                    measured.clusters, measured.capacitance[k], measured.status[k], strict=True
-                )
-            )
-            values = {
-                STRESS: dict(zip(measured.clusters, applied, strict=True)),
-                WRENCH: measured.wrench[k],
-                SOCKET_POSE: measured.socket[k],
-                PYLON_POSE: measured.pylon[k],
-            }
-            bench.estimator.trigger(stamp)
-            estimates.append([bench.estimator.add(t, stamp, v) for t, v in values.items()][-1])
-        return estimates
-
-    assert send_all() == [None] * len(samples)
-    offline = fit_contact_model(samples, trial.geometry, published)
-    online = bench.estimator.fit()
-    assert online.samples == offline.samples
-    np.testing.assert_allclose(
-        online.model.stiffness, offline.model.stiffness, rtol=1e-6, atol=1e-3
-    )
-    wait(lambda: bench.models)
-    estimates = send_all()
-    wrench, forces = online.model.predict(samples.pose)
-    np.testing.assert_allclose([e.wrench for e in estimates], wrench, atol=1e-9)
-    np.testing.assert_allclose([e.forces for e in estimates], forces, atol=1e-9)
-    # Where a marker was occluded the estimate is NaN, never an old one.
-    assert np.isnan(wrench[np.isnan(samples.position).any(axis=1)]).all()
