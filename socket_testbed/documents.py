@@ -19,7 +19,7 @@ Text: TypeAlias = str | int | float  # YAML reads a name such as 12 as a number
 FINITE = sys.float_info.max
 
 _LARGEST_DOCUMENT = 2**24  # [bytes]
-_MOST_VALUES = 200_000  # of a YAML document, aliases counted as what they stand for
+_MOST_VALUES = 200_000  # of a YAML document, aliases counted with their content
 _DEEPEST = 50  # [levels]; the C parser of YAML overruns its stack at some ten thousand
 _SHOWN = 60  # [characters] of a value in an error
 
@@ -76,7 +76,7 @@ def plain(value: Any) -> Any:
 def _explained(
     error: msgspec.ValidationError, data: Any, kind: Any, where: str, strict: bool
 ) -> ConfigurationError:
-    """The error for a person: msgspec names the place, its type tells what belongs there."""
+    """The error for a person: msgspec names the place, the type there gives the hint."""
     value, expected = data, _chosen(inspect.type_info(kind), data)
     place = str(error).rpartition(" - at `$")[2] if " - at `$" in str(error) else ""
     for name, index in re.findall(r"\.(\w+)|\[(\d+|\.\.\.)\]", place):
@@ -145,7 +145,7 @@ def _below(expected: Any, step: str | int) -> inspect.Type:
 
 
 def _hint(expected: Any, value: Any) -> str:
-    """What belongs there."""
+    """The hint for a wrong value: the expected type in words."""
     if isinstance(expected, inspect.Metadata):
         about = (expected.extra_json_schema or {}).get("description", "")
         return f"{_hint(expected.type, value)}: {about}"
@@ -230,7 +230,7 @@ for _kind, _pattern in {
 
 
 def load_yaml(path: Path) -> Any:
-    """Read a YAML file; what it takes of memory and time is bounded."""
+    """Read a YAML file within bounded memory and time."""
     text = read_text(path)
     try:
         _refuse_bombs(text)
@@ -247,7 +247,7 @@ def _refuse_bombs(text: str) -> None:
     if re.search("^%TAG", text, re.MULTILINE):  # the C parser compares each with all before it
         raise yaml.MarkedYAMLError(None, None, "holds a directive %TAG", None)
     above: list[tuple[str | None, int]] = []  # anchor, values before it
-    sizes: dict[str | None, int] = {}  # [values] of what an anchor names
+    sizes: dict[str | None, int] = {}  # [values] by anchor
     values = 0
     for event in yaml.parse(text, Loader=_Loader):
         if isinstance(event, yaml.CollectionEndEvent):

@@ -46,7 +46,7 @@ class CalibrationError(TestbedError):
 
 
 class TrialError(TestbedError):
-    """A trial cannot be read, or does not hold what is asked of it."""
+    """A trial cannot be read, or lacks the requested data."""
 
 
 class IdentificationError(TestbedError):
@@ -54,11 +54,11 @@ class IdentificationError(TestbedError):
 
 
 class DeviceError(TestbedError):
-    """A device or its bus does not do what it should."""
+    """A device or its bus fails."""
 
 
 class ScanError(TestbedError):
-    """A scan of a socket cannot be read, or does not hold what is asked of it."""
+    """A scan of a socket cannot be read, or lacks the requested data."""
 
 
 class RegistrationError(TestbedError):

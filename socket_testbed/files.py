@@ -56,7 +56,7 @@ def check_outputs(*paths: Path | None, replace: bool) -> None:
 
 
 def check_new_folder(path: Path) -> None:
-    """Refuse a folder that exists, or that lies more than one folder below what exists."""
+    """Refuse a folder that exists, or whose parent's parent does not."""
     refuse_existing(path)
     if not path.parent.exists():
         _require_parent(path.parent)

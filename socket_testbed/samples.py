@@ -1,4 +1,4 @@
-"""Synchronised samples: what every consumer of a trial works on."""
+"""Synchronised samples, which every consumer of a trial works on."""
 
 from __future__ import annotations
 
@@ -90,7 +90,7 @@ class Samples:
 
     @property
     def complete(self) -> BoolArray:
-        """Rows with a wrench and a limb position, which is what a fit needs, shape (N,)."""
+        """Rows with a wrench and a limb position, as a fit needs them, shape (N,)."""
         needed = np.hstack([self.position, self.wrench])
         return np.asarray(np.isfinite(needed).all(axis=1))
 

@@ -54,14 +54,14 @@ _DRAIN = 1.0  # [s] of the testbed; for the last trigger's sample to pass
 
 @dataclass(frozen=True)
 class Testbed:
-    """What is brought up."""
+    """A testbed to bring up: its nodes' settings, its files, its simulation."""
 
     __test__ = False
 
     settings: TestbedSettings = field(default_factory=TestbedSettings)  # settings of its nodes
     geometry: Path = field(default_factory=lambda: packaged("config", "socket.yaml"))
     calibration: Path = field(default_factory=lambda: packaged("config", "calibration.yaml"))
-    simulation: Simulation | None = None  # what is simulated; None on hardware
+    simulation: Simulation | None = None  # None on hardware
     record: Path | None = None  # folder of the new trial; None to record nothing
     one_process: bool = False  # for all nodes but the trigger's and the recorder's
     # Metadata of the new trial, over those of the recorder's settings
@@ -86,7 +86,7 @@ class Testbed:
         return self.simulation.time_scale if self.simulation else 1.0
 
     def check_devices(self) -> None:
-        """Check what the devices are said to be, before anything starts."""
+        """Check the settings of the devices before anything starts."""
         cluster_node = self.settings.cluster_node
         clusters.check_settings(cluster_node, capacitive_chip(cluster_node)[0])
         bridges.check_settings(self.settings.load_cell_node)
@@ -184,7 +184,7 @@ def end(graph: Graph, testbed: Testbed) -> None:
 
 
 def summary(path: Path) -> str:
-    """What a trial holds, in a line."""
+    """The number of triggers and missing measurements of a trial, in a line."""
     samples = Trial(path).samples()
     missing = {
         "wrench": ~np.isfinite(samples.wrench).all(axis=1),

@@ -1,4 +1,4 @@
-"""What is wired and what is not: each device is opened with its own driver and asked."""
+"""Checks of the wiring: each device is opened with its own driver and asked."""
 
 from __future__ import annotations
 
@@ -30,11 +30,11 @@ _OF_A_PERIOD = 0.25  # [-]; part of the trigger's period that a reading may be l
 
 @dataclass(frozen=True)
 class Finding:
-    """What was found at one place."""
+    """The outcome of a check."""
 
-    what: str  # what was looked at
-    found: str  # what was found there
-    hint: str = ""  # what to do; empty if all is well
+    what: str  # the device or sensor
+    found: str
+    hint: str = ""  # empty if all is well
 
 
 def examine(testbed: Testbed) -> list[Finding]:

@@ -30,7 +30,7 @@ from socket_testbed.settings.identification import IdentificationSettings
 from socket_testbed.settings.testbed import EstimatorSettings
 from socket_testbed.trials.topics import PYLON_POSE, SOCKET_POSE, STRESS, WRENCH, Topic
 
-MEASURED = (STRESS, WRENCH, SOCKET_POSE, PYLON_POSE)  # what makes a sample
+MEASURED = (STRESS, WRENCH, SOCKET_POSE, PYLON_POSE)  # each is part of a sample
 
 _SMALLEST_BUFFER = 256  # samples
 _FIRST_ATTEMPT = 10  # samples between attempts at the first model
@@ -71,7 +71,7 @@ class StampSynchroniser:
         return None
 
     def clear(self) -> None:
-        """Forget what is pending, as after a jump back in time."""
+        """Forget pending measurements, as after a jump back in time."""
         self._open.clear()
 
 
@@ -149,7 +149,7 @@ def cluster_forces(
 
 @dataclass(frozen=True)
 class Estimate:
-    """What the model says of one sample, from the pose alone."""
+    """A prediction of one sample, from the pose alone."""
 
     stamp: int  # stamp of the sample's trigger since the epoch [ns]
     model: ContactModel
@@ -225,7 +225,7 @@ class OnlineEstimator:
         self._notify(stored)
 
     def trigger(self, stamp: int) -> bool:
-        """Count a trigger; after a jump back in time [ns] forget what was measured before.
+        """Count a trigger; after a jump back in time [ns] forget all measurements.
 
         Returns:
             Whether time jumped back.
@@ -329,7 +329,7 @@ class OnlineEstimator:
         return future
 
     def _condition(self, settings: EstimatorSettings) -> Steady:
-        """What a fit by itself needs; with changed settings it is compared with no model."""
+        """Conditions of an automatic fit; with changed settings it is compared with no model."""
         changed = settings.identification != self._fitted_with
         return Steady(
             plateau=settings.plateau,

@@ -1,4 +1,4 @@
-"""Fits in a process of their own, so that none of them delays a prediction."""
+"""Fits in a separate process, so that no fit delays a prediction."""
 
 from __future__ import annotations
 
@@ -44,9 +44,9 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class Steady:
-    """What a fit by itself, on steady data, depends on."""
+    """Conditions of an automatic fit, on steady data."""
 
-    plateau: PlateauSettings  # what counts as a plateau
+    plateau: PlateauSettings  # how steady the data must be
     least_samples: int  # smallest number of samples to fit on
     after: int = 0  # stamp that the newest of these samples has to exceed [ns]
     # The model that the fit is to replace, if the two are to be compared

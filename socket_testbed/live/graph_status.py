@@ -1,4 +1,4 @@
-"""What a running graph has measured so far, as the status line of a terminal says it."""
+"""Samples and prediction errors of a running graph, for the status line of a terminal."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ class GraphStatus:
         self.heard = time.monotonic()
 
     def add_wrench(self, stamp: int, wrench: FloatArray) -> None:
-        """Take what the load cell measured at a stamp [ns]: [M; F], shape (6,) [N m, N]."""
+        """Take a measured wrench with its stamp [ns]: [M; F], shape (6,) [N m, N]."""
         self.wrench = self._measured[stamp] = wrench
         _keep_newest(self._measured)
 

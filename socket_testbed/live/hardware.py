@@ -1,4 +1,4 @@
-"""What the drivers are given: the machine's own buses and lines, or a simulated world's."""
+"""Drivers on the machine's own buses and lines, or on those of a simulated world."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What this machine manages: real-time scheduling, lateness, the speed of a simulated testbed."""
+"""Scheduling, lateness and speed of this machine, and the time scale that follows from them."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ SLOWEST = min(SCALES)
 LATEST = 3e-3  # [s]; lateness that the drivers bridge in real time
 
 _LIMITS = "/etc/security/limits.d/socket_testbed.conf"
-# Of mlockall: what is there now, what comes, and each page only once it is used.
+# Of mlockall: present and future memory, each page only once it is used.
 _MCL_CURRENT, _MCL_FUTURE, _MCL_ONFAULT = 1, 2, 4
 _NAP = 0.002  # [s]; a conversion of the load cell's converter
 _WATCHED = 0.5  # [s]; for each of the two measurements of the speed
@@ -111,7 +111,7 @@ def measure_lateness(priority: int = 0, duration: float = 1.0) -> FloatArray:
 
 @dataclass(frozen=True)
 class MachineSpeed:
-    """What one more process gets of this machine at present."""
+    """The share of this machine that one more process gets at present."""
 
     lateness: float  # how late a thread wakes up from a short sleep, 90th percentile [s]
     speed: float  # work that a thread gets done, relative to an idle core of the reference [-]
@@ -123,7 +123,7 @@ class MachineSpeed:
 
 
 def measure_speed() -> MachineSpeed:
-    """Measure what this machine manages; takes about a second."""
+    """Measure this machine for about a second."""
     lateness = measure_lateness(duration=_WATCHED)
     units = 0
     begin = now = time.perf_counter()
@@ -142,7 +142,7 @@ def pace(scale: float) -> str:
 
 
 def busy_note(scale: float) -> str:
-    """What to print when a scale was chosen; empty for real time."""
+    """A note on the scale that was chosen; empty for real time."""
     if scale == 1.0:
         return ""
     return f"this machine is busy: the simulated testbed runs at {pace(scale)}"

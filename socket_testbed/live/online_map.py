@@ -57,7 +57,7 @@ class OnlineMap:
         self.places = all_regions(geometry)
 
     def clear(self) -> None:
-        """Forget what is pending, as after a jump back in time."""
+        """Forget pending measurements, as after a jump back in time."""
         self._synchroniser.clear()
 
     def add(self, topic: Topic, stamp: int, value: Any) -> MapEstimate | None:

@@ -155,7 +155,7 @@ class Graph:
         self._temporary.cleanup()
 
     def set_time_scale(self, scale: float) -> None:
-        """Give what is started from now on a testbed clock of this scale, in (0, 1] [-]."""
+        """Start further processes with a testbed clock of this scale, in (0, 1] [-]."""
         self._environment |= shared_environment(scale)
 
     def start(
@@ -285,7 +285,7 @@ class Graph:
 
 
 def _ros_arguments(namespace: str) -> list[str]:
-    """What nodes in a namespace are started with, but for their parameters."""
+    """ROS arguments of nodes in a namespace, but for their parameters."""
     rules = (f"__ns:={namespace}", *(f"{a}:={b}" for a, b in REMAPPINGS))
     return ["--ros-args", *(word for rule in rules for word in ("-r", rule))]
 

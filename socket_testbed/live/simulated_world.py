@@ -42,7 +42,7 @@ _BODIES = ("socket", "pylon")
 
 @dataclass(frozen=True)
 class Simulation:
-    """What is simulated."""
+    """The simulated load and tissue."""
 
     scenario: Scenario = "static_hold"  # the load history
     period: float = 120.0  # its duration, after which it starts again [s]
@@ -56,7 +56,7 @@ class Simulation:
 class LiveTestbed:
     """The physics of a testbed, one state of its world after the other.
 
-    Geometry and calibration are what the lab believes of the socket and its clusters.
+    Geometry and calibration are those that the lab believes in.
     """
 
     def __init__(
@@ -124,7 +124,7 @@ class LiveTestbed:
         )
 
     def save(self, path: Path, clock: SteadyClock) -> None:
-        """Write what really happened, and what the sensors felt of it but for their noise."""
+        """Write the true states, and what the sensors felt of them but for their noise."""
         columns = {
             name: np.array([state[name] for state in self._history], dtype=float)
             for name in self._history[0]
@@ -159,7 +159,7 @@ def main() -> None:
     """Advance a world with the testbed's clock until this process is ended.
 
     Arguments: the folder of the world, the `Simulation` as JSON, the paths of `socket.yaml` and
-    `calibration.yaml`, and where to write what really happened, empty for nowhere.
+    `calibration.yaml`, and the file for the true states, empty for none.
     """
     folder, described, socket_file, calibration_file, truth = sys.argv[1:]
     simulation = Simulation(**json.loads(described))

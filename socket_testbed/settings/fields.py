@@ -107,7 +107,7 @@ class Settings:
         """Build the settings from dotted names.
 
         Args:
-            values: Values by their dotted names; what is not named keeps its default.
+            values: Values by their dotted names; the others keep their defaults.
             where: What names the source in an error.
             prefix: Prefix of the names, for settings below others.
         """

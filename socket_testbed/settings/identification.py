@@ -1,4 +1,4 @@
-"""How the contact model is identified, and what counts as a steady stretch of a trial."""
+"""Settings of the identification, of steady stretches of a trial, and of the force map."""
 
 from __future__ import annotations
 
@@ -101,7 +101,7 @@ class IdentificationSettings(Settings):
 
 @dataclass(frozen=True)
 class PlateauSettings(Settings):
-    """What counts as a steady stretch of a trial."""
+    """Bounds within which a stretch of a trial is steady."""
 
     smoothing: float = setting(2.0, "window of the moving mean of the wrench [s]", 0.05, 60.0)
     force_change: float = setting(

@@ -175,7 +175,7 @@ class TestbedSettings(Settings):
         return {item.name: getattr(self, item.name) for item in fields(self)}
 
 
-# What belongs to one run on one machine; a trial does not keep it.
+# These belong to one run on one machine; a trial does not keep them.
 _OF_A_RUN = (
     *("geometry", "calibration", "parameters", "model", "simulation", "tare_file"),
     *("directory", "record", "wait_for", "metadata"),

@@ -1,4 +1,4 @@
-"""What is beside the scene: state of the sensors, wrench, regions, buttons or player controls."""
+"""The panels beside the scene: sensors, wrench, regions, and buttons or player controls."""
 
 from __future__ import annotations
 
@@ -161,7 +161,7 @@ def _mark(level: int) -> str:
 
 
 def recording_html(recording: Recording | None) -> str:
-    """What is being recorded, since when, and the free space."""
+    """The trial that is being recorded, since when, and the free space."""
     if recording is None:
         return ""
     minutes, seconds = divmod(int(recording.elapsed), 60)
@@ -290,7 +290,7 @@ def fitting(values: FloatArray, span: tuple[float, float]) -> tuple[float, float
 
 
 def _dots(label: str, colour: str, size: float) -> uplot.Series:
-    """A series as dots: a line would go on through what is missing."""
+    """A series as dots: a line would bridge missing values."""
     points = uplot.Series_Points(show=True, size=size, width=0, stroke=colour, fill=colour)
     return uplot.Series(label=label, stroke="transparent", width=0, points=points)
 
@@ -312,7 +312,7 @@ def thinned(at: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]
 
 
 class Buttons:
-    """The buttons of a running testbed; each says what came of it."""
+    """The buttons of a running testbed; each reports its outcome."""
 
     def __init__(self, server: ViserServer, source: Source) -> None:
         self._server = server
@@ -347,7 +347,7 @@ class Buttons:
         self.update(None)
 
     def update(self, recording: Recording | None) -> None:
-        """Show what is running, and which of record and stop may be pressed."""
+        """Show running calls, and the one of record and stop that has an effect."""
         if self._controls is not None and recording is not None:
             recorded = bool(recording.trial)
             if recorded != self._recorded:
@@ -372,7 +372,7 @@ class Buttons:
     def _pressed(
         self, event: GuiEvent[GuiButtonHandle], what: str, act: Callable[[Controls], str]
     ) -> None:
-        """Do what a button says, in a thread of its own."""
+        """Call the service of a button, in a thread of its own."""
         if self._controls is None:
             return
         with self._lock:

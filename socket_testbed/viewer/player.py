@@ -31,8 +31,8 @@ from socket_testbed.trials.trial import Trial
 from socket_testbed.viewer.source import HISTORY, Instant, Playback, RegionsNow, SensorState
 
 _AT_ONCE = 3000  # samples, read before the page opens
-_TINY = 1e-6  # [s]; what the times of samples are rounded by
-_GAP = 3.0  # usual steps between samples; what is longer is a gap
+_TINY = 1e-6  # [s]; rounding of the samples' times
+_GAP = 3.0  # usual steps between samples; a longer one is a gap
 _RATE_OVER = 5.0  # [s] up to the position, over which rates are counted
 _REGIONS_EVERY = 1.0  # [s] at least between joint draws
 _WORDS = {
@@ -88,7 +88,7 @@ class Player:
             duration, triggers = bag.duration, bag.counts[required_topics(bag)[TRIGGER]]
         long = triggers > 2 * _AT_ONCE and not trial.needs_all
         self._part = self._read(duration * _AT_ONCE / triggers if long else math.inf)
-        # At the end of what is read, measurements of the last trigger may be missing.
+        # At the end of the part, measurements of the last trigger may be missing.
         end = float(self._part.time[-2 if long else -1])
         self.playback = Playback(end, now)
         self._reading = ""  # how far it is, in words
@@ -135,7 +135,7 @@ class Player:
         return part.time[rows], part.samples.wrench[rows], self._predicted(part, rows)
 
     def sensors(self) -> list[SensorState]:
-        """What every sensor measures at the position, and how much it did over the trial."""
+        """The state of every sensor at the position, and its missing values over the trial."""
         part, position = self._part, self.playback.position
         states = [_sensor_state(part, name, position) for name in part.sensors]
         if self._reading:
@@ -162,7 +162,7 @@ class Player:
         return self._regions
 
     def watched(self, on: bool) -> None:
-        """Nothing to switch off: what is not drawn is not computed."""
+        """Nothing to switch off: values are computed when they are drawn."""
 
     def _read(self, duration: float) -> _Part:
         """Read the trial from its start, for so long [s]."""

@@ -33,7 +33,7 @@ _THICK = np.array([0.0, 0.0, 0.04])  # [-]; of a value above and below its plate
 _BOTH_SIDES = np.vstack([_SQUARE + _THICK, _SQUARE - _THICK])
 _FACES = np.array([[0, 1, 2], [0, 2, 3]])
 _COLOURS = 255.0 * mpl.colormaps[SCALE](np.linspace(0.0, 1.0, 256))[:, :3]
-_PLATE = 0.98  # [-]; edge of what is below a value, by the tile's
+_PLATE = 0.98  # [-]; edge of the plate below a value, by the tile's
 _OUTLINE = 0.002  # [m]; of tiles with a cluster
 _LONGEST = 0.03  # [m]; arrow of the strongest shear
 _WEAKEST = 2e3  # [Pa]; that is as long as this shear at least
@@ -157,7 +157,7 @@ class Scene:
 
 
 class Legend:
-    """The colour bar of a page, with the choice of what is shown, the same in all browsers.
+    """The colour bar of a page, with the choice of the quantity, the same in all browsers.
 
     Args:
         server: Serves the page.

@@ -1,4 +1,4 @@
-"""What the page shows, as plain data, and the two kinds of things behind it.
+"""The content of the page as plain data, and the two kinds of sources behind it.
 
 A `Source` is a running testbed or a trial. The page asks it for what it draws, while a browser is
 open, from the thread that draws.
@@ -39,11 +39,11 @@ class Instant:
 
 @dataclass(frozen=True)
 class SensorState:
-    """How a sensor, or what works on its data, is."""
+    """The state of a sensor, or of a node that works on its data."""
 
     name: str
     level: int  # 0 ok, 1 warning, 2 error
-    words: str  # how it is, in words
+    words: str  # its state in words
     rate: float  # how often it measures [Hz]; NaN where that is not known
     age: float  # how long ago it last reported [s]
 
@@ -67,9 +67,9 @@ class RegionsNow:
 
 
 class Controls(Protocol):
-    """What the services of a running testbed do.
+    """The services of a running testbed.
 
-    Each returns what came of it in one line, or raises a TestbedError.
+    Each returns its outcome in one line, or raises a TestbedError.
     """
 
     def tare(self) -> str:
@@ -105,7 +105,7 @@ class Playback:
         self._lock = threading.RLock()
 
     def limit(self, end: float, duration: float, events: list[tuple[float, str]]) -> None:
-        """Go no farther than what has been read [s]; duration and events as far as known."""
+        """Go no farther than the trial has been read [s]; duration and events as far as known."""
         with self._lock:
             self.seek(self.position)
             self._end, self.duration, self.events = end, duration, events
@@ -115,7 +115,7 @@ class Playback:
         """Time since the first sample [s]."""
         with self._lock:
             run = (self._now() - self._since) * self.speed if self._playing else 0.0
-            if self._anchor + run >= self._end:  # wait for what is being read
+            if self._anchor + run >= self._end:  # wait for the reader
                 self.seek(self._end)
                 self._playing = self._playing and self._end < self.duration
                 return self._anchor
@@ -180,10 +180,10 @@ class Source(Protocol):
         """
 
     def sensors(self) -> list[SensorState]:
-        """How every sensor is."""
+        """The state of every sensor."""
 
     def recording(self) -> Recording | None:
-        """What is being recorded; None where nothing can be."""
+        """The trial that is being recorded; None where nothing can be."""
 
     def regions(self) -> RegionsNow | None:
         """The standard outputs by region, computed anew at most once a second."""
