@@ -23,9 +23,8 @@ from socket_testbed.geometry.socket import read_socket
 from socket_testbed.identification.fit import Fit
 from socket_testbed.identification.force_map import MapEstimate
 from socket_testbed.identification.model_file import StoredModel
-from socket_testbed.live.estimator import Estimate, OnlineEstimator
+from socket_testbed.live.estimator import Estimate, OnlineEstimator, OnlineMap
 from socket_testbed.live.fit_worker import FitWorker
-from socket_testbed.live.online_map import OnlineMap
 from socket_testbed.nodes.base import NEWEST_STAMP, TestbedNode
 from socket_testbed.nodes.conversions import (
     MessageReader,

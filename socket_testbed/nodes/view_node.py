@@ -31,7 +31,7 @@ from socket_testbed.files import packaged
 from socket_testbed.geometry.pose import Pose
 from socket_testbed.geometry.socket import SocketGeometry, read_socket
 from socket_testbed.identification.force_map import MapEstimate
-from socket_testbed.live.online_map import OnlineMap
+from socket_testbed.live.estimator import OnlineMap
 from socket_testbed.nodes.base import ELAPSED, FREE, OK, PolledSubscription, TestbedNode
 from socket_testbed.nodes.conversions import (
     pose_from_ros,

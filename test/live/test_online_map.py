@@ -10,7 +10,7 @@ from socket_testbed.files import packaged
 from socket_testbed.geometry.socket import read_socket
 from socket_testbed.identification.force_map import ForceMap, MapEstimate
 from socket_testbed.identification.pressure import THRESHOLD, RegionOutputs, pressure_outputs
-from socket_testbed.live.online_map import OnlineMap
+from socket_testbed.live.estimator import OnlineMap
 from socket_testbed.settings.identification import ForceMapSettings, IdentificationSettings
 from socket_testbed.settings.testbed import EstimatorSettings
 from socket_testbed.trials.topics import PYLON_POSE, SOCKET_POSE, STRESS, WRENCH
