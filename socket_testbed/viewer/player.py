@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from socket_testbed.arrays import BoolArray, FloatArray, StatusArray
+from socket_testbed.arrays import FloatArray, StatusArray
 from socket_testbed.errors import TestbedError
 from socket_testbed.geometry.pose import Pose
 from socket_testbed.geometry.regions import all_regions
@@ -52,9 +52,6 @@ class _Part:
     gap: float  # time after a sample from which on there is a gap [s]
     trusted: Samples  # the samples without single outliers and channels that are left out
     poses: FloatArray  # the limb's poses as the model takes them, shape (N, 6) [m, rad]
-    # Predicted wrenches [M; F], shape (N, 6) [N m, N]; filled in as they are wanted
-    predicted: FloatArray
-    is_predicted: BoolArray  # which of them are filled in, shape (N,)
     socket: Pose  # poses of {S} in the world, N of them
     limb: Pose  # poses of the limb in the world, N of them
     map: ForceMap  # the force map of the samples' clusters
@@ -91,13 +88,11 @@ class Player:
         # At the end of the part, measurements of the last trigger may be missing.
         end = float(self._part.time[-2 if long else -1])
         self.playback = Playback(end, now)
+        self.playback.limit(end, duration if long else end, self._events())
         self._reading = ""  # how far it is, in words
         if long:
-            self.playback.limit(end, duration, self._events())
             self._reading = f"the first {end:.0f} s are read, the rest is being read"
             threading.Thread(target=self._read_on, name="read", daemon=True).start()
-        else:
-            self.playback.limit(end, end, self._events())
         self._shown: Instant | None = None
         self._regions: RegionsNow | None = None
         self._next_regions = -math.inf
@@ -169,10 +164,8 @@ class Player:
         trial, geometry, model = self._trial, self.geometry, self._model
         measured = trial.measurements(duration)
         samples = trial.samples_of(measured)
-        socket, pylon = (
-            Pose.from_quaternion(pose[:, :3], pose[:, 3:])
-            for pose in (measured.socket, measured.pylon)
-        )
+        bodies = (measured.socket, measured.pylon)
+        socket, pylon = (Pose.from_quaternion(body[:, :3], body[:, 3:]) for body in bodies)
         if model is not None:
             require_position(samples, geometry)
         smoothing = 0.0 if model is None else model.settings.pose_smoothing
@@ -184,8 +177,6 @@ class Player:
             gap=_GAP * period,
             trusted=without_untrusted(samples, geometry, settings.identification.leave_out),
             poses=smooth_poses(samples, smoothing).pose,
-            predicted=np.full((len(samples), 6), np.nan),
-            is_predicted=np.full(len(samples), model is None),
             socket=socket @ geometry.socket_body.inverse(),
             limb=pylon @ geometry.limb,
             map=ForceMap(geometry, samples.clusters, settings.force_map),
@@ -213,12 +204,10 @@ class Player:
         return [(event.time, event.label) for event in events]
 
     def _predicted(self, part: _Part, rows: slice) -> FloatArray:
-        """Predicted wrenches of some samples, each computed once, shape (k, 6) [N m, N]."""
-        wanted = np.arange(rows.start, rows.stop)[~part.is_predicted[rows]]
-        if len(wanted) and self._model is not None:
-            part.predicted[wanted] = self._model.model.wrench(part.poses[wanted])
-            part.is_predicted[wanted] = True
-        return part.predicted[rows]
+        """Predicted wrenches of some samples, shape (k, 6) [N m, N]."""
+        if self._model is None:
+            return np.full((rows.stop - rows.start, 6), np.nan)
+        return self._model.model.wrench(part.poses[rows])
 
 
 def _row_at(part: _Part, position: float) -> int:
