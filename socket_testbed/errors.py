@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import copyreg
 from collections.abc import Collection
+from typing import Any
 
 
 class TestbedError(Exception):
@@ -22,6 +24,10 @@ class TestbedError(Exception):
 
     def __str__(self) -> str:
         return f"{self.fact}: {self.hint}"
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        # Errors come back from worker processes whatever their constructors take.
+        return copyreg.__newobj__, (type(self), *self.args), self.__dict__  # type: ignore[attr-defined]
 
 
 _LONGEST = 2000  # [characters]

@@ -3,6 +3,7 @@
 Documents, whose every field may be wrong, are in `test_documents`.
 """
 
+import pickle
 import shutil
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -27,6 +28,7 @@ from support.wording import refused
 
 import socket_testbed as st
 from socket_testbed.calibration.bench_data import read_bench, read_unloaded
+from socket_testbed.drivers.clusters.i2c import BusError
 from socket_testbed.errors import ConfigurationError, ScanError, TestbedError, TrialError
 from socket_testbed.files import packaged
 from socket_testbed.geometry.socket import socket_from_document
@@ -182,6 +184,13 @@ def test_an_error_is_one_printable_line_whatever_a_file_holds() -> None:
     error = TestbedError("a\x1b[2J\udc80b\nc" + 10**6 * "x", "hint\0")
     assert str(error).isprintable() and len(str(error)) < 3000
     assert error.fact.startswith("a\N{REPLACEMENT CHARACTER}[2J")
+
+
+def test_an_error_comes_back_from_a_worker_process_whatever_its_constructor_takes() -> None:
+    error = BusError("no answer", "check the wires", 0x50)
+    found = pickle.loads(pickle.dumps(error))
+    assert type(found) is BusError and str(found) == "no answer: check the wires"
+    assert found.address == 0x50
 
 
 def test_an_open_quote_does_not_swallow_the_lines_behind_it(good: Path, tmp_path: Path) -> None:
