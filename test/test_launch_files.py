@@ -205,17 +205,14 @@ def test_a_replay_goes_into_the_namespace_of_its_trial(
 def test_launch_files_are_in_the_style_of_ament_s_linters() -> None:
     """Quotes, lines and imports as ament_flake8 has them; the header that ament_copyright reads."""
     folder = CHECKOUT / "launch"
-    style = {
-        "line-length": "99",
-        "lint.flake8-quotes.inline-quotes": "'single'",
-        "lint.isort.force-sort-within-sections": "true",
-        "lint.isort.order-by-type": "false",
-        "lint.isort.known-third-party": "['launch', 'socket_testbed']",
-        "lint.per-file-ignores": "{}",
-    }
-    options = [word for item in style.items() for word in ("--config", "=".join(item))]
-    words = [sys.executable, "-m", "ruff", "check", "--select=E501,I001,Q000", *options]
-    done = subprocess.run([*words, folder], check=False, capture_output=True, text=True)
+    style = (
+        *("line-length=99", "lint.flake8-quotes.inline-quotes='single'"),
+        *("lint.isort.force-sort-within-sections=true", "lint.isort.order-by-type=false"),
+        *("lint.isort.known-third-party=['launch','socket_testbed']", "lint.per-file-ignores={}"),
+    )
+    words = [sys.executable, "-m", "ruff", "check", "--select=E501,I001,Q000", folder]
+    words += [word for each in style for word in ("--config", each)]
+    done = subprocess.run(words, check=False, capture_output=True, text=True)
     assert done.returncode == 0, done.stdout + done.stderr
     (notice,) = {tuple(path.read_text().splitlines()[:13]) for path in folder.glob("*.py")}
     assert re.fullmatch(r"# Copyright \d{4} socket_testbed maintainers", notice[0])

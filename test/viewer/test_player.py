@@ -10,6 +10,8 @@ import numpy as np
 import pytest
 from support import HANGS
 from support.bags import add_events, rewrite
+from support.clocks import FakeClock
+from support.wording import refused
 
 import socket_testbed as st
 from socket_testbed.errors import TestbedError
@@ -20,18 +22,8 @@ from socket_testbed.viewer.player import Player
 from socket_testbed.viewer.source import Playback
 
 
-class Watch:
-    """A time that a test sets."""
-
-    def __init__(self) -> None:
-        self.now = 100.0
-
-    def __call__(self) -> float:
-        return self.now
-
-
 def test_the_position_follows_play_pause_seek_and_speed() -> None:
-    watch = Watch()
+    watch = FakeClock()
     playback = Playback(60.0, watch)
     watch.now += 5.0
     assert playback.position == 0.0 and not playback.playing
@@ -55,7 +47,7 @@ def test_the_position_follows_play_pause_seek_and_speed() -> None:
 
 
 def test_playing_waits_for_what_is_being_read() -> None:
-    watch = Watch()
+    watch = FakeClock()
     playback = Playback(10.0, watch)
     playback.limit(10.0, 60.0, [])
     playback.seek(50.0)
@@ -108,7 +100,7 @@ def test_the_wrenches_are_those_of_the_last_30_seconds(played: Player, hold: Pat
 
 
 def test_regions_are_those_of_pressure_and_are_drawn_once_a_second(hold: Path) -> None:
-    watch = Watch()
+    watch = FakeClock()
     played = Player(st.open_trial(hold), now=watch)
     found = st.pressure(st.open_trial(hold), "10:20")
     row = int(np.argmin(np.abs(found.map.time - 15.0)))
@@ -206,7 +198,7 @@ def test_a_trial_opens_before_all_of_it_is_read(
 def test_a_model_of_another_socket_is_refused(hold: Path, hold_model: Path) -> None:
     model = st.read_model(hold_model)
     other = dataclasses.replace(model.geometry, anchors=model.geometry.anchors + 0.01)
-    with pytest.raises(TestbedError, match="another socket"):
+    with refused(TestbedError, "another socket"):
         Player(st.open_trial(hold), dataclasses.replace(model, geometry=other))
 
 
