@@ -55,14 +55,7 @@ _STOPS = ", ".join(
 
 
 class Scene:
-    """The scene of a page.
-
-    It shows the socket where it was first seen in the world, from where it moves.
-
-    Args:
-        server: Serves the page.
-        geometry: Geometry of the socket.
-    """
+    """The scene of a page: the socket moves from where it was first seen in the world."""
 
     def __init__(self, server: ViserServer, geometry: SocketGeometry) -> None:
         self._geometry = geometry
@@ -80,12 +73,10 @@ class Scene:
         self._limb = scene.add_frame("/limb", axes_length=0.04, axes_radius=0.001, visible=False)
         size = _Size.of(geometry, axis)
         poses = Pose(geometry.square_frames(), geometry.anchors)
-        unrolled = _Map(geometry, axis, size)
         self._pictures = (
             _Tiles(scene, "/socket/tiles", poses, geometry),
-            _Tiles(scene, "/map", unrolled.poses, geometry, _MAP),
+            _Tiles(scene, "/map", _unroll(scene, geometry, axis, size), geometry, _MAP),
         )
-        unrolled.add_names(scene)
         self._arrows = scene.add_arrows(
             "/socket/shear",
             np.zeros((1, 2, 3)),
@@ -149,11 +140,10 @@ class Scene:
                 self._world = socket.inverse()
             moved = self._world @ socket
             self._socket.position, self._socket.wxyz = moved.translation, _wxyz(moved)
-        self._limb.visible = False
+        self._limb.visible = limb is not None and self._world is not None
         if limb is not None and self._world is not None:
             moved = self._world @ limb
             self._limb.position, self._limb.wxyz = moved.translation, _wxyz(moved)
-            self._limb.visible = True
 
 
 class Legend:
@@ -235,14 +225,9 @@ class _Size:
 
 
 class _Tiles:
-    """Tiles as coloured squares on pale plates; those with a cluster are outlined and named.
+    """Tiles as coloured squares on pale plates, at n poses below a path of the scene.
 
-    Args:
-        scene: Where they are drawn.
-        path: Their place in the tree of the scene.
-        poses: Their frames in that place, n of them.
-        geometry: Geometry of the socket.
-        scale: How large they are drawn [-].
+    Those with a cluster are outlined and named.
     """
 
     def __init__(
@@ -291,38 +276,27 @@ class _Tiles:
         self._values.batched_scales = np.zeros_like(self._edges)
 
 
-class _Map:
-    """The unrolled wall, as seen from outside with anterior in its middle; beside the socket."""
+def _unroll(scene: SceneApi, geometry: SocketGeometry, axis: SocketAxis, size: _Size) -> Pose:
+    """Tiles on the unrolled wall, seen from outside with anterior in its middle; named sides."""
+    wall = wall_tiles(geometry, axis)
+    radius = float(np.median(axis.radii(geometry.anchors[wall]))) if wall.any() else size.radius
+    middle = axis.end - (_MAP * np.pi * radius + 1.75 * size.radius) * axis.left
 
-    def __init__(self, geometry: SocketGeometry, axis: SocketAxis, size: _Size) -> None:
-        wall = wall_tiles(geometry, axis)
-        self._radius = size.radius
-        if wall.any():
-            self._radius = float(np.median(axis.radii(geometry.anchors[wall])))
-        self._axis = axis
-        self._middle = axis.end - (_MAP * np.pi * self._radius + 1.75 * size.radius) * axis.left
-        across = self._radius * axis.angles(geometry.anchors)
-        up = axis.heights(geometry.anchors)
-        offset = geometry.anchors - axis.end  # the distal end lies below the wall, anterior up
-        across = np.where(wall, across, offset @ axis.left)
-        up = np.where(wall, up, offset @ axis.anterior - 1.3 * size.radius)
-        turn = np.column_stack([axis.proximal, -axis.left, axis.anterior])
-        turns = np.broadcast_to(turn, (len(geometry), 3, 3))
-        self.poses = Pose(turns, self._place(across, up))
+    def place(across: FloatArray | float, up: FloatArray | float) -> FloatArray:
+        along = np.multiply.outer(across, axis.left) + np.multiply.outer(up, axis.proximal)
+        return middle + _MAP * along
 
-    def add_names(self, scene: SceneApi) -> None:
-        """Name the sides below the wall."""
-        names = ("posterior", "right", "anterior", "left", "posterior")
-        for turn, name in enumerate(names):
-            across = 0.5 * np.pi * self._radius * (turn - 2)
-            place = self._place(np.array([across]), np.array([-0.01]))[0]
-            scene.add_label(
-                f"/map/{turn}", name, position=place, anchor="top-center", font_screen_scale=0.8
-            )
-
-    def _place(self, across: FloatArray, up: FloatArray) -> FloatArray:
-        along = across[:, None] * self._axis.left + up[:, None] * self._axis.proximal
-        return self._middle + _MAP * along
+    for turn, name in enumerate(("posterior", "right", "anterior", "left", "posterior")):
+        below = place(0.5 * np.pi * radius * (turn - 2), -0.01)
+        scene.add_label(
+            f"/map/{turn}", name, position=below, anchor="top-center", font_screen_scale=0.8
+        )
+    offset = geometry.anchors - axis.end  # the distal end lies below the wall, anterior up
+    across = np.where(wall, radius * axis.angles(geometry.anchors), offset @ axis.left)
+    end = offset @ axis.anterior - 1.3 * size.radius
+    up = np.where(wall, axis.heights(geometry.anchors), end)
+    turn_up = np.column_stack([axis.proximal, -axis.left, axis.anterior])
+    return Pose(np.broadcast_to(turn_up, (len(geometry), 3, 3)), place(across, up))
 
 
 def _add_names(scene: SceneApi, axis: SocketAxis, size: _Size) -> None:
