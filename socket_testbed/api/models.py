@@ -28,8 +28,10 @@ from socket_testbed.identification.evaluation import (
 from socket_testbed.identification.fit import Fit, fit_contact_model
 from socket_testbed.identification.force_map import map_samples
 from socket_testbed.identification.information import (
+    Engagement,
     LoadShare,
     Motion,
+    engagement,
     known_directions,
     load_shares,
     measure_motion,

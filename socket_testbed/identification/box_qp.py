@@ -45,18 +45,13 @@ _FLAT = 1e-12  # [-]; curvature that counts as none, against the mean of a scale
 
 @dataclass(frozen=True)
 class Certificate:
-    """How well a point solves a box QP, all in the problem's scaled units [-].
+    """How well a point solves a box QP, all in the problem's scaled units [-]."""
 
-    Attributes:
-        primal: Largest violation of a bound.
-        stationarity: Largest component of ``x - clip(x - (P x + q))``, the natural residual:
-            zero if and only if the point is optimal.
-        gap: Duality gap against ``1 + |objective|``.
-    """
-
-    primal: float
+    primal: float  # largest violation of a bound
+    # largest component of ``x - clip(x - (P x + q))``, the natural residual: zero if and only if
+    # the point is optimal
     stationarity: float
-    gap: float
+    gap: float  # duality gap against ``1 + |objective|``
 
     @property
     def worst(self) -> float:
@@ -66,21 +61,13 @@ class Certificate:
 
 @dataclass(frozen=True)
 class BoxQP:
-    """A strictly scaled quadratic program with bounds.
+    """A strictly scaled quadratic program with bounds."""
 
-    Attributes:
-        P: Symmetric positive semidefinite matrix, shape (p, p) [-].
-        q: Linear term, shape (p,) [-].
-        lower: Lower bounds, shape (p,) [-].
-        upper: Upper bounds, shape (p,) [-]; infinite where there is none.
-        name: What is solved, for errors.
-    """
-
-    P: FloatArray
-    q: FloatArray
-    lower: FloatArray
-    upper: FloatArray
-    name: str
+    P: FloatArray  # symmetric positive semidefinite matrix, shape (p, p) [-]
+    q: FloatArray  # linear term, shape (p,) [-]
+    lower: FloatArray  # lower bounds, shape (p,) [-]
+    upper: FloatArray  # upper bounds, shape (p,) [-]; infinite where there is none
+    name: str  # what is solved, for errors
 
     def objective(self, x: FloatArray) -> float:
         """Value of the objective at x [-]."""
@@ -120,25 +107,15 @@ class BoxQP:
 
 @dataclass(frozen=True)
 class BoxSolution:
-    """A solution of a box QP with its certificate.
+    """A solution of a box QP with its certificate."""
 
-    Attributes:
-        x: The solution, shape (p,) [-].
-        certificate: Its residuals.
-        determined: Whether no other point is optimal.
-        solver: The solver that was called, or `WARM_START`.
-        iterations: Iterations of the solver; None where it does not say.
-        exchanges: Exchanges of the active set by which pivoting then reached the optimum.
-        course: Of a joint refinement its steps, in words: the solver gave the first of them.
-    """
-
-    x: FloatArray
-    certificate: Certificate
-    determined: bool
-    solver: str = WARM_START
-    iterations: int | None = None
-    exchanges: int = 0
-    course: str = ""
+    x: FloatArray  # the solution, shape (p,) [-]
+    certificate: Certificate  # its residuals
+    determined: bool  # whether no other point is optimal
+    solver: str = WARM_START  # the solver that was called, or `WARM_START`
+    iterations: int | None = None  # iterations of the solver; None where it does not say
+    exchanges: int = 0  # exchanges of the active set by which pivoting then reached the optimum
+    course: str = ""  # of a joint refinement its steps, in words: the solver gave the first of them
 
     @property
     def found_by(self) -> str:
@@ -179,10 +156,6 @@ def solve_box_qp(
         tolerance: Largest residual of the certificate [-].
         near: Solution of a similar problem, shape (p,) [-]: pivoting starts from its active set,
             and the solver is called only where that leads nowhere.
-
-    Raises:
-        ConfigurationError: If there is no such solver.
-        UncertifiedSolutionError: If the answer misses the tolerance; it carries the problem.
     """
     check_solver(solver)
     _check_finite(problem)
@@ -203,11 +176,7 @@ def solve_box_qp(
 
 
 def solve_cold(problem: BoxQP, solver: str) -> BoxSolution:
-    """Solve a box QP from nothing: the solver, then pivoting from its answer.
-
-    Raises:
-        UncertifiedSolutionError: If the solver gives no answer; the caller judges the certificate.
-    """
+    """Solve a box QP from nothing: the solver, then pivoting from its answer."""
     start, iterations = _call_solver(problem, solver)
     found = pivot_regularised(problem, np.clip(start, problem.lower, problem.upper))
     return replace(found, solver=solver, iterations=iterations)

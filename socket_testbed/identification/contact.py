@@ -32,41 +32,27 @@ class ContactModel:
 
     The paper's variants read the position of the limb alone: see `paper_law`. The rigid variants
     read its pose and work in the tiles' frames: see `rigid_law`.
-
-    Attributes:
-        variant: The law, and which offsets the model has.
-        names: Names of the n points of interest.
-        anchors: Points of application a_i, shape (n, 3) [m].
-        rotations: Frames {L_i} of the points, R_i maps {L_i} to {S}, shape (n, 3, 3) [-].
-        stiffness: Stiffness k_i along x, y, z of {S} (rigid: of {L_i}), shape (n, 3) [N/m].
-        rest_positions: Rest positions q_r,i in {S} (rigid: rest displacements r_i in {L_i} since
-            the reference pose), shape (n, 3) [m].
-        sharpness: Sharpness alpha of the gate [1/m].
-        wrench_bias: Offset b_w of the wrench, shape (6,) [N m, N].
-        force_bias: Offset b_f of each cluster's force in the cluster's frame, by the
-            name of the cluster, shape (3,) each [N].
-        cluster_points: Index of the point of interest under each cluster, by its name.
-        reference_pose: Pose that the rigid variants count displacements from, shape (6,)
-            [m, rad].
-        wrench_slope: What `rigid_bias` adds to the wrench per relative pose, shape (6, 6)
-            [N m, N per m, rad].
-        parameter_factor: Factor of the covariance of the stiffnesses and rest displacements of the
-            rigid variants, shape (6, n, r) [N/m, m]; r = 0 where it is unknown.
     """
 
-    variant: Variant
-    names: tuple[str, ...]
-    anchors: FloatArray
-    rotations: FloatArray
+    variant: Variant  # the law, and which offsets the model has
+    names: tuple[str, ...]  # names of the n points of interest
+    anchors: FloatArray  # points of application a_i, shape (n, 3) [m]
+    rotations: FloatArray  # frames {L_i} of the points, R_i maps {L_i} to {S}, shape (n, 3, 3) [-]
+    # stiffness k_i along x, y, z of {S} (rigid: of {L_i}), shape (n, 3) [N/m]
     stiffness: FloatArray
+    # rest positions q_r,i in {S} (rigid: rest displacements r_i in {L_i} since the reference pose),
+    # shape (n, 3) [m]
     rest_positions: FloatArray
-    sharpness: float
-    wrench_bias: FloatArray
+    sharpness: float  # sharpness alpha of the gate [1/m]
+    wrench_bias: FloatArray  # offset b_w of the wrench, shape (6,) [N m, N]
+    # offset b_f of each cluster's force in the cluster's frame, by the name of the cluster, shape
+    # (3,) each [N]
     force_bias: dict[str, FloatArray]
-    cluster_points: dict[str, int]
+    cluster_points: dict[str, int]  # index of the point of interest under each cluster, by its name
+    # pose that the rigid variants count displacements from, shape (6,) [m, rad]
     reference_pose: FloatArray = field(default_factory=lambda: np.zeros(6))
+    # what `rigid_bias` adds to the wrench per relative pose, shape (6, 6) [N m, N per m, rad]
     wrench_slope: FloatArray = field(default_factory=lambda: np.zeros((6, 6)))
-    parameter_factor: FloatArray = field(default_factory=lambda: np.zeros((6, 0, 0)))
 
     @property
     def is_rigid(self) -> bool:
@@ -108,24 +94,6 @@ class ContactModel:
         springs = self._springs(motion)
         forces = self._spring_forces(springs) + self._bias_in_socket_frame()
         return self._wrench_of(motion, springs), forces
-
-    def bed_forces(self, pose: FloatArray) -> tuple[FloatArray, FloatArray]:
-        r"""Forces of the springs alone, with a factor of their covariance: a rigid variant's.
-
-        The parameters' uncertainty, :math:`\Sigma = U U^T`, moves the forces by
-        :math:`J(pose) U` to first order; the covariance of the forces is that times its transpose.
-
-        Args:
-            pose: Poses of the limb, shape (N, 6) [m, rad].
-
-        Returns:
-            Forces in {S} without the offsets of sensors, shape (N, n, 3) [N], and the factor,
-            shape (N, n, 3, r) [N].
-        """
-        motion = self.law.motion(pose)
-        moved = self.law.displacements(motion) - self.rest_positions.T
-        changed = self.law.force_changes(moved, self.stiffness.T, self.parameter_factor)
-        return self._spring_forces(self._springs(motion)), np.matmul(self.law.frames, changed)
 
     def cluster_forces(self, pose: FloatArray) -> dict[str, FloatArray]:
         """Forces on the clusters, each in its cluster's frame, shape (N, 3) each [N]."""

@@ -12,7 +12,6 @@ and list its variants in `contact.LAWS` and in `settings.identification`.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from typing import ClassVar
@@ -28,12 +27,7 @@ _LARGEST_SETTLING = 0.02  # [m]; of a limb under its load; a bed is at least tha
 def gate(displacement: FloatArray, sharpness: float) -> FloatArray:
     r"""Smooth unilateral gate, :math:`g(d) = 1/2 - 1/2 \tanh(\alpha d) = 1 / (1 + e^{2 \alpha d})`.
 
-    Args:
-        displacement: Displacement d [m], any shape.
-        sharpness: Sharpness alpha of the gate [1/m].
-
-    Returns:
-        Gate values in [0, 1] [-], 1 in compression (d < 0), of the same shape.
+    It is in [0, 1] [-] and tends to 1 in compression, d < 0 [m]; alpha is the sharpness [1/m].
     """
     # Far outside the contact the exponential overflows to infinity, where the gate is 0.
     with np.errstate(over="ignore"):
@@ -46,11 +40,7 @@ def wrench_map(anchors: FloatArray) -> FloatArray:
     .. math:: C = \begin{bmatrix} [a_1]_\times & \dots & [a_n]_\times \\
                                   I & \dots & I \end{bmatrix}
 
-    Args:
-        anchors: Points of application a_i, shape (n, 3) [m].
-
-    Returns:
-        Array of shape (6, 3n); the moment rows are in m, the force rows in 1.
+    For points of application a_i of shape (n, 3) [m] it has the shape (6, 3n) [m, 1].
     """
     n = len(anchors)
     x, y, z = anchors.T
@@ -64,33 +54,20 @@ def wrench_map(anchors: FloatArray) -> FloatArray:
 
 
 def neighbour_differences(points: int, neighbours: IntArray) -> FloatArray:
-    """Matrix D'D of the differences between neighbouring tiles, shape (n, n) [-].
-
-    Args:
-        points: Number n of tiles.
-        neighbours: Pairs of neighbours, shape (e, 2).
-    """
+    """Matrix D'D of the differences between neighbours, shape (n, n) [-], by their pairs (e, 2)."""
     D = np.eye(points)[neighbours[:, 0]] - np.eye(points)[neighbours[:, 1]]
     return D.T @ D
 
 
 @dataclass(frozen=True)
 class Loading:
-    """What a law takes the sizes of its parameters from.
+    """What a law takes the sizes of its parameters from."""
 
-    Attributes:
-        motion: Motions u of the limb, shape (N, m).
-        wrench: Measured wrenches, shape (N, 6) [N m, N].
-        shares: Weight of each squared wrench error, shape (6,) [1/(N m)^2, 1/N^2].
-        neighbours: Pairs of neighbouring tiles, shape (e, 2).
-        zero: What predicting zero costs in the objective [-].
-    """
-
-    motion: FloatArray
-    wrench: FloatArray
-    shares: FloatArray
-    neighbours: IntArray
-    zero: float
+    motion: FloatArray  # motions u of the limb, shape (N, m)
+    wrench: FloatArray  # measured wrenches, shape (N, 6) [N m, N]
+    shares: FloatArray  # weight of each squared wrench error, shape (6,) [1/(N m)^2, 1/N^2]
+    neighbours: IntArray  # pairs of neighbouring tiles, shape (e, 2)
+    zero: float  # what predicting zero costs in the objective [-]
 
 
 @dataclass(frozen=True)
@@ -99,24 +76,14 @@ class Sizes:
 
     The rows are the stiffnesses along the three axes, then the rest displacements. The prior is
     :math:`(x - x_0)^T Q (x - x_0)` in the scaled parameters x, with the same Q for each axis.
-
-    Attributes:
-        scale: What the parameters are divided by, shape (6, n) [N/m, m].
-        start: Centre x_0 of the prior, shape (6, n) [-].
-        springs: Stiffnesses of the linear springs of Stage 1, shape (3, n) [N/m].
-        lower: Lower bounds, shape (6, n) [-].
-        upper: Upper bounds, shape (6, n) [-].
-        prior: Q of the stiffnesses and of the rest displacements, shape (2, n, n) [-].
-        weight: Q over the precision of the parameters a priori [-]; of a law that is refined.
     """
 
-    scale: FloatArray
-    start: FloatArray
-    springs: FloatArray
-    lower: FloatArray
-    upper: FloatArray
-    prior: FloatArray
-    weight: float = 1.0
+    scale: FloatArray  # what the parameters are divided by, shape (6, n) [N/m, m]
+    start: FloatArray  # centre x_0 of the prior, shape (6, n) [-]
+    springs: FloatArray  # stiffnesses of the linear springs of Stage 1, shape (3, n) [N/m]
+    lower: FloatArray  # lower bounds, shape (6, n) [-]
+    upper: FloatArray  # upper bounds, shape (6, n) [-]
+    prior: FloatArray  # Q of the stiffnesses and of the rest displacements, shape (2, n, n) [-]
 
 
 class ContactLaw(ABC):
@@ -180,25 +147,14 @@ class ContactLaw(ABC):
 
     @abstractmethod
     def columns(self, moved: FloatArray) -> FloatArray:
-        """Columns s of the forces in the stiffnesses, shape (N, 3, n) [m].
-
-        Args:
-            moved: Displacements from rest, v - r, shape (N, 3, n) [m].
-        """
+        """Columns s at displacements from rest v - r, both of shape (N, 3, n) [m]."""
 
     def slopes(self, moved: FloatArray) -> dict[tuple[int, int], FloatArray]:
-        """Derivatives of s along an axis by the displacement along another, where not zero.
-
-        Args:
-            moved: Displacements from rest, shape (N, 3, n) [m].
-
-        Returns:
-            Arrays of shape (N, n) [-] by the pair of axes.
-        """
+        """Derivatives of s, shape (N, n) [-], by its axis and that of v; zeros are left out."""
         raise NotImplementedError
 
     def bends(self, moved: FloatArray) -> dict[tuple[int, int, int], FloatArray]:
-        """Second derivatives of s, by its axis and two axes of displacement in order [1/m]."""
+        """Second derivatives of s, by its axis and two axes of v in order [1/m]."""
         raise NotImplementedError
 
     @classmethod
@@ -226,7 +182,7 @@ class ContactLaw(ABC):
 
         Args:
             loading: The samples.
-            along: The bed's stiffnesses along the axes over that, shape (3,) [-].
+            along: Ratios of the bed's stiffnesses along the axes to it, shape (3,) [-].
 
         Returns:
             The stiffness, zero at least [N/m], and the weighted squares that it leaves [-].
@@ -254,48 +210,5 @@ class ContactLaw(ABC):
     def wrench_offsets(
         self, motion: FloatArray, residual: FloatArray, wrench: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Constant (6,) and slope (6, 6) over the motion of what the springs leave of the wrench.
-
-        Args:
-            motion: Motions, shape (N, m).
-            residual: What the springs leave, shape (N, 6) [N m, N].
-            wrench: Measured wrenches, shape (N, 6) [N m, N].
-        """
+        """Constant (6,) and slope (6, 6) over the motion of the wrench's residuals, (N, 6)."""
         return residual.mean(axis=0), np.zeros((6, 6))
-
-    def force_derivatives(
-        self, moved: FloatArray, stiffness: FloatArray
-    ) -> Iterator[tuple[int, int, FloatArray]]:
-        """Derivatives of the tiles' forces by their parameters, where not zero.
-
-        Args:
-            moved: Displacements from rest, shape (N, 3, n) [m].
-            stiffness: Stiffnesses, shape (3, n) [N/m].
-
-        Yields:
-            The axis of the force, the parameter (0 to 2 a stiffness, 3 to 5 a rest displacement),
-            and the derivatives, shape (N, n) [m, N/m].
-        """
-        for axis, column in enumerate(np.moveaxis(self.columns(moved), 1, 0)):
-            yield axis, axis, column
-        for (axis, along), slope in self.slopes(moved).items():
-            yield axis, 3 + along, -stiffness[axis] * slope
-
-    def force_changes(
-        self, moved: FloatArray, stiffness: FloatArray, changes: FloatArray
-    ) -> FloatArray:
-        """How r small changes of the parameters change the forces in the law's frames.
-
-        Args:
-            moved: Displacements from rest, shape (N, 3, n) [m].
-            stiffness: Stiffnesses, shape (3, n) [N/m].
-            changes: Changes of stiffnesses and rest displacements, shape (6, n, r) [N/m, m].
-
-        Returns:
-            Array of shape (N, n, 3, r) [N].
-        """
-        count, _, points = moved.shape
-        changed = np.zeros((count, points, 3, changes.shape[2]))
-        for axis, parameter, derivative in self.force_derivatives(moved, stiffness):
-            changed[:, :, axis] += derivative[..., None] * changes[parameter]
-        return changed

@@ -22,27 +22,17 @@ _CHUNK = 4096  # samples; predicting takes memory by the samples times the tiles
 
 @dataclass(frozen=True)
 class ChannelErrors:
-    """Errors of one channel, in the channel's unit.
+    """Errors of one channel, in the channel's unit."""
 
-    Attributes:
-        name: Name of the channel, such as Mx or distal.Fz.
-        unit: N m or N.
-        in_objective: Whether the fit saw the channel.
-        samples: Number of samples with a value.
-        rmse: Root-mean-square error.
-        mae: Mean absolute error.
-        sigma: Standard deviation of the residual.
-        skill: ``1 - RMSE / RMSE of the best constant`` [-]: a constant explains a static
-            hold, so an RMSE without its skill flatters. NaN where the channel is constant.
-    """
-
-    name: str
-    unit: str
-    in_objective: bool
-    samples: int
-    rmse: float
-    mae: float
-    sigma: float
+    name: str  # name of the channel, such as Mx or distal.Fz
+    unit: str  # N m or N
+    in_objective: bool  # whether the fit saw the channel
+    samples: int  # number of samples with a value
+    rmse: float  # root-mean-square error
+    mae: float  # mean absolute error
+    sigma: float  # standard deviation of the residual
+    # ``1 - RMSE / RMSE of the best constant`` [-]: a constant explains a static hold, so an RMSE
+    # without its skill flatters. NaN where the channel is constant.
     skill: float
 
 
@@ -104,25 +94,15 @@ def errors_to_dataframe(errors: Iterable[ChannelErrors]) -> pd.DataFrame:
 
 @dataclass(frozen=True)
 class ErrorSummary:
-    """What the paper quotes of the errors of the channels in the objective; NaN without any.
+    """What the paper quotes of the errors of the channels in the objective; NaN without any."""
 
-    Attributes:
-        moment_rmse: Mean RMSE of the moments [N m].
-        force_rmse: Mean RMSE of the forces [N].
-        local_rmse: Median RMSE of the clusters' channels [N].
-        skill: Median skill of these channels [-].
-        wrench_skill: Median skill of the wrench's channels [-].
-        local_skill: Median skill of the clusters' channels [-].
-        without_value: Channels that no sample has both measured and predicted; no figure
-            includes them.
-    """
-
-    moment_rmse: float
-    force_rmse: float
-    local_rmse: float
-    skill: float
-    wrench_skill: float
-    local_skill: float
+    moment_rmse: float  # mean RMSE of the moments [N m]
+    force_rmse: float  # mean RMSE of the forces [N]
+    local_rmse: float  # median RMSE of the clusters' channels [N]
+    skill: float  # median skill of these channels [-]
+    wrench_skill: float  # median skill of the wrench's channels [-]
+    local_skill: float  # median skill of the clusters' channels [-]
+    # channels that no sample has both measured and predicted; no figure includes them
     without_value: tuple[str, ...]
 
 
@@ -157,9 +137,6 @@ def predict_channels(model: ContactModel, pose: FloatArray, clusters: Sequence[s
     Returns:
         The wrench, then the force on each cluster in its frame, shape (N, 6 + 3c)
         [N m, N]; NaN where the pose is NaN.
-
-    Raises:
-        ConfigurationError: If the model lacks a cluster.
     """
     lacking = [name for name in clusters if name not in model.cluster_points]
     if lacking:
@@ -187,9 +164,6 @@ def evaluate(
 
     Returns:
         Errors of the wrench's six channels, then of three per cluster in its frame.
-
-    Raises:
-        ConfigurationError: If the model lacks a cluster of the samples.
     """
     predicted = predict_channels(model, samples.pose, samples.clusters)
     return evaluate_predictions(samples, predicted, leave_out)

@@ -1,48 +1,53 @@
-"""From samples to a fitted model."""
+"""From samples to a fitted model: both stages, and the joint minimum of a law that is refined."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
+import numpy as np
+
+from socket_testbed.arrays import FloatArray
 from socket_testbed.geometry.socket import SocketGeometry
-from socket_testbed.identification.box_qp import BoxSolution, solve_box_qp
+from socket_testbed.identification.box_qp import (
+    BoxQP,
+    BoxSolution,
+    is_definite,
+    pivot,
+    solve_box_qp,
+    solve_cold,
+)
 from socket_testbed.identification.contact import ContactModel
 from socket_testbed.identification.evaluation import ChannelErrors, evaluate
 from socket_testbed.identification.objective import build_objective, check_channels
 from socket_testbed.identification.problem import Problem
-from socket_testbed.identification.refinement import refine
 from socket_testbed.samples import Samples, channel_names
 from socket_testbed.settings.identification import (
     IdentificationSettings,
     check_solver,
 )
 
+_STEPS = 100
+_DAMPING = 1e-2  # [-]; of the first step, against the mean curvature
+_ROUNDING = 1e-13  # [-]; of the objective's value
+_FLAT = 1e-10  # [-]; least pivot of a step's program
+
 
 @dataclass(frozen=True)
 class Fit:
-    """A fitted model with what is needed to judge it.
+    """A fitted model with what is needed to judge it."""
 
-    Attributes:
-        model: The contact model.
-        settings: Settings of the identification, `initial_stiffness` as it was used.
-        samples: Number of samples in the objective.
-        last_stamp: Stamp of the newest of them [ns].
-        determined: Effective number of stiffness directions that the data determine, of 3n;
-            the smoothness determines the others [-].
-        errors: Errors of every channel on the samples of the fit.
-        stage_one: Certified solution of Stage 1.
-        stage_two: Certified solution of Stage 2.
-        joint: Certified joint refinement of both in the rigid variants, otherwise None.
-    """
-
-    model: ContactModel
+    model: ContactModel  # the contact model
+    # settings of the identification, `initial_stiffness` as it was used
     settings: IdentificationSettings
-    samples: int
-    last_stamp: int
+    samples: int  # number of samples in the objective
+    last_stamp: int  # stamp of the newest of them [ns]
+    # effective number of stiffness directions that the data determine, of 3n; the smoothness
+    # determines the others [-]
     determined: float
-    errors: tuple[ChannelErrors, ...]
-    stage_one: BoxSolution
-    stage_two: BoxSolution
+    errors: tuple[ChannelErrors, ...]  # errors of every channel on the samples of the fit
+    stage_one: BoxSolution  # certified solution of Stage 1
+    stage_two: BoxSolution  # certified solution of Stage 2
+    # certified joint refinement of both in the rigid variants, otherwise None
     joint: BoxSolution | None = None
 
     @property
@@ -53,11 +58,7 @@ class Fit:
 
 
 def check_names(settings: IdentificationSettings, clusters: tuple[str, ...]) -> None:
-    """Check that settings name channels of these clusters and an installed solver.
-
-    Raises:
-        ConfigurationError: With the likely name.
-    """
+    """Check that settings name channels of these clusters and an installed solver."""
     check_solver(settings.solver)
     check_channels(settings.leave_out, channel_names(clusters))
 
@@ -72,11 +73,6 @@ def fit_contact_model(
             passed over, and so are outliers.
         geometry: Geometry of the socket.
         settings: Settings of the identification.
-
-    Raises:
-        ConfigurationError: For an unknown channel, cluster or solver.
-        IdentificationError: If the samples do not allow a fit, or a solution misses the
-            KKT tolerance.
     """
     problem = Problem(build_objective(samples, geometry, settings))
     solver, tolerance = settings.solver, settings.solver_tolerance
@@ -88,7 +84,7 @@ def fit_contact_model(
     x[:3] = springs.x.reshape(3, -1)
     joint = None
     if problem.law.REFINED:
-        x, joint = refine(problem, x, solver, tolerance)
+        x, joint = _refine(problem, x, solver, tolerance)
         moments = problem.moments(x)
     model, used = problem.model(x), problem.objective.samples
     return Fit(
@@ -102,3 +98,77 @@ def fit_contact_model(
         stage_two=springs,
         joint=joint,
     )
+
+
+def _refine(
+    problem: Problem, x: FloatArray, solver: str, tolerance: float
+) -> tuple[FloatArray, BoxSolution]:
+    """Minimise the joint objective over all parameters, from a start on.
+
+    Each step minimises a quadratic model of the objective in the bounds: its gradient with the
+    Hessian where that is definite, else with the Gauss-Newton matrix, damped after Levenberg and
+    Marquardt (Nielsen's rule: Madsen, Nielsen & Tingleff, Methods for Non-Linear Least Squares
+    Problems, 3.2). A step that does not lower the objective is taken back and damped more. The
+    solver gives the first step; the next ones start from the active set of the last.
+
+    Args:
+        problem: The objective.
+        x: Start, shape (6, n) [-].
+        solver: Any solver that qpsolvers finds.
+        tolerance: Largest residual of the certificate [-].
+
+    Returns:
+        The minimum with its certificate. Where the noise of the poses leaves a long flat valley,
+        the last and best point after `_STEPS` steps, which says so.
+    """
+    shape, prior = x.shape, problem.prior
+    lower, upper = problem.lower.reshape(-1), problem.upper.reshape(-1)
+    damping, growth, terms = _DAMPING, 2.0, problem.evaluate(x)
+    first: BoxSolution | None = None
+    exchanges = 0
+    for done in range(_STEPS + 1):
+        here = x.reshape(-1)
+        hessian = terms.gauss_newton + prior
+        factor = len(hessian) / float(np.trace(hessian))
+        local = _quadratic(hessian, terms.gradient, here, lower, upper, factor)
+        certificate = local.certificate(here)
+        if certificate.worst <= tolerance or done == _STEPS:
+            break
+        ridge = damping / factor * np.eye(len(hessian))
+        # A stiffness that is held at its bound does not move: its curvature does not count.
+        free = (here > lower) | (terms.gradient <= 0.0)
+        exact = hessian + np.where(np.outer(free, free), terms.curvature, 0.0)
+        if is_definite(factor * (exact + ridge), _FLAT):
+            hessian = exact
+        program = _quadratic(hessian + ridge, terms.gradient, here, lower, upper, factor)
+        found = pivot(program, here) if first else solve_cold(program, solver)
+        first, exchanges = first or found, exchanges + found.exchanges
+        step = found.x - here
+        expected = -float(terms.gradient @ step + 0.5 * step @ hessian @ step)
+        trial = (here + step).reshape(shape)
+        gained = terms.value - problem.value(trial)
+        if gained > 0.0 or abs(gained) <= _ROUNDING * terms.value:
+            x, terms = trial, problem.evaluate(trial)
+            ratio = min(gained / max(expected, _ROUNDING * terms.value), 1.0)
+            damping *= max(0.1, 1.0 - (2.0 * ratio - 1.0) ** 3)
+            growth = 2.0
+        else:
+            damping, growth = damping * growth, growth * 2.0
+    early = "" if certificate.worst <= tolerance else ", stopped early"
+    course = f"joint refinement in {done} steps{early}"
+    solved = first or BoxSolution(here, certificate, True)
+    return x, replace(
+        solved, x=here, certificate=certificate, determined=True, exchanges=exchanges, course=course
+    )
+
+
+def _quadratic(
+    hessian: FloatArray,
+    gradient: FloatArray,
+    x: FloatArray,
+    lower: FloatArray,
+    upper: FloatArray,
+    factor: float,
+) -> BoxQP:
+    q = factor * (gradient - hessian @ x)
+    return BoxQP(factor * hessian, q, lower, upper, "joint refinement")

@@ -61,26 +61,17 @@ _MOST_PATTERNS = 64  # of present channels that are kept
 
 @dataclass(frozen=True)
 class MapEstimate:
-    """Forces of the limb on all n tiles with their standard deviations, for N samples.
+    """Forces of the limb on all n tiles with their standard deviations, for N samples."""
 
-    Attributes:
-        forces: Forces on the socket in {S}, shape (N, n, 3) [N].
-        standard_deviations: Theirs, by axis of {S}, shape (N, n, 3) [N].
-        normal_pressure: Positive in compression, shape (N, n) [Pa].
-        normal_pressure_standard_deviation: Shape (N, n) [Pa].
-        shear: Magnitude of the tangential force over the area, shape (N, n) [Pa].
-        shear_standard_deviation: Root mean square difference of the magnitude, which has a Rice
-            distribution, to `shear`, shape (N, n) [Pa].
-        source: What the estimate was conditioned on, in words.
-    """
-
-    forces: FloatArray
-    standard_deviations: FloatArray
-    normal_pressure: FloatArray
-    normal_pressure_standard_deviation: FloatArray
-    shear: FloatArray
+    forces: FloatArray  # forces on the socket in {S}, shape (N, n, 3) [N]
+    standard_deviations: FloatArray  # theirs, by axis of {S}, shape (N, n, 3) [N]
+    normal_pressure: FloatArray  # positive in compression, shape (N, n) [Pa]
+    normal_pressure_standard_deviation: FloatArray  # shape (N, n) [Pa]
+    shear: FloatArray  # magnitude of the tangential force over the area, shape (N, n) [Pa]
+    # root mean square difference of the magnitude, which has a Rice distribution, to `shear`, shape
+    # (N, n) [Pa]
     shear_standard_deviation: FloatArray
-    source: str
+    source: str  # what the estimate was conditioned on, in words
 
     def columns(self, names: tuple[str, ...], prefix: str = "") -> dict[str, FloatArray]:
         """Columns of a table, a row per sample, by titles with the units.
@@ -131,20 +122,14 @@ class _Conditioned:
     """The draws of the prior, conditioned on the channels that are present.
 
     A tile's force has four components here: along x, y, z of {S} and along the tile's normal.
-
-    Attributes:
-        present: Indices of the d channels that are present.
-        gain: K H' S^-1 of the M draws, from the channels to the forces, shape (M, n, 4, d).
-        precision: S^-1, shape (M, d, d).
-        log_determinant: Of S, shape (M,).
-        variances: Of the forces, shape (M, n, 4) [N^2].
     """
 
-    present: list[int]
+    present: list[int]  # indices of the d channels that are present
+    # K H' S^-1 of the M draws, from the channels to the forces, shape (M, n, 4, d)
     gain: FloatArray
-    precision: FloatArray
-    log_determinant: FloatArray
-    variances: FloatArray
+    precision: FloatArray  # S^-1, shape (M, d, d)
+    log_determinant: FloatArray  # of S, shape (M,)
+    variances: FloatArray  # of the forces, shape (M, n, 4) [N^2]
 
     def without(self, channel: int) -> _Conditioned:
         """The same without one channel: a downdate of rank one.
@@ -226,24 +211,15 @@ class JointDraws:
     Each of the M draws of the prior's sizes is a hypothesis. A draw of the forces in the tiles'
     frames is :math:`G_m y + b_m E_{md}` with its hypothesis m at the sample; of the first D/2
     draws, the others have the opposite errors.
-
-    Attributes:
-        rows: Indices of the samples, shape (k,).
-        channels: Their channels y, shape (k, d) [N m, N].
-        gain: G of the hypotheses, shape (M, 3n, d).
-        weights: Probabilities of the hypotheses, shape (k, M) [-].
-        sizes: Sizes b of the errors under each hypothesis, shape (k, M) [-].
-        hypotheses: Those of the draws, shape (k, D/2).
-        errors: E, shape (M, D/2, 3n) [N].
     """
 
-    rows: IntArray
-    channels: FloatArray
-    gain: FloatArray
-    weights: FloatArray
-    sizes: FloatArray
-    hypotheses: IntArray
-    errors: FloatArray
+    rows: IntArray  # indices of the samples, shape (k,)
+    channels: FloatArray  # their channels y, shape (k, d) [N m, N]
+    gain: FloatArray  # G of the hypotheses, shape (M, 3n, d)
+    weights: FloatArray  # probabilities of the hypotheses, shape (k, M) [-]
+    sizes: FloatArray  # sizes b of the errors under each hypothesis, shape (k, M) [-]
+    hypotheses: IntArray  # those of the draws, shape (k, D/2)
+    errors: FloatArray  # E, shape (M, D/2, 3n) [N]
 
     def __getitem__(self, part: slice) -> JointDraws:
         """The draws of some of the samples."""
@@ -288,13 +264,7 @@ class JointDraws:
 
 
 class ForceMap:
-    """Maps one sample's clusters and wrench to the forces on all tiles, with uncertainty.
-
-    Args:
-        geometry: Geometry of the socket.
-        clusters: Names of the c clusters, in the order of the samples' local forces.
-        settings: The prior.
-    """
+    """Maps one sample's clusters and wrench to the forces on all tiles, with uncertainty."""
 
     def __init__(
         self,
@@ -313,9 +283,6 @@ class ForceMap:
 
     def estimate(self, samples: Samples) -> MapEstimate:
         """The map at every sample.
-
-        Args:
-            samples: N samples; their poses do not count.
 
         Returns:
             The estimate; where a sample has no channel at all, that of the prior.

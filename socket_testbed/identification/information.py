@@ -7,6 +7,12 @@ standard deviations :math:`\sigma_m` of the motion and :math:`\sigma_n` of the n
 
 (errors in variables: Fuller, Measurement Error Models, 1987, section 1.1). What hardly moves cannot
 be told from a constant either: then the offsets bear the load instead of the springs.
+
+A spring is engaged at a sample if its gate exceeds 1/2, so that :math:`\delta < 0`, and its
+stiffness is above zero. The paper's law has a spring along each axis of {S} for every tile, the
+rigid variants one per tile, gated along its inward normal. Noise of the pose moves :math:`\delta`
+by the standard deviation :math:`\sigma`: a spring with :math:`|\delta| < \sigma` is uncertain. The
+rest positions are taken as they were fitted; their own error does not count.
 """
 
 from __future__ import annotations
@@ -25,9 +31,11 @@ from socket_testbed.identification.evaluation import predict_channels
 from socket_testbed.identification.noise import (
     ChannelNoise,
     channel_noise,
+    pose_covariance,
     smooth_poses,
     smoothing_gain,
 )
+from socket_testbed.identification.rigid_law import relative_pose
 from socket_testbed.samples import Samples
 from socket_testbed.settings.identification import BIAS_VARIANTS
 
@@ -39,6 +47,7 @@ _MOST_SAMPLES = 300  # of a segment, whose derivatives are taken
 _RANK = 1e-9  # [-]; smallest singular value of poses that move
 _DRAWS = 200  # of the pose's noise
 _AXES = "xyz"
+_BLOCK = 4096  # samples at once, which bounds the memory
 
 
 @dataclass(frozen=True)
@@ -47,18 +56,12 @@ class LoadShare:
 
     With the measured m and a part v of the prediction, the share of v is the projection
     :math:`\sum_k v_k \cdot m_k / \sum_k m_k \cdot m_k` over the samples; the three add up to 1.
-
-    Attributes:
-        name: Fz, force or moment.
-        springs: Share of the springs [-].
-        offsets: Share of the offsets: constant, and with `rigid_bias` linear in the pose [-].
-        residual: Share that the model leaves [-].
     """
 
-    name: str
-    springs: float
-    offsets: float
-    residual: float
+    name: str  # Fz, force or moment
+    springs: float  # share of the springs [-]
+    offsets: float  # share of the offsets: constant, and with `rigid_bias` linear in the pose [-]
+    residual: float  # share that the model leaves [-]
 
 
 def load_shares(samples: Samples, model: ContactModel) -> tuple[LoadShare, ...]:
@@ -194,21 +197,13 @@ def _information(
 
 @dataclass(frozen=True)
 class Excitation:
-    """How far one number of the pose moves, against its noise.
+    """How far one number of the pose moves, against its noise."""
 
-    Attributes:
-        name: Such as position z or rotation about x, along the axes of {S}.
-        unit: mm or mrad.
-        motion: Standard deviation of the motion, without the noise's share [m, rad].
-        noise: Standard deviation of its noise [m, rad]; NaN where the samples do not show it.
-        advice: What would move it more.
-    """
-
-    name: str
-    unit: str
-    motion: float
-    noise: float
-    advice: str
+    name: str  # such as position z or rotation about x, along the axes of {S}
+    unit: str  # mm or mrad
+    motion: float  # standard deviation of the motion, without the noise's share [m, rad]
+    noise: float  # standard deviation of its noise [m, rad]; NaN where the samples do not show it
+    advice: str  # what would move it more
 
     @property
     def sufficient(self) -> bool:
@@ -223,15 +218,11 @@ class Excitation:
 
 @dataclass(frozen=True)
 class Motion:
-    """How the pose moves in some samples.
+    """How the pose moves in some samples."""
 
-    Attributes:
-        excitations: Its six numbers, positions first.
-        directions: Number of independent directions of the six-dimensional pose in which the
-            motion is `LEAST_RATIO` times the noise.
-    """
-
-    excitations: tuple[Excitation, ...]
+    excitations: tuple[Excitation, ...]  # its six numbers, positions first
+    # number of independent directions of the six-dimensional pose in which the motion is
+    # `LEAST_RATIO` times the noise
     directions: int
 
 
@@ -269,3 +260,64 @@ def _numbers(axis: int) -> list[tuple[str, str, str]]:
         (f"rotation about {x}", "mrad", twist if i == axis else tilt) for i, x in enumerate(_AXES)
     ]
     return positions + rotations
+
+
+@dataclass(frozen=True)
+class Engagement:
+    """The engaged springs of a model over N samples; NaN without a pose."""
+
+    springs: int  # number of springs of the bed, those without stiffness included
+    engaged: FloatArray  # number of engaged springs, shape (N,) [1]
+    # number of uncertain springs, shape (N,) [1]; NaN where the samples do not show the noise of
+    # the pose
+    uncertain: FloatArray
+    # share of the time in which each spring is engaged, shape (n, 3), in the rigid variants (n, 1)
+    # [-]
+    time_share: FloatArray
+
+    @property
+    def switching(self) -> int:
+        """Number of springs that are engaged at some of the samples of `time_share` only [1]."""
+        return int(((self.time_share > 0.0) & (self.time_share < 1.0)).sum())
+
+    def columns(self, prefix: str) -> dict[str, FloatArray]:
+        """Number and share of engaged springs, and share of uncertain ones, shape (N,) each."""
+        return {
+            f"{prefix}engaged [1]": self.engaged,
+            f"{prefix}engaged_share [-]": self.engaged / self.springs,
+            f"{prefix}uncertain_share [-]": self.uncertain / self.springs,
+        }
+
+
+def engagement(
+    samples: Samples, model: ContactModel, window: float = 0.0, rows: slice = slice(None)
+) -> Engagement:
+    """Which springs of a model are engaged, sample by sample, and how long each is.
+
+    Args:
+        samples: N samples of a trial or segment as measured, in the order of their stamps.
+        model: The model.
+        window: Window over which the poses are averaged [s], as in the model's fit.
+        rows: The samples that `Engagement.time_share` is taken over.
+    """
+    relative = relative_pose(samples.pose, model.reference_pose)
+    motion = replace(samples, position=relative[:, :3], rotation=relative[:, 3:])
+    noise = pose_covariance(motion, window)
+    pose = smooth_poses(samples, window).pose
+    known = np.asarray(np.isfinite(pose).all(axis=1))
+    chosen = np.zeros(len(pose), dtype=bool)
+    chosen[rows] = known[rows]
+    engaged, uncertain, times = [], [], []
+    for first in range(0, len(pose), _BLOCK):
+        block = slice(first, first + _BLOCK)
+        displacement, deviation = model.gate_displacements(pose[block], noise)
+        pressed = displacement < 0.0
+        engaged.append(pressed.sum(axis=(1, 2)))
+        uncertain.append((np.abs(displacement) < deviation).sum(axis=(1, 2)))
+        times.append(pressed[chosen[block]].sum(axis=0))
+    return Engagement(
+        springs=deviation.size,
+        engaged=np.where(known, np.concatenate(engaged), np.nan),
+        uncertain=np.where(known & np.isfinite(deviation).all(), np.concatenate(uncertain), np.nan),
+        time_share=np.sum(times, axis=0) / max(int(chosen.sum()), 1),
+    )

@@ -19,7 +19,6 @@ from socket_testbed.documents import (
     Document,
     Text,
     convert,
-    decimal,
     load_json,
     refuse_unknown,
     shown,
@@ -38,30 +37,19 @@ _AGAIN = "fit the trial again"
 
 @dataclass(frozen=True)
 class StoredModel:
-    """A model read from its file.
+    """A model read from its file."""
 
-    Attributes:
-        model: The contact model.
-        geometry: Geometry of the socket it was fitted on.
-        settings: Settings of its identification.
-        samples: Number of samples of its fit.
-        last_stamp: Stamp of the newest of them [ns].
-        wrench_rmse: Errors of its fit, shape (6,) [N m, N].
-        errors: Errors of its fit on every channel; none in a model of an older version.
-        status: The solver and the certificate of both stages, in words.
-        trial: Name of the trial it was fitted on.
-        unloaded: Spans of it by which the clusters' drift was corrected [s].
-    """
-
-    model: ContactModel
-    geometry: SocketGeometry
-    settings: IdentificationSettings
-    samples: int
-    last_stamp: int
-    wrench_rmse: FloatArray
+    model: ContactModel  # the contact model
+    geometry: SocketGeometry  # geometry of the socket it was fitted on
+    settings: IdentificationSettings  # settings of its identification
+    samples: int  # number of samples of its fit
+    last_stamp: int  # stamp of the newest of them [ns]
+    wrench_rmse: FloatArray  # errors of its fit, shape (6,) [N m, N]
+    # errors of its fit on every channel; none in a model of an older version
     errors: tuple[ChannelErrors, ...]
-    status: str
-    trial: str
+    status: str  # the solver and the certificate of both stages, in words
+    trial: str  # name of the trial it was fitted on
+    # spans of it by which the clusters' drift was corrected [s]
     unloaded: tuple[tuple[float, float], ...]
 
     def __repr__(self) -> str:
@@ -71,14 +59,7 @@ class StoredModel:
         )
 
     def require_socket(self, geometry: SocketGeometry) -> None:
-        """Check that the model was fitted on the socket that it is used on.
-
-        Args:
-            geometry: Geometry of that socket.
-
-        Raises:
-            ConfigurationError: Unless it has the same tiles at the same places.
-        """
+        """Check that the model was fitted on the socket that it is used on."""
         if not self.geometry.same_tiles(geometry):
             raise ConfigurationError(
                 f"the model of {self.trial} was fitted on another socket ({len(self.geometry)}"
@@ -98,9 +79,6 @@ def write_model(
         trial: Identity of the trial; at least its `name`.
         segment: The segment of the trial.
         path: The file; an older one is replaced.
-
-    Raises:
-        ConfigurationError: If the file cannot be written.
     """
     model = fit.model
     document = {
@@ -119,7 +97,6 @@ def write_model(
             "clusters": list(model.cluster_points),
             "reference_pose": model.reference_pose.tolist(),
             "wrench_slope": model.wrench_slope.tolist(),
-            "parameter_factor": _packed(model.parameter_factor),
         },
         "quality": {
             "samples": fit.samples,
@@ -158,11 +135,6 @@ def finite_or_null(value: Any) -> Any:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
-def _packed(factor: FloatArray) -> list[str]:
-    """A line per direction of the parameters' uncertainty, with six digits."""
-    return [" ".join(f"{v:.6g}" for v in way.ravel()) for way in np.moveaxis(factor, 2, 0)]
-
-
 _Parameter = Annotated[float, Meta(ge=-1e9, le=1e9)]  # [N/m, N, N m]; none comes near it
 _Stiffness = Annotated[float, Meta(ge=-1.0, le=1e9)]  # [N/m]; solvers stay above -1
 _Place = Annotated[float, Meta(ge=-10.0, le=10.0)]  # [m, rad]
@@ -181,17 +153,13 @@ class _Parameters(Document):
     wrench_bias: _Six
     force_bias: dict[str, _Three]
     clusters: list[Text]
-    # What older files lack, whose variants need none of it:
+    # Older files lack these, and their variants need neither:
     reference_pose: tuple[_Place, _Place, _Place, _Place, _Place, _Place] | None = None
     wrench_slope: tuple[_Six, _Six, _Six, _Six, _Six, _Six] | None = None
-    parameter_factor: list[str] | None = None
+    parameter_factor: Any = None  # of older files, which nothing reads any more
 
     def model(self, geometry: SocketGeometry, where: str) -> ContactModel:
-        """The contact model on a socket's tiles.
-
-        Raises:
-            ConfigurationError: If the parameters are of other tiles or clusters.
-        """
+        """The contact model on a socket's tiles."""
         points, clusters = len(geometry), [str(name) for name in self.clusters]
         for name in clusters:
             if name not in geometry.clusters:
@@ -203,11 +171,7 @@ class _Parameters(Document):
                 raise ConfigurationError(
                     f"{where}: {key} has {len(getattr(self, key))} rows for {points} tiles", _AGAIN
                 )
-        rigid = {
-            "reference_pose": self.reference_pose,
-            "wrench_slope": self.wrench_slope,
-            "parameter_factor": self._factor(points, where),
-        }
+        rigid = {"reference_pose": self.reference_pose, "wrench_slope": self.wrench_slope}
         return ContactModel(
             variant=self.variant,
             names=geometry.names,
@@ -221,18 +185,6 @@ class _Parameters(Document):
             cluster_points={name: geometry.clusters[name] for name in clusters},
             **{name: np.array(value) for name, value in rigid.items() if value is not None},
         )
-
-    def _factor(self, points: int, where: str) -> FloatArray | None:
-        """Undoes `_packed`."""
-        if not self.parameter_factor:
-            return None if self.parameter_factor is None else np.zeros((6, 0, 0))
-        try:
-            lines = [[*map(decimal, line.split())] for line in self.parameter_factor]
-            return np.moveaxis(np.array(lines).reshape(-1, 6, points), 0, 2)
-        except ValueError:
-            raise ConfigurationError(
-                f"{where}: parameter_factor does not hold 6 numbers per tile and line", _AGAIN
-            ) from None
 
 
 def _read_errors(errors: list[dict[str, Any]], where: str) -> tuple[ChannelErrors, ...]:
@@ -270,9 +222,6 @@ def read_model(path: Path, geometry: SocketGeometry | None = None) -> StoredMode
     Args:
         path: The file.
         geometry: Geometry of the socket that the model is used on, to check that it fits.
-
-    Raises:
-        ConfigurationError: If the file is missing, is not a model, or is of another socket.
     """
     try:
         data = load_json(path, "a model")

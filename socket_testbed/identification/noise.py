@@ -40,19 +40,14 @@ _WINDOW_END = 1e-6  # [s]; samples at the end of a window belong to it
 
 @dataclass(frozen=True)
 class ChannelNoise:
-    """Standard deviation of the noise of one sample; NaN where the samples do not show it.
+    """Standard deviation of the noise of one sample; NaN where the samples do not show it."""
 
-    Attributes:
-        wrench: Noise of the wrench [M; F] in {S}, shape (6,) [N m, N].
-        local_forces: Noise of the force on each of the c clusters in its frame, shape (c, 3) [N].
-        pose: Noise of the limb's position and rotation vector in {S}, shape (6,) [m, rad].
-        pose_correlation: Correlation of the noise of the pose's components, shape (6, 6) [-]:
-            both come from the same markers.
-    """
-
-    wrench: FloatArray
+    wrench: FloatArray  # noise of the wrench [M; F] in {S}, shape (6,) [N m, N]
+    # noise of the force on each of the c clusters in its frame, shape (c, 3) [N]
     local_forces: FloatArray
-    pose: FloatArray
+    pose: FloatArray  # noise of the limb's position and rotation vector in {S}, shape (6,) [m, rad]
+    # correlation of the noise of the pose's components, shape (6, 6) [-]: both come from the same
+    # markers
     pose_correlation: FloatArray
 
     @property
@@ -109,10 +104,6 @@ def pose_covariance(samples: Samples, window: float) -> FloatArray:
 
 def noise_groups(noise: ChannelNoise, clusters: tuple[str, ...]) -> dict[str, FloatArray]:
     """The noise along x, y and z of each group of channels, with the unit in the group's name.
-
-    Args:
-        noise: The noise.
-        clusters: Names of the c clusters.
 
     Returns:
         An array of shape (3,) for the moment [N m], the force [N], the limb's position [mm] and

@@ -56,52 +56,32 @@ LEAST_SAMPLES = 12  # [1]; 3 s at the trigger's default rate
 
 @dataclass(frozen=True)
 class ClusterChannel:
-    """One channel of a cluster's force that is in the objective.
+    """One channel of a cluster's force that is in the objective."""
 
-    Attributes:
-        cluster: Name of the cluster.
-        point: Index of its point of interest.
-        axis: Axis of the cluster's frame: 0, 1, 2.
-        direction: That axis in {S}, shape (3,) [-].
-        rows: Samples in which the channel was measured, shape (N,).
-        force: The measured force in those samples [N].
-        weight: Weight of its mean square error in a `Problem` [1/N^2].
-    """
-
-    cluster: str
-    point: int
-    axis: int
-    direction: FloatArray
-    rows: BoolArray
-    force: FloatArray
-    weight: float = 0.0
+    cluster: str  # name of the cluster
+    point: int  # index of its point of interest
+    axis: int  # axis of the cluster's frame: 0, 1, 2
+    direction: FloatArray  # that axis in {S}, shape (3,) [-]
+    rows: BoolArray  # samples in which the channel was measured, shape (N,)
+    force: FloatArray  # the measured force in those samples [N]
+    weight: float = 0.0  # weight of its mean square error in a `Problem` [1/N^2]
 
 
 @dataclass(frozen=True)
 class Objective:
-    """The samples of a fit with the weight of each channel, on a socket, by its settings.
+    """The samples of a fit with the weight of each channel, on a socket, by its settings."""
 
-    Attributes:
-        geometry: Geometry of the socket.
-        settings: Settings of the identification.
-        samples: The N samples that are used, without outliers, their poses averaged if asked.
-        wrench: Measured wrenches, zero where a channel does not count, shape (N, 6)
-            [N m, N].
-        wrench_counts: Channels of the wrench that are in the objective, shape (6,).
-        wrench_shares: Weight of each squared wrench error in J_w, zero where it does not
-            count, shape (6,) [1/(N m)^2, 1/N^2].
-        channels: Channels of the clusters in the objective.
-        channel_shares: Weight of each channel's squared error in J_f, shape (m,) [1/N^2].
-    """
-
-    geometry: SocketGeometry
-    settings: IdentificationSettings
-    samples: Samples
+    geometry: SocketGeometry  # geometry of the socket
+    settings: IdentificationSettings  # settings of the identification
+    samples: Samples  # the N samples that are used, without outliers, their poses averaged if asked
+    # measured wrenches, zero where a channel does not count, shape (N, 6) [N m, N]
     wrench: FloatArray
-    wrench_counts: BoolArray
+    wrench_counts: BoolArray  # channels of the wrench that are in the objective, shape (6,)
+    # weight of each squared wrench error in J_w, zero where it does not count, shape (6,) [1/(N
+    # m)^2, 1/N^2]
     wrench_shares: FloatArray
-    channels: tuple[ClusterChannel, ...]
-    channel_shares: FloatArray
+    channels: tuple[ClusterChannel, ...]  # channels of the clusters in the objective
+    channel_shares: FloatArray  # weight of each channel's squared error in J_f, shape (m,) [1/N^2]
 
     @property
     def position(self) -> FloatArray:
@@ -124,22 +104,14 @@ class Objective:
 
 
 def check_channels(leave_out: tuple[str, ...], names: tuple[str, ...]) -> None:
-    """Check that every name is a channel.
-
-    Raises:
-        ConfigurationError: With the likely name.
-    """
+    """Check that every name is a channel."""
     for name in leave_out:
         if name not in names:
             raise ConfigurationError(f"leave_out: no channel '{name}'", closest(name, names))
 
 
 def _usable_rows(samples: Samples, wrench_counts: BoolArray) -> BoolArray:
-    """Samples with a limb position and every wrench channel that counts, shape (N,).
-
-    Raises:
-        IdentificationError: If fewer than `LEAST_SAMPLES` are left, naming what is missing.
-    """
+    """Samples with a limb position and every wrench channel that counts, shape (N,)."""
     position = np.isfinite(samples.position).all(axis=1)
     measured = np.isfinite(samples.wrench)
     dead = wrench_counts & ~measured.any(axis=0) & (len(samples) > 0)
@@ -183,11 +155,6 @@ def build_objective(
             outliers (see `plausibility`).
         geometry: Geometry of the socket.
         settings: Settings of the identification.
-
-    Raises:
-        ConfigurationError: For an unknown channel or cluster.
-        IdentificationError: If there are too few samples, no value in a channel that counts, no
-            load, many outliers, or sizes that no limb in a socket gives.
     """
     check_channels(settings.leave_out, samples.channels)
     counts = np.array([name not in settings.leave_out for name in samples.channels])

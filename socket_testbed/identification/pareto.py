@@ -60,75 +60,47 @@ SENSOR_ONLY, KNEE, WRENCH_ONLY = "sensor-only", "knee", "wrench-only"
 
 @dataclass(frozen=True)
 class FrontPoint:
-    """The solution of both stages at one theta.
+    """The solution of both stages at one theta."""
 
-    Attributes:
-        theta: Weight of the wrench against the clusters [-].
-        model: The contact model; None where a stage was not certified.
-        rmse: Root-mean-square error of each channel in the objective, shape (m,)
-            [N m, N]; NaN without a model.
-        wrench_error: Normalised error e_w of the wrench [-].
-        local_error: Normalised error e_f of the clusters [-].
-        residual: Largest KKT residual or gap of both stages, in scaled units [-].
-        flaw: Why the solution is not to be used; empty where it is sound.
-    """
-
-    theta: float
-    model: ContactModel | None
+    theta: float  # weight of the wrench against the clusters [-]
+    model: ContactModel | None  # the contact model; None where a stage was not certified
+    # root-mean-square error of each channel in the objective, shape (m,) [N m, N]; NaN without a
+    # model
     rmse: FloatArray
-    wrench_error: float
-    local_error: float
-    residual: float
-    flaw: str = ""
+    wrench_error: float  # normalised error e_w of the wrench [-]
+    local_error: float  # normalised error e_f of the clusters [-]
+    residual: float  # largest KKT residual or gap of both stages, in scaled units [-]
+    flaw: str = ""  # why the solution is not to be used; empty where it is sound
 
 
 @dataclass(frozen=True)
 class Knee:
-    """Where a front bends most, or why it has no knee.
+    """Where a front bends most, or why it has no knee."""
 
-    Attributes:
-        index: Index of the solution; None without a knee.
-        depth: Distance below the chord between the front's ends, in units of the ends' own
-            differences [-]: 0 on the chord, 1 where both errors are at their best at once.
-        span: Differences of e_w and e_f between the ends [-].
-        verdict: The same in words.
-    """
-
-    index: int | None
+    index: int | None  # index of the solution; None without a knee
+    # distance below the chord between the front's ends, in units of the ends' own differences [-]:
+    # 0 on the chord, 1 where both errors are at their best at once
     depth: float
-    span: tuple[float, float]
-    verdict: str
+    span: tuple[float, float]  # differences of e_w and e_f between the ends [-]
+    verdict: str  # the same in words
 
 
 @dataclass(frozen=True)
 class Front:
-    """The solutions of one variant along theta.
+    """The solutions of one variant along theta."""
 
-    Attributes:
-        variant: Which offsets the models have.
-        channels: Names of the m channels in the objective, the wrench's first.
-        theta: Weights of the wrench against the clusters, rising, shape (T,) [-].
-        wrench_error: Normalised errors e_w of the wrench, shape (T,) [-].
-        local_error: Normalised errors e_f of the clusters, shape (T,) [-].
-        rmse: Root-mean-square errors of the channels, shape (T, m) [N m, N].
-        residual: Largest KKT residual or gap of both stages, shape (T,) [-].
-        flaws: Why a solution is not to be used, T texts; empty where it is sound.
-        models: The contact models; None where a stage was not certified.
-        non_dominated: Solutions without flaw that no other one surpasses, shape (T,).
-        knee: Where the non-dominated ones bend most.
-    """
-
-    variant: Variant
-    channels: tuple[str, ...]
-    theta: FloatArray
-    wrench_error: FloatArray
-    local_error: FloatArray
-    rmse: FloatArray
-    residual: FloatArray
-    flaws: tuple[str, ...]
+    variant: Variant  # which offsets the models have
+    channels: tuple[str, ...]  # names of the m channels in the objective, the wrench's first
+    theta: FloatArray  # weights of the wrench against the clusters, rising, shape (T,) [-]
+    wrench_error: FloatArray  # normalised errors e_w of the wrench, shape (T,) [-]
+    local_error: FloatArray  # normalised errors e_f of the clusters, shape (T,) [-]
+    rmse: FloatArray  # root-mean-square errors of the channels, shape (T, m) [N m, N]
+    residual: FloatArray  # largest KKT residual or gap of both stages, shape (T,) [-]
+    flaws: tuple[str, ...]  # why a solution is not to be used, T texts; empty where it is sound
+    # the contact models; None where a stage was not certified
     models: tuple[ContactModel | None, ...]
-    non_dominated: BoolArray
-    knee: Knee
+    non_dominated: BoolArray  # solutions without flaw that no other one surpasses, shape (T,)
+    knee: Knee  # where the non-dominated ones bend most
 
     def __repr__(self) -> str:
         return (
@@ -225,11 +197,6 @@ def pareto_front(
         thetas: Weights of the wrench against the clusters, in [0, 1] and rising [-].
         variants: Of the paper's variants those that are wanted, one front each.
         progress: Called with the number of thetas done and of all.
-
-    Raises:
-        ConfigurationError: For an unknown channel, cluster or solver, or wrong thetas.
-        IdentificationError: If the samples do not allow a fit, if one of the two groups has
-            no channel in the objective, or if no solution at all is without flaw.
     """
     _check_thetas(thetas)
     for variant in set(variants) & set(RIGID_VARIANTS):
@@ -254,11 +221,7 @@ def pareto_front(
 
 
 class _Walk:
-    """Solves both stages at one theta after the other, each from the one before.
-
-    Args:
-        objective: The samples and weights.
-    """
+    """Solves both stages at one theta after the other, each from the one before."""
 
     def __init__(self, objective: Objective) -> None:
         self._objective = objective
@@ -444,15 +407,7 @@ def front_table(fronts: Iterable[Front]) -> pd.DataFrame:
 
 
 def write_fronts(fronts: Iterable[Front], path: Path) -> None:
-    """Write fronts as CSV: see `front_table`; a missing value is an empty cell.
-
-    Args:
-        fronts: Fronts of the same samples.
-        path: File to write; an older one is replaced.
-
-    Raises:
-        ConfigurationError: If the file cannot be written.
-    """
+    """Write fronts as CSV: see `front_table`; a missing value is an empty cell."""
     table = front_table(fronts)
     with atomic_output(path) as staging:
         table.to_csv(staging, index=False, float_format="%.10g")

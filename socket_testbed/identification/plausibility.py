@@ -73,15 +73,10 @@ _NAMED = 3  # how many outliers of a channel a note names
 
 @dataclass(frozen=True)
 class Outliers:
-    """Single values that no limb in a socket gives.
+    """Single values that no limb in a socket gives."""
 
-    Attributes:
-        position: Samples with such a limb position, shape (N,).
-        values: Such values of the channels, shape (N, 6 + 3c).
-    """
-
-    position: BoolArray
-    values: BoolArray
+    position: BoolArray  # samples with such a limb position, shape (N,)
+    values: BoolArray  # such values of the channels, shape (N, 6 + 3c)
 
     @property
     def rows(self) -> BoolArray:
@@ -179,23 +174,14 @@ def sign_note(samples: Samples, geometry: SocketGeometry) -> str | None:
 
 @dataclass(frozen=True)
 class Implausible:
-    """A channel that `find_implausible` proposes to leave out of the objective.
+    """A channel that `find_implausible` proposes to leave out of the objective."""
 
-    Attributes:
-        channel: Name of the channel, such as Mx or distal.Fz.
-        reason: Why, with the numbers.
-    """
-
-    channel: str
-    reason: str
+    channel: str  # name of the channel, such as Mx or distal.Fz
+    reason: str  # why, with the numbers
 
 
 def find_implausible(samples: Samples, geometry: SocketGeometry) -> tuple[Implausible, ...]:
     """Propose channels to leave out of the objective, by the rule of this module.
-
-    Args:
-        samples: Samples of the segment, with the reconstructed forces of any status.
-        geometry: Geometry of the socket.
 
     Returns:
         The proposals in the order of the channels, one per channel and reason.
@@ -299,11 +285,7 @@ def _peak(values: FloatArray) -> float:
 
 
 def require_position(samples: Samples, geometry: SocketGeometry) -> None:
-    """Refuse limb positions in another unit or frame.
-
-    Raises:
-        IdentificationError: With the likely unit.
-    """
+    """Refuse limb positions in another unit or frame."""
     position = samples.position[np.isfinite(samples.position).all(axis=1)]
     if not len(position):
         return
@@ -325,11 +307,7 @@ def require_position(samples: Samples, geometry: SocketGeometry) -> None:
 def require_units(
     samples: Samples, geometry: SocketGeometry, leave_out: tuple[str, ...] = ()
 ) -> None:
-    """Refuse samples in another unit or frame.
-
-    Raises:
-        IdentificationError: With the likely unit.
-    """
+    """Refuse samples in another unit or frame."""
     require_position(samples, geometry)
     values = _counted(samples, leave_out)
     for name, column, limit in zip(
@@ -353,9 +331,6 @@ def require_load(samples: Samples, wrench_counts: BoolArray) -> None:
     Args:
         samples: Samples with a wrench.
         wrench_counts: Channels of the wrench that are in the objective, shape (6,).
-
-    Raises:
-        IdentificationError: With the size of the wrench.
     """
     if not wrench_counts.any():
         return
@@ -390,10 +365,6 @@ def _reach(geometry: SocketGeometry) -> float:
 
 def channel_limits(geometry: SocketGeometry, clusters: tuple[str, ...]) -> FloatArray:
     """Largest size of each channel that a person in a socket can apply.
-
-    Args:
-        geometry: Geometry of the socket.
-        clusters: Names of the c clusters.
 
     Returns:
         The limits in the order of `channel_names`, shape (6 + 3c,) [N m, N].

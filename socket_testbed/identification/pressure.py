@@ -72,19 +72,13 @@ TITLES = tuple(_COLUMNS)
 
 @dataclass(frozen=True)
 class Quantity:
-    """Values with their 95 % intervals, arrays of one shape.
+    """Values with their 95 % intervals, arrays of one shape."""
 
-    Attributes:
-        value: The estimates.
-        low: Lower ends of the intervals.
-        high: Upper ends of the intervals.
-        scale: What the reach of an interval is compared with: the size of the value, the extent of
-            the region for a coordinate, a right angle for a direction.
-    """
-
-    value: FloatArray
-    low: FloatArray
-    high: FloatArray
+    value: FloatArray  # the estimates
+    low: FloatArray  # lower ends of the intervals
+    high: FloatArray  # upper ends of the intervals
+    # what the reach of an interval is compared with: the size of the value, the extent of the
+    # region for a coordinate, a right angle for a direction
     scale: FloatArray
 
     def determined(self, share: float) -> BoolArray:
@@ -109,28 +103,18 @@ def of_deviations(value: FloatArray, deviation: FloatArray) -> Quantity:
 
 @dataclass(frozen=True)
 class RegionOutputs:
-    """Outputs of R regions, over a span, shape (R,), or at N instants, shape (N, R).
+    """Outputs of R regions, over a span, shape (R,), or at N instants, shape (N, R)."""
 
-    Attributes:
-        mean: Mean pressure [Pa].
-        peak: Peak pressure [Pa].
-        area: Contact area [m^2].
-        integral: Pressure-time integral [Pa s]; NaN at instants.
-        centre: Centre of pressure in {S}, with a last axis of 3 [m].
-        shear: Magnitude of the shear [Pa].
-        direction: Direction of the shear from the tiles' x (proximal) towards y [rad]; the ends of
-            its interval may lie beyond half a turn.
-        share: Share of the load [-].
-    """
-
-    mean: Quantity
-    peak: Quantity
-    area: Quantity
-    integral: Quantity
-    centre: Quantity
-    shear: Quantity
+    mean: Quantity  # mean pressure [Pa]
+    peak: Quantity  # peak pressure [Pa]
+    area: Quantity  # contact area [m^2]
+    integral: Quantity  # pressure-time integral [Pa s]; NaN at instants
+    centre: Quantity  # centre of pressure in {S}, with a last axis of 3 [m]
+    shear: Quantity  # magnitude of the shear [Pa]
+    # direction of the shear from the tiles' x (proximal) towards y [rad]; the ends of its interval
+    # may lie beyond half a turn
     direction: Quantity
-    share: Quantity
+    share: Quantity  # share of the load [-]
 
 
 def read_column(found: RegionOutputs, title: str) -> Quantity:
@@ -158,27 +142,16 @@ def interval_end(title: str, end: str) -> str:
 
 @dataclass(frozen=True)
 class PressureOutputs:
-    """Outputs of a socket over a span of time.
+    """Outputs of a socket over a span of time."""
 
-    Attributes:
-        regions: Over the span, shape (R,).
-        tiles: Of every tile over the span, shape (n,).
-        integrated: Time that the integrals cover, without gaps [s].
-        peak_row: The sample with the highest pressure of a tile.
-        force_map: The force map.
-        samples: The N samples.
-        reader: Reads the outputs of the regions.
-        threshold: Pressure above which a tile is in contact [Pa].
-    """
-
-    regions: RegionOutputs
-    tiles: RegionOutputs
-    integrated: float
-    peak_row: int
-    force_map: ForceMap
-    samples: Samples
-    reader: _Reader
-    threshold: float
+    regions: RegionOutputs  # over the span, shape (R,)
+    tiles: RegionOutputs  # of every tile over the span, shape (n,)
+    integrated: float  # time that the integrals cover, without gaps [s]
+    peak_row: int  # the sample with the highest pressure of a tile
+    force_map: ForceMap  # the force map
+    samples: Samples  # the N samples
+    reader: _Reader  # reads the outputs of the regions
+    threshold: float  # pressure above which a tile is in contact [Pa]
 
     @property
     def source(self) -> str:
@@ -232,20 +205,13 @@ class PressureOutputs:
 
 @dataclass(frozen=True)
 class _Fields:
-    """What the outputs are computed from, on n tiles, with any leading axes.
+    """What the outputs are computed from, on n tiles, with any leading axes."""
 
-    Attributes:
-        force: Mean force in the tiles' frames, shape (..., n, 3) [N].
-        peak: Highest pressure, shape (..., n) [Pa].
-        contact: Share of the time in contact, shape (..., n) [-].
-        compression: Mean compressive force, shape (..., n) [N].
-        integral: Integral of the pressure in contact, shape (..., n) [Pa s]; None at an instant.
-    """
-
-    force: FloatArray
-    peak: FloatArray
-    contact: FloatArray
-    compression: FloatArray
+    force: FloatArray  # mean force in the tiles' frames, shape (..., n, 3) [N]
+    peak: FloatArray  # highest pressure, shape (..., n) [Pa]
+    contact: FloatArray  # share of the time in contact, shape (..., n) [-]
+    compression: FloatArray  # mean compressive force, shape (..., n) [N]
+    # integral of the pressure in contact, shape (..., n) [Pa s]; None at an instant
     integral: FloatArray | None = None
 
     def at(self, index: Any) -> _Fields:
@@ -261,12 +227,7 @@ class _Fields:
 
 
 class _Reader:
-    """Reads the outputs of regions from fields.
-
-    Args:
-        geometry: Geometry of the socket.
-        regions: The R regions.
-    """
+    """Reads the outputs of regions from fields."""
 
     def __init__(self, geometry: SocketGeometry, regions: Sequence[Region]) -> None:
         count, anchors, areas = len(geometry), geometry.anchors, geometry.areas
@@ -420,9 +381,6 @@ def pressure_outputs(
         geometry: Geometry of the socket.
         regions: The regions.
         threshold: Pressure above which a tile is in contact [Pa].
-
-    Raises:
-        TrialError: If no sample has a channel to estimate from.
     """
     kept = np.flatnonzero(measured_rows(samples))
     if not len(kept):

@@ -32,27 +32,18 @@ from socket_testbed.identification.contact_law import Loading
 from socket_testbed.identification.objective import ClusterChannel, Objective
 from socket_testbed.settings.identification import BIAS_VARIANTS, Variant
 
-PARAMETER_RANK = 16  # directions of the parameters' uncertainty that a model keeps
-
 _BLOCK = 512  # samples; keeps the products within the cache at any N
 _JITTER = 1e-12  # [-]; keeps a factorisation of a flat problem defined
 
 
 @dataclass(frozen=True)
 class Moments:
-    """Means and centred mean products of N rows of columns S (N, p) and targets Y (N, m).
+    """Means and centred mean products of N rows of columns S (N, p) and targets Y (N, m)."""
 
-    Attributes:
-        mean: Means of S, shape (p,) [m].
-        gram: Of S with itself, shape (p, p) [m^2].
-        target_mean: Means of Y, shape (m,).
-        cross: Of S with Y, shape (p, m).
-    """
-
-    mean: FloatArray
-    gram: FloatArray
-    target_mean: FloatArray
-    cross: FloatArray
+    mean: FloatArray  # means of S, shape (p,) [m]
+    gram: FloatArray  # of S with itself, shape (p, p) [m^2]
+    target_mean: FloatArray  # means of Y, shape (m,)
+    cross: FloatArray  # of S with Y, shape (p, m)
 
     def products(self, centred: bool) -> tuple[FloatArray, FloatArray]:
         """`gram` and `cross`, centred or about zero, as a model with or without offset needs."""
@@ -64,41 +55,25 @@ class Moments:
 
 @dataclass(frozen=True)
 class StageTwoMoments:
-    """What Stage 2 needs of the data at given rest displacements, for any weights and offsets.
+    """What Stage 2 needs of the data at given rest displacements, for any weights and offsets."""
 
-    Attributes:
-        wrench: Of all columns and the wrench, p = 3n, m = 6.
-        channels: For each channel of the clusters of its tile's columns and force, p = 3, m = 1.
-    """
-
-    wrench: Moments
+    wrench: Moments  # of all columns and the wrench, p = 3n, m = 6
+    # for each channel of the clusters of its tile's columns and force, p = 3, m = 1
     channels: tuple[Moments, ...]
 
 
 @dataclass(frozen=True)
 class Terms:
-    """The objective at a point, and its derivatives by the scaled parameters (6, n), flattened.
+    """The objective at a point, and its derivatives by the scaled parameters (6, n), flattened."""
 
-    Attributes:
-        value: The objective, halved as in a quadratic program [-].
-        data: The data's part of it, not halved [-].
-        gradient: Shape (6n,) [-].
-        gauss_newton: Gauss-Newton matrix of the data, shape (6n, 6n) [-].
-        curvature: Second derivatives of the law against the errors, shape (6n, 6n) [-].
-    """
-
-    value: float
-    data: float
-    gradient: FloatArray
-    gauss_newton: FloatArray
-    curvature: FloatArray
+    value: float  # the objective, halved as in a quadratic program [-]
+    gradient: FloatArray  # shape (6n,) [-]
+    gauss_newton: FloatArray  # Gauss-Newton matrix of the data, shape (6n, 6n) [-]
+    curvature: FloatArray  # second derivatives of the law against the errors, shape (6n, 6n) [-]
 
 
 class Problem:
     """The objective as a function of the scaled parameters, shape (6, n) [-].
-
-    Args:
-        objective: The samples and weights.
 
     Attributes:
         settings: The settings, with numbers in place of what follows from the samples.
@@ -131,7 +106,7 @@ class Problem:
         )
         self.settings = law.resolved(settings, loading)
         sizes = law.sizes(self.settings, loading)
-        self._scale, self._prior, self._weight = sizes.scale, sizes.prior, sizes.weight
+        self._scale, self._prior = sizes.scale, sizes.prior
         self._springs, self.start = sizes.springs, sizes.start
         self.lower, self.upper = sizes.lower, sizes.upper
 
@@ -287,16 +262,14 @@ class Problem:
 
     def value(self, x: FloatArray) -> float:
         """The objective of a law that is refined, halved as in a quadratic program [-]."""
-        return self._value(x, *self.residuals(x))[0]
+        return self._value(x, *self.residuals(x))
 
-    def _value(
-        self, x: FloatArray, wrench: FloatArray, local: list[FloatArray]
-    ) -> tuple[float, float]:
+    def _value(self, x: FloatArray, wrench: FloatArray, local: list[FloatArray]) -> float:
         data = float(self._weights @ (wrench**2).mean(axis=0))
         for channel, residual in zip(self.channels, local, strict=True):
             data += channel.weight * float(self._centred(residual) @ residual) / len(residual)
         away = (x - self.start).reshape(-1)
-        return 0.5 * (data + float(away @ self.prior @ away)), data
+        return 0.5 * (data + float(away @ self.prior @ away))
 
     def _centred(self, values: FloatArray) -> FloatArray:
         return values - values.mean(axis=0) if self._with_offsets else values
@@ -305,13 +278,17 @@ class Problem:
         """The objective of a law that is refined, with its derivatives, at x of shape (6, n)."""
         stiffness, rest = (x * self._scale).reshape(2, 3, -1)
         moved = self.law.displacements(self._motion) - rest
-        derivatives = list(self.law.force_derivatives(moved, stiffness))
-        places = [(axis, parameter) for axis, parameter, _ in derivatives]
-        columns = np.stack([column for *_, column in derivatives], axis=1)  # (N, pairs, n)
+        # Derivatives of the forces, by their axis and the parameter: 0 to 2 a stiffness, 3 to 5 a
+        # rest displacement.
+        forces = self.law.columns(moved)
+        derivatives = {(axis, axis): forces[:, axis] for axis in range(3)}
+        for (axis, along), slope in self.law.slopes(moved).items():
+            derivatives[axis, 3 + along] = -stiffness[axis] * slope
+        places = list(derivatives)
+        columns = np.stack(list(derivatives.values()), axis=1)  # (N, pairs, n)
         columns *= self._scale[[parameter for _, parameter in places]]
         rows, _, points = columns.shape
         wrench, local = self.residuals(x)
-        value, data = self._value(x, wrench, local)
 
         by_pair = columns.reshape(rows, -1)
         products = (by_pair.T @ by_pair).reshape(len(places), points, len(places), points) / rows
@@ -336,8 +313,7 @@ class Problem:
         for k, (axis, parameter) in enumerate(places):
             gradient[parameter] += np.einsum("tn,tn->n", columns[:, k], lacking[:, axis])
         return Terms(
-            value=value,
-            data=data,
+            value=self._value(x, wrench, local),
             gradient=gradient.reshape(-1),
             gauss_newton=normal.reshape(6 * points, 6 * points),
             curvature=self._curvature(stiffness, moved, lacking),
@@ -387,42 +363,7 @@ class Problem:
             cluster_points={name: geometry.clusters[name] for name in objective.samples.clusters},
             reference_pose=reference,
             wrench_slope=slope,
-            parameter_factor=self.parameter_factor(x) if law.REFINED else np.zeros((6, 0, 0)),
         )
-
-    def parameter_factor(self, x: FloatArray) -> FloatArray:
-        r"""Factor of the covariance of the parameters at a joint minimum, (6, n, r) [N/m, m].
-
-        The posterior of the Gauss-Newton problem:
-
-        .. math:: \Sigma^{-1} = \frac{N_e m}{J} J_x^T W J_x + Q
-
-        with J the data's part of the objective at the minimum, which stands for the noise of the
-        m channels, and N_e the number of independent samples by the autocorrelation of the
-        residuals (a first-order process). The prior's standard deviation is the expected size
-        of a parameter. Of this covariance the r directions that move the forces at the reference
-        pose most are kept.
-        """
-        terms = self.evaluate(x)
-        channels = int(np.count_nonzero(self._weights)) + len(self.channels)
-        precision = self.prior / self._weight
-        precision += self._independent_samples(x) * channels / terms.data * terms.gauss_newton
-        spread = np.linalg.inv(np.linalg.cholesky(precision)).T  # spread spread' = covariance
-        spread = self._scale[:, :, None] * spread.reshape(*x.shape, -1)
-        stiffness, rest = (x * self._scale).reshape(2, 3, -1)
-        forces = self.law.force_changes(-rest[None], stiffness, spread)
-        towards = np.linalg.svd(forces.reshape(rest.size, -1), full_matrices=False)[2]
-        factor: FloatArray = spread @ towards[:PARAMETER_RANK].T
-        return factor
-
-    def _independent_samples(self, x: FloatArray) -> float:
-        """Number of independent samples by the residuals of the wrench, weighted [1]."""
-        residual = self.residuals(x)[0] * np.sqrt(self._weights)
-        residual = residual - residual.mean(axis=0)
-        power = float((residual**2).sum())
-        together = float((residual[1:] * residual[:-1]).sum()) / power if power > 0.0 else 0.0
-        together = min(max(together, 0.0), 1.0 - 1.0 / len(residual))
-        return len(residual) * (1.0 - together) / (1.0 + together)
 
 
 def _block_means(values: FloatArray, size: int) -> FloatArray:

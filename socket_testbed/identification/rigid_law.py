@@ -150,7 +150,6 @@ class RigidLaw(ContactLaw):
             lower=np.where(np.arange(6)[:, None] < 3, 0.0, -upper),
             upper=upper,
             prior=weight * np.stack([prior, prior]),
-            weight=weight,
         )
 
     def _expect(self, loading: Loading) -> tuple[FloatArray, float]:

@@ -62,40 +62,27 @@ Test = Literal["left out", "in-sample", "second half", "other trial"]
 
 @dataclass(frozen=True)
 class Judgement:
-    """Errors of one predictor on one question; NaN where the question has no such figure.
+    """Errors of one predictor on one question; NaN where the question has no such figure."""
 
-    Attributes:
-        question: `cluster`, `wrench` or `tiles`: see this module.
-        predictor: An estimate or a rival.
-        test: What the predictor has not seen: the cluster that it was judged on (`left out`), the
-            `second half` of a trial that it was fitted on the first of, or an `other trial`; or
-            that it was fitted on the same samples (`in-sample`).
-        fitted_on: Name of the trial that it was fitted on; empty for what needs no fit.
-        tested_on: Name of the trial that it was judged on.
-        cluster: The cluster that was left out; empty for all of them.
-        samples: Number of samples.
-        error: Root mean square error of the forces over the root mean square of them all [-]; 1
-            is what predicting zero has.
-        moment_rmse: Mean RMSE of the moments [N m].
-        force_rmse: Mean RMSE of the forces [N].
-        moment_skill: 1 - `moment_rmse` over that of the constants which fit these samples
-            best [-].
-        force_skill: The same of `force_rmse` [-].
-        coverage: Share of the values within the intervals of `LEVELS` [-].
-    """
-
-    question: Question
-    predictor: str
+    question: Question  # `cluster`, `wrench` or `tiles`: see this module
+    predictor: str  # an estimate or a rival
+    # what the predictor has not seen: the cluster that it was judged on (`left out`), the `second
+    # half` of a trial that it was fitted on the first of, or an `other trial`; or that it was
+    # fitted on the same samples (`in-sample`)
     test: Test
-    fitted_on: str
-    tested_on: str
-    cluster: str = ""
-    samples: int = 0
+    fitted_on: str  # name of the trial that it was fitted on; empty for what needs no fit
+    tested_on: str  # name of the trial that it was judged on
+    cluster: str = ""  # the cluster that was left out; empty for all of them
+    samples: int = 0  # number of samples
+    # root mean square error of the forces over the root mean square of them all [-]; 1 is what
+    # predicting zero has
     error: float = float("nan")
-    moment_rmse: float = float("nan")
-    force_rmse: float = float("nan")
+    moment_rmse: float = float("nan")  # mean RMSE of the moments [N m]
+    force_rmse: float = float("nan")  # mean RMSE of the forces [N]
+    # 1 - `moment_rmse` over that of the constants which fit these samples best [-]
     moment_skill: float = float("nan")
-    force_skill: float = float("nan")
+    force_skill: float = float("nan")  # the same of `force_rmse` [-]
+    # share of the values within the intervals of `LEVELS` [-]
     coverage: tuple[float, ...] = _UNKNOWN
 
 
@@ -161,17 +148,11 @@ def close_wrench(
 
 @dataclass(frozen=True)
 class PoseRegression:
-    """Linear regression of the wrench on the limb's pose, ``w = c + B (p - p_mean)``.
+    """Linear regression of the wrench on the limb's pose, ``w = c + B (p - p_mean)``."""
 
-    Attributes:
-        mean_pose: Mean pose of the samples of the fit, shape (6,) [m, rad].
-        constant: Mean wrench, shape (6,) [N m, N].
-        slope: B transposed: the wrench per pose, shape (6, 6) [N m, N per m, rad].
-    """
-
-    mean_pose: FloatArray
-    constant: FloatArray
-    slope: FloatArray
+    mean_pose: FloatArray  # mean pose of the samples of the fit, shape (6,) [m, rad]
+    constant: FloatArray  # mean wrench, shape (6,) [N m, N]
+    slope: FloatArray  # B transposed: the wrench per pose, shape (6, 6) [N m, N per m, rad]
 
     def predict(self, pose: FloatArray) -> FloatArray:
         """Wrenches at poses of shape (N, 6), shape (N, 6) [N m, N]."""
@@ -201,11 +182,7 @@ WrenchPredictor = Callable[[FloatArray], FloatArray]
 
 
 def wrench_rivals(samples: Samples) -> dict[str, WrenchPredictor]:
-    """The best constant and linear regression on the pose, fitted on samples; by name.
-
-    Args:
-        samples: Samples with a pose and a wrench, as `loaded_rows` finds them.
-    """
+    """The best constant and linear regression on the pose, fitted on samples; by name."""
     regression = fit_regression(samples.pose, samples.wrench)
     return {
         CONSTANT: lambda pose: np.tile(regression.constant, (len(pose), 1)),
@@ -426,9 +403,6 @@ def fit_variants(
         geometry: Geometry of the socket.
         settings: Settings of the identification; the variant does not matter.
         notify: Called with a note per variant that cannot be fitted.
-
-    Raises:
-        IdentificationError: If no variant can be fitted.
     """
     models: dict[str, ContactModel] = {}
     errors: dict[str, IdentificationError] = {}
@@ -457,11 +431,7 @@ def wrench_predictors(
 
 
 def split(samples: Samples, least_force: float) -> tuple[BoolArray, BoolArray]:
-    """First and second half of the samples under load, shape (N,) each.
-
-    Raises:
-        IdentificationError: If a half is too short for a fit.
-    """
+    """First and second half of the samples under load, shape (N,) each."""
     loaded = np.flatnonzero(loaded_rows(samples, least_force))
     if len(loaded) < 2 * LEAST_SAMPLES:
         raise IdentificationError(
@@ -480,16 +450,7 @@ def split(samples: Samples, least_force: float) -> tuple[BoolArray, BoolArray]:
 def judge_unseen_half(
     samples: Samples, geometry: SocketGeometry, settings: IdentificationSettings
 ) -> tuple[ChannelErrors, ...]:
-    """Errors on the second half of samples of a model that is fitted on their first half.
-
-    Args:
-        samples: Samples of a segment, without outliers.
-        geometry: Geometry of the socket.
-        settings: Settings of the identification.
-
-    Raises:
-        IdentificationError: If a half is too short, or the first allows no fit.
-    """
+    """Errors on the second half of samples of a model that is fitted on their first half."""
     first, second = split(samples, 0.0)
     model = fit_contact_model(samples[first], geometry, settings).model
     unseen = smooth_poses(samples[second], settings.pose_smoothing)
@@ -523,9 +484,6 @@ def judge_samples(
         truth: Simulated force on every tile in {S}, shape (N, n, 3) [N]; None where unknown.
         name: Name of the trial.
         notify: Called with a note per variant that cannot be fitted.
-
-    Raises:
-        IdentificationError: If a half is too short, or allows no fit.
     """
     first, second = split(samples, settings.plateau.least_force)
     found = judge_map(samples, geometry, settings, name)
@@ -548,14 +506,7 @@ def judge_samples(
 def judge_map(
     samples: Samples, geometry: SocketGeometry, settings: EstimatorSettings, name: str = ""
 ) -> list[Judgement]:
-    """Judge what estimates forces on tiles without a fit by clusters that are left out.
-
-    Args:
-        samples: Samples of the trial.
-        geometry: Geometry of the socket.
-        settings: Settings of the estimator.
-        name: Name of the trial.
-    """
+    """Judge what estimates forces on tiles without a fit by clusters that are left out."""
     rows = thinned(loaded_rows(samples, settings.plateau.least_force))
     samples = samples[rows]
     noise = measurement_errors(samples, channel_noise(samples).local_forces, settings.force_map)

@@ -13,7 +13,6 @@ from socket_testbed.arrays import BoolArray, FloatArray
 from socket_testbed.errors import IdentificationError
 from socket_testbed.geometry.regions import Region, Side, all_regions
 from socket_testbed.identification.contact import ContactModel
-from socket_testbed.identification.engagement import Engagement, engagement
 from socket_testbed.identification.evaluation import (
     ChannelErrors,
     evaluate_predictions,
@@ -22,8 +21,10 @@ from socket_testbed.identification.evaluation import (
 from socket_testbed.identification.fit import Fit, fit_contact_model
 from socket_testbed.identification.force_map import ForceMap, MapEstimate, without_untrusted
 from socket_testbed.identification.information import (
+    Engagement,
     LoadShare,
     Motion,
+    engagement,
     known_directions,
     load_shares,
     measure_motion,

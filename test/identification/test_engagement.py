@@ -7,9 +7,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 from support.problems import make_samples, moving_limb, random_bed, random_socket
 
-from socket_testbed.identification import engagement as module
+from socket_testbed.identification import information as module
 from socket_testbed.identification.contact_law import gate
-from socket_testbed.identification.engagement import engagement
+from socket_testbed.identification.information import engagement
 
 
 def samples_of(position, rotation=None):

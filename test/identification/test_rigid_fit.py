@@ -10,7 +10,7 @@ from support.problems import make_samples, random_socket
 from socket_testbed.identification.contact import ContactModel
 from socket_testbed.identification.fit import fit_contact_model
 from socket_testbed.identification.objective import build_objective
-from socket_testbed.identification.problem import PARAMETER_RANK, Problem
+from socket_testbed.identification.problem import Problem
 from socket_testbed.settings.identification import RIGID_VARIANTS, IdentificationSettings
 
 
@@ -118,42 +118,6 @@ def test_refinement_only_improves_the_two_stages():
     assert fit.joint is not None
     assert problem.value(fit.joint.x.reshape(x.shape)) < problem.value(x)
     assert (fit.model.stiffness >= 0.0).all()
-
-
-def test_bed_forces_state_how_uncertain_they_are():
-    """The factor is the forces' derivative along the parameters' uncertain directions."""
-    geometry, _, samples, settings = rigid_case(10, "rigid_bias")
-    model = fit_contact_model(samples, geometry, settings).model
-    pose = samples.pose[::20]
-    forces, factor = model.bed_forces(pose)
-    assert factor.shape == (*forces.shape, PARAMETER_RANK)
-    np.testing.assert_array_equal(forces, dataclasses.replace(model, force_bias={}).forces(pose))
-    for way in (0, 7):
-        step = 1e-4 * model.parameter_factor[:, :, way]
-        moved = [
-            dataclasses.replace(
-                model,
-                force_bias={},
-                stiffness=model.stiffness + sign * step[:3].T,
-                rest_positions=model.rest_positions + sign * step[3:].T,
-            ).forces(pose)
-            for sign in (1.0, -1.0)
-        ]
-        np.testing.assert_allclose(factor[..., way], (moved[0] - moved[1]) / 2e-4, atol=1e-4)
-
-
-def test_more_data_make_the_bed_more_certain():
-    """The wrench's uncertainty that the bed's parameters cause falls with the noise."""
-    spreads = []
-    for noise in (0.01, 5.0):
-        geometry, _, samples, settings = rigid_case(11, prior=1e-4)  # or the prior is the misfit
-        rng = np.random.default_rng(0)
-        wrench = samples.wrench + noise * rng.normal(size=samples.wrench.shape)
-        noisy = dataclasses.replace(samples, wrench=wrench)
-        model = fit_contact_model(noisy, geometry, settings).model
-        total = model.bed_forces(samples.pose[:1])[1][0].sum(axis=0)
-        spreads.append(float(np.linalg.norm(total)))
-    assert spreads[0] < 0.5 * spreads[1]
 
 
 def test_a_rotation_that_stands_still_gives_no_slope():
