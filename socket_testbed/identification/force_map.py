@@ -31,9 +31,8 @@ draw counts by its evidence in the sample.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, fields, replace
-from functools import cached_property
 
 import numpy as np
 from scipy.special import chdtri, i0e, i1e, ndtri
@@ -76,13 +75,8 @@ class MapEstimate:
     def columns(self, names: tuple[str, ...], prefix: str = "") -> dict[str, FloatArray]:
         """Columns of a table, a row per sample, by titles with the units.
 
-        Args:
-            names: Names of the n tiles.
-            prefix: What the titles begin with.
-
-        Returns:
-            For each tile: force in {S} and its standard deviations, such as `tile_012.Fz [N]` and
-            `tile_012.Fz.sd [N]`, then `pressure` and `shear` [Pa] with theirs; shape (N,) each.
+        Of each tile the force in {S} with its standard deviations, such as `tile_012.Fz [N]` and
+        `tile_012.Fz.sd [N]`, then `pressure` and `shear` [Pa] with theirs.
         """
         found = {}
         for tile, name in enumerate(names):
@@ -97,24 +91,22 @@ class MapEstimate:
         return found
 
     def mean(self) -> MapEstimate:
-        """The map averaged over the samples, with N = 1.
+        """The map averaged over the samples, with N = 1: see `ForceMap.mean`."""
+        return _averaged([self], self.source)
 
-        What the channels leave open hardly changes from sample to sample, so the mean is as
-        uncertain as a usual sample: its standard deviations are root mean squares.
-        """
 
-        def rms(values: FloatArray) -> FloatArray:
-            return np.asarray(np.sqrt(np.mean(values**2, axis=0, keepdims=True)))
-
-        return MapEstimate(
-            forces=self.forces.mean(axis=0, keepdims=True),
-            standard_deviations=rms(self.standard_deviations),
-            normal_pressure=self.normal_pressure.mean(axis=0, keepdims=True),
-            normal_pressure_standard_deviation=rms(self.normal_pressure_standard_deviation),
-            shear=self.shear.mean(axis=0, keepdims=True),
-            shear_standard_deviation=rms(self.shear_standard_deviation),
-            source=self.source,
-        )
+def _averaged(parts: Iterable[MapEstimate], source: str) -> MapEstimate:
+    """The mean over the samples of all parts; of standard deviations the root mean square."""
+    count, sums = 0, {field.name: np.zeros(1) for field in fields(MapEstimate)}
+    del sums["source"]
+    for part in parts:
+        count += len(part.forces)
+        for name, total in sums.items():
+            values = getattr(part, name) ** (2 if "deviation" in name else 1)
+            sums[name] = total + values.sum(axis=0, keepdims=True)
+    means = {name: total / count for name, total in sums.items()}
+    means |= {name: np.sqrt(mean) for name, mean in means.items() if "deviation" in name}
+    return MapEstimate(**means, source=source)
 
 
 @dataclass(frozen=True)
@@ -124,36 +116,12 @@ class _Conditioned:
     A tile's force has four components here: along x, y, z of {S} and along the tile's normal.
     """
 
-    present: list[int]  # indices of the d channels that are present
+    present: IntArray  # indices of the d channels that are present
     # K H' S^-1 of the M draws, from the channels to the forces, shape (M, n, 4, d)
     gain: FloatArray
     precision: FloatArray  # S^-1, shape (M, d, d)
     log_determinant: FloatArray  # of S, shape (M,)
     variances: FloatArray  # of the forces, shape (M, n, 4) [N^2]
-
-    def without(self, channel: int) -> _Conditioned:
-        """The same without one channel: a downdate of rank one.
-
-        With P the precision and j the place of the channel, P - P_j P_j' / P_jj without row and
-        column j is the precision of the others (inverse of a partitioned matrix).
-
-        Args:
-            channel: Index of the channel.
-        """
-        j = self.present.index(channel)
-        kept = [place for place in range(len(self.present)) if place != j]
-        pivot = self.precision[:, j, j]
-        row = self.precision[:, j] / np.sqrt(pivot)[:, None]
-        lost = self.gain[..., j] / np.sqrt(pivot)[:, None, None]
-        precision = self.precision - row[:, :, None] * row[:, None]
-        gain = self.gain - lost[..., None] * row[:, None, None]
-        return _Conditioned(
-            present=[self.present[place] for place in kept],
-            gain=np.ascontiguousarray(gain[..., kept]),
-            precision=np.ascontiguousarray(precision[:, kept][:, :, kept]),
-            log_determinant=self.log_determinant + np.log(pivot),
-            variances=self.variances + lost**2,
-        )
 
     def average(self, measured: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Mean and variances of the forces over the draws, weighted by their evidence.
@@ -180,11 +148,7 @@ class _Conditioned:
         return mean.reshape(count, -1, 4), variances.reshape(count, -1, 4)
 
     def distance(self, measured: FloatArray) -> FloatArray:
-        """Squared size of the channels, y' S^-1 y, under the draws, shape (N, M) [-].
-
-        Args:
-            measured: The channels y that are present, shape (N, d).
-        """
+        """Squared sizes y' S^-1 y of the channels (N, d) under the draws, shape (N, M) [-]."""
         draws, channels = self.precision.shape[:2]
         # One product over all draws: a batch of small ones takes several times as long.
         whitened = measured @ self.precision.reshape(draws * channels, channels).T
@@ -192,11 +156,7 @@ class _Conditioned:
         return np.asarray((whitened * measured[:, None]).sum(axis=2))
 
     def weights(self, distance: FloatArray) -> FloatArray:
-        """Probabilities of the draws by their evidence, shape (N, M) [-].
-
-        Args:
-            distance: y' S^-1 y of each draw, shape (N, M).
-        """
+        """Probabilities of the draws by their evidence, shape (N, M) [-]; see `distance`."""
         freedom = _AMPLITUDE_FREEDOM
         exponent = freedom + len(self.present)
         evidence = self.log_determinant + exponent * np.log1p(distance / freedom)
@@ -232,12 +192,8 @@ class JointDraws:
             hypotheses=self.hypotheses[part],
         )
 
-    def forces(self) -> FloatArray:
-        """The forces in the tiles' frames, shape (k, D, n, 3) [N]."""
-        return self.values().reshape(len(self.rows), 2 * self.hypotheses.shape[1], -1, 3)
-
     def values(self) -> FloatArray:
-        """The same in a row, or what `mapped` made of them, shape (k, D, 3n)."""
+        """The forces in the tiles' frames, in a row, shape (k, D, 3n) [N]."""
         count, half = self.hypotheses.shape
         each = np.arange(count)[:, None]
         errors = self.errors[self.hypotheses, np.arange(half)]
@@ -248,17 +204,13 @@ class JointDraws:
         return np.concatenate([means + errors, means - errors], axis=1)
 
     def mean(self) -> FloatArray:
-        """The estimate: mean of the forces over the hypotheses, shape (k, n, 3) [N]."""
-        return self.mean_values().reshape(len(self.rows), -1, 3)
-
-    def mean_values(self) -> FloatArray:
-        """The same in a row, or what `mapped` made of them, shape (k, 3n)."""
+        """The estimate: mean of the values over the hypotheses, shape (k, 3n) [N]."""
         weighted = self.weights[:, :, None] * self.channels[:, None]  # (k, M, d)
         flat = np.swapaxes(self.gain, 1, 2).reshape(-1, self.gain.shape[1])
         return np.asarray(weighted.reshape(-1, len(flat)) @ flat)
 
     def mapped(self, mapping: FloatArray) -> JointDraws:
-        """The draws of r linear functions of the forces, by their matrix, shape (3n, r)."""
+        """The same draws of r linear functions of the forces, by their matrix, shape (3n, r)."""
         gain = np.ascontiguousarray(np.swapaxes(np.swapaxes(self.gain, 1, 2) @ mapping, 1, 2))
         return replace(self, gain=gain, errors=self.errors @ mapping)
 
@@ -277,19 +229,31 @@ class ForceMap:
         self._clusters = clusters
         self._areas = geometry.areas
         self._normals = geometry.rotations[:, :, 2]
-        self._complete = _condition(geometry, clusters, self._settings)
+        self._moments = _prior_moments(geometry, clusters, self._settings)
         self._patterns: dict[bytes, _Conditioned] = {}
         self._drawn: dict[int, tuple[FloatArray, ...]] = {}  # by their number
 
     def estimate(self, samples: Samples) -> MapEstimate:
-        """The map at every sample.
+        """The map at every sample; that of the prior where a sample has no channel at all."""
+        return self._estimate(samples.wrench, samples.local_forces, samples.status)
 
-        Returns:
-            The estimate; where a sample has no channel at all, that of the prior.
+    def update(
+        self, wrench: FloatArray, local_forces: FloatArray, status: StatusArray
+    ) -> MapEstimate:
+        """The map at one live sample, with N = 1, as `estimate` has it.
+
+        Args:
+            wrench: Wrench [M; F] in {S}, shape (6,) [N m, N]; NaN where missing.
+            local_forces: Forces on the clusters in their frames, shape (c, 3) [N].
+            status: Status of each cluster (`Status`), shape (c,); a cluster counts if it is OK.
         """
-        values, present = _channels(samples.wrench, samples.local_forces, samples.status)
-        forces = np.empty((len(samples), len(self._areas), 4))
-        variances = np.empty((len(samples), len(self._areas), 4))
+        return self._estimate(wrench[None], local_forces[None], status[None])
+
+    def _estimate(
+        self, wrench: FloatArray, local_forces: FloatArray, status: StatusArray
+    ) -> MapEstimate:
+        values, present = _channels(wrench, local_forces, status)
+        forces, variances = np.empty((2, len(values), len(self._areas), 4))
         for pattern, rows in _by_pattern(present):
             conditioned = self._conditioned(pattern)
             for start in range(0, len(rows), _CHUNK):
@@ -299,19 +263,14 @@ class ForceMap:
         return self._describe(forces, variances, present)
 
     def mean(self, samples: Samples) -> MapEstimate:
-        """The mean of the map over N samples, as `MapEstimate.mean`, without the map at each."""
+        """The mean of the map over N samples, with N = 1, in bounded memory.
+
+        The channels leave nearly the same open in every sample, so the mean is as uncertain as a
+        usual sample: its standard deviations are root mean squares.
+        """
         starts = range(0, len(samples), _CHUNK)
-        parts = [self.estimate(samples[start : start + _CHUNK]).mean() for start in starts]
-        shares = np.diff([*starts, len(samples)]) / len(samples)
-
-        def joined(name: str) -> FloatArray:
-            values = np.array([getattr(part, name) for part in parts])
-            if "deviation" in name:
-                return np.asarray(np.sqrt(np.tensordot(shares, values**2, 1)))
-            return np.asarray(np.tensordot(shares, values, 1))
-
-        names = [field.name for field in fields(MapEstimate) if field.name != "source"]
-        return MapEstimate(**{name: joined(name) for name in names}, source=self.source(samples))
+        parts = (self.estimate(samples[start : start + _CHUNK]) for start in starts)
+        return _averaged(parts, self.source(samples))
 
     def source(self, samples: Samples) -> str:
         """What the map at some samples is conditioned on, in words."""
@@ -385,47 +344,32 @@ class ForceMap:
         of_forces = rng.standard_normal((count, 3 * len(geometry)))
         of_noise = rng.standard_normal((count, len(WRENCH_CHANNELS) + 3 * len(self._clusters)))
         forces, channels = [], []
-        for drawn, mapping in zip(settings, self._mappings, strict=True):
+        for drawn in settings:
+            mapping = _mapping(geometry, self._clusters, drawn.share)
             prior = _prior(geometry, correlation, motions, drawn)
             noise = _noise(mapping @ prior @ mapping.T, drawn)
             forces.append(of_forces @ np.linalg.cholesky(prior).T)
             channels.append(forces[-1] @ mapping.T + of_noise * np.sqrt(np.diag(noise)))
         return np.array(forces), np.array(channels)
 
-    def update(
-        self, wrench: FloatArray, local_forces: FloatArray, status: StatusArray
-    ) -> MapEstimate:
-        """The map at one live sample, as `estimate` has it.
-
-        Args:
-            wrench: Wrench [M; F] in {S}, shape (6,) [N m, N]; NaN where missing.
-            local_forces: Forces on the clusters in their frames, shape (c, 3) [N].
-            status: Status of each cluster (`Status`), shape (c,); a cluster counts if it is OK.
-
-        Returns:
-            The estimate, with N = 1.
-        """
-        values, present = _channels(wrench[None], local_forces[None], status[None])
-        conditioned = self._conditioned(present[0])
-        measured = values[:, conditioned.present]
-        return self._describe(*conditioned.average(measured), present)
-
-    @cached_property
-    def _mappings(self) -> FloatArray:
-        """H of the M draws, shape (M, 6 + 3c, 3n)."""
-        shares = [drawn.share for drawn in _draw(self._settings)]
-        return np.array([_mapping(self._geometry, self._clusters, share) for share in shares])
-
-    def _conditioned(self, present: BoolArray) -> _Conditioned:
+    def _conditioned(self, pattern: BoolArray) -> _Conditioned:
         """The draws conditioned on a pattern of channels; a pattern is computed once."""
-        key = present.tobytes()
+        key = pattern.tobytes()
         if key not in self._patterns:
             if len(self._patterns) >= _MOST_PATTERNS:
                 self._patterns.clear()
-            conditioned = self._complete
-            for channel in np.flatnonzero(~present).tolist():
-                conditioned = conditioned.without(channel)
-            self._patterns[key] = conditioned
+            total, cross, before = self._moments
+            present = np.flatnonzero(pattern)
+            cross = cross[..., present]
+            precision = np.asarray(np.linalg.inv(total[:, present[:, None], present]), np.float64)
+            gain = cross @ precision[:, None]
+            self._patterns[key] = _Conditioned(
+                present=present,
+                gain=gain,
+                precision=precision,
+                log_determinant=-np.linalg.slogdet(precision)[1],
+                variances=before - (gain * cross).sum(axis=3),
+            )
         return self._patterns[key]
 
     def _describe(
@@ -469,11 +413,9 @@ def _channels(
 
 def _by_pattern(present: BoolArray) -> Iterator[tuple[BoolArray, IntArray]]:
     """Each pattern of present channels with the samples that have it."""
-    packed = np.packbits(present, axis=1)  # as one value per sample, these are sorted fast
-    keys = packed.view(np.dtype((np.void, packed.shape[1])))[:, 0]
-    _, first, which = np.unique(keys, return_index=True, return_inverse=True)
-    for number, row in enumerate(first):
-        yield present[row], np.flatnonzero(which == number)
+    patterns, which = np.unique(present, axis=0, return_inverse=True)
+    for number, pattern in enumerate(patterns):
+        yield pattern, np.flatnonzero(which.reshape(-1) == number)
 
 
 def _rice_deviation(size: FloatArray, sigma: FloatArray) -> FloatArray:
@@ -496,14 +438,7 @@ def map_samples(
     settings: ForceMapSettings,
     leave_out: tuple[str, ...] = (),
 ) -> MapEstimate:
-    """The map at every sample, without single outliers and without channels that are left out.
-
-    Args:
-        samples: N samples.
-        geometry: Geometry of the socket.
-        settings: The prior.
-        leave_out: Channels that do not count, such as `distal.Fx`.
-    """
+    """The map at every sample, without single outliers and without channels that are left out."""
     trusted = without_untrusted(samples, geometry, leave_out)
     return ForceMap(geometry, samples.clusters, settings).estimate(trusted)
 
@@ -518,11 +453,9 @@ def without_untrusted(
 
 
 def surface_correlation(geometry: SocketGeometry, length: float) -> FloatArray:
-    """Matern correlation of the tiles along the surface, positive definite, shape (n, n) [-].
+    """Matern correlation of the tiles along the surface, definite, shape (n, n) [-].
 
-    Args:
-        geometry: Geometry of the socket.
-        length: Length l over which forces are alike [m].
+    Forces are alike over the length l [m].
     """
     a, b = geometry.neighbours.T
     distance = np.linalg.norm(geometry.anchors[a] - geometry.anchors[b], axis=1)
@@ -578,35 +511,33 @@ def _levels(count: int) -> FloatArray:
     return np.asarray((np.arange(count) + 0.5) / count)
 
 
-def _condition(
+def _prior_moments(
     geometry: SocketGeometry, clusters: tuple[str, ...], settings: ForceMapSettings
-) -> _Conditioned:
-    """The draws of the prior, conditioned on all channels."""
-    count, channels = len(geometry), len(WRENCH_CHANNELS) + 3 * len(clusters)
-    draws = _draw(settings)
-    gain = np.empty((len(draws), count, 4, channels))
-    precision = np.empty((len(draws), channels, channels))
-    log_determinant = np.empty(len(draws))
-    variances = np.empty((len(draws), count, 4))
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Covariances under the M draws of the prior, from which any channels can condition the forces.
 
+    Returns:
+        That of the channels, shape (M, c, c), of the forces with the channels, shape (M, n, 4, c),
+        and the variances of the forces, shape (M, n, 4).
+    """
+    count = len(geometry)
     # From a tile's frame to x, y, z of {S} and the normal.
     along_normal = np.broadcast_to([[0.0, 0.0, 1.0]], (count, 1, 3))
     turned = np.concatenate([geometry.rotations, along_normal], axis=1)
     tile = np.arange(3 * count).reshape(count, 3)
     correlation = surface_correlation(geometry, settings.length)
     motions = _rigid_motions(geometry, settings.arm)
-    for m, drawn in enumerate(draws):
+    total, cross, variances = [], [], []
+    for drawn in _draw(settings):
         prior = _prior(geometry, correlation, motions, drawn)
         mapping = _mapping(geometry, clusters, drawn.share)
         mapped = prior @ mapping.T
         signal = mapping @ mapped
-        precision[m] = np.linalg.inv(signal + _noise(signal, drawn))
-        log_determinant[m] = -np.linalg.slogdet(precision[m])[1]
-        of_tiles = turned @ mapped.reshape(count, 3, channels)
-        gain[m] = of_tiles @ precision[m]
+        total.append(signal + _noise(signal, drawn))
+        cross.append(turned @ mapped.reshape(count, 3, -1))
         before = turned @ prior[tile[:, :, None], tile[:, None]]
-        variances[m] = (before * turned).sum(axis=2) - (gain[m] * of_tiles).sum(axis=2)
-    return _Conditioned(list(range(channels)), gain, precision, log_determinant, variances)
+        variances.append((before * turned).sum(axis=2))
+    return np.array(total), np.array(cross), np.array(variances)
 
 
 def _prior(
@@ -615,7 +546,7 @@ def _prior(
     motions: FloatArray,
     settings: ForceMapSettings,
 ) -> FloatArray:
-    """Covariance K of all forces in the tiles' frames, shape (3n, 3n) [N^2]."""
+    """Covariance K of all forces in the tiles' frames, shape (3n, 3n) [N^2]: see this module."""
     count = len(geometry)
     bed = motions * np.array([settings.bed_shear, settings.bed_shear, 1.0])[:, None]
     bed = bed / np.sqrt((bed**2).sum(axis=1).mean(axis=0))
@@ -646,12 +577,7 @@ def _mapping(geometry: SocketGeometry, clusters: tuple[str, ...], share: float) 
 
 
 def _noise(signal: FloatArray, settings: ForceMapSettings) -> FloatArray:
-    """Covariance R of noise, offset and gain of the channels, diagonal.
-
-    Args:
-        signal: Prior covariance H K H' of the channels.
-        settings: Sizes of the errors.
-    """
+    """Covariance R of noise, offset and gain of the channels, diagonal, by the prior's H K H'."""
     clusters = len(signal) - len(WRENCH_CHANNELS)
     errors = (settings.moment_error, settings.force_error, settings.cluster_error)
     offset = np.repeat(errors, (3, 3, clusters))

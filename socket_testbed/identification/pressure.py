@@ -29,7 +29,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 
@@ -182,24 +181,20 @@ class PressureOutputs:
             of_regions = draws.mapped(mapping)
             for start in range(0, len(draws.rows), _BLOCK):
                 some = of_regions[start : start + _BLOCK]
-                part = self.reader.interval("mean", some.mean_values(), some.values())
-                for name, values in vars(part).items():
-                    getattr(found, name)[kept[some.rows]] = values
+                part = self.reader.interval("mean", some.mean(), some.values())
+                _store(found, part, kept[some.rows])
         return found
 
     def at(self, rows: IntArray) -> RegionOutputs:
-        """Outputs of the regions at k of the samples, shape (k, R); NaN where nothing was measured.
-
-        Args:
-            rows: Indices of the samples, shape (k,).
-        """
+        """Outputs of the regions at k samples, by their indices, shape (k, R); else as `series`."""
         samples = self.samples[rows]
         kept = np.flatnonzero(measured_rows(samples))
         series: dict[str, Quantity] = {}
         drawn = _expanded(self.force_map, samples[kept], self.reader.areas, self.threshold)
         for some, alone, instants in drawn:
-            found = self.reader.outputs(alone.at((slice(None), 0)), instants)
-            _store(series, found, kept[some], len(samples))
+            for name, quantity in vars(self.reader.outputs(alone, instants)).items():
+                shape = (len(samples), *quantity.value.shape[1:])
+                _store(series.setdefault(name, _unknown(shape)), quantity, kept[some])
         return RegionOutputs(**series)
 
 
@@ -213,17 +208,6 @@ class _Fields:
     compression: FloatArray  # mean compressive force, shape (..., n) [N]
     # integral of the pressure in contact, shape (..., n) [Pa s]; None at an instant
     integral: FloatArray | None = None
-
-    def at(self, index: Any) -> _Fields:
-        """The fields at an index of the leading axes."""
-        integral = None if self.integral is None else self.integral[index]
-        return _Fields(
-            self.force[index],
-            self.peak[index],
-            self.contact[index],
-            self.compression[index],
-            integral,
-        )
 
 
 class _Reader:
@@ -277,14 +261,11 @@ class _Reader:
         return found
 
     def outputs(self, estimate: _Fields, draws: _Fields) -> RegionOutputs:
-        """The outputs with intervals.
-
-        Args:
-            estimate: The fields of the estimate.
-            draws: Those of the draws, their axis before that of the tiles.
-        """
-        values, drawn = self.read(estimate), self.read(draws)
-        values["area"] = drawn["area"].mean(axis=-2)
+        """The outputs with intervals, of an estimate (..., 1, n) and of draws (..., D, n)."""
+        axis = estimate.peak.ndim - 2
+        values = {name: np.take(found, 0, axis) for name, found in self.read(estimate).items()}
+        drawn = self.read(draws)
+        values["area"] = drawn["area"].mean(axis=axis)
         found = {name: self.interval(name, values[name], drawn[name]) for name in values}
         found.setdefault("integral", _unknown(values["mean"].shape))
         return RegionOutputs(**found)
@@ -323,12 +304,7 @@ class _Span:
         self._contact, self._compression, self._integral = np.zeros((3, draws, tiles))
 
     def add(self, instants: _Fields, weights: FloatArray) -> None:
-        """Add k samples.
-
-        Args:
-            instants: Their fields, with the leading axes (k, D).
-            weights: Their weights in integrals over time, shape (k,) [s].
-        """
+        """Add fields (k, D, n) of k samples, with their weights in integrals over time (k,) [s]."""
         self._samples += len(weights)
         self._force += instants.force.sum(axis=0)
         self.raise_peaks(instants)
@@ -361,7 +337,7 @@ def _expanded(
         for start in range(0, len(draws.rows), _EXPANDED):
             some = draws[start : start + _EXPANDED]
             alone = _instants(some.mean()[:, None], areas, threshold)
-            instants = _instants(some.forces(), areas, threshold)
+            instants = _instants(some.values(), areas, threshold)
             spread = _PEAK_WIDENING * (instants.peak - alone.peak)
             yield some.rows, alone, replace(instants, peak=alone.peak + spread)
 
@@ -392,9 +368,9 @@ def pressure_outputs(
     alone, drawn = _Span(1, areas), _Span(_DRAWS, areas)
     highest, peaks = np.full(len(areas), -np.inf), np.zeros(len(areas), dtype=np.int64)
     for draws in force_map.sample(measured, _DRAWS):
-        forces = draws.mean()
-        alone.add(_instants(forces[:, None], areas, threshold), weights[draws.rows])
-        pressure = -forces[..., 2] / areas
+        instants = _instants(draws.mean()[:, None], areas, threshold)
+        alone.add(instants, weights[draws.rows])
+        pressure = instants.peak[:, 0]
         top = pressure.argmax(axis=0)
         higher = pressure.max(axis=0) > highest
         peaks[higher] = draws.rows[top[higher]]
@@ -410,7 +386,7 @@ def pressure_outputs(
         for _, _, instants in _expanded(force_map, measured[np.unique(peaks)], areas, threshold):
             drawn.raise_peaks(instants)
     each = [Region(name, np.array([tile])) for tile, name in enumerate(geometry.names)]
-    over_span = alone.fields().at(0), drawn.fields()
+    over_span = alone.fields(), drawn.fields()
     reader = _Reader(geometry, regions)
     return PressureOutputs(
         regions=reader.outputs(*over_span),
@@ -446,11 +422,13 @@ def outputs_of(
     local = np.einsum("nij,kni->knj", geometry.rotations, forces)
     span = _Span(1, geometry.areas)
     span.add(_instants(local[:, None], geometry.areas, threshold), integration_weights(time))
-    return _Reader(geometry, regions).read(span.fields().at(0))
+    found = _Reader(geometry, regions).read(span.fields())
+    return {name: values[0] for name, values in found.items()}
 
 
 def _instants(forces: FloatArray, areas: FloatArray, threshold: float) -> _Fields:
-    """The fields of forces of shape (k, D, n, 3) [N]."""
+    """The fields of forces in the tiles' frames, which may be in a row, shape (k, D, 3n) [N]."""
+    forces = forces.reshape(*forces.shape[:2], -1, 3)
     compression = -forces[..., 2]
     pressure = compression / areas
     return _Fields(
@@ -476,13 +454,10 @@ def _unknown(shape: tuple[int, ...]) -> Quantity:
     return Quantity(*(np.full(shape, np.nan) for _ in fields(Quantity)))
 
 
-def _store(series: dict[str, Quantity], found: RegionOutputs, rows: IntArray, count: int) -> None:
-    """Put outputs at some samples among those of all N samples."""
-    for output in fields(found):
-        quantity: Quantity = getattr(found, output.name)
-        stored = series.setdefault(output.name, _unknown((count, *quantity.value.shape[1:])))
-        for part in fields(Quantity):
-            getattr(stored, part.name)[rows] = getattr(quantity, part.name)
+def _store(stored: Quantity, found: Quantity, rows: IntArray) -> None:
+    """Put a quantity at some samples into that of all samples."""
+    for name, values in vars(found).items():
+        getattr(stored, name)[rows] = values
 
 
 def measured_rows(samples: Samples) -> BoolArray:

@@ -58,6 +58,8 @@ _UNKNOWN = (float("nan"),) * len(LEVELS)
 
 Question = Literal["cluster", "wrench", "tiles"]
 Test = Literal["left out", "in-sample", "second half", "other trial"]
+"""How samples stand to those that a predictor was fitted on: it has not seen the cluster that was
+left out, the second half or the other trial; it has seen what is in-sample."""
 
 
 @dataclass(frozen=True)
@@ -66,24 +68,17 @@ class Judgement:
 
     question: Question  # `cluster`, `wrench` or `tiles`: see this module
     predictor: str  # an estimate or a rival
-    # what the predictor has not seen: the cluster that it was judged on (`left out`), the `second
-    # half` of a trial that it was fitted on the first of, or an `other trial`; or that it was
-    # fitted on the same samples (`in-sample`)
-    test: Test
+    test: Test  # how the samples stand to those of the fit
     fitted_on: str  # name of the trial that it was fitted on; empty for what needs no fit
     tested_on: str  # name of the trial that it was judged on
     cluster: str = ""  # the cluster that was left out; empty for all of them
-    samples: int = 0  # number of samples
-    # root mean square error of the forces over the root mean square of them all [-]; 1 is what
-    # predicting zero has
-    error: float = float("nan")
+    samples: int = 0
+    error: float = float("nan")  # RMSE of the forces over their RMS [-]; 1 if zero is predicted
     moment_rmse: float = float("nan")  # mean RMSE of the moments [N m]
     force_rmse: float = float("nan")  # mean RMSE of the forces [N]
-    # 1 - `moment_rmse` over that of the constants which fit these samples best [-]
-    moment_skill: float = float("nan")
+    moment_skill: float = float("nan")  # 1 - `moment_rmse` over that of the best constants [-]
     force_skill: float = float("nan")  # the same of `force_rmse` [-]
-    # share of the values within the intervals of `LEVELS` [-]
-    coverage: tuple[float, ...] = _UNKNOWN
+    coverage: tuple[float, ...] = _UNKNOWN  # share of the values within each of `LEVELS` [-]
 
 
 def inverse_distance(
@@ -100,7 +95,7 @@ def inverse_distance(
     Args:
         geometry: Geometry of the socket.
         clusters: Names of the c clusters.
-        local_forces: Force on each in its frame, shape (N, c, 3) [N]; NaN where there is none.
+        local_forces: Force on each in its frame, shape (N, c, 3) [N]; NaN if missing.
 
     Returns:
         Forces in {S}, shape (N, n, 3) [N]; NaN in samples without any cluster.
@@ -146,47 +141,24 @@ def close_wrench(
     return forces + change.reshape(forces.shape)
 
 
-@dataclass(frozen=True)
-class PoseRegression:
-    """Linear regression of the wrench on the limb's pose, ``w = c + B (p - p_mean)``."""
-
-    mean_pose: FloatArray  # mean pose of the samples of the fit, shape (6,) [m, rad]
-    constant: FloatArray  # mean wrench, shape (6,) [N m, N]
-    slope: FloatArray  # B transposed: the wrench per pose, shape (6, 6) [N m, N per m, rad]
-
-    def predict(self, pose: FloatArray) -> FloatArray:
-        """Wrenches at poses of shape (N, 6), shape (N, 6) [N m, N]."""
-        return self.constant + (pose - self.mean_pose) @ self.slope
-
-
-def fit_regression(pose: FloatArray, wrench: FloatArray) -> PoseRegression:
-    """Fit the wrench by least squares to position and rotation of the limb, with a constant.
-
-    Where the poses lack rank, the solution is the one of least norm in standardised poses.
-
-    Args:
-        pose: Position and rotation vector of the limb in {S}, shape (N, 6) [m, rad].
-        wrench: Measured wrenches, shape (N, 6) [N m, N]; a channel that is NaN stays NaN.
-    """
-    mean = pose.mean(axis=0)
-    spread = pose.std(axis=0)
-    spread = np.where(spread > _ROUNDING * np.abs(pose).max(axis=0), spread, np.inf)
-    constant = wrench.mean(axis=0)
-    known = np.nan_to_num(wrench - constant)
-    slope = np.linalg.lstsq((pose - mean) / spread, known, rcond=_RANK)[0]
-    return PoseRegression(mean, constant, slope / spread[:, None])
-
-
 WrenchPredictor = Callable[[FloatArray], FloatArray]
 """From poses, shape (N, 6) [m, rad], to wrenches, shape (N, 6) [N m, N]."""
 
 
 def wrench_rivals(samples: Samples) -> dict[str, WrenchPredictor]:
-    """The best constant and linear regression on the pose, fitted on samples; by name."""
-    regression = fit_regression(samples.pose, samples.wrench)
+    """The best constant and linear regression on the pose, fitted on samples; by name.
+
+    Where the poses lack rank, the regression is the one of least norm in standardised poses. A
+    channel of the wrench without values is predicted as NaN.
+    """
+    pose, constant = samples.pose, samples.wrench.mean(axis=0)
+    mean, spread = pose.mean(axis=0), pose.std(axis=0)
+    spread = np.where(spread > _ROUNDING * np.abs(pose).max(axis=0), spread, np.inf)
+    known = np.nan_to_num(samples.wrench - constant)
+    slope = np.linalg.lstsq((pose - mean) / spread, known, rcond=_RANK)[0]
     return {
-        CONSTANT: lambda pose: np.tile(regression.constant, (len(pose), 1)),
-        REGRESSION: regression.predict,
+        CONSTANT: lambda pose: np.tile(constant, (len(pose), 1)),
+        REGRESSION: lambda pose: constant + (pose - mean) @ (slope / spread[:, None]),
     }
 
 
@@ -197,15 +169,9 @@ def judge_wrench(
     fitted_on: str = "",
     tested_on: str = "",
 ) -> list[Judgement]:
-    """Judge predictions of the wrench from the pose alone.
+    """Judge predictions of the wrench from the pose alone, on samples as `loaded_rows` finds them.
 
-    Args:
-        samples: The samples to predict, with a pose and a wrench, as `loaded_rows` finds them.
-            A channel of the wrench without a value counts in no mean.
-        predictors: What predicts the wrench, by name.
-        test: How these samples stand to those of the fit.
-        fitted_on: Name of the trial of the fit.
-        tested_on: Name of the trial of the samples.
+    A channel of the wrench without a value counts in no mean.
     """
     constant = samples.wrench.std(axis=0)
     found = []
@@ -286,21 +252,15 @@ def judge_clusters(
     noise: FloatArray,
     tested_on: str = "",
 ) -> list[Judgement]:
-    """Predict the three forces on each cluster from the other clusters and the wrench.
+    """Judge the forces on each cluster, estimated from the other clusters and the wrench.
 
-    The intervals are those of a measurement: they hold the errors of the cluster's own channels.
-
-    Args:
-        samples: Samples with a wrench; where a cluster has no trusted value it is not judged.
-        geometry: Geometry of the socket.
-        estimators: What estimates the forces on the tiles, by name.
-        noise: Standard deviation of the errors of a cluster's forces in its frame, (c, 3) [N].
-        tested_on: Name of the trial.
+    The intervals are those of a measurement: they hold the errors of the cluster's own channels,
+    with the standard deviations `noise` in its frame, shape (c, 3) [N].
 
     Returns:
         A judgement per cluster and estimator, then one of all clusters per estimator.
     """
-    by_name: dict[str, list[_Residuals]] = {name: [] for name in estimators}
+    by_name: dict[str, list[_Compared]] = {name: [] for name in estimators}
     judged = []
     for column, cluster in enumerate(samples.clusters):
         tile = geometry.clusters[cluster]
@@ -315,15 +275,15 @@ def judge_clusters(
         for name, estimate in estimators.items():
             forces, deviations = estimate(hidden)
             spread = None if deviations is None else np.sqrt(deviations[:, tile] ** 2 + variance)
-            by_name[name].append(_Residuals.of(truth, forces[:, tile], spread))
+            by_name[name].append((truth, forces[:, tile], spread))
     size = rms(samples.trusted_forces)
     found = []
     for row, cluster in enumerate([*judged, ""]):
-        for name, residuals in by_name.items():
-            chosen = residuals[row : row + 1] if cluster else residuals
+        for name, compared in by_name.items():
+            chosen = compared[row : row + 1] if cluster else compared
             if chosen:
                 judgement = Judgement("cluster", name, "left out", "", tested_on, cluster)
-                found.append(_judged(judgement, _Residuals.joined(chosen), size))
+                found.append(_judged(judgement, chosen, size))
     return found
 
 
@@ -335,16 +295,7 @@ def judge_tiles(
     test: Test,
     tested_on: str = "",
 ) -> list[Judgement]:
-    """Judge the forces on the tiles without a sensor where a simulation knows them.
-
-    Args:
-        samples: Samples with a wrench.
-        geometry: Geometry of the socket.
-        truth: The forces in {S}, shape (N, n, 3) [N].
-        estimators: What estimates the forces on the tiles, by name.
-        test: How these samples stand to those of a fit.
-        tested_on: Name of the trial.
-    """
+    """Judge the forces on the tiles without a sensor where they are known, (N, n, 3) in {S} [N]."""
     bare = np.setdiff1d(np.arange(len(geometry)), [*geometry.clusters.values()])
     if not len(bare):
         return []
@@ -354,40 +305,30 @@ def judge_tiles(
         forces, deviations = estimate(samples)
         spread = None if deviations is None else deviations[:, bare]
         judgement = Judgement("tiles", name, test, "", tested_on)
-        found.append(_judged(judgement, _Residuals.of(truth, forces[:, bare], spread), rms(truth)))
+        found.append(_judged(judgement, [(truth, forces[:, bare], spread)], rms(truth)))
     return found
 
 
-@dataclass(frozen=True)
-class _Residuals:
-    """Errors of forces, and over their standard deviations, of all axes in one row each."""
-
-    samples: int
-    errors: FloatArray
-    scaled: FloatArray
-
-    @classmethod
-    def of(cls, truth: FloatArray, forces: FloatArray, spread: FloatArray | None) -> _Residuals:
-        errors = forces - truth
-        known = np.isfinite(errors)
-        scaled = np.full(0, np.nan) if spread is None else np.abs(errors[known] / spread[known])
-        count = int(known.reshape(len(known), -1).any(axis=1).sum())
-        return cls(count, errors[known], scaled)
-
-    @classmethod
-    def joined(cls, parts: Sequence[_Residuals]) -> _Residuals:
-        errors = np.concatenate([part.errors for part in parts])
-        scaled = np.concatenate([part.scaled for part in parts])
-        return cls(max(part.samples for part in parts), errors, scaled)
+_Compared = tuple[FloatArray, FloatArray, FloatArray | None]
+"""True and estimated forces of N samples, and the standard deviations of these, if known."""
 
 
-def _judged(judgement: Judgement, residuals: _Residuals, size: float) -> Judgement:
-    error = rms(residuals.errors) / size if size > 0.0 else float("nan")
+def _judged(judgement: Judgement, compared: Sequence[_Compared], size: float) -> Judgement:
+    """The judgement with its figures, over forces of the root mean square `size` [N]."""
+    errors, scaled, samples = [], [], 0
+    for truth, forces, spread in compared:
+        error = forces - truth
+        known = np.isfinite(error)
+        samples = max(samples, int(known.reshape(len(known), -1).any(axis=1).sum()))
+        errors.append(error[known])
+        if spread is not None:
+            scaled.append(np.abs(error[known] / spread[known]))
     coverage = _UNKNOWN
-    if len(residuals.scaled):
+    if sum(map(len, scaled)):
         limits = ndtri(0.5 + 0.5 * np.array(LEVELS))
-        coverage = tuple(float(np.mean(residuals.scaled <= limit)) for limit in limits)
-    return dataclasses.replace(judgement, samples=residuals.samples, error=error, coverage=coverage)
+        coverage = tuple(float(np.mean(np.concatenate(scaled) <= limit)) for limit in limits)
+    share = rms(np.concatenate(errors)) / size if size > 0.0 else float("nan")
+    return dataclasses.replace(judgement, samples=samples, error=share, coverage=coverage)
 
 
 def fit_variants(
@@ -396,14 +337,7 @@ def fit_variants(
     settings: IdentificationSettings,
     notify: Callable[[str], None] | None = None,
 ) -> dict[str, ContactModel]:
-    """Fit every variant of the contact model that the samples allow, by its name.
-
-    Args:
-        samples: Samples of the fit.
-        geometry: Geometry of the socket.
-        settings: Settings of the identification; the variant does not matter.
-        notify: Called with a note per variant that cannot be fitted.
-    """
+    """Fit every variant of the contact model that the samples allow, by name; note the others."""
     models: dict[str, ContactModel] = {}
     errors: dict[str, IdentificationError] = {}
     for variant in VARIANTS:
@@ -424,10 +358,8 @@ def wrench_predictors(
     samples: Samples, models: Mapping[str, ContactModel]
 ) -> dict[str, WrenchPredictor]:
     """The rivals fitted on samples, then the models that were fitted on the same."""
-    of_models = {
-        name: partial(predict_channels, model, clusters=()) for name, model in models.items()
-    }
-    return wrench_rivals(samples) | of_models
+    predictors = {name: partial(predict_channels, m, clusters=()) for name, m in models.items()}
+    return wrench_rivals(samples) | predictors
 
 
 def split(samples: Samples, least_force: float) -> tuple[BoolArray, BoolArray]:
@@ -481,7 +413,7 @@ def judge_samples(
         samples: Samples of the trial.
         geometry: Geometry of the socket.
         settings: Settings of the estimator; the variant does not matter.
-        truth: Simulated force on every tile in {S}, shape (N, n, 3) [N]; None where unknown.
+        truth: Simulated force on every tile in {S}, shape (N, n, 3) [N]; None if unknown.
         name: Name of the trial.
         notify: Called with a note per variant that cannot be fitted.
     """
@@ -522,12 +454,7 @@ def measurement_errors(
     .. math:: \sqrt{\max(\sigma_{noise}, \sigma_{offset})^2 + (\sigma_{gain} f_{rms})^2}
 
     with the offset (which includes the usual noise) and the gain as uncertain as the force map
-    takes them to be, and the size f_rms of the channel.
-
-    Args:
-        samples: Samples of the trial.
-        noise: Standard deviation of the noise of each channel, shape (c, 3) [N]; NaN if unknown.
-        settings: Settings of the force map.
+    takes them to be, the size f_rms of the channel, and its noise, (c, 3) [N], NaN if unknown.
     """
     forces = samples.trusted_forces
     sizes = [[rms(channel) for channel in cluster.T] for cluster in forces.swapaxes(0, 1)]
@@ -553,13 +480,7 @@ def _model_forces(model: ContactModel, samples: Samples) -> tuple[FloatArray, No
 
 
 def judgements_table(judgements: Sequence[Judgement]) -> pd.DataFrame:
-    """Judgements as a pandas table, a row each, with the units in the names.
-
-    Returns:
-        Columns: `question`, `predictor`, `test`, `fitted on`, `tested on`, `cluster`, `samples
-        [1]`, `error [-]`, `moment RMSE [N m]`, `force RMSE [N]`, `moment skill [-]`, `force skill
-        [-]`, and the share of the values `within 50 % [-]`, `80 %` and `95 %`: see `Judgement`.
-    """
+    """Judgements as a pandas table, a row each, with the units in the names: see `Judgement`."""
     import pandas as pd
 
     return pd.DataFrame(

@@ -205,7 +205,7 @@ def test_joint_draws_have_the_posterior_of_a_plain_conditioning() -> None:
     samples.status[0, 2] = Status.MISSING
     (joint,) = force_map.sample(samples, 6000)
     assert joint.rows.tolist() == [0]
-    draws = joint.forces().reshape(6000, -1)
+    draws = joint.values()[0]
 
     (drawn, *_) = _draw(settings)
     correlation = surface_correlation(GEOMETRY, settings.length)
@@ -236,8 +236,10 @@ def test_joint_draws_agree_with_the_map(force_map: ForceMap) -> None:
     for draws in force_map.sample(samples, 1000):
         rows = draws.rows
         seen += rows.tolist()
-        forces = np.einsum("nij,kdnj->kdni", GEOMETRY.rotations, draws.forces())
-        mean = np.einsum("nij,knj->kni", GEOMETRY.rotations, draws.mean())
+        forces = np.einsum(
+            "nij,kdnj->kdni", GEOMETRY.rotations, draws.values().reshape(len(rows), 1000, -1, 3)
+        )
+        mean = np.einsum("nij,knj->kni", GEOMETRY.rotations, draws.mean().reshape(len(rows), -1, 3))
         np.testing.assert_allclose(mean, estimate.forces[rows], atol=1e-7)  # [N]
         deviation = estimate.standard_deviations[rows]
         assert np.abs((forces.mean(axis=1) - estimate.forces[rows]) / deviation).max() < 0.1

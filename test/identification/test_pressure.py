@@ -279,7 +279,7 @@ def test_a_span_gives_what_every_draw_at_every_sample_gives(threshold: float) ->
     force, push = np.zeros((200, TILES, 3)), np.zeros((200, TILES))
     contact, integral = np.zeros((200, TILES)), np.zeros((200, TILES))
     for draws in force_map.sample(samples):
-        for row, forces in zip(draws.rows, draws.forces(), strict=True):
+        for row, forces in zip(draws.rows, draws.values().reshape(-1, 200, TILES, 3), strict=True):
             drawn = -forces[..., 2] / GEOMETRY.areas
             force += forces / 700
             peak = np.maximum(peak, pressure[row] + 1.25 * (drawn - pressure[row]))

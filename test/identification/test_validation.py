@@ -20,7 +20,6 @@ from socket_testbed.identification.validation import (
     REGRESSION,
     close_wrench,
     field_rivals,
-    fit_regression,
     fit_variants,
     inverse_distance,
     judge_clusters,
@@ -128,15 +127,19 @@ def test_the_closed_wrench_is_met_by_the_smallest_change(held):
 def test_the_regression_finds_a_linear_law_and_ignores_a_pose_that_does_not_move():
     rng = np.random.default_rng(4)
     samples, slope = moving_samples(rng)
-    found = fit_regression(samples.pose, samples.wrench)
-    assert np.allclose(found.slope, slope, rtol=1e-6)
-    assert np.allclose(found.predict(samples.pose), samples.wrench)
-    pose = samples.pose.copy()
-    pose[:, 4] = 0.3  # constant
-    pose[:, 5] = 2.0 * pose[:, 0]  # and one that is another's multiple
-    found = fit_regression(pose, pose[:, :4] @ slope[:4])
-    assert np.allclose(found.predict(pose), pose[:, :4] @ slope[:4])
-    assert np.all(found.slope[4] == 0.0)
+    other, _ = moving_samples(rng, slope=slope)
+    predict = wrench_rivals(samples)[REGRESSION]
+    constant = samples.wrench[0] - samples.pose[0] @ slope
+    assert np.allclose(predict(other.pose), constant + other.pose @ slope)
+    rotation = samples.rotation.copy()
+    rotation[:, 1] = 0.3  # constant
+    rotation[:, 2] = 2.0 * samples.position[:, 0]  # another's multiple
+    degenerate = dataclasses.replace(samples, rotation=rotation)
+    degenerate.wrench[:] = degenerate.pose[:, :4] @ slope[:4]
+    predict, moved = wrench_rivals(degenerate)[REGRESSION], degenerate.pose
+    assert np.allclose(predict(moved), degenerate.wrench)
+    moved[:, 4] = 0.4
+    assert np.allclose(predict(moved), degenerate.wrench)
 
 
 def test_the_wrench_s_rivals_have_the_skill_that_they_must():
@@ -162,7 +165,7 @@ def test_the_wrench_s_rivals_have_the_skill_that_they_must():
 
     samples.wrench[:, 2] = np.nan  # Mz was never measured: the others count
     found = {j.predictor: j for j in judge_wrench(samples, wrench_rivals(samples), "in-sample")}
-    residual = fit_regression(samples.pose, samples.wrench).predict(samples.pose) - samples.wrench
+    residual = wrench_rivals(samples)[REGRESSION](samples.pose) - samples.wrench
     by_hand = np.sqrt(np.mean(residual[:, :2] ** 2, axis=0)).mean()
     assert found[REGRESSION].moment_rmse == pytest.approx(by_hand)
     assert found[REGRESSION].force_rmse == pytest.approx(0.5, rel=0.1)
