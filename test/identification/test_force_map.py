@@ -158,17 +158,6 @@ def test_the_data_sets_the_amplitude(force_map: ForceMap) -> None:
     assert 4.0 < np.median(ratio) < 11.0
 
 
-def test_a_socket_on_which_nothing_resists_sinking_has_a_map() -> None:
-    """A cylinder: no tile has a normal along the axis."""
-    axis = np.array([0.0, 0.0, 1.0])
-    inward = -GEOMETRY.anchors * [1.0, 1.0, 0.0]
-    inward /= np.linalg.norm(inward, axis=1, keepdims=True)
-    frames = [np.column_stack([axis, np.cross(z, axis), z]) for z in inward]
-    geometry = replace(GEOMETRY, rotations=np.array(frames))
-    for value in fields(ForceMap(geometry, CLUSTERS).estimate(some_samples(2))):
-        assert np.isfinite(value).all()
-
-
 def test_the_shear_s_deviation_is_that_of_a_rice_distribution() -> None:
     random = np.random.default_rng(1)
     for size, sigma in ((0.0, 1.0), (1.0, 1.0), (5.0, 0.5)):
@@ -176,14 +165,6 @@ def test_the_shear_s_deviation_is_that_of_a_rice_distribution() -> None:
         expected = np.sqrt(np.mean((np.hypot(*drawn.T) - size) ** 2))
         found = _rice_deviation(np.array([size]), np.array([sigma]))[0]
         assert found == pytest.approx(expected, rel=0.01)
-
-
-def test_the_mean_of_a_long_segment_is_that_of_its_maps(force_map: ForceMap) -> None:
-    samples = some_samples(600)
-    for one, other in zip(
-        fields(force_map.mean(samples)), fields(force_map.estimate(samples).mean()), strict=True
-    ):
-        np.testing.assert_allclose(one, other, rtol=1e-12)
 
 
 def test_outliers_and_channels_left_out_do_not_count() -> None:

@@ -1,4 +1,4 @@
-"""Who bears the load, and how far the pose moves beyond its noise."""
+"""Who bears the load, how far the pose moves beyond its noise, and which springs are engaged."""
 
 from __future__ import annotations
 
@@ -6,12 +6,16 @@ import dataclasses
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 from support.problems import make_samples, moving_limb, random_bed, random_socket, samples_of_bed
 
+from socket_testbed.identification import information as module
+from socket_testbed.identification.contact_law import gate
 from socket_testbed.identification.evaluation import predict_channels
 from socket_testbed.identification.information import (
     LoadShare,
     _information,
+    engagement,
     known_directions,
     load_shares,
     measure_motion,
@@ -51,21 +55,17 @@ def test_the_shares_of_a_bed_are_its_own(variant):
 
 def test_what_is_linear_in_the_pose_is_no_spring_s():
     rng = np.random.default_rng(8)
-    geometry = random_socket(rng)
-    bed = random_bed(rng, geometry, "stiffness_bias")
-    moving_pose = np.hstack([moving_limb(rng, 60), moving_limb(rng, 60, 0.03)])
-    sloped = dataclasses.replace(
-        bed, variant="rigid_bias", wrench_slope=rng.normal(0.0, 1e4, (6, 6))
-    )
-    wrench = sloped.wrench(moving_pose) + rng.normal(0.0, 0.1, (60, 6))
-    samples = make_samples(moving_pose[:, :3], wrench, sloped.cluster_forces(moving_pose))
-    samples = dataclasses.replace(samples, rotation=moving_pose[:, 3:])
+    bed = random_bed(rng, random_socket(rng), "stiffness_bias")
+    pose = np.hstack([moving_limb(rng, 60), moving_limb(rng, 60, 0.03)])
+    slope = rng.normal(0.0, 1e4, (6, 6))
+    sloped = dataclasses.replace(bed, variant="rigid_bias", wrench_slope=slope)
+    wrench = sloped.wrench(pose) + rng.normal(0.0, 0.1, (60, 6))
+    samples = make_samples(pose[:, :3], wrench, sloped.cluster_forces(pose))
+    samples = dataclasses.replace(samples, rotation=pose[:, 3:])
     plain = dataclasses.replace(sloped, wrench_slope=np.zeros((6, 6)))
-    for with_slope, without in zip(
-        load_shares(samples, sloped), load_shares(samples, plain), strict=True
-    ):
-        assert with_slope.springs == pytest.approx(without.springs)
-        assert with_slope.offsets != pytest.approx(without.offsets)
+    with_slope, without = (load_shares(samples, model)[0] for model in (sloped, plain))
+    assert with_slope.springs == pytest.approx(without.springs)
+    assert with_slope.offsets != pytest.approx(without.offsets)
     assert known_directions(samples, sloped, 1e3) < known_directions(samples, plain, 1e3)
 
 
@@ -73,8 +73,7 @@ def test_springs_that_bear_less_than_half_get_a_warning():
     moment = LoadShare("moment", 0.1, 0.8, 0.1)
     little = (LoadShare("Fz", 0.02, 0.97, 0.01), LoadShare("force", 0.12, 0.87, 0.01), moment)
     assert "only 12 % of the measured force (2 % of Fz), the offsets 87 %" in share_warning(little)
-    much = (little[0], LoadShare("force", 0.6, 0.3, 0.1), moment)
-    assert share_warning(much) == ""
+    assert share_warning((little[0], LoadShare("force", 0.6, 0.3, 0.1), moment)) == ""
 
 
 def test_motion_and_noise_are_told_apart():
@@ -94,26 +93,6 @@ def test_motion_and_noise_are_told_apart():
     assert "mrad of motion" in text[3] and "high and low" in text[3]
     assert text[5].endswith("twist the limb in the socket")
     assert text[4].endswith("of noise")
-
-
-def test_numbers_that_move_together_are_one_direction():
-    rng = np.random.default_rng(3)
-    geometry = random_socket(rng)
-    samples = moving(rng, geometry, [1e-3, 0, 0, 0, 0, 0], [1e-5] * 6)
-    samples.rotation[:, 1] += 10.0 * samples.position[:, 0]
-    found = measure_motion(samples, geometry)
-    assert sum(excitation.sufficient for excitation in found.excitations) == 2
-    assert found.directions == 1
-
-
-def test_averaged_poses_have_less_noise():
-    rng = np.random.default_rng(4)
-    geometry = random_socket(rng)
-    samples = moving(rng, geometry, [1e-3] * 6, [1e-3] * 6)
-    raw, averaged = (measure_motion(samples, geometry, window) for window in (0.0, 2.25))
-    assert raw.directions == 0
-    for before, after in zip(raw.excitations, averaged.excitations, strict=True):
-        assert after.noise == pytest.approx(before.noise / 3.0, rel=0.1)  # nine samples
 
 
 def test_without_a_known_noise_no_motion_counts():
@@ -160,3 +139,55 @@ def test_the_derivatives_are_those_of_the_model():
         columns.append((predict_channels(single, pose, clusters) / deviations).ravel())
     stacked = np.array(columns)
     assert np.allclose(_information(pose, bed, clusters, deviations), stacked @ stacked.T)
+
+
+def samples_of(position, rotation=None):
+    samples = make_samples(position, np.zeros((len(position), 6)), {})
+    return samples if rotation is None else dataclasses.replace(samples, rotation=rotation)
+
+
+def test_a_spring_is_engaged_where_its_gate_is_half_open_and_it_is_stiff(monkeypatch):
+    rng = np.random.default_rng(3)
+    monkeypatch.setattr(module, "_BLOCK", 7)
+    bed = random_bed(rng, random_socket(rng), untouched=0.3)
+    q = moving_limb(rng, 40)
+    q[5] = np.nan
+    found = engagement(samples_of(q), bed, rows=slice(4, 24))
+    expected = np.zeros((40, *bed.stiffness.shape), dtype=bool)
+    for k, i, j in np.ndindex(expected.shape):
+        open_gate = gate(q[k, j] - bed.rest_positions[i, j], bed.sharpness) > 0.5
+        expected[k, i, j] = open_gate and bed.stiffness[i, j] > 0.0
+    numbers = np.where(np.arange(40) == 5, np.nan, expected.sum(axis=(1, 2)))
+    np.testing.assert_array_equal(found.engaged, numbers)
+    share = found.columns("")["engaged_share [-]"]
+    np.testing.assert_array_equal(share, numbers / bed.stiffness.size)
+    chosen = np.delete(expected, 5, axis=0)[4:23]
+    np.testing.assert_allclose(found.time_share, chosen.mean(axis=0), rtol=1e-12)
+    assert found.switching == (chosen.any(axis=0) & ~chosen.all(axis=0)).sum() > 0
+
+
+@pytest.mark.parametrize("variant", ["stiffness", "rigid_bias"])
+def test_springs_are_uncertain_within_the_spread_of_drawn_poses(variant):
+    """A limb at rest, turned far from {S}, whose pose has noise: no formula but the motion."""
+    rng = np.random.default_rng(8)
+    count, centre = 3000, np.array([0.01, -0.02, 0.13])
+    bed = dataclasses.replace(
+        random_bed(rng, random_socket(rng, 4, 8), variant),
+        reference_pose=np.array([*centre, 1.6, -0.9, 1.2]) * (variant != "stiffness"),
+        rest_positions=rng.uniform(-4e-4, 4e-4, (32, 3)) + centre * (variant == "stiffness"),
+    )
+    shifts, turns = rng.normal(0.0, 1e-4, (count, 3)), rng.normal(0.0, 2e-3, (count, 3))
+    turned = Rotation.from_rotvec(turns) * Rotation.from_rotvec([1.6, -0.9, 1.2])
+    found = engagement(samples_of(centre + shifts, turned.as_rotvec()), bed)
+    if variant == "stiffness":
+        delta = (centre + shifts)[:, None] - bed.rest_positions
+    else:  # along the normal of each tile, at its centre
+        arms = np.stack([Rotation.from_rotvec(turns).apply(a - centre) for a in bed.anchors], 1)
+        moved = shifts[:, None] + arms - (bed.anchors - centre)
+        normals, rest = bed.rotations[:, :, 2], bed.rest_positions[:, 2]
+        delta = (np.einsum("kni,ni->kn", moved, normals) - rest)[..., None]
+    expected = (np.abs(delta) < delta.std(axis=0)).sum(axis=(1, 2))
+    assert expected.mean() > 2.0
+    assert found.uncertain.mean() == pytest.approx(expected.mean(), rel=0.04)
+    assert found.engaged.mean() == pytest.approx((delta < 0.0).sum(axis=(1, 2)).mean(), rel=1e-3)
+    assert found.springs == delta[0].size

@@ -40,27 +40,26 @@ def test_a_model_reads_back_as_it_was_written(hold: Path, tmp_path: Path, varian
         assert after.rmse == pytest.approx(before.rmse, abs=1e-5)
 
 
-@pytest.mark.parametrize(
-    ("place", "value", "error"),
-    [
-        (
-            ("format",),
-            "socket_testbed model 0",
-            "is of the format 'socket_testbed model 0': fit the trial again",
-        ),
-        (("parameters", "variant"), "stiff", "variant is 'stiff': did you mean 'stiffness'"),
-        (("parameters", "stiffness"), [[1.0, 2.0, 3.0]], "stiffness has 1 rows for "),
-        (("parameters", "stiffness", 1, 2), -2000.5, "stiffness[1][2] is -2000.5: give a number"),
-        (("parameters", "rest_positions", 1, 2), 1e300, "rest_positions[1][2] is 1e+300: give"),
-        (("parameters", "force_bias", "elsewhere"), [0, 0, 0], "unknown key 'elsewhere'"),
-        (("parameters", "clusters"), ["nowhere"], "clusters: no cluster 'nowhere'"),
-        (("quality", "errors", 0, "rmse"), "small", "quality: errors[0]: rmse is 'small': give"),
-    ],
+SPOILT = (
+    (("format",), "socket_testbed model 0", "is of the format 'socket_testbed model 0': fit the"),
+    (("parameters", "variant"), "stiff", "variant is 'stiff': did you mean 'stiffness'"),
+    (("parameters", "stiffness"), [[1.0, 2.0, 3.0]], "stiffness has 1 rows for "),
+    (("parameters", "stiffness", 1, 2), -2000.5, "stiffness[1][2] is -2000.5: give a number"),
+    (("parameters", "rest_positions", 1, 2), 1e300, "rest_positions[1][2] is 1e+300: give"),
+    (("parameters", "force_bias", "elsewhere"), [0, 0, 0], "unknown key 'elsewhere'"),
+    (("parameters", "clusters"), ["nowhere"], "clusters: no cluster 'nowhere'"),
+    (("quality", "errors", 0, "rmse"), "small", "quality: errors[0]: rmse is 'small': give"),
 )
-def test_a_spoilt_model_is_refused(hold_model: Path, tmp_path: Path, place, value, error) -> None:
-    path = tmp_path / "model.json"
-    path.write_text(json.dumps(changed(json.loads(hold_model.read_text()), place, value)))
-    with refused(ConfigurationError, str(path), error):
+
+
+def test_a_spoilt_model_is_refused(hold_model: Path, tmp_path: Path) -> None:
+    path, text = tmp_path / "model.json", hold_model.read_text()
+    for place, value, error in SPOILT:
+        path.write_text(json.dumps(changed(json.loads(text), place, value)))
+        with refused(ConfigurationError, str(path), error):
+            read_model(path)
+    path.write_text(text[: len(text) // 2])
+    with refused(ConfigurationError, "is not a model"):
         read_model(path)
 
 
@@ -74,13 +73,6 @@ def test_a_model_of_an_older_version_is_read(hold_model: Path, tmp_path: Path) -
     document["settings"]["noise_correction"] = True  # such a fit cannot be repeated
     (tmp_path / "model.json").write_text(json.dumps(document))
     with pytest.raises(ConfigurationError, match="unknown key 'noise_correction'"):
-        read_model(tmp_path / "model.json")
-
-
-def test_half_a_model_is_refused(hold_model: Path, tmp_path: Path) -> None:
-    text = hold_model.read_text()
-    (tmp_path / "model.json").write_text(text[: len(text) // 2])
-    with pytest.raises(ConfigurationError, match="is not a model"):
         read_model(tmp_path / "model.json")
 
 

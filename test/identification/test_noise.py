@@ -89,7 +89,7 @@ def test_gaps_and_missing_values_do_not_count():
     assert_known_noise(dataclasses.replace(samples, wrench=wrench, position=position)[kept])
 
 
-@pytest.mark.parametrize("noise", [0.0, 0.05, 0.3, 1.0])
+@pytest.mark.parametrize("noise", [0.0, 0.3, 1.0])
 def test_a_quantised_channel_has_at_least_the_noise_of_its_steps(noise):
     step = 0.1  # [N]
     samples = noisy_samples(40)
@@ -101,18 +101,14 @@ def test_a_quantised_channel_has_at_least_the_noise_of_its_steps(noise):
     np.testing.assert_allclose(found, step * np.hypot(noise, np.sqrt(1.0 / 12.0)), rtol=0.25)
 
 
-@pytest.mark.parametrize("count", [0, 1, 3, LEAST_DIFFERENCES + 2])
-def test_too_few_samples_state_no_noise(count):
-    found = channel_noise(noisy_samples(50)[:count])
-    assert np.isnan(found.values).all() and np.isnan(found.pose).all()
+def test_too_few_samples_or_values_state_no_noise():
+    for count in (0, 3, LEAST_DIFFERENCES + 2):
+        found = channel_noise(noisy_samples(50)[:count])
+        assert np.isnan(found.values).all() and np.isnan(found.pose).all()
     assert np.isfinite(channel_noise(noisy_samples(50)[: LEAST_DIFFERENCES + 3]).values).all()
-
-
-def test_a_channel_with_one_value_or_none_states_no_noise():
     samples = noisy_samples(60)
-    wrench = samples.wrench.copy()
-    wrench[:, 0], wrench[:, 1] = 0.0, np.nan
-    found = channel_noise(dataclasses.replace(samples, wrench=wrench))
+    samples.wrench[:, 0], samples.wrench[:, 1] = 0.0, np.nan
+    found = channel_noise(samples)
     assert np.isnan(found.wrench).tolist() == [True, True, False, False, False, False]
 
 
@@ -130,12 +126,6 @@ def test_the_poses_components_keep_their_correlation():
         covariance / np.outer(size, size), expected / np.outer(size, size), atol=0.12
     )
     assert np.linalg.eigvalsh(covariance / np.outer(size, size)).min() > 0.0
-
-
-def turned(samples: Samples, rotation: Rotation) -> Samples:
-    """The same motion seen from a limb's frame that is turned by a constant rotation."""
-    vectors = (rotation * Rotation.from_rotvec(samples.rotation)).as_rotvec()
-    return dataclasses.replace(samples, rotation=vectors)
 
 
 def test_smoothing_keeps_linear_motion_and_averages_the_noise():
@@ -169,19 +159,11 @@ def test_smoothing_does_not_reach_across_a_gap_and_fills_nothing():
 def test_smoothing_is_the_same_in_any_orientation_of_the_frames():
     samples = noisy_samples(93, 100)
     around = Rotation.from_rotvec([0.0, 0.0, np.pi])  # rotation vectors jump there
-    expected = turned(smooth_poses(samples, 2.0), around)
-    found = smooth_poses(turned(samples, around), 2.0)
-    difference = Rotation.from_rotvec(expected.rotation).inv() * Rotation.from_rotvec(
-        found.rotation
-    )
-    assert difference.magnitude().max() < 1e-12
 
+    def turned(samples: Samples) -> Samples:
+        vectors = (around * Rotation.from_rotvec(samples.rotation)).as_rotvec()
+        return dataclasses.replace(samples, rotation=vectors)
 
-def test_smoothing_does_not_lag():
-    samples = noisy_samples(94, 60)
-    reverse = dataclasses.replace(
-        samples[::-1], stamps=samples.stamps[0] + samples.stamps[-1] - samples.stamps[::-1]
-    )
-    np.testing.assert_allclose(
-        smooth_poses(reverse, 1.5).pose, smooth_poses(samples, 1.5).pose[::-1], atol=1e-12
-    )
+    expected = Rotation.from_rotvec(turned(smooth_poses(samples, 2.0)).rotation)
+    found = Rotation.from_rotvec(smooth_poses(turned(samples), 2.0).rotation)
+    assert (expected.inv() * found).magnitude().max() < 1e-12

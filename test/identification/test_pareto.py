@@ -1,25 +1,41 @@
-"""The front over theta against single fits, and its theorems."""
+"""The front over theta against single fits and its theorems; where it bends, on known fronts."""
 
+import csv
 import dataclasses
+import json
 
 import numpy as np
 import pytest
-from support.pareto_cases import THETAS, make_hold
+from matplotlib.image import imread
+from support.pareto_cases import CHANNELS, THETAS, made_up_front, make_hold
 from support.problems import count_solver_calls, make_case
 from support.stacked import MILLIMETRE, stack_stage_one, stack_stage_two
+from support.wording import refused
 
 from socket_testbed.errors import ConfigurationError, IdentificationError, TestbedError
 from socket_testbed.identification import pareto
 from socket_testbed.identification.box_qp import (
-    Certificate,
     UncertifiedSolutionError,
     solve_box_qp,
 )
 from socket_testbed.identification.evaluation import evaluate
 from socket_testbed.identification.fit import fit_contact_model
 from socket_testbed.identification.objective import build_objective
-from socket_testbed.identification.pareto import SENSOR_ONLY, pareto_front
+from socket_testbed.identification.pareto import (
+    KNEE,
+    LEAST_DEPTH,
+    RESOLUTION,
+    SENSOR_ONLY,
+    WRENCH_ONLY,
+    find_knee,
+    find_non_dominated,
+    front_document,
+    pareto_front,
+    write_fronts,
+)
 from socket_testbed.identification.problem import Problem
+from socket_testbed.report.figures.style import save_figure
+from socket_testbed.report.sections.fronts import pareto_figure
 from socket_testbed.settings.identification import PAPER_VARIANTS, VARIANTS
 
 
@@ -64,13 +80,6 @@ def test_every_solution_is_the_fit_at_its_theta(leave_out):
             assert_is_the_fit(front, index, samples, geometry, settings)
 
 
-def test_every_solution_is_the_fit_on_a_hold():
-    geometry, _, samples, settings = make_hold(0)
-    for front in pareto_front(samples, geometry, settings, THETAS).values():
-        for index in range(len(THETAS)):
-            assert_is_the_fit(front, index, samples, geometry, settings)
-
-
 @pytest.mark.parametrize("leave_out", [(), ("Mx", "cluster_1.Fx")])
 def test_the_errors_are_normalised_by_what_was_measured(leave_out):
     geometry, _, samples, settings = make_case(11, gaps=True, leave_out=leave_out)
@@ -109,9 +118,8 @@ def assert_traded(wrench, local):
 # one convex program, J_w + s must fall with theta and J_f + s rise. J_w alone need not.
 
 
-@pytest.mark.parametrize("limit", [0.008, 0.001])
-def test_along_stage_one_each_error_with_the_smoothness_is_monotone(limit):
-    geometry, _, samples, settings = make_case(21, gaps=True, rest_position_limit=limit)
+def test_along_stage_one_each_error_with_the_smoothness_is_monotone():
+    geometry, _, samples, settings = make_case(21, gaps=True, rest_position_limit=0.001)
     thetas = np.linspace(0.0, 1.0, 11)
     front = pareto_front(samples, geometry, settings, thetas)["stiffness"]
     offsets = [m.rest_positions - samples.position.mean(axis=0) for m in front.models]
@@ -150,22 +158,6 @@ def test_the_solver_is_called_for_the_programs_of_the_first_theta_alone(monkeypa
     assert calls == ["osqp"] * 3  # Stage 1, and Stage 2 of both variants
 
 
-def test_the_certificate_is_the_worst_of_both_stages(monkeypatch):
-    geometry, _, samples, settings = make_case(34)
-    worst = np.random.default_rng(34).uniform(0.0, 1e-9, 3 * len(THETAS))
-    left = iter(worst.tolist())
-
-    def certify(*args):
-        certificate = Certificate(primal=0.0, stationarity=next(left), gap=0.0)
-        return dataclasses.replace(solve_box_qp(*args), certificate=certificate)
-
-    monkeypatch.setattr(pareto, "solve_box_qp", certify)
-    fronts = pareto_front(samples, geometry, settings, THETAS)
-    rest, plain, bias = worst.reshape(-1, 3).T
-    np.testing.assert_array_equal(fronts["stiffness"].residual, np.maximum(rest, plain))
-    np.testing.assert_array_equal(fronts["stiffness_bias"].residual, np.maximum(rest, bias))
-
-
 def split_socket(geometry):
     """The same socket with a row of tiles, none of them under a cluster, joined to no other."""
     island = {i for i in range(len(geometry)) if i not in geometry.clusters.values()}
@@ -182,12 +174,6 @@ def test_what_nothing_decides_is_not_on_the_front():
         assert SENSOR_ONLY not in front.marks
     whole = pareto_front(samples, geometry, settings, THETAS)
     assert all(front.sound.all() for front in whole.values())
-
-
-def test_without_any_smoothness_the_front_is_refused_with_a_hint():
-    geometry, _, samples, settings = make_case(41, smoothness=0.0)
-    with pytest.raises(IdentificationError, match=r"determine.*more smoothness"):
-        pareto_front(samples, geometry, settings, THETAS)
 
 
 def fail_where(monkeypatch, fails, answer=True):
@@ -235,25 +221,163 @@ def test_a_front_without_one_certified_solution_is_an_error(monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("changes", "said"),
+    ("changes", "thetas", "reason"),
     [
-        ({"leave_out": ("Mx", "My", "Mz", "Fx", "Fy", "Fz")}, "no channel of the wrench"),
-        ({"leave_out": tuple(f"cluster_{i}.F{a}" for i in range(3) for a in "xyz")}, "clusters"),
-        ({"leave_out": ("cluster_9.Fx",)}, "cluster_9.Fx"),
-        ({"solver": "osqq"}, "did you mean 'osqp'"),
-        ({}, "not for rigid"),
+        ({"leave_out": ("Mx", "My", "Mz", "Fx", "Fy", "Fz")}, THETAS, "no channel of the wrench"),
+        (
+            {"leave_out": tuple(f"cluster_{i}.F{a}" for i in range(3) for a in "xyz")},
+            THETAS,
+            "clus",
+        ),
+        ({"smoothness": 0.0}, THETAS, "more smoothness"),
+        ({}, (), "thetas do not rise"),
+        ({}, (0.5, 0.5), "thetas do not rise"),
+        ({}, (-0.1, 1.0), "theta"),
+        ({}, (np.nan,), "theta"),
     ],
 )
-def test_wrong_settings_get_one_line(changes, said):
-    geometry, _, samples, settings = make_case(51)
-    settings = dataclasses.replace(settings, **changes)
-    with pytest.raises(TestbedError, match=said) as caught:
-        pareto_front(samples, geometry, settings, THETAS, PAPER_VARIANTS if changes else VARIANTS)
-    assert "\n" not in str(caught.value)
-
-
-@pytest.mark.parametrize("thetas", [(), (0.5, 0.5), (1.0, 0.0), (0.0, 1.1), (-0.1, 1.0), (np.nan,)])
-def test_thetas_must_rise_within_zero_and_one(thetas):
-    geometry, _, samples, settings = make_case(54)
-    with pytest.raises(ConfigurationError, match="theta"):
+def test_without_a_trade_off_the_front_is_refused_in_one_line(changes, thetas, reason):
+    geometry, _, samples, settings = make_case(41, **changes)
+    with refused(TestbedError, reason):
         pareto_front(samples, geometry, settings, thetas)
+
+
+def test_the_front_is_that_of_the_paper_s_variants():
+    geometry, _, samples, settings = make_case(51)
+    with refused(ConfigurationError, "not for rigid"):
+        pareto_front(samples, geometry, settings, THETAS, VARIANTS)
+
+
+def kept(wrench, local, sound=None):
+    wrench, local = np.array(wrench, dtype=float), np.array(local, dtype=float)
+    sound = np.ones(len(wrench), dtype=bool) if sound is None else np.array(sound)
+    return find_non_dominated(wrench, local, sound)
+
+
+def knee_of(wrench, local):
+    wrench, local = np.array(wrench, dtype=float), np.array(local, dtype=float)
+    return find_knee(wrench, local, kept(wrench, local))
+
+
+def dominated_by_definition(wrench, local, sound):
+    """Every pair compared."""
+    better = (wrench[:, None] <= wrench) & (local[:, None] <= local)
+    better &= (wrench[:, None] < wrench) | (local[:, None] < local)
+    return (better & sound[:, None]).any(axis=0)
+
+
+def test_what_is_kept_is_what_the_definition_keeps():
+    rng = np.random.default_rng(0)
+    for count in (0, 1, 5, 60, 60, 60, 60):
+        wrench, local = rng.integers(0, 12, (2, count)).astype(float)  # with ties of all kinds
+        sound = rng.random(count) < 0.8
+        wrench[~sound & (rng.random(count) < 0.5)] = np.nan
+        found = find_non_dominated(wrench, local, sound)
+        dominated = dominated_by_definition(wrench, local, sound)
+        np.testing.assert_array_equal(found, sound & ~dominated)
+
+
+@pytest.mark.parametrize("stretch", [(1.0, 1.0), (0.05, 7.0)])
+def test_the_knee_of_a_hyperbola_is_where_its_slope_is_the_chord_s(stretch):
+    x = np.geomspace(0.1, 10.0, 401)  # y = 1 / x: the slope is -1 at x = 1
+    knee = knee_of(stretch[0] * x, stretch[1] / x)
+    assert knee.index == 200
+    assert knee.depth == pytest.approx(1.0 - 2.0 * 0.9 / 9.9)
+    assert knee.span == pytest.approx((9.9 * stretch[0], 9.9 * stretch[1]))
+
+
+def test_without_a_knee_it_is_said_why():
+    line = np.linspace(0.0, 1.0, 9)
+    for wrench, local, reason in (
+        ([0.3] * 4, [0.4] * 4, "nothing to trade off"),
+        ([0.3, 0.3 + 0.9 * RESOLUTION], [0.5, 0.2], "nothing to trade off"),
+        (line, 1.0 - line, "straight"),
+        (line, 1.0 - line**3, "straight"),  # bends outwards
+        ([], [], "without flaw"),
+    ):
+        knee = knee_of(wrench, local)
+        assert knee.index is None and not knee.depth >= LEAST_DEPTH
+        assert knee.verdict.startswith("no knee") and reason in knee.verdict
+
+
+def test_a_front_marks_its_ends_and_its_knee_but_nothing_flawed():
+    front = made_up_front()
+    assert front.marks == {SENSOR_ONLY: 0, KNEE: 4, WRENCH_ONLY: 10}
+    assert front.non_dominated.tolist() == [True] * 9 + [False] * 2
+    growth = 1.0 + front.theta
+    np.testing.assert_allclose(front.moment_rmse, 1.0 * growth)
+    np.testing.assert_allclose(front.force_rmse, 2.5 * growth)
+    np.testing.assert_allclose(front.local_rmse, 5.0 * growth)
+    assert np.isnan(made_up_front(channels=CHANNELS[1:]).moment_rmse).all()
+    flaws = {0: "not determined", 4: "not certified", 8: "not certified", 10: "not certified"}
+    front = made_up_front(flaws=flaws)
+    assert front.sound.tolist() == [i not in flaws for i in range(11)]
+    assert not front.non_dominated[[0, 4, 8, 10]].any()
+    assert set(front.marks) == {KNEE} and front.marks[KNEE] in (3, 5)
+    assert front.worst_residual == pytest.approx(10e-12)
+    nothing = made_up_front(flaws=dict.fromkeys(range(11), "not certified"))
+    assert nothing.marks == {} and np.isnan(nothing.worst_residual)
+
+
+def test_the_table_is_the_fronts(tmp_path):
+    fronts = [made_up_front(), made_up_front("stiffness_bias", 0.1, {3: "not certified"})]
+    write_fronts(fronts, tmp_path / "front.csv")
+    with (tmp_path / "front.csv").open(newline="") as stream:
+        rows = list(csv.DictReader(stream))
+    assert len(rows) == 22
+    assert {"theta [-]", "RMSE Mx [N m]", "RMSE distal.Fz [N]", "mean force RMSE [N]"} <= set(
+        rows[0]
+    )
+    assert [row["variant"] for row in rows[::11]] == ["stiffness", "stiffness_bias"]
+    assert [row["mark"] for row in rows[:11] if row["mark"]] == [SENSOR_ONLY, KNEE, WRENCH_ONLY]
+    for row, theta, error in zip(rows, fronts[0].theta, fronts[0].wrench_error, strict=False):
+        assert float(row["theta [-]"]) == pytest.approx(theta)
+        assert float(row["wrench error [-]"]) == pytest.approx(error, rel=1e-9)
+    assert [row["non-dominated"] for row in rows[:11]] == ["1"] * 9 + ["0"] * 2
+    assert rows[14]["flaw"] == "not certified"
+    assert rows[14]["wrench error [-]"] == rows[14]["RMSE Mx [N m]"] == ""
+
+
+def test_a_front_is_valid_json_even_where_nothing_was_found():
+    flaws = dict.fromkeys(range(11), "not certified")
+    for front in (made_up_front(), made_up_front(flaws=flaws)):
+        document = json.loads(json.dumps(front_document(front), allow_nan=False))
+        assert len(document["solutions"]) == 11
+        assert document["marks"].keys() == front.marks.keys()
+    assert document["knee"]["theta"] is None
+    assert document["solutions"][0]["flaw"] == "not certified"
+    assert document["solutions"][0]["rmse"]["Mx"] is None
+
+
+def test_the_figure_shows_every_sound_solution_of_both_fronts(tmp_path):
+    fronts = [made_up_front(flaws={3: "not determined"}), made_up_front("stiffness_bias", 1e-3)]
+    path = tmp_path / "front.png"
+    figure = pareto_figure(fronts, "two fronts")
+    save_figure(figure, path)
+    (axes,) = figure.axes
+    assert axes.get_xscale() == axes.get_yscale() == "log"
+    assert "J_w" in axes.get_xlabel() and "[-]" in axes.get_xlabel()
+    shown = {(float(x), float(y)) for line in axes.lines for x, y in line.get_xydata()}
+    expected = {
+        (float(x), float(y))
+        for front in fronts
+        for x, y in zip(
+            front.wrench_error[front.sound], front.local_error[front.sound], strict=True
+        )
+    }
+    assert shown == expected
+    faint = [line.get_xydata().tolist() for line in axes.lines if line.get_alpha()]
+    assert faint == [
+        np.stack([f.wrench_error[9:], f.local_error[9:]], axis=1).tolist() for f in fronts
+    ]
+    image = imread(path)
+    assert image.shape[1] > 900 and image[..., :3].mean() > 0.8 and image[..., :3].std() > 0.05
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_the_figure_of_nothing_is_a_figure(tmp_path):
+    nothing = made_up_front(flaws=dict.fromkeys(range(11), "not certified"))
+    zero = dataclasses.replace(made_up_front(), wrench_error=np.zeros(11))  # no place on log axes
+    for front in (nothing, zero):
+        save_figure(pareto_figure([front], "nothing"), tmp_path / "front.pdf")
+        assert (tmp_path / "front.pdf").read_bytes().startswith(b"%PDF")

@@ -122,25 +122,6 @@ def test_outputs_of_a_known_field_are_those_of_plain_numpy() -> None:
                 np.testing.assert_allclose(part[number], value, rtol=1e-9, err_msg=name)
 
 
-def test_a_tile_is_a_region_of_one_and_an_instant_a_span_of_one() -> None:
-    times, local = 0.25 * np.arange(12), some_field()
-    found = known_outputs(local, times, all_regions(GEOMETRY))
-    pressure = -local[..., 2] / GEOMETRY.areas
-    np.testing.assert_allclose(found.tiles.mean.value, pressure.mean(axis=0))
-    np.testing.assert_allclose(found.tiles.peak.value, pressure.max(axis=0))
-    np.testing.assert_allclose(found.series.peak.value[:, -1], pressure.max(axis=1))
-    np.testing.assert_allclose(found.series.mean.value[:, -1], pressure.mean(axis=1))
-    assert np.isnan(found.series.integral.value).all()
-
-
-def test_the_shares_of_a_socket_s_parts_add_up_to_all_of_the_load() -> None:
-    found = known_outputs(some_field(), 0.25 * np.arange(12), all_regions(GEOMETRY, "right"))
-    # The sectors, the heights, the sectors by the heights, the socket.
-    for parts in (slice(0, 4), slice(4, 7), slice(7, 19), slice(19, 20)):
-        np.testing.assert_allclose(found.regions.share.value[parts].sum(), 1.0)
-        np.testing.assert_allclose(found.series.share.value[:, parts].sum(axis=1), 1.0)
-
-
 def test_gaps_are_left_out_of_integrals() -> None:
     times = np.array([0.0, 0.25, 0.5, 0.75, 9.0, 9.25, 9.5])
     np.testing.assert_allclose(integration_weights(times).sum(), 1.25)

@@ -108,18 +108,6 @@ def test_joint_refinement_recovers_what_the_bed_bears(variant):
     assert (np.sqrt((error**2).mean(axis=0)) < 0.02 * spread).all()
 
 
-def test_refinement_only_improves_the_two_stages():
-    geometry, _, samples, settings = rigid_case(7)
-    problem = Problem(build_objective(samples, geometry, settings))
-    fit = fit_contact_model(samples, geometry, settings)
-    x = problem.start.copy()
-    x[3:] = fit.stage_one.x.reshape(3, -1)
-    x[:3] = fit.stage_two.x.reshape(3, -1)
-    assert fit.joint is not None
-    assert problem.value(fit.joint.x.reshape(x.shape)) < problem.value(x)
-    assert (fit.model.stiffness >= 0.0).all()
-
-
 def test_a_rotation_that_stands_still_gives_no_slope():
     geometry, _, samples, settings = rigid_case(12, "rigid_bias")
     # Its mean differs from it by rounding.

@@ -30,7 +30,6 @@ from socket_testbed.identification.validation import (
     split,
     summarise_judgements,
     thinned,
-    without_cluster,
     wrench_rivals,
 )
 from socket_testbed.settings.identification import (
@@ -50,16 +49,6 @@ def moving_samples(rng, count=60, slope=None, noise=0.0):
     wrench = rng.normal(size=6) + pose @ slope + noise * rng.normal(size=(count, 6))
     samples = make_samples(pose[:, :3], wrench, {"cluster_0": np.zeros((count, 3))})
     return dataclasses.replace(samples, rotation=pose[:, 3:]), slope
-
-
-def test_a_uniform_pressure_is_interpolated_exactly():
-    rng = np.random.default_rng(0)
-    geometry = random_socket(rng)
-    local = rng.normal(size=3)
-    given = np.tile(local, (5, len(geometry.clusters), 1))
-    found = inverse_distance(geometry, tuple(geometry.clusters), given)
-    expected = local_to_socket(geometry, np.tile(local, (len(geometry), 1)))
-    assert np.allclose(found, expected)
 
 
 def test_a_cluster_s_tile_keeps_its_force_and_two_clusters_share_by_distance():
@@ -179,16 +168,6 @@ def test_loaded_samples_are_complete_and_pressed():
     assert loaded_rows(samples, 20.0).tolist() == [True, False, True, False, False]
     samples.wrench[:, 0] = np.nan  # a channel that is never measured is not asked for
     assert loaded_rows(samples, 20.0).tolist() == [True, False, True, False, False]
-
-
-def test_a_left_out_cluster_is_missing_and_nothing_else_changes():
-    rng = np.random.default_rng(7)
-    forces = {name: rng.normal(size=(4, 3)) for name in ("cluster_0", "cluster_1")}
-    samples = make_samples(np.zeros((4, 3)), np.zeros((4, 6)), forces)
-    less = without_cluster(samples, "cluster_1")
-    assert np.isnan(less.trusted_forces[:, 1]).all()
-    assert np.array_equal(less.trusted_forces[:, 0], samples.trusted_forces[:, 0])
-    assert np.isfinite(samples.trusted_forces).all()
 
 
 def samples_of_forces(geometry, forces, noise=0.0, rng=None):
