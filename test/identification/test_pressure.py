@@ -122,14 +122,16 @@ def test_outputs_of_a_known_field_are_those_of_plain_numpy() -> None:
                 np.testing.assert_allclose(part[number], value, rtol=1e-9, err_msg=name)
 
 
-def test_gaps_are_left_out_of_integrals() -> None:
+def test_gaps_are_left_out_of_integrals_and_instants_have_none() -> None:
     times = np.array([0.0, 0.25, 0.5, 0.75, 9.0, 9.25, 9.5])
     np.testing.assert_allclose(integration_weights(times).sum(), 1.25)
-    local = np.zeros((7, TILES, 3))
-    local[..., 2] = -10e3 * GEOMETRY.areas
+    local = np.tile([0.0, 0.0, -10e3], (7, TILES, 1)) * GEOMETRY.areas[:, None]
     found = known_outputs(local, times, all_regions(GEOMETRY))
     np.testing.assert_allclose(found.regions.integral.value, 12.5e3)
     assert found.integrated == pytest.approx(1.25)
+    np.testing.assert_allclose(found.series.peak.value, 10e3)
+    np.testing.assert_allclose(found.tiles.mean.value, 10e3)
+    assert np.isnan(found.series.integral.value).all()
 
 
 def test_what_was_not_measured_counts_in_nothing() -> None:
@@ -155,22 +157,17 @@ def test_what_was_not_measured_counts_in_nothing() -> None:
         pressure_outputs(force_map, samples, GEOMETRY, regions, THRESHOLD)
 
 
-def test_a_long_hold_is_no_better_known_than_one_sample() -> None:
-    """What the channels leave open stays the same: it does not average out."""
+def test_intervals_hold_their_values_stay_where_values_can_be_and_do_not_average_out() -> None:
+    """What the channels leave open stays the same: a long hold is no better known than a sample."""
     force_map, regions = ForceMap(GEOMETRY, CLUSTERS), all_regions(GEOMETRY)
-
-    def widths(count: int) -> np.ndarray:
-        samples = samples_at(0.25 * np.arange(count))
-        mean = pressure_outputs(force_map, samples, GEOMETRY, regions, THRESHOLD).regions.mean
-        return np.asarray(mean.high - mean.low)
-
-    np.testing.assert_allclose(widths(30), widths(2), rtol=1e-6)
-
-
-def test_intervals_hold_their_values_and_stay_where_values_can_be() -> None:
-    samples = samples_at(0.25 * np.arange(4))
-    force_map, regions = ForceMap(GEOMETRY, CLUSTERS), all_regions(GEOMETRY)
-    found = pressure_outputs(force_map, samples, GEOMETRY, regions, THRESHOLD).regions
+    long, found = (
+        pressure_outputs(
+            force_map, samples_at(0.25 * np.arange(count)), GEOMETRY, regions, THRESHOLD
+        ).regions
+        for count in (30, 2)
+    )
+    widths = [each.mean.high - each.mean.low for each in (long, found)]
+    np.testing.assert_allclose(*widths, rtol=1e-6)
     for quantity in vars(found).values():
         assert (quantity.low <= quantity.value + 1e-9).all()
         assert (quantity.value <= quantity.high + 1e-9).all()
