@@ -132,12 +132,7 @@ class BoxSolution:
 
 
 class UncertifiedSolutionError(IdentificationError):
-    """A solver's answer misses the KKT tolerance.
-
-    Attributes:
-        problem: The problem, to be solved again by other means.
-        x: The solver's answer, or None.
-    """
+    """A solver's answer x to a problem, if any, misses the KKT tolerance."""
 
     def __init__(self, fact: str, hint: str, problem: BoxQP, x: FloatArray | None) -> None:
         super().__init__(fact, hint)

@@ -15,7 +15,7 @@ from socket_testbed.arrays import FloatArray
 from socket_testbed.identification.contact_law import ContactLaw
 from socket_testbed.identification.paper_law import PaperLaw
 from socket_testbed.identification.rigid_law import RigidLaw
-from socket_testbed.settings.identification import RIGID_VARIANTS, Variant
+from socket_testbed.settings.identification import Variant
 
 LAWS: dict[str, type[ContactLaw]] = {
     "stiffness": PaperLaw,
@@ -57,7 +57,7 @@ class ContactModel:
     @property
     def is_rigid(self) -> bool:
         """Whether the model reads the limb's rotation and works in the tiles' frames."""
-        return self.variant in RIGID_VARIANTS
+        return isinstance(self.law, RigidLaw)
 
     def forces(self, pose: FloatArray) -> FloatArray:
         """Forces F_i + b_i on the socket at the points of interest.
@@ -75,12 +75,10 @@ class ContactModel:
     def wrench(self, pose: FloatArray) -> FloatArray:
         """Wrench ``C F + b_w`` at the load cell, in `rigid_bias` with its slope over the pose.
 
-        The offsets of the clusters belong to the clusters' sensors: they are no part of
-        the wrench.
+        The offsets of the clusters belong to the clusters' sensors: they are no part of the wrench.
 
         Args:
-            pose: Poses of the limb, position q and rotation vector, shape (N, 6) [m, rad]; the
-                paper's variants read the position alone.
+            pose: Poses of the limb as `forces` reads them, shape (N, 6) [m, rad].
 
         Returns:
             Wrenches [M; F] in {S}, shape (N, 6) [N m, N].

@@ -39,14 +39,7 @@ class ChannelErrors:
 def channel_errors(
     name: str, measured: FloatArray, predicted: FloatArray, in_objective: bool = True
 ) -> ChannelErrors:
-    """Errors of one channel over the samples in which it was measured and predicted.
-
-    Args:
-        name: Name of the channel.
-        measured: Measured values, shape (N,).
-        predicted: Predicted values, shape (N,).
-        in_objective: Whether the fit saw the channel.
-    """
+    """Errors of one channel over the samples in which it was measured and predicted."""
     rows = np.isfinite(measured) & np.isfinite(predicted)
     residual = predicted[rows] - measured[rows]
     unit = channel_unit(name)
@@ -68,12 +61,7 @@ def channel_errors(
 
 
 def errors_to_dataframe(errors: Iterable[ChannelErrors]) -> pd.DataFrame:
-    """Errors as a pandas table, a row per channel, indexed by its name.
-
-    Returns:
-        Columns: `unit` (of RMSE, MAE and sigma), `RMSE`, `MAE`, `sigma`, `skill` [-],
-        `samples` and `in objective`; see `ChannelErrors`.
-    """
+    """Errors as a pandas table, a row per channel, indexed by its name: see `ChannelErrors`."""
     import pandas as pd
 
     rows = [
@@ -107,11 +95,7 @@ class ErrorSummary:
 
 
 def summarise_errors(errors: Sequence[ChannelErrors]) -> ErrorSummary:
-    """Means and medians over the channels in the objective, as the paper quotes them.
-
-    Args:
-        errors: Errors of the wrench's channels and the clusters'.
-    """
+    """Means and medians over the channels in the objective, as the paper quotes them."""
     known = [error for error in errors if error.samples > 0 and error.in_objective]
     wrench = [error for error in known if error.name in WRENCH_CHANNELS]
     local = [error for error in known if error.name not in WRENCH_CHANNELS]
@@ -155,16 +139,7 @@ def predict_channels(model: ContactModel, pose: FloatArray, clusters: Sequence[s
 def evaluate(
     samples: Samples, model: ContactModel, leave_out: tuple[str, ...] = ()
 ) -> tuple[ChannelErrors, ...]:
-    """Errors of a model on every channel of the samples.
-
-    Args:
-        samples: Samples to predict.
-        model: The contact model.
-        leave_out: Channels that were not in the objective of its fit.
-
-    Returns:
-        Errors of the wrench's six channels, then of three per cluster in its frame.
-    """
+    """Errors of a model on every channel of the samples; those left out were not in its fit."""
     predicted = predict_channels(model, samples.pose, samples.clusters)
     return evaluate_predictions(samples, predicted, leave_out)
 
@@ -172,13 +147,7 @@ def evaluate(
 def evaluate_predictions(
     samples: Samples, predicted: FloatArray, leave_out: tuple[str, ...] = ()
 ) -> tuple[ChannelErrors, ...]:
-    """Errors of predictions on every channel of the samples: see `evaluate`.
-
-    Args:
-        samples: Samples that were predicted.
-        predicted: What `predict_channels` gave for them, shape (N, 6 + 3c) [N m, N].
-        leave_out: Channels that were not in the objective of the fit.
-    """
+    """Errors of predictions, as `predict_channels` gives them for these samples: see `evaluate`."""
     measured = trusted_values(samples)
     return tuple(
         channel_errors(name, measured[:, i], predicted[:, i], name not in leave_out)

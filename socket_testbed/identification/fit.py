@@ -36,7 +36,7 @@ _FLAT = 1e-10  # [-]; least pivot of a step's program
 class Fit:
     """A fitted model with what is needed to judge it."""
 
-    model: ContactModel  # the contact model
+    model: ContactModel
     # settings of the identification, `initial_stiffness` as it was used
     settings: IdentificationSettings
     samples: int  # number of samples in the objective

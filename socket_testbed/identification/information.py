@@ -67,10 +67,7 @@ class LoadShare:
 def load_shares(samples: Samples, model: ContactModel) -> tuple[LoadShare, ...]:
     """Shares of Fz, of the force and of the moment that the springs of a model bear.
 
-    Args:
-        samples: Samples with the poses that the model predicts from. Those without a pose or a
-            channel of the part do not count; a share without any is NaN.
-        model: The model.
+    Samples without a pose or a channel of the part do not count; a share without any is NaN.
     """
     alone = replace(model, wrench_bias=np.zeros(6), wrench_slope=np.zeros((6, 6)))
     springs = predict_channels(alone, samples.pose, ())
@@ -150,11 +147,7 @@ def _noise(samples: Samples, window: float) -> tuple[ChannelNoise, FloatArray]:
 
 
 def _moving_directions(deviation: FloatArray, noise: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Directions of the pose in which the motion is `LEAST_RATIO` times the noise, d of them.
-
-    Args:
-        deviation: Poses about their mean, shape (N, 6).
-        noise: Covariance of their noise, shape (6, 6).
+    """Directions in which poses (N, 6) move `LEAST_RATIO` times their noise about their mean.
 
     Returns:
         The map of poses to the motion along them, shape (6, d), and its inverse, shape (d, 6).
@@ -227,13 +220,7 @@ class Motion:
 
 
 def measure_motion(samples: Samples, geometry: SocketGeometry, window: float = 0.0) -> Motion:
-    """Compare the motion of the limb with the noise of its pose.
-
-    Args:
-        samples: Samples of a trial or segment.
-        geometry: Geometry of the socket; the x axes of its tiles point to the proximal end.
-        window: Window over which the poses are averaged [s].
-    """
+    """Compare the motion of the limb with the noise of its pose, averaged over a window [s]."""
     noise, covariance = _noise(samples, window)
     pose = smooth_poses(samples, window).pose
     pose = pose[np.isfinite(pose).all(axis=1)]

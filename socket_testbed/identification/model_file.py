@@ -39,7 +39,7 @@ _AGAIN = "fit the trial again"
 class StoredModel:
     """A model read from its file."""
 
-    model: ContactModel  # the contact model
+    model: ContactModel
     geometry: SocketGeometry  # geometry of the socket it was fitted on
     settings: IdentificationSettings  # settings of its identification
     samples: int  # number of samples of its fit

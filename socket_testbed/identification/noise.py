@@ -64,17 +64,13 @@ class ChannelNoise:
 def channel_noise(samples: Samples) -> ChannelNoise:
     """Estimate the noise of every channel from its third differences: see this module.
 
-    Args:
-        samples: Samples of a trial or a segment, in the order of their stamps. Forces whose
-            status is not OK do not count.
-
-    Returns:
-        The noise; NaN for a channel with fewer than `LEAST_DIFFERENCES` usable differences, or
-        with a single value throughout.
+    Forces whose status is not OK do not count. The noise is NaN for a channel with fewer than
+    `LEAST_DIFFERENCES` usable differences, or with a single value throughout.
     """
     clusters = len(samples.clusters)
     local = samples.trusted_forces.reshape(len(samples), 3 * clusters)
-    regular = _regular(samples)
+    usual = ~_gaps(samples)
+    regular = np.asarray(usual[:-2] & usual[1:-1] & usual[2:])  # (max(N - 3, 0),), without a gap
     sensors = np.array([_deviation(y, regular) for y in np.hstack([samples.wrench, local]).T])
     pose = np.array([_deviation(y, regular) for y in samples.pose.T])
     return ChannelNoise(
@@ -86,15 +82,10 @@ def channel_noise(samples: Samples) -> ChannelNoise:
 
 
 def pose_covariance(samples: Samples, window: float) -> FloatArray:
-    """Covariance of the noise of a pose that is averaged over a window, see `smooth_poses`.
+    """Covariance of the noise of a pose that is averaged over a window [s], see `smooth_poses`.
 
-    Args:
-        samples: Samples as measured, in the order of their stamps.
-        window: Length of the window [s].
-
-    Returns:
-        Array of shape (6, 6) [m^2, m rad, rad^2], NaN for a position whose noise the samples do
-        not show; a rotation that never changes has none.
+    Its shape is (6, 6) [m^2, m rad, rad^2]. It is NaN for a position whose noise the samples do not
+    show; a rotation that never changes has none.
     """
     covariance = channel_noise(samples).pose_covariance * smoothing_gain(samples, window)
     still = np.isnan(np.diag(covariance)) & (np.arange(6) >= 3)
@@ -103,12 +94,7 @@ def pose_covariance(samples: Samples, window: float) -> FloatArray:
 
 
 def noise_groups(noise: ChannelNoise, clusters: tuple[str, ...]) -> dict[str, FloatArray]:
-    """The noise along x, y and z of each group of channels, with the unit in the group's name.
-
-    Returns:
-        An array of shape (3,) for the moment [N m], the force [N], the limb's position [mm] and
-        rotation [mrad] in {S}, and for the force on each cluster in its frame [N].
-    """
+    """The noise along x, y and z of each group of channels, with the unit in the group's name."""
     local = zip(clusters, noise.local_forces, strict=True)
     return {
         "moment [N m]": noise.wrench[:3],
@@ -117,12 +103,6 @@ def noise_groups(noise: ChannelNoise, clusters: tuple[str, ...]) -> dict[str, Fl
         "limb rotation [mrad]": 1e3 * noise.pose[3:],
         **{f"{name} [N]": deviations for name, deviations in local},
     }
-
-
-def _regular(samples: Samples) -> BoolArray:
-    """Differences whose samples follow each other without a gap, shape (max(N - 3, 0),)."""
-    usual = ~_gaps(samples)
-    return np.asarray(usual[:-2] & usual[1:-1] & usual[2:])
 
 
 def _gaps(samples: Samples) -> BoolArray:
@@ -175,18 +155,11 @@ def _correlation(pose: FloatArray, regular: BoolArray, deviation: FloatArray) ->
 
 
 def smooth_poses(samples: Samples, window: float) -> Samples:
-    """The samples with each pose replaced by the mean of the poses around it.
+    """The samples with each pose replaced by the mean of the poses in a window around it [s].
 
     The window is centred, so that the mean does not lag: near a gap, and near the first and the
-    last sample, it is shorter on both sides. A pose that is missing stays missing.
-
-    Args:
-        samples: Samples in the order of their stamps.
-        window: Length of the window [s]; 0 to change nothing.
-
-    Returns:
-        The samples with the mean position and the mean rotation; that is taken about the mean
-        rotation of all samples, so that it holds for any orientation of the frames.
+    last sample, it is shorter on both sides. A pose that is missing stays missing. The mean
+    rotation is taken about that of all samples, so that it holds for any orientation of the frames.
     """
     known = _known(samples)
     if window == 0.0 or not known.any():
@@ -204,12 +177,7 @@ def smooth_poses(samples: Samples, window: float) -> Samples:
 
 
 def smoothing_gain(samples: Samples, window: float) -> float:
-    """What `smooth_poses` leaves of the variance of white noise, in the mean over the samples [-].
-
-    Args:
-        samples: Samples in the order of their stamps.
-        window: Length of the window [s].
-    """
+    """Mean share of the variance of white noise that `smooth_poses` leaves, over a window [s]."""
     known = _known(samples)
     if window == 0.0 or not known.any():
         return 1.0

@@ -58,7 +58,7 @@ LEAST_SAMPLES = 12  # [1]; 3 s at the trigger's default rate
 class ClusterChannel:
     """One channel of a cluster's force that is in the objective."""
 
-    cluster: str  # name of the cluster
+    cluster: str
     point: int  # index of its point of interest
     axis: int  # axis of the cluster's frame: 0, 1, 2
     direction: FloatArray  # that axis in {S}, shape (3,) [-]
@@ -71,15 +71,13 @@ class ClusterChannel:
 class Objective:
     """The samples of a fit with the weight of each channel, on a socket, by its settings."""
 
-    geometry: SocketGeometry  # geometry of the socket
-    settings: IdentificationSettings  # settings of the identification
+    geometry: SocketGeometry
+    settings: IdentificationSettings
     samples: Samples  # the N samples that are used, without outliers, their poses averaged if asked
     # measured wrenches, zero where a channel does not count, shape (N, 6) [N m, N]
     wrench: FloatArray
     wrench_counts: BoolArray  # channels of the wrench that are in the objective, shape (6,)
-    # weight of each squared wrench error in J_w, zero where it does not count, shape (6,) [1/(N
-    # m)^2, 1/N^2]
-    wrench_shares: FloatArray
+    wrench_shares: FloatArray  # weight of squared errors in J_w, or 0, (6,) [1/(N m)^2, 1/N^2]
     channels: tuple[ClusterChannel, ...]  # channels of the clusters in the objective
     channel_shares: FloatArray  # weight of each channel's squared error in J_f, shape (m,) [1/N^2]
 
@@ -220,18 +218,9 @@ def _shares(
     channels: tuple[ClusterChannel, ...],
     noise: ChannelNoise | None,
 ) -> tuple[FloatArray, FloatArray]:
-    """Weights of the channels' squared errors: see this module.
+    """Weights of squared errors of the wrench (6,) and of m channels of clusters: see the module.
 
-    Args:
-        samples: Samples of the fit.
-        geometry: Geometry of the socket.
-        weights: What weighs the channels.
-        wrench_counts: Channels of the wrench that are in the objective, shape (6,).
-        channels: The m channels of the clusters in the objective.
-        noise: Noise of every channel, for the weights `noise`.
-
-    Returns:
-        Those of the wrench, shape (6,) [1/(N m)^2, 1/N^2], and of the clusters, shape (m,) [1/N^2].
+    The noise is given for the weights `noise` alone.
     """
     least = np.repeat([LEAST_MOMENT, LEAST_FORCE], 3)
     power = np.where(wrench_counts, (samples.wrench**2).mean(axis=0), 0.0)

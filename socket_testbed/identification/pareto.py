@@ -44,7 +44,6 @@ from socket_testbed.identification.problem import Problem, StageTwoMoments
 from socket_testbed.samples import LOCAL_CHANNELS, WRENCH_CHANNELS, Samples, channel_unit
 from socket_testbed.settings.identification import (
     PAPER_VARIANTS,
-    RIGID_VARIANTS,
     IdentificationSettings,
     Variant,
 )
@@ -198,8 +197,11 @@ def pareto_front(
         variants: Of the paper's variants those that are wanted, one front each.
         progress: Called with the number of thetas done and of all.
     """
-    _check_thetas(thetas)
-    for variant in set(variants) & set(RIGID_VARIANTS):
+    for theta in thetas:
+        check_number(float(theta), "theta", 0.0, 1.0)
+    if len(thetas) == 0 or not (np.diff(thetas) > 0.0).all():
+        raise ConfigurationError("the thetas do not rise", "give each once, in rising order")
+    for variant in set(variants) - set(PAPER_VARIANTS):
         raise ConfigurationError(
             f"the front over theta is defined for the paper's two stages, not for {variant}",
             f"choose of {', '.join(PAPER_VARIANTS)}",
@@ -216,7 +218,11 @@ def pareto_front(
             progress(done, len(thetas))
     channels = _channels(objective)
     fronts = {variant: make_front(variant, channels, points[variant]) for variant in variants}
-    _require_a_solution(fronts)
+    if not any(front.sound.any() for front in fronts.values()):
+        raise IdentificationError(
+            f"no theta gives a solution without flaw: {next(iter(fronts.values())).flaws[-1]}",
+            "give more smoothness, another solver or a longer segment",
+        )
     return fronts
 
 
@@ -300,13 +306,6 @@ def _channels(objective: Objective) -> tuple[str, ...]:
     return (*wrench, *local)
 
 
-def _check_thetas(thetas: Sequence[float] | FloatArray) -> None:
-    for theta in thetas:
-        check_number(float(theta), "theta", 0.0, 1.0)
-    if len(thetas) == 0 or not (np.diff(thetas) > 0.0).all():
-        raise ConfigurationError("the thetas do not rise", "give each once, in rising order")
-
-
 def _require_both_groups(objective: Objective) -> None:
     for group, count in (
         ("wrench", int(objective.wrench_counts.sum())),
@@ -317,16 +316,6 @@ def _require_both_groups(objective: Objective) -> None:
                 f"no channel of the {group} is in the objective: there is nothing to trade off",
                 "leave fewer channels out, or fit a single model with 'fit'",
             )
-
-
-def _require_a_solution(fronts: dict[Variant, Front]) -> None:
-    if any(front.sound.any() for front in fronts.values()):
-        return
-    flaw = next(iter(fronts.values())).flaws[-1]
-    raise IdentificationError(
-        f"no theta gives a solution without flaw: {flaw}",
-        "give more smoothness, another solver or a longer segment",
-    )
 
 
 def make_front(variant: Variant, channels: tuple[str, ...], points: Sequence[FrontPoint]) -> Front:
@@ -355,10 +344,7 @@ def find_non_dominated(
 ) -> BoolArray:
     """Solutions for which no other is as good in both errors and better in one, shape (T,).
 
-    Args:
-        wrench_error: Normalised errors e_w, shape (T,) [-].
-        local_error: Normalised errors e_f, shape (T,) [-].
-        sound: Which solutions count, shape (T,); the others neither dominate nor are kept.
+    Those that are not sound neither dominate nor are kept.
     """
     kept = np.zeros(len(sound), dtype=bool)
     order = np.lexsort((local_error, wrench_error))
@@ -371,14 +357,9 @@ def find_non_dominated(
 
 
 def find_knee(wrench_error: FloatArray, local_error: FloatArray, kept: BoolArray) -> Knee:
-    """The solution that lies farthest below the chord between the ends of a front.
+    """The solution of those kept that lies farthest below the chord between the front's ends.
 
     Scaling the axes does not change which one that is.
-
-    Args:
-        wrench_error: Normalised errors e_w, shape (T,) [-].
-        local_error: Normalised errors e_f, shape (T,) [-].
-        kept: The non-dominated solutions, shape (T,).
     """
     front = np.flatnonzero(kept)
     if len(front) == 0:
@@ -408,9 +389,8 @@ def front_table(fronts: Iterable[Front]) -> pd.DataFrame:
 
 def write_fronts(fronts: Iterable[Front], path: Path) -> None:
     """Write fronts as CSV: see `front_table`; a missing value is an empty cell."""
-    table = front_table(fronts)
     with atomic_output(path) as staging:
-        table.to_csv(staging, index=False, float_format="%.10g")
+        front_table(fronts).to_csv(staging, index=False, float_format="%.10g")
 
 
 def front_document(front: Front) -> dict[str, Any]:

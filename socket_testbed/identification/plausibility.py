@@ -87,13 +87,7 @@ class Outliers:
 def find_outliers(
     samples: Samples, geometry: SocketGeometry, leave_out: tuple[str, ...] = ()
 ) -> Outliers:
-    """Find single outliers by the rule of this module.
-
-    Args:
-        samples: Samples of the segment.
-        geometry: Geometry of the socket.
-        leave_out: Channels that do not count.
-    """
+    """Find single outliers by the rule of this module; channels that are left out do not count."""
     values = _counted(samples, leave_out)
     limits = channel_limits(geometry, samples.clusters)
     single = [_size(column) <= limit for column, limit in zip(values.T, limits, strict=True)]
@@ -121,13 +115,7 @@ def without_outliers(samples: Samples, outliers: Outliers) -> Samples:
 
 
 def outlier_notes(samples: Samples, outliers: Outliers, start: int | None = None) -> list[str]:
-    """A note per channel with outliers, with their values and times.
-
-    Args:
-        samples: The samples.
-        outliers: Their outliers.
-        start: Stamp from which the times are counted [ns]; None for the first sample's.
-    """
+    """A note per channel with outliers, with their values and times since `start` [ns]."""
     time = (samples.stamps - (samples.stamps[0] if start is None else start)) * 1e-9
     distance = np.linalg.norm(samples.position, axis=1)
     columns = [("limb position", "m", distance, outliers.position)]
@@ -203,11 +191,7 @@ def implausible_notes(
 ) -> list[str]:
     """Outliers, a negated wrench, and the proposals even for channels that are left out already.
 
-    Args:
-        samples: Samples of the segment.
-        geometry: Geometry of the socket.
-        leave_out: Channels that are not in the objective.
-        start: Stamp of the trial's first sample [ns]; None for that of the segment.
+    Times count from `start`, the stamp of the trial's first sample [ns]; None for the segment's.
     """
     outliers = find_outliers(samples, geometry, leave_out)
     notes = outlier_notes(samples, outliers, start)
@@ -328,9 +312,7 @@ def require_units(
 def require_load(samples: Samples, wrench_counts: BoolArray) -> None:
     """Refuse a wrench that is no larger than a load cell's noise, or without any force or moment.
 
-    Args:
-        samples: Samples with a wrench.
-        wrench_counts: Channels of the wrench that are in the objective, shape (6,).
+    Only channels of the wrench that count, shape (6,), are looked at.
     """
     if not wrench_counts.any():
         return

@@ -147,8 +147,8 @@ class PressureOutputs:
     tiles: RegionOutputs  # of every tile over the span, shape (n,)
     integrated: float  # time that the integrals cover, without gaps [s]
     peak_row: int  # the sample with the highest pressure of a tile
-    force_map: ForceMap  # the force map
-    samples: Samples  # the N samples
+    force_map: ForceMap
+    samples: Samples
     reader: _Reader  # reads the outputs of the regions
     threshold: float  # pressure above which a tile is in contact [Pa]
 
