@@ -1,10 +1,16 @@
-"""The contact model, the force map, and what judges them.
+"""Identification answers three questions, each by its own modules.
 
-- Contact model: `contact_law` says what a law is, `paper_law` and `rigid_law` are the two;
-  `objective` chooses and weighs the channels of a fit, `problem` makes the programs of any law,
-  `box_qp` and `refinement` solve them, `fit` and `pareto` run all of it, `contact` is the model
-  that comes out and `model_file` keeps it.
-- Force map, without a fit: `force_map` estimates the force on every tile, `pressure` reads it.
-- Judging: of samples `plausibility` and `noise`, of a model `evaluation`, `information`,
-  `engagement` and `published`, of all estimates beside their rivals `validation`.
+**How does the limb's motion make forces?** The contact model. `contact_law` defines a law;
+`paper_law` and `rigid_law` are the two. `objective` chooses and weighs the channels of a fit,
+`problem` turns them into programs for any law, `box_qp` solves and certifies these. `fit` runs both
+stages, `pareto` runs them over the trade-off. `contact` is the resulting model, `model_file` its
+file, `evaluation` its errors.
+
+**What is the force on every tile now?** The force map, which needs no fit. `force_map` estimates
+it from the clusters and the wrench, `pressure` reads regions from it.
+
+**How far can all this be trusted?** Judging. Of the samples: `plausibility` checks size and sign,
+`noise` measures the noise. Of a model: `information` says what the trial determines, `published`
+compares with the paper. Of every estimate: `validation` judges it on data it has not seen, beside
+simple rivals.
 """

@@ -3,7 +3,7 @@ r"""What a contact law is: the motion of the limb makes a force on every tile, b
 .. math:: F_i = B_i \, \bigl(k_i \circ s(v_i - r_i)\bigr), \qquad v = J u
 
 with the limb's motion u since a reference pose, the displacement v_i of tile i in the law's own
-frame B_i, its rest displacement r_i and stiffnesses k_i. A law says what u, B, J and s are, and
+frame B_i, its rest displacement r_i and stiffnesses k_i. A law defines u, B, J and s, and
 what sizes its parameters have; all else is the same for every law (`problem`). Arrays have the
 axis of the frame before the tile. To add a law, derive from `ContactLaw` in a module of its own,
 and list its variants in `contact.LAWS` and in `settings.identification`.

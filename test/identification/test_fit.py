@@ -7,17 +7,13 @@ import numpy as np
 import pytest
 from scipy.optimize import lsq_linear
 from support.problems import (
-    FAR,
     LEFT_OUT,
     count_solver_calls,
     installed,
     make_case,
     make_samples,
-    moving_limb,
     naive_gated,
-    random_bed,
     random_socket,
-    samples_of_bed,
 )
 from support.stacked import (
     KILONEWTON_PER_METRE,
@@ -173,52 +169,6 @@ def test_the_solver_is_called_for_each_cold_program_and_the_fit_repeats_exactly(
         if solution is not None:
             assert solver in solution.status and "pivoting" in solution.status
             assert (solution.iterations is not None) == (solver == "osqp")
-
-
-@pytest.mark.parametrize("variant", PAPER_VARIANTS)
-@pytest.mark.parametrize(("theta", "ignored"), [(1.0, "local_forces"), (0.0, "wrench")])
-def test_at_its_ends_theta_ignores_the_other_group(variant, theta, ignored):
-    geometry, _, samples, settings = make_case(95, variant, theta=theta)
-    rng = np.random.default_rng(96)
-    other = rng.normal(0.0, 100.0, getattr(samples, ignored).shape)
-    changed = dataclasses.replace(samples, **{ignored: other})
-    expected = fit_contact_model(samples, geometry, settings).model
-    found = fit_contact_model(changed, geometry, settings).model
-    np.testing.assert_allclose(found.rest_positions, expected.rest_positions, atol=1e-9)
-    np.testing.assert_allclose(found.stiffness, expected.stiffness, rtol=1e-6, atol=1e-3)
-
-
-def compressed_bed(rng, geometry, variant, rest_spread):
-    """A bed of one stiffness in compression throughout, where both stages' laws are one."""
-    bed = random_bed(rng, geometry)
-    return dataclasses.replace(
-        bed,
-        variant=variant,
-        stiffness=np.full((len(geometry), 3), 3000.0),
-        rest_positions=FAR + 0.006 + rest_spread * rng.uniform(-1.0, 1.0, (len(geometry), 3)),
-        sharpness=5000.0,
-    )
-
-
-@pytest.mark.parametrize(
-    ("clusters", "rest_spread", "smoothness"), [(8, 0.001, 0.0), (0, 0.0, 1e-3), (3, 0.0, 1e-3)]
-)
-@pytest.mark.parametrize("variant", PAPER_VARIANTS)
-def test_the_fit_recovers_a_truth_that_both_stages_can_express(
-    variant, clusters, rest_spread, smoothness
-):
-    rng = np.random.default_rng(98)
-    geometry = random_socket(rng, clusters=clusters)
-    bed = compressed_bed(rng, geometry, variant, rest_spread)
-    samples = samples_of_bed(rng, bed, FAR + moving_limb(rng, 50, 0.001))
-    settings = IdentificationSettings(
-        variant=variant, gate_sharpness=bed.sharpness, smoothness=smoothness
-    )
-    model = fit_contact_model(samples, geometry, settings).model
-    np.testing.assert_allclose(model.rest_positions, bed.rest_positions, atol=1e-8)
-    np.testing.assert_allclose(model.stiffness, bed.stiffness, rtol=1e-4)
-    unseen = FAR + moving_limb(rng, 100, 0.006)
-    np.testing.assert_allclose(model.wrench(unseen), bed.wrench(unseen), rtol=1e-3, atol=1e-2)
 
 
 def test_weights_by_noise_follow_the_noise_above_the_models_error():
