@@ -17,7 +17,6 @@ from socket_testbed.api.pressure import pressure as pressure_of
 from socket_testbed.api.result import Result, origin
 from socket_testbed.api.trials import PathLike, as_path, select, select_frames
 from socket_testbed.arrays import FloatArray
-from socket_testbed.identification.engagement import Engagement, engagement
 from socket_testbed.identification.evaluation import (
     ChannelErrors,
     errors_to_dataframe,

@@ -33,7 +33,7 @@ from socket_testbed.identification.pressure import (
     PressureOutputs,
     RegionOutputs,
     interval_end,
-    of_deviations,
+    normal_quantity,
     pressure_outputs,
     read_column,
     with_interval,
@@ -230,10 +230,10 @@ class TrialPressure(Result):
                 f"{place.name}.{title}": values[:, number] for title, values in found.items()
             }
         estimate = self.map.estimate
-        of_pressure = of_deviations(
+        of_pressure = normal_quantity(
             1e-3 * estimate.normal_pressure, 1e-3 * estimate.normal_pressure_standard_deviation
         )
-        of_shear = of_deviations(1e-3 * estimate.shear, 1e-3 * estimate.shear_standard_deviation)
+        of_shear = normal_quantity(1e-3 * estimate.shear, 1e-3 * estimate.shear_standard_deviation)
         of_shear = dataclasses.replace(of_shear, low=np.maximum(of_shear.low, 0.0))
         found = with_interval("pressure [kPa]", of_pressure, self.share)
         found |= with_interval("shear [kPa]", of_shear, self.share)

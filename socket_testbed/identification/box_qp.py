@@ -153,7 +153,10 @@ def solve_box_qp(
             and the solver is called only where that leads nowhere.
     """
     check_solver(solver)
-    _check_finite(problem)
+    if not (np.isfinite(problem.P).all() and np.isfinite(problem.q).all()):
+        raise UncertifiedSolutionError(
+            f"{problem.name}: holds values that are not finite", "check the samples", problem, None
+        )
     if near is not None:
         found = pivot(problem, np.clip(near, problem.lower, problem.upper))
         if found.certificate.worst <= tolerance:
@@ -175,13 +178,6 @@ def solve_cold(problem: BoxQP, solver: str) -> BoxSolution:
     start, iterations = _call_solver(problem, solver)
     found = pivot_regularised(problem, np.clip(start, problem.lower, problem.upper))
     return replace(found, solver=solver, iterations=iterations)
-
-
-def _check_finite(problem: BoxQP) -> None:
-    if not (np.isfinite(problem.P).all() and np.isfinite(problem.q).all()):
-        raise UncertifiedSolutionError(
-            f"{problem.name}: holds values that are not finite", "check the samples", problem, None
-        )
 
 
 def _call_solver(problem: BoxQP, solver: str) -> tuple[FloatArray, int | None]:

@@ -1,10 +1,10 @@
-r"""What a lab reads from a socket's pressure, by region, with 95 % intervals.
+r"""Outputs of a socket's pressure that a lab reads, by region, with 95 % intervals.
 
-Every output is computed from each of many joint draws of the forces on all tiles
-(`force_map.ForceMap.sample`), so that its interval follows from what the channels leave open, also
-where it is no linear function of the forces. In the tile's frame the stress of tile i with the area
+Every output is computed from many joint draws of the forces on all tiles
+(`force_map.ForceMap.sample`), so its interval covers everything that the channels leave open, even
+where the output is not linear in the forces. In the tile's frame the stress of tile i with the area
 A_i is :math:`(\tau_x, \tau_y, -p) = F_i / A_i`; x is proximal and p is positive in compression.
-Over a region, with T for the span of time:
+Over a region:
 
 - mean pressure: :math:`\sum_i A_i p_i / \sum_i A_i`, the mean over the samples. A negative pressure
   of the estimate counts as it is, so that the means meet the measured wrench;
@@ -18,9 +18,9 @@ Over a region, with T for the span of time:
   (proximal) towards y;
 - share of load: the axial force (along z of {S}) of the region over that of all tiles.
 
-The value is that of the force map; of the contact area, which no estimate near the threshold shows
-without bias, the mean of the draws. Peak, integral and shear are convex functions of the forces: in
-the mean their draws exceed the value. Their interval holds both that of the draws and the same
+Values are taken from the force map. Contact area is the exception: it is biased near the threshold,
+so the mean of the draws is reported. Peak, integral and shear are convex functions of the forces:
+on average their draws exceed the value. Their interval covers both that of the draws and the same
 interval moved to the value. For the peak the errors of the draws are widened.
 """
 
@@ -48,7 +48,6 @@ _CONVEX = ("peak", "integral", "shear")  # functions of the forces
 _NEVER_NEGATIVE = ("area", "integral", "shear")
 MOST_DRAWN = 2000  # samples of a span at which draws are expanded, evenly spread
 _EXPANDED = 32  # samples whose draws are expanded at a time
-_BLOCK = 128  # samples
 _LONGEST_STEP = 3.0  # usual steps between samples; what is longer is a gap
 _RIGHT_ANGLE = 0.5 * np.pi  # [rad]
 NORMAL_QUANTILE = 1.96  # [-]; standard deviations to each end of a 95 % interval
@@ -81,11 +80,7 @@ class Quantity:
     scale: FloatArray
 
     def determined(self, share: float) -> BoolArray:
-        """Where the interval reaches no farther from the value than a share of the scale.
-
-        Args:
-            share: Of the scale [-].
-        """
+        """Where the interval reaches no farther from the value than a share of the scale [-]."""
         reach = np.maximum(self.high - self.value, self.value - self.low)
         return np.asarray(reach <= share * self.scale)  # never where one is NaN
 
@@ -94,7 +89,7 @@ class Quantity:
         return np.where(self.determined(share), self.value, np.nan)
 
 
-def of_deviations(value: FloatArray, deviation: FloatArray) -> Quantity:
+def normal_quantity(value: FloatArray, deviation: FloatArray) -> Quantity:
     """Values whose 95 % intervals are given by their standard deviations."""
     reach = NORMAL_QUANTILE * deviation
     return Quantity(value, value - reach, value + reach, np.abs(value))
@@ -179,8 +174,8 @@ class PressureOutputs:
         kept = np.flatnonzero(measured_rows(self.samples))
         for draws in self.force_map.sample(self.samples[kept], _DRAWS):
             of_regions = draws.mapped(mapping)
-            for start in range(0, len(draws.rows), _BLOCK):
-                some = of_regions[start : start + _BLOCK]
+            for start in range(0, len(draws.rows), _EXPANDED):
+                some = of_regions[start : start + _EXPANDED]
                 part = self.reader.interval("mean", some.mean(), some.values())
                 _store(found, part, kept[some.rows])
         return found
@@ -351,12 +346,7 @@ def pressure_outputs(
 ) -> PressureOutputs:
     """The outputs of regions and tiles over a span with 95 % intervals.
 
-    Args:
-        force_map: The force map.
-        samples: N samples.
-        geometry: Geometry of the socket.
-        regions: The regions.
-        threshold: Pressure above which a tile is in contact [Pa].
+    A tile is in contact above the threshold [Pa].
     """
     kept = np.flatnonzero(measured_rows(samples))
     if not len(kept):

@@ -125,13 +125,10 @@ class Problem:
         return channels
 
     def stage_one(self) -> BoxQP:
-        r"""Stage 1: rest displacements for linear springs, :math:`F_i = k_0 \circ (v_i - r_i)`.
+        r"""Stage 1: scaled rest displacements, (3n,), for linear springs of the expected stiffness.
 
         The residual of the wrench is :math:`A r - (w_0 - w)` with :math:`w_0 = A v`. The paper
         prints this residual with the opposite sign of w.
-
-        Returns:
-            The program in the scaled rest displacements, shape (3n,).
         """
         law, scale, points = self.law, self._scale[3:], self.start.shape[1]
         stiffness = self._springs

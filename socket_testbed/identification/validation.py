@@ -429,7 +429,7 @@ def judge_samples(
         samples = smooth_poses(samples, window)
         rows = thinned(second)
         estimators = field_estimators(geometry, settings) | {
-            variant: partial(_model_forces, model) for variant, model in models.items()
+            variant: partial(_forces_of, model) for variant, model in models.items()
         }
         found += judge_tiles(samples[rows], geometry, truth[rows], estimators, "second half", name)
     return found
@@ -475,7 +475,7 @@ def field_estimators(
     return field_rivals(geometry) | {FORCE_MAP: force_map}
 
 
-def _model_forces(model: ContactModel, samples: Samples) -> tuple[FloatArray, None]:
+def _forces_of(model: ContactModel, samples: Samples) -> tuple[FloatArray, None]:
     return model.forces(samples.pose), None
 
 
@@ -531,20 +531,15 @@ def judgements_by_trial(judgements: Sequence[Judgement]) -> pd.DataFrame:
         Indexed by `trial`. Columns are the figures of `judgements_table` by question, test and
         predictor, such as `wrench, second half: rigid_bias force skill [-]`.
     """
+    import pandas as pd
+
     table = judgements_table([j for j in judgements if not j.cluster])
     keys = ["question", "test", "predictor"]
     figures = [name for name in table.columns[6:] if name != "samples [1]"]
     medians = table.groupby(["tested on", *keys], sort=False)[figures].median()
-    medians = medians.unstack(keys).dropna(axis="columns", how="all")
-    order = [
-        (figure, *key)
-        for key in dict.fromkeys(zip(*(table[name] for name in keys), strict=True))
-        for figure in figures
-    ]
-    medians = medians[[label for label in order if label in medians.columns]]
-    medians.columns = [
-        f"{question}, {test}: {predictor} {figure}"
-        for figure, question, test, predictor in medians.columns
-    ]
-    names = list(dict.fromkeys(table["tested on"]))
-    return medians.loc[names].rename_axis("trial")
+    rows: dict[str, dict[str, float]] = {}
+    for (trial, question, test, predictor), found in medians.iterrows():
+        row = rows.setdefault(trial, {})
+        for figure, value in found.dropna().items():
+            row[f"{question}, {test}: {predictor} {figure}"] = value
+    return pd.DataFrame.from_dict(rows, orient="index").rename_axis("trial")

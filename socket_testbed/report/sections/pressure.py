@@ -18,7 +18,7 @@ from socket_testbed.identification.pressure import (
     THRESHOLD,
     PressureOutputs,
     Quantity,
-    of_deviations,
+    normal_quantity,
     read_column,
     with_interval,
 )
@@ -159,10 +159,10 @@ def _words(pressure: PressureResults, title: str, row: int) -> tuple[str, str]:
 def _scene_pressures(found: PressureResults) -> dict[str, TileValues]:
     """Pressure and shear on the tiles, where they are determined, by the name of the choice."""
     over_trial, tiles = found.over_trial, found.outputs.tiles
-    pressures = of_deviations(
+    pressures = normal_quantity(
         over_trial.normal_pressure, over_trial.normal_pressure_standard_deviation
     )
-    shears = of_deviations(over_trial.shear, over_trial.shear_standard_deviation)
+    shears = normal_quantity(over_trial.shear, over_trial.shear_standard_deviation)
     start = int(np.searchsorted(found.instants, found.peak_time))
     return {
         f"{name}, mean over the segment": TileValues(
@@ -279,7 +279,7 @@ def instant_maps(
     values = {mean: 1e-3 * outputs.tiles.mean.value, at_peak: 1e-3 * pressure}
     return values, {
         mean: outputs.tiles.mean.determined(share),
-        at_peak: of_deviations(pressure, deviation).determined(share),
+        at_peak: normal_quantity(pressure, deviation).determined(share),
     }
 
 
