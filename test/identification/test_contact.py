@@ -30,7 +30,7 @@ def test_gate_is_the_paper_s_open_in_compression_and_shut_in_tension():
         np.testing.assert_allclose(gate(d, ALPHA), 0.5 - 0.5 * np.tanh(ALPHA * d), atol=1e-15)
 
 
-@pytest.mark.parametrize("sharpness", [1.0, 300.0, 1e5])
+@pytest.mark.parametrize("sharpness", [1.0, 1e5])
 def test_columns_of_the_paper_s_law_are_the_gated_displacements(rng, sharpness):
     law = law_of("stiffness", random_socket(rng), sharpness)
     moved = rng.uniform(-0.01, 0.01, (20, 3, 7))

@@ -6,7 +6,6 @@ import json
 
 import numpy as np
 import pytest
-from matplotlib.image import imread
 from support.pareto_cases import CHANNELS, THETAS, made_up_front, make_hold
 from support.problems import count_solver_calls, make_case
 from support.wording import refused
@@ -266,63 +265,35 @@ def test_a_front_marks_its_ends_and_its_knee_but_nothing_flawed():
     assert nothing.marks == {} and np.isnan(nothing.worst_residual)
 
 
-def test_the_table_is_the_fronts(tmp_path):
+def test_the_table_and_the_json_are_the_fronts(tmp_path):
     fronts = [made_up_front(), made_up_front("stiffness_bias", 0.1, {3: "not certified"})]
     write_fronts(fronts, tmp_path / "front.csv")
     with (tmp_path / "front.csv").open(newline="") as stream:
         rows = list(csv.DictReader(stream))
-    assert len(rows) == 22
-    assert {"theta [-]", "RMSE Mx [N m]", "RMSE distal.Fz [N]", "mean force RMSE [N]"} <= set(
-        rows[0]
-    )
-    assert [row["variant"] for row in rows[::11]] == ["stiffness", "stiffness_bias"]
+    assert [row["variant"] for row in rows] == ["stiffness"] * 11 + ["stiffness_bias"] * 11
     assert [row["mark"] for row in rows[:11] if row["mark"]] == [SENSOR_ONLY, KNEE, WRENCH_ONLY]
-    for row, theta, error in zip(rows, fronts[0].theta, fronts[0].wrench_error, strict=False):
-        assert float(row["theta [-]"]) == pytest.approx(theta)
-        assert float(row["wrench error [-]"]) == pytest.approx(error, rel=1e-9)
     assert [row["non-dominated"] for row in rows[:11]] == ["1"] * 9 + ["0"] * 2
+    errors = [float(row["wrench error [-]"]) for row in rows[:11]]
+    assert errors == pytest.approx(fronts[0].wrench_error, rel=1e-9)
     assert rows[14]["flaw"] == "not certified"
     assert rows[14]["wrench error [-]"] == rows[14]["RMSE Mx [N m]"] == ""
-
-
-def test_a_front_is_valid_json_even_where_nothing_was_found():
-    flaws = dict.fromkeys(range(11), "not certified")
-    for front in (made_up_front(), made_up_front(flaws=flaws)):
+    nothing = made_up_front(flaws=dict.fromkeys(range(11), "not certified"))
+    for front in (fronts[0], nothing):
         document = json.loads(json.dumps(front_document(front), allow_nan=False))
         assert len(document["solutions"]) == 11
         assert document["marks"].keys() == front.marks.keys()
-    assert document["knee"]["theta"] is None
-    assert document["solutions"][0]["flaw"] == "not certified"
-    assert document["solutions"][0]["rmse"]["Mx"] is None
+    assert document["knee"]["theta"] is document["solutions"][0]["rmse"]["Mx"] is None
 
 
-def test_the_figure_shows_every_sound_solution_of_both_fronts(tmp_path):
+def test_the_figure_shows_every_sound_solution_and_may_be_empty(tmp_path):
     fronts = [made_up_front(flaws={3: "not determined"}), made_up_front("stiffness_bias", 1e-3)]
-    path = tmp_path / "front.png"
-    figure = pareto_figure(fronts, "two fronts")
-    save_figure(figure, path)
-    (axes,) = figure.axes
+    (axes,) = pareto_figure(fronts, "two fronts").axes
     assert axes.get_xscale() == axes.get_yscale() == "log"
-    assert "J_w" in axes.get_xlabel() and "[-]" in axes.get_xlabel()
     shown = {(float(x), float(y)) for line in axes.lines for x, y in line.get_xydata()}
-    expected = {
-        (float(x), float(y))
-        for front in fronts
-        for x, y in zip(
-            front.wrench_error[front.sound], front.local_error[front.sound], strict=True
-        )
-    }
-    assert shown == expected
+    errors = [np.stack([f.wrench_error, f.local_error], axis=1)[f.sound] for f in fronts]
+    assert shown == {(float(x), float(y)) for x, y in np.vstack(errors)}
     faint = [line.get_xydata().tolist() for line in axes.lines if line.get_alpha()]
-    assert faint == [
-        np.stack([f.wrench_error[9:], f.local_error[9:]], axis=1).tolist() for f in fronts
-    ]
-    image = imread(path)
-    assert image.shape[1] > 900 and image[..., :3].mean() > 0.8 and image[..., :3].std() > 0.05
-    assert list(tmp_path.iterdir()) == [path]
-
-
-def test_the_figure_of_nothing_is_a_figure(tmp_path):
+    assert faint == [each[-2:].tolist() for each in errors]  # those that are dominated
     nothing = made_up_front(flaws=dict.fromkeys(range(11), "not certified"))
     zero = dataclasses.replace(made_up_front(), wrench_error=np.zeros(11))  # no place on log axes
     for front in (nothing, zero):
