@@ -1,12 +1,12 @@
-r"""What a contact law is: the motion of the limb makes a force on every tile, by springs.
+r"""The contact law: the motion of the limb makes a force on every tile, by springs.
 
 .. math:: F_i = B_i \, \bigl(k_i \circ s(v_i - r_i)\bigr), \qquad v = J u
 
 with the limb's motion u since a reference pose, the displacement v_i of tile i in the law's own
-frame B_i, its rest displacement r_i and stiffnesses k_i. A law defines u, B, J and s, and
-what sizes its parameters have; all else is the same for every law (`problem`). Arrays have the
-axis of the frame before the tile. To add a law, derive from `ContactLaw` in a module of its own,
-and list its variants in `contact.LAWS` and in `settings.identification`.
+frame B_i, its rest displacement r_i and stiffnesses k_i. A law defines u, B, J and s, and the sizes
+of its parameters; everything else is the same for every law (`problem`). Arrays have the axis of
+the frame before the tile. To add a law, derive from `ContactLaw` in a module of its own, and list
+its variants in `contact.LAWS` and in `settings.identification`.
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ def neighbour_differences(points: int, neighbours: IntArray) -> FloatArray:
 
 @dataclass(frozen=True)
 class Loading:
-    """What a law takes the sizes of its parameters from."""
+    """The samples from which a law takes the sizes of its parameters."""
 
     motion: FloatArray  # motions u of the limb, shape (N, m)
     wrench: FloatArray  # measured wrenches, shape (N, 6) [N m, N]

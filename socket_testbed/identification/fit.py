@@ -69,8 +69,8 @@ def fit_contact_model(
     """Identify the contact model: rest positions, then stiffnesses and offsets.
 
     Args:
-        samples: Samples of the segment; those without a wrench or a limb position are
-            passed over, and so are outliers.
+        samples: Samples of the segment; outliers and those without a wrench or a limb position are
+            skipped.
         geometry: Geometry of the socket.
         settings: Settings of the identification.
     """

@@ -1,4 +1,4 @@
-r"""What a trial can say about the contact, and what a longer or livelier one would add.
+r"""How much a trial determines of the contact, and how a livelier one would determine more.
 
 A stiffness is the change of a force with the pose. The noise of the pose shrinks it: with the
 standard deviations :math:`\sigma_m` of the motion and :math:`\sigma_n` of the noise,

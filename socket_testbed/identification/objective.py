@@ -149,8 +149,8 @@ def build_objective(
     """Choose, check and normalise the channels of a fit.
 
     Args:
-        samples: Samples; those without a wrench or a limb position are passed over, and so are
-            outliers (see `plausibility`).
+        samples: Samples; outliers (see `plausibility`) and those without a wrench or a limb
+            position are skipped.
         geometry: Geometry of the socket.
         settings: Settings of the identification.
     """

@@ -1,8 +1,8 @@
 r"""The trade-off between the wrench and the clusters: both stages, for one theta after another.
 
-Stage 1 depends on theta, so that the gates do, too: each theta has rest positions of its own,
-which both of the paper's variants share. The solver solves the programs of the first theta; each
-of the next ones starts from the solution of the theta before.
+Stage 1 depends on theta, and so do the gates: each theta has its own rest positions, which both of
+the paper's variants share. The solver is called for the first theta; every later one starts from
+the solution of the theta before.
 
 The two errors of a front are normalised by the sizes that the objective is normalised by, so
 that they are the same for every theta and both variants:
@@ -63,9 +63,7 @@ class FrontPoint:
 
     theta: float  # weight of the wrench against the clusters [-]
     model: ContactModel | None  # the contact model; None where a stage was not certified
-    # root-mean-square error of each channel in the objective, shape (m,) [N m, N]; NaN without a
-    # model
-    rmse: FloatArray
+    rmse: FloatArray  # RMSE of the m channels in the objective [N m, N]; NaN without a model
     wrench_error: float  # normalised error e_w of the wrench [-]
     local_error: float  # normalised error e_f of the clusters [-]
     residual: float  # largest KKT residual or gap of both stages, in scaled units [-]
@@ -96,8 +94,7 @@ class Front:
     rmse: FloatArray  # root-mean-square errors of the channels, shape (T, m) [N m, N]
     residual: FloatArray  # largest KKT residual or gap of both stages, shape (T,) [-]
     flaws: tuple[str, ...]  # why a solution is not to be used, T texts; empty where it is sound
-    # the contact models; None where a stage was not certified
-    models: tuple[ContactModel | None, ...]
+    models: tuple[ContactModel | None, ...]  # None where a stage was not certified
     non_dominated: BoolArray  # solutions without flaw that no other one surpasses, shape (T,)
     knee: Knee  # where the non-dominated ones bend most
 
@@ -189,12 +186,11 @@ def pareto_front(
     or not determined, carries its flaw and is not on the front.
 
     Args:
-        samples: Samples of the segment; those without a wrench or a limb position are
-            passed over.
+        samples: Samples of the segment; those without a wrench or a limb position are skipped.
         geometry: Geometry of the socket.
         settings: Settings of the identification; its theta and variant do not matter.
         thetas: Weights of the wrench against the clusters, in [0, 1] and rising [-].
-        variants: Of the paper's variants those that are wanted, one front each.
+        variants: The paper's variants to trace, one front each.
         progress: Called with the number of thetas done and of all.
     """
     for theta in thetas:
@@ -209,10 +205,10 @@ def pareto_front(
     settings = replace(settings, variant=PAPER_VARIANTS[0])
     objective = build_objective(samples, geometry, settings)
     _require_both_groups(objective)
-    walk = _Walk(objective)
+    solver = _FrontSolver(objective)
     points: dict[Variant, list[FrontPoint]] = {variant: [] for variant in variants}
     for done, theta in enumerate(thetas, start=1):
-        for variant, point in walk.solve_at(float(theta), variants).items():
+        for variant, point in solver.solve_at(float(theta), variants).items():
             points[variant].append(point)
         if progress is not None:
             progress(done, len(thetas))
@@ -226,8 +222,8 @@ def pareto_front(
     return fronts
 
 
-class _Walk:
-    """Solves both stages at one theta after the other, each from the one before."""
+class _FrontSolver:
+    """Solves both stages for one theta after another; each starts from the solution before."""
 
     def __init__(self, objective: Objective) -> None:
         self._objective = objective

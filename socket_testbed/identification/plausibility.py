@@ -1,4 +1,4 @@
-"""Whether samples have the size and the sign that a limb in a socket allows.
+"""Whether samples have a size and a sign that a limb in a socket allows.
 
 - Units: where a quarter of the samples exceeds what a person applies to a socket, or where the limb
   lies outside it, the samples are in another unit or frame, and a fit is refused.
