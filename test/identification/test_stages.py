@@ -22,7 +22,6 @@ from support.stacked import (
 )
 
 from socket_testbed.identification.box_qp import solve_box_qp
-from socket_testbed.identification.contact_law import neighbour_differences
 from socket_testbed.identification.objective import build_objective
 from socket_testbed.identification.problem import Problem
 from socket_testbed.settings.identification import PAPER_VARIANTS, IdentificationSettings
@@ -84,16 +83,6 @@ def linear_samples(rng, geometry, rest_positions, k0, count=30):
     moment = np.cross(geometry.anchors, forces).sum(axis=1)
     local = {name: forces[:, i] @ geometry.rotations[i] for name, i in geometry.clusters.items()}
     return make_samples(position, np.hstack([moment, forces.sum(axis=1)]), local)
-
-
-def test_smoothness_is_the_mean_square_difference_between_neighbours():
-    rng = np.random.default_rng(14)
-    geometry = random_socket(rng, rings=3, columns=5)
-    matrix = neighbour_differences(len(geometry), geometry.neighbours)
-    for x in rng.normal(size=(5, len(geometry))):
-        a, b = geometry.neighbours.T
-        assert x @ matrix @ x == pytest.approx(np.sum((x[a] - x[b]) ** 2))
-    assert not neighbour_differences(4, np.zeros((0, 2), dtype=np.int64)).any()
 
 
 @pytest.mark.parametrize("leave_out", LEFT_OUT)
