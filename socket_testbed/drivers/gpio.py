@@ -23,9 +23,6 @@ class EdgeLine(Protocol):
 
         Args:
             within: How long to wait for the first [s].
-
-        Raises:
-            OSError: If the line cannot be used any more.
         """
         ...
 
@@ -49,9 +46,6 @@ class GpiodLines:
         node: Node whose settings name the lines, for the hints.
         setting: Its setting of the chip's label.
         without: What to set to do without the lines.
-
-    Raises:
-        DeviceError: If the chip is not there, or its lines may not be used.
     """
 
     def __init__(

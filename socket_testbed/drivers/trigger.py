@@ -30,12 +30,6 @@ class GpioTrigger:
 
     Args:
         lines: The lines of the chip that it is on.
-        settings: How long to wait for the edge, and the pulse.
-        clock: The steady clock [s].
-        sleep: Sleeps for a time [s].
-
-    Attributes:
-        stray: Number of edges that belonged to no pulse.
     """
 
     def __init__(
@@ -50,15 +44,10 @@ class GpioTrigger:
         self._clock = clock
         self._sleep = sleep
         self._begun = 0.0
-        self.stray = 0
+        self.stray = 0  # number of edges that belonged to no pulse
 
     def fire(self) -> float:
-        """Begin a pulse; returns the time of its edge on the steady clock [s].
-
-        Raises:
-            DeviceError: If no edge came in time. One that comes later is not taken for that
-                of another pulse.
-        """
+        """Begin a pulse; returns the time of its edge on the steady clock [s]."""
         try:
             self.stray += len(self._lines.edges(0.0))
             self._begun = self._clock()
@@ -108,9 +97,6 @@ def trigger_lines(settings: TriggerSettings) -> GpiodLines:
 
     Args:
         settings: The chip's label and the numbers of the lines.
-
-    Raises:
-        DeviceError: If the chip is not there, or may not be used.
     """
     uses: dict[int, Use] = {settings.output_line: "output", settings.input_line: "rising"}
     return GpiodLines(settings.chip, uses, "trigger_node", "chip", "source to timer")

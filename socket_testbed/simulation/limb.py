@@ -131,33 +131,19 @@ class EquilibriumError(TestbedError):
 
 @dataclass(frozen=True)
 class Tissue:
-    """Mechanical properties of the surface points.
+    """Mechanical properties of the surface points."""
 
-    Attributes:
-        points: Positions in {S}, shape (p, 3) [m].
-        normals: Inward normals, shape (p, 3) [-].
-        areas: Areas, shape (p,) [m^2].
-        tile: Index of the tile that each point is on, -1 between the tiles, shape (p,).
-        modulus: Pressure per compression at first contact, shape (p,) [Pa/m].
-        stiffening: Compression over which the modulus grows by e [m].
-        shear_modulus: Shear stress per sliding while it sticks, shape (p,) [Pa/m].
-        friction: Coefficient of friction [-].
-        fit: Compression when the limb is donned, negative for a gap, shape (p,) [m].
-        creep: Part of the compression that relaxes [-].
-        creep_time: Time constant of the relaxation [s].
-    """
-
-    points: FloatArray
-    normals: FloatArray
-    areas: FloatArray
-    tile: IntArray
-    modulus: FloatArray
-    stiffening: float
-    shear_modulus: FloatArray
-    friction: float
-    fit: FloatArray
-    creep: float
-    creep_time: float
+    points: FloatArray  # positions in {S}, shape (p, 3) [m]
+    normals: FloatArray  # inward normals, shape (p, 3) [-]
+    areas: FloatArray  # areas, shape (p,) [m^2]
+    tile: IntArray  # index of the tile that each point is on, -1 between the tiles, shape (p,)
+    modulus: FloatArray  # pressure per compression at first contact, shape (p,) [Pa/m]
+    stiffening: float  # compression over which the modulus grows by e [m]
+    shear_modulus: FloatArray  # shear stress per sliding while it sticks, shape (p,) [Pa/m]
+    friction: float  # coefficient of friction [-]
+    fit: FloatArray  # compression when the limb is donned, negative for a gap, shape (p,) [m]
+    creep: float  # part of the compression that relaxes [-]
+    creep_time: float  # time constant of the relaxation [s]
 
 
 @dataclass(frozen=True)
@@ -261,10 +247,6 @@ class LimbInSocket:
     Args:
         tissue: The tissue.
         centre: Point of the bone about which it turns, shape (3,) [m].
-
-    Attributes:
-        displacement: Displacement of the centre [m] and rotation vector [rad] of the bone
-            since donning, shape (6,).
     """
 
     def __init__(self, tissue: Tissue, centre: FloatArray) -> None:
@@ -275,6 +257,8 @@ class LimbInSocket:
         # Displacements of the points along their axes, of that of the bone: they are linear.
         self._moved = np.concatenate([self._axes, arms], axis=2).reshape(-1, 6)
         self._tangent: FloatArray | None = None  # of the imbalance, at the last equilibrium
+        # displacement of the centre [m] and rotation vector [rad] of the bone since donning, shape
+        # (6,)
         self.displacement = np.zeros(6)
         self._crept = tissue.creep * np.maximum(tissue.fit, 0.0)
         self._traction = np.zeros((2, len(tissue.points)))
@@ -289,9 +273,6 @@ class LimbInSocket:
 
         Returns:
             Forces of the limb on the socket at every surface point, shape (p, 3) [N].
-
-        Raises:
-            EquilibriumError: If the load pushes the limb out of the socket.
         """
         scale = 1e-3 * np.repeat([1.0, 1.0 / _LENGTH], 3)
         load = np.concatenate([wrench[3:], wrench[:3] - np.cross(self._centre, wrench[3:])])
@@ -374,10 +355,6 @@ class LoadedLimb:
         load: The first load [M; F], shape (6,) [N m, N].
         rng: Source of the tissue's variation.
         kind: Kind of the tissue.
-
-    Attributes:
-        position: Limb position q in {S}, shape (3,) [m].
-        rotation: Rotation vector of the limb since donning, shape (3,) [rad].
     """
 
     def __init__(
@@ -407,7 +384,9 @@ class LoadedLimb:
             Force of the limb on the socket at every tile, shape (n, 3) [N].
         """
         response = self._limb.step(load, duration)
+        # limb position q in {S}, shape (3,) [m]
         self.position = self._centre + self._limb.displacement[:3]
+        # rotation vector of the limb since donning, shape (3,) [rad]
         self.rotation = self._limb.displacement[3:].copy()
         forces = np.zeros((self._tiles, 3))
         np.add.at(forces, self._tile, response[self._covered])

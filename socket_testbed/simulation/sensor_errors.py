@@ -14,54 +14,34 @@ from socket_testbed.arrays import FloatArray
 
 @dataclass(frozen=True)
 class SensorErrors:
-    """Sizes of the errors of all sensors.
+    """Sizes of the errors of all sensors."""
 
-    Attributes:
-        gain_mismatch: Spread of the gains of a cluster's channels [-].
-        offset: Spread of the offsets of a cluster's channels [pF].
-        cross_talk: Part of a neighbouring channel's change that a channel picks up [-].
-        capacitance_drift: Spread of the drift of a channel [pF/s].
-        capacitance_noise: Noise of a channel [pF].
-        stress_offset: Largest offset of a cluster's three stresses, as a cluster has that is built
-            into a socket after its calibration; a fifth of it is the smallest [Pa].
-        placement: Spread of a cluster's rotation about its normal [rad].
-        force_noise: Noise of the load cell's forces [N].
-        moment_noise: Noise of the load cell's moments [N m].
-        force_offset: Spread of the forces' offsets after taring [N].
-        moment_offset: Spread of the moments' offsets after taring [N m].
-        force_creep: By how much each force creeps under the largest load [N].
-        moment_creep: By how much each moment creeps under the largest load [N m].
-        force_vibration: Amplitude of the load cell's forces as the stand vibrates [N].
-        stress_vibration: Mean amplitude of a cluster's stresses as its cable moves with it [Pa].
-        marker_noise: Noise of a marker's coordinate [m]; white from frame to frame, measured on
-            the body at rest of `sample_optitrack_take.csv` (120 Hz, a triad of 0.2 m;
-            cmuphyscomp/hmv-s16 on GitHub). Long lenses and large rooms have more.
-        drop_out: Chance that a marker is occluded in a frame [-].
-        label_swap: Chance that two labels of a body are swapped in a frame [-].
-        registration: Spread of the error of a body's registration [m].
-        registration_angle: The same for its rotation [rad].
-    """
-
-    gain_mismatch: float = 0.02
-    offset: float = 0.03
-    cross_talk: float = 0.03
-    capacitance_drift: float = 1.0e-4
-    capacitance_noise: float = 0.002
+    gain_mismatch: float = 0.02  # spread of the gains of a cluster's channels [-]
+    offset: float = 0.03  # spread of the offsets of a cluster's channels [pF]
+    cross_talk: float = 0.03  # part of a neighbouring channel's change that a channel picks up [-]
+    capacitance_drift: float = 1.0e-4  # spread of the drift of a channel [pF/s]
+    capacitance_noise: float = 0.002  # noise of a channel [pF]
+    # largest offset of a cluster's three stresses, as a cluster has that is built into a socket
+    # after its calibration; a fifth of it is the smallest [Pa]
     stress_offset: float = 0.0
-    placement: float = 0.05
-    force_noise: float = 0.15
-    moment_noise: float = 0.01
-    force_offset: float = 0.8
-    moment_offset: float = 0.05
-    force_creep: float = 0.0
-    moment_creep: float = 0.0
-    force_vibration: float = 0.0
+    placement: float = 0.05  # spread of a cluster's rotation about its normal [rad]
+    force_noise: float = 0.15  # noise of the load cell's forces [N]
+    moment_noise: float = 0.01  # noise of the load cell's moments [N m]
+    force_offset: float = 0.8  # spread of the forces' offsets after taring [N]
+    moment_offset: float = 0.05  # spread of the moments' offsets after taring [N m]
+    force_creep: float = 0.0  # by how much each force creeps under the largest load [N]
+    moment_creep: float = 0.0  # by how much each moment creeps under the largest load [N m]
+    force_vibration: float = 0.0  # amplitude of the load cell's forces as the stand vibrates [N]
+    # mean amplitude of a cluster's stresses as its cable moves with it [Pa]
     stress_vibration: float = 0.0
+    # noise of a marker's coordinate [m]; white from frame to frame, measured on the body at rest of
+    # `sample_optitrack_take.csv` (120 Hz, a triad of 0.2 m; cmuphyscomp/hmv-s16 on GitHub). Long
+    # lenses and large rooms have more
     marker_noise: float = 8.0e-6
-    drop_out: float = 0.002
-    label_swap: float = 0.002
-    registration: float = 5.0e-4
-    registration_angle: float = 0.003
+    drop_out: float = 0.002  # chance that a marker is occluded in a frame [-]
+    label_swap: float = 0.002  # chance that two labels of a body are swapped in a frame [-]
+    registration: float = 5.0e-4  # spread of the error of a body's registration [m]
+    registration_angle: float = 0.003  # the same for its rotation [rad]
 
 
 # Errors as large as in the published experiment, whose causes are not known. Steady ones: the load

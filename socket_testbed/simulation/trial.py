@@ -71,47 +71,29 @@ Progress = Callable[[int, int], None]
 
 @dataclass(frozen=True)
 class GroundTruth:
-    """What really happened, in {S}.
+    """What really happened, in {S}."""
 
-    Attributes:
-        forces: Force of the limb on the socket at every tile, shape (N, n, 3) [N].
-        wrench: Wrench on the socket [M; F], shape (N, 6) [N m, N].
-        position: Limb position q, shape (N, 3) [m].
-        rotation: Rotation vector of the limb since donning, shape (N, 3) [rad].
-    """
-
-    forces: FloatArray
-    wrench: FloatArray
-    position: FloatArray
-    rotation: FloatArray
+    forces: FloatArray  # force of the limb on the socket at every tile, shape (N, n, 3) [N]
+    wrench: FloatArray  # wrench on the socket [M; F], shape (N, 6) [N m, N]
+    position: FloatArray  # limb position q, shape (N, 3) [m]
+    rotation: FloatArray  # rotation vector of the limb since donning, shape (N, 3) [rad]
 
 
 @dataclass(frozen=True)
 class SimulatedTrial:
-    """What the testbed measures and what really happened, one row per trigger.
-
-    Attributes:
-        tiles: Names of the n tiles.
-        stamps: Times of the triggers since the epoch, shape (N,) [ns].
-        capacitance: Capacitances by cluster and input, shape (N, 4) each [pF].
-        wrench: Measured wrench [M; F], shape (N, 6) [N m, N].
-        socket_markers: Observed markers of the socket in the world, in the frame at the trigger,
-            shape (N, k, 3) [m].
-        pylon_markers: The same of the pylon.
-        socket_pose: Mean pose of the socket's body in the frames around the trigger; NaN where
-            none of them shows it.
-        pylon_pose: The same for the pylon's body.
-        truth: The ground truth.
-    """
+    """What the testbed measures and what really happened, one row per trigger."""
 
     tiles: tuple[str, ...]
-    stamps: IntArray
-    capacitance: dict[str, FloatArray]
-    wrench: FloatArray
+    stamps: IntArray  # times of the triggers since the epoch, shape (N,) [ns]
+    capacitance: dict[str, FloatArray]  # capacitances by cluster and input, shape (N, 4) each [pF]
+    wrench: FloatArray  # measured wrench [M; F], shape (N, 6) [N m, N]
+    # observed markers of the socket in the world, in the frame at the trigger, shape (N, k, 3) [m]
     socket_markers: FloatArray
-    pylon_markers: FloatArray
+    pylon_markers: FloatArray  # the same of the pylon
+    # mean pose of the socket's body in the frames around the trigger; NaN where none of them shows
+    # it
     socket_pose: Pose
-    pylon_pose: Pose
+    pylon_pose: Pose  # the same for the pylon's body
     truth: GroundTruth
 
 
@@ -149,9 +131,6 @@ def simulate(
         tissue: Kind of the limb's tissue, see `make_tissue`.
         mocap_window: Longest span around a trigger, at most its period, whose frames make a mean
             pose; 0 for one frame [s].
-
-    Raises:
-        CalibrationError: If the calibration lacks a cluster of the socket.
     """
     calibration.require(geometry.clusters, "the socket")
     errors = errors or SensorErrors()
@@ -206,9 +185,6 @@ def _motion_capture(
     """Markers of both bodies at each trigger and their mean poses in the window around it.
 
     Between the triggers the limb moves linearly, and so on before the first and after the last.
-
-    Returns:
-        Markers of socket and pylon, shape (N, k, 3) each [m], and N poses of each.
     """
     bodies = MarkerBodies(geometry, errors, rng)
     references = (geometry.socket_markers, geometry.pylon_markers)
@@ -258,9 +234,6 @@ def write_simulated_trial(
         path: Folder of the trial; it must not exist.
         geometry_file: The `socket.yaml` to store; None for the package's own.
         calibration_file: The `calibration.yaml` to store; None for the package's own.
-
-    Raises:
-        ConfigurationError: If the folder exists or cannot be written.
     """
     check_new_folder(path)
     parameters = packaged("config", "simulated.yaml")
@@ -298,9 +271,6 @@ def read_truth(path: Path, stamps: IntArray | None = None) -> GroundTruth:
         path: Folder of the trial.
         stamps: Times since the epoch for which it is wanted, shape (N,) [ns]; between the
             times of the simulation it is linear. None for the simulation's own.
-
-    Raises:
-        TrialError: If the file is damaged.
     """
     try:
         with np.load(path / TRUTH_FILE) as data:
@@ -327,9 +297,6 @@ def read_true_forces(path: Path, stamps: IntArray, tiles: Sequence[str]) -> Floa
     Returns:
         Force of the limb on the socket in {S}, shape (N, n, 3) [N]; None where the trial was not
         simulated, or with other tiles.
-
-    Raises:
-        TrialError: If the file is damaged.
     """
     if not (path / TRUTH_FILE).is_file():
         return None

@@ -101,12 +101,6 @@ class World:
     Args:
         folder: Its folder.
         create: Whether to make it there.
-
-    Attributes:
-        faults: The faults, to be looked at and switched.
-
-    Raises:
-        ConfigurationError: If there is none and none is to be made.
     """
 
     def __init__(self, folder: Path, create: bool = False) -> None:

@@ -37,36 +37,25 @@ class ConversionTimeoutError(DeviceError):
 
 @dataclass(frozen=True)
 class Conversion:
-    """The meaning of a code.
+    """The meaning of a code."""
 
-    Attributes:
-        picofarads: Capacitance [pF]; NaN if it is out of range.
-        change: How the chip shifted the input's range, which holds from the next conversion that
-            begins; empty if it did not.
-        fault: Why an input that is out of range cannot have another one, and the hint.
-    """
-
-    picofarads: float
+    picofarads: float  # capacitance [pF]; NaN if it is out of range
+    # how the chip shifted the input's range, which holds from the next conversion that begins;
+    # empty if it did not
     change: str = ""
-    fault: str = ""
+    fault: str = ""  # why an input that is out of range cannot have another one, and the hint
 
 
 class CapacitiveChip(Protocol):
     """A converter of four capacitances, all the time and in turn.
 
     Every method raises a `DeviceError` if the chip or its bus fails.
-
-    Attributes:
-        name: Its name, for people.
-        address: Its address on the bus [1].
-        sample_rates: Conversions, shared by the inputs, that it can make [1/s].
-        where: Where it is wired, for messages.
     """
 
-    name: str
-    address: int
-    sample_rates: tuple[int, ...]
-    where: str
+    name: str  # its name, for people
+    address: int  # its address on the bus [1]
+    sample_rates: tuple[int, ...]  # conversions, shared by the inputs, that it can make [1/s]
+    where: str  # where it is wired, for messages
 
     def __init__(
         self, port: I2cPort, sample_rate: int, sleep: Callable[[float], None], /
@@ -113,18 +102,12 @@ class InputReader:
     Args:
         chip: The chip.
         sample_rate: Conversions, shared by the inputs [1/s].
-        clock: The steady clock [s].
-
-    Attributes:
-        chip: The chip.
-        pending: Inputs without a value for the present trigger.
-        notes: What was done for the present trigger.
     """
 
     def __init__(self, chip: CapacitiveChip, sample_rate: int, clock: Callable[[], float]) -> None:
         self.chip = chip
-        self.pending: set[int] = set()
-        self.notes: list[str] = []
+        self.pending: set[int] = set()  # inputs without a value for the present trigger
+        self.notes: list[str] = []  # what was done for the present trigger
         self._cycle = INPUTS / sample_rate  # [s]
         self._clock = clock
         self._inputs: list[_Input] = []
@@ -146,12 +129,7 @@ class InputReader:
         self.notes.append("set up")
 
     def poll(self) -> bool:
-        """Read what is done; returns whether inputs are still pending.
-
-        Raises:
-            ConversionTimeoutError: If a conversion should have ended long ago.
-            DeviceError: If the chip fails otherwise; what it has given is not to be used.
-        """
+        """Read what is done; returns whether inputs are still pending."""
         asked = self._clock()
         done = self.chip.done()
         codes = {n: self._read(n) for n in sorted(self.pending) if done[n]}

@@ -35,11 +35,6 @@ class Fdc1004:
     Args:
         port: The chip on its bus.
         sample_rate: Conversions, shared by the inputs: 100, 200 or 400 [1/s].
-        sleep: Waits [s].
-
-    Attributes:
-        where: Where it is wired, for messages.
-        capdac: Offset of each input in steps of 3.125 pF, 0..31 [1]; a reset keeps them.
     """
 
     name = "FDC1004"
@@ -52,7 +47,8 @@ class Fdc1004:
         self._port = port
         self._sleep = sleep
         self._conf = self.sample_rates.index(sample_rate) + 1 << 10 | _REPEAT_ALL
-        self.where = port.where
+        self.where = port.where  # where it is wired, for messages
+        # offset of each input in steps of 3.125 pF, 0..31 [1]; a reset keeps them
         self.capdac = [0] * INPUTS
 
     def check_identity(self) -> None:
@@ -89,11 +85,7 @@ class Fdc1004:
                 )
 
     def done(self) -> tuple[bool, ...]:
-        """Whether each input was converted since it was last read, shape (4,).
-
-        Raises:
-            ChipResetError: If the chip has lost its settings.
-        """
+        """Whether each input was converted since it was last read, shape (4,)."""
         value = self._port.read(_FDC_CONF)
         if value & ~_DONE != self._conf:
             raise ChipResetError(

@@ -26,15 +26,11 @@ class I2cBus(Protocol):
 
 
 class BusError(DeviceError):
-    """A transfer failed.
-
-    Attributes:
-        address: Address of the chip [1].
-    """
+    """A transfer failed."""
 
     def __init__(self, fact: str, hint: str, address: int) -> None:
         super().__init__(fact, hint)
-        self.address = address
+        self.address = address  # address of the chip [1]
 
 
 class NoAnswerError(BusError):
@@ -56,9 +52,6 @@ def open_i2c(number: int, timeout: float) -> I2cBus:
         number: N [1].
         timeout: Time after which a transfer on a bus that hangs is given up [s]; the kernel
             counts it in steps of 10 ms.
-
-    Raises:
-        DeviceError: If it cannot be opened.
     """
     bus = SMBus()
     try:
@@ -93,9 +86,6 @@ class I2cPort:
         address: The chip's address [1].
         place: Where it is on the bus, such as "behind channel 2 of 0x70".
         part: What a person has to check when it does not answer.
-
-    Attributes:
-        where: Where it is wired, such as "0x50 behind channel 2 of 0x70 on i2c-1".
     """
 
     def __init__(
@@ -107,6 +97,7 @@ class I2cPort:
         self._part = part
         self._written: dict[tuple[int, ...], i2c_msg] = {}  # made once: that takes its time
         self._answer = i2c_msg.read(address, 2)
+        # where it is wired, such as "0x50 behind channel 2 of 0x70 on i2c-1"
         self.where = " ".join(f"0x{address:02X} {place} on {bus_name}".split())
 
     def read(self, register: int) -> int:

@@ -30,21 +30,14 @@ _PAUSE = 0.05  # between two looks at the chips that still convert [cycles]
 
 @dataclass(frozen=True)
 class ClusterReading:
-    """What belongs to one trigger.
+    """What belongs to one trigger."""
 
-    Attributes:
-        names: Names of the c clusters.
-        capacitance: Capacitances by input, shape (c, 4) [pF]; NaN where there is none.
-        status: OK, SATURATED or MISSING (`Status`) of each input, shape (c, 4).
-        faults: What is wrong now and how to fix it, in one line, by the cluster's name.
-        notes: What was done in this reading, such as a set-up.
-    """
-
-    names: tuple[str, ...]
-    capacitance: FloatArray
-    status: StatusArray
+    names: tuple[str, ...]  # names of the c clusters
+    capacitance: FloatArray  # capacitances by input, shape (c, 4) [pF]; NaN where there is none
+    status: StatusArray  # OK, SATURATED or MISSING (`Status`) of each input, shape (c, 4)
+    # what is wrong now and how to fix it, in one line, by the cluster's name
     faults: dict[str, str]
-    notes: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()  # what was done in this reading, such as a set-up
 
 
 class ClusterReader:
@@ -53,14 +46,8 @@ class ClusterReader:
     The first reading opens the buses.
 
     Args:
-        settings: What is wired where.
         chip: The chip that each cluster has.
         open_bus: Opens the bus of a number.
-        clock: The steady clock [s].
-        sleep: Waits [s].
-
-    Raises:
-        ConfigurationError: If the settings do not fit together.
     """
 
     def __init__(
@@ -210,18 +197,13 @@ class _Bus:
 
     It is opened when needed, and can be closed and opened under the chips on it. The chips share
     one address: two channels at once would put them on the same wires.
-
-    Attributes:
-        name: Its name, such as i2c-1.
-        fault: Why it was closed.
-        given_up: Why nothing more is read from it for the present trigger.
     """
 
     def __init__(self, number: int, open_bus: Callable[[int], I2cBus], multiplexer: int) -> None:
-        self.name = f"i2c-{number}"
+        self.name = f"i2c-{number}"  # its name, such as i2c-1
         self.backoff = clocks.Backoff()
-        self.fault = ""
-        self.given_up = ""
+        self.fault = ""  # why it was closed
+        self.given_up = ""  # why nothing more is read from it for the present trigger
         self._number = number
         self._open_bus = open_bus
         self._bus: I2cBus | None = None
@@ -283,11 +265,7 @@ class _Cluster:
 
 
 def check_settings(settings: ClusterSettings, chip: type[CapacitiveChip]) -> None:
-    """Check what the ranges of single settings cannot.
-
-    Raises:
-        ConfigurationError: If the settings do not fit together.
-    """
+    """Check what the ranges of single settings cannot."""
     names, buses, channels = settings.names, settings.buses, settings.channels
     if not names or not len(names) == len(buses) == len(channels):
         raise ConfigurationError(

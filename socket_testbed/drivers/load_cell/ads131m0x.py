@@ -47,11 +47,7 @@ class SpiDevice(Protocol):
 
 
 def check_device(device: str) -> tuple[int, int]:
-    """Bus and chip select of a device's name 'N.M'.
-
-    Raises:
-        ConfigurationError: If it is no such name.
-    """
+    """Bus and chip select of a device's name 'N.M'."""
     match = re.fullmatch(r"(\d+)\.(\d+)", device)
     if match is None:
         raise ConfigurationError(
@@ -66,10 +62,6 @@ def open_spi(device: str, clock: float) -> SpiDevice:
     Args:
         device: Bus and chip select, 'N.M' of /dev/spidevN.M.
         clock: Clock of the bus [Hz].
-
-    Raises:
-        ConfigurationError: If the device's name is malformed.
-        DeviceError: If it cannot be opened.
     """
     bus, select = check_device(device)
     path = f"/dev/spidev{bus}.{select}"
@@ -125,17 +117,12 @@ class ConverterResetError(DeviceError):
 
 @dataclass(frozen=True)
 class ConverterFrame:
-    """What one frame holds.
+    """What one frame holds."""
 
-    Attributes:
-        status: The STATUS register.
-        codes: Codes by channel, shape (channels,).
-        new: Whether all channels hold a conversion that was not read before; the codes of
-            any other frame are old.
-    """
-
-    status: int
-    codes: IntArray
+    status: int  # the STATUS register
+    codes: IntArray  # codes by channel, shape (channels,)
+    # whether all channels hold a conversion that was not read before; the codes of any other frame
+    # are old
     new: bool
 
 
@@ -173,10 +160,6 @@ class Ads131m0x:
         channels: 6 (M06) or 8 (M08).
         crc: Checksum that it shall use, 'ccitt' or 'ansi'.
         name: What names it in an error.
-        sleep: Waits for a time [s].
-
-    Attributes:
-        identity: Its ID register; 0 before it is configured.
     """
 
     def __init__(
@@ -187,7 +170,7 @@ class Ads131m0x:
         name: str = "spidev0.0",
         sleep: Callable[[float], None] = clocks.sleep,
     ) -> None:
-        self.identity = 0
+        self.identity = 0  # its ID register; 0 before it is configured
         self._spi = spi
         self._channels = channels
         self._wanted_crc = crc
@@ -202,9 +185,6 @@ class Ads131m0x:
             oversampling: Oversampling ratio, a power of two, 128 to 16384.
             gain: Gain of all channels, a power of two, 1 to 128.
             clock_in: Its clock [Hz].
-
-        Raises:
-            DeviceError: If it does not answer, is another chip or does not keep its registers.
         """
         self._crc = "ccitt"
         # Before the reset its checksum may be of either kind.
@@ -228,13 +208,7 @@ class Ads131m0x:
             self._transfer(_NULL)
 
     def read(self) -> ConverterFrame:
-        """Read a frame.
-
-        Raises:
-            ChecksumError: If it is corrupted.
-            NoAnswerError: If nothing answers.
-            ConverterResetError: If the converter has been reset since it was configured.
-        """
+        """Read a frame."""
         answer = self._exchange(_NULL)
         status = _response(answer)
         if status & _RESET_BIT:
@@ -250,11 +224,7 @@ class Ads131m0x:
         return ConverterFrame(status, np.array(codes), status & ready == ready)
 
     def check_frames(self, count: int) -> int:
-        """Number of frames, out of so many, that do not match their checksum.
-
-        Raises:
-            NoAnswerError: If nothing answers.
-        """
+        """Number of frames, out of so many, that do not match their checksum."""
         errors = 0
         for _ in range(count):
             try:

@@ -23,24 +23,16 @@ class Bridges:
 
     `ratio = sign * mV / (excitation * amplifier_gain)`, `wrench = C @ ratio`, with the voltage
     at the converter's input, so that the converter's own gain is out of it already.
-
-    Args:
-        settings: Settings of the load cell.
-
-    Attributes:
-        inputs: Input of the converter that each bridge is on, shape (6,).
-        matrix: Wrench [M; F] over the bridges' ratios, shape (6, 6) [N m, N per mV/V].
-        full_scale: Full scale of [M; F], shape (6,) [N m, N].
-
-    Raises:
-        ConfigurationError: If a setting is wrong, naming it.
     """
 
     def __init__(self, settings: LoadCellSettings) -> None:
         check_settings(settings)
         order = list(_MAKERS_ORDER)
+        # input of the converter that each bridge is on, shape (6,)
         self.inputs: IntArray = np.array(settings.inputs, dtype=np.int64)
+        # wrench [M; F] over the bridges' ratios, shape (6, 6) [N m, N per mV/V]
         self.matrix: FloatArray = np.array(settings.matrix).reshape(6, 6)[order]
+        # full scale of [M; F], shape (6,) [N m, N]
         self.full_scale: FloatArray = np.array(settings.full_scale)[order]
         self._gain = settings.gain
         self._scale: FloatArray = (
@@ -63,9 +55,6 @@ class Bridges:
         """Ratios, shape (..., 6) [mV/V], of the voltages that make given ones by other settings.
 
         The converter's own gain was set in it, and is that of the other settings.
-
-        Raises:
-            ConfigurationError: If a bridge is on an input that the other settings do not read.
         """
         if lacking := sorted(set(self.inputs.tolist()) - set(other.inputs.tolist())):
             raise _wrong(
@@ -100,11 +89,7 @@ def in_words(wrench: FloatArray) -> str:
 
 
 def check_settings(settings: LoadCellSettings) -> None:
-    """Check what the ranges of single settings cannot.
-
-    Raises:
-        ConfigurationError: If a setting is wrong, naming it.
-    """
+    """Check what the ranges of single settings cannot."""
     check_device(settings.device)
     if settings.channels not in (6, 8):
         raise _wrong(f"channels is {settings.channels}", "give 6 (ADS131M06) or 8 (ADS131M08)")

@@ -151,16 +151,9 @@ class ConverterReader:
     One thread calls `poll` and `close`; the other methods may be called from any.
 
     Args:
-        settings: Settings of the load cell.
         bridges: Its bridges.
         open_device: Opens its bus; called again after a failure.
-        clock: The steady clock that all times are of [s].
-        sleep: Waits for a time [s].
         open_line: Opens the line that DRDY is wired to; None: it is not wired.
-
-    Attributes:
-        period: Time from one conversion to the next [s].
-        silence: Time without a conversion that is an error [s].
     """
 
     def __init__(
@@ -172,7 +165,9 @@ class ConverterReader:
         sleep: Callable[[float], None] = clocks.sleep,
         open_line: Callable[[], EdgeLine] | None = None,
     ) -> None:
+        # time from one conversion to the next [s]
         self.period = conversion_period(settings.clock_in, settings.oversampling)
+        # time without a conversion that is an error [s]
         self.silence = max(_SILENCE, 5.0 * self.period)
         self._delay = group_delay(settings.clock_in, settings.oversampling)
         self._settings = settings
@@ -214,11 +209,7 @@ class ConverterReader:
             self._fail(error)
 
     def connect(self) -> Ads131m0x:
-        """The converter, connected and configured.
-
-        Raises:
-            DeviceError: If it cannot be reached or is another one.
-        """
+        """The converter, connected and configured."""
         if self._converter is None:
             settings = self._settings
             self.close()

@@ -40,18 +40,13 @@ class Tare:
 
     Args:
         path: File that keeps them; empty for none. It need not exist yet.
-
-    Attributes:
-        no_load: Ratios at no load, shape (6,) [mV/V], and when they were taken, since the epoch
-            [ns]; 0 if never.
-
-    Raises:
-        ConfigurationError: If the file is there but damaged.
     """
 
     def __init__(self, path: str) -> None:
         self._path = Path(path).expanduser() if path else None
         self._writing = threading.Lock()
+        # ratios at no load, shape (6,) [mV/V], and when they were taken, since the epoch [ns]; 0 if
+        # never
         self.no_load: tuple[FloatArray, int] = np.zeros(6), 0
         if self._path is not None and self._path.exists():
             self.no_load = _read(self._path)
@@ -62,9 +57,6 @@ class Tare:
         Args:
             offsets: Ratios at no load, shape (6,) [mV/V].
             time: When they were taken, since the epoch [ns]; kept to a microsecond.
-
-        Raises:
-            ConfigurationError: If the file cannot be written; the tare stays as it was.
         """
         with self._writing:
             if self._path is not None:
@@ -99,25 +91,15 @@ def _read(path: Path) -> tuple[FloatArray, int]:
 
 @dataclass(frozen=True)
 class WrenchReading:
-    """The wrench around a time.
+    """The wrench around a time."""
 
-    Attributes:
-        wrench: Wrench [M; F], shape (6,) [N m, N]; all NaN if it was not measured.
-        ratios: Ratios of the bridges that it was made of, shape (6,) [mV/V]; NaN likewise.
-        tare: What was subtracted, [M; F], shape (6,) [N m, N].
-        tared: When that was taken, since the epoch [ns]; 0 if never.
-        status: OK, SATURATED or MISSING.
-        conversions: Number of conversions around the time.
-        fault: What is wrong; empty if nothing is. An overload leaves the wrench as it is.
-    """
-
-    wrench: FloatArray
-    ratios: FloatArray
-    tare: FloatArray
-    tared: int
-    status: Status
-    conversions: int
-    fault: str
+    wrench: FloatArray  # wrench [M; F], shape (6,) [N m, N]; all NaN if it was not measured
+    ratios: FloatArray  # ratios of the bridges that it was made of, shape (6,) [mV/V]; NaN likewise
+    tare: FloatArray  # what was subtracted, [M; F], shape (6,) [N m, N]
+    tared: int  # when that was taken, since the epoch [ns]; 0 if never
+    status: Status  # OK, SATURATED or MISSING
+    conversions: int  # number of conversions around the time
+    fault: str  # what is wrong; empty if nothing is. An overload leaves the wrench as it is
 
 
 class LoadCell:
@@ -126,18 +108,8 @@ class LoadCell:
     One thread polls it and closes it in the end; any other thread may ask for the rest.
 
     Args:
-        settings: Its settings.
         open_device: Opens its bus; called again after a failure.
-        clock: The steady clock that all times are of [s].
-        sleep: Waits for a time [s].
         open_line: Opens the line that DRDY is wired to; None: it is not wired.
-
-    Attributes:
-        settings: Its settings; others may be assigned, of which the window and what concerns
-            the tare are followed.
-
-    Raises:
-        ConfigurationError: If a setting or the tare's file is wrong.
     """
 
     def __init__(
@@ -148,6 +120,8 @@ class LoadCell:
         sleep: Callable[[float], None] = clocks.sleep,
         open_line: Callable[[], EdgeLine] | None = None,
     ) -> None:
+        # its settings; others may be assigned, of which the window and what concerns the tare are
+        # followed
         self.settings = settings
         self._clock = clock
         self._bridges = Bridges(settings)
@@ -174,11 +148,7 @@ class LoadCell:
         self._reader.close()
 
     def identify(self) -> str:
-        """Which converter this is; for a thread that does not poll at the same time.
-
-        Raises:
-            DeviceError: If it cannot be reached or is another one.
-        """
+        """Which converter this is; for a thread that does not poll at the same time."""
         converter = self._reader.connect()
         settings = self.settings
         return (
@@ -187,11 +157,7 @@ class LoadCell:
         )
 
     def check_frames(self, count: int) -> int:
-        """Number of corrupted frames out of so many; as `identify`, and loses conversions.
-
-        Raises:
-            DeviceError: If the converter cannot be reached.
-        """
+        """Number of corrupted frames out of so many; as `identify`, and loses conversions."""
         return self._reader.connect().check_frames(count)
 
     def figures(self) -> dict[str, object]:
@@ -296,10 +262,6 @@ class LoadCell:
 
         Returns:
             What was removed, to be read.
-
-        Raises:
-            DeviceError: If the cell is moving, saturated, or was not read all the time.
-            ConfigurationError: If the tare's file cannot be written.
         """
         settings = self.settings
         now = self._clock() if now is None else now

@@ -31,12 +31,8 @@ class NatNetClient:
     """Receives the frames of a server, on a thread of its own.
 
     Args:
-        settings: The settings.
         on_frame: Called on that thread with each frame, the middle of its exposure on the
             steady clock [s], and the server's rigid bodies (None: not known yet).
-
-    Raises:
-        ConfigurationError: If an address or the version of the stream is wrong.
     """
 
     def __init__(self, settings: MocapSettings, on_frame: OnFrame) -> None:
@@ -51,11 +47,7 @@ class NatNetClient:
         self._thread: threading.Thread | None = None
 
     def start(self) -> None:
-        """Begin; a server or a network that is not there yet is waited for.
-
-        Raises:
-            DeviceError: If another program has the data port.
-        """
+        """Begin; a server or a network that is not there yet is waited for."""
         try:
             self._sockets.open()
         except OSError as error:
@@ -90,11 +82,7 @@ class NatNetClient:
         )
 
     def set_recording(self, name: str | None) -> None:
-        """Have the server record a take of this name, or none; this is pursued from now on.
-
-        Raises:
-            ConfigurationError: If no take can have this name; then none is recorded.
-        """
+        """Have the server record a take of this name, or none; this is pursued from now on."""
         self._session.takes.want(name)
 
     def health(self, now: float) -> tuple[int, str]:

@@ -43,9 +43,6 @@ class EchoClock:
 
     Args:
         frequency: Frequency of the server's clock [Hz]; 0: it has none.
-
-    Attributes:
-        uncertainty: Largest error at the newest echo [s].
     """
 
     def __init__(self, frequency: int) -> None:
@@ -54,7 +51,7 @@ class EchoClock:
         self._echoes: deque[tuple[float, float, float]] = deque(maxlen=_WINDOW)
         self._origin = 0  # [ticks]
         self._map = _Map(0.0, 0.0, [])
-        self.uncertainty = 0.0
+        self.uncertainty = 0.0  # largest error at the newest echo [s]
 
     def __len__(self) -> int:
         return len(self._echoes)

@@ -30,11 +30,7 @@ _STRAYS = 0.06  # [s]; how long answers to the repetitions may take
 
 
 def server_address(settings: MocapSettings) -> tuple[str, int]:
-    """Address of the server's command port.
-
-    Raises:
-        ConfigurationError: If it is not given or not known, or another address is none.
-    """
+    """Address of the server's command port."""
     if not settings.server.strip():
         raise ConfigurationError(
             "mocap_node: server is empty", "give the address of the computer that runs Motive"
@@ -55,11 +51,7 @@ def server_address(settings: MocapSettings) -> tuple[str, int]:
 
 
 def bitstream_version(settings: MocapSettings) -> Version:
-    """The version of the stream to ask for.
-
-    Raises:
-        ConfigurationError: If it is none.
-    """
+    """The version of the stream to ask for."""
     parts = settings.bitstream.split(".")
     if len(parts) != 2 or not all(p.isascii() and p.isdigit() and int(p) < 256 for p in parts):
         raise ConfigurationError(
@@ -92,7 +84,6 @@ class NatNetSockets:
     """One socket for commands and, in unicast, data; another for a group's data.
 
     Args:
-        settings: The settings.
         server: Address of the server's command port.
     """
 
@@ -109,12 +100,7 @@ class NatNetSockets:
         return self._command is not None
 
     def open(self) -> None:
-        """Open the sockets, or open them anew.
-
-        Raises:
-            DeviceError: If another program has the data port.
-            OSError: If the network is not there.
-        """
+        """Open the sockets, or open them anew."""
         self.close()
         interface = self._settings.interface
         self._selector = selectors.DefaultSelector()
@@ -154,11 +140,7 @@ class NatNetSockets:
         data.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, membership)
 
     def send(self, datagram: bytes) -> None:
-        """Send a datagram to the server.
-
-        Raises:
-            OSError: If the network does not take it.
-        """
+        """Send a datagram to the server."""
         if self._command is None:
             raise OSError(errno.ENOTCONN, "no socket")
         with suppress(BlockingIOError):
@@ -196,15 +178,10 @@ class NatNetSockets:
 
 @dataclass(frozen=True)
 class Answer:
-    """The reply to a command: four bytes of a number (0 is yes), or a text.
+    """The reply to a command: four bytes of a number (0 is yes), or a text."""
 
-    Attributes:
-        raw: The reply as it came; None: none came.
-        recognized: Whether the server knows the command.
-    """
-
-    raw: bytes | None
-    recognized: bool = True
+    raw: bytes | None  # the reply as it came; None: none came
+    recognized: bool = True  # whether the server knows the command
 
     @property
     def accepted(self) -> bool:

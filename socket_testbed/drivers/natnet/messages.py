@@ -112,22 +112,12 @@ class Reader:
 
 @dataclass(frozen=True)
 class ServerInfo:
-    """How a server describes itself.
-
-    Attributes:
-        name: Name of the application.
-        app_version: Its version, four numbers.
-        version: Its NatNet version.
-        clock: Frequency of its clock; 0: it stamps no exposures [Hz].
-        data_port: Its data port.
-        multicast: Whether it streams to a group.
-        group: The group's address.
-    """
+    """How a server describes itself."""
 
     name: str
     app_version: tuple[int, ...]
-    version: Version
-    clock: int = 0
+    version: Version  # its NatNet version
+    clock: int = 0  # frequency of its clock; 0: it stamps no exposures [Hz]
     data_port: int = 0
     multicast: bool = False
     group: str = ""
@@ -191,17 +181,11 @@ def parse_echo(payload: bytes) -> tuple[int, int]:
 
 @dataclass(frozen=True)
 class RigidBodyDefinition:
-    """A rigid body as the server defines it.
-
-    Attributes:
-        name: Its name.
-        id: Its streaming id; labelled markers carry it as their model.
-        markers: Its markers in its own frame [m].
-    """
+    """A rigid body as the server defines it."""
 
     name: str
-    id: int
-    markers: tuple[Position, ...]
+    id: int  # its streaming id; labelled markers carry it as their model
+    markers: tuple[Position, ...]  # its markers in its own frame [m]
 
 
 BodiesByName: TypeAlias = dict[str, RigidBodyDefinition]
@@ -276,62 +260,36 @@ def _skip_texts(reader: Reader, count: int) -> None:
 
 
 class RigidBody(NamedTuple):
-    """A rigid body in a frame.
+    """A rigid body in a frame."""
 
-    Attributes:
-        id: Its streaming id.
-        position: Its position [m].
-        quaternion: Its orientation (x, y, z, w) [-].
-        tracked: Whether the server tracks it in this frame.
-    """
-
-    id: int
-    position: Position
-    quaternion: Quaternion
-    tracked: bool
+    id: int  # its streaming id
+    position: Position  # its position [m]
+    quaternion: Quaternion  # its orientation (x, y, z, w) [-]
+    tracked: bool  # whether the server tracks it in this frame
 
 
 class LabelledMarker(NamedTuple):
-    """A labelled marker in a frame.
+    """A labelled marker in a frame."""
 
-    Attributes:
-        model: Streaming id of the body that it belongs to; 0: none.
-        member: Its number in the body, from 1.
-        position: Its position [m]; where it is occluded, the last or an assumed one.
-        occluded: Whether no camera sees it, or its position is not a number.
-        model_filled: Whether the position is that of the body's model, not of the marker.
-    """
-
-    model: int
-    member: int
-    position: Position
-    occluded: bool
-    model_filled: bool
+    model: int  # streaming id of the body that it belongs to; 0: none
+    member: int  # its number in the body, from 1
+    position: Position  # its position [m]; where it is occluded, the last or an assumed one
+    occluded: bool  # whether no camera sees it, or its position is not a number
+    model_filled: bool  # whether the position is that of the body's model, not of the marker
 
 
 @dataclass(frozen=True, slots=True)
 class MocapFrame:
-    """A frame of the cameras.
+    """A frame of the cameras."""
 
-    Attributes:
-        number: Its number; it counts up within a session.
-        bodies: Rigid bodies.
-        markers: Labelled markers.
-        timestamp: Time since the server's begin [s].
-        mid_exposure: Middle of the exposure by the server's clock [ticks].
-        recording: Whether the server records.
-        models_changed: Whether its rigid bodies have changed.
-        bitstream_changed: Whether its stream has changed version.
-    """
-
-    number: int
+    number: int  # its number; it counts up within a session
     bodies: tuple[RigidBody, ...]
     markers: tuple[LabelledMarker, ...]
-    timestamp: float
-    mid_exposure: int
+    timestamp: float  # time since the server's begin [s]
+    mid_exposure: int  # middle of the exposure by the server's clock [ticks]
     recording: bool
-    models_changed: bool
-    bitstream_changed: bool
+    models_changed: bool  # whether its rigid bodies have changed
+    bitstream_changed: bool  # whether its stream has changed version
 
 
 def parse_frame(payload: bytes | memoryview, version: Version) -> MocapFrame:

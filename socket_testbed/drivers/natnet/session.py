@@ -63,11 +63,7 @@ class TakeKeeper:
         return not self._busy and self._started == wanted and (wanted is None or self._confirmed)
 
     def want(self, name: str | None) -> None:
-        """Want a take recorded, or none.
-
-        Raises:
-            ConfigurationError: If no take can have this name; then none is wanted.
-        """
+        """Want a take recorded, or none."""
         self._wanted = None
         self._wanted = None if name is None else check_take_name(name)
 
@@ -132,20 +128,7 @@ class TakeKeeper:
 
 
 class Session:
-    """The client's side of the link; all of it on one thread.
-
-    Attributes:
-        state: One of connecting, connected and lost.
-        server: How the server described itself last.
-        models: Its rigid bodies; None: not known yet.
-        echoes: The map of its clock.
-        clock_error: Largest error of the last frame's time [s].
-        streaming: Whether the version of its frames is settled.
-        sessions: How often a session has begun.
-        last_frame: When a frame came last [s].
-        stranger: The host, not the server, that a datagram came from last.
-        network: Why the network takes nothing; empty: it does.
-    """
+    """The client's side of the link; all of it on one thread."""
 
     def __init__(
         self,
@@ -156,18 +139,18 @@ class Session:
         on_frame: OnFrame,
     ) -> None:
         self.settings = settings
-        self.state = CONNECTING
-        self.server: messages.ServerInfo | None = None
-        self.models: messages.BodiesByName | None = None
-        self.echoes = EchoClock(0)
-        self.clock_error = 0.0
+        self.state = CONNECTING  # one of connecting, connected and lost
+        self.server: messages.ServerInfo | None = None  # how the server described itself last
+        self.models: messages.BodiesByName | None = None  # its rigid bodies; None: not known yet
+        self.echoes = EchoClock(0)  # the map of its clock
+        self.clock_error = 0.0  # largest error of the last frame's time [s]
         self.statistics = LinkStatistics()
         self.takes = TakeKeeper(commands.submit)
-        self.streaming = False
-        self.sessions = 0
-        self.last_frame = 0.0
-        self.stranger = ""
-        self.network = ""
+        self.streaming = False  # whether the version of its frames is settled
+        self.sessions = 0  # how often a session has begun
+        self.last_frame = 0.0  # when a frame came last [s]
+        self.stranger = ""  # the host, not the server, that a datagram came from last
+        self.network = ""  # why the network takes nothing; empty: it does
         self._bitstream = bitstream
         self._version: messages.Version = bitstream
         self._sockets = sockets
@@ -207,11 +190,7 @@ class Session:
         self.takes.step(now, self.state == CONNECTED and self.streaming)
 
     def take(self, datagram: bytes, now: float) -> None:
-        """Take a datagram of the server.
-
-        Raises:
-            MalformedDatagram: If it does not hold what its counts demand.
-        """
+        """Take a datagram of the server."""
         self._heard = now
         message, payload = messages.split_datagram(datagram)
         handler = self._handlers.get(message)

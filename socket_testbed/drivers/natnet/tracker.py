@@ -41,24 +41,16 @@ class _Entry(NamedTuple):
 
 @dataclass(frozen=True)
 class MocapSample:
-    """Socket and pylon, in this order, at the time of a trigger; NaN where they are not seen.
+    """Socket and pylon, in this order, at the time of a trigger; NaN where they are not seen."""
 
-    Attributes:
-        time: Time of the trigger on the steady clock [s].
-        positions: Origins of the bodies in the world, shape (2, 3) [m].
-        quaternions: Their orientations (x, y, z, w), shape (2, 4) [-].
-        markers: Their markers in the bodies' order, as labelled where they do not fit, shape
-            (2, k, 3) [m], where k is that of the body with more; beyond its own, a body's are NaN.
-        faults: Why a body has no pose; empty if it has one.
-        frames: Number of frames that make each pose [1]; 0 where there is none.
-    """
-
-    time: float
-    positions: FloatArray
-    quaternions: FloatArray
+    time: float  # time of the trigger on the steady clock [s]
+    positions: FloatArray  # origins of the bodies in the world, shape (2, 3) [m]
+    quaternions: FloatArray  # their orientations (x, y, z, w), shape (2, 4) [-]
+    # their markers in the bodies' order, as labelled where they do not fit, shape (2, k, 3) [m],
+    # where k is that of the body with more; beyond its own, a body's are NaN
     markers: FloatArray
-    faults: tuple[str, str]
-    frames: tuple[int, int]
+    faults: tuple[str, str]  # why a body has no pose; empty if it has one
+    frames: tuple[int, int]  # number of frames that make each pose [1]; 0 where there is none
 
 
 class BodyTracker:
@@ -68,7 +60,6 @@ class BodyTracker:
     interpolated between two frames. Any thread may call any method.
 
     Args:
-        settings: The settings.
         socket_markers: The socket's 3 to 8 markers in its body's frame, shape (k, 3) [m].
         pylon_markers: The pylon's markers, likewise.
     """
@@ -153,11 +144,7 @@ class BodyTracker:
         )
 
     def _around(self, trigger: float, half: float) -> tuple[list[_Entry], int]:
-        """The frames at most half a window from a time, and two on either side of it.
-
-        Returns:
-            The frames, the earliest first, and how many of them are before the time.
-        """
+        """The frames at most half a window from a time, and two on either side of it."""
         entries: list[_Entry] = []
         before = 0
         for entry in reversed(self._frames):
@@ -230,15 +217,7 @@ class _TrackedBody:
         offsets: FloatArray,
         inside: BoolArray,
     ) -> _Result:
-        """Position [m], quaternion, markers [m], fault and number of frames at a time.
-
-        Args:
-            entries: The frames around it.
-            markers: The body's markers in each, shape (k, 3) [m].
-            first_after: How many of the frames are before it.
-            offsets: Times of the frames from it [s].
-            inside: Which of them are averaged.
-        """
+        """Position [m], quaternion, markers [m], fault and number of frames at a time."""
         nothing = (np.full(3, np.nan), np.full(4, np.nan), np.full((self._count, 3), np.nan))
         nearest = (first_after - 1, first_after)
         if not 0 < first_after < len(entries) or _span(offsets, nearest) > self._stale:
@@ -364,17 +343,7 @@ def _interpolate(
 def _mean(
     poses: Pose, offsets: FloatArray, usable: BoolArray, largest: float
 ) -> tuple[FloatArray, FloatArray, int] | None:
-    """Mean of some of N poses, at offset 0.
-
-    Args:
-        poses: The poses.
-        offsets: Their times from that of the mean, shape (N,) [s].
-        usable: Which to average, shape (N,).
-        largest: Largest variance of the mean's noise, where a pose's is 1 [-].
-
-    Returns:
-        Position [m], quaternion and number of poses; None if the mean would be noisier.
-    """
+    """Mean of some of N poses, at offset 0."""
     weights = line_weights(offsets[usable])
     if len(weights) < 2 or weights @ weights > largest:
         return None

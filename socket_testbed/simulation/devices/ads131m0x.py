@@ -43,9 +43,6 @@ class AdcRegisters:
 
     Args:
         channels: 6 (M06) or 8 (M08).
-
-    Attributes:
-        locked: Whether the interface is locked.
     """
 
     def __init__(self, channels: int) -> None:
@@ -124,10 +121,7 @@ class SimulatedAds131m0x:
         volts: Called with a time of the steady clock [s] for the voltages at the inputs,
             shape (channels,) [V].
         channels: 6 (M06) or 8 (M08).
-        faults: The faults of `simulation.world`, looked up at each frame.
-        clock: The steady clock [s].
         clock_in: Clock of the converter [Hz].
-        seed: Seed of the flipped bits.
     """
 
     def __init__(
@@ -298,16 +292,12 @@ class SimulatedDataReady:
 
     Args:
         chip: The converter.
-        clock: The steady clock [s].
-
-    Attributes:
-        connected: Whether the wire is on.
     """
 
     def __init__(self, chip: SimulatedAds131m0x, clock: Callable[[], float]) -> None:
         self._chip = chip
         self._clock = clock
-        self.connected = True
+        self.connected = True  # whether the wire is on
 
     def edges(self, within: float) -> list[float]:
         """Edges that have come; the reader never waits for one."""
@@ -324,16 +314,6 @@ class SimulatedLoadCellHardware:
     Args:
         wrench: Called with a time of the steady clock [s] for what the cell feels, [M; F],
             shape (6,) [N m, N].
-        settings: What its driver believes of it.
-        faults: The faults of `simulation.world`, looked up at each frame.
-        clock: The steady clock [s].
-        seed: Seed of the flipped bits.
-
-    Attributes:
-        line: The line that its DRDY is wired to.
-
-    Raises:
-        ConfigurationError: If a setting is wrong.
     """
 
     def __init__(
@@ -354,7 +334,7 @@ class SimulatedLoadCellHardware:
         self._chip = SimulatedAds131m0x(
             self._volts, settings.channels, faults, clock, settings.clock_in, seed
         )
-        self.line = SimulatedDataReady(self._chip, clock)
+        self.line = SimulatedDataReady(self._chip, clock)  # the line that its DRDY is wired to
 
     def open_device(self) -> SimulatedAds131m0x:
         """The converter's bus."""

@@ -45,11 +45,7 @@ class SimulatedFdc1004(SimulatedChip):
         self._sequence, self._end = [], math.inf
 
     def write(self, data: bytes) -> None:
-        """Take the bytes of a write.
-
-        Raises:
-            OSError: EREMOTEIO where the chip does not acknowledge.
-        """
+        """Take the bytes of a write."""
         self._convert(self._clock())
         register = data[0]
         known = register < _GAIN + 4 or register in _IDENTITY
@@ -67,11 +63,7 @@ class SimulatedFdc1004(SimulatedChip):
             raise no_answer()  # read-only
 
     def read(self, length: int) -> bytes:
-        """Answer with the register that the pointer is at, over and over.
-
-        Raises:
-            OSError: EREMOTEIO where the chip does not acknowledge.
-        """
+        """Answer with the register that the pointer is at, over and over."""
         self._convert(self._clock())
         value = self._value(self._pointer).to_bytes(2, "big")
         return (value * length)[:length]

@@ -10,13 +10,7 @@ _DELAY = 2e-6  # [s]; from the output to the stamped edge
 
 
 class SimulatedLines:
-    """What `drivers.trigger.GpioTrigger` drives; the edge comes by the wire.
-
-    Args:
-        faults: The faults that are on; see `simulation.world`.
-        clock: The steady clock [s].
-        sleep: Sleeps for a time [s].
-    """
+    """What `drivers.trigger.GpioTrigger` drives; the edge comes by the wire."""
 
     def __init__(
         self,

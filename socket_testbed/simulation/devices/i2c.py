@@ -35,7 +35,6 @@ class SimulatedChip:
 
     Args:
         capacitance: Capacitance of an input, 0..3, at a time of the clock [pF].
-        clock: The steady clock [s].
         faults: The faults of `simulation.world`, looked up at each transfer.
         channel: Channel of the multiplexer [1].
         speed: Its oscillator's frequency over the nominal one [-].
@@ -101,14 +100,10 @@ class SimulatedChip:
 
 
 class SimulatedTca9548a:
-    """The multiplexer: a mask of the channels that are connected.
-
-    Attributes:
-        mask: Bit n connects channel n [1].
-    """
+    """The multiplexer: a mask of the channels that are connected."""
 
     def __init__(self) -> None:
-        self.mask = 0
+        self.mask = 0  # bit n connects channel n [1]
 
     def write(self, data: bytes) -> None:
         """Take the mask, the last byte of a write."""
@@ -129,8 +124,6 @@ class SimulatedI2cBus:
         multiplexer: The multiplexer, or None.
         faults: The faults of `simulation.world`, looked up at each transfer.
         frequency: Clock of the bus [Hz]; None: transfers take no time.
-        clock: The steady clock [s].
-        sleep: Waits [s].
     """
 
     def __init__(
@@ -154,11 +147,7 @@ class SimulatedI2cBus:
             chip.host_restarted()
 
     def i2c_rdwr(self, *messages: i2c_msg) -> None:
-        """Transfer messages with repeated starts between them.
-
-        Raises:
-            OSError: As the kernel does: ENODEV, ETIMEDOUT, EREMOTEIO.
-        """
+        """Transfer messages with repeated starts between them."""
         if self._faults.get("clusters.unplugged", 0.0):
             self._is_gone = True
             _power_down(self._chips, self._multiplexer)
@@ -215,8 +204,6 @@ class SimulatedClusterHardware:
             of the clock [pF].
         faults: The faults of `simulation.world`, looked up at each transfer.
         frequency: Clock of the bus [Hz]; None: transfers take no time.
-        clock: The steady clock [s].
-        sleep: Waits [s].
         speeds: Frequency of each chip's oscillator over the nominal one [-].
     """
 
@@ -238,11 +225,7 @@ class SimulatedClusterHardware:
         self._timing = frequency, clock, sleep
 
     def open_bus(self, number: int) -> I2cBus:
-        """Open a bus by its number [1]; chips that were unplugged come back reset.
-
-        Raises:
-            DeviceError: As for hardware, if there is no such bus at present.
-        """
+        """Open a bus by its number [1]; chips that were unplugged come back reset."""
         unplugged = bool(self._faults.get("clusters.unplugged", 0.0))
         if unplugged:
             _power_down(self.chips, self.multiplexer)

@@ -48,37 +48,27 @@ class Marker:
 
 @dataclass(frozen=True)
 class Content:
-    """All that a frame can hold.
+    """All that a frame can hold."""
 
-    Attributes:
-        number: Frame number.
-        ticks: Server's clock at mid-exposure, at data received and at transmission [ticks].
-        timestamp: Time since the server's begin [s].
-        bodies: Rigid bodies.
-        markers: Labelled markers.
-        marker_sets: Marker positions by the set's name, shape (m, 3) each [m].
-        others: Unlabelled markers, shape (m, 3) [m].
-        skeletons: Ids of skeletons and their bodies.
-        assets: Ids of assets, their bodies and their markers; from 4.1 on.
-        plates: Ids of force plates and their channels' values.
-        devices: Ids of devices and their channels' values.
-        recording: Whether the server records.
-        models_changed: Whether its rigid bodies have changed.
-    """
-
-    number: int
+    number: int  # frame number
+    # server's clock at mid-exposure, at data received and at transmission [ticks]
     ticks: tuple[int, int, int] = (0, 0, 0)
-    timestamp: float = 0.0
+    timestamp: float = 0.0  # time since the server's begin [s]
     bodies: Sequence[Body] = ()
     markers: Sequence[Marker] = ()
+    # marker positions by the set's name, shape (m, 3) each [m]
     marker_sets: dict[str, FloatArray] = field(default_factory=dict)
+    # unlabelled markers, shape (m, 3) [m]
     others: FloatArray = field(default_factory=lambda: np.empty((0, 3)))
-    skeletons: Sequence[tuple[int, Sequence[Body]]] = ()
+    skeletons: Sequence[tuple[int, Sequence[Body]]] = ()  # ids of skeletons and their bodies
+    # ids of assets, their bodies and their markers; from 4.1 on
     assets: Sequence[tuple[int, Sequence[Body], Sequence[Marker]]] = ()
+    # ids of force plates and their channels' values
     plates: Sequence[tuple[int, Sequence[Sequence[float]]]] = ()
+    # ids of devices and their channels' values
     devices: Sequence[tuple[int, Sequence[Sequence[float]]]] = ()
     recording: bool = False
-    models_changed: bool = False
+    models_changed: bool = False  # whether its rigid bodies have changed
 
 
 @dataclass(frozen=True)

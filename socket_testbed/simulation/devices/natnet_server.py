@@ -134,7 +134,6 @@ class FaultyNetwork:
 
     Args:
         udp: The socket.
-        faults: The faults `mocap.*`, looked up live.
         rng: Source of what is random.
     """
 
@@ -193,12 +192,6 @@ class NatNetServer:
         multicast: Group and data port that it streams to; None: unicast.
         faults: The faults `mocap.*` of `socket_testbed.simulation.world`, looked up live.
         noise: Standard deviation of a marker's coordinate [m].
-        seed: Seed of everything that is random.
-
-    Attributes:
-        takes: Names of the takes recorded, the one that is on included.
-        recording: Whether a take is on.
-        commands: All commands that came, as they came.
     """
 
     def __init__(
@@ -212,9 +205,9 @@ class NatNetServer:
         noise: float = 0.0,
         seed: int = 0,
     ) -> None:
-        self.takes: list[str] = []
+        self.takes: list[str] = []  # names of the takes recorded, the one that is on included
         self.recording = False
-        self.commands: list[str] = []
+        self.commands: list[str] = []  # all commands that came, as they came
         self._take = ""
         self._rate = rate
         self._version = version
