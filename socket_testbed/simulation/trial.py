@@ -17,7 +17,7 @@ from socket_testbed.calibration.model import Calibration
 from socket_testbed.drivers.load_cell.bridges import Bridges
 from socket_testbed.errors import TrialError
 from socket_testbed.files import atomic_output, check_new_folder, make_folder, packaged
-from socket_testbed.geometry.marker_bodies import fit_body
+from socket_testbed.geometry.marker_bodies import fit_body, nearest_rotations
 from socket_testbed.geometry.pose import Pose
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.samples import Status
@@ -38,7 +38,7 @@ from socket_testbed.simulation.sensors import (
     observe_markers,
     wrench_creep,
 )
-from socket_testbed.trials.bag import BagWriter, encode, message_class
+from socket_testbed.trials.bag import BagWriter, encode, fields_of, message_class
 from socket_testbed.trials.topics import (
     CAPACITANCE,
     LOAD_CELL_RAW,
@@ -208,14 +208,10 @@ def _motion_capture(
 
 
 def _mean_poses(pose: Pose, count: int) -> Pose:
-    """Means of `count` equal groups of poses, without NaN: of positions, and chordal of rotations.
-
-    The chordal mean is the rotation nearest to the mean of the matrices.
-    """
+    """Means of `count` groups of poses, without NaN: of positions, and chordal of rotations."""
     translation = pose.translation.reshape(count, -1, 3)
     seen = np.isfinite(translation[:, :, 0]).sum(axis=1)
-    left, _, right = np.linalg.svd(np.nansum(pose.rotation.reshape(count, -1, 3, 3), axis=1))
-    rotation = left @ right
+    rotation = nearest_rotations(np.nansum(pose.rotation.reshape(count, -1, 3, 3), axis=1))
     rotation[seen == 0] = np.nan
     with np.errstate(invalid="ignore"):  # none seen: 0 / 0
         return Pose(rotation, np.nansum(translation, axis=1) / seen[:, None])
@@ -321,57 +317,60 @@ def _between(values: FloatArray, after: IntArray, share: FloatArray) -> FloatArr
 
 def _messages(trial: SimulatedTrial, ratios: FloatArray, k: int) -> Iterator[tuple[Topic, Any]]:
     """The messages of trigger k, whose ratios [mV/V] are given, in the order of their recording."""
-    stamp = int(trial.stamps[k])
-    yield TRIGGER, _make(TRIGGER.type, header=_header(stamp), sequence=k)
-    yield WRENCH, _make(WRENCH.type, header=_header(stamp), wrench=_wrench(trial.wrench[k]))
-    raw = {"ratios": 1e-3 * ratios, "tare": _wrench(np.zeros(6)), "tared": _time(0)}
-    yield LOAD_CELL_RAW, _make(LOAD_CELL_RAW.type, header=_header(stamp), **raw, status=Status.OK)
+    stamp = _time(int(trial.stamps[k]))
+    header = {"stamp": stamp, "frame_id": "load_cell"}
+    in_world = {"stamp": stamp, "frame_id": "world"}
+    contents: dict[Topic, dict[str, Any]] = {
+        TRIGGER: {"sequence": k},
+        WRENCH: {"wrench": _wrench(trial.wrench[k])},
+        LOAD_CELL_RAW: {
+            "ratios": 1e-3 * ratios,
+            "tare": _wrench(np.zeros(6)),
+            "tared": _time(0),
+            "status": Status.OK,
+        },
+    }
     for topic, pose in ((SOCKET_POSE, trial.socket_pose), (PYLON_POSE, trial.pylon_pose)):
-        yield topic, _make(topic.type, header=_header(stamp, "world"), pose=_pose(pose, k))
-    bodies = [
-        _make("socket_testbed_msgs/msg/RigidBodyMarkers", name=name, markers=_points(markers[k]))
-        for name, markers in (("socket", trial.socket_markers), ("pylon", trial.pylon_markers))
+        turned = Pose(pose.rotation[k], pose.translation[k]).quaternion()
+        place = {"position": _xyz(pose.translation[k]), "orientation": _xyz(turned, "xyzw")}
+        contents[topic] = {"header": in_world, "pose": place}
+    bodies = {"socket": trial.socket_markers[k], "pylon": trial.pylon_markers[k]}
+    seen = [{"name": name, "markers": list(map(_xyz, at))} for name, at in bodies.items()]
+    contents[MARKERS] = {"header": in_world, "bodies": seen}
+    clusters = [
+        {
+            "name": name,
+            "capacitance": values[k],
+            "status": np.where(np.isfinite(values[k]), Status.OK, Status.MISSING).astype(np.uint8),
+        }
+        for name, values in trial.capacitance.items()
     ]
-    yield MARKERS, _make(MARKERS.type, header=_header(stamp, "world"), bodies=bodies)
-    clusters = []
-    for name, capacitance in trial.capacitance.items():
-        status = np.where(np.isfinite(capacitance[k]), Status.OK, Status.MISSING).astype(np.uint8)
-        kind = "socket_testbed_msgs/msg/ClusterCapacitance"
-        clusters.append(_make(kind, name=name, capacitance=capacitance[k], status=status))
-    yield CAPACITANCE, _make(CAPACITANCE.type, header=_header(stamp), clusters=clusters)
+    contents[CAPACITANCE] = {"clusters": clusters}
+    for topic, content in contents.items():
+        yield topic, _message(topic.type, {"header": header, **content})
 
 
-def _make(message_type: str, **content: Any) -> Any:
-    return message_class(message_type)(**content)
+def _message(message_type: str, content: Any) -> Any:
+    """A message from nested dictionaries, by the fields of its type."""
+    values = {}
+    for field in fields_of(message_type):
+        value = content[field.name]
+        if "/" in field.type:
+            one = field.number is None
+            parts = [_message(field.type, part) for part in ([value] if one else value)]
+            value = parts[0] if one else parts
+        values[field.name] = value
+    return message_class(message_type)(**values)
 
 
-def _header(stamp: int, frame: str = "load_cell") -> Any:
-    return _make("std_msgs/msg/Header", stamp=_time(stamp), frame_id=frame)
-
-
-def _time(stamp: int) -> Any:
+def _time(stamp: int) -> dict[str, int]:
     seconds, nanoseconds = divmod(stamp, 1_000_000_000)
-    return _make("builtin_interfaces/msg/Time", sec=seconds, nanosec=nanoseconds)
+    return {"sec": seconds, "nanosec": nanoseconds}
 
 
-def _wrench(values: FloatArray) -> Any:
-    moment, force = _vector(values[:3]), _vector(values[3:])
-    return _make("geometry_msgs/msg/Wrench", force=force, torque=moment)
+def _wrench(values: FloatArray) -> dict[str, Any]:
+    return {"force": _xyz(values[3:]), "torque": _xyz(values[:3])}
 
 
-def _vector(values: FloatArray) -> Any:
-    x, y, z = values.tolist()
-    return _make("geometry_msgs/msg/Vector3", x=x, y=y, z=z)
-
-
-def _points(markers: FloatArray) -> list[Any]:
-    return [_make("geometry_msgs/msg/Point", x=x, y=y, z=z) for x, y, z in markers.tolist()]
-
-
-def _pose(pose: Pose, k: int) -> Any:
-    x, y, z, w = Pose(pose.rotation[k], pose.translation[k]).quaternion().tolist()
-    return _make(
-        "geometry_msgs/msg/Pose",
-        position=_points(pose.translation[k][None])[0],
-        orientation=_make("geometry_msgs/msg/Quaternion", x=x, y=y, z=z, w=w),
-    )
+def _xyz(values: FloatArray, names: str = "xyz") -> dict[str, float]:
+    return dict(zip(names, values.tolist(), strict=True))

@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
+from socket_testbed.drivers.natnet.connection import TakeKeeper
 from socket_testbed.drivers.natnet.messages import encode_command
-from socket_testbed.drivers.natnet.session import TakeKeeper
 from socket_testbed.errors import ConfigurationError
 from socket_testbed.settings.testbed import RecorderSettings, check_take_name
 

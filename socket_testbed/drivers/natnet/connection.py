@@ -1,4 +1,4 @@
-"""The UDP sockets towards a NatNet server, and the commands sent over them."""
+"""The UDP sockets towards a NatNet server, the commands sent over them, and its takes."""
 
 from __future__ import annotations
 
@@ -20,6 +20,7 @@ from socket_testbed.drivers.natnet.messages import (
 )
 from socket_testbed.errors import ConfigurationError, DeviceError
 from socket_testbed.settings.acquisition import MocapSettings
+from socket_testbed.settings.testbed import check_take_name
 
 _BUFFER = 1 << 20  # [bytes]; the frames of a second
 _AT_ONCE = 64  # datagrams
@@ -27,6 +28,11 @@ _ATTEMPTS = 10
 _INTERVAL = 0.02  # [s]; what the maker's own client does
 _DUPLICATES = 0.01  # [s]; how long a second copy of an answer may take
 _STRAYS = 0.06  # [s]; how long answers to the repetitions may take
+
+_RETRY = 0.25  # [s]; from a command that failed to the next
+_IN_FLIGHT = 0.1  # [s]; after which no frame is from before a command
+_EVIDENCE = 0.3  # [s]; for the frames of a new session to show a recording
+_CONTRADICTED = 1.0  # [s]
 
 
 def server_address(settings: MocapSettings) -> tuple[str, int]:
@@ -264,3 +270,92 @@ class CommandQueue:
         self._strays = self._sent
         self._quiet = now + (_STRAYS if self._strays else _DUPLICATES)
         done(answer)
+
+
+class TakeKeeper:
+    """Pursues the wanted take: named and started, stopped, and started again after a restart.
+
+    `want` may be called from any thread, all else from one.
+    """
+
+    def __init__(self, submit: Callable[[str, Done], None]) -> None:
+        self._submit = submit
+        self._wanted: str | None = None
+        self._started: str | None = None  # the take that may be on
+        self._confirmed = False
+        self._busy = False
+        self._next = 0.0  # [s]; of a command
+        self._moment = 0.0  # [s]; frames before it may be of an earlier take
+        self._idle_since: float | None = None
+        self._session = 0
+        self.fault = ""
+
+    @property
+    def settled(self) -> bool:
+        """Whether the server does what is wanted."""
+        wanted = self._wanted
+        return not self._busy and self._started == wanted and (wanted is None or self._confirmed)
+
+    def want(self, name: str | None) -> None:
+        """Want a take recorded, or none."""
+        self._wanted = None
+        self._wanted = None if name is None else check_take_name(name)
+
+    def restarted(self, now: float) -> None:
+        """A session has begun: the server may have forgotten the take."""
+        self._session += 1
+        self._confirmed = False
+        self._moment = now
+        self._next = now + (0.0 if self._started is None else _EVIDENCE)
+        self._idle_since = None
+
+    def observe(self, recording: bool, now: float) -> None:
+        """Note whether a frame says that the server records."""
+        if recording:
+            self._idle_since = None
+            if self._started is not None and now > self._moment:
+                self._confirmed = True
+        elif self._idle_since is None:
+            self._idle_since = now
+
+    def step(self, now: float, connected: bool) -> None:
+        """Do what is due at a time of the steady clock [s]."""
+        if self.settled:
+            idle = self._idle_since is not None and now - self._idle_since > _CONTRADICTED
+            self._note("the frames say that the server does not record" if idle else "")
+        elif not connected:
+            self._note("no connection")
+        elif not self._busy and now >= self._next:
+            stop = self._started not in (None, self._wanted)
+            self._issue("StopRecording" if stop else f"SetRecordTakeName,{self._wanted}", now)
+
+    def _issue(self, command: str, now: float) -> None:
+        session, wanted = self._session, self._wanted
+
+        def done(answer: Answer) -> None:
+            self._busy = False
+            fault = answer.fault(command)
+            idle = self._idle_since is not None and answer.raw is not None
+            if command == "StopRecording" and idle:
+                fault = ""  # a server that does not record may refuse to stop
+            self._note(fault)
+            if fault:
+                self._next = now + _RETRY
+            elif session != self._session:
+                return
+            elif command == "StopRecording":
+                self._started, self._confirmed = None, False
+            elif command == "StartRecording":
+                self._confirmed, self._idle_since = True, None
+            elif wanted == self._wanted:
+                self._started, self._moment = wanted, now + _IN_FLIGHT
+                self._issue("StartRecording", now)
+
+        self._busy = True
+        self._submit(command, done)
+
+    def _note(self, reason: str) -> None:
+        wanted = self._wanted
+        doing = "no take is stopped" if wanted is None else f"take '{wanted}' is not recorded"
+        unwanted = wanted is None and self._started is None
+        self.fault = f"{doing}: {reason}" if reason and not unwanted else ""

@@ -30,7 +30,6 @@ LARGEST_DATAGRAM = 65535  # [bytes]
 
 Version: TypeAlias = tuple[int, int]  # of NatNet: major, minor
 Position: TypeAlias = tuple[float, float, float]
-Quaternion: TypeAlias = tuple[float, float, float, float]
 
 OLDEST = (3, 0)  # of Motive 2.0; before it, frames do not say when they were exposed
 _NEWEST = (4, 4)  # whose layout is known
@@ -44,9 +43,8 @@ _BODY = Struct("<i8fh")  # id, position, quaternion, error, flags
 _MARKER = Struct("<i4fhf")  # id, position, size, flags, residual
 _SUFFIX_3 = Struct("<IIdQQQhi")
 _SUFFIX_4_1 = Struct("<IIdQQQIIhi")
-_TRACKED = 1
 _OCCLUDED, _MODEL_FILLED = 1, 4
-_RECORDING, _MODELS_CHANGED, _BITSTREAM_CHANGED = 1, 2, 8
+_RECORDING, _MODELS_CHANGED = 1, 2
 
 
 class MalformedDatagram(DeviceError):  # noqa: N818  (what it is, not that it is an error)
@@ -259,15 +257,6 @@ def _skip_texts(reader: Reader, count: int) -> None:
         reader.text()
 
 
-class RigidBody(NamedTuple):
-    """A rigid body in a frame."""
-
-    id: int  # its streaming id
-    position: Position  # its position [m]
-    quaternion: Quaternion  # its orientation (x, y, z, w) [-]
-    tracked: bool  # whether the server tracks it in this frame
-
-
 class LabelledMarker(NamedTuple):
     """A labelled marker in a frame."""
 
@@ -283,13 +272,11 @@ class MocapFrame:
     """A frame of the cameras."""
 
     number: int  # its number; it counts up within a session
-    bodies: tuple[RigidBody, ...]
+    bodies: tuple[int, ...]  # streaming ids of the rigid bodies
     markers: tuple[LabelledMarker, ...]
-    timestamp: float  # time since the server's begin [s]
     mid_exposure: int  # middle of the exposure by the server's clock [ticks]
     recording: bool
     models_changed: bool  # whether its rigid bodies have changed
-    bitstream_changed: bool  # whether its stream has changed version
 
 
 def parse_frame(payload: bytes | memoryview, version: Version) -> MocapFrame:
@@ -306,24 +293,19 @@ def parse_frame(payload: bytes | memoryview, version: Version) -> MocapFrame:
     number = reader.integer()
     _skip_section(reader, sized, 5, _skip_marker_set)
     _skip_section(reader, sized, 12, lambda reader: reader.skip(12))  # other markers
-    bodies = _bodies(reader, sized)
+    bodies = tuple(identity for identity, *_ in _elements(reader, sized, _BODY))
     _skip_section(reader, sized, 8, _skip_skeleton)
     if sized:
         _skip_section(reader, sized, 12, _skip_skeleton)  # assets
     markers = _markers(reader, sized)
     for _ in range(2):  # force plates, devices
         _skip_section(reader, sized, 8, _skip_channels)
-    timestamp, ticks, flags = _suffix(reader, version)
-    return MocapFrame(
-        number,
-        bodies,
-        markers,
-        timestamp,
-        ticks,
-        bool(flags & _RECORDING),
-        bool(flags & _MODELS_CHANGED),
-        bool(flags & _BITSTREAM_CHANGED),
-    )
+    _, _, _, ticks, *_, flags, end = reader.unpack(_SUFFIX_4_1 if sized else _SUFFIX_3)
+    # A count that lies leads elsewhere than to the end tag. A newer version may hold more.
+    if end != 0 or (version <= _NEWEST and reader.offset != reader.end):
+        raise reader.bad(f"end tag {end} and {reader.end - reader.offset} bytes left")
+    changed = bool(flags & _MODELS_CHANGED)
+    return MocapFrame(number, bodies, markers, ticks, bool(flags & _RECORDING), changed)
 
 
 def _skip_section(
@@ -367,15 +349,6 @@ def _elements(reader: Reader, sized: bool, layout: Struct) -> Iterator[tuple[Any
     return layout.iter_unpack(reader.payload[begin : reader.offset])
 
 
-def _bodies(reader: Reader, sized: bool) -> tuple[RigidBody, ...]:
-    return tuple(
-        RigidBody(
-            identity, (x, y, z), (qx, qy, qz, qw), bool(flags & _TRACKED) and isfinite(x + y + z)
-        )
-        for identity, x, y, z, qx, qy, qz, qw, _, flags in _elements(reader, sized, _BODY)
-    )
-
-
 def _markers(reader: Reader, sized: bool) -> tuple[LabelledMarker, ...]:
     return tuple(
         LabelledMarker(
@@ -387,13 +360,3 @@ def _markers(reader: Reader, sized: bool) -> tuple[LabelledMarker, ...]:
         )
         for identity, x, y, z, _, flags, _ in _elements(reader, sized, _MARKER)
     )
-
-
-def _suffix(reader: Reader, version: Version) -> tuple[float, int, int]:
-    """Timestamp [s], mid-exposure [ticks] and flags."""
-    layout = _SUFFIX_4_1 if version >= (4, 1) else _SUFFIX_3
-    _, _, timestamp, ticks, *_, flags, end = reader.unpack(layout)
-    # A count that lies leads elsewhere than to the end tag. A newer version may hold more.
-    if end != 0 or (version <= _NEWEST and reader.offset != reader.end):
-        raise reader.bad(f"end tag {end} and {reader.end - reader.offset} bytes left")
-    return float(timestamp), int(ticks), int(flags)

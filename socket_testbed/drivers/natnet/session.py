@@ -1,8 +1,9 @@
-"""The session with a NatNet server, connected, lost and connected again; and its takes."""
+"""The session with a NatNet server: connected, lost, connected again; which frames are used."""
 
 from __future__ import annotations
 
 import re
+import threading
 from collections import deque
 from collections.abc import Callable
 from typing import TypeAlias
@@ -10,11 +11,9 @@ from typing import TypeAlias
 from socket_testbed.clocks import Backoff
 from socket_testbed.drivers.natnet import messages
 from socket_testbed.drivers.natnet.clock import EchoClock
-from socket_testbed.drivers.natnet.connection import Answer, CommandQueue, Done, NatNetSockets
-from socket_testbed.drivers.natnet.frame_filter import FrameFilter, LinkStatistics
+from socket_testbed.drivers.natnet.connection import Answer, CommandQueue, NatNetSockets, TakeKeeper
 from socket_testbed.errors import DeviceError
 from socket_testbed.settings.acquisition import MocapSettings
-from socket_testbed.settings.testbed import check_take_name
 
 SILENCE = 0.3  # [s]; after which the server, or its stream, is lost
 _KEEPALIVE = 1.0  # [s]
@@ -25,106 +24,142 @@ _PENDING = 64  # echoes
 _MODELS_RETRY, _MODELS_AGAIN = 0.1, 1.0  # [s]
 _SUBSCRIPTIONS = ("SubscribeToData,RigidBody,All", "SubscribeToData,LabeledMarkers,All")
 
-_RETRY = 0.25  # [s]; from a command that failed to the next
-_IN_FLIGHT = 0.1  # [s]; after which no frame is from before a command
-_EVIDENCE = 0.3  # [s]; for the frames of a new session to show a recording
-_CONTRADICTED = 1.0  # [s]
+_RECENT = 0.8  # [s]; a fault that ended is no longer reported within a second
+_SPAN = 1.0  # [s]; over which the rate is measured
+_MOST = 2000  # events
+_EARLIEST, _LATEST = 1.0, 0.005  # [s]; before and after its arrival that a frame can be from
+_ODD = 10  # frames in a row; of another server, not of the network
+_SUSPICION = 2.0  # [s]; between two guesses that it is another server
+_MOST_LOST = 1000  # frames
+
+KINDS = {
+    "bad": "bad datagrams",
+    "lost": "lost frames",
+    "late": "duplicate or late frames",
+    "implausible": "frames of implausible time",
+    "failed": "frames that could not be used",
+}
 
 CONNECTING, CONNECTED, LOST = "connecting", "connected", "lost"
 
 OnFrame: TypeAlias = Callable[[messages.MocapFrame, float, messages.BodiesByName | None], None]
 
 
-class TakeKeeper:
-    """Pursues the wanted take: named and started, stopped, and started again after a restart.
+class LinkStatistics:
+    """Counts frames and faults; any thread may ask, one counts."""
 
-    `want` may be called from any thread, all else from one.
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._recent: dict[str, deque[tuple[float, int]]] = {
+            kind: deque(maxlen=_MOST) for kind in KINDS
+        }
+        self._totals = dict.fromkeys(KINDS, 0)
+        self._frames: deque[float] = deque(maxlen=_MOST)
+        self._delivered = 0
+        self._warning = ("", 0.0, frozenset[str]())
+        self.last_error = ""
+
+    def count(self, kind: str, now: float, number: int = 1, error: str = "") -> None:
+        """Count a fault."""
+        with self._lock:
+            self._totals[kind] += number
+            self._recent[kind].append((now, number))
+            if error:
+                self.last_error = error
+
+    def delivered(self, now: float) -> None:
+        """Count a frame that was delivered."""
+        with self._lock:
+            self._delivered += 1
+            self._frames.append(now)
+
+    def quiet(self, now: float) -> float:
+        """Time since the last frame that was delivered, of two at least [s]."""
+        with self._lock:
+            return now - self._frames[-1] if len(self._frames) > 1 else float("inf")
+
+    def rate(self, now: float) -> float:
+        """Frames delivered a second, over the last one [Hz]."""
+        with self._lock:
+            while self._frames and self._frames[0] < now - _SPAN:
+                self._frames.popleft()
+            if len(self._frames) < 2:
+                return 0.0
+            return (len(self._frames) - 1) / max(self._frames[-1] - self._frames[0], 1e-6)
+
+    def warning(self, now: float) -> str:
+        """The faults of the last second in one line; empty for none.
+
+        It is the same for half a second unless other kinds of faults come.
+        """
+        with self._lock:
+            counts = {
+                kind: sum(number for moment, number in events if moment > now - _RECENT)
+                for kind, events in self._recent.items()
+            }
+        kinds = frozenset(kind for kind, number in counts.items() if number)
+        text, since, shown = self._warning
+        if kinds != shown or now - since > 0.5:
+            text = ", ".join(f"{counts[kind]} {KINDS[kind]}" for kind in KINDS if kind in kinds)
+            if kinds & {"bad", "failed"}:
+                text += f" (the last: {self.last_error})"
+            self._warning = (text, now, kinds)
+        return text if kinds else ""
+
+    def figures(self) -> dict[str, object]:
+        """All counts since the begin, by name."""
+        with self._lock:
+            return {
+                "frames": self._delivered,
+                **{KINDS[kind].replace(" ", "_"): n for kind, n in self._totals.items()},
+            }
+
+
+class FrameFilter:
+    """Drops and counts frames that come again, late, or from an implausible time.
 
     Args:
-        submit: Sends a command.
+        statistics: Where they are counted.
     """
 
-    def __init__(self, submit: Callable[[str, Done], None]) -> None:
-        self._submit = submit
-        self._wanted: str | None = None
-        self._started: str | None = None  # the take that may be on
-        self._confirmed = False
-        self._busy = False
-        self._next = 0.0  # [s]; of a command
-        self._moment = 0.0  # [s]; frames before it may be of an earlier take
-        self._idle_since: float | None = None
-        self._session = 0
-        self.fault = ""
+    def __init__(self, statistics: LinkStatistics) -> None:
+        self._statistics = statistics
+        self._number = -1
+        self._behind = self._odd = 0
+        self._suspected = float("-inf")
 
-    @property
-    def settled(self) -> bool:
-        """Whether the server does what is wanted."""
-        wanted = self._wanted
-        return not self._busy and self._started == wanted and (wanted is None or self._confirmed)
+    def reset(self) -> None:
+        """Another session begins: its frames may have any number."""
+        self._number, self._behind, self._odd = -1, 0, 0
 
-    def want(self, name: str | None) -> None:
-        """Want a take recorded, or none."""
-        self._wanted = None
-        self._wanted = None if name is None else check_take_name(name)
+    def is_next(self, number: int, now: float) -> bool:
+        """Whether a frame is newer than all before it."""
+        if number <= self._number:
+            self._statistics.count("late", now)
+            self._behind += 1
+            return False
+        if self._number >= 0 and number > self._number + 1:
+            self._statistics.count("lost", now, min(number - self._number - 1, _MOST_LOST))
+        self._number, self._behind = number, 0
+        return True
 
-    def restarted(self, now: float) -> None:
-        """A session has begun: the server may have forgotten the take."""
-        self._session += 1
-        self._confirmed = False
-        self._moment = now
-        self._next = now + (0.0 if self._started is None else _EVIDENCE)
-        self._idle_since = None
+    def is_plausible(self, moment: float, now: float, error: float) -> bool:
+        """Whether a frame that comes now can be from a time, known within an error [s]."""
+        if now - _EARLIEST - error <= moment <= now + _LATEST + error:
+            self._odd = 0
+            return True
+        self._statistics.count("implausible", now)
+        self._odd += 1
+        return False
 
-    def saw(self, recording: bool, now: float) -> None:
-        """Take from a frame whether the server records."""
-        if recording:
-            self._idle_since = None
-            if self._started is not None and now > self._moment:
-                self._confirmed = True
-        elif self._idle_since is None:
-            self._idle_since = now
-
-    def step(self, now: float, connected: bool) -> None:
-        """Do what is due at a time of the steady clock [s]."""
-        if self.settled:
-            idle = self._idle_since is not None and now - self._idle_since > _CONTRADICTED
-            self._note("the frames say that the server does not record" if idle else "")
-        elif not connected:
-            self._note("no connection")
-        elif not self._busy and now >= self._next:
-            stop = self._started not in (None, self._wanted)
-            self._issue("StopRecording" if stop else f"SetRecordTakeName,{self._wanted}", now)
-
-    def _issue(self, command: str, now: float) -> None:
-        session, wanted = self._session, self._wanted
-
-        def done(answer: Answer) -> None:
-            self._busy = False
-            fault = answer.fault(command)
-            idle = self._idle_since is not None and answer.raw is not None
-            if command == "StopRecording" and idle:
-                fault = ""  # a server that does not record may refuse to stop
-            self._note(fault)
-            if fault:
-                self._next = now + _RETRY
-            elif session != self._session:
-                return
-            elif command == "StopRecording":
-                self._started, self._confirmed = None, False
-            elif command == "StartRecording":
-                self._confirmed, self._idle_since = True, None
-            elif wanted == self._wanted:
-                self._started, self._moment = wanted, now + _IN_FLIGHT
-                self._issue("StartRecording", now)
-
-        self._busy = True
-        self._submit(command, done)
-
-    def _note(self, reason: str) -> None:
-        wanted = self._wanted
-        doing = "no take is stopped" if wanted is None else f"take '{wanted}' is not recorded"
-        unwanted = wanted is None and self._started is None
-        self.fault = f"{doing}: {reason}" if reason and not unwanted else ""
+    def suspects(self, now: float) -> bool:
+        """Whether so many frames in a row do not fit that the server must be another one."""
+        if self._behind < _ODD and self._odd < _ODD:
+            return False
+        if now < self._suspected + _SUSPICION:
+            return False
+        self._suspected = now
+        return True
 
 
 class Session:
@@ -337,7 +372,7 @@ class Session:
         self._connecting.succeeded()
         taken = self._filter.is_next(frame.number, now)
         if taken:
-            self.takes.saw(frame.recording, now)
+            self.takes.observe(frame.recording, now)
             self._watch_models(frame)
             moment = self.echoes.to_steady(frame.mid_exposure)
             if moment is None:
@@ -359,7 +394,7 @@ class Session:
         if changed:
             self._next_models = 0.0
             self._models_wanted = True
-        elif self.models is not None:
-            known = {body.id for body in self.models.values()}
-            if any(body.id not in known for body in frame.bodies):
-                self._models_wanted = True  # at most once a second
+        elif self.models is not None and not {body.id for body in self.models.values()}.issuperset(
+            frame.bodies
+        ):
+            self._models_wanted = True  # at most once a second

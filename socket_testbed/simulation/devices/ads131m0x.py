@@ -4,38 +4,26 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from functools import cache
 from struct import unpack
 
 import numpy as np
 
 from socket_testbed import clocks
 from socket_testbed.arrays import FloatArray
+from socket_testbed.drivers.load_cell.ads131m0x import checksum
 from socket_testbed.drivers.load_cell.bridges import check_settings
 from socket_testbed.settings.acquisition import LoadCellSettings
 
 ID, STATUS, MODE, CLOCK, GAIN1, GAIN2, CFG, LAST = 0x00, 0x01, 0x02, 0x03, 0x04, 0x05, 0x06, 0x30
 RESET_BIT, _ANSI_BIT, _WORD_LENGTH = 0x0400, 0x0800, 0x0300
 _GAIN_CALIBRATION = 0x0C
-_RESET, _STANDBY, _WAKEUP, _LOCK, _UNLOCK = 0x0011, 0x0022, 0x0033, 0x0555, 0x0655
+_RESET, _LOCK, _UNLOCK = 0x0011, 0x0555, 0x0655
 _RREG, _WREG = 0xA000, 0x6000
 _WORD = 3  # [bytes]
 _START_UP = 300  # modulator clocks
 _FAST = 2  # conversions after a start that come from the fast filter
 _FAST_ERROR = 0.01  # [V]; far more than the real one, so that nobody can take them for good
 _WAITING = 2  # conversions that the FIFO holds
-
-
-@cache
-def _crc_table(polynomial: int) -> tuple[int, ...]:
-    """What is left of each first byte when it is divided by a polynomial of 16 bits."""
-    table = []
-    for byte in range(256):
-        left = byte << 16
-        for bit in range(7, -1, -1):
-            left ^= (0x10000 | polynomial) << bit if left >> 16 + bit else 0
-        table.append(left)
-    return tuple(table)
 
 
 class AdcRegisters:
@@ -96,12 +84,8 @@ class AdcRegisters:
         return written, self._values[CLOCK : GAIN2 + 1] != before
 
     def checksum(self, data: bytes) -> int:
-        """CRC-16 of a frame from 0xFFFF."""
-        table = _crc_table(0x8005 if self._values[MODE] & _ANSI_BIT else 0x1021)
-        remainder = 0xFFFF
-        for byte in data:
-            remainder = table[remainder >> 8 ^ byte] ^ (remainder & 0xFF) << 8
-        return remainder
+        """CRC-16 of a frame, of the kind that MODE says."""
+        return checksum(data, "ansi" if self._values[MODE] & _ANSI_BIT else "ccitt")
 
     def _kept(self, place: int, value: int) -> int:
         """What a register holds after a value was written to it."""
@@ -115,7 +99,7 @@ class AdcRegisters:
 
 
 class SimulatedAds131m0x:
-    """One converter on its bus: what `drivers.spi.SpiDevice` describes.
+    """One converter: an `SpiDevice`, and an `EdgeLine` where its DRDY is wired.
 
     Args:
         volts: Called with a time of the steady clock [s] for the voltages at the inputs,
@@ -143,16 +127,18 @@ class SimulatedAds131m0x:
         self._unplugged = False
         self._next_dip: float | None = None  # of the supply [s]
         self._edges_until = clock()
+        self.is_wired = True  # DRDY to its line
         self._power_on(clock())
 
     def close(self) -> None:
         """The chip keeps running."""
 
-    def edges(self, until: float) -> list[float]:
-        """Falling edges of DRDY since the last call, up to a time [s]."""
+    def edges(self, within: float) -> list[float]:
+        """Falling edges of DRDY since the last call [s]; the reader never waits for one."""
+        until = self._clock()
         first = self._began + _START_UP / self._modulator
         over = math.floor((until - first) / self._period + 1e-9)
-        silent = self._standby or self._fault("unplugged") or self._fault("frozen")
+        silent = self._fault("unplugged") or self._fault("frozen") or not self.is_wired
         found = [] if silent else [first + k * self._period for k in range(1, over + 1)]
         since, self._edges_until = self._edges_until, until
         return [edge for edge in found if since < edge <= until]
@@ -189,7 +175,6 @@ class SimulatedAds131m0x:
     def _power_on(self, now: float) -> None:
         self._registers = AdcRegisters(self._channels)
         self._response = []
-        self._standby = False
         self._latest = [0] * self._channels
         self._start(now)
 
@@ -211,8 +196,6 @@ class SimulatedAds131m0x:
             self._power_on(now)
 
     def _convert(self, now: float) -> None:
-        if self._standby:
-            return
         first = self._began + _START_UP / self._modulator
         over = math.floor((now - first) / self._period + 1e-9)
         if not self._fault("frozen"):
@@ -279,33 +262,8 @@ class SimulatedAds131m0x:
         elif command == _RESET:
             self._power_on(now)
             self._response = [0xFF20 | self._channels]
-        elif command in (_STANDBY, _WAKEUP, _LOCK):
-            self._response = [command]
-            self._registers.locked = command == _LOCK
-            if self._standby and command == _WAKEUP:
-                self._start(now)
-            self._standby = command == _STANDBY or (self._standby and command == _LOCK)
-
-
-class SimulatedDataReady:
-    """The line that a converter's DRDY is wired to: what `drivers.gpio.EdgeLine` describes.
-
-    Args:
-        chip: The converter.
-    """
-
-    def __init__(self, chip: SimulatedAds131m0x, clock: Callable[[], float]) -> None:
-        self._chip = chip
-        self._clock = clock
-        self.connected = True  # whether the wire is on
-
-    def edges(self, within: float) -> list[float]:
-        """Edges that have come; the reader never waits for one."""
-        found = self._chip.edges(self._clock())
-        return found if self.connected else []
-
-    def close(self) -> None:
-        """Nothing is held."""
+        elif command == _LOCK:
+            self._registers.locked, self._response = True, [command]
 
 
 class SimulatedLoadCellHardware:
@@ -331,18 +289,17 @@ class SimulatedLoadCellHardware:
         to_volts = 1e-3 * per_bridge[:, None] * to_ratio  # of [F; M], by bridge
         self._to_volts = np.zeros((settings.channels, 6))  # of [M; F], by channel
         self._to_volts[list(settings.inputs)] = np.roll(to_volts, 3, axis=1)
-        self._chip = SimulatedAds131m0x(
+        self.chip = SimulatedAds131m0x(
             self._volts, settings.channels, faults, clock, settings.clock_in, seed
         )
-        self.line = SimulatedDataReady(self._chip, clock)  # the line that its DRDY is wired to
 
     def open_device(self) -> SimulatedAds131m0x:
         """The converter's bus."""
-        return self._chip
+        return self.chip
 
-    def open_line(self) -> SimulatedDataReady:
+    def open_line(self) -> SimulatedAds131m0x:
         """The line that its DRDY is wired to."""
-        return self.line
+        return self.chip
 
     def _volts(self, moment: float) -> FloatArray:
         return self._to_volts @ self._wrench(moment)

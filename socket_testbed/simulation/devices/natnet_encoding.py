@@ -48,27 +48,18 @@ class Marker:
 
 @dataclass(frozen=True)
 class Content:
-    """All that a frame can hold."""
+    """A frame: its sections of skeletons, assets, force plates and devices are empty."""
 
-    number: int  # frame number
+    number: int
     # server's clock at mid-exposure, at data received and at transmission [ticks]
     ticks: tuple[int, int, int] = (0, 0, 0)
-    timestamp: float = 0.0  # time since the server's begin [s]
     bodies: Sequence[Body] = ()
     markers: Sequence[Marker] = ()
-    # marker positions by the set's name, shape (m, 3) each [m]
+    # positions of the markers of each set, shape (m, 3) [m]
     marker_sets: dict[str, FloatArray] = field(default_factory=dict)
-    # unlabelled markers, shape (m, 3) [m]
-    others: FloatArray = field(default_factory=lambda: np.empty((0, 3)))
-    skeletons: Sequence[tuple[int, Sequence[Body]]] = ()  # ids of skeletons and their bodies
-    # ids of assets, their bodies and their markers; from 4.1 on
-    assets: Sequence[tuple[int, Sequence[Body], Sequence[Marker]]] = ()
-    # ids of force plates and their channels' values
-    plates: Sequence[tuple[int, Sequence[Sequence[float]]]] = ()
-    # ids of devices and their channels' values
-    devices: Sequence[tuple[int, Sequence[Sequence[float]]]] = ()
+    others: FloatArray = field(default_factory=lambda: np.empty((0, 3)))  # unlabelled markers [m]
     recording: bool = False
-    models_changed: bool = False  # whether its rigid bodies have changed
+    models_changed: bool = False
 
 
 @dataclass(frozen=True)
@@ -109,10 +100,6 @@ class Message:
         pack_into("<i", data, at, int(rng.choice(wrong)))
         return bytes(data)
 
-    def add(self, data: bytes) -> None:
-        """Append bytes."""
-        self.data += data
-
     def text(self, text: str) -> None:
         """Append a text."""
         self.data += text.encode() + b"\0"
@@ -122,13 +109,17 @@ class Message:
         self.counts.append(len(self.data))
         self.data += pack("<i", number)
 
+    def append(self, other: Message) -> None:
+        """Append another message."""
+        self.counts += [len(self.data) + at for at in other.counts]
+        self.data += other.data
+
     def section(self, number: int, sized: bool, content: Message) -> None:
         """Append a section: number of elements, size where the version has it, content."""
         self.count(number)
         if sized:
             self.count(len(content.data))
-        self.counts += [len(self.data) + at for at in content.counts]
-        self.data += content.data
+        self.append(content)
 
 
 def encode_server_info(info: ServerInfo) -> Message:
@@ -145,71 +136,70 @@ def encode_frame(content: Content, version: Version) -> Message:
     """FRAME with all its sections."""
     sized = version >= (4, 1)
     frame = Message.of(FRAME, pack("<i", content.number))
-    part = Message(bytearray())
+    empty = Message(bytearray())
+    sets = Message(bytearray())
     for name, positions in content.marker_sets.items():
-        part.text(name)
-        part.section(len(positions), False, Message(bytearray(_floats(positions))))
-    frame.section(len(content.marker_sets), sized, part)
-    frame.section(len(content.others), sized, Message(bytearray(_floats(content.others))))
+        sets.text(name)
+        sets.section(len(positions), False, Message(_floats(positions)))
+    frame.section(len(content.marker_sets), sized, sets)
+    frame.section(len(content.others), sized, Message(_floats(content.others)))
     frame.section(len(content.bodies), sized, _bodies(content.bodies))
-    part = Message(bytearray())
-    for identity, bodies in content.skeletons:
-        part.add(pack("<i", identity))
-        part.section(len(bodies), False, _bodies(bodies))
-    frame.section(len(content.skeletons), sized, part)
-    if version >= (4, 1):
-        part = Message(bytearray())
-        for identity, bodies, markers in content.assets:
-            part.add(pack("<i", identity))
-            part.section(len(bodies), False, _bodies(bodies))
-            part.section(len(markers), False, _markers(markers))
-        frame.section(len(content.assets), sized, part)
+    for _ in range(2 if sized else 1):  # skeletons; assets
+        frame.section(0, sized, empty)
     frame.section(len(content.markers), sized, _markers(content.markers))
-    frame.section(len(content.plates), sized, _channels(content.plates))
-    frame.section(len(content.devices), sized, _channels(content.devices))
+    for _ in range(2):  # force plates, devices
+        frame.section(0, sized, empty)
     flags = int(content.recording) | 2 * int(content.models_changed)
     precision = (0, 0) if sized else ()
-    suffix = (0, 0, content.timestamp, *content.ticks, *precision, flags, 0)
-    frame.add(pack("<IIdQQQIIhi" if sized else "<IIdQQQhi", *suffix))
+    since_begin = (content.ticks[0] % 10**14) * 1e-7  # [s]
+    suffix = (0, 0, since_begin, *content.ticks, *precision, flags, 0)
+    frame.data += pack("<IIdQQQIIhi" if sized else "<IIdQQQhi", *suffix)
     return frame.finished()
 
 
 def encode_model_definitions(definitions: Iterable[Definition], version: Version) -> Message:
     """MODELDEF of rigid bodies, with the marker set that Motive makes of each."""
-    sized = version >= (4, 1)
-    message = Message.of(MODELDEF)
-    content = Message(bytearray())
+    message, content = Message.of(MODELDEF), Message(bytearray())
     number = 0
     for definition in definitions:
-        members = [f"Marker {k + 1}" for k in range(len(definition.markers))]
-        marker_set = Message(bytearray())
-        marker_set.text(definition.name)
-        marker_set.count(len(members))
-        for member in members:
-            marker_set.text(member)
-        body = Message(bytearray())
-        body.text(definition.name)
-        body.add(pack("<ii3f", definition.id, -1, 0.0, 0.0, 0.0))
-        if version >= (4, 2):
-            body.add(pack("<4f", 0.0, 0.0, 0.0, 1.0))
-        body.count(len(members))
-        body.add(_floats(definition.markers) + bytes(4 * len(members)))
-        if version >= (4, 0):
-            for member in members:
-                body.text(member)
-        for kind, part in ((0, marker_set), (1, body)):
+        for kind, part in enumerate((_marker_set(definition), _definition(definition, version))):
             number += 1
-            content.add(pack("<i", kind))
-            if sized:
+            content.data += pack("<i", kind)
+            if version >= (4, 1):
                 content.count(len(part.data))
-            content.counts += [len(content.data) + at for at in part.counts]
-            content.add(bytes(part.data))
+            content.append(part)
     message.section(number, False, content)
     return message.finished()
 
 
-def _floats(values: FloatArray) -> bytes:
-    return np.asarray(values, dtype="<f4").tobytes()
+def _marker_set(definition: Definition) -> Message:
+    part = Message(bytearray())
+    part.text(definition.name)
+    part.count(len(definition.markers))
+    _name_markers(part, definition)
+    return part
+
+
+def _definition(definition: Definition, version: Version) -> Message:
+    part = Message(bytearray())
+    part.text(definition.name)
+    part.data += pack("<ii3f", definition.id, -1, 0.0, 0.0, 0.0)
+    if version >= (4, 2):
+        part.data += pack("<4f", 0.0, 0.0, 0.0, 1.0)
+    part.count(len(definition.markers))
+    part.data += _floats(definition.markers) + bytes(4 * len(definition.markers))
+    if version >= (4, 0):
+        _name_markers(part, definition)
+    return part
+
+
+def _name_markers(part: Message, definition: Definition) -> None:
+    for k in range(len(definition.markers)):
+        part.text(f"Marker {k + 1}")
+
+
+def _floats(values: FloatArray) -> bytearray:
+    return bytearray(np.asarray(values, dtype="<f4").tobytes())
 
 
 def _bodies(bodies: Iterable[Body]) -> Message:
@@ -228,14 +218,3 @@ def _markers(markers: Iterable[Marker]) -> Message:
             for m in markers
         )
     )
-
-
-def _channels(plates: Iterable[tuple[int, Sequence[Sequence[float]]]]) -> Message:
-    part = Message(bytearray())
-    for identity, channels in plates:
-        part.add(pack("<i", identity))
-        part.count(len(channels))
-        for values in channels:
-            part.count(len(values))
-            part.add(pack(f"<{len(values)}f", *values))
-    return part

@@ -90,7 +90,6 @@ class Scene:
         return encoding.Content(
             number=number,
             ticks=ticks,
-            timestamp=(ticks[0] % 10**14) * 1e-7,
             bodies=bodies,
             markers=labelled,
             marker_sets=sets,
@@ -359,7 +358,7 @@ class NatNetServer:
             return pack("<f", 1000.0)
         elif name in ("Bitstream", "SubscribeToData"):
             return self._configure(name, argument, client)
-        elif name != "LiveMode":
+        else:
             return None
         return done
 
