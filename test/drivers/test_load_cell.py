@@ -4,9 +4,7 @@ With DRDY on a GPIO line (`line`) each edge is a conversion's time; without, tim
 """
 
 import dataclasses
-import itertools
 import json
-import threading
 import time
 from types import SimpleNamespace
 
@@ -183,71 +181,49 @@ def test_a_wrench_is_the_mean_over_the_span_around_its_time() -> None:
         assert (np.abs(bench.cell.wrench_at(moment, span).wrench - mean) < slack).all()
 
 
-@pytest.mark.parametrize(("lost", "fewest", "most"), [(0.015, 225, 245), (0.05, 19, 21)])
-def test_with_conversions_missing_a_wrench_does_not_lag(lost, fewest, most) -> None:
+def test_with_conversions_missing_a_wrench_does_not_lag() -> None:
     """Some leave the mean, too many the window alone."""
     speed = np.array([10.0, -8.0, 6.0, 200.0, -100.0, 900.0])  # [N m/s, N/s]
-    bench = Bench(wrench=lambda t: (np.asarray(t)[..., None] - 50.0) * speed, span=0.25)
-    bench.run(0.5)
-    moment = bench.now
-    bench.run(0.06)
-    bench.now += lost  # two conversions wait, the others are lost
-    bench.run(0.2)
-    reading = bench.cell.wrench_at(moment, 0.25)
-    assert fewest <= reading.conversions <= most
-    off = np.abs(reading.wrench - (moment - 50.0) * speed)
-    assert (off < 1e-3 * np.abs(speed) + 1e-2).all()
-
-
-def test_each_fault_alone_and_each_pair() -> None:
-    for fault in FAULTS:
-        recover([fault], seed=1)
-        recover([fault], seed=3, line=True)
-    for pair in itertools.combinations(FAULTS, 2):
-        recover(list(pair), seed=2)
-
-
-def recover(names: list[str], seed: int, line: bool = False) -> None:
-    bench = Bench(seed=seed, line=line)
-    bench.run(0.3)
-    for name in names:
-        bench.fault(name, FAULTS[name])
-        bench.run(0.25)
-    for name in names:
-        bench.fault(name, 0.0)
-    off = bench.now
-    bench.run(1.0)
-    assert all(bench.valid(50.1, 50.28))
-    assert all(bench.valid(start=off + 0.5))
-    if {"unplugged", "frozen", "rail"} & set(names):
-        assert not any(bench.valid(off - 0.15, off - 0.02))
-    bench.run(0.4)
-    assert bench.cell.health(bench.now)[0] == 0
+    for lost, fewest, most in ((0.015, 225, 245), (0.05, 19, 21)):
+        bench = Bench(wrench=lambda t: (np.asarray(t)[..., None] - 50.0) * speed, span=0.25)
+        bench.run(0.5)
+        moment = bench.now
+        bench.run(0.06)
+        bench.now += lost  # two conversions wait, the others are lost
+        bench.run(0.2)
+        reading = bench.cell.wrench_at(moment, 0.25)
+        assert fewest <= reading.conversions <= most
+        off = np.abs(reading.wrench - (moment - 50.0) * speed)
+        assert (off < 1e-3 * np.abs(speed) + 1e-2).all()
 
 
 @pytest.mark.parametrize("line", [False, True])
-def test_faults_at_random(line: bool) -> None:
-    for seed in range(3):
+def test_faults_of_any_order_make_no_wrong_wrench_and_are_overcome(line: bool) -> None:
+    for seed, names in enumerate((*FAULTS, *(3 * [""]))):
         bench = Bench(seed=seed, line=line)
         rng = np.random.default_rng(100 + seed)
         bench.run(0.2)
-        for _ in range(25):
-            name = str(rng.choice(list(FAULTS)))
+        for _ in range(1 if names else 20):
+            name = names or str(rng.choice(list(FAULTS)))
             high = {"flipped_bits": 0.4, "brown_out": 0.2, "rail": 6.0}.get(name, 1.0)
             value = np.ceil(high * rng.random()) if name == "rail" else high
-            bench.fault(name, float(value) if rng.random() < 0.5 else 0.0)
-            bench.run(float(rng.uniform(0.005, 0.2)), pause=0.02)
+            bench.fault(name, float(value) if names or rng.random() < 0.5 else 0.0)
+            bench.run(0.25 if names else float(rng.uniform(0.005, 0.2)), pause=0.02)
+        assert all(bench.valid(50.1, 50.18))
+        if names in {"unplugged", "frozen", "rail"}:
+            assert not any(bench.valid(bench.now - 0.15, bench.now - 0.02))
         bench.faults.clear()
         off = bench.now
-        bench.run(0.8)
+        bench.run(1.4)
         assert all(bench.valid(start=off + 0.5))
+        assert bench.cell.health(bench.now)[0] == 0
 
 
 def test_with_drdy_each_conversion_has_the_time_of_its_edge(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Whatever the bits of STATUS say: they are only counted."""
-    bench = Bench(line=True)
+    bench = Bench(dataclasses.replace(SETTINGS, data_ready_line=22), line=True)
     bench.run(1.0)
     errors = [np.abs(r.wrench - moving(t)) / AMPLITUDE for t, r in bench.readings if t > 50.1]
     assert np.max(errors) < 3e-3
@@ -261,17 +237,13 @@ def test_with_drdy_each_conversion_has_the_time_of_its_edge(
     bench.run(0.5)
     assert all(bench.valid(start=begin + 0.1))
     assert bench.cell.figures()["status_disagrees"] > 400
-
-
-def test_a_wire_of_drdy_that_is_off_is_named() -> None:
-    bench = Bench(dataclasses.replace(SETTINGS, data_ready_line=22), line=True)
-    bench.run(0.5)
-    bench.hardware.line.connected = False
+    monkeypatch.undo()
+    bench.hardware.chip.is_wired = False
     bench.run(0.5)
     level, text = bench.cell.health(bench.now)
     assert level == 2
     check_line(text, "converts, but no edge comes on line 22: check the wire", "data_ready_line")
-    bench.hardware.line.connected = True
+    bench.hardware.chip.is_wired = True
     bench.run(0.9)
     assert bench.cell.health(bench.now)[0] == 0
 
@@ -310,17 +282,6 @@ def test_the_line_is_asked_for_falling_edges_on_the_steady_clock(
     assert make_load_cell(SETTINGS)._reader._open_line is None
 
 
-def test_most_wrenches_outlive_flipped_bits_and_a_jittery_thread() -> None:
-    bench = Bench(seed=5)
-    bench.fault("flipped_bits", 0.01)
-    bench.run(2.0, pause=0.005)
-    assert np.mean(bench.valid(start=50.1)) > 0.9
-    level, text = bench.cell.health(bench.now)
-    assert level == 1
-    assert "spidev0.0" in text and "checksum" in text and "spi_clock" in text
-    assert bench.cell.figures()["checksum_errors"] > 10
-
-
 def test_a_fault_is_reported_with_its_hint() -> None:
     for fault, fact, hint in (
         ("unplugged", "no answer (every bit reads 0)", "check MISO, CS and the supply"),
@@ -346,17 +307,19 @@ def test_a_fault_is_reported_with_its_hint() -> None:
         assert bench.cell.health(bench.now)[0] == 0
 
 
-def test_a_brown_out_is_warned_of() -> None:
-    bench = Bench()
-    bench.run(0.2)
-    bench.fault("brown_out", 0.2)
-    bench.run(0.9)
-    bench.fault("brown_out", 0.0)
-    bench.run(0.05)
-    level, text = bench.cell.health(bench.now)
-    assert level == 1
-    assert "reset state, and is read again" in text and "supply" in text
-    assert np.mean(bench.valid(start=50.1)) > 0.8, "it is configured again at once"
+def test_faults_that_come_and_go_are_warned_of() -> None:
+    for fault, value, least, names in (
+        ("brown_out", 0.2, 0.7, ("reset state, and is read again", "supply")),
+        ("flipped_bits", 0.01, 0.85, ("spidev0.0", "checksum", "spi_clock")),
+    ):
+        bench = Bench(seed=5)
+        bench.run(0.2)
+        bench.fault(fault, value)
+        bench.run(0.95, pause=0.005)
+        level, text = bench.cell.health(bench.now)
+        assert level == 1
+        check_line(text, *names)
+        assert np.mean(bench.valid(start=50.1)) > least, "it is configured again at once"
 
 
 def test_another_converter_is_named_until_it_is_changed() -> None:
@@ -375,9 +338,10 @@ def test_another_converter_is_named_until_it_is_changed() -> None:
     bench.run(0.6)
     assert bench.cell.identify() == "ADS131M06 on spidev0.0, ID 0x2602"
     assert bench.cell.check_frames(20) == 0
+    bench.fault("flipped_bits", 1.0)
+    # A flipped bit behind the checksum, one in 24 bytes, harms nothing.
+    assert 40 <= bench.cell.check_frames(50) <= 50
 
-
-def test_a_bus_that_is_not_there_is_reported_not_raised() -> None:
     def missing():
         raise DeviceError("there is no /dev/spidev0.0", "enable SPI")
 
@@ -450,7 +414,14 @@ def test_a_tare_takes_the_load_away_and_outlives_a_restart(tmp_path) -> None:
     assert later.tared == reading.tared and again.cell.figures()["tared"] == figures["tared"]
 
 
-def test_a_damaged_tare_names_its_file(tmp_path) -> None:
+def test_a_tare_that_cannot_be_kept_is_not_taken_and_a_damaged_one_names_its_file(tmp_path) -> None:
+    (tmp_path / "file").write_text("")
+    settings = dataclasses.replace(SETTINGS, tare_file=str(tmp_path / "file" / "tare.json"))
+    bench = Bench(settings, wrench=still(10 * np.ones(6)))
+    bench.run(1.2)
+    with pytest.raises(ConfigurationError, match="cannot be made"):
+        bench.cell.tare()
+    np.testing.assert_allclose(bench.cell.wrench_at(bench.now - 0.1).wrench, 10.0, atol=1e-2)
     path = tmp_path / "tare.json"
     for content in (
         "", "{", "[1]", '{"offsets_mV_per_V": [1, 2]}', '{"offsets_mV_per_V": "x"}', "\0",
@@ -460,16 +431,6 @@ def test_a_damaged_tare_names_its_file(tmp_path) -> None:
         path.write_text(content)
         with refused(ConfigurationError, "tare.json", "remove the file and tare again"):
             Bench(dataclasses.replace(SETTINGS, tare_file=str(path)))
-
-
-def test_a_tare_that_cannot_be_kept_is_not_taken(tmp_path) -> None:
-    (tmp_path / "file").write_text("")
-    settings = dataclasses.replace(SETTINGS, tare_file=str(tmp_path / "file" / "tare.json"))
-    bench = Bench(settings, wrench=still(10 * np.ones(6)))
-    bench.run(1.2)
-    with pytest.raises(ConfigurationError, match="cannot be made"):
-        bench.cell.tare()
-    np.testing.assert_allclose(bench.cell.wrench_at(bench.now - 0.1).wrench, 10.0, atol=1e-2)
 
 
 def test_a_tare_refuses_what_it_must() -> None:
@@ -497,42 +458,11 @@ def test_a_tare_refuses_what_it_must() -> None:
     with pytest.raises(DeviceError, match="no answer") as raised:
         quiet.cell.tare()
     assert "MISO" in raised.value.hint
-
-
-def test_the_window_and_the_tare_follow_new_settings() -> None:
-    bench = Bench()
-    bench.run(0.4)
     bench.cell.settings = dataclasses.replace(
         SETTINGS, window=0.05, tare_duration=0.1, tare_force=1e3, tare_moment=1e2
-    )
+    )  # followed at once
     assert bench.cell.wrench_at(bench.now - 0.1).conversions == pytest.approx(50, abs=1)
     bench.cell.tare()
-
-
-def test_other_threads_may_ask_all_the_time() -> None:
-    bench = Bench(wrench=still([1, 2, 3, 4, 5, 6]))
-    bench.run(0.2)
-    stop = threading.Event()
-    wrong: list[object] = []
-
-    def ask() -> None:
-        while not stop.is_set():
-            reading = bench.cell.wrench_at(50.15)
-            if np.abs(reading.wrench - np.arange(1, 7)).max() > 1e-2:
-                wrong.append(reading)
-            bench.cell.health(bench.now)
-            bench.cell.figures()
-
-    threads = [threading.Thread(target=ask) for _ in range(2)]
-    for thread in threads:
-        thread.start()
-    try:
-        bench.run(0.5)
-    finally:
-        stop.set()
-        for thread in threads:
-            thread.join()
-    assert not wrong
 
 
 def test_wrong_settings_are_named() -> None:

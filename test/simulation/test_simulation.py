@@ -1,5 +1,5 @@
 import dataclasses
-from pathlib import Path
+import itertools
 
 import numpy as np
 import pytest
@@ -65,20 +65,15 @@ def test_the_packaged_tiles_lie_on_the_package_s_scan(geometry) -> None:
     assert np.abs(along).min() > 0.9
 
 
-@pytest.mark.parametrize("force", [50.0, 150.0, 280.0])
-def test_the_socket_carries_the_load(geometry, force: float) -> None:
-    forces, _ = press(geometry, force)
-    total = forces.sum(axis=0)
-    assert np.allclose(total, [0, 0, -force], atol=0.05)
-
-
-def test_every_point_is_pressed_outwards_within_its_friction_cone(geometry) -> None:
-    forces, limb = press(geometry, 280.0)
-    tissue = limb._tissue
-    normal = -np.einsum("pi,pi->p", forces, tissue.normals)
-    tangential = np.linalg.norm(forces + normal[:, None] * tissue.normals, axis=1)
-    assert normal.min() >= 0.0
-    assert (tangential <= tissue.friction * normal + 1e-9).all()
+def test_the_socket_carries_the_load_by_pressure_within_the_cone_of_friction(geometry) -> None:
+    for force in (50.0, 280.0):
+        forces, limb = press(geometry, force)
+        assert np.allclose(forces.sum(axis=0), [0, 0, -force], atol=0.05)
+        tissue = limb._tissue
+        normal = -np.einsum("pi,pi->p", forces, tissue.normals)
+        tangential = np.linalg.norm(forces + normal[:, None] * tissue.normals, axis=1)
+        assert normal.min() >= 0.0
+        assert (tangential <= tissue.friction * normal + 1e-9).all()
 
 
 def test_the_tissue_stiffens(geometry) -> None:
@@ -173,16 +168,14 @@ def test_the_soft_limb_answers_pushes_by_turning(geometry) -> None:
     assert np.ptp(position[pushed, :2], axis=0).max() < 1.5
 
 
-@pytest.mark.parametrize("tissue", TISSUES)
-@pytest.mark.parametrize("scenario", SCENARIOS)
-@pytest.mark.parametrize("rate", [0.5, 10.0])
-def test_the_limb_is_held_however_long_the_steps(geometry, scenario, tissue, rate) -> None:
-    rng = np.random.default_rng(7)
-    load = load_history(scenario, np.arange(0.0, 20.0, 1.0 / rate), rng)
-    limb = LoadedLimb(geometry, load[0], rng, tissue)
-    for wrench in load:
-        carried = limb.step(wrench, 1.0 / rate).sum(axis=0)
-    assert carried[2] < 0.6 * load[-1, 5]  # what the tiles carry, without what is between them
+def test_the_limb_is_held_however_long_the_steps(geometry) -> None:
+    for scenario, tissue, rate in itertools.product(SCENARIOS, TISSUES, (0.5, 10.0)):
+        rng = np.random.default_rng(7)
+        load = load_history(scenario, np.arange(0.0, 10.0, 1.0 / rate), rng)
+        limb = LoadedLimb(geometry, load[0], rng, tissue)
+        for wrench in load:
+            carried = limb.step(wrench, 1.0 / rate).sum(axis=0)
+        assert carried[2] < 0.6 * load[-1, 5]  # by the tiles, without what is between them
 
 
 def test_a_load_that_pulls_the_limb_out_is_refused(geometry) -> None:
@@ -192,10 +185,9 @@ def test_a_load_that_pulls_the_limb_out_is_refused(geometry) -> None:
         limb.step(np.array([0, 0, 0, 0, 0, 5000.0]), 0.25)
 
 
-@pytest.mark.parametrize("scenario", SCENARIOS)
-def test_a_seed_gives_one_trial(geometry, calibration, scenario) -> None:
+def test_a_seed_gives_one_trial(geometry, calibration) -> None:
     first, second, other = (
-        simulate(geometry, calibration, scenario, 6.0, 4.0, seed) for seed in (5, 5, 6)
+        simulate(geometry, calibration, "protocol", 6.0, 4.0, seed) for seed in (5, 5, 6)
     )
     np.testing.assert_array_equal(first.wrench, second.wrench)
     np.testing.assert_array_equal(first.pylon_markers, second.pylon_markers)
@@ -292,13 +284,6 @@ def test_the_cameras_drop_and_swap_as_often_as_told(geometry, calibration) -> No
     )
     moved = np.abs(swapped - swapped[:1]).max(axis=(1, 2)) > 0.01
     assert min(moved.mean(), 1.0 - moved.mean()) == pytest.approx(0.2, abs=0.03)
-
-
-def test_a_socket_as_written_reads_back(geometry, tmp_path: Path) -> None:
-    write_socket(geometry, tmp_path / "socket.yaml")
-    back = read_socket(tmp_path / "socket.yaml")
-    assert back.names == geometry.names and back.clusters == geometry.clusters
-    np.testing.assert_allclose(back.anchors, geometry.anchors, atol=1e-8)
 
 
 FIVE = 0.001 * np.array([[0, 0, 0], [61, 4, 9], [13, 47, 2], [40, 72, 31], [-35, 20, 44]])

@@ -10,15 +10,15 @@ _CONF_MEAS, _FDC_CONF, _OFFSET, _GAIN = 0x08, 0x0C, 0x0D, 0x11
 _IDENTITY = {0xFE: 0x5449, 0xFF: 0x1004}
 _RESET, _REPEAT, _SETTABLE = 0x8000, 0x0100, 0x0DF0
 _RATES = (0.0, 100.0, 200.0, 400.0)  # [1/s]
-_CAPDAC, _NO_INPUT = 4, 7  # CHB
+_CAPDAC = 4  # CHB; with any other, the inputs are single-ended
 _CAPDAC_UNIT = 3.125  # [pF]
 _HIGHEST, _LOWEST = 0x7FFFFF, -0x800000
 
 
 class SimulatedFdc1004(SimulatedChip):
-    """The chip; it converts as time passes, whether or not anyone reads it.
+    """The chip in repeat mode: it converts as time passes, whether or not anyone reads it.
 
-    The offset and gain registers are kept but have no effect.
+    The offset and gain registers are kept but have no effect; single shots convert nothing.
     """
 
     address = 0x50
@@ -91,9 +91,7 @@ class SimulatedFdc1004(SimulatedChip):
         self._conf = value & _SETTABLE
         self._done = [False] * 4
         self._sequence = [n for n in range(4) if value & 0x80 >> n]
-        # Without repeat, one measurement at a time is all that the chip can do.
-        valid = bool(value & _REPEAT) or len(self._sequence) == 1
-        if not valid or not self._sequence or not self._period:
+        if not value & _REPEAT or not self._sequence or not self._period:
             self._sequence, self._end = [], math.inf
             return
         self._next = 0
@@ -111,7 +109,7 @@ class SimulatedFdc1004(SimulatedChip):
             return
         # Rounds that nobody read leave no trace: only the last one is computed.
         behind = math.floor((now - self._end) / self._period) + 1
-        skipped = max(0, behind - len(self._sequence)) if self._conf & _REPEAT else 0
+        skipped = max(0, behind - len(self._sequence))
         if skipped:
             self._end += skipped * self._period
             self._start(skipped)
@@ -119,10 +117,6 @@ class SimulatedFdc1004(SimulatedChip):
             n = self._sequence[self._next]
             self._codes[n] = self._code(self._end)
             self._done[n] = True
-            if not self._conf & _REPEAT:
-                self._conf &= ~0x00F0
-                self._sequence, self._end = [], math.inf
-                return
             self._end += self._period
             self._start(1)
 
@@ -132,10 +126,7 @@ class SimulatedFdc1004(SimulatedChip):
         self._settings = self._kept[_CONF_MEAS + self._sequence[self._next]]
 
     def _code(self, moment: float) -> int:
-        positive, negative = self._settings >> 13 & 7, self._settings >> 10 & 7
-        difference = self.input(positive, moment)
-        if negative == _CAPDAC:
+        difference = self.input(self._settings >> 13 & 7, moment)
+        if self._settings >> 10 & 7 == _CAPDAC:
             difference -= _CAPDAC_UNIT * (self._settings >> 5 & 0x1F)
-        elif negative != _NO_INPUT:
-            difference -= self.input(negative, moment)
         return min(max(round(difference * 2**19), _LOWEST), _HIGHEST)
