@@ -268,18 +268,7 @@ def read_truth(path: Path, stamps: IntArray | None = None) -> GroundTruth:
         stamps: Times since the epoch for which it is wanted, shape (N,) [ns]; between the
             times of the simulation it is linear. None for the simulation's own.
     """
-    try:
-        with np.load(path / TRUTH_FILE) as data:
-            times, arrays = data["stamps"], [data[field.name] for field in fields(GroundTruth)]
-    except Exception as error:  # it raises whatever its parsing meets
-        raise _damaged_truth(path, str(error)) from None
-    if times.ndim != 1 or len(times) < 2 or any(len(times) != len(array) for array in arrays):
-        raise _damaged_truth(path, "its arrays differ in length")
-    stamps = times if stamps is None else stamps
-    after = np.clip(np.searchsorted(times, stamps), 1, len(times) - 1)
-    span = times[after] - times[after - 1]
-    share = np.clip((stamps - times[after - 1]) / span, 0.0, 1.0)
-    return GroundTruth(*(_between(array, after, share) for array in arrays))
+    return _read_truth(path, stamps)[0]
 
 
 def read_true_forces(path: Path, stamps: IntArray, tiles: Sequence[str]) -> FloatArray | None:
@@ -296,18 +285,28 @@ def read_true_forces(path: Path, stamps: IntArray, tiles: Sequence[str]) -> Floa
     """
     if not (path / TRUTH_FILE).is_file():
         return None
+    truth, simulated = _read_truth(path, stamps)
+    return truth.forces if simulated == list(tiles) else None
+
+
+def _read_truth(path: Path, stamps: IntArray | None) -> tuple[GroundTruth, list[str]]:
+    """The ground truth, and the names of its tiles."""
     try:
         with np.load(path / TRUTH_FILE) as data:
-            simulated = data["names"].tolist()
+            times, names = data["stamps"], data["names"].tolist()
+            arrays = [data[field.name] for field in fields(GroundTruth)]
+        if times.ndim != 1 or len(times) < 2 or any(len(times) != len(array) for array in arrays):
+            raise ValueError("its arrays differ in length")
     except Exception as error:  # it raises whatever its parsing meets
-        raise _damaged_truth(path, str(error)) from None
-    return read_truth(path, stamps).forces if simulated == list(tiles) else None
-
-
-def _damaged_truth(path: Path, why: str) -> TrialError:
-    return TrialError(
-        f"{path / TRUTH_FILE}: is damaged ({why})", "simulate the trial again, or remove the file"
-    )
+        raise TrialError(
+            f"{path / TRUTH_FILE}: is damaged ({error})",
+            "simulate the trial again, or remove the file",
+        ) from None
+    stamps = times if stamps is None else stamps
+    after = np.clip(np.searchsorted(times, stamps), 1, len(times) - 1)
+    span = times[after] - times[after - 1]
+    share = np.clip((stamps - times[after - 1]) / span, 0.0, 1.0)
+    return GroundTruth(*(_between(array, after, share) for array in arrays)), names
 
 
 def _between(values: FloatArray, after: IntArray, share: FloatArray) -> FloatArray:

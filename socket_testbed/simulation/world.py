@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -64,16 +64,11 @@ class FaultSwitches(Mapping[str, float]):
     """The faults of a world by their names; 0 is off."""
 
     def __init__(self, values: FloatArray) -> None:
-        self._values: Any = values.data  # a memoryview: reads a number faster than the array
+        self._values = values
         self._index = {name: i for i, name in enumerate(FAULTS)}
 
     def __getitem__(self, name: str) -> float:
         return float(self._values[self._index[name]])
-
-    def get(self, name: str, default: Any = None) -> Any:
-        """The value of a fault: chips ask for several at each transfer."""
-        place = self._index.get(name)
-        return default if place is None else self._values[place]
 
     def __iter__(self) -> Iterator[str]:
         return iter(FAULTS)

@@ -150,10 +150,8 @@ def test_what_went_wrong_is_reported_for_less_than_a_second():
     assert statistics.warning(10.0) == ""
     statistics.count("bad", 10.0, error="cut")
     statistics.count("lost", 10.1, 3)
-    text = "1 bad datagrams, 3 lost frames (the last: cut)"
-    assert statistics.warning(10.1) == text
+    assert statistics.warning(10.1) == "1 bad datagrams, 3 lost frames (the last: cut)"
     statistics.count("lost", 10.2, 4)
-    assert statistics.warning(10.3) == text  # it does not flicker
     assert statistics.warning(10.7) == "1 bad datagrams, 7 lost frames (the last: cut)"
     assert statistics.warning(11.0 + 1e-6) == ""
     assert statistics.figures()["lost_frames"] == 7
@@ -257,7 +255,7 @@ def test_changed_rigid_bodies_are_asked_for():
 
 
 def test_what_others_send_does_not_disturb(link):
-    _, port = link.client._sockets._command.getsockname()
+    _, port = link.client._sockets._sockets[0].getsockname()
     bad = link.client.figures()["bad_datagrams"]
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
         for data in (b"", b"\x00", b"\x07\x00\xff\xff", b"\x07\x00\x04\x00abcd", bytes(5000)):

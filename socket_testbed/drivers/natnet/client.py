@@ -24,7 +24,6 @@ OK, WARN, ERROR = 0, 1, 2
 
 _RECEIVE = 0.01  # [s]; longest wait for a datagram
 _FAREWELL = 0.3  # [s]; time to stop a take on closing
-_SHOWN = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0)  # [ms]; of the clock's uncertainty
 
 
 class NatNetClient:
@@ -76,7 +75,7 @@ class NatNetClient:
         if known <= limit:
             return ""
         return (
-            f"Motive's clock is known within {_rounded(known)} ms only (clock_uncertainty is"
+            f"Motive's clock is known within {_shown(known)} ms only (clock_uncertainty is"
             f" {1e3 * limit:g} ms), so poses are missing: switch the Wi-Fi's power saving off"
             " (iw dev wlan0 set power_save off), or use a free channel or a cable"
         )
@@ -99,7 +98,7 @@ class NatNetClient:
             return WARN, f"{server} has not sent its rigid bodies yet"
         return OK, (
             f"frames of {server} come, its clock is known within"
-            f" {_rounded(session.echoes.uncertainty)} ms"
+            f" {_shown(session.echoes.uncertainty)} ms"
         )
 
     def _frames_fault(self, server: ServerInfo, now: float) -> tuple[int, str] | None:
@@ -179,8 +178,6 @@ class NatNetClient:
         """Take what comes, and do what is due."""
         session = self._session
         try:
-            if not self._sockets.opened:
-                self._closing.wait(clocks.real(_RECEIVE))
             for datagram, sender in self._sockets.receive(_RECEIVE):
                 arrival = clocks.monotonic()
                 if sender != self._address[0]:
@@ -196,7 +193,6 @@ class NatNetClient:
             session.statistics.count("failed", now, error=f"{type(error).__name__}: {error}")
 
 
-def _rounded(uncertainty: float) -> str:
-    """An uncertainty [s] in ms, and in steps, so that the text changes seldom."""
-    milliseconds = 1e3 * uncertainty
-    return next((f"{step:g}" for step in _SHOWN if milliseconds <= step), f"{milliseconds:.0f}")
+def _shown(uncertainty: float) -> str:
+    """An uncertainty [s] in ms."""
+    return f"{1e3 * uncertainty:.2g}"

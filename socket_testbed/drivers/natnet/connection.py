@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import errno
 import ipaddress
-import selectors
+import select
 import socket
 from collections import deque
 from collections.abc import Callable, Iterator
@@ -96,28 +96,31 @@ class NatNetSockets:
     def __init__(self, settings: MocapSettings, server: tuple[str, int]) -> None:
         self._settings = settings
         self._server = server
-        self._selector: selectors.DefaultSelector | None = None
-        self._command: socket.socket | None = None
-        self._sockets: list[socket.socket] = []
+        self._sockets: list[socket.socket] = []  # that of the commands first
 
     @property
     def opened(self) -> bool:
         """Whether the sockets are open."""
-        return self._command is not None
+        return bool(self._sockets)
 
     def open(self) -> None:
         """Open the sockets, or open them anew."""
         self.close()
-        interface = self._settings.interface
-        self._selector = selectors.DefaultSelector()
+        interface, group = self._settings.interface, self._settings.multicast
         try:
-            command = self._add((interface, 0))
-            if self._settings.multicast:
-                self._join(self._settings.multicast, interface or "0.0.0.0")
-        except BaseException:
+            self._add((interface, 0))
+            if group:
+                data = self._add((group, self._settings.data_port))  # other groups stay out
+                membership = socket.inet_aton(group) + socket.inet_aton(interface or "0.0.0.0")
+                data.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, membership)
+        except OSError as error:
             self.close()
-            raise
-        self._command = command
+            if error.errno != errno.EADDRINUSE:
+                raise
+            raise DeviceError(
+                f"mocap_node: another program has the data port {self._settings.data_port}",
+                "end the other NatNet client, or stream unicast",
+            ) from None
 
     def _add(self, address: tuple[str, int]) -> socket.socket:
         udp = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -127,30 +130,14 @@ class NatNetSockets:
         if address[1]:
             udp.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         udp.bind(address)
-        assert self._selector is not None
-        self._selector.register(udp, selectors.EVENT_READ)
         return udp
-
-    def _join(self, group: str, interface: str) -> None:
-        port = self._settings.data_port
-        try:
-            data = self._add((group, port))  # bound to the group, other groups stay out
-        except OSError as error:
-            if error.errno != errno.EADDRINUSE:
-                raise
-            raise DeviceError(
-                f"mocap_node: another program has the data port {port}",
-                "end the other NatNet client, or stream unicast",
-            ) from None
-        membership = socket.inet_aton(group) + socket.inet_aton(interface)
-        data.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, membership)
 
     def send(self, datagram: bytes) -> None:
         """Send a datagram to the server."""
-        if self._command is None:
+        if not self._sockets:
             raise OSError(errno.ENOTCONN, "no socket")
         with suppress(BlockingIOError):
-            self._command.sendto(datagram, self._server)
+            self._sockets[0].sendto(datagram, self._server)
 
     def receive(self, timeout: float) -> Iterator[tuple[bytes, str]]:
         """Datagrams that came, and the host each is from; at most some at once.
@@ -158,11 +145,7 @@ class NatNetSockets:
         Args:
             timeout: How long to wait for the first [s].
         """
-        if self._selector is None:
-            return
-        for key, _ in self._selector.select(clocks.real(timeout)):
-            udp = key.fileobj
-            assert isinstance(udp, socket.socket)
+        for udp in select.select(self._sockets, [], [], clocks.real(timeout))[0]:
             for _ in range(_AT_ONCE):
                 try:
                     datagram, sender = udp.recvfrom(LARGEST_DATAGRAM)
@@ -177,9 +160,6 @@ class NatNetSockets:
         for udp in self._sockets:
             udp.close()
         self._sockets.clear()
-        if self._selector is not None:
-            self._selector.close()
-        self._selector = self._command = None
 
 
 @dataclass(frozen=True)

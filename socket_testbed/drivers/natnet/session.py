@@ -28,8 +28,7 @@ _RECENT = 0.8  # [s]; a fault that ended is no longer reported within a second
 _SPAN = 1.0  # [s]; over which the rate is measured
 _MOST = 2000  # events
 _EARLIEST, _LATEST = 1.0, 0.005  # [s]; before and after its arrival that a frame can be from
-_ODD = 10  # frames in a row; of another server, not of the network
-_SUSPICION = 2.0  # [s]; between two guesses that it is another server
+_LATEST_BY = 100  # frames; numbers further back are those of another stream
 _MOST_LOST = 1000  # frames
 
 KINDS = {
@@ -50,22 +49,18 @@ class LinkStatistics:
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
-        self._recent: dict[str, deque[tuple[float, int]]] = {
-            kind: deque(maxlen=_MOST) for kind in KINDS
-        }
+        self._recent: deque[tuple[float, str, int]] = deque(maxlen=_MOST)  # faults: time [s], kind
         self._totals = dict.fromkeys(KINDS, 0)
         self._frames: deque[float] = deque(maxlen=_MOST)
         self._delivered = 0
-        self._warning = ("", 0.0, frozenset[str]())
-        self.last_error = ""
+        self._last_error = ""
 
     def count(self, kind: str, now: float, number: int = 1, error: str = "") -> None:
         """Count a fault."""
         with self._lock:
             self._totals[kind] += number
-            self._recent[kind].append((now, number))
-            if error:
-                self.last_error = error
+            self._recent.append((now, kind, number))
+            self._last_error = error or self._last_error
 
     def delivered(self, now: float) -> None:
         """Count a frame that was delivered."""
@@ -79,7 +74,7 @@ class LinkStatistics:
             return now - self._frames[-1] if len(self._frames) > 1 else float("inf")
 
     def rate(self, now: float) -> float:
-        """Frames delivered a second, over the last one [Hz]."""
+        """Frames delivered per second, over the last one [Hz]."""
         with self._lock:
             while self._frames and self._frames[0] < now - _SPAN:
                 self._frames.popleft()
@@ -88,78 +83,20 @@ class LinkStatistics:
             return (len(self._frames) - 1) / max(self._frames[-1] - self._frames[0], 1e-6)
 
     def warning(self, now: float) -> str:
-        """The faults of the last second in one line; empty for none.
-
-        It is the same for half a second unless other kinds of faults come.
-        """
+        """The faults of the last second in one line; empty for none."""
+        counts = dict.fromkeys(KINDS, 0)
         with self._lock:
-            counts = {
-                kind: sum(number for moment, number in events if moment > now - _RECENT)
-                for kind, events in self._recent.items()
-            }
-        kinds = frozenset(kind for kind, number in counts.items() if number)
-        text, since, shown = self._warning
-        if kinds != shown or now - since > 0.5:
-            text = ", ".join(f"{counts[kind]} {KINDS[kind]}" for kind in KINDS if kind in kinds)
-            if kinds & {"bad", "failed"}:
-                text += f" (the last: {self.last_error})"
-            self._warning = (text, now, kinds)
-        return text if kinds else ""
+            for moment, kind, number in self._recent:
+                counts[kind] += number if moment > now - _RECENT else 0
+        text = ", ".join(f"{number} {KINDS[kind]}" for kind, number in counts.items() if number)
+        last = f" (the last: {self._last_error})" if counts["bad"] or counts["failed"] else ""
+        return text + last
 
     def figures(self) -> dict[str, object]:
         """All counts since the begin, by name."""
         with self._lock:
-            return {
-                "frames": self._delivered,
-                **{KINDS[kind].replace(" ", "_"): n for kind, n in self._totals.items()},
-            }
-
-
-class FrameFilter:
-    """Drops and counts frames that come again, late, or from an implausible time.
-
-    Args:
-        statistics: Where they are counted.
-    """
-
-    def __init__(self, statistics: LinkStatistics) -> None:
-        self._statistics = statistics
-        self._number = -1
-        self._behind = self._odd = 0
-        self._suspected = float("-inf")
-
-    def reset(self) -> None:
-        """Another session begins: its frames may have any number."""
-        self._number, self._behind, self._odd = -1, 0, 0
-
-    def is_next(self, number: int, now: float) -> bool:
-        """Whether a frame is newer than all before it."""
-        if number <= self._number:
-            self._statistics.count("late", now)
-            self._behind += 1
-            return False
-        if self._number >= 0 and number > self._number + 1:
-            self._statistics.count("lost", now, min(number - self._number - 1, _MOST_LOST))
-        self._number, self._behind = number, 0
-        return True
-
-    def is_plausible(self, moment: float, now: float, error: float) -> bool:
-        """Whether a frame that comes now can be from a time, known within an error [s]."""
-        if now - _EARLIEST - error <= moment <= now + _LATEST + error:
-            self._odd = 0
-            return True
-        self._statistics.count("implausible", now)
-        self._odd += 1
-        return False
-
-    def suspects(self, now: float) -> bool:
-        """Whether so many frames in a row do not fit that the server must be another one."""
-        if self._behind < _ODD and self._odd < _ODD:
-            return False
-        if now < self._suspected + _SUSPICION:
-            return False
-        self._suspected = now
-        return True
+            totals = {KINDS[kind].replace(" ", "_"): n for kind, n in self._totals.items()}
+            return {"frames": self._delivered, **totals}
 
 
 class Session:
@@ -198,7 +135,7 @@ class Session:
         self._models_wanted = False
         self._next_models = 0.0
         self._models_changed = False
-        self._filter = FrameFilter(self.statistics)
+        self._number: int | None = None  # of the last frame
         self._handlers: dict[int, Callable[[bytes, float], None]] = {
             messages.SERVERINFO: self._take_server_info,
             messages.FRAME: self._take_frame,
@@ -311,7 +248,7 @@ class Session:
         self.sessions += 1
         self._forget()
         self.echoes = EchoClock(info.clock)
-        self._filter.reset()
+        self._number = None
         self._next_echo = self._next_keepalive = self._next_models = 0.0
         self._models_wanted = True
         self.last_frame = now
@@ -370,23 +307,32 @@ class Session:
         frame = messages.parse_frame(payload, self._version)
         self.last_frame = now
         self._connecting.succeeded()
-        taken = self._filter.is_next(frame.number, now)
-        if taken:
-            self.takes.observe(frame.recording, now)
-            self._watch_models(frame)
-            moment = self.echoes.to_steady(frame.mid_exposure)
-            if moment is None:
-                return
-            error = self.echoes.bound(frame.mid_exposure)
-            taken = self._filter.is_plausible(moment, now, error)
-            if taken:
-                self.clock_error = error
-                if error > self.settings.clock_uncertainty:
-                    return
-                self._on_frame(frame, moment, self.models)
-                self.statistics.delivered(now)
-        if not taken and self._filter.suspects(now):
-            self._restart()
+        if not self._is_next(frame.number, now):
+            return
+        self.takes.observe(frame.recording, now)
+        self._watch_models(frame)
+        moment = self.echoes.to_steady(frame.mid_exposure)
+        if moment is None:
+            return
+        error = self.echoes.bound(frame.mid_exposure)
+        if not now - _EARLIEST - error <= moment <= now + _LATEST + error:
+            self.statistics.count("implausible", now)  # another clock: the next echo tells
+            return
+        self.clock_error = error
+        if error <= self.settings.clock_uncertainty:
+            self._on_frame(frame, moment, self.models)
+            self.statistics.delivered(now)
+
+    def _is_next(self, number: int, now: float) -> bool:
+        """Whether a frame is newer than all before it."""
+        step = 1 if self._number is None else number - self._number
+        if -_LATEST_BY < step <= 0:
+            self.statistics.count("late", now)
+            return False
+        if step > 1:
+            self.statistics.count("lost", now, min(step - 1, _MOST_LOST))
+        self._number = number
+        return True
 
     def _watch_models(self, frame: messages.MocapFrame) -> None:
         changed = frame.models_changed and not self._models_changed
