@@ -383,9 +383,15 @@ def test_another_chip_takes_a_driver_a_simulated_one_and_their_place_in_the_regi
 
 
 def test_triggers_of_any_rate_lose_nothing_and_slow_ones_wait_about_a_cycle() -> None:
-    for rate in (33.0, 50.0, 77.0):
-        for reading in Bench().run(rate, 150):
+    """Even at 100 Hz with oscillators that are slower than the triggers."""
+    for rate in (33.0, 77.0, 100.0):
+        bench = Bench(speeds=(1.03, 0.97, 0.985, 1.001), overhead=1e-3)
+        bench.run(rate, 20)
+        begin = bench.clock.now
+        for n in range(150):
+            reading = bench.read(begin + n / rate)
             assert (reading.status == OK).all() and not reading.faults
+            assert bench.clock.now - (begin + n / rate) < (0.9 if rate == 100.0 else 2.5) * CYCLE
     for rate, sample_rate in itertools.product((0.5, 4.0), (100, 200, 400)):
         bench = Bench(settings=replace(SETTINGS, sample_rate=sample_rate))
         bench.run(rate, 1)
@@ -394,26 +400,6 @@ def test_triggers_of_any_rate_lose_nothing_and_slow_ones_wait_about_a_cycle() ->
             reading = bench.read(trigger)
             assert (reading.status == OK).all() and not reading.faults and not reading.notes
             assert bench.clock.now - trigger < 1.1 * 4 / sample_rate + 8e-3
-
-
-@pytest.mark.slow
-def test_at_100_hz_nothing_is_lost_nor_falls_behind() -> None:
-    """Even with oscillators that are slower than the triggers."""
-    speeds = (1.03, 0.97, 0.985, 1.001)
-    bench = Bench(speeds=speeds, overhead=1e-3)
-    bench.run(100.0, 20)
-    begin = bench.clock.now
-    repeated, delays = np.zeros(4), []
-    previous = np.full((4, 4), np.nan)
-    for n in range(1000):
-        reading = bench.read(begin + n / 100)
-        assert (reading.status == OK).all() and not reading.faults
-        repeated += (reading.capacitance == previous).sum(axis=1)
-        delays.append(bench.clock.now - (begin + n / 100))
-        previous = reading.capacitance
-    # A chip that is slower than the triggers has nothing new for some of them.
-    assert (repeated <= np.maximum(0.0, 1.0 - np.array(speeds)) * 1000 * 4 + 30).all()
-    assert max(delays) < 0.9 * CYCLE
 
 
 def test_a_cluster_can_have_a_bus_of_its_own() -> None:
@@ -452,40 +438,32 @@ def test_a_late_reading_is_missing_and_leaves_the_bus_alone() -> None:
     assert not bench.read().faults
 
 
-def test_each_place_is_identified_through_its_channel() -> None:
+def test_each_place_is_identified_and_at_the_end_no_chip_is_connected() -> None:
     bench = Bench()
-    bench.faults.add("clusters.nack", 3.0, START)
+    bench.faults.add("clusters.nack", 3.0, START, START + 1.0)
     found = bench.reader.identify()
     sent = [data for address, _, data in bench.buses[0].log if address == 0x70]
     assert sent == [b"\x01", b"\x02", b"\x04", b"\x08"]
     assert found["distal"] == "FDC1004 at 0x50 behind channel 3 of 0x70 on i2c-1"
     check_line(str(found["posterior_distal"]), f"no answer at {PLACE}", "the cluster's plug")
     assert missing(bench.read()) == [2]
-
-
-def test_closing_disconnects_the_chips_and_closes_the_bus_dead_or_alive() -> None:
-    bench = Bench()
-    bench.read()
     bench.reader.close()
     assert bench.buses[0].log[-1] == (0x70, "write", b"\x00")
     assert not bench.buses[0].is_open
-    bench.reader.close()
+    bench.clock.now += 1.0
     assert not bench.read().faults and len(bench.buses) == 2
-    clock = FakeClock(START)
-    reader = ClusterReader(
-        SETTINGS, Fdc1004, lambda n: FailingBus(errno.ENODEV), clock, clock.sleep
+    dead = ClusterReader(
+        SETTINGS, Fdc1004, lambda n: FailingBus(errno.ENODEV), bench.clock, bench.clock.sleep
     )
-    assert missing(reader.read(clock.now)) == [0, 1, 2, 3]
-    reader.close()
+    assert missing(dead.read(bench.clock.now)) == [0, 1, 2, 3]
+    dead.close()
 
 
 # Range
 
 
 def test_the_range_follows_an_input() -> None:
-    for rate, picofarads in itertools.product(
-        (4.0, 50.0, 100.0), (-14.0, 17.0, 30.0, 60.0, 90.0, 110.0)
-    ):
+    for rate, picofarads in itertools.product((4.0, 100.0), (-14.0, 17.0, 30.0, 60.0, 110.0)):
         bench = Bench(slope=0.05)
         bench.offsets[2, 1] = picofarads
         readings = bench.run(rate, 12)
@@ -505,7 +483,7 @@ def test_a_conversion_with_the_former_range_is_not_used() -> None:
     """An input that jumps out of the range and back has one of its two values, or none."""
     settings = replace(SETTINGS, names=("distal",), buses=(1,), channels=(0,), multiplexer=0)
     for back, pause in itertools.product(
-        np.linspace(0.0, 0.03, 31), (0.0, 8e-3, 9e-3, 10e-3, 11e-3)
+        np.linspace(0.0, 0.03, 16), (0.0, 8e-3, 9e-3, 10e-3, 11e-3)
     ):
         clock = FakeClock(START)
 
@@ -590,29 +568,19 @@ def hanging(bench: Bench, masks: set[int]) -> Callable[..., None]:
     return hang
 
 
-def test_a_chip_that_hangs_the_bus_does_not_silence_the_others() -> None:
+def test_a_chip_that_hangs_the_bus_costs_one_time_out_and_silences_no_other() -> None:
     bench = Bench()
     bench.read()
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(SimulatedI2cBus, "i2c_rdwr", hanging(bench, masks={0b10}))
         readings = bench.run(50.0, 200, START + 1.0)
-    assert sum(missing(reading) == [1] for reading in readings) > 150
-    assert not bench.read(START + 6.0).faults
-
-
-def test_a_hung_bus_costs_one_time_out_a_reading() -> None:
-    bench = Bench()
-    bench.read()
-    with pytest.MonkeyPatch.context() as patch:
+        patch.undo()
         patch.setattr(SimulatedI2cBus, "i2c_rdwr", hanging(bench, masks={1, 2, 4, 8}))
-        for n in range(1, 10):
+        for n in range(6, 16):
             assert missing(bench.read(START + n)) == [0, 1, 2, 3]
             assert bench.clock.now - (START + n) < 0.06
-    bench.faults.add("clusters.timeout", 0.05, START + 10.0, START + 20.0)
-    for n in range(10, 20):
-        bench.read(START + n)
-        assert bench.clock.now - (START + n) < 0.06
-    assert not bench.run(4.0, 8, START + 21.0)[-1].faults
+    assert sum(missing(reading) == [1] for reading in readings) > 150
+    assert not bench.run(4.0, 8, START + 17.0)[-1].faults
 
 
 def test_a_multiplexer_that_does_not_answer_is_named_once_for_all() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from bisect import bisect_left, bisect_right
 from collections import Counter, deque
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -145,18 +146,12 @@ class BodyTracker:
 
     def _around(self, trigger: float, half: float) -> tuple[list[_Entry], int]:
         """The frames at most half a window from a time, and two on either side of it."""
-        entries: list[_Entry] = []
-        before = 0
-        for entry in reversed(self._frames):
-            if entry.time < trigger:
-                if before >= 2 and entry.time < trigger - half:
-                    break
-                before += 1
-            entries.append(entry)
-        entries.reverse()
-        while len(entries) - before > 2 and entries[-1].time > trigger + half:
-            entries.pop()
-        return entries, before
+        frames = list(self._frames)
+        times = [entry.time for entry in frames]
+        middle = bisect_left(times, trigger)
+        first = max(0, min(middle - 2, bisect_left(times, trigger - half)))
+        last = max(middle + 2, bisect_right(times, trigger + half))
+        return frames[first:last], middle - first
 
     def _is_over(self, end: float) -> bool:
         """Whether the next frame will come after a time, as they follow each other at present."""
