@@ -20,7 +20,7 @@ from socket_testbed.drivers.load_cell.ads131m0x import (
     open_spi,
     volts,
 )
-from socket_testbed.drivers.load_cell.converter_reader import ConversionClock, ConversionRing
+from socket_testbed.drivers.load_cell.converter_reader import ConversionClock, Conversions
 from socket_testbed.errors import ConfigurationError, DeviceError
 from socket_testbed.simulation.devices.ads131m0x import SimulatedAds131m0x
 
@@ -238,16 +238,17 @@ def test_a_pause_leaves_no_conversion_with_a_wrong_time() -> None:
     assert times.conversion_end(1.0515) is None
 
 
-def test_the_ring_keeps_the_last_in_order() -> None:
-    ring = ConversionRing(0.1, 1.0, 6)
+def test_the_last_conversions_are_kept_in_order() -> None:
+    conversions = Conversions(10, 6)
+    assert conversions.between(0.0, 9.0)[1].shape == (0, 6)
     for k in range(25):
-        ring.add(0.1 * k, np.arange(k, k + 6))
-        assert ring.newest(3)[:, 1].tolist() == [i + 1 if i >= 0 else 0 for i in (k - 2, k - 1, k)]
-    times, codes = ring.between(-1.0, 9.0)
-    assert times == pytest.approx(0.1 * np.arange(15, 25))
-    assert codes[:, 2].tolist() == list(range(17, 27))
-    assert ring.between(1.95, 2.15)[1][:, 0].tolist() == [20, 21]
-    assert len(ring.between(5.0, 4.0)[0]) == 0
+        conversions.add(0.1 * k, np.arange(k, k + 6))
+        assert conversions.newest(3)[:, 1].tolist() == list(range(max(k - 1, 1), k + 2))
+    times, codes = conversions.between(-1.0, 9.0)
+    assert 10 <= len(times) < 20 and times[-1] == pytest.approx(2.4)
+    assert (codes[:, 2] - 2 == np.round(10 * times)).all()
+    assert conversions.between(1.95, 2.15)[1][:, 0].tolist() == [20, 21]
+    assert len(conversions.between(5.0, 4.0)[0]) == 0
 
 
 def test_the_bus_is_opened_in_mode_1_or_says_why_not(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -48,7 +48,7 @@ def test_a_drifting_clock_is_followed():
         server.echoes(clock, times_of_a_session(300.0), 4e-4, 2e-4)
         for ago in (0.0, 0.01, 0.4):
             moment = 300.0 - ago
-            assert clock.to_steady(server.ticks(moment)) == pytest.approx(moment, abs=2e-4)
+            assert clock.to_steady(server.ticks(moment))[0] == pytest.approx(moment, abs=2e-4)
 
 
 def test_a_restarted_server_is_noticed_by_its_first_echo():
@@ -60,7 +60,7 @@ def test_a_restarted_server_is_noticed_by_its_first_echo():
         assert len(clock) == 1
         assert clock.to_steady(server.ticks(60.0)) is None
         server.echoes(clock, 60.0 + times_of_a_session(1.0), 1e-3, 1e-3)
-        assert clock.to_steady(server.ticks(61.0)) == pytest.approx(61.0, abs=1e-3)
+        assert clock.to_steady(server.ticks(61.0))[0] == pytest.approx(61.0, abs=1e-3)
 
 
 def test_a_long_silence_is_no_restart():

@@ -33,8 +33,16 @@ def models_of(*names, references=TRIADS):
 MODELS = models_of(*NAMES)
 
 
-def markers_at(body, moment, references=TRIADS):
-    position, rotation = pose_at(body, moment)
+def steady(body, moment):
+    """Position [m] and orientation of a body that moves and turns steadily."""
+    velocity, rate = np.array([0.2, -0.1, 0.3]), np.array([0.5, 0.8, -0.6])  # [m/s], [rad/s]
+    place = np.array([0.4, -0.3, 0.7 + 0.2 * body])
+    first = Rotation.from_rotvec([0.3, 0.2 * body, -0.4])
+    return place + velocity * moment, first * Rotation.from_rotvec(rate * moment)
+
+
+def markers_at(body, moment, references=TRIADS, pose=pose_at):
+    position, rotation = pose(body, moment)
     return rotation.apply(references[body]) + position
 
 
@@ -53,10 +61,10 @@ def frame_of(placed, ids=IDS, hidden=(), filled=(), gone=()) -> MocapFrame:
 
 
 def frame_at(
-    moment, swapped=(), labels=None, lies=(), wrong=0.0, references=TRIADS, **faults
+    moment, swapped=(), labels=None, lies=(), wrong=0.0, references=TRIADS, pose=pose_at, **faults
 ) -> MocapFrame:
     """A frame of the true motion; `swapped` names (body, label, label)."""
-    placed = [markers_at(body, moment, references) + wrong for body in range(2)]
+    placed = [markers_at(body, moment, references, pose) + wrong for body in range(2)]
     if labels is not None:
         placed = [places[list(labels)] for places in placed]
     for body, a, b in swapped:
@@ -67,13 +75,14 @@ def frame_at(
 
 
 def tracker_of(
-    moments, settings=SETTINGS, models=MODELS, references=TRIADS, **faults
+    moments, settings=SETTINGS, models=MODELS, references=TRIADS, pose=pose_at, **faults
 ) -> BodyTracker:
     """A tracker that saw frames; a fault is a function of the frame's index."""
     tracker = BodyTracker(settings, *references)
     for index, moment in enumerate(moments):
         of_frame = {name: fault(index) for name, fault in faults.items()}
-        tracker.add(frame_at(moment, references=references, **of_frame), moment, models)
+        frame = frame_at(moment, references=references, pose=pose, **of_frame)
+        tracker.add(frame, moment, models)
     for index in (0.5, 1.5):  # the order of the labels is learnt from fits
         tracker.sample(index * PERIOD)
     return tracker
@@ -83,14 +92,16 @@ def frames(count=20, start=0.0):
     return start + PERIOD * np.arange(count)
 
 
-def errors_of(sample: MocapSample, body: int, references=TRIADS) -> tuple[float, float, float]:
+def errors_of(
+    sample: MocapSample, body: int, references=TRIADS, pose=pose_at
+) -> tuple[float, float, float]:
     """Errors of position [m], orientation [rad] and the worst marker [m]; NaN if missing."""
-    position, rotation = pose_at(body, sample.time)
+    position, rotation = pose(body, sample.time)
     angle = np.nan
     if np.isfinite(sample.quaternions[body]).all():
         angle = (Rotation.from_quat(sample.quaternions[body]).inv() * rotation).magnitude()
     own = sample.markers[body, : len(references[body])]
-    off = np.linalg.norm(own - markers_at(body, sample.time, references), axis=1)
+    off = np.linalg.norm(own - markers_at(body, sample.time, references, pose), axis=1)
     away = float(np.linalg.norm(sample.positions[body] - position))
     return away, float(angle), float(np.nanmax(off, initial=0.0))
 
@@ -296,107 +307,68 @@ def test_waiting_ends_with_the_frame_or_the_deadline():
     assert tracker.sample(start).faults == ("", "")
 
 
-class Walk:
-    """Two bodies that move and turn steadily, seen with noise.
-
-    Args:
-        times: Times of the frames [s].
-        noise: Noise of a marker's coordinate [m].
-        speed: Speed of the bodies against the usual one [-].
-        hidden: Times [s] at which a marker of the socket is occluded.
-    """
-
-    def __init__(self, times, noise=0.0, speed=1.0, hidden=()) -> None:
-        self._speed = speed
-        rng = np.random.default_rng(0)
-        self.tracker = BodyTracker(SETTINGS, *TRIADS)
-        self._seen = []  # of the socket
-        for time in times:
-            placed = []
-            for body in range(2):
-                position, rotation = self.pose(body, time)
-                placed.append(rotation.apply(TRIADS[body]) + position)
-                placed[-1] += rng.normal(0.0, noise, (3, 3))
-            self._seen.append(placed[0])
-            frame = frame_of(placed, hidden=[(0, 1)] if time in hidden else ())
-            self.tracker.add(frame, time, MODELS)
-
-    def pose(self, body, time):
-        velocity, rate = np.array([0.2, -0.1, 0.3]), np.array([0.5, 0.8, -0.6])  # [m/s], [rad/s]
-        place = np.array([0.4, -0.3, 0.7 + 0.2 * body])
-        first = Rotation.from_rotvec([0.3, 0.2 * body, -0.4])
-        moved = self._speed * time
-        return place + velocity * moved, first * Rotation.from_rotvec(rate * moved)
-
-    def errors(self, sample, body=0):
-        """Errors of position [m] and orientation [rad]."""
-        position, rotation = self.pose(body, sample.time)
-        turn = Rotation.from_quat(sample.quaternions[body]).inv() * rotation
-        return np.linalg.norm(sample.positions[body] - position), turn.magnitude()
-
-    def fitted(self, first, last):
-        """Positions [m] and orientations of the socket in some frames, by another method."""
-        arms = TRIADS[0] - TRIADS[0].mean(axis=0)
-        positions, rotations = [], []
-        for seen in self._seen[first:last]:
-            rotation, _ = Rotation.align_vectors(seen - seen.mean(axis=0), arms)
-            rotations.append(rotation)
-            positions.append(seen.mean(axis=0) - rotation.apply(TRIADS[0].mean(axis=0)))
-        return np.array(positions), rotations
+def fitted(seen) -> tuple[np.ndarray, list[Rotation]]:
+    """Positions [m] and orientations of the socket in some frames, by another method."""
+    arms = TRIADS[0] - TRIADS[0].mean(axis=0)
+    rotations = [Rotation.align_vectors(m - m.mean(axis=0), arms)[0] for m in seen]
+    centres = [rotation.apply(TRIADS[0].mean(axis=0)) for rotation in rotations]
+    return seen.mean(axis=1) - centres, rotations
 
 
 def test_the_pose_is_the_mean_of_the_frames_in_the_window_and_markers_are_at_the_trigger():
-    walk = Walk(0.005 * np.arange(-40, 41), noise=1e-4, speed=0.0)
-    sample = walk.tracker.sample(0.0, 0.251)
+    noise = np.random.default_rng(0).normal(0.0, 1e-4, (81, 3, 3))
+    tracker = tracker_of(
+        0.005 * np.arange(-40, 41), pose=lambda body, _: steady(body, 0.0), wrong=noise.__getitem__
+    )
+    sample = tracker.sample(0.0, 0.251)
     assert sample.frames == (51, 51) and sample.faults == ("", "")
-    positions, rotations = walk.fitted(15, 66)
+    positions, rotations = fitted((markers_at(0, 0.0, pose=steady) + noise)[15:66])
     np.testing.assert_allclose(sample.positions[0], positions.mean(axis=0), atol=1e-9)
     # Markley et al. 2007, doi:10.2514/1.28949: largest eigenvector of the sum of q q^T.
     quaternions = np.array([rotation.as_quat() for rotation in rotations])
     mean = Rotation.from_quat(np.linalg.eigh(quaternions.T @ quaternions)[1][:, -1])
     assert (Rotation.from_quat(sample.quaternions[0]).inv() * mean).magnitude() < 1e-8
-    np.testing.assert_array_equal(sample.markers, walk.tracker.sample(0.0).markers)
+    np.testing.assert_array_equal(sample.markers, tracker.sample(0.0).markers)
 
 
 def test_a_mean_does_not_lag_behind_a_steady_motion():
-    """Wherever the trigger is between frames, and whichever of them are missing."""
+    """Wherever the trigger is between frames, and whichever are missing or without a pose."""
     for share in (1.0, 0.7, 0.5):
         rng = np.random.default_rng(round(10 * share))
         times = np.arange(-0.3, 0.3, PERIOD)
-        walk = Walk(times[rng.random(len(times)) < share])
+        tracker = tracker_of(times[rng.random(len(times)) < share], pose=steady)
         for trigger, window in itertools.product(rng.uniform(-0.1, 0.1, 10), (0.01, 0.05, 0.25)):
-            sample = walk.tracker.sample(trigger, window)
+            sample = tracker.sample(trigger, window)
             if sample.faults == ("", ""):
                 for body in range(2):
-                    position, angle = walk.errors(sample, body)
-                    assert position < 1e-9 and angle < 1e-7
-
-
-def test_occluded_frames_are_left_out_of_the_mean_and_nothing_lags():
+                    assert max(errors_of(sample, body, pose=steady)[:2]) < 1e-7
     times = PERIOD * np.arange(-60, 60)
-    walk = Walk(times, hidden=times[times > 2.5 * PERIOD])
-    sample = walk.tracker.sample(0.4 * PERIOD, 0.25)
+    late = [((0, 1),) if time > 2.5 * PERIOD else () for time in times]
+    sample = tracker_of(times, pose=steady, hidden=late.__getitem__).sample(0.4 * PERIOD, 0.25)
     assert sample.frames == (32, 60) and sample.faults == ("", "")
-    assert max(walk.errors(sample)) < 1e-7
+    assert max(errors_of(sample, 0, pose=steady)[:2]) < 1e-7
     # All frames around the trigger are occluded: there is no pose, though the window has frames.
-    walk = Walk(times, hidden=times[np.abs(times) < 0.04])
-    sample = walk.tracker.sample(0.0, 0.25)
+    around = [((0, 1),) if abs(time) < 0.04 else () for time in times]
+    sample = tracker_of(times, pose=steady, hidden=around.__getitem__).sample(0.0, 0.25)
     assert sample.frames[0] == 0 and np.isnan(sample.positions[0]).all()
     assert sample.faults == ("marker 2 of rigid body 'socket' is occluded", "")
 
 
 def test_with_a_frame_or_none_in_the_window_the_pose_is_interpolated():
-    walk = Walk(PERIOD * np.arange(-5, 6), noise=1e-4)
-    positions, rotations = walk.fitted(5, 7)
+    noise = np.random.default_rng(0).normal(0.0, 1e-4, (11, 3, 3))
+    times = PERIOD * np.arange(-5, 6)
+    tracker = tracker_of(times, pose=steady, wrong=noise.__getitem__)
+    seen = [markers_at(0, times[k], pose=steady) + noise[k] for k in (5, 6)]
+    positions, rotations = fitted(np.array(seen))
     between = Slerp([0.0, 1.0], Rotation.concatenate(rotations))(0.2)
     for window in (0.0, 0.5 * PERIOD, 1.9 * PERIOD):
-        sample = walk.tracker.sample(0.2 * PERIOD, window)
+        sample = tracker.sample(0.2 * PERIOD, window)
         np.testing.assert_allclose(sample.positions[0], [0.8, 0.2] @ positions, atol=1e-12)
         assert (Rotation.from_quat(sample.quaternions[0]).inv() * between).magnitude() < 1e-7
         assert sample.frames == (2, 2)
     # Two frames at the end of a window, carried to the trigger's time, would be noisier.
-    walk = Walk(np.array([-0.02, 0.004, 0.005]), noise=1e-4)
-    sample, interpolated = walk.tracker.sample(0.0, 0.012), walk.tracker.sample(0.0)
+    tracker = tracker_of([-0.02, 0.004, 0.005], pose=steady, wrong=noise.__getitem__)
+    sample, interpolated = tracker.sample(0.0, 0.012), tracker.sample(0.0)
     np.testing.assert_array_equal(sample.positions, interpolated.positions)
     np.testing.assert_array_equal(sample.quaternions, interpolated.quaternions)
     assert sample.frames == interpolated.frames == (2, 2)

@@ -158,5 +158,5 @@ class NatNetLink:
 
     def _take(self, frame, moment, models) -> None:
         error = moment - _BEGIN - self._exposed
-        stated = self.session.echoes.bound(frame.mid_exposure)
+        _, stated = self.session.echoes.to_steady(frame.mid_exposure)
         self.frames.append((self._exposed, error, stated))

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import threading
+from bisect import bisect_right
 from collections.abc import Callable
 
 import numpy as np
@@ -37,7 +38,7 @@ _KEPT = 61.0  # [s]; more than the longest tare
 _PAUSE = 1.95  # periods; two conversions wait, a third would be lost
 _WAITING = 2  # conversions that the converter keeps
 _ATTEMPTS = 5  # to empty it without an edge in between
-_ROWS = 200_000  # 11 MB
+_ROWS = 200_000
 _CHECK_CLOCK = "check the converter's clock and its supply"
 
 
@@ -100,33 +101,26 @@ class ConversionClock:
         return last + self._period * steps
 
 
-class ConversionRing:
+class Conversions:
     """The last conversions, in the order of their times.
 
     Args:
-        period: Time from one conversion to the next [s].
-        span: Time that is kept, as far as there is room [s].
+        count: How many are kept, at least.
         channels: Channels of the converter.
     """
 
-    def __init__(self, period: float, span: float, channels: int) -> None:
-        self._size = min(math.ceil(span / period), _ROWS)
-        # Every row stands twice, so that the rows kept are always in one piece.
-        self._times = np.full(2 * self._size, -np.inf)
-        self._codes = np.zeros((2 * self._size, channels), dtype=np.int64)
-        self._next = 0
+    def __init__(self, count: int, channels: int) -> None:
+        self._count = count
+        self._channels = channels
+        self._times: list[float] = []
+        self._codes: list[IntArray] = []
 
     def add(self, time: float, codes: IntArray) -> None:
-        """Add a conversion, later than all before.
-
-        Args:
-            time: When it was measured [s].
-            codes: Its codes by channel, shape (channels,).
-        """
-        for row in (self._next, self._next + self._size):
-            self._times[row] = time
-            self._codes[row] = codes
-        self._next = (self._next + 1) % self._size
+        """Add a conversion, measured later [s] than all before; its codes, shape (channels,)."""
+        self._times.append(time)
+        self._codes.append(codes)
+        if len(self._times) >= 2 * self._count:
+            del self._times[: -self._count], self._codes[: -self._count]
 
     def between(self, start: float, end: float) -> tuple[FloatArray, IntArray]:
         """Conversions measured after `start` and until `end` [s].
@@ -134,15 +128,13 @@ class ConversionRing:
         Returns:
             Their times, shape (n,) [s], and their codes, shape (n, channels).
         """
-        kept = slice(self._next, self._next + self._size)
-        first, last = self._next + np.searchsorted(self._times[kept], (start, end), side="right")
-        rows = slice(first, max(first, last))
-        return self._times[rows].copy(), self._codes[rows].copy()
+        rows = slice(bisect_right(self._times, start), bisect_right(self._times, end))
+        codes = np.array(self._codes[rows], dtype=np.int64)
+        return np.array(self._times[rows]), codes.reshape(-1, self._channels)
 
     def newest(self, count: int) -> IntArray:
-        """Codes of so many conversions at the end, shape (count, channels); 0 before the first."""
-        end = self._next + self._size
-        return self._codes[end - count : end].copy()
+        """Codes of so many conversions at the end, shape (n, channels); fewer at first."""
+        return np.array(self._codes[-count:], dtype=np.int64).reshape(-1, self._channels)
 
 
 class ConverterReader:
@@ -188,7 +180,8 @@ class ConverterReader:
         self._matched = -np.inf  # last frame that matched its checksum [s]
 
         self._lock = threading.Lock()  # of all below
-        self._ring = ConversionRing(self.period, _KEPT, settings.channels)
+        kept = min(math.ceil(_KEPT / self.period), _ROWS)
+        self._conversions = Conversions(kept, settings.channels)
         self._emptied = self._corrupted = self._failed = -np.inf  # [s]
         self._arrived = self._stored = clock()  # a conversion; one whose time is known [s]
         self._fault: DeviceError | None = None
@@ -243,7 +236,7 @@ class ConverterReader:
             these are clipped, shape (n, 6).
         """
         with self._lock:
-            times, codes = self._ring.between(start, end)
+            times, codes = self._conversions.between(start, end)
         return times, self._bridges.ratios(codes), at_rail(codes[:, self._bridges.inputs])
 
     def over(self, until: float) -> float:
@@ -258,8 +251,8 @@ class ConverterReader:
     def at_rail_for(self, count: int) -> BoolArray:
         """Which bridges were at a rail in all of the last conversions, so many, shape (6,)."""
         with self._lock:
-            codes = self._ring.newest(count)
-        return np.asarray(at_rail(codes[:, self._bridges.inputs]).all(axis=0))
+            codes = self._conversions.newest(count)
+        return np.asarray(at_rail(codes[:, self._bridges.inputs]).sum(axis=0) == count)
 
     def counts(self) -> dict[str, int]:
         """Numbers of conversions, of corrupted frames and of restarts."""
@@ -370,7 +363,7 @@ class ConverterReader:
                 return
             self._stored = read
             self._counts["conversions"] += 1
-            self._ring.add(end - self._delay, codes)
+            self._conversions.add(end - self._delay, codes)
 
     def _expect_conversions(self) -> None:
         now = self._clock()

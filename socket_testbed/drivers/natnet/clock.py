@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections import deque
-from math import inf
 from typing import NamedTuple, TypeAlias
 
 _WINDOW = 200  # echoes
@@ -85,19 +84,13 @@ class EchoClock:
         self._fit()
         return consistent
 
-    def to_steady(self, ticks: int) -> float | None:
-        """Time of the steady clock [s] at the server's ticks; None before there is a map."""
+    def to_steady(self, ticks: int) -> tuple[float, float] | None:
+        """Steady time at the server's ticks, and its largest error [s]; None without a map."""
         if len(self._echoes) < _NEEDED:
             return None
         elapsed = self._elapsed(ticks)
-        return elapsed + 0.5 * sum(self._map.offsets(elapsed))
-
-    def bound(self, ticks: int) -> float:
-        """Largest error of `to_steady` [s]; infinite before there is a map."""
-        if len(self._echoes) < _NEEDED:
-            return inf
-        low, high = self._map.offsets(self._elapsed(ticks))
-        return 0.5 * (high - low)
+        low, high = self._map.offsets(elapsed)
+        return elapsed + 0.5 * (low + high), 0.5 * (high - low)
 
     def _elapsed(self, ticks: int) -> float:
         return (ticks - self._origin) / self._frequency

@@ -311,10 +311,9 @@ class Session:
             return
         self.takes.observe(frame.recording, now)
         self._watch_models(frame)
-        moment = self.echoes.to_steady(frame.mid_exposure)
-        if moment is None:
+        if (exposed := self.echoes.to_steady(frame.mid_exposure)) is None:
             return
-        error = self.echoes.bound(frame.mid_exposure)
+        moment, error = exposed
         if not now - _EARLIEST - error <= moment <= now + _LATEST + error:
             self.statistics.count("implausible", now)  # another clock: the next echo tells
             return

@@ -18,6 +18,7 @@ from socket_testbed import clocks
 from socket_testbed.arrays import FloatArray
 from socket_testbed.drivers.natnet import messages
 from socket_testbed.simulation.devices import natnet_encoding as encoding
+from socket_testbed.simulation.devices.natnet_encoding import Message
 
 # Name, markers in the world (m, 3) [m], position (3,) [m], quaternion (4,) of each body.
 Bodies: TypeAlias = Callable[[float], Sequence[tuple[str, FloatArray, FloatArray, FloatArray]]]
@@ -28,7 +29,10 @@ _LATENCY = 0.004  # [s]; from mid-exposure to transmission
 _BEHIND = 0.25  # [s]; frames that are later than this are left out
 _SILENCE = 10.0  # [s]; after which a client is forgotten
 _CHANGED = 24  # frames that say that the rigid bodies have changed
-_VERSIONS = ((3, 0), (3, 1), (4, 0), (4, 1), (4, 2), (4, 3), (4, 4))  # a stream can be asked for
+_VERSIONS = {  # a stream can be asked for
+    f"{major}.{minor}": (major, minor)
+    for major, minor in ((3, 0), (3, 1), (4, 0), (4, 1), (4, 2), (4, 3), (4, 4))
+}
 
 
 class Scene:
@@ -120,7 +124,7 @@ class Scene:
 
 
 # By fault, the bytes of a message that are sent, and how often.
-_STRIKES: dict[str, Callable[[encoding.Message, bytes, np.random.Generator], tuple[bytes, int]]] = {
+_STRIKES: dict[str, Callable[[Message, bytes, np.random.Generator], tuple[bytes, int]]] = {
     "corrupt": lambda message, data, rng: (message.corrupted(rng), 1),
     "truncate": lambda message, data, rng: (data[: int(rng.integers(len(data)))], 1),
     "duplicate": lambda message, data, rng: (data, 2),
@@ -144,7 +148,7 @@ class FaultyNetwork:
         self._rng = rng
         self._held: list[tuple[bytes, Address]] = []
 
-    def send(self, message: encoding.Message, address: Address) -> None:
+    def send(self, message: Message, address: Address) -> None:
         """Send a message, or what becomes of it."""
         if self._faults.get("mocap.unplugged", 0.0):
             self._held.clear()
@@ -175,8 +179,7 @@ class FaultyNetwork:
 class _Client:
     heard: float
     version: messages.Version
-    subscribed: bool = False  # whether it gets only what it has subscribed to
-    subscriptions: set[str] = field(default_factory=set)
+    subscriptions: set[str] = field(default_factory=set)  # of sections; none: it gets everything
 
 
 class NatNetServer:
@@ -225,10 +228,10 @@ class NatNetServer:
             self._socket.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, interface)
             self._socket.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_LOOP, 1)
         self._network = FaultyNetwork(self._socket, self._faults, network_rng)
-        self._answers: dict[int, Callable[[bytes, Address, float], None]] = {
+        self._answers: dict[int, Callable[[bytes, Address, float], Message | None]] = {
             messages.CONNECT: self._connect,
             messages.REQUEST: self._request,
-            messages.REQUEST_MODELDEF: self._send_models,
+            messages.REQUEST_MODELDEF: self._define_models,
             messages.KEEPALIVE: lambda payload, client, now: None,
             messages.ECHOREQUEST: self._echo,
             messages.DISCONNECT: self._disconnect,
@@ -296,85 +299,70 @@ class NatNetServer:
             now = clocks.monotonic()
             if client in self._clients:
                 self._clients[client].heard = now
-            answer = self._answers.get(message)
-            if answer is None:
-                self._network.send(encoding.Message.of(messages.UNRECOGNIZED), client)
-            else:
-                answer(payload, client, now)
+            answer = self._answers.get(message, self._unrecognized)
+            if (reply := answer(payload, client, now)) is not None:
+                self._network.send(reply, client)
 
-    def _connect(self, payload: bytes, client: Address, now: float) -> None:
-        """Either of the three forms: a sender with options, or "Ping" with or without more."""
-        known = _Client(now, self._version)
-        if len(payload) >= 269 and not payload.startswith(b"Ping"):
-            known.subscribed = bool(payload[264])
+    def _unrecognized(self, payload: bytes, client: Address, now: float) -> Message:
+        return Message.of(messages.UNRECOGNIZED)
+
+    def _connect(self, payload: bytes, client: Address, now: float) -> Message:
+        """Whatever the sender says of itself: clients send three forms of it."""
         if self._multicast is None:
-            self._clients[client] = known
+            self._clients[client] = _Client(now, self._version)
         group, port = self._multicast or ("", 1511)
-        info = messages.ServerInfo(
-            "simulated Motive", (3, 1, 0, 0), self._version, CLOCK, port, bool(group), group
+        app, version = (3, 1, 0, 0), self._version
+        return encoding.encode_server_info(
+            messages.ServerInfo("simulated Motive", app, version, CLOCK, port, bool(group), group)
         )
-        self._network.send(encoding.encode_server_info(info), client)
 
     def _disconnect(self, payload: bytes, client: Address, now: float) -> None:
         self._clients.pop(client, None)
 
-    def _echo(self, payload: bytes, client: Address, now: float) -> None:
-        if len(payload) >= 8:
-            reply = payload[:8] + pack("<Q", self._ticks(now))
-            self._network.send(encoding.Message.of(messages.ECHORESPONSE, reply), client)
+    def _echo(self, payload: bytes, client: Address, now: float) -> Message | None:
+        if len(payload) < 8:
+            return None
+        return Message.of(messages.ECHORESPONSE, payload[:8] + pack("<Q", self._ticks(now)))
 
-    def _send_models(self, payload: bytes, client: Address, now: float) -> None:
+    def _define_models(self, payload: bytes, client: Address, now: float) -> Message:
         known = self._clients.get(client)
         version = known.version if known else self._version
-        definitions = self._scene.definitions(now)
-        self._network.send(encoding.encode_model_definitions(definitions, version), client)
+        return encoding.encode_model_definitions(self._scene.definitions(now), version)
 
-    def _request(self, payload: bytes, client: Address, now: float) -> None:
+    def _request(self, payload: bytes, client: Address, now: float) -> Message:
         text = payload.partition(b"\0")[0].decode("utf-8", "replace")
         self.commands.append(text)
-        name, _, argument = text.partition(",")
-        reply = self._obey(name, argument, self._clients.get(client))
-        message = (
-            encoding.Message.of(messages.UNRECOGNIZED)
-            if reply is None
-            else encoding.Message.of(messages.RESPONSE, reply)
+        reply = self._obey(*text.partition(",")[::2], self._clients.get(client))
+        return Message.of(
+            messages.UNRECOGNIZED if reply is None else messages.RESPONSE, reply or b""
         )
-        self._network.send(message, client)
 
     def _obey(self, name: str, argument: str, client: _Client | None) -> bytes | None:
         """The reply to a command; None for an unknown one."""
-        done = bytes(4)
-        if name == "StartRecording":
-            if not self.recording:
+        if self._version < (4, 0):
+            client = None  # nothing can be set for it
+        match name:
+            case "StartRecording":
+                if not self.recording:
+                    self.takes.append(self._take or f"Take {len(self.takes) + 1}")
                 self.recording = True
-                self.takes.append(self._take or f"Take {len(self.takes) + 1}")
-        elif name == "StopRecording":
-            self.recording = False
-        elif name == "SetRecordTakeName":
-            self._take = argument
-        elif name == "FrameRate":
-            return pack("<f", self._rate)
-        elif name == "UnitsToMillimeters":
-            return pack("<f", 1000.0)
-        elif name in ("Bitstream", "SubscribeToData"):
-            return self._configure(name, argument, client)
-        else:
-            return None
-        return done
-
-    def _configure(self, name: str, argument: str, client: _Client | None) -> bytes | None:
-        if self._version < (4, 0) or client is None:
-            return None
-        if name == "Bitstream":
-            if not argument:
-                return "Bitstream,{}.{}.0.0\0".format(*client.version).encode()
-            wanted = [v for v in _VERSIONS if f"{v[0]}.{v[1]}" == argument and v <= self._version]
-            if not wanted:
-                return pack("<i", 1)
-            client.version = wanted[0]
-        else:
-            client.subscribed = True
-            client.subscriptions.add(argument.partition(",")[0])
+            case "StopRecording":
+                self.recording = False
+            case "SetRecordTakeName":
+                self._take = argument
+            case "FrameRate":
+                return pack("<f", self._rate)
+            case "UnitsToMillimeters":
+                return pack("<f", 1000.0)
+            case "Bitstream" if client is not None:
+                wanted = _VERSIONS.get(argument, (9, 9))
+                if wanted > self._version:
+                    return pack("<i", 1)
+                client.version = wanted
+            case "SubscribeToData" if client is not None:
+                client.subscriptions.add(argument.partition(",")[0])
+            case _:
+                return None
         return bytes(4)
 
     def _stream(self, now: float) -> None:
@@ -394,14 +382,13 @@ class NatNetServer:
 
 
 def _subscribed(content: encoding.Content, client: _Client) -> encoding.Content:
-    """What of a frame a client gets."""
-    if not client.subscribed:
+    """The part of a frame that a client has subscribed to."""
+    if not client.subscriptions:
         return content
-    every = "AllTypes" in client.subscriptions
     return replace(
         content,
-        bodies=content.bodies if every or "RigidBody" in client.subscriptions else (),
-        markers=content.markers if every or "LabeledMarkers" in client.subscriptions else (),
+        bodies=content.bodies if "RigidBody" in client.subscriptions else (),
+        markers=content.markers if "LabeledMarkers" in client.subscriptions else (),
         marker_sets={},
         others=np.empty((0, 3)),
     )
