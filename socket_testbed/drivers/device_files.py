@@ -1,4 +1,4 @@
-"""Device files under /dev that cannot be opened: what is wrong, and how to fix it."""
+"""Device files under /dev that cannot be opened: the fact and the hint."""
 
 from __future__ import annotations
 
@@ -32,5 +32,5 @@ def opening_failed(
 
 
 def reason(error: OSError) -> str:
-    """What the system says about an error."""
+    """The system's text for an error."""
     return os.strerror(error.errno) if error.errno else str(error)

@@ -42,10 +42,10 @@ class GpiodLines:
 
     Args:
         label: Label of the chip.
-        uses: What each line is for, by its number.
+        uses: Use of each line, by its number.
         node: Node whose settings name the lines, for the hints.
         setting: Its setting of the chip's label.
-        without: What to set to do without the lines.
+        without: Setting to do without the lines.
     """
 
     def __init__(

@@ -62,7 +62,7 @@ class GpioTrigger:
                     self.stray += 1
                 if left == 0.0:
                     break
-                # Look once more after the deadline: the kernel's stamp is what counts.
+                # Once more after the deadline: the kernel's stamp counts.
                 left = max(0.0, deadline - self._clock())
         except OSError as error:
             raise DeviceError(

@@ -1,4 +1,4 @@
-"""How the limb moves in the socket under a load: load histories, tissue, equilibrium.
+"""Motion of the limb in the socket under a load: load histories, tissue, equilibrium.
 
 Nothing here knows the estimator's law. The normal pressure grows exponentially with the
 compression along the surface's own normal, the shear sticks and slips after Coulomb, the
@@ -148,7 +148,7 @@ class Tissue:
 
 @dataclass(frozen=True)
 class _Stiffness:
-    """What the kinds of tissue differ in, see `Tissue`: means and spreads over the surface."""
+    """Difference between kinds of tissue (see `Tissue`): means and spreads over the surface."""
 
     modulus: float
     shear_modulus: float

@@ -77,7 +77,7 @@ def wrench_vibration(errors: SensorErrors) -> FloatArray:
 
 
 def wrench_offset(errors: SensorErrors, rng: np.random.Generator) -> FloatArray:
-    """What is left of the load cell's offset after taring, [M; F], shape (6,) [N m, N]."""
+    """The rest of the load cell's offset after taring, [M; F], shape (6,) [N m, N]."""
     return rng.normal(0.0, 1.0, 6) * np.repeat([errors.moment_offset, errors.force_offset], 3)
 
 

@@ -1,4 +1,4 @@
-"""Sensor models: what clusters, load cell and cameras measure of the truth, with their errors."""
+"""Models of clusters, load cell and cameras: from the truth to measurements with errors."""
 
 from __future__ import annotations
 
@@ -56,10 +56,10 @@ def invert_calibration(calibration: ClusterCalibration, stress: FloatArray) -> F
 
 
 class ClusterSensor:
-    """One cluster as it was made and placed: what its converter reads without noise.
+    """One cluster as it was made and placed.
 
     Args:
-        calibration: What the cluster was calibrated to be.
+        calibration: Calibration that the lab has of it.
         errors: Sizes of the errors.
         rng: Their source.
     """
@@ -117,7 +117,7 @@ def cluster_stress(geometry: SocketGeometry, cluster: str, forces: FloatArray) -
 def wrench_creep(
     errors: SensorErrors, load: FloatArray, time: FloatArray, rng: np.random.Generator
 ) -> FloatArray:
-    """How the load cell creeps under a load, [M; F], shape (N, 6) [N m, N].
+    """Creep of the load cell under a load, [M; F], shape (N, 6) [N m, N].
 
     Each channel follows the vertical force with a lag, up or down, and has crept by all of its
     creep at most.
@@ -143,7 +143,7 @@ class MarkerBodies:
     """The marker bodies of socket and pylon as they really are, on a stand that gives a little.
 
     Args:
-        geometry: What the lab believes of them.
+        geometry: The lab's geometry of them.
         errors: Sizes of the errors of their registration.
         rng: Source of these errors and of the stand's tremor.
     """
@@ -199,7 +199,7 @@ def place_markers(pose: Pose, markers: FloatArray) -> FloatArray:
 def observe_markers(
     pose: Pose, markers: FloatArray, errors: SensorErrors, rng: np.random.Generator
 ) -> FloatArray:
-    """What the cameras see of a body's markers.
+    """A body's markers as the cameras see them.
 
     Args:
         pose: Poses of the body in the world, N of them.

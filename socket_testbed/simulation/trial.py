@@ -71,7 +71,7 @@ Progress = Callable[[int, int], None]
 
 @dataclass(frozen=True)
 class GroundTruth:
-    """What really happened, in {S}."""
+    """The true motion and forces, in {S}."""
 
     forces: FloatArray  # force of the limb on the socket at every tile, shape (N, n, 3) [N]
     wrench: FloatArray  # wrench on the socket [M; F], shape (N, 6) [N m, N]
@@ -81,7 +81,7 @@ class GroundTruth:
 
 @dataclass(frozen=True)
 class SimulatedTrial:
-    """What the testbed measures and what really happened, one row per trigger."""
+    """The measurements and the truth, one row per trigger."""
 
     tiles: tuple[str, ...]
     stamps: IntArray  # times of the triggers since the epoch, shape (N,) [ns]
@@ -120,8 +120,8 @@ def simulate(
     """Simulate a trial.
 
     Args:
-        geometry: What the lab believes of the socket.
-        calibration: What the lab believes of its clusters.
+        geometry: The lab's geometry of the socket.
+        calibration: The lab's calibration of the clusters.
         scenario: The load history.
         duration: Duration [s].
         rate: Rate of the trigger [Hz].

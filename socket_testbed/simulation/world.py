@@ -136,7 +136,7 @@ class World:
         Args:
             moment: Time of the steady clock [s].
             capacitance: Capacitances by cluster and input, shape (4, 4) [pF].
-            wrench: What the load cell feels [M; F], shape (6,) [N m, N].
+            wrench: Load on the load cell [M; F], shape (6,) [N m, N].
             poses: Positions [m] and quaternions (x, y, z, w) of the two bodies, shape (2, 7).
         """
         state = np.concatenate([a.ravel() for a in (capacitance, wrench, poses)])
@@ -156,7 +156,7 @@ class World:
         return float(self._at(moment)[4 * cluster + channel])
 
     def wrench(self, moment: float) -> FloatArray:
-        """What the load cell feels [M; F], shape (6,) [N m, N]."""
+        """Load on the load cell [M; F], shape (6,) [N m, N]."""
         return self._at(moment)[_INPUTS : _INPUTS + 6]
 
     def poses(self, moment: float) -> FloatArray:

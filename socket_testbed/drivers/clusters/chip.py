@@ -65,7 +65,7 @@ class CapacitiveChip(Protocol):
         """Check that it is this chip; raises `WrongChipError`."""
 
     def reset_and_configure(self) -> None:
-        """Reset it, check what it is, and let it convert all inputs in turn."""
+        """Reset it, check its identity, and let it convert all inputs in turn."""
 
     def done(self) -> tuple[bool, ...]:
         """Whether each input was converted since it was last read, shape (4,).
@@ -86,7 +86,7 @@ class CapacitiveChip(Protocol):
 @dataclass
 class _Input:
     low: float  # it was not done then [s]
-    settled: float = -math.inf  # what may have ended before has another range [s]
+    settled: float = -math.inf  # a conversion that may have ended before has another range [s]
     since: float = -math.inf  # the value's conversion ended after this [s]
     read: float = -math.inf  # a conversion was last read then [s]
     value: float = math.nan  # [pF]; NaN if out of range
@@ -107,14 +107,14 @@ class InputReader:
     def __init__(self, chip: CapacitiveChip, sample_rate: int, clock: Callable[[], float]) -> None:
         self.chip = chip
         self.pending: set[int] = set()  # inputs without a value for the present trigger
-        self.notes: list[str] = []  # what was done for the present trigger
+        self.notes: list[str] = []  # of set-ups and shifts of range for the present trigger
         self._cycle = INPUTS / sample_rate  # [s]
         self._clock = clock
         self._inputs: list[_Input] = []
         self._trigger = self._begun = -math.inf  # [s]
 
     def begin(self, trigger: float) -> None:
-        """Begin to gather what belongs to a trigger at a time of the steady clock [s]."""
+        """Begin to gather the inputs' values for a trigger at a time of the steady clock [s]."""
         self.pending = set(range(INPUTS))
         self.notes = []
         self._trigger = trigger
@@ -161,7 +161,7 @@ class InputReader:
 
     @property
     def faults(self) -> str:
-        """What is wrong with inputs that were read; empty if nothing."""
+        """Faults of inputs that were read; empty for none."""
         return "; ".join(entry.fault for entry in self._inputs if entry.fault)
 
     def _read(self, n: int) -> int | None:

@@ -62,7 +62,7 @@ class Fdc1004:
                 )
 
     def reset_and_configure(self) -> None:
-        """Reset the chip, check what it is, and let it convert all inputs in turn."""
+        """Reset the chip, check its identity, and let it convert all inputs in turn."""
         self._port.write(_FDC_CONF, _RESET)
         for _ in range(_RESET_POLLS):
             self._sleep(_RESET_POLL)

@@ -16,7 +16,7 @@ _TIMEOUT_UNIT = 0.01  # [s]
 
 
 class I2cBus(Protocol):
-    """What is used of `smbus2.SMBus`, and what simulated buses offer."""
+    """The part of `smbus2.SMBus` that is used, and that simulated buses have."""
 
     def i2c_rdwr(self, *messages: i2c_msg) -> None:
         """Transfer messages with repeated starts between them."""
@@ -85,7 +85,7 @@ class I2cPort:
         bus_name: Its name, such as i2c-1.
         address: The chip's address [1].
         place: Where it is on the bus, such as "behind channel 2 of 0x70".
-        part: What a person has to check when it does not answer.
+        part: Name of the part to check when it does not answer.
     """
 
     def __init__(

@@ -1,4 +1,4 @@
-"""The clusters, read for each trigger: what fails is left out while the others go on."""
+"""The clusters, read for each trigger: one that fails is left out while the others go on."""
 
 from __future__ import annotations
 
@@ -25,23 +25,23 @@ from socket_testbed.errors import ConfigurationError, DeviceError
 from socket_testbed.samples import Status
 from socket_testbed.settings.acquisition import ClusterSettings
 
-_PAUSE = 0.05  # between two looks at the chips that still convert [cycles]
+_PAUSE = 0.05  # between two polls of the chips that still convert [cycles]
 
 
 @dataclass(frozen=True)
 class ClusterReading:
-    """What belongs to one trigger."""
+    """The clusters' values for one trigger."""
 
     names: tuple[str, ...]  # names of the c clusters
     capacitance: FloatArray  # capacitances by input, shape (c, 4) [pF]; NaN where there is none
     status: StatusArray  # OK, SATURATED or MISSING (`Status`) of each input, shape (c, 4)
-    # what is wrong now and how to fix it, in one line, by the cluster's name
+    # fault and hint in one line, by the cluster's name
     faults: dict[str, str]
-    notes: tuple[str, ...] = ()  # what was done in this reading, such as a set-up
+    notes: tuple[str, ...] = ()  # of this reading, such as a set-up
 
 
 class ClusterReader:
-    """Reads all clusters, and never fails for what the hardware does.
+    """Reads all clusters, and never raises for a fault of the hardware.
 
     The first reading opens the buses.
 
@@ -73,7 +73,7 @@ class ClusterReader:
         ]
 
     def read(self, trigger: float) -> ClusterReading:
-        """Read what belongs to a trigger at a time of the steady clock [s]."""
+        """Read the clusters for a trigger at a time of the steady clock [s]."""
         for bus in self._buses.values():
             bus.given_up = ""
         for cluster in self._clusters:
@@ -95,7 +95,7 @@ class ClusterReader:
         )
 
     def identify(self) -> dict[str, str | DeviceError]:
-        """What is found at each cluster's place, or what is wrong there, by its name."""
+        """The chip found at each cluster's place, or the error there, by the cluster's name."""
         found: dict[str, str | DeviceError] = {}
         for cluster in self._clusters:
             chip = cluster.inputs.chip
@@ -123,7 +123,7 @@ class ClusterReader:
         return _Cluster(name, bus, channel, inputs)
 
     def _advance(self, cluster: _Cluster) -> bool:
-        """Look at a cluster once; returns whether to look again."""
+        """Poll a cluster once; returns whether to poll it again."""
         bus, now = cluster.bus, self._clock()
         if not bus.is_open and not bus.backoff.due(now):
             bus.given_up = bus.fault
@@ -193,7 +193,7 @@ class ClusterReader:
 
 
 class _Bus:
-    """A bus with its multiplexer (TI TCA9548A), if it has one, and what is known of its state.
+    """A bus with its multiplexer (TI TCA9548A), if it has one, and its state as far as known.
 
     It is opened when needed, and can be closed and opened under the chips on it. The chips share
     one address: two channels at once would put them on the same wires.
@@ -265,7 +265,7 @@ class _Cluster:
 
 
 def check_settings(settings: ClusterSettings, chip: type[CapacitiveChip]) -> None:
-    """Check what the ranges of single settings cannot."""
+    """Check that the settings fit together, beyond the range of each."""
     names, buses, channels = settings.names, settings.buses, settings.channels
     if not names or not len(names) == len(buses) == len(channels):
         raise ConfigurationError(

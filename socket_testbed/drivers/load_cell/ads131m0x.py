@@ -24,18 +24,17 @@ _START_UP = 300  # modulator clocks from a reset to the first sample
 _RESET_TIME = 1e-3  # [s]; the registers have their values after 5 us
 
 _NULL, _RESET, _UNLOCK = 0x0000, 0x0011, 0x0655
-_READ, _WRITE, _WRITTEN = 0xA000, 0x6000, 0x4000
+_READ, _WRITE = 0xA000, 0x6000
 _ID, _MODE = 0x00, 0x02  # CLOCK, GAIN1 and GAIN2 follow MODE
 _RESET_BIT = 0x0400
 _WORDS_OF_24_BITS, _TIMEOUT, _ANSI = 0x0100, 0x0010, 0x0800
 _HIGH_RESOLUTION = 0x0002
 
 CHECK_WIRING = "check the wiring, or lower load_cell_node's spi_clock"
-_CHECK_DIN = "check DIN, or lower load_cell_node's spi_clock"
 
 
 class SpiDevice(Protocol):
-    """What a driver uses of `spidev.SpiDev`."""
+    """The part of `spidev.SpiDev` that a driver uses."""
 
     def xfer2(self, data: list[int], /) -> list[int]:
         """Exchange bytes, with the chip selected from the first to the last."""
@@ -117,7 +116,7 @@ class ConverterResetError(DeviceError):
 
 @dataclass(frozen=True)
 class ConverterFrame:
-    """What one frame holds."""
+    """The content of a frame."""
 
     status: int  # the STATUS register
     codes: IntArray  # codes by channel, shape (channels,)
@@ -132,7 +131,7 @@ def conversion_period(clock_in: float, oversampling: int) -> float:
 
 
 def group_delay(clock_in: float, oversampling: int) -> float:
-    """Time from what a conversion measures to its end [s], for a clock [Hz].
+    """Time from the middle of a conversion's filter to its end [s], for a clock [Hz].
 
     A sinc3 filter spans three of its periods, so its middle is 1.5 of them back. Above 1024
     its oversampling stays 1024 and a mean of oversampling / 1024 of its outputs follows, whose
@@ -159,7 +158,7 @@ class Ads131m0x:
         spi: Its bus, in SPI mode 1.
         channels: 6 (M06) or 8 (M08).
         crc: Checksum that it shall use, 'ccitt' or 'ansi'.
-        name: What names it in an error.
+        name: Its name in errors.
     """
 
     def __init__(
@@ -179,7 +178,7 @@ class Ads131m0x:
         self._sleep = sleep
 
     def reset_and_configure(self, oversampling: int, gain: int, clock_in: float = 8.192e6) -> None:
-        """Reset it, write its registers, read them back and drop what has not settled.
+        """Reset it, write its registers, read them back and drop unsettled conversions.
 
         Args:
             oversampling: Oversampling ratio, a power of two, 128 to 16384.
@@ -202,8 +201,7 @@ class Ads131m0x:
         self._configure(oversampling, gain)
         # The first two conversions come from a faster, noisier filter; they are the two that
         # wait by now, or older than those.
-        settled = conversion_period(clock_in, 3 * oversampling + _START_UP)
-        self._sleep(settled)
+        self._sleep(conversion_period(clock_in, 3 * oversampling + _START_UP))
         for _ in range(2):
             self._transfer(_NULL)
 
@@ -250,7 +248,7 @@ class Ads131m0x:
         # The checksum may change its kind within the frame that sets it.
         self._transfer(_WRITE | _MODE << 7 | len(values) - 1, *values)
         self._crc = self._wanted_crc
-        written = _response(self._exchange(_READ | _MODE << 7))
+        self._exchange(_READ | _MODE << 7)
         for k, (value, mask) in enumerate(zip(values, masks, strict=True)):
             last = k == len(values) - 1
             answer = self._exchange(_NULL if last else _READ | (_MODE + k + 1) << 7)
@@ -258,13 +256,8 @@ class Ads131m0x:
                 raise DeviceError(
                     f"{self._name}: register 0x{_MODE + k:02X} reads "
                     f"0x{_response(answer):04X} after 0x{value:04X} was written",
-                    _CHECK_DIN,
+                    "check DIN, or lower load_cell_node's spi_clock",
                 )
-        if written != _WRITTEN | _MODE << 7 | len(values) - 1:
-            raise DeviceError(
-                f"{self._name}: the converter answers a write with 0x{written:04X}",
-                _CHECK_DIN,
-            )
 
     def _check_identity(self, answer: bytes) -> None:
         # Ahead of the checksum, whose place in the frame depends on the number of channels.
@@ -284,10 +277,7 @@ class Ads131m0x:
 
     def _check(self, answer: bytes) -> None:
         if checksum(answer[:-_WORD], self._crc) != int.from_bytes(answer[-_WORD:-1], "big"):
-            raise ChecksumError(
-                f"{self._name}: a frame does not match its checksum",
-                CHECK_WIRING,
-            )
+            raise ChecksumError(f"{self._name}: a frame does not match its checksum", CHECK_WIRING)
 
     def _transfer(self, *words: int) -> bytes:
         """Send 16-bit words, each at the head of a word of the bus; the answer, unchecked."""

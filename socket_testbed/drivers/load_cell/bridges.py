@@ -19,7 +19,7 @@ _WORST_CONDITION = 1e6  # [-]; of the maker's matrix with rows of length one
 
 
 class Bridges:
-    """What the settings say of the bridges, checked.
+    """The bridges as the settings describe them, checked.
 
     `ratio = sign * mV / (excitation * amplifier_gain)`, `wrench = C @ ratio`, with the voltage
     at the converter's input, so that the converter's own gain is out of it already.
@@ -89,7 +89,7 @@ def in_words(wrench: FloatArray) -> str:
 
 
 def check_settings(settings: LoadCellSettings) -> None:
-    """Check what the ranges of single settings cannot."""
+    """Check that the settings fit together, beyond the range of each."""
     check_device(settings.device)
     if settings.channels not in (6, 8):
         raise _wrong(f"channels is {settings.channels}", "give 6 (ADS131M06) or 8 (ADS131M08)")

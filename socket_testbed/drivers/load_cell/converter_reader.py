@@ -61,7 +61,7 @@ class ConversionClock:
         self._continuous = False
 
     def lose(self) -> None:
-        """A frame was lost, or what waits is of unknown age: wait until nothing waits."""
+        """A frame was lost, or those that wait are of unknown age: wait until none does."""
         self._empty = None
         self._continuous = False
 
@@ -190,7 +190,7 @@ class ConverterReader:
             self._counts["status_disagrees"] = 0
 
     def poll(self) -> None:
-        """Read what waits in the converter, or connect to it again when that is due."""
+        """Read the conversions that wait, or connect to the converter again when that is due."""
         try:
             if self._converter is not None and self._line is not None:
                 self._read_edges(self._converter, self._line)
@@ -260,7 +260,7 @@ class ConverterReader:
             return dict(self._counts)
 
     def trouble(self, now: float) -> tuple[int, str, str]:
-        """What is wrong with the converter at a time [s].
+        """The converter's trouble at a time [s].
 
         Returns:
             0 (nothing), 1 (a warning) or 2 (an error), with the fact and the hint.
@@ -316,7 +316,7 @@ class ConverterReader:
         return frame
 
     def _read_edges(self, converter: Ads131m0x, line: EdgeLine) -> None:
-        """Read a frame for each edge; what cannot be told apart is dropped."""
+        """Read a frame for each edge; ambiguous ones are dropped."""
         begin = self._clock()
         edges = self._edges(line)
         if edges and not (self._synchronised and len(edges) <= _WAITING):
@@ -381,7 +381,7 @@ class ConverterReader:
 
     def _fail(self, error: DeviceError) -> None:
         now = self._clock()
-        # What worked until now is tried again at once: a supply that dipped is back already.
+        # A converter that worked until now is tried at once: after a dip its supply is back.
         if self._converter is not None and self._arrived > self._connected:
             self._backoff.succeeded()
         else:

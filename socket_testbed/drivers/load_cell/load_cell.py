@@ -32,7 +32,7 @@ _BROKEN_WIRE = 5  # conversions in a row at a rail
 _AFTER = 0.25  # part of the window that is after the trigger
 _WORST = 3.0  # variance of a wrench from what is left of a window, against the complete one's
 _NEARLY_ALL = 0.9  # part of the conversions in a span that are averaged, at least
-_RECENT = 0.8  # [s]; what a report of health looks back at
+_RECENT = 0.8  # [s]; span of a report of health
 
 
 class Tare:
@@ -95,11 +95,11 @@ class WrenchReading:
 
     wrench: FloatArray  # wrench [M; F], shape (6,) [N m, N]; all NaN if it was not measured
     ratios: FloatArray  # ratios of the bridges that it was made of, shape (6,) [mV/V]; NaN likewise
-    tare: FloatArray  # what was subtracted, [M; F], shape (6,) [N m, N]
+    tare: FloatArray  # subtracted, [M; F], shape (6,) [N m, N]
     tared: int  # when that was taken, since the epoch [ns]; 0 if never
     status: Status  # OK, SATURATED or MISSING
     conversions: int  # number of conversions around the time
-    fault: str  # what is wrong; empty if nothing is. An overload leaves the wrench as it is
+    fault: str  # empty for none. An overload leaves the wrench as it is
 
 
 class LoadCell:
@@ -120,8 +120,7 @@ class LoadCell:
         sleep: Callable[[float], None] = clocks.sleep,
         open_line: Callable[[], EdgeLine] | None = None,
     ) -> None:
-        # its settings; others may be assigned, of which the window and what concerns the tare are
-        # followed
+        # others may be assigned, of which the window and those of the tare are followed
         self.settings = settings
         self._clock = clock
         self._bridges = Bridges(settings)
@@ -136,9 +135,9 @@ class LoadCell:
         return self._reader.period
 
     def poll(self) -> None:
-        """Read what waits in the converter, and connect to it again after a failure.
+        """Read the conversions that wait, and connect to the converter again after a failure.
 
-        `health` reports what the device does wrong; nothing is raised. A pause of two periods or
+        `health` reports a device that fails; nothing is raised. A pause of two periods or
         more costs the conversions since, whose times nobody knows.
         """
         self._reader.poll()
@@ -261,7 +260,7 @@ class LoadCell:
             now: End of that span [s]; None for the present.
 
         Returns:
-            What was removed, to be read.
+            The load that was removed, in words.
         """
         settings = self.settings
         now = self._clock() if now is None else now

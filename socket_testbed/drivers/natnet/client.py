@@ -102,7 +102,7 @@ class NatNetClient:
         )
 
     def _frames_fault(self, server: ServerInfo, now: float) -> tuple[int, str] | None:
-        """What is wrong with the frames of a server, in the form of `health`."""
+        """The fault of a server's frames, in the form of `health`; None for none."""
         statistics = self._session.statistics
         missing, warning = self._why_no_frames(server, now), statistics.warning(now)
         if not missing and (fault := self.clock_fault):
@@ -151,7 +151,7 @@ class NatNetClient:
         }
 
     def describe(self) -> dict[str, str]:
-        """The server and the link to it, by what is described."""
+        """The server and the link to it: texts by their names."""
         session = self._session
         table = {"address": self._where, "state": session.state}
         if (server := session.server) is not None:
@@ -175,7 +175,7 @@ class NatNetClient:
         self._session.send(encode_message(DISCONNECT))
 
     def _receive(self, now: float) -> None:
-        """Take what comes, and do what is due."""
+        """Take the datagrams that have come, and send the messages that are due."""
         session = self._session
         try:
             for datagram, sender in self._sockets.receive(_RECEIVE):
@@ -187,7 +187,7 @@ class NatNetClient:
                     session.take(datagram, arrival)
                 except MalformedDatagram as error:
                     session.statistics.count("bad", arrival, error=error.fact)
-            # After what has come: a thread that was held up has not lost the server.
+            # After the datagrams: a thread that was held up has not lost the server.
             session.step(clocks.monotonic())
         except Exception as error:  # whatever it was, the next datagram is another one
             session.statistics.count("failed", now, error=f"{type(error).__name__}: {error}")

@@ -16,7 +16,7 @@ _Region: TypeAlias = list[tuple[float, float]]  # corners: offset [s], drift [-]
 
 
 class _Map(NamedTuple):
-    """What the offset at a time of the server, and the drift from it, can be."""
+    """The possible offsets at a time of the server, and drifts from it."""
 
     at: float
     base: float
@@ -36,7 +36,7 @@ class EchoClock:
     The server reads its clock between an echo's request and its arrival, however the round trip
     is split, so each echo bounds the offset from both sides (Marzullo and Owicki 1983,
     doi:10.1145/800221.806730). Clocks drift steadily: offset and drift lie in the convex region
-    that all echoes allow, each loosened by what the drift may have changed since. Times are
+    that all echoes allow, each loosened by the possible change of the drift since. Times are
     mapped by the middle of the region. Half of its width is the largest error, whatever the
     asymmetry of the network, as long as the drift changes by no more than 1e-5 in 40 s.
 
@@ -115,7 +115,7 @@ class EchoClock:
 
 
 def _between(region: _Region, ahead: float, low: float, high: float) -> _Region:
-    """What of a convex region has an offset between two bounds some time ahead [s]."""
+    """The part of a convex region whose offset some time ahead is between two bounds [s]."""
     offsets = [offset + drift * ahead for offset, drift in region]
     if max(offsets) > high:
         region = _cut(region, [offset - high for offset in offsets])
@@ -126,7 +126,7 @@ def _between(region: _Region, ahead: float, low: float, high: float) -> _Region:
 
 
 def _cut(region: _Region, excess: list[float]) -> _Region:
-    """A convex region without what exceeds a line (Sutherland and Hodgman 1974)."""
+    """The part of a convex region on one side of a line (Sutherland and Hodgman 1974)."""
     kept: _Region = []
     for k, (corner, over) in enumerate(zip(region, excess, strict=True)):
         (x, y), over_before = region[k - 1], excess[k - 1]

@@ -25,7 +25,7 @@ from socket_testbed.settings.testbed import check_take_name
 _BUFFER = 1 << 20  # [bytes]; the frames of a second
 _AT_ONCE = 64  # datagrams
 _ATTEMPTS = 10
-_INTERVAL = 0.02  # [s]; what the maker's own client does
+_INTERVAL = 0.02  # [s]; as the maker's own client
 _DUPLICATES = 0.01  # [s]; how long a second copy of an answer may take
 _STRAYS = 0.06  # [s]; how long answers to the repetitions may take
 
@@ -151,7 +151,7 @@ class NatNetSockets:
                     datagram, sender = udp.recvfrom(LARGEST_DATAGRAM)
                 except BlockingIOError:
                     break
-                except OSError:  # what a host on the way refused
+                except OSError:  # a host on the way refused one
                     continue
                 yield datagram, sender[0]
 
@@ -185,7 +185,7 @@ class Answer:
         return raw.partition(b"\0")[0].decode("utf-8", "replace")
 
     def fault(self, command: str) -> str:
-        """What went wrong, empty for nothing."""
+        """The reason of a failure; empty for none."""
         name = command.partition(",")[0]
         if self.raw is None:
             return f"no answer to {name}"
@@ -198,7 +198,7 @@ Done = Callable[[Answer], None]
 
 
 class CommandQueue:
-    """Sends commands one after the other, since replies carry no mark of what they answer.
+    """Sends commands one after the other, since replies do not name their command.
 
     A command is repeated until it is answered; before the next one, the answers to the
     repetitions are awaited.
@@ -218,7 +218,7 @@ class CommandQueue:
         self._waiting.append((text, done))
 
     def step(self, now: float, send: Callable[[bytes], None]) -> None:
-        """Send what is due at a time of the steady clock [s]."""
+        """Send the command that is due at a time of the steady clock [s], if any."""
         if self._current is None:
             if now < self._quiet or not self._waiting:
                 return
@@ -299,7 +299,7 @@ class TakeKeeper:
             self._idle_since = now
 
     def step(self, now: float, connected: bool) -> None:
-        """Do what is due at a time of the steady clock [s]."""
+        """Issue the command that is due at a time of the steady clock [s], if any."""
         if self.settled:
             idle = self._idle_since is not None and now - self._idle_since > _CONTRADICTED
             self._note("the frames say that the server does not record" if idle else "")

@@ -1,6 +1,6 @@
 """NatNet 3.0 to 4.4: requests, replies, rigid bodies and frames, within the datagram's bounds.
 
-A datagram that does not hold what its counts say is a `MalformedDatagram`, whoever reads it.
+A datagram whose counts contradict its size is a `MalformedDatagram`, whoever reads it.
 """
 
 from __future__ import annotations
@@ -47,8 +47,8 @@ _OCCLUDED, _MODEL_FILLED = 1, 4
 _RECORDING, _MODELS_CHANGED = 1, 2
 
 
-class MalformedDatagram(DeviceError):  # noqa: N818  (what it is, not that it is an error)
-    """A datagram that does not hold what its counts say."""
+class MalformedDatagram(DeviceError):  # noqa: N818  (the datagram's name, not the error's)
+    """A datagram whose counts contradict its size."""
 
 
 class Reader:
@@ -56,19 +56,19 @@ class Reader:
 
     Args:
         payload: The payload.
-        what: What it is, for the error.
+        kind: Its kind, for the error.
     """
 
-    def __init__(self, payload: bytes, what: str) -> None:
+    def __init__(self, payload: bytes, kind: str) -> None:
         self.payload = payload
         self.end = len(payload)
         self.offset = 0
-        self._what = what
+        self._kind = kind
 
     def bad(self, fact: str) -> MalformedDatagram:
         """The error of this payload."""
         return MalformedDatagram(
-            f"{self._what} of {self.end} bytes: {fact} at byte {self.offset}",
+            f"{self._kind} of {self.end} bytes: {fact} at byte {self.offset}",
             "it was dropped; if this goes on, check the Wi-Fi and the version",
         )
 
@@ -110,7 +110,7 @@ class Reader:
 
 @dataclass(frozen=True)
 class ServerInfo:
-    """How a server describes itself."""
+    """A server's description of itself."""
 
     name: str
     app_version: tuple[int, ...]
@@ -225,7 +225,7 @@ def _rigid_body(reader: Reader, version: Version) -> RigidBodyDefinition:
 
 
 def _skip_definition(reader: Reader, kind: int, version: Version) -> None:
-    """Pass over what is defined besides rigid bodies."""
+    """Pass over another definition than that of a rigid body."""
     match kind:
         case 0:  # marker set: name, markers
             reader.text()

@@ -149,7 +149,7 @@ class Session:
         }
 
     def step(self, now: float) -> None:
-        """Do what is due at a time of the steady clock [s]."""
+        """Send all that is due at a time of the steady clock [s]."""
         if self.state == CONNECTED and now - self._heard > SILENCE:
             self._lose()
         silent = now - self.last_frame > SILENCE
@@ -256,7 +256,7 @@ class Session:
         self.takes.restarted(now)
 
     def _negotiate(self, info: messages.ServerInfo) -> None:
-        """Settle the version of the stream, and subscribe to what is needed: Wi-Fi is slow."""
+        """Settle the version of the stream, and subscribe to the needed sections: Wi-Fi is slow."""
         if self.settings.multicast or info.version < (4, 1):
             self._version, self.streaming = info.version, info.version >= messages.OLDEST
             return

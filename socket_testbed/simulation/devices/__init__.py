@@ -1,1 +1,1 @@
-"""What is on the other side of the drivers: simulated chips, lines and servers, with faults."""
+"""The other side of the drivers: simulated chips, lines and servers, with faults."""

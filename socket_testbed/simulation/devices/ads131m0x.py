@@ -70,7 +70,7 @@ class AdcRegisters:
         return self._values[address] if address <= LAST else 0
 
     def write(self, address: int, values: Sequence[int]) -> tuple[int, bool]:
-        """Write registers from an address on; what is read-only or beyond stays as it is.
+        """Write registers from an address on; read-only ones stay as they are.
 
         Returns:
             How many were written, and whether that restarts the conversions.
@@ -88,7 +88,7 @@ class AdcRegisters:
         return checksum(data, "ansi" if self._values[MODE] & _ANSI_BIT else "ccitt")
 
     def _kept(self, place: int, value: int) -> int:
-        """What a register holds after a value was written to it."""
+        """The content of a register after a value was written to it."""
         old = self._values[place]
         if place == MODE:  # the reset bit can only be cleared; words stay of 24 bits
             changeable = 0xFFFF & ~(RESET_BIT | _WORD_LENGTH)
@@ -202,7 +202,7 @@ class SimulatedAds131m0x:
             while self._count < over and len(self._fifo) < _WAITING:
                 self._count += 1
                 self._fifo.append(self._conversion(first + self._count * self._period))
-        self._count = max(self._count, over)  # what finds no room is lost
+        self._count = max(self._count, over)  # the others are lost
 
     def _conversion(self, end: float) -> list[int]:
         """Codes of the conversion that ends at a time [s]."""
@@ -270,7 +270,7 @@ class SimulatedLoadCellHardware:
     """A load cell whose bridges are on a simulated converter.
 
     Args:
-        wrench: Called with a time of the steady clock [s] for what the cell feels, [M; F],
+        wrench: Called with a time of the steady clock [s] for the load on it, [M; F],
             shape (6,) [N m, N].
     """
 

@@ -40,7 +40,7 @@ class SimulatedFdc1004(SimulatedChip):
         self._end = math.inf  # when that one ends [s]
 
     def stop(self) -> None:
-        """Convert no more, until it is reset; what is done stays."""
+        """Convert no more, until it is reset; finished conversions stay."""
         self._convert(self._clock())
         self._sequence, self._end = [], math.inf
 

@@ -65,7 +65,7 @@ class SimulatedChip:
         self._shift = 0
 
     def stop(self) -> None:
-        """Convert no more, until it is reset; what is done stays."""
+        """Convert no more, until it is reset; finished conversions stay."""
 
     def write(self, data: bytes) -> None:
         """Take the bytes of a write."""
@@ -84,7 +84,7 @@ class SimulatedChip:
             self._shift = 1
 
     def strike(self) -> None:
-        """Do what the faults do to a chip at a transfer."""
+        """Apply the faults that are on, at a transfer."""
         was_stuck, self._stuck = self._stuck, self._has("stuck_done")
         if self._stuck and not was_stuck:
             self.stop()

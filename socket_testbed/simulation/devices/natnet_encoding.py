@@ -1,4 +1,4 @@
-"""What a NatNet server sends, in versions 3.0 to 4.4, and how its counts go wrong."""
+"""Messages of a NatNet server, 3.0 to 4.4, and the same with a wrong count."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A NatNet server on real sockets: what its cameras see, how its network fails, its commands."""
+"""A NatNet server on real sockets: its cameras, the faults of its network, its commands."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class Scene:
         bodies: The bodies at a time of the steady clock [s].
         faults: The faults `mocap.occlude` and `mocap.swap`, looked up live.
         noise: Standard deviation of a marker's coordinate [m].
-        rng: Source of what is random.
+        rng: Source of randomness.
     """
 
     def __init__(
@@ -58,7 +58,7 @@ class Scene:
         self._changed = 0
 
     def restart(self) -> None:
-        """Forget what was seen, as a server that restarts."""
+        """Forget all that was seen, as a server that restarts."""
         self._seen.clear()
         self._names = ()
 
@@ -137,7 +137,7 @@ class FaultyNetwork:
 
     Args:
         udp: The socket.
-        rng: Source of what is random.
+        rng: Source of randomness.
     """
 
     def __init__(
@@ -149,7 +149,7 @@ class FaultyNetwork:
         self._held: list[tuple[bytes, Address]] = []
 
     def send(self, message: Message, address: Address) -> None:
-        """Send a message, or what becomes of it."""
+        """Send a message as the faults leave it."""
         if self._faults.get("mocap.unplugged", 0.0):
             self._held.clear()
             return
@@ -307,7 +307,7 @@ class NatNetServer:
         return Message.of(messages.UNRECOGNIZED)
 
     def _connect(self, payload: bytes, client: Address, now: float) -> Message:
-        """Whatever the sender says of itself: clients send three forms of it."""
+        """Accept any of the three forms that clients send."""
         if self._multicast is None:
             self._clients[client] = _Client(now, self._version)
         group, port = self._multicast or ("", 1511)
