@@ -307,21 +307,6 @@ def test_a_fault_is_reported_with_its_hint() -> None:
         assert bench.cell.health(bench.now)[0] == 0
 
 
-def test_faults_that_come_and_go_are_warned_of() -> None:
-    for fault, value, least, names in (
-        ("brown_out", 0.2, 0.7, ("reset state, and is read again", "supply")),
-        ("flipped_bits", 0.01, 0.85, ("spidev0.0", "checksum", "spi_clock")),
-    ):
-        bench = Bench(seed=5)
-        bench.run(0.2)
-        bench.fault(fault, value)
-        bench.run(0.95, pause=0.005)
-        level, text = bench.cell.health(bench.now)
-        assert level == 1
-        check_line(text, *names)
-        assert np.mean(bench.valid(start=50.1)) > least, "it is configured again at once"
-
-
 def test_another_converter_is_named_until_it_is_changed() -> None:
     bench = Bench()
     other = SimulatedLoadCellHardware(

