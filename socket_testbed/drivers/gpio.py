@@ -19,11 +19,7 @@ class EdgeLine(Protocol):
     """A line whose edges the kernel stamps."""
 
     def edges(self, within: float) -> list[float]:
-        """Edges by their times on the steady clock [s].
-
-        Args:
-            within: How long to wait for the first [s].
-        """
+        """Edges by their times on the steady clock [s]; waits so long for the first [s]."""
         ...
 
     def close(self) -> None:

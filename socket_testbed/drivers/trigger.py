@@ -26,11 +26,7 @@ class TimerTrigger:
 
 
 class GpioTrigger:
-    """A pulse on a line, stamped by the kernel at its edge on another line wired to it.
-
-    Args:
-        lines: The lines of the chip that it is on.
-    """
+    """A pulse on a line, stamped by the kernel at its edge on another line wired to it."""
 
     def __init__(
         self,
@@ -93,10 +89,6 @@ Trigger: TypeAlias = TimerTrigger | GpioTrigger
 
 
 def trigger_lines(settings: TriggerSettings) -> GpiodLines:
-    """The lines of a GPIO chip, through gpiod.
-
-    Args:
-        settings: The chip's label and the numbers of the lines.
-    """
+    """The lines of the GPIO chip that the settings name, through gpiod."""
     uses: dict[int, Use] = {settings.output_line: "output", settings.input_line: "rising"}
     return GpiodLines(settings.chip, uses, "trigger_node", "chip", "source to timer")

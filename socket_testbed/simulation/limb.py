@@ -348,14 +348,7 @@ def _axes(normals: FloatArray) -> FloatArray:
 
 
 class LoadedLimb:
-    """A limb that is donned and then follows its load from equilibrium to equilibrium.
-
-    Args:
-        geometry: Geometry of the socket.
-        load: The first load [M; F], shape (6,) [N m, N].
-        rng: Source of the tissue's variation.
-        kind: Kind of the tissue.
-    """
+    """A limb that is donned under a first load and follows it from equilibrium to equilibrium."""
 
     def __init__(
         self,

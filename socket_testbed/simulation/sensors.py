@@ -56,13 +56,7 @@ def invert_calibration(calibration: ClusterCalibration, stress: FloatArray) -> F
 
 
 class ClusterSensor:
-    """One cluster as it was made and placed.
-
-    Args:
-        calibration: Calibration that the lab has of it.
-        errors: Sizes of the errors.
-        rng: Their source.
-    """
+    """One cluster as it was made and placed, with its errors against the calibration."""
 
     def __init__(
         self, calibration: ClusterCalibration, errors: SensorErrors, rng: np.random.Generator
@@ -140,13 +134,7 @@ def wrench_creep(
 
 
 class MarkerBodies:
-    """The marker bodies of socket and pylon as they really are, on a stand that gives a little.
-
-    Args:
-        geometry: The lab's geometry of them.
-        errors: Sizes of the errors of their registration.
-        rng: Source of these errors and of the stand's tremor.
-    """
+    """The marker bodies of socket and pylon as they really are, on a stand that gives a little."""
 
     def __init__(
         self, geometry: SocketGeometry, errors: SensorErrors, rng: np.random.Generator

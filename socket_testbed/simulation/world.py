@@ -91,12 +91,7 @@ class _Segment(NamedTuple):
 
 
 class World:
-    """A simulated world, seen from any process.
-
-    Args:
-        folder: Its folder.
-        create: Whether to make it there.
-    """
+    """A simulated world in a folder, seen from any process."""
 
     def __init__(self, folder: Path, create: bool = False) -> None:
         path = folder / _FILE

@@ -98,10 +98,6 @@ class InputReader:
 
     A conversion ended after the last time that its input was known not to be done. That bound,
     not the time of the read, limits how old a value can be, even if the chip has hung meanwhile.
-
-    Args:
-        chip: The chip.
-        sample_rate: Conversions, shared by the inputs [1/s].
     """
 
     def __init__(self, chip: CapacitiveChip, sample_rate: int, clock: Callable[[], float]) -> None:

@@ -30,12 +30,7 @@ _RESET_POLL = 1e-3  # [s]
 
 
 class Fdc1004:
-    """The converter in repeat mode, a `CapacitiveChip` of four single-ended inputs.
-
-    Args:
-        port: The chip on its bus.
-        sample_rate: Conversions, shared by the inputs: 100, 200 or 400 [1/s].
-    """
+    """The converter in repeat mode, a `CapacitiveChip` of four single-ended inputs."""
 
     name = "FDC1004"
     address = 0x50  # fixed

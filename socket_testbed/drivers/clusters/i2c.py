@@ -46,13 +46,7 @@ class BusGoneError(BusError):
 
 
 def open_i2c(number: int, timeout: float) -> I2cBus:
-    """Open `/dev/i2c-N`.
-
-    Args:
-        number: N [1].
-        timeout: Time after which a transfer on a bus that hangs is given up [s]; the kernel
-            counts it in steps of 10 ms.
-    """
+    """Open `/dev/i2c-N`; a transfer that hangs ends after a timeout [s], in steps of 10 ms."""
     bus = SMBus()
     try:
         bus.open(number)

@@ -56,12 +56,7 @@ def check_device(device: str) -> tuple[int, int]:
 
 
 def open_spi(device: str, clock: float) -> SpiDevice:
-    """Open a device in SPI mode 1.
-
-    Args:
-        device: Bus and chip select, 'N.M' of /dev/spidevN.M.
-        clock: Clock of the bus [Hz].
-    """
+    """Open /dev/spidevN.M, named 'N.M', in SPI mode 1 at a clock [Hz]."""
     bus, select = check_device(device)
     path = f"/dev/spidev{bus}.{select}"
     try:

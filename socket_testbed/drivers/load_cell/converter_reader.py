@@ -102,12 +102,7 @@ class ConversionClock:
 
 
 class Conversions:
-    """The last conversions, in the order of their times.
-
-    Args:
-        count: How many are kept, at least.
-        channels: Channels of the converter.
-    """
+    """The last conversions, so many at least, in the order of their times."""
 
     def __init__(self, count: int, channels: int) -> None:
         self._count = count

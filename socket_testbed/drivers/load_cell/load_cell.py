@@ -36,11 +36,7 @@ _RECENT = 0.8  # [s]; span of a report of health
 
 
 class Tare:
-    """The ratios of the bridges that stand for no load.
-
-    Args:
-        path: File that keeps them; empty for none. It need not exist yet.
-    """
+    """The ratios of the bridges that stand for no load, kept in a file if a path is given."""
 
     def __init__(self, path: str) -> None:
         self._path = Path(path).expanduser() if path else None

@@ -87,11 +87,7 @@ def _check_address(name: str, value: str) -> None:
 
 
 class NatNetSockets:
-    """One socket for commands and, in unicast, data; another for a group's data.
-
-    Args:
-        server: Address of the server's command port.
-    """
+    """One socket for commands and, in unicast, data; another for a group's data."""
 
     def __init__(self, settings: MocapSettings, server: tuple[str, int]) -> None:
         self._settings = settings
@@ -140,11 +136,7 @@ class NatNetSockets:
             self._sockets[0].sendto(datagram, self._server)
 
     def receive(self, timeout: float) -> Iterator[tuple[bytes, str]]:
-        """Datagrams that came, and the host each is from; at most some at once.
-
-        Args:
-            timeout: How long to wait for the first [s].
-        """
+        """Datagrams that came, waiting so long for the first [s], and the host each is from."""
         for udp in select.select(self._sockets, [], [], clocks.real(timeout))[0]:
             for _ in range(_AT_ONCE):
                 try:

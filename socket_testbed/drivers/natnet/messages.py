@@ -52,12 +52,7 @@ class MalformedDatagram(DeviceError):  # noqa: N818  (the datagram's name, not t
 
 
 class Reader:
-    """Reads a payload from its begin on, never past its end.
-
-    Args:
-        payload: The payload.
-        kind: Its kind, for the error.
-    """
+    """Reads a payload of a kind from its begin on, never past its end."""
 
     def __init__(self, payload: bytes, kind: str) -> None:
         self.payload = payload
@@ -89,11 +84,7 @@ class Reader:
         return int(_I32.unpack_from(self.payload, self.skip(4))[0])
 
     def count(self, smallest: int) -> int:
-        """The next i32 as a number of elements.
-
-        Args:
-            smallest: Size of the smallest element possible [bytes].
-        """
+        """The next i32 as a number of elements, each of so many bytes at least."""
         number = self.integer()
         if number < 0 or number * smallest > self.end - self.offset:
             raise self.bad(f"a count of {number} before")
@@ -280,12 +271,7 @@ class MocapFrame:
 
 
 def parse_frame(payload: bytes | memoryview, version: Version) -> MocapFrame:
-    """Parse a frame.
-
-    Args:
-        payload: The payload of the datagram.
-        version: NatNet version of the stream, 3.0 or later.
-    """
+    """Parse the payload of a frame, of NatNet 3.0 or later."""
     sized = version >= (4, 1)
     reader = Reader(bytes(payload), "frame")
     if version < OLDEST:

@@ -80,13 +80,7 @@ class BodyTracker:
         self._changed = threading.Condition()
 
     def add(self, frame: MocapFrame, time: float, models: BodiesByName | None) -> None:
-        """Add a frame.
-
-        Args:
-            frame: The frame.
-            time: Middle of its exposure on the steady clock [s]; earlier ones are dropped.
-            models: The rigid bodies that its ids stand for; None: not known.
-        """
+        """Add a frame of a time [s] after all before, with the bodies that its ids stand for."""
         with self._changed:
             if self._frames and time <= self._frames[-1].time:
                 return

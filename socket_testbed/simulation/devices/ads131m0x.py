@@ -27,11 +27,7 @@ _WAITING = 2  # conversions that the FIFO holds
 
 
 class AdcRegisters:
-    """The registers, as they are after a reset until they are written.
-
-    Args:
-        channels: 6 (M06) or 8 (M08).
-    """
+    """The registers of a converter of 6 or 8 channels, as after a reset until they are written."""
 
     def __init__(self, channels: int) -> None:
         self._channels = channels

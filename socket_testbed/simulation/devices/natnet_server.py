@@ -36,14 +36,7 @@ _VERSIONS = {  # a stream can be asked for
 
 
 class Scene:
-    """Makes frames of bodies.
-
-    Args:
-        bodies: The bodies at a time of the steady clock [s].
-        faults: The faults `mocap.occlude` and `mocap.swap`, looked up live.
-        noise: Standard deviation of a marker's coordinate [m].
-        rng: Source of randomness.
-    """
+    """Makes frames of bodies with noise [m] and the faults `mocap.occlude` and `mocap.swap`."""
 
     def __init__(
         self, bodies: Bodies, faults: Mapping[str, float], noise: float, rng: np.random.Generator
@@ -133,12 +126,7 @@ _STRIKES: dict[str, Callable[[Message, bytes, np.random.Generator], tuple[bytes,
 
 
 class FaultyNetwork:
-    """Sends datagrams of a socket, with the faults that are on.
-
-    Args:
-        udp: The socket.
-        rng: Source of randomness.
-    """
+    """Sends datagrams of a socket, with the faults that are on."""
 
     def __init__(
         self, udp: socket.socket, faults: Mapping[str, float], rng: np.random.Generator
