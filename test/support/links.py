@@ -144,7 +144,10 @@ class NatNetLink:
     def _expose(self, at: float) -> None:
         ticks = self._ticks(at - _LATENCY)
         number = round(at * _FRAMES)
-        content = Content(number, ticks=(ticks, ticks, ticks),)
+        content = Content(
+            number,
+            ticks=(ticks, ticks, ticks),
+        )
         data = bytes(encode_frame(content, (4, 1)).data)
 
         def arrive(now: float) -> None:

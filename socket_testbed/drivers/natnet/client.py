@@ -195,4 +195,4 @@ class NatNetClient:
 
 def _shown(uncertainty: float) -> str:
     """An uncertainty [s] in ms."""
-    return f"{1e3 * uncertainty:.2g}"
+    return f"{1e3 * uncertainty:.3g}"
