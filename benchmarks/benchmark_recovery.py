@@ -32,7 +32,8 @@ from socket_testbed.clocks import BEGINNING, SteadyClock
 from socket_testbed.live.bringup import end, simulated_testbed, start
 from socket_testbed.live.processes import Graph
 from socket_testbed.live.simulated_world import Simulation
-from socket_testbed.trials.bag import BagReader, decode, stamp_of
+from socket_testbed.trials.bag import BagReader
+from socket_testbed.trials.layout import decode, stamp_of
 from socket_testbed.trials.topics import (
     CAPACITANCE,
     FORCE_MAP,

@@ -35,8 +35,9 @@ from socket_testbed.geometry.socket import socket_from_document
 from socket_testbed.simulation.trial import TRUTH_FILE, read_truth
 from socket_testbed.socket_design.motive import read_motive_csv
 from socket_testbed.socket_design.scan_file import Scan, read_scan
-from socket_testbed.trials.bag import BagReader, typestore
+from socket_testbed.trials.bag import BagReader
 from socket_testbed.trials.events import read_events
+from socket_testbed.trials.layout import typestore
 from socket_testbed.trials.synchronise import make_samples, read_measurements
 from socket_testbed.trials.trial import Trial
 

@@ -140,7 +140,7 @@ def _run_live(path: Path, seed: int, scale: float, log: Path) -> None:
     """Record a trial of the simulated testbed at a time scale [-], unless it falls behind."""
     # ROS is imported only where a graph runs: the rest works without it.
     require_ros()
-    from socket_testbed.nodes.status_listener import StatusListener
+    from socket_testbed.nodes.listeners import StatusListener
 
     protocol = Simulation("protocol", _DURATION, seed, pace=_PACE, time_scale=scale)
     testbed = simulated_testbed(record=path, rate=_TRIGGER_RATE, simulation=protocol)
@@ -195,7 +195,7 @@ def _estimate(trial: Trial, samples: Samples, speed: float, log: Path) -> FloatA
         its normal pressure [Pa]; NaN at samples without a map.
     """
     # ROS is imported only where a graph runs: the rest works without it.
-    from socket_testbed.nodes.estimate_listener import EstimateListener
+    from socket_testbed.nodes.listeners import EstimateListener
 
     replay = ReplaySettings(
         trial=str(trial.path.resolve()), rate=speed, wait_for=(EstimateListener.NAME,)

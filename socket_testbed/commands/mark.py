@@ -24,7 +24,7 @@ def run(options: argparse.Namespace) -> None:
 
     label = check_label(options.label)
     require_ros()
-    from socket_testbed.nodes.event_marker import publish_event
+    from socket_testbed.nodes.controls import publish_event
 
     marked = publish_event(label, called, f"/{options.namespace.strip('/')}")
     where = f"in the trial {marked.trial}" if marked.trial else "for this graph"

@@ -19,6 +19,7 @@ from importlib import import_module
 from typing import Any, ClassVar, Generic, TypeVar
 
 import rclpy
+from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rcl_interfaces.msg import (
     FloatingPointRange,
@@ -35,12 +36,13 @@ from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
 from rclpy.task import Future
+from std_msgs.msg import Header
 
 from socket_testbed import clocks
 from socket_testbed.errors import ConfigurationError, TestbedError
 from socket_testbed.live.processes import RESTARTED
-from socket_testbed.nodes.conversions import header_to_ros
 from socket_testbed.settings.fields import Settings, parameter_values
+from socket_testbed.trials.messages import LOAD_CELL_FRAME
 from socket_testbed.trials.topics import DIAGNOSTICS, PUBLISHER_DEPTH, Topic
 
 OK, WARN, ERROR = 0, 1, 2  # as in DiagnosticStatus
@@ -83,6 +85,17 @@ def message_type(topic: Topic) -> Any:
     """Class of a topic's message type."""
     package, kind, name = topic.type.split("/")
     return getattr(import_module(f"{package}.{kind}"), name)
+
+
+def stamp_to_ros(stamp: int) -> Time:
+    """A time since the epoch [ns] as ROS has it."""
+    seconds, nanoseconds = divmod(stamp, 1_000_000_000)
+    return Time(sec=seconds, nanosec=nanoseconds)
+
+
+def header_to_ros(stamp: int, frame: str = LOAD_CELL_FRAME) -> Header:
+    """A header with a stamp since the epoch [ns]."""
+    return Header(stamp=stamp_to_ros(stamp), frame_id=frame)
 
 
 def is_acknowledged(publisher: Publisher) -> bool:

@@ -13,14 +13,9 @@ from socket_testbed.arrays import FloatArray, StatusArray
 from socket_testbed.calibration.model import read_calibration
 from socket_testbed.files import packaged
 from socket_testbed.nodes.base import ERROR, NEWEST_STAMP, OK, WARN, TestbedNode
-from socket_testbed.nodes.conversions import (
-    MessageTemplate,
-    capacitance_reader,
-    elements,
-    stress_to_ros,
-)
 from socket_testbed.samples import Status
 from socket_testbed.settings.testbed import CalibrationNodeSettings
+from socket_testbed.trials.messages import Reader, stress_packer
 from socket_testbed.trials.topics import CAPACITANCE, STRESS
 
 
@@ -35,7 +30,7 @@ class CalibrationNode(TestbedNode[CalibrationNodeSettings]):
         )
         self._messages = 0
         self._newest = 0
-        self._reader = capacitance_reader()
+        self._reader = Reader(CAPACITANCE)
         self._names: tuple[str, ...] | None = None
         self._states: list[int] = []
         self._stress = self.advertise(STRESS, needed=True)
@@ -46,17 +41,15 @@ class CalibrationNode(TestbedNode[CalibrationNodeSettings]):
         return {"messages": self._messages, NEWEST_STAMP: self._newest}
 
     def _on_capacitance(self, data: bytes) -> None:
-        read = self._reader.read(data)
+        stamp, read = self._reader.read(data)
         news = read.names != self._names
         if news:
             self._prepare(read.names)
         stress, status = self._calibrated(read.capacitance, read.status)
         states = status.tolist()
-        for cluster, values, state in zip(self._clusters, stress.tolist(), states, strict=True):
-            cluster[()] = (*values, state)
-        self._newest = read.stamp
+        self._newest = stamp
         self._messages += 1
-        self._stress.publish(self._template.serialised(read.stamp))
+        self._stress.publish(self._pack(stamp, stress, status))
         if news or states != self._states:
             self._states = states
             self.report(*self._health(read.names, states))
@@ -67,10 +60,8 @@ class CalibrationNode(TestbedNode[CalibrationNodeSettings]):
         self._known = [i for i, name in enumerate(names) if name in self._calibration.clusters]
         if self._known:
             self._coefficients = self._calibration.stacked([names[i] for i in self._known])
-        shape = (len(names), 3)
         self._missing = np.full(len(names), Status.MISSING, dtype=np.uint8)
-        self._template = MessageTemplate(stress_to_ros(0, names, np.zeros(shape), self._missing))
-        self._clusters = elements(self._template.numbers, "clusters")
+        self._pack = stress_packer(names)
 
     def _calibrated(
         self, capacitance: FloatArray, status: StatusArray

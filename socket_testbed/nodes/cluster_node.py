@@ -5,15 +5,13 @@ Subscribes: trigger. Publishes: clusters/capacitance, /diagnostics.
 
 from __future__ import annotations
 
-import numpy as np
-
 from socket_testbed import clocks
 from socket_testbed.drivers.clusters.reader import ClusterReading
 from socket_testbed.live.hardware import make_clusters
 from socket_testbed.nodes.base import ERROR, OK
-from socket_testbed.nodes.conversions import MessageTemplate, capacitance_to_ros, elements
 from socket_testbed.nodes.sensor_node import SensorNode
 from socket_testbed.settings.acquisition import ClusterSettings
+from socket_testbed.trials.messages import capacitance_packer
 from socket_testbed.trials.topics import CAPACITANCE
 
 _STUCK = 0.5  # [s]; a reading that takes longer hangs
@@ -26,12 +24,7 @@ class ClusterNode(SensorNode[ClusterSettings]):
         super().__init__("cluster_node", ClusterSettings)
         self._reader = make_clusters(self.settings)
         self._answering = False
-        names = self.settings.names
-        nothing = np.zeros((len(names), 4))
-        self._template = MessageTemplate(
-            capacitance_to_ros(0, names, nothing, nothing.astype(np.uint8))
-        )
-        self._clusters = elements(self._template.numbers, "clusters")
+        self._pack = capacitance_packer(self.settings.names)
         self._capacitance = self.advertise(CAPACITANCE)
         self.follow_triggers()
 
@@ -52,9 +45,7 @@ class ClusterNode(SensorNode[ClusterSettings]):
         """Read all clusters; `missing` counts channels."""
         reading = self._read(moment)
         self.missing += int((reading.status != 0).sum())
-        for i, cluster in enumerate(self._clusters):
-            cluster["capacitance"], cluster["status"] = reading.capacitance[i], reading.status[i]
-        self._capacitance.publish(self._template.serialised(stamp))
+        self._capacitance.publish(self._pack(stamp, reading.capacitance, reading.status))
 
     def idle(self) -> None:
         """See how the clusters are."""

@@ -11,38 +11,35 @@ when enough steady data is in, or on request; a fit runs in a process of its own
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
 from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from scipy.spatial.transform import Rotation
 from std_srvs.srv import Trigger as TriggerService
+from visualization_msgs.msg import Marker
 
+from socket_testbed.arrays import FloatArray
 from socket_testbed.files import packaged
-from socket_testbed.geometry.socket import read_socket
+from socket_testbed.geometry.socket import SocketGeometry, read_socket
 from socket_testbed.identification.fit import Fit
 from socket_testbed.identification.force_map import MapEstimate
 from socket_testbed.identification.model_file import StoredModel
 from socket_testbed.live.estimator import Estimate, OnlineEstimator, OnlineMap
 from socket_testbed.live.fit_worker import FitWorker
 from socket_testbed.nodes.base import NEWEST_STAMP, TestbedNode
-from socket_testbed.nodes.conversions import (
-    MessageReader,
-    pose_reader,
-    stress_reader,
-    trigger_reader,
-    wrench_packer,
-    wrench_reader,
-)
-from socket_testbed.nodes.estimate_messages import (
-    ForceMapPacker,
-    PressureMap,
-    fit_to_ros,
-    local_forces_packer,
-    stored_model_to_ros,
-)
 from socket_testbed.settings.identification import check_solver
 from socket_testbed.settings.testbed import EstimatorSettings
+from socket_testbed.trials.layout import blank, elements, encode, make_message
+from socket_testbed.trials.messages import (
+    LOAD_CELL_FRAME,
+    Reader,
+    force_map_packer,
+    local_forces_packer,
+    wrench_packer,
+)
 from socket_testbed.trials.topics import (
     ESTIMATED_WRENCH,
     FORCE_MAP,
@@ -58,12 +55,15 @@ from socket_testbed.trials.topics import (
 )
 
 _PICTURE_PERIOD = 100_000_000  # [ns]; RViz needs no more
-_READERS: dict[Topic, Callable[[], MessageReader[Any]]] = {
-    STRESS: stress_reader,
-    WRENCH: wrench_reader,
-    SOCKET_POSE: pose_reader,
-    PYLON_POSE: pose_reader,
-}
+_ARROW_SCALE = 0.002  # [m/N]
+_FULL_COLOUR = 30e3  # [Pa]; normal pressure
+_FAINT = 10e3  # [Pa]; standard deviation of the normal pressure
+_FAINTEST = 0.1  # [-]; opacity of a tile with this deviation or more
+_LIFETIME = 3  # [s]; a stopped estimator leaves no picture
+
+# Corners of the two triangles of a tile, in halves of its side along its x and y. They face
+# outwards, where one looks from.
+_CORNERS = ((-1, -1), (-1, 1), (1, 1), (-1, -1), (1, 1), (1, -1))
 
 
 class EstimatorNode(TestbedNode[EstimatorSettings]):
@@ -78,7 +78,7 @@ class EstimatorNode(TestbedNode[EstimatorSettings]):
             self._geometry, lambda: self.settings, self._worker, self._on_model
         )
         self._online_map = OnlineMap(self._geometry, lambda: self.settings)
-        self._pack_map = ForceMapPacker(self._geometry.names).packed
+        self._pack_map = force_map_packer(self._geometry.names)
         self._pack_wrench = wrench_packer()
         self._pack_forces = cache(local_forces_packer)  # by the names of the points
         self._picture = PressureMap(self._geometry)
@@ -88,9 +88,9 @@ class EstimatorNode(TestbedNode[EstimatorSettings]):
         self._model = self.advertise(PARAMETERS)
         self._force_map = self.advertise(FORCE_MAP)
         self._pressure_map = self.advertise(PRESSURE_MAP)
-        for topic, reader in _READERS.items():
-            self.listen(topic, partial(self._on_measured, topic, reader()), raw=True)
-        self._triggers = trigger_reader()
+        for topic in (STRESS, WRENCH, SOCKET_POSE, PYLON_POSE):
+            self.listen(topic, partial(self._on_measured, topic, Reader(topic)), raw=True)
+        self._triggers = Reader(TRIGGER)
         self.listen(TRIGGER, self._on_trigger, raw=True)
         self.serve(TriggerService, "estimator/fit", self._on_fit, slow=True)
         if self.settings.model:
@@ -123,7 +123,7 @@ class EstimatorNode(TestbedNode[EstimatorSettings]):
         if self._estimator.trigger(self._triggers.read(data)[0]):
             self._online_map.clear()
 
-    def _on_measured(self, topic: Topic, reader: MessageReader[Any], data: bytes) -> None:
+    def _on_measured(self, topic: Topic, reader: Reader, data: bytes) -> None:
         stamp, value = reader.read(data)
         found = self._online_map.add(topic, stamp, value)
         if found is not None:
@@ -145,10 +145,104 @@ class EstimatorNode(TestbedNode[EstimatorSettings]):
         self._forces.publish(self._pack_forces(model.names)(stamp, estimate.forces))
 
     def _on_model(self, model: Fit | StoredModel) -> None:
-        message = fit_to_ros(model) if isinstance(model, Fit) else stored_model_to_ros(model)
-        self._model.publish(message)
+        self._model.publish(model_message(model))
 
     def _on_fit(self) -> str:
         """Fit on the complete window, and answer when it is done."""
         fit = self._estimator.fit()
         return f"fitted {fit.samples} samples; {fit.status}"
+
+
+def model_message(fitted: Fit | StoredModel) -> bytes:
+    """A serialised ContactModel of a fit, or of a model read from its file."""
+    if isinstance(fitted, Fit):
+        rmse = np.array([error.rmse for error in fitted.errors[:6]])
+    else:
+        rmse = fitted.wrench_rmse
+    model = fitted.model
+    seconds, nanoseconds = divmod(fitted.last_stamp, 1_000_000_000)
+    stamp = {"sec": seconds, "nanosec": nanoseconds}
+    message = make_message(
+        PARAMETERS.type,
+        header={"stamp": stamp, "frame_id": LOAD_CELL_FRAME},
+        variant=model.variant,
+        names=list(model.names),
+        stiffness=[_named(row) for row in model.stiffness],
+        rest_positions=[_named(row) for row in model.rest_positions],
+        wrench_bias=_wrench(model.wrench_bias),
+        bias_names=list(model.force_bias),
+        force_bias=[_named(row) for row in model.force_bias.values()],
+        wrench_rmse=_wrench(rmse),
+        samples=fitted.samples,
+        solver_status=fitted.status,
+    )
+    return encode(message, PARAMETERS.type)
+
+
+def _wrench(values: FloatArray) -> dict[str, Any]:
+    return {"torque": _named(values[:3]), "force": _named(values[3:])}
+
+
+def _named(values: FloatArray) -> dict[str, float]:
+    """Components of a vector, a point or a quaternion by their names."""
+    return dict(zip("xyzw", values.tolist(), strict=False))
+
+
+class PressureMap:
+    """The markers of a force map, a serialised message that is filled for each sample.
+
+    A tile is a mesh of two triangles in its own frame, its force an arrow.
+
+    Args:
+        geometry: Geometry of the socket.
+    """
+
+    def __init__(self, geometry: SocketGeometry) -> None:
+        self._anchors = geometry.anchors
+        quaternions = Rotation.from_matrix(geometry.square_frames()).as_quat()
+        shared = {"header": {"frame_id": LOAD_CELL_FRAME}, "lifetime": {"sec": _LIFETIME}}
+        markers: list[dict[str, Any]] = []
+        for i, (anchor, quaternion) in enumerate(zip(self._anchors, quaternions, strict=True)):
+            half = 0.5 * math.sqrt(geometry.areas[i])
+            tile = {
+                "ns": "tiles", "id": i, "type": Marker.TRIANGLE_LIST, "action": Marker.ADD,
+                "pose": {"position": _named(anchor), "orientation": _named(quaternion)},
+                "scale": {"x": 1.0, "y": 1.0, "z": 1.0},
+                "points": [{"x": half * x, "y": half * y} for x, y in _CORNERS],
+            }  # fmt: skip
+            arrow = {
+                "ns": "forces", "id": i, "type": Marker.ARROW, "action": Marker.ADD,
+                "scale": {"x": 0.002, "y": 0.004},
+                "pose": {"orientation": {"w": 1.0}}, "points": [_named(anchor)] * 2,
+            }  # fmt: skip
+            markers += [shared | tile, shared | arrow]
+        self._content, numbers = blank(PRESSURE_MAP.type, markers=markers)
+        records = elements(numbers, "markers")
+        self._stamps = [record["header"]["stamp"] for record in records]
+        self._colours = [record["color"] for record in records]
+        self._tips = [arrow["points"][1] for arrow in records[1::2]]
+
+    def serialised(self, stamp: int, estimate: MapEstimate) -> bytes:
+        """The message of a sample, a MarkerArray with a tile and an arrow for each force.
+
+        The colour is the normal pressure, from pale to dark red at 30 kPa; what is uncertain is
+        faint, from opaque to a tenth where the pressure's standard deviation is 10 kPa.
+
+        Args:
+            stamp: Stamp since the epoch [ns].
+            estimate: The map of this sample, with N = 1.
+        """
+        tips = self._anchors + _ARROW_SCALE * estimate.forces[0]
+        shares = np.clip(estimate.normal_pressure[0] / _FULL_COLOUR, 0.0, 1.0)
+        deviations = estimate.normal_pressure_standard_deviation[0]
+        opacities = np.clip(1.0 - (1.0 - _FAINTEST) * deviations / _FAINT, _FAINTEST, 1.0)
+        other = 0.9 * (1.0 - shares)
+        colours = np.column_stack([1.0 - 0.4 * shares, other, other, opacities])
+        time = divmod(stamp, 1_000_000_000)
+        for own in self._stamps:
+            own[()] = time
+        for own, colour in zip(self._colours, colours.repeat(2, axis=0), strict=True):
+            own[:] = colour
+        for own, tip in zip(self._tips, tips, strict=True):
+            own[:] = tip
+        return bytes(self._content)

@@ -12,22 +12,17 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
-from geometry_msgs.msg import Transform, TransformStamped
+from geometry_msgs.msg import Quaternion, Transform, TransformStamped, Vector3
 
 from socket_testbed.arrays import FloatArray
 from socket_testbed.geometry.pose import Pose
 from socket_testbed.geometry.socket import SocketGeometry
-from socket_testbed.nodes.base import TestbedNode, message_type, publisher_qos
-from socket_testbed.nodes.conversions import (
-    LIMB_FRAME,
-    LOAD_CELL_FRAME,
-    SOCKET_FRAME,
-    WORLD_FRAME,
-    header_to_ros,
-    quaternion_to_ros,
-    vector_to_ros,
-)
+from socket_testbed.nodes.base import TestbedNode, header_to_ros, message_type, publisher_qos
+from socket_testbed.trials.messages import LOAD_CELL_FRAME, WORLD_FRAME
 from socket_testbed.trials.topics import PYLON_POSE, SOCKET_POSE, TF, TF_STATIC, Topic
+
+SOCKET_FRAME = "socket"  # the socket's marker body
+LIMB_FRAME = "limb"  # its origin is the lumped mass
 
 Send = Callable[[list[TransformStamped]], None]
 
@@ -104,8 +99,8 @@ def _transform(stamp: int, parent: str, name: str, pose: Pose) -> TransformStamp
         header=header_to_ros(stamp, parent),
         child_frame_id=name,
         transform=Transform(
-            translation=vector_to_ros(pose.translation),
-            rotation=quaternion_to_ros(pose.quaternion()),
+            translation=Vector3(**dict(zip("xyz", pose.translation.tolist(), strict=True))),
+            rotation=Quaternion(**dict(zip("xyzw", pose.quaternion().tolist(), strict=True))),
         ),
     )
 

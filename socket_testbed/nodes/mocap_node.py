@@ -22,15 +22,10 @@ from socket_testbed.errors import ConfigurationError
 from socket_testbed.files import packaged
 from socket_testbed.geometry.socket import read_socket
 from socket_testbed.nodes.base import ERROR, OK, WARN
-from socket_testbed.nodes.conversions import (
-    MessageTemplate,
-    elements,
-    markers_to_ros,
-    pose_packer,
-)
 from socket_testbed.nodes.frames import FrameBroadcaster
 from socket_testbed.nodes.sensor_node import SensorNode
 from socket_testbed.settings.acquisition import MocapSettings
+from socket_testbed.trials.messages import markers_packer, pose_packer
 from socket_testbed.trials.topics import MARKERS, PYLON_POSE, RECORDED_TRIAL, SOCKET_POSE
 
 
@@ -49,8 +44,8 @@ class MocapNode(SensorNode[MocapSettings]):
         self._poses = {topic: self.advertise(topic) for topic in (SOCKET_POSE, PYLON_POSE)}
         self._pack_pose = pose_packer()
         self._markers = self.advertise(MARKERS)
-        self._template = MessageTemplate(markers_to_ros(0, ("socket", "pylon"), bodies))
-        self._bodies = elements(self._template.numbers, "bodies")
+        self._counts = {"socket": len(bodies[0]), "pylon": len(bodies[1])}
+        self._pack_markers = markers_packer(self._counts)
         self._frames = FrameBroadcaster(self, geometry)
         self._averaged, self._delay = 0, 0.0
         self._refused = ""  # why a take's name was not taken
@@ -86,9 +81,9 @@ class MocapNode(SensorNode[MocapSettings]):
         poses = dict(zip(self._poses, vectors, strict=True))
         for topic, pose in poses.items():
             self._poses[topic].publish(self._pack_pose(stamp, pose))
-        for own, seen in zip(self._bodies, sample.markers, strict=True):
-            own["markers"] = seen[: len(own["markers"])]
-        self._markers.publish(self._template.serialised(stamp))
+        counts = self._counts.values()
+        markers = [seen[:count] for seen, count in zip(sample.markers, counts, strict=True)]
+        self._markers.publish(self._pack_markers(stamp, markers))
         self._delay = clocks.monotonic() - moment
         self._frames.move(stamp, poses)
         self.missing += any(sample.faults)

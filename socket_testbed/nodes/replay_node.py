@@ -12,27 +12,18 @@ import threading
 from functools import partial
 from pathlib import Path
 
-from geometry_msgs.msg import PoseStamped
-from rclpy.serialization import deserialize_message
 from rosgraph_msgs.msg import Clock
 from std_srvs.srv import SetBool
 
 from socket_testbed.arrays import FloatArray
 from socket_testbed.errors import ConfigurationError, TestbedError, TrialError
 from socket_testbed.live.pacing import Pacer
-from socket_testbed.nodes.base import ERROR, OK, WARN, TestbedNode, is_acknowledged
-from socket_testbed.nodes.conversions import (
-    VectorPacker,
-    pose_from_ros,
-    pose_packer,
-    stamp_from_ros,
-    stamp_to_ros,
-    wrench_packer,
-)
+from socket_testbed.nodes.base import ERROR, OK, WARN, TestbedNode, is_acknowledged, stamp_to_ros
 from socket_testbed.nodes.followers import Followers
 from socket_testbed.nodes.frames import FrameBroadcaster
 from socket_testbed.settings.testbed import ReplaySettings
-from socket_testbed.trials.bag import BagReader, RawMessage, decode, stamp_of
+from socket_testbed.trials.bag import BagReader, RawMessage
+from socket_testbed.trials.messages import Reader, VectorPacker, pose_packer, wrench_packer
 from socket_testbed.trials.topics import (
     DIAGNOSTICS,
     PYLON_POSE,
@@ -80,6 +71,8 @@ class ReplayNode(TestbedNode[ReplaySettings]):
             name: self.advertise(topic, self._published_name(name, topic))
             for name, topic in self._topics.items()
         }
+        decoded = (TRIGGER, WRENCH, SOCKET_POSE, PYLON_POSE)
+        self._readers = {topic: Reader(topic, self._trial.path) for topic in decoded}
         self._frames = self._broadcaster()
         self._clock_publisher = self.create_publisher(Clock, "/clock", 10)
         self._pacer = Pacer(settings.rate, self._tick, settings.paused)
@@ -189,17 +182,17 @@ class ReplayNode(TestbedNode[ReplaySettings]):
         topic, data = self._topics[raw.topic], raw.data
         if topic in self._remade:
             pack, rows = self._remade[topic]
-            stamp = stamp_of(decode(data, raw.type))
+            stamp, _ = self._readers[topic].read(data)
             if stamp not in rows:
                 return  # the trial lacks its trigger
             data = pack(stamp, rows[stamp])
         self._by_topic[raw.topic].publish(data)
         self._published += 1
         if topic in {SOCKET_POSE, PYLON_POSE} and self._frames is not None and self._frames.wanted:
-            seen = deserialize_message(data, PoseStamped)
-            self._frames.move(stamp_from_ros(seen.header.stamp), {topic: pose_from_ros(seen.pose)})
+            stamp, pose = self._readers[topic].read(data)
+            self._frames.move(stamp, {topic: pose})
         if topic is TRIGGER:
-            self._followers.sent(stamp_of(decode(raw.data, raw.type)))
+            self._followers.sent(self._readers[topic].read(data)[0])
             self._catch_up(_IN_FLIGHT)
         if self._published % _BURST == 0:
             self._pacer.rest(_BREATH)

@@ -8,7 +8,7 @@ import threading
 from socket_testbed import clocks
 from socket_testbed.clocks import SteadyClock, TriggerPeriod, TriggerTime
 from socket_testbed.nodes.base import OK, WARN, RecentFault, S, TestbedNode
-from socket_testbed.nodes.conversions import trigger_reader
+from socket_testbed.trials.messages import Reader
 from socket_testbed.trials.topics import TRIGGER
 
 _IDLE = 0.3  # [s]; without a trigger
@@ -37,7 +37,7 @@ class SensorNode(TestbedNode[S]):
         self.period = 0.0
         self._trigger_time = TriggerTime(SteadyClock())
         self._trigger_period = TriggerPeriod()
-        self._triggers = trigger_reader()
+        self._triggers = Reader(TRIGGER)
         self._due: queue.SimpleQueue[tuple[int, float, float] | None] = queue.SimpleQueue()
         self._measuring = threading.Thread(target=self._run, name="measure")
 
@@ -89,7 +89,7 @@ class SensorNode(TestbedNode[S]):
     def _on_trigger(self, data: bytes) -> None:
         stamp, sequence = self._triggers.read(data)
         moment = self._trigger_time.steady(stamp, clocks.monotonic())
-        self._due.put((stamp, moment, self._trigger_period.add(stamp, sequence)))
+        self._due.put((stamp, moment, self._trigger_period.add(stamp, int(sequence))))
 
     def _run(self) -> None:
         with self.until_ros_ends():

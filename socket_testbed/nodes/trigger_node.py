@@ -12,7 +12,6 @@ from __future__ import annotations
 import threading
 from collections import deque
 
-from socket_testbed_msgs.msg import Trigger as TriggerMessage
 from std_srvs.srv import SetBool
 
 from socket_testbed import clocks
@@ -21,9 +20,9 @@ from socket_testbed.drivers.trigger import Trigger
 from socket_testbed.errors import DeviceError
 from socket_testbed.live.hardware import make_trigger, wall_clock
 from socket_testbed.nodes.base import ERROR, OK, WARN, RecentFault, TestbedNode
-from socket_testbed.nodes.conversions import MessageTemplate, header_to_ros, trigger_reader
 from socket_testbed.nodes.followers import Followers
 from socket_testbed.settings.acquisition import TriggerSettings
+from socket_testbed.trials.messages import Reader, trigger_packer
 from socket_testbed.trials.topics import TRIGGER
 
 _READY_WITHIN = 60.0  # [s] of real time; for the nodes waited for
@@ -53,8 +52,8 @@ class TriggerNode(TestbedNode[TriggerSettings]):
         self._own: deque[int] = deque(maxlen=_REMEMBERED)
         self._foreign = 0.0
         self._output = self.advertise(TRIGGER)
-        self._template = MessageTemplate(TriggerMessage(header=header_to_ros(0)))
-        self._triggers = trigger_reader()
+        self._pack = trigger_packer()
+        self._triggers = Reader(TRIGGER)
         self.listen(TRIGGER, self._on_trigger, needed=False, raw=True)
         self._followers = Followers(self, settings.wait_for, self._stopping.is_set)
         self.serve(SetBool, "trigger/enable", self._on_enable)
@@ -128,8 +127,7 @@ class TriggerNode(TestbedNode[TriggerSettings]):
                 self._stopping.wait(clocks.real(_REOPEN))
         else:
             self._own.append(stamp)
-            self._template.numbers["sequence"] = self._sequence
-            self._output.publish(self._template.serialised(stamp))
+            self._output.publish(self._pack(stamp, self._sequence))
         if self._trigger is not None:
             self._trigger.rest()
 

@@ -20,9 +20,7 @@ from rcl_interfaces.srv import GetParameters
 from rclpy.node import Node
 from rclpy.parameter import parameter_value_to_python
 from rclpy.qos import QoSProfile, ReliabilityPolicy
-from rclpy.serialization import deserialize_message
 from rclpy.task import Future
-from socket_testbed_msgs.msg import ForceMap
 from std_msgs.msg import String
 
 from socket_testbed import clocks
@@ -33,16 +31,10 @@ from socket_testbed.geometry.socket import SocketGeometry, read_socket
 from socket_testbed.identification.force_map import MapEstimate
 from socket_testbed.live.estimator import OnlineMap
 from socket_testbed.nodes.base import ELAPSED, FREE, OK, PolledSubscription, TestbedNode
-from socket_testbed.nodes.conversions import (
-    pose_from_ros,
-    stamp_from_ros,
-    stress_from_ros,
-    wrench_from_ros,
-)
-from socket_testbed.nodes.estimate_messages import map_from_ros
+from socket_testbed.nodes.controls import ServiceControls
 from socket_testbed.nodes.frames import known_pose
-from socket_testbed.nodes.service_controls import ServiceControls
 from socket_testbed.settings.testbed import EstimatorSettings, ViewSettings
+from socket_testbed.trials.messages import Reader
 from socket_testbed.trials.topics import (
     DIAGNOSTICS,
     ESTIMATED_WRENCH,
@@ -113,7 +105,7 @@ class LiveSource:
         self._own = node.get_fully_qualified_name()
         self._prefix = self._own.removesuffix(node.get_name())
         self._inbox: _Inbox | None = None
-        self._newest: dict[Topic, tuple[Any, float]] = {}  # message, arrival [s]
+        self._newest: dict[Topic, tuple[int, Any, float]] = {}  # stamp [ns], values, arrival [s]
         self._rows: dict[int, FloatArray] = {}  # measured and predicted wrench by stamp [ns]
         self._first = 0  # [ns]
         self._shown: Instant | None = None
@@ -143,7 +135,7 @@ class LiveSource:
         """The newest sample."""
         if self._inbox is None or not self._take(self._inbox):
             return self._shown_or_old()
-        stamp = max(self._stamp_of(topic) for topic in self._newest)
+        stamp = max(stamp for stamp, _, _ in self._newest.values())
         wrench, predicted = self._wrench(WRENCH), self._wrench(ESTIMATED_WRENCH)
         socket, limb = self._poses()
         self._shown = Instant(
@@ -161,9 +153,7 @@ class LiveSource:
     def sensors(self) -> list[SensorState]:
         """What the nodes report of themselves."""
         now = clocks.monotonic()
-        newest = self._recent(FORCE_MAP)
-        foreign = newest is not None and self._is_foreign(newest)
-        return [_FOREIGN] * foreign + [
+        return [_FOREIGN] * self._has_foreign_map() + [
             SensorState(
                 name,
                 int.from_bytes(status.level, "little"),
@@ -193,11 +183,10 @@ class LiveSource:
         self._next_outputs = now + _REGIONS_EVERY
         self._ask_settings()
         self._outputs = None
-        for message in self._inbox.take(STRESS):
-            stamp = stamp_from_ros(message.header.stamp)
+        for stamp, stresses in self._inbox.take(STRESS):
             row = self._rows.get(stamp)
             wrench = np.full(6, np.nan) if row is None else row[:6]
-            outputs = self._regions.outputs(wrench, stress_from_ros(message))
+            outputs = self._regions.outputs(wrench, stresses)
             if outputs is not None:
                 at = 1e-9 * (stamp - self._first)
                 self._outputs = RegionsNow(at, self._regions.places, outputs)
@@ -224,20 +213,19 @@ class LiveSource:
         """Take what has come; returns whether it is anything."""
         now, news = clocks.monotonic(), False
         for topic in _DEPTHS:
-            for message in inbox.take(topic):
+            for stamp, values in inbox.take(topic):
                 news = True
-                self._newest[topic] = message, now
+                self._newest[topic] = stamp, values, now
                 if topic in (WRENCH, ESTIMATED_WRENCH):
-                    self._add_row(topic, message)
+                    self._add_row(topic, stamp, values)
         return news
 
-    def _add_row(self, topic: Topic, message: Any) -> None:
-        stamp = stamp_from_ros(message.header.stamp)
+    def _add_row(self, topic: Topic, stamp: int, wrench: FloatArray) -> None:
         if not self._rows or stamp < next(iter(self._rows)):  # a graph that was started again
             self._rows.clear()
             self._first = self._first if 0 < self._first <= stamp else stamp
         row = self._rows.setdefault(stamp, np.full(12, np.nan))
-        row[0 if topic is WRENCH else 6 :][:6] = wrench_from_ros(message.wrench)
+        row[0 if topic is WRENCH else 6 :][:6] = wrench
         while stamp - next(iter(self._rows)) > HISTORY * 1e9:
             del self._rows[next(iter(self._rows))]
 
@@ -250,26 +238,22 @@ class LiveSource:
         return self._shown
 
     def _recent(self, topic: Topic) -> Any:
-        """The newest message; None where it came long ago."""
-        message, arrival = self._newest.get(topic, (None, -math.inf))
-        return message if clocks.monotonic() - arrival < _OLD else None
-
-    def _stamp_of(self, topic: Topic) -> int:
-        return stamp_from_ros(self._newest[topic][0].header.stamp)
+        """The newest values; None where they came long ago."""
+        _, values, arrival = self._newest.get(topic, (0, None, -math.inf))
+        return values if clocks.monotonic() - arrival < _OLD else None
 
     def _wrench(self, topic: Topic) -> FloatArray:
-        message = self._recent(topic)
-        return np.full(6, np.nan) if message is None else wrench_from_ros(message.wrench)
+        wrench: FloatArray | None = self._recent(topic)
+        return np.full(6, np.nan) if wrench is None else wrench
 
     def _map(self) -> MapEstimate | None:
-        message = self._recent(FORCE_MAP)
-        if message is None or self._is_foreign(message):
-            return None
-        return map_from_ros(message)
+        found = self._recent(FORCE_MAP)
+        return None if found is None or self._has_foreign_map() else MapEstimate(**found[1])
 
-    def _is_foreign(self, message: ForceMap) -> bool:
-        """Whether a map is of another socket than the one that is shown."""
-        return tuple(message.names) != self.geometry.names
+    def _has_foreign_map(self) -> bool:
+        """Whether the newest map is of another socket than the one that is shown."""
+        found = self._recent(FORCE_MAP)
+        return found is not None and found[0] != self.geometry.names
 
     def _poses(self) -> tuple[Pose | None, Pose | None]:
         """Pose of {S} and of the limb in the world."""
@@ -280,8 +264,8 @@ class LiveSource:
         )
 
     def _pose(self, topic: Topic) -> Pose | None:
-        message = self._recent(topic)
-        return None if message is None else known_pose(pose_from_ros(message.pose))
+        pose = self._recent(topic)
+        return None if pose is None else known_pose(pose)
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         now = clocks.monotonic()
@@ -305,7 +289,7 @@ class LiveSource:
 
 
 class _Inbox:
-    """Takes the messages that the page draws, decoded."""
+    """Takes the messages that the page draws, and reads them."""
 
     def __init__(self, node: TestbedNode[Any]) -> None:
         self._node = Node(
@@ -315,16 +299,17 @@ class _Inbox:
             start_parameter_services=False,
             use_global_arguments=False,
         )
-        self._subscriptions = {topic: self._subscribe(topic) for topic in (*_DEPTHS, STRESS)}
+        topics = (*_DEPTHS, STRESS)
+        self._subscriptions = {topic: self._subscribe(topic) for topic in topics}
+        self._readers = {topic: Reader(topic) for topic in topics}
 
     def close(self) -> None:
         """Unsubscribe."""
         self._node.destroy_node()
 
-    def take(self, topic: Topic) -> list[Any]:
-        """The messages that have come, in their order; at most as many as are kept."""
-        subscription = self._subscriptions[topic]
-        return [deserialize_message(data, subscription.kind) for data in subscription.take()]
+    def take(self, topic: Topic) -> list[tuple[int, Any]]:
+        """Stamps and values of what has come, in its order; at most as many as are kept."""
+        return [self._readers[topic].read(data) for data in self._subscriptions[topic].take()]
 
     def _subscribe(self, topic: Topic) -> PolledSubscription:
         # Whoever publishes waits for no page: a message that is lost is not sent again.

@@ -38,7 +38,8 @@ from socket_testbed.simulation.sensors import (
     observe_markers,
     wrench_creep,
 )
-from socket_testbed.trials.bag import BagWriter, encode, fields_of, message_class
+from socket_testbed.trials.bag import BagWriter
+from socket_testbed.trials.layout import encode, fields_of, message_class
 from socket_testbed.trials.topics import (
     CAPACITANCE,
     LOAD_CELL_RAW,

@@ -7,7 +7,6 @@ The counts of both are compared instead.
 
 from __future__ import annotations
 
-import itertools
 import math
 import os
 import sqlite3
@@ -15,18 +14,14 @@ import zlib
 from collections.abc import Collection, Iterator
 from contextlib import ExitStack, closing, suppress
 from dataclasses import dataclass
-from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple, Self
 
-import numpy as np
 from backports import zstd
-from lz4.frame import LZ4FrameDecompressor
 from rosbags.interfaces import (
     Connection,
     ConnectionExtRosbag2,
-    Nodetype,
     Qos,
     QosDurability,
     QosHistory,
@@ -36,69 +31,12 @@ from rosbags.interfaces import (
 )
 from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 from rosbags.rosbag2.metadata import parse_qos
-from rosbags.rosbag2.storage_mcap import DECOMPRESSORS
-from rosbags.typesys import Stores, get_types_from_msg, get_typestore
-from rosbags.typesys.store import Typestore
 
-from socket_testbed.arrays import IntArray
 from socket_testbed.documents import load_yaml
 from socket_testbed.errors import TrialError
-from socket_testbed.files import packaged
-from socket_testbed.trials.layout import Field, Layout, Record
+from socket_testbed.trials.layout import typestore
 from socket_testbed.trials.salvage import SalvagedRecording, salvage
 from socket_testbed.trials.topics import PUBLISHER_DEPTH, REQUIRED, TOPICS, Topic, match_topics
-
-_PACKAGE = "socket_testbed_msgs"
-
-
-@cache
-def typestore() -> Typestore:
-    """The types of ROS 2 Jazzy and of this testbed."""
-    store = get_typestore(Stores.ROS2_JAZZY)
-    folder = packaged("msg", "Trigger.msg").parent
-    types: dict[str, Any] = {}
-    for path in sorted(Path(folder).glob("*.msg")):
-        text = path.read_text(encoding="utf-8")
-        types |= get_types_from_msg(text, f"{_PACKAGE}/msg/{path.stem}")
-    store.register(types)
-    return store
-
-
-def message_class(name: str) -> Any:
-    """The class of a message type, given as `package/msg/Type`."""
-    return typestore().types[name]
-
-
-@cache
-def fields_of(message_type: str) -> tuple[Field, ...]:
-    """The fields of a message type, given as `package/msg/Type`, for its layout."""
-    return tuple(_field(*field) for field in typestore().get_msgdef(message_type).fields)
-
-
-def _field(name: str, described: Any, number: int | None = None) -> Field:
-    """A field as the library describes it: by its kind, and what that takes."""
-    kind, content = described
-    if kind in (Nodetype.ARRAY, Nodetype.SEQUENCE):
-        element, bound = content
-        return _field(name, element, bound if kind == Nodetype.ARRAY else 0)
-    return Field(name, content[0] if kind == Nodetype.BASE else content, number)
-
-
-def decode(raw: bytes | memoryview, message_type: str) -> Any:
-    """A message from its serialised bytes."""
-    return typestore().deserialize_cdr(raw, message_type)
-
-
-def encode(message: Any, message_type: str) -> bytes:
-    """The serialised bytes of a message."""
-    return bytes(typestore().serialize_cdr(message, message_type))
-
-
-def stamp_of(message: Any) -> int:
-    """Stamp of a message's header since the epoch [ns]."""
-    stamp = message.header.stamp
-    return int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
-
 
 _STORAGE = (".mcap", ".db3")
 _PACKED = ".zstd"
@@ -107,7 +45,6 @@ _ZSTD = b"\x28\xb5\x2f\xfd"  # a message as it was recorded begins with a zero
 _LARGEST = 2**28  # [bytes] of a chunk or message once unpacked
 _LARGEST_RATIO = 500  # of a file, unpacked to packed; recorders come to 20
 _BLOCK = 4096  # messages that are decoded at once
-_LAYOUTS = 8  # of a topic that are remembered; what has another is read message by message
 _FOREVER = QosTime(2147483647, 4294967295)
 _CHUNK = 2**20 - 2**10  # [bytes]; the library closes a chunk at 1 MiB
 _CHECKSUM_AT = 9 + 3 * 8  # [bytes] from the start of a chunk's record
@@ -146,62 +83,6 @@ class Block:
     type: str
     times: list[int]
     data: list[bytes]
-
-
-def decode_message(raw: RawMessage, where: object) -> Any:
-    """A message of a bag; `where` names the bag in an error.
-
-    Raises:
-        TrialError: If it cannot be decoded.
-    """
-    try:
-        return decode(raw.data, raw.type)
-    except Exception as error:  # the library raises whatever the bytes lead it to
-        raise TrialError(
-            f"{where}: a message on {raw.topic} cannot be decoded ({error})",
-            "check that the trial was recorded with this version's messages",
-        ) from None
-
-
-class BlockDecoder:
-    """Decodes messages block by block, those of one layout at once.
-
-    Args:
-        where: Names the bag in an error.
-    """
-
-    def __init__(self, where: object) -> None:
-        self._where = where
-        self._layouts: dict[tuple[str, str], list[tuple[Any, Layout]]] = {}
-
-    def parts(self, block: Block) -> Iterator[tuple[IntArray, Any, Record]]:
-        """The messages of a block in parts, each of one layout.
-
-        Yields:
-            The part's places in the block, shape (k,); a message of its layout, as the library
-            decodes it, for the strings in it; and the numbers of its messages, shape (k,).
-
-        Raises:
-            TrialError: If a message cannot be decoded.
-        """
-        known = self._layouts.setdefault((block.topic, block.type), [])
-        left = np.arange(len(block.data))
-        for number in itertools.count():
-            if len(left) == 0:
-                return
-            if number < len(known):
-                message, layout = known[number]
-            else:
-                data = block.data[left[0]]
-                message = decode_message(RawMessage(block.topic, block.type, 0, data), self._where)
-                layout = Layout(data, block.type, fields_of)
-                if number < _LAYOUTS:
-                    known.append((message, layout))
-            tried = left if number < _LAYOUTS else left[:1]
-            records, fits = layout.records([block.data[place] for place in tried.tolist()])
-            if len(records):
-                yield tried[fits], message, records
-            left = np.concatenate([tried[~fits], left[len(tried) :]])
 
 
 class BagReader:
@@ -308,7 +189,7 @@ class BagReader:
                     left[connection.id] -= 1
                     content = bytes(data)
                     if content.startswith(_ZSTD):
-                        content = _unpack_zstd(content)
+                        content = zstd.decompress(content)
                     yield connection, time, content
             except Exception as error:  # the library raises whatever the bytes lead it to
                 raise _damaged(file, error) from None
@@ -486,28 +367,6 @@ def _read_metadata(bag: Path) -> _Metadata | None:
 def is_storage(file: Path) -> bool:
     """Whether a file is a bag's storage, by its name."""
     return file.name.endswith(STORAGE_SUFFIXES)
-
-
-def _unpack_zstd(data: bytes, size: int = _LARGEST) -> bytes:
-    unpacker = zstd.ZstdDecompressor()
-    content = unpacker.decompress(data, max_length=min(size, _LARGEST) + 1)
-    return _complete(content, unpacker.eof, size)
-
-
-def _unpack_lz4(data: bytes, size: int) -> bytes:
-    unpacker = LZ4FrameDecompressor()
-    content = unpacker.decompress(data, max_length=min(size, _LARGEST) + 1)
-    return _complete(content, unpacker.eof, size)
-
-
-def _complete(content: bytes, ended: bool, size: int) -> bytes:
-    if not ended or len(content) > min(size, _LARGEST):
-        raise ValueError("what is packed is damaged, or larger than it states")
-    return content
-
-
-# The library unpacks a chunk of any size before it looks at the size that the file states.
-DECOMPRESSORS.update(zstd=_unpack_zstd, lz4=_unpack_lz4)
 
 
 def _refuse_other_tables(file: Path) -> None:

@@ -21,7 +21,8 @@ from socket_testbed.arrays import FloatArray
 from socket_testbed.errors import ConfigurationError, TrialError, closest
 from socket_testbed.samples import Samples
 from socket_testbed.settings.identification import PlateauSettings
-from socket_testbed.trials.bag import BagReader, decode_message, stamp_of
+from socket_testbed.trials.bag import BagReader
+from socket_testbed.trials.messages import Reader
 from socket_testbed.trials.topics import EVENT, TRIGGER, match_topics
 
 PLACED, REMOVED = "placed", "removed"
@@ -100,19 +101,21 @@ def read_events(bag: BagReader, samples: Samples) -> list[Event]:
     if name is None or bag.types[name] != EVENT.type or len(samples) == 0:  # or another program's
         return []
     raws = list(bag.messages([name]))
-    messages = [decode_message(raw, bag.path) for raw in raws]
+    reader = Reader(EVENT, bag.path)
+    found = [reader.read(raw.data) for raw in raws]
     first, last = int(samples.stamps[0]), int(samples.stamps[-1])
-    time = np.array([(stamp_of(message) - first) * 1e-9 for message in messages])
+    time = np.array([(stamp - first) * 1e-9 for stamp, _ in found])
     apart = (time < -_EDGE) | (time > (last - first) * 1e-9 + _EDGE)
     if apart.any():
         triggers = list(bag.messages([topics[TRIGGER]]))
         recorded = np.array([raw.time - first for raw in triggers])
-        stamps = [stamp_of(decode_message(raw, bag.path)) - first for raw in triggers]
+        reader = Reader(TRIGGER, bag.path)
+        stamps = [reader.read(raw.data)[0] - first for raw in triggers]
         moments = np.array([raw.time - first for raw in raws])
         time = np.where(apart, 1e-9 * np.interp(moments, recorded, stamps), time)
     return [
-        Event(_printable(message.label), when, "recorded")
-        for message, when in zip(messages, time.tolist(), strict=True)
+        Event(_printable(label), when, "recorded")
+        for (_, label), when in zip(found, time.tolist(), strict=True)
     ]
 
 

@@ -1,28 +1,35 @@
-"""Layouts: where the numbers of a serialised message are, as a numpy type.
+"""Message types and layouts: where the numbers of a serialised message are, as a numpy type.
 
 Messages of one type whose strings and sequences are as long as each other's have every number at
-the same byte. A layout is found from one such message, and then reads any number of them at once,
-or fills a copy, without building message objects. Whether a message has the layout is checked byte
-by byte: all that is not a number or alignment has to be as in the sample. One that deviates is for
-an ordinary decoder.
+the same byte. A `Layout` is found from one such message; it then reads any number of them at once
+without building message objects. Whether a message has the layout is checked byte by byte: all that
+is neither number nor alignment has to be as in the sample.
 
-The encoding is plain CDR, big or little endian (OMG formal/02-06-51, 15.3): every number is aligned
-to its size, counted from behind the four bytes of the encapsulation.
+The types are those of the rosbags library and this testbed's. The encoding is plain CDR, big or
+little endian (OMG formal/02-06-51, 15.3): every number is aligned to its size, counted from behind
+the four bytes of the encapsulation.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from functools import cache
 from itertools import compress
+from pathlib import Path
 from typing import Any, Literal, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
+from rosbags.interfaces import Nodetype
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from rosbags.typesys.store import Typestore
 
 from socket_testbed.arrays import BoolArray, IntArray
+from socket_testbed.files import packaged
 
 Record: TypeAlias = NDArray[np.void]
 
+_PACKAGE = "socket_testbed_msgs"
 _HEADER = 4  # [bytes] of the encapsulation: two of its kind, two of options
 _PADDING = 3  # [bytes] that may follow a message
 _NUMBERS = {
@@ -32,22 +39,86 @@ _NUMBERS = {
 }
 
 
-class Field(NamedTuple):
-    """A field of a message type.
+@cache
+def typestore() -> Typestore:
+    """The types of ROS 2 Jazzy and of this testbed."""
+    store = get_typestore(Stores.ROS2_JAZZY)
+    folder = packaged("msg", "Trigger.msg").parent
+    types: dict[str, Any] = {}
+    for path in sorted(Path(folder).glob("*.msg")):
+        text = path.read_text(encoding="utf-8")
+        types |= get_types_from_msg(text, f"{_PACKAGE}/msg/{path.stem}")
+    store.register(types)
+    return store
 
-    Attributes:
-        name: Its name.
-        type: A number such as `float64`, `string`, or a message type.
-        number: How many of them; 0 for a sequence, whose length is in the message; None for one.
-    """
+
+def message_class(name: str) -> Any:
+    """The class of a message type, given as `package/msg/Type`."""
+    return typestore().types[name]
+
+
+def decode(raw: bytes | memoryview, message_type: str) -> Any:
+    """A message from its serialised bytes."""
+    return typestore().deserialize_cdr(raw, message_type)
+
+
+def encode(message: Any, message_type: str) -> bytes:
+    """The serialised bytes of a message."""
+    return bytes(typestore().serialize_cdr(message, message_type))
+
+
+def stamp_of(message: Any) -> int:
+    """Stamp of a message's header since the epoch [ns]."""
+    return nanoseconds(message.header.stamp)
+
+
+def nanoseconds(time: Any) -> int:
+    """A builtin_interfaces/Time, the library's or ROS's, since the epoch [ns]."""
+    return int(time.sec) * 1_000_000_000 + int(time.nanosec)
+
+
+class Field(NamedTuple):
+    """A field of a message type."""
 
     name: str
-    type: str
-    number: int | None = None
+    type: str  # a number such as `float64`, `string`, or a message type
+    number: int | None = None  # how many; 0 for a sequence of any length; None for one
 
 
-Definitions: TypeAlias = Callable[[str], Sequence[Field]]
-"""The fields of a message type."""
+@cache
+def fields_of(message_type: str) -> tuple[Field, ...]:
+    """The fields of a message type, given as `package/msg/Type`."""
+    return tuple(_field(*field) for field in typestore().get_msgdef(message_type).fields)
+
+
+def _field(name: str, described: Any, number: int | None = None) -> Field:
+    """A field as the library describes it: by its kind, and what that takes."""
+    kind, content = described
+    if kind in (Nodetype.ARRAY, Nodetype.SEQUENCE):
+        element, bound = content
+        return _field(name, element, bound if kind == Nodetype.ARRAY else 0)
+    return Field(name, content[0] if kind == Nodetype.BASE else content, number)
+
+
+def make_message(message_type: str, **given: Any) -> Any:
+    """A message with some of its fields given, those of a message in it as a dictionary.
+
+    All other fields are zero or empty. `[None] * n` are n blank elements of a sequence.
+    """
+    content = {}
+    for name, kind, number in fields_of(message_type):
+        if number is None:
+            content[name] = _made(kind, given.get(name))
+        else:
+            many = [_made(kind, value) for value in given.get(name, [None] * number)]
+            content[name] = np.array(many, _NUMBERS[kind]) if kind in _NUMBERS else many
+    return message_class(message_type)(**content)
+
+
+def _made(kind: str, given: Any) -> Any:
+    if kind == "string":
+        return given or ""
+    return (given or 0) if kind in _NUMBERS else make_message(kind, **(given or {}))
 
 
 class Layout:
@@ -55,37 +126,35 @@ class Layout:
 
     Args:
         sample: The message, serialised.
-        message_type: Its type.
-        definitions: The fields of its type, and of those in it.
+        message_type: Its type, as `package/msg/Type`.
 
     Attributes:
-        sample: The message.
         dtype: The numbers in it by the names of their fields, in the message's byte order. A
             message in it is a field of fields. One of several equal numbers, such as a vector, a
             point or a quaternion, is an array of them. So are arrays and sequences of numbers or
             of such messages, shape (n,) or (n, k); other ones have a field for each element: "0",
-            "1", ... Strings are left out: they are those of the sample.
+            "1", ... Strings are left out.
 
     Raises:
-        ValueError: If the bytes are no message of this type.
+        ValueError: If the bytes are not such a message.
     """
 
-    def __init__(self, sample: bytes, message_type: str, definitions: Definitions) -> None:
-        self.sample = bytes(sample)
-        walk = _Walk(self.sample, definitions)
+    def __init__(self, sample: bytes | bytearray, message_type: str) -> None:
+        walk = _Walk(bytes(sample))
         self.dtype = walk.message(message_type)
+        self._size = len(sample)
         self._fixed = np.flatnonzero(walk.fixed)
-        self._expected = np.frombuffer(self.sample, np.uint8)[self._fixed]
+        self._expected = np.frombuffer(sample, np.uint8)[self._fixed]
         mask = (255 * np.array(walk.fixed, dtype=np.uint8)).tobytes()
         self._mask = int.from_bytes(mask, "little")
-        self._masked = int.from_bytes(self.sample, "little") & self._mask
+        self._masked = int.from_bytes(sample, "little") & self._mask
 
-    def record(self, message: bytes | bytearray | memoryview) -> Record | None:
+    def record(self, message: bytes | bytearray) -> Record | None:
         """The numbers of one message, shape (); None if it has another layout.
 
         They are views of the message: what changes it changes them.
         """
-        if len(message) != len(self.sample):
+        if len(message) != self._size:
             return None
         if int.from_bytes(message, "little") & self._mask != self._masked:
             return None
@@ -98,18 +167,27 @@ class Layout:
             Those of the messages that have this layout, in their order, shape (k,); and which of
             the messages have it.
         """
-        fits = np.fromiter(map(len, messages), np.int64, len(messages)) == len(self.sample)
+        fits = np.fromiter(map(len, messages), np.int64, len(messages)) == self._size
         joined = b"".join(messages if fits.all() else compress(messages, fits))
-        rows = np.frombuffer(joined, np.uint8).reshape(-1, len(self.sample))
+        rows = np.frombuffer(joined, np.uint8).reshape(-1, self._size)
         equal = (rows[:, self._fixed] == self._expected).all(axis=1)
         records = np.frombuffer(joined, self.dtype)
         fits[fits] = equal
         return records if equal.all() else records[equal], fits
 
-    def blank(self) -> tuple[bytearray, Record]:
-        """A copy of the sample to be filled: its bytes, and its numbers as views of them."""
-        content = bytearray(self.sample)
-        return content, np.ndarray((), self.dtype, content)
+
+def blank(message_type: str, **content: Any) -> tuple[bytearray, Record]:
+    """A serialised message to be filled, and its numbers as views of it; see `make_message`."""
+    serialised = bytearray(encode(make_message(message_type, **content), message_type))
+    return serialised, np.ndarray((), Layout(serialised, message_type).dtype, serialised)
+
+
+def elements(records: Record, field: str) -> list[Record]:
+    """The numbers of the messages in a sequence, none where it is empty."""
+    if field not in (records.dtype.names or ()):
+        return []
+    sequence = records[field]
+    return [sequence[number] for number in sequence.dtype.names or ()]
 
 
 def stamps_of(records: Record) -> IntArray:
@@ -126,27 +204,21 @@ class _Placed(NamedTuple):
 
 
 class _Walk:
-    """Goes through a message once, byte by byte.
+    """Goes through a message once; `fixed` are the bytes that are neither numbers nor alignment."""
 
-    Attributes:
-        fixed: Which bytes are neither numbers nor alignment.
-    """
-
-    def __init__(self, content: bytes, definitions: Definitions) -> None:
+    def __init__(self, content: bytes) -> None:
         if content[:2] not in (b"\0\0", b"\0\1"):
-            raise ValueError("the message is no plain CDR")
+            raise ValueError("the message is not plain CDR")
         self._order: Literal["<", ">"] = "<" if content[1] else ">"
         self._content = content
-        self._definitions = definitions
         self._at = _HEADER
         self.fixed = [True, True] + [False] * (len(content) - 2)
 
     def message(self, message_type: str) -> np.dtype[Any]:
         """The type of the whole message."""
-        fields = self._definitions(message_type)
-        placed = {field.name: self._field(field) for field in fields}
+        placed = {field.name: self._field(field) for field in fields_of(message_type)}
         if not 0 <= len(self._content) - self._at <= _PADDING:
-            raise ValueError(f"the message is no {message_type}: it has another length")
+            raise ValueError(f"not a {message_type}: the message has another length")
         return _structure(placed, 0, len(self._content))
 
     def _field(self, field: Field) -> _Placed | None:
@@ -171,7 +243,7 @@ class _Walk:
         if name == "string":
             self._string()
             return None
-        fields = self._definitions(name)
+        fields = fields_of(name)
         kinds = {field.type for field in fields}
         single = all(field.number is None for field in fields)
         if single and len(fields) > 1 and len(kinds) == 1 and kinds <= _NUMBERS.keys():

@@ -34,8 +34,8 @@ from socket_testbed.geometry.marker_bodies import MOST_MARKERS
 from socket_testbed.geometry.pose import Pose
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.samples import LOCAL_CHANNELS, Samples, Status, channel_unit
-from socket_testbed.trials.bag import BagReader, BlockDecoder, required_topics
-from socket_testbed.trials.layout import Record, stamps_of
+from socket_testbed.trials.bag import BagReader, required_topics
+from socket_testbed.trials.messages import Reader
 from socket_testbed.trials.segment import Segment
 from socket_testbed.trials.topics import (
     CAPACITANCE,
@@ -89,11 +89,6 @@ class Measurements:
 
 _AT_ONCE = 10_000  # samples; their rotations take more memory than they themselves
 _NAMED = 3  # how many stamps a note names
-_HALVES = {
-    WRENCH: ("wrench", "torque", "force"),
-    SOCKET_POSE: ("pose", "position", "orientation"),
-    PYLON_POSE: ("pose", "position", "orientation"),
-}
 _WIDTHS = {WRENCH: 6, LOAD_CELL_RAW: 12, SOCKET_POSE: 7, PYLON_POSE: 7}
 _NEEDED_FOR = {
     LOAD_CELL_RAW: ("its wrenches cannot be made anew", "leave out --load-cell and --tare"),
@@ -177,13 +172,13 @@ def read_measurements(
     markers: dict[str, _Series] = defaultdict(
         lambda: _Series(bag.counts[topics[MARKERS]], (3 * MOST_MARKERS, np.float64))
     )
-    decoder = BlockDecoder(bag.path)
+    readers = {topic: Reader(topic, bag.path) for topic in names.values()}
     for block in bag.blocks(names, duration):
         topic = names[block.topic]
         found: dict[str, list[tuple[NDArray[Any], ...]]] = {}
-        for places, message, records in decoder.parts(block):
-            for name, columns in _values(topic, message, records):
-                found.setdefault(name, []).append((places, stamps_of(records), *columns))
+        for places, stamps, values in readers[topic].parts(block.data):
+            for name, columns in _columns(topic, values):
+                found.setdefault(name, []).append((places, stamps, *columns))
         for name, parts in found.items():
             own = {CAPACITANCE: clusters, MARKERS: markers}.get(topic)
             (series[topic] if own is None else own[name]).add(*_in_order(parts))
@@ -236,33 +231,18 @@ def _require_more(bag: BagReader, topics: dict[Topic, str], more: Collection[Top
             raise TrialError(f"{bag.path}: holds no '{topic.name}', so {why}", hint)
 
 
-def _values(
-    topic: Topic, message: Any, records: Record
-) -> Iterator[tuple[str, tuple[NDArray[Any], ...]]]:
-    """Values of messages of one layout, a row each, by the name of the cluster, body or topic.
-
-    Args:
-        topic: Their topic.
-        message: One of them.
-        records: The numbers of all.
-    """
+def _columns(topic: Topic, values: Any) -> Iterator[tuple[str, tuple[NDArray[Any], ...]]]:
+    """Values of messages, a row each, by the name of the cluster, the body or the topic."""
     if topic is CAPACITANCE:
-        for number, cluster in enumerate(message.clusters):
-            own = records["clusters"][str(number)]
-            yield cluster.name, (own["capacitance"].astype(np.float64), own["status"].copy())
+        for number, name in enumerate(values.names):
+            yield name, (values.capacitance[:, number], values.status[:, number])
     elif topic is MARKERS:
-        for number, body in enumerate(message.bodies):
-            seen = np.full((len(records), MOST_MARKERS, 3), np.nan)
-            seen[:, : len(body.markers)] = records["bodies"][str(number)]["markers"]
-            yield body.name, (seen.reshape(len(records), -1),)
-    elif topic is LOAD_CELL_RAW:
-        tare = records["tare"]
-        yield topic.name, (np.hstack([records["ratios"], tare["torque"], tare["force"]]),)
-    elif topic is TRIGGER:
-        yield topic.name, ()
+        for name, markers in values:
+            seen = np.full((len(markers), MOST_MARKERS, 3), np.nan)
+            seen[:, : markers.shape[1]] = markers
+            yield name, (seen.reshape(len(markers), -1),)
     else:
-        whole, *halves = _HALVES[topic]
-        yield topic.name, (np.hstack([records[whole][half] for half in halves]),)
+        yield topic.name, () if topic is TRIGGER else (values,)
 
 
 def _in_order(parts: list[tuple[NDArray[Any], ...]]) -> Iterator[NDArray[Any]]:

@@ -16,8 +16,9 @@ from socket_testbed.files import packaged
 from socket_testbed.geometry.socket import SocketGeometry, read_socket
 from socket_testbed.samples import Samples
 from socket_testbed.settings.testbed import EstimatorSettings, TestbedSettings, read_testbed
-from socket_testbed.trials.bag import BagReader, decode_message, required_topics, sync
+from socket_testbed.trials.bag import BagReader, required_topics, sync
 from socket_testbed.trials.events import Event, find_events, join_events, read_events
+from socket_testbed.trials.messages import Reader
 from socket_testbed.trials.metadata import METADATA_FILE, TrialMetadata, read_metadata
 from socket_testbed.trials.reprocess import (
     RECORDED,
@@ -192,7 +193,7 @@ class Trial:
         with self.open() as bag:
             name = required_topics(bag)[CAPACITANCE]
             first = next(bag.messages([name]))
-        clusters = tuple(cluster.name for cluster in decode_message(first, self.path).clusters)
+        clusters: tuple[str, ...] = Reader(CAPACITANCE, self.path).read(first.data)[1].names
         self._require_clusters(clusters)
         return clusters
 

@@ -17,10 +17,9 @@ from support.testbeds import Recorded
 from socket_testbed import clocks
 from socket_testbed.__main__ import run
 from socket_testbed.files import packaged
-from socket_testbed.nodes.conversions import stamp_from_ros
 from socket_testbed.samples import Status
 from socket_testbed.settings.testbed import read_testbed
-from socket_testbed.trials.bag import decode
+from socket_testbed.trials.layout import decode, stamp_of
 from socket_testbed.trials.metadata import TrialMetadata
 from socket_testbed.trials.topics import CAPACITANCE, EVENT, PYLON_POSE, TRIGGER, WRENCH
 from socket_testbed.trials.trial import Trial
@@ -74,14 +73,14 @@ def test_events_are_marked_recorded_and_select_a_segment(
         for label in ("push", "step 2"):
             goal = len(triggers) + 5
             probe.wait(lambda goal=goal: len(triggers) > goal, "triggers")
-            around.append(stamp_from_ros(triggers[-1].header.stamp))
+            around.append(stamp_of(triggers[-1]))
             command = [*COMMAND, "mark", label]
             said = subprocess.run(command, check=False, capture_output=True, text=True)
             assert said.returncode == 0 and not said.stderr, said.stderr
             assert said.stdout.startswith(f"marked '{label}' in the trial trial, acknowledged by 1")
             goal = len(triggers) + 1  # the newest may be older than the event: time is slow
             probe.wait(lambda goal=goal: len(triggers) > goal, "triggers after it")
-            around.append(stamp_from_ros(triggers[-1].header.stamp))
+            around.append(stamp_of(triggers[-1]))
         live.send_signal(signal.SIGINT)
         live.wait(timeout=HANGS)
     trial = Trial(path)

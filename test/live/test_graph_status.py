@@ -8,8 +8,9 @@ import pytest
 from support.bags import wrench_vector
 
 from socket_testbed.live.graph_status import MEASURED, GraphStatus
-from socket_testbed.nodes.status_listener import StatusListener
-from socket_testbed.trials.bag import BagReader, decode, message_class, stamp_of, typestore
+from socket_testbed.nodes.listeners import StatusListener
+from socket_testbed.trials.bag import BagReader
+from socket_testbed.trials.layout import decode, message_class, stamp_of, typestore
 from socket_testbed.trials.topics import (
     CAPACITANCE,
     ESTIMATED_WRENCH,

@@ -20,9 +20,9 @@ from socket_testbed.geometry.pose import Pose
 from socket_testbed.geometry.socket import read_socket
 from socket_testbed.live.bringup import replay_nodes
 from socket_testbed.live.processes import Graph
-from socket_testbed.nodes.conversions import stamp_from_ros
 from socket_testbed.nodes.frames import FrameBroadcaster, fixed_frames
 from socket_testbed.settings.testbed import EstimatorSettings, ReplaySettings
+from socket_testbed.trials.layout import stamp_of
 from socket_testbed.trials.topics import (
     CAPACITANCE,
     DIAGNOSTICS,
@@ -129,7 +129,7 @@ def replayed(hold: Path, hold_model: Path, tmp_path_factory: Any) -> Iterator[Si
         last = trial.samples().stamps[-1]
 
         def at_its_end(topic: Topic) -> bool:
-            return bool(heard[topic]) and stamp_from_ros(heard[topic][-1].header.stamp) == last
+            return bool(heard[topic]) and stamp_of(heard[topic][-1]) == last
 
         probe.wait(lambda: all(map(at_its_end, (FORCE_MAP, ESTIMATED_WRENCH))), "the last sample")
         yield SimpleNamespace(trial=trial, heard=heard)
@@ -148,7 +148,7 @@ def test_the_transforms_of_a_replay_compose_to_the_recorded_poses(
     for message in replayed.heard[TF]:
         for t in message.transforms:
             assert t.header.frame_id == "world"
-            moving[t.child_frame_id][stamp_from_ros(t.header.stamp)] = matrix(t)
+            moving[t.child_frame_id][stamp_of(t)] = matrix(t)
     samples = replayed.trial.samples()
     poses = dict(zip(samples.stamps.tolist(), samples.pose, strict=True))
     # What the motion capture did not see is not published, all the rest is once a subscriber is

@@ -10,13 +10,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
-from geometry_msgs.msg import WrenchStamped
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import DescribeParameters, SetParameters
 from socket_testbed_msgs.msg import ClusterCapacitance, ClusterCapacitanceArray
 from std_srvs.srv import Trigger as TriggerService
 from support import HANGS
-from support.bags import move_to_namespace
+from support.bags import move_to_namespace, wrench_vector
 from support.graph import Probe
 from support.pace import careful_time_scale
 
@@ -29,21 +28,15 @@ from socket_testbed.identification.force_map import ForceMap
 from socket_testbed.identification.model_file import read_model
 from socket_testbed.live.bringup import replay_with_estimator
 from socket_testbed.live.processes import Graph
-from socket_testbed.nodes.conversions import (
-    header_to_ros,
-    stamp_from_ros,
-    stress_to_ros,
-    vectors_from_ros,
-    wrench_from_ros,
-    wrench_to_ros,
-)
-from socket_testbed.nodes.estimate_listener import EstimateListener
+from socket_testbed.nodes.listeners import EstimateListener
 from socket_testbed.settings.testbed import (
     CalibrationNodeSettings,
     EstimatorSettings,
     ReplaySettings,
     WindowSettings,
 )
+from socket_testbed.trials.layout import stamp_of
+from socket_testbed.trials.messages import stress_packer, wrench_packer
 from socket_testbed.trials.topics import (
     CAPACITANCE,
     DIAGNOSTICS,
@@ -103,6 +96,7 @@ def test_a_map_needs_neither_a_model_nor_the_motion_capture() -> None:
     count = len(geometry.clusters)
     stress = np.tile([1e4, 500.0, -500.0], (count, 1))
     wrench = np.array([1.0, 2.0, 0.0, 5.0, 0.0, -200.0])
+    pack_stress, pack_wrench = stress_packer(list(geometry.clusters)), wrench_packer()
     with Graph() as graph, Probe() as probe:
         maps, pictures = probe.listen(FORCE_MAP), probe.listen(PRESSURE_MAP)
         graph.start("estimator_node", NO_FIT)
@@ -113,10 +107,8 @@ def test_a_map_needs_neither_a_model_nor_the_motion_capture() -> None:
             nonlocal sent
             sent += 1
             stamp = sent * 250_000_000
-            header = header_to_ros(stamp, "load_cell")
-            status = np.zeros(count, dtype=np.uint8)
-            publishers[0].publish(stress_to_ros(stamp, list(geometry.clusters), stress, status))
-            publishers[1].publish(WrenchStamped(header=header, wrench=wrench_to_ros(wrench)))
+            publishers[0].publish(pack_stress(stamp, stress, np.zeros(count, dtype=np.uint8)))
+            publishers[1].publish(pack_wrench(stamp, wrench))
             return len(maps) > 0 and len(pictures) > 0
 
         probe.wait(send_until_heard, "a map")
@@ -128,7 +120,7 @@ def test_a_map_needs_neither_a_model_nor_the_motion_capture() -> None:
         wrench, forces, np.zeros(count, dtype=np.uint8)
     )
     assert found.header.frame_id == "load_cell" and tuple(found.names) == geometry.names
-    np.testing.assert_allclose(vectors_from_ros(found.forces), expected.forces[0])
+    np.testing.assert_allclose([(f.x, f.y, f.z) for f in found.forces], expected.forces[0])
     np.testing.assert_allclose(found.normal_pressure, expected.normal_pressure[0])
     assert len(pictures[0].markers) == 2 * len(geometry)
 
@@ -170,14 +162,14 @@ def test_another_process_subscribes_while_the_command_replays_and_estimates(
     assert set(models[0].bias_names) == set(Trial(hold).geometry.clusters)
     assert "KKT" in models[0].solver_status
     assert maps and len(maps[0].markers) == 2 * len(tiles)
-    stamps = [stamp_from_ros(m.header.stamp) for m in wrenches]
+    stamps = [stamp_of(m) for m in wrenches]
     assert stamps == sorted(stamps) and set(stamps) <= set(Trial(hold).samples().stamps)
     assert {m.header.frame_id for m in wrenches + forces} == {"load_cell"}
     # On the hold, the live prediction is the load.
     samples = Trial(hold).samples()
     measured = dict(zip(samples.stamps.tolist(), samples.wrench, strict=True))
     errors = [
-        wrench_from_ros(m.wrench) - measured[s]
+        wrench_vector(m.wrench) - measured[s]
         for s, m in zip(stamps, wrenches, strict=True)
         if measured[s][5] < -250.0
     ]
@@ -382,7 +374,7 @@ def test_a_trial_is_estimated_where_it_was_recorded_or_in_a_given_namespace(
         replay_with_estimator(Trial(target), replay, settings)
         probe.wait(lambda: len(forces) > 0, "forces in the namespace")
         assert [name for name, messages in triggers.items() if messages] == [namespace]
-    assert vectors_from_ros(forces[0].forces).shape == (len(Trial(hold).geometry), 3)
+    assert len(forces[0].forces) == len(Trial(hold).geometry)
 
 
 def test_a_node_that_dies_ends_the_command_with_its_name(hold: Path, tmp_path: Path) -> None:

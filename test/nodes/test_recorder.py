@@ -22,9 +22,10 @@ from support.graph import Probe
 from socket_testbed.batch import find_trials
 from socket_testbed.files import packaged
 from socket_testbed.live.processes import Graph
-from socket_testbed.nodes.conversions import stamp_from_ros, stamp_to_ros
+from socket_testbed.nodes.base import stamp_to_ros
 from socket_testbed.settings.testbed import NextTrialSettings, RecorderSettings, ReplaySettings
-from socket_testbed.trials.bag import BagReader, decode, stamp_of
+from socket_testbed.trials.bag import BagReader
+from socket_testbed.trials.layout import decode, nanoseconds, stamp_of
 from socket_testbed.trials.metadata import FIELDS, METADATA_FILE, TrialMetadata
 from socket_testbed.trials.topics import (
     DIAGNOSTICS,
@@ -104,7 +105,7 @@ def test_a_replay_is_the_recording_in_its_order(hold: Path, tmp_path: Path) -> N
     with Graph() as graph, Probe() as probe:
         clocks: list[int] = []
         probe.node.create_subscription(
-            Clock, "/clock", lambda m: clocks.append(stamp_from_ros(m.clock)), 1000
+            Clock, "/clock", lambda m: clocks.append(nanoseconds(m.clock)), 1000
         )
         diagnostics = probe.listen(DIAGNOSTICS)
         graph.start("recorder_node", RecorderSettings(directory=str(recorded), record=True))

@@ -13,7 +13,7 @@ NODE = """
 import os, signal, rclpy
 from socket_testbed.live.processes import RESTARTED
 from socket_testbed.nodes.base import OK
-from socket_testbed.nodes.estimate_listener import ListenerNode
+from socket_testbed.nodes.listeners import ListenerNode
 
 rclpy.init()
 node = ListenerNode("worker", lambda: None)

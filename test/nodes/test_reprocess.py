@@ -19,8 +19,8 @@ from socket_testbed.geometry.marker_bodies import fit_triad
 from socket_testbed.geometry.socket import read_socket, write_socket
 from socket_testbed.live.bringup import Simulation, end, simulate_hardware, simulated_testbed
 from socket_testbed.live.processes import Graph
-from socket_testbed.nodes.conversions import stamp_from_ros
 from socket_testbed.settings.testbed import ReplaySettings, read_testbed
+from socket_testbed.trials.layout import nanoseconds, stamp_of
 from socket_testbed.trials.topics import LOAD_CELL_RAW, SOCKET_POSE, WRENCH, Topic
 from socket_testbed.trials.trial import Trial
 
@@ -65,8 +65,8 @@ def test_ratios_and_tare_are_those_of_the_wrench(recorded: Path) -> None:
         again = wrench_vector(wrenches[stamp].wrench)
         np.testing.assert_allclose(wrench, again, rtol=1e-12, atol=1e-11)
         assert raw.status == (0 if np.isfinite(raw.ratios).all() else 2)
-        tared.add(stamp_from_ros(raw.tared))
-        assert any(wrench_vector(raw.tare)) == (stamp_from_ros(raw.tared) > 0)
+        tared.add(nanoseconds(raw.tared))
+        assert any(wrench_vector(raw.tare)) == (nanoseconds(raw.tared) > 0)
     assert len(tared) == 2 and 0 in tared
     assert min(raws) < max(tared) < max(raws)
 
@@ -115,4 +115,4 @@ def test_a_replay_publishes_what_is_repaired(recorded: Path) -> None:
 
 
 def _stamp(message: WrenchStamped | PoseStamped) -> int:
-    return stamp_from_ros(message.header.stamp)
+    return stamp_of(message)

@@ -5,15 +5,13 @@ import dataclasses
 import numpy as np
 import pytest
 import rclpy
-from rclpy.serialization import deserialize_message
-from socket_testbed_msgs.msg import ForceMap
 from support.graph import Probe
 from support.ring_socket import ring_socket
 
 from socket_testbed.identification.force_map import MapEstimate
-from socket_testbed.nodes.estimate_listener import ListenerNode
-from socket_testbed.nodes.estimate_messages import ForceMapPacker, map_from_ros
+from socket_testbed.nodes.listeners import ListenerNode
 from socket_testbed.nodes.view_node import LiveSource
+from socket_testbed.trials.messages import force_map_packer
 from socket_testbed.trials.topics import FORCE_MAP
 
 pytestmark = pytest.mark.graph
@@ -28,14 +26,6 @@ def random_map() -> MapEstimate:
     return MapEstimate(forces, abs(deviations), *pressures, "measured: wrench")
 
 
-def test_a_map_comes_back_from_its_message() -> None:
-    estimate = random_map()
-    packed = ForceMapPacker(GEOMETRY.names).packed(1, estimate)
-    found = map_from_ros(deserialize_message(packed, ForceMap))
-    for name, value in vars(estimate).items():
-        np.testing.assert_array_equal(getattr(found, name), value)
-
-
 def test_a_map_of_another_socket_is_named_and_not_drawn() -> None:
     """Even if it has as many tiles."""
     other = dataclasses.replace(GEOMETRY, names=tuple(reversed(GEOMETRY.names)))
@@ -47,7 +37,7 @@ def test_a_map_of_another_socket_is_named_and_not_drawn() -> None:
         publisher = probe.publisher(FORCE_MAP)
 
         def shows(geometry, drawn: bool) -> bool:
-            publisher.publish(ForceMapPacker(geometry.names).packed(1, random_map()))
+            publisher.publish(force_map_packer(geometry.names)(1, random_map()))
             instant = source.instant()
             words = " ".join(sensor.words for sensor in source.sensors())
             return (

@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from socket_testbed.trials.bag import BagReader, BagWriter, decode, encode, message_class
+from socket_testbed.trials.bag import BagReader, BagWriter
+from socket_testbed.trials.layout import decode, encode, message_class
 from socket_testbed.trials.topics import EVENT, match_topics
 from socket_testbed.trials.trial import CONFIGURATION_FILES, Trial
 

@@ -19,10 +19,9 @@ from socket_testbed.live.bringup import Testbed, end, simulated_testbed, start
 from socket_testbed.live.machine import SLOWEST, busy_note
 from socket_testbed.live.processes import Graph
 from socket_testbed.live.simulated_world import Simulation
-from socket_testbed.nodes.conversions import stamp_from_ros
 from socket_testbed.simulation.trial import TRUTH_FILE
 from socket_testbed.simulation.world import World
-from socket_testbed.trials.bag import decode, stamp_of
+from socket_testbed.trials.layout import decode, stamp_of
 from socket_testbed.trials.topics import (
     CAPACITANCE,
     DIAGNOSTICS,
@@ -147,7 +146,7 @@ class LiveTestbed:
         assert self.restarts[-1] == f"{node} was ended by SIGKILL: started again"
 
     def newest(self) -> int:
-        return stamp_from_ros(self.wrenches[-1].header.stamp)
+        return stamp_of(self.wrenches[-1])
 
     def elapsed(self) -> float:
         return time.monotonic()

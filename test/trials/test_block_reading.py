@@ -14,10 +14,19 @@ from support.messages import Maker, encode, numbers_in, numbers_of, strings_of
 
 from socket_testbed.errors import TrialError
 from socket_testbed.samples import Status
-from socket_testbed.trials import bag as bags
-from socket_testbed.trials.bag import BagReader, BlockDecoder, decode, typestore
+from socket_testbed.trials import bag, messages
+from socket_testbed.trials.bag import BagReader
+from socket_testbed.trials.layout import decode, fields_of, stamp_of, typestore
+from socket_testbed.trials.messages import Reader
 from socket_testbed.trials.synchronise import Measurements
-from socket_testbed.trials.topics import CAPACITANCE, PYLON_POSE, SOCKET_POSE, TRIGGER, WRENCH
+from socket_testbed.trials.topics import (
+    CAPACITANCE,
+    PYLON_POSE,
+    SOCKET_POSE,
+    TRIGGER,
+    WRENCH,
+    Topic,
+)
 from socket_testbed.trials.trial import Trial
 
 Message = tuple[str, int, bytes]  # topic, time of recording [ns], content
@@ -26,32 +35,41 @@ Message = tuple[str, int, bytes]  # topic, time of recording [ns], content
 @pytest.fixture(autouse=True)
 def small_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
     """Blocks end often, and layouts are forgotten."""
-    monkeypatch.setattr(bags, "_BLOCK", 7)
-    monkeypatch.setattr(bags, "_LAYOUTS", 3)
+    monkeypatch.setattr(bag, "_BLOCK", 7)
+    monkeypatch.setattr(messages, "_LAYOUTS", 3)
+
+
+def plain_reader(name: str, kind: str) -> Reader:
+    """Gives the numbers of messages as they are, and one of them as the library decodes it."""
+    return Reader(Topic(name, kind), "the bag", lambda records, sample: (records, sample))
 
 
 def check_every_message(path: Path) -> int:
     """Compare all that is read in blocks with what the library decodes; returns their number."""
-    with BagReader(path) as bag:
-        expected: dict[str, list[Any]] = {name: [] for name in bag.types}
-        for raw in bag.messages():
+    with BagReader(path) as reader:
+        expected: dict[str, list[Any]] = {name: [] for name in reader.types}
+        for raw in reader.messages():
             expected[raw.topic].append(raw)
-        decoder, compared = BlockDecoder(path), 0
-        for block in bag.blocks(bag.types):
+        readers = {name: plain_reader(name, kind) for name, kind in reader.types.items()}
+        compared = 0
+        for block in reader.blocks(reader.types):
             raws = [expected[block.topic].pop(0) for _ in block.data]
             assert block.data == [raw.data for raw in raws]
             assert block.times == [raw.time for raw in raws]
+            compared += len(raws)
+            if ("header", "std_msgs/msg/Header", None) not in fields_of(block.type):
+                continue
             places = []
-            for own, sample, records in decoder.parts(block):
+            for own, stamps, (records, sample) in readers[block.topic].parts(block.data):
                 assert len(own) == len(records) and (np.diff(own) > 0).all()
-                for place, record in zip(own.tolist(), records, strict=True):
+                for place, stamp, record in zip(own.tolist(), stamps, records, strict=True):
                     message = decode(raws[place].data, block.type)
+                    assert stamp_of(message) == stamp
                     assert strings_of(message, block.type) == strings_of(sample, block.type)
                     numbers = numbers_of(message, block.type)
                     np.testing.assert_array_equal(numbers_in(record), numbers)
                 places += own.tolist()
             assert sorted(places) == list(range(len(raws)))
-            compared += len(raws)
         assert not any(expected.values())
     return compared
 
@@ -200,5 +218,5 @@ def test_a_message_that_cannot_be_decoded_is_named(hold: Path, tmp_path: Path) -
         yield topic, time, data[:-9] if number == 500 else data
 
     path = copied(hold, tmp_path / "torn", torn)
-    with pytest.raises(TrialError, match=r"a message on /.* cannot be decoded"):
+    with pytest.raises(TrialError, match=r"torn: a message on \S+ cannot be decoded"):
         Trial(path).samples()

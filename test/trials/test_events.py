@@ -10,7 +10,7 @@ from support.bags import add_events, copy_configuration
 from socket_testbed.errors import ConfigurationError, TrialError
 from socket_testbed.samples import Samples
 from socket_testbed.settings.identification import PlateauSettings
-from socket_testbed.trials.bag import BagReader, BagWriter, encode, message_class
+from socket_testbed.trials.bag import BagReader, BagWriter
 from socket_testbed.trials.events import (
     Event,
     check_label,
@@ -19,6 +19,7 @@ from socket_testbed.trials.events import (
     find_events,
     loaded_span,
 )
+from socket_testbed.trials.layout import encode, message_class
 from socket_testbed.trials.segment import select_segment
 from socket_testbed.trials.topics import EVENT, match_topics
 from socket_testbed.trials.trial import Trial

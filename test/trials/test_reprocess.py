@@ -21,7 +21,8 @@ from socket_testbed.geometry.pose import Pose
 from socket_testbed.geometry.socket import SocketGeometry, read_socket, write_socket
 from socket_testbed.settings.acquisition import LoadCellSettings
 from socket_testbed.settings.testbed import TestbedSettings, read_testbed, write_testbed
-from socket_testbed.trials.bag import BagReader, decode, stamp_of
+from socket_testbed.trials.bag import BagReader
+from socket_testbed.trials.layout import decode, stamp_of
 from socket_testbed.trials.topics import MARKERS
 from socket_testbed.trials.trial import Trial
 

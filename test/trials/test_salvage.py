@@ -15,7 +15,8 @@ from support.bags import copy_configuration
 
 from socket_testbed.__main__ import run
 from socket_testbed.errors import TrialError
-from socket_testbed.trials.bag import BagReader, BagWriter, RawMessage, typestore
+from socket_testbed.trials.bag import BagReader, BagWriter, RawMessage
+from socket_testbed.trials.layout import typestore
 from socket_testbed.trials.salvage import holds_nothing, salvage
 from socket_testbed.trials.topics import CAPACITANCE, WRENCH, match_topics
 from socket_testbed.trials.trial import Trial, beside_cut_short

@@ -12,14 +12,8 @@ from socket_testbed.errors import CalibrationError, ConfigurationError, TrialErr
 from socket_testbed.files import atomic_output
 from socket_testbed.samples import Status
 from socket_testbed.simulation.trial import TRUTH_FILE, read_true_forces, read_truth
-from socket_testbed.trials.bag import (
-    BagReader,
-    BagWriter,
-    decode,
-    encode,
-    required_topics,
-    stamp_of,
-)
+from socket_testbed.trials.bag import BagReader, BagWriter, required_topics
+from socket_testbed.trials.layout import decode, encode, stamp_of
 from socket_testbed.trials.topics import REQUIRED, WRENCH, match_topics
 from socket_testbed.trials.trial import Trial, recorded_namespace
 

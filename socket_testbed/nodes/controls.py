@@ -1,0 +1,334 @@
+"""What a person does to a running testbed: marks events, and calls its services."""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+import rclpy
+from rcl_interfaces.srv import SetParametersAtomically
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.signals import SignalHandlerOptions
+from rclpy.task import Future
+from socket_testbed_msgs.msg import Event
+from std_msgs.msg import String
+from std_srvs.srv import SetBool, Trigger
+
+from socket_testbed import clocks
+from socket_testbed.errors import ConfigurationError, TestbedError
+from socket_testbed.nodes.base import (
+    header_to_ros,
+    is_acknowledged,
+    message_type,
+    publisher_qos,
+    subscriber_qos,
+)
+from socket_testbed.settings.testbed import NextTrialSettings
+from socket_testbed.trials.events import check_label
+from socket_testbed.trials.layout import stamp_of
+from socket_testbed.trials.topics import EVENT, RECORDED_TRIAL, TRIGGER, full_namespace
+
+_LOOK = 0.02  # [s]
+
+# Of an event, in real time:
+_LINKED_WITHIN = 6.0  # [s]; for a subscriber to be found on a busy machine
+_TRIGGERED_WITHIN = 5.0  # [s]; for enough triggers
+_LEAST = 1.0  # [s]; from the first trigger to the last
+_HEARD_WITHIN = 5.0  # [s]; for the event to be acknowledged
+_REAL_TIME = 1e9  # [ns/s]
+_ABOUT = 0.1  # [-]; triggers whose speed differs less from real time come in real time
+
+# Of a service:
+_FOUND_WITHIN = 3.0  # [s]
+_ANSWERS_WITHIN = 5.0  # [s] of the testbed; a tare averages one
+_FITS_WITHIN = 120.0  # [s]
+_ASK_AGAIN = 2.5  # [s] of the testbed; the middleware can lose an answer
+
+# Type of each service, and the node that offers it.
+_SERVICES = {
+    "load_cell/tare": (Trigger, "load_cell_node"),
+    "estimator/fit": (Trigger, "estimator_node"),
+    "trigger/enable": (SetBool, "trigger_node"),
+    "recorder/record": (SetBool, "recorder_node"),
+    "recorder_node/set_parameters_atomically": (SetParametersAtomically, "recorder_node"),
+}
+
+
+@dataclass(frozen=True)
+class Marked:
+    """An event that was published and acknowledged."""
+
+    subscribers: int  # programs that acknowledged it
+    trial: str  # the trial that is being recorded; empty if none is
+    triggered: bool  # whether its stamp is in the time of triggers; else it is the system clock's
+
+    def notes(self) -> list[str]:
+        """What the person who marked it should know."""
+        found = []
+        if not self.trial:
+            found.append("no trial is being recorded: call recorder/record")
+        if not self.triggered:
+            found.append("no trigger came: the stamp is the system clock's")
+        return found
+
+
+def publish_event(label: str, called: float, namespace: str = "/") -> Marked:
+    """Publish an event, and wait until all subscribers have acknowledged it.
+
+    Its stamp is when it was called, in the time of the triggers: a testbed may run on another
+    computer, slower than real time, or be replayed, and its clock stays when the system's is set.
+
+    Args:
+        label: What happened.
+        called: When, on this machine's monotonic clock [s].
+        namespace: Namespace of the testbed.
+
+    Raises:
+        ConfigurationError: If the namespace cannot be one.
+        TestbedError: If nobody subscribes, or it is not acknowledged.
+    """
+    namespace = full_namespace(namespace)
+    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)  # Ctrl-C is the verb's
+    node = rclpy.create_node("event_marker", namespace=namespace)
+
+    def step() -> None:
+        rclpy.spin_once(node, timeout_sec=_LOOK)
+
+    try:
+        return EventMarker(node, partial(_wait, step=step)).mark(label, called)
+    finally:
+        node.destroy_node()
+        rclpy.shutdown()
+
+
+def _wait(
+    condition: Callable[[], bool],
+    duration: float,
+    step: Callable[[], None] = lambda: time.sleep(_LOOK),
+) -> bool:
+    """Wait until a condition holds; returns whether it does within a duration [s]."""
+    deadline = time.monotonic() + duration
+    while not condition():
+        if time.monotonic() > deadline:
+            return False
+        step()
+    return True
+
+
+class EventMarker:
+    """Publishes events, one after the other, for the life of a node.
+
+    Args:
+        node: The node that publishes them.
+        wait: Waits until a condition holds, while the node is spun; returns whether it does within
+            a duration [s].
+    """
+
+    def __init__(self, node: Node, wait: Callable[[Callable[[], bool], float], bool]) -> None:
+        self._node = node
+        self._wait = wait
+        self._triggers: list[tuple[float, int]] = []  # arrival [s] and stamp [ns]
+        self._trial: str | None = None
+        self._publisher = node.create_publisher(Event, EVENT.name, publisher_qos(EVENT))
+        node.create_subscription(
+            String, RECORDED_TRIAL.name, self._on_trial, subscriber_qos(RECORDED_TRIAL)
+        )
+
+    def mark(self, label: str, called: float) -> Marked:
+        """Publish an event, see `publish_event`; only meanwhile are triggers heard."""
+        self._triggers.clear()
+        triggers = self._node.create_subscription(
+            message_type(TRIGGER), TRIGGER.name, self._on_trigger, subscriber_qos(TRIGGER)
+        )
+        try:
+            return self._mark(label, called)
+        finally:
+            self._node.destroy_subscription(triggers)
+
+    def _mark(self, label: str, called: float) -> Marked:
+        if not self._wait(self._is_linked, _LINKED_WITHIN):
+            raise TestbedError(
+                f"nobody subscribes to {self._publisher.topic_name}", self._where_else()
+            )
+        # The longer ago the call, the longer the triggers from which its time is reckoned.
+        span = max(_LEAST, 0.5 * (time.monotonic() - called))
+        self._wait(lambda: self._has_triggers(span), _TRIGGERED_WITHIN + span)
+        if self._triggers:
+            stamp = stamp_by_triggers(called, self._triggers)
+        else:
+            stamp = time.time_ns() - round((time.monotonic() - called) * 1e9)
+        self._publisher.publish(Event(header=header_to_ros(stamp), label=label))
+        if not self._wait(partial(is_acknowledged, self._publisher), _HEARD_WITHIN):
+            raise TestbedError(
+                f"the event was not acknowledged within {_HEARD_WITHIN:g} s",
+                "check that the recorder runs, and 'info' of its trial for the event",
+            )
+        count = self._publisher.get_subscription_count()
+        return Marked(count, self._trial or "", bool(self._triggers))
+
+    def _has_triggers(self, span: float) -> bool:
+        triggers = self._triggers
+        return len(triggers) > 2 and triggers[-1][0] - triggers[0][0] >= span
+
+    def _is_linked(self) -> bool:
+        known = self._publisher.get_subscription_count()
+        answered = self._trial is not None or not self._node.count_publishers(RECORDED_TRIAL.name)
+        return answered and known >= max(1, self._node.count_subscribers(EVENT.name))
+
+    def _where_else(self) -> str:
+        """A hint at where an event would be heard."""
+        others = [
+            name.removesuffix(EVENT.name).rstrip("/")
+            for name, types in self._node.get_topic_names_and_types()
+            if name.endswith(f"/{EVENT.name}") and EVENT.type in types
+            and self._node.count_subscribers(name)
+        ]  # fmt: skip
+        if others:
+            return f"give --namespace {' or '.join(others)}"
+        return (
+            "start 'run --record DIR' or 'record DIR' on this ROS_DOMAIN_ID first"
+            " (on another computer: docs/hardware.md, Network)"
+        )
+
+    def _on_trigger(self, message: Any) -> None:
+        self._triggers.append((time.monotonic(), stamp_of(message)))
+
+    def _on_trial(self, message: String) -> None:
+        self._trial = message.data
+
+
+def stamp_by_triggers(called: float, triggers: Sequence[tuple[float, int]]) -> int:
+    """Stamp of a time of the monotonic clock in the time of triggers [ns].
+
+    The triggers' clock may run at another speed: that is the median between all that arrived long
+    enough one after the other, or real time if it is about that. A busy machine holds triggers up,
+    none comes early: the one that was held up least says how far the clocks are apart.
+
+    Args:
+        called: The time [s].
+        triggers: Arrival [s] and stamp [ns] of each, in their order; one at least.
+    """
+    arrivals, stamps = (np.array(values) for values in zip(*triggers, strict=True))
+    passed = arrivals - arrivals[:, None]
+    apart = passed >= max(0.5 * passed.max(), _LOOK)
+    speed = _REAL_TIME
+    if apart.any():
+        found = float(np.median((stamps - stamps[:, None])[apart] / passed[apart]))
+        speed = found if abs(found - _REAL_TIME) >= _ABOUT * _REAL_TIME else _REAL_TIME
+    return int((stamps + np.round(speed * (called - arrivals)).astype(np.int64)).max())
+
+
+class ServiceControls:
+    """Calls the services of the testbed in a node's namespace, from any thread but the node's.
+
+    Each call returns what came of it in one line.
+
+    Args:
+        node: The node, which is spun elsewhere.
+
+    Raises:
+        TestbedError: From any call: if the service refuses, does not answer, or is not offered.
+    """
+
+    def __init__(self, node: Node) -> None:
+        self._clients = {
+            name: node.create_client(kind, name) for name, (kind, _) in _SERVICES.items()
+        }
+        self._marker = EventMarker(node, _wait)
+        self._marking, self._recording = threading.Lock(), threading.Lock()
+
+    def tare(self) -> str:
+        """Take the present wrench as zero."""
+        return self._ask("load_cell/tare", Trigger.Request())
+
+    def fit(self) -> str:
+        """Fit the contact model on the complete window."""
+        return self._ask("estimator/fit", Trigger.Request())
+
+    def trigger(self, on: bool) -> str:
+        """Start or stop the triggers."""
+        return self._ask("trigger/enable", SetBool.Request(data=on))
+
+    def record(self, name: str, metadata: dict[str, str]) -> str:
+        """Record a trial.
+
+        Args:
+            name: Its name; empty for the date and time.
+            metadata: What is stated about it, by the fields of `TrialMetadata`, as text.
+        """
+        values: dict[str, Any] = {"name": name, **metadata}
+        if "mass" in values:
+            try:
+                values["mass"] = float(values["mass"])
+            except ValueError:
+                raise ConfigurationError(
+                    f"mass is '{values['mass']}'", "give the body mass in kg"
+                ) from None
+        wanted = NextTrialSettings().to_flat("next.")
+        wanted |= {f"next.{field}": value for field, value in values.items()}
+        request = SetParametersAtomically.Request(
+            parameters=[
+                Parameter(key, value=value).to_parameter_msg() for key, value in wanted.items()
+            ]
+        )
+        with self._recording:  # what one browser sets is not for the trial of another
+            result = self._call("recorder_node/set_parameters_atomically", request).result
+            if not result.successful:
+                raise _refusal(result.reason)
+            return self._ask("recorder/record", SetBool.Request(data=True))
+
+    def stop_recording(self) -> str:
+        """Close the trial that is being recorded."""
+        return self._ask("recorder/record", SetBool.Request(data=False))
+
+    def event(self, label: str) -> str:
+        """Mark an event with the time of this call, as the verb `mark` does."""
+        called = time.monotonic()
+        label = check_label(label)
+        with self._marking:  # a later one waits, and keeps its time
+            marked = self._marker.mark(label, called)
+        where = f" in the trial {marked.trial}" if marked.trial else ""
+        return "; ".join([f"marked '{label}'{where}", *marked.notes()])
+
+    def _ask(self, name: str, request: Any) -> str:
+        """Call a service that answers whether it did, and what it did or why not."""
+        answer = self._call(name, request)
+        if not answer.success:
+            raise _refusal(answer.message)
+        return str(answer.message)
+
+    def _call(self, name: str, request: Any) -> Any:
+        within, again = clocks.real(_ANSWERS_WITHIN), clocks.real(_ASK_AGAIN)
+        if name == "estimator/fit":  # a second fit would take its time
+            within = again = clocks.real(_FITS_WITHIN)
+        client, (_, offered_by) = self._clients[name], _SERVICES[name]
+        if not _wait(client.service_is_ready, _FOUND_WITHIN):
+            hint = f"check that {offered_by} runs"
+            if offered_by == "recorder_node":
+                hint = "start 'run' with --record DIR, or 'record DIR' beside it"
+            raise TestbedError(f"nobody offers {name}", hint)
+        asked: list[Future] = []
+        for _ in range(math.ceil(within / again)):
+            asked.append(client.call_async(request))
+            if _wait(lambda: any(future.done() for future in asked), again):
+                break
+        for future in asked:
+            client.remove_pending_request(future)
+        answers = [future.result() for future in asked if future.done()]
+        if not answers:
+            hint = f"see what {offered_by} reports"
+            raise TestbedError(f"{name} has not answered within {within:g} s", hint)
+        return answers[0]
+
+
+def _refusal(words: str) -> TestbedError:
+    """What a service or a node said, fact and hint, as an error."""
+    fact, _, hint = words.rpartition(": ")
+    return TestbedError(fact, hint) if fact else TestbedError("refused", words)

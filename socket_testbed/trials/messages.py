@@ -1,0 +1,370 @@
+"""Messages of the testbed and their numbers: how each type is read and packed.
+
+What `Reader` reads has the layout of a message before it; the rosbags library decodes the first
+one, and so every message that deviates. What is packed fills a serialised blank message. No ROS is
+needed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import cache
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
+
+import numpy as np
+
+from socket_testbed.arrays import FloatArray, IntArray, StatusArray
+from socket_testbed.errors import TrialError
+from socket_testbed.trials.layout import Layout, Record, blank, decode, elements, stamps_of
+from socket_testbed.trials.topics import (
+    CAPACITANCE,
+    EVENT,
+    FORCE_MAP,
+    LOAD_CELL_RAW,
+    LOCAL_FORCES,
+    MARKERS,
+    SOCKET_POSE,
+    STRESS,
+    TRIGGER,
+    WRENCH,
+    Topic,
+)
+
+if TYPE_CHECKING:
+    from socket_testbed.identification.force_map import MapEstimate
+
+WORLD_FRAME = "world"  # the motion capture's
+LOAD_CELL_FRAME = "load_cell"  # the paper's {S}
+
+_LAYOUTS = 8  # of a topic that are remembered; what has another is read message by message
+
+Values: TypeAlias = Callable[[Record, Any], Any]
+"""Gives the values of messages of one layout, from their numbers and one of them as the library
+decodes it: names and lengths are the same in all. Their shapes begin with that of the records."""
+
+
+class Reader:
+    """Reads serialised messages of a topic, those of one layout at once.
+
+    Args:
+        topic: The topic.
+        where: What the messages are from, for an error.
+        values: Gives their values; as the topic's type says, see `VALUES`, if not given.
+
+    Raises:
+        TrialError: From any reading, if a message cannot be decoded.
+    """
+
+    def __init__(
+        self, topic: Topic, where: object = "this graph", values: Values | None = None
+    ) -> None:
+        self._topic = topic
+        self._where = where
+        self._values = values or VALUES[topic.type]
+        self._known: list[tuple[Layout, Any]] = []
+
+    def read(self, data: bytes) -> tuple[int, Any]:
+        """Stamp since the epoch [ns] and values of one message."""
+        for layout, sample in self._known:
+            if (record := layout.record(data)) is not None:
+                stamp = record["header"]["stamp"]
+                nanoseconds = int(stamp["sec"]) * 1_000_000_000 + int(stamp["nanosec"])
+                return nanoseconds, self._values(record, sample)
+        self._known = [self._learn(data), *self._known[: _LAYOUTS - 1]]
+        return self.read(data)
+
+    def parts(self, messages: Sequence[bytes]) -> Iterator[tuple[IntArray, IntArray, Any]]:
+        """Many messages in parts, each of one layout.
+
+        Yields:
+            The part's k places among the messages, shape (k,), the stamps [ns], shape (k,), and
+            the values.
+        """
+        left, tried = np.arange(len(messages)), 0
+        while len(left):
+            chosen = left
+            if tried < len(self._known):
+                layout, sample = self._known[tried]
+            else:
+                layout, sample = self._learn(messages[left[0]])
+                if tried < _LAYOUTS:
+                    self._known.append((layout, sample))
+                else:
+                    chosen = left[:1]
+            tried += 1
+            records, fits = layout.records([messages[place] for place in chosen.tolist()])
+            if len(records):
+                yield chosen[fits], stamps_of(records), self._values(records, sample)
+            left = np.concatenate([chosen[~fits], left[len(chosen) :]])
+
+    def _learn(self, data: bytes) -> tuple[Layout, Any]:
+        try:
+            return Layout(data, self._topic.type), decode(data, self._topic.type)
+        except Exception as error:  # the library raises whatever the bytes lead it to
+            raise TrialError(
+                f"{self._where}: a message on {self._topic.name} cannot be decoded ({error})",
+                "check that it was recorded or sent with this version's messages",
+            ) from None
+
+
+class Template:
+    """A message with a header, of which all but the numbers stays: filled and sent as bytes.
+
+    Args:
+        message_type: Its type, as `package/msg/Type`.
+        frame: The frame of its header.
+        content: Its strings, and as many elements as its sequences have; see `make_message`.
+
+    Attributes:
+        numbers: Its numbers, to be filled; see `Layout`.
+    """
+
+    def __init__(self, message_type: str, frame: str = LOAD_CELL_FRAME, **content: Any) -> None:
+        self._content, self.numbers = blank(message_type, header={"frame_id": frame}, **content)
+        stamp = self.numbers["header"]["stamp"]
+        self._seconds, self._nanoseconds = stamp["sec"], stamp["nanosec"]
+
+    def serialised(self, stamp: int) -> bytes:
+        """The message as it is filled, with a stamp since the epoch [ns]."""
+        self._seconds[()], self._nanoseconds[()] = divmod(stamp, 1_000_000_000)
+        return bytes(self._content)
+
+
+# What the testbed's messages say, type by type: how it is read, and how it is packed.
+
+
+def _sequence(records: Record, sample: Any) -> IntArray:
+    """Sequence of triggers."""
+    return records["sequence"]
+
+
+def trigger_packer() -> Callable[[int, int], bytes]:
+    """Packs a Trigger from its stamp [ns] and sequence."""
+    template = Template(TRIGGER.type, frame="")
+
+    def pack(stamp: int, sequence: int) -> bytes:
+        template.numbers["sequence"] = sequence
+        return template.serialised(stamp)
+
+    return pack
+
+
+VectorPacker: TypeAlias = Callable[[int, FloatArray], bytes]
+"""Makes a serialised message of a stamp since the epoch [ns] and its numbers."""
+
+
+def _wrench(records: Record, sample: Any) -> FloatArray:
+    """[M; F], shape (..., 6) [N m, N]."""
+    return _joined(records["wrench"], "torque", "force")
+
+
+def wrench_packer() -> VectorPacker:
+    """Packs a WrenchStamped from its stamp [ns] and [M; F], shape (6,) [N m, N]."""
+    return _vector_packer(Template(WRENCH.type), "wrench", "torque", "force")
+
+
+def _pose(records: Record, sample: Any) -> FloatArray:
+    """Position [m] and quaternion (x, y, z, w), shape (..., 7)."""
+    return _joined(records["pose"], "position", "orientation")
+
+
+def pose_packer() -> VectorPacker:
+    """Packs a PoseStamped from its stamp [ns], and position [m] and quaternion, shape (7,)."""
+    return _vector_packer(
+        Template(SOCKET_POSE.type, WORLD_FRAME), "pose", "position", "orientation"
+    )
+
+
+def _joined(record: Record, *fields: str) -> FloatArray:
+    return np.concatenate([record[field] for field in fields], axis=-1)
+
+
+def _vector_packer(template: Template, field: str, *halves: str) -> VectorPacker:
+    first, second = (template.numbers[field][half] for half in halves)
+
+    def pack(stamp: int, values: FloatArray) -> bytes:
+        first[:], second[:] = values[: len(first)], values[len(first) :]
+        return template.serialised(stamp)
+
+    return pack
+
+
+def _raw(records: Record, sample: Any) -> FloatArray:
+    """Ratios of the bridges [-] and tare [M; F] [N m, N], shape (..., 12)."""
+    tare = _joined(records["tare"], "torque", "force")
+    return np.concatenate([records["ratios"], tare], axis=-1)
+
+
+def load_cell_raw_packer() -> Callable[[int, FloatArray, FloatArray, int, int], bytes]:
+    """Packs a LoadCellRaw.
+
+    From its stamp [ns], the ratios, shape (6,) [mV/V], the tare [M; F], shape (6,) [N m, N], when
+    that was taken [ns], and a `Status`.
+    """
+    template = Template(LOAD_CELL_RAW.type)
+    numbers = template.numbers
+
+    def pack(stamp: int, ratios: FloatArray, tare: FloatArray, tared: int, status: int) -> bytes:
+        numbers["ratios"] = 1e-3 * ratios
+        numbers["tare"]["torque"], numbers["tare"]["force"] = tare[:3], tare[3:]
+        numbers["tared"]["sec"], numbers["tared"]["nanosec"] = divmod(tared, 1_000_000_000)
+        numbers["status"] = status
+        return template.serialised(stamp)
+
+    return pack
+
+
+class Capacitances(NamedTuple):
+    """Capacitances of c clusters."""
+
+    names: tuple[str, ...]
+    capacitance: FloatArray  # by input, shape (..., c, 4) [pF]
+    status: StatusArray  # `Status` of each, of the same shape
+
+
+def _capacitances(records: Record, sample: Any) -> Capacitances:
+    names = tuple(cluster.name for cluster in sample.clusters)
+    capacitance = np.empty((*records.shape, len(names), 4))
+    status = np.empty(capacitance.shape, np.uint8)
+    for i, own in enumerate(elements(records, "clusters")):
+        capacitance[..., i, :], status[..., i, :] = own["capacitance"], own["status"]
+    return Capacitances(names, capacitance, status)
+
+
+def capacitance_packer(
+    names: Sequence[str],
+) -> Callable[[int, FloatArray, StatusArray], bytes]:
+    """Packs a ClusterCapacitanceArray of c clusters.
+
+    From its stamp [ns], and capacitances [pF] and statuses, shape (c, 4).
+    """
+    template = Template(CAPACITANCE.type, clusters=[{"name": name} for name in names])
+    clusters = elements(template.numbers, "clusters")
+
+    def pack(stamp: int, capacitance: FloatArray, status: StatusArray) -> bytes:
+        for own, values, states in zip(clusters, capacitance, status, strict=True):
+            own["capacitance"], own["status"] = values, states
+        return template.serialised(stamp)
+
+    return pack
+
+
+def _stress(records: Record, sample: Any) -> dict[str, tuple[FloatArray, int]]:
+    """Normal stress, shear x and y [Pa], and status by cluster, of one message."""
+    found = {}
+    for cluster, own in zip(sample.clusters, elements(records, "clusters"), strict=True):
+        *stress, status = own.tolist()
+        found[cluster.name] = np.array(stress), status
+    return found
+
+
+def stress_packer(names: Sequence[str]) -> Callable[[int, FloatArray, StatusArray], bytes]:
+    """Packs a ClusterStressArray of c clusters.
+
+    From its stamp [ns], normal stress, shear x and y, shape (c, 3) [Pa], and statuses, shape (c,).
+    """
+    template = Template(STRESS.type, clusters=[{"name": name} for name in names])
+    clusters = elements(template.numbers, "clusters")
+
+    def pack(stamp: int, stress: FloatArray, status: StatusArray) -> bytes:
+        for own, values, state in zip(clusters, stress.tolist(), status.tolist(), strict=True):
+            own[()] = (*values, state)
+        return template.serialised(stamp)
+
+    return pack
+
+
+def _markers(records: Record, sample: Any) -> list[tuple[str, FloatArray]]:
+    """Name and m markers, shape (..., m, 3) [m] in the world, of each body."""
+    return [
+        (
+            body.name,
+            records["bodies"][str(number)]["markers"].astype(np.float64)
+            if body.markers
+            else np.empty((*records.shape, 0, 3)),
+        )
+        for number, body in enumerate(sample.bodies)
+    ]
+
+
+def markers_packer(counts: Mapping[str, int]) -> Callable[[int, Sequence[FloatArray]], bytes]:
+    """Packs a RigidBodyMarkersArray of bodies with so many markers.
+
+    From its stamp [ns] and the markers of each body, shape (m, 3) [m] in the world.
+    """
+    bodies = [{"name": name, "markers": [None] * count} for name, count in counts.items()]
+    template = Template(MARKERS.type, WORLD_FRAME, bodies=bodies)
+    numbers = elements(template.numbers, "bodies")
+
+    def pack(stamp: int, markers: Sequence[FloatArray]) -> bytes:
+        for own, seen in zip(numbers, markers, strict=True):
+            own["markers"] = seen
+        return template.serialised(stamp)
+
+    return pack
+
+
+def _local_forces(records: Record, sample: Any) -> FloatArray:
+    """Forces in {S}, shape (..., n, 3) [N]."""
+    return records["forces"].astype(np.float64)
+
+
+def local_forces_packer(names: Sequence[str]) -> VectorPacker:
+    """Packs a LocalForceArray from its stamp [ns] and forces in {S}, shape (n, 3) [N]."""
+    template = Template(LOCAL_FORCES.type, names=names, forces=[None] * len(names))
+
+    def pack(stamp: int, values: FloatArray) -> bytes:
+        template.numbers["forces"] = values
+        return template.serialised(stamp)
+
+    return pack
+
+
+_VECTORS = ("forces", "standard_deviations")
+_PRESSURES = ("normal_pressure", "normal_pressure_standard_deviation")
+_SHEARS = ("shear", "shear_standard_deviation")
+
+
+def _force_map(records: Record, sample: Any) -> tuple[tuple[str, ...], dict[str, Any]]:
+    """Names of the n tiles; and the fields of N maps, as `MapEstimate` takes them."""
+    fields: dict[str, Any] = {
+        name: records[name].astype(np.float64).reshape(-1, *records[name].shape[records.ndim :])
+        for name in (*_VECTORS, *_PRESSURES, *_SHEARS)
+    }
+    return tuple(sample.names), {**fields, "source": sample.source}
+
+
+def force_map_packer(names: Sequence[str]) -> Callable[[int, MapEstimate], bytes]:
+    """Packs a ForceMap of n tiles from its stamp [ns] and an estimate with N = 1."""
+
+    @cache  # few: by the channels that are there
+    def template_of(source: str) -> Template:
+        blanks: list[Any] = [None] * len(names)
+        numbers = dict.fromkeys((*_VECTORS, *_PRESSURES, *_SHEARS), blanks)
+        return Template(FORCE_MAP.type, LOAD_CELL_FRAME, names=names, source=source, **numbers)
+
+    def pack(stamp: int, estimate: MapEstimate) -> bytes:
+        template = template_of(estimate.source)
+        for field in (*_VECTORS, *_PRESSURES, *_SHEARS):
+            template.numbers[field] = getattr(estimate, field)[0]
+        return template.serialised(stamp)
+
+    return pack
+
+
+def _label(records: Record, sample: Any) -> str:
+    return str(sample.label)
+
+
+VALUES: dict[str, Values] = {
+    TRIGGER.type: _sequence,
+    WRENCH.type: _wrench,
+    LOAD_CELL_RAW.type: _raw,
+    SOCKET_POSE.type: _pose,
+    CAPACITANCE.type: _capacitances,
+    STRESS.type: _stress,
+    MARKERS.type: _markers,
+    LOCAL_FORCES.type: _local_forces,
+    FORCE_MAP.type: _force_map,
+    EVENT.type: _label,
+}
