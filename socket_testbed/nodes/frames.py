@@ -106,13 +106,7 @@ def _transform(stamp: int, parent: str, name: str, pose: Pose) -> TransformStamp
 
 
 def _sender(node: TestbedNode[Any], topic: Topic) -> Send:
-    """What sends transforms: tf2_ros's broadcaster, or the same message without it."""
+    """What sends transforms; an ImportError without tf2_msgs."""
     kind = message_type(topic)
-    try:
-        import tf2_ros
-    except ImportError:
-        publisher = node.create_publisher(kind, topic.name, publisher_qos(topic))
-        return lambda transforms: publisher.publish(kind(transforms=transforms))
-    name = "StaticTransformBroadcaster" if topic.latched else "TransformBroadcaster"
-    send: Send = getattr(tf2_ros, name)(node).sendTransform
-    return send
+    publisher = node.create_publisher(kind, topic.name, publisher_qos(topic))
+    return lambda transforms: publisher.publish(kind(transforms=transforms))

@@ -107,11 +107,7 @@ class EstimateListener:
         rclpy.try_shutdown()
 
     def series(self, topic: Topic, stamps: list[int]) -> FloatArray:
-        """The estimates of a topic at N stamps [ns], shape (N, ...); NaN where there is none.
-
-        Raises:
-            StopIteration: If none has come at all.
-        """
+        """The estimates of a topic at N stamps [ns], shape (N, ...); NaN where there is none."""
         found = self.estimates[topic]
         none = np.full_like(next(iter(found.values())), np.nan)
         return np.array([found.get(stamp, none) for stamp in stamps])

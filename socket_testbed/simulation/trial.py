@@ -39,7 +39,14 @@ from socket_testbed.simulation.sensors import (
     wrench_creep,
 )
 from socket_testbed.trials.bag import BagWriter
-from socket_testbed.trials.layout import encode, fields_of, message_class
+from socket_testbed.trials.messages import (
+    capacitance_packer,
+    load_cell_raw_packer,
+    markers_packer,
+    pose_packer,
+    trigger_packer,
+    wrench_packer,
+)
 from socket_testbed.trials.topics import (
     CAPACITANCE,
     LOAD_CELL_RAW,
@@ -241,10 +248,8 @@ def write_simulated_trial(
         with BagWriter(staging) as bag:
             for topic in _DELAYS:
                 bag.add_topic("/" + topic.name, topic)
-            for k, stamp in enumerate(trial.stamps.tolist()):
-                for topic, message in _messages(trial, ratios[k], k):
-                    time = stamp + _DELAYS[topic]
-                    bag.write("/" + topic.name, time, encode(message, topic.type))
+            for stamp, topic, message in _messages(trial, ratios):
+                bag.write("/" + topic.name, stamp + _DELAYS[topic], message)
         store_configuration(staging, configuration)
         save_truth(staging / TRUTH_FILE, trial.tiles, trial.stamps, trial.truth)
 
@@ -315,62 +320,29 @@ def _between(values: FloatArray, after: IntArray, share: FloatArray) -> FloatArr
     return np.asarray((1.0 - share) * values[after - 1] + share * values[after])
 
 
-def _messages(trial: SimulatedTrial, ratios: FloatArray, k: int) -> Iterator[tuple[Topic, Any]]:
-    """The messages of trigger k, whose ratios [mV/V] are given, in the order of their recording."""
-    stamp = _time(int(trial.stamps[k]))
-    header = {"stamp": stamp, "frame_id": "load_cell"}
-    in_world = {"stamp": stamp, "frame_id": "world"}
-    contents: dict[Topic, dict[str, Any]] = {
-        TRIGGER: {"sequence": k},
-        WRENCH: {"wrench": _wrench(trial.wrench[k])},
-        LOAD_CELL_RAW: {
-            "ratios": 1e-3 * ratios,
-            "tare": _wrench(np.zeros(6)),
-            "tared": _time(0),
-            "status": Status.OK,
-        },
-    }
-    for topic, pose in ((SOCKET_POSE, trial.socket_pose), (PYLON_POSE, trial.pylon_pose)):
-        turned = Pose(pose.rotation[k], pose.translation[k]).quaternion()
-        place = {"position": _xyz(pose.translation[k]), "orientation": _xyz(turned, "xyzw")}
-        contents[topic] = {"header": in_world, "pose": place}
-    bodies = {"socket": trial.socket_markers[k], "pylon": trial.pylon_markers[k]}
-    seen = [{"name": name, "markers": list(map(_xyz, at))} for name, at in bodies.items()]
-    contents[MARKERS] = {"header": in_world, "bodies": seen}
-    clusters = [
-        {
-            "name": name,
-            "capacitance": values[k],
-            "status": np.where(np.isfinite(values[k]), Status.OK, Status.MISSING).astype(np.uint8),
-        }
-        for name, values in trial.capacitance.items()
-    ]
-    contents[CAPACITANCE] = {"clusters": clusters}
-    for topic, content in contents.items():
-        yield topic, _message(topic.type, {"header": header, **content})
+def _messages(trial: SimulatedTrial, ratios: FloatArray) -> Iterator[tuple[int, Topic, bytes]]:
+    """Stamps [ns], topics and messages in the order of their recording.
 
-
-def _message(message_type: str, content: Any) -> Any:
-    """A message from nested dictionaries, by the fields of its type."""
-    values = {}
-    for field in fields_of(message_type):
-        value = content[field.name]
-        if "/" in field.type:
-            one = field.number is None
-            parts = [_message(field.type, part) for part in ([value] if one else value)]
-            value = parts[0] if one else parts
-        values[field.name] = value
-    return message_class(message_type)(**values)
-
-
-def _time(stamp: int) -> dict[str, int]:
-    seconds, nanoseconds = divmod(stamp, 1_000_000_000)
-    return {"sec": seconds, "nanosec": nanoseconds}
-
-
-def _wrench(values: FloatArray) -> dict[str, Any]:
-    return {"force": _xyz(values[3:]), "torque": _xyz(values[:3])}
-
-
-def _xyz(values: FloatArray, names: str = "xyz") -> dict[str, float]:
-    return dict(zip(names, values.tolist(), strict=True))
+    Args:
+        trial: The trial.
+        ratios: Ratios of the load cell's bridges, shape (N, 6) [mV/V].
+    """
+    pack_trigger, pack_wrench, pack_pose = trigger_packer(), wrench_packer(), pose_packer()
+    pack_raw = load_cell_raw_packer()
+    markers = {"socket": trial.socket_markers, "pylon": trial.pylon_markers}
+    pack_markers = markers_packer({name: seen.shape[1] for name, seen in markers.items()})
+    pack_capacitance = capacitance_packer(list(trial.capacitance))
+    capacitance = np.stack(list(trial.capacitance.values()), axis=1)
+    status = np.where(np.isfinite(capacitance), Status.OK, Status.MISSING).astype(np.uint8)
+    socket, pylon = (
+        np.hstack([pose.translation, pose.quaternion()])
+        for pose in (trial.socket_pose, trial.pylon_pose)
+    )
+    for k, stamp in enumerate(trial.stamps.tolist()):
+        yield stamp, TRIGGER, pack_trigger(stamp, k)
+        yield stamp, WRENCH, pack_wrench(stamp, trial.wrench[k])
+        yield stamp, LOAD_CELL_RAW, pack_raw(stamp, ratios[k], np.zeros(6), 0, Status.OK)
+        yield stamp, SOCKET_POSE, pack_pose(stamp, socket[k])
+        yield stamp, PYLON_POSE, pack_pose(stamp, pylon[k])
+        yield stamp, MARKERS, pack_markers(stamp, [seen[k] for seen in markers.values()])
+        yield stamp, CAPACITANCE, pack_capacitance(stamp, capacitance[k], status[k])

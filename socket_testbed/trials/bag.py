@@ -2,26 +2,25 @@
 
 A folder's storage files are read directly, because a reader that trusts `metadata.yaml`
 yields nothing, without an error, if the two disagree on a topic's quality of service.
-The counts of both are compared instead.
+Their counts are compared instead.
 """
 
 from __future__ import annotations
 
 import math
 import os
-import sqlite3
+import shutil
 import zlib
-from collections.abc import Collection, Iterator
-from contextlib import ExitStack, closing, suppress
+from collections.abc import Collection, Iterator, Mapping
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, NamedTuple, Self
+from typing import Any, Self
 
 from backports import zstd
 from rosbags.interfaces import (
     Connection,
-    ConnectionExtRosbag2,
     Qos,
     QosDurability,
     QosHistory,
@@ -30,7 +29,6 @@ from rosbags.interfaces import (
     QosTime,
 )
 from rosbags.rosbag2 import Reader, StoragePlugin, Writer
-from rosbags.rosbag2.metadata import parse_qos
 
 from socket_testbed.documents import load_yaml
 from socket_testbed.errors import TrialError
@@ -42,8 +40,6 @@ _STORAGE = (".mcap", ".db3")
 _PACKED = ".zstd"
 STORAGE_SUFFIXES = (*_STORAGE, *(suffix + _PACKED for suffix in _STORAGE))
 _ZSTD = b"\x28\xb5\x2f\xfd"  # a message as it was recorded begins with a zero
-_LARGEST = 2**28  # [bytes] of a chunk or message once unpacked
-_LARGEST_RATIO = 500  # of a file, unpacked to packed; recorders come to 20
 _BLOCK = 4096  # messages that are decoded at once
 _FOREVER = QosTime(2147483647, 4294967295)
 _CHUNK = 2**20 - 2**10  # [bytes]; the library closes a chunk at 1 MiB
@@ -53,36 +49,22 @@ _TRUNCATED = ("end magic", "truncated", "footer", "empty", "ended before")
 
 @dataclass(frozen=True)
 class RawMessage:
-    """A message as it was recorded.
-
-    Attributes:
-        topic: Name of the topic.
-        type: Message type, as `package/msg/Type`.
-        time: Time of the recording since the epoch [ns].
-        data: Serialised message (CDR).
-    """
+    """A message as it was recorded."""
 
     topic: str
-    type: str
-    time: int
-    data: bytes
+    type: str  # as `package/msg/Type`
+    time: int  # of the recording, since the epoch [ns]
+    data: bytes  # serialised (CDR)
 
 
 @dataclass(frozen=True)
 class Block:
-    """Messages of one topic, in the order of their recording.
-
-    Attributes:
-        topic: Name of the topic.
-        type: Message type, as `package/msg/Type`.
-        times: Times of their recording since the epoch [ns].
-        data: The serialised messages.
-    """
+    """Messages of one topic, in the order of their recording."""
 
     topic: str
-    type: str
-    times: list[int]
-    data: list[bytes]
+    type: str  # as `package/msg/Type`
+    times: list[int]  # of the recording, since the epoch [ns]
+    data: list[bytes]  # serialised (CDR)
 
 
 class BagReader:
@@ -94,7 +76,6 @@ class BagReader:
         path: Folder of the bag, or one storage file.
 
     Attributes:
-        path: Folder of the bag, or one storage file.
         notes: What the user should know about the bag, one line per note; complete after entry.
 
     Raises:
@@ -116,7 +97,7 @@ class BagReader:
             for file in self._storage_files(metadata):
                 self._readers.append(self._open(file))
             if metadata is not None:
-                self._compare(metadata.topics)
+                self._compare(metadata[1])
         except BaseException:
             self._stack.close()
             raise
@@ -196,7 +177,7 @@ class BagReader:
             if any(left.values()):
                 raise _lacking(file, sum(left.values()))
 
-    def _storage_files(self, metadata: _Metadata | None) -> list[Path]:
+    def _storage_files(self, metadata: tuple[list[str], Any] | None) -> list[Path]:
         if self.path.is_file():
             return [self.path]
         if metadata is None:
@@ -204,7 +185,7 @@ class BagReader:
             files = files or sorted(p for p in self.path.iterdir() if is_storage(p))
             self.notes.append("no metadata.yaml: the storage files were read as they are")
         else:
-            files = [self.path / name for name in metadata.files]
+            files = [self.path / name for name in metadata[0]]
         if not files:
             raise TrialError(
                 f"{self.path}: holds no .mcap or .db3 file", "give the folder of a trial"
@@ -220,13 +201,12 @@ class BagReader:
     def _open(self, file: Path) -> Reader | SalvagedRecording:
         if file.suffix == _PACKED:
             file = self._unpack(file)
-        if file.suffix == ".db3":
-            _refuse_other_tables(file)
-            if (journal := file.with_name(file.name + "-wal")).exists() and journal.stat().st_size:
-                self.notes.append(
-                    f"{journal.name}, which may hold the newest messages, is not read:"
-                    f" 'sqlite3 {file} vacuum' takes them in"
-                )
+        journal = file.with_name(file.name + "-wal")  # of SQLite
+        if journal.exists() and journal.stat().st_size:
+            self.notes.append(
+                f"{journal.name}, which may hold the newest messages, is not read:"
+                f" 'sqlite3 {file} vacuum' takes them in"
+            )
         try:
             salvaged = salvage(file) if file.suffix == ".mcap" else None
             reader: Reader | SalvagedRecording = salvaged or Reader(file)
@@ -245,21 +225,18 @@ class BagReader:
         """A storage file unpacked into a folder that goes with this reader."""
         folder = self._stack.enter_context(TemporaryDirectory(prefix="socket_testbed-"))
         unpacked = Path(folder) / file.stem
-        left = max(_LARGEST, _LARGEST_RATIO * file.stat().st_size)
         try:
             with zstd.open(file, "rb") as source, unpacked.open("wb") as target:
-                while content := source.read(2**20):
-                    left -= target.write(content)
-                    if left < 0:
-                        raise ValueError("it is too large once unpacked")
-        except (OSError, EOFError, ValueError, zstd.ZstdError) as error:
+                shutil.copyfileobj(source, target)
+        except (OSError, EOFError, zstd.ZstdError) as error:
             raise _damaged(file, error) from None
         self._packed[unpacked] = file
         return unpacked
 
-    def _compare(self, topics: Collection[_TopicMetadata]) -> None:
+    def _compare(self, promised: Mapping[str, int]) -> None:
+        """Compare the counts of metadata.yaml with those of the files."""
         counts = self.counts
-        for name, count, profiles in topics:
+        for name, count in promised.items():
             held = counts.get(name, 0)
             # A recording that was cut short has fewer; a note says so.
             if held != count and not (self._cut_short and held < count):
@@ -268,33 +245,15 @@ class BagReader:
                     f" the storage file holds {held}",
                     "copy the trial again, or write metadata.yaml again with 'ros2 bag reindex'",
                 )
-            stored = [
-                profile
-                for reader in self._readers
-                for connection in reader.connections
-                if connection.topic == name and isinstance(connection.ext, ConnectionExtRosbag2)
-                for profile in connection.ext.offered_qos_profiles
-            ]
-            if any(profile not in profiles for profile in stored):
-                self.notes.append(
-                    f"metadata.yaml and the storage file disagree on the QoS of {name}:"
-                    " the file's messages are read"
-                )
-        promised = sum(topic.messages for topic in topics)
-        if promised > sum(counts.values()):
+        if sum(promised.values()) > sum(counts.values()):
             self.notes.append(
-                f"metadata.yaml lists {promised} messages: copy the trial again if it is"
-                " complete elsewhere"
+                f"metadata.yaml lists {sum(promised.values())} messages: copy the trial again if it"
+                " is complete elsewhere"
             )
 
 
 def required_topics(bag: BagReader) -> dict[Topic, str]:
-    """Names in the bag of the topics that offline work needs, each with messages.
-
-    Raises:
-        TrialError: For an empty bag, a topic that is missing or empty, or one of another
-            type than the testbed's.
-    """
+    """Names in the bag of the testbed's topics; a TrialError unless the required ones are there."""
     topics = match_topics(bag.counts, str(bag.path))
     if not any(bag.counts.values()):
         raise TrialError(f"{bag.path}: holds no message", "record the trial again")
@@ -316,23 +275,8 @@ def required_topics(bag: BagReader) -> dict[Topic, str]:
     return {topic: topics[topic] for topic in TOPICS if topic in topics}
 
 
-class _TopicMetadata(NamedTuple):
-    """A topic of metadata.yaml."""
-
-    name: str
-    messages: int
-    profiles: list[Qos]
-
-
-class _Metadata(NamedTuple):
-    """Names of the storage files, and the topics, of metadata.yaml."""
-
-    files: list[str]
-    topics: list[_TopicMetadata]
-
-
-def _read_metadata(bag: Path) -> _Metadata | None:
-    """The metadata of a bag; None if it is one storage file, or has no metadata.yaml."""
+def _read_metadata(bag: Path) -> tuple[list[str], dict[str, int]] | None:
+    """Names of a bag's files, and counts of messages by topic; None without metadata.yaml."""
     if not bag.exists():
         raise TrialError(f"{bag}: no such trial", "check the path")
     if not (bag.is_dir() or bag.is_file()):
@@ -342,14 +286,10 @@ def _read_metadata(bag: Path) -> _Metadata | None:
         return None
     try:
         content = load_yaml(file)["rosbag2_bagfile_information"]
-        topics = [
-            _TopicMetadata(
-                str(entry["topic_metadata"]["name"]),
-                int(entry["message_count"]),
-                parse_qos(entry["topic_metadata"].get("offered_qos_profiles", [])),
-            )
+        counts = {
+            str(entry["topic_metadata"]["name"]): int(entry["message_count"])
             for entry in content.get("topics_with_message_count") or []
-        ]
+        }
         files = [Path(str(name)).name for name in content.get("relative_file_paths") or []]
         compression = str(content.get("compression_format") or "zstd")
     except Exception:  # the libraries raise whatever the text leads them to
@@ -361,23 +301,12 @@ def _read_metadata(bag: Path) -> _Metadata | None:
             f"{bag}: is compressed with '{compression}'",
             "unpack it with 'ros2 bag convert', to zstd or to no compression",
         )
-    return _Metadata(files, topics)
+    return files, counts
 
 
 def is_storage(file: Path) -> bool:
     """Whether a file is a bag's storage, by its name."""
     return file.name.endswith(STORAGE_SUFFIXES)
-
-
-def _refuse_other_tables(file: Path) -> None:
-    """Refuse an SQLite file whose tables are programs: reading a view may never end."""
-    try:
-        with closing(sqlite3.connect(f"{file.absolute().as_uri()}?immutable=1", uri=True)) as base:
-            kinds = dict(base.execute("SELECT name, type FROM sqlite_master"))
-    except (sqlite3.Error, ValueError) as error:  # a name may be no UTF-8
-        raise _damaged(file, error) from None
-    if any(kinds.get(name) != "table" for name in ("topics", "messages")):
-        raise _damaged(file, ValueError("it has no tables 'topics' and 'messages'"))
 
 
 def _damaged(file: Path | object, error: Exception) -> TrialError:

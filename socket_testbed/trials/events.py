@@ -59,9 +59,6 @@ def check_label(label: str) -> str:
     """Refuse a label that a segment could not name; returns it.
 
     It begins with a letter. Letters, digits, blanks, `_`, `.`, and hyphens before a letter follow.
-
-    Raises:
-        ConfigurationError: If it does not, or is longer than 99 characters.
     """
     if len(label) > _LONGEST_LABEL:
         raise ConfigurationError(
@@ -92,9 +89,6 @@ def read_events(bag: BagReader, samples: Samples) -> list[Event]:
     Args:
         bag: The open bag of the trial.
         samples: Its samples, whose first is the zero of time.
-
-    Raises:
-        TrialError: If one cannot be decoded.
     """
     topics = match_topics(bag.counts, str(bag.path))
     name = topics.get(EVENT)
@@ -279,9 +273,6 @@ def cycle_spans(events: Sequence[Event], by: str = PLACED) -> list[tuple[float, 
 
     Returns:
         Seconds since the first sample, in their order.
-
-    Raises:
-        TrialError: If there is no such event.
     """
     start, _, end = (part.strip() for part in by.partition(":"))
     end = end or start

@@ -140,7 +140,7 @@ def _sequence(records: Record, sample: Any) -> IntArray:
 
 def trigger_packer() -> Callable[[int, int], bytes]:
     """Packs a Trigger from its stamp [ns] and sequence."""
-    template = Template(TRIGGER.type, frame="")
+    template = Template(TRIGGER.type)
 
     def pack(stamp: int, sequence: int) -> bytes:
         template.numbers["sequence"] = sequence

@@ -44,10 +44,6 @@ class TrialMetadata:
         operator: Initials or a code of who recorded it.
         protocol: The protocol that it follows.
         notes: Anything else.
-
-    Raises:
-        ConfigurationError: For an empty or overlong text, one with control characters, a code with
-            spaces, another side, or a mass outside 5 to 400 kg.
     """
 
     subject: str | None = None
@@ -111,9 +107,6 @@ def read_metadata(path: Path) -> TrialMetadata:
 
     Args:
         path: The `trial.yaml`.
-
-    Raises:
-        ConfigurationError: If it is missing or unreadable, or a field is unknown or wrong.
     """
     given = read_document(path, dict[str, Any])
     refuse_unknown(given, FIELDS, str(path))
@@ -129,9 +122,6 @@ def write_metadata(metadata: TrialMetadata, path: Path) -> None:
     Args:
         metadata: The metadata.
         path: The `trial.yaml`.
-
-    Raises:
-        ConfigurationError: If it cannot be written.
     """
     with atomic_output(path) as staging:
         staging.write_text(metadata_text(metadata), encoding="utf-8")
@@ -156,9 +146,6 @@ def change_metadata(
         metadata: The metadata.
         changes: New values by their fields; None for no change.
         remove: Fields to remove; what is changed as well stays.
-
-    Raises:
-        ConfigurationError: For an unknown field or a wrong value.
     """
     removed = dict.fromkeys(remove)
     for name in removed:

@@ -25,21 +25,13 @@ _SAME_WRENCH = 1e-6  # of the full scale
 
 
 def parse_tare(tare: str) -> tuple[float, float] | None:
-    """The span of a tare written as `T0:T1` [s]; None for `recorded` and `none`.
-
-    Raises:
-        ConfigurationError: If it is none of these.
-    """
+    """The span of a tare written as `T0:T1` [s]; None for `recorded` and `none`."""
     fixed = tare in (RECORDED, NO_TARE)
     return None if fixed else parse_span(tare, "--tare", ", or none, recorded")
 
 
 def read_load_cell(path: Path) -> LoadCellSettings:
-    """The load cell's settings in a `testbed.yaml`.
-
-    Raises:
-        ConfigurationError: If the file or a setting is wrong or missing.
-    """
+    """The load cell's settings in a `testbed.yaml`."""
     settings = read_testbed(path).load_cell_node
     try:
         bridges.check_settings(settings)
@@ -68,10 +60,6 @@ def remake_wrenches(
         tare: `recorded`, `none`, or `T0:T1` in seconds since the first sample, whose mean it is.
         where: Name of the trial in an error.
         notify: Called with the tare that is used.
-
-    Raises:
-        TrialError: If the settings stored in the trial do not allow it, or the span of the tare
-            holds no wrench or a load that moves.
     """
     offsets = measured.tares
     wrenches = measured.wrench + offsets
@@ -164,9 +152,6 @@ def refit_poses(
         bodies: Which bodies to fit.
         where: Name of the trial in an error.
         notify: Called with how far the poses of a body moved.
-
-    Raises:
-        TrialError: If more markers of a body were recorded than it has.
     """
     for body in bodies:
         reference = _markers(geometry, body)

@@ -2,9 +2,9 @@
 
 A recorder that was killed, a power cut or a full disk leaves an MCAP file without its index and
 end, often with a torn chunk last. The records are found by their headers and read with the MCAP
-library. What the library lacks is here: lengths are checked before anything is read, a torn or
-zero-filled chunk is never taken for a complete one. The file is only read. The format:
-https://mcap.dev/spec.
+library, which checks each chunk's checksum. What the library lacks is here: lengths are checked
+before anything is read, and a chunk without a checksum has to consist of whole records. The file is
+only read. The format: https://mcap.dev/spec.
 """
 
 from __future__ import annotations
@@ -40,39 +40,25 @@ _FOOTER = _RECORD.pack(Opcode.FOOTER, 20)
 _END_SIZE = _RECORD.size + 20 + len(_MAGIC)
 _CHUNK_FIELDS = 8 + 8 + 8 + 4 + 4 + 8  # [bytes] of a chunk besides its data and a name
 _LARGEST_CHUNK = 2**28  # [bytes]; recorders write 1 MiB, a larger length is a lie
-_COMPRESSIONS = ("", "lz4", "zstd")
-_SECTOR = 512  # [bytes]; a disk has all of it or nothing
 
 _HINT = "copy the trial again, or save what is there with 'mcap recover'"
 
 
 class _Chunk:
-    """A chunk of the file and what it holds.
-
-    Attributes:
-        start: Where its content starts [bytes].
-        end: Where it ends [bytes].
-        index_end: Where the indexes of its messages end, behind it [bytes].
-        counts: Number of messages by channel; empty unless the chunk is sound.
-        first_time: Time of its first message since the epoch [ns].
-        last_time: Time of its last message since the epoch [ns].
-        definitions: Its channels and their schemas.
-        sound: Whether all of it can be read.
-    """
+    """A chunk of the file and what it holds."""
 
     def __init__(self, file: BinaryIO, start: int, end: int) -> None:
-        self.start = start
-        self.end = self.index_end = end
+        self.start = start  # [bytes]; of its content
+        self.end = self.index_end = end  # [bytes]; and of the indexes of its messages behind it
+        self.sound = True  # all of it can be read
         try:
-            records = list(_records_of(_read_chunk(file, start, end)))
+            records = list(_read_chunk(file, start, end))
         except Exception:  # the libraries raise whatever the bytes lead them to
             records, self.sound = [], False
-        else:
-            self.sound = True
         messages = [record for record in records if isinstance(record, Message)]
         self.counts = Counter(message.channel_id for message in messages)
-        self.first_time = min((message.log_time for message in messages), default=0)
-        self.last_time = max((message.log_time for message in messages), default=0)
+        self.first_time = min((message.log_time for message in messages), default=0)  # [ns]
+        self.last_time = max((message.log_time for message in messages), default=0)  # [ns]
         self.definitions = [record for record in records if not isinstance(record, Message)]
 
 
@@ -132,7 +118,7 @@ class SalvagedRecording:
     ) -> Iterator[tuple[int, Message | None]]:
         """The messages of a chunk, with their times; first its time, for which it is not read."""
         yield chunk.first_time, None
-        records = _records_of(_read_chunk(self._file, chunk.start, chunk.end))
+        records = _read_chunk(self._file, chunk.start, chunk.end)
         messages = [r for r in records if isinstance(r, Message) and r.channel_id in wanted]
         for message in sorted(messages, key=lambda message: message.log_time):
             yield message.log_time, message
@@ -142,7 +128,7 @@ class SalvagedRecording:
         chunks, complete = self._find_chunks(size)
         # Before its size reaches the disk, a chunk may have zeros or old blocks for its content.
         # That is so only for what was not flushed: from the back, the first sound one ends it.
-        while chunks and not (chunks[-1].sound and not _may_end_in_a_gap(self._file, chunks[-1])):
+        while chunks and not chunks[-1].sound:
             chunks.pop()
             complete = False
         for chunk in chunks:
@@ -167,15 +153,20 @@ class SalvagedRecording:
     def _find_chunks(self, size: int) -> tuple[list[_Chunk], bool]:
         """The chunks by their headers, and whether all messages are before the end of the file."""
         chunks: list[_Chunk] = []
-        for opcode, start, end in _records(self._file, size):
+        position = len(_MAGIC)
+        while position + _RECORD.size <= size:
+            self._file.seek(position)
+            opcode, length = _RECORD.unpack(self._file.read(_RECORD.size))
+            start, position = position + _RECORD.size, position + _RECORD.size + length
+            # A recorder that writes chunks writes no messages beside them.
+            if position > size or opcode in (0, Opcode.MESSAGE):
+                break
             if opcode in (Opcode.DATA_END, Opcode.FOOTER):
                 return chunks, True
-            if opcode == Opcode.MESSAGE:  # a recorder that writes chunks writes none beside them
-                break
             if opcode == Opcode.CHUNK:
-                chunks.append(_Chunk(self._file, start, end))
+                chunks.append(_Chunk(self._file, start, position))
             elif opcode == Opcode.MESSAGE_INDEX and chunks:
-                chunks[-1].index_end = end
+                chunks[-1].index_end = position
         return chunks, False
 
     def _describe(self, torn: int, complete: bool) -> str:
@@ -189,14 +180,35 @@ class SalvagedRecording:
         )
 
 
+def salvage(path: Path) -> SalvagedRecording | None:
+    """Open an MCAP file that was cut short.
+
+    Args:
+        path: The file; it is only read.
+
+    Returns:
+        Its complete part, to be closed; None for a file that has its end or is not an MCAP file.
+
+    Raises:
+        TrialError: As `SalvagedRecording`.
+        OSError: If the file cannot be read.
+    """
+    with path.open("rb") as file:
+        if not _MAGIC.startswith(file.read(len(_MAGIC)).rstrip(b"\0")):
+            return None
+        if file.seek(0, io.SEEK_END) >= len(_MAGIC) + _END_SIZE:
+            file.seek(-_END_SIZE, io.SEEK_END)
+            end = file.read()
+            if end.startswith(_FOOTER) and end.endswith(_MAGIC):
+                return None
+    return SalvagedRecording(path)
+
+
 def holds_nothing(folder: Path) -> bool:
     """Whether a recording was cut short before anything of a message was on the disk.
 
     So does a recorder leave it that is killed while it starts. A folder with a `metadata.yaml` is
     none of them: its files may be complete elsewhere.
-
-    Raises:
-        OSError: If the folder or a file cannot be read.
     """
     files = list(folder.glob("*.mcap"))
     if not files or (folder / "metadata.yaml").exists():
@@ -219,78 +231,25 @@ def _ends_with_its_header(file: BinaryIO) -> bool:
     return start.startswith(_MAGIC) and opcode == Opcode.HEADER and size <= len(start) + length
 
 
-def salvage(path: Path) -> SalvagedRecording | None:
-    """Open an MCAP file that was cut short.
-
-    Args:
-        path: The file; it is only read.
-
-    Returns:
-        Its complete part, to be closed; None for a file that has its end or is not an MCAP file.
-
-    Raises:
-        TrialError: As `SalvagedRecording`.
-        OSError: If the file cannot be read.
-    """
-    with path.open("rb") as file:
-        return SalvagedRecording(path) if _is_cut_short(file) else None
-
-
-def _is_cut_short(file: BinaryIO) -> bool:
-    """Whether a file starts as MCAP, if anything of its start is there, and does not end so."""
-    size = file.seek(0, io.SEEK_END)
-    file.seek(0)
-    if not _MAGIC.startswith(file.read(len(_MAGIC)).rstrip(b"\0")):
-        return False
-    if size < len(_MAGIC) + _END_SIZE:
-        return True
-    file.seek(-_END_SIZE, io.SEEK_END)
-    end = file.read()
-    return not (end.startswith(_FOOTER) and end.endswith(_MAGIC))
-
-
-def _records(file: BinaryIO, size: int) -> Iterator[tuple[int, int, int]]:
-    """Opcode, start and end of the content [bytes] of each record, up to the first torn one.
-
-    Whenever one is yielded, the file stands at its content.
-    """
-    position = len(_MAGIC)
-    while position + _RECORD.size <= size:
-        file.seek(position)
-        opcode, length = _RECORD.unpack(file.read(_RECORD.size))
-        start = position + _RECORD.size
-        position = start + length
-        if opcode == 0 or position > size:
-            return
-        yield opcode, start, position
-
-
-def _read_chunk(file: BinaryIO, start: int, end: int) -> Chunk:
-    """The chunk whose content stands there; ValueError if its lengths contradict each other."""
-    if end - start > _LARGEST_CHUNK:
-        raise ValueError("the chunk is too large")
-    file.seek(start)
-    chunk = Chunk.read(_stream(file.read(end - start)))
-    if _CHUNK_FIELDS + len(chunk.compression) + len(chunk.data) != end - start:
-        raise ValueError("the chunk does not fill its record")
-    if chunk.uncompressed_size > _LARGEST_CHUNK or chunk.compression not in _COMPRESSIONS:
-        raise ValueError("the chunk cannot be unpacked")
-    return chunk
-
-
-def _records_of(chunk: Chunk) -> Iterator[Schema | Channel | Message]:
-    """The records in a chunk; ValueError or what the libraries raise unless each is complete.
+def _read_chunk(file: BinaryIO, start: int, end: int) -> Iterator[Schema | Channel | Message]:
+    """The records of the chunk whose content stands there; raises unless all of it is sound.
 
     The library's `breakup_chunk` accepts a torn last record and leaves out unknown ones.
     """
+    file.seek(start)
+    if end - start > _LARGEST_CHUNK:
+        raise ValueError("the chunk is too large")
+    chunk = Chunk.read(ReadDataStream(io.BytesIO(file.read(end - start))))
+    if _CHUNK_FIELDS + len(chunk.compression) + len(chunk.data) != end - start:
+        raise ValueError("the chunk does not fill its record")
+    if chunk.uncompressed_size > _LARGEST_CHUNK:
+        raise ValueError("the chunk is too large once unpacked")
     stream, length = get_chunk_data_stream(chunk, validate_crc=True)
     if length != chunk.uncompressed_size:
         raise ValueError("the chunk has another size")
     while stream.count < length:
         opcode, size = stream.read1(), stream.read8()
         end = stream.count + size
-        if end > length:
-            raise ValueError("the chunk ends within a record")
         record: Schema | Channel | Message
         if opcode == Opcode.MESSAGE:
             record = Message.read(stream, size)
@@ -300,22 +259,10 @@ def _records_of(chunk: Chunk) -> Iterator[Schema | Channel | Message]:
             record = Schema.read(stream)
         else:
             raise ValueError("the chunk holds another record")
-        if stream.count > end:
-            raise ValueError("a record is longer than its length")
+        if not stream.count <= end <= length:
+            raise ValueError("the chunk ends within a record")
         stream.read(end - stream.count)  # fields of a later version of the format
         yield record
-
-
-def _may_end_in_a_gap(file: BinaryIO, chunk: _Chunk) -> bool:
-    """Whether zeros at the end of a chunk may be what a power cut left of its last message."""
-    file.seek(chunk.start)
-    content = file.read(chunk.end - chunk.start)
-    zeros_from = chunk.start + len(content.rstrip(b"\0"))
-    if zeros_from == chunk.end:
-        return False
-    following = file.read(1)
-    last_sector = (chunk.end - 1) // _SECTOR * _SECTOR
-    return following == b"\0" or (following == b"" and zeros_from <= last_sector)
 
 
 def _connections(chunks: list[_Chunk], owner: object) -> list[Connection]:
@@ -345,7 +292,3 @@ def _connections(chunks: list[_Chunk], owner: object) -> list[Connection]:
 @cache  # YAML is slow, and the channels share their profiles
 def _qos(profiles: str) -> list[Qos]:
     return parse_qos(profiles) if profiles else []
-
-
-def _stream(content: bytes) -> ReadDataStream:
-    return ReadDataStream(io.BytesIO(content))

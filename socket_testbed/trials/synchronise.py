@@ -13,7 +13,7 @@ import math
 from collections import defaultdict
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,29 +54,18 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Measurements:
-    """Measurements as they were recorded, one row per trigger; what is missing is NaN.
+    """Measurements as they were recorded, one row per trigger; what is missing is NaN."""
 
-    Attributes:
-        stamps: Times of the triggers since the epoch, shape (N,) [ns].
-        wrench: Measured wrench [M; F], shape (N, 6) [N m, N].
-        socket: Position [m] and quaternion (x, y, z, w) of the socket's body, shape (N, 7).
-        pylon: The same of the pylon's body, shape (N, 7).
-        clusters: Names of the c clusters.
-        capacitance: Capacitances by the converter's input, shape (N, c, 4) [pF].
-        status: Status of each of them, shape (N, c, 4).
-        ratios: Ratios of the load cell's bridges, shape (N, 6) [-]; empty unless they were asked
-            for, as are the following.
-        tares: Tares that were subtracted, [M; F], shape (N, 6) [N m, N].
-        markers: Markers in the world by body, shape (N, k, 3) [m], with k the most of any body.
-    """
-
-    stamps: IntArray
-    wrench: FloatArray
-    socket: FloatArray
-    pylon: FloatArray
-    clusters: tuple[str, ...]
-    capacitance: FloatArray
-    status: StatusArray
+    stamps: IntArray  # times of the triggers since the epoch, shape (N,) [ns]
+    wrench: FloatArray  # [M; F], shape (N, 6) [N m, N]
+    socket: FloatArray  # position [m] and quaternion (x, y, z, w) of the body, shape (N, 7)
+    pylon: FloatArray  # the same of the pylon's body
+    clusters: tuple[str, ...]  # names of the c clusters
+    capacitance: FloatArray  # by the converter's input, shape (N, c, 4) [pF]
+    status: StatusArray  # of each of them, shape (N, c, 4)
+    # These are empty unless they were asked for: ratios of the load cell's bridges, shape (N, 6)
+    # [-], the tares that were subtracted, [M; F], shape (N, 6) [N m, N], and the markers in the
+    # world by body, shape (N, k, 3) [m], with k the most of any body.
     ratios: FloatArray = field(default_factory=lambda: np.empty((0, 6)))
     tares: FloatArray = field(default_factory=lambda: np.empty((0, 6)))
     markers: dict[str, FloatArray] = field(default_factory=dict)
@@ -99,47 +88,8 @@ _NEEDED_FOR = {
 }
 _IMPOSSIBLE = 1e6  # [N m, N, m, pF]; no sensor of the testbed reads it
 
-
-class _Series:
-    """Stamps and values in the order of the recording.
-
-    Args:
-        capacity: How many are expected.
-        columns: Width and type of each array of values.
-    """
-
-    def __init__(self, capacity: int, *columns: tuple[int, type]) -> None:
-        self._stamps = np.empty(capacity, dtype=np.int64)
-        self._values: list[NDArray[Any]] = [
-            np.empty((capacity, width), dtype) for width, dtype in columns
-        ]
-        self._count = 0
-
-    def add(self, *columns: NDArray[Any]) -> None:
-        """Append stamps, and rows of each array of values."""
-        end = self._count + len(columns[0])
-        for own, new in zip([self._stamps, *self._values], columns, strict=True):
-            if end > len(own):  # the index of the bag lists too few
-                own.resize((2 * end, *own.shape[1:]), refcheck=False)
-            own[self._count : end] = new
-        self._count = end
-
-    @property
-    def stamps(self) -> IntArray:
-        return self._stamps[: self._count]
-
-    def at(self, stamps: IntArray) -> list[NDArray[Any]]:
-        """Rows for sorted stamps, missing where there is none; a later one replaces an earlier."""
-        values = [own[: self._count] for own in self._values]
-        if np.array_equal(stamps, self.stamps):
-            return values
-        rows = np.searchsorted(stamps, self.stamps)
-        tables = []
-        for own in values:
-            missing = Status.MISSING if own.dtype == np.uint8 else np.nan
-            tables.append(np.full((len(stamps), own.shape[1]), missing, own.dtype))
-            tables[-1][rows] = own
-        return tables
+_Columns: TypeAlias = list[NDArray[Any]]
+"""Columns of values in the order of the recording, the first of which are stamps [ns]."""
 
 
 def read_measurements(
@@ -148,7 +98,7 @@ def read_measurements(
     duration: float = math.inf,
     more: Collection[Topic] = (),
 ) -> Measurements:
-    """Read the measurements of a bag.
+    """Read the measurements of a bag; a TrialError if it cannot be read or lacks a topic.
 
     Args:
         bag: The bag, open.
@@ -156,101 +106,103 @@ def read_measurements(
             than once.
         duration: How much of the recording is read, from its first measurement [s].
         more: Which of LOAD_CELL_RAW and MARKERS to read as well.
-
-    Raises:
-        TrialError: If the bag cannot be read or lacks a topic.
     """
     topics = required_topics(bag)
-    _require_more(bag, topics, more)
-    names = {topics[topic]: topic for topic in topics if topic.required or topic in more}
-    series = {TRIGGER: _Series(bag.counts[topics[TRIGGER]])}
-    for topic in filter(_WIDTHS.__contains__, names.values()):
-        series[topic] = _Series(bag.counts[topics[topic]], (_WIDTHS[topic], np.float64))
-    clusters: dict[str, _Series] = defaultdict(
-        lambda: _Series(bag.counts[topics[CAPACITANCE]], (4, np.float64), (4, np.uint8))
-    )
-    markers: dict[str, _Series] = defaultdict(
-        lambda: _Series(bag.counts[topics[MARKERS]], (3 * MOST_MARKERS, np.float64))
-    )
-    readers = {topic: Reader(topic, bag.path) for topic in names.values()}
-    for block in bag.blocks(names, duration):
-        topic = names[block.topic]
-        found: dict[str, list[tuple[NDArray[Any], ...]]] = {}
-        for places, stamps, values in readers[topic].parts(block.data):
-            for name, columns in _columns(topic, values):
-                found.setdefault(name, []).append((places, stamps, *columns))
-        for name, parts in found.items():
-            own = {CAPACITANCE: clusters, MARKERS: markers}.get(topic)
-            (series[topic] if own is None else own[name]).add(*_in_order(parts))
-    every = {topic.name: own.stamps for topic, own in series.items()}
-    every |= {name: own.stamps for name, own in clusters.items()}
-    every |= {f"{MARKERS.name} of {name}": own.stamps for name, own in markers.items()}
-    every = {name: stamps for name, stamps in every.items() if len(stamps)}  # not at the beginning
-    for note in _stamp_notes(every):
+    for topic in more:
+        if not bag.counts.get(topics.get(topic, "")):
+            why, hint = _NEEDED_FOR[topic]
+            raise TrialError(f"{bag.path}: holds no '{topic.name}', so {why}", hint)
+    series = _read_series(bag, {topics[t]: t for t in topics if t.required or t in more}, duration)
+    clusters = tuple(name for topic, name in series if topic is CAPACITANCE)
+    for note in _stamp_notes(series):
         notify(note)
-    stamps = _union(every.values())
-    del every
-    names_of_clusters = tuple(clusters)
+    stamps = _union(columns[0] for columns in series.values())
     capacitance = np.empty((len(stamps), len(clusters), 4))
     status = np.empty(capacitance.shape, dtype=np.uint8)
-    for number, name in enumerate(names_of_clusters):
-        capacitance[:, number], status[:, number] = clusters.pop(name).at(stamps)
-    tables = {}
-    for topic in (WRENCH, SOCKET_POSE, PYLON_POSE):
-        (tables[topic.name],) = series.pop(topic).at(stamps)
-    tables[CAPACITANCE.name] = capacitance
-    for name, values in tables.items():
+    for number, name in enumerate(clusters):
+        own = series.pop((CAPACITANCE, name))
+        capacitance[:, number], status[:, number] = _rows(own, stamps)
+    tables = {CAPACITANCE: capacitance}
+    for topic, width in _WIDTHS.items():
+        if topic.required or topic in more:
+            nothing = [np.empty(0, dtype=np.int64), np.empty((0, width))]
+            (tables[topic],) = _rows(series.pop((topic, topic.name), nothing), stamps)
+    raw = tables.pop(LOAD_CELL_RAW, np.empty((0, 12)))
+    for topic, values in tables.items():
         impossible = (values > _IMPOSSIBLE) | (values < -_IMPOSSIBLE)
         if impossible.any():
             values[impossible] = np.nan
             notify(
-                f"{name} holds {int(impossible.sum())} values beyond {_IMPOSSIBLE:g}, which count"
-                " as missing: check the recording"
+                f"{topic.name} holds {int(impossible.sum())} values beyond {_IMPOSSIBLE:g}, which"
+                " count as missing: check the recording"
             )
-    raw = series[LOAD_CELL_RAW].at(stamps)[0] if LOAD_CELL_RAW in series else np.empty((0, 12))
     return Measurements(
         stamps=stamps,
-        wrench=tables[WRENCH.name],
-        socket=tables[SOCKET_POSE.name],
-        pylon=tables[PYLON_POSE.name],
-        clusters=names_of_clusters,
+        wrench=tables[WRENCH],
+        socket=tables[SOCKET_POSE],
+        pylon=tables[PYLON_POSE],
+        clusters=clusters,
         capacitance=capacitance,
         status=status,
         ratios=raw[:, :6],
         tares=raw[:, 6:],
         markers={
-            name: own.at(stamps)[0].reshape(-1, MOST_MARKERS, 3) for name, own in markers.items()
+            name: _rows(own, stamps)[0].reshape(-1, MOST_MARKERS, 3)
+            for (topic, name), own in series.items()
+            if topic is MARKERS
         },
     )
 
 
-def _require_more(bag: BagReader, topics: dict[Topic, str], more: Collection[Topic]) -> None:
-    for topic in more:
-        if not bag.counts.get(topics.get(topic, "")):
-            why, hint = _NEEDED_FOR[topic]
-            raise TrialError(f"{bag.path}: holds no '{topic.name}', so {why}", hint)
+def _read_series(
+    bag: BagReader, topics: dict[str, Topic], duration: float
+) -> dict[tuple[Topic, str], _Columns]:
+    """What was recorded of each topic, and of each cluster or body by its name."""
+    readers = {topic: Reader(topic, bag.path) for topic in topics.values()}
+    parts: dict[tuple[Topic, str], list[_Columns]] = defaultdict(list)
+    for block in bag.blocks(topics, duration):
+        topic = topics[block.topic]
+        found: dict[str, list[_Columns]] = defaultdict(list)
+        for places, stamps, values in readers[topic].parts(block.data):
+            for name, columns in _columns(topic, values):
+                found[name].append([places, stamps, *columns])
+        for name, own in found.items():
+            places, *columns = _joined(own)
+            order = np.argsort(places, kind="stable")
+            parts[topic, name].append([column[order] for column in columns])
+    return {key: _joined(parts.pop(key)) for key in list(parts)}
 
 
-def _columns(topic: Topic, values: Any) -> Iterator[tuple[str, tuple[NDArray[Any], ...]]]:
+def _joined(parts: list[_Columns]) -> _Columns:
+    return [np.concatenate(column) for column in zip(*parts, strict=True)]
+
+
+def _columns(topic: Topic, values: Any) -> Iterator[tuple[str, _Columns]]:
     """Values of messages, a row each, by the name of the cluster, the body or the topic."""
     if topic is CAPACITANCE:
         for number, name in enumerate(values.names):
-            yield name, (values.capacitance[:, number], values.status[:, number])
+            yield name, [values.capacitance[:, number], values.status[:, number]]
     elif topic is MARKERS:
         for name, markers in values:
             seen = np.full((len(markers), MOST_MARKERS, 3), np.nan)
             seen[:, : markers.shape[1]] = markers
-            yield name, (seen.reshape(len(markers), -1),)
+            yield name, [seen.reshape(len(markers), -1)]
     else:
-        yield topic.name, () if topic is TRIGGER else (values,)
+        yield topic.name, [] if topic is TRIGGER else [values]
 
 
-def _in_order(parts: list[tuple[NDArray[Any], ...]]) -> Iterator[NDArray[Any]]:
-    """Columns of the parts of a block in the order of the first, their places, without that."""
-    columns = [np.concatenate(column) for column in zip(*parts, strict=True)]
-    order = np.argsort(columns[0], kind="stable")
-    for column in columns[1:]:
-        yield column[order]
+def _rows(columns: _Columns, stamps: IntArray) -> _Columns:
+    """The values for sorted stamps, missing where there is none; the last one of a stamp counts."""
+    own, *values = columns
+    if np.array_equal(stamps, own):
+        return values
+    rows = np.searchsorted(stamps, own)
+    tables = []
+    for column in values:
+        missing = Status.MISSING if column.dtype == np.uint8 else np.nan
+        tables.append(np.full((len(stamps), column.shape[1]), missing, column.dtype))
+        tables[-1][rows] = column
+    return tables
 
 
 def _union(every: Iterable[IntArray]) -> IntArray:
@@ -258,17 +210,16 @@ def _union(every: Iterable[IntArray]) -> IntArray:
     union = np.empty(0, dtype=np.int64)
     for stamps in every:
         if not np.array_equal(stamps, union):
-            both = np.sort(np.concatenate([union, stamps]), kind="stable")  # mostly in order
-            union = both[np.append(True, np.diff(both) > 0)]
+            union = np.union1d(union, stamps)
     return union
 
 
-def _stamp_notes(every: dict[str, IntArray]) -> Iterator[str]:
-    """Notes on stamps out of order and on doubled stamps.
-
-    Args:
-        every: Stamps of each topic or cluster in the order of recording [ns].
-    """
+def _stamp_notes(series: dict[tuple[Topic, str], _Columns]) -> Iterator[str]:
+    """Notes on stamps out of order and on doubled stamps."""
+    every = {
+        f"{MARKERS.name} of {name}" if topic is MARKERS else name: stamps
+        for (topic, name), (stamps, *_) in series.items()
+    }
     first = min(int(stamps.min()) for stamps in every.values())
     backward: dict[str, list[str]] = {}
     doubled: dict[str, list[str]] = {}
@@ -322,10 +273,6 @@ def correct_measurements(
         where: Name of the trial in an error.
         notify: Called with the drift between two spans, a large one flagged, and with what is not
             corrected.
-
-    Raises:
-        CalibrationError: If a span holds too few readings of a cluster.
-        TrialError: If the load cell measured clearly more in a span than at its least load.
     """
     loads = _loads_without_load(measured, spans, least_force, where)
     stored = any(calibration.clusters[name].baseline is not None for name in measured.clusters)
@@ -480,14 +427,7 @@ def sample_table(
 
 
 def check_unloaded(spans: tuple[tuple[float, float], ...]) -> None:
-    """Refuse spans without load that are more than two, reversed, overlapping or out of order.
-
-    Args:
-        spans: Their starts and ends [s].
-
-    Raises:
-        ConfigurationError: Naming the spans.
-    """
+    """Refuse spans without load [s] that are more than two, reversed, overlapping or unsorted."""
     if len(spans) > 2:
         raise ConfigurationError(
             f"--unloaded has {len(spans)} spans", "give one before, or one before and one after"
@@ -506,22 +446,14 @@ def check_unloaded(spans: tuple[tuple[float, float], ...]) -> None:
 
 
 def parse_unloaded(spans: list[str]) -> tuple[tuple[float, float], ...]:
-    """Spans without load written as `T0:T1`, in seconds since the trial's first sample.
-
-    Raises:
-        ConfigurationError: If one is none, or they are wrong together: see `check_unloaded`.
-    """
+    """Spans without load written as `T0:T1`, in seconds since the trial's first sample."""
     parsed = tuple(parse_span(span, "--unloaded") for span in spans)
     check_unloaded(parsed)
     return parsed
 
 
 def parse_span(span: str, option: str, others: str = "") -> tuple[float, float]:
-    """A span written as `T0:T1` [s]; the option, and what else it takes, are for the error.
-
-    Raises:
-        ConfigurationError: If it is none.
-    """
+    """A span written as `T0:T1` [s]; the option, and what else it takes, are for the error."""
     try:
         start, end = (float(part) for part in span.split(":"))
         if start < end:

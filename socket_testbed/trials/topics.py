@@ -90,9 +90,6 @@ def match_topics(names: Iterable[str], where: str) -> dict[Topic, str]:
 
     Returns:
         The bag's name of each topic of the testbed that it holds.
-
-    Raises:
-        TrialError: If a topic is there in two namespaces.
     """
     found: dict[Topic, str] = {}
     for name in names:
@@ -108,11 +105,7 @@ def match_topics(names: Iterable[str], where: str) -> dict[Topic, str]:
 
 
 def full_namespace(given: str) -> str:
-    """A namespace of ROS from its root, such as /left from left.
-
-    Raises:
-        ConfigurationError: If it is none.
-    """
+    """A namespace of ROS from its root, such as /left from left."""
     namespace = "/" + given.strip("/")
     if not re.fullmatch(r"/|(/[A-Za-z_][A-Za-z0-9_]*)+", namespace):
         raise ConfigurationError(f"'{given}' is no namespace", "give one such as /left, / for none")

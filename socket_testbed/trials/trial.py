@@ -170,12 +170,7 @@ class Trial:
         return measured, self._samples
 
     def samples_of(self, measured: Measurements) -> Samples:
-        """The samples that some measurements of the trial make.
-
-        Raises:
-            TrialError: If a cluster of the trial is on no tile.
-            CalibrationError: If the calibration lacks one.
-        """
+        """The samples that some measurements of the trial make."""
         self._require_clusters(measured.clusters)
         return make_samples(measured, self.calibration, self.geometry)
 
@@ -320,9 +315,6 @@ def read_configuration(
 
     Returns:
         The files' contents by their names in a trial.
-
-    Raises:
-        TestbedError: If one is missing, or is not the file that it should be.
     """
     files: tuple[tuple[str, Path | None, Callable[[Path], object]], ...] = (
         (SOCKET_FILE, geometry, read_socket),

@@ -123,7 +123,7 @@ def ros_wrench(values: np.ndarray) -> Wrench:
 
 def trigger(stamp: int, names: tuple[str, ...], numbers: Numbers) -> Case:
     sequence = 2**40 + stamp % 7
-    message = msg.Trigger(header=header_to_ros(stamp, ""), sequence=sequence)
+    message = msg.Trigger(header=header_to_ros(stamp), sequence=sequence)
     return Case(message, (sequence,), sequence)
 
 
