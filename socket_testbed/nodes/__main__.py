@@ -38,7 +38,7 @@ except ModuleNotFoundError as error:
     )
 
 _RARE = ("view_node",)  # its imports take as much memory as all others
-_LOOK = 0.2  # [s]
+_POLL = 0.2  # [s]
 _SWITCH = 5e-4  # [s]; a thread that is due waits no longer for one that computes
 
 
@@ -114,7 +114,7 @@ def _await_place() -> list[str]:
     for name in TestbedSettings().nodes():
         if name not in _RARE:
             _node_class(name)
-    while rclpy.ok() and not select.select([sys.stdin], [], [], _LOOK)[0]:
+    while rclpy.ok() and not select.select([sys.stdin], [], [], _POLL)[0]:
         pass
     words = json.loads(sys.stdin.read() or "[]") if rclpy.ok() else []
     os.environ[RESTARTED] = "1"

@@ -57,9 +57,9 @@ HEARS = "hears"  # topics that it is linked only with a publisher of, separated 
 
 _SUBSCRIBER_DEPTH = 2000  # [messages]; a fast replay or a busy moment loses nothing
 _PERIOD = 1.0  # [s]
-_LOOK = 0.1  # [s]; how often the links and the node are looked at
+_CHECKED = 0.1  # [s]; how often the links and the node are checked
 _RECENT = 0.5  # [s]
-_END = 0.2  # [s]; how often the executor looks whether it is to end
+_END = 0.2  # [s]; how often the executor checks whether it is to end
 
 S = TypeVar("S", bound=Settings)
 
@@ -107,45 +107,36 @@ def is_acknowledged(publisher: Publisher) -> bool:
 
 
 class PolledSubscription:
-    """A subscription that no executor serves: what has come is taken on request.
-
-    Args:
-        node: The node that subscribes.
-        topic: What is subscribed to.
-        qos: Its depth is how many messages are kept.
-
-    Attributes:
-        kind: Class of the messages.
-    """
+    """A subscription that no executor serves: messages are kept, as many as its depth says."""
 
     def __init__(self, node: Node, topic: Topic, qos: QoSProfile) -> None:
-        self.kind = message_type(topic)
+        self._kind = message_type(topic)
         self._subscription = node.create_subscription(
-            self.kind, topic.name, lambda data: None, qos, raw=True
+            self._kind, topic.name, lambda data: None, qos, raw=True
         )
 
     def take(self) -> list[bytes]:
         """The serialised messages that have come since the last call, in their order."""
         found, handle = [], self._subscription.handle
         with handle:
-            while taken := handle.take_message(self.kind, True):
+            while taken := handle.take_message(self._kind, True):
                 found.append(taken[0])
         return found
 
 
 class RecentFault:
-    """The last fault that a node's thread saw."""
+    """The last fault in a node's thread."""
 
     def __init__(self) -> None:
-        self._seen = ("", 0.0)  # one value: it is written in one thread and read in another
+        self._last = ("", 0.0)  # one value: it is written in one thread and read in another
 
-    def saw(self, text: str) -> None:
-        """A fault was seen now."""
-        self._seen = (text, clocks.monotonic())
+    def note(self, text: str) -> None:
+        """Note a fault that happens now."""
+        self._last = (text, clocks.monotonic())
 
     def text(self, recent: float = _RECENT) -> str:
-        """The fault, empty when it was seen longer ago than this [s]."""
-        text, when = self._seen
+        """The fault, empty when it was longer ago than this [s]."""
+        text, when = self._last
         return text if clocks.monotonic() - when < recent else ""
 
 
@@ -160,7 +151,7 @@ def spin(executor: Any, futures: list[Future]) -> None:
 class TestbedNode(Node, Generic[S]):
     """A node with settings, topics, services and diagnostics.
 
-    Nodes override `figures`, `device`, `look`, `ready` and `close` as they need.
+    Nodes override `figures`, `device`, `check`, `ready` and `close` as they need.
 
     Args:
         name: Name of the node.
@@ -199,13 +190,13 @@ class TestbedNode(Node, Generic[S]):
         if self._has_worked:  # its first OK is a recovery
             self._level, self._message = WARN, "started again"
         self._waiting: list[str] | None = None
-        self._looks = 0
+        self._checks = 0
         self._diagnostics = self.create_publisher(
             DiagnosticArray, DIAGNOSTICS.name, publisher_qos(DIAGNOSTICS)
         )
         # A steady clock: diagnostics go on when the system clock jumps or the replay pauses.
         steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self._diagnostics_timer = self.create_timer(_LOOK, self._look, clock=steady)
+        self._diagnostics_timer = self.create_timer(_CHECKED, self._check, clock=steady)
 
     # What a node overrides.
 
@@ -217,8 +208,8 @@ class TestbedNode(Node, Generic[S]):
         """The device that it works with, empty if there is none."""
         return ""
 
-    def look(self) -> None:
-        """Look at itself and `report`; called ten times a second."""
+    def check(self) -> None:
+        """Check the node and `report`; called ten times a second."""
 
     def ready(self) -> bool:
         """Whether the node itself is ready to work."""
@@ -380,12 +371,12 @@ class TestbedNode(Node, Generic[S]):
         del changes
         self.settings = self._read_settings({})
 
-    def _look(self) -> None:
+    def _check(self) -> None:
         with self.until_ros_ends():
-            self.look()
+            self.check()
             waiting = self._unlinked()
-            self._looks += 1
-            if waiting != self._waiting or self._looks * _LOOK >= _PERIOD:
+            self._checks += 1
+            if waiting != self._waiting or self._checks * _CHECKED >= _PERIOD:
                 self._waiting = waiting
                 self._publish_diagnostics()
 
@@ -405,8 +396,8 @@ class TestbedNode(Node, Generic[S]):
         return waiting if settled and self.ready() else [*waiting, "itself"]
 
     def _publish_diagnostics(self) -> None:
-        self._looks = 0
-        waiting = "(not looked yet)" if self._waiting is None else ", ".join(self._waiting)
+        self._checks = 0
+        waiting = "(not checked yet)" if self._waiting is None else ", ".join(self._waiting)
         links = [f"{p.topic_name}={p.get_subscription_count()}" for p, _ in self._outputs]
         hears = " ".join(s.topic_name for s in self._inputs)
         values = {WAITING_FOR: waiting, LINKS: " ".join(links), HEARS: hears, **self.figures()}

@@ -55,7 +55,7 @@ class ClusterNode(SensorNode[ClusterSettings]):
         reading = self._reader.read(moment)
         self._answering = True
         if reading.faults:
-            self.fault.saw("; ".join(dict.fromkeys(reading.faults.values())))
+            self.fault.note("; ".join(dict.fromkeys(reading.faults.values())))
         return reading
 
     def health(self) -> tuple[int, str] | None:

@@ -35,7 +35,7 @@ from socket_testbed.trials.events import check_label
 from socket_testbed.trials.layout import stamp_of
 from socket_testbed.trials.topics import EVENT, RECORDED_TRIAL, TRIGGER, full_namespace
 
-_LOOK = 0.02  # [s]
+_POLL = 0.02  # [s]
 
 # Of an event, in real time:
 _LINKED_WITHIN = 6.0  # [s]; for a subscriber to be found on a busy machine
@@ -99,7 +99,7 @@ def publish_event(label: str, called: float, namespace: str = "/") -> Marked:
     node = rclpy.create_node("event_marker", namespace=namespace)
 
     def step() -> None:
-        rclpy.spin_once(node, timeout_sec=_LOOK)
+        rclpy.spin_once(node, timeout_sec=_POLL)
 
     try:
         return EventMarker(node, partial(_wait, step=step)).mark(label, called)
@@ -111,7 +111,7 @@ def publish_event(label: str, called: float, namespace: str = "/") -> Marked:
 def _wait(
     condition: Callable[[], bool],
     duration: float,
-    step: Callable[[], None] = lambda: time.sleep(_LOOK),
+    step: Callable[[], None] = lambda: time.sleep(_POLL),
 ) -> bool:
     """Wait until a condition holds; returns whether it does within a duration [s]."""
     deadline = time.monotonic() + duration
@@ -217,7 +217,7 @@ def stamp_by_triggers(called: float, triggers: Sequence[tuple[float, int]]) -> i
     """
     arrivals, stamps = (np.array(values) for values in zip(*triggers, strict=True))
     passed = arrivals - arrivals[:, None]
-    apart = passed >= max(0.5 * passed.max(), _LOOK)
+    apart = passed >= max(0.5 * passed.max(), _POLL)
     speed = _REAL_TIME
     if apart.any():
         found = float(np.median((stamps - stamps[:, None])[apart] / passed[apart]))

@@ -111,7 +111,7 @@ class EstimatorNode(TestbedNode[EstimatorSettings]):
         maps = self._online_map.count
         return {**self._estimator.figures(), "maps": maps, NEWEST_STAMP: self._estimator.newest}
 
-    def look(self) -> None:
+    def check(self) -> None:
         """Report the estimator's state."""
         self.report(*self._estimator.state)
 

@@ -16,7 +16,7 @@ from rclpy.publisher import Publisher
 from socket_testbed.nodes.base import HEARS, LINKS, NEWEST_STAMP, WAITING_FOR, TestbedNode
 from socket_testbed.trials.topics import DIAGNOSTICS
 
-_LOOK = 0.02  # [s]
+_POLL = 0.02  # [s]
 
 
 class Followers:
@@ -105,7 +105,7 @@ class Followers:
                 left = deadline - time.monotonic()
                 if left <= 0.0 or self._stopped():
                     return False
-                self._news.wait(min(left, _LOOK))
+                self._news.wait(min(left, _POLL))
         return True
 
     def catch_up(self, behind: int, patience: float) -> int:

@@ -28,12 +28,7 @@ Send = Callable[[list[TransformStamped]], None]
 
 
 class FrameBroadcaster:
-    """Publishes the transforms of a testbed; nothing where tf2_msgs is missing.
-
-    Args:
-        node: The node that publishes them.
-        geometry: Geometry of the socket.
-    """
+    """Publishes the transforms of a testbed; nothing where tf2_msgs is missing."""
 
     def __init__(self, node: TestbedNode[Any], geometry: SocketGeometry) -> None:
         self._bodies = {

@@ -49,12 +49,7 @@ _WATCHED = (TRIGGER, CAPACITANCE, SOCKET_POSE, PYLON_POSE, WRENCH, ESTIMATED_WRE
 
 
 class ListenerNode(TestbedNode[Settings]):
-    """Its diagnostics let a replay wait until the estimates have arrived.
-
-    Args:
-        name: Name of the node.
-        newest: The newest stamp of which every kind of estimate has come [ns]; None before any.
-    """
+    """Reports the newest stamp that has come [ns], until which a replay waits; None before any."""
 
     def __init__(self, name: str, newest: Callable[[], int | None]) -> None:
         self._newest = newest

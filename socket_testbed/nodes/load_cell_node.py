@@ -79,7 +79,7 @@ class LoadCellNode(SensorNode[LoadCellSettings]):
         self._averaged = reading.conversions
         if reading.fault:
             self.missing += bool(np.isnan(reading.wrench).any())
-            self.fault.saw(reading.fault)
+            self.fault.note(reading.fault)
         self._wrench.publish(self._pack(stamp, reading.wrench))
         raw = self._pack_raw(stamp, reading.ratios, reading.tare, reading.tared, reading.status)
         self._raw.publish(raw)

@@ -96,7 +96,7 @@ class MocapNode(SensorNode[MocapSettings]):
         sample = self._tracker.sample(moment, window)
         faults = dict.fromkeys(fault for fault in sample.faults if fault)
         if faults:
-            self.fault.saw(self._client.clock_fault or "; ".join(faults))
+            self.fault.note(self._client.clock_fault or "; ".join(faults))
         return sample
 
     def _on_recorded(self, message: String) -> None:

@@ -96,7 +96,7 @@ class RecorderNode(TestbedNode[RecorderSettings]):
         _metadata_of(settings.next)  # refuses what no trial may state
         return settings
 
-    def look(self) -> None:
+    def check(self) -> None:
         """Report the topics on which nothing arrives."""
         if self._bag is None:
             return

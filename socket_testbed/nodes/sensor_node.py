@@ -73,7 +73,7 @@ class SensorNode(TestbedNode[S]):
         """Number of measurements, and of those that are missing."""
         return {"samples": self.samples, "missing": self.missing}
 
-    def look(self) -> None:
+    def check(self) -> None:
         """Report the device's health, or that triggers had to be placed by their arrival."""
         if (health := self.health()) is None:
             return

@@ -122,7 +122,7 @@ class TriggerNode(TestbedNode[TriggerSettings]):
             stamp = self._epoch.to_epoch(self._trigger.fire())
         except DeviceError as error:
             self._unseen += self._trigger is not None
-            self._fault.saw(str(error))
+            self._fault.note(str(error))
             if self._trigger is None:
                 self._stopping.wait(clocks.real(_REOPEN))
         else:
@@ -137,7 +137,7 @@ class TriggerNode(TestbedNode[TriggerSettings]):
         if lacking := self._followers.await_links(outputs, frozenset(), _READY_WITHIN):
             self.get_logger().warning(f"triggering without waiting any longer for {lacking}")
 
-    def look(self) -> None:
+    def check(self) -> None:
         """Report what the last pulses lacked, another trigger, or a clock that was set."""
         step = self._epoch.step()
         rate = self.settings.rate

@@ -74,7 +74,7 @@ class ViewNode(TestbedNode[ViewSettings]):
         self._page = Page(self._live, server)
         self.report(OK, f"the testbed is seen at {server.url}")
 
-    def look(self) -> None:
+    def check(self) -> None:
         """End where the page has failed: `run` starts the node again."""
         if not self._page.works:
             raise RuntimeError("the page draws no more, see above")

@@ -39,17 +39,11 @@ _EDGE = 10.0  # [s]; how far outside the samples a stamp may be
 
 @dataclass(frozen=True)
 class Event:
-    """A moment of a trial.
-
-    Attributes:
-        label: What happened.
-        time: When, since the first sample [s].
-        source: `recorded` with the trial, or `found` in its load.
-    """
+    """A moment of a trial."""
 
     label: str
-    time: float
-    source: Source
+    time: float  # since the first sample [s]
+    source: Source  # recorded with the trial, or found in its load
 
     def __str__(self) -> str:
         return f"{self.label} at {self.time:.2f} s ({self.source})"
@@ -81,14 +75,10 @@ def join_events(recorded: Sequence[Event], found: Sequence[Event]) -> list[Event
 
 
 def read_events(bag: BagReader, samples: Samples) -> list[Event]:
-    """Read the events that were recorded with a trial.
+    """Read the events that were recorded with a trial; its first sample is the zero of time.
 
     An event whose stamp is far outside the samples' time, such as zero, counts at the time at which
     it was recorded between the triggers.
-
-    Args:
-        bag: The open bag of the trial.
-        samples: Its samples, whose first is the zero of time.
     """
     topics = match_topics(bag.counts, str(bag.path))
     name = topics.get(EVENT)
@@ -121,13 +111,8 @@ def _printable(label: str) -> str:
 def find_events(samples: Samples, settings: PlateauSettings) -> list[Event]:
     """Find when the load was placed and removed, from its two levels (see the module).
 
-    Args:
-        samples: The samples of the trial.
-        settings: Its `least_force` is the least difference of the levels [N].
-
-    Returns:
-        Events `placed` and `removed` in turns, at the times at which the load passes the threshold,
-        linear between samples. None if the load has one level.
+    The events are `placed` and `removed` in turns, when the load passes the threshold, linear
+    between samples; none if its levels differ by less than `least_force`.
     """
     time, load = _load(samples)
     if len(load) < 2:
@@ -158,13 +143,10 @@ def is_loaded(events: Sequence[Event], time: float) -> bool:
 
 
 def loaded_span(samples: Samples, settings: PlateauSettings) -> tuple[float, float] | None:
-    """Find the part of a trial under load: from the first to the last time of it.
+    """Start and end of a trial's part under load since the first sample [s]; None without load.
 
     A sample is under load above a tenth of the way from the least load to the largest, and above
     `least_force` in any case.
-
-    Returns:
-        Start and end since the first sample [s]; None without load.
     """
     time, load = _load(samples)
     if len(load) == 0:

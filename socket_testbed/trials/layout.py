@@ -15,7 +15,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from functools import cache
 from itertools import compress
-from pathlib import Path
 from typing import Any, Literal, NamedTuple, TypeAlias
 
 import numpy as np
@@ -29,7 +28,6 @@ from socket_testbed.files import packaged
 
 Record: TypeAlias = NDArray[np.void]
 
-_PACKAGE = "socket_testbed_msgs"
 _HEADER = 4  # [bytes] of the encapsulation: two of its kind, two of options
 _PADDING = 3  # [bytes] that may follow a message
 _NUMBERS = {
@@ -43,11 +41,10 @@ _NUMBERS = {
 def typestore() -> Typestore:
     """The types of ROS 2 Jazzy and of this testbed."""
     store = get_typestore(Stores.ROS2_JAZZY)
-    folder = packaged("msg", "Trigger.msg").parent
     types: dict[str, Any] = {}
-    for path in sorted(Path(folder).glob("*.msg")):
+    for path in packaged("msg", "Trigger.msg").parent.glob("*.msg"):
         text = path.read_text(encoding="utf-8")
-        types |= get_types_from_msg(text, f"{_PACKAGE}/msg/{path.stem}")
+        types |= get_types_from_msg(text, f"socket_testbed_msgs/msg/{path.stem}")
     store.register(types)
     return store
 

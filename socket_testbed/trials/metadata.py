@@ -103,11 +103,7 @@ def _checked(name: str, value: Any) -> Any:
 
 
 def read_metadata(path: Path) -> TrialMetadata:
-    """Read the metadata of a trial.
-
-    Args:
-        path: The `trial.yaml`.
-    """
+    """Read the metadata of a trial from its `trial.yaml`."""
     given = read_document(path, dict[str, Any])
     refuse_unknown(given, FIELDS, str(path))
     try:
@@ -117,12 +113,7 @@ def read_metadata(path: Path) -> TrialMetadata:
 
 
 def write_metadata(metadata: TrialMetadata, path: Path) -> None:
-    """Write the metadata of a trial; the file is complete or the older one stays.
-
-    Args:
-        metadata: The metadata.
-        path: The `trial.yaml`.
-    """
+    """Write the metadata to a `trial.yaml`; the file is complete or the older one stays."""
     with atomic_output(path) as staging:
         staging.write_text(metadata_text(metadata), encoding="utf-8")
 

@@ -19,22 +19,13 @@ from socket_testbed.trials.events import Event, event_span, find_events, is_load
 
 @dataclass(frozen=True)
 class Segment:
-    """A part of a trial.
+    """A part of a trial."""
 
-    Attributes:
-        kind: plateau, hold, loaded, all, span, or the events that it lies between.
-        start: Start since the first sample [s].
-        end: End since the first sample [s].
-        rows: The samples.
-        cause: What made it begin where it does, if a channel slipped or drifts; see
-            `find_newest_plateaus`.
-    """
-
-    kind: str
-    start: float
-    end: float
-    rows: slice
-    cause: str = ""
+    kind: str  # plateau, hold, loaded, all, span, or the events that it lies between
+    start: float  # since the first sample [s]
+    end: float  # since the first sample [s]
+    rows: slice  # of the samples
+    cause: str = ""  # why it begins where it does, if a channel slipped or drifts before it
 
     def __str__(self) -> str:
         return f"{self.kind} {self.start:.2f} s to {self.end:.2f} s"
@@ -152,11 +143,7 @@ def find_plateaus(
     missing channels. Two are added: the force on every cluster is as steady, because a cluster
     that slips or drifts is no longer described by the same offset; and the stretch is under load,
     because one without load says nothing about the contact.
-
-    Args:
-        samples: The samples of the trial.
-        settings: What counts as a plateau.
-        leave_out: Channels of clusters that do not count, such as distal.Fz.
+    Channels of clusters that are left out, such as distal.Fz, do not count.
     """
     steady = _steadiness(samples, settings, leave_out)
     found = []
@@ -175,11 +162,6 @@ def find_newest_plateaus(
     The criteria are those of `find_plateaus`. Of a stretch that drifts, the newest part counts
     rather than the longest. The cause names the channels that drift, or the clusters' channels that
     slipped under a steady wrench.
-
-    Args:
-        samples: The samples of the trial so far.
-        settings: What counts as a plateau.
-        leave_out: Channels of clusters that do not count.
     """
     steady = _steadiness(samples, settings, leave_out)
     found = []
@@ -198,21 +180,13 @@ def find_newest_plateaus(
 
 @dataclass(frozen=True)
 class _Steadiness:
-    """Where samples are steady.
+    """Where samples are steady."""
 
-    Attributes:
-        runs: Half-open index ranges without a change of load.
-        names: Names of the m channels that must not drift: the wrench's, then the clusters'.
-        mean: Their moving means, shape (N, m) [N m, N].
-        limits: Largest spread of each over a plateau, shape (m,) [N m, N].
-        width: Number of samples of the moving mean.
-    """
-
-    runs: list[tuple[int, int]]
-    names: tuple[str, ...]
-    mean: FloatArray
-    limits: FloatArray
-    width: int
+    runs: list[tuple[int, int]]  # half-open index ranges without a change of load
+    names: tuple[str, ...]  # the m channels that must not drift: the wrench's, then the clusters'
+    mean: FloatArray  # their moving means, shape (N, m) [N m, N]
+    limits: FloatArray  # largest spread of each over a plateau, shape (m,) [N m, N]
+    width: int  # samples of the moving mean
 
 
 def _steadiness(
@@ -257,12 +231,7 @@ def _slips(steady: _Steadiness, start: int, settings: PlateauSettings) -> str:
 
 
 def moving_mean(values: FloatArray, width: int) -> FloatArray:
-    """Centred moving mean over the finite values of each column, shape (N, m).
-
-    Args:
-        values: Values, shape (N, m).
-        width: Number of samples of the window; it is cut at the ends.
-    """
+    """Centred moving mean over the finite values of each column; the window is cut at the ends."""
     finite = np.isfinite(values)
     mean = partial(uniform_filter1d, size=width, axis=0, mode="constant")
     share = mean(finite.astype(float))  # [-] of the window
@@ -318,11 +287,8 @@ def _runs(flags: BoolArray) -> list[tuple[int, int]]:
 def longest_within(values: FloatArray, limits: FloatArray) -> tuple[int, int]:
     """First of the longest half-open ranges over which no column spreads by more than its limit.
 
-    What is within the limits over a range is so over each part of it: the length is bisected.
-
-    Args:
-        values: Values without gaps, shape (N, m).
-        limits: Largest spread of each column, shape (m,).
+    The values have no gaps, shape (N, m). Whatever is within the limits over a range is so over
+    each part of it: the length is bisected.
     """
     found, fits, too_long = 0, 0, len(values) + 1
     length = len(values)

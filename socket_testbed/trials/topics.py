@@ -11,21 +11,13 @@ from socket_testbed.errors import ConfigurationError, TrialError
 
 @dataclass(frozen=True)
 class Topic:
-    """A topic of the testbed.
+    """A topic of the testbed."""
 
-    Attributes:
-        name: Name, relative to the namespace of the testbed.
-        type: Message type, as `package/msg/Type`.
-        required: Whether offline work on a trial needs it.
-        computed: Whether a node computes it from measured topics.
-        latched: Whether late subscribers get the last message (transient local, depth 1).
-    """
-
-    name: str
-    type: str
-    required: bool = False
-    computed: bool = False
-    latched: bool = False
+    name: str  # relative to the namespace of the testbed
+    type: str  # as `package/msg/Type`
+    required: bool = False  # offline work on a trial needs it
+    computed: bool = False  # a node computes it from measured topics
+    latched: bool = False  # late subscribers get the last message (transient local, depth 1)
 
 
 TRIGGER = Topic("trigger", "socket_testbed_msgs/msg/Trigger", required=True)

@@ -60,18 +60,13 @@ def labels(events: list[Event]) -> list[str]:
 # --- events found in the load
 
 
-@pytest.mark.parametrize("offset", [0.0, -85.0, 1000.0])
-def test_the_load_is_placed_and_removed_between_its_two_levels(offset: float) -> None:
-    found = find_events(samples_of(HOLD + offset), SETTINGS)
-    assert labels(found) == ["placed", "removed"] and {e.source for e in found} == {"found"}
-    # 60 % and 40 % of the way between 90 N and 280 N.
-    assert found[0].time == pytest.approx(10 + 2 * 0.6, abs=0.05)
-    assert found[1].time == pytest.approx(40 + 2 * 0.6, abs=0.05)
-
-
-def test_a_short_time_without_load_in_a_long_hold_is_found() -> None:
-    load = history((0, 90), (3, 90), (4, 280), (600, 280), (601, 90), (604, 90))
-    assert labels(find_events(samples_of(load), SETTINGS)) == ["placed", "removed"]
+def test_the_load_is_placed_and_removed_between_its_two_levels() -> None:
+    for offset in (0.0, -85.0, 1000.0):
+        found = find_events(samples_of(HOLD + offset), SETTINGS)
+        assert labels(found) == ["placed", "removed"] and {e.source for e in found} == {"found"}
+        # 60 % and 40 % of the way between 90 N and 280 N.
+        assert found[0].time == pytest.approx(10 + 2 * 0.6, abs=0.05)
+        assert found[1].time == pytest.approx(40 + 2 * 0.6, abs=0.05)
 
 
 def test_noise_and_single_wrong_values_are_no_events() -> None:
@@ -82,11 +77,11 @@ def test_noise_and_single_wrong_values_are_no_events() -> None:
     assert labels(find_events(samples, SETTINGS)) == ["placed", "removed"]
 
 
-@pytest.mark.parametrize("load", [0.0, 280.0])
-def test_one_level_of_load_has_no_events(load: float) -> None:
-    samples = samples_of(np.full(600, load), noise=2.0)
-    assert find_events(samples, SETTINGS) == []
-    assert find_events(samples[:1], SETTINGS) == find_events(samples[:0], SETTINGS) == []
+def test_one_level_of_load_has_no_events() -> None:
+    for load in (0.0, 280.0):
+        samples = samples_of(np.full(600, load), noise=2.0)
+        assert find_events(samples, SETTINGS) == []
+        assert find_events(samples[:1], SETTINGS) == find_events(samples[:0], SETTINGS) == []
 
 
 def test_steps_of_a_walk_are_as_many_events_and_cycles() -> None:
@@ -112,73 +107,54 @@ EVENTS = [
 ]
 
 
-@pytest.mark.parametrize(
-    ("text", "span"),
-    [
-        ("event:placed:removed", (11.0, 41.0)),
-        ("event:placed+5:removed-2", (16.0, 39.0)),
-        ("event:placed+.5:removed-2.25", (11.5, 38.75)),
-        ("event:3:placed", (3.0, 11.0)),
-        ("event:push:60.5", (15.0, 60.5)),
-        ("event:push#2:removed", (20.0, 41.0)),
-        ("event:push#2-1:placed#2+1", (19.0, 51.0)),
-        ("event:placed:placed", (11.0, 50.0)),  # one cycle: the next after the start
-        ("event:push:push", (15.0, 20.0)),
-        ("event:push:push#1+3", (15.0, 18.0)),
-        ("event:push-off:push", (16.0, 20.0)),
-        ("event:push-1:push+1.5", (14.0, 16.5)),  # around one event
-        ("event:push-off-1:push-off+1", (15.0, 17.0)),
-    ],
-)
-def test_a_span_between_events(text: str, span: tuple[float, float]) -> None:
-    assert event_span(text, EVENTS) == pytest.approx(span)
+SPANS = {
+    "event:placed:removed": (11.0, 41.0),
+    "event:placed+5:removed-2": (16.0, 39.0),
+    "event:placed+.5:removed-2.25": (11.5, 38.75),
+    "event:3:placed": (3.0, 11.0),
+    "event:push:60.5": (15.0, 60.5),
+    "event:push#2-1:placed#2+1": (19.0, 51.0),
+    "event:placed:placed": (11.0, 50.0),  # one cycle: the next after the start
+    "event:push:push#1+3": (15.0, 18.0),
+    "event:push-1:push+1.5": (14.0, 16.5),  # around one event
+    "event:push-off-1:push-off+1": (15.0, 17.0),
+}
+NO_SPANS = {
+    "event:plced:removed": "no event 'plced': did you mean 'placed'? it has",
+    "event:tread:removed": "it has placed (2 times), push (2 times), push-off",
+    "event:push#3:removed": "no 'push#3': 'push' happens 2 times: give #1 to #2",
+    "event:push#0:removed": "no 'push#0'",
+    "event:removed:push": "no 'push' is after 41.00 s: the last",
+    "event:push+30:removed": "no 'removed' is after 45.00 s: the last",
+    "event:placed:9": "ends at 9.00 s, its start is at 11.00 s",
+    "event:push": "has no two ends: give event:A:B",
+    "event::push": "has no two ends",
+    "event:a:b:c": "has no two ends",
+}
 
 
-@pytest.mark.parametrize(
-    ("text", "error", "says"),
-    [
-        ("event:plced:removed", TrialError, "no event 'plced': did you mean 'placed'? it has"),
-        ("event:tread:removed", TrialError, "it has placed (2 times), push (2 times), push-off"),
-        ("event:push#3:removed", TrialError, "no 'push#3': 'push' happens 2 times: give #1 to #2"),
-        ("event:push#0:removed", TrialError, "no 'push#0'"),
-        (
-            "event:removed:push",
-            TrialError,
-            "no 'push' is after 41.00 s: the last",
-        ),
-        ("event:push+30:removed", TrialError, "no 'removed' is after 45.00 s: the last"),
-        ("event:placed:9", TrialError, "ends at 9.00 s, its start is at 11.00 s"),
-        ("event:push", ConfigurationError, "has no two ends: give event:A:B"),
-        ("event::push", ConfigurationError, "has no two ends"),
-        ("event:a:b:c", ConfigurationError, "has no two ends"),
-    ],
-)
-def test_a_span_that_is_none_names_what_there_is(
-    text: str, error: type[Exception], says: str
-) -> None:
-    with pytest.raises(error) as caught:
-        event_span(text, EVENTS)
-    assert says in str(caught.value)
-
-
-def test_without_events_the_hint_names_the_verb() -> None:
+def test_a_span_between_events_or_what_there_is_instead() -> None:
+    for text, span in SPANS.items():
+        assert event_span(text, EVENTS) == pytest.approx(span)
+    for text, says in NO_SPANS.items():
+        with pytest.raises((TrialError, ConfigurationError)) as caught:
+            event_span(text, EVENTS)
+        assert says in str(caught.value)
+        assert isinstance(caught.value, ConfigurationError) == ("two ends" in says)
     with pytest.raises(TrialError, match=r"no event 'push': it has none: mark events"):
         event_span("event:push:9", [])
 
 
-@pytest.mark.parametrize("label", ["push", "heel-strike 2", "Übergang", "a" * 99, "step_1.b"])
-def test_a_label_can_name_a_segment(label: str) -> None:
-    events = [Event(check_label(label), 3.0, "recorded"), Event(label, 7.0, "recorded")]
-    assert event_span(f"event:{label}#1+1:{label}-0.5", events) == pytest.approx((4.0, 6.5))
-
-
-@pytest.mark.parametrize(
-    "label",
-    ["", " ", "2nd", "-a", "a:b", "a#2", "a+5", "push-2", "a-", "a ", "a\nb", "\x1b[2J", "a" * 100],
-)
-def test_a_label_that_no_segment_could_name_is_refused(label: str) -> None:
-    with pytest.raises(ConfigurationError, match="label"):
-        check_label(label)
+def test_a_label_can_name_a_segment_or_is_refused() -> None:
+    for label in ("push", "heel-strike 2", "Übergang", "a" * 99, "step_1.b"):
+        events = [Event(check_label(label), 3.0, "recorded"), Event(label, 7.0, "recorded")]
+        assert event_span(f"event:{label}#1+1:{label}-0.5", events) == pytest.approx((4.0, 6.5))
+    for label in (
+        *("", " ", "2nd", "-a", "a:b", "a#2", "a+5", "push-2", "a-", "a ", "a\nb", "\x1b[2J"),
+        "a" * 100,
+    ):
+        with pytest.raises(ConfigurationError, match="label"):
+            check_label(label)
 
 
 def test_cycles_between_two_events() -> None:
@@ -222,13 +198,10 @@ def test_a_trial_without_a_plateau_says_which_segment_would_do() -> None:
     assert part.start == pytest.approx(5 + 0.1 * 55, abs=0.3) and 64.0 < part.end < 65.0
 
 
-@pytest.mark.parametrize("text", ["plateau", "hold", "auto"])
-def test_a_trial_without_load_has_no_such_segment(text: str) -> None:
-    with pytest.raises(TrialError, match="give --segment all or --segment T0:T1"):
-        select_segment(samples_of(np.zeros(600)), text, SETTINGS)
-
-
-def test_a_misspelt_segment_is_suggested() -> None:
+def test_a_segment_that_there_is_not_is_refused_with_a_hint() -> None:
+    for text in ("plateau", "hold", "auto"):
+        with pytest.raises(TrialError, match="give --segment all or --segment T0:T1"):
+            select_segment(samples_of(np.zeros(600)), text, SETTINGS)
     with pytest.raises(ConfigurationError, match=r"did you mean 'auto'\?.*event:A:B"):
         select_segment(samples_of(HOLD), "atuo", SETTINGS)
 
@@ -241,14 +214,11 @@ def test_an_event_segment_is_named_by_what_it_lies_between() -> None:
 # --- events recorded with a trial
 
 
-@pytest.mark.parametrize("namespace", ["", "/lab"])
-def test_recorded_and_found_events_are_in_one_list(
-    hold: Path, tmp_path: Path, namespace: str
-) -> None:
+def test_recorded_and_found_events_are_in_one_list(hold: Path, tmp_path: Path) -> None:
     found = Trial(hold).events()
     assert labels(found) == ["placed", "removed"]
     marks = [("push", 22.0, 22.1), ("step", np.nan, 30.0), ("step", 4e6, 31.0), ("\n", 32.0, 32.0)]
-    trial = add_events(hold, tmp_path / "marked", marks, namespace)
+    trial = add_events(hold, tmp_path / "marked", marks, "/lab")
     events = trial.events()
     assert labels(events) == ["placed", "push", "step", "step", "unnamed", "removed"]
     assert [e.time for e in events if e.source == "recorded"] == pytest.approx([22, 30, 31, 32])

@@ -2,7 +2,6 @@
 
 import shutil
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -29,23 +28,25 @@ def folder(tmp_path: Path) -> Path:
     return path
 
 
-@pytest.mark.parametrize(
-    "text",
-    ["S01", "007", "1e3", "yes", "null", "2026-01-01", "a: b # c", "\"'\\", "ü 日本 🦿", "-"],
-)
-def test_any_text_comes_back_as_it_was(text: str, tmp_path: Path) -> None:
-    stated = TrialMetadata(socket=text, notes=text)
-    write_metadata(stated, tmp_path / METADATA_FILE)
-    assert read_metadata(tmp_path / METADATA_FILE) == stated
-
-
-def test_all_fields_come_back_and_are_columns(tmp_path: Path) -> None:
-    stated = TrialMetadata("S01", "right", "PTB 3", "sock", 82.5, "KL", "hold", "new foot")
-    write_metadata(stated, tmp_path / METADATA_FILE)
-    assert read_metadata(tmp_path / METADATA_FILE) == stated
-    assert [*stated.columns().values()] == ["S01", "right", "PTB 3", "sock", 82.5, "KL", "hold",
-                                            "new foot"]  # fmt: skip
-    assert set(stated.columns().values()) - {None} and len(TrialMetadata().columns()) == len(FIELDS)
+def test_all_fields_and_any_text_come_back_as_they_were(tmp_path: Path) -> None:
+    values = ("S01", "right", "PTB 3", "sock", 82.5, "KL", "hold", "new foot")
+    stated = TrialMetadata(*values)
+    assert (*stated.columns().values(),) == values and len(FIELDS) == len(values)
+    texts = (
+        "S01",
+        "007",
+        "1e3",
+        "yes",
+        "null",
+        "2026-01-01",
+        "a: b # c",
+        "\"'\\",
+        "ü 日本 🦿",
+        "-",
+    )
+    for given in (stated, *(TrialMetadata(socket=text, notes=text) for text in texts)):
+        write_metadata(given, tmp_path / METADATA_FILE)
+        assert read_metadata(tmp_path / METADATA_FILE) == given
     assert TrialMetadata(notes=" on\ntwo\u00a0 lines ").notes == "on two lines"
 
 
@@ -66,39 +67,33 @@ WRONG = [
 ]
 
 
-@pytest.mark.parametrize(("given", "says"), WRONG)
-def test_a_wrong_value_is_refused_by_its_field(
-    given: dict[str, Any], says: str, folder: Path
-) -> None:
-    with pytest.raises(ConfigurationError) as refused:
-        st.annotate(Trial(folder), **given)
-    assert says in str(refused.value) and next(iter(given)) in str(refused.value)
+def test_a_wrong_value_is_refused_by_its_field(folder: Path) -> None:
+    for given, says in WRONG:
+        with pytest.raises(ConfigurationError) as refused:
+            st.annotate(Trial(folder), **given)
+        assert says in str(refused.value) and next(iter(given)) in str(refused.value)
     assert not (folder / METADATA_FILE).exists()
 
 
-@pytest.mark.parametrize(
-    ("text", "says"),
-    [
-        ("sidee: left", "unknown key 'sidee': did you mean 'side'?"),
-        ("subject: 7", "subject is 7, no text: give a text, in quotes in YAML"),
-        ("side: [left]", "side is ['left'], no text"),
-        ("side: left\nside: right", "the key 'side' is repeated"),
-        ("]", "correct the YAML"),
-        ("a name", "give 'key: value' lines"),
-        ("\x00\xff", "trial.yaml"),
-    ],
-)
-def test_a_broken_file_is_a_note_and_nothing_is_written_over_it(
-    text: str, says: str, folder: Path
-) -> None:
-    (folder / METADATA_FILE).write_text(text, encoding="latin-1")
-    notes: list[str] = []
-    assert Trial(folder, notify=notes.append).metadata == TrialMetadata()
-    (note,) = notes
-    assert says in note and METADATA_FILE in note and "\n" not in note
-    with pytest.raises(ConfigurationError, match=METADATA_FILE):
-        st.annotate(Trial(folder), subject="S02")
-    assert (folder / METADATA_FILE).read_text(encoding="latin-1") == text
+BROKEN = [
+    ("sidee: left", "unknown key 'sidee': did you mean 'side'?"),
+    ("subject: 7", "subject is 7, no text: give a text, in quotes in YAML"),
+    ("side: left\nside: right", "the key 'side' is repeated"),
+    ("]", "correct the YAML"),
+    ("\x00\xff", "trial.yaml"),
+]
+
+
+def test_a_broken_file_is_a_note_and_nothing_is_written_over_it(folder: Path) -> None:
+    for text, says in BROKEN:
+        (folder / METADATA_FILE).write_text(text, encoding="latin-1")
+        notes: list[str] = []
+        assert Trial(folder, notify=notes.append).metadata == TrialMetadata()
+        (note,) = notes
+        assert says in note and METADATA_FILE in note and "\n" not in note
+        with pytest.raises(ConfigurationError, match=METADATA_FILE):
+            st.annotate(Trial(folder), subject="S02")
+        assert (folder / METADATA_FILE).read_text(encoding="latin-1") == text
 
 
 def test_empty_fields_written_by_hand_are_not_stated(folder: Path) -> None:
