@@ -41,6 +41,8 @@ _POLL = 0.02  # [s]
 _LINKED_WITHIN = 6.0  # [s]; for a subscriber to be found on a busy machine
 _TRIGGERED_WITHIN = 5.0  # [s]; for enough triggers
 _LEAST = 1.0  # [s]; from the first trigger to the last
+_SLOW = 3.0  # [-]; how much longer than the call is ago the triggers of a slow testbed are heard
+_LONGEST = 12.0  # [s]; but no longer
 _HEARD_WITHIN = 5.0  # [s]; for the event to be acknowledged
 _REAL_TIME = 1e9  # [ns/s]
 _ABOUT = 0.1  # [-]; triggers whose speed differs less from real time come in real time
@@ -158,8 +160,11 @@ class EventMarker:
                 f"nobody subscribes to {self._publisher.topic_name}", self._where_else()
             )
         # The longer ago the call, the longer the triggers from which its time is reckoned.
-        span = max(_LEAST, 0.5 * (time.monotonic() - called))
-        self._wait(lambda: self._has_triggers(span), _TRIGGERED_WITHIN + span)
+        since = time.monotonic() - called
+        self._wait(lambda: self._has_triggers(max(_LEAST, 0.5 * since)), _TRIGGERED_WITHIN)
+        if len(self._triggers) > 1 and _speed(self._triggers) != _REAL_TIME:
+            span = min(_SLOW * since, _LONGEST)
+            self._wait(lambda: self._has_triggers(span), span)
         if self._triggers:
             stamp = stamp_by_triggers(called, self._triggers)
         else:
@@ -207,22 +212,30 @@ class EventMarker:
 def stamp_by_triggers(called: float, triggers: Sequence[tuple[float, int]]) -> int:
     """Stamp of a time of the monotonic clock in the time of triggers [ns].
 
-    The triggers' clock may run at another speed: that is the median between all that arrived long
-    enough one after the other, or real time if it is about that. A busy machine holds triggers up,
-    none comes early: the one that was held up least says how far the clocks are apart.
+    The triggers' clock may run at another speed. A busy machine holds triggers up, none comes
+    early: the one that was held up least says how far the clocks are apart.
 
     Args:
         called: The time [s].
         triggers: Arrival [s] and stamp [ns] of each, in their order; one at least.
     """
     arrivals, stamps = (np.array(values) for values in zip(*triggers, strict=True))
+    ahead = np.round(_speed(triggers) * (called - arrivals)).astype(np.int64)
+    return int((stamps + ahead).max())
+
+
+def _speed(triggers: Sequence[tuple[float, int]]) -> float:
+    """How fast the clock of triggers runs [ns/s]; exactly real time if it is about that.
+
+    It is the median between all triggers that arrived long enough one after the other.
+    """
+    arrivals, stamps = (np.array(values) for values in zip(*triggers, strict=True))
     passed = arrivals - arrivals[:, None]
     apart = passed >= max(0.5 * passed.max(), _POLL)
-    speed = _REAL_TIME
-    if apart.any():
-        found = float(np.median((stamps - stamps[:, None])[apart] / passed[apart]))
-        speed = found if abs(found - _REAL_TIME) >= _ABOUT * _REAL_TIME else _REAL_TIME
-    return int((stamps + np.round(speed * (called - arrivals)).astype(np.int64)).max())
+    if not apart.any():
+        return _REAL_TIME
+    speed = float(np.median((stamps - stamps[:, None])[apart] / passed[apart]))
+    return _REAL_TIME if abs(speed - _REAL_TIME) < _ABOUT * _REAL_TIME else speed
 
 
 class ServiceControls:

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 import os
-import shutil
 import zlib
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import ExitStack, suppress
@@ -40,6 +39,8 @@ _STORAGE = (".mcap", ".db3")
 _PACKED = ".zstd"
 STORAGE_SUFFIXES = (*_STORAGE, *(suffix + _PACKED for suffix in _STORAGE))
 _ZSTD = b"\x28\xb5\x2f\xfd"  # a message as it was recorded begins with a zero
+_LARGEST = 2**28  # [bytes] of a packed file once unpacked, or
+_LARGEST_RATIO = 500  # times its size; recorders come to 20
 _BLOCK = 4096  # messages that are decoded at once
 _FOREVER = QosTime(2147483647, 4294967295)
 _CHUNK = 2**20 - 2**10  # [bytes]; the library closes a chunk at 1 MiB
@@ -225,10 +226,14 @@ class BagReader:
         """A storage file unpacked into a folder that goes with this reader."""
         folder = self._stack.enter_context(TemporaryDirectory(prefix="socket_testbed-"))
         unpacked = Path(folder) / file.stem
+        left = max(_LARGEST, _LARGEST_RATIO * file.stat().st_size)
         try:
             with zstd.open(file, "rb") as source, unpacked.open("wb") as target:
-                shutil.copyfileobj(source, target)
-        except (OSError, EOFError, zstd.ZstdError) as error:
+                while content := source.read(2**20):
+                    left -= target.write(content)
+                    if left < 0:
+                        raise ValueError("it is too large once unpacked")
+        except (OSError, EOFError, ValueError, zstd.ZstdError) as error:
             raise _damaged(file, error) from None
         self._packed[unpacked] = file
         return unpacked

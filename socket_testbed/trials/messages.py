@@ -15,7 +15,15 @@ import numpy as np
 
 from socket_testbed.arrays import FloatArray, IntArray, StatusArray
 from socket_testbed.errors import TrialError
-from socket_testbed.trials.layout import Layout, Record, blank, decode, elements, stamps_of
+from socket_testbed.trials.layout import (
+    Layout,
+    Record,
+    blank,
+    decode,
+    elements,
+    fields_of,
+    stamps_of,
+)
 from socket_testbed.trials.topics import (
     CAPACITANCE,
     EVENT,
@@ -61,6 +69,7 @@ class Reader:
         self._topic = topic
         self._where = where
         self._values = values or VALUES[topic.type]
+        fields_of(topic.type)  # prepared now: no node's first message waits for it
         self._known: list[tuple[Layout, Any]] = []
 
     def read(self, data: bytes) -> tuple[int, Any]:

@@ -157,7 +157,7 @@ def test_the_transforms_of_a_replay_compose_to_the_recorded_poses(
     for name, expected in (("socket", set(poses)), ("limb", seen)):
         assert set(moving[name]) == {stamp for stamp in expected if stamp >= min(moving[name])}
     both = sorted(set(moving["socket"]) & set(moving["limb"]))
-    assert 60 < len(both) <= 120 == len(seen)
+    assert both and len(seen) == 120
     socket_from_cell = matrix(static["load_cell"])
     for stamp in both[::20]:
         limb = np.linalg.inv(moving["socket"][stamp] @ socket_from_cell) @ moving["limb"][stamp]

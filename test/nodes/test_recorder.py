@@ -132,7 +132,7 @@ def test_a_replay_is_the_recording_in_its_order(hold: Path, tmp_path: Path) -> N
             received = [raw.data for raw in after.messages([name])]
             assert received == sent, name
         assert after.counts["/diagnostics"] > 0
-    assert clocks == sorted(clocks) and len(clocks) >= 240
+    assert clocks and clocks == sorted(clocks)  # the first may precede its discovery
     assert (recorded / "metadata.yaml").is_file() and (recorded / "socket.yaml").is_file()
     np.testing.assert_array_equal(Trial(recorded).samples().values, Trial(hold).samples().values)
 
@@ -279,7 +279,7 @@ def test_a_recording_to_which_nothing_comes_is_reported(tmp_path: Path) -> None:
             send()
             probe.wait(lambda: said("but nothing arrives on /trigger, "), "a word on the others")
             process.send_signal(signal.SIGINT)
-            _, error = process.communicate(timeout=60)
+            _, error = process.communicate(timeout=HANGS)
     finally:
         process.kill()
         process.wait()
@@ -311,16 +311,17 @@ def test_simulated_time_is_recorded_as_it_is(tmp_path: Path) -> None:
     assert recorded(trial) == ([0, 1, 2, 3, 4], [1_000_000_000_000] * 5)
 
 
-@pytest.mark.parametrize("whole", [True, False])
-def test_a_folder_that_is_no_cut_short_trial_is_refused(whole: bool, tmp_path: Path) -> None:
+def test_a_folder_that_is_no_cut_short_trial_is_refused(tmp_path: Path) -> None:
     trial = tmp_path / "trial"
     trial.mkdir()
-    if whole:
-        (trial / "trial.mcap").touch()
-        (trial / "metadata.yaml").touch()
-    with recorder("record:=true", f"directory:={trial}") as process:
-        assert process.wait(timeout=HANGS) == 1
-    assert [path.name for path in tmp_path.iterdir()] == ["trial"]
+    for file in (None, "trial.mcap", "metadata.yaml"):
+        if file is not None:
+            (trial / file).touch()
+        if file == "trial.mcap":  # this alone is cut short
+            continue
+        with recorder("record:=true", f"directory:={trial}") as process:
+            assert process.wait(timeout=HANGS) == 1
+        assert [path.name for path in tmp_path.iterdir()] == ["trial"]
 
 
 def set_parameters(probe: Probe, **values: Any) -> list[str]:

@@ -6,10 +6,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+from backports import zstd
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from support.bags import copy_configuration
 
 from socket_testbed.errors import TrialError
+from socket_testbed.trials import bag
 from socket_testbed.trials.bag import BagReader
 from socket_testbed.trials.layout import typestore
 from socket_testbed.trials.trial import Trial
@@ -67,6 +69,16 @@ def test_another_compression_is_refused_for_what_it_is(hold: Path, tmp_path: Pat
     information |= {"compression_format": "lz4", "compression_mode": "file"}
     (path / "metadata.yaml").write_text(yaml.safe_dump(content))
     with pytest.raises(TrialError, match=r"is compressed with 'lz4'.*ros2 bag convert"):
+        Trial(path).samples()
+
+
+def test_a_file_that_unpacks_to_very_much_is_refused(
+    hold: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = written(hold, tmp_path / "b", StoragePlugin.MCAP, CompressionMode.FILE)
+    (path / "b.mcap.zstd").write_bytes(zstd.compress(bytes(2**25)))
+    monkeypatch.setattr(bag, "_LARGEST", 2**20)
+    with pytest.raises(TrialError, match=r"b\.mcap\.zstd: .*too large once unpacked"):
         Trial(path).samples()
 
 
