@@ -232,13 +232,7 @@ class TestbedNode(Node, Generic[S]):
                 raise
 
     def advertise(self, topic: Topic, name: str = "", needed: bool = False) -> Publisher:
-        """A publisher.
-
-        Args:
-            topic: What is published.
-            name: Another name than the topic's.
-            needed: Whether the node is linked only with a subscriber.
-        """
+        """A publisher, under another name if given; needed, it is linked only with a subscriber."""
         publisher = self.create_publisher(
             message_type(topic), name or topic.name, publisher_qos(topic)
         )
@@ -253,14 +247,9 @@ class TestbedNode(Node, Generic[S]):
         needed: bool = True,
         raw: bool = False,
     ) -> None:
-        """Subscribe.
+        """Subscribe, under another name if given; needed, it is linked only with a publisher.
 
-        Args:
-            topic: What is subscribed to.
-            callback: Called with each message.
-            name: Another name than the topic's.
-            needed: Whether the node is linked only with a publisher.
-            raw: Whether the callback gets serialised messages.
+        The callback gets each message, serialised if raw.
         """
 
         def hear(message: Any) -> None:

@@ -20,12 +20,10 @@ _POLL = 0.02  # [s]
 
 
 class Followers:
-    """What nodes say of themselves in their diagnostics.
+    """Nodes that another waits for, by what their diagnostics report.
 
-    Args:
-        node: The node that waits for them.
-        names: Their names, in the node's namespace or absolute.
-        stopped: Called to know whether waiting has become pointless.
+    Their names are in the waiting node's namespace or absolute; `stopped` says whether waiting has
+    become pointless.
     """
 
     def __init__(
@@ -52,15 +50,8 @@ class Followers:
         """Wait until all that publish and subscribe have found each other.
 
         A node may not know yet of a subscriber that another knows of, or of one that says so
-        itself, and would publish past it.
-
-        Args:
-            publishers: The waiting node's own publishers by topic.
-            needed: The topics that are linked only with a subscriber.
-            patience: Longest wait [s].
-
-        Returns:
-            What is not linked after that, empty if nothing is.
+        itself, and would publish past it. Of the waiting node's own publishers, by topic, those
+        needed are linked only with a subscriber. Returns what is not linked in time, if anything.
         """
 
         def linked() -> bool:
@@ -109,14 +100,9 @@ class Followers:
         return True
 
     def catch_up(self, behind: int, patience: float) -> int:
-        """Wait until they are at most so many samples behind.
+        """Wait until they are at most so many samples behind, while there is progress in time.
 
-        Args:
-            behind: Number of samples.
-            patience: Longest time without any progress [s].
-
-        Returns:
-            How many samples they are behind still, 0 if they caught up.
+        Returns how many samples they are still behind, 0 if they caught up.
         """
         while self._newest and len(self._sent) > behind:
             before = len(self._sent)

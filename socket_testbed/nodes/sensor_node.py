@@ -42,12 +42,7 @@ class SensorNode(TestbedNode[S]):
         self._measuring = threading.Thread(target=self._run, name="measure")
 
     def measure(self, stamp: int, moment: float) -> None:
-        """Measure and publish; called in the thread.
-
-        Args:
-            stamp: Stamp of the trigger since the epoch [ns].
-            moment: Its time on the steady clock [s].
-        """
+        """Measure and publish, in the thread; the moment is the stamp [ns] in steady time [s]."""
         raise NotImplementedError
 
     def health(self) -> tuple[int, str] | None:

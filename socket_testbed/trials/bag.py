@@ -347,11 +347,7 @@ def qos_profile(topic: Topic) -> Qos:
 
 
 class BagWriter:
-    """A new MCAP bag, written message by message; a context manager.
-
-    Args:
-        path: Folder of the bag; it must not exist.
-    """
+    """A new MCAP bag in a folder that must not exist, written by messages; a context manager."""
 
     def __init__(self, path: Path) -> None:
         self.path = path

@@ -131,13 +131,7 @@ def metadata_text(metadata: TrialMetadata) -> str:
 def change_metadata(
     metadata: TrialMetadata, changes: Mapping[str, Any], remove: Iterable[str] = ()
 ) -> TrialMetadata:
-    """Metadata with some fields stated anew, and others no longer stated.
-
-    Args:
-        metadata: The metadata.
-        changes: New values by their fields; None for no change.
-        remove: Fields to remove; what is changed as well stays.
-    """
+    """Metadata with some fields changed, unless the value is None, and others removed."""
     removed = dict.fromkeys(remove)
     for name in removed:
         if name not in FIELDS:

@@ -74,14 +74,9 @@ RECORDED_TRIAL = Topic("recorder/trial", "std_msgs/msg/String", latched=True)
 
 
 def match_topics(names: Iterable[str], where: str) -> dict[Topic, str]:
-    """Find the testbed's topics among a bag's, in whatever namespace they were recorded.
+    """The bag's name of each topic of the testbed, in whatever namespace it was recorded.
 
-    Args:
-        names: Names of the topics in the bag.
-        where: What names the bag in an error.
-
-    Returns:
-        The bag's name of each topic of the testbed that it holds.
+    `where` names the bag in the TrialError for a topic that is there in two namespaces.
     """
     found: dict[Topic, str] = {}
     for name in names:

@@ -177,13 +177,7 @@ class Trial:
     def check(self) -> tuple[str, ...]:
         """Refuse a trial that cannot be worked on, before long work or a graph is started.
 
-        Returns:
-            Names of the trial's clusters.
-
-        Raises:
-            TrialError: If the trial cannot be read or lacks a topic.
-            CalibrationError: If the calibration lacks a cluster of the trial.
-            ConfigurationError: If the stored configuration is wrong.
+        It raises what `samples` would; it returns the names of the trial's clusters.
         """
         with self.open() as bag:
             name = required_topics(bag)[CAPACITANCE]
@@ -285,14 +279,7 @@ def recorded_namespace(trial: Trial) -> str:
 
 
 def beside_cut_short(path: Path) -> Path:
-    """Where to go on when a recording into this folder was cut short: `path`_2, `path`_3, ...
-
-    Args:
-        path: Folder of a trial.
-
-    Returns:
-        The first of these names that is free; the path itself if it holds no such recording.
-    """
+    """Where to go on if a recording into this folder was cut short: beside it; else the folder."""
     cut_short = any(path.glob("*.mcap")) and not (path / "metadata.yaml").exists()
     return beside(path) if cut_short else path
 
@@ -306,15 +293,9 @@ def beside(path: Path) -> Path:
 def read_configuration(
     geometry: Path | None = None, calibration: Path | None = None, parameters: Path | None = None
 ) -> dict[str, bytes]:
-    """Read the configuration that trials are recorded with.
+    """The configuration that trials are recorded with: the files' contents by their names in one.
 
-    Args:
-        geometry: A `socket.yaml`; None for the package's own.
-        calibration: A `calibration.yaml`; None for the package's own.
-        parameters: A `testbed.yaml`; None for the package's own.
-
-    Returns:
-        The files' contents by their names in a trial.
+    A `socket.yaml`, `calibration.yaml` or `testbed.yaml` that is not given is the package's own.
     """
     files: tuple[tuple[str, Path | None, Callable[[Path], object]], ...] = (
         (SOCKET_FILE, geometry, read_socket),

@@ -4,12 +4,10 @@ What counts: the fault is named, the others go on, the recovery is named, no val
 wrong, and no sample is missing without a status.
 """
 
-import itertools
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-import numpy as np
 import pytest
 from support import CHECKOUT
 from support.testbeds import MEASURED, LiveTestbed, Recorded
@@ -109,21 +107,3 @@ def test_a_restarted_server_is_found_again(live: LiveTestbed) -> None:
     live.wait_for_moment("mocap_node", "ERROR|WARN", seen)
     well(live, "mocap_node")
     live.wait_for_triggers(5)
-
-
-PAIRS = sorted(itertools.combinations(CASES, 2))
-
-
-@pytest.mark.parametrize("seed", range(6))
-def test_two_faults_at_once(live: LiveTestbed, seed: int) -> None:
-    first, second = PAIRS[np.random.default_rng(seed).integers(len(PAIRS))]
-    for fault in (first, second):
-        live.switch(fault, CASES[fault].value)
-    try:
-        for fault in (first, second):
-            live.wait_for(CASES[fault].node, "WARN|ERROR")
-    finally:
-        for fault in (first, second):
-            live.switch(fault, 0.0)
-    well(live, CASES[first].node, CASES[second].node)
-    live.wait_for_triggers(2)
