@@ -29,7 +29,7 @@ from socket_testbed.files import packaged
 from socket_testbed.geometry.socket import read_socket
 from socket_testbed.simulation.trial import simulate, write_simulated_trial
 from socket_testbed.trials.bag import BagReader, BagWriter, required_topics
-from socket_testbed.trials.layout import Layout, fields_of
+from socket_testbed.trials.layout import Layout
 from socket_testbed.trials.topics import match_topics
 from socket_testbed.trials.trial import CONFIGURATION_FILES, Trial
 
@@ -42,11 +42,13 @@ def repeat(source: Path, target: Path, times: int) -> None:
     with BagReader(source) as bag, BagWriter(target) as writer:
         for topic, name in match_topics(bag.counts, str(source)).items():
             writer.add_topic(name, topic)
-        raws = [(raw, Layout(raw.data, raw.type, fields_of)) for raw in bag.messages()]
+        raws = [(raw, Layout(raw.data, raw.type)) for raw in bag.messages()]
         for number in range(times):
             later = number * round(PIECE)
             for raw, layout in raws:
-                content, record = layout.blank()
+                content = bytearray(raw.data)
+                record = layout.record(content)
+                assert record is not None
                 record["header"]["stamp"]["sec"] += later
                 writer.write(raw.topic, raw.time + later * 10**9, bytes(content))
     for name in CONFIGURATION_FILES:
