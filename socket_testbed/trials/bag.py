@@ -175,8 +175,11 @@ class BagReader:
                     yield connection, time, content
             except Exception as error:  # the library raises whatever the bytes lead it to
                 raise _damaged(file, error) from None
-            if any(left.values()):
-                raise _lacking(file, sum(left.values()))
+            if lacking := sum(left.values()):
+                raise TrialError(
+                    f"{file}: is damaged: its index lists {lacking} messages more than can be read",
+                    "copy the trial again, or save what is there with 'mcap recover'",
+                )
 
     def _storage_files(self, metadata: tuple[list[str], Any] | None) -> list[Path]:
         if self.path.is_file():
@@ -322,13 +325,6 @@ def _damaged(file: Path | object, error: Exception) -> TrialError:
             "copy the trial again, or save what is there with 'mcap recover'",
         )
     return TrialError(f"{file}: cannot be read ({reason})", "give an MCAP or SQLite bag of ROS 2")
-
-
-def _lacking(file: Path | object, messages: int) -> TrialError:
-    return TrialError(
-        f"{file}: is damaged: its index lists {messages} messages more than can be read",
-        "copy the trial again, or save what is there with 'mcap recover'",
-    )
 
 
 def qos_profile(topic: Topic) -> Qos:

@@ -229,7 +229,7 @@ def test_a_whole_file_is_no_salvage_s_business(recording, tmp_path: Path) -> Non
         read(folder)
 
 
-def test_metadata_that_promises_more_is_told_and_less_is_refused(hold, tmp_path) -> None:
+def test_metadata_that_promises_more_is_a_note_and_less_is_refused(hold, tmp_path) -> None:
     target = Path(shutil.copytree(hold, tmp_path / "hold"))
     text = (target / "metadata.yaml").read_text()
     data = (target / "hold.mcap").read_bytes()
