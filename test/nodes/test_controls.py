@@ -65,14 +65,11 @@ def test_one_trigger_or_a_burst_alone_runs_in_real_time() -> None:
 
 
 STOPPED = """
-import os, signal, rclpy
+import rclpy
 from socket_testbed_msgs.msg import Event
 rclpy.init()
 node = rclpy.create_node("stopped")
 node.create_subscription(Event, "event", lambda event: None, 10)
-while not node.count_publishers("event"):
-    rclpy.spin_once(node, timeout_sec=0.05)
-os.kill(os.getpid(), signal.SIGSTOP)
 rclpy.spin(node)
 """
 
@@ -103,6 +100,9 @@ def test_a_subscriber_that_is_stopped_holds_up_nothing_else(
         marker = EventMarker(probe.node, wait)
         state = Path(f"/proc/{stopped.pid}/status")
         try:
+            publisher = marker._publisher
+            probe.wait(lambda: publisher.get_subscription_count() == 2, "it is found")
+            stopped.send_signal(signal.SIGSTOP)
             probe.wait(lambda: "T (stopped)" in state.read_text(), "it is stopped")
             assert marker.mark("push", time.monotonic()).subscribers == 2
         finally:
