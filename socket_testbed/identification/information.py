@@ -262,11 +262,6 @@ class Engagement:
     # [-]
     time_share: FloatArray
 
-    @property
-    def switching(self) -> int:
-        """Number of springs that are engaged at some of the samples of `time_share` only [1]."""
-        return int(((self.time_share > 0.0) & (self.time_share < 1.0)).sum())
-
     def columns(self, prefix: str) -> dict[str, FloatArray]:
         """Number and share of engaged springs, and share of uncertain ones, shape (N,) each."""
         return {
