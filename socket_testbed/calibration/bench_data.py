@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from socket_testbed.arrays import BoolArray, FloatArray, IntArray
-from socket_testbed.documents import decimal, read_text
+from socket_testbed.documents import read_text
 from socket_testbed.errors import CalibrationError
 
 if TYPE_CHECKING:
@@ -36,35 +36,22 @@ _SOUND = 99.0  # [%] of the rows, at least
 
 @dataclass(frozen=True)
 class BenchData:
-    """Bench data of one cluster, one row per reading.
-
-    Attributes:
-        files: Names of the files.
-        file: Which of them each row is from, shape (N,).
-        line: The line it stands on there, shape (N,).
-        time: Time within its file, shape (N,) [s]; NaN where the file has none.
-        cycle: Which cycle of its file a row belongs to, shape (N,); `UNNAMED` where the file
-            names none.
-        capacitance: Capacitances by input of the converter, shape (N, 4) [pF].
-        stress: Known normal stress (positive in compression), shear x and shear y in the
-            cluster's frame, shape (N, 3) [Pa].
-    """
+    """Bench data of one cluster, one row per reading."""
 
     files: tuple[str, ...]
-    file: IntArray
-    line: IntArray
-    time: FloatArray
-    cycle: IntArray
-    capacitance: FloatArray
-    stress: FloatArray
+    file: IntArray  # (N,); index into `files`
+    line: IntArray  # (N,); of its file
+    time: FloatArray  # (N,) [s]; within its file, NaN where that has none
+    cycle: IntArray  # (N,); of its file, `UNNAMED` where that names none
+    capacitance: FloatArray  # (N, 4) [pF]; by input of the converter
+    stress: FloatArray  # (N, 3) [Pa]; normal (positive in compression), shear x, shear y
 
     def __len__(self) -> int:
         return len(self.file)
 
     def __getitem__(self, rows: BoolArray | IntArray) -> BenchData:
         """Some of the rows."""
-        arrays = {name: getattr(self, name)[rows] for name in _ARRAYS}
-        return replace(self, **arrays)
+        return replace(self, **{name: getattr(self, name)[rows] for name in _ARRAYS})
 
     @property
     def full_scale(self) -> FloatArray:
@@ -129,10 +116,6 @@ def read_bench(
         columns: Names in the header of quantities that it calls otherwise.
         units: Units of quantities, instead of the header's, see `UNITS`.
         area: Area on which a stress in N acts [m^2].
-
-    Raises:
-        ConfigurationError: If the file cannot be read as text.
-        CalibrationError: If the file is wrong, naming the line and the column.
     """
     found = _find_columns(path, (*STRESSES, *INPUTS), ("time", "cycle"), columns, units)
     lines = np.array(found["c0"].cells.index, dtype=np.int64)
@@ -159,19 +142,15 @@ def read_bench(
 
 
 def read_unloaded(path: Path, columns: Mapping[str, str], units: Mapping[str, str]) -> FloatArray:
-    """Read the capacitances `c0` to `c3` of the unloaded cluster from a file.
+    """Read the capacitances `c0` to `c3` of the unloaded cluster, see `read_bench`.
 
     Args:
-        path: The file; see `read_bench`. Its other columns are ignored.
+        path: The file; its other columns are ignored.
         columns: Names in the header of quantities that it calls otherwise.
         units: Units of quantities, instead of the header's.
 
     Returns:
         Capacitances by input, shape (N, 4) [pF].
-
-    Raises:
-        ConfigurationError: If the file cannot be read as text.
-        CalibrationError: If the file is wrong, naming the line and the column.
     """
     found = _find_columns(path, INPUTS, (), columns, units)
     return np.column_stack([found[name].values(*_CAPACITANCE_RANGE) for name in INPUTS])
@@ -199,16 +178,17 @@ class _Column:
 
     def numbers(self) -> FloatArray:
         """The cells as numbers in the column's unit, shape (N,)."""
-        values = []
-        for line, cell in self.filled_cells().items():
-            try:
-                values.append(decimal(cell))
-            except ValueError:
-                raise self.error(
-                    f"holds '{cell}' in line {line}, which is not a number",
-                    "give a number there; a unit belongs into the header",
-                ) from None
-        return np.array(values)
+        import pandas as pd
+
+        cells = self.filled_cells()
+        values = np.asarray(pd.to_numeric(cells.astype(object), errors="coerce"), dtype=np.float64)
+        if not np.isfinite(values).all():
+            row = int(np.argmin(np.isfinite(values)))
+            raise self.error(
+                f"holds '{cells.iloc[row]}' in line {cells.index[row]}, which is not a number",
+                "give a number there; a unit belongs into the header",
+            )
+        return values
 
     def values(self, least: float, largest: float) -> FloatArray:
         """The cells within limits, all in s, pF or Pa, shape (N,)."""
@@ -318,18 +298,9 @@ def _find_columns(
     titles: Mapping[str, str],
     units: Mapping[str, str],
 ) -> dict[str, _Column]:
-    """The columns of the quantities that a file has.
-
-    Args:
-        path: The file.
-        required: Quantities of `UNITS` that must be there.
-        optional: Those that may be.
-        titles: Names in the header, with or without the unit, of quantities that the header
-            does not call by their own names.
-        units: Units of quantities, instead of the header's.
-    """
+    """The columns of the quantities that a file has."""
     header, cells = _read_cells(path)
-    places: dict[str, int] = {}
+    found: dict[str, _Column] = {}
     missing = []
     for name in (*required, *optional):
         matches = _matches(header, name, titles.get(name))
@@ -340,7 +311,8 @@ def _find_columns(
                 f"rename all but one, or name it with --columns {name}=NAME",
             )
         if matches:
-            places[name] = matches[0]
+            column = _Column(name, path.name, header[matches[0]], cells[matches[0]])
+            found[name] = column
         elif name in required or name in titles:
             missing.append(name)
     if missing:
@@ -349,15 +321,7 @@ def _find_columns(
             f"{path.name}: no column for {', '.join(missing)} (its header has {shown})",
             f"name it with --columns {' '.join(f'{name}=NAME' for name in missing)}",
         )
-    owners: dict[int, str] = {}
-    for name, index in places.items():
-        if owners.setdefault(index, name) != name:
-            raise CalibrationError(
-                f"{path.name}: '{header[index]}' is both {owners[index]} and {name}",
-                "name a column of its own for each with --columns",
-            )
-    columns = [_Column(name, path.name, header[i], cells[i]) for name, i in places.items()]
-    return {column.quantity: _with_unit(column, units) for column in columns}
+    return {name: _with_unit(column, units) for name, column in found.items()}
 
 
 def _matches(header: Sequence[str], name: str, wanted: str | None) -> list[int]:

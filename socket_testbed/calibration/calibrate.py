@@ -8,10 +8,9 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
-from scipy.optimize import linear_sum_assignment
 
 from socket_testbed.arrays import BoolArray, FloatArray, IntArray
-from socket_testbed.calibration.bench_data import STRESSES, BenchData, scaled_stress
+from socket_testbed.calibration.bench_data import STRESSES, BenchData
 from socket_testbed.calibration.drift import (
     DRIFT_LIMIT,
     NEITHER,
@@ -19,18 +18,16 @@ from socket_testbed.calibration.drift import (
     cycle_ids,
     find_branches,
 )
-from socket_testbed.calibration.model import (
-    SMALLEST_GAIN,
-    ClusterCalibration,
-    channel_features,
-)
-from socket_testbed.calibration.outliers import Outlier, find_outliers
-from socket_testbed.calibration.polynomials import (
+from socket_testbed.calibration.fit import (
+    Outlier,
     check_excitation,
+    find_outliers,
     fit_cluster,
     fit_polynomials,
     predict_stress,
+    require_wiring,
 )
+from socket_testbed.calibration.model import SMALLEST_GAIN, ClusterCalibration
 from socket_testbed.calibration.quality import (
     CrossValidation,
     StressErrors,
@@ -46,120 +43,27 @@ from socket_testbed.errors import CalibrationError
 
 _MOST_DROPPED = 0.05  # [-]; more than that are no outliers but another law
 
-_CORNERS = np.sign(np.column_stack(channel_features(np.eye(4))[1:]))  # (4, 2), sides of channels
-_LEAST_RESPONSE = 0.1  # [-] of the inputs' variance; less is noise
-_BULK = (1.0, 99.0)  # [%]; a spike beyond them must not decide
-
-
-def find_wiring(capacitance: FloatArray, stress: FloatArray) -> IntArray:
-    """Find the wiring for which a shear stress raises the channels on its own side.
-
-    Args:
-        capacitance: Capacitances by input, shape (N, 4) [pF].
-        stress: Known normal stress, shear x and shear y, shape (N, 3) [Pa].
-
-    Returns:
-        Input that holds each channel, shape (4,).
-    """
-    slopes = np.linalg.lstsq(*_response(capacitance, stress), rcond=None)[0][2:]
-    slopes = slopes - slopes.mean(axis=1, keepdims=True)
-    slopes = slopes / np.maximum(np.linalg.norm(slopes, axis=1, keepdims=True), 1e-12)
-    return linear_sum_assignment(_CORNERS @ slopes, maximize=True)[1].astype(np.int64)
-
-
-def _response(capacitance: FloatArray, stress: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """The design matrix of the scaled stresses, (N, 4), and the inputs without spikes, (N, 4)."""
-    design = np.column_stack([np.ones(len(stress)), scaled_stress(stress)])
-    return design, np.clip(capacitance, *np.percentile(capacitance, _BULK, axis=0))
-
-
-def shear_response(capacitance: FloatArray, stress: FloatArray) -> FloatArray:
-    """How well the inputs follow each shear stress, beside the two other stresses.
-
-    Args:
-        capacitance: Capacitances by input, shape (N, 4) [pF].
-        stress: Known normal stress, shear x and shear y, shape (N, 3) [Pa].
-
-    Returns:
-        For shear x and shear y the partial R^2 of the inputs less their mean, shape (2,) [-].
-    """
-    design, inputs = _response(capacitance, stress)
-    differences = inputs - inputs.mean(axis=1, keepdims=True)
-
-    def unexplained(columns: FloatArray) -> float:
-        fitted = columns @ np.linalg.lstsq(columns, differences, rcond=None)[0]
-        return float(((differences - fitted) ** 2).sum())
-
-    all_of_it = unexplained(design)
-    without = [unexplained(np.delete(design, axis, axis=1)) for axis in (2, 3)]
-    return np.array([1.0 - all_of_it / max(part, 1e-300) for part in without])
-
-
-def require_wiring(bench: BenchData, wiring: IntArray) -> None:
-    """Refuse a default wiring that the bench data contradicts.
-
-    Raises:
-        CalibrationError: Naming the wiring that agrees with the data, or the shear that the inputs
-            do not follow, so that no wiring can be read from it.
-    """
-    response = shear_response(bench.capacitance, bench.stress)
-    for axis, (name, part) in enumerate(zip(STRESSES[1:], response, strict=True), start=1):
-        if part < _LEAST_RESPONSE:
-            raise CalibrationError(
-                f"{', '.join(bench.files)}: no input follows {name}, of"
-                f" {bench.full_scale[axis]:.0f} Pa at most: it is no more than noise",
-                f"apply {name} on the bench; the wiring and its coefficients need it",
-            )
-    found = find_wiring(bench.capacitance, bench.stress)
-    if not np.array_equal(found, wiring):
-        raise CalibrationError(
-            f"{', '.join(bench.files)}: the shear stresses do not raise the channels on their own"
-            f" side with the wiring {_words(wiring)}, but do with {_words(found)}",
-            f"give --wiring {_words(found)}, or --wiring {_words(wiring)} to keep it",
-        )
-
-
-def _words(wiring: IntArray) -> str:
-    return " ".join(map(str, wiring.tolist()))
-
 
 @dataclass(frozen=True)
 class BenchCalibration:
-    """A cluster's calibration with its quality.
+    """A cluster's calibration with its quality."""
 
-    Attributes:
-        cluster: The calibration.
-        bench: The data that it was fitted to.
-        sound: Rows of it that are no outliers, shape (N,).
-        outliers: Readings far from the rest.
-        dropped: Whether they were left out of the fit and of `bench`.
-        fitted: Stress by the calibration, shape (N, 3) [Pa].
-        cross_validation: The fits without each group.
-        training: Errors on the data of the fit, one per stress.
-        held_out: Errors on held-out data, one per stress.
-        normal_half_width: Half widths of the 95 % intervals of `normal`, shape (2,).
-        shear_half_width: The same of `shear`, shape (2, 6).
-        branches: `find_branches` of the sound rows; no branch of the others, shape (N, 3).
-        hysteresis: Gap between rising and falling, shape (3,) [% of the full scale].
-        repeatability: Spread of the cycles, shape (3,) [% of the full scale].
-        cross_talk: Apparent normal stress under pure shear and shear under pure normal stress,
-            held out, shape (3,) [% of the full scale].
-    """
-
-    cluster: ClusterCalibration
-    bench: BenchData
-    sound: BoolArray
-    outliers: tuple[Outlier, ...]
-    dropped: bool
-    fitted: FloatArray
-    cross_validation: CrossValidation
-    training: tuple[StressErrors, ...]
-    held_out: tuple[StressErrors, ...]
-    normal_half_width: FloatArray
-    shear_half_width: FloatArray
-    branches: IntArray
-    hysteresis: FloatArray
-    repeatability: FloatArray
+    cluster: ClusterCalibration  # the calibration
+    bench: BenchData  # the data that it was fitted to
+    sound: BoolArray  # rows of it that are no outliers; (N,)
+    outliers: tuple[Outlier, ...]  # readings far from the rest
+    dropped: bool  # whether they were left out of the fit and of `bench`
+    fitted: FloatArray  # stress by the calibration; (N, 3) [Pa]
+    cross_validation: CrossValidation  # the fits without each group
+    training: tuple[StressErrors, ...]  # errors on the data of the fit, one per stress
+    held_out: tuple[StressErrors, ...]  # errors on held-out data, one per stress
+    normal_half_width: FloatArray  # half widths of the 95 % intervals of `normal`; (2,)
+    shear_half_width: FloatArray  # the same of `shear`; (2, 6)
+    branches: IntArray  # `find_branches` of the sound rows; no branch of the others; (N, 3)
+    hysteresis: FloatArray  # gap between rising and falling; (3,) [% of the full scale]
+    repeatability: FloatArray  # spread of the cycles; (3,) [% of the full scale]
+    # Apparent normal stress under pure shear and shear under pure normal stress, held out; (3,)
+    # [% of the full scale]
     cross_talk: FloatArray
 
     @property
@@ -174,11 +78,7 @@ class BenchCalibration:
         return np.column_stack([stress.min(axis=0), stress.max(axis=0)])
 
     def require_gain(self) -> None:
-        """Refuse a normal stress that does not grow with the capacitance.
-
-        Raises:
-            CalibrationError: If the gain is none that a calibration file may hold.
-        """
+        """Refuse a normal stress that does not grow with the capacitance."""
         gain = self.cluster.normal[1]
         if gain < SMALLEST_GAIN:
             raise CalibrationError(
@@ -193,14 +93,7 @@ class BenchCalibration:
         return tuple(name for name, errors in pairs if errors.percent > limit)
 
     def require_accuracy(self, limit: float) -> None:
-        """Refuse a calibration that predicts unseen data badly.
-
-        Args:
-            limit: Largest held-out RMSE [% of the full scale].
-
-        Raises:
-            CalibrationError: Naming the stresses with their errors.
-        """
+        """Refuse a calibration that predicts unseen data badly."""
         errors = dict(zip(STRESSES, self.held_out, strict=True))
         bad = [
             f"{name} {errors[name].percent:.1f} % ({errors[name].rmse:.0f} Pa)"
@@ -224,10 +117,6 @@ def calibrate_bench(
         wiring_stated: Whether it was given for this bench, so that it is kept even if the data
             contradicts it.
         drop_outliers: Whether outliers are left out.
-
-    Raises:
-        CalibrationError: If the data does not determine the fit or its check, contradicts the
-            wiring, or would lose too many readings as outliers.
     """
     check_excitation(bench.stress, ", ".join(bench.files))
     if not wiring_stated:
@@ -279,15 +168,7 @@ _DIGITS = 4  # of an error; a bench does not determine more
 def bench_record(
     calibrated: BenchCalibration, date: str, limit: float, forced: bool, drift: Drift | None
 ) -> dict[str, Any]:
-    """The content of `bench` in a cluster's section of `calibration.yaml`.
-
-    Args:
-        calibrated: The calibration.
-        date: Its date.
-        limit: Limit of the held-out errors [% of the full scale].
-        forced: Whether it is kept although it exceeds the limit.
-        drift: Drift over the bench run that was corrected; None if no baseline followed it.
-    """
+    """The content of `bench` in a cluster's section of `calibration.yaml`."""
     record: dict[str, Any] = {
         "date": date,
         "source": ", ".join(calibrated.bench.files),

@@ -14,8 +14,8 @@ from scipy.ndimage import median_filter
 
 from socket_testbed.arrays import FloatArray, IntArray
 from socket_testbed.calibration.bench_data import UNNAMED, BenchData, scaled_stress
+from socket_testbed.calibration.fit import predict_stress
 from socket_testbed.calibration.model import ClusterCalibration
-from socket_testbed.calibration.polynomials import predict_stress
 from socket_testbed.errors import CalibrationError
 
 _CYCLE = 0.25  # [-] of the load's span; a smaller move is no cycle
@@ -30,10 +30,6 @@ DRIFT_LIMIT = 1000.0  # [Pa]; a larger drift during a run is flagged
 
 def find_extremes(values: FloatArray, least: float) -> IntArray:
     """Indices of the alternating extremes between which a signal moves by a least amount.
-
-    Args:
-        values: The signal, shape (N,).
-        least: Smallest move that counts.
 
     Returns:
         Indices from the first extreme to the last one; a single one if nothing moves so much.
@@ -53,16 +49,10 @@ def find_extremes(values: FloatArray, least: float) -> IntArray:
     return np.array(extremes, dtype=np.int64)
 
 
-def find_cycles(stress: FloatArray) -> IntArray:
+def _find_cycles(stress: FloatArray) -> IntArray:
     """Load cycles of one file: from one low point of the load to the next.
 
     The load is the length of the stress in parts of each one's full scale.
-
-    Args:
-        stress: Normal stress, shear x and shear y, shape (N, 3) [Pa].
-
-    Returns:
-        Cycle of each row, 0, 1, ..., shape (N,).
     """
     load = median_filter(np.linalg.norm(scaled_stress(stress), axis=1), 3)  # a spike is no cycle
     extremes = find_extremes(load, _CYCLE * float(np.ptp(load)))
@@ -84,7 +74,7 @@ def cycle_ids(bench: BenchData) -> IntArray:
     for file in range(len(bench.files)):
         rows = np.flatnonzero(bench.file == file)
         named = (bench.cycle[rows] != UNNAMED).all() and np.ptp(bench.cycle[rows]) > 0
-        cycles = bench.cycle[rows] if named else find_cycles(bench.stress[rows])
+        cycles = bench.cycle[rows] if named else _find_cycles(bench.stress[rows])
         _, ids[rows] = np.unique(cycles, return_inverse=True)
         ids[rows] += first
         first = int(ids[rows].max(initial=first - 1)) + 1
@@ -114,28 +104,18 @@ def _branches_of(values: FloatArray, least: float) -> IntArray:
 
 @dataclass(frozen=True)
 class Baseline:
-    """Capacitances of an unloaded cluster.
+    """Capacitances of an unloaded cluster."""
 
-    Attributes:
-        time: When they were read, on the clock of what is corrected [s].
-        capacitance: Capacitances by input, shape (4,) [pF].
-    """
-
-    time: float
-    capacitance: FloatArray
+    time: float  # when they were read, on the clock of what is corrected [s]
+    capacitance: FloatArray  # capacitances by input; (4,) [pF]
 
 
 @dataclass(frozen=True)
 class Drift:
-    """What changed between two baselines.
+    """What changed between two baselines."""
 
-    Attributes:
-        capacitance: Change by input, shape (4,) [pF].
-        stress: Change of the calibrated stress of the unloaded cluster, shape (3,) [Pa].
-    """
-
-    capacitance: FloatArray
-    stress: FloatArray
+    capacitance: FloatArray  # change by input; (4,) [pF]
+    stress: FloatArray  # change of the calibrated stress of the unloaded cluster; (3,) [Pa]
 
     @property
     def flagged(self) -> bool:
@@ -144,16 +124,7 @@ class Drift:
 
 
 def average_baseline(time: float, capacitance: FloatArray, where: str) -> Baseline:
-    """The medians of unloaded readings, which a single spike does not move.
-
-    Args:
-        time: When they were read [s].
-        capacitance: Capacitances by input, shape (N, 4) [pF]; rows with a NaN do not count.
-        where: The readings, for the error.
-
-    Raises:
-        CalibrationError: If fewer than three readings are complete.
-    """
+    """The medians of unloaded readings, which a single spike does not move."""
     complete = capacitance[np.isfinite(capacitance).all(axis=1)]
     if len(complete) < _LEAST_READINGS:
         raise CalibrationError(
@@ -191,9 +162,6 @@ def correct_drift(
 
     Returns:
         Corrected capacitances, shape (N, 4) [pF].
-
-    Raises:
-        CalibrationError: If the baseline after is not later than the one before.
     """
     if reference is None:
         reference = before.capacitance
@@ -211,11 +179,7 @@ def correct_drift(
 
 
 def correct_bench(bench: BenchData, before: Baseline, after: Baseline) -> BenchData:
-    """Correct the readings of a bench run for its drift, to the baseline before.
-
-    Raises:
-        CalibrationError: If the run is not one file with times.
-    """
+    """Correct the readings of a bench run for its drift, to the baseline before."""
     if len(bench.files) > 1:
         raise CalibrationError(
             f"{len(bench.files)} bench files cannot share the drift between two baselines",

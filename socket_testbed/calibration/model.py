@@ -55,27 +55,20 @@ def shear_terms(along_x: FloatArray, along_y: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True)
 class ClusterCalibration:
-    """Coefficients of one cluster.
+    """Coefficients of one cluster."""
 
-    Attributes:
-        normal: Offset [Pa] and gain [Pa/pF] of the normal stress over the mean, shape (2,).
-        shear: Coefficients of `SHEAR_TERMS` for shear x and shear y, shape (2, 6)
-            [Pa, Pa/pF, Pa/pF^2].
-        mean_range: Calibrated range of the mean, shape (2,) [pF].
-        difference_range: Calibrated range of both pair differences, shape (2,) [pF].
-        wiring: Input of the converter that holds each channel, shape (4,).
-        baseline: Capacitances by input of the unloaded cluster on the bench, shape (4,) [pF];
-            None if they were not recorded.
-        bench: The bench record of these coefficients: date, source, errors. It is kept for
-            people; nothing is computed from it. Empty if there is no such record.
-    """
-
+    # Offset [Pa] and gain [Pa/pF] of the normal stress over the mean, shape (2,)
     normal: FloatArray
+    # Coefficients of `SHEAR_TERMS` for shear x and shear y; (2, 6) [Pa, Pa/pF, Pa/pF^2]
     shear: FloatArray
-    mean_range: FloatArray
-    difference_range: FloatArray
-    wiring: IntArray
+    mean_range: FloatArray  # calibrated range of the mean; (2,) [pF]
+    difference_range: FloatArray  # calibrated range of both pair differences; (2,) [pF]
+    wiring: IntArray  # input of the converter that holds each channel; (4,)
+    # Capacitances by input of the unloaded cluster on the bench; (4,) [pF]; None if they were not
+    # recorded
     baseline: FloatArray | None = None
+    # The bench record of these coefficients: date, source, errors. It is kept for people; nothing
+    # is computed from it. Empty if there is no such record
     bench: Mapping[str, Any] = field(default_factory=dict)
 
     def apply(self, capacitance: FloatArray, status: StatusArray) -> tuple[FloatArray, StatusArray]:
@@ -141,24 +134,14 @@ class ClusterCalibration:
 
 @dataclass(frozen=True)
 class Calibration:
-    """Calibration of all clusters.
+    """Calibration of all clusters."""
 
-    Attributes:
-        clusters: Coefficients by the cluster's name.
-        date: Date of the coefficients; a cluster with a `bench` record has its own there.
-        source: Where they come from; likewise.
-    """
-
-    clusters: dict[str, ClusterCalibration]
-    date: str
-    source: str
+    clusters: dict[str, ClusterCalibration]  # coefficients by the cluster's name
+    date: str  # date of the coefficients; a cluster with a `bench` record has its own there
+    source: str  # where they come from; likewise
 
     def require(self, clusters: Collection[str], of: str) -> None:
-        """Refuse a calibration that lacks one of the clusters.
-
-        Raises:
-            CalibrationError: Naming the clusters without coefficients.
-        """
+        """Refuse a calibration that lacks one of the clusters."""
         lacking = [name for name in clusters if name not in self.clusters]
         if lacking:
             raise CalibrationError(
@@ -246,11 +229,7 @@ class _Calibration(Document):
 
 
 def read_calibration(path: Path) -> Calibration:
-    """Read `calibration.yaml`.
-
-    Raises:
-        ConfigurationError: If the file is missing or has a wrong entry.
-    """
+    """Read `calibration.yaml`."""
     document = read_document(path, _Calibration)
     clusters = {
         name: ClusterCalibration(

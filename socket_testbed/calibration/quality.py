@@ -1,4 +1,8 @@
-"""Errors of a calibration: against the known stresses, and held out in groups."""
+"""Errors of a calibration: against the known stresses, and held out in groups.
+
+Throughout, stresses have the shape (N, 3) [Pa]: normal, shear x and shear y. A residual is the
+calibrated less the known stress, likewise; branches and cycles are those of `drift`.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +17,12 @@ from scipy.special import stdtrit
 from socket_testbed.arrays import FloatArray, IntArray
 from socket_testbed.calibration.bench_data import STRESSES, BenchData
 from socket_testbed.calibration.drift import FALLING, RISING, cycle_ids
-from socket_testbed.calibration.polynomials import design_matrices, excitation_terms, find_lack
+from socket_testbed.calibration.fit import (
+    design_matrices,
+    excitation_terms,
+    find_lack,
+    fit_polynomials,
+)
 from socket_testbed.errors import CalibrationError
 
 _LEVEL = 0.1  # [-] of the full scale; stresses within one level count as equal
@@ -22,31 +31,18 @@ _PURE = 0.02  # [-] of the full scale; a smaller stress counts as none
 
 @dataclass(frozen=True)
 class StressErrors:
-    """Errors of one stress.
+    """Errors of one stress."""
 
-    Attributes:
-        rmse: Root-mean-square error [Pa].
-        mae: Mean absolute error [Pa].
-        r2: Part of the known stress's variance that is explained [-].
-        percent: The RMSE in percent of the full scale.
-    """
-
-    rmse: float
-    mae: float
-    r2: float
-    percent: float
+    rmse: float  # Root-mean-square error [Pa]
+    mae: float  # mean absolute error [Pa]
+    r2: float  # part of the known stress's variance that is explained [-]
+    percent: float  # the RMSE in percent of the full scale
 
 
 def stress_errors(
     known: FloatArray, predicted: FloatArray, full_scale: FloatArray
 ) -> tuple[StressErrors, ...]:
-    """Errors of the normal stress, shear x and shear y.
-
-    Args:
-        known: Known stresses, shape (N, 3) [Pa].
-        predicted: What the calibration makes of the capacitances, shape (N, 3) [Pa].
-        full_scale: Largest size of each known stress, shape (3,) [Pa].
-    """
+    """Errors of the normal stress, shear x and shear y."""
     columns = zip(known.T, predicted.T, full_scale.tolist(), strict=True)
     return tuple(_errors(*column) for column in columns)
 
@@ -68,11 +64,6 @@ def hysteresis(bench: BenchData, residual: FloatArray, branches: IntArray) -> Fl
     Equal means that all three stresses lie within the same tenth of their full scales. In each
     such cell the mean residuals of the rising and of the falling rows are subtracted; the cells
     of one level of the stress in question are averaged, and the widest level counts.
-
-    Args:
-        bench: The bench data.
-        residual: Calibrated minus known stress, shape (N, 3) [Pa].
-        branches: `find_branches` of the data, shape (N, 3).
 
     Returns:
         One figure per stress, shape (3,) [%]; NaN for one that did not rise and fall between
@@ -105,12 +96,6 @@ def repeatability(
     The standard deviation over the cycles of their mean residuals in a cell (see
     `hysteresis`), pooled over all cells that two cycles or more went through.
 
-    Args:
-        bench: The bench data.
-        residual: Calibrated minus known stress, shape (N, 3) [Pa].
-        branches: `find_branches` of the data, shape (N, 3).
-        cycles: `cycle_ids` of the data, shape (N,).
-
     Returns:
         One figure per stress, shape (3,) [%]; NaN for one that no two cycles repeated.
     """
@@ -133,10 +118,6 @@ def cross_talk(bench: BenchData, residual: FloatArray) -> FloatArray:
     A row is pure if the stress that loads it is at least a tenth of its full scale and the others
     are at most 2 % of theirs; of pure shear, x and y may come together. The mean residuals of the
     cells (see `hysteresis`) are compared, and the largest size counts.
-
-    Args:
-        bench: The bench data.
-        residual: Held-out prediction less known stress, shape (N, 3) [Pa].
 
     Returns:
         The apparent normal stress, shear x and shear y, shape (3,) [% of the full scale]; NaN
@@ -165,15 +146,10 @@ _BLOCKS = 10
 
 @dataclass(frozen=True)
 class Groups:
-    """Readings that are held out together, because neighbours are correlated.
+    """Readings that are held out together, because neighbours are correlated."""
 
-    Attributes:
-        unit: What a group is: file, cycle or block.
-        ids: Group of each row, 0 to G - 1, shape (N,).
-    """
-
-    unit: str
-    ids: IntArray
+    unit: str  # what a group is: file, cycle or block
+    ids: IntArray  # group of each row, 0 to G - 1; (N,)
 
     def __len__(self) -> int:
         return int(self.ids.max()) + 1
@@ -190,19 +166,12 @@ class Groups:
 
 @dataclass(frozen=True)
 class CrossValidation:
-    """The fits without each group.
+    """The fits without each group."""
 
-    Attributes:
-        groups: The groups.
-        predicted: Stress of each row by the fit without its group, shape (N, 3) [Pa].
-        normal: Coefficients `normal` of each fit, shape (G, 2) [Pa, Pa/pF].
-        shear: Coefficients `shear` of each fit, shape (G, 2, 6) [Pa, Pa/pF, Pa/pF^2].
-    """
-
-    groups: Groups
-    predicted: FloatArray
-    normal: FloatArray
-    shear: FloatArray
+    groups: Groups  # the groups
+    predicted: FloatArray  # stress of each row by the fit without its group; (N, 3) [Pa]
+    normal: FloatArray  # coefficients `normal` of each fit; (G, 2) [Pa, Pa/pF]
+    shear: FloatArray  # coefficients `shear` of each fit; (G, 2, 6) [Pa, Pa/pF, Pa/pF^2]
 
 
 def choose_groups(bench: BenchData) -> Groups:
@@ -211,9 +180,6 @@ def choose_groups(bench: BenchData) -> Groups:
     Three files or more, else three cycles or more (the file's own, or found from the load), else
     ten blocks of successive rows. Cycles that cannot be left out are no reason to fall back to
     blocks: these would share their cycles and flatter the fit.
-
-    Raises:
-        CalibrationError: If the rest does not determine the fit, naming the group.
     """
     choice = None
     for groups in _candidates(bench):
@@ -250,47 +216,18 @@ def _lack_of_rest(bench: BenchData, groups: Groups) -> CalibrationError | None:
 
 
 def cross_validate(capacitance: FloatArray, stress: FloatArray, groups: Groups) -> CrossValidation:
-    """Fit without each group in turn, and predict it.
-
-    Args:
-        capacitance: Capacitances by channel, shape (N, 4) [pF].
-        stress: Known normal stress, shear x and shear y, shape (N, 3) [Pa].
-        groups: The groups.
-    """
+    """Fit without each group in turn, and predict it."""
     of_mean, of_differences = design_matrices(capacitance)
-    normal = fit_without(of_mean, stress[:, :1], groups)[:, :, 0]
-    shear = np.swapaxes(fit_without(of_differences, stress[:, 1:], groups), 1, 2)
-    predicted = np.empty_like(stress)
-    for group, rows in enumerate(groups.rows):
-        predicted[rows, 0] = of_mean[rows] @ normal[group]
-        predicted[rows, 1:] = of_differences[rows] @ shear[group].T
-    return CrossValidation(groups, predicted, normal, shear)
-
-
-def fit_without(design: FloatArray, target: FloatArray, groups: Groups) -> FloatArray:
-    """Least squares without each group in turn, for the work of about one fit.
-
-    With X = QR, the fit without the rows g solves ``(I - Qg'Qg) R b = Q'y - Qg'yg``, which is
-    as well conditioned as the group lets it be.
-
-    Args:
-        design: Design matrix X, shape (N, p).
-        target: Values to explain y, shape (N, m).
-        groups: The groups.
-
-    Returns:
-        Coefficients without each group, shape (G, p, m).
-    """
-    scale = np.sqrt((design**2).mean(axis=0))
-    q, r = np.linalg.qr(design / scale)
-    seen = q.T @ target
-    rotated = [
-        np.linalg.lstsq(
-            np.eye(len(r)) - q[rows].T @ q[rows], seen - q[rows].T @ target[rows], rcond=None
-        )[0]
-        for rows in groups.rows
-    ]
-    return np.asarray(np.linalg.solve(r, np.array(rotated)) / scale[:, None])
+    predicted, fits = np.empty_like(stress), []
+    for rows in groups.rows:
+        normal, shear = fit_polynomials(
+            np.delete(capacitance, rows, axis=0), np.delete(stress, rows, axis=0)
+        )
+        predicted[rows, 0] = of_mean[rows] @ normal
+        predicted[rows, 1:] = of_differences[rows] @ shear.T
+        fits.append((normal, shear))
+    normals, shears = zip(*fits, strict=True)
+    return CrossValidation(groups, predicted, np.array(normals), np.array(shears))
 
 
 def half_widths(full: FloatArray, without: FloatArray) -> FloatArray:

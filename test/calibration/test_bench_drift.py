@@ -16,7 +16,7 @@ from socket_testbed.calibration.drift import (
     correct_drift,
     measure_drift,
 )
-from socket_testbed.calibration.polynomials import predict_stress
+from socket_testbed.calibration.fit import predict_stress
 from socket_testbed.errors import CalibrationError
 
 REST = exact_bench().capacitance[0]
@@ -31,54 +31,31 @@ def test_a_baseline_is_the_median_of_the_whole_readings():
         average_baseline(0.0, readings[-3:], "before.csv")
 
 
-def test_the_drift_in_stress_is_that_of_the_calibration():
+def test_the_drift_in_stress_is_that_of_the_calibration_and_flagged_above_the_limit():
     """A common drift is read as normal stress by the gain; none of it as shear."""
-    before, after = Baseline(0.0, REST), Baseline(9.0, REST + 0.02)
-    drift = measure_drift(nominal(), before, after)
-    np.testing.assert_allclose(drift.capacitance, 0.02, rtol=1e-9)
-    np.testing.assert_allclose(drift.stress, [0.02 * nominal().normal[1], 0, 0], atol=1e-6)
+    gain = nominal().normal[1]
+    for part, flagged in ((0.95, False), (-0.95, False), (1.05, True)):
+        shift = part * DRIFT_LIMIT / gain
+        drift = measure_drift(nominal(), Baseline(0.0, REST), Baseline(9.0, REST + shift))
+        np.testing.assert_allclose(drift.capacitance, shift, rtol=1e-9)
+        np.testing.assert_allclose(drift.stress, [part * DRIFT_LIMIT, 0, 0], atol=1e-6)
+        assert drift.flagged is flagged
 
 
-@pytest.mark.parametrize(("part", "flagged"), [(0.95, False), (-0.95, False), (1.05, True)])
-def test_drift_above_the_limit_is_flagged(part, flagged):
-    shift = part * DRIFT_LIMIT / nominal().normal[1]
-    drift = measure_drift(nominal(), Baseline(0.0, REST), Baseline(9.0, REST + shift))
-    assert drift.flagged is flagged
-
-
-def test_a_linear_drift_is_taken_off_exactly():
-    time = np.linspace(2.0, 12.0, 41)
-    true = exact_bench().capacitance[:41]
-    drifted = true + np.outer((time - 2.0) / 10.0, DRIFT)
+def test_a_linear_drift_is_taken_off_between_the_baselines_and_stays_outside_of_them():
+    time = np.linspace(-3.0, 22.0, 101)
+    true = exact_bench().capacitance[:101].copy()
+    true[7, 3] = np.nan
     before, after = Baseline(2.0, REST), Baseline(12.0, REST + DRIFT)
+    drifted = true + np.outer(np.clip((time - 2.0) / 10.0, 0.0, 1.0), DRIFT)
     np.testing.assert_allclose(correct_drift(drifted, time, before, after), true, atol=1e-12)
-
-
-def test_outside_of_the_baselines_the_correction_stays():
-    before, after = Baseline(2.0, REST), Baseline(12.0, REST + DRIFT)
-    found = correct_drift(np.zeros((3, 4)), np.array([-5.0, 7.0, 99.0]), before, after)
-    np.testing.assert_allclose(found, np.outer([0.0, 0.5, 1.0], -DRIFT), atol=1e-12)
-
-
-def test_a_single_baseline_corrects_to_that_of_the_calibration():
-    readings = exact_bench().capacitance[:9]
-    before = Baseline(0.0, REST + DRIFT)
-    np.testing.assert_array_equal(correct_drift(readings, np.zeros(9), before), readings)
-    found = correct_drift(readings + DRIFT, np.zeros(9), before, reference=REST)
-    np.testing.assert_allclose(found, readings, atol=1e-12)
-
-
-def test_a_missing_reading_stays_missing():
-    readings = np.full((2, 4), 6.0)
-    readings[1, 3] = np.nan
-    before, after = Baseline(0.0, REST), Baseline(1.0, REST + DRIFT)
-    found = correct_drift(readings, np.array([0.0, 1.0]), before, after, REST)
-    np.testing.assert_array_equal(np.isnan(found), np.isnan(readings))
-
-
-def test_baselines_in_the_wrong_order_are_refused():
+    # A single baseline corrects to that of the calibration, if there is one.
+    alone = Baseline(0.0, REST + DRIFT)
+    np.testing.assert_array_equal(correct_drift(true, time, alone), true)
+    found = correct_drift(true + DRIFT, time, alone, reference=REST)
+    np.testing.assert_allclose(found, true, atol=1e-12)
     with pytest.raises(CalibrationError, match=r"not later.*before first"):
-        correct_drift(np.ones((1, 4)), np.ones(1), Baseline(5.0, REST), Baseline(5.0, REST))
+        correct_drift(true, time, before, before)
 
 
 def test_a_bench_run_s_drift_comes_off_its_calibration():

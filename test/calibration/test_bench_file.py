@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
-from support.benches import HEADER, bench_of, exact_bench, write_bench
+from support.benches import HEADER, exact_bench, write_bench
 
-from socket_testbed.calibration.bench_data import join_benches, read_bench, read_unloaded
+from socket_testbed.calibration.bench_data import read_bench, read_unloaded
 from socket_testbed.errors import CalibrationError, TestbedError
 
 QUANTITIES = ("time", "normal", "shear_x", "shear_y", "c0", "c1", "c2", "c3")
@@ -146,7 +146,6 @@ BAD = [
     (with_title(1, "normal [mPa]"), NONE, NONE, ("'mPa'",), "MPa"),
     (with_title(1, "normal [Pa]"), NONE, {"normal": "pF"}, ("'pF'",), "Pa"),
     (list, {"c0": "c9"}, NONE, ("no column for c0",), "c0=NAME"),
-    (list, {"time": "normal"}, {"time": "s"}, ("is both",), "own"),
 ]
 
 
@@ -191,14 +190,6 @@ def test_unloaded_readings_need_no_stress(tmp_path):
     path = tmp_path / "before.csv"
     path.write_text("c3 [fF],c0 [pF],c1 [pF],c2 [pF],normal\n4000,1,2,3,\n4001,1,2,3,\n")
     np.testing.assert_allclose(read_unloaded(path, {}, {}), [[1, 2, 3, 4], [1, 2, 3, 4.001]])
-
-
-def test_files_are_joined_in_their_order():
-    first, second = exact_bench(), bench_of(np.ones((3, 4)), np.ones((3, 3)))
-    joined = join_benches([join_benches([first, second]), second])
-    assert len(joined) == len(first) + 6 and joined.files == ("bench.csv",) * 3
-    assert np.bincount(joined.file).tolist() == [len(first), 3, 3]
-    np.testing.assert_array_equal(joined[joined.file == 2].stress, second.stress)
 
 
 def test_a_real_log_lacks_columns_and_its_seconds_are_not_milliseconds(shared_data, tmp_path):
