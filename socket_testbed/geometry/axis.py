@@ -17,17 +17,11 @@ _X, _Z = np.eye(3)[[0, 2]]
 
 @dataclass(frozen=True)
 class SocketAxis:
-    """The axis of a socket with the direction from which angles around it count.
+    """The axis of a socket with the direction from which angles around it count."""
 
-    Attributes:
-        end: Where the axis meets the distal end in {S}, shape (3,) [m].
-        proximal: Unit vector along it towards the proximal end, shape (3,) [-].
-        anterior: Unit vector across it, from which angles count, shape (3,) [-].
-    """
-
-    end: FloatArray
-    proximal: FloatArray
-    anterior: FloatArray
+    end: FloatArray  # where the axis meets the distal end in {S}; (3,) [m]
+    proximal: FloatArray  # unit vector along it towards the proximal end; (3,) [-]
+    anterior: FloatArray  # unit vector across it, from which angles count; (3,) [-]
 
     @property
     def left(self) -> FloatArray:

@@ -19,23 +19,14 @@ class PoseUncertainty:
 
     The fitted pose puts a point p of the body off by ``d + w x (p - c)``, where the shift d and
     the small rotation w are independent of each other. All of it is in the axes of the body.
-
-    Attributes:
-        centroid: Centroid c of the points, shape (3,) [m].
-        shift: Covariance of d, shape (3, 3) [m^2].
-        rotation: Covariance of w, shape (3, 3) [rad^2].
     """
 
-    centroid: FloatArray
-    shift: FloatArray
-    rotation: FloatArray
+    centroid: FloatArray  # centroid c of the points; (3,) [m]
+    shift: FloatArray  # covariance of d; (3, 3) [m^2]
+    rotation: FloatArray  # covariance of w; (3, 3) [rad^2]
 
     def at(self, point: FloatArray) -> FloatArray:
-        """Covariance of a point that moves with the body, shape (3, 3) [m^2].
-
-        Args:
-            point: The point in the body's frame, shape (3,) [m].
-        """
+        """Covariance of a point that moves with the body, shape (3, 3) [m^2]."""
         x, y, z = point - self.centroid
         lever = np.array([[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]])  # lever @ w = w x r
         return self.shift + lever @ self.rotation @ lever.T
@@ -87,13 +78,7 @@ def nearest_rotations(matrices: FloatArray) -> FloatArray:
 
 
 def misfit(points: FloatArray, observed: FloatArray, pose: Pose) -> FloatArray:
-    """Distances of observed points from where poses put them, shape (M, k) [m].
-
-    Args:
-        points: Points in the body's frame, shape (k, 3) [m].
-        observed: The same points in another frame, shape (M, k, 3) [m].
-        pose: M poses of the body in that frame.
-    """
+    """Distances of observed points from where poses put them, shape (M, k) [m]."""
     fitted = points @ np.swapaxes(pose.rotation, 1, 2) + pose.translation[:, None]
     return _lengths(observed - fitted)
 
@@ -124,18 +109,13 @@ _EDGES_OF_ORDERS = np.array(
 
 @dataclass(frozen=True)
 class BodyFit:
-    """Rigid fits of a body's k markers to N frames.
+    """Rigid fits of a body's k markers to N frames."""
 
-    Attributes:
-        pose: Pose of the body in the frame of the observations; NaN where there is none.
-        residual: Root-mean-square distance of the markers from the fit, shape (N,) [m]; NaN
-            where there is no pose.
-        order: Which observed marker is the body's first, second and so on, shape (N, k); -1
-            where there is no pose, and for a marker that the pose is fitted without.
-    """
-
-    pose: Pose
+    pose: Pose  # pose of the body in the frame of the observations; NaN where there is none
+    # Root-mean-square distance of the markers from the fit; (N,) [m]; NaN where there is no pose
     residual: FloatArray
+    # Which observed marker is the body's first, second and so on, shape (N, k); -1 where there is
+    # no pose, and for a marker that the pose is fitted without
     order: IntArray
 
     @property
@@ -160,29 +140,17 @@ class BodyFit:
 
 
 def distances(markers: FloatArray) -> FloatArray:
-    """Distances between k markers, shape (..., k, k) [m]; NaN where one is occluded.
-
-    Args:
-        markers: Marker positions, shape (..., k, 3) [m].
-    """
+    """Distances between k markers, shape (..., k, k) [m]; NaN where one is occluded."""
     return _lengths(markers[..., :, None, :] - markers[..., None, :, :])
 
 
 def edge_lengths(markers: FloatArray) -> FloatArray:
-    """Lengths of the edges 0-1, 1-2 and 2-0 of triads, shape (..., 3) [m].
-
-    Args:
-        markers: Marker positions, shape (..., 3, 3) [m].
-    """
+    """Lengths of the edges 0-1, 1-2 and 2-0 of triads, shape (..., 3) [m]."""
     return _lengths(markers - markers[..., [1, 2, 0], :])
 
 
-def triad_fault(edges: FloatArray) -> tuple[str, str] | None:
-    """What makes a triad useless, and the hint; None for a good one.
-
-    Args:
-        edges: Lengths of its edges, shape (3,) [m].
-    """
+def _triad_fault(edges: FloatArray) -> tuple[str, str] | None:
+    """What makes a triad useless, and the hint; None for a good one."""
     lengths = ", ".join(f"{1e3 * edge:.1f}" for edge in edges)
     shortest, middle, longest = np.sort(edges)
     half = 0.5 * edges.sum()
@@ -230,28 +198,14 @@ def fit_triad(
     best = np.where(labels_fit, 0, mismatch.argmin(axis=-1))
     usable = mismatch.min(axis=-1) <= tolerance
 
-    count = len(observed)
-    rotation = np.full((count, 3, 3), np.nan)
-    translation = np.full((count, 3), np.nan)
-    residual = np.full(count, np.nan)
-    order = np.full((count, 3), -1)
-    if usable.any():
-        order[usable] = _ORDERS[best[usable]]
-        markers = np.take_along_axis(observed[usable], order[usable][:, :, None], axis=1)
-        pose = fit_rigid(reference, markers)
-        rotation[usable], translation[usable] = pose.rotation, pose.translation
-        residual[usable] = root_mean_square(misfit(reference, markers, pose))
-    return BodyFit(Pose(rotation, translation), residual, order)
+    order = np.where(usable[:, None], _ORDERS[best], -1)
+    return _fit_ordered(reference, observed, order, tolerance, np.inf)
 
 
 def body_fault(markers: FloatArray) -> tuple[str, str] | None:
-    """What makes a body's markers useless, and the hint; None for good ones.
-
-    Args:
-        markers: Marker positions in any frame, shape (k, 3) [m].
-    """
+    """What makes a body's markers useless, and the hint; None for good ones."""
     if len(markers) == FEWEST_MARKERS:
-        return triad_fault(edge_lengths(markers))
+        return _triad_fault(edge_lengths(markers))
     between = distances(markers)
     a, b = np.unravel_index((between + np.diag([np.inf] * len(markers))).argmin(), between.shape)
     if between[a, b] < _SMALLEST:
@@ -283,10 +237,10 @@ def fit_body(
 
     Three markers are all needed (`fit_triad`). Of more, the pose is fitted to all that are seen
     and whose distances agree with the body's, three at least. The labels stand where their
-    distances agree; otherwise the markers are told by their distances: the largest set that
-    agrees, if there is only one and it is most of what is seen; four markers or more, if they
-    change their labels. What is left of a body and could as well be another part of it, or is
-    on one line, has no pose.
+    distances agree; otherwise the markers are identified by their distances: the largest set that
+    agrees, if there is only one and it holds most of the markers seen; four markers or more, if
+    they change their labels. The rest of a body has no pose if it could as well be another part
+    of it, or is on one line.
 
     Args:
         reference: Markers in the body's frame, shape (k, 3) [m].
@@ -316,11 +270,15 @@ def fit_body(
                 trial[[i for i, _ in found[0]]] = [label for _, label in found[0]]
                 break
             waiting[frame] = False
-    return _fit_ordered(reference, observed, order, tolerance)
+    return _fit_ordered(reference, observed, order, tolerance, _CLOSE * tolerance)
 
 
 def _fit_ordered(
-    reference: FloatArray, observed: FloatArray, order: IntArray, tolerance: float
+    reference: FloatArray,
+    observed: FloatArray,
+    order: IntArray,
+    tolerance: float,
+    largest_of_three: float,
 ) -> BodyFit:
     """Fit each frame to the markers that its order names, all frames with the same ones at once."""
     count = len(observed)
@@ -336,7 +294,7 @@ def _fit_ordered(
         pose = fit_rigid(reference[used], markers)
         off = root_mean_square(misfit(reference[used], markers, pose))
         # Mirrored markers have all distances right; three of more agree easily by chance.
-        fits = off <= (tolerance if used.sum() > FEWEST_MARKERS else _CLOSE * tolerance)
+        fits = off <= (tolerance if used.sum() > FEWEST_MARKERS else largest_of_three)
         rows = rows[fits]
         rotation[rows], translation[rows] = pose.rotation[fits], pose.translation[fits]
         residual[rows] = off[fits]
@@ -346,9 +304,11 @@ def _fit_ordered(
 
 def _is_unique(reference: FloatArray, own: FloatArray, used: BoolArray, tolerance: float) -> bool:
     """Whether some markers of a body have a pose, and could be no others of its markers."""
+    if used.all():
+        return True
     if used.sum() < FEWEST_MARKERS or _widths(reference[used]) < _SMALLEST:
         return False
-    return bool(used.all()) or len(_matches(own, own[np.ix_(used, used)], tolerance)) == 1
+    return len(_matches(own, own[np.ix_(used, used)], tolerance)) == 1
 
 
 def _widths(markers: FloatArray) -> float:
@@ -371,13 +331,7 @@ def _is_sure(match: _Match, seen: int) -> bool:
 
 
 def _matches(own: FloatArray, seen: FloatArray, tolerance: float) -> list[_Match]:
-    """The largest sets of pairs whose distances agree, one or two of them.
-
-    Args:
-        own: Distances between the body's markers, shape (k, k) [m].
-        seen: Distances between markers that are seen, shape (m, m) [m]; NaN where occluded.
-        tolerance: Largest difference between two distances [m].
-    """
+    """The largest sets of pairs whose distances, (k, k) and (m, m), agree, one or two of them."""
     difference = np.abs(own[:, None, :, None] - seen[None, :, None, :])
     agree = np.nan_to_num(difference, nan=np.inf) <= tolerance  # of the pairs (i, a) and (j, b)
     count = len(seen)

@@ -24,15 +24,10 @@ _SECTORS: dict[Side | None, dict[str, int]] = {
 
 @dataclass(frozen=True, eq=False)
 class Region:
-    """A part of a socket.
+    """A part of a socket."""
 
-    Attributes:
-        name: Its name.
-        tiles: Indices of its tiles, ascending, shape (k,).
-    """
-
-    name: str
-    tiles: IntArray
+    name: str  # its name
+    tiles: IntArray  # indices of its tiles, ascending; (k,)
 
 
 def anatomical_regions(geometry: SocketGeometry, side: Side | None = None) -> tuple[Region, ...]:

@@ -45,15 +45,10 @@ _InBody = Annotated[float, Meta(ge=-1.0, le=1.0)]  # [m]; what is farther is in 
 
 @dataclass(frozen=True)
 class ScanFrame:
-    """Where the scan is that the tiles were made from.
+    """Where the scan is that the tiles were made from."""
 
-    Attributes:
-        unit: Length of the scan's unit [m].
-        in_load_cell: Pose of the scan's frame (in metres) in {S}.
-    """
-
-    unit: float
-    in_load_cell: Pose
+    unit: float  # length of the scan's unit [m]
+    in_load_cell: Pose  # pose of the scan's frame (in metres) in {S}
 
     def points(self, picked: FloatArray) -> FloatArray:
         """Points in {S} [m] of points in the scan's coordinates and unit, (3,) or (N, 3)."""
@@ -62,43 +57,28 @@ class ScanFrame:
 
 @dataclass(frozen=True)
 class SocketGeometry:
-    """Geometry of a socket in the frame of the load cell, {S}.
+    """Geometry of a socket in the frame of the load cell, {S}."""
 
-    Attributes:
-        names: Names of the n points of interest (tiles).
-        anchors: Centres of the tiles a_i, shape (n, 3) [m].
-        rotations: Frames of the tiles, columns x (towards the proximal end), y, z (inward
-            normal); R_i maps {L_i} to {S}, shape (n, 3, 3) [-].
-        areas: Areas of the tiles, shape (n,) [m^2].
-        neighbours: Pairs of neighbouring tiles, shape (e, 2).
-        clusters: Index of the tile that each cluster covers, by the cluster's name.
-        socket_markers: Markers of the socket in its body frame, 3 to 8, shape (k, 3) [m].
-        pylon_markers: Markers of the pylon in its body frame, likewise.
-        socket_body: Pose of the socket's marker body in {S}.
-        limb: Pose of the limb in the pylon's marker body; its origin is the lumped mass.
-        source: What the tiles were made from.
-        registration: What the bodies were registered with; empty if they are only nominal.
-        regions: Indices of the tiles of the user's own regions, ascending, by their names.
-        turned: Angle of a cluster's x axis from that of its tile about the inward normal, by the
-            cluster's name [rad]; a cluster that is not named is not turned.
-        scan: Where the scan is; None if it is not known.
-    """
-
-    names: tuple[str, ...]
-    anchors: FloatArray
+    names: tuple[str, ...]  # names of the n points of interest (tiles)
+    anchors: FloatArray  # centres of the tiles a_i; (n, 3) [m]
+    # Frames of the tiles, columns x (towards the proximal end), y, z (inward normal); R_i maps
+    # {L_i} to {S}; (n, 3, 3) [-]
     rotations: FloatArray
-    areas: FloatArray
-    neighbours: IntArray
-    clusters: dict[str, int]
-    socket_markers: FloatArray
-    pylon_markers: FloatArray
-    socket_body: Pose
-    limb: Pose
-    source: str = ""
-    registration: str = ""
+    areas: FloatArray  # areas of the tiles; (n,) [m^2]
+    neighbours: IntArray  # pairs of neighbouring tiles; (e, 2)
+    clusters: dict[str, int]  # index of the tile that each cluster covers, by the cluster's name
+    socket_markers: FloatArray  # markers of the socket in its body frame, 3 to 8; (k, 3) [m]
+    pylon_markers: FloatArray  # markers of the pylon in its body frame, likewise
+    socket_body: Pose  # pose of the socket's marker body in {S}
+    limb: Pose  # pose of the limb in the pylon's marker body; its origin is the lumped mass
+    source: str = ""  # what the tiles were made from
+    registration: str = ""  # what the bodies were registered with; empty if they are only nominal
+    # Indices of the tiles of the user's own regions, ascending, by their names
     regions: dict[str, tuple[int, ...]] = field(default_factory=dict)
+    # Angle of a cluster's x axis from that of its tile about the inward normal, by the cluster's
+    # name [rad]; a cluster that is not named is not turned
     turned: dict[str, float] = field(default_factory=dict)
-    scan: ScanFrame | None = None
+    scan: ScanFrame | None = None  # where the scan is; None if it is not known
 
     def __len__(self) -> int:
         return len(self.names)
@@ -124,38 +104,21 @@ class SocketGeometry:
         return self.socket_body @ socket_in_world.inverse() @ pylon_in_world @ self.limb
 
     def cluster_force(self, cluster: str, stress: FloatArray) -> FloatArray:
-        """Force on a cluster in its tile's frame {L}, ``A Rz(turned) [tau_x, tau_y, -sigma]``.
+        """Force on a cluster in its tile's frame {L}, ``A Rz(turned) [tau_x, tau_y, -sigma]`` [N].
 
-        Args:
-            cluster: Name of the cluster.
-            stress: Normal stress (positive in compression), shear x, shear y along the cluster's
-                own axes, shape (..., 3) [Pa].
-
-        Returns:
-            Forces, shape (..., 3) [N].
+        The stress is normal (positive in compression), shear x and shear y along the cluster's own
+        axes, shape (..., 3) [Pa].
         """
         x, y = _turn(stress[..., 1], stress[..., 2], self.turned.get(cluster, 0.0))
         return np.stack([x, y, -stress[..., 0]], axis=-1) * self.areas[self.clusters[cluster]]
 
     def cluster_stress(self, cluster: str, force: FloatArray) -> FloatArray:
-        """Stresses of a cluster along its own axes from the force on it: undoes `cluster_force`.
-
-        Args:
-            cluster: Name of the cluster.
-            force: Forces in its tile's frame {L}, shape (..., 3) [N].
-
-        Returns:
-            Normal stress (positive in compression), shear x, shear y, shape (..., 3) [Pa].
-        """
+        """Undo `cluster_force`: stresses [Pa] from forces [N], shape (..., 3)."""
         x, y = _turn(force[..., 0], force[..., 1], -self.turned.get(cluster, 0.0))
         return np.stack([-force[..., 2], x, y], axis=-1) / self.areas[self.clusters[cluster]]
 
     def square_frames(self) -> FloatArray:
-        """Frames whose x and y lie along the tiles' edges, as those of turned clusters are turned.
-
-        Returns:
-            Columns x, y, z, shape (n, 3, 3) [-].
-        """
+        """Frames, (n, 3, 3), with x and y along the tiles' edges; turned clusters turn theirs."""
         frames = self.rotations.copy()
         for cluster, angle in self.turned.items():
             frames[self.clusters[cluster]] @= about_z(angle)
@@ -279,11 +242,7 @@ class _Socket(Document):
 
 
 def write_socket(geometry: SocketGeometry, path: Path) -> None:
-    """Write `socket.yaml` atomically.
-
-    Raises:
-        ConfigurationError: If it could not be read again, or the file cannot be written.
-    """
+    """Write `socket.yaml` atomically."""
     document = geometry.to_document()
     socket_from_document(document, str(path))
     text = yaml.safe_dump(document, sort_keys=False, default_flow_style=None, width=100)
@@ -292,11 +251,7 @@ def write_socket(geometry: SocketGeometry, path: Path) -> None:
 
 
 def read_socket(path: Path) -> SocketGeometry:
-    """Read `socket.yaml`.
-
-    Raises:
-        ConfigurationError: If the file is missing or anything in it is not as it must be.
-    """
+    """Read `socket.yaml`."""
     return socket_from_document(load_yaml(path), str(path))
 
 
@@ -306,9 +261,6 @@ def socket_from_document(data: Any, where: str) -> SocketGeometry:
     Args:
         data: The content.
         where: What names it in an error.
-
-    Raises:
-        ConfigurationError: If anything in it is not as it must be.
     """
     document: _Socket = convert({} if data is None else data, _Socket, where)
     tiles, bodies = document.tiles, document.bodies
@@ -381,9 +333,6 @@ def find_regions(
         regions: Names of tiles, by the names of the regions.
         names: Names of the socket's tiles.
         where: What names the regions' source in an error.
-
-    Raises:
-        ConfigurationError: If one has no tile, an unknown one, one twice, or a reserved name.
     """
     found = {}
     for name, tiles in regions.items():

@@ -69,12 +69,12 @@ def test_the_axis_turns_with_the_socket(geometry):
     )
 
 
-@pytest.mark.parametrize("proximal", [[1.0, 0.0, 0.0], [-1.0, 0.0, 0.0], [0.6, 0.0, 0.8]])
-def test_anterior_is_across_any_axis(proximal):
-    axis = axis_through(np.zeros(3), np.array(proximal))
-    frame = np.stack([axis.anterior, axis.left, axis.proximal])
-    np.testing.assert_allclose(frame @ frame.T, np.eye(3), atol=1e-12)
-    assert np.linalg.det(frame) == pytest.approx(1.0)
+def test_anterior_is_across_any_axis():
+    for proximal in ([1.0, 0.0, 0.0], [-1.0, 0.0, 0.0], [0.6, 0.0, 0.8]):
+        axis = axis_through(np.zeros(3), np.array(proximal))
+        frame = np.stack([axis.anterior, axis.left, axis.proximal])
+        np.testing.assert_allclose(frame @ frame.T, np.eye(3), atol=1e-12)
+        assert np.linalg.det(frame) == pytest.approx(1.0)
 
 
 def test_tiles_on_the_distal_end_or_around_a_point_have_the_axis_of_the_load_cell(geometry):

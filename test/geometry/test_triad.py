@@ -1,15 +1,22 @@
-"""Marker triads to poses, on random motions and on a recording of a real system."""
+"""Marker triads to poses: labels, occlusions, the uncertainty, and a recording of a real system."""
 
 import csv
+import math
 from itertools import permutations
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 from support import SHARED_DATA
-from support.problems import SOCKET_TRIAD, random_pose
+from support.problems import PYLON_TRIAD, SOCKET_TRIAD, random_pose
 
-from socket_testbed.geometry.marker_bodies import edge_lengths, fit_triad
+from socket_testbed.geometry.marker_bodies import (
+    edge_lengths,
+    fit_body,
+    fit_rigid,
+    fit_triad,
+    pose_uncertainty,
+)
 from socket_testbed.geometry.pose import Pose
 
 TAKE = SHARED_DATA / "motive_csv" / "sample_optitrack_take.csv"
@@ -22,9 +29,7 @@ def rng():
 
 def markers_at(pose: Pose, reference: np.ndarray = SOCKET_TRIAD) -> np.ndarray:
     """The body's markers in the frame of N poses, (N, 3, 3) [m]."""
-    return np.array(
-        [reference @ R.T + t for R, t in zip(pose.rotation, pose.translation, strict=True)]
-    )
+    return reference @ np.swapaxes(pose.rotation, 1, 2) + pose.translation[:, None]
 
 
 def angles_between(a: np.ndarray, b: np.ndarray) -> np.ndarray:
@@ -34,21 +39,30 @@ def angles_between(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 def test_edge_lengths_of_a_right_triangle():
     triangle = np.array([[0.0, 0.0, 0.0], [3.0, 0.0, 0.0], [3.0, 4.0, 0.0]])
-    np.testing.assert_allclose(
-        edge_lengths(np.stack([triangle, 2 * triangle])), [[3, 4, 5], [6, 8, 10]]
-    )
+    found = edge_lengths(np.stack([triangle, 2 * triangle]))
+    np.testing.assert_allclose(found, [[3, 4, 5], [6, 8, 10]])
 
 
-@pytest.mark.parametrize("labels", list(permutations(range(3))))
-def test_any_order_of_labels_gives_the_pose(rng, labels):
-    pose = random_pose(rng, 2.0, 40)
-    observed = markers_at(pose)[:, labels]
-    fit = fit_triad(SOCKET_TRIAD, observed)
-    np.testing.assert_allclose(fit.pose.rotation, pose.rotation, atol=1e-10)
-    np.testing.assert_allclose(fit.pose.translation, pose.translation, atol=1e-12)
-    np.testing.assert_allclose(fit.residual, 0.0, atol=1e-12)
+def test_any_order_of_labels_gives_the_pose_and_an_occluded_marker_none(rng):
+    orders = np.array([*permutations(range(3))])
+    pose = random_pose(rng, 2.0, 60)
+    true = markers_at(pose)
+    observed = np.take_along_axis(true, np.tile(orders, (10, 1))[:, :, None], axis=1)
+    lost = np.array([0, 7, 8, 59])
+    observed[lost, 1] = np.nan
+    fit, seen = fit_triad(SOCKET_TRIAD, observed), np.setdiff1d(np.arange(60), lost)
+    np.testing.assert_allclose(fit.pose.rotation[seen], pose.rotation[seen], atol=1e-10)
+    np.testing.assert_allclose(fit.pose.translation[seen], pose.translation[seen], atol=1e-12)
+    np.testing.assert_allclose(fit.residual[seen], 0.0, atol=1e-12)
     relabelled = np.take_along_axis(observed, fit.order[:, :, None], axis=1)
-    np.testing.assert_allclose(relabelled, markers_at(pose), atol=1e-15)
+    np.testing.assert_allclose(relabelled[seen], true[seen], atol=1e-15)
+    for values in (fit.pose.rotation, fit.pose.translation, fit.residual):
+        assert np.isnan(values[lost]).all()
+    assert (fit.order[lost] == -1).all()
+    alike = fit_body(SOCKET_TRIAD, observed)
+    np.testing.assert_array_equal(alike.pose.translation, fit.pose.translation)
+    none = fit_triad(SOCKET_TRIAD, np.zeros((0, 3, 3)))
+    assert none.pose.rotation.shape == (0, 3, 3) and none.pose.translation.shape == (0, 3)
 
 
 def test_labels_swapped_in_single_frames_do_not_disturb_the_motion(rng):
@@ -65,102 +79,101 @@ def test_labels_swapped_in_single_frames_do_not_disturb_the_motion(rng):
     assert angles_between(disturbed.pose.rotation, pose.rotation).max() < 0.02
 
 
-@pytest.mark.parametrize("frames", [[0], [3, 4], list(range(6))])
-def test_an_occluded_marker_gives_no_pose_and_not_an_older_one(rng, frames):
-    pose = random_pose(rng, count=6)
-    observed = markers_at(pose)
-    observed[frames, 1] = np.nan
-    fit = fit_triad(SOCKET_TRIAD, observed)
-    seen = np.setdiff1d(np.arange(6), frames)
-    for lost in (fit.pose.rotation, fit.pose.translation, fit.residual):
-        assert np.isnan(lost[frames]).all()
-    assert (fit.order[frames] == -1).all()
-    np.testing.assert_allclose(fit.pose.rotation[seen], pose.rotation[seen], atol=1e-10)
-
-
-def test_no_frames_give_no_poses():
-    fit = fit_triad(SOCKET_TRIAD, np.zeros((0, 3, 3)))
-    assert fit.pose.rotation.shape == (0, 3, 3)
-    assert fit.pose.translation.shape == (0, 3)
-
-
-@pytest.mark.parametrize("stretch", [0.9, 1.1, 1000.0])
-def test_another_triad_gives_no_pose(rng, stretch):
-    observed = markers_at(random_pose(rng, count=5), stretch * SOCKET_TRIAD)
-    fit = fit_triad(SOCKET_TRIAD, observed)
-    assert np.isnan(fit.pose.rotation).all()
-    assert np.isnan(fit.residual).all()
-
-
-@pytest.mark.parametrize(("tolerance", "found"), [(0.0019, False), (0.0021, True)])
-def test_the_tolerance_is_one_of_edge_lengths(rng, tolerance, found):
+def test_another_triad_gives_no_pose_by_the_tolerance_of_its_edges(rng):
+    for stretch in (0.9, 1.1, 1000.0):
+        observed = markers_at(random_pose(rng, count=5), stretch * SOCKET_TRIAD)
+        fit = fit_triad(SOCKET_TRIAD, observed)
+        assert np.isnan(fit.pose.rotation).all() and np.isnan(fit.residual).all()
     reference = np.array([[0.0, 0.0, 0.0], [0.08, 0.0, 0.0], [0.0, 0.15, 0.0]])
     longer = reference.copy()
     longer[1, 0] += 0.002  # one edge by 2 mm, another by 1 mm
-    fit = fit_triad(reference, markers_at(random_pose(rng, count=4), longer), tolerance)
-    assert np.isfinite(fit.residual).all() == found
+    observed = markers_at(random_pose(rng, count=4), longer)
+    observed[0] = observed[0, [1, 0, 2]]
+    for tolerance, found in ((0.0019, False), (0.0021, True)):
+        assert (fit_triad(reference, observed, tolerance).found == found).all()
 
 
-def test_the_residual_grows_with_the_noise(rng):
-    observed = markers_at(random_pose(rng, count=200))
-    direction = rng.normal(size=observed.shape)
-    mean = [
-        fit_triad(SOCKET_TRIAD, observed + noise * direction).residual.mean()
-        for noise in (0.0, 2e-5, 1e-4, 3e-4)
-    ]
-    assert (np.diff(mean) > 0.0).all()
-    assert mean[2] < 3e-4  # no more than the noise of the three coordinates
+def test_the_rotation_is_the_proper_one_of_least_squares_whatever_the_noise(rng):
+    for noise, tolerance in ((2e-4, 0.002), (1e-3, 0.02)):
+        pose = random_pose(rng, count=40)
+        observed = markers_at(pose) + rng.normal(0.0, noise, (40, 3, 3))
+        fit = fit_triad(SOCKET_TRIAD, observed, tolerance)
+        assert fit.found.sum() > 35
+        for frame in np.flatnonzero(fit.found):
+            centred = observed[frame, fit.order[frame]]
+            centred = centred - centred.mean(axis=0)
+            arms = SOCKET_TRIAD - SOCKET_TRIAD.mean(axis=0)
+            best, distance = Rotation.align_vectors(centred, arms)
+            np.testing.assert_allclose(fit.pose.rotation[frame], best.as_matrix(), atol=1e-9)
+            assert fit.residual[frame] == pytest.approx(distance / np.sqrt(3.0), rel=1e-6)
+            assert np.linalg.det(fit.pose.rotation[frame]) == pytest.approx(1.0)
 
 
-def test_the_rotation_is_proper_whatever_the_noise(rng):
-    pose = random_pose(rng, count=300)
-    observed = markers_at(pose) + rng.normal(0.0, 1e-3, (300, 3, 3))
-    fit = fit_triad(SOCKET_TRIAD, observed, tolerance=0.02)
-    R = fit.pose.rotation[np.isfinite(fit.residual)]
-    assert len(R) > 250
-    np.testing.assert_allclose(np.linalg.det(R), 1.0, atol=1e-12)
-    np.testing.assert_allclose(
-        np.swapaxes(R, 1, 2) @ R, np.tile(np.eye(3), (len(R), 1, 1)), atol=1e-12
-    )
+def test_noise_never_turns_a_rightly_labelled_isosceles_triad_over(rng):
+    for off in (0.0, 2e-5, 2e-4):  # from the line of symmetry [m]
+        isosceles = np.array([[-0.04, 0.0, 0.0], [0.04, 0.0, 0.0], [off, 0.07, 0.0]])
+        pose = random_pose(rng, count=100)
+        observed = markers_at(pose, isosceles) + rng.normal(0.0, 1e-4, (100, 3, 3))
+        fit = fit_triad(isosceles, observed)
+        known = fit.found  # no pose would be honest, too
+        assert (angles_between(fit.pose.rotation[known], pose.rotation[known]) < 0.02).all()
 
 
-def test_the_rotation_is_the_least_squares_one(rng):
-    pose = random_pose(rng, count=20)
-    observed = markers_at(pose) + rng.normal(0.0, 2e-4, (20, 3, 3))
-    fit = fit_triad(SOCKET_TRIAD, observed)
-    for frame in range(20):
-        centred = observed[frame] - observed[frame].mean(axis=0)
-        best, distance = Rotation.align_vectors(centred, SOCKET_TRIAD - SOCKET_TRIAD.mean(axis=0))
-        np.testing.assert_allclose(fit.pose.rotation[frame], best.as_matrix(), atol=1e-9)
-        assert fit.residual[frame] == pytest.approx(distance / np.sqrt(3.0), rel=1e-6)
+# --- how sure the fit is: against random trials
+
+FRAMES = 6000
+NOISE = 1.5e-4  # [m]
+LIMB = np.array([-0.045, -0.03, -0.22])  # far from the triad, as the lumped mass is
 
 
-def test_the_fit_does_not_depend_on_where_the_camera_frame_is(rng):
-    observed = markers_at(random_pose(rng, count=10)) + rng.normal(0.0, 1e-4, (10, 3, 3))
-    move = random_pose(rng, 3.0)
-    fit = fit_triad(SOCKET_TRIAD, observed)
-    moved = fit_triad(SOCKET_TRIAD, observed @ move.rotation.T + move.translation)
-    expected = move @ fit.pose
-    np.testing.assert_allclose(moved.pose.rotation, expected.rotation, atol=1e-9)
-    np.testing.assert_allclose(moved.pose.translation, expected.translation, atol=1e-9)
-    np.testing.assert_allclose(moved.residual, fit.residual, atol=1e-12)
+def test_the_residuals_give_the_noise_and_the_covariance_at_the_limb(rng):
+    for triad in (SOCKET_TRIAD, PYLON_TRIAD):
+        pose = random_pose(rng)
+        observed = pose.apply(triad) + rng.normal(0.0, NOISE, (FRAMES, 3, 3))
+        fit = fit_triad(triad, observed)
+        # 3 degrees of freedom a frame: the estimate itself is good to 1 / sqrt(6 N).
+        assert fit.noise == pytest.approx(NOISE, rel=4.0 / math.sqrt(6.0 * FRAMES))
+        off = (fit.pose.apply(np.tile(LIMB, (FRAMES, 1))) - pose.apply(LIMB)) @ pose.rotation
+        stated = pose_uncertainty(triad, fit.noise).at(LIMB)
+        whitened = np.linalg.solve(np.linalg.cholesky(stated), off.T)
+        np.testing.assert_allclose(np.cov(whitened), np.eye(3), atol=5.0 / math.sqrt(FRAMES))
+        np.testing.assert_allclose(whitened.mean(axis=1), 0.0, atol=5.0 / math.sqrt(FRAMES))
+        half = fit_triad(triad, observed[::2]).noise
+        observed[1::2, 1] = np.nan  # occluded frames do not count as noise
+        assert fit_triad(triad, observed).noise == pytest.approx(half, rel=1e-12)
+        assert math.isnan(fit_triad(triad, observed[1::2]).noise)
 
 
-@pytest.mark.parametrize("off", [0.0, 2e-5, 2e-4])  # from the line of symmetry [m]
-def test_noise_never_turns_a_rightly_labelled_isosceles_triad_over(rng, off):
-    isosceles = np.array([[-0.04, 0.0, 0.0], [0.04, 0.0, 0.0], [off, 0.07, 0.0]])
-    pose = random_pose(rng, count=100)
-    observed = markers_at(pose, isosceles) + rng.normal(0.0, 1e-4, (100, 3, 3))
-    fit = fit_triad(isosceles, observed)
-    known = np.isfinite(fit.residual)  # no pose would be honest, too
-    assert (angles_between(fit.pose.rotation[known], pose.rotation[known]) < 0.02).all()
+def test_position_and_rotation_are_those_of_random_trials(rng):
+    for count in (3, 4, 7):
+        points, pose = rng.uniform(-0.08, 0.08, (count, 3)), random_pose(rng)
+        fit = fit_rigid(points, pose.apply(points) + rng.normal(0.0, NOISE, (FRAMES, count, 3)))
+        stated = pose_uncertainty(points, NOISE)
+        centre = points.mean(axis=0)
+        shift = (fit.apply(np.tile(centre, (FRAMES, 1))) - pose.apply(centre)) @ pose.rotation
+        turn = Rotation.from_matrix(pose.rotation.T @ fit.rotation).as_rotvec()
+        for found, expected in ((shift, stated.shift), (turn, stated.rotation)):
+            white = np.linalg.solve(np.linalg.cholesky(expected), found.T)
+            np.testing.assert_allclose(np.cov(white), np.eye(3), atol=5.0 / math.sqrt(FRAMES))
+        both = np.corrcoef(shift.T, turn.T)[:3, 3:]
+        np.testing.assert_allclose(both, 0.0, atol=5.0 / math.sqrt(FRAMES))
 
 
-@pytest.fixture(scope="module")
-def take() -> dict[str, np.ndarray]:
-    """Motive's own pose, its solved markers and the measured ones, 250 frames."""
-    if not TAKE.exists():
-        pytest.skip("the recording is not here")
+def test_the_variance_is_the_published_target_registration_error(rng):
+    """Fitzpatrick, West and Maurer 1998: <TRE^2> = <FLE^2>/k (1 + 1/3 sum(d_i^2 / f_i^2))."""
+    for count in (3, 4, 6):
+        points, target = rng.uniform(-0.08, 0.08, (count, 3)), rng.uniform(-0.3, 0.3, 3)
+        centred, arm = points - points.mean(axis=0), target - points.mean(axis=0)
+        ratios = 0.0
+        for axis in np.linalg.eigh(centred.T @ centred)[1].T:
+            away = np.eye(3) - np.outer(axis, axis)
+            ratios += (away @ arm) @ (away @ arm) / ((centred @ away) ** 2).sum(axis=1).mean()
+        published = 3.0 * NOISE**2 / count * (1.0 + ratios / 3.0)
+        assert np.trace(pose_uncertainty(points, NOISE).at(target)) == pytest.approx(published)
+
+
+@pytest.mark.skipif(not TAKE.exists(), reason="the recording is not here")
+def test_a_real_recording_gives_the_poses_of_motive(rng):
     with TAKE.open(newline="", encoding="utf-8") as stream:
         lines = list(csv.reader(stream))
     kinds, names, axes = lines[2], lines[3], lines[6]
@@ -170,37 +183,23 @@ def take() -> dict[str, np.ndarray]:
     body = [i for i, kind in enumerate(kinds) if kind == "Rigid Body"]
     solved = [i for i, kind in enumerate(kinds) if kind == "Rigid Body Marker" and axes[i]]
     measured = [i for i, name in enumerate(names) if name.startswith("Rigid Body 1:Marker")]
-    quaternion, position = table[:, body[:4]], table[:, body[4:7]]
-    motive = Pose(Rotation.from_quat(quaternion).as_matrix(), position)
-    solved_markers = table[:, solved].reshape(-1, 3, 3)
-    in_body = np.einsum("nji,nkj->nki", motive.rotation, solved_markers - position[:, None])
-    return {
-        "rotation": motive.rotation,
-        "position": position,
-        "solved": solved_markers,
-        "measured": table[:, measured].reshape(-1, 3, 3),
-        "reference": in_body.mean(axis=0),
-    }
-
-
-@pytest.mark.parametrize("labels", [(0, 1, 2), (2, 0, 1), (1, 0, 2)])
-@pytest.mark.parametrize(
-    ("markers", "position_tolerance"),
-    [
-        ("solved", 5e-6),
+    motive = Pose(Rotation.from_quat(table[:, body[:4]]).as_matrix(), table[:, body[4:7]])
+    expected_markers = table[:, solved].reshape(-1, 3, 3)
+    arms = expected_markers - motive.translation[:, None]
+    reference = (arms @ motive.rotation).mean(axis=0)
+    move = random_pose(rng, 1.0)  # the recorded body hardly moves: turn the whole scene
+    for markers, tolerance, labels in (
+        (expected_markers, 5e-6, (2, 0, 1)),
         # Motive's position is the centroid of its solved markers; that of the measured ones
         # is 0.060 mm off throughout the take, before any fit.
-        ("measured", 7e-5),
-    ],
-)
-def test_a_real_recording_gives_the_poses_of_motive(rng, take, markers, position_tolerance, labels):
-    move = random_pose(rng, 1.0)  # the recorded body hardly moves: turn the whole scene
-    observed = (take[markers] @ move.rotation.T + move.translation)[:, labels]
-    motive = move @ Pose(take["rotation"], take["position"])
-    fit = fit_triad(take["reference"], observed)
-    assert np.isfinite(fit.residual).all()
-    assert angles_between(fit.pose.rotation, motive.rotation).max() < 3e-4
-    difference = fit.pose.translation - motive.translation
-    assert np.linalg.norm(difference, axis=1).max() < position_tolerance
-    drift = np.linalg.norm(difference - difference.mean(axis=0), axis=1)
-    assert drift.max() < 5e-5
+        (table[:, measured].reshape(-1, 3, 3), 7e-5, (0, 1, 2)),
+        (table[:, measured].reshape(-1, 3, 3), 7e-5, (1, 0, 2)),
+    ):
+        observed = (markers @ move.rotation.T + move.translation)[:, labels]
+        expected, fit = move @ motive, fit_triad(reference, observed)
+        assert fit.found.all()
+        assert angles_between(fit.pose.rotation, expected.rotation).max() < 3e-4
+        difference = fit.pose.translation - expected.translation
+        assert np.linalg.norm(difference, axis=1).max() < tolerance
+        drift = np.linalg.norm(difference - difference.mean(axis=0), axis=1)
+        assert drift.max() < 5e-5
