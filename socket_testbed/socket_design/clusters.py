@@ -21,29 +21,27 @@ from socket_testbed.documents import Document, FieldError, read_document
 from socket_testbed.errors import ConfigurationError
 from socket_testbed.geometry.pose import Point, RotationRows, about_z, check_rotation
 from socket_testbed.geometry.socket import ScanFrame
-from socket_testbed.socket_design.squares import Squares, SurfacePoints
-from socket_testbed.socket_design.tile_fit import Footprints, Surroundings, roughly_fit, squares_at
+from socket_testbed.socket_design.squares import (
+    Footprints,
+    Squares,
+    SurfacePoints,
+    Surroundings,
+    roughly_fit,
+    squares_at,
+)
 
 _Scanned = Annotated[float, Meta(ge=-1e5, le=1e5)]  # in the scan's unit
 
 
 @dataclass(frozen=True)
 class ClusterPlace:
-    """Where a cluster is in the socket.
+    """Where a cluster is in the socket."""
 
-    Attributes:
-        name: Name of the cluster.
-        centre: Its centre in {S} [m], or in the scan's coordinates and unit, shape (3,).
-        frame: Its own frame in {S}, shape (3, 3) [-]; None for that of its tile.
-        where: What names it in an error.
-        in_scan: Whether its centre is in the scan's coordinates.
-    """
-
-    name: str
-    centre: FloatArray
-    frame: FloatArray | None
-    where: str
-    in_scan: bool = False
+    name: str  # name of the cluster
+    centre: FloatArray  # its centre in {S} [m], or in the scan's coordinates and unit; (3,)
+    frame: FloatArray | None  # its own frame in {S}; (3, 3) [-]; None for that of its tile
+    where: str  # what names it in an error
+    in_scan: bool = False  # whether its centre is in the scan's coordinates
 
     def in_load_cell(self, scan: ScanFrame) -> ClusterPlace:
         """The same place in {S}."""
@@ -57,9 +55,6 @@ def read_cluster_places(path: Path) -> list[ClusterPlace]:
 
     Below the key `clusters`, by name: a `point` in {S} [m], one in the `scan` (in its coordinates
     and unit), or an `anchor` in {S} [m] and a `frame`.
-
-    Raises:
-        ConfigurationError: If anything in the file is not as it must be.
     """
     places = read_document(path, _Places).clusters
     return [_place(name, place, f"{path}: clusters: {name}") for name, place in places.items()]
@@ -94,21 +89,13 @@ def _place(name: str, place: _Place, where: str) -> ClusterPlace:
 
 @dataclass(frozen=True)
 class LaidCluster:
-    """A cluster on the interior.
+    """A cluster on the interior."""
 
-    Attributes:
-        name: Name of the cluster.
-        asked: Where it was said to be in {S}, shape (3,) [m].
-        surface: The point of the interior nearest to that in {S}, shape (3,) [m].
-        anchor: Centre of its tile in {S}, shape (3,) [m].
-        turned: Angle of its x axis from that of its tile about the inward normal [rad].
-    """
-
-    name: str
-    asked: FloatArray
-    surface: FloatArray
-    anchor: FloatArray
-    turned: float
+    name: str  # name of the cluster
+    asked: FloatArray  # where it was said to be in {S}; (3,) [m]
+    surface: FloatArray  # the point of the interior nearest to that in {S}; (3,) [m]
+    anchor: FloatArray  # centre of its tile in {S}; (3,) [m]
+    turned: float  # angle of its x axis from that of its tile about the inward normal [rad]
 
     @property
     def moved(self) -> float:
@@ -153,10 +140,6 @@ def lay_clusters(
 
     Returns:
         The squares, with their edges as the clusters' own, and the clusters on them.
-
-    Raises:
-        ConfigurationError: If a cluster is far from the interior, its frame does not lie on it, no
-            square fits at its place, or two overlap.
     """
     squares, laid = Squares(np.zeros((0, 3)), np.zeros((0, 3, 3)), edge), list[LaidCluster]()
     for place in places:

@@ -28,27 +28,16 @@ _ANTERIOR = np.array([1.0, 0.0, 0.0])  # in {S}
 
 @dataclass(frozen=True)
 class SocketDesign:
-    """A scan with the tiles laid out on it.
+    """A scan with the tiles laid out on it."""
 
-    Attributes:
-        name: Name of the scan.
-        scan: The scan.
-        mesh: Its interior in {S} [m].
-        placement: Where {S} is in the scan.
-        tiling: The tiles.
-        geometry: The socket that they make.
-        settings: Settings of the tiling.
-        notes: What a person should look at.
-    """
-
-    name: str
-    scan: Scan
-    mesh: trimesh.Trimesh
-    placement: Placement
-    tiling: Tiling
-    geometry: SocketGeometry
-    settings: TilingSettings
-    notes: tuple[str, ...]
+    name: str  # name of the scan
+    scan: Scan  # the scan
+    mesh: trimesh.Trimesh  # its interior in {S} [m]
+    placement: Placement  # where {S} is in the scan
+    tiling: Tiling  # the tiles
+    geometry: SocketGeometry  # the socket that they make
+    settings: TilingSettings  # settings of the tiling
+    notes: tuple[str, ...]  # what a person should look at
 
     def __repr__(self) -> str:
         covered = self.tiling.footprint_areas.sum() / self.tiling.interior_area
@@ -125,10 +114,6 @@ def design_socket(
         bodies: A socket whose marker bodies are taken over.
         settings: Settings of the tiling.
         progress: Called with the steps done and their number.
-
-    Raises:
-        ScanError: If the scan has no interior that takes tiles, or one of no socket's size.
-        ConfigurationError: If a cluster fits nowhere at its place, or has no usual one.
     """
     interior = find_interior(scan.mesh, proximal)
     refuse_implausible(name, interior.length, interior.girth, scan.unit)
@@ -151,10 +136,10 @@ def design_socket(
         notes.append(f"the regions {', '.join(bodies.regions)} are not kept: the tiles are new")
     if clusters is None:
         nominal = nominal_places(tiling.squares, axis)
-        refuse_unusual(nominal, tiling.squares, mesh, axis)
+        _refuse_unusual(nominal, tiling.squares, mesh, axis)
         notes.append("the clusters are put where they usually are: look, or give --clusters")
     source = f"{name} [{scan.unit}], {placement.source}"
-    geometry = tiled_socket(tiling, axis, nominal, bodies, source, frame)
+    geometry = _tiled_socket(tiling, axis, nominal, bodies, source, frame)
     return SocketDesign(
         name,
         scan,
@@ -180,10 +165,6 @@ def tile_names(anchors: FloatArray, axis: SocketAxis) -> tuple[str, ...]:
 
     The angle is about the axis, counterclockwise seen from above. Tiles at one place to the
     millimetre and the degree differ by a letter.
-
-    Args:
-        anchors: Centres of the tiles, shape (n, 3) [m].
-        axis: The socket's axis.
     """
     heights = np.maximum(np.round(1e3 * axis.heights(anchors)), 0).astype(int)
     angles = np.degrees(axis.angles(anchors))
@@ -205,12 +186,7 @@ _OPEN = 0.005  # [m]; hole around the axis that opens it
 
 
 def nominal_places(squares: Squares, axis: SocketAxis) -> dict[str, int]:
-    """The tiles where the four clusters of the testbed usually are, for a socket without a file.
-
-    Args:
-        squares: The tiles.
-        axis: The socket's axis.
-    """
+    """The tiles where the four clusters of the testbed usually are, for a socket without a file."""
     turned, raised = _from_usual(axis, squares.anchors)
     score = {name: 3.0 * np.cos(turned[name]) - 4.0 * raised[name] for name in _USUAL}
     score[_DISTAL] = -np.linalg.norm(squares.anchors - axis.end, axis=1)
@@ -232,20 +208,10 @@ def _from_usual(
     return turned, {name: np.abs(level - usual) for name, (_, usual) in _USUAL.items()}
 
 
-def refuse_unusual(
+def _refuse_unusual(
     places: dict[str, int], squares: Squares, mesh: trimesh.Trimesh, axis: SocketAxis
 ) -> None:
-    """Refuse nominal clusters that the socket has no usual place for.
-
-    Args:
-        places: The nominal tile of each cluster.
-        squares: The tiles.
-        mesh: The interior [m].
-        axis: The socket's axis.
-
-    Raises:
-        ConfigurationError: With the list of what is wrong.
-    """
+    """Refuse nominal clusters that the socket has no usual place for."""
     turned, raised = _from_usual(axis, squares.anchors)
     most = (
         _MOST_RAISED * squares.edge / max(float(axis.heights(squares.anchors).max()), squares.edge)
@@ -278,7 +244,7 @@ def _hole_around(mesh: trimesh.Trimesh, axis: SocketAxis) -> float:
     return float(np.linalg.norm(nearest - axis.end, axis=1).min())
 
 
-def tiled_socket(
+def _tiled_socket(
     tiling: Tiling,
     axis: SocketAxis,
     nominal: dict[str, int],
@@ -289,14 +255,6 @@ def tiled_socket(
     """The geometry of a tiled socket in {S}, its tiles in the order of their names.
 
     A tile that a cluster is on has the cluster's name.
-
-    Args:
-        tiling: The tiles in {S}, around the clusters that are known.
-        axis: The socket's axis.
-        nominal: The tiles of clusters whose places are not known.
-        bodies: A geometry with the marker bodies to take over.
-        source: What the tiles were made from.
-        scan: Where the scan is.
     """
     squares = tiling.squares
     clusters = {laid.name: tile for tile, laid in enumerate(tiling.clusters)} | nominal

@@ -30,32 +30,20 @@ _ALIKE = 1.3  # [-]; between misfits so close that all axes between theirs fit a
 
 @dataclass(frozen=True)
 class Axis:
-    """A line.
+    """A line."""
 
-    Attributes:
-        origin: A point of it, shape (3,) [m].
-        direction: Unit vector along it, shape (3,).
-    """
-
-    origin: FloatArray
-    direction: FloatArray
+    origin: FloatArray  # a point of it; (3,) [m]
+    direction: FloatArray  # unit vector along it; (3,)
 
 
 @dataclass(frozen=True)
 class AxisFit:
-    """How well a surface is one of revolution about axes of any direction.
+    """How well a surface is one of revolution about axes of any direction."""
 
-    Attributes:
-        middle: Middle of the surface, shape (3,) [m].
-        moment: Best moment about the middle of an axis a unit direction, shape (3, 3) [m].
-        misfits: Mean square misfit of the principal directions, rising, shape (3,) [-].
-        directions: The principal directions, one a row, shape (3, 3).
-    """
-
-    middle: FloatArray
-    moment: FloatArray
-    misfits: FloatArray
-    directions: FloatArray
+    middle: FloatArray  # middle of the surface; (3,) [m]
+    moment: FloatArray  # best moment about the middle of an axis a unit direction; (3, 3) [m]
+    misfits: FloatArray  # mean square misfit of the principal directions, rising; (3,) [-]
+    directions: FloatArray  # the principal directions, one a row; (3, 3)
 
     def likely(self) -> list[Axis]:
         """The best axis, and those at right angles to it that cannot be ruled out."""
@@ -63,11 +51,7 @@ class AxisFit:
         return [self._along(direction) for direction in self.directions[self.misfits <= limit]]
 
     def near(self, direction: FloatArray) -> Axis:
-        """The principal axis near a direction, or that direction where many fit alike.
-
-        Args:
-            direction: Unit vector, shape (3,).
-        """
+        """The principal axis near a direction, or that direction where many fit alike."""
         best = int(np.abs(self.directions @ direction).argmax())
         ratio = np.fmax(self.misfits, _EXACT) / max(float(self.misfits[best]), _EXACT)
         alike = self.directions[np.abs(np.log(ratio)) < np.log(_ALIKE)]
@@ -83,7 +67,7 @@ class AxisFit:
         return Axis(self.middle + np.cross(direction, self.moment @ direction), direction)
 
 
-def fit_axis(mesh: trimesh.Trimesh) -> AxisFit:
+def _fit_axis(mesh: trimesh.Trimesh) -> AxisFit:
     """Fit an axis of revolution to a surface.
 
     A rotation about the direction c with the moment m moves the point p by c x p + m. It leaves
@@ -109,19 +93,12 @@ _NARROW = 0.5  # [-]; of the radius, for what is no wall of the cavity but of a 
 
 @dataclass(frozen=True)
 class Spine:
-    """A segment; its points look at the walls beside them, its ends at what lies beyond.
+    """A segment; its points look at the walls beside them, its ends at what lies beyond."""
 
-    Attributes:
-        axis: The line it is on.
-        low: Where the segment begins, from the origin along the direction [m].
-        high: Where it ends [m].
-        radius: Typical distance of the walls [m].
-    """
-
-    axis: Axis
-    low: float
-    high: float
-    radius: float
+    axis: Axis  # the line it is on
+    low: float  # where the segment begins, from the origin along the direction [m]
+    high: float  # where it ends [m]
+    radius: float  # typical distance of the walls [m]
 
     def feet(self, points: FloatArray) -> FloatArray:
         """The points of the segment that look at the given points, shape (N, 3) [m]."""
@@ -129,17 +106,11 @@ class Spine:
         return self.axis.origin + along[:, None] * self.axis.direction
 
 
-def lay_spine(axis: Axis, wall: trimesh.Trimesh, open_above: bool = False) -> Spine:
+def _spine_along(axis: Axis, wall: trimesh.Trimesh, open_above: bool = False) -> Spine:
     """Lay the segment so that it ends a radius before the ends of a wall.
 
     What is much closer to the axis than the wall does not count: a bore in the distal end would
     draw the segment too far down to see the floor around it.
-
-    Args:
-        axis: The line.
-        wall: The wall, or all of the mesh while the wall is not known.
-        open_above: Whether the wall's far end is an opening: there it is looked at from
-            beside, up to its edge.
     """
     along, distance = _off_axis(axis, wall)
     radius = _weighted_median(distance, wall.area_faces)
@@ -170,41 +141,28 @@ _GRAZING = 0.2  # [-]; cosine below which a face is seen from neither side
 
 @dataclass(frozen=True)
 class Visibility:
-    """What is seen of every face.
+    """What is seen of every face."""
 
-    Attributes:
-        facing: Cosine between the normal of a face and the direction to the spine, shape (F,).
-        seen: Faces whose front is the first thing in its direction, shape (F,).
-        hidden: Faces that show the spine their back, behind the front of another, shape (F,).
-        front_share: Share of the directions with anything in them whose first thing is a front.
-    """
-
-    facing: FloatArray
-    seen: BoolArray
-    hidden: BoolArray
-    front_share: float
+    facing: FloatArray  # (F,); cosine between a face's normal and the direction to the spine
+    seen: BoolArray  # faces whose front is the first thing in its direction; (F,)
+    hidden: BoolArray  # faces that show their back, behind the front of another; (F,)
+    front_share: float  # share of the directions with anything in them whose first thing is a front
 
 
 @dataclass(frozen=True)
 class SurfaceSamples:
-    """Points on the faces of a surface.
+    """Points on the faces of a surface."""
 
-    Attributes:
-        owners: The face of each point, shape (P,).
-        points: Shape (P, 3) [m].
-        spacing: How far apart they are at most, about [m].
-    """
-
-    owners: IntArray
-    points: FloatArray
-    spacing: float
+    owners: IntArray  # the face of each point; (P,)
+    points: FloatArray  # shape (P, 3) [m]
+    spacing: float  # how far apart they are at most, about [m]
 
     def majority(self, votes: BoolArray) -> BoolArray:
         """Faces with more than half of their points in favour, shape (F,)."""
         return 2 * np.bincount(self.owners, votes) > np.bincount(self.owners)
 
 
-def spread_samples(mesh: trimesh.Trimesh) -> SurfaceSamples:
+def _spread_samples(mesh: trimesh.Trimesh) -> SurfaceSamples:
     """Points on a surface, close enough together for its overall shape."""
     spacing = float(np.sqrt(mesh.area)) / _FINENESS
     count = int(_PER_SQUARE * _FINENESS**2)
@@ -216,14 +174,8 @@ def spread_samples(mesh: trimesh.Trimesh) -> SurfaceSamples:
     )
 
 
-def look(mesh: trimesh.Trimesh, samples: SurfaceSamples, spine: Spine) -> Visibility:
-    """Look around from the spine.
-
-    Args:
-        mesh: The surface; the normals of a shell point out of its material.
-        samples: Points on all of its faces.
-        spine: From where to look.
-    """
+def _view_from(mesh: trimesh.Trimesh, samples: SurfaceSamples, spine: Spine) -> Visibility:
+    """Look around from the spine."""
     rays = samples.points - spine.feet(samples.points)
     depth = np.fmax(np.linalg.norm(rays, axis=1), _NO_DEPTH)
     facing = -diagonal_dot(mesh.face_normals[samples.owners], rays) / depth
@@ -265,14 +217,10 @@ _REAL_OUTSIDE = 0.01  # [-]; of the seen area, for an outer wall that is worth t
 _PROBES = 2000  # of the thickness
 
 
-def inner_wall(mesh: trimesh.Trimesh, samples: SurfaceSamples, visibility: Visibility) -> BoolArray:
-    """Faces of the inner wall, in one piece without holes of shadow, shape (F,).
-
-    Args:
-        mesh: The surface.
-        samples: Points on all of its faces.
-        visibility: What the spine sees of it.
-    """
+def _inner_wall(
+    mesh: trimesh.Trimesh, samples: SurfaceSamples, visibility: Visibility
+) -> BoolArray:
+    """Faces of the inner wall, in one piece without holes of shadow, shape (F,)."""
     if not visibility.seen.any():
         return visibility.seen
     face_on = visibility.seen & (visibility.facing > _FACE_ON)
@@ -280,12 +228,12 @@ def inner_wall(mesh: trimesh.Trimesh, samples: SurfaceSamples, visibility: Visib
     pockets = _pockets(mesh, face_on, _POCKET * seen_area)
     outside = visibility.hidden & ~pockets
     if mesh.area_faces @ outside < _REAL_OUTSIDE * seen_area:
-        return main_piece(mesh, np.ones(len(mesh.faces), bool))
+        return _main_piece(mesh, np.ones(len(mesh.faces), bool))
     kept = _without_rims(mesh, samples, visibility.seen, face_on | pockets, outside)
-    return _fill(mesh, main_piece(mesh, kept), outside)
+    return _fill(mesh, _main_piece(mesh, kept), outside)
 
 
-def main_piece(mesh: trimesh.Trimesh, chosen: BoolArray) -> BoolArray:
+def _main_piece(mesh: trimesh.Trimesh, chosen: BoolArray) -> BoolArray:
     """The largest connected piece of the chosen faces, shape (F,)."""
     labels = _pieces(mesh, chosen)
     areas = np.bincount(labels, mesh.area_faces * chosen)
@@ -390,25 +338,18 @@ _CLEARLY_OPEN = 0.1  # [-]; net opening, of a section of the cavity
 
 @dataclass(frozen=True)
 class Cavity:
-    """A surface with its normals into the cavity, as its spine sees it.
+    """A surface with its normals into the cavity, as its spine sees it."""
 
-    Attributes:
-        mesh: The surface.
-        samples: Points on all of its faces.
-        spine: The spine.
-        visibility: What it sees.
-    """
-
-    mesh: trimesh.Trimesh
-    samples: SurfaceSamples
-    spine: Spine
-    visibility: Visibility
+    mesh: trimesh.Trimesh  # the surface
+    samples: SurfaceSamples  # points on all of its faces
+    spine: Spine  # the spine
+    visibility: Visibility  # what it sees
 
     @cached_property
     def wall(self) -> trimesh.Trimesh:
         """The largest piece of what is seen from its front."""
         return plain_mesh(
-            self.mesh.vertices, self.mesh.faces[main_piece(self.mesh, self.visibility.seen)]
+            self.mesh.vertices, self.mesh.faces[_main_piece(self.mesh, self.visibility.seen)]
         )
 
     @cached_property
@@ -434,28 +375,20 @@ class Cavity:
         return area > _LEAST_WALL * float(self.mesh.area) and caps < _FLAT * area
 
     def along(self, axis: Axis, open_above: bool = False) -> Cavity:
-        """The same cavity seen from another axis; see `lay_spine`."""
-        spine = lay_spine(axis, self.wall, open_above)
-        return Cavity(self.mesh, self.samples, spine, look(self.mesh, self.samples, spine))
+        """The same cavity seen from another axis; see `_spine_along`."""
+        spine = _spine_along(axis, self.wall, open_above)
+        return Cavity(self.mesh, self.samples, spine, _view_from(self.mesh, self.samples, spine))
 
     def refined(self) -> Cavity:
         """The same cavity seen from the axis of its wall alone."""
-        return self.along(fit_axis(self.wall).near(self.spine.axis.direction))
+        return self.along(_fit_axis(self.wall).near(self.spine.axis.direction))
 
 
-def find_cavity(name: str, mesh: trimesh.Trimesh) -> Cavity:
-    """Find the cavity of a surface.
-
-    Args:
-        name: What names the surface in an error.
-        mesh: Wound alike; if it is watertight, with its normals out of the material.
-
-    Raises:
-        ScanError: If it has none.
-    """
-    samples = spread_samples(mesh)
+def _find_cavity(name: str, mesh: trimesh.Trimesh) -> Cavity:
+    """Find the cavity of a surface."""
+    samples = _spread_samples(mesh)
     likeliest = None
-    for axis in fit_axis(mesh).likely():
+    for axis in _fit_axis(mesh).likely():
         cavity = _see(mesh, samples, axis)
         cavity = cavity.refined() if cavity.has_wall else cavity
         if cavity.has_wall and cavity.visibility.front_share > _SOLID:
@@ -473,11 +406,11 @@ def find_cavity(name: str, mesh: trimesh.Trimesh) -> Cavity:
 
 
 def _see(mesh: trimesh.Trimesh, samples: SurfaceSamples, axis: Axis) -> Cavity:
-    spine = lay_spine(axis, mesh)
-    visibility = look(mesh, samples, spine)
+    spine = _spine_along(axis, mesh)
+    visibility = _view_from(mesh, samples, spine)
     if visibility.front_share < _SOLID and not mesh.is_watertight:
         mesh = _flipped(mesh)  # an open surface may be wound either way
-        visibility = look(mesh, samples, spine)
+        visibility = _view_from(mesh, samples, spine)
     return Cavity(mesh, samples, spine, visibility)
 
 
@@ -488,24 +421,17 @@ _SKEW = 30.0  # [deg]; between a given direction and the axis, worth a note
 
 @dataclass(frozen=True)
 class Interior:
-    """The interior of a socket, in the scan's axes.
+    """The interior of a socket, in the scan's axes."""
 
-    Attributes:
-        mesh: The inner wall with the inside of the distal end; its normals point into the
-            cavity, and every boundary vertex is on one opening.
-        proximal: Unit vector from the distal end to the opening, shape (3,).
-        length: Extent along it [m].
-        girth: Around the axis, at the median distance of the wall from it [m].
-        openings: Vertices of the boundary loops, in order around; the brim (the longest) first.
-        notes: One plain line for every finding.
-    """
-
+    # The inner wall with the inside of the distal end; its normals point into the cavity, and
+    # every boundary vertex is on one opening
     mesh: trimesh.Trimesh
-    proximal: FloatArray
-    length: float
-    girth: float
+    proximal: FloatArray  # unit vector from the distal end to the opening; (3,)
+    length: float  # extent along it [m]
+    girth: float  # around the axis, at the median distance of the wall from it [m]
+    # Vertices of the boundary loops, in order around; the brim (the longest) first
     openings: tuple[IntArray, ...]
-    notes: tuple[str, ...]
+    notes: tuple[str, ...]  # one plain line for every finding
 
 
 def find_interior(mesh: trimesh.Trimesh, proximal: FloatArray | None = None) -> Interior:
@@ -519,19 +445,15 @@ def find_interior(mesh: trimesh.Trimesh, proximal: FloatArray | None = None) -> 
         mesh: One body in metres, as `read_scan` gives it.
         proximal: Direction from the distal end to the brim, in the scan's axes, shape (3,); if
             it is not given, the more open end of the cavity is the proximal one.
-
-    Raises:
-        ScanError: If there is no cavity or no opening, or if it is not clear which end of the
-            cavity is proximal and no direction was given.
     """
     name, metadata = str(mesh.metadata.get("file_name", "the scan")), dict(mesh.metadata)
     given = None if proximal is None else _unit(proximal)
-    cavity = find_cavity(name, _outward(name, mesh))
+    cavity = _find_cavity(name, _outward(name, mesh))
     decided = cavity.has_clear_end
     axis = _aim(cavity, given)
     cavity = cavity.along(axis, open_above=True)
     mesh = cavity.mesh
-    kept = inner_wall(mesh, cavity.samples, cavity.visibility)
+    kept = _inner_wall(mesh, cavity.samples, cavity.visibility)
 
     interior = plain_mesh(*separate(np.asarray(mesh.vertices), np.asarray(mesh.faces)[kept]))
     interior.metadata.update(metadata)
@@ -555,7 +477,7 @@ def find_interior(mesh: trimesh.Trimesh, proximal: FloatArray | None = None) -> 
     ]
     if given is not None:
         notes += _notes_on_direction(given, axis, decided)
-    elif not fit_axis(interior).is_sharp:
+    elif not _fit_axis(interior).is_sharp:
         notes.append("no axis of the cavity stands out: check the proximal direction or give it")
     upwards = axis.direction if given is None else given
     _, distance = _off_axis(axis, interior)
@@ -582,10 +504,10 @@ def _unit(proximal: FloatArray) -> FloatArray:
 
 def _outward(name: str, mesh: trimesh.Trimesh) -> trimesh.Trimesh:
     """The mesh wound alike; if it is watertight, with the normals out of its material."""
-    faces, _, one_sided = wind_alike(np.asarray(mesh.faces, dtype=np.int64))
+    faces, _ = wind_alike(np.asarray(mesh.faces, dtype=np.int64))
     mesh = plain_mesh(np.asarray(mesh.vertices, dtype=float), faces)
-    if one_sided.any() or not mesh.area_faces.any():
-        raise ScanError(f"{name}: is not a surface with two sides", "repair it in a mesh editor")
+    if not mesh.area_faces.any():
+        raise ScanError(f"{name}: has no cavity, it has no area", "export the scan again")
     return _flipped(mesh) if mesh.is_watertight and mesh.volume < 0.0 else mesh
 
 

@@ -52,25 +52,15 @@ _SMALLEST = 0.005  # [m]; landmarks closer to each other or to one line hold no 
 
 @dataclass(frozen=True)
 class LandmarkFit:
-    """A frame registered by k landmarks.
+    """A frame registered by k landmarks."""
 
-    Attributes:
-        names: Names of the landmarks.
-        pose: Pose of the frame in which they are known, in the frame in which they are measured.
-        residual: Distances of the landmarks from where the fit puts them, shape (k,) [m].
-        noise: 1-sigma error of a coordinate of a landmark [m].
-        degrees: Degrees of freedom of the residual, 3k - 6.
-        uncertainty: 1-sigma uncertainty of the pose, in the axes of the known frame.
-        flat: Whether the landmarks lie in one plane: a coordinate's wrong sign has no residual.
-    """
-
-    names: tuple[str, ...]
-    pose: Pose
-    residual: FloatArray
-    noise: float
-    degrees: int
-    uncertainty: PoseUncertainty
-    flat: bool
+    names: tuple[str, ...]  # names of the landmarks
+    pose: Pose  # pose of the frame in which they are known, in the frame in which they are measured
+    residual: FloatArray  # distances of the landmarks from where the fit puts them; (k,) [m]
+    noise: float  # 1-sigma error of a coordinate of a landmark [m]
+    degrees: int  # degrees of freedom of the residual, 3k - 6
+    uncertainty: PoseUncertainty  # 1-sigma uncertainty of the pose, in the axes of the known frame
+    flat: bool  # whether the landmarks lie in one plane: a coordinate's wrong sign has no residual
 
     @property
     def rms(self) -> float:
@@ -93,10 +83,6 @@ def register_landmarks(
         measured: The same landmarks in another frame, shape (k, 3) [m].
         names: Names of the k landmarks.
         noise: 1-sigma error of a coordinate of a landmark [m], if it is known.
-
-    Raises:
-        RegistrationError: If there are fewer than three landmarks, or if they lie together or on
-            one line.
     """
     if len(names) < _FEWEST:
         raise RegistrationError(
@@ -150,21 +136,13 @@ TriadLabels: TypeAlias = str | tuple[str, ...]
 
 @dataclass(frozen=True)
 class Side:
-    """A marker body and the landmarks that are rigid to it.
+    """A marker body and the landmarks that are rigid to it."""
 
-    Attributes:
-        body: The body, `socket` or `pylon`.
-        triad: The names of its own three to eight markers, or that of a rigid body.
-        frame: The frame in which the landmarks are known: `load_cell` or `limb`.
-        where: What names the landmarks in an error: the file and the frame.
-        landmarks: Their coordinates by name, shape (3,) [m].
-    """
-
-    body: str
-    triad: TriadLabels
-    frame: str
-    where: str
-    landmarks: dict[str, FloatArray]
+    body: str  # the body, `socket` or `pylon`
+    triad: TriadLabels  # the names of its own three to eight markers, or that of a rigid body
+    frame: str  # the frame in which the landmarks are known: `load_cell` or `limb`
+    where: str  # what names the landmarks in an error: the file and the frame
+    landmarks: dict[str, FloatArray]  # their coordinates by name; (3,) [m]
 
     def points(self) -> FloatArray:
         """The landmarks' coordinates, shape (k, 3) [m]."""
@@ -178,15 +156,10 @@ class Side:
 
 @dataclass(frozen=True)
 class LandmarkFile:
-    """Which marker of a static take is what.
+    """Which marker of a static take is what."""
 
-    Attributes:
-        socket: The socket's markers, and landmarks known in {S}.
-        pylon: The pylon's markers, and landmarks known in the limb's frame.
-    """
-
-    socket: Side
-    pylon: Side
+    socket: Side  # the socket's markers, and landmarks known in {S}
+    pylon: Side  # the pylon's markers, and landmarks known in the limb's frame
 
 
 _Metres = Annotated[float, Meta(ge=-_FARTHEST, le=_FARTHEST)]
@@ -217,11 +190,7 @@ class _Landmarks(Document):
 
 
 def read_landmarks(path: Path) -> LandmarkFile:
-    """Read LANDMARKS.yaml.
-
-    Raises:
-        ConfigurationError: If the file is missing or anything in it is not as it must be.
-    """
+    """Read LANDMARKS.yaml."""
     document = read_document(path, _Landmarks)
     bodies = document.bodies
     socket = _side("socket", bodies.socket, "load_cell", document.load_cell, path)

@@ -31,63 +31,39 @@ _UNNAMED = ("Unlabeled", "Unlabelled")
 
 @dataclass(frozen=True)
 class MotiveTake:
-    """A take that Motive exported, N frames of it.
+    """A take that Motive exported, N frames of it."""
 
-    Attributes:
-        path: File of the take.
-        version: Version of the format.
-        frame_rate: Frame rate of the export [Hz].
-        units: Unit of length in the file, as written there; all below is in metres.
-        frames: Frame numbers, shape (N,).
-        times: Times since the start of the take, shape (N,) [s].
-        bodies: Poses of Motive's rigid bodies in `world` by name; NaN where one was not tracked.
-        markers: Measured markers by name, in `world`, shape (N, 3) [m]; NaN where occluded.
-        solved: Markers where Motive's rigid bodies expect them, likewise.
-        doubled: Names that occur twice among the bodies, markers or solved markers; what has
-            such a name is not read.
-        notes: What a person should know of the file.
-    """
-
-    path: Path
-    version: str
-    frame_rate: float
-    units: str
-    frames: IntArray
-    times: FloatArray
+    path: Path  # file of the take
+    version: str  # version of the format
+    frame_rate: float  # frame rate of the export [Hz]
+    units: str  # unit of length in the file, as written there; all below is in metres
+    frames: IntArray  # frame numbers; (N,)
+    times: FloatArray  # times since the start of the take; (N,) [s]
+    # Poses of Motive's rigid bodies in `world` by name; NaN where one was not tracked
     bodies: dict[str, Pose]
+    # Measured markers by name, in `world`; (N, 3) [m]; NaN where occluded
     markers: dict[str, FloatArray]
-    solved: dict[str, FloatArray]
+    solved: dict[str, FloatArray]  # markers where Motive's rigid bodies expect them, likewise
+    # Names that occur twice among the bodies, markers or solved markers; what has such a name is
+    # not read
     doubled: frozenset[str]
-    notes: tuple[str, ...]
+    notes: tuple[str, ...]  # what a person should know of the file
 
     def __len__(self) -> int:
         return len(self.frames)
 
     def body(self, name: str) -> Pose:
-        """Poses of a rigid body.
-
-        Raises:
-            RegistrationError: If the take does not have it.
-        """
+        """Poses of a rigid body."""
         if name not in self.bodies:
             raise self._missing("rigid body", name, self.bodies)
         return self.bodies[name]
 
     def stack(self, names: Iterable[str]) -> FloatArray:
-        """Measured markers in `world`, shape (N, k, 3) [m]; NaN where occluded.
-
-        Raises:
-            RegistrationError: If the take does not have one of them, or only as a solved
-                marker: that is where a rigid body expects it, not where it was seen.
-        """
+        """Measured markers in `world`, shape (N, k, 3) [m]; NaN where occluded."""
         return np.stack([self._marker(name) for name in names], axis=1)
 
     def markers_of(self, body: str) -> tuple[str, ...]:
-        """Names of the measured markers of a rigid body.
-
-        Raises:
-            RegistrationError: If the take does not have the body.
-        """
+        """Names of the measured markers of a rigid body."""
         self.body(body)
         return tuple(name for name in self.markers if name.startswith(f"{body}:"))
 
@@ -127,12 +103,7 @@ _Columns = dict[tuple[str, str], dict[_Part, int]]  # by type and name
 
 
 def read_motive_csv(path: Path) -> MotiveTake:
-    """Read a take; a last line that was cut short is left out, with a note.
-
-    Raises:
-        ConfigurationError: If the file is missing or not text.
-        RegistrationError: If anything in it is not as it must be.
-    """
+    """Read a take; a last line that was cut short is left out, with a note."""
     text = read_text(path, "a take", _LARGEST_FILE)
     header, titles, first = _read_titles(text, path)
     values, notes = _read_header(header, path)

@@ -23,15 +23,10 @@ _LARGEST_RESIDUAL = 0.01  # [m]
 
 @dataclass(frozen=True)
 class Placement:
-    """Pose of the scan in {S}.
+    """Pose of the scan in {S}."""
 
-    Attributes:
-        scan_in_load_cell: Pose of the scan's frame (in metres) in {S}.
-        source: How it was found.
-    """
-
-    scan_in_load_cell: Pose
-    source: str
+    scan_in_load_cell: Pose  # pose of the scan's frame (in metres) in {S}
+    source: str  # how it was found
 
 
 def parse_direction(text: str, where: str) -> FloatArray:
@@ -40,9 +35,6 @@ def parse_direction(text: str, where: str) -> FloatArray:
     Args:
         text: An axis with its sign, such as +z, or three numbers, such as "0 0.1 1".
         where: What names it in an error.
-
-    Raises:
-        ConfigurationError: If it is not a direction.
     """
     axis = re.fullmatch(r"([+-]?)([xyz])", text.strip().lower())
     if axis:
@@ -60,11 +52,7 @@ def parse_direction(text: str, where: str) -> FloatArray:
 
 
 def parse_point(text: str, where: str) -> FloatArray:
-    """Three numbers, with spaces or commas between them, shape (3,).
-
-    Raises:
-        ConfigurationError: If it is anything else.
-    """
+    """Three numbers, with spaces or commas between them, shape (3,)."""
     try:
         point = np.array([float(word) for word in re.split(r"[\s,]+", text.strip())])
     except ValueError:
@@ -85,9 +73,6 @@ def place_by_directions(
         anterior: Direction towards anterior, shape (3,) [-]; None for the scan's axis that is
             most across: +x, or +y where that is along the socket.
         height: Height of the distal end above the origin of {S} [m].
-
-    Raises:
-        ConfigurationError: If the two directions are about the same.
     """
     assumed = anterior is None
     if anterior is None:
@@ -115,9 +100,6 @@ def place_by_points(points: FloatArray) -> Placement:
 
     Args:
         points: The points in the scan's frame, shape (3, 3) [m].
-
-    Raises:
-        RegistrationError: If they are on one line.
     """
     along, aside = points[1] - points[0], points[2] - points[0]
     normal = np.cross(along, aside)
@@ -154,10 +136,6 @@ def place_by_landmarks(path: Path, scale: float) -> Placement:
     Args:
         path: The file.
         scale: The scan's unit [m].
-
-    Raises:
-        ConfigurationError: If anything in the file is not as it must be.
-        RegistrationError: If the landmarks hold no frame, or fit by more than 10 mm badly.
     """
     landmarks = read_document(path, _Landmarks).landmarks
     scan = np.array([each.scan for each in landmarks.values()]).reshape(-1, 3) * scale

@@ -56,46 +56,35 @@ _BLOCKS = 10
 
 @dataclass(frozen=True)
 class StillMarkers:
-    """Markers of a static take, averaged over the frames that show all of them.
+    """Markers of a static take, averaged over the frames that show all of them."""
 
-    Attributes:
-        names: Names of the k markers.
-        mean: Mean positions, shape (k, 3) [m].
-        spread: Root-mean-square distances from the means, shape (k,) [m].
-        drift: Distances between the means of the first and the last third, shape (k,) [m].
-        noise: 1-sigma error of a coordinate of a mean, pooled over the markers [m]; from the
-            means of blocks of frames, so that slow motion and correlated noise count.
-        used: Which frames are averaged, shape (N,).
-        occluded: Number of frames in which each marker is occluded, shape (k,).
-        mislabelled: Number of frames left out whose body fits in no order of its labels.
-        jumped: Number of frames left out in which a marker is far from its usual place.
-    """
-
-    names: tuple[str, ...]
-    mean: FloatArray
-    spread: FloatArray
-    drift: FloatArray
+    names: tuple[str, ...]  # names of the k markers
+    mean: FloatArray  # mean positions; (k, 3) [m]
+    spread: FloatArray  # Root-mean-square distances from the means; (k,) [m]
+    drift: FloatArray  # distances between the means of the first and the last third; (k,) [m]
+    # 1-sigma error of a coordinate of a mean, pooled over the markers [m]; from the means of
+    # blocks of frames, so that slow motion and correlated noise count
     noise: float
-    used: BoolArray
-    occluded: IntArray
-    mislabelled: int
-    jumped: int
+    used: BoolArray  # which frames are averaged; (N,)
+    occluded: IntArray  # number of frames in which each marker is occluded; (k,)
+    mislabelled: int  # number of frames left out whose body fits in no order of its labels
+    jumped: int  # number of frames left out in which a marker is far from its usual place
+
+    def motions(self) -> tuple[tuple[str, FloatArray, float], ...]:
+        """In words how the markers moved, how far, shape (k,) [m], and when it is noted [m]."""
+        return (
+            ("drifted", self.drift, NOTED_DRIFT),
+            ("moved about", self.spread, NOTED_SPREAD),
+        )
 
     @property
     def notes(self) -> tuple[str, ...]:
         """Markers that moved more than noise does, yet little enough to be used."""
         return tuple(
-            f"{name} {what} by {1e3 * moved:.2f} mm over the take"
-            for what, motion, limit in self.motions()
+            f"{name} {verb} by {1e3 * moved:.2f} mm over the take"
+            for verb, motion, limit in self.motions()
             for name, moved in zip(self.names, motion, strict=True)
             if moved > limit
-        )
-
-    def motions(self) -> tuple[tuple[str, FloatArray, float], ...]:
-        """What the markers did, how far, shape (k,) [m], and from where on it is noted [m]."""
-        return (
-            ("drifted", self.drift, NOTED_DRIFT),
-            ("moved about", self.spread, NOTED_SPREAD),
         )
 
 
@@ -109,9 +98,6 @@ def average_still(
         positions: Their positions over N frames, shape (N, k, 3) [m]; NaN where occluded.
         fits: Frames whose markers fit in some order of their labels, shape (N,).
         where: What names the body in an error.
-
-    Raises:
-        RegistrationError: If too few frames show all markers, or if one of them moved.
     """
     occluded = np.isnan(positions).any(axis=2).sum(axis=0)
     seen = np.isfinite(positions).all(axis=(1, 2))
@@ -151,11 +137,11 @@ def average_still(
         mislabelled=mislabelled,
         jumped=jumped,
     )
-    for what, motion, _ in still.motions():
+    for verb, motion, _ in still.motions():
         worst = int(motion.argmax())
         if motion[worst] > MOST_MOTION:
             raise RegistrationError(
-                f"{where}: {names[worst]} {what} by {1e3 * motion[worst]:.2f} mm over the take"
+                f"{where}: {names[worst]} {verb} by {1e3 * motion[worst]:.2f} mm over the take"
                 f" (at most {1e3 * MOST_MOTION:g} mm)",
                 "record a take in which nothing moves, or export its still part",
             )
@@ -163,14 +149,11 @@ def average_still(
 
 
 def own_frame(markers: FloatArray) -> Pose:
-    """Pose of a body's own frame (see above) in the frame of its markers.
-
-    Args:
-        markers: Markers that are not on one line, shape (k, 3) [m].
-    """
-    x = _direction(markers[1] - markers[0])
+    """Pose of a body's own frame (see above) in the frame of its markers."""
+    x = (markers[1] - markers[0]) / np.linalg.norm(markers[1] - markers[0])
     normals = np.cross(x, markers - markers[0])
-    z = _direction(normals[np.linalg.norm(normals, axis=1).argmax()])
+    lengths = np.linalg.norm(normals, axis=1)
+    z = normals[lengths.argmax()] / lengths.max()
     return Pose(np.column_stack([x, np.cross(z, x), z]), markers[0])
 
 
@@ -178,14 +161,6 @@ def fit_labels(observed: FloatArray, where: str) -> BodyFit:
     """Find which observed marker is which, from the distances that most of the frames agree on.
 
     Labels that are swapped in fewer than half of the frames are put right: `BodyFit.order`.
-
-    Args:
-        observed: The body's markers over N frames, shape (N, k, 3) [m]; NaN where occluded.
-        where: What names the body in an error.
-
-    Raises:
-        RegistrationError: If no frame shows all markers, or if they are too close, on one line
-            or too symmetric for a body.
     """
     between = distances(observed)
     seen = np.isfinite(between).all(axis=(1, 2))
@@ -208,12 +183,7 @@ def fit_labels(observed: FloatArray, where: str) -> BodyFit:
 
 
 def relabel(observed: FloatArray, order: IntArray) -> FloatArray:
-    """Markers in the order that a fit found, shape (N, k, 3) [m]; as they are where it has none.
-
-    Args:
-        observed: A body's markers over N frames, shape (N, k, 3) [m].
-        order: `BodyFit.order`, shape (N, k).
-    """
+    """Markers in the order that a fit found, shape (N, k, 3) [m]; as they are where it has none."""
     known = np.where((order < 0).any(axis=1, keepdims=True), np.arange(order.shape[1]), order)
     return np.take_along_axis(observed, known[:, :, None], axis=1)
 
@@ -223,14 +193,6 @@ def tracked_frame(markers: FloatArray, body: Pose, where: str) -> Pose:
 
     The markers are taken into the tracked frame, where the median leaves out the frames in
     which the tracking went wrong, and the frame is fitted to the mean of the markers.
-
-    Args:
-        markers: The body's markers, shape (N, k, 3) [m].
-        body: N poses of the tracked frame in the frame of the markers; NaN where it was lost.
-        where: What names the body in an error.
-
-    Raises:
-        RegistrationError: If the frame was tracked in less than half of the frames.
     """
     tracked = np.isfinite(body.rotation).all(axis=(1, 2)) & np.isfinite(body.translation).all(1)
     if 2 * tracked.sum() < len(markers):
@@ -245,45 +207,28 @@ def tracked_frame(markers: FloatArray, body: Pose, where: str) -> Pose:
     return Pose(pose.rotation[0], pose.translation[0])
 
 
-def _direction(vector: FloatArray) -> FloatArray:
-    return vector / np.linalg.norm(vector)
-
-
 NOTED_RESIDUAL = 0.002  # [m]
 MOST_RESIDUAL = 0.010  # [m]
 
 
-def in_axes(covariance: FloatArray, rotation: FloatArray) -> FloatArray:
+def _in_axes(covariance: FloatArray, rotation: FloatArray) -> FloatArray:
     """A covariance in the axes to which a rotation maps, shape (3, 3)."""
     return rotation @ covariance @ rotation.T
 
 
 @dataclass(frozen=True)
 class RegisteredBody:
-    """A marker body and the frame that the landmarks beside it give.
+    """A marker body and the frame that the landmarks beside it give."""
 
-    Attributes:
-        still: Its markers in the take: the body's own, then the landmarks.
-        markers: The body's own in its frame, shape (k, 3) [m].
-        in_frame: Pose of the body in the frame of the landmarks.
-        landmarks: Fit of the landmarks, to `world`.
-        reference: Uncertainty of a later pose of the body that comes from `markers`.
-        single: Uncertainty of a later pose from the noise of a single frame.
-    """
-
-    still: StillMarkers
-    markers: FloatArray
-    in_frame: Pose
-    landmarks: LandmarkFit
-    reference: PoseUncertainty
-    single: PoseUncertainty
+    still: StillMarkers  # its markers in the take: the body's own, then the landmarks
+    markers: FloatArray  # the body's own in its frame; (k, 3) [m]
+    in_frame: Pose  # pose of the body in the frame of the landmarks
+    landmarks: LandmarkFit  # fit of the landmarks, to `world`
+    reference: PoseUncertainty  # uncertainty of a later pose of the body that comes from `markers`
+    single: PoseUncertainty  # uncertainty of a later pose from the noise of a single frame
 
     def covariance_at(self, point: FloatArray) -> FloatArray:
-        """Covariance of a point between body and frame, in the frame's axes, (3, 3) [m^2].
-
-        Args:
-            point: The point in the frame of the landmarks, shape (3,) [m].
-        """
+        """Covariance of a point between body and frame, in the frame's axes, (3, 3) [m^2]."""
         return self.landmarks.uncertainty.at(point) + self._in_frame(self.reference, point)
 
     def single_covariance_at(self, point: FloatArray) -> FloatArray:
@@ -292,39 +237,29 @@ class RegisteredBody:
 
     def rotation_covariance(self) -> FloatArray:
         """Covariance of the rotation between body and frame, in the frame's axes [rad^2]."""
-        return self.landmarks.uncertainty.rotation + in_axes(
+        return self.landmarks.uncertainty.rotation + _in_axes(
             self.reference.rotation, self.in_frame.rotation
         )
 
     def _in_frame(self, body: PoseUncertainty, point: FloatArray) -> FloatArray:
         """Covariance of a point of the frame by an uncertainty of the body."""
-        return in_axes(body.at(self.in_frame.inverse().apply(point)), self.in_frame.rotation)
+        return _in_axes(body.at(self.in_frame.inverse().apply(point)), self.in_frame.rotation)
 
 
 @dataclass(frozen=True)
 class Registration:
-    """A socket registered with a static take.
+    """A socket registered with a static take."""
 
-    Attributes:
-        take: The take.
-        geometry: The socket with its new marker bodies, `socket_body` and `limb`.
-        socket: The socket's body and {S}.
-        pylon: The pylon's body and the limb's frame.
-        limb_position: Limb position q in {S} during the take, shape (3,) [m].
-        covariance: Covariance of a limb position that comes from the registration, in {S},
-            shape (3, 3) [m^2]; it is the same error in every frame of a trial.
-        single: Covariance that the markers' noise adds in every single frame, likewise.
-        notes: What a person should look at.
-    """
-
-    take: MotiveTake
-    geometry: SocketGeometry
-    socket: RegisteredBody
-    pylon: RegisteredBody
-    limb_position: FloatArray
+    take: MotiveTake  # the take
+    geometry: SocketGeometry  # the socket with its new marker bodies, `socket_body` and `limb`
+    socket: RegisteredBody  # the socket's body and {S}
+    pylon: RegisteredBody  # the pylon's body and the limb's frame
+    limb_position: FloatArray  # limb position q in {S} during the take; (3,) [m]
+    # Covariance of a limb position that comes from the registration, in {S}; (3, 3) [m^2]; it is
+    # the same error in every frame of a trial
     covariance: FloatArray
-    single: FloatArray
-    notes: tuple[str, ...]
+    single: FloatArray  # covariance that the markers' noise adds in every single frame, likewise
+    notes: tuple[str, ...]  # what a person should look at
 
     def __repr__(self) -> str:
         fits = (self.socket.landmarks, self.pylon.landmarks)
@@ -340,15 +275,11 @@ class Registration:
         """Covariances of `limb`: position [m^2] and rotation [rad^2], in the pylon's body."""
         to_body = self.geometry.limb.rotation
         position = self.pylon.covariance_at(np.zeros(3))
-        return in_axes(position, to_body), in_axes(self.pylon.rotation_covariance(), to_body)
+        return _in_axes(position, to_body), _in_axes(self.pylon.rotation_covariance(), to_body)
 
 
 def read_static_take(path: Path) -> MotiveTake:
-    """Read a take to register with.
-
-    Raises:
-        RegistrationError: If it is a trial, which has no landmarks, or no file of Motive.
-    """
+    """Read a take to register with."""
     if path.is_dir():
         raise RegistrationError(
             f"{path}: is a folder; a trial holds the two triads but no landmarks",
@@ -368,16 +299,19 @@ def register_take(
         geometry: The socket, whose tiles stay.
         force: Accept landmarks whose residual is above `MOST_RESIDUAL`, or that put the limb
             outside the socket.
-
-    Raises:
-        RegistrationError: If a marker is missing, the take is not static, shows too few
-            complete frames, or the landmarks do not fit.
     """
     notes = [*take.notes]
     bodies = []
     for side in (landmarks.socket, landmarks.pylon):
         body = _register_body(take, side)
-        _require_residual(body.landmarks, side.where, force)
+        fit = body.landmarks
+        worst = int(fit.residual.argmax())
+        if fit.residual[worst] > MOST_RESIDUAL and not force:
+            raise RegistrationError(
+                f"{side.where}: landmark {fit.names[worst]} is {1e3 * fit.residual[worst]:.1f} mm"
+                f" off (at most {1e3 * MOST_RESIDUAL:g} mm; rms {1e3 * fit.rms:.1f} mm)",
+                "check the landmarks' coordinates and names, or accept it with --force",
+            )
         notes += [f"{side.frame}: {note}" for note in _notes(body)]
         bodies.append(body)
     socket, pylon = bodies
@@ -399,8 +333,8 @@ def register_take(
         socket=socket,
         pylon=pylon,
         limb_position=q,
-        covariance=socket.covariance_at(q) + in_axes(pylon.covariance_at(origin), turn),
-        single=socket.single_covariance_at(q) + in_axes(pylon.single_covariance_at(origin), turn),
+        covariance=socket.covariance_at(q) + _in_axes(pylon.covariance_at(origin), turn),
+        single=socket.single_covariance_at(q) + _in_axes(pylon.single_covariance_at(origin), turn),
         notes=tuple(notes),
     )
 
@@ -458,36 +392,21 @@ def _register_landmarks(side: Side, still: StillMarkers) -> LandmarkFit:
     return fit
 
 
-def _require_residual(fit: LandmarkFit, where: str, force: bool) -> None:
-    worst = int(fit.residual.argmax())
-    if fit.residual[worst] > MOST_RESIDUAL and not force:
-        raise RegistrationError(
-            f"{where}: landmark {fit.names[worst]} is {1e3 * fit.residual[worst]:.1f} mm off (at"
-            f" most {1e3 * MOST_RESIDUAL:g} mm; rms {1e3 * fit.rms:.1f} mm)",
-            "check the landmarks' coordinates and names, or accept it with --force",
-        )
-
-
 _AROUND = 0.03  # [m]; a limb whose position is farther from the tiles' cylinder is in no socket
 
 
 def _require_limb_in_socket(limb: FloatArray, geometry: SocketGeometry, where: str) -> None:
-    """Refuse a limb position, shape (3,) [m], outside the socket: a coordinate's sign is wrong."""
-    if not _in_socket(limb, geometry):
+    """Refuse a limb position, (3,) [m], outside the socket: a coordinate's sign is wrong."""
+    axis = socket_axis(geometry)
+    highest, widest = axis.heights(geometry.anchors).max(), axis.radii(geometry.anchors).max()
+    inside = -_AROUND < axis.heights(limb) < highest + _AROUND
+    if not inside or axis.radii(limb) >= widest + _AROUND:
         place = ", ".join(f"{1e3 * value:.0f}" for value in limb)
         raise RegistrationError(
             f"{where}: the limb would be at ({place}) mm of {{S}}, outside the socket",
             "check the signs of the landmarks' coordinates, and that the take has right-handed"
             " axes, or accept it with --force",
         )
-
-
-def _in_socket(place: FloatArray, geometry: SocketGeometry) -> bool:
-    """Whether a point is within or close to the cylinder of a socket's tiles."""
-    axis = socket_axis(geometry)
-    highest, widest = axis.heights(geometry.anchors).max(), axis.radii(geometry.anchors).max()
-    inside = -_AROUND < axis.heights(place) < highest + _AROUND
-    return bool(inside and axis.radii(place) < widest + _AROUND)
 
 
 def _notes(body: RegisteredBody) -> list[str]:

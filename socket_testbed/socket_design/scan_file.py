@@ -35,22 +35,16 @@ UnitSource = Literal["given", "stated", "inferred"]
 
 @dataclass(frozen=True)
 class Scan:
-    """One body of a scan file.
+    """One body of a scan file."""
 
-    Attributes:
-        mesh: The body in metres and in the scan's own axes: welded, wound alike; every edge is in
-            one or two faces.
-        body: Its name in the file, or its number.
-        unit: The unit of the file's lengths.
-        unit_source: Whether the unit was given, stated by the file, or inferred from the size.
-        notes: One plain line for every repair and finding.
-    """
-
+    # The body in metres and in the scan's own axes: welded, wound alike; every edge is in one or
+    # two faces
     mesh: trimesh.Trimesh
-    body: str
-    unit: str
+    body: str  # its name in the file, or its number
+    unit: str  # the unit of the file's lengths
+    # Whether the unit was given, stated by the file, or inferred from the size
     unit_source: UnitSource
-    notes: tuple[str, ...]
+    notes: tuple[str, ...]  # one plain line for every repair and finding
 
 
 def read_scan(path: Path, unit: str | None = None, body: str | None = None) -> Scan:
@@ -61,9 +55,6 @@ def read_scan(path: Path, unit: str | None = None, body: str | None = None) -> S
         unit: The unit of its lengths, one of m, cm, mm, in; else stated or inferred.
         body: The name (an object, or else a group, of an OBJ) or the number of the body; needed
             if there is more than one.
-
-    Raises:
-        ScanError: If the file cannot be read as a surface, or its unit or the body is not clear.
     """
     if unit not in {None, *METRES}:
         raise ScanError(f"the unit '{unit}' is unknown", closest(str(unit), METRES))
@@ -78,7 +69,7 @@ def read_scan(path: Path, unit: str | None = None, body: str | None = None) -> S
     if stated and stated != found:
         notes.append(f"the file states the unit {stated}, which is passed over")
     vertices = np.asarray(mesh.vertices) * METRES[found]
-    repaired = _repair(f"{path}: body {label}", vertices, np.asarray(mesh.faces)[faces], notes)
+    repaired = _repair(vertices, np.asarray(mesh.faces)[faces], notes)
     repaired.metadata["file_name"] = str(path)
     return Scan(repaired, label, found, source, tuple(notes))
 
@@ -292,9 +283,6 @@ def refuse_implausible(name: str, length: float, girth: float, unit: str) -> Non
         length: Its length along its axis [m].
         girth: How long it is around [m].
         unit: The unit of the file that gave these lengths.
-
-    Raises:
-        ScanError: Naming the unit that would make it a socket, if one does.
     """
 
     def plausible(scale: float) -> bool:
@@ -317,15 +305,10 @@ def refuse_implausible(name: str, length: float, girth: float, unit: str) -> Non
 _SMALL_HOLE = 0.020  # [m]; around
 
 
-def _repair(name: str, vertices: FloatArray, faces: IntArray, notes: list[str]) -> trimesh.Trimesh:
+def _repair(vertices: FloatArray, faces: IntArray, notes: list[str]) -> trimesh.Trimesh:
     """A body in metres with one winding, no crowded edges and no small holes."""
-    faces, flipped, one_sided = wind_alike(faces)
+    faces, flipped = wind_alike(faces)
     _note(notes, flipped, "reversed {} faces so that all wind the same way")
-    if one_sided.any():
-        raise ScanError(
-            f"{name}: is one-sided, as a Moebius band is; no winding fits its faces",
-            "repair the surface in a mesh editor",
-        )
     crowded = faces.size - 2 * len(twin_half_edges(faces)) - len(boundary_half_edges(faces))
     _note(notes, crowded, "cut at edges that more than two faces share, {} sides in all")
     vertices, faces = separate(vertices, faces)

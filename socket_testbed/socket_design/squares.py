@@ -1,16 +1,17 @@
-"""Squares in space and on the surface: overlaps, footprints, and points spread over it."""
+"""Squares on a surface: where they could be, their overlaps and their footprints."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import trimesh
 from scipy.spatial import KDTree
+from scipy.spatial.distance import cdist
 
 from socket_testbed.arrays import BoolArray, FloatArray, IntArray
-from socket_testbed.socket_design.mesh import cell_keys, number_cells
+from socket_testbed.socket_design.mesh import number_cells
 
 _SMALL = 1e-12  # in place of a zero that is divided by
 REACH = 1.45  # [edges]; squares that overlap have their centres within it
@@ -20,17 +21,11 @@ OTHER_WALL = -0.2  # [-]; cosine between the normals of squares that are on diff
 
 @dataclass(frozen=True)
 class Squares:
-    """Squares of one size on a surface, each with the frame of the tile contract.
+    """Squares of one size on a surface, each with the frame of the tile contract."""
 
-    Attributes:
-        anchors: Centres, shape (m, 3) [m].
-        rotations: Frames, columns x, y along the edges and z the inward normal, (m, 3, 3) [-].
-        edge: Length of the edges [m].
-    """
-
-    anchors: FloatArray
-    rotations: FloatArray
-    edge: float
+    anchors: FloatArray  # centres; (m, 3) [m]
+    rotations: FloatArray  # (m, 3, 3) [-]; columns x, y along the edges, z the inward normal
+    edge: float  # length of the edges [m]
 
     def __len__(self) -> int:
         return len(self.anchors)
@@ -44,12 +39,6 @@ class Squares:
         anchors = np.concatenate([self.anchors, other.anchors])
         return Squares(anchors, np.concatenate([self.rotations, other.rotations]), self.edge)
 
-    def corners(self) -> FloatArray:
-        """Corners, counterclockwise about the inward normal, shape (m, 4, 3) [m]."""
-        unit = np.array([[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [1.0, 1.0, 0.0], [-1.0, 1.0, 0.0]])
-        around = np.einsum("mij,cj->mci", self.rotations, 0.5 * self.edge * unit)
-        return self.anchors[:, None] + around
-
 
 def gaps(squares: Squares, some: IntArray, others: IntArray) -> FloatArray:
     """Gaps between squares and others on a smooth surface, negative where they overlap.
@@ -58,14 +47,6 @@ def gaps(squares: Squares, some: IntArray, others: IntArray) -> FloatArray:
     test of two squares is exact: on a circular wall two squares touch when the chord between
     their centres is one edge, as their footprints on the wall do. The gap is the largest
     distance along any of the four axes; it is infinite between different walls.
-
-    Args:
-        squares: The squares.
-        some: Indices of the squares, shape (m,).
-        others: Indices of the others, shape (p,).
-
-    Returns:
-        Gaps, shape (m, p) [m].
     """
     one, other = squares.take(some), squares.take(others)
     x, z = one.rotations[:, :, 0], one.rotations[:, :, 2]
@@ -95,15 +76,9 @@ def gaps(squares: Squares, some: IntArray, others: IntArray) -> FloatArray:
 
 
 def overlapping(squares: Squares, some: IntArray, clearance: float) -> list[IntArray]:
-    """For each of some squares, all that it overlaps, itself included.
-
-    Args:
-        squares: The squares.
-        some: Indices of some of them.
-        clearance: Gap below which two count as overlapping [m].
-    """
+    """For each of some squares, all that it overlaps by a gap below a clearance [m], and itself."""
     found = [np.zeros(0, dtype=np.int64)] * len(some)
-    for rows, near in blocks_of(squares.anchors[some], squares.anchors, REACH * squares.edge):
+    for rows, near in _blocks_of(squares.anchors[some], squares.anchors, REACH * squares.edge):
         for row, overlap in zip(rows, gaps(squares, some[rows], near) < clearance, strict=True):
             found[row] = near[overlap]
     return found
@@ -115,31 +90,20 @@ def seen_from(squares: Squares, points: FloatArray) -> FloatArray:
     return axes @ points.T - (axes * squares.anchors).sum(axis=2)[:, :, None]
 
 
-def blocks_of(
+def _blocks_of(
     centres: FloatArray, points: FloatArray, radius: float
 ) -> Iterator[tuple[IntArray, IntArray]]:
-    """Blocks of centres that are close to each other, each with the points near any of them.
-
-    Args:
-        centres: Shape (m, 3) [m].
-        points: Shape (p, 3) [m].
-        radius: How far from a centre points are near [m].
-
-    Yields:
-        The indices of the centres, and those of all points within the radius, and of some others.
-    """
+    """Blocks of centres that are close to each other, each with the points near any of them."""
     if not len(points) or not len(centres):
         return
     tree = KDTree(points)
     block = number_cells(centres, _BLOCK * radius)
     order = np.argsort(block, kind="stable")
     first = np.flatnonzero(np.diff(block[order], prepend=-1))
-    sorted_centres = centres[order]
-    middles = np.add.reduceat(sorted_centres, first) / np.diff(first, append=len(order))[:, None]
-    off = np.linalg.norm(sorted_centres - middles[block[order]], axis=1)
-    reach = radius + np.maximum.reduceat(off, first)
-    for rows, *ball in zip(np.split(order, first[1:]), middles, reach, strict=True):
-        near = tree.query_ball_point(*ball)
+    for rows in np.split(order, first[1:]):
+        middle = centres[rows].mean(axis=0)
+        off = np.linalg.norm(centres[rows] - middle, axis=1).max()
+        near = tree.query_ball_point(middle, radius + off)
         if near:
             yield rows, np.array(near)
 
@@ -150,17 +114,11 @@ _CLOSEST = 0.6  # [-]; smallest distance of two points, in spacings
 
 @dataclass(frozen=True)
 class SurfacePoints:
-    """Points of a surface that stand for the area around them.
+    """Points of a surface that stand for the area around them."""
 
-    Attributes:
-        positions: Positions, shape (p, 3) [m].
-        normals: Normals of the faces that they are on, shape (p, 3) [-].
-        areas: Area that each stands for, shape (p,) [m^2].
-    """
-
-    positions: FloatArray
-    normals: FloatArray
-    areas: FloatArray
+    positions: FloatArray  # (p, 3) [m]
+    normals: FloatArray  # normals of the faces that they are on; (p, 3) [-]
+    areas: FloatArray  # area that each stands for; (p,) [m^2]
 
 
 def spread_points(
@@ -176,7 +134,11 @@ def spread_points(
     """
     count = int(np.ceil(_DRAWN * mesh.area / spacing**2))
     drawn, face = trimesh.sample.sample_surface(mesh, count, seed=rng)
-    kept = _one_a_cell(drawn, spacing)
+    # Of the points in each cell of a cubic grid, the one closest to the cell's centre.
+    off = ((drawn / spacing) % 1.0 - 0.5) ** 2
+    cell = number_cells(drawn, spacing)
+    order = np.lexsort((off.sum(axis=1), cell))
+    kept = order[np.flatnonzero(np.diff(cell[order], prepend=-1))]
     kept = kept[trimesh.points.remove_close(drawn[kept], _CLOSEST * spacing)[1]]
     nearest = KDTree(drawn[kept]).query(drawn)[1] if weighed else np.zeros(0, dtype=np.int64)
     return SurfacePoints(
@@ -186,11 +148,231 @@ def spread_points(
     )
 
 
-def _one_a_cell(points: FloatArray, spacing: float) -> IntArray:
-    """Of the points in each cell of a cubic grid, the one closest to the cell's centre."""
-    cell = np.floor(points / spacing)
-    off = ((points - (cell + 0.5) * spacing) ** 2).sum(axis=1)
-    key = cell_keys(points, spacing)
-    order = np.lexsort((off, key))
-    first = np.concatenate([[True], np.diff(key[order]) > 0])
-    return order[first]
+FACING_WALL = -0.5  # [-]; cosine below which a surface is the wall on the other side
+LEAST_FACING = 0.5  # [-]; cosine to a tile's normal below which a surface is folded away
+_SMALL_AREA = 0.1  # [edges]; triangles larger than it are looked at for every square
+_COVER = 0.003  # [-]; a footprint that differs more from its square is cut, folded or double
+_CLOSE = 0.1  # [edges]; gap from which on footprints cannot share anything
+_SHARED = 1e-8  # [m^2]; what rounding may make of two footprints that touch
+
+
+@dataclass(frozen=True)
+class Footprint:
+    """A piece of the surface: what projects onto a square along its normal."""
+
+    triangles: FloatArray  # corners of its triangles; (f, 3, 3) [m]
+    area: float  # area of the surface [m^2]
+    cover: float  # part of the square that it covers [-]; more than 1 where it is double
+    fold: float  # area that is folded away from the square, in areas of the square [-]
+    flatness: float  # largest distance from the square's plane [m]
+
+
+class Footprints:
+    """The footprints of squares on a surface, each cut out of its triangles once."""
+
+    def __init__(self, mesh: trimesh.Trimesh, squares: Squares, flatness: float) -> None:
+        self._triangles = np.asarray(mesh.triangles)
+        self._normals = np.asarray(mesh.face_normals)
+        centres = np.asarray(mesh.triangles_center)
+        radii = np.linalg.norm(self._triangles - centres[:, None], axis=2).max(axis=1)
+        small = radii <= _SMALL_AREA * squares.edge
+        self._large, self._small = np.flatnonzero(~small), np.flatnonzero(small)
+        self._tree = KDTree(centres[small])
+        self._squares = squares
+        self._flatness = flatness
+        self._footprints: dict[int, Footprint] = {}
+
+    def unfit(self, tiles: IntArray | Sequence[int]) -> list[int]:
+        """Tiles that are cut, folded, double or too far from flat."""
+        unfit = []
+        for tile in map(int, tiles):
+            footprint = self.footprint(tile)
+            complete = abs(footprint.cover - 1.0) < _COVER and footprint.fold < _COVER
+            if not complete or footprint.flatness > self._flatness:
+                unfit.append(tile)
+        return unfit
+
+    def overlapping(self, tiles: IntArray, known: int = 0) -> list[tuple[int, int]]:
+        """Pairs of tiles whose footprints share a piece of the surface."""
+        gap = gaps(self._squares, tiles[known:], tiles)
+        earlier = np.arange(len(tiles)) < np.arange(known, len(tiles))[:, None]
+        later, other = np.nonzero(earlier & (gap < _CLOSE * self._squares.edge))
+        pairs = zip(tiles[other].tolist(), tiles[known + later].tolist(), strict=True)
+        return [pair for pair in pairs if self.shared_area(*pair) > _SHARED]
+
+    def keep(self, tiles: IntArray) -> None:
+        """Forget all but the footprints of some tiles: those on a fine scan are large."""
+        self._footprints = {tile: self.footprint(tile) for tile in tiles.tolist()}
+
+    def footprint(self, tile: int) -> Footprint:
+        """The footprint of a square."""
+        if tile not in self._footprints:
+            self._footprints[tile] = self._find_footprint(tile)
+        return self._footprints[tile]
+
+    def _find_footprint(self, tile: int) -> Footprint:
+        frame, anchor = self._squares.rotations[tile], self._squares.anchors[tile]
+        seen = _cut_to_square(self._seen_around(tile), self._squares.edge)
+        crosses = trimesh.triangles.cross(seen)
+        areas, projected = 0.5 * np.linalg.norm(crosses, axis=1), 0.5 * crosses[:, 2]
+        steep = projected < LEAST_FACING * areas
+        return Footprint(
+            seen @ frame.T + anchor,
+            area=float(areas.sum()),
+            cover=float(projected[~steep].sum()) / self._squares.edge**2,
+            fold=float(areas[steep].sum()) / self._squares.edge**2,
+            flatness=float(np.abs(seen[:, :, 2]).max(initial=0.0)),
+        )
+
+    def _seen_around(self, tile: int) -> FloatArray:
+        """Triangles that may be under a square, in its frame, shape (f, 3, 3) [m]."""
+        edge, flatness = self._squares.edge, self._flatness
+        frame, anchor = self._squares.rotations[tile], self._squares.anchors[tile]
+        reach = np.hypot(edge / np.sqrt(2.0), flatness) + _SMALL_AREA * edge
+        small = self._small[np.array(self._tree.query_ball_point(anchor, reach), dtype=int)]
+        near = np.append(small, self._large)
+        near = near[self._normals[near] @ frame[:, 2] > FACING_WALL]
+        seen = (self._triangles[near] - anchor) @ frame
+        low, high = _ends(seen[:, :, 2])
+        return seen[(low < flatness) & (high > -flatness)]
+
+    def shared_area(self, tile: int, other: int) -> float:
+        """Area of the surface under both of two squares [m^2]."""
+        squares = self._squares
+        frame, anchor = squares.rotations[other], squares.anchors[other]
+        seen = self.footprint(tile).triangles @ frame - anchor @ frame
+        seen = seen[_over_square(seen, squares.edge)]
+        if not len(seen):
+            return 0.0
+        facing = trimesh.triangles.cross(seen)[:, 2] > 0.0
+        close = np.abs(seen[:, :, 2]).min(axis=1) < 2.0 * self._flatness
+        seen = _cut_to_square(seen[facing & close], squares.edge)
+        return 0.5 * float(np.linalg.norm(trimesh.triangles.cross(seen), axis=1).sum())
+
+
+def _over_square(triangles: FloatArray, edge: float) -> BoolArray:
+    """Whether triangles in a square's frame may reach over it, shape (f,)."""
+    low, high = _ends(triangles[:, :, :2])
+    return np.all((low < 0.5 * edge) & (high > -0.5 * edge), axis=1)
+
+
+def _ends(corners: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Least and greatest values at the three corners of triangles, of (f, 3, ...)."""
+    a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
+    return np.minimum(np.minimum(a, b), c), np.maximum(np.maximum(a, b), c)
+
+
+def _cut_to_square(triangles: FloatArray, edge: float) -> FloatArray:
+    """Triangles cut to the column over a square, as triangles."""
+    triangles = triangles[_over_square(triangles, edge)]
+    inside = (np.abs(triangles[:, :, :2]) <= 0.5 * edge).all(axis=(1, 2))
+    cut = triangles[~inside]
+    for axis in (0, 1):
+        for side in (1.0, -1.0):
+            cut = _cut_off(cut, side * cut[:, :, axis] - 0.5 * edge)
+    return np.concatenate([triangles[inside], cut])
+
+
+def _cut_off(triangles: FloatArray, beyond: FloatArray) -> FloatArray:
+    """Triangles, shape (f, 3, 3), cut at a plane, by their corners' distances beyond it."""
+    out = beyond > 0.0
+    corners_out = out.sum(axis=1)
+    pieces = [triangles[corners_out == 0]]
+    for count, alone in (1, out), (2, ~out):
+        some = np.flatnonzero(corners_out == count)
+        order = (alone[some].argmax(axis=1)[:, None] + np.arange(3)) % 3  # the lone corner first
+        a, b, c = np.moveaxis(triangles[some[:, None], order], 1, 0)
+        distance = beyond[some[:, None], order]
+        to_b, to_c = (distance[:, :1] / (distance[:, :1] - distance[:, 1:])).T[:, :, None]
+        on_b, on_c = a + to_b * (b - a), a + to_c * (c - a)
+        cuts = [(a, on_b, on_c)] if count == 2 else [(on_b, b, c), (on_b, c, on_c)]
+        pieces += [np.stack(corners, axis=1) for corners in cuts]
+    return np.concatenate(pieces)
+
+
+_END = 10.0  # [deg]; a normal this close to the proximal direction has no proximal tangent
+_SAME_SHEET = 0.3  # [-]; cosine between normals that are averaged
+_LEAST_COVER = 0.85  # [-]; coverage of a square, as well as the points' areas can show
+_SAFE = 0.95  # [-]; the points miss the farthest corners
+
+
+@dataclass(frozen=True)
+class Surroundings:
+    """What the tiles of a surface are fitted to."""
+
+    points: SurfacePoints  # points spread over the surface
+    rim: FloatArray  # points along the edges of the surface (brim, holes, cuts); (b, 3) [m]
+    proximal: FloatArray  # direction towards the proximal end; (3,) [-]
+    anterior: FloatArray  # direction of x where no tangent is proximal; (3,) [-]
+
+
+def rim_points(mesh: trimesh.Trimesh, spacing: float) -> FloatArray:
+    """Points along every edge that has one face only or more than two, shape (b, 3) [m]."""
+    faces_of_edge = np.bincount(mesh.edges_unique_inverse)
+    start, end = np.asarray(mesh.vertices)[mesh.edges_unique[faces_of_edge != 2]].swapaxes(0, 1)
+    count = np.ceil(np.linalg.norm(end - start, axis=1) / spacing).astype(int).clip(min=1)
+    edge = np.repeat(np.arange(len(count)), count)
+    step = np.arange(len(edge)) - np.repeat(np.cumsum(count) - count, count)
+    return start[edge] + (step / count[edge])[:, None] * (end - start)[edge]
+
+
+def squares_at(places: SurfacePoints, surroundings: Surroundings, edge: float) -> Squares:
+    """The squares that are centred on the given places, whether they fit or not."""
+    normals = _mean_normals(places, surroundings.points, edge / np.sqrt(np.pi))
+    return Squares(places.positions, _tile_frames(normals, surroundings), edge)
+
+
+def _tile_frames(normals: FloatArray, surroundings: Surroundings) -> FloatArray:
+    """Frames of tiles: z the normal, x the tangent towards the proximal end, y = z x x.
+
+    Where the normal is within 10 degrees of the proximal direction, as on the distal end, no
+    tangent is proximal: there x is the tangent towards anterior.
+    """
+    on_end = np.abs(normals @ surroundings.proximal) > np.cos(np.radians(_END))
+    towards = np.where(on_end[:, None], surroundings.anterior, surroundings.proximal)
+    x = towards - (towards * normals).sum(axis=1, keepdims=True) * normals
+    x /= np.linalg.norm(x, axis=1, keepdims=True)
+    return np.stack([x, np.cross(normals, x), normals], axis=2)
+
+
+def _mean_normals(places: SurfacePoints, points: SurfacePoints, radius: float) -> FloatArray:
+    """Mean normal of the sheet around each place, shape (m, 3) [-]."""
+    mean = np.empty_like(places.normals)
+    for rows, near in _blocks_of(places.positions, points.positions, radius):
+        close = cdist(places.positions[rows], points.positions[near]) <= radius
+        same = places.normals[rows] @ points.normals[near].T > _SAME_SHEET
+        mean[rows] = np.where(close & same, points.areas[near], 0.0) @ points.normals[near]
+    length = np.linalg.norm(mean, axis=1, keepdims=True)
+    return np.where(length > 0.0, mean / np.where(length > 0.0, length, 1.0), places.normals)
+
+
+def roughly_fit(squares: Squares, surroundings: Surroundings, flatness: float) -> BoolArray:
+    """Which squares fit the surface as far as its points can show, shape (m,).
+
+    A square fits if all of it lies on the surface: no rim inside, the surface nowhere
+    farther from its plane than the flatness, nor folded away from it.
+
+    Args:
+        squares: The squares.
+        surroundings: The surface.
+        flatness: Largest distance of the surface from a square's plane [m].
+    """
+    points, half = surroundings.points, 0.5 * squares.edge
+    reach = float(np.hypot(np.sqrt(2.0) * half, flatness))
+    fits = np.zeros(len(squares), dtype=bool)
+    for rows, near in _blocks_of(squares.anchors, points.positions, 1.1 * reach):
+        block = squares.take(rows)
+        x, y, height = seen_from(block, points.positions[near])
+        facing = block.rotations[:, :, 2] @ points.normals[near].T
+        inside = (np.abs(x) < half) & (np.abs(y) < half) & (facing > FACING_WALL)
+        inside &= cdist(block.anchors, points.positions[near]) <= 1.1 * reach
+        unfit = inside & ((np.abs(height) > _SAFE * flatness) | (facing < LEAST_FACING))
+        cover = np.where(inside, facing, 0.0) @ points.areas[near]
+        fits[rows] = (cover > _LEAST_COVER * squares.edge**2) & ~unfit.any(axis=1)
+    for rows, near in _blocks_of(squares.anchors, surroundings.rim, reach):
+        block = squares.take(rows)
+        x, y, _ = seen_from(block, surroundings.rim[near])
+        cut = (np.abs(x) < half) & (np.abs(y) < half)
+        cut &= cdist(block.anchors, surroundings.rim[near]) <= reach
+        fits[rows] &= ~cut.any(axis=1)
+    return fits

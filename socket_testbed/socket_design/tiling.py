@@ -26,18 +26,16 @@ from socket_testbed.socket_design.mesh import number_cells
 from socket_testbed.socket_design.squares import (
     OTHER_WALL,
     REACH,
+    Footprints,
     Squares,
     SurfacePoints,
+    Surroundings,
     gaps,
     overlapping,
-    seen_from,
-    spread_points,
-)
-from socket_testbed.socket_design.tile_fit import (
-    Footprints,
-    Surroundings,
     rim_points,
     roughly_fit,
+    seen_from,
+    spread_points,
     squares_at,
 )
 
@@ -50,13 +48,8 @@ _AROUND = np.array(
 ) / (3.0)
 
 
-def border_points(squares: Squares, points: SurfacePoints) -> FloatArray:
-    """Points of the surface along the borders of squares, shape (m, 12, 3) [m].
-
-    Args:
-        squares: Squares that fit the surface.
-        points: The surface.
-    """
+def _border_points(squares: Squares, points: SurfacePoints) -> FloatArray:
+    """Points of the surface along the borders of squares, shape (m, 12, 3) [m]."""
     half, tree = 0.5 * squares.edge, KDTree(points.positions)
     along = np.einsum("mij,bj->mbi", squares.rotations[:, :, :2], half * _AROUND)
     border = squares.anchors[:, None] + along
@@ -71,21 +64,12 @@ def border_points(squares: Squares, points: SurfacePoints) -> FloatArray:
     return border
 
 
-def border_gaps(
+def _border_gaps(
     squares: Squares, borders: NDArray[np.floating[Any]], index: int, others: IntArray
 ) -> FloatArray:
-    """Gaps between a square and others close to it, by the points of their borders.
+    """Gaps between a square and p others close to it, by the points of their borders, (p,) [m].
 
     Negative where a point of one's border lies in the column over the other.
-
-    Args:
-        squares: The squares.
-        borders: Their borders, shape (m, 12, 3) [m].
-        index: The square.
-        others: Indices of the others, shape (p,).
-
-    Returns:
-        Gaps, shape (p,) [m].
     """
     own = (borders[others] - squares.anchors[index]) @ squares.rotations[index][:, :2]
     offset = borders[index] - squares.anchors[others][:, None]
@@ -109,19 +93,14 @@ class Search:
 
     The search sees squares as plane; each set of tiles that it keeps is checked on the surface
     itself, and a square that is wrong there is not tried again.
-
-    Args:
-        squares: The squares that fit.
-        points: The surface.
-        footprints: Of the same squares.
-        fixed: So many of the first squares are tiles in any case; they overlap nowhere.
+    The first `fixed` squares are tiles in any case; they overlap nowhere.
     """
 
     def __init__(
         self, squares: Squares, points: SurfacePoints, footprints: Footprints, fixed: int = 0
     ) -> None:
         self._fixed = fixed
-        self._borders = border_points(squares, points).astype(np.float32)
+        self._borders = _border_points(squares, points).astype(np.float32)
         # Rounded to 30 nm, which is nothing beside the clearance; it takes half the time.
         squares = Squares(
             squares.anchors.astype(np.float32), squares.rotations.astype(np.float32), squares.edge
@@ -211,12 +190,7 @@ class Search:
         return np.bincount(np.concatenate([none, *squares]), minlength=len(self._squares))
 
     def _wrong(self, tiles: IntArray, known: int = 0) -> set[int]:
-        """Tiles that must go, so that the others are complete and share nothing.
-
-        Args:
-            tiles: The tiles.
-            known: So many of the first are known to be complete and to share nothing.
-        """
+        """Tiles that must go; the first `known` are known to be complete and to share nothing."""
         wrong = set(self._footprints.unfit(tiles[known:]))
         for pair in self._footprints.overlapping(tiles, known):
             if not wrong.intersection(pair):
@@ -244,7 +218,7 @@ class Search:
         some = others[unsure]
         gap = gaps(squares, np.array([index]), some)[0]
         close = np.abs(gap) < _PLANE
-        gap[close] = border_gaps(squares, self._borders, index, some[close])
+        gap[close] = _border_gaps(squares, self._borders, index, some[close])
         overlap[unsure] = gap < _CLEARANCE
         return overlap
 
@@ -254,12 +228,8 @@ _FARTHEST = 2.2  # [edges]; no centres of neighbours are farther apart
 _FOLD = 0.0  # [-]; cosine between the normals of tiles on different sides of an edge
 
 
-def nearby_pairs(squares: Squares) -> IntArray:
-    """Pairs of tiles with less than half a tile between them, diagonal ones included.
-
-    Returns:
-        Pairs (a, b) with a < b, sorted, shape (e, 2).
-    """
+def _nearby_pairs(squares: Squares) -> IntArray:
+    """Pairs of tiles with less than half a tile between them, diagonal ones included."""
     every, normals = np.arange(len(squares)), squares.rotations[:, :, 2]
     near = gaps(squares, every, every) < _NEAR * squares.edge
     near &= normals @ normals.T > _FOLD
@@ -274,45 +244,29 @@ _RIM = 1 / 60  # [edges]
 
 @dataclass(frozen=True)
 class TilingSettings:
-    """How a surface is tiled.
+    """How a surface is tiled."""
 
-    Attributes:
-        edge: Length of a tile's edges [m].
-        flatness: Largest distance of the surface from a tile's plane [m].
-        rounds: Rounds of improvement; more may find another tile.
-        seed: Seed of the places that are tried and of the improvement.
-    """
-
-    edge: float = 0.030
-    flatness: float = 0.008
-    rounds: int = 300
-    seed: int = 0
+    edge: float = 0.030  # length of a tile's edges [m]
+    flatness: float = 0.008  # largest distance of the surface from a tile's plane [m]
+    rounds: int = 300  # rounds of improvement; more may find another tile
+    seed: int = 0  # seed of the places that are tried and of the improvement
 
 
 @dataclass(frozen=True)
 class Tiling:
-    """Tiles on the interior of a socket and how well they cover it.
+    """Tiles on the interior of a socket and how well they cover it."""
 
-    Attributes:
-        squares: The tiles.
-        footprint_areas: Areas of the surface under the tiles, shape (n,) [m^2].
-        flatness: Largest distances of the surface from the tiles' planes, shape (n,) [m].
-        neighbours: Pairs of neighbouring tiles, shape (e, 2).
-        interior_area: Area of the interior [m^2].
-        cover_inside: Part of the interior under tiles, of what is farther than half a tile from
-            the rim (brim, holes, cuts) [-].
-        largest_gap: Largest distance of a point of the interior from the nearest tile [m].
-        clusters: The clusters that the first tiles were laid for; the frames of these squares are
-            turned with them.
-    """
-
-    squares: Squares
-    footprint_areas: FloatArray
-    flatness: FloatArray
-    neighbours: IntArray
-    interior_area: float
+    squares: Squares  # the tiles
+    footprint_areas: FloatArray  # areas of the surface under the tiles; (n,) [m^2]
+    flatness: FloatArray  # largest distances of the surface from the tiles' planes; (n,) [m]
+    neighbours: IntArray  # pairs of neighbouring tiles; (e, 2)
+    interior_area: float  # area of the interior [m^2]
+    # Part of the interior under tiles, of what is farther than half a tile from the rim (brim,
+    # holes, cuts) [-]
     cover_inside: float
-    largest_gap: float
+    largest_gap: float  # largest distance of a point of the interior from the nearest tile [m]
+    # The clusters that the first tiles were laid for; the frames of these squares are turned with
+    # them
     clusters: tuple[LaidCluster, ...] = ()
 
     @property
@@ -338,10 +292,6 @@ def tile_interior(
         settings: The settings.
         progress: Called with the rounds done and their number.
         clusters: Where the clusters are in {S}.
-
-    Raises:
-        ScanError: If not a single tile fits.
-        ConfigurationError: If a cluster's does not.
     """
     rng = np.random.default_rng(settings.seed)
     points = spread_points(mesh, _POINTS * settings.edge, rng)
@@ -373,7 +323,7 @@ def tile_interior(
         squares=squares,
         footprint_areas=np.array([footprint.area for footprint in kept]),
         flatness=np.array([footprint.flatness for footprint in kept]),
-        neighbours=nearby_pairs(squares),
+        neighbours=_nearby_pairs(squares),
         interior_area=float(mesh.area),
         cover_inside=float(points.areas[covered & inside].sum() / points.areas[inside].sum()),
         largest_gap=float(_distance(points.positions, points.positions[covered]).max()),

@@ -90,11 +90,6 @@ def test_a_unit_is_given_or_inferred_in_m_and_mm_alone(unit, size, given_too):
     assert noted(scan, f"{scan.unit_source} unit {unit}")
 
 
-def test_an_unknown_unit_is_refused(cone, path):
-    with pytest.raises(ScanError, match="unknown"):
-        read_scan(write_stl(cone, path, "mm"), unit="furlong")
-
-
 def test_a_unit_that_the_file_states_is_taken(cone, tmp_path):
     stated = {
         "a.stl": write_stl(cone, tmp_path / "a.stl", "cm", b"scanner X; units: cm"),
@@ -106,12 +101,11 @@ def test_a_unit_that_the_file_states_is_taken(cone, tmp_path):
         scan = read_scan(file)
         assert_same_surface(scan.mesh, cone)
         assert (scan.unit, scan.unit_source) == ("cm", "stated")
-
-
-def test_a_given_unit_goes_before_the_stated_one_and_that_is_noted(cone, path):
-    scan = read_scan(write_stl(cone, path, "mm", b"units: cm"), unit="mm")
+    scan = read_scan(write_stl(cone, tmp_path / "a.stl", "mm", b"units: cm"), unit="mm")
     assert_same_surface(scan.mesh, cone)
     assert noted(scan, "states the unit cm")
+    with pytest.raises(ScanError, match="unknown"):
+        read_scan(tmp_path / "a.stl", unit="furlong")
 
 
 def test_only_plain_words_state_a_unit():
@@ -191,8 +185,6 @@ def binary(count: int, faces: int = 0) -> bytes:
     return bytes(80) + struct.pack("<I", count) + bytes(50 * faces)
 
 
-POINTS = b"ply\nformat ascii 1.0\nelement vertex 2\nproperty float x\nproperty float y\n"
-POINTS += b"property float z\nend_header\n0 0 0\n1 1 1\n"
 PLY = b"ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\n"
 PLY += b"property float z\nelement face 2\nproperty list uchar int vertex_indices\nend_header\n"
 FACET = (
@@ -202,38 +194,27 @@ FACET = (
 BAD = {
     "no such.stl": (None, "cannot be read (No such file"),
     "empty.stl": (b"", "is not a valid STL file"),
-    "blank.obj": (b" \n\n", "has no faces"),
     "kind.step": (b"ISO-10303-21;", "'.step' is not a supported scan format"),
-    "none": (b"has no cavity", "'' is not a supported scan format"),
     "cut.stl": (binary(100, 60), "is not a valid STL file"),
     "short.stl": (b"sol", "is not a valid STL file"),
     "words.stl": (b"Dear prosthetist,\nthe scan is attached.\n" * 9, "is not a valid STL file"),
-    "zero.stl": (binary(0), "has no faces"),
     "flat.stl": (binary(40, 40), "no face has an area"),
     "text cut.stl": (b"solid a\n" + 3 * FACET, "is not a valid STL file"),
     "text odd.stl": (
         b"solid a\n" + FACET.replace(b"1 0 0", b"1 x 0") + b"endsolid a",
         "is not a valid STL file",
     ),
-    "text few.stl": (
-        b"solid a\n" + FACET.replace(b"vertex 1 0 0\n", b"") + b"endsolid",
-        "is not a valid STL file",
-    ),
     "text none.stl": (b"solid a\nendsolid a\n", "has no faces"),
-    "points.ply": (POINTS, "has no faces"),
     "header.ply": (PLY[:40], "fewer lines"),
     "cut.ply": (PLY + b"0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n", "fewer lines than elements"),
     "far.ply": (PLY + b"0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n3 0 1 7\n", "not a valid PLY"),
-    "words.ply": (b"Dear prosthetist,\n", "is not a valid PLY file"),
     "bytes.ply": (b"ply\n" + bytes(range(256)), "is not a valid PLY file"),
-    "points.obj": (b"v 0 0 0\nv 1 0 0\n", "has no faces"),
     "words.obj": (b"Dear prosthetist,\n", "has no faces"),
     "far.obj": (b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 4\n", "not a valid OBJ"),
     "back.obj": (b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf -1 -2 -4\n", "line 4 is not a vertex"),
     "zero.obj": (b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 0 1 2\n", "line 4 is not a vertex"),
     "text.obj": (b"v 0 0 zero\n", "line 1 is not a vertex"),
     "short.obj": (b"v 0 0 0\nv 1 0 0\nf 1 2\n", "line 3 is not a vertex"),
-    "binary.obj": (b"v 0 0 0\n\0\0\0", "has no faces"),
     "line.obj": (b"v 0 0 0\nv 1 0 0\nv 2 0 0\nf 1 2 3\n", "no face has an area"),
     "nan.obj": (b"v nan 0 0\nv 1 0 0\nv 2 0 0\nf 1 2 3\n", "no face has finite corners"),
 }
@@ -289,11 +270,28 @@ def test_a_real_limb_needs_no_repair(shared_data):
 # --- repairs: each undoes a known damage and is reported
 
 
-def test_specks_are_dropped_and_reported(cone, path):
+def test_what_is_no_part_of_the_surface_is_removed_and_reported(cone, path):
     specks = [shifted(trimesh.creation.icosphere(1, 0.001), 0.2 + 0.01 * i) for i in range(3)]
-    scan = read_scan(write_stl(trimesh.util.concatenate([specks[0], cone, *specks[1:]]), path))
-    assert_same_surface(scan.mesh, cone)
-    assert noted(scan, "dropped 240 faces")
+    twice = np.vstack([cone.faces[:7], cone.faces[5:15, ::-1], np.roll(cone.faces[20:22], 1, 1)])
+    points = np.column_stack([cone.faces[:9, 0], cone.faces[:9, 0], cone.faces[:9, 1]])
+    a, b = cone.faces[200][:2]
+    vertices = np.vstack([cone.vertices, 0.8 * cone.vertices[a]])
+    fin = np.vstack([cone.faces, [[a, b, len(cone.vertices)]]])
+    for scanned, words in (
+        (trimesh.util.concatenate([specks[0], cone, *specks[1:]]), "dropped 240 faces"),
+        (with_faces(cone, np.vstack([cone.faces, twice])), "removed 19 duplicate faces"),
+        (with_faces(cone, np.vstack([points, cone.faces])), "removed 9 faces without area"),
+        (trimesh.Trimesh(vertices, fin, process=False), "dropped 1 faces"),
+    ):
+        scan = read_scan(write_stl(scanned, path))
+        assert_same_surface(scan.mesh, cone)
+        assert noted(scan, words)
+    vertices = cone.vertices.copy()
+    vertices[50] = [np.nan, 0.0, np.inf]
+    scan = read_scan(write_stl(trimesh.Trimesh(vertices, cone.faces, process=False), path))
+    gone = int((cone.faces == 50).any(axis=1).sum())
+    assert np.isfinite(scan.mesh.vertices).all()
+    assert noted(scan, f"removed {gone} faces with a corner that is not finite")
 
 
 def test_vertices_a_hair_apart_are_welded(cone, path):
@@ -303,20 +301,6 @@ def test_vertices_a_hair_apart_are_welded(cone, path):
         corners.reshape(-1, 3), np.arange(3 * len(cone.faces)).reshape(-1, 3), process=False
     )
     assert_same_surface(read_scan(write_stl(loose, path)).mesh, cone)
-
-
-def test_duplicate_faces_are_removed_whatever_their_winding(cone, path):
-    extra = np.vstack([cone.faces[:7], cone.faces[5:15, ::-1], np.roll(cone.faces[20:22], 1, 1)])
-    scan = read_scan(write_stl(with_faces(cone, np.vstack([cone.faces, extra])), path))
-    assert_same_surface(scan.mesh, cone)
-    assert noted(scan, f"removed {len(extra)} duplicate faces")
-
-
-def test_faces_on_fewer_than_three_vertices_are_removed(cone, path):
-    points = np.column_stack([cone.faces[:9, 0], cone.faces[:9, 0], cone.faces[:9, 1]])
-    scan = read_scan(write_stl(with_faces(cone, np.vstack([points, cone.faces])), path))
-    assert_same_surface(scan.mesh, cone)
-    assert noted(scan, "removed 9 faces without area")
 
 
 def test_a_sliver_on_a_line_stays_rather_than_open_a_crack(path):
@@ -333,99 +317,40 @@ def test_a_sliver_on_a_line_stays_rather_than_open_a_crack(path):
     assert scan.mesh.area == pytest.approx(solid.area, rel=1e-5)
 
 
-def test_faces_with_corners_that_are_not_finite_are_removed(cone, path):
-    vertices = cone.vertices.copy()
-    vertices[50] = [np.nan, 0.0, np.inf]
-    scan = read_scan(write_stl(trimesh.Trimesh(vertices, cone.faces, process=False), path))
-    gone = int((cone.faces == 50).any(axis=1).sum())
-    assert np.isfinite(scan.mesh.vertices).all()
-    assert noted(scan, f"removed {gone} faces with a corner that is not finite")
-
-
-@pytest.mark.parametrize("share", [0.3, 0.5])
-def test_the_winding_is_made_consistent_with_the_fewest_turns(path, share):
-    solid = shell(*CONE, EDGE, 0.005)
-    assert len(solid.faces) % 2 == 0
-    flip = np.zeros(len(solid.faces), bool)
-    flip[np.random.default_rng(3).permutation(len(flip))[: round(share * len(flip))]] = True
-    faces = np.where(flip[:, None], solid.faces[:, ::-1], solid.faces)
-    scan = read_scan(write_stl(with_faces(solid, faces), path))
-    assert scan.mesh.is_winding_consistent
-    assert abs(scan.mesh.volume) == pytest.approx(solid.volume, rel=1e-5)
-    assert noted(scan, f"reversed {flip.sum()} faces")
-
-
-def test_a_one_sided_surface_is_refused(path):
-    turn = np.linspace(0.0, 2.0 * np.pi, 41)[:-1]
-    across = np.array([-0.02, 0.02])
-    half = 0.5 * turn[:, None]
-    radius = 0.1 + across * np.cos(half)
-    points = np.stack(
-        [radius * np.cos(turn)[:, None], radius * np.sin(turn)[:, None], across * np.sin(half)], -1
-    ).reshape(-1, 3)
-    i = np.arange(40)
-    low, high, next_low, next_high = 2 * i, 2 * i + 1, 2 * i + 2, 2 * i + 3
-    next_low[-1], next_high[-1] = 1, 0
-    faces = np.vstack(
-        [np.column_stack([low, high, next_low]), np.column_stack([high, next_high, next_low])]
-    )
-    with pytest.raises(ScanError, match=r"one-sided.*mesh editor"):
-        read_scan(write_stl(trimesh.Trimesh(points, faces, process=False), path))
-
-
-def test_a_fin_on_the_wall_is_cut_off_and_the_wall_stays_whole(cone, path):
-    a, b = cone.faces[200][:2]
-    tip = 0.8 * cone.vertices[a]
-    fin = trimesh.Trimesh(
-        np.vstack([cone.vertices, tip]),
-        np.vstack([cone.faces, [[a, b, len(cone.vertices)]]]),
-        process=False,
-    )
-    scan = read_scan(write_stl(fin, path))
-    assert_same_surface(scan.mesh, cone)
-    assert noted(scan, "dropped 1 faces")
-
-
-def pressed_together(mesh: trimesh.Trimesh, places: list, corners: int) -> trimesh.Trimesh:
-    """One face's corners moved to another's, far away: the surface touches itself there."""
-    here, there = (
-        mesh.faces[np.argmin(np.linalg.norm(mesh.triangles_center - place, axis=1))]
-        for place in places
-    )
-    vertices = mesh.vertices.copy()
-    vertices[there[:corners]] = vertices[here[:corners]]
-    return trimesh.Trimesh(vertices, mesh.faces, process=False)
+def test_the_winding_is_made_consistent_with_the_fewest_turns(path):
+    solid, rng = shell(*CONE, EDGE, 0.005), np.random.default_rng(3)
+    for share in (0.3, 0.5):
+        flip = np.zeros(len(solid.faces), bool)
+        flip[rng.permutation(len(flip))[: round(share * len(flip))]] = True
+        faces = np.where(flip[:, None], solid.faces[:, ::-1], solid.faces)
+        scan = read_scan(write_stl(with_faces(solid, faces), path))
+        assert scan.mesh.is_winding_consistent
+        assert abs(scan.mesh.volume) == pytest.approx(solid.volume, rel=1e-5)
+        assert noted(scan, f"reversed {flip.sum()} faces")
 
 
 SIDES = [[0.05, 0.0, 0.1], [-0.05, 0.0, 0.1]]
 
 
-@pytest.mark.parametrize(("corners", "sides"), [(1, 0), (2, 4)])
-def test_where_the_surface_touches_itself_it_is_cut(path, corners, sides):
-    touching = pressed_together(shell(*CONE, EDGE, 0.005), SIDES, corners)
-    scan = read_scan(write_stl(touching, path))
-    assert len(scan.mesh.vertices) == len(touching.vertices)
-    assert scan.mesh.euler_number == touching.euler_number
-    assert np.unique(scan.mesh.edges_sorted, axis=0, return_counts=True)[1].max() == 2
-    assert noted(scan, f"more than two faces share, {sides} sides") == (sides > 0)
-
-
-def test_where_an_edge_of_the_surface_touches_its_middle_it_is_cut(path, cone):
-    """Three faces on one edge; the two that a cut must part lie on the surface's own edge."""
-    edge = cone.edges[trimesh.grouping.group_rows(cone.edges_sorted, require_count=1)][0]
-    onto = cone.faces[np.argmin(np.linalg.norm(cone.triangles_center - SIDES[0], axis=1))][:2]
-    vertices = cone.vertices.copy()
-    vertices[edge] = vertices[onto]
-    scan = read_scan(write_stl(trimesh.Trimesh(vertices, cone.faces, process=False), path))
-    assert np.unique(scan.mesh.edges_sorted, axis=0, return_counts=True)[1].max() == 2
-    assert noted(scan, "more than two faces share, 3 sides")
-    assert scan.mesh.area == pytest.approx(
-        trimesh.Trimesh(vertices, cone.faces, process=False).area, rel=1e-5
+def test_where_the_surface_touches_itself_it_is_cut(path):
+    solid = shell(*CONE, EDGE, 0.005)
+    here, there = (
+        solid.faces[np.argmin(np.linalg.norm(solid.triangles_center - place, axis=1))]
+        for place in SIDES
     )
+    for corners, sides in ((1, 0), (2, 4)):
+        vertices = solid.vertices.copy()
+        vertices[there[:corners]] = vertices[here[:corners]]
+        touching = trimesh.Trimesh(vertices, solid.faces, process=False)
+        scan = read_scan(write_stl(touching, path))
+        assert len(scan.mesh.vertices) == len(touching.vertices)
+        assert scan.mesh.euler_number == touching.euler_number
+        assert np.unique(scan.mesh.edges_sorted, axis=0, return_counts=True)[1].max() == 2
+        assert noted(scan, f"more than two faces share, {sides} sides") == (sides > 0)
 
 
-def test_small_holes_are_closed_and_a_large_one_through_both_walls_is_left(path):
-    solid = shell(*CONE, 0.004, 0.005)
+def test_small_holes_are_closed_by_fans_and_a_large_one_through_both_walls_is_left(path):
+    solid = shell(*CONE, 0.0025, 0.005)
     centres = solid.triangles_center
     small = np.argmin(np.linalg.norm(centres - [0.05, 0.0, 0.1], axis=1))
     large = np.linalg.norm(centres - [0.0, 0.06, 0.1], axis=1) < 0.015
@@ -434,21 +359,14 @@ def test_small_holes_are_closed_and_a_large_one_through_both_walls_is_left(path)
     scan = read_scan(write_stl(with_faces(solid, solid.faces[keep]), path))
     assert noted(scan, "small holes closed: 1, ")
     assert noted(scan, "edges of the surface left open: 2, ")
-    corrected = read_scan(write_stl(with_faces(solid, np.delete(solid.faces, small, 0)), path)).mesh
-    assert corrected.is_watertight
-    assert corrected.volume == pytest.approx(solid.volume, rel=1e-4)
+    vertex = np.argmin(np.linalg.norm(solid.vertices - [-0.05, 0.0, 0.1], axis=1))
+    for holed in (np.arange(len(solid.faces)) != small, (solid.faces != vertex).all(axis=1)):
+        scan = read_scan(write_stl(with_faces(solid, holed), path))
+        assert noted(scan, "small holes closed: 1, ")
+        assert scan.mesh.is_watertight and scan.mesh.is_winding_consistent
+        assert_same_surface(scan.mesh, solid)
 
 
 def test_a_clean_scan_has_no_notes_but_of_its_unit_and_brim(cone, path):
     assert len(read_scan(write_stl(cone, path)).notes) == 2
     assert len(read_scan(write_stl(shell(*CONE, EDGE, 0.005), path)).notes) == 1
-
-
-def test_a_hole_of_many_edges_is_closed_by_a_fan_that_fits(path):
-    solid = shell(*CONE, 0.0025, 0.005)
-    vertex = np.argmin(np.linalg.norm(solid.vertices - [0.05, 0.0, 0.1], axis=1))
-    scan = read_scan(write_stl(with_faces(solid, (solid.faces != vertex).all(axis=1)), path))
-    assert noted(scan, "small holes closed: 1, ")
-    assert scan.mesh.is_watertight
-    assert scan.mesh.is_winding_consistent
-    assert_same_surface(scan.mesh, solid)

@@ -1,5 +1,6 @@
-"""The interior of sockets: against surfaces that are known by their making, and on real scans."""
+"""The interior of sockets: known by their making, and real; and its openings."""
 
+import contextlib
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +20,7 @@ from support.meshes import (
     with_faces,
 )
 
+from socket_testbed.errors import ScanError
 from socket_testbed.socket_design.interior import find_interior
 from socket_testbed.socket_design.scan_file import read_scan
 
@@ -46,49 +48,44 @@ def rng():
     return np.random.default_rng(7)
 
 
+def inside_out(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
+    return trimesh.Trimesh(mesh.vertices, mesh.faces[:, ::-1], process=False)
+
+
+def check(scan: trimesh.Trimesh, inner: trimesh.Trimesh, up=UP, off: float = 1.0) -> None:
+    """The interior of a scan is its inner wall, and its opening is up [deg]."""
+    interior = find_interior(scan)
+    assert_same_faces(interior.mesh, inner)
+    assert angle_between(interior.proximal, up) < off
+
+
 @pytest.mark.parametrize("shape", SHAPES.values(), ids=SHAPES)
-def test_of_a_shell_the_inner_wall_is_kept_and_nothing_else(shape):
-    solid = shell(*CONE, EDGE, WALL, **shape)
+def test_of_a_shell_the_inner_wall_is_kept_and_one_surface_whole(shape):
+    cone, solid = open_cone(*CONE, EDGE, **shape), shell(*CONE, EDGE, WALL, **shape)
     assert solid.is_watertight
-    interior = find_interior(solid)
-    assert_same_faces(interior.mesh, open_cone(*CONE, EDGE, **shape))
-    assert angle_between(interior.proximal, UP) < 1.0
+    for scan in (solid, cone, inside_out(cone)):
+        check(scan, cone)
 
 
-@pytest.mark.parametrize("shape", SHAPES.values(), ids=SHAPES)
-@pytest.mark.parametrize("turned", [False, True])
-def test_one_surface_is_kept_whole_with_its_normals_into_the_cavity(shape, turned):
-    cone = open_cone(*CONE, EDGE, **shape)
-    interior = find_interior(inside_out(cone) if turned else cone)
-    assert_same_faces(interior.mesh, cone)
-    assert angle_between(interior.proximal, UP) < 1.0
+def test_the_area_is_that_of_the_formula_and_the_wall_faces_the_axis():
+    for shape in ({}, {"dome": True}, {"closed": False}, {"arc": np.pi}):
+        mesh = find_interior(shell(*CONE, 0.003, WALL, **shape)).mesh
+        assert mesh.area == pytest.approx(cavity_area(*CONE, **shape), rel=0.01)
+        to_axis = np.array([0.0, 0.0, 0.1]) - mesh.triangles_center
+        assert (np.einsum("ij,ij->i", mesh.face_normals, to_axis) > 0.0).all()
 
 
-@pytest.mark.parametrize("shape", [{}, {"dome": True}, {"closed": False}, {"arc": np.pi}])
-def test_the_area_is_that_of_the_formula_and_the_wall_faces_the_axis(shape):
-    mesh = find_interior(shell(*CONE, 0.003, WALL, **shape)).mesh
-    assert mesh.area == pytest.approx(cavity_area(*CONE, **shape), rel=0.01)
-    to_axis = np.array([0.0, 0.0, 0.1]) - mesh.triangles_center
-    assert (np.einsum("ij,ij->i", mesh.face_normals, to_axis) > 0.0).all()
-
-
-@pytest.mark.parametrize("thickness", [0.0015, 0.003, 0.015])
-def test_walls_of_any_thickness(thickness):
-    interior = find_interior(shell(*CONE, 0.004, thickness, dome=True))
-    assert_same_faces(interior.mesh, open_cone(*CONE, 0.004, dome=True))
-
-
-@pytest.mark.parametrize("shape", [{}, {"hole": 0.018}, {"arc": np.pi}])
-def test_a_long_solid_distal_end(shape):
-    """As of a socket printed with its adapter: the middle of the body is within the material."""
+def test_walls_of_any_thickness_and_a_long_solid_distal_end():
+    for thickness in (0.0015, 0.015):
+        check(shell(*CONE, 0.004, thickness, dome=True), open_cone(*CONE, 0.004, dome=True))
     cup = (0.05, 0.05, 0.15)
 
     def lengthened(points):
+        """As printed with its adapter: the middle of the body is within the material."""
         return points - np.outer(0.12 * (points[:, 2] < -1e-6), UP)
 
-    interior = find_interior(moved(shell(*cup, EDGE, WALL, **shape), lengthened))
-    assert_same_faces(interior.mesh, open_cone(*cup, EDGE, **shape))
-    assert angle_between(interior.proximal, UP) < 1.0
+    for shape in ({}, {"hole": 0.018}, {"arc": np.pi}):
+        check(moved(shell(*cup, EDGE, WALL, **shape), lengthened), open_cone(*cup, EDGE, **shape))
 
 
 def test_a_channel_that_a_scan_sees_into_is_no_wall():
@@ -124,46 +121,37 @@ def slanted(points):
     return points + np.outer(0.05 * along * np.cos(angle), UP)
 
 
-@pytest.mark.parametrize("change", [oval, bent, three_sided, pressed_in, slanted])
-@pytest.mark.parametrize("shape", [{"dome": True}, {"dome": True, "arc": 3.6}])
-def test_sockets_that_are_not_round(change, shape):
-    wave = lambda mesh: moved(wavy(mesh, 0.02), change)  # noqa: E731
-    interior = find_interior(wave(shell(*CONE, EDGE, WALL, **shape)))
-    assert_same_faces(interior.mesh, wave(open_cone(*CONE, EDGE, **shape)))
+def test_sockets_that_are_not_round_or_are_shallow():
+    for change in (oval, bent, three_sided, pressed_in, slanted):
+        wave = lambda mesh: moved(wavy(mesh, 0.02), change)  # noqa: B023, E731
+        for shape in ({"dome": True}, {"dome": True, "arc": 3.6}):
+            interior = find_interior(wave(shell(*CONE, EDGE, WALL, **shape)))
+            assert_same_faces(interior.mesh, wave(open_cone(*CONE, EDGE, **shape)))
+    for height in (0.01, 0.03, 0.06):
+        cone = (0.05, 0.06, height)
+        scan = moved(shell(*cone, EDGE, WALL, dome=True), oval)
+        check(scan, moved(open_cone(*cone, EDGE, dome=True), oval), off=2.0)
 
 
-@pytest.mark.parametrize("height", [0.01, 0.03, 0.06])
-def test_shallow_oval_sockets(height):
-    cone = (0.05, 0.06, height)
-    interior = find_interior(moved(shell(*cone, EDGE, WALL, dome=True), oval))
-    assert_same_faces(interior.mesh, moved(open_cone(*cone, EDGE, dome=True), oval))
-    assert angle_between(interior.proximal, UP) < 2.0
-
-
-@pytest.mark.parametrize("noise", [0.0002, 0.0005])
-def test_noise_makes_no_holes(rng, noise):
-    clean = shell(*CONE, 0.003, WALL, dome=True)
-    shift = rng.normal(0.0, noise, clean.vertices.shape)
-    inner = open_cone(*CONE, 0.003, dome=True)
+def test_noise_makes_no_holes(rng):
+    clean, inner = shell(*CONE, 0.003, WALL, dome=True), open_cone(*CONE, 0.003, dome=True)
+    shift = rng.normal(0.0, 0.0005, clean.vertices.shape)
     interior = find_interior(moved(clean, lambda points: points + shift))
     expected = moved(inner, lambda points: points + shift[: len(points)])
     assert_same_faces(interior.mesh, expected, 1e-3)
     assert len(interior.openings) == 1
 
 
-@pytest.mark.parametrize("make", [open_cone, lambda *a, **k: shell(*a, WALL, **k)])
-@pytest.mark.parametrize("shape", [{"dome": True}, {"arc": 4.0}])
-def test_neither_the_pose_nor_the_winding_nor_the_order_of_the_faces_matters(rng, make, shape):
-    mesh, cone = (kind(*CONE, EDGE, **shape) for kind in (make, open_cone))
-    turn, shift = Rotation.random(random_state=5), rng.normal(0.0, 1.0, 3)
-    order = rng.permutation(len(mesh.faces))
-    faces = mesh.faces[order]
-    flip = rng.random(len(faces)) < 0.4
-    faces = np.where(flip[:, None], faces[:, ::-1], faces)
-    scan = trimesh.Trimesh(turn.apply(mesh.vertices) + shift, faces, process=False)
-    interior = find_interior(scan)
-    assert_same_faces(interior.mesh, moved(cone, lambda points: turn.apply(points) + shift))
-    assert angle_between(interior.proximal, turn.apply(UP)) < 1.0
+def test_neither_the_pose_nor_the_winding_nor_the_order_of_the_faces_matters(rng):
+    for shape in ({"dome": True}, {"arc": 4.0}):
+        cone = open_cone(*CONE, EDGE, **shape)
+        for mesh in (cone, shell(*CONE, EDGE, WALL, **shape)):
+            turn, shift = Rotation.random(random_state=5), rng.normal(0.0, 1.0, 3)
+            faces = rng.permutation(mesh.faces)
+            faces = np.where(rng.random((len(faces), 1)) < 0.4, faces[:, ::-1], faces)
+            scan = trimesh.Trimesh(turn.apply(mesh.vertices) + shift, faces, process=False)
+            inner = moved(cone, lambda points: turn.apply(points) + shift)  # noqa: B023
+            check(scan, inner, turn.apply(UP))
 
 
 def test_a_scan_that_rolls_over_the_brim_ends_there():
@@ -192,10 +180,6 @@ def test_a_window_is_an_opening_and_its_rim_is_no_wall():
     assert len(interior.openings) == 2
 
 
-def inside_out(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
-    return trimesh.Trimesh(mesh.vertices, mesh.faces[:, ::-1], process=False)
-
-
 def thickened(surface: trimesh.Trimesh, thickness: float) -> trimesh.Trimesh:
     """The surface, its offset outwards, and the strips between their boundaries."""
     count = len(surface.vertices)
@@ -209,8 +193,9 @@ def thickened(surface: trimesh.Trimesh, thickness: float) -> trimesh.Trimesh:
     )
 
 
-@pytest.mark.parametrize("height", [0.06, 0.15])
-def test_a_ledge_that_shades_the_wall_makes_no_hole(height):
+def test_a_ledge_that_shades_the_wall_makes_no_hole():
+    height = 0.06
+
     def overhanging(points):
         ring = np.exp(-(((points[:, 2] - height) / 0.012) ** 2))
         inward = 1.0 - 0.3 * ring
@@ -234,6 +219,9 @@ def test_what_the_cavity_sees_besides_its_wall_is_left_out_and_noted():
     assert_same_faces(interior.mesh, cone)
     area = round(1e4 * liner.area)
     assert any(f"left out {area} cm2" in note for note in interior.notes)
+
+
+# --- real scans
 
 
 def test_the_inner_wall_of_a_real_shell(shared_data: Path):
@@ -287,3 +275,84 @@ def test_a_shell_around_a_real_limb_is_separated_from_the_limb(shared_data: Path
     limb = find_interior(read_scan(shared_data / "ampscan" / "stl_file.stl").mesh).mesh
     interior = find_interior(thickened(limb, 0.006))
     assert_same_faces(interior.mesh, limb, 2e-3)
+
+
+# --- openings
+
+
+def test_the_brim_comes_first_of_the_openings_and_lies_on_the_circle():
+    interior = find_interior(shell(*CONE, 0.003, WALL, hole=0.01))
+    brim, hole = (interior.mesh.vertices[loop] for loop in interior.openings)
+    for loop, radius, height in ((brim, 0.06, 0.2), (hole, 0.01, 0.0)):
+        np.testing.assert_allclose(np.hypot(loop[:, 0], loop[:, 1]), radius, atol=1e-9)
+        np.testing.assert_allclose(loop[:, 2], height, atol=1e-9)
+        around = np.linalg.norm(loop - np.roll(loop, 1, axis=0), axis=1)
+        assert around.sum() == pytest.approx(2.0 * np.pi * radius, rel=0.01)
+    edges = interior.mesh.edges
+    edges = edges[trimesh.grouping.group_rows(interior.mesh.edges_sorted, require_count=1)]
+    found = np.concatenate(interior.openings)
+    assert len(found) == len(np.unique(found)) == len(np.unique(edges))
+
+
+def test_the_more_open_end_is_proximal_and_equal_ends_need_a_direction():
+    down = shell(0.06, 0.05, 0.2, EDGE, WALL, closed=False)
+    assert angle_between(find_interior(down).proximal, -UP) < 1.0
+    bottle = shell(0.06, 0.04, 0.2, EDGE, WALL, hole=0.03)
+    assert angle_between(find_interior(bottle).proximal, UP) < 1.0
+    tube = shell(0.05, 0.05, 0.2, EDGE, WALL, closed=False)
+    with pytest.raises(ScanError, match=r"equally open.*--proximal"):
+        find_interior(tube)
+    for direction in (2.0 * UP, -UP):
+        interior = find_interior(tube, direction)
+        np.testing.assert_allclose(interior.proximal, direction / np.linalg.norm(direction))
+        assert_same_faces(interior.mesh, open_cone(0.05, 0.05, 0.2, EDGE, closed=False))
+        assert any("decides" in note for note in interior.notes)
+
+
+def test_a_given_direction_is_kept_and_what_contradicts_it_is_noted():
+    for direction, words in (
+        ([0, 0, -3], "closed end, 180 deg"),
+        ([1, 0, 1], "45 deg off"),
+        ([0.1, 0, 1], None),
+    ):
+        interior = find_interior(shell(*CONE, EDGE, WALL), np.array(direction))
+        np.testing.assert_allclose(interior.proximal, direction / np.linalg.norm(direction))
+        assert_same_faces(interior.mesh, open_cone(*CONE, EDGE))
+        notes = [note for note in interior.notes if "direction" in note]
+        assert (words in notes[0]) if words else not notes
+    for none in ([0, 0, 0], [0, np.nan, 1], [np.inf, 0, 0], [1, 2]):
+        with pytest.raises(ScanError, match="proximal direction"):
+            find_interior(open_cone(*CONE, EDGE), np.array(none, dtype=float))
+
+
+def test_what_has_no_cavity_or_no_opening_is_refused(rng):
+    ball = trimesh.creation.icosphere(subdivisions=4, radius=0.08)
+    hollow = trimesh.util.concatenate([ball, inside_out(trimesh.creation.icosphere(4, 0.07))])
+    for solid, words in (
+        (ball, "has no cavity"),
+        (inside_out(ball), "has no cavity"),
+        (trimesh.creation.cylinder(radius=0.05, height=0.2).subdivide().subdivide(), "no cavity"),
+        (trimesh.creation.box((0.1, 0.13, 0.02)).subdivide().subdivide(), "has no cavity"),
+        (hollow, "closed"),
+        (with_faces(ball, ball.triangles_center[:, 2] < 0.0795), "closed|equally open"),
+    ):
+        with pytest.raises(ScanError, match=words):
+            find_interior(solid)
+    with pytest.raises(ScanError, match=r"closed.*cut the scan open"):
+        find_interior(with_faces(ball, ball.triangles_center[:, 2] < 0.0795), UP)
+    for _ in range(10):  # nonsense is refused or survived
+        faces = rng.integers(0, 30, (60, 3))
+        plain = (faces != np.roll(faces, 1, axis=1)).all(axis=1)
+        soup = trimesh.Trimesh(rng.normal(0.0, 0.1, (30, 3)), faces[plain], process=False)
+        with contextlib.suppress(ScanError):
+            assert np.isfinite(find_interior(soup).mesh.vertices).all()
+
+
+def test_a_half_ball_has_no_axis_that_stands_out_and_a_socket_has():
+    ball = trimesh.creation.icosphere(subdivisions=4, radius=0.08)
+    bowl = with_faces(ball, ball.triangles_center[:, 2] < 0.0)
+    for scan, unclear in ((bowl, True), (open_cone(*CONE, EDGE), False)):
+        interior = find_interior(scan)
+        assert any("no axis" in note for note in interior.notes) == unclear
+        assert not any("no axis" in note for note in find_interior(scan, UP).notes)
+        assert interior.proximal @ UP > 0.0
