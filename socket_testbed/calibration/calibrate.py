@@ -48,7 +48,7 @@ _MOST_DROPPED = 0.05  # [-]; more than that are no outliers but another law
 class BenchCalibration:
     """A cluster's calibration with its quality."""
 
-    cluster: ClusterCalibration  # the calibration
+    cluster: ClusterCalibration
     bench: BenchData  # the data that it was fitted to
     sound: BoolArray  # rows of it that are no outliers; (N,)
     outliers: tuple[Outlier, ...]  # readings far from the rest

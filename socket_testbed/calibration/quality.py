@@ -168,7 +168,7 @@ class Groups:
 class CrossValidation:
     """The fits without each group."""
 
-    groups: Groups  # the groups
+    groups: Groups
     predicted: FloatArray  # stress of each row by the fit without its group; (N, 3) [Pa]
     normal: FloatArray  # coefficients `normal` of each fit; (G, 2) [Pa, Pa/pF]
     shear: FloatArray  # coefficients `shear` of each fit; (G, 2, 6) [Pa, Pa/pF, Pa/pF^2]

@@ -37,7 +37,7 @@ _Scanned = Annotated[float, Meta(ge=-1e5, le=1e5)]  # in the scan's unit
 class ClusterPlace:
     """Where a cluster is in the socket."""
 
-    name: str  # name of the cluster
+    name: str
     centre: FloatArray  # its centre in {S} [m], or in the scan's coordinates and unit; (3,)
     frame: FloatArray | None  # its own frame in {S}; (3, 3) [-]; None for that of its tile
     where: str  # what names it in an error
@@ -91,7 +91,7 @@ def _place(name: str, place: _Place, where: str) -> ClusterPlace:
 class LaidCluster:
     """A cluster on the interior."""
 
-    name: str  # name of the cluster
+    name: str
     asked: FloatArray  # where it was said to be in {S}; (3,) [m]
     surface: FloatArray  # the point of the interior nearest to that in {S}; (3,) [m]
     anchor: FloatArray  # centre of its tile in {S}; (3,) [m]

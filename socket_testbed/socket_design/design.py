@@ -30,13 +30,13 @@ _ANTERIOR = np.array([1.0, 0.0, 0.0])  # in {S}
 class SocketDesign:
     """A scan with the tiles laid out on it."""
 
-    name: str  # name of the scan
-    scan: Scan  # the scan
+    name: str
+    scan: Scan
     mesh: trimesh.Trimesh  # its interior in {S} [m]
     placement: Placement  # where {S} is in the scan
-    tiling: Tiling  # the tiles
+    tiling: Tiling
     geometry: SocketGeometry  # the socket that they make
-    settings: TilingSettings  # settings of the tiling
+    settings: TilingSettings
     notes: tuple[str, ...]  # what a person should look at
 
     def __repr__(self) -> str:

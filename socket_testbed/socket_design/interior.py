@@ -188,17 +188,11 @@ def _view_from(mesh: trimesh.Trimesh, samples: SurfaceSamples, spine: Spine) -> 
     first_back = _nearest(cell, depth, back)
     any_seen = np.isfinite(np.fmin(first_front, first_back))
     return Visibility(
-        facing=-_cosine(mesh, spine),
+        facing=facing[: len(mesh.faces)],  # the first samples are the faces' centres
         seen=samples.majority(front & (depth <= first_back[cell] + samples.spacing)),
         hidden=samples.majority(back & (first_front[cell] < depth)),
         front_share=float((first_front < first_back).sum() / max(any_seen.sum(), 1)),
     )
-
-
-def _cosine(mesh: trimesh.Trimesh, spine: Spine) -> FloatArray:
-    rays = mesh.triangles_center - spine.feet(mesh.triangles_center)
-    depth = np.fmax(np.linalg.norm(rays, axis=1), _NO_DEPTH)
-    return diagonal_dot(mesh.face_normals, rays) / depth
 
 
 def _nearest(cell: IntArray, depth: FloatArray, chosen: BoolArray) -> FloatArray:
@@ -340,9 +334,9 @@ _CLEARLY_OPEN = 0.1  # [-]; net opening, of a section of the cavity
 class Cavity:
     """A surface with its normals into the cavity, as its spine sees it."""
 
-    mesh: trimesh.Trimesh  # the surface
+    mesh: trimesh.Trimesh
     samples: SurfaceSamples  # points on all of its faces
-    spine: Spine  # the spine
+    spine: Spine
     visibility: Visibility  # what it sees
 
     @cached_property
@@ -379,10 +373,6 @@ class Cavity:
         spine = _spine_along(axis, self.wall, open_above)
         return Cavity(self.mesh, self.samples, spine, _view_from(self.mesh, self.samples, spine))
 
-    def refined(self) -> Cavity:
-        """The same cavity seen from the axis of its wall alone."""
-        return self.along(_fit_axis(self.wall).near(self.spine.axis.direction))
-
 
 def _find_cavity(name: str, mesh: trimesh.Trimesh) -> Cavity:
     """Find the cavity of a surface."""
@@ -390,7 +380,8 @@ def _find_cavity(name: str, mesh: trimesh.Trimesh) -> Cavity:
     likeliest = None
     for axis in _fit_axis(mesh).likely():
         cavity = _see(mesh, samples, axis)
-        cavity = cavity.refined() if cavity.has_wall else cavity
+        if cavity.has_wall:  # seen from the axis of its wall alone
+            cavity = cavity.along(_fit_axis(cavity.wall).near(cavity.spine.axis.direction))
         if cavity.has_wall and cavity.visibility.front_share > _SOLID:
             likeliest = likeliest or cavity
             # A shallow oval cup is nearly round about its long side, too; but both ends of that

@@ -54,7 +54,7 @@ _SMALLEST = 0.005  # [m]; landmarks closer to each other or to one line hold no 
 class LandmarkFit:
     """A frame registered by k landmarks."""
 
-    names: tuple[str, ...]  # names of the landmarks
+    names: tuple[str, ...]
     pose: Pose  # pose of the frame in which they are known, in the frame in which they are measured
     residual: FloatArray  # distances of the landmarks from where the fit puts them; (k,) [m]
     noise: float  # 1-sigma error of a coordinate of a landmark [m]

@@ -58,7 +58,7 @@ _BLOCKS = 10
 class StillMarkers:
     """Markers of a static take, averaged over the frames that show all of them."""
 
-    names: tuple[str, ...]  # names of the k markers
+    names: tuple[str, ...]
     mean: FloatArray  # mean positions; (k, 3) [m]
     spread: FloatArray  # Root-mean-square distances from the means; (k,) [m]
     drift: FloatArray  # distances between the means of the first and the last third; (k,) [m]
@@ -250,7 +250,7 @@ class RegisteredBody:
 class Registration:
     """A socket registered with a static take."""
 
-    take: MotiveTake  # the take
+    take: MotiveTake
     geometry: SocketGeometry  # the socket with its new marker bodies, `socket_body` and `limb`
     socket: RegisteredBody  # the socket's body and {S}
     pylon: RegisteredBody  # the pylon's body and the limb's frame

@@ -256,7 +256,7 @@ class TilingSettings:
 class Tiling:
     """Tiles on the interior of a socket and how well they cover it."""
 
-    squares: Squares  # the tiles
+    squares: Squares
     footprint_areas: FloatArray  # areas of the surface under the tiles; (n,) [m^2]
     flatness: FloatArray  # largest distances of the surface from the tiles' planes; (n,) [m]
     neighbours: IntArray  # pairs of neighbouring tiles; (e, 2)

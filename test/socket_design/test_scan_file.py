@@ -156,29 +156,14 @@ def test_the_bodies_of_an_obj_go_by_the_names_of_objects_or_else_of_groups(cone,
 
 
 def test_polygons_are_cut_into_triangles(tmp_path):
-    path, quads = tmp_path / "scan.obj", quad_tube()
-    vertices = "".join(f"v {x} {y} {z}\n" for x, y, z in quads.reshape(-1, 3))
-    faces = "".join("f {} {} {} {}\n".format(*range(4 * i + 1, 4 * i + 5)) for i in range(192))
-    path.write_text(vertices + faces)
+    path, ring = tmp_path / "scan.obj", ((50, 50), (-50, 50), (-50, -50), (50, -50))
+    vertices = "".join(f"v {x} {y} {z}\n" for z in (0, 200) for x, y in ring)
+    path.write_text(vertices + "f 1 2 6 5\nf 2 3 7 6\nf 3 4 8 7\nf 4 1 5 8\n")
     scan = read_scan(path)
-    assert len(scan.mesh.faces) == 2 * len(quads)
-    assert scan.mesh.area == pytest.approx(1e-6 * 24 * 2 * 50 * np.sin(np.pi / 24) * 200, rel=1e-6)
+    assert len(scan.mesh.faces) == 8 and scan.mesh.area == pytest.approx(4 * 0.1 * 0.2, rel=1e-6)
     path.write_text(vertices + "f -4 -3 -2 -1\n")  # trimesh counts these from the file's end
-    with pytest.raises(ScanError, match=r"line 769 is not a vertex or a face.*plain indices"):
+    with pytest.raises(ScanError, match=r"line 9 is not a vertex or a face.*plain indices"):
         read_scan(path)
-
-
-def quad_tube() -> np.ndarray:
-    """A tube of 24 x 8 quads, radius 50, length 200, shape (192, 4, 3) [mm]."""
-    angle = np.arange(25) * np.pi / 12
-    ring = 50.0 * np.column_stack([np.cos(angle), np.sin(angle)])
-    return np.array(
-        [
-            [[*ring[i], z], [*ring[i + 1], z], [*ring[i + 1], z + 25], [*ring[i], z + 25]]
-            for i in range(24)
-            for z in range(0, 200, 25)
-        ]
-    )
 
 
 def binary(count: int, faces: int = 0) -> bytes:
@@ -196,7 +181,6 @@ BAD = {
     "empty.stl": (b"", "is not a valid STL file"),
     "kind.step": (b"ISO-10303-21;", "'.step' is not a supported scan format"),
     "cut.stl": (binary(100, 60), "is not a valid STL file"),
-    "short.stl": (b"sol", "is not a valid STL file"),
     "words.stl": (b"Dear prosthetist,\nthe scan is attached.\n" * 9, "is not a valid STL file"),
     "flat.stl": (binary(40, 40), "no face has an area"),
     "text cut.stl": (b"solid a\n" + 3 * FACET, "is not a valid STL file"),
@@ -205,15 +189,11 @@ BAD = {
         "is not a valid STL file",
     ),
     "text none.stl": (b"solid a\nendsolid a\n", "has no faces"),
-    "header.ply": (PLY[:40], "fewer lines"),
     "cut.ply": (PLY + b"0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n", "fewer lines than elements"),
     "far.ply": (PLY + b"0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n3 0 1 7\n", "not a valid PLY"),
-    "bytes.ply": (b"ply\n" + bytes(range(256)), "is not a valid PLY file"),
     "words.obj": (b"Dear prosthetist,\n", "has no faces"),
     "far.obj": (b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 4\n", "not a valid OBJ"),
     "back.obj": (b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf -1 -2 -4\n", "line 4 is not a vertex"),
-    "zero.obj": (b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 0 1 2\n", "line 4 is not a vertex"),
-    "text.obj": (b"v 0 0 zero\n", "line 1 is not a vertex"),
     "short.obj": (b"v 0 0 0\nv 1 0 0\nf 1 2\n", "line 3 is not a vertex"),
     "line.obj": (b"v 0 0 0\nv 1 0 0\nv 2 0 0\nf 1 2 3\n", "no face has an area"),
     "nan.obj": (b"v nan 0 0\nv 1 0 0\nv 2 0 0\nf 1 2 3\n", "no face has finite corners"),
