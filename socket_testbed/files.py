@@ -41,7 +41,7 @@ def check_outputs(*paths: Path | None, replace: bool) -> None:
 
     Args:
         paths: The files; None for one that is not wanted.
-        replace: Whether files that exist are replaced.
+        replace: Whether outputs that exist are replaced.
     """
     for path in filter(None, paths):
         if path.is_dir():

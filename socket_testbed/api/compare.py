@@ -54,9 +54,9 @@ def compare(
 
     Args:
         items: Two to twelve trials, or their folders.
-        segment: The segment of every trial, or its specification.
-        threshold: Pressure above which a tile is in contact [kPa].
-        share: As in `st.pressure` [-].
+        segment: As `specification` in `st.select_segment`, of every trial.
+        threshold: As in `st.pressure`.
+        share: As in `st.pressure`.
         by_region: Whether trials, even of different sockets, are compared by region alone.
         params: A `testbed.yaml` to use instead of each trial's own.
         progress: See `Progress`.

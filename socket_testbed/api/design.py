@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import date
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -233,12 +233,14 @@ def calibrate(
         into: A calibration whose other clusters are kept.
         baseline: CSV files of readings without load before the bench run and, to correct its
             drift, after it.
-        columns: The header's name of a quantity, by the quantity.
-        units: The unit of a quantity instead of the header's, by the quantity.
+        columns: What the header calls a quantity (`time`, `cycle`, `normal`, `shear_x`, `shear_y`,
+            `c0` to `c3`), by the quantity.
+        units: The unit of a quantity instead of the header's, by the quantity: `Pa`, `kPa`, `MPa`,
+            `N`, `kN`; `pF`, `fF`, `nF`, `counts` of an FDC1004; `s`, `ms`.
         area: Area of stresses that are given as forces [m^2].
         geometry: A `socket.yaml` that gives the area of the cluster's tile instead.
-        wiring: Input of each channel (-x,+y), (+x,+y), (-x,-y), (+x,-y); None for the existing
-            cluster's, else 0, 1, 2, 3.
+        wiring: Input of each channel (-x,+y), (+x,+y), (-x,-y), (+x,-y) (default: the existing
+            cluster's, else 0, 1, 2, 3).
         drop_outliers: Whether outliers are left out of the fit.
 
     Raises:
@@ -303,7 +305,7 @@ def tile(
     scan: PathLike,
     output: PathLike | None = None,
     *,
-    unit: str | None = None,
+    unit: Literal["m", "cm", "mm", "in"] | None = None,
     body: str | None = None,
     proximal: str | None = None,
     anterior: str | None = None,
@@ -319,19 +321,19 @@ def tile(
 
     Args:
         scan: STL, PLY or OBJ file.
-        output: The `socket.yaml` to write, with a picture (.png) and a page (.html) beside it; None
-            to write nothing.
-        unit: Unit of the scan's lengths; None to infer it.
+        output: The `socket.yaml` that is written, if any, with a picture (.png) and a page (.html)
+            beside it.
+        unit: Unit of the scan's lengths (default: inferred).
         body: Name or number of the body, where there are several.
-        proximal: Direction of the opening in the scan, such as `+z` or `0 0.1 1`; None to find it.
+        proximal: Direction of the opening in the scan, such as `+z` or `0 0.1 1` (default: found).
         anterior: Direction of x of {S} in the scan.
         height: Height of the distal end above the load cell [m].
         landmarks: YAML file of points known in the scan and in {S}.
         points: Origin of {S}, a point on its +x, one towards its +y: picked in the scan, in its
-            unit, shape (3, 3).
-        clusters: YAML file with the places of the clusters in {S} or in the scan; None for the
-            usual ones.
-        bodies: A registered `socket.yaml` whose marker bodies are kept; None for nominal ones.
+            unit.
+        clusters: YAML file with the places of the clusters in {S} or in the scan (default: the
+            usual ones).
+        bodies: A registered `socket.yaml` whose marker bodies are kept (default: nominal ones).
         settings: Settings of the tiling.
         progress: See `Progress`.
 

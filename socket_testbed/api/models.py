@@ -295,7 +295,7 @@ def fit(
 
     Args:
         trial: The trial.
-        segment: The segment, or its specification, see `st.select_segment`.
+        segment: As `specification` in `st.select_segment`, or a `Segment`.
         params: A `testbed.yaml` to use instead of the trial's own.
         variant: The law: `stiffness` as published, by the limb's position; `rigid` by its pose;
             `stiffness_bias` and `rigid_bias` with offsets.
@@ -437,9 +437,9 @@ def evaluate(
     Args:
         trial: The trial, preferably another one than that of the fit.
         model: A fit, a model that `read_model` read, or the path of its file.
-        segment: The segment, or its specification.
-        pose_smoothing: Centred window over which the poses are averaged [s]; None for that of
-            the model's fit.
+        segment: As `specification` in `st.select_segment`, or a `Segment`.
+        pose_smoothing: Centred window over which the poses are averaged [s] (default: that of
+            the model's fit).
         pressure: Whether the pressure outputs of the segment are added, see `st.pressure`. They
             come from the force map, not from the model.
 
@@ -488,7 +488,7 @@ def export(
     Args:
         trial: The trial.
         path: The file; its suffix, `.csv`, `.parquet` or `.mat`, selects the format.
-        segment: The part of the trial.
+        segment: As `specification` in `st.select_segment`, or a `Segment`.
         model: A model whose predictions are added as `predicted.*`, and its engaged springs as
             `springs.*`, see `Evaluation.engagement`.
         force_map: Whether the force map is added as `map.*`, see `st.force_map`.

@@ -131,7 +131,7 @@ def force_map(
 
     Args:
         trial: The trial.
-        segment: The segment, or its specification, see `st.select_segment`.
+        segment: As `specification` in `st.select_segment`, or a `Segment`.
         params: A `testbed.yaml` to use instead of the trial's own; its group `force_map` is the
             prior.
 
@@ -353,7 +353,7 @@ def pressure(
 
     Args:
         trial: The trial.
-        segment: The segment, or its specification, see `st.select_segment`.
+        segment: As `specification` in `st.select_segment`, or a `Segment`.
         threshold: Pressure above which a tile is in contact [kPa].
         share: A value whose interval reaches farther than this share of it is not determined: it
             is NaN, and its interval stands beside it [-].

@@ -29,7 +29,12 @@ from socket_testbed.identification.pareto import (
     write_fronts,
 )
 from socket_testbed.identification.published import PUBLISHED_FRAMES, THEIRS, beside_published
-from socket_testbed.settings.identification import PAPER_VARIANTS, IdentificationSettings, Variant
+from socket_testbed.settings.identification import (
+    PAPER_VARIANTS,
+    IdentificationSettings,
+    Variant,
+    Weights,
+)
 from socket_testbed.settings.testbed import estimator_settings
 from socket_testbed.trials.segment import Segment
 from socket_testbed.trials.trial import Trial
@@ -104,7 +109,7 @@ def pareto(
 
     Args:
         trial: The trial.
-        segment: The segment, or its specification.
+        segment: As `specification` in `st.select_segment`, or a `Segment`.
         thetas: Number of values of theta from 0 to 1.
         params: As in `fit`.
         progress: See `Progress`.
@@ -172,22 +177,25 @@ def paper(
     segment: str | Segment = "plateau",
     *,
     thetas: int = 101,
+    weights: Weights = "raw",
+    frames: int = PUBLISHED_FRAMES,
     params: PathLike | None = None,
     progress: Progress | None = None,
     **choices: Any,
 ) -> PaperTable:
     """Run the paper's pipeline: both stages, without and with offsets, and the front over theta.
 
-    Unless they are given, the first 1000 samples of the segment and raw weights are taken; other
-    settings are those of `fit`, whose defaults are the paper's where known. See docs/paper.md.
+    Other settings are those of `fit`, whose defaults are the paper's where known: docs/paper.md.
 
     Args:
         trial: The trial.
-        segment: The segment, or its specification.
+        segment: As `specification` in `st.select_segment`, or a `Segment`.
         thetas: Number of values of theta from 0 to 1.
+        weights: As in `fit`.
+        frames: As in `fit`.
         params: As in `fit`.
         progress: See `Progress`.
-        choices: Settings as in `fit`, but for `variant`.
+        choices: Other settings as in `fit`, but for `variant`.
 
     Returns:
         The figures; their table has a row each, see `beside_published`.
@@ -199,8 +207,7 @@ def paper(
     >>> found.to_dataframe().loc["RMSE of Mx [N m]", "the paper"].tolist()
     [3.99, 0.95]
     """
-    given = {name: value for name, value in choices.items() if value is not None}
-    chosen = {"weights": "raw", "frames": PUBLISHED_FRAMES, **given}
+    chosen = {"weights": weights, "frames": frames, **choices}
     check_thetas(thetas)
     fits = {v: fit(trial, segment, params=params, variant=v, **chosen) for v in PAPER_VARIANTS}
     fronts = pareto(
@@ -236,7 +243,7 @@ def write_report(
     Args:
         trial: The trial.
         page: The page, ending in `.html`.
-        segment: The specification of the segment.
+        segment: As `specification` in `st.select_segment`.
         model: A model that is shown as well.
         thetas: Number of values of theta from 0 to 1.
         params: As in `fit`.

@@ -180,7 +180,7 @@ def select_segment(samples: Samples, specification: str = "plateau") -> Segment:
         specification: `plateau`, the longest; `hold`, the longest while the load is placed; `auto`,
             the hold or, without one, the part under load; `all`; `T0:T1` in seconds since the first
             sample; or `event:A:B` between events, such as `event:placed+5:removed-2`, with labels
-            of `trial.events()`, `push#2` for the second push, or seconds at either end.
+            of the trial's events, `push#2` for the second push, or seconds at either end.
 
     Raises:
         ConfigurationError: If the specification cannot be read.
@@ -249,9 +249,9 @@ def simulate(
         duration: Duration [s].
         rate: Rate of the trigger [Hz].
         seed: Seed of the random numbers.
-        geometry: A `socket.yaml`; None for the package's own.
-        calibration: A `calibration.yaml`; None for the package's own, `config/like_paper.yaml` with
-            `like_paper`.
+        geometry: A `socket.yaml` (default: the package's own).
+        calibration: A `calibration.yaml` (default: the package's own, `config/like_paper.yaml` with
+            `like_paper`).
         progress: See `Progress`.
 
     Raises:

@@ -56,7 +56,8 @@ def view(
         model: A fit, a model that `read_model` read, or the path of its file, to show the wrench
             that it predicts.
         port: Port of the page; 0 for one that is free.
-        host: Address of this machine that serves the page; only this machine sees the default.
+        host: Address of this machine that serves the page, `0.0.0.0` for all of them; only this
+            machine sees the page at `127.0.0.1`.
         names: Further names of this machine by which browsers may call the page.
 
     Returns:

@@ -1,1 +1,1 @@
-"""The verbs of the command line, one a file: `configure` adds its arguments."""
+"""The verbs of the command line: each is a function, whose signature gives its options."""

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Sequence
 from math import isfinite
 from pathlib import Path
+from typing import Any
 
 from socket_testbed import api
 from socket_testbed.api import CalibratedCluster
@@ -14,125 +14,69 @@ from socket_testbed.calibration.bench_data import STRESSES, UNITS
 from socket_testbed.calibration.calibrate import BenchCalibration
 from socket_testbed.calibration.drift import DRIFT_LIMIT, Drift
 from socket_testbed.calibration.model import SHEAR_TERMS
-from socket_testbed.commands.options import (
-    add_figure,
-    add_replace,
-    check_figure,
-    figure_choices,
-    print_note,
-)
+from socket_testbed.commands.options import draw, given, print_note
+from socket_testbed.commands.signatures import takes
 from socket_testbed.commands.text import number, table
 from socket_testbed.documents import check_number
 from socket_testbed.errors import ConfigurationError, closest
-from socket_testbed.files import check_outputs
+from socket_testbed.files import check_outputs, check_picture
 
 _SHOWN = 10  # outliers
 _AREAS = (1e-6, 0.05)  # [m^2]
 _UNITS = ("Pa", *["Pa/pF"] * 2, *["Pa/pF^2"] * 3)
 
 
-def configure(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of the verb."""
-    parser.add_argument(
-        "bench", type=Path, nargs="+", metavar="BENCH.csv", help="bench data of one cluster"
-    )
-    parser.add_argument("-o", "--output", type=Path, required=True, metavar="CALIBRATION.yaml")
-    parser.add_argument("--cluster", required=True, metavar="NAME", help="name of the cluster")
-    parser.add_argument(
-        "--into",
-        type=Path,
-        metavar="EXISTING.yaml",
-        help="calibration whose other clusters are kept (default: the output, if it exists)",
-    )
-    _add_reading(parser)
-    parser.add_argument(
-        "--baseline",
-        type=Path,
-        nargs="+",
-        default=[],
-        metavar="FILE.csv",
-        help="unloaded readings before the bench run, and, to take its drift off, after it",
-    )
-    parser.add_argument(
-        "--limit",
-        type=float,
-        default=10.0,
-        metavar="PERCENT",
-        help="largest held-out RMSE in percent of the full scale (default: 10)",
-    )
-    parser.add_argument("--force", action="store_true", help="write above the limit, too")
-    parser.add_argument(
-        "--drop-outliers", action="store_true", help="leave the outliers out of the fit"
-    )
-    add_figure(parser, "FILE", "draw the fit")
-    add_replace(parser, "a figure that exists")
-    parser.set_defaults(run=run)
+@takes("calibrate", "commands.options.draw", "files.check_outputs", exclusive="area geometry")
+def calibrate(
+    bench: list[Path],
+    *,
+    output: Path,
+    cluster: str,
+    into: Path | None = None,
+    columns: Sequence[str] = (),
+    units: Sequence[str] = (),
+    wiring: tuple[int, int, int, int] | None = None,
+    baseline: Sequence[Path] = (),
+    limit: float = 10.0,
+    force: bool = False,
+    figure: Path | None = None,
+    replace: bool = False,
+    **options: Any,
+) -> None:
+    """Fit a cluster's coefficients to bench data and show their quality.
 
-
-def _add_reading(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--columns",
-        action="extend",
-        nargs="+",
-        default=[],
-        metavar="QUANTITY=HEADER",
-        help=f"what the header calls a quantity: {', '.join(UNITS)}",
-    )
-    parser.add_argument(
-        "--units",
-        action="extend",
-        nargs="+",
-        default=[],
-        metavar="QUANTITY=UNIT",
-        help="units instead of the header's: Pa, kPa, MPa, N, kN; pF, fF, nF, counts of an FDC1004;"
-        " s, ms",
-    )
-    area = parser.add_mutually_exclusive_group()
-    area.add_argument("--area", type=float, metavar="M2", help="area of stresses in N [m^2]")
-    area.add_argument(
-        "--geometry", type=Path, metavar="SOCKET.yaml", help="take the area of the cluster's tile"
-    )
-    parser.add_argument(
-        "--wiring",
-        type=int,
-        nargs=4,
-        metavar=("C", "C", "C", "C"),
-        help="input of each channel (-x,+y) (+x,+y) (-x,-y) (+x,-y) (default: the existing"
-        " cluster's, else 0 1 2 3)",
-    )
-
-
-def run(options: argparse.Namespace) -> None:
-    """Fit, report and write."""
-    check_number(options.limit, "--limit", 0.0, 100.0)
-    if options.area is not None:
-        check_number(options.area, "--area", *_AREAS)
-    check_figure(options)
-    check_outputs(options.figure, replace=options.replace)
-    into = options.into or (options.output if options.output.exists() else None)
+    Args:
+        output: The calibration; an older one keeps its other clusters.
+        limit: Largest held-out RMSE in percent of the full scale.
+        force: Write above the limit, too.
+        figure: Draw the fit.
+    """
+    check_number(limit, "--limit", 0.0, 100.0)
+    if options["area"] is not None:
+        check_number(options["area"], "--area", *_AREAS)
+    if figure is not None:
+        check_picture(figure)
+    check_outputs(figure, replace=replace)
     found = api.calibrate(
-        options.bench,
-        options.cluster,
-        into=into,
-        baseline=options.baseline,
-        columns=_assignments(options.columns, "--columns"),
-        units=_assignments(options.units, "--units"),
-        area=options.area,
-        geometry=options.geometry,
-        wiring=options.wiring,
-        drop_outliers=options.drop_outliers,
+        bench,
+        cluster,
+        **given(options, api.calibrate),
+        into=into or (output if output.exists() else None),
+        baseline=baseline,
+        columns=_assignments(columns, "--columns"),
+        units=_assignments(units, "--units"),
+        wiring=wiring,
     )
     for note in found.notes():
         print_note(note)
     print(_report(found))
-    if options.figure is not None:
-        found.draw(options.figure, **figure_choices(options))
-    found.save(options.output, options.limit, options.force)
+    draw(found, figure, **options)
+    found.save(output, limit, force)
     old = found.existing.clusters if found.existing else {}
     others = [name for name in old if name != found.name]
     kept = f"; kept: {', '.join(others)}" if others else ""
     verb = "replaced" if found.name in old else "added"
-    print(f"\n{found.name} {verb} in {options.output}{kept}")
+    print(f"\n{found.name} {verb} in {output}{kept}")
 
 
 def _assignments(words: Sequence[str], option: str) -> dict[str, str]:

@@ -2,12 +2,8 @@
 
 from __future__ import annotations
 
-import argparse
-import dataclasses
-import shlex
-import sys
-from functools import cache
 from pathlib import Path
+from typing import Any
 
 import pandas as pd
 
@@ -15,87 +11,47 @@ from socket_testbed import api
 from socket_testbed.api import Comparison
 from socket_testbed.api.compare import PAGES
 from socket_testbed.api.comparison import LEGEND
-from socket_testbed.batch import find_trials
-from socket_testbed.commands.options import (
-    add_judgement,
-    add_replace,
-    add_segment,
-    add_trial,
-    add_unloaded,
-    print_note,
-    trial_of,
-)
+from socket_testbed.commands.options import given, open_all, typed_command
+from socket_testbed.commands.signatures import takes
 from socket_testbed.commands.text import Progress, table
 from socket_testbed.files import check_outputs
 from socket_testbed.tables import check_format
-from socket_testbed.trials.trial import Trial
 
 _BY_REGION = ("mean pressure", "peak pressure", "share of load")
 
 
-def configure(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of the verb."""
-    add_trial(parser, "two or more; a folder of trials stands for all of them", "+")
-    add_segment(parser)
-    add_unloaded(parser)
-    add_judgement(parser)
-    parser.add_argument(
-        "--by-region",
-        action="store_true",
-        help="compare by region alone, even trials of different sockets",
-    )
-    parser.add_argument(
-        "--params", type=Path, metavar="TESTBED.yaml", help="instead of each trial's testbed.yaml"
-    )
-    parser.add_argument("--json", action="store_true", help="print JSON on standard output")
-    parser.add_argument(
-        "-o",
-        "--output",
-        type=Path,
-        metavar="OUT.html|.csv|.parquet",
-        help="a page, or a table of every value and difference",
-    )
-    add_replace(parser)
-    parser.set_defaults(run=run)
+@takes("compare", "commands.options.open_given", "files.check_outputs")
+def compare(
+    trial: list[Path],
+    *,
+    output: Path | None = None,
+    json: bool = False,
+    replace: bool = False,
+    **options: Any,
+) -> None:
+    """Lay trials side by side, with their differences.
 
-
-def run(options: argparse.Namespace) -> None:
-    """Compare, write and print."""
-    is_page = options.output is not None and options.output.suffix.lower() in PAGES
-    if options.output is not None and not is_page:
-        check_format(options.output)
-    check_outputs(options.output, replace=options.replace)
-    found = api.compare(
-        *_trials(options),
-        segment=options.segment,
-        threshold=options.threshold,
-        share=options.share,
-        by_region=options.by_region,
-        params=options.params,
-        progress=Progress,
-    )
-    if is_page:
-        command = shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]])
-        api.write_comparison(found, options.output, command)
-    elif options.output is not None:
-        found.save(options.output)
-    if options.json:
+    Args:
+        trial: Two or more trials; a folder of trials stands for all of them.
+        output: A page (.html), or a table (.csv, .parquet) of every value and difference.
+        json: Print JSON on standard output.
+    """
+    page = output if output and output.suffix.lower() in PAGES else None
+    if output is not None and page is None:
+        check_format(output)
+    check_outputs(output, replace=replace)
+    trials = open_all(trial, options)
+    found = api.compare(*trials, **given(options, api.compare), progress=Progress)
+    if page is not None:
+        api.write_comparison(found, page, typed_command())
+    elif output is not None:
+        found.save(output)
+    if json:
         print(found.to_json())
         return
     _show(found)
-    if options.output is not None:
-        print(f"written: {options.output}")
-
-
-def _trials(options: argparse.Namespace) -> list[Trial]:
-    notify = cache(print_note)  # a note that several trials have is printed once
-    paths = [
-        trial
-        for path in options.trial
-        for trial in [*find_trials(path, print_note).values()] or [path]
-    ]
-    trials = [trial_of(argparse.Namespace(**{**vars(options), "trial": path})) for path in paths]
-    return [dataclasses.replace(trial, notify=notify) for trial in trials]
+    if output is not None:
+        print(f"written: {output}")
 
 
 def _show(found: Comparison) -> None:
@@ -117,9 +73,6 @@ def _show(found: Comparison) -> None:
 
 
 def _print(title: str, cells: pd.DataFrame) -> None:
-    header = [*(name or "" for name in cells.index.names), *map(str, cells.columns)]
-    rows = [
-        [*(key if isinstance(key, tuple) else (key,)), *row]
-        for key, row in zip(cells.index, cells.itertuples(index=False), strict=True)
-    ]
-    print(f"\n{title}\n\n{table(header, rows)}")
+    header = [*(name or "" for name in cells.index.names), *cells.columns]
+    rows = cells.reset_index().astype(str).to_numpy().tolist()
+    print(f"\n{title}\n\n{table(list(map(str, header)), rows)}")

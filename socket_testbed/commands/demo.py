@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import shlex
 import shutil
 import sys
@@ -54,36 +53,31 @@ _LEAST_JUDGED = 60  # triggers
 _IN_HAND = 10  # triggers; whose measurements may be on their way
 
 
-def configure(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of the verb."""
-    parser.add_argument(
-        "-o", "--output", type=Path, default=Path("demo"), metavar="DIR", help="default: demo"
-    )
-    parser.add_argument("--seed", type=int, default=0, help="seed of the simulated testbed")
-    parser.set_defaults(run=run)
+def demo(*, output: Path = Path("demo"), seed: int = 0) -> None:
+    """Run the simulated testbed live, replay its trial, and show the errors.
 
-
-def run(options: argparse.Namespace) -> None:
-    """Run the simulated testbed, replay its trial, draw the map of the socket, judge it."""
+    Args:
+        output: Folder of the trial and of the figure.
+        seed: Seed of the simulated testbed.
+    """
     started = time.monotonic()
-    folder: Path = options.output
-    _make_room(folder)
+    _make_room(output)
     print(
         f"1. the testbed live for {_DURATION:g} s: simulated chips, their real drivers, the graph,"
         "\n   a recorder. The limb is pushed from all sides, bears 19 kg, and is unloaded"
         f" ({_TRIGGER_RATE:g} Hz)"
     )
-    trial = Trial(folder / "trial")
-    samples, scale = _record(trial, options.seed, folder / "live.log")
+    trial = Trial(output / "trial")
+    samples, scale = _record(trial, seed, output / "live.log")
 
     speed = _SPEED * min(scale, measure_speed().time_scale())
     print(f"2. the trial replayed through calibration and estimator at {speed:g} times speed")
-    live = _estimate(trial, samples, speed, folder / "replay.log")
+    live = _estimate(trial, samples, speed, output / "replay.log")
 
     print("3. every estimate on what it has not seen, against the simulated truth\n")
     truth = read_truth(trial.path, samples.stamps)
     print(_judged(api.validate(trial), samples, trial.geometry, truth, live))
-    figure = folder / "force_map.png"
+    figure = output / "force_map.png"
     save_figure(_draw(trial, samples, truth, live), figure)
     print(f"\ntrial {trial.path}, figure {figure} ({time.monotonic() - started:.0f} s)")
     print(f"look at the trial: {_program()} view {shlex.quote(str(trial.path))}")

@@ -2,31 +2,26 @@
 
 from __future__ import annotations
 
-import argparse
 import sys
 import time
 
 
-def configure(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of the verb."""
-    parser.add_argument("label", metavar="LABEL", help="what happens, such as push")
-    parser.add_argument(
-        "--namespace", default="/", metavar="NAME", help="namespace of the testbed (default: /)"
-    )
-    parser.set_defaults(run=run)
+def mark(label: str, *, namespace: str = "/") -> None:
+    """Mark an event in the running graph, for the trial that is being recorded.
 
-
-def run(options: argparse.Namespace) -> None:
-    """Publish, and wait until it is acknowledged."""
+    Args:
+        label: What happens, such as push.
+        namespace: Namespace of the testbed.
+    """
     called = time.monotonic()  # before the imports: they take their time
     from socket_testbed.live.processes import require_ros
     from socket_testbed.trials.events import check_label
 
-    label = check_label(options.label)
+    check_label(label)
     require_ros()
     from socket_testbed.nodes.controls import publish_event
 
-    marked = publish_event(label, called, f"/{options.namespace.strip('/')}")
+    marked = publish_event(label, called, f"/{namespace.strip('/')}")
     where = f"in the trial {marked.trial}" if marked.trial else "for this graph"
     heard = "1 subscriber" if marked.subscribers == 1 else f"{marked.subscribers} subscribers"
     print(f"marked '{label}' {where}, acknowledged by {heard}")

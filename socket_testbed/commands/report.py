@@ -2,31 +2,23 @@
 
 from __future__ import annotations
 
-import argparse
-import shlex
-import sys
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from socket_testbed import api
 from socket_testbed.api.tradeoff import check_thetas
 from socket_testbed.batch import Row
+from socket_testbed.commands.models import error_columns
 from socket_testbed.commands.options import (
-    CHOICES,
     TrialVerb,
-    add_figure_style,
-    add_identification,
-    add_pose_smoothing,
-    add_replace,
-    add_segment,
-    add_stage_one,
-    add_thetas,
-    add_trials,
-    add_unloaded,
-    choices,
-    figure_choices,
+    given,
+    on_trials,
+    segment_columns,
+    typed_command,
 )
-from socket_testbed.commands.text import Progress, error_columns, segment_columns, skill_columns
+from socket_testbed.commands.signatures import takes
+from socket_testbed.commands.text import Progress
 from socket_testbed.trials.metadata import FIELDS
 from socket_testbed.trials.trial import Trial
 
@@ -34,69 +26,43 @@ if TYPE_CHECKING:  # it imports matplotlib, which takes its time
     from socket_testbed.report.results import Results
 
 
-def configure(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of the verb."""
-    add_trials(parser)
-    add_segment(parser)
-    add_unloaded(parser)
-    add_identification(parser, variant=False)  # the paper's and the default
-    add_pose_smoothing(parser)
-    add_stage_one(parser)
-    add_thetas(parser)
-    parser.add_argument(
-        "--model", type=Path, metavar="MODEL", help="a model that 'fit' wrote, shown as well"
-    )
-    parser.add_argument(
-        "-o",
-        "--output",
-        type=Path,
-        required=True,
-        metavar="REPORT.html",
-        help="the page, or the folder of the pages of a folder of trials",
-    )
-    add_replace(parser)
-    add_figure_style(parser, "the figures as files")
-    parser.set_defaults(run=run)
+@takes(
+    "commands.options.on_trials",
+    "commands.options.open_given",
+    "commands.options.draw",
+    "write_report",
+    "fit",
+    without="figure page command variant",  # the paper's variants and the default
+)
+def report(trial: Path, *, output: Path, thetas: int = 101, **options: Any) -> None:
+    """Write a page with a trial's results: figures, errors, data quality.
+
+    Args:
+        output: The page, or the folder of the pages of a folder of trials.
+    """
+    check_thetas(thetas)
+    options["command"] = typed_command()
+    verb = TrialVerb("report", ".html", _report, _row, _show, FIELDS)
+    on_trials(verb, trial, output=output, thetas=thetas, **options)
 
 
-def run(options: argparse.Namespace) -> None:
-    """Report on a trial, or on every trial of a folder."""
-    check_thetas(options.thetas)
-    # The command as it was typed, but for where the program lies.
-    options.command = shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]])
-    settings = (
-        "segment",
-        "unloaded",
-        *(n for n in CHOICES if n != "variant"),
-        "thetas",
-        "width",
-        "title",
-    )
-    TrialVerb("report", ".html", settings, _report, _row, _show, FIELDS).run(options)
+def _report(trial: Trial, options: Mapping[str, Any]) -> Results:
+    alone = options["alone"]
+    chosen = given(options, api.write_report, api.fit) | {
+        "replace": options["replace"] or not alone,
+        "progress": Progress if alone else None,
+    }
+    return api.write_report(trial, options["output"], **chosen)
 
 
-def _report(options: argparse.Namespace, trial: Trial) -> Results:
-    return api.write_report(
-        trial,
-        options.output,
-        options.segment,
-        model=options.model,
-        thetas=options.thetas,
-        command=options.command,
-        replace=options.replace or not options.alone,
-        progress=Progress if options.alone else None,
-        **figure_choices(options),
-        **choices(options),
-    )
-
-
-def _show(options: argparse.Namespace, results: Results) -> None:
+def _show(results: Results, options: Mapping[str, Any]) -> None:
     from socket_testbed.report.sections.summary import summarise
     from socket_testbed.report.write import files_folder
 
+    page = options["output"]
     for line in summarise(results):
         print(f"- {line}")
-    print(f"\nreport in {options.output}, its figures and data in {files_folder(options.output)}")
+    print(f"\nreport in {page}, its figures and data in {files_folder(page)}")
 
 
 def _row(results: Results) -> Row:
@@ -105,8 +71,7 @@ def _row(results: Results) -> Row:
         **segment_columns(results.segment),
     }
     for label, candidate in results.fitted.items():
-        skills = skill_columns(candidate.errors, "_in_sample")
-        skills |= skill_columns(candidate.held_out, "_held_out")
-        columns = error_columns(candidate.errors, skills)
+        judged = {"_in_sample": candidate.errors, "_held_out": candidate.held_out}
+        columns = error_columns(candidate.errors, judged)
         row |= {f"{label} {name}": value for name, value in columns.items()}
     return row

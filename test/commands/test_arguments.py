@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from socket_testbed.__main__ import run
-from socket_testbed.commands.arguments import release_paths
+from socket_testbed.commands.arguments import Parser, add_options, release_paths
 
 
 @pytest.mark.parametrize(
@@ -59,14 +59,16 @@ def test_channels_that_are_left_out_leave_the_trial(words, hold, tmp_path, capsy
 def test_what_names_a_path_is_none_of_a_list_s_values(tmp_path: Path, monkeypatch) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "hold").mkdir()
-    words = ["validate", "--leave-out", "Mz", "hold", "other/walk", "--json"]
-    assert release_paths(words) == ["validate", "hold", "other/walk", "--leave-out", "Mz", "--json"]
-    for kept in (
-        ["fit", "hold", "--leave-out", "Mz", "distal.Fq", "-o", "m"],  # a channel, if a wrong one
-        ["calibrate", "--columns", "normal=N/mm2", "c0=C/0"],
-        ["calibrate", "--baseline", "hold", "hold"],
+    released = ["hold", "other/walk", "--leave-out", "Mz", "--json"]
+    for verb, words, expected in (
+        ("validate.validate", ["--leave-out", "Mz", "hold", "other/walk", "--json"], released),
+        ("models.fit", ["hold", "--leave-out", "Mz", "distal.Fq", "-o", "m"], None),
+        ("calibrate.calibrate", ["--columns", "normal=N/mm2", "c0=C/0"], None),
+        ("calibrate.calibrate", ["--baseline", "hold", "hold"], None),
     ):
-        assert release_paths(kept) == kept
+        parser = Parser()
+        add_options(parser, f"commands.{verb}")
+        assert release_paths(words, parser) == (expected or words)
 
 
 @pytest.mark.parametrize(

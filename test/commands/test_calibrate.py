@@ -1,12 +1,12 @@
 """The verb `calibrate`, from bench files to a calibration that the testbed reads."""
 
-import argparse
 import dataclasses
 import shutil
 
 import numpy as np
 import pytest
 import yaml
+from support import verbs
 from support.benches import (
     ERRORS,
     FULL_SCALE,
@@ -20,7 +20,6 @@ from support.benches import (
 
 from socket_testbed.__main__ import run
 from socket_testbed.calibration.model import Calibration, read_calibration, write_calibration
-from socket_testbed.commands import calibrate
 from socket_testbed.errors import TestbedError
 from socket_testbed.files import packaged
 from socket_testbed.samples import Status
@@ -34,26 +33,21 @@ def call(capsys, tmp_path):
     """Call the verb on cluster `distal`; gives what it printed."""
 
     def called(*words) -> str:
-        parser = argparse.ArgumentParser(allow_abbrev=False)
-        calibrate.configure(parser)
-        options = ["-o", tmp_path / "calibration.yaml", "--cluster", "distal"]
-        capsys.readouterr()
-        chosen = parser.parse_args([str(word) for word in [*words, *options]])
-        chosen.run(chosen)
-        return capsys.readouterr().out
+        options = ("-o", tmp_path / "calibration.yaml", "--cluster", "distal")
+        code, out, err = verbs.call(capsys, "calibrate", *words, *options)
+        assert code == 0, err
+        return out
 
     return called
 
 
 @pytest.fixture
-def refused(call, tmp_path):
+def refused(capsys, tmp_path):
     """Call the verb, which refuses; gives the one line."""
 
-    def called(*words) -> str:
-        with pytest.raises(TestbedError) as caught:
-            call(*words)
-        assert "\n" not in str(caught.value)
-        return str(caught.value)
+    def called(*words, named=()) -> str:
+        options = ("-o", tmp_path / "calibration.yaml", "--cluster", "distal")
+        return verbs.refused(capsys, "calibrate", *words, *options, named=named)
 
     return called
 

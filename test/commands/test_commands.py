@@ -1,12 +1,10 @@
 """The command line as a user calls it, with right and with wrong input."""
 
-import argparse
 import json
 import os
 import shutil
 import subprocess
 import sys
-from importlib import import_module
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +16,7 @@ from support.verbs import call, refused
 
 import socket_testbed as st
 from socket_testbed.__main__ import VERBS, run
+from socket_testbed.commands.signatures import options_of
 from socket_testbed.simulation.trial import read_truth
 
 
@@ -40,7 +39,7 @@ def test_every_verb_explains_itself(capsys) -> None:
         with pytest.raises(SystemExit) as ended:
             run([verb, "--help"])
         assert ended.value.code == 0
-        assert VERBS[verb].split()[0] in capsys.readouterr().out
+        assert "show this help" in capsys.readouterr().out
 
 
 def test_info_says_what_a_trial_holds(hold: Path, capsys) -> None:
@@ -288,7 +287,6 @@ def test_bad_input_gets_one_line_that_names_it(
         (["run", "--simulated", "--time-scale", "2"], ["--time-scale is 2"]),
         (["run", "--simulated", "--time-scale", "slow"], ["'slow' is not a number"]),
         (["run", "--simulated", "--side", "left"], ["--side is for a trial that is recorded"]),
-        (["run", "--simulated", "--record", "new", "--side", "lft"], ["did you mean 'left'"]),
         (["run", "--time-scale", "0.5"], ["add --simulated"]),
         (["run", "--simulated", "--view-port", "8081"], ["is for a page: add --view"]),
         (
@@ -367,10 +365,9 @@ def test_a_model_replaces_an_older_one_where_that_is_asked_for(hold, tmp_path, c
 
 
 def test_every_verb_that_names_an_output_file_can_replace_it() -> None:
-    for verb in VERBS:
-        parser = argparse.ArgumentParser()
-        import_module(f"socket_testbed.commands.{verb}").configure(parser)
-        known = {action.dest for action in parser._actions}
+    for verb, module in VERBS.items():
+        found = options_of(f"commands.{module}.{verb}").values()
+        known = {option.name for options in found for option in options}
         if known & {"output", "figure"} and verb not in {"simulate", "demo"}:
             assert "replace" in known, verb
 

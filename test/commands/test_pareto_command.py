@@ -1,6 +1,5 @@
 """The verb `pareto`, with right and with wrong input."""
 
-import argparse
 import csv
 import dataclasses
 import json
@@ -9,17 +8,13 @@ import pytest
 
 from socket_testbed.__main__ import run as run_verb
 from socket_testbed.api import tradeoff
-from socket_testbed.commands import pareto as verb
 from socket_testbed.identification.pareto import KNEE, SENSOR_ONLY, WRENCH_ONLY
 from socket_testbed.settings.identification import PAPER_VARIANTS
 
 
 def call(*words):
     """The verb as the command line calls it."""
-    parser = argparse.ArgumentParser()
-    verb.configure(parser)
-    options = parser.parse_args([str(word) for word in words])
-    options.run(options)
+    assert run_verb(["pareto", *(str(word) for word in words)]) == 0
 
 
 def test_the_verb_prints_and_writes_both_fronts(hold, tmp_path, capsys):

@@ -1,6 +1,5 @@
 """`register`: its landmark file, what it refuses, what it prints and writes."""
 
-import argparse
 import copy
 import textwrap
 
@@ -20,7 +19,9 @@ from support.motive_takes import (
 )
 from support.problems import random_pose
 
-from socket_testbed.commands import register as verb
+from socket_testbed.__main__ import run
+from socket_testbed.commands.arguments import Parser, add_options
+from socket_testbed.commands.design import register
 from socket_testbed.errors import ConfigurationError, RegistrationError
 from socket_testbed.geometry.pose import Pose
 from socket_testbed.geometry.socket import read_socket, write_socket
@@ -142,11 +143,10 @@ def test_a_trial_cannot_register(hold):
 
 
 def call(*words: object) -> None:
-    """Run the verb as the command line does."""
-    parser = argparse.ArgumentParser()
-    verb.configure(parser)
-    options = parser.parse_args([str(word) for word in words])
-    options.run(options)
+    """Run the verb as the command line does, but for its errors."""
+    parser = Parser()
+    add_options(parser, "commands.design.register")
+    register(**vars(parser.parse_args([str(word) for word in words])))
 
 
 @pytest.fixture
@@ -160,10 +160,10 @@ def files(rng, tmp_path) -> tuple[Bench, list[object]]:
     return bench, [take, "--landmarks", landmarks, "--socket", tmp_path / "socket.yaml"]
 
 
-def test_the_help_shows_the_landmark_file():
-    parser = argparse.ArgumentParser()
-    verb.configure(parser)
-    assert "Socket:Marker1, Socket:Marker2" in parser.format_help()
+def test_the_help_shows_the_landmark_file(capsys):
+    with pytest.raises(SystemExit):
+        run(["register", "--help"])
+    assert LANDMARK_FILE_HELP in capsys.readouterr().out
 
 
 def test_the_verb_writes_the_registered_socket(files, tmp_path, capsys):

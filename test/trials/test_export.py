@@ -1,6 +1,5 @@
 """Exported samples, read back by the programs they are for."""
 
-import argparse
 import json
 from pathlib import Path
 
@@ -13,8 +12,8 @@ from support.bags import rewrite
 
 import socket_testbed as st
 from socket_testbed.calibration.model import channel_features
-from socket_testbed.commands import export
-from socket_testbed.commands.export import configure
+from socket_testbed.commands.arguments import Parser, add_options
+from socket_testbed.commands.trials import export
 from socket_testbed.errors import ConfigurationError, TestbedError
 from socket_testbed.identification.evaluation import evaluate
 from socket_testbed.identification.model_file import read_model
@@ -27,10 +26,9 @@ SHIFT = 123_456_789  # [ns]; no stamp is a round number that a float could hold
 
 
 def call(*words: object) -> None:
-    parser = argparse.ArgumentParser()
-    configure(parser)
-    options = parser.parse_args([str(word) for word in words])
-    export.run(options)
+    parser = Parser()
+    add_options(parser, "commands.trials.export")
+    export(**vars(parser.parse_args([str(word) for word in words])))
 
 
 @pytest.fixture(scope="module")

@@ -1,0 +1,402 @@
+"""`run`, `doctor`, `record` and `replay`: the graph, on hardware, simulated or from a trial."""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from collections.abc import Iterable, Mapping
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+from socket_testbed import clocks
+from socket_testbed.calibration.model import read_calibration
+from socket_testbed.commands.options import check_metadata, given, open_given, print_note
+from socket_testbed.commands.signatures import takes
+from socket_testbed.commands.status_line import StatusLine
+from socket_testbed.commands.text import say, table
+from socket_testbed.documents import check_number
+from socket_testbed.errors import ConfigurationError, DeviceError, closest
+from socket_testbed.files import check_new_folder, make_folder, packaged
+from socket_testbed.geometry.socket import read_socket
+from socket_testbed.identification.fit import check_names
+from socket_testbed.live.bringup import (
+    Testbed,
+    end,
+    predict_with,
+    replay_nodes,
+    simulate_hardware,
+    start,
+    summary,
+    testbed_settings,
+)
+from socket_testbed.live.doctor import examine
+from socket_testbed.live.machine import busy_note, measure_speed, pace
+from socket_testbed.live.processes import Graph, GraphNode
+from socket_testbed.live.simulated_world import Simulation
+from socket_testbed.settings.identification import IdentificationSettings
+from socket_testbed.settings.testbed import (
+    RecorderSettings,
+    ReplaySettings,
+    check_take_name,
+    estimator_settings,
+    read_testbed,
+)
+from socket_testbed.simulation.limb import Scenario, TissueKind
+from socket_testbed.simulation.world import FAULTS
+from socket_testbed.trials.metadata import METADATA_FILE, write_metadata
+from socket_testbed.trials.reprocess import RECORDED
+from socket_testbed.trials.topics import full_namespace
+from socket_testbed.trials.trial import Trial, recorded_namespace
+
+
+def simulated(
+    *,
+    simulated: bool = False,
+    scenario: Scenario = "static_hold",
+    period: float = 120.0,
+    tissue: TissueKind = "soft",
+    seed: int = 0,
+    fault: Iterable[str] = (),
+    **others: Any,
+) -> tuple[Simulation | None, dict[str, float]]:
+    """For simulated hardware.
+
+    Args:
+        simulated: Simulate the hardware at its buses.
+        scenario: As in `simulate`.
+        period: Period of the scenario [s].
+        tissue: As in `simulate`.
+        seed: As in `simulate`.
+        fault: Switch a fault on, such as load_cell.flipped_bits=0.01; see docs/faults.md.
+        others: Options that are not the simulation's.
+
+    Returns:
+        What is simulated, None on hardware, and the faults that are on.
+    """
+    faults = dict(map(_fault, fault))
+    if not simulated:
+        if faults:
+            raise ConfigurationError("--fault is for simulated hardware", "add --simulated")
+        return None, {}
+    check_number(period, "--period", 5.0, 3600.0)
+    check_number(seed, "--seed", 0)
+    return Simulation(scenario, period, seed, tissue=tissue), faults
+
+
+def _fault(text: str) -> tuple[str, float]:
+    name, _, value = text.partition("=")
+    if name not in FAULTS:
+        raise ConfigurationError(f"--fault {text}: unknown fault '{name}'", closest(name, FAULTS))
+    try:
+        return name, check_number(float(value), f"--fault {name}", -1e6, 1e6)
+    except ValueError:
+        raise ConfigurationError(
+            f"--fault {text}: '{value}' is not a number", f"{name} takes {FAULTS[name]}"
+        ) from None
+
+
+def configured(
+    simulation: Simulation | None,
+    *,
+    geometry: Path | None = None,
+    calibration: Path | None = None,
+    params: Path | None = None,
+    **others: Any,
+) -> Testbed:
+    """The testbed that is meant; whatever is wrong with it is named before any node starts.
+
+    Args:
+        simulation: What is simulated.
+        geometry: As in `simulate`.
+        calibration: As in `simulate`.
+        params: A `testbed.yaml` with the parameters of the nodes.
+        others: Options that are not the testbed's.
+    """
+    geometry = (geometry or packaged("config", "socket.yaml")).resolve()
+    if simulation is None and not read_socket(geometry).registration:
+        print_note(
+            f"{geometry}: the marker bodies are nominal: register them before the limb's position"
+            " is trusted"
+        )
+    return Testbed(
+        settings=testbed_settings(params, simulation),
+        geometry=geometry,
+        calibration=(calibration or packaged("config", "calibration.yaml")).resolve(),
+        simulation=simulation,
+    )
+
+
+@takes("commands.live.configured", "commands.live.simulated")
+def doctor(**options: Any) -> None:
+    """List what is wired, what is not, and how to fix it."""
+    simulation, faults = simulated(**options)
+    testbed = configured(simulation, **options)
+    with ExitStack() as stack:
+        if simulation is not None:
+            # The drivers run in this process: the simulation keeps to its clock.
+            simulation = dataclasses.replace(simulation, time_scale=clocks.time_scale())
+            graph = stack.enter_context(Graph())
+            testbed, world = simulate_hardware(graph, testbed, simulation)
+            for name, value in faults.items():
+                world.faults.switch(name, value)
+        findings = examine(testbed)
+    rows = [[f.what, "failed" if f.hint else "ok", f.found, f.hint] for f in findings]
+    print(table(["what", "", "found", "hint"], rows))
+    failing = sum(bool(finding.hint) for finding in findings)
+    if failing:
+        raise DeviceError(f"{failing} of {len(findings)} checks failed", "see the table's hints")
+
+
+@takes(
+    "commands.live.configured",
+    "fit",
+    "annotate",
+    "commands.live.simulated",
+    without="segment pose_smoothing frames initial_stiffness remove",
+)
+def run(
+    *,
+    record: Path | None = None,
+    model: Path | None = None,
+    rate: float | None = None,
+    duration: float | None = None,
+    one_process: bool = False,
+    view: bool = False,
+    view_host: str | None = None,
+    view_port: int | None = None,
+    time_scale: str = "1",
+    **options: Any,
+) -> None:
+    """Bring up the testbed, on hardware or simulated, and record it.
+
+    Args:
+        record: Record a trial into this folder.
+        model: Predict with this model and fit none.
+        rate: Rate of the trigger [Hz].
+        duration: End by itself after this time of the testbed, start included [s].
+        one_process: Run all nodes but trigger and recorder in one process.
+        view: Serve the page in a browser, see 'socket-testbed view'.
+        view_host: Serve the page on this address of the machine.
+        view_port: Serve the page on this port.
+        time_scale: Run the simulated testbed so many times as fast as real time, 1 at most; auto:
+            as fast as the machine manages.
+    """
+    if duration is not None:
+        check_number(duration, "--duration", 0.1, 1e6)
+    if record is not None:
+        _check_writable(record)
+    simulation, faults = simulated(**options)
+    if simulation is not None:
+        simulation = dataclasses.replace(simulation, time_scale=_time_scale(time_scale))
+    elif time_scale != "1":
+        raise ConfigurationError("--time-scale is for simulated hardware", "add --simulated")
+    testbed = _testbed(simulation, record, model, rate, options)
+    testbed = dataclasses.replace(testbed, one_process=one_process)
+    page = _page(testbed, view, {"host": view_host, "port": view_port})
+    with (
+        StatusLine(record.parent if record else None) as status,
+        Graph(status.output, status.renew) as graph,
+    ):
+        world = start(graph, testbed)
+        if page is not None:
+            graph.start_nodes([page])
+        for name, value in faults.items():
+            assert world is not None
+            world.faults.switch(name, value)
+        status.say("the testbed starts; Ctrl-C ends it")
+        ends = time.monotonic() + (duration or float("inf")) / testbed.time_scale
+        try:
+            status.follow(testbed.namespace)
+            graph.watch(lambda: time.monotonic() >= ends, status.say)
+        except KeyboardInterrupt:
+            status.say("ending")
+        end(graph, testbed)
+    if record is not None:
+        print(summary(record))
+
+
+def _check_writable(path: Path) -> None:
+    """Refuse a folder that cannot be made, before anything is started."""
+    check_new_folder(path)
+    check_take_name(path.resolve().name)
+    make_folder(path.parent)
+    try:
+        path.mkdir()
+        path.rmdir()
+    except OSError as error:
+        raise ConfigurationError(
+            f"{path}: cannot be written ({error.strerror})", "name another folder with --record"
+        ) from None
+
+
+def _time_scale(text: str) -> float:
+    """The time scale that is given or, for 'auto', measured; it says so unless it is 1."""
+    if text == "auto":
+        scale = measure_speed().time_scale()
+        if note := busy_note(scale):
+            say(note)
+        return scale
+    try:
+        scale = check_number(float(text), "--time-scale", 0.01, 1.0)
+    except ValueError:
+        raise ConfigurationError(
+            f"--time-scale: '{text}' is not a number", "give a number up to 1, or auto"
+        ) from None
+    if scale != 1.0:
+        say(f"the simulated testbed runs at {pace(scale)}")
+    return scale
+
+
+def _testbed(
+    simulation: Simulation | None,
+    record: Path | None,
+    model: Path | None,
+    rate: float | None,
+    options: Mapping[str, Any],
+) -> Testbed:
+    """The testbed of the options."""
+    testbed = configured(simulation, **options)
+    trigger = testbed.settings.trigger_node
+    if rate is not None:
+        trigger = dataclasses.replace(trigger, rate=rate)
+    chosen = given(options, IdentificationSettings)
+    estimator = estimator_settings(testbed.settings.estimator_node, **chosen)
+    check_names(estimator.identification, testbed.settings.cluster_node.names)
+    if model is not None:
+        estimator = predict_with(model, estimator, read_socket(testbed.geometry))
+    metadata = check_metadata(options)
+    if record is None and (stated := metadata.stated()):
+        raise ConfigurationError(
+            f"--{next(iter(stated))} is for a trial that is recorded", "add --record DIR"
+        )
+    settings = dataclasses.replace(testbed.settings, trigger_node=trigger, estimator_node=estimator)
+    return dataclasses.replace(testbed, settings=settings, record=record, metadata=metadata)
+
+
+def _page(testbed: Testbed, view: bool, wanted: Mapping[str, Any]) -> GraphNode | None:
+    """The node that serves the page, without which the testbed goes on; None if none is wanted."""
+    changes = {name: value for name, value in wanted.items() if value is not None}
+    if not view:
+        if changes:
+            raise ConfigurationError(f"--view-{next(iter(changes))} is for a page", "add --view")
+        return None
+    from socket_testbed.commands.view import check_page
+
+    geometry = str(testbed.geometry)
+    settings = dataclasses.replace(testbed.settings.view_node, geometry=geometry, **changes)
+    check_page(settings)
+    return GraphNode("view_node", settings, full_namespace(testbed.namespace), optional=True)
+
+
+@takes("annotate", without="remove")
+def record(
+    directory: Path,
+    *,
+    geometry: Path | None = None,
+    calibration: Path | None = None,
+    params: Path | None = None,
+    **metadata: Any,
+) -> None:
+    """Record the graph as a trial.
+
+    Args:
+        directory: Folder of the new trial.
+        geometry: The `socket.yaml` to store in the trial.
+        calibration: The `calibration.yaml` to store in the trial.
+        params: The `testbed.yaml` to store in the trial.
+        metadata: Metadata of the trial.
+    """
+    check_new_folder(directory)
+    # What a trial is recorded with must be readable when it is worked on.
+    if geometry is not None:
+        read_socket(geometry)
+    if calibration is not None:
+        read_calibration(calibration)
+    if params is not None:
+        read_testbed(params)
+    stated = check_metadata(metadata)
+    settings = RecorderSettings(
+        directory=str(directory.resolve()),
+        record=True,
+        geometry=_resolved(geometry),
+        calibration=_resolved(calibration),
+        parameters=_resolved(params),
+    )
+    disk = directory.resolve().parent
+    with StatusLine(disk) as status, Graph(status.output, status.renew) as graph:
+        if stated.stated():
+            file = graph.folder / METADATA_FILE
+            write_metadata(stated, file)
+            settings = dataclasses.replace(settings, metadata=str(file))
+        graph.start("recorder_node", settings)
+        status.say(f"recording {directory}; Ctrl-C ends it")
+        try:
+            status.follow()
+            graph.wait("recorder_node")
+        except KeyboardInterrupt:
+            graph.stop()
+    print(directory)
+
+
+def _resolved(path: Path | None) -> str:
+    return str(path.resolve()) if path else ""
+
+
+@takes(
+    "commands.options.open_given",
+    "fit",
+    without="unloaded segment pose_smoothing frames initial_stiffness",
+)
+def replay(
+    trial: Path,
+    *,
+    rate: float = 1.0,
+    loop: bool = False,
+    paused: bool = False,
+    estimate: bool = False,
+    model: Path | None = None,
+    **options: Any,
+) -> None:
+    """Publish a trial with /clock; --estimate runs the estimator on it.
+
+    Args:
+        rate: Speed against the recording.
+        loop: Start again at the end.
+        paused: Start paused: the space bar goes on.
+        estimate: Run the calibration and estimator nodes too.
+        model: Predict with this model and fit none.
+    """
+    check_number(rate, "--rate", 1e-3, 1e4)
+    opened = open_given(trial, **options)
+    replayed = ReplaySettings(trial=str(trial.resolve()), rate=rate, loop=loop, paused=paused)
+    if estimate:
+        nodes = _estimating(opened, replayed, model, options)
+    else:
+        for name, value in {"model": model, **options}.items():
+            if value not in (None, RECORDED):
+                option = name.replace("_", "-")
+                raise ConfigurationError(f"--{option} is for the estimator", "add --estimate")
+        nodes = [GraphNode("replay_node", replayed)]
+    namespace = recorded_namespace(opened)
+    with opened.open() as bag:  # a trial that cannot be read is named before any node starts
+        length = bag.duration
+    pause = f"{nodes[-1].namespace.rstrip('/')}/replay/pause"
+    with (
+        StatusLine(duration=length, pause=pause, paused=paused) as status,
+        Graph(status.output, status.renew) as graph,
+    ):
+        graph.start_nodes(nodes)
+        status.follow(namespace)
+        graph.wait("replay_node")
+
+
+def _estimating(
+    trial: Trial, replayed: ReplaySettings, model: Path | None, options: Mapping[str, Any]
+) -> list[GraphNode]:
+    """The nodes of a replay with the estimator, the replay node last."""
+    chosen = given(options, IdentificationSettings)
+    settings = estimator_settings(trial.estimator, options["params"], **chosen)
+    if model is not None:
+        settings = predict_with(model, settings, trial.geometry)
+    return replay_nodes(trial, replayed, settings)

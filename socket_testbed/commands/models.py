@@ -1,0 +1,209 @@
+"""`fit` and `evaluate`: a contact model from a trial, and its errors on another."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from socket_testbed import api
+from socket_testbed.api import Evaluation, TrialFit
+from socket_testbed.batch import Row, find_trials
+from socket_testbed.commands.options import TrialVerb, given, on_trials, segment_columns
+from socket_testbed.commands.pressure import pressure_columns, pressure_tables
+from socket_testbed.commands.signatures import takes
+from socket_testbed.commands.text import number, table
+from socket_testbed.errors import ConfigurationError, IdentificationError
+from socket_testbed.identification.evaluation import ChannelErrors, summarise_errors
+from socket_testbed.identification.information import LEAST_RATIO, share_warning
+from socket_testbed.identification.model_file import finite_or_null, quoted_figures
+from socket_testbed.settings.identification import PAPER_VARIANTS
+from socket_testbed.trials.trial import Trial
+
+
+@takes("commands.options.on_trials", "commands.options.open_given", "fit")
+def fit(trial: Path, *, output: Path, **options: Any) -> None:
+    """Identify the contact model on a trial, or on every trial of a folder.
+
+    Args:
+        output: File of the model, or the folder of the models of a folder of trials.
+    """
+    on_trials(TrialVerb("fit", ".json", _fit, _fit_row, _show_fit), trial, output=output, **options)
+
+
+def _fit(trial: Trial, options: Mapping[str, Any]) -> TrialFit:
+    found = api.fit(trial, **given(options, api.fit))
+    found.save(options["output"])
+    return found
+
+
+def _show_fit(found: TrialFit, options: Mapping[str, Any]) -> None:
+    fit, model, settings = found.fit, found.fit.model, found.fit.settings
+    size = model.stiffness.size
+    count = f"{fit.samples} of {len(found.trial.samples())} samples"
+    print(f"{found.trial.name}: {found.segment}, {count}")
+    print(
+        f"variant {model.variant}, theta {settings.theta:g}, weights by {settings.weights}; the"
+        f" data determine {fit.determined:.0f} of {size} stiffness directions, the smoothness the"
+        " others"
+    )
+    if model.variant in PAPER_VARIANTS:
+        print(f"stiffness k0 of Stage 1: {settings.initial_stiffness:.4g} N/m")
+    print(f"{fit.status}\n\n{errors_table(fit.errors)}\n")
+    shares, motion = found.load_shares(), found.motion()
+    borne = [f"{share.name} {number(100 * share.springs, 0)} %" for share in shares]
+    print(f"share of the measured load that the springs bear: {', '.join(borne)}")
+    if warning := share_warning(shares):
+        print(f"warning: {warning}")
+    print(
+        f"despite all noise, {number(found.known_directions(), 1)} of {size} stiffness directions"
+        f" are known to {settings.stiffness_difference:g} N/m or better"
+    )
+    print(
+        f"the pose moves by {LEAST_RATIO:g} times its noise or more in {motion.directions} of 6"
+        " independent directions"
+    )
+    for excitation in motion.excitations:
+        print(f"  {excitation}")
+    print(f"\nmodel in {options['output']}")
+
+
+def _fit_row(found: TrialFit) -> Row:
+    fit = found.fit
+    solutions = (fit.stage_one, fit.stage_two, fit.joint)
+    certificates = [solution.certificate for solution in solutions if solution is not None]
+    unseen: tuple[ChannelErrors, ...] = ()
+    try:
+        unseen = found.unseen_half()
+    except IdentificationError as error:
+        if found.trial.notify is not None:
+            found.trial.notify(f"no skill on an unseen half: {error}")
+    return {
+        "samples": fit.samples,
+        **segment_columns(found.segment),
+        "variant": fit.model.variant,
+        "theta [-]": fit.settings.theta,
+        "force_on_springs [-]": finite_or_null(found.load_shares()[1].springs),
+        "kkt_residual [-]": max(c.stationarity for c in certificates),
+        "duality_gap [-]": max(c.gap for c in certificates),
+        **error_columns(fit.errors, {"_in_sample": fit.errors, "_unseen_half": unseen}),
+    }
+
+
+@takes("commands.options.on_trials", "commands.options.open_given", "evaluate")
+def evaluate(
+    trial: Path,
+    *,
+    model: Path,
+    output: Path | None = None,
+    json: bool = False,
+    **options: Any,
+) -> None:
+    """Compute a model's errors on a trial, or on every trial of a folder.
+
+    Args:
+        model: A model that 'fit' wrote; for a folder of trials even the folder of their models.
+        output: JSON file of the errors; for a folder of trials the folder of such files.
+        json: Print JSON on standard output.
+    """
+    trials = find_trials(trial)
+    if trials and (output is None or json):
+        raise ConfigurationError(
+            f"{trial} holds {len(trials)} trials", "give -o FOLDER instead of --json"
+        )
+    if trials and not model.is_dir():
+        api.read_model(model)  # a wrong one is reported once
+    metadata = ("side",) if options["pressure"] else ()  # the regions depend on the side
+    verb = TrialVerb(
+        "evaluate", ".errors.json", _evaluate, _evaluation_row, _show_evaluation, metadata
+    )
+    on_trials(verb, trial, output=output, model=model, json=json, **options)
+
+
+def _evaluate(trial: Trial, options: Mapping[str, Any]) -> Evaluation:
+    found = api.evaluate(trial, **given(options, api.evaluate))
+    if options["output"] is not None:
+        found.save(options["output"])
+    return found
+
+
+def _show_evaluation(found: Evaluation, options: Mapping[str, Any]) -> None:
+    if options["json"]:
+        print(found.to_json())
+        return
+    print(f"{found.trial.name}: {found.segment}, {found.samples} samples")
+    print(f"model {found.model.model.variant} of {found.model.trial}\n")
+    print(errors_table(found.errors))
+    if found.in_sample:
+        print(
+            "\nin-sample where the model was fitted: on another trial its errors may be far larger"
+        )
+    if found.pressure is not None:
+        print(f"\nfrom the force map, not from the model:\n\n{pressure_tables(found.pressure)}")
+
+
+def _evaluation_row(found: Evaluation) -> Row:
+    return {
+        "samples": found.samples,
+        **segment_columns(found.segment),
+        "model": found.model.trial,
+        "variant": found.model.model.variant,
+        "theta [-]": found.model.settings.theta,
+        "in_sample": "yes" if found.in_sample else "no",
+        **error_columns(found.errors, {"": found.errors}),
+        **(pressure_columns(found.pressure) if found.pressure is not None else {}),
+    }
+
+
+def errors_table(errors: Sequence[ChannelErrors]) -> str:
+    """RMSE, MAE, sigma and skill per channel, with their means and the median."""
+    rows = [
+        [
+            error.name,
+            error.unit,
+            *map(number, (error.rmse, error.mae, error.sigma)),
+            number(error.skill, 2),
+            "" if error.in_objective else "not in objective",
+        ]
+        for error in errors
+    ]
+    summary = summarise_errors(errors)
+    lines = [
+        table(["channel", "unit", "RMSE", "MAE", "sigma", "skill", ""], rows),
+        "",
+        f"mean moment RMSE {number(summary.moment_rmse)} N m, mean force RMSE"
+        f" {number(summary.force_rmse)} N, median local RMSE {number(summary.local_rmse)} N,"
+        " of the channels in the objective",
+        f"median skill of the wrench {number(summary.wrench_skill, 2)}, of the local forces"
+        f" {number(summary.local_skill, 2)}",
+    ]
+    if any(error.skill < 0.0 for error in errors):
+        lines.append("negative skill: the channel's mean would have been a better prediction")
+    if summary.without_value:
+        lines.append(f"without a value, in none of these: {', '.join(summary.without_value)}")
+    return "\n".join(lines)
+
+
+def error_columns(
+    errors: Sequence[ChannelErrors], judged: Mapping[str, Sequence[ChannelErrors]]
+) -> Row:
+    """Columns of errors for a summary: what the paper quotes, skills, then every channel.
+
+    Args:
+        errors: Errors of all channels.
+        judged: Errors whose median skills are added, none where they are unknown, by the end of
+            the columns' names, such as `_in_sample`.
+    """
+    row: Row = {**quoted_figures(errors)}
+    for suffix, those in judged.items():
+        summary = summarise_errors(those)
+        row[f"median_wrench_skill{suffix} [-]"] = summary.wrench_skill
+        row[f"median_local_skill{suffix} [-]"] = summary.local_skill
+    for error in errors:
+        row |= {
+            f"{error.name}_rmse [{error.unit}]": error.rmse,
+            f"{error.name}_mae [{error.unit}]": error.mae,
+            f"{error.name}_sigma [{error.unit}]": error.sigma,
+            f"{error.name}_skill [-]": error.skill,
+        }
+    return {name: finite_or_null(value) for name, value in row.items()}

@@ -1,0 +1,157 @@
+"""`simulate`, `info`, `annotate` and `export`: trials written, described and read."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from socket_testbed import api
+from socket_testbed.commands.options import check_metadata, given, open_given, print_note
+from socket_testbed.commands.signatures import takes
+from socket_testbed.commands.text import Progress, number, table
+from socket_testbed.files import check_outputs
+from socket_testbed.identification.noise import channel_noise, noise_groups
+from socket_testbed.samples import Samples, Status
+from socket_testbed.simulation.trial import TRUTH_FILE, read_truth
+from socket_testbed.trials.metadata import TrialMetadata
+from socket_testbed.trials.segment import find_plateaus
+from socket_testbed.trials.trial import CONFIGURATION_FILES, Trial
+
+_NAMED = 8  # times of the events of a label that are printed
+
+
+@takes("simulate")
+def simulate(*, output: Path, **options: Any) -> None:
+    """Write a simulated trial with its ground truth.
+
+    Args:
+        output: As `path` in `simulate`.
+    """
+    trial = api.simulate(output, **options, progress=Progress)
+    geometry = trial.geometry
+    print(
+        f"{output}: {options['scenario']}, {options['tissue']} tissue,"
+        f" {len(read_truth(trial.path).wrench)} triggers at {options['rate']:g} Hz,"
+        f" {len(geometry)} tiles, {len(geometry.clusters)} clusters,"
+        f" seed {options['seed']}; truth in {output / TRUTH_FILE}"
+    )
+
+
+@takes("annotate")
+def annotate(trial: list[Path], **options: Any) -> None:
+    """State and show a trial's metadata: subject code, side, socket, liner, ...
+
+    Args:
+        trial: Folder of the trial, or of several.
+    """
+    check_metadata(options)
+    for path in trial:
+        metadata = api.annotate(api.open_trial(path, notify=print_note), **options)
+        if len(trial) > 1:
+            print(f"{path}:")
+        print(_metadata(metadata))
+
+
+def _metadata(metadata: TrialMetadata) -> str:
+    """The metadata of a trial, as far as they are stated."""
+    rows = [[name, text] for name, text in metadata.described().items()]
+    return table(["metadata", "value"], rows) if rows else "no metadata: 'annotate' states them"
+
+
+@takes("commands.options.open_given", "export", "files.check_outputs", without="path force_map")
+def export(
+    trial: Path, *, output: Path, map: bool = False, replace: bool = False, **options: Any
+) -> None:
+    """Write a trial's synchronised samples as CSV, Parquet or MAT.
+
+    Args:
+        output: As `path` in `export`.
+        map: As `force_map` in `export`.
+    """
+    check_outputs(output, replace=replace)
+    opened = open_given(trial, **options)
+    written = api.export(opened, output, force_map=map, **given(options, api.export))
+    segment, rows = written.attrs["segment"], written.attrs["rows"]
+    print(f"{opened.name}: {segment}, {rows}, {len(written.columns)} columns in {output}")
+
+
+@takes("commands.options.open_given", without="unloaded")
+def info(trial: Path, **options: Any) -> None:
+    """Show what a trial holds: topics, rates, gaps, plateau."""
+    notes: dict[str, None] = {}  # part of the output, each once
+    opened = open_given(trial, **options)
+    opened = dataclasses.replace(opened, notify=lambda note: notes.update({note: None}))
+    print(_topics(opened))
+    shown = len(notes)
+    samples, metadata = opened.samples(), opened.metadata
+    print()
+    for note in list(notes)[shown:]:
+        print(f"note: {note}")
+    print(f"{_triggers(samples)}\n\n{_missing(samples)}\n\n{_noise(samples)}\n")
+    for segment in find_plateaus(samples, opened.estimator.plateau):
+        mean = np.nanmean(samples[segment.rows].wrench[:, 3:], axis=0)
+        print(f"{segment}: mean force {np.linalg.norm(mean):.1f} N")
+    print(_events(opened))
+    print(f"\n{_metadata(metadata)}\n")
+    stored = [name for name in CONFIGURATION_FILES if (trial / name).is_file()]
+    print(f"recorded with: {', '.join(stored) or 'nothing stored'}")
+    geometry, calibration = opened.geometry, opened.calibration
+    print(f"socket: {geometry.source or 'no source'}; {len(geometry)} tiles")
+    print(f"marker bodies: {geometry.registration or 'nominal, not registered'}")
+    print(f"calibration: {calibration.source} ({calibration.date})")
+
+
+def _topics(trial: Trial) -> str:
+    with trial.open() as bag:
+        duration = bag.duration
+        rows = [
+            [name, bag.types[name], str(count), number(count / duration if duration else 0.0, 2)]
+            for name, count in sorted(bag.counts.items())
+        ]
+        lines = [f"{trial.path}: {sum(bag.counts.values())} messages in {duration:.2f} s"]
+        lines += [f"note: {note}" for note in bag.notes]
+    return "\n".join([*lines, table(["topic", "type", "messages", "Hz"], rows)])
+
+
+def _triggers(samples: Samples) -> str:
+    periods = np.diff(samples.time)
+    if len(periods) == 0:
+        return "1 sample"
+    usual = float(np.median(periods))
+    gaps = periods > 1.5 * usual
+    return (
+        f"{len(samples)} samples at {1.0 / usual:.2f} Hz, {int(samples.complete.sum())} complete;"
+        f" {int(gaps.sum())} gaps, the largest {float(periods.max()):.3f} s"
+    )
+
+
+def _missing(samples: Samples) -> str:
+    rows = [
+        [name, str(int(np.isnan(values).any(axis=1).sum())), "", ""]
+        for name, values in (("wrench", samples.wrench), ("limb position", samples.position))
+    ]
+    states = (Status.MISSING, Status.SATURATED, Status.OUT_OF_RANGE)
+    for cluster, status in zip(samples.clusters, samples.status.T, strict=True):
+        rows.append([cluster, *(str(int((status == state).sum())) for state in states)])
+    return table(["measurement", "missing", "saturated", "out of range"], rows)
+
+
+def _events(trial: Trial) -> str:
+    """The times of the events by their labels, the first ones where there are many."""
+    times: dict[tuple[str, str], list[str]] = {}
+    for event in trial.events():
+        times.setdefault((event.label, event.source), []).append(f"{event.time:.2f}")
+    lines = []
+    for (label, source), at in times.items():
+        more = f" ... ({len(at)} times)" if len(at) > _NAMED else ""
+        lines.append(f"event {label} ({source}): {', '.join(at[:_NAMED])} s{more}")
+    return "\n".join(lines) or "no events"
+
+
+def _noise(samples: Samples) -> str:
+    groups = noise_groups(channel_noise(samples), samples.clusters)
+    rows = [[name, *(number(value, 4) for value in noise)] for name, noise in groups.items()]
+    return table(["noise of one sample", "x", "y", "z"], rows)
