@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 import yaml
 from support.pages import Page
-from support.verbs import call
+from support.verbs import call, refused
 
 import socket_testbed as st
 
@@ -35,52 +35,39 @@ def trials(folder: Path) -> tuple[Path, Path]:
     return folder / "trials" / "gel", folder / "trials" / "sock"
 
 
-def own_outputs(capsys, trial: Path) -> dict:
-    code, out, _ = call(capsys, "pressure", trial, *SEGMENT, "--json")
-    assert code == 0
-    return json.loads(out)
-
-
-def test_values_are_those_of_the_trials_own_outputs(trials, tmp_path, capsys) -> None:
-    """What a difference is made of them: test_comparison.py."""
-    output = tmp_path / "compared.csv"
-    code, out, _ = call(capsys, "compare", *trials, *SEGMENT, "-o", output)
-    assert code == 0 and "sock - gel" in out and f"written: {output}" in out
-    table = pd.read_csv(output).set_index(["part", "name", "quantity", "item"]).sort_index()
-    outputs = own_outputs(capsys, trials[1])
-    for part in ("regions", "tiles"):
-        for name, of_name in outputs[part].items():
-            for title, value in of_name.items():
-                if not isinstance(value, dict):
-                    continue
-                row = table.loc[(part, name, title.split(" [")[0], "sock")]
-                expected = [value[key] for key in ("value", "low", "high")]
-                found = row[["value", "low", "high"]].astype(float)
-                np.testing.assert_array_equal(found, np.array(expected, dtype=float))
-    pressures = table.loc[("regions", "socket", "mean pressure")]
-    assert pressures["difference"]["sock"] == pressures["value"]["sock"] - pressures["value"]["gel"]
-    ends = table.loc["regions"][["difference low", "difference high"]].dropna()
-    ends = ends[ends.iloc[:, 1] > ends.iloc[:, 0]].to_numpy()
-    clear = int((ends[:, 0] > 0.0).sum() + (ends[:, 1] < 0.0).sum())
-    assert f"{clear} of {len(ends)} intervals of the regions' differences exclude 0" in out
-
-
-def test_the_verb_the_api_and_the_files_hold_the_same(trials, tmp_path, capsys) -> None:
+def test_the_verb_and_its_files_hold_what_the_api_gives(trials, tmp_path, capsys) -> None:
+    """Values of the trials' own outputs; what a difference is made of them: test_comparison.py."""
     output = tmp_path / "c.parquet"
     code, out, _ = call(capsys, "compare", *trials, *SEGMENT, "--json", "-o", output)
     found = st.compare(*trials, segment="15:20")
     assert code == 0 and found.document() == json.loads(out)
     same, table = (t.fillna({"text": ""}) for t in (pd.read_parquet(output), found.to_dataframe()))
     pd.testing.assert_frame_equal(same, table, check_dtype=False)
+    rows = table.set_index(["part", "name", "quantity", "item"]).sort_index()
+    outputs = st.pressure(st.open_trial(trials[1]), "15:20").document()
+    for part in ("regions", "tiles"):
+        for name, of_name in outputs[part].items():
+            for title, value in of_name.items():
+                if isinstance(value, dict):
+                    row = rows.loc[(part, name, title.split(" [")[0], "sock")]
+                    expected = [value[key] for key in ("value", "low", "high")]
+                    shown = row[["value", "low", "high"]].astype(float)
+                    np.testing.assert_array_equal(shown, np.array(expected, dtype=float))
     wrench = table.query("part == 'wrench' and name == 'Fz'").set_index(["item", "quantity"])
     for trial in trials:
         samples = st.open_trial(trial).samples()
         force = samples.wrench[(samples.time >= 15.0) & (samples.time <= 20.0), 5]
         for name, expected in (("mean", force.mean()), ("standard deviation", force.std())):
             assert wrench["value"][trial.name, name] == pytest.approx(expected)
+    code, out, _ = call(capsys, "compare", trials[0].parent, *SEGMENT)  # a folder of both
+    assert code == 0 and out.startswith("trials gel, sock: segment 15:20") and "sock - gel" in out
+    ends = rows.loc["regions"][["difference low", "difference high"]].dropna()
+    ends = ends[ends.iloc[:, 1] > ends.iloc[:, 0]].to_numpy()
+    clear = int((ends[:, 0] > 0.0).sum() + (ends[:, 1] < 0.0).sum())
+    assert f"{clear} of {len(ends)} intervals of the regions' differences exclude 0" in out
 
 
-def test_own_regions_of_other_tiles_are_not_compared(trials, tmp_path, capsys) -> None:
+def test_own_regions_of_other_tiles_are_not_compared(trials, tmp_path) -> None:
     copies = [shutil.copytree(trial, tmp_path / trial.name) for trial in trials]
     for number, copy in enumerate(copies):
         document = yaml.safe_load((copy / "socket.yaml").read_text())
@@ -88,41 +75,31 @@ def test_own_regions_of_other_tiles_are_not_compared(trials, tmp_path, capsys) -
         document["regions"] = {"same": tiles[:3], "other": tiles[number : number + 3]}
         document["regions"] |= {} if number else {"alone": tiles[:1]}
         (copy / "socket.yaml").write_text(yaml.safe_dump(document))
-    code, out, _ = call(capsys, "compare", *copies, *SEGMENT, "--json")
-    found = json.loads(out)
-    names = {row["name"] for row in found["rows"]}
-    assert code == 0 and "same" in names and not names & {"other", "alone"}
-    assert found["notes"] == [
-        "not compared, since not all trials have these regions alike: alone, other"
-    ]
+    found = st.compare(*copies, segment="15:20")
+    names = {*found.to_dataframe()["name"]}
+    assert "same" in names and not names & {"other", "alone"}
+    assert found.notes == (
+        "not compared, since not all trials have these regions alike: alone, other",
+    )
 
 
-def test_a_value_of_zero_has_a_difference_with_an_interval(trials, capsys) -> None:
+def test_a_value_of_zero_has_a_difference_with_an_interval(trials) -> None:
     """Nothing is in contact above 200 kPa: areas are 0, and no share of that is a limit."""
-    limit = ("--threshold", 200, "--json")
-    code, out, _ = call(capsys, "compare", *trials, *SEGMENT, *limit)
-    rows = pd.DataFrame(json.loads(out)["rows"]).query("item == 'sock'")
-    areas = rows.query("part == 'regions' and quantity == 'contact area'").set_index("name")
-    _, own, _ = call(capsys, "pressure", trials[1], *SEGMENT, *limit)
-    regions = json.loads(own)["regions"]
-    assert code == 0 and set(areas.index) == set(regions)
-    for name, outputs in regions.items():
-        high = outputs["contact area [cm^2]"]["high"]
+    rows = st.compare(*trials, segment="15:20", threshold=200.0).to_dataframe()
+    areas = rows.query("item == 'sock' and part == 'regions' and quantity == 'contact area'")
+    areas = areas.set_index("name")
+    regions = st.pressure(st.open_trial(trials[1]), "15:20", threshold=200.0).regions
+    assert set(areas.index) == set(regions.index)
+    for name, high in regions["contact area high [cm^2]"].items():
         assert areas["high"][name] == high
         assert areas["difference low"][name] <= 0.0 <= areas["difference high"][name]
-
-
-def test_a_folder_of_trials_stands_for_all_of_them(folder, capsys) -> None:
-    code, out, _ = call(capsys, "compare", folder / "trials", *SEGMENT)
-    assert code == 0 and out.startswith("trials gel, sock: segment 15:20")
 
 
 def test_trials_of_different_sockets_are_compared_by_region_when_asked(
     folder, trials, capsys
 ) -> None:
-    code, out, err = call(capsys, "compare", trials[1], folder / "wider", *SEGMENT)
-    assert code == 1 and out == "" and err.count("error: ") == 1
-    assert "wider is of another socket" in err and "--by-region" in err and "sock" in err
+    named = ["wider is of another socket", "--by-region", "sock"]
+    refused(capsys, "compare", trials[1], folder / "wider", *SEGMENT, named=named)
     own = ("--geometry", trials[0] / "socket.yaml")
     code, out, err = call(capsys, "compare", trials[1], folder / "wider", *SEGMENT, *own)
     assert code == 0
@@ -135,43 +112,24 @@ def test_trials_of_different_sockets_are_compared_by_region_when_asked(
     assert "the trials are of different sockets" in document["notes"][0]
 
 
-@pytest.mark.parametrize(
-    ("words", "says"),
-    [
-        (["gel"], ["1 trials", "2 to 12"]),
-        (["gel", "gel"], ["gel is given twice"]),
-        (["a.json", "b.json"], ["a.json: compare takes trials", "evaluate TRIAL --model"]),
+def test_what_cannot_be_compared_is_refused_by_name(trials, monkeypatch, capsys) -> None:
+    """Other wrong calls: test_commands.py."""
+    monkeypatch.chdir(trials[0].parent)
+    for words, named in (
         (["gel", "gel/socket.yaml"], ["gel/socket.yaml: compare takes trials"]),
-        (["gel", "nowhere"], ["nowhere", "no such trial"]),
         (["gel", "sock", "--segment", "50:60"], ["gel: ", "50"]),
         (["gel", "sock", "--threshold", "-1"], ["--threshold", "-1"]),
-        (["gel", "sock", "-o", "compared.txt"], ["compared.txt", "'.txt'"]),
-        (["gel", "sock", "-o", "gel/socket.yaml"], ["'.yaml' is not a table format"]),
         (["gel"] * 13, ["13 trials", "12"]),
-    ],
-)
-def test_what_cannot_be_compared_is_refused_by_name(
-    words, says, trials, monkeypatch, capsys
-) -> None:
-    monkeypatch.chdir(trials[0].parent)
-    code, out, err = call(capsys, "compare", *words)
-    assert code == 1 and out == ""
-    *notes, error = err.splitlines()
-    assert error.startswith("socket-testbed compare: error: "), err
-    assert all(note.startswith("note: no side of the leg is stated") for note in notes)
-    assert all(said in error for said in says), err
+    ):
+        refused(capsys, "compare", *words, named=named)
 
 
 def test_legs_are_compared_by_anatomy_and_the_page_says_so(trials, tmp_path, capsys) -> None:
     legs = [shutil.copytree(trial, tmp_path / trial.name) for trial in trials]
     st.annotate(st.open_trial(legs[0]), side="left", liner="<b>gel</b>", subject="S01")
-    code, out, _ = call(capsys, "compare", *legs, *SEGMENT, "--json")
-    found = json.loads(out)
-    assert code == 0 and any("no side is stated for sock" in note for note in found["notes"])
-    assert {row["name"] for row in found["rows"] if row["part"] == "regions"} >= {
-        "left middle",
-        "right middle",
-    }
+    found = st.compare(*legs, segment="15:20")
+    assert any("no side is stated for sock" in note for note in found.notes)
+    assert {"left middle", "right middle"} <= {*found.to_dataframe()["name"]}
     st.annotate(st.open_trial(legs[1]), side="right", mass=81.5)
     page = tmp_path / "legs.html"
     code, out, _ = call(capsys, "compare", *legs, *SEGMENT, "-o", page)
@@ -191,5 +149,3 @@ def test_legs_are_compared_by_anatomy_and_the_page_says_so(trials, tmp_path, cap
     assert shown == expected.tolist()
     assert len([a for tag, a in written.tags if tag == "img" and a["alt"]]) == 2
     assert all(link.startswith(("#", "data:")) for link in written.loads)
-    code, _, err = call(capsys, "compare", *legs, *SEGMENT, "-o", page)
-    assert code == 1 and "legs.html" in err and "exists" in err

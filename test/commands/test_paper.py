@@ -1,40 +1,86 @@
-"""`paper`: the published pipeline by one command, against fits by hand and the printed numbers."""
+"""`pareto` and `paper`: the front and the published pipeline, against fits by hand."""
 
+import csv
+import dataclasses
 import json
 
 import numpy as np
 import pandas as pd
 import pytest
+from support.verbs import call
 
 import socket_testbed as st
-from socket_testbed.__main__ import run
-from socket_testbed.api import PaperTable
+from socket_testbed.api import tradeoff
+from socket_testbed.identification.pareto import KNEE, SENSOR_ONLY, WRENCH_ONLY
+from socket_testbed.settings.identification import PAPER_VARIANTS
 
 WITHOUT, WITH = ("this trial", "without offsets"), ("this trial", "with offsets")
 
 
+def test_the_verb_prints_and_writes_both_fronts(hold, tmp_path, capsys):
+    table, figure = tmp_path / "front.csv", tmp_path / "front.png"
+    code, out, _ = call(capsys, "pareto", hold, "--thetas", 11, "-o", table, "--figure", figure)
+    assert code == 0
+    for text in (*PAPER_VARIANTS, SENSOR_ONLY, KNEE, WRENCH_ONLY, "[N m]", "of 11", "plateau"):
+        assert text in out
+    with table.open(newline="") as stream:
+        rows = list(csv.DictReader(stream))
+    assert [row["theta [-]"] for row in rows] == 2 * [f"{i / 10:g}" for i in range(11)]
+    assert all(float(row["KKT residual or gap [-]"]) <= 1e-8 for row in rows)
+    assert figure.read_bytes().startswith(b"\x89PNG")
+    assert sorted(tmp_path.iterdir()) == [table, figure]
+
+
+def test_the_errors_of_a_front_are_those_of_fit_at_the_same_theta(hold, capsys):
+    chosen = {"smoothness": 1e-4, "leave_out": ["Mz", "distal.Fx"]}
+    words = ["--segment", "20:40", "--smoothness", "1e-4", "--leave-out", "Mz,distal.Fx"]
+    code, out, _ = call(capsys, "pareto", hold, "--thetas", 3, "--json", *words)
+    found = json.loads(out)
+    assert code == 0 and found["segment"]["kind"] == "span"
+    for front in found["fronts"]:
+        fitted = st.fit(st.open_trial(hold), "20:40", variant=front["variant"], theta=1.0, **chosen)
+        expected = {e.name: e.rmse for e in fitted.fit.errors if e.in_objective}
+        assert front["marks"][WRENCH_ONLY]["rmse"] == pytest.approx(expected, rel=1e-5, abs=1e-7)
+
+
+def test_with_offsets_the_front_of_a_hold_collapses(hold):
+    plain, bias = st.pareto(st.open_trial(hold), thetas=21).fronts.values()
+    assert plain.knee.depth > 0.5
+    assert max(bias.knee.span) < 0.05 * max(plain.knee.span)
+
+
+def test_flawed_solutions_are_named_with_their_thetas(hold, monkeypatch, capsys):
+    solve = tradeoff.pareto_front
+
+    def spoil(*args, **kwargs):
+        flaws = ("not determined", "", "not certified", "not certified", "")
+        fronts = solve(*args, **kwargs)
+        return {v: dataclasses.replace(front, flaws=flaws) for v, front in fronts.items()}
+
+    monkeypatch.setattr(tradeoff, "pareto_front", spoil)
+    lines = call(capsys, "pareto", hold, "--thetas", 5)[1].splitlines()
+    rows = [line for line in lines if SENSOR_ONLY in line]
+    assert len(rows) == 2 and all(row.endswith("-  not determined") for row in rows)
+    assert sum("left out: 1 at theta 0: not determined" in line for line in lines) == 2
+    assert sum("left out: 2 at theta 0.5 to 0.75: not certified" in line for line in lines) == 2
+
+
 @pytest.fixture(scope="module")
-def figures(hold, tmp_path_factory) -> tuple[PaperTable, dict]:
-    """The table of the first 50 samples, and the models of two plain fits."""
-    folder = tmp_path_factory.mktemp("paper")
-    frames = ["--frames", "50", "--leave-out", "distal.Fy", "--initial-stiffness", "auto"]
-    models = {}
-    for title, variant in ((WITHOUT, "stiffness"), (WITH, "stiffness_bias")):
-        path = folder / f"{variant}.json"
-        words = ["fit", str(hold), "-o", str(path), "--variant", variant, "--weights", "raw"]
-        assert run([*words, *frames]) == 0
-        models[title] = json.loads(path.read_text())
+def figures(hold):
+    """The figures of the first 50 samples, and two plain fits on them, by their titles."""
+    chosen = {"frames": 50, "leave_out": ["distal.Fy"], "initial_stiffness": "auto"}
     trial = st.open_trial(hold)
-    found = st.paper(trial, thetas=11, frames=50, leave_out=["distal.Fy"], initial_stiffness="auto")
-    return found, models
+    fits = [st.fit(trial, variant=v, weights="raw", **chosen) for v in PAPER_VARIANTS]
+    found = st.paper(trial, thetas=11, **chosen)
+    return found, dict(zip((WITHOUT, WITH), fits, strict=True))
 
 
 def test_the_figures_are_those_of_the_paper_s_variants_on_the_first_frames(hold, figures) -> None:
-    found, models = figures
+    found, fits = figures
     rows = found.to_dataframe()
-    for title, model in models.items():
-        rmse = {error["name"]: error["rmse"] for error in model["quality"]["errors"]}
-        assert model["quality"]["samples"] <= 50
+    for title, fitted in fits.items():
+        rmse = {error.name: error.rmse for error in fitted.fit.errors}
+        assert fitted.fit.samples <= 50 and fitted.segment == found.segment
         for name, value in rmse.items():
             (row,) = (key for key in rows.index if key.startswith(f"RMSE of {name} ["))
             assert rows.loc[row, title] == pytest.approx(value)
@@ -43,25 +89,10 @@ def test_the_figures_are_those_of_the_paper_s_variants_on_the_first_frames(hold,
         assert median == pytest.approx(np.median(local))
         forces = [rmse[name] for name in ("Fx", "Fy", "Fz")]
         assert rows.loc["mean RMSE of the forces [N]", title] == pytest.approx(np.mean(forces))
-    samples = st.open_trial(hold).samples()
-    start = st.select_segment(samples).rows.start
-    span = f"plateau {samples.time[start]:.2f} s to {samples.time[start + 49]:.2f} s"
-    assert str(found.segment) == span
-    k0 = {model["settings"]["initial_stiffness"] for model in models.values()}
+    k0 = {fitted.fit.settings.initial_stiffness for fitted in fits.values()}
     assert len(k0) == 1 and k0 != {0.0}
-
-
-def test_the_thetas_are_those_of_the_front(hold, figures) -> None:
-    rows = figures[0].to_dataframe()
-    trial = st.open_trial(hold)
-    same = st.pareto(
-        trial,
-        figures[0].segment,
-        thetas=11,
-        leave_out=["distal.Fy"],
-        weights="raw",
-        initial_stiffness="auto",
-    )
+    chosen = {"leave_out": ["distal.Fy"], "weights": "raw", "initial_stiffness": "auto"}
+    same = st.pareto(st.open_trial(hold), found.segment, thetas=11, **chosen)
     for title, front in zip((WITHOUT, WITH), same.fronts.values(), strict=True):
         for mark in ("sensor-only", "knee", "wrench-only"):
             index = front.marks.get(mark)
@@ -90,16 +121,14 @@ def test_a_printed_number_stands_with_the_reason_why_it_is_not_comparable(figure
 
 def test_the_command_prints_what_the_api_gives(hold, figures, capsys) -> None:
     rows = figures[0].to_dataframe()
-    words = ["paper", str(hold), "--thetas", "11", "--frames", "50", "--leave-out", "distal.Fy"]
+    words = ["paper", hold, "--thetas", 11, "--frames", 50, "--leave-out", "distal.Fy"]
     words += ["--initial-stiffness", "auto"]
-    assert run([*words, "--json"]) == 0
-    document = json.loads(capsys.readouterr().out)
+    document = json.loads(call(capsys, *words, "--json")[1])
     assert document == figures[0].document()
     found = pd.DataFrame.from_dict(document["figures"], orient="index")
     np.testing.assert_array_equal(found.iloc[:, :4].astype(float), rows.iloc[:, :4])
-    assert run(words) == 0
-    out = capsys.readouterr().out
+    code, out, _ = call(capsys, *words)
     shown = next(line for line in out.splitlines() if line.startswith("mean RMSE of the moments"))
     values = rows.loc["mean RMSE of the moments [N m]"]
-    assert f"{values[WITHOUT]:.3f}" in shown and f"{values[WITH]:.3f}" in shown and "1.690" in shown
-    assert "weights raw" in out and "8 mm of the mean limb position" in out
+    assert code == 0 and f"{values[WITHOUT]:.3f}" in shown
+    assert f"{values[WITH]:.3f}" in shown and "1.690" in shown
