@@ -14,12 +14,11 @@ from socket_testbed.calibration.bench_data import STRESSES, UNITS
 from socket_testbed.calibration.calibrate import BenchCalibration
 from socket_testbed.calibration.drift import DRIFT_LIMIT, Drift
 from socket_testbed.calibration.model import SHEAR_TERMS
-from socket_testbed.commands.options import draw, given, print_note
+from socket_testbed.commands.options import check_files, draw, given, print_note
 from socket_testbed.commands.signatures import takes
 from socket_testbed.commands.text import number, table
 from socket_testbed.documents import check_number
 from socket_testbed.errors import ConfigurationError, closest
-from socket_testbed.files import check_outputs, check_picture
 
 _SHOWN = 10  # outliers
 _AREAS = (1e-6, 0.05)  # [m^2]
@@ -54,9 +53,7 @@ def calibrate(
     check_number(limit, "--limit", 0.0, 100.0)
     if options["area"] is not None:
         check_number(options["area"], "--area", *_AREAS)
-    if figure is not None:
-        check_picture(figure)
-    check_outputs(figure, replace=replace)
+    check_files(None, figure, replace=replace)
     found = api.calibrate(
         bench,
         cluster,

@@ -16,9 +16,10 @@ from socket_testbed.batch import Job, Row, Task, find_trials, plan_jobs, run_bat
 from socket_testbed.commands.signatures import takes
 from socket_testbed.documents import check_number
 from socket_testbed.errors import ConfigurationError
-from socket_testbed.files import check_outputs
+from socket_testbed.files import check_outputs, check_picture
 from socket_testbed.settings.identification import IdentificationSettings
 from socket_testbed.settings.testbed import EstimatorSettings, estimator_settings
+from socket_testbed.tables import check_format
 from socket_testbed.trials.metadata import FIELDS, TrialMetadata, change_metadata
 from socket_testbed.trials.segment import Segment
 from socket_testbed.trials.synchronise import parse_unloaded
@@ -70,6 +71,15 @@ def open_all(paths: Sequence[Path], options: Mapping[str, Any]) -> list[Trial]:
     return [dataclasses.replace(open_given(path, **options), notify=notify) for path in found]
 
 
+def check_files(output: Path | None, figure: Path | None, *, replace: bool) -> None:
+    """Refuse a table or figure of another format, or one that exists, before long work."""
+    if output is not None:
+        check_format(output)
+    if figure is not None:
+        check_picture(figure)
+    check_outputs(output, figure, replace=replace)
+
+
 def draw(
     found: Any,
     figure: Path | None,
@@ -84,7 +94,7 @@ def draw(
         found: The result.
         figure: Draw the results as .png or .pdf.
         width: Printed width of the figures [mm]: a column of a paper, or its page.
-        title: Leave titles, and errors in keys, of the figures to the caption.
+        title: Titles, and errors in keys, of the figures; without them a caption says it.
         others: Options that are not the figure's.
     """
     if figure is not None:

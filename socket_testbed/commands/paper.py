@@ -7,11 +7,10 @@ from pathlib import Path
 from typing import Any
 
 from socket_testbed import api
-from socket_testbed.commands.options import draw, given, open_given
+from socket_testbed.commands.options import check_files, draw, given, open_given
 from socket_testbed.commands.signatures import takes
 from socket_testbed.commands.text import Progress, number, table
 from socket_testbed.errors import ConfigurationError
-from socket_testbed.files import check_outputs, check_picture
 from socket_testbed.identification.pareto import KNEE, SENSOR_ONLY, WRENCH_ONLY, Front
 
 _HEADER = (
@@ -49,11 +48,9 @@ def pareto(
         figure: Draw both fronts.
         json: Print JSON on standard output.
     """
-    if figure is not None:
-        check_picture(figure)
     if output is not None and output.suffix.lower() != ".csv":
         raise ConfigurationError(f"{output}: is not a .csv file", "name a .csv file")
-    check_outputs(output, figure, replace=replace)
+    check_files(output, figure, replace=replace)
     opened = open_given(trial, **options)
     found = api.pareto(opened, **given(options, api.pareto, api.fit), progress=Progress)
     if output is not None:

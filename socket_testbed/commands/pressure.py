@@ -12,6 +12,7 @@ from socket_testbed.api import TrialPressure
 from socket_testbed.batch import Row, find_trials
 from socket_testbed.commands.options import (
     TrialVerb,
+    check_files,
     draw,
     given,
     on_trials,
@@ -21,10 +22,8 @@ from socket_testbed.commands.options import (
 from socket_testbed.commands.signatures import takes
 from socket_testbed.commands.text import number, table
 from socket_testbed.errors import ConfigurationError
-from socket_testbed.files import check_outputs, check_picture
 from socket_testbed.identification.model_file import finite_or_null
 from socket_testbed.identification.pressure import TITLES, interval_end
-from socket_testbed.tables import check_format
 from socket_testbed.trials.trial import Trial
 
 if TYPE_CHECKING:
@@ -66,11 +65,7 @@ def pressure(
         )
     if over_time and output is None:
         raise ConfigurationError("--over-time has no output", "name its table with -o FILE.csv")
-    if not trials and output is not None:
-        check_format(output)
-    if figure is not None:
-        check_picture(figure)
-    check_outputs(figure, replace=replace)
+    check_files(None if trials else output, figure, replace=replace)
     verb = TrialVerb("pressure", ".pressure.csv", _compute, _row, _show, ("side",))
     options |= {"over_time": over_time, "figure": figure, "json": json}
     on_trials(verb, trial, output=output, replace=replace, **options)
@@ -165,10 +160,7 @@ def map(
         output: Table of forces, pressure and shear on every tile with standard deviations.
         figure: Draw the mean pressure and its uncertainty.
     """
-    check_format(output)
-    if figure is not None:
-        check_picture(figure)
-    check_outputs(output, figure, replace=replace)
+    check_files(output, figure, replace=replace)
     opened = open_given(trial, **options)
     found = api.force_map(opened, **given(options, api.force_map))
     found.save(output)

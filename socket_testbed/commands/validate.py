@@ -8,11 +8,9 @@ from typing import Any
 import pandas as pd
 
 from socket_testbed import api
-from socket_testbed.commands.options import draw, given, open_all
+from socket_testbed.commands.options import check_files, draw, given, open_all
 from socket_testbed.commands.signatures import takes
 from socket_testbed.commands.text import Progress, number, table
-from socket_testbed.files import check_outputs, check_picture
-from socket_testbed.tables import check_format
 
 _ERRORS = {"error [-]": 2}
 _SEVERAL_ERRORS = _ERRORS | {"worst error [-]": 2}
@@ -59,11 +57,7 @@ def validate(
         figure: Draw the errors by cluster and the coverage of the intervals.
         json: Print JSON on standard output.
     """
-    if output is not None:
-        check_format(output)
-    if figure is not None:
-        check_picture(figure)
-    check_outputs(output, figure, replace=replace)
+    check_files(output, figure, replace=replace)
     found = api.validate(
         *open_all(trial, options), **given(options, api.validate, api.fit), progress=Progress
     )

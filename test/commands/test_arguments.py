@@ -10,50 +10,74 @@ import pytest
 from socket_testbed.__main__ import run
 from socket_testbed.commands.arguments import Parser, add_options, release_paths
 
-
-@pytest.mark.parametrize(
-    ("words", "named"),
-    [
-        ([], "VERB"),
-        (["fitt"], "unknown verb 'fitt': did you mean 'fit'?"),
-        (["nothing"], "use one of demo, run, doctor"),
-        (["fit"], "required: TRIAL, -o/--output: see 'socket-testbed fit --help'"),
-        (["fit", "t", "-o"], "-o/--output: expected one argument"),
-        (["fit", "t", "-o", "m", "--varant", "rigid"], "--varant: did you mean '--variant'?"),
-        (["fit", "t", "--outptu", "m"], "--outptu: did you mean '--output'?"),
-        (["fit", "t", "-o", "m", "--variant", "rigd"], "did you mean 'rigid'?"),
-        (["info", "t", "u"], "not understood: u"),
-        (["--verson"], "--verson: did you mean '--version'?"),
-    ],
+MISTAKES = (
+    ([], "VERB"),
+    (["fitt"], "unknown verb 'fitt': did you mean 'fit'?"),
+    (["nothing"], "use one of demo, run, doctor"),
+    (["fit"], "required: TRIAL, -o/--output: see 'socket-testbed fit --help'"),
+    (["fit", "t", "-o"], "-o/--output: expected one argument"),
+    (["fit", "t", "-o", "m", "--varant", "rigid"], "--varant: did you mean '--variant'?"),
+    (["fit", "t", "--outptu", "m"], "--outptu: did you mean '--output'?"),
+    (["fit", "t", "-o", "m", "--variant", "rigd"], "did you mean 'rigid'?"),
+    (["info", "t", "u"], "not understood: u"),
+    (["--verson"], "--verson: did you mean '--version'?"),
+    (["run", "--record", "new", "--side", "lft"], "did you mean 'left'?"),
+    (["fit", "t", "-o", "m", "--jobs", "2", "--dask", "a"], "--dask: not allowed with"),
+    (["pareto", "t", "--variant", "rigid"], "unknown option --variant"),
+    (["pressure", "t", "--width", "100"], "--width: invalid choice: 100"),
 )
-def test_a_mistake_is_one_line_with_the_likely_word(words, named, capsys) -> None:
-    with pytest.raises(SystemExit) as ended:
-        run(words)
-    error = capsys.readouterr().err
-    assert ended.value.code == 2
-    assert named in error and error.count("\n") == 1 and "usage:" not in error
 
 
-@pytest.mark.parametrize("option", ["-V", "--version"])
-def test_the_version_is_printed(option: str, capsys) -> None:
-    with pytest.raises(SystemExit) as ended:
-        run([option])
-    assert ended.value.code == 0 and capsys.readouterr().out.startswith("socket_testbed 0.")
+def test_a_mistake_is_one_line_with_the_likely_word(capsys) -> None:
+    for words, named in MISTAKES:
+        with pytest.raises(SystemExit) as ended:
+            run(words)
+        error = capsys.readouterr().err
+        assert ended.value.code == 2
+        assert named in error and error.count("\n") == 1 and "usage:" not in error
 
 
-@pytest.mark.parametrize(
-    "words",
-    [
-        ["--leave-out", "Mz", "distal.Fx", "HOLD"],
-        ["--leave-out", "Mz,distal.Fx", "HOLD"],
-        ["--leave-out", "Mz", "--leave-out", "distal.Fx", "HOLD"],
-        ["HOLD", "--leave-out", "Mz", "distal.Fx"],
-    ],
-)
-def test_channels_that_are_left_out_leave_the_trial(words, hold, tmp_path, capsys) -> None:
-    words = [word.replace("HOLD", str(hold)) for word in words]
-    assert run(["fit", "-o", str(tmp_path / "m.json"), "--segment", "20:30", *words]) == 0
-    assert capsys.readouterr().out.count("not in objective") == 2
+def test_the_version_is_printed(capsys) -> None:
+    for option in ("-V", "--version"):
+        with pytest.raises(SystemExit) as ended:
+            run([option])
+        assert ended.value.code == 0 and capsys.readouterr().out.startswith("socket_testbed 0.")
+
+
+def test_options_are_those_of_the_signature() -> None:
+    """Types, defaults and descriptions of the API, by hand for one verb."""
+    parser = Parser(prog="pareto")
+    add_options(parser, "commands.paper.pareto")
+    options = {option.dest: option for option in parser._actions}
+    assert options["segment"].default == "plateau" and options["thetas"].default == 101
+    assert options["thetas"].type is int and options["smoothness"].type is float
+    assert options["weights"].choices == ("size", "noise", "raw")
+    assert options["params"].type is Path and options["trial"].option_strings == []
+    assert options["title"].option_strings == ["--no-title"] and options["title"].default is True
+    for text in (  # of `fit`, with the default of its setting; of `select_segment`
+        "weight of the smoothness over neighbouring tiles (default: 0.001)",
+        "number of values of theta from 0 to 1 (default: 101)",
+        "the longest while the load is placed",
+    ):
+        assert text in " ".join(parser.format_help().split())
+    given = vars(parser.parse_args(["t", "--initial-stiffness", "auto", "--pose-smoothing", "1"]))
+    assert given["initial_stiffness"] == "auto" and given["pose_smoothing"] == 1.0
+    assert given["leave_out"] is None and given["trial"] == Path("t") and given["title"] is True
+
+
+def test_channels_that_are_left_out_leave_the_trial(monkeypatch, tmp_path) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "hold").mkdir()
+    parser = Parser()
+    add_options(parser, "commands.models.fit")
+    for words in (
+        ["--leave-out", "Mz", "distal.Fx", "hold"],
+        ["--leave-out", "Mz,distal.Fx", "hold"],
+        ["--leave-out", "Mz", "--leave-out", "distal.Fx", "hold"],
+        ["hold", "--leave-out", "Mz", "distal.Fx"],
+    ):
+        options = parser.parse_args(["-o", "m", *release_paths(words, parser)])
+        assert options.leave_out == ["Mz", "distal.Fx"] and options.trial == Path("hold")
 
 
 def test_what_names_a_path_is_none_of_a_list_s_values(tmp_path: Path, monkeypatch) -> None:
@@ -71,23 +95,16 @@ def test_what_names_a_path_is_none_of_a_list_s_values(tmp_path: Path, monkeypatc
         assert release_paths(words, parser) == (expected or words)
 
 
-@pytest.mark.parametrize(
-    ("line", "offered"),
-    [
+def test_the_shell_completes_verbs_options_and_choices(tmp_path: Path) -> None:
+    answer = tmp_path / "answer"
+    for line, offered in (
         ("socket-testbed ev", {"evaluate"}),
         ("socket-testbed fit --leave", {"--leave-out"}),
         ("socket-testbed simulate --tissue s", {"soft", "stiff"}),
-    ],
-)
-def test_the_shell_completes_verbs_options_and_choices(
-    line: str, offered: set[str], tmp_path: Path
-) -> None:
-    answer = tmp_path / "answer"
-    shell = {"COMP_LINE": line, "COMP_POINT": str(len(line)), "_ARGCOMPLETE": "1"}
-    shell["_ARGCOMPLETE_STDOUT_FILENAME"] = str(answer)
-    subprocess.run(
-        [sys.executable, "-m", "socket_testbed"],
-        check=True,
-        env={**os.environ, **shell, "_ARGCOMPLETE_IFS": "\n"},
-    )
-    assert {word.strip() for word in answer.read_text().split("\n")} == offered
+    ):
+        shell = {"COMP_LINE": line, "COMP_POINT": str(len(line)), "_ARGCOMPLETE": "1"}
+        shell |= {"_ARGCOMPLETE_STDOUT_FILENAME": str(answer), "_ARGCOMPLETE_IFS": "\n"}
+        command = [sys.executable, "-m", "socket_testbed"]
+        subprocess.run(command, check=True, env={**os.environ, **shell})
+        assert {word.strip() for word in answer.read_text().split("\n")} == offered
+        answer.unlink()

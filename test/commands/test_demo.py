@@ -11,42 +11,34 @@ from socket_testbed.live.machine import MachineSpeed
 from socket_testbed.trials.trial import Trial
 
 
-@pytest.mark.parametrize(
-    ("speed", "complete", "scales"),
-    [
-        (1.0, [1.0], [1.0]),
-        (1.0, [0.4, 0.8, 0.95], [1.0, 0.5, 0.25]),
-        (0.04, [0.0, 0.95], [0.25, 0.125]),
-        # At the slowest again and again, as a busy moment may pass; in the end with what there is.
-        (0.001, [0.0, 0.6, 0.95], [0.0625] * 3),
-        (0.04, [0.1, 0.2, 0.3, 0.4, 0.5], [0.25, 0.125, 0.0625, 0.0625, 0.0625]),
-    ],
-)
-def test_it_records_slower_until_the_samples_are_complete(
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-    speed: float,
-    complete: list[float],
-    scales: list[float],
-) -> None:
-    tried = []
+def test_it_records_slower_until_the_samples_are_complete(tmp_path, monkeypatch, capsys) -> None:
+    for number, (speed, complete, scales) in enumerate(
+        (
+            (1.0, [1.0], [1.0]),
+            (1.0, [0.4, 0.8, 0.95], [1.0, 0.5, 0.25]),
+            # At the slowest again and again, as a busy moment may pass; then with what there is.
+            (0.001, [0.0, 0.6, 0.95], [0.0625] * 3),
+            (0.04, [0.1, 0.2, 0.3, 0.4, 0.5], [0.25, 0.125, 0.0625, 0.0625, 0.0625]),
+        )
+    ):
+        tried: list[float] = []
 
-    def run_live(path: Path, seed: int, scale: float, log: Path) -> None:
-        path.mkdir()
-        tried.append(scale)
+        def run_live(path: Path, seed: int, scale: float, log: Path, tried=tried) -> None:
+            path.mkdir()
+            tried.append(scale)
 
-    fractions = iter(complete)
-    monkeypatch.setattr(demo, "measure_speed", lambda: MachineSpeed(0.0, speed))
-    monkeypatch.setattr(demo, "_run_live", run_live)
-    monkeypatch.setattr(demo, "_complete", lambda trial: next(fractions))
-    monkeypatch.setattr(demo, "summary", lambda path: "all there")
-    monkeypatch.setattr(Trial, "samples", lambda trial: None)
-    _, scale = demo._record(Trial(tmp_path / "trial"), 0, tmp_path / "log")
-    assert tried == scales and scale == scales[-1]
-    printed = capsys.readouterr().out
-    assert ("this machine is busy" in printed) == (scales[0] < 1.0)
-    assert printed.count("samples are complete: again at") == len(scales) - 1
+        fractions = iter(complete)
+        machine = MachineSpeed(0.0, speed)
+        monkeypatch.setattr(demo, "measure_speed", lambda machine=machine: machine)
+        monkeypatch.setattr(demo, "_run_live", run_live)
+        monkeypatch.setattr(demo, "_complete", lambda trial, fractions=fractions: next(fractions))
+        monkeypatch.setattr(demo, "summary", lambda path: "all there")
+        monkeypatch.setattr(Trial, "samples", lambda trial: None)
+        _, scale = demo._record(Trial(tmp_path / f"trial{number}"), 0, tmp_path / "log")
+        assert tried == scales and scale == scales[-1]
+        printed = capsys.readouterr().out
+        assert ("this machine is busy" in printed) == (scales[0] < 1.0)
+        assert printed.count("samples are complete: again at") == len(scales) - 1
 
 
 def test_too_busy_a_machine_is_an_error_that_says_so(
@@ -75,15 +67,10 @@ def test_a_trial_that_is_too_short_is_not_complete(hold: Path) -> None:
     assert demo._complete(Trial(hold)) == pytest.approx(240 / (10.0 * 54.0))
 
 
-@pytest.mark.parametrize(
-    ("called", "program"),
-    [
+def test_it_names_its_program_as_it_was_called(monkeypatch: pytest.MonkeyPatch) -> None:
+    for called, program in (
         (".venv/bin/socket-testbed", ".venv/bin/socket-testbed"),
         ("/opt/socket_testbed/__main__.py", "socket-testbed"),
-    ],
-)
-def test_it_names_its_program_as_it_was_called(
-    monkeypatch: pytest.MonkeyPatch, called: str, program: str
-) -> None:
-    monkeypatch.setattr("sys.argv", [called, "demo"])
-    assert demo._program() == program
+    ):
+        monkeypatch.setattr("sys.argv", [called, "demo"])
+        assert demo._program() == program

@@ -106,7 +106,7 @@ def at_once(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_lines_of_nodes_stand_above_the_status(terminal: Terminal) -> None:
     with status_on(terminal) as status:
-        assert status.output is not None
+        assert os.environ["RCUTILS_COLORIZED_OUTPUT"] == "1" and status.output is not None
         for count in (1, 20, 300):
             with_triggers(status, count)
             status.renew()
@@ -124,9 +124,13 @@ def test_lines_of_nodes_stand_above_the_status(terminal: Terminal) -> None:
     assert last == "0:00:00 | 300 triggers, 0 complete" and end == ""
 
 
-def test_a_node_s_last_words_come_though_it_was_killed(terminal: Terminal) -> None:
-    script = "echo one; printf 'two, cut off'; kill -9 $$"
+def test_a_node_s_last_words_come_though_it_was_killed(
+    terminal: Terminal, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("NO_COLOR", "1")
     with status_on(terminal) as status:
+        assert os.environ["RCUTILS_COLORIZED_OUTPUT"] == "0"
+        script = "echo one; printf 'two, cut off'; kill -9 $$"
         ended = subprocess.run(["sh", "-c", script], check=False, stdout=status.output)
         assert ended.returncode == -signal.SIGKILL
     assert terminal.screen() == ["one", "two, cut off", ""]
@@ -156,18 +160,6 @@ def test_a_terminal_that_is_held_up_holds_nobody_up(terminal: Terminal) -> None:
             status.renew()  # it would hang here
         terminal.wait(lambda: status.renew() or f"{lines}\r\n".encode() in terminal.seen, "all")
     assert terminal.screen()[:lines] == [str(k + 1) for k in range(lines)]
-
-
-@pytest.mark.parametrize(
-    ("name", "value", "colours"), [("TERM", "xterm", "1"), ("NO_COLOR", "1", "0")]
-)
-def test_nodes_use_colours_only_where_they_are_wanted(
-    terminal: Terminal, monkeypatch: pytest.MonkeyPatch, name: str, value: str, colours: str
-) -> None:
-    monkeypatch.setenv(name, value)
-    with status_on(terminal) as status:
-        assert os.environ["RCUTILS_COLORIZED_OUTPUT"] == colours
-        assert status.output is not None
 
 
 def write_plainly(monkeypatch: pytest.MonkeyPatch, status: StatusLine) -> None:
