@@ -110,13 +110,10 @@ class _Module(dict[str, Any]):
         """The fields of a class whose default is written out."""
         for each in node.body:
             match each:
-                case (
-                    ast.AnnAssign(target=ast.Name(name), value=ast.Constant(value))
-                    | ast.AnnAssign(
-                        target=ast.Name(name), value=ast.Call(args=[ast.Constant(value), *_])
-                    )
-                ):
+                case ast.AnnAssign(target=ast.Name(name), value=ast.Constant(value)):
                     yield name, value
+                case ast.AnnAssign(target=ast.Name(name), value=ast.Call(args=[default, *_])):
+                    yield name, getattr(default, "value", None)  # of setting(default, ...)
 
     def _function(self, node: ast.FunctionDef) -> Function:
         docstring = ast.get_docstring(node) or ""

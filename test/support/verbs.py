@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import pytest
 
 from socket_testbed.__main__ import run
+from support.wording import check_line
 
 
 def call(capsys: pytest.CaptureFixture[str], *words: object) -> tuple[int, str, str]:
@@ -18,9 +19,6 @@ def refused(capsys: pytest.CaptureFixture[str], *words: object, named: Sequence[
     """The one line, after notes, that refuses a call: these names, and what to do."""
     code, _, err = call(capsys, *words)
     *notes, line = err.splitlines()
-    assert code == 1 and line.startswith(f"socket-testbed {words[0]}: error: "), err
-    assert all(note.startswith("note: ") for note in notes) and line.rpartition(": ")[2].strip(), (
-        err
-    )
-    assert not [name for name in named if name not in line], err
+    assert code == 1 and all(note.startswith("note: ") for note in notes), err
+    check_line(line.removeprefix(f"socket-testbed {words[0]}: error: "), *named)
     return line

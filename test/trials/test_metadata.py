@@ -133,8 +133,8 @@ def test_the_verb_states_and_info_shows(hold: Path, tmp_path: Path, capsys) -> N
     assert run(["info", trials[0]]) == 0
     shown = capsys.readouterr().out
     assert "S07" in shown and "left" in shown and "kg" not in shown
-    assert run(["annotate", trials[0], "--side", "lft"]) == 1
-    assert "--side is 'lft': did you mean 'left'?" in capsys.readouterr().err
+    assert run(["annotate", trials[0], "--mass", "815"]) == 1
+    assert "--mass is 815.0" in capsys.readouterr().err
     (Path(trials[0]) / METADATA_FILE).write_text("side: lft")
     assert run(["info", trials[0]]) == 0
     assert "note: the metadata are left out" in capsys.readouterr().out
