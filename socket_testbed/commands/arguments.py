@@ -122,6 +122,7 @@ def _add(group: Any, parameter: Parameter, keywords: dict[str, Any]) -> None:
     flags = [f"--{name.replace('_', '-')}"]
     if default is True:
         flags, keywords["action"] = [f"--no-{name}"], "store_false"
+        keywords["help"] = f"without {keywords['help']}"
     elif name == "output":
         flags = ["-o", *flags]
     group.add_argument(*flags, dest=name, **keywords)

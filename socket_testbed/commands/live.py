@@ -109,7 +109,7 @@ def configured(
     Args:
         simulation: What is simulated.
         geometry: As in `simulate`.
-        calibration: As in `simulate`.
+        calibration: A `calibration.yaml` (default: the package's own).
         params: A `testbed.yaml` with the parameters of the nodes.
         others: Options that are not the testbed's.
     """

@@ -94,7 +94,7 @@ def draw(
         found: The result.
         figure: Draw the results as .png or .pdf.
         width: Printed width of the figures [mm]: a column of a paper, or its page.
-        title: Titles, and errors in keys, of the figures; without them a caption says it.
+        title: Titles, and errors in keys, of the figures.
         others: Options that are not the figure's.
     """
     if figure is not None:

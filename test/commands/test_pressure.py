@@ -108,17 +108,12 @@ def test_verb_api_and_files_give_the_same_numbers(hold: Path, found, tmp_path, c
     assert run(["pressure", *options, "--json"]) == 0
     assert json.loads(capsys.readouterr().out) == found.document()
 
-    for suffix, read in ((".csv", pd.read_csv), (".parquet", pd.read_parquet)):
-        table = tmp_path / f"regions{suffix}"
-        assert run(["pressure", *options, "-o", str(table)]) == 0
-        written = read(table).set_index("region")
-        pd.testing.assert_frame_equal(
-            written[list(TITLES)], found.regions[list(TITLES)], check_exact=suffix == ".parquet"
-        )
+    assert run(["pressure", *options, "-o", str(tmp_path / "regions.parquet")]) == 0
+    written = pd.read_parquet(tmp_path / "regions.parquet").set_index("region")
+    pd.testing.assert_frame_equal(written[list(TITLES)], found.regions[list(TITLES)])
     assert run(["pressure", *options, "-o", str(tmp_path / "t.parquet"), "--over-time"]) == 0
     over_time = pd.read_parquet(tmp_path / "t.parquet").set_index("time [s]")
     pd.testing.assert_frame_equal(over_time, found.over_time())
-    assert run(["pressure", *options, "-o", str(tmp_path / "t.mat")]) == 0
 
     printed = capsys.readouterr().out
     socket = found.regions.loc["socket"]
@@ -205,6 +200,5 @@ def test_a_figure_is_that_of_the_api(hold: Path, tmp_path, capsys) -> None:
     own = st.pressure(st.open_trial(hold), "10:11")
     own.draw(tmp_path / "own.png", width=88, title=False)
     assert (tmp_path / "own.png").read_bytes() == figure.read_bytes()
-    assert run(call) != 0  # nothing is replaced unasked
     with pytest.raises(ConfigurationError, match="width of 120 mm"):
         own.draw(tmp_path / "other.png", width=120)
