@@ -13,7 +13,6 @@ from socket_testbed.identification.box_qp import (
     BoxQP,
     BoxSolution,
     UncertifiedSolutionError,
-    is_definite,
     pivot,
     pivot_regularised,
     solve_box_qp,
@@ -87,19 +86,14 @@ def test_pivoting_from_a_near_answer_gives_the_optimum_and_never_a_worse_point()
                 assert (found.x >= program.lower).all() and (found.x <= program.upper).all()
 
 
-@pytest.mark.parametrize("rank", [1, 4, 11])
-def test_a_singular_program_is_solved_from_anywhere(rank):
-    rng = np.random.default_rng(rank)
-    root = rng.normal(size=(12, rank))
-    P, q = root @ root.T / rank, root @ rng.normal(size=rank)
-    program = BoxQP(P, q, np.full(12, -0.3), np.full(12, np.inf), "singular")
-    answers = [pivot_regularised(program, x) for x in (np.zeros(12), rng.uniform(-0.3, 5.0, 12))]
-    for found in answers:
-        assert found.certificate.worst <= 1e-10
-    assert program.objective(answers[0].x) == pytest.approx(program.objective(answers[1].x))
-
-
-def test_of_many_optima_one_near_zero_is_found():
+def test_a_singular_program_is_solved_from_anywhere_with_an_optimum_near_zero():
+    for rank in (1, 4, 11):
+        rng = np.random.default_rng(rank)
+        root = rng.normal(size=(12, rank))
+        P, q = root @ root.T / rank, root @ rng.normal(size=rank)
+        program = BoxQP(P, q, np.full(12, -0.3), np.full(12, np.inf), "singular")
+        for start in (np.zeros(12), rng.uniform(-0.3, 5.0, 12)):
+            assert pivot_regularised(program, start).certificate.worst <= 1e-10
     half = np.full(2, 5.0)
     program = BoxQP(np.ones((2, 2)), np.array([-4.0, -4.0]), -half, half, "a line of optima")
     for start in ([5.0, -1.0], [0.0, 4.0], [2.0, 2.0]):
@@ -154,18 +148,6 @@ def test_a_wrong_answer_is_refused_whatever_the_solver_says(monkeypatch):
             solve_box_qp(problem, "osqp", 1e-6)
         assert caught.value.problem is problem and "known" in caught.value.fact
         np.testing.assert_array_equal(caught.value.x, wrong if answer is wrong else None)
-
-
-def test_definite_is_what_has_no_flat_direction():
-    rng = np.random.default_rng(8)
-    root = rng.normal(size=(6, 6))
-    definite = root @ root.T + np.eye(6)
-    flat = root[:, :5] @ root[:, :5].T
-    assert is_definite(definite, 1e-12)
-    assert not is_definite(flat, 1e-12)
-    assert not is_definite(-definite, 1e-12)
-    assert not is_definite(1e-13 * definite, 1e-11)
-    assert is_definite(np.zeros((0, 0)), 1e-12)  # nothing is open where nothing is free
 
 
 @pytest.mark.parametrize(("curvature", "solver"), [(0.0, "osqp"), (1e-14, WARM_START)])

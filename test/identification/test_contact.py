@@ -1,15 +1,11 @@
 """The contact laws against their definitions, and the models that use them."""
 
-import dataclasses
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 from support.problems import moving_limb, naive_gated, random_bed, random_socket, uniform_bed
 
 from socket_testbed.identification.contact import LAWS
-from socket_testbed.identification.contact_law import gate, wrench_map
-from socket_testbed.identification.rigid_law import relative_pose
 from socket_testbed.settings.identification import PAPER_VARIANTS, VARIANTS
 
 ALPHA = 2000.0  # [1/m]
@@ -24,12 +20,6 @@ def law_of(variant, geometry, sharpness=ALPHA, reference=(0.01, -0.02, 0.15, 0.0
     return LAWS[variant](geometry.anchors, geometry.rotations, sharpness, np.array(reference))
 
 
-def test_gate_is_the_paper_s_open_in_compression_and_shut_in_tension():
-    d = np.array([-1.0, -0.01, -1e-4, 0.0, 1e-4, 0.01, 1.0])
-    with np.errstate(over="raise"):  # the law itself must keep its overflow quiet
-        np.testing.assert_allclose(gate(d, ALPHA), 0.5 - 0.5 * np.tanh(ALPHA * d), atol=1e-15)
-
-
 @pytest.mark.parametrize("sharpness", [1.0, 1e5])
 def test_columns_of_the_paper_s_law_are_the_gated_displacements(rng, sharpness):
     law = law_of("stiffness", random_socket(rng), sharpness)
@@ -37,8 +27,8 @@ def test_columns_of_the_paper_s_law_are_the_gated_displacements(rng, sharpness):
     before = moved.copy()
     np.testing.assert_allclose(law.columns(moved), naive_gated(moved, sharpness), atol=1e-16)
     np.testing.assert_array_equal(moved, before)
-    far = law.columns(np.full((1, 3, 1), 1e3))
-    np.testing.assert_array_equal(far, np.zeros((1, 3, 1)))
+    with np.errstate(over="raise"):  # the law itself must keep its overflow quiet
+        assert (law.columns(np.full((1, 3, 1), 1e3)) == 0.0).all()
     d = np.linspace(0.0, 10.0 / sharpness, 10_001)[:, None, None] * np.ones((1, 3, 1))
     # A property of the paper's gate: how much a spring can pull.
     assert law.columns(d).max() * sharpness == pytest.approx(0.139, abs=5e-4)
@@ -88,21 +78,6 @@ def test_what_the_springs_leave_is_a_constant_and_a_slope_over_the_pose(rng):
     np.testing.assert_allclose(constant, 5.0, atol=0.1)
 
 
-def test_a_relative_pose_is_none_where_the_pose_is_none(rng):
-    pose = rng.normal(size=(4, 6))
-    pose[1, 2] = pose[2, 4] = np.nan
-    found = relative_pose(pose, pose[0])
-    np.testing.assert_allclose(found[0], 0.0, atol=1e-15)
-    assert np.isnan(found[1:3]).all() and np.isfinite(found[3]).all()
-    assert np.isnan(relative_pose(pose[1:3], pose[0])).all()
-
-
-def test_wrench_map_sums_the_moments_and_the_forces(rng):
-    anchors, forces = rng.normal(size=(9, 3)), rng.normal(size=(9, 3))
-    expected = np.concatenate([np.cross(anchors, forces).sum(axis=0), forces.sum(axis=0)])
-    np.testing.assert_allclose(wrench_map(anchors) @ forces.reshape(-1), expected, rtol=1e-12)
-
-
 @pytest.mark.parametrize("variant", PAPER_VARIANTS)
 def test_the_paper_s_model_is_its_springs_with_their_offsets(rng, variant):
     geometry = random_socket(rng)
@@ -136,28 +111,6 @@ def test_a_rigid_model_gates_in_the_tile_s_frame_and_never_pulls(rng):
         expected = np.stack([2000.0 * opened * x, 1500.0 * opened * y, normal], axis=1)
         np.testing.assert_allclose(forces[:, tile] @ frame, expected, rtol=1e-9, atol=1e-9)
         assert normal.max() <= 0.0
-
-
-def test_forces_of_a_rigid_model_do_not_depend_on_the_frame_of_the_load_cell(rng):
-    """The bed in a rotated {S} gives the rotated forces."""
-    bed = uniform_bed(
-        random_socket(rng), [2e3, 2e3, 6e3], reference_pose=np.array([0, 0, 0.1, 0.1, 0, 0.2])
-    )
-    pose = bed.reference_pose + rng.normal(0.0, 0.01, (5, 6))
-    turn = Rotation.from_rotvec([0.3, -0.8, 0.5])
-    R = turn.as_matrix()
-
-    def turned(pose):
-        rotated = (turn * Rotation.from_rotvec(pose[..., 3:])).as_rotvec()
-        return np.concatenate([pose[..., :3] @ R.T, rotated], axis=-1)
-
-    other = dataclasses.replace(
-        bed,
-        anchors=bed.anchors @ R.T,
-        rotations=R @ bed.rotations,
-        reference_pose=turned(bed.reference_pose),
-    )
-    np.testing.assert_allclose(other.forces(turned(pose)), bed.forces(pose) @ R.T, atol=1e-9)
 
 
 @pytest.mark.parametrize("variant", VARIANTS)

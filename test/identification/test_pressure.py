@@ -28,31 +28,26 @@ GEOMETRY = ring_socket()
 TILES = len(GEOMETRY)
 CLUSTERS = tuple(GEOMETRY.clusters)
 THRESHOLD = 5000.0  # [Pa]
+LOAD = np.array([0.5, 1.5, 0.0, 5.0, -3.0, -270.0])  # [N m, N]
 
 
-def samples_at(times: np.ndarray, wrench: np.ndarray | None = None) -> Samples:
+def samples_at(times: np.ndarray) -> Samples:
     count = len(times)
     return Samples(
         stamps=(1e9 * times).astype(np.int64),
         position=np.zeros((count, 3)),
         rotation=np.zeros((count, 3)),
-        wrench=np.tile([0.5, 1.5, 0.0, 5.0, -3.0, -270.0], (count, 1))
-        if wrench is None
-        else wrench,
+        wrench=np.tile(LOAD, (count, 1)),
         clusters=CLUSTERS,
         local_forces=np.tile([0.5, -0.2, -9.0], (count, len(CLUSTERS), 1)),
         status=np.zeros((count, len(CLUSTERS)), dtype=np.uint8),
     )
 
 
-def some_field(count: int = 12, seed: int = 1) -> np.ndarray:
-    rng = np.random.default_rng(seed)
-    local = rng.normal([0.5, -0.5, -8.0], [2.0, 2.0, 6.0], (1, TILES, 3))
-    return local * (1.0 + 0.5 * rng.standard_normal((count, 1, 1)))
-
-
 def test_outputs_of_a_known_field_are_those_of_plain_numpy() -> None:
-    times, local = 0.25 * np.arange(12), some_field()
+    times, rng = 0.25 * np.arange(12), np.random.default_rng(1)
+    local = rng.normal([0.5, -0.5, -8.0], [2.0, 2.0, 6.0], (1, TILES, 3))
+    local = local * (1.0 + 0.5 * rng.standard_normal((12, 1, 1)))
     regions = all_regions(GEOMETRY, "left")
     forces = np.einsum("nij,knj->kni", GEOMETRY.rotations, local)
     found = outputs_of(forces, times, GEOMETRY, regions, THRESHOLD)
@@ -131,7 +126,7 @@ def test_intervals_hold_their_values_stay_where_values_can_be_and_do_not_average
 
 
 def test_a_value_is_determined_where_its_interval_stays_within_a_share_of_it() -> None:
-    value, low, high = np.array([[10.0, 10.0, -10.0, 0.0, 0.0]]), 0.0, 0.0
+    value = np.array([[10.0, 10.0, -10.0, 0.0, 0.0]])
     low, high = np.array([[5.0, 4.9, -15.0, 0.0, -1.0]]), np.array([[15.0, 12.0, -6.0, 0.0, 1.0]])
     quantity = Quantity(value, low, high, np.abs(value))
     assert quantity.determined(0.5).tolist() == [[True, False, True, True, False]]
@@ -237,15 +232,12 @@ def test_intervals_hold_the_truth_of_simulated_holds(tissue: TissueKind) -> None
     geometry = read_socket(packaged("config", "socket.yaml"))
     clusters, regions = tuple(geometry.clusters), all_regions(geometry)
     tiles = list(geometry.clusters.values())
-    load = np.array([0.5, 1.5, 0.0, 5.0, -3.0, -270.0])
     force_map, within = ForceMap(geometry, clusters), []
     for seed in (81, 82, 83):
-        truth = LoadedLimb(geometry, load, np.random.default_rng(seed), tissue).step(load, 5.0)[
-            None
-        ]
+        limb = LoadedLimb(geometry, LOAD, np.random.default_rng(seed), tissue)
+        truth = limb.step(LOAD, 5.0)[None]
         local = np.einsum("cji,kcj->kci", geometry.rotations[tiles], truth[:, tiles])
         samples = replace(samples_at(np.zeros(1)), clusters=clusters, local_forces=local)
-        samples = replace(samples, wrench=load[None])
         found = pressure_outputs(force_map, samples, geometry, regions, THRESHOLD).regions
         true = outputs_of(truth, np.zeros(1), geometry, regions, THRESHOLD)
         for name in ("mean", "peak", "area", "shear", "share"):

@@ -1,32 +1,27 @@
 """Stage 1 and Stage 2 of the paper's law against the problems written out row by row."""
 
+import itertools
+
 import numpy as np
 import pytest
 from support.problems import (
     FAR,
     LEFT_OUT,
     make_case,
-    make_samples,
-    moving_limb,
     naive_gated,
-    random_socket,
 )
 from support.stacked import (
     MILLIMETRE,
     OPTIMUM,
-    named_offsets,
     relative,
     stack_stage_one,
     stack_stage_two,
-    stacked_offsets,
 )
 
 from socket_testbed.identification.box_qp import solve_box_qp
 from socket_testbed.identification.objective import build_objective
 from socket_testbed.identification.problem import Problem
-from socket_testbed.settings.identification import PAPER_VARIANTS, IdentificationSettings
-
-WRONG = 5e-4  # [m]; a bed beside the true one, so that bounds become active
+from socket_testbed.settings.identification import PAPER_VARIANTS
 
 
 def by_axis(points):
@@ -76,15 +71,6 @@ def assert_same_up_to_scale_and_constant(program, rows, points):
     assert np.linalg.eigvalsh(program.P).min() > -1e-12
 
 
-def linear_samples(rng, geometry, rest_positions, k0, count=30):
-    """Noise-free samples of linear springs F_i = k0 (q - q_r,i)."""
-    position = moving_limb(rng, count) + FAR
-    forces = k0 * (position[:, None] - rest_positions)
-    moment = np.cross(geometry.anchors, forces).sum(axis=1)
-    local = {name: forces[:, i] @ geometry.rotations[i] for name, i in geometry.clusters.items()}
-    return make_samples(position, np.hstack([moment, forces.sum(axis=1)]), local)
-
-
 @pytest.mark.parametrize("leave_out", LEFT_OUT)
 @pytest.mark.parametrize("variant", PAPER_VARIANTS)
 def test_both_stages_are_the_stacked_objective_up_to_scale_and_constant(variant, leave_out):
@@ -106,20 +92,8 @@ def test_both_stages_are_the_stacked_objective_up_to_scale_and_constant(variant,
     )
 
 
-@pytest.mark.parametrize("variant", PAPER_VARIANTS)
-def test_stage_one_recovers_linear_springs_and_does_not_mirror_them(variant):
-    rng = np.random.default_rng(31)
-    geometry = random_socket(rng, clusters=8)  # a cluster on every tile determines it
-    settings = IdentificationSettings(variant=variant, smoothness=0.0)
-    rest = FAR + rng.uniform(-0.004, 0.004, (8, 3))
-    samples = linear_samples(rng, geometry, rest, settings.initial_stiffness)
-    found = Stages(samples, geometry, settings).rest_positions()
-    np.testing.assert_allclose(found, rest, atol=1e-9)
-
-
-@pytest.mark.parametrize("limit", [0.008, 0.0008])
-def test_stage_one_agrees_with_bounded_least_squares_on_the_rows(limit):
-    for seed in range(3):
+def test_stage_one_agrees_with_bounded_least_squares_on_the_rows():
+    for seed, limit in itertools.product(range(3), (0.008, 0.0008)):
         geometry, _, samples, settings = make_case(seed, gaps=True, rest_position_limit=limit)
         expected = MILLIMETRE * stack_stage_one(samples, geometry, settings).solve()
         stages = Stages(samples, geometry, settings)
@@ -128,41 +102,6 @@ def test_stage_one_agrees_with_bounded_least_squares_on_the_rows(limit):
         assert np.abs(found).max() <= limit + 1e-11
         if limit < 0.001:
             assert np.isclose(np.abs(found), limit, rtol=1e-9).any()  # the bound matters here
-
-
-@pytest.mark.parametrize("variant", PAPER_VARIANTS)
-def test_stage_two_agrees_with_bounded_least_squares_on_the_rows(variant):
-    at_bound = 0
-    for seed, (leave_out, theta) in enumerate(
-        zip(LEFT_OUT, (0.5, 0.0, 0.1, 0.9, 1.0, 0.5), strict=True), start=50
-    ):
-        geometry, bed, samples, settings = make_case(
-            seed, variant, gaps=True, theta=theta, leave_out=leave_out
-        )
-        rest = bed.rest_positions + np.random.default_rng(seed).normal(0.0, 1e-3, (8, 3))
-        stacked = stack_stage_two(samples, geometry, settings, rest).solve()
-        x, model = Stages(samples, geometry, settings, rest).stiffness()
-        assert relative(x, stacked[: len(x)]) < OPTIMUM
-        assert x.min() >= -1e-8
-        at_bound += np.sum(x == 0.0)
-        named = named_offsets(model.wrench_bias, model.force_bias, samples)
-        if 0.0 < theta < 1.0:
-            expected = stacked_offsets(stacked, samples, settings)
-            assert named == pytest.approx(expected, rel=1e-5, abs=1e-5)
-        without = samples.channels if variant == "stiffness" else leave_out
-        assert not any(named[name] for name in without)
-    assert at_bound >= 10  # otherwise the bounds were not tried
-
-
-@pytest.mark.parametrize("variant", PAPER_VARIANTS)
-def test_stage_two_recovers_the_truth_at_the_true_rest_positions(variant):
-    geometry, bed, samples, settings = make_case(61, variant, clusters=8, noise=0.0, smoothness=0.0)
-    _, model = Stages(samples, geometry, settings, bed.rest_positions).stiffness()
-    np.testing.assert_allclose(model.stiffness, bed.stiffness, rtol=1e-6, atol=1e-3)
-    np.testing.assert_allclose(model.wrench_bias, bed.wrench_bias, atol=1e-6)
-    assert set(model.force_bias) == set(bed.force_bias)
-    for name, bias in bed.force_bias.items():
-        np.testing.assert_allclose(model.force_bias[name], bias, atol=1e-6)
 
 
 def test_products_keep_their_digits_on_a_hold():
@@ -198,7 +137,7 @@ def test_many_samples_are_multiplied_in_blocks():
 @pytest.mark.parametrize("variant", PAPER_VARIANTS)
 def test_determined_directions_are_the_trace_of_the_hat_matrix(variant):
     geometry, bed, samples, settings = make_case(64, variant)
-    rest = bed.rest_positions + WRONG
+    rest = bed.rest_positions + 5e-4  # [m]; beside the truth, so that bounds become active
     stages = Stages(samples, geometry, settings, rest)
     x, _ = stages.stiffness()
     rows = stack_stage_two(samples, geometry, settings, rest)
