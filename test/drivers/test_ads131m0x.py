@@ -30,9 +30,9 @@ PERIOD = 1e-3
 class Wire:
     """A bus that keeps what was sent, and may change what comes back."""
 
-    def __init__(self, chip, alter=lambda answer: answer) -> None:
+    def __init__(self, chip) -> None:
         self.chip = chip
-        self.alter = alter
+        self.alter = lambda answer: answer
         self.sent: list[list[int]] = []
 
     def xfer2(self, data: list[int], /) -> list[int]:
@@ -48,14 +48,10 @@ def words(*values: int, length: int = 24) -> list[int]:
     return list(b"".join(v.to_bytes(2, "big") + b"\0" for v in values).ljust(length, b"\0"))
 
 
-def bench(channels=6, crc="ccitt", signal=None, faults=None, chip_channels=None, seed=1):
+def bench(channels=6, crc="ccitt", chip_channels=None):
     clock = FakeClock()
-    count = chip_channels or channels
-    constant = np.linspace(-0.5, 0.5, count)
-    chip = SimulatedAds131m0x(
-        signal or (lambda moment: constant), count, {} if faults is None else faults, clock,
-        seed=seed,
-    )  # fmt: skip
+    constant = np.linspace(-0.5, 0.5, chip_channels or channels)
+    chip = SimulatedAds131m0x(lambda moment: constant, len(constant), {}, clock, seed=1)
     wire = Wire(chip)
     return clock, chip, wire, Ads131m0x(wire, channels, crc, "spidev0.0", clock.sleep)
 
@@ -95,13 +91,8 @@ def test_the_configuration_is_this_conversation() -> None:
         words(0xA000),
         words(0x0000),
         words(0x6103, 0x0110, 0x3F16, 0x3333, 0x0033),
-        words(0xA100),
-        words(0xA180),
-        words(0xA200),
-        words(0xA280),
-        words(0x0000),
-        words(0x0000),
-        words(0x0000),
+        *(words(register) for register in (0xA100, 0xA180, 0xA200, 0xA280)),
+        *[words(0x0000)] * 3,
     ]
     assert converter.identity == 0x2602
 
@@ -140,12 +131,10 @@ def test_another_configuration_follows_an_earlier_one() -> None:
 def test_a_chip_that_is_another_or_dead_or_deaf_is_named() -> None:
     for channels, other in ((6, 8), (8, 6)):
         _, _, _, converter = bench(channels, chip_channels=other)
-        with refused(
-            DeviceError, f"spidev0.0: the converter says ID 0x2{other}02, not 0x2{channels}xx"
-        ):
+        with refused(DeviceError, f"the converter says ID 0x2{other}02, not 0x2{channels}xx"):
             converter.reset_and_configure(4096, 1)
+    clock, chip, wire, converter = bench()
     for bit in (0, 1):
-        _, _, wire, converter = bench()
         wire.alter = lambda answer, bit=bit: [255 * bit] * len(answer)
         with refused(NoAnswerError, f"spidev0.0: no answer (every bit reads {bit})", "MISO"):
             converter.reset_and_configure(4096, 1)
@@ -157,14 +146,13 @@ def test_a_chip_that_is_another_or_dead_or_deaf_is_named() -> None:
     with refused(NoAnswerError, "spidev0.0: the bus fails (Connection timed out)"):
         converter.read()
     for dead, error in ((0x6103, "register 0x02"), (0x0011, "did not reset")):
-        clock, chip, _, _ = bench()
-
-        def deaf(data, dead=dead, chip=chip):
-            return chip.xfer2(words(0) if data[:2] == list(dead.to_bytes(2, "big")) else data)
-
-        wire = SimpleNamespace(xfer2=deaf, close=lambda: None)
+        head = list(dead.to_bytes(2, "big"))
+        deaf = SimpleNamespace(
+            xfer2=lambda data, head=head: chip.xfer2(words(0) if data[:2] == head else data),
+            close=lambda: None,
+        )
         with refused(DeviceError, error):
-            Ads131m0x(wire, 6, sleep=clock.sleep).reset_and_configure(4096, 1)
+            Ads131m0x(deaf, 6, sleep=clock.sleep).reset_and_configure(4096, 1)
 
 
 def test_the_chip_answers_in_the_next_frame() -> None:
@@ -224,16 +212,18 @@ def test_conversions_are_timed_closer_than_they_are_read() -> None:
 
 def test_a_pause_leaves_no_conversion_with_a_wrong_time() -> None:
     times = ConversionClock(PERIOD)
-    assert times.conversion_end(1.0) is None, "nothing is known of what waits at first"
-    times.nothing_waits(1.0)
-    assert times.conversion_end(1.0005) == pytest.approx(1.00025)
-    times.nothing_waits(1.001)
-    assert times.conversion_end(1.004) is None
-    assert times.conversion_end(1.004) is None
-    times.nothing_waits(1.004)
-    assert times.conversion_end(1.0045) is not None
-    times.nothing_waits(1.0505)  # the conversions themselves had paused
-    assert times.conversion_end(1.0509) == pytest.approx(1.0507)
+    for waiting, end, expected in (
+        (None, 1.0, None),  # nothing is known of what waits at first
+        (1.0, 1.0005, 1.00025),
+        (1.001, 1.004, None),
+        (None, 1.004, None),
+        (1.004, 1.0045, 1.00425),
+        (1.0505, 1.0509, 1.0507),  # the conversions themselves had paused
+    ):
+        if waiting is not None:
+            times.nothing_waits(waiting)
+        found = times.conversion_end(end)
+        assert found is None if expected is None else found == pytest.approx(expected, abs=1e-4)
     times.lose()  # a frame that may have held one was corrupted
     assert times.conversion_end(1.0515) is None
 
@@ -252,8 +242,7 @@ def test_the_last_conversions_are_kept_in_order() -> None:
 
 
 def test_the_bus_is_opened_in_mode_1_or_says_why_not(monkeypatch: pytest.MonkeyPatch) -> None:
-    calls: list = []
-    errors: list[OSError] = []
+    calls, errors = [], []
 
     class Device:
         def open(self, bus, select):

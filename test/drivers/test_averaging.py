@@ -13,9 +13,6 @@ def test_the_span_is_the_setting_or_the_trigger_s_period() -> None:
         (0.0, 0.05, 0.0), (0.1, 0.05, 0.1), (0.5, 0.0, 0.5),
     ):  # fmt: skip
         assert averaging_span(wanted, period) == span
-
-
-def test_by_default_load_cell_and_motion_capture_average_alike() -> None:
     assert LoadCellSettings().average_over == MocapSettings().window < 0.0
 
 
@@ -26,9 +23,6 @@ def test_the_weights_are_those_of_the_line_at_the_trigger() -> None:
         values = rng.normal(size=count)
         expected = np.polynomial.Polynomial.fit(offsets, values, 1)(0.0)
         assert line_weights(offsets) @ values == pytest.approx(expected, abs=1e-9)
-
-
-def test_even_offsets_make_a_mean() -> None:
     np.testing.assert_allclose(line_weights(np.linspace(-0.1, 0.1, 9)), 1 / 9, atol=1e-15)
     assert line_weights(np.array([0.07])).tolist() == [1.0]
     assert len(line_weights(np.array([]))) == 0

@@ -5,7 +5,7 @@ import itertools
 import random
 from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -151,9 +151,6 @@ def missing(reading: ClusterReading) -> list[int]:
     return [row for row in range(4) if (reading.status[row] == MISSING).all()]
 
 
-# The conversation
-
-
 class Script:
     """A bus that expects exactly these transfers."""
 
@@ -193,12 +190,8 @@ def fdc1004(bus: I2cBus, rate: int = 400) -> Fdc1004:
     return Fdc1004(port, rate, sleep=lambda duration: None)
 
 
-def test_the_conversation_with_an_fdc1004() -> None:
-    for rate, conf in ((100, 0x05F0), (200, 0x09F0), (400, 0x0DF0)):
-        converse(rate, conf)
-
-
-def converse(rate: int, conf: int) -> None:
+@pytest.mark.parametrize(("rate", "conf"), [(100, 0x05F0), (200, 0x09F0), (400, 0x0DF0)])
+def test_the_conversation_with_an_fdc1004(rate: int, conf: int) -> None:
     settings = [*INPUTS, (0x0C, conf)]
     bus = Script(
         writes(0x0C, 0x8000),
@@ -265,42 +258,20 @@ def test_errors_of_the_bus_name_the_place_and_a_hint() -> None:
             assert type(caught.value) is kind and caught.value.address == 0x50
 
 
-class OpenedBus:
-    """What smbus2 does when a bus is opened; an error of this number, or none."""
-
-    fd = 5
-    number = 0
-    closed = 0
-
-    def open(self, number: int) -> None:
-        if self.number:
-            raise OSError(self.number, "x")
-
-    def close(self) -> None:
-        OpenedBus.closed += 1
-
-
 def test_a_bus_is_opened_with_its_time_out_or_says_why_not(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    calls = []
-    monkeypatch.setattr(i2c, "SMBus", OpenedBus)
-    monkeypatch.setattr(i2c, "ioctl", lambda *request: calls.append(request))
+    bus = Mock(fd=5)
+    monkeypatch.setattr(i2c, "SMBus", lambda: bus)
+    monkeypatch.setattr(i2c, "ioctl", request := Mock())
     i2c.open_i2c(7, 0.05)
-    assert calls == [(5, 0x0702, 5)]
+    request.assert_called_once_with(5, 0x0702, 5)
     hints = {errno.EACCES: "group i2c", errno.ENOENT: "enable the bus", errno.ENOTTY: "I2C bus"}
     for count, (number, hint) in enumerate(hints.items(), start=1):
-        monkeypatch.setattr(OpenedBus, "number", number)
+        bus.open.side_effect = OSError(number, "x")
         with refused(DeviceError, "/dev/i2c-7", hint):
             i2c.open_i2c(7, 0.05)
-        assert OpenedBus.closed == count
-    clock = FakeClock(START)
-    settings = replace(SETTINGS, buses=(7, 7, 7, 7))
-    opening = partial(i2c.open_i2c, timeout=0.05)
-    reader = ClusterReader(settings, Fdc1004, opening, clock, clock.sleep)
-    reading = reader.read(clock.now)
-    assert (reading.status == MISSING).all()
-    assert len(reading.faults) == 4 and len(set(reading.faults.values())) == 1
+        assert bus.close.call_count == count
 
 
 def test_settings_that_do_not_fit_together_are_refused() -> None:
@@ -318,9 +289,6 @@ def test_settings_that_do_not_fit_together_are_refused() -> None:
             ClusterReader(replace(SETTINGS, **change), Fdc1004, lambda number: FailingBus(1))
     with refused(ConfigurationError, "cluster_node: chip is 'fdc1005'", "fdc1004"):
         hardware.make_clusters(replace(SETTINGS, chip="fdc1005"))
-
-
-# Another chip
 
 
 class Halves:
@@ -377,9 +345,6 @@ def test_another_chip_takes_a_driver_a_simulated_one_and_their_place_in_the_regi
     faults.clear()
     clock.now += 1.0
     assert not reader.read(clock.now).faults
-
-
-# A healthy array
 
 
 def test_triggers_of_any_rate_lose_nothing_and_slow_ones_wait_about_a_cycle() -> None:
@@ -459,9 +424,6 @@ def test_each_place_is_identified_and_at_the_end_no_chip_is_connected() -> None:
     dead.close()
 
 
-# Range
-
-
 def test_the_range_follows_an_input() -> None:
     for rate, picofarads in itertools.product((4.0, 100.0), (-14.0, 17.0, 30.0, 60.0, 110.0)):
         bench = Bench(slope=0.05)
@@ -507,14 +469,8 @@ def test_an_input_beyond_every_range_is_saturated_and_named() -> None:
         bench.offsets[0, 3] = picofarads
         reading = bench.run(4.0, 8)[-1]
         assert reading.status[0].tolist() == [OK, OK, OK, SATURATED]
-        place = "0x50 behind channel 0 of 0x70 on i2c-1"
-        check_line(
-            reading.faults["brim_lateral"],
-            f"input 4 is out of range at {place}, CAPDAC {capdac}: check its sensor",
-        )
+        check_line(reading.faults["brim_lateral"], "input 4 is out of range", f"CAPDAC {capdac}: ")
 
-
-# Faults
 
 FAULT_CASES = {
     "clusters.unplugged": (1.0, [0, 1, 2, 3], "i2c-1"),
@@ -593,9 +549,8 @@ def test_a_multiplexer_that_does_not_answer_is_named_once_for_all() -> None:
     bench.hardware.multiplexer.write = refuse  # type: ignore[method-assign]
     reading = bench.read(START + 1.0)
     assert missing(reading) == [0, 1, 2, 3]
-    assert set(reading.faults.values()) == {
-        "no answer at 0x70 on i2c-1: check the multiplexer's plug and its supply"
-    }
+    (fault,) = set(reading.faults.values())
+    check_line(fault, "no answer at 0x70 on i2c-1", "multiplexer's plug")
 
 
 def test_a_reset_at_any_moment_of_a_reading_gives_no_zeros() -> None:
@@ -606,12 +561,6 @@ def test_a_reset_at_any_moment_of_a_reading_gives_no_zeros() -> None:
         bench.faults.add("clusters.brown_out", 2.0, trigger + moment)
         for n in range(4):
             bench.read(trigger + 0.25 * n)
-
-
-def value_of(fault: str, rng: random.Random) -> float:
-    if fault == "clusters.timeout":
-        return rng.choice([0.01, 0.05])
-    return 1.0 if fault == "clusters.unplugged" else 1.0 + rng.randrange(4)
 
 
 @pytest.mark.slow
@@ -630,7 +579,8 @@ def test_random_faults_give_no_wrong_value_and_are_repaired() -> None:
             moment += rng.expovariate(1.0 / (8 / rate))
             fault = rng.choice(CLUSTER_FAULTS)
             length = rng.choice([0.003, 0.3, 2.0])
-            bench.faults.add(fault, value_of(fault, rng), moment, moment + length)
+            value = {"clusters.timeout": 0.05, "clusters.unplugged": 1.0}.get(fault)
+            bench.faults.add(fault, value or 1.0 + rng.randrange(4), moment, moment + length)
         readings = bench.run(rate, triggers)
         assert sum(int((r.status == OK).sum()) for r in readings) > 0.1 * triggers * 16
         bench.faults.spans.clear()

@@ -13,7 +13,6 @@ from support.wording import refused
 from socket_testbed import clocks
 from socket_testbed.drivers.natnet.client import NatNetClient
 from socket_testbed.drivers.natnet.connection import Answer
-from socket_testbed.drivers.natnet.session import LinkStatistics
 from socket_testbed.errors import ConfigurationError, DeviceError
 from socket_testbed.live.machine import measure_speed
 from socket_testbed.settings.acquisition import MocapSettings
@@ -39,30 +38,20 @@ def link():
         yield link
 
 
-def unused_port() -> int:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as udp:
-        udp.bind(("127.0.0.1", 0))
-        return udp.getsockname()[1]
-
-
 @pytest.fixture
 def group() -> tuple[str, int]:
     """A group and a port on the loopback, if the machine has multicast there."""
-    port = unused_port()
-    with (
-        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender,
-        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as receiver,
-    ):
-        local = socket.inet_aton("127.0.0.1")
-        receiver.settimeout(1.0)
+    local = socket.inet_aton("127.0.0.1")
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as udp:
+        udp.settimeout(1.0)
         try:
-            receiver.bind((GROUP, port))
-            receiver.setsockopt(
-                socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, socket.inet_aton(GROUP) + local
-            )
-            sender.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, local)
-            sender.sendto(b"?", (GROUP, port))
-            receiver.recv(10)
+            udp.bind((GROUP, 0))
+            port = udp.getsockname()[1]
+            membership = socket.inet_aton(GROUP) + local
+            udp.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, membership)
+            udp.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, local)
+            udp.sendto(b"?", (GROUP, port))
+            udp.recv(10)
         except OSError as error:
             pytest.skip(f"no multicast on the loopback: {error}")
     return GROUP, port
@@ -89,13 +78,9 @@ def test_frames_of_every_version_come_with_their_exposure_on_the_steady_clock():
 def test_a_unicast_server_is_asked_for_little_in_the_wanted_version_and_described():
     with Link(version=(4, 4)) as link:
         link.until_fine()
-        expected = "frames of simulated Motive 3.1, NatNet 4.4 come, its clock is known within 0."
-        assert link.health()[1].startswith(expected)
         table = link.client.describe()
-        assert (table["server"], table["state"]) == (
-            "simulated Motive 3.1, NatNet 4.4",
-            "connected",
-        )
+        assert table["server"] == "simulated Motive 3.1, NatNet 4.4"
+        assert table["state"] == "connected"
         assert {"rate", "clock uncertainty", "address"} <= set(table)
         until(lambda: round(link.client.figures()["rate"]) in range(200, 280), "the rate")
         until(lambda: len(link.server.commands) >= 3, "the subscriptions")
@@ -136,28 +121,6 @@ def test_each_command_gets_its_own_answer_though_replies_are_lost_or_come_twice(
     assert all(reply is None or unpack("<f", reply) == (value,) for value, reply in raw)
 
 
-def test_what_went_wrong_is_reported_for_less_than_a_second():
-    statistics = LinkStatistics()
-    for number in range(240):
-        statistics.delivered(9.0 + number / 240.0)
-    assert statistics.warning(10.0) == ""
-    statistics.count("bad", 10.0, error="cut")
-    statistics.count("lost", 10.1, 3)
-    assert statistics.warning(10.1) == "1 bad datagrams, 3 lost frames (the last: cut)"
-    statistics.count("lost", 10.2, 4)
-    assert statistics.warning(10.7) == "1 bad datagrams, 7 lost frames (the last: cut)"
-    assert statistics.warning(11.0 + 1e-6) == ""
-    assert statistics.figures()["lost_frames"] == 7
-
-
-def test_replies_that_are_lost_are_asked_for_again():
-    with Link(client=False, seed=7) as link:
-        link.faults["mocap.drop"] = 0.7
-        link.client.start()
-        until(lambda: "bodies" in link.client.describe(), "the rigid bodies")
-        until(lambda: len(link.frames) > 20, "frames")
-
-
 def test_a_server_is_waited_for_and_found():
     for first in ("client", "server"):
         with Link(client=first != "client") as link:
@@ -169,6 +132,11 @@ def test_a_server_is_waited_for_and_found():
             link.server = NatNetServer(scene, address=address, faults=link.faults, seed=9)
             assert link.until_fine() < 1.5
             assert link.check_sample() < ACCURACY
+    with Link(client=False) as link:  # and an interface that is not there yet
+        settings = MocapSettings(server="127.0.0.1", interface="192.0.2.77")
+        link.client = NatNetClient(settings, lambda *_: None)
+        link.client.start()
+        link.until_level(2, "no network")
 
 
 def restart(link) -> float:
@@ -258,9 +226,12 @@ def test_a_take_is_named_started_and_stopped_and_its_end_by_hand_is_reported():
         until(lambda: not link.server._clients, "the farewell")
 
 
-def test_lost_replies_do_not_make_more_takes():
-    with Link(seed=3) as link:
-        link.until_fine()
+def test_lost_replies_are_asked_for_again_and_do_not_make_more_takes():
+    with Link(client=False, seed=3) as link:
+        link.faults["mocap.drop"] = 0.7
+        link.client.start()
+        until(lambda: "bodies" in link.client.describe(), "the rigid bodies")
+        until(lambda: len(link.frames) > 20, "frames")
         link.faults.update({"mocap.drop": 0.4, "mocap.duplicate": 0.5, "mocap.truncate": 0.3})
         for number in range(2):
             link.client.set_recording(f"take {number}")
@@ -332,14 +303,3 @@ def test_a_wrong_address_is_refused_at_once():
     ):
         with refused(ConfigurationError, f"mocap_node: {text}"):
             NatNetClient(MocapSettings(**settings), lambda *_: None)
-
-
-def test_an_interface_that_is_not_there_is_waited_for():
-    settings = MocapSettings(server="127.0.0.1", interface="192.0.2.77")
-    client = NatNetClient(settings, lambda *_: None)
-    client.start()
-    try:
-        until(lambda: "no network" in client.health(clocks.monotonic())[1], "the fault")
-        assert client.health(clocks.monotonic())[0] == 2
-    finally:
-        client.close()

