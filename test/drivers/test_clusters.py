@@ -472,29 +472,23 @@ def test_an_input_beyond_every_range_is_saturated_and_named() -> None:
         check_line(reading.faults["brim_lateral"], "input 4 is out of range", f"CAPDAC {capdac}: ")
 
 
-FAULT_CASES = {
-    "clusters.unplugged": (1.0, [0, 1, 2, 3], "i2c-1"),
-    "clusters.nack": (3.0, [2], f"no answer at {PLACE}"),
-    "clusters.timeout": (0.05, [0, 1, 2, 3], "the bus hangs at 0x70 on i2c-1"),
-    "clusters.stuck_done": (2.0, [1], "do not finish at 0x50 behind channel 1 of 0x70 on i2c-1"),
-    "clusters.brown_out": (4.0, [3], "channel 3 of 0x70 on i2c-1 fell back to its reset state"),
-}
-
-
-def test_a_fault_is_reported_and_overcome() -> None:
-    for (fault, (value, rows, text)), rate in itertools.product(
-        FAULT_CASES.items(), (4.0, 50.0, 100.0)
-    ):
+def test_a_fault_is_reported_for_its_clusters_alone_and_overcome() -> None:
+    cases = (
+        ("unplugged", 1.0, [0, 1, 2, 3]),
+        ("nack", 3.0, [2]),
+        ("timeout", 0.05, [0, 1, 2, 3]),
+        ("stuck_done", 2.0, [1]),
+        ("brown_out", 4.0, [3]),
+    )
+    for (fault, value, rows), rate in itertools.product(cases, (4.0, 50.0, 100.0)):
         bench = Bench()
         assert not bench.run(rate, 5)[-1].faults
         begin = bench.clock.now + 0.5 / rate
-        bench.faults.add(fault, value, begin, begin + 2.0)
+        bench.faults.add(f"clusters.{fault}", value, begin, begin + 2.0)
         struck = bench.run(rate, round(2.0 * rate), begin)
         # Some readings come too late where a bus hangs; apart from that the others go on.
         reported = [r for r in struck if r.faults and "too late" not in "".join(r.faults.values())]
         assert reported and all(missing(reading) == rows for reading in reported)
-        for reading, row in itertools.product(reported, rows):
-            check_line(reading.faults[reading.names[row]], text)
         after = bench.run(rate, round(2.0 * rate), begin + 2.0)
         assert not any(reading.faults for reading in after[round(1.0 * rate) :])
 
@@ -553,17 +547,6 @@ def test_a_multiplexer_that_does_not_answer_is_named_once_for_all() -> None:
     check_line(fault, "no answer at 0x70 on i2c-1", "multiplexer's plug")
 
 
-def test_a_reset_at_any_moment_of_a_reading_gives_no_zeros() -> None:
-    for moment in np.linspace(0.0, 0.03, 31):
-        bench = Bench()
-        bench.run(4.0, 4)
-        trigger = START + 1.0
-        bench.faults.add("clusters.brown_out", 2.0, trigger + moment)
-        for n in range(4):
-            bench.read(trigger + 0.25 * n)
-
-
-@pytest.mark.slow
 def test_random_faults_give_no_wrong_value_and_are_repaired() -> None:
     for seed, rate in itertools.product(range(2), (4.0, 50.0, 100.0)):
         rng = random.Random(seed)

@@ -124,18 +124,6 @@ def test_between_frames_the_bodies_are_where_they_were_and_at_a_frame_it_is_the_
         assert max(errors_of(tracker.sample(index * PERIOD), 0)) < 1e-7
 
 
-def test_swapped_labels_do_not_move_a_body():
-    swaps = [((0, 0, 1),), (), ((0, 1, 2), (1, 0, 2)), ((1, 1, 2),), ((0, 0, 2),)]
-    tracker = tracker_of(frames(), swapped=lambda index: swaps[index % 5])
-    for trigger in np.linspace(PERIOD, 18 * PERIOD, 30):
-        assert_right(tracker.sample(trigger))
-    larger = (EIGHT[:6], TRIADS[1])
-    faults = {"hidden": lambda _: ((0, 3),), "swapped": lambda _: ((0, 1, 4),)}
-    assert_right(
-        tracker_of(frames(), references=larger, **faults).sample(9.5 * PERIOD), 1e-4, larger
-    )
-
-
 def test_a_body_of_more_markers_has_its_pose_whatever_few_of_them_are_seen():
     for count in (4, 5, 8):
         references = (EIGHT[:count], TRIADS[1])
@@ -147,6 +135,10 @@ def test_a_body_of_more_markers_has_its_pose_whatever_few_of_them_are_seen():
             seen = np.isfinite(sample.markers).all(axis=2)
             assert seen[0].tolist() == [k not in labels for k in range(count)]
             assert seen[1].tolist() == [k < 3 for k in range(count)]
+    references = (EIGHT[:6], TRIADS[1])
+    faults = {"hidden": lambda _: ((0, 3),), "swapped": lambda _: ((0, 1, 4),)}
+    tracker = tracker_of(frames(), references=references, **faults)
+    assert_right(tracker.sample(9.5 * PERIOD), 1e-4, references)
 
 
 def test_too_few_markers_or_those_that_two_labels_could_exchange_make_no_pose():
@@ -165,20 +157,6 @@ def test_too_few_markers_or_those_that_two_labels_could_exchange_make_no_pose():
         assert max(errors_of(sample, 1)) < 1e-4
 
 
-def test_an_occluded_marker_is_missing_and_never_where_it_was():
-    for kind in ("hidden", "filled", "gone"):
-        faults = {kind: lambda index: ((0, 1),) if index >= 10 else ()}
-        if kind != "gone":
-            faults["lies"] = faults[kind]
-        sample = tracker_of(frames(), **faults).sample(15.3 * PERIOD)
-        assert np.isnan(sample.positions[0]).all() and np.isnan(sample.quaternions[0]).all()
-        assert np.isnan(sample.markers[0, 1]).all()
-        assert errors_of(sample, 0)[2] < 1e-5
-        assert np.isfinite(sample.markers[0, [0, 2]]).all()
-        assert sample.faults == ("marker 2 of rigid body 'socket' is occluded", "")
-        assert max(errors_of(sample, 1)) < 5e-5
-
-
 def test_frames_without_a_pose_are_bridged_over_the_largest_gap_at_most():
     for first, last in ((9, 9), (10, 10), (9, 10)):
         hidden = [((0, 2),) if first <= i <= last else () for i in range(20)]
@@ -186,7 +164,8 @@ def test_frames_without_a_pose_are_bridged_over_the_largest_gap_at_most():
     settings = MocapSettings(stale=1.5 * PERIOD)
     tracker = tracker_of(frames(), settings, hidden=lambda i: ((0, 2),) if i == 9 else ())
     sample = tracker.sample(9.5 * PERIOD)
-    assert np.isnan(sample.positions[0]).all()
+    assert np.isnan(sample.positions[0]).all() and np.isnan(sample.quaternions[0]).all()
+    assert np.isfinite(sample.markers[0]).all(axis=1).tolist() == [True, True, False]
     assert sample.faults == ("marker 3 of rigid body 'socket' is occluded", "")
 
 
@@ -227,8 +206,6 @@ def test_a_gap_between_frames_gives_nothing_and_frames_are_kept_for_a_second():
         assert np.isnan(sample.markers).all() and np.isnan(sample.positions).all()
         assert all("no two frames within 0.05 s" in fault for fault in sample.faults)
     assert tracker.sample(0.205).faults == ("", "")
-    nothing = BodyTracker(SETTINGS, *TRIADS).sample(1.0)
-    assert nothing.markers.shape == (2, 3, 3) and nothing.quaternions.shape == (2, 4)
     tracker = tracker_of(frames(500))
     assert tracker.sample(200.5 * PERIOD).faults[0].startswith("no two frames")
     assert tracker.sample(400.5 * PERIOD).faults == ("", "")

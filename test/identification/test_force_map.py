@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from support.problems import make_samples
 
 from socket_testbed.files import packaged
 from socket_testbed.geometry.socket import read_socket
@@ -33,15 +34,8 @@ def some_samples(count: int = 6, seed: int = 0) -> Samples:
     """Samples without a physical meaning: what holds for the map holds for any values."""
     rng = np.random.default_rng(seed)
     wrench = rng.normal(0.0, [1.0, 1.0, 0.3, 5.0, 5.0, 50.0], (count, 6)) - [0, 0, 0, 0, 0, 200.0]
-    return Samples(
-        stamps=np.arange(count) * 250_000_000,
-        position=np.zeros((count, 3)),
-        rotation=np.zeros((count, 3)),
-        wrench=wrench,
-        clusters=CLUSTERS,
-        local_forces=rng.normal(0.0, [1.0, 1.0, 3.0], (count, 4, 3)) - [0.0, 0.0, 6.0],
-        status=np.zeros((count, 4), dtype=np.uint8),
-    )
+    local = rng.normal(0.0, [1.0, 1.0, 3.0], (4, count, 3)) - [0.0, 0.0, 6.0]
+    return make_samples(np.zeros((count, 3)), wrench, dict(zip(CLUSTERS, local, strict=True)))
 
 
 @pytest.fixture(scope="module")

@@ -27,8 +27,7 @@ def moving(rng, geometry, motion, noise, count=400):
     """Samples whose six pose numbers move slowly by `motion` and have `noise` (sd), (6,) each."""
     phase = np.linspace(0.0, 2.0 * np.pi, count)[:, None] * [3, 4, 5, 6, 7, 8]
     pose = np.sqrt(2.0) * np.array(motion) * np.sin(phase) + rng.normal(0.0, noise, (count, 6))
-    samples = make_samples(pose[:, :3], np.zeros((count, 6)), {})
-    return dataclasses.replace(samples, rotation=pose[:, 3:])
+    return make_samples(pose, np.zeros((count, 6)), {})
 
 
 @pytest.mark.parametrize("variant", ["stiffness", "stiffness_bias"])
@@ -60,8 +59,7 @@ def test_what_is_linear_in_the_pose_is_no_spring_s():
     slope = rng.normal(0.0, 1e4, (6, 6))
     sloped = dataclasses.replace(bed, variant="rigid_bias", wrench_slope=slope)
     wrench = sloped.wrench(pose) + rng.normal(0.0, 0.1, (60, 6))
-    samples = make_samples(pose[:, :3], wrench, sloped.cluster_forces(pose))
-    samples = dataclasses.replace(samples, rotation=pose[:, 3:])
+    samples = make_samples(pose, wrench, sloped.cluster_forces(pose))
     plain = dataclasses.replace(sloped, wrench_slope=np.zeros((6, 6)))
     with_slope, without = (load_shares(samples, model)[0] for model in (sloped, plain))
     assert with_slope.springs == pytest.approx(without.springs)
@@ -136,18 +134,14 @@ def test_the_derivatives_are_those_of_the_model():
     assert np.allclose(_information(pose, bed, clusters, deviations), stacked @ stacked.T)
 
 
-def samples_of(position, rotation=None):
-    samples = make_samples(position, np.zeros((len(position), 6)), {})
-    return samples if rotation is None else dataclasses.replace(samples, rotation=rotation)
-
-
 def test_a_spring_is_engaged_where_its_gate_is_half_open_and_it_is_stiff(monkeypatch):
     rng = np.random.default_rng(3)
     monkeypatch.setattr(module, "_BLOCK", 7)
     bed = random_bed(rng, random_socket(rng), untouched=0.3)
     q = moving_limb(rng, 40)
     q[5] = np.nan
-    found = engagement(samples_of(q), bed, rows=slice(4, 24))
+    samples = make_samples(q, np.zeros((40, 6)), {})
+    found = engagement(samples, bed, rows=slice(4, 24))
     expected = np.zeros((40, *bed.stiffness.shape), dtype=bool)
     for k, i, j in np.ndindex(expected.shape):
         open_gate = gate(q[k, j] - bed.rest_positions[i, j], bed.sharpness) > 0.5
@@ -172,7 +166,8 @@ def test_springs_are_uncertain_within_the_spread_of_drawn_poses(variant):
     )
     shifts, turns = rng.normal(0.0, 1e-4, (count, 3)), rng.normal(0.0, 2e-3, (count, 3))
     turned = Rotation.from_rotvec(turns) * Rotation.from_rotvec([1.6, -0.9, 1.2])
-    found = engagement(samples_of(centre + shifts, turned.as_rotvec()), bed)
+    pose = np.hstack([centre + shifts, turned.as_rotvec()])
+    found = engagement(make_samples(pose, np.zeros((count, 6)), {}), bed)
     if variant == "stiffness":
         delta = (centre + shifts)[:, None] - bed.rest_positions
     else:  # along the normal of each tile, at its centre

@@ -74,12 +74,3 @@ def test_a_model_of_an_older_version_is_read(hold_model: Path, tmp_path: Path) -
     (tmp_path / "model.json").write_text(json.dumps(document))
     with pytest.raises(ConfigurationError, match="unknown key 'noise_correction'"):
         read_model(tmp_path / "model.json")
-
-
-def test_a_model_is_read_for_its_own_socket_alone(hold_model: Path) -> None:
-    geometry = read_model(hold_model).geometry
-    assert read_model(hold_model, geometry).geometry.same_tiles(geometry)
-    moved = dataclasses.replace(geometry, anchors=geometry.anchors + 0.01)
-    with pytest.raises(ConfigurationError, match="another socket") as caught:
-        read_model(hold_model, moved)
-    assert f"{len(geometry)} tiles" in caught.value.fact

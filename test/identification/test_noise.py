@@ -5,6 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from support.problems import make_samples
 
 from socket_testbed.identification.noise import (
     LEAST_DIFFERENCES,
@@ -32,16 +33,9 @@ def moving(rng: np.random.Generator, count: int, noise: np.ndarray) -> np.ndarra
 
 def noisy_samples(seed: int, count: int = 800) -> Samples:
     rng = np.random.default_rng(seed)
-    pose = moving(rng, count, POSE_NOISE)
-    return Samples(
-        stamps=10**18 + PERIOD * np.arange(count, dtype=np.int64),
-        position=pose[:, :3],
-        rotation=pose[:, 3:],
-        wrench=moving(rng, count, WRENCH_NOISE),
-        clusters=("brim", "distal"),
-        local_forces=moving(rng, count, LOCAL_NOISE),
-        status=np.zeros((count, 2), dtype=np.uint8),
-    )
+    pose, wrench = moving(rng, count, POSE_NOISE), moving(rng, count, WRENCH_NOISE)
+    brim, distal = moving(rng, count, LOCAL_NOISE).swapaxes(0, 1)
+    return make_samples(pose, wrench, {"brim": brim, "distal": distal})
 
 
 def assert_known_noise(samples: Samples, within: float = WITHIN) -> None:

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from support.problems import make_samples
 from support.ring_socket import ring_socket
 
 from socket_testbed.errors import TrialError
@@ -33,15 +34,9 @@ LOAD = np.array([0.5, 1.5, 0.0, 5.0, -3.0, -270.0])  # [N m, N]
 
 def samples_at(times: np.ndarray) -> Samples:
     count = len(times)
-    return Samples(
-        stamps=(1e9 * times).astype(np.int64),
-        position=np.zeros((count, 3)),
-        rotation=np.zeros((count, 3)),
-        wrench=np.tile(LOAD, (count, 1)),
-        clusters=CLUSTERS,
-        local_forces=np.tile([0.5, -0.2, -9.0], (count, len(CLUSTERS), 1)),
-        status=np.zeros((count, len(CLUSTERS)), dtype=np.uint8),
-    )
+    local = {name: np.tile([0.5, -0.2, -9.0], (count, 1)) for name in CLUSTERS}
+    samples = make_samples(np.zeros((count, 3)), np.tile(LOAD, (count, 1)), local)
+    return replace(samples, stamps=(1e9 * times).astype(np.int64))
 
 
 def test_outputs_of_a_known_field_are_those_of_plain_numpy() -> None:

@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from support.problems import make_samples, random_socket
+from support.problems import make_samples, random_socket, uniform_bed
 
 from socket_testbed.identification.contact import ContactModel
 from socket_testbed.identification.fit import fit_contact_model
@@ -16,19 +16,13 @@ from socket_testbed.settings.identification import RIGID_VARIANTS, Identificatio
 
 def rigid_bed(rng: np.random.Generator, geometry, variant="rigid") -> ContactModel:
     """A rigid bed that presses everywhere a little: a limb that settled."""
-    n = len(geometry)
-    rest = rng.normal([-0.0, 0.0, 0.003], 0.001, (n, 3)) - 0.004 * geometry.rotations[:, 2]
-    return ContactModel(
+    size, inwards = (len(geometry), 3), geometry.rotations[:, 2]
+    return dataclasses.replace(
+        uniform_bed(geometry, [2000.0, 2000.0, 6000.0]),
         variant=variant,
-        names=geometry.names,
-        anchors=geometry.anchors,
-        rotations=geometry.rotations,
-        stiffness=rng.uniform(0.5, 1.5, (n, 3)) * [2000.0, 2000.0, 6000.0],
-        rest_positions=rest,
+        rest_positions=rng.normal([0.0, 0.0, 0.003], 0.001, size) - 0.004 * inwards,
+        stiffness=rng.uniform(0.5, 1.5, size) * [2000.0, 2000.0, 6000.0],
         sharpness=300.0,
-        wrench_bias=np.zeros(6),
-        force_bias={},
-        cluster_points=dict(geometry.clusters),
         reference_pose=np.array([0.01, -0.02, 0.15, 0.02, 0.1, -0.05]),
     )
 
@@ -46,8 +40,7 @@ def rigid_case(seed: int, variant="rigid", count: int = 80, **changes):
     geometry = random_socket(rng, rings=3, columns=5)
     bed = rigid_bed(rng, geometry, variant)
     pose = rigid_motion(rng, count, bed)
-    samples = make_samples(pose[:, :3], bed.wrench(pose), bed.cluster_forces(pose))
-    samples = dataclasses.replace(samples, rotation=pose[:, 3:])
+    samples = make_samples(pose, bed.wrench(pose), bed.cluster_forces(pose))
     settings = IdentificationSettings(variant=variant, contact_sharpness=bed.sharpness, **changes)
     return geometry, bed, samples, settings
 

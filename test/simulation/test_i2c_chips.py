@@ -145,23 +145,6 @@ def test_two_mask_bits_put_two_chips_on_the_same_wires() -> None:
         bus.i2c_rdwr(i2c_msg.write(0x71, [1]))
 
 
-def test_transfers_take_nine_bits_a_byte_on_average_however_inexact_sleeps_are() -> None:
-    for shortest in (0.0, 5e-4):
-        clock = FakeClock()
-
-        def sleep(duration: float, shortest=shortest, clock=clock) -> None:
-            if duration >= shortest:
-                clock.sleep(duration + 7e-5)
-
-        bus = SimulatedClusterHardware(
-            SimulatedFdc1004, lambda c, n, t: 0.0, {}, 400e3, clock, sleep
-        ).open_bus(1)
-        start, took = clock.now, 2 * 9 / 400e3
-        for k in range(1, 501):
-            bus.i2c_rdwr(i2c_msg.write(MULTIPLEXER, [1]))
-            assert -shortest - 1e-9 <= clock.now - start - k * took <= 1e-4
-
-
 def test_an_unplugged_bus_comes_back_with_reset_chips() -> None:
     host = Host()
     host.repeat()

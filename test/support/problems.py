@@ -105,15 +105,13 @@ def moving_limb(rng: np.random.Generator, count: int, amplitude: float = 0.003) 
     return way + rng.normal(0.0, 0.1 * amplitude, (count, 3))
 
 
-def make_samples(
-    position: np.ndarray, wrench: np.ndarray, forces: dict[str, np.ndarray]
-) -> Samples:
-    """Complete samples at 4 Hz."""
-    count = len(position)
+def make_samples(pose: np.ndarray, wrench: np.ndarray, forces: dict[str, np.ndarray]) -> Samples:
+    """Complete samples at 4 Hz; of positions alone, or of whole poses [m, rad]."""
+    count = len(pose)
     return Samples(
         stamps=np.int64(10**18) + 250_000_000 * np.arange(count, dtype=np.int64),
-        position=position,
-        rotation=np.zeros((count, 3)),
+        position=pose[:, :3],
+        rotation=pose[:, 3:] if pose.shape[1] == 6 else np.zeros((count, 3)),
         wrench=wrench,
         clusters=tuple(forces),
         local_forces=np.stack([*forces.values()], axis=1) if forces else np.zeros((count, 0, 3)),
