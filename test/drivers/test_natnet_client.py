@@ -2,17 +2,13 @@
 
 import itertools
 import socket
-from concurrent.futures import Future
-from struct import unpack
 
 import pytest
-from support import HANGS
 from support.natnet import Link, scene, until
 from support.wording import refused
 
 from socket_testbed import clocks
 from socket_testbed.drivers.natnet.client import NatNetClient
-from socket_testbed.drivers.natnet.connection import Answer
 from socket_testbed.errors import ConfigurationError, DeviceError
 from socket_testbed.live.machine import measure_speed
 from socket_testbed.settings.acquisition import MocapSettings
@@ -87,38 +83,6 @@ def test_a_unicast_server_is_asked_for_little_in_the_wanted_version_and_describe
         assert list(dict.fromkeys(link.server.commands)) == [
             "Bitstream,4.1", "SubscribeToData,RigidBody,All", "SubscribeToData,LabeledMarkers,All",
         ]  # fmt: skip
-
-
-def ask(link, command: str) -> Answer:
-    """The answer to a command, after those that wait before it."""
-    future: Future[Answer] = Future()
-    link.client._commands.submit(command, future.set_result)
-    return future.result(HANGS)
-
-
-def test_commands_are_answered_or_say_why_not(link):
-    assert unpack("<f", ask(link, "FrameRate").raw) == (240.0,)
-    unknown = ask(link, "Tango,now")
-    assert not unknown.accepted
-    assert unknown.fault("Tango,now") == "the server does not know Tango"
-    link.faults["mocap.unplugged"] = 1.0
-    answer = ask(link, "StartRecording")
-    assert answer.raw is None and not answer.accepted
-    assert answer.fault("StartRecording") == "no answer to StartRecording"
-    assert "StartRecording" not in link.server.commands
-    idle = NatNetClient(link.settings, lambda *_: None)
-    assert idle.health(clocks.monotonic()) == (2, "not started")
-
-
-def test_each_command_gets_its_own_answer_though_replies_are_lost_or_come_twice(link):
-    link.faults.update({"mocap.drop": 0.3, "mocap.duplicate": 0.5})
-    answers: list[tuple[float, Future[Answer]]] = []
-    for command, expected in 5 * (("FrameRate", 240.0), ("UnitsToMillimeters", 1000.0)):
-        answers.append((expected, Future()))
-        link.client._commands.submit(command, answers[-1][1].set_result)
-    raw = [(expected, future.result(HANGS).raw) for expected, future in answers]
-    # All ten attempts may be lost.
-    assert all(reply is None or unpack("<f", reply) == (value,) for value, reply in raw)
 
 
 def test_a_server_is_waited_for_and_found():

@@ -6,14 +6,10 @@ import numpy as np
 import pytest
 
 import socket_testbed as st
-from socket_testbed.calibration.model import read_calibration
-from socket_testbed.files import packaged
-from socket_testbed.geometry.socket import read_socket
 from socket_testbed.identification.evaluation import summarise_errors
-from socket_testbed.samples import Status
 from socket_testbed.simulation.limb import load_history
 from socket_testbed.simulation.sensor_errors import LIKE_PAPER
-from socket_testbed.simulation.sensors import ClusterSensor, cluster_stress, wrench_creep
+from socket_testbed.simulation.sensors import wrench_creep
 
 
 def test_the_load_cell_creeps_by_so_much() -> None:
@@ -24,22 +20,6 @@ def test_the_load_cell_creeps_by_so_much() -> None:
     assert (np.abs(creep[time < 15]) < 1e-9).all()  # before the mass is placed
     held = np.abs(creep[(time > 25) & (time < 100)])
     assert (np.diff(held, axis=0) > 0.0).all()
-
-
-def test_the_clusters_offsets_stay_within_the_calibrated_range() -> None:
-    geometry = read_socket(packaged("config", "socket.yaml"))
-    calibration = read_calibration(packaged("config", "like_paper.yaml"))
-    rng = np.random.default_rng(0)
-    pressed = np.zeros((2, len(geometry), 3))
-    for cluster, tile in 5 * tuple(geometry.clusters.items()):
-        pressed[1, tile] = geometry.rotations[tile] @ [5.0, -5.0, -30.0]
-        stress = cluster_stress(geometry, cluster, pressed)
-        sensor = ClusterSensor(calibration.clusters[cluster], LIKE_PAPER, rng)
-        read = sensor.read(stress, np.zeros(2), rng)
-        found, status = calibration.clusters[cluster].apply(read, np.zeros((2, 4), np.uint8))
-        assert (status == Status.OK).all()
-        offset = np.abs(geometry.cluster_force(cluster, found)[0])
-        assert (offset > 20.0).all() and (offset < 160.0).all()
 
 
 @pytest.mark.slow

@@ -61,12 +61,7 @@ def power_save(awake: float, beacon: float = 0.1024) -> Delay:
 
 @dataclass
 class NatNetLink:
-    """A server and a client's session with a network between them.
-
-    Attributes:
-        frames: Time [s], error and stated uncertainty [s] of each frame that was used.
-        unused: Times of the frames that were not used [s].
-    """
+    """A server and a client's session with a network between them."""
 
     way: Delay
     back: Delay
@@ -75,9 +70,9 @@ class NatNetLink:
     settings: MocapSettings = field(default_factory=lambda: MocapSettings(server="127.0.0.1"))
 
     def __post_init__(self) -> None:
-        self.frames: list[tuple[float, float, float]] = []
-        self.unused: list[float] = []
         self.opened = True
+        # Time, error and stated uncertainty of each frame that was used [s].
+        self.frames: list[tuple[float, float, float]] = []
         self._rng = np.random.default_rng(self.seed)
         self._numbers = count()
         self._events: list[tuple[float, int, Callable[[float], None]]] = []
@@ -144,17 +139,12 @@ class NatNetLink:
     def _expose(self, at: float) -> None:
         ticks = self._ticks(at - _LATENCY)
         number = round(at * _FRAMES)
-        content = Content(
-            number,
-            ticks=(ticks, ticks, ticks),
-        )
+        content = Content(number, ticks=(ticks, ticks, ticks))
         data = bytes(encode_frame(content, (4, 1)).data)
 
         def arrive(now: float) -> None:
-            used, self._exposed = len(self.frames), at - _LATENCY
+            self._exposed = at - _LATENCY
             self._receive(data, now)
-            if len(self.frames) == used:
-                self.unused.append(at)
 
         self._carry("back", self.back, arrive)
         self._at(at + 1.0 / _FRAMES, self._expose)
