@@ -3,6 +3,7 @@
 import itertools
 import sys
 from types import SimpleNamespace
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -242,29 +243,20 @@ def test_the_last_conversions_are_kept_in_order() -> None:
 
 
 def test_the_bus_is_opened_in_mode_1_or_says_why_not(monkeypatch: pytest.MonkeyPatch) -> None:
-    calls, errors = [], []
-
-    class Device:
-        def open(self, bus, select):
-            calls.append((bus, select))
-            if errors:
-                raise errors.pop()
-
-        def close(self):
-            calls.append("closed")
-
-    monkeypatch.setitem(sys.modules, "spidev", SimpleNamespace(SpiDev=Device))
+    device = Mock()
+    monkeypatch.setitem(sys.modules, "spidev", SimpleNamespace(SpiDev=lambda: device))
     spi = open_spi("1.2", 8e6)
-    assert calls == [(1, 2)]
+    device.open.assert_called_once_with(1, 2)
     assert (spi.mode, spi.max_speed_hz) == (1, 8_000_000)
-    for number, hint in ((2, "dtparam=spi=on"), (13, "group spi"), (16, "spi_clock")):
-        errors.append(OSError(number, "x"))
+    hints = {2: "dtparam=spi=on", 13: "group spi", 16: "spi_clock"}
+    for count, (number, hint) in enumerate(hints.items(), start=1):
+        device.open.side_effect = OSError(number, "x")
         with refused(DeviceError, "/dev/spidev0.0", hint):
             open_spi("0.0", 8e6)
-        assert calls[-1] == "closed"
-    for device in ("", "0", "spidev0.0", "0.0.0", "-1.0", "a.b"):
+        assert device.close.call_count == count
+    for name in ("", "0", "spidev0.0", "0.0.0", "-1.0", "a.b"):
         with refused(ConfigurationError, "N.M"):
-            open_spi(device, 8e6)
+            open_spi(name, 8e6)
     monkeypatch.setitem(sys.modules, "spidev", None)  # as if it were not installed
     with refused(DeviceError, "python3-spidev"):
         open_spi("0.0", 8e6)

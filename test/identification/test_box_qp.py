@@ -1,6 +1,7 @@
 """The certificate of a box QP, its refinement, and solvers that are not believed."""
 
 import dataclasses
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -119,35 +120,25 @@ def test_solvers_find_known_optima_and_near_a_solution_none_is_called(monkeypatc
         assert warm.solver == WARM_START and warm.iterations is None
 
 
-def patch_solver(monkeypatch, solver):
-    """Put a solver in the place of every other one, and nobody to correct its answer."""
-    monkeypatch.setattr(qpsolvers, "solve_problem", solver)
-    for correct in ("pivot", "pivot_regularised"):
-        monkeypatch.setattr(
-            box_qp, correct, lambda problem, x: BoxSolution(x, problem.certificate(x), False)
-        )
-
-
 def test_a_wrong_answer_is_refused_whatever_the_solver_says(monkeypatch):
     problem, optimum = known_problem(np.random.default_rng(85))
     wrong = np.clip(optimum + 0.05, problem.lower, problem.upper)
-
-    def out_of_luck(*_, **__):
-        raise qpsolvers.exceptions.SolverError("out of luck")
-
-    for answer, reason in (
-        (wrong, "KKT"),
-        (None, "gave no answer"),
-        (np.full(12, np.nan), "gave no answer"),
-        (out_of_luck, "out of luck"),
+    monkeypatch.setattr(qpsolvers, "solve_problem", solver := Mock())
+    for correct in ("pivot", "pivot_regularised"):  # nobody corrects its answer
+        monkeypatch.setattr(
+            box_qp, correct, lambda problem, x: BoxSolution(x, problem.certificate(x), False)
+        )
+    for result, reason in (
+        (qpsolvers.Solution(None, found=True, x=wrong), "KKT"),
+        (qpsolvers.Solution(None, found=True, x=None), "gave no answer"),
+        (qpsolvers.Solution(None, found=True, x=np.full(12, np.nan)), "gave no answer"),
+        (qpsolvers.exceptions.SolverError("out of luck"), "out of luck"),
     ):
-        claim = qpsolvers.Solution(None, found=True, x=None if callable(answer) else answer)
-        solver = answer if callable(answer) else lambda *_, claim=claim, **__: claim
-        patch_solver(monkeypatch, solver)
+        solver.side_effect = [result]
         with pytest.raises(UncertifiedSolutionError, match=reason) as caught:
             solve_box_qp(problem, "osqp", 1e-6)
         assert caught.value.problem is problem and "known" in caught.value.fact
-        np.testing.assert_array_equal(caught.value.x, wrong if answer is wrong else None)
+        np.testing.assert_array_equal(caught.value.x, wrong if reason == "KKT" else None)
 
 
 @pytest.mark.parametrize(("curvature", "solver"), [(0.0, "osqp"), (1e-14, WARM_START)])

@@ -24,9 +24,7 @@ def law_of(variant, geometry, sharpness=ALPHA, reference=(0.01, -0.02, 0.15, 0.0
 def test_columns_of_the_paper_s_law_are_the_gated_displacements(rng, sharpness):
     law = law_of("stiffness", random_socket(rng), sharpness)
     moved = rng.uniform(-0.01, 0.01, (20, 3, 7))
-    before = moved.copy()
     np.testing.assert_allclose(law.columns(moved), naive_gated(moved, sharpness), atol=1e-16)
-    np.testing.assert_array_equal(moved, before)
     with np.errstate(over="raise"):  # the law itself must keep its overflow quiet
         assert (law.columns(np.full((1, 3, 1), 1e3)) == 0.0).all()
     d = np.linspace(0.0, 10.0 / sharpness, 10_001)[:, None, None] * np.ones((1, 3, 1))

@@ -7,7 +7,6 @@ from support.clocks import FakeClock
 
 from socket_testbed.simulation.devices.fdc1004 import SimulatedFdc1004
 from socket_testbed.simulation.devices.i2c import (
-    SimulatedClusterHardware,
     SimulatedI2cBus,
 )
 
@@ -113,36 +112,6 @@ def test_a_conversion_under_way_keeps_its_capdac() -> None:
     assert host.code(0) * UNIT == 10.0
     host.clock.now += 2.5e-3
     assert host.code(0) * UNIT == 10.0 - 6.25
-
-
-def test_two_mask_bits_put_two_chips_on_the_same_wires() -> None:
-    clock = FakeClock()
-    hardware = SimulatedClusterHardware(
-        SimulatedFdc1004, lambda c, n, t: 0.0, {}, None, clock, clock.sleep
-    )
-    bus = hardware.open_bus(1)
-
-    def chip(mask: int, register: int, value: int | None = None) -> int:
-        bus.i2c_rdwr(i2c_msg.write(MULTIPLEXER, [mask]))
-        if value is not None:
-            bus.i2c_rdwr(i2c_msg.write(CHIP, [register, value >> 8, value & 0xFF]))
-        answer = i2c_msg.read(CHIP, 2)
-        bus.i2c_rdwr(i2c_msg.write(CHIP, [register]), answer)
-        return int.from_bytes(answer.buf[:2], "big")
-
-    assert chip(0b01, 0x0D, 0xFF0F) == 0xFF0F
-    assert chip(0b10, 0x0D, 0x0FF0) == 0x0FF0
-    assert chip(0b11, 0x0D) == 0xFF0F & 0x0FF0
-    assert chip(0b11, 0x0D, 0x1111) == 0x1111
-    assert chip(0b01, 0x0D) == chip(0b10, 0x0D) == 0x1111
-    answer = i2c_msg.read(MULTIPLEXER, 1)
-    bus.i2c_rdwr(answer)
-    assert answer.buf[0] == bytes([0b10])
-    for mask in (0, 0b10000):
-        with pytest.raises(OSError, match="acknowledgement"):
-            chip(mask, 0xFF)
-    with pytest.raises(OSError, match="acknowledgement"):
-        bus.i2c_rdwr(i2c_msg.write(0x71, [1]))
 
 
 def test_an_unplugged_bus_comes_back_with_reset_chips() -> None:
