@@ -6,9 +6,7 @@ from smbus2 import i2c_msg
 from support.clocks import FakeClock
 
 from socket_testbed.simulation.devices.fdc1004 import SimulatedFdc1004
-from socket_testbed.simulation.devices.i2c import (
-    SimulatedI2cBus,
-)
+from socket_testbed.simulation.devices.i2c import SimulatedI2cBus
 
 CHIP, MULTIPLEXER = 0x50, 0x70
 FDC_CONF = 0x0C

@@ -62,16 +62,7 @@ def until(condition: Callable[[], bool], what: str = "it") -> float:
 class Link:
     """A server with its faults, and a client whose frames go to a tracker."""
 
-    def __init__(
-        self,
-        multicast=None,
-        bodies=scene,
-        client=True,
-        data_port=1511,
-        settings=None,
-        references=TRIADS,
-        **server,
-    ):
+    def __init__(self, multicast=None, bodies=scene, client=True, data_port=1511, **server):
         self.faults: dict[str, float] = {}
         self.frames: list[tuple[int, float]] = []
         self.server = NatNetServer(bodies, faults=self.faults, multicast=multicast, **server)
@@ -79,9 +70,8 @@ class Link:
         self.settings = MocapSettings(
             server=host, command_port=port, interface=host if multicast else "",
             multicast=multicast[0] if multicast else "", data_port=data_port,
-            **(settings or {}),
         )  # fmt: skip
-        self.tracker = BodyTracker(self.settings, *references)
+        self.tracker = BodyTracker(self.settings, *TRIADS)
         self.client = NatNetClient(self.settings, self._take)
         if client:
             self.client.start()
@@ -119,14 +109,13 @@ class Link:
         truth = np.array([markers_at(body, sample.time) for body in range(2)])
         return float(np.linalg.norm(sample.markers - truth, axis=2).max())
 
-    def sample(self, body: int | None = None) -> MocapSample:
-        """A sample at a trigger from now or soon in which a body, or both, have a pose."""
-        wanted = slice(body, None if body is None else body + 1)
+    def sample(self) -> MocapSample:
+        """A sample at a trigger from now or soon in which both bodies have a pose."""
         deadline = clocks.monotonic() + HANGS
         while True:
             trigger = clocks.monotonic()
             assert trigger < deadline, "no sample came"
             self.tracker.wait(trigger, trigger + self.settings.stale)
             sample = self.tracker.sample(trigger)
-            if not any(sample.faults[wanted]):
+            if not any(sample.faults):
                 return sample
