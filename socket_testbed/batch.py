@@ -119,14 +119,9 @@ def plan_jobs(
 ) -> list[Job]:
     """The jobs of a folder of trials; all paths are absolute, as workers elsewhere need them.
 
-    Args:
-        trials: Folders of the trials by their names, as `find_trials` finds them.
-        output: Folder of the outputs, which mirrors that of the trials.
-        suffix: The end of an output's name, such as `.json`.
-        files: Files that all results depend on, by the options that name them. A folder stands for
-            the file in it that has the trial's name, such as `models/s01/hold.json`.
-        unloaded: Spans without load in every trial, see `Trial`.
-        tare: Tare in every trial, see `Trial`.
+    Outputs mirror the folder of the trials, with a suffix such as `.json`. All results depend on
+    `files`, by the options that name them; a folder stands for the file in it that has the trial's
+    name, such as `models/s01/hold.json`.
     """
     given = {option: path.absolute() for option, path in (files or {}).items() if path}
     return [
@@ -158,7 +153,7 @@ def run_batch(
     """Do a task on every trial, and write `summary.csv` and `.parquet` into the task's folder.
 
     Finished results stay, even when it is interrupted; the summary then names the trials that were
-    not reached.
+    not reached. If any trial failed, a TrialError says so at the end.
 
     Args:
         task: What is done with a trial.
@@ -167,11 +162,6 @@ def run_batch(
         warn: Called with each note on a trial and, at the end, each trial that failed.
         processes: Number of processes on this machine; None for one per core, 1 for this one.
         dask: Address of a Dask scheduler, such as `tcp://host:8786`, whose workers do it instead.
-
-    Raises:
-        ConfigurationError: If the folder of the outputs is not the task's own, or the Dask cluster
-            cannot be reached.
-        TrialError: At the end, if any trial failed; all others are done.
     """
     task = replace(task, folder=task.folder.absolute())  # a worker may be elsewhere
     records = task.folder / _RECORDS / task.verb

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Sequence
+from itertools import chain, count
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,11 +18,7 @@ _LONGEST_NAME = 63  # of a variable in MATLAB
 
 
 def check_format(path: Path) -> None:
-    """Refuse a file whose suffix names no format, before long work.
-
-    Raises:
-        ConfigurationError: Naming the likely one.
-    """
+    """Refuse a file whose suffix names no format, before long work."""
     if path.suffix.lower() not in _WRITERS:
         raise ConfigurationError(
             f"{path}: '{path.suffix}' is not a table format", closest(path.suffix, _WRITERS)
@@ -39,9 +36,6 @@ def write_table(frame: pd.DataFrame, path: Path) -> None:
         frame: The table. Its titles hold the units, such as `distal.Fz [N]`, `-` for a number
             without one; texts and counts have none. A named index is the first column.
         path: The file, `.csv`, `.parquet` or `.mat`; an older one is replaced.
-
-    Raises:
-        ConfigurationError: For another suffix, or if the file cannot be written.
     """
     check_format(path)
     frame = frame if frame.index.name is None else frame.reset_index()
@@ -88,13 +82,8 @@ def _write_mat(frame: pd.DataFrame, path: Path) -> None:
     names = matlab_names([name for name, _ in titles])
     units = [unit for _, unit in titles]
     variables = {n: _plain(column) for n, (_, column) in zip(names, frame.items(), strict=True)}
-    savemat(
-        path,
-        {**variables, "units": dict(zip(names, units, strict=True))},
-        long_field_names=True,
-        do_compression=True,
-        oned_as="column",
-    )
+    variables["units"] = dict(zip(names, units, strict=True))
+    savemat(path, variables, long_field_names=True, do_compression=True, oned_as="column")
 
 
 def _plain(column: pd.Series) -> Any:
@@ -108,19 +97,14 @@ def _plain(column: pd.Series) -> Any:
 
 def matlab_names(names: Sequence[str]) -> list[str]:
     """Names as MATLAB can have them: letters, digits, underscores, 63 at most, all different."""
-    taken = {"units"}
-    found = []
+    found = {"units": 0}
     for name in names:
         plain = re.sub(r"[^A-Za-z0-9_]", "_", name)
         plain = plain if plain[:1].isalpha() else f"x{plain}"
-        unique, number = plain[:_LONGEST_NAME], 1
-        while unique in taken:
-            number += 1
-            tail = f"_{number}"
-            unique = plain[: _LONGEST_NAME - len(tail)] + tail
-        taken.add(unique)
-        found.append(unique)
-    return found
+        tails = chain([""], map("_{}".format, count(2)))
+        possible = (plain[: _LONGEST_NAME - len(tail)] + tail for tail in tails)
+        found[next(unique for unique in possible if unique not in found)] = 0
+    return [*found][1:]
 
 
 _WRITERS: dict[str, Callable[[pd.DataFrame, Path], None]] = {

@@ -10,9 +10,9 @@ line says what is wrong and how to fix it. The examples run in a folder with two
 """
 
 # Each public name stands once, here; `socket_testbed` takes its own from this list.
-from socket_testbed.api.compare import compare as compare
-from socket_testbed.api.compare import write_comparison as write_comparison
 from socket_testbed.api.comparison import Comparison as Comparison
+from socket_testbed.api.comparison import compare as compare
+from socket_testbed.api.comparison import write_comparison as write_comparison
 from socket_testbed.api.cycles import Cycles as Cycles
 from socket_testbed.api.cycles import cycles as cycles
 from socket_testbed.api.design import CalibratedCluster as CalibratedCluster

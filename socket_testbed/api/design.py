@@ -87,12 +87,11 @@ class CalibratedCluster(Result):
             and np.allclose(cluster.normal, new.normal, rtol=1e-9)
             and np.allclose(cluster.mean_range, new.mean_range, rtol=1e-9)
         ]
-        if not same:
-            return []
-        return [
+        note = (
             f"{self.name} has the same bench readings as {', '.join(same)}: calibrate every cluster"
             " on a bench run of its own"
-        ]
+        )
+        return [note] if same else []
 
     def calibration(self, limit: float = 10.0, force: bool = False) -> Calibration:
         """The existing calibration with this cluster, replaced or added.
@@ -140,10 +139,7 @@ class CalibratedCluster(Result):
             write_calibration(calibration, staging)
 
     def _figure(self, style: FigureStyle) -> Figure:
-        """Calibrated over known stress, residuals, and those of rising and falling branches.
-
-        A column of panels per stress, in kPa.
-        """
+        """Calibrated over known stress, residuals, those of the branches; a column per stress."""
         from socket_testbed.calibration.bench_data import STRESSES
         from socket_testbed.report.figures.style import lay_out, style_axes
 
@@ -169,18 +165,15 @@ class CalibratedCluster(Result):
                 above.plot(*places, "o", color="#D55E00", fillstyle="none", label="outlier")
             unseen = (held_out - known)[some, k]
             middle.plot(x[some], unseen, "x", color="#D55E00", markersize=3.0, label="held out")
-            middle.plot(
-                x[some], residual[some], ".", color="0.2", markersize=2.0, label="in the fit"
-            )
+            fit = residual[some]
+            middle.plot(x[some], fit, ".", color="0.2", markersize=2.0, label="in the fit")
             middle.axhline(0.0, color="0.72", linewidth=1.0)
             _draw_loop(below, x, residual, found.branches[:, k])
             error = f"\nheld-out:\n{found.held_out[k].percent:.1f} % of\nfull scale"
             above.set_title(name + error * style.titles)
             below.set_xlabel("known [kPa]")
-        for axis, label in zip(
-            axes[:, 0], ("calibrated", "residual", "mean residual"), strict=True
-        ):
-            axis.set_ylabel(f"{label} [kPa]")
+        for row, label in enumerate(("calibrated", "residual", "mean residual")):
+            axes[row, 0].set_ylabel(f"{label} [kPa]")
         keys: dict[str, Artist] = {}
         for axis in axes.flat:
             style_axes(axis)

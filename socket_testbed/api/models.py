@@ -89,9 +89,6 @@ class TrialFit(Result):
 
         Args:
             path: The JSON file, whatever its suffix; an older one is replaced.
-
-        Raises:
-            ConfigurationError: If the file cannot be written.
         """
         samples = self.trial.samples()
         identity = {
@@ -123,8 +120,8 @@ class TrialFit(Result):
 
     def load_shares(self) -> tuple[LoadShare, ...]:
         """Shares of Fz, of the force and of the moment that springs and offsets bear."""
-        window = self.fit.settings.pose_smoothing
-        return load_shares(smooth_poses(self._samples(), window), self.fit.model)
+        smooth = smooth_poses(self._samples(), self.fit.settings.pose_smoothing)
+        return load_shares(smooth, self.fit.model)
 
     def motion(self) -> Motion:
         """How the pose moves over the segment, against its noise."""
@@ -132,18 +129,12 @@ class TrialFit(Result):
         return measure_motion(self._samples(), self.trial.geometry, window)
 
     def known_directions(self) -> float:
-        """Number of stiffness directions that the data show despite all noise [-].
-
-        Those count whose standard deviation is below `stiffness_difference`: see
-        `socket_testbed.identification.information.known_directions`.
-        """
-        settings = self.fit.settings
-        return known_directions(
-            self._samples(),
-            self.fit.model,
-            settings.stiffness_difference,
-            settings.pose_smoothing,
+        """Stiffness directions with a standard deviation below `stiffness_difference` [-]."""
+        difference, window = (
+            self.fit.settings.stiffness_difference,
+            self.fit.settings.pose_smoothing,
         )
+        return known_directions(self._samples(), self.fit.model, difference, window)
 
     def unseen_half(self) -> tuple[ChannelErrors, ...]:
         """Errors on the second half of the segment of a model fitted on its first half.
@@ -229,9 +220,6 @@ class Evaluation(Result):
 
         Args:
             path: The file; JSON unless it ends in `.csv`, `.parquet` or `.mat`.
-
-        Raises:
-            ConfigurationError: If the file cannot be written.
         """
         path = Path(path)
         if path.suffix.lower() in FORMATS:
@@ -501,8 +489,8 @@ def export(
         The table, with a unit in the name of every column; its `attrs` name the segment and rows.
 
     Raises:
-        ConfigurationError: If the suffix is no format or the file cannot be written.
-        ConfigurationError: If the model was fitted on another socket.
+        ConfigurationError: If the suffix is no format, the file cannot be written, or the model
+            was fitted on another socket.
 
     >>> table = st.export(st.open_trial("trials/hold"), "hold.csv", segment="10:20")
     >>> "distal.C0 [pF]" in table.columns, len(table)

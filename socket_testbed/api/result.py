@@ -70,16 +70,7 @@ class Result:
         return found
 
     def draw(self, path: PathLike, width: float = 180, title: bool = True) -> None:
-        """Write `figure` as `.png` or `.pdf`; an older file is replaced.
-
-        Args:
-            path: The file.
-            width: Its printed width, 88 or 180 [mm].
-            title: Whether it has a title.
-
-        Raises:
-            ConfigurationError: As `figure`, or if the file cannot be written.
-        """
+        """Write `figure`, see there, as `.png` or `.pdf`; an older file is replaced."""
         check_picture(Path(path))
         from socket_testbed.report.figures.style import save_figure
 

@@ -75,9 +75,6 @@ class Tradeoff(Result):
 
         Args:
             path: `.csv`, `.parquet` or `.mat`, or `.json`.
-
-        Raises:
-            ConfigurationError: For another suffix, or if the file cannot be written.
         """
         if Path(path).suffix.lower() == ".csv":
             write_fronts(self.fronts.values(), Path(path))  # numbers of ten digits

@@ -14,11 +14,7 @@ if TYPE_CHECKING:
 
 
 class TrialPage:
-    """The page of a trial; a context manager.
-
-    Attributes:
-        url: Where a browser finds it.
-    """
+    """The page of a trial, which a browser finds at its `url`; a context manager."""
 
     def __init__(self, name: str, url: str, page: Page) -> None:
         self.url = url
@@ -83,11 +79,7 @@ def view(
 
 
 def require_viewer() -> None:
-    """Refuse to go on without the optional extra that serves pages.
-
-    Raises:
-        ConfigurationError: If it is not installed.
-    """
+    """Refuse to go on without the optional extra that serves pages."""
     if find_spec("viser") is None:
         raise ConfigurationError(
             "viser, which serves the page, is not installed",

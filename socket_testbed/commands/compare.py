@@ -9,8 +9,7 @@ import pandas as pd
 
 from socket_testbed import api
 from socket_testbed.api import Comparison
-from socket_testbed.api.compare import PAGES
-from socket_testbed.api.comparison import LEGEND
+from socket_testbed.api.comparison import LEGEND, PAGES
 from socket_testbed.commands.options import given, open_all, typed_command
 from socket_testbed.commands.signatures import takes
 from socket_testbed.commands.text import Progress, table

@@ -171,15 +171,7 @@ def svg_url(svg: str) -> Markup:
 
 
 def render(title: str, subtitle: str, sections: Sequence[Section], **content: Any) -> str:
-    """A page as one self-contained file; every text in it is escaped.
-
-    Args:
-        title: Its title.
-        subtitle: What it shows, below the title.
-        sections: Its sections.
-        content: `metadata`, names and texts under the title; `folder`, where the figures' files
-            are; `wide`, whether the page is as wide as the screen.
-    """
+    """A page as one self-contained file; every text in it is escaped."""
     return _template().render(title=title, subtitle=subtitle, sections=sections, **content)
 
 

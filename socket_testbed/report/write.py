@@ -46,12 +46,7 @@ def files_folder(page: Path) -> Path:
 
 
 def check_page_path(page: Path, replace: bool = False) -> None:
-    """Refuse a page that cannot be written, before long work.
-
-    Raises:
-        ConfigurationError: If it is not an HTML file, if it or its folder exists and is not to be
-            replaced, or if its folder is not that of a report.
-    """
+    """Refuse a page that cannot be written, before long work."""
     if page.suffix.lower() not in _SUFFIXES:
         raise ConfigurationError(f"{page}: a report is a page", "let it end in .html")
     check_outputs(page, replace=replace)
@@ -69,17 +64,7 @@ def write_report(
     replace: bool = False,
     style: FigureStyle = DEFAULT_STYLE,
 ) -> None:
-    """Write the page and the folder with its files, both or none.
-
-    Args:
-        results: The results.
-        page: The page.
-        command: The command line, for the record.
-        made: When the report is made.
-        progress: Called with the number of figures written and of all.
-        replace: Whether an older page and the folder beside it are replaced.
-        style: How the figures in the folder are set.
-    """
+    """Write the page and the folder with its files, both or none."""
     check_page_path(page, replace)
     folder = files_folder(page)
     sections = [make(results) for make in SECTIONS]

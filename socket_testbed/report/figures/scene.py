@@ -168,10 +168,6 @@ def simplify(surface: trimesh.Trimesh, most_faces: int = _MOST_FACES) -> trimesh
 
     Vertex clustering (Rossignac and Borrel 1993, doi:10.1007/978-3-642-78114-8_29) needs no
     manifold, so it takes any scan.
-
-    Args:
-        surface: A surface [m].
-        most_faces: Largest number of faces of the result.
     """
     cell = np.sqrt(2.0 * surface.area / most_faces)
     simplified = surface

@@ -164,11 +164,7 @@ def lay_out(figure: Figure) -> Figure:
 
 @in_style
 def save_figure(figure: Figure, path: Path, dpi: int = 300) -> None:
-    """Write a figure at its printed size as `.png` or `.pdf`; text stays text in a PDF.
-
-    Raises:
-        ConfigurationError: If the suffix is another, or the file cannot be written.
-    """
+    """Write a figure at its printed size as `.png` or `.pdf`; text stays text in a PDF."""
     check_picture(path)
     with atomic_output(path) as staging:
         figure.savefig(staging, dpi=dpi)

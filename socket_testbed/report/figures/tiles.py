@@ -95,11 +95,7 @@ def wall_tiles(geometry: SocketGeometry, around: SocketAxis) -> BoolArray:
 
 
 def value_range(geometry: SocketGeometry, values: FloatArray) -> tuple[float, float]:
-    """Ends of the colour scale: the range of finite values (..., n), widened where it is a point.
-
-    Raises:
-        ConfigurationError: If the values are not those of these tiles.
-    """
+    """Ends of the colour scale: range of the finite values (..., n), wider where it is a point."""
     if values.shape[-1:] != (len(geometry),):
         raise ConfigurationError(
             f"values of the shape {values.shape} do not fit {len(geometry)} tiles",
@@ -139,15 +135,10 @@ def paint_tiles(
     certainty: FloatArray | None = None,
     determined: BoolArray | None = None,
 ) -> TilePaint:
-    """Paint tiles by their values.
+    """Paint tiles by their values, shape (n,); those without one are white and hatched.
 
-    Args:
-        geometry: The socket.
-        values: One value per tile, shape (n,); NaN, hatched in white, where there is none.
-        limits: Ends of the colour scale; None for those of the values.
-        certainty: 1 for a value's full colour, less for a paler one, shape (n,) [-]. None: full
-            where a value is determined.
-        determined: Which values are determined, shape (n,): the others are hatched, pale.
+    `certainty` is 1 for a value's full colour, less for a paler one [-]; without it, values that
+    are not `determined` are pale. These are hatched.
     """
     scale = ScalarMappable(Normalize(*(limits or value_range(geometry, values))), SCALE)
     unknown = np.isnan(values)
@@ -157,12 +148,6 @@ def paint_tiles(
         certainty = np.where(hatched, PALE, 1.0)
     white = np.array(to_rgba(NO_VALUE))
     return TilePaint(white + certainty[:, None] * (fills - white), hatched, scale)
-
-
-def _paint_kinds(geometry: SocketGeometry) -> TilePaint:
-    """Tiles with and without a cluster in two colours."""
-    fills = np.where(covered_tiles(geometry)[:, None], to_rgba(CLUSTER), to_rgba(TILE))
-    return TilePaint(fills, np.zeros(len(geometry), dtype=bool), ScalarMappable())
 
 
 def _draw_unrolled(
@@ -368,7 +353,8 @@ def _draw_maps(
 ) -> None:
     """Draw maps of values in rows, with one bar if their scales are the same, and a key below.
 
-    Tiles with a cluster have a thick outline and a number, which the key explains.
+    Tiles with a cluster have a thick outline and a number, which the key explains, with their
+    notes. The other marks, by the maps' names: see `paint_tiles`.
     """
     certainty, determined, notes = certainty or {}, determined or {}, notes or {}
     labels = [""] * len(geometry)
@@ -426,22 +412,9 @@ def tile_map_figure(
 ) -> Figure:
     """Tiles by their values in colours that print in grey, a map per set of values.
 
-    Tiles with a cluster have a thick outline and a number, which the key below the maps explains.
-
-    Args:
-        geometry: The socket.
-        values: One value per tile in `unit`, shape (n,), by what it is; NaN, hatched, where there
-            is none.
-        unit: What the values are, with their unit, such as `stiffness [N/m]`.
-        title: What is shown.
-        style: How it is set.
-        limits: Ends of one colour scale for all maps. None: one scale for maps whose ranges are
-            alike.
-        from_zero: Whether such a scale begins at zero, unless a value is below.
-        below: Height [mm] of what else is drawn below the maps, and what draws it.
-        marks: `side`, the leg that wears the socket, `left` or `right`; `certainty` and
-            `determined` of the values, see `paint_tiles`, by what they are; `notes`, what the key
-            says of a cluster, by its name.
+    Values have shape (n,), NaN, hatched, where there is none. Without `limits`, maps whose ranges
+    are alike share a scale, which begins at zero or below if `from_zero`. `below` is the height
+    [mm] of what else is drawn, and what draws it; `marks` are as in `_draw_maps`.
     """
     scales = [limits] * len(values) if limits else _scales_of(geometry, values, from_zero)
     height, draw = below or (0.0, None)
@@ -463,7 +436,9 @@ def socket_figure(
     figure = FigureStyle(300.0).figure(140.0)
     FigureStyle(300.0).add_title(figure, title)
     wall, end = figure.subplots(1, 2, width_ratios=(_WALL_SHARE, 1.0))
-    paint, labels = _paint_kinds(geometry), tile_labels(geometry)
+    covered, labels = covered_tiles(geometry), tile_labels(geometry)
+    fills = np.where(covered[:, None], to_rgba(CLUSTER), to_rgba(TILE))
+    paint = TilePaint(fills, np.zeros_like(covered), ScalarMappable())
     _draw_unrolled(wall, geometry, paint, labels, surface)
     wall.set_title("the wall unrolled, seen from outside")
     _draw_end(end, geometry, paint, labels, surface)
