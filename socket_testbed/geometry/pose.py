@@ -68,26 +68,6 @@ def _rotate(rotation: FloatArray, vectors: FloatArray) -> FloatArray:
     return np.einsum("...ij,...j->...i", rotation, vectors)
 
 
-def rotation_vectors(rotations: FloatArray) -> FloatArray:
-    """Rotation vectors, shape (N, 3) [rad], of rotation matrices, shape (N, 3, 3)."""
-    return Rotation.from_matrix(rotations).as_rotvec()
-
-
-def rotation_vector(rotation: FloatArray) -> FloatArray:
-    """Rotation vector, shape (3,) [rad], of one rotation matrix, shape (3, 3); NaN for NaN."""
-    return Pose(rotation, np.zeros(3)).rotation_vector()
-
-
-def turned_quaternion(rotation: FloatArray, turn: FloatArray) -> FloatArray:
-    """Quaternion (x, y, z, w) of a rotation matrix, shape (3, 3), times a rotation vector [rad]."""
-    return (Rotation.from_matrix(rotation) * Rotation.from_rotvec(turn)).as_quat()
-
-
-def rotation_of(quaternion: FloatArray) -> FloatArray:
-    """Rotation matrix, shape (3, 3), of a quaternion (x, y, z, w)."""
-    return Rotation.from_quat(quaternion).as_matrix()
-
-
 def about_z(angle: float) -> FloatArray:
     """Rotation about z by an angle [rad], shape (3, 3) [-]."""
     cosine, sine = np.cos(angle), np.sin(angle)

@@ -19,7 +19,7 @@ import numpy as np
 
 from socket_testbed.arrays import FloatArray, StatusArray
 from socket_testbed.errors import IdentificationError, TestbedError
-from socket_testbed.geometry.pose import Pose, rotation_vector
+from socket_testbed.geometry.pose import Pose
 from socket_testbed.geometry.regions import all_regions
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification.contact import ContactModel
@@ -388,7 +388,7 @@ class OnlineEstimator:
         return Samples(
             np.array([stamp]),
             limb.translation[None],
-            rotation_vector(limb.rotation)[None],
+            limb.rotation_vector()[None],
             measured[WRENCH.name][None],
             self._clusters,
             forces[None],

@@ -14,12 +14,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from socket_testbed import clocks
 from socket_testbed.arrays import FloatArray
 from socket_testbed.calibration.model import Calibration, read_calibration
 from socket_testbed.clocks import SteadyClock
-from socket_testbed.geometry.pose import rotation_of, turned_quaternion
 from socket_testbed.geometry.socket import SocketGeometry, read_socket
 from socket_testbed.live.processes import end_with_starter
 from socket_testbed.simulation.devices.natnet_server import NatNetServer
@@ -103,10 +103,7 @@ class LiveTestbed:
         swayed = self._sway * np.sin(2.0 * np.pi * elapsed / np.array([3.0, 4.1, 5.3]))
         socket, pylon = self._bodies.poses(position[None], rotation[None], load[None], swayed)
         poses = np.array(
-            [
-                [*pose.translation[0], *turned_quaternion(pose.rotation[0], np.zeros(3))]
-                for pose in (socket, pylon)
-            ]
+            [[*pose.translation[0], *pose.quaternion()[0]] for pose in (socket, pylon)]
         )
         self._world.push(moment, capacitance, load + self._offset, poses)
         self._history.append(
@@ -142,7 +139,7 @@ def markers_at(geometry: SocketGeometry, poses: FloatArray) -> list[FloatArray]:
     """
     references = (geometry.socket_markers, geometry.pylon_markers)
     return [
-        markers @ rotation_of(pose[3:]).T + pose[:3]
+        Rotation.from_quat(pose[3:]).apply(markers) + pose[:3]
         for markers, pose in zip(references, poses, strict=True)
     ]
 

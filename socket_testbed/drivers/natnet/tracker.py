@@ -11,6 +11,7 @@ from itertools import islice
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from socket_testbed import clocks
 from socket_testbed.arrays import BoolArray, FloatArray, IntArray
@@ -22,9 +23,8 @@ from socket_testbed.geometry.marker_bodies import (
     BodyFit,
     distances,
     fit_body,
-    nearest_rotations,
 )
-from socket_testbed.geometry.pose import Pose, rotation_vectors, turned_quaternion
+from socket_testbed.geometry.pose import Pose
 from socket_testbed.settings.acquisition import MocapSettings
 
 _KEPT = 1.0  # [s]
@@ -323,10 +323,10 @@ def _interpolate(
 ) -> tuple[FloatArray, FloatArray, int]:
     """Position [m] and quaternion between two of N poses, and 2, their number."""
     start, end = poses.translation[list(pair)]
-    before, after = poses.rotation[list(pair)]
+    before, after = Rotation.from_matrix(poses.rotation[list(pair)])
     # Slerp (Shoemake 1985, doi:10.1145/325165.325242).
-    turn = weight * rotation_vectors((before.T @ after)[None])[0]
-    return start + weight * (end - start), turned_quaternion(before, turn), 2
+    between = before * (before.inv() * after) ** weight
+    return start + weight * (end - start), between.as_quat(), 2
 
 
 def _mean(
@@ -336,8 +336,8 @@ def _mean(
     weights = line_weights(offsets[usable])
     if len(weights) < 2 or weights @ weights > largest:
         return None
-    rotations = poses.rotation[usable]
+    rotations = Rotation.from_matrix(poses.rotation[usable])
     # The rotation nearest to all: the chordal mean (Hartley 2013, doi:10.1007/s11263-012-0601-0).
-    mean = nearest_rotations(rotations.sum(axis=0)[None])[0]
-    turn = weights @ rotation_vectors(mean.T @ rotations)
-    return weights @ poses.translation[usable], turned_quaternion(mean, turn), len(weights)
+    mean = rotations.mean()
+    turn = Rotation.from_rotvec(weights @ (mean.inv() * rotations).as_rotvec())
+    return weights @ poses.translation[usable], (mean * turn).as_quat(), len(weights)
