@@ -1,0 +1,281 @@
+"""Bodies of three to eight markers to poses: occluded, mislabelled and false markers."""
+
+import math
+from itertools import permutations, product
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from support.problems import SOCKET_TRIAD, random_pose
+
+from socket_testbed.geometry.marker_bodies import (
+    body_fault,
+    fit_body,
+    fit_rigid,
+    fit_triad,
+    pose_uncertainty,
+)
+from socket_testbed.geometry.pose import Pose
+
+NOISE = 1e-4  # [m]
+COUNT = 40
+SIZES = (4, 5, 6, 8)
+
+
+@pytest.fixture
+def rng() -> np.random.Generator:
+    return np.random.default_rng(7)
+
+
+def markers_at(pose: Pose, body: np.ndarray = SOCKET_TRIAD) -> np.ndarray:
+    """The body's markers in the frame of N poses, (N, k, 3) [m]."""
+    return body @ np.swapaxes(pose.rotation, 1, 2) + pose.translation[:, None]
+
+
+def observe(body: np.ndarray, pose: Pose, rng: np.random.Generator, noise=NOISE) -> np.ndarray:
+    """Markers as the cameras measure them, (N, k, 3) [m]."""
+    markers = markers_at(pose, body)
+    return markers + rng.normal(0.0, noise, markers.shape)
+
+
+def angles_between(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Angles between rotations, (N,) [rad]."""
+    return (Rotation.from_matrix(a).inv() * Rotation.from_matrix(b)).magnitude()
+
+
+# --- three markers
+
+
+def test_any_order_of_labels_gives_the_pose_and_an_occluded_marker_none(rng):
+    orders = np.array([*permutations(range(3))])
+    pose = random_pose(rng, 2.0, 60)
+    true = markers_at(pose)
+    observed = np.take_along_axis(true, np.tile(orders, (10, 1))[:, :, None], axis=1)
+    lost = np.array([0, 7, 8, 59])
+    observed[lost, 1] = np.nan
+    fit, seen = fit_triad(SOCKET_TRIAD, observed), np.setdiff1d(np.arange(60), lost)
+    np.testing.assert_allclose(fit.pose.rotation[seen], pose.rotation[seen], atol=1e-10)
+    np.testing.assert_allclose(fit.pose.translation[seen], pose.translation[seen], atol=1e-12)
+    np.testing.assert_allclose(fit.residual[seen], 0.0, atol=1e-12)
+    relabelled = np.take_along_axis(observed, fit.order[:, :, None], axis=1)
+    np.testing.assert_allclose(relabelled[seen], true[seen], atol=1e-15)
+    for values in (fit.pose.rotation, fit.pose.translation, fit.residual):
+        assert np.isnan(values[lost]).all()
+    assert (fit.order[lost] == -1).all()
+    alike = fit_body(SOCKET_TRIAD, observed)
+    np.testing.assert_array_equal(alike.pose.translation, fit.pose.translation)
+    none = fit_triad(SOCKET_TRIAD, np.zeros((0, 3, 3)))
+    assert none.pose.rotation.shape == (0, 3, 3) and none.pose.translation.shape == (0, 3)
+
+
+def test_another_triad_gives_no_pose_by_the_tolerance_of_its_edges(rng):
+    for stretch in (0.9, 1.1, 1000.0):
+        observed = markers_at(random_pose(rng, count=5), stretch * SOCKET_TRIAD)
+        fit = fit_triad(SOCKET_TRIAD, observed)
+        assert np.isnan(fit.pose.rotation).all() and np.isnan(fit.residual).all()
+    reference = np.array([[0.0, 0.0, 0.0], [0.08, 0.0, 0.0], [0.0, 0.15, 0.0]])
+    longer = reference.copy()
+    longer[1, 0] += 0.002  # one edge by 2 mm, another by 1 mm
+    observed = markers_at(random_pose(rng, count=4), longer)
+    observed[0] = observed[0, [1, 0, 2]]
+    for tolerance, found in ((0.0019, False), (0.0021, True)):
+        assert (fit_triad(reference, observed, tolerance).found == found).all()
+
+
+def test_the_rotation_is_the_proper_one_of_least_squares_whatever_the_noise(rng):
+    for noise, tolerance in ((2e-4, 0.002), (1e-3, 0.02)):
+        observed = observe(SOCKET_TRIAD, random_pose(rng, count=COUNT), rng, noise)
+        fit = fit_triad(SOCKET_TRIAD, observed, tolerance)
+        assert fit.found.sum() > 35
+        for frame in np.flatnonzero(fit.found):
+            centred = observed[frame, fit.order[frame]]
+            centred = centred - centred.mean(axis=0)
+            arms = SOCKET_TRIAD - SOCKET_TRIAD.mean(axis=0)
+            best, distance = Rotation.align_vectors(centred, arms)
+            np.testing.assert_allclose(fit.pose.rotation[frame], best.as_matrix(), atol=1e-9)
+            assert fit.residual[frame] == pytest.approx(distance / np.sqrt(3.0), rel=1e-6)
+            assert np.linalg.det(fit.pose.rotation[frame]) == pytest.approx(1.0)
+
+
+def test_noise_never_turns_a_rightly_labelled_isosceles_triad_over(rng):
+    for off in (0.0, 2e-5, 2e-4):  # from the line of symmetry [m]
+        isosceles = np.array([[-0.04, 0.0, 0.0], [0.04, 0.0, 0.0], [off, 0.07, 0.0]])
+        pose = random_pose(rng, count=100)
+        fit = fit_triad(isosceles, observe(isosceles, pose, rng))
+        known = fit.found  # to find no pose is honest, too
+        assert (angles_between(fit.pose.rotation[known], pose.rotation[known]) < 0.02).all()
+
+
+# --- four to eight markers
+
+
+def body_of(size: int, seed: int = 0) -> np.ndarray:
+    """Markers of a body as a lab would place them, shape (size, 3) [m]."""
+    rng = np.random.default_rng(seed)
+    while True:
+        markers = rng.uniform(-0.08, 0.08, (size, 3))
+        if body_fault(markers) is None:
+            return markers
+
+
+def check(fit, body, pose, tolerance=20.0 * NOISE) -> None:
+    """Poses are right wherever there is one."""
+    found = fit.found
+    probe = body.mean(axis=0)
+    points = fit.pose.rotation @ probe + fit.pose.translation
+    true = pose.rotation @ probe + pose.translation
+    assert np.linalg.norm(points - true, axis=1)[found].max(initial=0.0) < tolerance
+    turned = angles_between(fit.pose.rotation[found], pose.rotation[found])
+    assert turned.max(initial=0.0) < 0.05
+
+
+def test_the_pose_is_fitted_to_all_markers_that_are_seen(rng):
+    for size in SIZES:
+        body, pose = body_of(size), random_pose(rng, count=COUNT)
+        observed = observe(body, pose, rng)
+        for k in range(0, COUNT, 2):  # in every other frame one is occluded
+            observed[k, k // 2 % size] = np.nan
+        fit = fit_body(body, observed)
+        np.testing.assert_array_equal(fit.found, (fit.order >= 0).any(axis=1))
+        assert fit.found[1::2].all()
+        check(fit, body, pose)
+        for k in np.flatnonzero(fit.found):
+            seen = np.isfinite(observed[k]).all(axis=1)
+            np.testing.assert_array_equal(fit.order[k], np.where(seen, np.arange(size), -1))
+            arms = body[seen] - body[seen].mean(axis=0)
+            centred = observed[k, seen] - observed[k, seen].mean(axis=0)
+            turn = Rotation.align_vectors(centred, arms)[0].as_matrix()
+            np.testing.assert_allclose(fit.pose.rotation[k], turn, atol=1e-9)
+
+
+def test_with_three_markers_left_there_is_a_pose_or_none_but_no_wrong_one(rng):
+    for size in SIZES:
+        body, pose = body_of(size), random_pose(rng, count=200)
+        observed = observe(body, pose, rng)
+        for frame in observed:
+            frame[rng.permutation(size)[3:]] = np.nan
+        fit = fit_body(body, observed)
+        assert fit.found.mean() > 0.3  # the others are a part of the body that it has twice
+        check(fit, body, pose, 0.01)
+        observed[:, 2:] = np.nan
+        assert not fit_body(body, observed).found.any()
+
+
+def test_labels_in_any_order_are_put_right_and_a_reflection_is_left_out(rng):
+    for size in SIZES:
+        body, pose = body_of(size), random_pose(rng, count=COUNT)
+        truth = observe(body, pose, rng)
+        for hidden in (0, 1):
+            orders = np.array([rng.permutation(size) for _ in range(COUNT)])
+            observed = np.take_along_axis(truth, orders[:, :, None], axis=1)
+            for frame in observed:
+                frame[rng.permutation(size)[:hidden]] = np.nan
+            fit = fit_body(body, observed)
+            # Three markers that changed their labels might fit by chance: they are left alone.
+            assert fit.found.mean() >= (1.0 if not hidden else 0.5 if size > 4 else 0.0)
+            check(fit, body, pose)
+            for k in np.flatnonzero(fit.found):
+                used = fit.order[k] >= 0
+                np.testing.assert_array_equal(observed[k, fit.order[k][used]], truth[k][used])
+        truth[:, 1] += rng.uniform(0.01, 0.05, (COUNT, 3))
+        fit = fit_body(body, truth)
+        assert fit.found.all() and (fit.order[:, 1] == -1).all()
+        check(fit, body, pose)
+
+
+def test_another_body_and_a_mirrored_one_have_no_pose(rng):
+    for size in SIZES:
+        body, pose = body_of(size), random_pose(rng, count=COUNT)
+        for other in (1.2 * body, body * np.array([1.0, 1.0, -1.0]), body_of(size, seed=5)):
+            assert not fit_body(body, observe(other, pose, rng)).found.any()
+
+
+SQUARE = np.array([[0.0, 0.0, 0.0], [0.06, 0.0, 0.0], [0.06, 0.06, 0.0], [0.0, 0.06, 0.0]])
+
+
+def test_bodies_whose_labels_cannot_be_found_are_refused():
+    row = np.array([[0, 0, 0], [3, 0, 0], [7, 0, 0], [12, 0, 0]]) * 0.01
+    for markers, fact, hint in (
+        (SQUARE, "look alike with labels", "differ by 4 mm"),
+        (row, "on one line", "10 mm"),
+        (np.vstack([body_of(4), body_of(4)[1] + 0.002]), "markers 2 and 5 are 3.5 mm apart", "10"),
+        (np.vstack([SQUARE, [[0.03, 0.03, 0.05]]]), "look alike", "differ"),
+    ):
+        found = body_fault(markers)
+        assert found is not None and fact in found[0] and hint in found[1]
+
+
+def test_whatever_happens_to_the_markers_a_pose_is_right_or_missing():
+    """Occluded, exchanged and false markers together, far more of them than in a lab."""
+    rng = np.random.default_rng(1)
+    wrong = found = count = 0
+    for size, seed in product((4, 5, 8), range(4)):
+        body, pose = body_of(size, seed), random_pose(rng, count=100)
+        observed = observe(body, pose, rng)
+        for frame in observed:
+            if rng.random() < 0.3:
+                a, b = rng.permutation(size)[:2]
+                frame[[a, b]] = frame[[b, a]]
+            false, hidden = rng.random((2, size)) < [[0.08], [0.15]]
+            frame[false] += rng.uniform(-0.05, 0.05, (int(false.sum()), 3))
+            frame[hidden] = np.nan
+        fit = fit_body(body, observed)
+        probe = body.mean(axis=0)
+        off = fit.pose.rotation @ probe + fit.pose.translation
+        off -= pose.rotation @ probe + pose.translation
+        wrong += int((np.linalg.norm(off[fit.found], axis=1) > 0.002).sum())
+        found, count = found + int(fit.found.sum()), count + len(observed)
+    assert wrong <= 0.002 * count
+    assert found > 0.6 * count
+
+
+# --- the uncertainty of a pose: against random trials and a published formula
+
+FRAMES = 6000
+LIMB = np.array([-0.045, -0.03, -0.22])  # far from the markers, as the lumped mass is
+
+
+def test_the_residuals_give_the_noise_whatever_is_occluded(rng):
+    for size in (3, *SIZES):
+        body = SOCKET_TRIAD if size == 3 else body_of(size)
+        observed = observe(body, random_pose(rng, count=FRAMES), rng)
+        freedom = 3 * size - 6  # of a frame
+        fit = fit_body(body, observed)
+        tolerance = 4.0 / math.sqrt(2.0 * freedom * FRAMES)
+        assert fit.noise == pytest.approx(NOISE, rel=tolerance)
+        observed[1::2, 0] = np.nan
+        assert fit_body(body, observed).noise == pytest.approx(NOISE, rel=2.0 * tolerance)
+    assert math.isnan(fit_triad(SOCKET_TRIAD, np.full((5, 3, 3), np.nan)).noise)
+
+
+def test_covariances_are_those_of_random_trials(rng):
+    for size in (3, 4, 7):
+        points, pose = rng.uniform(-0.08, 0.08, (size, 3)), random_pose(rng)
+        fit = fit_rigid(points, pose.apply(points) + rng.normal(0.0, NOISE, (FRAMES, size, 3)))
+        stated = pose_uncertainty(points, NOISE)
+        shift, limb = (
+            (fit.apply(np.tile(point, (FRAMES, 1))) - pose.apply(point)) @ pose.rotation
+            for point in (points.mean(axis=0), LIMB)
+        )
+        turn = Rotation.from_matrix(pose.rotation.T @ fit.rotation).as_rotvec()
+        for found, expected in (
+            (shift, stated.shift),
+            (turn, stated.rotation),
+            (limb, stated.at(LIMB)),
+        ):
+            white = np.linalg.solve(np.linalg.cholesky(expected), found.T)
+            np.testing.assert_allclose(np.cov(white), np.eye(3), atol=5.0 / math.sqrt(FRAMES))
+            np.testing.assert_allclose(white.mean(axis=1), 0.0, atol=5.0 / math.sqrt(FRAMES))
+
+
+def test_the_variance_is_the_published_target_registration_error(rng):
+    """Fitzpatrick, West and Maurer 1998: <TRE^2> = <FLE^2>/k (1 + 1/3 sum(d_i^2 / f_i^2))."""
+    for count in (3, 4, 6):
+        points, target = rng.uniform(-0.08, 0.08, (count, 3)), rng.uniform(-0.3, 0.3, 3)
+        centred, arm = points - points.mean(axis=0), target - points.mean(axis=0)
+        ratios = 0.0
+        for axis in np.linalg.eigh(centred.T @ centred)[1].T:
+            away = np.eye(3) - np.outer(axis, axis)
+            ratios += (away @ arm) @ (away @ arm) / ((centred @ away) ** 2).sum(axis=1).mean()
+        published = 3.0 * NOISE**2 / count * (1.0 + ratios / 3.0)
+        assert np.trace(pose_uncertainty(points, NOISE).at(target)) == pytest.approx(published)
