@@ -4,7 +4,7 @@ import itertools
 
 import numpy as np
 import pytest
-from support.benches import FULL_SCALE, bench_of, exact_bench, load_path, nominal, sensor_bench
+from support.benches import FULL_SCALE, exact_bench, load_path, nominal, sensor_bench
 from support.wording import refused
 
 from socket_testbed.calibration.bench_data import scaled_stress
@@ -14,7 +14,6 @@ from socket_testbed.calibration.fit import (
     fit_cluster,
     fit_polynomials,
     predict_stress,
-    require_wiring,
 )
 from socket_testbed.calibration.model import channel_features
 from socket_testbed.errors import CalibrationError
@@ -48,7 +47,7 @@ def test_the_residual_is_orthogonal_to_every_term():
     np.testing.assert_allclose(residual.mean(axis=0), 0.0, atol=1e-12)
 
 
-def test_the_range_is_what_both_differences_went_through():
+def test_the_range_is_that_of_both_differences():
     bench = exact_bench()
     wiring = nominal().wiring
     mean, x, y = channel_features(bench.capacitance[:, wiring])
@@ -72,10 +71,6 @@ def test_tied_inputs_are_refused():
         fit_polynomials(tied, bench.stress)
 
 
-def triangle(count: int = 25) -> np.ndarray:
-    return np.concatenate([np.linspace(0, 1, count), np.linspace(1, 0, count)])
-
-
 def with_column(axis: int, values: np.ndarray) -> np.ndarray:
     stress = load_path()
     stress[:, axis] = values
@@ -84,11 +79,9 @@ def with_column(axis: int, values: np.ndarray) -> np.ndarray:
 
 def crossed() -> np.ndarray:
     """Each stress alone, in both directions where it has two."""
-    ramp = triangle()
-    parts = [np.outer(ramp, FULL_SCALE * np.eye(3)[axis]) for axis in (0, 1, 1, 2, 2)]
-    parts[2] *= -1.0
-    parts[4] *= -1.0
-    return np.concatenate(parts)
+    ramp = np.concatenate([np.linspace(0.0, 1.0, 25), np.linspace(1.0, 0.0, 25)])
+    directions = [[1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]]
+    return np.concatenate([np.outer(ramp, FULL_SCALE * direction) for direction in directions])
 
 
 def test_the_stress_that_is_missing_is_named():
@@ -125,10 +118,3 @@ def test_every_wiring_is_found():
         inputs = np.empty_like(channels)
         inputs[:, wiring] = channels
         assert tuple(find_wiring(inputs, load_path())) == wiring
-
-
-def test_a_wiring_that_the_data_contradicts_is_named():
-    bench = bench_of(exact_bench().capacitance, exact_bench().stress)
-    require_wiring(bench, nominal().wiring)
-    with pytest.raises(CalibrationError, match=r"--wiring 2 3 0 1, or --wiring 0 1 2 3 to keep it"):
-        require_wiring(bench, np.arange(4))

@@ -1,4 +1,4 @@
-"""What is said of a fit: cross-validation, intervals, hysteresis, repeatability, outliers."""
+"""The quality of a fit: cross-validation, intervals, hysteresis, repeatability, outliers."""
 
 import dataclasses
 
@@ -8,7 +8,7 @@ from support.benches import FULL_SCALE, bench_of, exact_bench, nominal, sensor_b
 
 from socket_testbed.calibration.bench_data import BenchData, join_benches
 from socket_testbed.calibration.calibrate import calibrate_bench
-from socket_testbed.calibration.drift import cycle_ids, find_branches, find_extremes
+from socket_testbed.calibration.drift import cycle_ids, find_branches
 from socket_testbed.calibration.fit import design_matrices, find_outliers, fit_polynomials
 from socket_testbed.calibration.quality import (
     Groups,
@@ -32,18 +32,7 @@ def true_cycles(bench: BenchData, cycles: int = 18) -> np.ndarray:
     return np.arange(len(bench)) // (len(bench) // cycles)
 
 
-# --- turns, cycles and groups
-
-
-def test_turns_alternate_and_small_moves_are_none():
-    rng = np.random.default_rng(1)
-    wave = np.sin(np.linspace(0.0, 6.0 * np.pi, 600))
-    turns = find_extremes(wave + rng.uniform(-0.05, 0.05, 600), 0.5)
-    extremes = np.array([50, 150, 250, 350, 450, 550])
-    np.testing.assert_allclose(turns[1:-1], extremes, atol=25)
-    assert turns[0] < 10 and turns[-1] > 590
-    assert len(find_extremes(np.zeros(5), 0.5)) == 1
-    assert len(find_extremes(np.array([0.0, 0.1, 0.0, 0.2]), 0.5)) == 1
+# --- cycles and groups
 
 
 def test_the_cycles_are_found_in_spite_of_noise_and_a_spike():
