@@ -1,4 +1,4 @@
-"""The parts of the tiling: squares, footprints, names, clusters, placement."""
+"""Around the tiling: names of tiles, clusters, placement on the load cell."""
 
 import math
 from pathlib import Path
@@ -23,71 +23,13 @@ from socket_testbed.socket_design.clusters import (
 from socket_testbed.socket_design.design import nominal_places, tile_names
 from socket_testbed.socket_design.placement import (
     parse_direction,
-    place_by_directions,
     place_by_landmarks,
     place_by_points,
 )
-from socket_testbed.socket_design.squares import (
-    Footprints,
-    Squares,
-    Surroundings,
-    gaps,
-    rim_points,
-    spread_points,
-)
+from socket_testbed.socket_design.squares import Squares, Surroundings, rim_points, spread_points
 
 Z = np.array([0.0, 0.0, 1.0])
 X = np.array([1.0, 0.0, 0.0])
-
-
-def on_plane(places: list[tuple[float, float, float]], edge: float = 0.03) -> Squares:
-    """Squares on the plane z = 0 at (x, y), turned by an angle [rad]."""
-    frames = Rotation.from_rotvec([[0.0, 0.0, angle] for _, _, angle in places]).as_matrix()
-    return Squares(np.array([[x, y, 0.0] for x, y, _ in places]), frames, edge)
-
-
-def plane(size: float = 0.2, steps: int = 23) -> trimesh.Trimesh:
-    grid = np.linspace(-0.5 * size, 0.5 * size, steps)
-    vertices = np.array([[x, y, 0.0] for x in grid for y in grid])
-    faces = []
-    for i in range(steps - 1):
-        for j in range(steps - 1):
-            a, b = i * steps + j, (i + 1) * steps + j
-            faces += [[a, b, a + 1], [b, b + 1, a + 1]]
-    return trimesh.Trimesh(vertices, faces, process=False)
-
-
-def test_squares_touch_on_a_cylinder_at_a_chord_of_one_edge() -> None:
-    radius, edge = 0.05, 0.03
-    step = 2.0 * math.asin(0.5 * edge / radius)
-    angles = np.array([0.0, step, 2.0 * step, math.pi])
-    frames = []
-    for angle in angles:
-        inward = -np.array([math.cos(angle), math.sin(angle), 0.0])
-        frames.append(np.column_stack([Z, np.cross(inward, Z), inward]))
-    anchors = np.column_stack([radius * np.cos(angles), radius * np.sin(angles), 0.0 * angles])
-    gap = gaps(Squares(anchors, np.array(frames), edge), np.array([0]), np.array([1, 2, 3]))[0]
-    assert gap[0] == pytest.approx(0.0, abs=1e-12)
-    assert gap[1] > 0.5 * edge
-    assert np.isinf(gap[2])
-
-
-def test_footprints_on_a_plane_are_the_squares() -> None:
-    squares = on_plane([(0.003, -0.002, 0.3), (0.013, 0.004, 0.3), (0.06, 0.0, 0.0)])
-    footprints = Footprints(plane(), squares, 0.005)
-    first = footprints.footprint(0)
-    assert first.area == pytest.approx(9e-4, rel=1e-9)
-    assert first.cover == pytest.approx(1.0, rel=1e-9)
-    assert first.flatness == pytest.approx(0.0, abs=1e-12)
-    offset = squares.rotations[0].T @ (squares.anchors[1] - squares.anchors[0])
-    shared = (0.03 - abs(offset[0])) * (0.03 - abs(offset[1]))
-    assert footprints.shared_area(0, 1) == pytest.approx(shared, rel=1e-9)
-    assert footprints.shared_area(0, 2) == 0.0
-
-
-def test_a_footprint_over_the_rim_is_not_whole() -> None:
-    footprints = Footprints(plane(), on_plane([(0.095, 0.0, 0.0)]), 0.005)
-    assert footprints.footprint(0).cover == pytest.approx(20.0 / 30.0, rel=1e-9)
 
 
 def test_names_say_where_a_tile_is() -> None:
@@ -132,18 +74,16 @@ def lay(*places: ClusterPlace) -> tuple[Squares, list[LaidCluster]]:
 def test_a_cluster_stays_where_it_is_glued_and_as_it_is_turned() -> None:
     rng = np.random.default_rng(0)
     for _ in range(3):
-        angle = rng.uniform(0.0, 2.0 * math.pi)
+        angle, turned = rng.uniform(-math.pi, math.pi, 2)
         asked = wall(angle, rng.uniform(0.03, 0.09), off=rng.uniform(-0.003, 0.003))
         nearest = trimesh.proximity.closest_point(WALL, asked[None])[0][0]
-        squares, (laid,) = lay(place(asked))
-        assert laid.moved == 0.0 and laid.turned == 0.0
-        assert np.linalg.norm(squares.anchors[0] - nearest) < 1e-9
-        turned = rng.uniform(-math.pi, math.pi)
-        squares, (laid,) = lay(place(asked, frame_at(angle, turned)))
-        assert laid.turned == pytest.approx(turned, abs=math.radians(1.0))
-        assert np.linalg.norm(squares.anchors[0] - nearest) < 1e-9
+        frame = frame_at(angle, turned)
+        for given, expected in ((None, 0.0), (frame, turned)):
+            squares, (laid,) = lay(place(asked, given))
+            assert np.linalg.norm(squares.anchors[0] - nearest) < 1e-9 and laid.moved == 0.0
+            assert laid.turned == pytest.approx(expected, abs=math.radians(1.0))
         # Its square is turned with it: the sensor's edges are its own.
-        assert np.abs(squares.rotations[0] - frame_at(angle, turned)).max() < 0.04
+        assert np.abs(squares.rotations[0] - frame).max() < 0.04
 
 
 def test_a_cluster_that_hangs_over_the_brim_is_laid_beside_it_and_says_so() -> None:
@@ -215,17 +155,6 @@ def test_directions() -> None:
     for wrong in ("w", "0 0 0", "1 2", "1 nan 2"):
         with pytest.raises(ConfigurationError, match="--proximal is"):
             parse_direction(wrong, "--proximal")
-
-
-def test_placement_by_directions_stands_the_socket_on_the_load_cell() -> None:
-    turned, shift = Rotation.random(random_state=1), np.array([0.3, -0.5, 0.2])
-    ring = np.linspace(0.0, 2.0 * math.pi, 60)
-    cup = np.column_stack([0.05 * np.cos(ring), 0.05 * np.sin(ring), np.linspace(0.0, 0.2, 60)])
-    scan = turned.apply(cup) + shift
-    placement = place_by_directions(scan, turned.apply(Z), turned.apply(X + 0.3 * Z), 0.08)
-    placed = placement.scan_in_load_cell.apply(scan)
-    assert placed[:, 2].min() == pytest.approx(0.08)
-    assert placed[0] - placed[30] == pytest.approx(cup[0] - cup[30])
 
 
 def test_placement_by_points() -> None:

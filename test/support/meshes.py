@@ -48,21 +48,6 @@ def shell(
     return _revolve([inner, _offset(inner, thickness)], edge, arc)
 
 
-def cavity_area(
-    distal_radius: float,
-    proximal_radius: float,
-    height: float,
-    dome: bool = False,
-    closed: bool = True,
-    arc: float = FULL,
-) -> float:
-    """Area of `open_cone` without a hole, from the formulas of solids [m^2]."""
-    slant = math.hypot(height, proximal_radius - distal_radius)
-    wall = math.pi * (distal_radius + proximal_radius) * slant
-    end = (2.0 if dome else 1.0) * math.pi * distal_radius**2 if closed else 0.0
-    return (wall + end) * arc / FULL
-
-
 def wavy(mesh: trimesh.Trimesh, amplitude: float) -> trimesh.Trimesh:
     """The same mesh with a trim line that rises and falls by an amplitude, twice around."""
     points = mesh.vertices.copy()
