@@ -104,10 +104,6 @@ def edit(path, change):
     return path
 
 
-def with_title(column: int, title: str):
-    return with_cell(0, column, title)
-
-
 def with_cell(row: int, column: int, value: str):
     def change(rows):
         rows[row][column] = value
@@ -122,26 +118,26 @@ def constant(column: int, value: str):
 
 NONE: dict[str, str] = {}
 BAD = [
-    (with_title(4, "c0 [fF]"), NONE, NONE, ("'c0 [fF]'", "line 2", "outside 10 to"), "c0=UNIT"),
-    (with_title(1, "normal [MPa]"), NONE, NONE, ("'normal [MPa]'", "outside"), "unit"),
-    (with_title(2, "shear_x [MPa]"), NONE, NONE, ("'shear_x [MPa]'", "outside"), "unit"),
+    (with_cell(0, 4, "c0 [fF]"), NONE, NONE, ("'c0 [fF]'", "line 2", "outside 10 to"), "c0=UNIT"),
+    (with_cell(0, 1, "normal [MPa]"), NONE, NONE, ("'normal [MPa]'", "outside"), "unit"),
+    (with_cell(0, 2, "shear_x [MPa]"), NONE, NONE, ("'shear_x [MPa]'", "outside"), "unit"),
     (with_cell(7, 1, "-50"), NONE, NONE, ("-50 kPa in line 8", "-1 to 2000 kPa"), "sign"),
-    (with_title(0, "time [ms]"), NONE, NONE, ("'time [ms]'", "0.1 ms in the"), "--units time=s"),
+    (with_cell(0, 0, "time [ms]"), NONE, NONE, ("'time [ms]'", "0.1 ms in the"), "--units time=s"),
     (with_cell(9, 0, "0.1"), NONE, NONE, ("does not increase at line 10",), "order"),
     (constant(6, "6.5"), NONE, NONE, ("'c2 [pF]' is 6.5 pF in every row",), "wire"),
-    (with_title(1, "normal [N]"), NONE, NONE, ("force in N",), "--area"),
+    (with_cell(0, 1, "normal [N]"), NONE, NONE, ("force in N",), "--area"),
     (lambda rows: [*rows[:50], rows[0], *rows[50:]], NONE, NONE, ("in line 51",), "number"),
     (lambda rows: rows[:1], NONE, NONE, ("holds no row",), "header"),
     (lambda rows: [], NONE, NONE, ("holds no row",), "header"),
     (lambda rows: [*rows[:5], [*rows[5], "1"], *rows[6:]], NONE, NONE, ("line 6",), "';'"),
     (lambda rows: [*rows[:5], rows[5][:-1], *rows[6:]], NONE, NONE, ("empty in line 6",), "fill"),
     (lambda rows: [row[:-1] for row in rows], NONE, NONE, ("no column for c3",), "c3=NAME"),
-    (with_title(7, "c2 [pF]"), NONE, NONE, ("c2 is in 2 columns",), "rename"),
-    (with_title(7, "C2_pF"), NONE, NONE, ("c2 is in 2 columns",), "--columns c2=NAME"),
-    (with_title(7, "c3"), NONE, NONE, ("'c3' has no unit",), "c3=pF"),
-    (with_title(1, "normal [psi]"), NONE, NONE, ("'psi'",), "--units normal=UNIT"),
-    (with_title(1, "normal [mPa]"), NONE, NONE, ("'mPa'",), "MPa"),
-    (with_title(1, "normal [Pa]"), NONE, {"normal": "pF"}, ("'pF'",), "Pa"),
+    (with_cell(0, 7, "c2 [pF]"), NONE, NONE, ("c2 is in 2 columns",), "rename"),
+    (with_cell(0, 7, "C2_pF"), NONE, NONE, ("c2 is in 2 columns",), "--columns c2=NAME"),
+    (with_cell(0, 7, "c3"), NONE, NONE, ("'c3' has no unit",), "c3=pF"),
+    (with_cell(0, 1, "normal [psi]"), NONE, NONE, ("'psi'",), "--units normal=UNIT"),
+    (with_cell(0, 1, "normal [mPa]"), NONE, NONE, ("'mPa'",), "MPa"),
+    (with_cell(0, 1, "normal [Pa]"), NONE, {"normal": "pF"}, ("'pF'",), "Pa"),
     (list, {"c0": "c9"}, NONE, ("no column for c0",), "c0=NAME"),
 ]
 
@@ -161,7 +157,7 @@ def test_a_bad_file_is_named_with_its_hint(tmp_path):
 def test_columns_are_named_with_or_without_their_unit_and_units_replaced(tmp_path):
     path, bench = tmp_path / "bench.csv", exact_bench()
     late = dataclasses.replace(bench, time=bench.time * 1e3)
-    edit(write_bench(path, late), with_title(1, "sigma [Pa]"))
+    edit(write_bench(path, late), with_cell(0, 1, "sigma [Pa]"))
     for title in ("sigma [Pa]", "sigma"):
         assert "--units time=ms" in refusal(path, {"normal": title}, {"normal": "kPa"}).hint
         found = read_bench(path, {"normal": title}, {"normal": "kPa", "time": "ms"})

@@ -114,20 +114,16 @@ def test_the_worst_status_wins_and_only_a_full_reading_gives_a_stress():
 
 
 def test_ranges_include_their_ends():
-    for mean, along_x, along_y, inside in (
-        (4.0, 0.0, 0.0, True),
-        (12.0, 0.0, 0.0, True),
-        (3.99, 0.0, 0.0, False),
-        (12.01, 0.0, 0.0, False),
-        (8.0, 3.0, -3.0, True),
-        (8.0, 3.01, 0.0, False),
-        (8.0, -3.01, 0.0, False),
-        (8.0, 0.0, 3.01, False),
-        (8.0, 0.0, -3.01, False),
+    for expected, means_and_differences in (
+        (Status.OK, ((4.0, 0.0, 0.0), (12.0, 0.0, 0.0), (8.0, 3.0, -3.0))),
+        (Status.OUT_OF_RANGE, ((3.99, 0.0, 0.0), (12.01, 0.0, 0.0))),
+        (Status.OUT_OF_RANGE, ((8.0, 3.01, 0.0), (8.0, -3.01, 0.0))),
+        (Status.OUT_OF_RANGE, ((8.0, 0.0, 3.01), (8.0, 0.0, -3.01))),
     ):
-        stress, status = make_cluster().apply(make_capacitance(mean, along_x, along_y), ALL_OK)
-        assert status == (Status.OK if inside else Status.OUT_OF_RANGE)
-        assert np.isfinite(stress).all()  # an extrapolation is marked, not hidden
+        for features in means_and_differences:
+            stress, status = make_cluster().apply(make_capacitance(*features), ALL_OK)
+            assert status == expected
+            assert np.isfinite(stress).all()  # an extrapolation is marked, not hidden
 
 
 @pytest.fixture

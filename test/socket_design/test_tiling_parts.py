@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+import yaml
 from scipy.spatial.transform import Rotation
 from support import meshes
 from support.wording import refused
@@ -24,7 +25,6 @@ from socket_testbed.socket_design.design import nominal_places, tile_names
 from socket_testbed.socket_design.placement import (
     parse_direction,
     place_by_landmarks,
-    place_by_points,
 )
 from socket_testbed.socket_design.squares import Squares, Surroundings, rim_points, spread_points
 
@@ -157,22 +157,10 @@ def test_directions() -> None:
             parse_direction(wrong, "--proximal")
 
 
-def test_placement_by_points() -> None:
-    turned = Rotation.random(random_state=5)
-    origin = np.array([0.1, -0.2, 0.3])
-    known = np.array([[0.0, 0.0, 0.0], [0.2, 0.0, 0.0], [0.1, 0.05, 0.0]])
-    pose = place_by_points(turned.apply(known) + origin).scan_in_load_cell
-    assert pose.apply(turned.apply(known) + origin) == pytest.approx(known)
-    with pytest.raises(RegistrationError, match="on one line"):
-        place_by_points(known[[0, 1, 1]])
-
-
 def landmarks(path: Path, scan: np.ndarray, load_cell: np.ndarray) -> Path:
-    lines = [
-        f"  L{i}: {{scan: {s.tolist()}, load_cell: {p.tolist()}}}"
-        for i, (s, p) in enumerate(zip(scan, load_cell, strict=True))
-    ]
-    path.write_text("landmarks:\n" + "\n".join(lines) + "\n")
+    pairs = enumerate(zip(scan.tolist(), load_cell.tolist(), strict=True))
+    places = {f"L{i}": {"scan": of_scan, "load_cell": known} for i, (of_scan, known) in pairs}
+    path.write_text(yaml.safe_dump({"landmarks": places}))
     return path
 
 

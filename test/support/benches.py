@@ -84,7 +84,7 @@ def sensor_response(
 def sensor_bench(
     seed: int = 0, play: float = 0.0, draw: int = 0, directions: int = 8, repeats: int = 2
 ) -> BenchData:
-    """What a sensor of this seed reads on the bench; `draw` is another run of the same one."""
+    """Readings of the sensor of a seed on the bench; `draw` is another run of the same one."""
     stress, capacitance = sensor_response(seed, play, directions, repeats)
     rng = np.random.default_rng([seed, draw])
     noise = rng.normal(0.0, ERRORS.capacitance_noise, capacitance.shape)

@@ -18,6 +18,7 @@ from socket_testbed.socket_design.landmarks import read_landmarks
 from socket_testbed.socket_design.registration import Registration, read_static_take, register_take
 from support.problems import PYLON_TRIAD, SOCKET_TRIAD, random_pose, random_socket
 
+RATE = 120.0  # [Hz]
 UNITS = {"Meters": 1.0, "Centimeters": 1e-2, "Millimeters": 1e-3}
 SOCKET_NAMES = tuple(f"Socket:Marker{i}" for i in (1, 2, 3))
 PYLON_NAMES = tuple(f"Pylon:Marker{i}" for i in (1, 2, 3))
@@ -44,14 +45,13 @@ LIMB = np.array(
 
 @dataclass
 class Written:
-    """What goes into a CSV: columns of N frames by name, in metres and in `world`."""
+    """The content of a CSV: columns of N frames by name, in metres and in `world`."""
 
     markers: dict[str, np.ndarray]
     solved: dict[str, np.ndarray] = field(default_factory=dict)
     bodies: dict[str, Pose] = field(default_factory=dict)
     version: str = "1.21"
     unit: str = "Meters"
-    rate: float = 120.0
 
     def __len__(self) -> int:
         return len(next(iter(self.markers.values())))
@@ -87,8 +87,8 @@ def motive_lines(take: Written) -> list[str]:
     header = {
         "Format Version": take.version,
         "Take Name": "Take 2024-05-05 03.49.50 PM",
-        "Capture Frame Rate": f"{take.rate:.6f}",
-        "Export Frame Rate": f"{take.rate:.6f}",
+        "Capture Frame Rate": f"{RATE:.6f}",
+        "Export Frame Rate": f"{RATE:.6f}",
         "Total Exported Frames": str(len(take)),
         "Rotation Type": "Quaternion",
         "Length Units": take.unit,
@@ -105,7 +105,7 @@ def motive_lines(take: Written) -> list[str]:
     rows += [["", "", *meanings], ["Frame", "Time (Seconds)", *axes]]
     for frame, numbers in enumerate(table):
         cells = [f"{value:.6f}" if np.isfinite(value) else "" for value in numbers]
-        rows.append([str(frame), f"{frame / take.rate:.6f}", *cells])
+        rows.append([str(frame), f"{frame / RATE:.6f}", *cells])
     first = ",".join(f"{key},{value}" for key, value in header.items())
     return [first, "", *(",".join(row) for row in rows)]
 
@@ -124,14 +124,14 @@ def write_lines(lines: list[str], path: Path, newline: str = "\n", bom: bool = F
 
 @dataclass
 class Bench:
-    """A socket and its limb on the bench with landmarks, and what the cameras see of them."""
+    """A socket and its limb on the bench with landmarks, and the take of them."""
 
     geometry: SocketGeometry  # A socket whose triads, `socket_body` and `limb` are out of date
     socket_body: Pose  # true pose of the socket's own triad frame in {S}
     limb: Pose  # true pose of the limb in the pylon's own triad frame
     q: np.ndarray  # true limb position in {S} [m]
     places: dict[str, np.ndarray]  # true places of the markers in `world`, by name [m]
-    take: Written  # the take
+    take: Written
     document: dict  # content of LANDMARKS.yaml
 
 
@@ -202,9 +202,9 @@ def write_landmarks(document: dict, path: Path) -> Path:
     return path
 
 
-def register(bench: Bench, folder: Path, force: bool = False, **how: object) -> Registration:
+def register(bench: Bench, folder: Path, force: bool = False) -> Registration:
     """Register a bench through its files."""
-    take = read_static_take(write_take(bench.take, folder / "take.csv", **how))
+    take = read_static_take(write_take(bench.take, folder / "take.csv"))
     landmarks = read_landmarks(write_landmarks(bench.document, folder / "landmarks.yaml"))
     return register_take(take, landmarks, bench.geometry, force)
 
