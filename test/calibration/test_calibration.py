@@ -60,7 +60,7 @@ def test_a_channel_pulls_the_differences_to_its_own_side():
         assert (along_x, along_y) == pytest.approx(0.5 * place)
 
 
-def test_stacked_clusters_give_what_each_reading_gives_alone():
+def test_stacked_clusters_give_the_results_of_single_readings():
     rng = np.random.default_rng(5)
     clusters = {
         name: make_cluster(
@@ -132,7 +132,7 @@ def calibration():
     return Calibration(clusters, "2026-05-04", "bench run 7")
 
 
-def test_a_file_gives_back_what_was_written(calibration, tmp_path):
+def test_a_calibration_survives_its_file(calibration, tmp_path):
     path = tmp_path / "calibration.yaml"
     write_calibration(calibration, path)
     path.write_text(path.read_text().replace("'2026-05-04'", "2026-05-04"))  # a date of YAML

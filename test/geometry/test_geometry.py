@@ -114,7 +114,7 @@ def test_the_force_of_a_turned_cluster_is_turned_into_its_tile_frame(rng):
 # --- the file
 
 
-def test_a_file_gives_back_what_was_written(rng, tmp_path):
+def test_a_socket_survives_its_file(rng, tmp_path):
     path = tmp_path / "socket.yaml"
     plain = random_socket(rng, rings=3, columns=5, clusters=4)
     scan = ScanFrame(0.001, random_pose(rng))
@@ -177,7 +177,6 @@ BAD = [
     (("tiles",), {}, "tiles is an empty mapping: give 'key"),
     (("neighbours",), [["tile_0_0", "tile_0_9"]], "no tile 'tile_0_9': did you mean 'tile_0_"),
     (("neighbours",), [["tile_0_0", "tile_0_0"]], "give two different tiles"),
-    (("neighbours",), [["tile_0_0"]], "neighbours[0] is a list of 1: give a list of 2"),
     (("clusters", "cluster_0"), "tile_0_x", "cluster_0: no tile 'tile_0_x': did you mean"),
     (("clusters",), {"a": "tile_0_0", "b": "tile_0_0"}, "on 'tile_0_0': give each its own tile"),
     (("bodies", "socket", "markers"), LINE, "make a triangle of them"),
@@ -185,8 +184,6 @@ BAD = [
     (("bodies", "pylon", "markers"), LINE[:2], "markers is a list of 2: give a list of 3 to 8"),
     (("bodies", "pylon", "limb_in_body", "rotation"), LEFT_HANDED, "rotation is not a right"),
     (("regions",), {"heel": []}, "regions: heel has no tiles"),
-    (("regions",), {"heel": None}, "regions: heel is empty"),
-    (("regions",), {"heel": "tile_0_0"}, "regions: heel is 'tile_0_0'"),
     (("regions",), {"heel": ["tile_0_x"]}, "no tile 'tile_0_x': did you mean 'tile_0_"),
     (("regions",), {"heel": ["tile_0_0", "tile_0_0"]}, "holds a tile twice"),
     (("regions",), {"anterior proximal": ["tile_0_0"]}, "name of a standard region"),

@@ -179,7 +179,7 @@ def test_frames_are_counted_by_their_fault(rng):
     np.testing.assert_allclose(still.spread, np.sqrt(3.0) * 1e-4, rtol=0.2)
 
 
-def test_the_noise_of_a_mean_counts_what_frames_have_in_common(rng):
+def test_the_noise_of_a_mean_counts_errors_that_frames_share(rng):
     variances = [average(still_markers(rng)).noise ** 2 for _ in range(100)]
     # 108 degrees of freedom each: 9 of the blocks for 12 coordinates.
     assert np.mean(variances) == pytest.approx(1e-8 / 60.0, rel=4.0 * np.sqrt(2.0 / 10_800.0))

@@ -1,4 +1,4 @@
-"""What every message to a person has: one line that names the thing and a hint."""
+"""Messages to a person: one line that names the thing, and a hint."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
