@@ -1,38 +1,72 @@
 """Trials made from another, message by message."""
 
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 
-from socket_testbed.trials.bag import BagReader, BagWriter
-from socket_testbed.trials.layout import decode, encode, message_class
+from socket_testbed.trials.bag import BagReader, BagWriter, RawMessage
+from socket_testbed.trials.layout import decode, encode, message_class, typestore
 from socket_testbed.trials.topics import EVENT, match_topics
 from socket_testbed.trials.trial import CONFIGURATION_FILES, Trial
 
 
-def rewrite(source: Path, target: Path, change: Callable[[str, Any], Any]) -> Path:
-    """Copy a trial message by message; `change` maps (topic, message) to a message or None."""
+@contextmanager
+def copying(
+    source: Path, target: Path, namespace: str = ""
+) -> Iterator[tuple[BagReader, BagWriter]]:
+    """A trial and a new one with its topics and configuration; its messages are the caller's."""
     with BagReader(source) as old, BagWriter(target) as new:
         for topic, name in match_topics(old.counts, str(source)).items():
-            new.add_topic(name, topic)
+            new.add_topic(namespace + name, topic)
+        yield old, new
+    copy_configuration(source, target)
+
+
+def rewrite(source: Path, target: Path, change: Callable[[str, Any], Any]) -> Path:
+    """Copy a trial message by message; `change` maps (topic, message) to a message or None."""
+    with copying(source, target) as (old, new):
         for raw in old.messages():
             message = change(raw.topic, decode(raw.data, raw.type))
             if message is not None:
                 new.write(raw.topic, raw.time, encode(message, raw.type))
-    return copy_configuration(source, target)
+    return target
 
 
 def move_to_namespace(source: Path, target: Path, namespace: str) -> Path:
     """Copy a trial as if its graph had run in a namespace."""
-    with BagReader(source) as old, BagWriter(target) as new:
-        for topic, name in match_topics(old.counts, str(source)).items():
-            new.add_topic(namespace + name, topic)
+    with copying(source, target, namespace) as (old, new):
         for raw in old.messages():
             new.write(namespace + raw.topic, raw.time, raw.data)
-    return copy_configuration(source, target)
+    return target
+
+
+def written_by_rosbags(
+    messages: Iterable[RawMessage],
+    target: Path,
+    storage: StoragePlugin = StoragePlugin.MCAP,
+    mode: CompressionMode = CompressionMode.NONE,
+    chunk: int | None = None,
+) -> Path:
+    """A bag by another writer; MCAP chunks end after so many messages."""
+    writer = Writer(target, version=9, storage_plugin=storage)
+    if mode is not CompressionMode.NONE:
+        writer.set_compression(mode, CompressionFormat.ZSTD)
+    connections: dict[str, Any] = {}
+    with writer:
+        for number, raw in enumerate(messages, 1):
+            if raw.topic not in connections:
+                connections[raw.topic] = writer.add_connection(
+                    raw.topic, raw.type, typestore=typestore()
+                )
+            writer.write(connections[raw.topic], raw.time, raw.data)
+            if chunk is not None and number % chunk == 0:
+                writer.storage.close_chunk()
+    return target
 
 
 def copy_configuration(source: Path, target: Path) -> Path:
@@ -52,9 +86,7 @@ def add_events(
     kind, stamp_of = message_class(EVENT.type), message_class("builtin_interfaces/msg/Time")
     header_of = message_class("std_msgs/msg/Header")
     first = int(Trial(source).samples().stamps[0])
-    with BagReader(source) as old, BagWriter(target) as new:
-        for topic, name in match_topics(old.counts, str(source)).items():
-            new.add_topic(namespace + name, topic)
+    with copying(source, target, namespace) as (old, new):
         new.add_topic(f"{namespace}/event", EVENT)
         for raw in old.messages():
             new.write(namespace + raw.topic, raw.time, raw.data)
@@ -63,7 +95,7 @@ def add_events(
             header = header_of(stamp_of(*divmod(nanoseconds, 10**9)), "load_cell")
             message = kind(header, label)
             new.write(f"{namespace}/event", first + round(time * 1e9), encode(message, EVENT.type))
-    return Trial(copy_configuration(source, target))
+    return Trial(target)
 
 
 def wrench_vector(wrench: Any) -> tuple[float, ...]:

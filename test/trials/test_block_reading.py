@@ -1,20 +1,27 @@
 """Reading in blocks gives what the library decodes, message by message."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.rosbag2 import StoragePlugin
 from support import SHARED_DATA
-from support.bags import copy_configuration, pose_vector, wrench_vector
+from support.bags import (
+    copy_configuration,
+    copying,
+    pose_vector,
+    wrench_vector,
+    written_by_rosbags,
+)
 from support.messages import Maker, encode, numbers_in, numbers_of, strings_of
 
 from socket_testbed.errors import TrialError
 from socket_testbed.samples import Status
 from socket_testbed.trials import bag, messages
-from socket_testbed.trials.bag import BagReader
+from socket_testbed.trials.bag import BagReader, RawMessage
 from socket_testbed.trials.layout import decode, fields_of, stamp_of, typestore
 from socket_testbed.trials.messages import Reader
 from socket_testbed.trials.synchronise import Measurements
@@ -27,8 +34,6 @@ from socket_testbed.trials.topics import (
     Topic,
 )
 from socket_testbed.trials.trial import Trial
-
-Message = tuple[str, int, bytes]  # topic, time of recording [ns], content
 
 
 @pytest.fixture(autouse=True)
@@ -80,21 +85,19 @@ def test_every_message_of_real_bags() -> None:
     assert sum(check_every_message(path) for path in folder.iterdir() if path.is_dir()) > 0
 
 
-def varied(kind: str) -> Iterator[bytes]:
+def varied(kinds: list[str]) -> Iterator[RawMessage]:
     """Messages of changing lengths and byte orders, some of which come again."""
     lengths = np.random.default_rng(0).integers(6, size=60)
-    for number, length in enumerate(lengths.tolist()):
-        yield encode(Maker(length, number).message(kind), kind, little=number % 3 > 0)
+    for kind in kinds:
+        for number, length in enumerate(lengths.tolist()):
+            raw = encode(Maker(length, number).message(kind), kind, little=number % 3 > 0)
+            yield RawMessage(f"/{kind[-9:]}", kind, 1_000 + 10 * number, raw)
 
 
 def test_every_message_of_topics_whose_messages_vary(tmp_path: Path) -> None:
     kinds = [name for name in typestore().types if name.startswith("socket_testbed_msgs/")]
-    with Writer(tmp_path / "varied", version=9, storage_plugin=StoragePlugin.MCAP) as writer:
-        for kind in kinds:
-            connection = writer.add_connection(f"/{kind[-9:]}", kind, typestore=typestore())
-            for time, raw in enumerate(varied(kind)):
-                writer.write(connection, 1_000 + 10 * time, raw)
-    assert check_every_message(tmp_path / "varied") == 60 * len(kinds)
+    bag = written_by_rosbags(varied(kinds), tmp_path / "varied")
+    assert check_every_message(bag) == 60 * len(kinds)
 
 
 def plainly_read(path: Path) -> Measurements:
@@ -139,47 +142,29 @@ def plainly_read(path: Path) -> Measurements:
     )
 
 
-def copied(
-    source: Path,
-    target: Path,
-    change: Callable[[int, Message, str], Iterator[Message]],
-    storage: StoragePlugin = StoragePlugin.MCAP,
-) -> Path:
-    """A copy of a trial by another writer; `change` gets the number, message and type of each."""
-    with (
-        BagReader(source) as bag,
-        Writer(target, version=9, storage_plugin=storage) as writer,
-    ):
-        connections = {
-            name: writer.add_connection(name, kind, typestore=typestore())
-            for name, kind in bag.types.items()
-        }
-        for number, raw in enumerate(bag.messages()):
-            for topic, time, data in change(number, (raw.topic, raw.time, raw.data), raw.type):
-                writer.write(connections[topic], time, data)
-    return copy_configuration(source, target)
-
-
-def mixed(number: int, message: Message, kind: str) -> Iterator[Message]:
+def mixed(messages: Iterable[RawMessage]) -> Iterator[RawMessage]:
     """Other byte orders and frames; clusters lost and doubled; stamps lost and doubled."""
-    topic, time, data = message
-    rng = np.random.default_rng(number)
-    decoded = decode(data, kind)
-    if topic.endswith(CAPACITANCE.name):
-        order = rng.integers(4, size=rng.integers(1, 12))
-        decoded.clusters = [decoded.clusters[i] for i in order]
-    if rng.random() < 0.3:
-        decoded.header.frame_id += "_" * int(rng.integers(3))
-    if rng.random() < 0.9:
-        yield topic, time, encode(decoded, kind, little=rng.random() < 0.5)
-    if rng.random() < 0.1:
-        if topic.endswith(WRENCH.name):
-            decoded.wrench.force.x += 1.0
-        yield topic, time + 1, encode(decoded, kind, little=True)
+    for number, raw in enumerate(messages):
+        rng = np.random.default_rng(number)
+        decoded = decode(raw.data, raw.type)
+        if raw.topic.endswith(CAPACITANCE.name):
+            order = rng.integers(4, size=rng.integers(1, 12))
+            decoded.clusters = [decoded.clusters[i] for i in order]
+        if rng.random() < 0.3:
+            decoded.header.frame_id += "_" * int(rng.integers(3))
+        if rng.random() < 0.9:
+            yield replace(raw, data=encode(decoded, raw.type, little=rng.random() < 0.5))
+        if rng.random() < 0.1:
+            if raw.topic.endswith(WRENCH.name):
+                decoded.wrench.force.x += 1.0
+            data = encode(decoded, raw.type, little=True)
+            yield replace(raw, time=raw.time + 1, data=data)
 
 
 def test_measurements_of_mixed_messages(hold: Path, tmp_path: Path) -> None:
-    path = copied(hold, tmp_path / "mixed", mixed, StoragePlugin.SQLITE3)
+    with BagReader(hold) as bag:
+        path = written_by_rosbags(mixed(bag.messages()), tmp_path / "mixed", StoragePlugin.SQLITE3)
+    copy_configuration(hold, path)
     expected, found = plainly_read(path), Trial(path).measurements()
     assert found.clusters == expected.clusters
     for field in ("stamps", "wrench", "socket", "pylon", "capacitance", "status"):
@@ -197,10 +182,8 @@ def test_a_part_of_a_recording_ends_at_its_duration(hold: Path) -> None:
 
 
 def test_a_message_that_cannot_be_decoded_is_named(hold: Path, tmp_path: Path) -> None:
-    def torn(number: int, message: Message, kind: str) -> Iterator[Message]:
-        topic, time, data = message
-        yield topic, time, data[:-9] if number == 500 else data
-
-    path = copied(hold, tmp_path / "torn", torn)
+    with copying(hold, tmp_path / "torn") as (old, new):
+        for number, raw in enumerate(old.messages()):
+            new.write(raw.topic, raw.time, raw.data[:-9] if number == 500 else raw.data)
     with pytest.raises(TrialError, match=r"torn: a message on \S+ cannot be decoded"):
-        Trial(path).samples()
+        Trial(tmp_path / "torn").samples()

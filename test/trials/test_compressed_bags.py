@@ -7,13 +7,12 @@ import numpy as np
 import pytest
 import yaml
 from backports import zstd
-from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
-from support.bags import copy_configuration
+from rosbags.rosbag2 import CompressionMode, StoragePlugin
+from support.bags import copy_configuration, written_by_rosbags
 
 from socket_testbed.errors import TrialError
 from socket_testbed.trials import bag
 from socket_testbed.trials.bag import BagReader
-from socket_testbed.trials.layout import typestore
 from socket_testbed.trials.trial import Trial
 
 KINDS = [
@@ -29,16 +28,7 @@ KINDS = [
 def written(source: Path, path: Path, storage: StoragePlugin, mode: CompressionMode) -> Path:
     """A copy of a trial by another program, compressed."""
     with BagReader(source) as plain:
-        writer = Writer(path, version=9, storage_plugin=storage)
-        if mode is not CompressionMode.NONE:
-            writer.set_compression(mode, CompressionFormat.ZSTD)
-        with writer:
-            connections = {
-                name: writer.add_connection(name, kind, typestore=typestore())
-                for name, kind in plain.types.items()
-            }
-            for raw in plain.messages():
-                writer.write(connections[raw.topic], raw.time, raw.data)
+        written_by_rosbags(plain.messages(), path, storage, mode)
     return copy_configuration(source, path)
 
 
@@ -51,7 +41,9 @@ def test_a_compressed_trial_gives_the_samples_of_the_plain_one(hold: Path, tmp_p
         np.testing.assert_array_equal(Trial(path).samples().values, expected)
 
 
-def test_a_compressed_file_that_was_cut_names_itself(hold: Path, tmp_path: Path) -> None:
+def test_a_compressed_file_that_was_cut_or_is_too_large_names_itself(
+    hold: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     path = written(hold, tmp_path / "packed", StoragePlugin.MCAP, CompressionMode.FILE)
     file = path / "packed.mcap.zstd"
     whole = file.read_bytes()
@@ -59,6 +51,10 @@ def test_a_compressed_file_that_was_cut_names_itself(hold: Path, tmp_path: Path)
         file.write_bytes(whole[: int(share * len(whole))])
         with pytest.raises(TrialError, match=r"packed/packed\.mcap\.zstd: is truncated"):
             Trial(path).samples()
+    file.write_bytes(zstd.compress(bytes(2**25)))
+    monkeypatch.setattr(bag, "_LARGEST", 2**20)
+    with pytest.raises(TrialError, match=r"packed\.mcap\.zstd: .*too large once unpacked"):
+        Trial(path).samples()
 
 
 def test_another_compression_is_refused_for_what_it_is(hold: Path, tmp_path: Path) -> None:
@@ -69,16 +65,6 @@ def test_another_compression_is_refused_for_what_it_is(hold: Path, tmp_path: Pat
     information |= {"compression_format": "lz4", "compression_mode": "file"}
     (path / "metadata.yaml").write_text(yaml.safe_dump(content))
     with pytest.raises(TrialError, match=r"is compressed with 'lz4'.*ros2 bag convert"):
-        Trial(path).samples()
-
-
-def test_a_file_that_unpacks_to_very_much_is_refused(
-    hold: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    path = written(hold, tmp_path / "b", StoragePlugin.MCAP, CompressionMode.FILE)
-    (path / "b.mcap.zstd").write_bytes(zstd.compress(bytes(2**25)))
-    monkeypatch.setattr(bag, "_LARGEST", 2**20)
-    with pytest.raises(TrialError, match=r"b\.mcap\.zstd: .*too large once unpacked"):
         Trial(path).samples()
 
 

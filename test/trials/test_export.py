@@ -1,6 +1,5 @@
 """Exported samples, read back by the programs they are for."""
 
-import json
 from pathlib import Path
 
 import numpy as np
@@ -11,10 +10,7 @@ from scipy.io import loadmat
 from support.bags import rewrite
 
 import socket_testbed as st
-from socket_testbed.calibration.model import channel_features
-from socket_testbed.commands.arguments import Parser, add_options
-from socket_testbed.commands.trials import export
-from socket_testbed.errors import ConfigurationError, TestbedError
+from socket_testbed.__main__ import run
 from socket_testbed.identification.evaluation import evaluate
 from socket_testbed.identification.model_file import read_model
 from socket_testbed.samples import WRENCH_CHANNELS, Samples
@@ -26,15 +22,13 @@ SHIFT = 123_456_789  # [ns]; no stamp is a round number that a float could hold
 
 
 def call(*words: object) -> None:
-    parser = Parser()
-    add_options(parser, "commands.trials.export")
-    export(**vars(parser.parse_args([str(word) for word in words])))
+    assert run(["export", *map(str, words)]) == 0
 
 
 @pytest.fixture(scope="module")
 def gappy(hold: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A trial with drop-outs of every kind, and stamps that need all of 64 bits."""
-    first = stamp_of_first(hold)
+    first = int(Trial(hold).samples().stamps[0])
 
     def spoil(topic: str, message):
         stamp = stamp_of(message)
@@ -54,10 +48,6 @@ def gappy(hold: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
         return message
 
     return rewrite(hold, tmp_path_factory.mktemp("gappy") / "gappy", spoil)
-
-
-def stamp_of_first(trial: Path) -> int:
-    return int(Trial(trial).samples().stamps[0])
 
 
 @pytest.fixture(scope="module")
@@ -107,34 +97,7 @@ def test_samples_are_read_back_as_they_are(suffix, gappy, samples, tmp_path) -> 
     assert set(np.unique(samples.status)) >= {0, 1, 2}
     assert np.isnan(samples.position).any(axis=1).sum() >= 4  # the simulation occludes markers, too
     assert len(columns) == 2 + 6 + 6 + 4 * (4 + 1 + 3 + 3)
-
-
-def test_forces_follow_from_the_exported_stresses_and_capacitances(
-    gappy, samples, tmp_path
-) -> None:
-    path = tmp_path / "out.parquet"
-    call(gappy, "-o", path)
-    columns, trial = read_back(path), Trial(gappy)
-    for k, cluster in enumerate(samples.clusters):
-        stress = np.stack(
-            [columns[f"{cluster}.{name} [Pa]"] for name in ("normal", "shear_x", "shear_y")], -1
-        )
-        force = trial.geometry.cluster_force(cluster, stress)
-        np.testing.assert_array_equal(force, samples.local_forces[:, k])
-        inputs = np.stack([columns[f"{cluster}.C{i} [pF]"] for i in range(4)], -1)
-        calibration = trial.calibration.clusters[cluster]
-        mean, _, _ = channel_features(inputs[:, calibration.wiring])
-        read = np.isfinite(stress[:, 0])
-        np.testing.assert_allclose(
-            stress[read, 0], (calibration.normal[0] + calibration.normal[1] * mean)[read]
-        )
-        assert np.isnan(inputs).all(axis=1).sum() in {4, 8}  # a message, or also the cluster
-
-
-def test_a_parquet_field_knows_its_unit(gappy: Path, tmp_path: Path) -> None:
-    path = tmp_path / "out.parquet"
-    call(gappy, "-o", path)
-    for field in pq.read_schema(path):
+    for field in pq.read_schema(path) if suffix == ".parquet" else ():
         assert field.name.endswith(f" [{field.metadata[b'unit'].decode()}]")
 
 
@@ -185,32 +148,3 @@ def test_any_text_and_number_survives(tmp_path: Path) -> None:
         np.testing.assert_array_equal(found[0], values)
         np.testing.assert_array_equal(found[1], large)
         assert found[1].dtype == np.int64
-
-
-def test_another_suffix_is_refused_before_any_work(tmp_path: Path) -> None:
-    for name in ("out.xlsx", "out", "out.cvs", "out.csv.gz"):
-        with pytest.raises(ConfigurationError, match=r"is not a table format: .*\.csv|one of"):
-            call(tmp_path / "nowhere", "-o", tmp_path / name)
-
-
-def test_a_file_is_whole_or_not_there(gappy, tmp_path, monkeypatch) -> None:
-    path = tmp_path / "out.parquet"
-    path.write_text("older")
-
-    def fail(columns, staging: Path) -> None:
-        staging.write_text("half of")
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setitem(write_table.__globals__["_WRITERS"], ".parquet", fail)
-    with pytest.raises(TestbedError, match="No space left"):
-        call(gappy, "-o", path, "--replace")
-    assert path.read_text() == "older" and list(tmp_path.iterdir()) == [path]
-
-
-def test_a_model_of_another_socket_is_refused(gappy, hold_model, tmp_path) -> None:
-    document = json.loads(hold_model.read_text())
-    document["geometry"]["tiles"]["distal"]["anchor"][0] += 0.01
-    (tmp_path / "other.json").write_text(json.dumps(document))
-    with pytest.raises(TestbedError, match="another socket"):
-        call(gappy, "-o", tmp_path / "out.csv", "--model", tmp_path / "other.json")
-    assert not (tmp_path / "out.csv").exists()

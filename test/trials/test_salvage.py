@@ -9,16 +9,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 import zstandard
-from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
+from rosbags.rosbag2 import CompressionMode
 from rosbags.rosbag2.storage_mcap import McapReader
-from support.bags import copy_configuration
+from support.bags import copying, written_by_rosbags
+from support.verbs import call
 
-from socket_testbed.__main__ import run
 from socket_testbed.errors import TrialError
 from socket_testbed.trials.bag import BagReader, BagWriter, RawMessage
-from socket_testbed.trials.layout import typestore
-from socket_testbed.trials.salvage import holds_nothing, salvage
-from socket_testbed.trials.topics import CAPACITANCE, WRENCH, match_topics
+from socket_testbed.trials.salvage import holds_nothing
+from socket_testbed.trials.topics import CAPACITANCE, WRENCH
 from socket_testbed.trials.trial import Trial, beside_cut_short
 
 START = 1_760_000_000_000_000_000  # [ns]
@@ -27,22 +26,16 @@ MESSAGES = 9  # a chunk
 
 
 class Recording:
-    """A recording of several chunks: its bytes, and what each chunk holds.
-
-    Attributes:
-        data: The file.
-        ends: Where the chunks end in it [bytes].
-        chunks: The messages of each.
-    """
+    """A recording of several chunks: its bytes, and the messages of each chunk."""
 
     def __init__(self, path: Path, chunks: list[list[RawMessage]]) -> None:
         self.data = path.read_bytes()
         self.chunks = chunks
         reader = McapReader(path)
         reader.open()
+        # Where the chunks end in the file [bytes].
         self.ends = [chunk.chunk_start_offset + chunk.chunk_length for chunk in reader.chunks]
         reader.close()
-        assert len(self.ends) == len(chunks)
 
     def before(self, cut: int) -> list[RawMessage]:
         """The messages of the chunks that are whole before a cut, in the order of their times."""
@@ -76,7 +69,9 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Recording:
             for message in chunk:
                 bag.write(message.topic, message.time, message.data)
             bag.flush()
-    return Recording(path / "bag.mcap", chunks)
+    recording = Recording(path / "bag.mcap", chunks)
+    assert len(recording.ends) == CHUNKS
+    return recording
 
 
 def read(path: Path) -> list[RawMessage]:
@@ -123,31 +118,25 @@ def check(recording: Recording, data: bytes, folder: Path) -> None:
             assert "record the trial again" in str(error)
 
 
-def test_a_cut_anywhere_leaves_exactly_the_whole_chunks_before_it(recording, tmp_path) -> None:
-    for cut in cuts_of(recording):
-        check(recording, recording.data[:cut], tmp_path / "bag")
-
-
-def test_zeros_that_a_power_cut_appends_are_no_messages(recording, tmp_path) -> None:
+def torn(recording: Recording) -> Iterator[bytes]:
+    """Files as they are left on a disk by a kill or a power cut."""
+    whole = recording.data
     rng = np.random.default_rng(2)
-    for cut in cuts_of(recording)[::3]:
-        zeros = bytes(int(rng.integers(512, 5000)))  # a sector at least
-        check(recording, recording.data[:cut] + zeros, tmp_path / "bag")
-
-
-def test_old_blocks_after_a_chunk_are_no_messages(recording, tmp_path) -> None:
-    rng = np.random.default_rng(2)
-    for end in recording.ends:
+    for number, cut in enumerate(cuts_of(recording)):
+        yield whole[:cut]
+        if number % 3 == 0:  # zeros are appended, a sector at least
+            yield whole[:cut] + bytes(int(rng.integers(512, 5000)))
+    for end in recording.ends:  # old blocks
         for _ in range(20):
-            check(recording, recording.data[:end] + rng.bytes(4096), tmp_path / "bag")
+            yield whole[:end] + rng.bytes(4096)
+    for size in (*recording.ends, len(whole) - 100):  # sectors that never reached the disk
+        for sector in range(512, size, 512):
+            yield whole[:sector] + bytes(size - sector)
 
 
-def test_sectors_that_never_reached_the_disk_cost_their_chunk(recording, tmp_path) -> None:
-    """The size is that of the file, but from some sector on there are zeros."""
-    for end_of_size in (*recording.ends, len(recording.data) - 100):
-        for sector in range(512, end_of_size, 512):
-            torn = recording.data[:sector] + bytes(end_of_size - sector)
-            check(recording, torn, tmp_path / "bag")
+def test_a_torn_file_gives_exactly_the_whole_chunks_before_the_damage(recording, tmp_path) -> None:
+    for data in torn(recording):
+        check(recording, data, tmp_path / "bag")
 
 
 def test_a_lying_length_takes_no_memory(recording, tmp_path: Path) -> None:
@@ -172,20 +161,10 @@ def test_a_lying_length_takes_no_memory(recording, tmp_path: Path) -> None:
 
 
 def test_compressed_chunks_are_saved_as_well(recording, tmp_path: Path) -> None:
-    path = tmp_path / "bag"
-    writer = Writer(path, version=9, storage_plugin=StoragePlugin.MCAP)
-    writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
-    with writer:
-        connections = {
-            "/" + topic.name: writer.add_connection(
-                "/" + topic.name, topic.type, typestore=typestore()
-            )
-            for topic in (WRENCH, CAPACITANCE)
-        }
-        for chunk in recording.chunks:
-            for message in chunk:
-                writer.write(connections[message.topic], message.time, message.data)
-            writer.storage.close_chunk()
+    messages = [message for chunk in recording.chunks for message in chunk]
+    path = written_by_rosbags(
+        messages, tmp_path / "bag", mode=CompressionMode.STORAGE, chunk=MESSAGES
+    )
     compressed = Recording(path / "bag.mcap", recording.chunks)
     (path / "metadata.yaml").unlink()
     for cut in np.random.default_rng(3).integers(compressed.ends[0], len(compressed.data), 60):
@@ -216,17 +195,11 @@ def test_the_note_says_what_was_saved(recording, tmp_path: Path) -> None:
         assert bag.notes[-1].endswith("were saved, none is missing")
     with BagReader(write(tmp_path / "bag", recording.data)) as bag:
         assert bag.notes == [metadata]
+    with pytest.raises(TrialError, match="cannot be read"):
+        read(write(tmp_path / "bag", b"no MCAP at all, whatever its name says: " * 9))
     # A single file is opened as well.
     (tmp_path / "bag" / "bag.mcap").write_bytes(recording.data[:cut])
     assert read(tmp_path / "bag" / "bag.mcap") == recording.before(cut)
-
-
-def test_a_whole_file_is_no_salvage_s_business(recording, tmp_path: Path) -> None:
-    folder = write(tmp_path / "bag", recording.data)
-    assert salvage(folder / "bag.mcap") is None
-    (folder / "bag.mcap").write_bytes(b"no MCAP at all, whatever its name says: " * 9)
-    with pytest.raises(TrialError, match="cannot be read"):
-        read(folder)
 
 
 def test_metadata_that_promises_more_is_a_note_and_less_is_refused(hold, tmp_path) -> None:
@@ -246,14 +219,11 @@ def test_metadata_that_promises_more_is_a_note_and_less_is_refused(hold, tmp_pat
 
 def test_a_folder_is_only_read(recording, tmp_path: Path) -> None:
     folder = write(tmp_path / "bag", recording.data[: recording.ends[3]])
-    before = {path: (path.stat(), path.read_bytes()) for path in folder.iterdir()}
-    (folder / "bag.mcap").chmod(0o444)
-    folder.chmod(0o555)
+    file = folder / "bag.mcap"
+    before = file.read_bytes(), file.stat().st_mtime_ns
     assert read(folder) == recording.before(recording.ends[3])
-    folder.chmod(0o755)
-    assert list(folder.iterdir()) == list(before)
-    for path, (status, content) in before.items():
-        assert path.read_bytes() == content and path.stat().st_mtime_ns == status.st_mtime_ns
+    assert list(folder.iterdir()) == [file]
+    assert (file.read_bytes(), file.stat().st_mtime_ns) == before
 
 
 def test_memory_holds_a_few_chunks_and_not_the_recording(tmp_path: Path) -> None:
@@ -274,51 +244,27 @@ def test_memory_holds_a_few_chunks_and_not_the_recording(tmp_path: Path) -> None
     assert peak < size / 3, f"{peak / 2**20:.1f} of {size / 2**20:.1f} MiB"
 
 
-@pytest.fixture
-def cut_trial(hold: Path, tmp_path: Path) -> Iterator[Path]:
-    """The hold as a recorder leaves it that is killed after 50 s, in the middle of a chunk."""
-    target = tmp_path / "trial"
-    bag = BagWriter(target)
-    bag.__enter__()
-    with BagReader(hold) as old:
-        for topic, name in match_topics(old.counts, "hold").items():
-            bag.add_topic(name, topic)
-        for k, raw in enumerate(old.messages()):
-            if k == 200 * 7:
-                break
-            bag.write(raw.topic, raw.time, raw.data)
-            if k % 28 == 27:
-                bag.flush()
-    bag.abandon()
-    file = target / "trial.mcap"
-    file.write_bytes(file.read_bytes()[:-4000])
-    yield copy_configuration(hold, target)
-
-
-def test_a_trial_cut_short_gives_the_samples_of_the_whole_one(hold, cut_trial) -> None:
-    samples, whole = Trial(cut_trial).samples(), Trial(hold).samples()
+def test_a_trial_cut_short_gives_the_samples_of_the_whole_one(hold, tmp_path, capsys) -> None:
+    """And every verb takes it, and says so once."""
+    trial = tmp_path / "trial"
+    with copying(hold, trial) as (old, new):
+        # A recorder that is killed after 50 s, in the middle of a chunk.
+        for number, raw in zip(range(200 * 7), old.messages(), strict=False):
+            new.write(raw.topic, raw.time, raw.data)
+            if number % 28 == 27:
+                new.flush()
+    (trial / "metadata.yaml").unlink()
+    file = trial / "trial.mcap"
+    file.write_bytes(file.read_bytes()[: Recording(file, []).ends[-1] - 4000])
+    samples, whole = Trial(trial).samples(), Trial(hold).samples()
     assert 190 <= len(samples) < 200
     np.testing.assert_array_equal(samples.values, whole.values[: len(samples)])
     np.testing.assert_array_equal(samples.stamps, whole.stamps[: len(samples)])
-
-
-@pytest.mark.parametrize(
-    "words",
-    [
-        ["info", "TRIAL"],
-        ["fit", "TRIAL", "-o", "MODEL"],
-        pytest.param(["replay", "TRIAL", "--rate", "100", "--estimate"], marks=pytest.mark.graph),
-    ],
-    ids=lambda words: words[0],
-)
-def test_every_verb_takes_it_and_says_so_once(words, cut_trial, tmp_path, capsys):
-    names = {"TRIAL": cut_trial, "MODEL": tmp_path / "model.json"}
-    capsys.readouterr()
-    assert run([str(names.get(word, word)) for word in words]) == 0
-    out, err = capsys.readouterr()
-    said, silent = (out, err) if words[0] == "info" else (err, out)
-    assert said.count("note: the recording trial.mcap was cut short (no end): ") == 1
-    assert "note: " not in silent
+    for words in (["info", trial], ["fit", trial, "-o", tmp_path / "model.json"]):
+        code, out, err = call(capsys, *words)
+        said, silent = (out, err) if words[0] == "info" else (err, out)
+        assert code == 0 and "note: " not in silent
+        assert said.count("note: the recording trial.mcap was cut short (no end): ") == 1
 
 
 def test_a_recorder_goes_on_beside_what_was_cut_short_and_nothing_else(tmp_path: Path) -> None:

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from support.verbs import call
 
 import socket_testbed as st
 from socket_testbed.__main__ import run
@@ -33,7 +34,7 @@ def measured(hold: Path) -> Measurements:
 
 
 def correct(trial: Trial, measured: Measurements) -> Measurements:
-    """What `Trial.measurements` does with what it has read."""
+    """The correction of `Trial.measurements`, of any measurements."""
     least_force = trial.estimator.plateau.least_force
     notify = trial.notify or (lambda note: None)
     return correct_measurements(
@@ -62,13 +63,10 @@ def test_drift_between_two_spans_is_taken_off(hold: Path, measured: Measurements
     )
 
 
-REFERENCE = np.array([5.0, 5.0, 5.0, 5.0])
-
-
 def with_baselines(trial: Trial) -> Trial:
-    """The trial with a baseline in the calibration of every cluster."""
+    """The trial with a baseline of 5 pF in the calibration of every cluster."""
     clusters = {
-        name: dataclasses.replace(cluster, baseline=REFERENCE)
+        name: dataclasses.replace(cluster, baseline=np.full(4, 5.0))
         for name, cluster in trial.calibration.clusters.items()
     }
     calibration = dataclasses.replace(trial.calibration, clusters=clusters)
@@ -76,12 +74,12 @@ def with_baselines(trial: Trial) -> Trial:
     return trial
 
 
-def test_a_stored_baseline_takes_off_what_came_before(hold: Path, measured: Measurements) -> None:
+def test_a_stored_baseline_takes_off_earlier_drift(hold: Path, measured: Measurements) -> None:
     trial = with_baselines(Trial(hold, unloaded=((0.0, 8.0),)))
     wrench = measured.wrench.copy()
     wrench[measured.time <= 8.0] = 0.0
     corrected = correct(trial, dataclasses.replace(measured, wrench=wrench))
-    np.testing.assert_allclose(corrected.capacitance[3], np.tile(REFERENCE, (4, 1)))
+    np.testing.assert_allclose(corrected.capacitance[3], np.full((4, 4), 5.0))
 
 
 def test_under_the_pylon_s_weight_only_the_drift_since_then_counts(
@@ -97,22 +95,26 @@ def test_under_the_pylon_s_weight_only_the_drift_since_then_counts(
     np.testing.assert_array_equal(corrected.capacitance, expected.capacitance)
 
 
-def test_a_span_under_load_is_refused_with_the_force(hold: Path) -> None:
+def test_spans_that_cannot_correct_are_refused_or_reported(
+    hold: Path, measured: Measurements
+) -> None:
     for spans in (((25.0, 30.0),), ((0.0, 5.0), (25.0, 30.0))):
         with pytest.raises(TrialError, match=r"25:30 is not without load, .* 279 N there: .* 92 N"):
             Trial(hold, unloaded=spans).samples()
-
-
-def test_one_span_that_corrects_nothing_is_reported(hold: Path) -> None:
+    with pytest.raises(CalibrationError, match=r"from 900 s to 901 s.*too few"):
+        correct(Trial(hold, unloaded=((900.0, 901.0),)), measured)
     notes: list[str] = []
     Trial(hold, notify=notes.append, unloaded=((0.0, 3.0),)).samples()
     (note,) = notes
     assert "distal is not corrected: give a second span" in note
-
-
-def test_a_span_without_readings_is_refused(hold: Path, measured: Measurements) -> None:
-    with pytest.raises(CalibrationError, match=r"from 900 s to 901 s.*too few"):
-        correct(Trial(hold, unloaded=((900.0, 901.0),)), measured)
+    for wrong in (
+        *(["5"], ["8:2"], ["a:b"], ["nan:1"]),
+        *(["0:1", "2:3", "4:5"], ["0:5", "3:8"], ["9:10", "0:1"]),
+    ):
+        with pytest.raises(ConfigurationError, match="--unloaded"):
+            parse_unloaded(wrong)
+    with pytest.raises(ConfigurationError, match="3:8 does not begin after 0:5"):
+        st.open_trial(hold, unloaded=[(0, 5), (3, 8)])
 
 
 def test_exported_stresses_are_those_of_the_exported_forces(hold: Path, tmp_path: Path) -> None:
@@ -133,26 +135,12 @@ def test_exported_stresses_are_those_of_the_exported_forces(hold: Path, tmp_path
         assert (table[f"{name}.C0 [pF]"] - uncorrected[f"{name}.C0 [pF]"]).abs().max() > 1e-4
 
 
-def test_wrong_spans_are_refused(hold: Path) -> None:
-    for spans in (
-        *(["5"], ["8:2"], ["a:b"], ["nan:1"]),
-        *(["0:1", "2:3", "4:5"], ["0:5", "3:8"], ["9:10", "0:1"]),
-    ):
-        with pytest.raises(ConfigurationError, match="--unloaded"):
-            parse_unloaded(spans)
-    with pytest.raises(ConfigurationError, match="3:8 does not begin after 0:5"):
-        st.open_trial(hold, unloaded=[(0, 5), (3, 8)])
-
-
 def test_a_model_remembers_the_spans(
     hold: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    model = tmp_path / "m.json"
-    assert run(["fit", str(hold), "--unloaded", "0:3", "--segment", "all", "-o", str(model)]) == 0
+    model, spans = tmp_path / "m.json", ["--unloaded", "0:3"]
+    assert call(capsys, "fit", hold, *spans, "--segment", "all", "-o", model)[0] == 0
     assert json.loads(model.read_text())["trial"]["unloaded"] == [[0.0, 3.0]]
-    capsys.readouterr()
-    assert run(["evaluate", str(hold), "--model", str(model)]) == 0
-    assert "fitted with --unloaded" in capsys.readouterr().err
-    words = ["evaluate", str(hold), "--model", str(model), "--unloaded", "0:3"]
-    assert run(words) == 0
-    assert "--unloaded" not in capsys.readouterr().err
+    judged = ["evaluate", hold, "--model", model]
+    assert "fitted with --unloaded" in call(capsys, *judged)[2]
+    assert "--unloaded" not in call(capsys, *judged, *spans)[2]
