@@ -75,19 +75,28 @@ def test_a_topic_that_is_missing_or_empty_is_named(hold: Path, tmp_path: Path) -
 
 
 def test_metadata_that_is_missing_or_promises_other_counts(hold: Path, tmp_path: Path) -> None:
-    target = tmp_path / "hold"
-    shutil.copytree(hold, target)
-    metadata = yaml.safe_load((target / "metadata.yaml").read_text())
-    (target / "metadata.yaml").unlink()
+    target = Path(shutil.copytree(hold, tmp_path / "hold"))
+    file, recording = target / "metadata.yaml", target / "hold.mcap"
+    text, data = file.read_text(), recording.read_bytes()
+    more, less = (text.replace("message_count: 240", f"message_count: {n}") for n in (241, 239))
+    file.unlink()
     assert len(Trial(target).samples()) == 240
-    information = metadata["rosbag2_bagfile_information"]
-    information["topics_with_message_count"][0]["message_count"] += 7
-    (target / "metadata.yaml").write_text(yaml.safe_dump(metadata))
-    with pytest.raises(TrialError, match=r"metadata.yaml lists 247 messages.*holds 240.*reindex"):
+    file.write_text(more)
+    with pytest.raises(TrialError, match=r"metadata.yaml lists 241 messages.*holds 240.*reindex"):
         Trial(target).samples()
+    # A recording that was cut short may hold fewer.
+    recording.write_bytes(data[:-1])
+    with BagReader(target) as bag:
+        assert "cut short" in bag.notes[0] and "metadata.yaml lists" in bag.notes[1]
+        assert "copy the trial again" in bag.notes[1]
+    file.write_text(less)
+    with pytest.raises(TrialError, match="lists 239 messages"):
+        Trial(target).samples()
+    metadata = yaml.safe_load(text)
+    information = metadata["rosbag2_bagfile_information"]
     for entry in ("text", {"message_count": 7}, {"topic_metadata": {"name": "x"}}):
         information["topics_with_message_count"] = [entry]
-        (target / "metadata.yaml").write_text(yaml.safe_dump(metadata))
+        file.write_text(yaml.safe_dump(metadata))
         with pytest.raises(TrialError, match=r"is not rosbag2 metadata: .*reindex"):
             Trial(target).samples()
 
