@@ -1,14 +1,16 @@
-"""Layouts read and fill messages as the library's own code does, of every type, in both orders."""
+"""Layouts read messages of every type as the library does, in both byte orders.
+
+Messages that are filled are compared with those of ROS in `test/nodes/test_messages.py`.
+"""
 
 from collections.abc import Iterator
 from itertools import product
-from typing import Any
 
 import numpy as np
 import pytest
 from support.messages import Maker, encode, numbers_in, numbers_of, strings_of
 
-from socket_testbed.trials.layout import Layout, blank, decode, fields_of, typestore
+from socket_testbed.trials.layout import Layout, decode, typestore
 
 TYPES = (
     *sorted(name for name in typestore().types if name.startswith("socket_testbed_msgs/")),
@@ -30,36 +32,6 @@ def test_numbers_are_those_of_the_library() -> None:
             alone = layout.record(raw)
             assert alone is not None
             assert numbers_in(record) == numbers_in(alone) == numbers_of(message, kind)
-
-
-def as_given(message: Any, kind: str) -> dict[str, Any]:
-    """The strings of a message, and as many blank elements as its sequences have."""
-    given = {}
-    for name, of, number in fields_of(kind):
-        value = getattr(message, name)
-        if of == "string":
-            given[name] = value
-        elif "/" in of:
-            given[name] = (
-                as_given(value, of) if number is None else [as_given(v, of) for v in value]
-            )
-        elif number is not None:
-            given[name] = [None] * len(value)
-    return given
-
-
-def test_a_filled_blank_is_the_message() -> None:
-    for kind in TYPES:
-        message = Maker(3, 1).message(kind)
-        sent = encode(message, kind, True)
-        content, record = blank(kind, **as_given(message, kind))
-        assert not any(numbers_of(decode(content, kind), kind))
-        assert strings_of(decode(content, kind), kind) == strings_of(message, kind)
-        found = Layout(content, kind).record(sent)
-        assert found is not None
-        for name in record.dtype.names or ():
-            record[name] = found[name]
-        assert numbers_of(decode(content, kind), kind) == numbers_of(message, kind)
 
 
 CLUSTERS = "socket_testbed_msgs/msg/ClusterCapacitanceArray"
