@@ -1,6 +1,5 @@
 """kill -9 of every node while the testbed records: it comes back, and nothing is wrong."""
 
-from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
@@ -13,26 +12,9 @@ pytestmark = [pytest.mark.graph, pytest.mark.slow]
 COMPUTING = ("calibration_node", "estimator_node")
 
 
-@dataclass
-class Killed:
-    """A testbed of which every node was killed in turn, the recorder last.
-
-    Attributes:
-        first: The trial until the recorder was killed.
-        second: The trial that the next recorder began.
-        alone: Stamp until which the load-cell node alone had been killed [ns].
-        restarts: What was said about each node that was started again.
-    """
-
-    first: Recorded
-    second: Recorded
-    alone: int
-    restarts: list[str]
-
-
-@pytest.fixture(scope="module")
-def killed(tmp_path_factory: pytest.TempPathFactory) -> Killed:
-    path = tmp_path_factory.mktemp("kills") / "trial"
+def test_any_node_may_be_killed_and_comes_back(tmp_path: Path) -> None:
+    """Each in turn, the recorder last, which goes on in a second trial."""
+    path = tmp_path / "trial"
     with LiveTestbed(path) as live:
         live.wait_for_triggers(10)
         live.kill("load_cell_node")
@@ -57,39 +39,27 @@ def killed(tmp_path_factory: pytest.TempPathFactory) -> Killed:
             live.switch("clusters.shifted", 0)
         live.wait_for_triggers(20)
         live.kill("recorder_node")
-        second = path.with_name("trial_2")
-        live.probe.wait(second.exists, "the second trial")
+        beside = path.with_name("trial_2")
+        live.probe.wait(beside.exists, "the second trial")
         # A new recorder is found by the others some seconds after it began its trial.
         live.probe.wait(
-            lambda: sum(f.stat().st_size for f in second.glob("*.mcap")) > 100_000,
+            lambda: sum(f.stat().st_size for f in beside.glob("*.mcap")) > 100_000,
             "data in the second trial",
         )
         live.wait_for_triggers(60)
-    return Killed(Recorded(path), Recorded(second, path), alone, live.restarts)
-
-
-def test_any_node_may_be_killed_and_comes_back(killed: Killed) -> None:
-    newest = sorted(killed.second.stamps("trigger"))[-5:]
+    first, second = Recorded(path), Recorded(beside, path)
+    newest = sorted(second.stamps("trigger"))[-5:]
     # Every one is back; on a busy machine one of the last values may be late all the same.
-    assert all(set(newest) & killed.second.stamps(t.name) for t in MEASURED)
-
-
-def test_no_value_is_wrong_whichever_node_was_killed(killed: Killed) -> None:
-    killed.first.check_values()
-    killed.second.check_values()
-
-
-def test_the_others_lose_nothing_when_one_is_killed(killed: Killed) -> None:
-    assert killed.restarts[0].startswith("load_cell_node")
-    lacking = killed.first.lacking(until=killed.alone)
-    # In a slow testbed it may be back before the next trigger.
+    assert all(set(newest) & second.stamps(t.name) for t in MEASURED)
+    first.check_values()
+    second.check_values()
+    # The others lose nothing when one is killed. In a slow testbed the killed one may be back
+    # before the next trigger.
+    assert live.restarts[0].startswith("load_cell_node")
+    lacking = first.lacking(until=alone)
     lacking.pop(WRENCH.name)
     assert lacking == dict.fromkeys(lacking, 0)
-
-
-def test_a_killed_recorder_goes_on_in_a_second_trial(killed: Killed) -> None:
-    assert any("cut short" in note for note in killed.first.notes)
-    assert killed.first.stamps("trigger") and killed.second.stamps("trigger")
+    assert any("cut short" in note for note in first.notes) and first.stamps("trigger")
 
 
 def test_a_healthy_testbed_in_one_process_loses_nothing(tmp_path: Path) -> None:
