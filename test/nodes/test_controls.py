@@ -1,26 +1,34 @@
-"""What a person does to a testbed: the stamp of an event, and what came of each service."""
+"""A person at a testbed: the stamp of an event, each service, and what the nodes report."""
 
 import signal
 import subprocess
 import sys
-import threading
 import time
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from itertools import product
 from pathlib import Path
 
 import numpy as np
 import pytest
 import rclpy
+from std_msgs.msg import String
+from std_srvs.srv import SetBool
 from support import HANGS
 from support.graph import Probe
 from support.testbeds import LiveTestbed
 
 from socket_testbed.errors import ConfigurationError, TestbedError
+from socket_testbed.live.processes import Graph
 from socket_testbed.live.simulated_world import Simulation
 from socket_testbed.nodes import controls as module
 from socket_testbed.nodes.controls import EventMarker, ServiceControls, stamp_by_triggers
+from socket_testbed.settings.acquisition import MocapSettings
+from socket_testbed.settings.testbed import RecorderSettings
+from socket_testbed.simulation.devices.natnet_server import NatNetServer
+from socket_testbed.trials.layout import stamp_of
 from socket_testbed.trials.metadata import TrialMetadata
-from socket_testbed.trials.topics import EVENT, RECORDED_TRIAL
+from socket_testbed.trials.topics import DIAGNOSTICS, EVENT, RECORDED_TRIAL
 from socket_testbed.trials.trial import Trial
 
 EPOCH = 1_795_000_000_000_000_000  # [ns]
@@ -39,14 +47,12 @@ def triggers(
     return list(zip(arrivals.tolist(), stamps.tolist(), strict=True)), float(sent[0])
 
 
-@pytest.mark.parametrize("speed", [1.0, 0.5, 0.25, 2.0])
-@pytest.mark.parametrize("ago", [0.0, 2.0])
-def test_the_stamp_is_when_it_was_called(speed: float, ago: float) -> None:
+def test_the_stamp_is_when_it_was_called() -> None:
     late = 0.002 * np.random.default_rng(1).exponential(size=8)
-    heard, begin = triggers(speed, late)
-    called = begin - ago
-    expected = EPOCH + round(called * speed * 1e9)
-    assert abs(stamp_by_triggers(called, heard) - expected) < 20e6  # 20 ms
+    for speed, ago in product((1.0, 0.5, 0.25, 2.0), (0.0, 2.0)):
+        heard, begin = triggers(speed, late)
+        expected = EPOCH + round((begin - ago) * speed * 1e9)
+        assert abs(stamp_by_triggers(begin - ago, heard) - expected) < 20e6  # 20 ms
 
 
 def test_triggers_that_a_busy_machine_held_up_count_little() -> None:
@@ -108,10 +114,42 @@ def test_a_subscriber_that_is_stopped_holds_up_nothing_else(
     assert heard and False in polls[:-1]  # asked again and again, not waited for in one go
 
 
+@pytest.mark.graph
+def test_motive_records_while_the_recorder_does(tmp_path: Path) -> None:
+    server = NatNetServer(lambda _: [])
+    settings = MocapSettings(server=server.address[0], command_port=server.address[1])
+    try:
+        with Probe() as probe, Graph() as graph:
+            graph.start("mocap_node", settings)
+            graph.start("recorder_node", RecorderSettings(directory=str(tmp_path)))
+            answer = probe.call(SetBool, "recorder/record", SetBool.Request(data=True))
+            name = answer.message.rpartition("/")[2]
+            probe.wait(lambda: server.recording, "a take")
+            assert server.takes == [name]
+            probe.call(SetBool, "recorder/record", SetBool.Request(data=False))
+            probe.wait(lambda: not server.recording, "the end of the take")
+            # Any program of the network may name the trial that is recorded.
+            status = probe.listen(DIAGNOSTICS)
+            probe.publisher(RECORDED_TRIAL).publish(String(data="x,StopRecording\n../y"))
+            probe.wait(
+                lambda: any(
+                    "cannot be that of a take" in s.message for m in status for s in m.status
+                ),
+                "the refusal",
+            )
+            assert server.takes == [name] and not server.recording
+    finally:
+        server.close()
+
+
+# --- one testbed for what follows: its nodes would answer for those above
+
+
 @pytest.fixture(scope="module")
 def live(tmp_path_factory: pytest.TempPathFactory) -> Iterator[LiveTestbed]:
+    """A testbed that records, with the pylon alone for minutes."""
     record = tmp_path_factory.mktemp("controls") / "s01"
-    with LiveTestbed(record, 10.0, Simulation("static_hold")) as live:
+    with LiveTestbed(record, simulation=Simulation("static_hold", 1800.0)) as live:
         yield live
 
 
@@ -153,39 +191,72 @@ def test_a_trial_is_recorded_with_a_name_and_metadata_and_an_event(
 def test_events_that_are_marked_at_once_are_all_heard(
     live: LiveTestbed, controls: ServiceControls
 ) -> None:
-    said: list[str] = []
-    threads = [
-        threading.Thread(target=lambda: said.append(controls.event("step"))) for _ in range(2)
-    ]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join(HANGS)
-    assert len(said) == 2 and all(line.startswith("marked 'step'") for line in said)
+    with ThreadPoolExecutor() as pool:
+        marked = [pool.submit(controls.event, "step") for _ in range(2)]
+        assert all(each.result(HANGS).startswith("marked 'step'") for each in marked)
 
 
 @pytest.mark.graph
-def test_the_testbed_is_tared_and_its_trigger_switched(
+def test_the_trigger_is_switched_and_a_tare_outlives_its_node(
     live: LiveTestbed, controls: ServiceControls
 ) -> None:
     controls.trigger(False)
-    live.wait_for("trigger_node", "WARN", "not enabled")
+    live.wait_for("trigger_node", "WARN", "not enabled: call trigger/enable")
+    # While it rests, faults are seen all the same.
+    live.switch("clusters.nack", 1)
+    live.wait_for("cluster_node", "ERROR", "channel 0")
+    count = len(live.triggers)
+    live.switch("clusters.nack", 0)
+    live.wait_for("cluster_node", "OK")
+    assert len(live.triggers) == count
     controls.trigger(True)
-    live.wait_for_triggers(3)
+    live.wait_for_triggers(5)
+    assert {int(step) for step in np.diff([m.sequence for m in live.triggers])} == {1}
 
     def tared() -> bool:
         try:
             return controls.tare().startswith("tared")
         except TestbedError as error:
-            assert "moves" in str(error)  # it is loaded just now
+            assert "moves" in str(error)  # on a busy machine a reading may be late
             return False
 
     live.probe.wait(tared, "a tare")
     live.probe.wait(lambda: abs(live.wrenches[-1].wrench.force.z) < 5.0, "the tare")
+    live.kill("load_cell_node")
+    count = len(live.wrenches)
+    live.probe.wait(
+        lambda: any(np.isfinite(m.wrench.force.z) for m in live.wrenches[count + 5 :]),
+        "wrenches again",
+    )
+    # 91 N of pylon were taken off, and stay off.
+    assert np.nanmax(np.abs([m.wrench.force.z for m in live.wrenches[count:]])) < 5.0
 
 
 @pytest.mark.graph
-def test_what_does_not_answer_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_stamps_are_even_and_values_are_averages_over_the_trigger_s_period(
+    live: LiveTestbed,
+) -> None:
+    """50 ms at 240 frames and 500 conversions a second, half of it after the trigger."""
+    count = len(live.triggers)
+    live.wait_for_triggers(40)
+    stamps = [stamp_of(message) for message in live.triggers[count:]]
+    assert 1e-9 * np.median(np.diff(stamps)) == pytest.approx(0.05, abs=2e-3)
+
+    def figure(node: str, name: str) -> float:
+        found = [s.values for m in live.diagnostics for s in m.status if s.name == f"/{node}"]
+        return float({v.key: v.value for v in found[-1]}[name])
+
+    for node, name, least, most in (
+        ("mocap_node", "averaged_frames", 10, 14),
+        ("load_cell_node", "averaged_conversions", 22, 28),
+    ):
+        live.probe.wait(lambda node=node, name=name, least=least: figure(node, name) >= least, name)
+        assert figure(node, name) <= most
+    assert figure("mocap_node", "delay") > 0.02
+
+
+@pytest.mark.graph
+def test_a_service_without_an_answer_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "_FOUND_WITHIN", 0.1)
     with Probe() as probe:
         nowhere = rclpy.create_node("page", namespace="/nowhere", context=probe.context)

@@ -303,8 +303,13 @@ def test_the_colour_is_the_normal_pressure_and_what_is_uncertain_is_faint() -> N
     assert opacity[0] == 1.0 and opacity[-1] == pytest.approx(0.1)
 
 
-def test_the_mesh_of_a_tile_covers_its_area_and_faces_outwards() -> None:
-    for i, tile in enumerate(drawn(made_up_map())[::2]):
+def test_tiles_cover_their_areas_and_face_outwards_and_arrows_start_at_them() -> None:
+    estimate = made_up_map()
+    found = drawn(estimate)
+    assert len(found) == 2 * len(GEOMETRY)
+    for marker in found:  # it ends by itself
+        assert 0 < marker.lifetime.sec < 10 and marker.header.frame_id == "load_cell"
+    for i, (tile, arrow) in enumerate(zip(found[::2], found[1::2], strict=True)):
         assert tile.type == Marker.TRIANGLE_LIST and (tile.scale.x, tile.color.a > 0.0) == (1, True)
         q, p = tile.pose.orientation, tile.pose.position
         turn = Rotation.from_quat([q.x, q.y, q.z, q.w]).as_matrix()
@@ -315,15 +320,6 @@ def test_the_mesh_of_a_tile_covers_its_area_and_faces_outwards() -> None:
         outwards = -GEOMETRY.rotations[i][:, 2]
         np.testing.assert_allclose(normals / np.linalg.norm(normals[0]), [outwards] * 2, atol=1e-9)
         np.testing.assert_allclose(sides.mean(axis=(0, 1)), GEOMETRY.anchors[i], atol=0.02)
-
-
-def test_a_picture_ends_by_itself_and_its_arrows_start_at_the_tiles() -> None:
-    found = drawn(made_up_map())
-    assert len(found) == 2 * len(GEOMETRY)
-    for marker in found:
-        assert 0 < marker.lifetime.sec < 10 and marker.header.frame_id == "load_cell"
-    forces = made_up_map().forces[0]
-    for arrow, anchor, force in zip(found[1::2], GEOMETRY.anchors, forces, strict=True):
         (start, tip) = ([p.x, p.y, p.z] for p in arrow.points)
-        np.testing.assert_allclose(start, anchor)
-        np.testing.assert_allclose(np.subtract(tip, start), 0.002 * force)
+        np.testing.assert_allclose(start, GEOMETRY.anchors[i])
+        np.testing.assert_allclose(np.subtract(tip, start), 0.002 * estimate.forces[0, i])

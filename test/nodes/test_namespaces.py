@@ -51,18 +51,26 @@ def two(tmp_path_factory: pytest.TempPathFactory) -> Iterator[SimpleNamespace]:
             end(graph, testbed)
 
 
-def names(two: SimpleNamespace) -> set[str]:
-    return {status.name for message in two.diagnostics for status in message.status}
-
-
-def test_diagnostics_carry_the_node_s_full_name_and_its_hardware(two: SimpleNamespace) -> None:
+def test_every_node_has_its_full_name_its_hardware_and_parameter_services(
+    two: SimpleNamespace,
+) -> None:
     expected = {f"{namespace}/{node}" for namespace in NAMESPACES for node in NODES}
-    two.probe.wait(lambda: expected <= names(two), "the diagnostics of all nodes")
-    assert all(name.startswith(NAMESPACES) for name in names(two))
-    hardware = {s.name: s.hardware_id for m in two.diagnostics for s in m.status}
-    assert all(text.startswith(platform.node()) for text in hardware.values())
-    for node, device in {"cluster_node": "i2c-1", "load_cell_node": "spidev0.0"}.items():
-        assert device in hardware[f"/left/{node}"]
+
+    def hardware() -> dict[str, str]:
+        return {s.name: s.hardware_id for m in two.diagnostics for s in m.status}
+
+    two.probe.wait(lambda: expected <= hardware().keys(), "the diagnostics of all nodes")
+    found = hardware()
+    assert all(name.startswith(NAMESPACES) for name in found)
+    assert all(text.startswith(platform.node()) for text in found.values())
+    assert "i2c-1" in found["/left/cluster_node"] and "spidev0.0" in found["/left/load_cell_node"]
+    # `ros2 param list` asks every node that is listed.
+    listed = two.probe.node.get_node_names_and_namespaces()
+    own = {f"{namespace}/{name}" for name, namespace in listed if namespace in NAMESPACES}
+    assert own == {*expected, *(f"{namespace}/estimator_node" for namespace in NAMESPACES)}
+    for name in sorted(own):
+        answer = two.probe.call(ListParameters, f"{name}/list_parameters", ListParameters.Request())
+        assert "use_sim_time" in answer.result.names
 
 
 def test_each_testbed_follows_its_own_trigger(two: SimpleNamespace) -> None:
@@ -82,12 +90,11 @@ def test_each_testbed_follows_its_own_trigger(two: SimpleNamespace) -> None:
 
 
 def test_services_of_one_testbed_leave_the_other_alone(two: SimpleNamespace) -> None:
-    request = SetBool.Request(data=False)
-    assert two.probe.call(SetBool, "/left/trigger/enable", request).success
-    count = len(two.triggers["/right"])
-    two.probe.wait(lambda: len(two.triggers["/right"]) > count + 5, "triggers on the right")
-    request = SetBool.Request(data=True)
-    assert two.probe.call(SetBool, "/left/trigger/enable", request).success
+    for enabled in (False, True):
+        request = SetBool.Request(data=enabled)
+        assert two.probe.call(SetBool, "/left/trigger/enable", request).success
+        count = len(two.triggers["/right"])
+        two.probe.wait(lambda count=count: len(two.triggers["/right"]) > count + 5, "triggers")
     # Fits and tares are answered from a thread of their own, whatever comes of them.
     answer = two.probe.call(TriggerService, "/left/estimator/fit", TriggerService.Request())
     assert answer.message
@@ -102,13 +109,3 @@ def test_each_testbed_has_transforms_of_its_own(two: SimpleNamespace) -> None:
         assert {t.child_frame_id for t in moving[-1].transforms} == {"socket", "limb"}
         assert static[0].transforms[0].child_frame_id == "load_cell"
     assert two.probe.node.count_publishers("/tf") == 0
-
-
-def test_every_node_has_parameter_services(two: SimpleNamespace) -> None:
-    """`ros2 param list` asks every node that is listed."""
-    listed = two.probe.node.get_node_names_and_namespaces()
-    own = {f"{namespace}/{name}" for name, namespace in listed if namespace in NAMESPACES}
-    assert own == {f"{n}/{node}" for n in NAMESPACES for node in (*NODES, "estimator_node")}
-    for name in sorted(own):
-        answer = two.probe.call(ListParameters, f"{name}/list_parameters", ListParameters.Request())
-        assert "use_sim_time" in answer.result.names

@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from geometry_msgs.msg import PoseStamped, WrenchStamped
 from std_srvs.srv import Trigger as TriggerService
 from support.bags import pose_vector, wrench_vector
 from support.graph import Probe
@@ -19,8 +18,8 @@ from socket_testbed.geometry.marker_bodies import fit_triad
 from socket_testbed.geometry.socket import read_socket, write_socket
 from socket_testbed.live.bringup import Simulation, end, simulate_hardware, simulated_testbed
 from socket_testbed.live.processes import Graph
-from socket_testbed.settings.testbed import ReplaySettings, read_testbed
-from socket_testbed.trials.layout import nanoseconds, stamp_of
+from socket_testbed.settings.testbed import ReplaySettings
+from socket_testbed.trials.layout import stamp_of
 from socket_testbed.trials.topics import LOAD_CELL_RAW, SOCKET_POSE, WRENCH, Topic
 from socket_testbed.trials.trial import Trial
 
@@ -53,28 +52,12 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     yield folder / "trial"
 
 
-def test_ratios_and_tare_are_those_of_the_wrench(recorded: Path) -> None:
-    settings = read_testbed(recorded / "testbed.yaml").load_cell_node
-    matrix = 1e3 * np.roll(np.reshape(settings.matrix, (6, 6)), 3, axis=0)
-    by_topic = Recorded(recorded).by_topic
-    wrenches, raws = by_topic[WRENCH.name], by_topic[LOAD_CELL_RAW.name]
-    assert set(wrenches) == set(raws) and len(raws) > 60
-    tared = set()
-    for stamp, raw in raws.items():
-        wrench = matrix @ raw.ratios - wrench_vector(raw.tare)
-        again = wrench_vector(wrenches[stamp].wrench)
-        np.testing.assert_allclose(wrench, again, rtol=1e-12, atol=1e-11)
-        assert raw.status == (0 if np.isfinite(raw.ratios).all() else 2)
-        tared.add(nanoseconds(raw.tared))
-        assert any(wrench_vector(raw.tare)) == (nanoseconds(raw.tared) > 0)
-    assert len(tared) == 2 and 0 in tared
-    assert min(raws) < max(tared) < max(raws)
-
-
 def test_wrenches_and_poses_are_repaired(recorded: Path) -> None:
     wrong = Trial(recorded).measurements()
     assert np.isnan(wrong.socket).all()  # no pose fits the markers of the wrong file
     assert np.nanmax(np.abs(wrong.wrench[-20:, 5])) < 5.0  # the pylon's 91 N are gone
+    again = Trial(recorded, load_cell_file=recorded / "testbed.yaml", tare="recorded")
+    np.testing.assert_allclose(again.measurements().wrench, wrong.wrench, rtol=1e-12, atol=1e-11)
     found = Trial(recorded, RIGHT, tare="none").measurements()
     oracle = Recorded(recorded)
     markers = read_socket(RIGHT).socket_markers
@@ -103,16 +86,12 @@ def test_a_replay_publishes_what_is_repaired(recorded: Path) -> None:
         last = {topic: max(held.stamps(topic.name)) for topic in heard}
 
         def at_its_end(topic: Topic) -> bool:
-            return bool(heard[topic]) and _stamp(heard[topic][-1]) == last[topic]
+            return bool(heard[topic]) and stamp_of(heard[topic][-1]) == last[topic]
 
         probe.wait(lambda: all(map(at_its_end, heard)), "the last sample")
     for topic, vector, numbers in (
         (WRENCH, lambda message: wrench_vector(message.wrench), found.wrench),
         (SOCKET_POSE, lambda message: pose_vector(message.pose), found.socket),
     ):
-        order = [rows[_stamp(message)] for message in heard[topic]]
+        order = [rows[stamp_of(message)] for message in heard[topic]]
         np.testing.assert_array_equal([vector(m) for m in heard[topic]], numbers[order])
-
-
-def _stamp(message: WrenchStamped | PoseStamped) -> int:
-    return stamp_of(message)
