@@ -83,6 +83,13 @@ def test_report_and_record_say_how_good_it_is_and_where_it_comes_from(call, benc
     calibration = read_calibration(output)
     assert calibration.source == "distal: bench.csv" and calibration.date == stored["date"]
     assert calibration.clusters["distal"].bench == stored
+    for key, value in (("baseline", [1.0, 2.0]), ("bench", [1])):
+        document = yaml.safe_load(output.read_text())
+        document["clusters"]["distal"][key] = value
+        wrong = output.with_name("wrong.yaml")
+        wrong.write_text(yaml.safe_dump(document))
+        with pytest.raises(TestbedError, match=rf"wrong.yaml: clusters: distal: {key}"):
+            read_calibration(wrong)
 
 
 def test_cross_talk_is_the_coupling_of_the_sensor(call, tmp_path, output):
@@ -103,11 +110,12 @@ def test_cross_talk_is_the_coupling_of_the_sensor(call, tmp_path, output):
         assert "cross-talk % FS" in out and "no pure" not in out
 
 
-def test_one_cluster_is_replaced_and_the_others_stay(call, bench_file, output):
+def test_one_cluster_of_a_file_is_replaced_or_added(call, refused, bench_file, tmp_path, output):
     shutil.copyfile(packaged("config", "calibration.yaml"), output)
     old = read_calibration(output)
     out = call(bench_file)  # its wiring is that of the existing cluster
     assert "distal replaced" in out and "kept: brim_lateral, mid_anterior" in out
+    assert "note" not in out
     new = read_calibration(output)
     assert list(new.clusters) == list(old.clusters)
     assert (new.date, new.source) == (old.date, old.source)
@@ -115,12 +123,10 @@ def test_one_cluster_is_replaced_and_the_others_stay(call, bench_file, output):
         same = new.clusters[name].to_document() == cluster.to_document()
         assert same == (name != "distal")
     np.testing.assert_array_equal(new.clusters["distal"].wiring, nominal().wiring)
-    assert "note" not in out
     noted = call(bench_file, *WIRING, cluster="brim_lateral")
     assert "brim_lateral has the same bench readings as distal" in noted
 
-
-def test_into_leaves_the_existing_file_alone(call, refused, bench_file, tmp_path, output):
+    output.unlink()
     existing = tmp_path / "existing.yaml"
     brim = {"brim": nominal("brim_lateral")}
     write_calibration(Calibration(brim, "2026-01-02", "by hand"), existing)
@@ -145,7 +151,7 @@ def test_a_bad_fit_is_drawn_but_refused_with_its_numbers_unless_forced(
     assert record(output)["forced"] is False and record(output)["limit_percent"] == 30.0
 
 
-def test_outliers_are_shown_and_dropped_only_when_told(call, tmp_path, output):
+def test_outliers_are_listed_and_dropped_only_on_request(call, tmp_path, output):
     bench = sensor_bench(play=0.04)
     bench.stress[[200, 500], 1] += 60e3
     path = write_bench(tmp_path / "bench.csv", bench)
@@ -158,29 +164,22 @@ def test_outliers_are_shown_and_dropped_only_when_told(call, tmp_path, output):
     assert stored["outliers_dropped"] and stored["readings"] == 1060
 
 
-def unloaded(path, capacitance):
-    rows = [",".join(f"{value:.9g}" for value in capacitance)] * 5
-    path.write_text("\n".join([",".join(HEADER[4:]), *rows]))
-    return path
-
-
 def test_baselines_are_stored_and_take_the_drift_off(call, tmp_path, output):
     bench = sensor_bench()
     rest, drift = bench.capacitance[0], np.array([0.2, 0.1, 0.15, 0.05])
     part = (bench.time / bench.time[-1])[:, None]
     drifted = dataclasses.replace(bench, capacitance=bench.capacitance + part * drift)
-    clean_file = write_bench(tmp_path / "clean.csv", bench)
-    path = write_bench(tmp_path / "bench.csv", drifted)
-    before = unloaded(tmp_path / "before.csv", rest)
-    after = unloaded(tmp_path / "after.csv", rest + drift)
-
-    out = call(path, *WIRING, "--baseline", before, after)
+    files = [tmp_path / "before.csv", tmp_path / "after.csv"]
+    for path, unloaded in zip(files, (rest, rest + drift), strict=True):
+        rows = [",".join(f"{value:.9g}" for value in unloaded)] * 5
+        path.write_text("\n".join([",".join(HEADER[4:]), *rows]))
+    out = call(write_bench(tmp_path / "bench.csv", drifted), *WIRING, "--baseline", *files)
     assert "drift, corrected" in out and "above the limit" in out
     corrected = read_calibration(output).clusters["distal"]
     np.testing.assert_allclose(corrected.baseline, rest, rtol=1e-8)
     assert corrected.bench["drift"]["flagged"] is True
     np.testing.assert_allclose(corrected.bench["drift"]["capacitance"], drift, rtol=1e-3)
-    call(clean_file, *WIRING, "--baseline", before)
+    call(write_bench(tmp_path / "clean.csv", bench), *WIRING, "--baseline", files[0])
     clean = read_calibration(output).clusters["distal"]
     assert "drift" not in clean.bench and clean.baseline is not None
     np.testing.assert_allclose(corrected.normal, clean.normal, rtol=1e-6)
@@ -190,64 +189,50 @@ def test_forces_need_the_area_of_the_tile(call, refused, tmp_path, output):
     bench = sensor_bench()
     header = ("time [s]", "normal [N]", "shear_x [N]", "shear_y [N]", *HEADER[4:])
     newtons = dataclasses.replace(bench, stress=bench.stress * 9e-4 * 1e3)
-    path = write_bench(tmp_path / "bench.csv", newtons, header)
+    path = write_bench(tmp_path / "newtons.csv", newtons, header)
     refused(path, *WIRING, named=["--area"])
-    gains = []
     socket = packaged("config", "socket.yaml")
-    for area in (("--area", 9e-4), ("--geometry", socket)):
-        call(path, *WIRING, *area)
-        gains.append(read_calibration(output).clusters["distal"].normal[1])
-        output.unlink()
     other = tmp_path / "socket.yaml"
     other.write_text(socket.read_text().replace("  distal: distal", "  tip: distal"))
     refused(path, *WIRING, "--geometry", other, named=["has no cluster 'distal'"])
-    call(write_bench(path, bench), *WIRING)
-    gains.append(read_calibration(output).clusters["distal"].normal[1])
+    gains = []
+    for words in (
+        (path, "--area", 9e-4),
+        (path, "--geometry", socket),
+        (write_bench(tmp_path / "bench.csv", bench),),
+    ):
+        call(*words, *WIRING)
+        gains.append(read_calibration(output).clusters["distal"].normal[1])
+        output.unlink()
     np.testing.assert_allclose(gains, gains[0], rtol=1e-6)
 
 
-def test_a_wrong_call_gives_one_line(refused, bench_file, output):
-    for words, named in (
-        ((), ("wiring 0 1 2 3", "--wiring 2 3 0 1")),
-        (("--wiring", 0, 0, 1, 2), ("--wiring is [0, 0, 1, 2]", "once")),
-        (("--wiring", 2, 3, 1, 0), ("exceeds 10 %", "shear_x 4")),
-        ((*WIRING, "--units", "normal"), ("--units: 'normal' is no", "normal=kPa")),
-        ((*WIRING, "--units", "normel=kPa"), ("no quantity 'normel'", "normal")),
-        ((*WIRING, "--units", "c0=pF", "c0=fF"), ("c0 is given twice", "once")),
-        ((*WIRING, "--units", "normal=Pa"), ("normal spans only 60 Pa", "--units normal=UNIT")),
-        ((*WIRING, "--columns", "normal=load,cell"), ("no column for normal",)),
-        ((*WIRING, "--limit", -1), ("--limit", "from 0 to 100")),
-        ((*WIRING, "--area", 900), ("--area is 900", "from 1e-06 to 0.05")),
-        ((*WIRING, "--figure", "fit.txt"), ("fit.txt", ".png or .pdf")),
-        ((*WIRING, "--baseline", "a", "b", "c"), ("--baseline: 3 files", "before")),
-        ((*WIRING, "--baseline", "none.csv"), ("none.csv", "no such file")),
-        ((*WIRING, "--into", "none.yaml"), ("none.yaml", "no such file")),
-    ):
-        refused(bench_file, *words, named=named)
-        assert not output.exists()
-
-
-def test_a_gain_of_the_wrong_sign_is_refused_even_by_force(refused, tmp_path, output):
+def test_a_wrong_call_gives_one_line(refused, bench_file, tmp_path, output):
     bench = sensor_bench()
     upside_down = bench_of(12.0 - bench.capacitance, bench.stress)
-    path = write_bench(tmp_path / "bench.csv", upside_down)
-    words = ("--wiring", 0, 1, 2, 3, "--force")
-    refused(path, *words, named=["gain of the normal stress", "compression"])
+    for path, words, named in (
+        (bench_file, (), ("wiring 0 1 2 3", "--wiring 2 3 0 1")),
+        (bench_file, ("--wiring", 0, 0, 1, 2), ("--wiring is [0, 0, 1, 2]", "once")),
+        (bench_file, ("--wiring", 2, 3, 1, 0), ("exceeds 10 %", "shear_x 4")),
+        (
+            write_bench(tmp_path / "upside_down.csv", upside_down),
+            ("--wiring", 0, 1, 2, 3, "--force"),
+            ("gain of the normal stress", "compression"),
+        ),
+    ):
+        refused(path, *words, named=named)
+    for words, named in (
+        (("--units", "normal"), ("--units: 'normal' is no", "normal=kPa")),
+        (("--units", "normel=kPa"), ("no quantity 'normel'", "normal")),
+        (("--units", "c0=pF", "c0=fF"), ("c0 is given twice", "once")),
+        (("--units", "normal=Pa"), ("normal spans only 60 Pa", "--units normal=UNIT")),
+        (("--columns", "normal=load,cell"), ("no column for normal",)),
+        (("--limit", -1), ("--limit", "from 0 to 100")),
+        (("--area", 900), ("--area is 900", "from 1e-06 to 0.05")),
+        (("--figure", "fit.txt"), ("fit.txt", ".png or .pdf")),
+        (("--baseline", "a", "b", "c"), ("--baseline: 3 files", "before")),
+        (("--baseline", "none.csv"), ("none.csv", "no such file")),
+        (("--into", "none.yaml"), ("none.yaml", "no such file")),
+    ):
+        refused(bench_file, *WIRING, *words, named=named)
     assert not output.exists()
-
-
-def test_a_calibration_is_read_with_and_without_a_record(call, bench_file, output, tmp_path):
-    old = read_calibration(packaged("config", "calibration.yaml"))
-    assert all(c.baseline is None and not c.bench for c in old.clusters.values())
-    write_calibration(old, tmp_path / "copy.yaml")
-    assert set(yaml.safe_load((tmp_path / "copy.yaml").read_text())["clusters"]["distal"]) == {
-        *("normal", "shear_x", "shear_y", "mean_range", "difference_range", "wiring")
-    }
-    call(bench_file, *WIRING)
-    document = yaml.safe_load(output.read_text())
-    for key, value in (("baseline", [1.0, 2.0]), ("bench", [1])):
-        document["clusters"]["distal"][key] = value
-        (tmp_path / "wrong.yaml").write_text(yaml.safe_dump(document))
-        with pytest.raises(TestbedError, match=rf"wrong.yaml: clusters: distal: {key}"):
-            read_calibration(tmp_path / "wrong.yaml")
-        document["clusters"]["distal"].pop(key)

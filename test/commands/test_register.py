@@ -6,10 +6,10 @@ import textwrap
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from support import verbs, wording
 from support.motive_takes import (
     SOCKET_NAMES,
     Bench,
-    Written,
     between,
     make_bench,
     refused,
@@ -18,10 +18,9 @@ from support.motive_takes import (
     write_take,
 )
 from support.problems import random_pose
+from support.wording import check_line
 
 from socket_testbed.__main__ import run
-from socket_testbed.commands.arguments import Parser, add_options
-from socket_testbed.commands.design import register
 from socket_testbed.errors import ConfigurationError, RegistrationError
 from socket_testbed.geometry.pose import Pose
 from socket_testbed.geometry.socket import read_socket, write_socket
@@ -34,69 +33,71 @@ def rng():
     return np.random.default_rng(23)
 
 
-def drop(*keys: str):
-    def change(bench: Bench) -> None:
-        place = bench.document
-        for key in keys[:-1]:
-            place = place[key]
-        del place[keys[-1]]
-
-    return change
-
-
 def put(value: object, *keys: str):
-    def change(bench: Bench) -> None:
-        place = bench.document
-        for key in keys[:-1]:
-            place = place[key]
-        place[keys[-1]] = value
+    def change(document: dict) -> None:
+        *outer, last = keys
+        for key in outer:
+            document = document[key]
+        document[last] = value
 
     return change
+
+
+def drop(*keys: str):
+    def change(document: dict) -> None:
+        *outer, last = keys
+        for key in outer:
+            document = document[key]
+        del document[last]
+
+    return change
+
+
+BAD_FILES = (
+    (drop("limb"), "'limb' is missing", "add"),
+    (drop("bodies", "pylon"), "bodies: 'pylon' is missing", "add"),
+    (put({"A": [0, 0, 0], "B": [0, 1, 0]}, "limb"), "limb: 2 landmarks", "3 or more"),
+    (put(None, "load_cell"), "load_cell is empty", "key: value"),
+    (put(1, "loadcell"), "unknown key 'loadcell'", "'load_cell'"),
+    (put([0.1, 0.2], "limb", "Limb:1"), "limb: Limb:1 is a list of 2", "a list of 3"),
+    (put([0.1, 0.2, 30.0], "limb", "Limb:1"), "Limb:1[2] is 30.0", "from -2 to 2"),
+    (put(["A", "B"], "bodies", "socket"), "bodies: socket is a list of 2", "3 to 8"),
+    (put(["A", "B", "A"], "bodies", "socket"), "socket names a marker twice", "once"),
+    (put("Socket", "bodies", "socket"), "socket is 'Socket'", "a list of 3 to 8"),
+    (put({"body": "A"}, "bodies", "socket"), "unknown key 'body'", "rigid_body"),
+    (put([0.0, 0.0, 0.0], "limb", "Cell:1"), "'Cell:1' is on the socket's side", "one side"),
+    (put(list(SOCKET_NAMES), "bodies", "pylon"), "'Socket:Marker1' is on", "one side"),
+)
+OTHER_TAKES = (
+    (put([0.0, 0.1, 0.0], "limb", "Limb:9"), "has no marker 'Limb:9': did you mean 'Limb:"),
+    (put({"rigid_body": "Pilon"}, "bodies", "pylon"), "has no rigid body 'Pilon'"),
+    (put(["Cell:1", "Cell:2", "Nil"], "bodies", "socket"), "has no marker 'Nil'"),
+    (
+        put([0.06, 0.001, 0.01], "load_cell", "Cell:2"),
+        "load_cell: landmarks Cell:0 and Cell:2 are given 1.0 mm",
+    ),
+)
 
 
 def test_a_bad_landmark_file_is_named_with_its_field(rng, tmp_path):
     bench = make_bench(rng)
-    right = copy.deepcopy(bench.document)
-    for change, fact, hint in (
-        (drop("limb"), "'limb' is missing", "add"),
-        (drop("bodies", "pylon"), "bodies: 'pylon' is missing", "add"),
-        (put({}, "limb"), "limb: 0 landmarks", "three or more"),
-        (put({"A": [0, 0, 0], "B": [0, 1, 0]}, "limb"), "limb: 2 landmarks", "three or more"),
-        (put(None, "load_cell"), "load_cell is empty", "key: value"),
-        (put(1, "loadcell"), "unknown key 'loadcell'", "'load_cell'"),
-        (put([0.1, 0.2], "limb", "Limb:1"), "limb: Limb:1 is a list of 2", "a list of 3"),
-        (put([0.1, 0.2, 30.0], "limb", "Limb:1"), "Limb:1[2] is 30.0", "from -2 to 2"),
-        (put(["A", "B"], "bodies", "socket"), "bodies: socket is a list of 2", "3 to 8"),
-        (put(["A", "B", "A"], "bodies", "socket"), "socket names a marker twice", "once"),
-        (put("Socket", "bodies", "socket"), "socket is 'Socket'", "a list of 3 to 8"),
-        (put({"body": "A"}, "bodies", "socket"), "unknown key 'body'", "rigid_body"),
-        (put([0.0, 0.0, 0.0], "limb", "Cell:1"), "'Cell:1' is on the socket's side", "one side"),
-        (put(list(SOCKET_NAMES), "bodies", "pylon"), "'Socket:Marker1' is on", "one side"),
-    ):
+    right = bench.document
+    for change, *named in BAD_FILES:
         bench.document = copy.deepcopy(right)
-        change(bench)
+        change(bench.document)
         error = refused(bench, tmp_path, ConfigurationError)
-        assert str(tmp_path / "landmarks.yaml") in error and fact in error
-        assert hint.replace("three", "3") in error or hint in error
+        check_line(error, str(tmp_path / "landmarks.yaml"), *named)
+    for change, fact in OTHER_TAKES:
+        bench.document = copy.deepcopy(right)
+        change(bench.document)
+        check_line(refused(bench, tmp_path), fact)
 
 
-def test_landmarks_that_do_not_match_the_take_are_refused(rng, tmp_path):
-    for change, fact in (
-        (put([0.0, 0.1, 0.0], "limb", "Limb:9"), "has no marker 'Limb:9': did you mean 'Limb:"),
-        (put({"rigid_body": "Pilon"}, "bodies", "pylon"), "has no rigid body 'Pilon'"),
-        (put(["Cell:1", "Cell:2", "Nil"], "bodies", "socket"), "has no marker 'Nil'"),
-        (
-            put([0.06, 0.001, 0.01], "load_cell", "Cell:2"),
-            "load_cell: landmarks Cell:0 and Cell:2 are given 1.0 mm",
-        ),
-    ):
-        bench = make_bench(rng)
-        change(bench)
-        assert fact in refused(bench, tmp_path)
-
-
-def test_the_documented_landmark_file_is_one(tmp_path):
-    _, example, _ = (LANDMARK_FILE_HELP).split("\n\n")
+def test_the_landmark_file_in_the_help_is_one(tmp_path, capsys):
+    with pytest.raises(SystemExit):
+        run(["register", "--help"])
+    assert LANDMARK_FILE_HELP in capsys.readouterr().out
+    _, example, _ = LANDMARK_FILE_HELP.split("\n\n")
     path = tmp_path / "landmarks.yaml"
     path.write_text(textwrap.dedent(example))
     landmarks = read_landmarks(path)
@@ -105,45 +106,24 @@ def test_the_documented_landmark_file_is_one(tmp_path):
     assert list(landmarks.pylon.landmarks) == [f"Limb:Marker{i}" for i in (1, 2, 3)]
 
 
-def test_a_rigid_body_without_its_three_markers_is_refused(rng, tmp_path):
+def test_a_take_that_does_not_fit_is_refused_by_the_body(rng, tmp_path):
     bench = track(make_bench(rng), "Socket", SOCKET_NAMES, random_pose(rng, 0.05))
     bench.document["bodies"]["socket"] = {"rigid_body": "Socket"}
     del bench.take.markers[SOCKET_NAMES[1]]
     assert "rigid body 'Socket' has 2 measured markers" in refused(bench, tmp_path)
 
-
-def move_limb(take: Written) -> None:
-    for name in take.markers:
+    moved, hidden = make_bench(rng), make_bench(rng)
+    for name in moved.take.markers:
         if name.startswith(("Pylon", "Limb")):
-            take.markers[name] += np.linspace(0.0, 0.004, len(take))[:, None]
-
-
-def hide_landmark(take: Written) -> None:
-    take.markers["Limb:3"][10:] = np.nan
-
-
-def test_a_take_that_is_no_static_one_is_refused_by_the_body(rng, tmp_path):
-    for spoil, fact in (
-        (move_limb, "drifted by"),
-        (hide_landmark, "Limb:3 is occluded in 50"),
-    ):
-        bench = make_bench(rng)
-        spoil(bench.take)
-        error = refused(bench, tmp_path)
-        assert f"{tmp_path / 'take.csv'}: pylon" in error and fact in error
+            moved.take.markers[name] += np.linspace(0.0, 0.004, len(moved.take))[:, None]
+    hidden.take.markers["Limb:3"][10:] = np.nan
+    for bench, fact in ((moved, "drifted by"), (hidden, "Limb:3 is occluded in 50")):
+        check_line(refused(bench, tmp_path), f"{tmp_path / 'take.csv'}: pylon", fact)
 
 
 def test_a_trial_cannot_register(hold):
-    with pytest.raises(RegistrationError, match="two triads but no landmarks") as caught:
+    with wording.refused(RegistrationError, "two triads but no landmarks", "static take"):
         read_static_take(hold)
-    assert "static take" in caught.value.hint
-
-
-def call(*words: object) -> None:
-    """Run the verb as the command line does, but for its errors."""
-    parser = Parser()
-    add_options(parser, "commands.design.register")
-    register(**vars(parser.parse_args([str(word) for word in words])))
 
 
 @pytest.fixture
@@ -154,25 +134,18 @@ def files(rng, tmp_path) -> tuple[Bench, list[object]]:
     take = write_take(bench.take, tmp_path / "take.csv")
     landmarks = write_landmarks(bench.document, tmp_path / "landmarks.yaml")
     write_socket(bench.geometry, tmp_path / "socket.yaml")
-    return bench, [take, "--landmarks", landmarks, "--socket", tmp_path / "socket.yaml"]
-
-
-def test_the_help_shows_the_landmark_file(capsys):
-    with pytest.raises(SystemExit):
-        run(["register", "--help"])
-    assert LANDMARK_FILE_HELP in capsys.readouterr().out
+    return bench, ["register", take, "--landmarks", landmarks, "--socket", tmp_path / "socket.yaml"]
 
 
 def test_the_verb_writes_the_registered_socket(files, tmp_path, capsys):
     bench, words = files
     old = (tmp_path / "socket.yaml").read_bytes()
-    call(*words, "-o", tmp_path / "new.yaml")
-    assert (tmp_path / "socket.yaml").read_bytes() == old
+    code, out, _ = verbs.call(capsys, *words, "-o", tmp_path / "new.yaml")
+    assert code == 0 and (tmp_path / "socket.yaml").read_bytes() == old
     new = read_socket(tmp_path / "new.yaml")
     assert new.same_tiles(bench.geometry) and new.clusters == bench.geometry.clusters
     assert between(new.socket_body, bench.socket_body)[0] < 0.002
     assert between(new.limb, bench.limb)[0] < 0.002
-    out = capsys.readouterr().out
     assert "60 frames at 120 Hz" in out and "socket and load_cell: 53 frames used, 7 left" in out
     assert "5 landmarks, residual 0." in out and "(9 degrees of freedom)" in out
     for name in bench.take.markers:
@@ -185,20 +158,22 @@ def test_the_verb_writes_the_registered_socket(files, tmp_path, capsys):
     assert out.endswith(f"registered socket in {tmp_path / 'new.yaml'}\n")
 
 
-def test_without_an_output_the_socket_is_replaced_or_left_as_it_was(files, tmp_path):
+def test_without_an_output_the_socket_is_replaced_or_left_as_it_was(files, tmp_path, capsys):
     bench, words = files
     socket, landmarks = tmp_path / "socket.yaml", tmp_path / "landmarks.yaml"
     old = socket.read_bytes()
     bad = copy.deepcopy(bench.document)
     bad["limb"]["Limb:2"][0] += 0.05
     write_landmarks(bad, landmarks)
-    with pytest.raises(RegistrationError, match="--force"):
-        call(*words)
+    verbs.refused(capsys, *words, named=["--force"])
     assert socket.read_bytes() == old
-    call(*words, "--force")
+    assert verbs.call(capsys, *words, "--force")[0] == 0
     forced = read_socket(socket)
-    write_landmarks(bench.document, landmarks)
-    call(*words)
+    few = {name: bench.document["limb"][name] for name in ("Limb:1", "Limb:2", "Limb:3")}
+    write_landmarks(bench.document | {"limb": few}, landmarks)
+    code, out, err = verbs.call(capsys, *words)
+    assert code == 0 and "note:" not in out
+    assert "note: limb: Limb:1, Limb:2, Limb:3 lie in one plane" in err
     right = read_socket(socket)
     assert between(forced.limb, bench.limb)[0] > 0.005 > between(right.limb, bench.limb)[0]
     assert sorted(path.name for path in tmp_path.iterdir()) == [
@@ -206,25 +181,13 @@ def test_without_an_output_the_socket_is_replaced_or_left_as_it_was(files, tmp_p
     ]  # fmt: skip
 
 
-def test_a_socket_that_nobody_could_read_again_is_not_written(files, tmp_path):
+def test_a_socket_that_nobody_could_read_again_is_not_written(files, tmp_path, capsys):
     bench, words = files
     bench = track(bench, "Socket", SOCKET_NAMES, Pose(np.eye(3), np.array([1.5, 0.0, 0.0])))
     write_take(bench.take, tmp_path / "take.csv")
     bench.document["bodies"]["socket"] = {"rigid_body": "Socket"}
     write_landmarks(bench.document, tmp_path / "landmarks.yaml")
     old = (tmp_path / "socket.yaml").read_bytes()
-    with pytest.raises(
-        ConfigurationError, match=r"socket.yaml: bodies: socket: markers\[0\]\[0\] is -1\.4"
-    ):
-        call(*words)
+    named = ["socket.yaml: bodies: socket: markers[0][0] is -1.4"]
+    verbs.refused(capsys, *words, named=named)
     assert (tmp_path / "socket.yaml").read_bytes() == old
-
-
-def test_notes_go_to_standard_error(files, tmp_path, capsys):
-    bench, words = files
-    few = {name: bench.document["limb"][name] for name in ("Limb:1", "Limb:2", "Limb:3")}
-    write_landmarks(bench.document | {"limb": few}, tmp_path / "landmarks.yaml")
-    call(*words)
-    captured = capsys.readouterr()
-    assert "note: limb: Limb:1, Limb:2, Limb:3 lie in one plane" in captured.err
-    assert "note:" not in captured.out
