@@ -33,7 +33,7 @@ def test_every_verb_explains_itself_and_each_of_its_options(capsys) -> None:
             assert "replace" in options, verb
 
 
-def test_the_help_imports_no_library(capsys) -> None:
+def test_the_help_imports_no_library() -> None:
     script = (
         "import sys; from socket_testbed.__main__ import run\n"
         "try: run(['report', '--help'])\n"
@@ -52,6 +52,9 @@ def test_info_says_what_a_trial_holds(hold: Path, capsys) -> None:
     noise = {line.split("  ")[0]: line.split()[-1] for line in out.splitlines() if line}
     assert float(noise["force [N]"]) == pytest.approx(0.15, rel=0.2)  # the simulated load cell's
     assert 0.001 < float(noise["limb position [mm]"]) < 0.01  # 8 um a marker, averaged
+    with np.load(hold / "ground_truth.npz") as truth:  # beside the trial
+        assert truth["forces"].shape == (240, len(truth["names"]), 3)
+        assert {"stamps", "wrench", "position"} <= set(truth.files)
 
 
 def test_a_left_out_channel_is_marked_and_bears_no_weight(hold, tmp_path, capsys) -> None:
@@ -149,12 +152,6 @@ def test_a_full_disk_leaves_nothing_that_looks_whole(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
-def test_ground_truth_lies_beside_the_trial(hold: Path) -> None:
-    with np.load(hold / "ground_truth.npz") as truth:
-        assert truth["forces"].shape == (240, len(truth["names"]), 3)
-        assert {"stamps", "wrench", "position"} <= set(truth.files)
-
-
 def edit(path: Path, change) -> None:
     """Change a YAML file in place."""
     document = yaml.safe_load(path.read_text())
@@ -162,20 +159,8 @@ def edit(path: Path, change) -> None:
     path.write_text(yaml.safe_dump(document))
 
 
-def set_parameter(trial: Path, name: str, value: float) -> None:
-    parameters = {"estimator_node": {"ros__parameters": {"identification": {name: value}}}}
-    (trial / "testbed.yaml").write_text(yaml.safe_dump(parameters))
-
-
-def rename_cluster(trial: Path) -> None:
-    def change(document) -> None:
-        document["clusters"]["elsewhere"] = document["clusters"].pop("distal")
-
-    edit(trial / "calibration.yaml", change)
-
-
-def truncate(trial: Path) -> None:
-    os.truncate(trial / "hold.mcap", (trial / "hold.mcap").stat().st_size // 2)
+def rename_cluster(document) -> None:
+    document["clusters"]["elsewhere"] = document["clusters"].pop("distal")
 
 
 BROKEN = (
@@ -184,16 +169,19 @@ BROKEN = (
         ["socket.yaml", "'neighbors'", "did you mean 'neighbours'?"],
     ),
     (
-        lambda t: edit(t / "socket.yaml", lambda d: d["tiles"]["distal"].update(area=900.0)),
-        ["socket.yaml", "distal", "area", "900", "[m^2]"],
+        lambda t: edit(t / "calibration.yaml", rename_cluster),
+        ["calibration", "distal", "elsewhere"],
     ),
-    (rename_cluster, ["calibration", "distal", "elsewhere"]),
     (
-        lambda t: set_parameter(t, "thetta", 0.5),
+        lambda t: (t / "testbed.yaml").write_text(
+            "estimator_node: {ros__parameters: {identification: {thetta: 0.5}}}"
+        ),
         ["testbed.yaml", "thetta", "did you mean 'identification.theta'?"],
     ),
-    (lambda t: set_parameter(t, "theta", 5), ["testbed.yaml", "theta", "from 0 to 1"]),
-    (truncate, ["hold.mcap", "truncated", "mcap recover"]),
+    (
+        lambda t: os.truncate(t / "hold.mcap", (t / "hold.mcap").stat().st_size // 2),
+        ["hold.mcap", "truncated", "mcap recover"],
+    ),
     (
         lambda t: (t / "metadata.yaml").write_text("rosbag2: ["),
         ["metadata.yaml", "ros2 bag reindex"],
@@ -217,29 +205,22 @@ WRONG = {
     "info nowhere": ["nowhere", "no such trial"],
     "info /dev/null": ["/dev/null", "neither a folder nor a file"],
     "info HOLD --geometry HOLD": ["hold", "cannot be read (Is a directory)"],
-    "info HOLD --geometry HOLD/hold.mcap": ["hold.mcap", "is not UTF-8 text"],
     "fit HOLD -o m --segment 900:999": ["900:999", "samples"],
-    "fit HOLD -o m --segment sometimes": ["sometimes", "T0:T1"],
     "fit HOLD -o m --theta 1.5": ["theta", "from 0 to 1"],
     "fit HOLD -o m --leave-out distal.fx": ["distal.fx", "distal.Fx"],
     "fit HOLD -o /proc/model": ["/proc/model", "cannot be written"],
     "fit HOLD -o modles/m.json": ["modles", "no such folder"],
     "fit HOLD -o HOLD": ["hold", "as a folder"],
     "evaluate nowhere --model MODEL": ["nowhere", "no such trial"],
-    "evaluate HOLD --model HOLD": ["hold", "cannot be read (Is a directory)"],
     "evaluate HOLD --model HOLD/socket.yaml": ["socket.yaml", "is not a model"],
-    "evaluate HOLD --model HOLD/hold.mcap": ["hold.mcap", "is not a model"],
     "simulate -o HOLD": ["exists already"],
     "simulate -o x --rate 0": ["--rate", "from 0.1 to 1000"],
-    "simulate -o x --seed -1": ["--seed"],
     "simulate -o home/trials/s01": ["home", "no such folder"],
     "record HOLD": ["exists already"],
     "record home/trials/s01": ["home", "no such folder"],
     "record new --mass 1000": ["--mass", "400"],
     "replay HOLD --rate -1": ["--rate"],
-    "replay nowhere": ["nowhere", "no such trial"],
     "replay HOLD --geometry s.yaml": ["--geometry", "add --estimate"],
-    "replay HOLD --theta 0.5": ["--theta", "add --estimate"],
     "demo -o home/trials/s01": ["home", "no such folder"],
     "run --simulated --record home/trials/s01": ["home", "no such folder"],
     "run --simulated --record HOLD": ["exists already"],
@@ -247,44 +228,42 @@ WRONG = {
     "run --fault mocap.drop=1": ["add --simulated"],
     "run --simulated --fault mocap.dorp=1": ["did you mean 'mocap.drop'?"],
     "run --simulated --fault mocap.drop=often": ["'often' is not a number"],
-    "run --simulated --fault clusters.nack=nan": ["clusters.nack"],
     "run --simulated --period 1": ["--period"],
-    "run --simulated --rate 1e6": ["rate"],
     "run --simulated --leave-out distal.Fq": ["distal.F"],
-    "run --simulated --time-scale 2": ["--time-scale is 2"],
     "run --simulated --time-scale slow": ["'slow' is not a number"],
     "run --time-scale 0.5": ["add --simulated"],
     "run --simulated --side left": ["--side is for a trial that is recorded"],
     "run --simulated --view-port 8081": ["is for a page: add --view"],
     "run --simulated --view --view-host 192.0.2.1": ["cannot listen on 192.0.2.1"],
     "run --duration 1": ["load_cell_node: "],
-    "pressure HOLD --threshold -1": ["--threshold is -1.0: give a number"],
-    "pressure HOLD --segment 500:600": ["holds 0 samples: give seconds within"],
     "pressure HOLD --leave-out distl.Fz": ["did you mean 'distal.Fz'"],
     "pressure HOLD --over-time": ["--over-time has no output"],
     "pressure HOLD -o regions.foo": ["'.foo' is not a table format"],
     "pressure HOLD --figure map.bmp": ["map.bmp", ".png"],
     "pareto HOLD --thetas 1": ["--thetas"],
-    "pareto HOLD --figure front.jpg": ["front.jpg"],
     "pareto HOLD -o front.xlsx": ["front.xlsx", "name a .csv file"],
     "map no_trial -o map.xlsx": ["is not a table format"],
     "compare HOLD": ["1 trials", "2 to 12"],
+    "compare" + 13 * " HOLD": ["13 trials", "12"],
     "compare HOLD HOLD": ["hold is given twice"],
     "compare a.json b.json": ["a.json: compare takes trials", "evaluate TRIAL --model"],
-    "compare HOLD nowhere": ["nowhere", "no such trial"],
     "compare HOLD nowhere -o compared.txt": ["compared.txt", "'.txt'"],
     "view HOLD --namespace lab": ["--namespace is for the running testbed"],
     "view --tare none": ["--tare is for a trial"],
 }
 
 
+def words_of(line: str, places: dict[str, object]) -> list[str]:
+    """The words of a call, with the paths of places."""
+    for name, path in places.items():
+        line = line.replace(name, str(path))
+    return line.split()
+
+
 def test_a_wrong_call_gets_one_line(hold, hold_model, tmp_path, capsys, monkeypatch) -> None:
     monkeypatch.chdir(tmp_path)
-    places = {"HOLD": str(hold), "MODEL": str(hold_model)}
     for line, named in WRONG.items():
-        words = line.split()
-        for name, path in places.items():
-            words = [word.replace(name, path) for word in words]
+        words = words_of(line, {"HOLD": hold, "MODEL": hold_model})
         refused(capsys, *words, named=named)
         assert list(tmp_path.iterdir()) == [], line
 
@@ -313,11 +292,9 @@ def test_no_output_replaces_a_file_unless_that_is_asked_for(
     monkeypatch.chdir(tmp_path)
     for suffix in (".csv", ".png", ".html"):
         (tmp_path / f"bench{suffix}").write_text("data of a day")
-    places = {"HOLD": str(hold), "MODEL": str(hold_model), "TAKEN.": "bench.", "TAKEN": "bench.csv"}
+    places = {"HOLD": hold, "MODEL": hold_model, "TAKEN.": "bench.", "TAKEN": "bench.csv"}
     for line in TAKEN:
-        words = line.split()
-        for name, path in places.items():
-            words = [word.replace(name, path) for word in words]
+        words = words_of(line, places)
         refused(capsys, *words, named=["exists already"])
         assert {file.read_text() for file in tmp_path.iterdir()} == {"data of a day"}, line
     words = ["fit", hold, "-o", "bench.csv", "--variant", "stiffness"]
@@ -336,14 +313,10 @@ def test_a_trial_of_another_kind_is_shown_and_refused(shared_data: Path, capsys)
 def test_a_model_of_another_socket_is_refused(hold, hold_model, tmp_path, capsys) -> None:
     trial = Path(shutil.copytree(hold, tmp_path / "hold"))
 
-    def rename(document) -> None:
-        old = next(name for name in document["tiles"] if name.startswith("h"))
-        document["tiles"]["renamed"] = document["tiles"].pop(old)
-        document["neighbours"] = [
-            ["renamed" if name == old else name for name in pair] for pair in document["neighbours"]
-        ]
+    def move(document) -> None:
+        document["tiles"]["distal"]["anchor"][2] += 0.01
 
-    edit(trial / "socket.yaml", rename)
+    edit(trial / "socket.yaml", move)
     refused(capsys, "evaluate", trial, "--model", hold_model, named=["another socket"])
 
 
@@ -364,13 +337,11 @@ def test_the_map_has_every_tile_with_its_uncertainty(hold: Path, tmp_path: Path,
     np.testing.assert_array_equal(shown.to_numpy(), expected.to_numpy())
 
 
-@pytest.mark.parametrize("chosen", [None, "SUBNET"])
-def test_a_graph_stays_on_this_machine_unless_told_otherwise(
-    chosen: str | None, hold: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_graph_stays_on_this_machine_unless_told_otherwise(hold: Path, monkeypatch) -> None:
     name = "ROS_AUTOMATIC_DISCOVERY_RANGE"
-    monkeypatch.delenv(name)
-    if chosen:
-        monkeypatch.setenv(name, chosen)
-    assert run(["info", str(hold)]) == 0
-    assert os.environ[name] == (chosen or "LOCALHOST")
+    for chosen in (None, "SUBNET"):
+        monkeypatch.delenv(name)
+        if chosen:
+            monkeypatch.setenv(name, chosen)
+        assert run(["info", str(hold)]) == 0
+        assert os.environ[name] == (chosen or "LOCALHOST")

@@ -95,33 +95,20 @@ def test_a_value_of_zero_has_a_difference_with_an_interval(trials) -> None:
         assert areas["difference low"][name] <= 0.0 <= areas["difference high"][name]
 
 
-def test_trials_of_different_sockets_are_compared_by_region_when_asked(
-    folder, trials, capsys
-) -> None:
+def test_different_sockets_are_compared_by_region_on_request(folder, trials, capsys) -> None:
     named = ["wider is of another socket", "--by-region", "sock"]
     refused(capsys, "compare", trials[1], folder / "wider", *SEGMENT, named=named)
+    refused(capsys, "compare", *trials, "--segment", "50:60", named=["gel: ", "50"])
     own = ("--geometry", trials[0] / "socket.yaml")
     code, out, err = call(capsys, "compare", trials[1], folder / "wider", *SEGMENT, *own)
     assert code == 0
-    assert err.count("no side of the leg is stated") == 1  # of both
+    assert err.count("no side of the leg is stated") == err.count("--side left|right") == 1
     words = ("--by-region", "--json")
     code, out, _ = call(capsys, "compare", trials[1], folder / "wider", *SEGMENT, *words)
     document = json.loads(out)
     assert code == 0 and {row["part"] for row in document["rows"]} >= {"regions", "wrench"}
     assert not any(row["part"] == "tiles" for row in document["rows"])
     assert "the trials are of different sockets" in document["notes"][0]
-
-
-def test_what_cannot_be_compared_is_refused_by_name(trials, monkeypatch, capsys) -> None:
-    """Other wrong calls: test_commands.py."""
-    monkeypatch.chdir(trials[0].parent)
-    for words, named in (
-        (["gel", "gel/socket.yaml"], ["gel/socket.yaml: compare takes trials"]),
-        (["gel", "sock", "--segment", "50:60"], ["gel: ", "50"]),
-        (["gel", "sock", "--threshold", "-1"], ["--threshold", "-1"]),
-        (["gel"] * 13, ["13 trials", "12"]),
-    ):
-        refused(capsys, "compare", *words, named=named)
 
 
 def test_legs_are_compared_by_anatomy_and_the_page_says_so(trials, tmp_path, capsys) -> None:

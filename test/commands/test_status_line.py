@@ -162,35 +162,21 @@ def test_a_terminal_that_is_held_up_holds_nobody_up(terminal: Terminal) -> None:
     assert terminal.screen()[:lines] == [str(k + 1) for k in range(lines)]
 
 
-def write_plainly(monkeypatch: pytest.MonkeyPatch, status: StatusLine) -> None:
-    assert status.output is None  # the nodes print there themselves
-    status.say("it starts")
-    status.renew()
-    monkeypatch.setattr(status_line, "_LOGGED_PERIOD", 0.0)
-    with_triggers(status, 7)
-    status.renew()
-
-
-PLAIN = ["it starts", "0:00:00 | 7 triggers, 0 complete"]
-
-
-def test_a_dumb_terminal_gets_plain_lines(
-    terminal: Terminal, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("TERM", "dumb")
-    with status_on(terminal) as status:
-        write_plainly(monkeypatch, status)
-        assert os.environ["RCUTILS_COLORIZED_OUTPUT"] == "0"
-    assert terminal.screen() == [*PLAIN, ""] and b"\x1b" not in terminal.seen
-
-
-def test_a_log_file_gets_plain_lines(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setenv("TERM", "xterm")
-    with StatusLine() as status:
-        write_plainly(monkeypatch, status)
-    assert capsys.readouterr().err.splitlines() == PLAIN
+@pytest.mark.parametrize("term", ["dumb", "xterm"])
+def test_a_dumb_terminal_or_a_log_file_gets_plain_lines(term, terminal, monkeypatch, capsys):
+    monkeypatch.setenv("TERM", term)
+    with status_on(terminal) if term == "dumb" else StatusLine() as status:
+        assert status.output is None  # the nodes print there themselves
+        status.say("it starts")
+        status.renew()
+        monkeypatch.setattr(status_line, "_LOGGED_PERIOD", 0.0)
+        with_triggers(status, 7)
+        status.renew()
+        if term == "dumb":
+            assert os.environ["RCUTILS_COLORIZED_OUTPUT"] == "0"
+    shown = terminal.screen() if term == "dumb" else capsys.readouterr().err.split("\n")
+    assert shown == ["it starts", "0:00:00 | 7 triggers, 0 complete", ""]
+    assert b"\x1b" not in terminal.seen
 
 
 def test_a_status_is_in_words(tmp_path: Path) -> None:
