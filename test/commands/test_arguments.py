@@ -65,34 +65,32 @@ def test_options_are_those_of_the_signature() -> None:
     assert given["leave_out"] is None and given["trial"] == Path("t") and given["title"] is True
 
 
-def test_channels_that_are_left_out_leave_the_trial(monkeypatch, tmp_path) -> None:
+def test_a_list_takes_no_path_and_may_be_given_in_parts(tmp_path: Path, monkeypatch) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "hold").mkdir()
     parser = Parser()
     add_options(parser, "commands.models.fit")
-    for words in (
-        ["--leave-out", "Mz", "distal.Fx", "hold"],
-        ["--leave-out", "Mz,distal.Fx", "hold"],
-        ["--leave-out", "Mz", "--leave-out", "distal.Fx", "hold"],
-        ["hold", "--leave-out", "Mz", "distal.Fx"],
+    for line in (
+        "--leave-out Mz distal.Fx hold",
+        "--leave-out Mz,distal.Fx hold",
+        "--leave-out Mz --leave-out distal.Fx hold",
+        "hold --leave-out Mz distal.Fx",
     ):
-        options = parser.parse_args(["-o", "m", *release_paths(words, parser)])
+        options = parser.parse_args(["-o", "m", *release_paths(line.split(), parser)])
         assert options.leave_out == ["Mz", "distal.Fx"] and options.trial == Path("hold")
-
-
-def test_what_names_a_path_is_none_of_a_list_s_values(tmp_path: Path, monkeypatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "hold").mkdir()
-    released = ["hold", "other/walk", "--leave-out", "Mz", "--json"]
-    for verb, words, expected in (
-        ("validate.validate", ["--leave-out", "Mz", "hold", "other/walk", "--json"], released),
-        ("models.fit", ["hold", "--leave-out", "Mz", "distal.Fq", "-o", "m"], None),
-        ("calibrate.calibrate", ["--columns", "normal=N/mm2", "c0=C/0"], None),
-        ("calibrate.calibrate", ["--baseline", "hold", "hold"], None),
+    for verb, line, expected in (
+        (
+            "validate.validate",
+            "--leave-out Mz hold other/walk --json",
+            "hold other/walk --leave-out Mz --json",
+        ),
+        ("models.fit", "hold --leave-out Mz distal.Fq -o m", None),
+        ("calibrate.calibrate", "--columns normal=N/mm2 c0=C/0", None),
+        ("calibrate.calibrate", "--baseline hold hold", None),
     ):
         parser = Parser()
         add_options(parser, f"commands.{verb}")
-        assert release_paths(words, parser) == (expected or words)
+        assert release_paths(line.split(), parser) == (expected or line).split()
 
 
 def test_the_shell_completes_verbs_options_and_choices(tmp_path: Path) -> None:

@@ -84,7 +84,7 @@ def models(whole_study: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_the_summary_holds_the_figures_of_the_models_of_single_calls(models, one_by_one) -> None:
+def test_the_summary_holds_the_figures_of_single_calls(models, one_by_one, whole_study) -> None:
     assert_models(models, one_by_one)
     table = pd.read_csv(models / "summary.csv")
     same = pd.read_parquet(models / "summary.parquet")
@@ -107,24 +107,17 @@ def test_the_summary_holds_the_figures_of_the_models_of_single_calls(models, one
     assert row["median_local_skill_in_sample [-]"] == pytest.approx(np.nanmedian(skills[6:]))
     moments = [error["rmse"] for error in quality["errors"][:3]]
     assert row["mean_moment_rmse [N m]"] == pytest.approx(np.mean(moments))
+    # Each fit is judged on a half of the segment that it has not seen, too.
+    trial = st.open_trial(whole_study / "walk")
+    rows, time = st.fit(trial).segment.rows, trial.samples().time
+    middle = (rows.start + rows.stop) // 2
+    fitted = st.fit(trial, f"{time[rows.start]}:{time[middle - 1]}")
+    unseen = st.evaluate(trial, fitted, f"{time[middle]}:{time[rows.stop - 1]}").to_dataframe()
+    expected = np.nanmedian(unseen["skill"][:6]), np.nanmedian(unseen["skill"][6:])
+    assert row["median_wrench_skill_unseen_half [-]"] == pytest.approx(expected[0])
+    assert row["median_local_skill_unseen_half [-]"] == pytest.approx(expected[1])
     solved = [quality[key] for key in ("stage_1", "stage_2", "joint")]
     assert row["kkt_residual [-]"] == max(each["stationarity"] for each in solved) < 1e-8
-
-
-def test_the_summary_of_fits_judges_each_on_a_half_that_it_has_not_seen(
-    models: Path, whole_study: Path
-) -> None:
-    table = pd.read_csv(models / "summary.csv").set_index("trial")
-    trial = st.open_trial(whole_study / "walk")
-    seen = st.fit(trial)
-    first, last = int(seen.segment.rows.start), int(seen.segment.rows.stop)
-    time = trial.samples().time
-    middle = (first + last) // 2
-    half = f"{time[first]}:{time[middle - 1]}", f"{time[middle]}:{time[last - 1]}"
-    errors = st.evaluate(trial, st.fit(trial, half[0]), half[1]).to_dataframe()["skill"]
-    row = table.loc["walk"]
-    assert row["median_wrench_skill_unseen_half [-]"] == pytest.approx(np.nanmedian(errors[:6]))
-    assert row["median_local_skill_unseen_half [-]"] == pytest.approx(np.nanmedian(errors[6:]))
 
 
 def test_a_changed_option_is_never_passed_over(study, tmp_path, capsys) -> None:
@@ -158,25 +151,20 @@ def test_trials_are_judged_by_their_own_models_or_all_by_one(
         assert row["in_sample"] == ("yes" if name == "own" else "no")
 
 
-@pytest.mark.parametrize(
-    ("words", "names"),
-    [
-        (["fit", "-o", "OUT", "--theta", 7], ["theta", "from 0 to 1"]),
-        (["fit", "-o", "OUT", "--jobs", 0], ["--jobs", "0"]),
-        (["fit", "-o", "OUT", "--params", "no.yaml"], ["no.yaml", "no such file"]),
-        (["evaluate", "--model", "MODELS"], ["4 trials", "-o"]),
-        (["evaluate", "--model", "MODELS", "-o", "OUT", "--json"], ["4 trials", "--json"]),
-        (["evaluate", "--model", "no.json", "-o", "OUT"], ["no.json", "no such model"]),
-        (["evaluate", "--model", "MODELS", "-o", "MODELS"], ["summary.csv exists already"]),
-    ],
-)
-def test_what_is_wrong_for_all_is_one_line(
-    words, names, whole_study, models, tmp_path, capsys
-) -> None:
-    places = {"OUT": tmp_path / "out", "MODELS": models}
-    verb, *rest = (places.get(word, word) for word in words)
-    refused(capsys, verb, whole_study, *rest, named=names)
-    assert not (tmp_path / "out").exists()
+def test_what_is_wrong_for_all_is_one_line(whole_study, models, tmp_path, capsys) -> None:
+    """What is wrong for one trial too: test_commands.py."""
+    for words, named in (
+        ("fit -o OUT --jobs 0", ["--jobs", "0"]),
+        ("fit -o OUT --params no.yaml", ["no.yaml", "no such file"]),
+        ("evaluate --model MODELS", ["4 trials", "-o"]),
+        ("evaluate --model MODELS -o OUT --json", ["4 trials", "--json"]),
+        ("evaluate --model no.json -o OUT", ["no.json", "no such model"]),
+        ("evaluate --model MODELS -o MODELS", ["summary.csv exists already"]),
+    ):
+        places = {"OUT": tmp_path / "out", "MODELS": models}
+        verb, *rest = (places.get(word, word) for word in words.split())
+        refused(capsys, verb, whole_study, *rest, named=named)
+        assert not (tmp_path / "out").exists()
 
 
 def test_ctrl_c_leaves_what_is_finished_and_a_re_run_goes_on(study, tmp_path, capsys) -> None:

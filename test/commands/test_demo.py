@@ -41,9 +41,7 @@ def test_it_records_slower_until_the_samples_are_complete(tmp_path, monkeypatch,
         assert printed.count("samples are complete: again at") == len(scales) - 1
 
 
-def test_too_busy_a_machine_is_an_error_that_says_so(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_too_busy_a_machine_is_an_error_that_says_so(tmp_path: Path, monkeypatch) -> None:
     monkeypatch.setattr(demo, "measure_speed", lambda: MachineSpeed(1.0, 0.0))
     monkeypatch.setattr(demo, "_run_live", lambda *given: None)
     with pytest.raises(TrialError, match=r"only 0% .* at a sixteenth of real time: this machine"):

@@ -4,6 +4,7 @@ import re
 import signal
 import subprocess
 import sys
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,7 @@ from support import HANGS
 from support.graph import Probe
 from support.pace import careful_time_scale
 from support.testbeds import Recorded
+from support.verbs import call, refused
 
 from socket_testbed import clocks
 from socket_testbed.__main__ import run
@@ -30,10 +32,22 @@ SIMULATED = ("--simulated", "--time-scale", "auto")
 COMMAND = (sys.executable, "-m", "socket_testbed")
 
 
-def test_run_records_until_ctrl_c(tmp_path: Path) -> None:
-    path = tmp_path / "trial"
+@dataclass(frozen=True)
+class Ended:
+    """A recorded run that Ctrl-C ended."""
+
+    path: Path  # of the trial
+    out: str
+    around: list[int]  # stamps of triggers before and after each of two events [ns]
+
+
+@pytest.fixture(scope="module")
+def ended(tmp_path_factory: pytest.TempPathFactory) -> Ended:
+    """A testbed that records a trial with the events `push` and `step 2` until Ctrl-C."""
+    path = tmp_path_factory.mktemp("run") / "trial"
     words = ["run", *SIMULATED, "--rate", "20", "--record", str(path), "--variant", "stiffness"]
     words += ["--subject", "S01", "--side", "left"]
+    around: list[int] = []
     with (
         Probe() as probe,
         subprocess.Popen(
@@ -41,66 +55,63 @@ def test_run_records_until_ctrl_c(tmp_path: Path) -> None:
         ) as process,
     ):
         measured = [probe.listen(topic) for topic in (CAPACITANCE, PYLON_POSE, WRENCH)]
+        triggers = probe.listen(TRIGGER)
         probe.wait(lambda: all(len(messages) > 2 for messages in measured), "measurements")
+        for label in ("push", "step 2"):
+            goal = len(triggers) + 5
+            probe.wait(lambda goal=goal: len(triggers) > goal, "triggers")
+            around.append(stamp_of(triggers[-1]))
+            said = subprocess.run([*COMMAND, "mark", label], check=False, capture_output=True)
+            assert said.returncode == 0 and not said.stderr, said.stderr
+            assert said.stdout.startswith(b"marked '%b' in the trial trial, ack" % label.encode())
+            goal = len(triggers) + 1  # the newest may be older than the event: time is slow
+            probe.wait(lambda goal=goal: len(triggers) > goal, "triggers after it")
+            around.append(stamp_of(triggers[-1]))
         process.send_signal(signal.SIGINT)
         out, err = process.communicate(timeout=HANGS)
     assert process.returncode == 0, err
-    samples = Trial(path).samples()
+    return Ended(path, out, around)
+
+
+def test_run_records_until_ctrl_c(ended: Ended) -> None:
+    trial = Trial(ended.path)
+    samples = trial.samples()
     lacks = {"wrench": np.isnan(samples.wrench).any(axis=1)}
     lacks |= {"limb position": np.isnan(samples.position).any(axis=1)}
     lacks |= dict(zip(samples.clusters, (samples.status == Status.MISSING).T, strict=True))
     missing = [f"{name} missing {rows.sum()}" for name, rows in lacks.items() if rows.any()]
     complete = f"all {len(samples)} complete"
-    assert out == f"{path}: {len(samples)} triggers, {', '.join(missing) or complete}\n"
-    recorded = Recorded(path)
+    said = ", ".join(missing) or complete
+    assert ended.out == f"{ended.path}: {len(samples)} triggers, {said}\n"
+    recorded = Recorded(ended.path)
     assert not recorded.notes and not any(recorded.lacking().values())
-    trial = Trial(path)
     assert trial.metadata == TrialMetadata("S01", "left")
     assert trial.estimator.identification.variant == "stiffness"
-    stored = read_testbed(path / "testbed.yaml")
-    assert stored.trigger_node.rate == 20.0
-    assert "simulation" not in (path / "testbed.yaml").read_text()
+    assert read_testbed(ended.path / "testbed.yaml").trigger_node.rate == 20.0
+    assert "simulation" not in (ended.path / "testbed.yaml").read_text()
 
 
-def test_events_are_marked_recorded_and_select_a_segment(
-    tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
-    path = tmp_path / "trial"
-    words = ["run", *SIMULATED, "--rate", "10", "--record", str(path)]
-    around: list[int] = []  # stamps of triggers before and after each event [ns]
-    with Probe() as probe, subprocess.Popen([*COMMAND, *words], stderr=subprocess.DEVNULL) as live:
-        triggers = probe.listen(TRIGGER)
-        for label in ("push", "step 2"):
-            goal = len(triggers) + 5
-            probe.wait(lambda goal=goal: len(triggers) > goal, "triggers")
-            around.append(stamp_of(triggers[-1]))
-            command = [*COMMAND, "mark", label]
-            said = subprocess.run(command, check=False, capture_output=True, text=True)
-            assert said.returncode == 0 and not said.stderr, said.stderr
-            assert said.stdout.startswith(f"marked '{label}' in the trial trial, acknowledged by 1")
-            goal = len(triggers) + 1  # the newest may be older than the event: time is slow
-            probe.wait(lambda goal=goal: len(triggers) > goal, "triggers after it")
-            around.append(stamp_of(triggers[-1]))
-        live.send_signal(signal.SIGINT)
-        live.wait(timeout=HANGS)
-    trial = Trial(path)
+def test_marked_events_are_recorded_and_select_a_segment(ended, tmp_path, capsys) -> None:
+    trial = Trial(ended.path)
     begin = int(trial.samples().stamps[0])
     push, step = (event for event in trial.events() if event.source == "recorded")
-    for event, before, after in ((push, *around[:2]), (step, *around[2:])):
+    for event, before, after in ((push, *ended.around[:2]), (step, *ended.around[2:])):
         # A message that a busy machine held up is late, never early.
         assert 1e-9 * (before - begin) - 0.3 < event.time < 1e-9 * (after - begin)
     with trial.open() as bag:
         raw = next(bag.messages(["/event"]))
     assert decode(raw.data, raw.type).header.frame_id == "load_cell"
 
-    assert run(["info", str(path)]) == 0
-    assert f"event push (recorded): {push.time:.2f} s" in capfd.readouterr().out
-    table = tmp_path / "samples.csv"
-    assert run(["export", str(path), "--segment", "event:push:step 2", "-o", str(table)]) == 0
-    (segment,) = re.findall(r"event:push:step 2 ([\d.]+) s to ([\d.]+) s", capfd.readouterr().out)
+    code, out, _ = call(capsys, "info", ended.path)
+    assert code == 0 and f"event push (recorded): {push.time:.2f} s" in out
+    words = ["--segment", "event:push:step 2", "-o", tmp_path / "samples.csv"]
+    code, out, _ = call(capsys, "export", ended.path, *words)
+    (segment,) = re.findall(r"event:push:step 2 ([\d.]+) s to ([\d.]+) s", out)
+    assert code == 0
     assert push.time <= float(segment[0]) < float(segment[1]) <= step.time + 0.01
-    assert run(["fit", str(path), "--segment", "event:puhs:9", "-o", str(tmp_path / "m.json")]) == 1
-    assert "no event 'puhs': did you mean 'push'? it has push (once)" in capfd.readouterr().err
+    words = ["--segment", "event:puhs:9", "-o", tmp_path / "m.json"]
+    named = ["no event 'puhs': did you mean 'push'? it has push (once)"]
+    refused(capsys, "fit", ended.path, *words, named=named)
 
 
 def test_an_event_that_nobody_hears_is_an_error(capfd: pytest.CaptureFixture[str]) -> None:
@@ -116,9 +127,8 @@ def test_an_event_that_nobody_hears_is_an_error(capfd: pytest.CaptureFixture[str
         assert "no trial is being recorded" in err and "no trigger came" in err
         probe.wait(lambda: len(received) == 1, "the event")
         assert received[0].label == "push" and received[0].header.frame_id == "load_cell"
-    for words in (["mark", "2nd"], ["mark", "push", "--namespace", "a b"]):
-        assert run(words) == 1
-        assert "error: '" in capfd.readouterr().err
+    for words in (["2nd"], ["push", "--namespace", "a b"]):
+        refused(capfd, "mark", *words, named=["'"])
 
 
 @pytest.mark.timeout(300)  # 10 s of a testbed that may be 16 times slower
@@ -127,12 +137,11 @@ def test_run_ends_by_itself_and_a_fault_is_seen(
 ) -> None:
     path = tmp_path / "trial"
     words = ["run", *SIMULATED, "--rate", "20", "--duration", "10", "--record", str(path)]
-    assert run([*words, "--fault", "clusters.nack=3", "--one-process"]) == 0
-    out, err = capfd.readouterr()
+    code, out, err = call(capfd, *words, "--fault", "clusters.nack=3", "--one-process")
+    assert code == 0, err
     assert "no answer at 0x50 behind channel 2 of 0x70 on i2c-1: check" in err
     assert "posterior_distal missing" in out
-    # It opens again, with the parameters that are stored in it.
-    assert run(["info", str(path)]) == 0
+    assert call(capfd, "info", path)[0] == 0  # with the parameters that are stored in it
 
 
 @pytest.fixture
@@ -143,8 +152,8 @@ def manageable_time(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.usefixtures("manageable_time")
 def test_doctor_finds_all_that_is_simulated(capsys: pytest.CaptureFixture[str]) -> None:
-    assert run(["doctor", "--simulated"]) == 0
-    table = capsys.readouterr().out
+    code, table, _ = call(capsys, "doctor", "--simulated")
+    assert code == 0
     for found in (
         "line 17 to 27",
         "FDC1004 at 0x50 behind channel 3 of 0x70 on i2c-1",
@@ -163,8 +172,7 @@ def test_doctor_finds_all_that_is_simulated(capsys: pytest.CaptureFixture[str]) 
 def test_doctor_names_what_fails_and_the_hint(capsys: pytest.CaptureFixture[str]) -> None:
     faults = ["trigger.missing=1", "clusters.nack=2", "load_cell.unplugged=1", "mocap.unplugged=1"]
     words = [word for fault in faults for word in ("--fault", fault)]
-    assert run(["doctor", "--simulated", *words]) == 1
-    out, err = capsys.readouterr()
+    code, out, err = call(capsys, "doctor", "--simulated", *words)
     rows = {line.split("  ")[0]: line for line in out.splitlines()}
     for what, hint in {
         "trigger": "check the wire between the two lines",
@@ -174,7 +182,7 @@ def test_doctor_names_what_fails_and_the_hint(capsys: pytest.CaptureFixture[str]
     }.items():
         assert "failed" in rows[what] and hint in rows[what]
     assert "failed" not in rows["cluster distal"]
-    assert "checks failed" in err
+    assert code == 1 and "checks failed" in err
 
 
 def test_doctor_without_hardware(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
@@ -189,16 +197,14 @@ def test_doctor_without_hardware(capsys: pytest.CaptureFixture[str], tmp_path: P
     }
     file = tmp_path / "testbed.yaml"
     file.write_text(yaml.safe_dump(parameters))
-    assert run(["doctor", "--params", str(file)]) == 1
-    table = capsys.readouterr().out
+    code, table, err = call(capsys, "doctor", "--params", file)
+    assert code == 1 and "Traceback" not in table + err
     for named in ("/dev/i2c-250", "dtparam=i2c_arm=on", "spidev250.7", "'no such chip'"):
         assert named in table
-    assert "Traceback" not in table
 
 
 def test_a_cluster_on_no_tile_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file = tmp_path / "testbed.yaml"
     names = ["brim_lateral", "mid_anterior", "posterior_distal", "distale"]
     file.write_text(yaml.safe_dump({"cluster_node": {"ros__parameters": {"names": names}}}))
-    assert run(["run", "--simulated", "--params", str(file)]) == 1
-    assert "distale" in capsys.readouterr().err
+    refused(capsys, "run", "--simulated", "--params", file, named=["distale"])

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import trimesh
 from scipy.spatial.transform import Rotation
-from support import SHARED_DATA, meshes
+from support import meshes
 from support.verbs import call, refused
 
 from socket_testbed.__main__ import run
@@ -17,10 +17,6 @@ from socket_testbed.geometry.socket import read_socket, write_socket
 pytestmark = pytest.mark.slow
 
 CUP = meshes.open_cone(0.05, 0.058, 0.12, 0.004)
-LIMB, SOCKET = (
-    SHARED_DATA / "ampscan" / "stl_file.stl",
-    SHARED_DATA / "homebrew_socket" / "socket.STL",
-)
 
 
 @pytest.fixture(scope="module")
@@ -58,7 +54,7 @@ def test_a_scan_becomes_a_socket_on_the_load_cell(tiled: Path) -> None:
 
 
 def test_a_trial_is_simulated_and_fitted_on_a_tiled_scan(
-    tiled: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tiled: Path, tmp_path: Path, capsys
 ) -> None:
     trial, model = tmp_path / "hold", tmp_path / "hold.json"
     words = ("--geometry", tiled, "--duration", 40)
@@ -68,9 +64,7 @@ def test_a_trial_is_simulated_and_fitted_on_a_tiled_scan(
     assert call(capsys, "fit", trial, "-o", model)[0] == 0
 
 
-def test_clusters_and_bodies_are_taken_over(
-    cup: Path, tiled: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_clusters_and_bodies_are_taken_over(cup: Path, tiled: Path, tmp_path: Path, capsys) -> None:
     first = read_socket(tiled)
     registered = dataclasses.replace(first, registration="take.csv")
     write_socket(registered, tmp_path / "registered.yaml")
@@ -107,9 +101,7 @@ def test_clusters_and_bodies_are_taken_over(
     assert "nominal" not in err
 
 
-def test_a_moved_turned_or_rescaled_scan_gives_the_same_socket(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_moved_turned_or_rescaled_scan_gives_the_same_socket(tmp_path: Path, capsys) -> None:
     cup = meshes.wavy(meshes.open_cone(0.05, 0.055, 0.05, 0.008, dome=True), 0.005)
     glued = np.array([[0.05, 0.02, 0.02], [-0.05, 0.0, 0.0]])
     found = []
@@ -142,29 +134,26 @@ def test_a_moved_turned_or_rescaled_scan_gives_the_same_socket(
     assert np.ptp([len(socket) for socket in found]) <= 1
 
 
-def test_points_and_landmarks_place_the_same_frame(
-    cup: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_points_and_landmarks_place_the_same_frame(cup: Path, tmp_path: Path, capsys) -> None:
     # In the scan: the origin of {S} 80 mm below the end, x towards -y, so y towards -z.
-    scan = {"o": [320.0, 400.0, 400.0], "x": [320.0, 300.0, 400.0], "y": [320.0, 390.0, 350.0]}
-    load_cell = {"o": [0.0, 0.0, 0.0], "x": [0.1, 0.0, 0.0], "y": [0.01, 0.05, 0.0]}
-    lines = [f"  {k}: {{scan: {scan[k]}, load_cell: {load_cell[k]}}}" for k in scan]
-    (tmp_path / "l.yaml").write_text("landmarks:\n" + "\n".join(lines) + "\n")
-    points = [" ".join(map(str, scan[k])) for k in "oxy"]
-    common = ("--rounds", 0, "--size", 60, "--flatness", 15)
-    for name, words in (("p", ("--points", *points)), ("l", ("--landmarks", tmp_path / "l.yaml"))):
-        code, _, err = call(
-            capsys, "tile", cup, "-o", tmp_path / f"{name}_socket.yaml", *common, *words
-        )
+    scan = [[320.0, 400.0, 400.0], [320.0, 300.0, 400.0], [320.0, 390.0, 350.0]]
+    load_cell = [[0.0, 0.0, 0.0], [0.1, 0.0, 0.0], [0.01, 0.05, 0.0]]
+    pairs = zip("oxy", scan, load_cell, strict=True)
+    lines = [f"  {name}: {{scan: {at}, load_cell: {on}}}\n" for name, at, on in pairs]
+    (tmp_path / "l.yaml").write_text("landmarks:\n" + "".join(lines))
+    points = [" ".join(map(str, point)) for point in scan]
+    found = []
+    for words in (("--points", *points), ("--landmarks", tmp_path / "l.yaml")):
+        output = tmp_path / f"socket{len(found)}.yaml"
+        large = ("--rounds", 0, "--size", 60, "--flatness", 15)
+        code, _, err = call(capsys, "tile", cup, "-o", output, *large, *words)
         assert code == 0, err
-    first, second = read_socket(tmp_path / "p_socket.yaml"), read_socket(tmp_path / "l_socket.yaml")
-    assert first.anchors[:, 2].min() > 0.079
-    assert first.same_tiles(second)
+        found.append(read_socket(output))
+    assert found[0].anchors[:, 2].min() > 0.079
+    assert found[0].same_tiles(found[1])
 
 
-def test_usual_places_that_a_socket_lacks_are_listed(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_usual_places_that_a_socket_lacks_are_listed(tmp_path: Path, capsys) -> None:
     for shape, message in (
         ({"closed": False}, r"\bdistal 1\d mm above the distal end"),
         ({"hole": 0.008}, "distal beside a hole of 7 mm around the axis"),
@@ -192,22 +181,22 @@ BAD = (
 )
 
 
-def test_bad_input_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_bad_input_is_one_line(tmp_path: Path, capsys) -> None:
     """Files that are no scan: test_scan_file.py."""
     scan, output = tmp_path / "cup.stl", tmp_path / "socket.yaml"
     for mesh, words, message in BAD:
         meshes.write_stl(mesh, scan)
         refused(capsys, "tile", scan, "-o", output, "--rounds", 0, *words, named=[message])
         assert not output.exists()
-    words = ("-o", tmp_path / "socket.txt", "--rounds", 0)
-    refused(capsys, "tile", scan, *words, named=["not a .yaml file"])
+    refused(capsys, "tile", scan, "-o", tmp_path / "socket.txt", named=["not a .yaml file"])
     refused(capsys, "tile", tmp_path / "no.stl", "-o", output, named=["no.stl", "No such file"])
 
 
-@pytest.mark.skipif(not LIMB.exists(), reason="the real scans are not here")
-def test_a_real_limb_is_tiled_inside(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    output = tmp_path / "socket.yaml"
-    code, _, err = call(capsys, "tile", LIMB, "-o", output, "--rounds", 0)
+def test_real_scans_are_tiled_on_the_inside(shared_data: Path, tmp_path: Path, capsys) -> None:
+    limb, socket = shared_data / "ampscan/stl_file.stl", shared_data / "homebrew_socket/socket.STL"
+    output, none = tmp_path / "socket.yaml", tmp_path / "clusters.yaml"
+    words = ("-o", output, "--rounds", 0)
+    code, _, err = call(capsys, "tile", limb, *words)
     assert code == 0, err
     geometry = read_socket(output)
     assert 58 <= len(geometry) <= 84  # 764 cm^2 hold 84 at most
@@ -216,19 +205,11 @@ def test_a_real_limb_is_tiled_inside(tmp_path: Path, capsys: pytest.CaptureFixtu
     inward = np.einsum("ti,ti->t", z, (middle - geometry.anchors) * [1.0, 1.0, 0.3])
     assert (inward > 0.0).mean() > 0.95
 
-
-@pytest.mark.skipif(not SOCKET.exists(), reason="the real scans are not here")
-def test_a_real_socket_is_tiled_on_its_inner_wall(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    output = tmp_path / "socket.yaml"
-    code, _, err = call(capsys, "tile", SOCKET, "-o", output)
-    assert code == 1 and "has 2 bodies" in err and "--body" in err
-    words = ("tile", SOCKET, "-o", output, "--rounds", 0, "--body", 1)
-    code, _, err = call(capsys, *words)  # it has no distal end and nothing posterior
-    assert code == 1 and "posterior_distal " in err and "; distal " in err
-    (tmp_path / "clusters.yaml").write_text("clusters: {}\n")
-    code, _, err = call(capsys, *words, "--clusters", tmp_path / "clusters.yaml")
+    words += ("--replace",)
+    refused(capsys, "tile", socket, *words, named=["has 2 bodies", "--body"])
+    words += ("--body", 1)  # it has no distal end and nothing posterior
+    refused(capsys, "tile", socket, *words, named=["posterior_distal ", "; distal "])
+    none.write_text("clusters: {}\n")
+    code, _, err = call(capsys, "tile", socket, *words, "--clusters", none)
     assert code == 0, err
-    geometry = read_socket(output)
-    assert 38 <= len(geometry) <= 56
+    assert 38 <= len(read_socket(output)) <= 56
