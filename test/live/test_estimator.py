@@ -140,8 +140,7 @@ def test_nothing_is_matched_by_nearest_and_what_stays_incomplete_is_forgotten() 
     synchroniser.clear()
     assert synchroniser.add("b", 1_000_000_000, 0) is None
     synchroniser.clear()
-    for stamp in range(10):
-        synchroniser.add("a", stamp, None)
+    assert not any(synchroniser.add("a", stamp, None) for stamp in range(10))
     assert synchroniser.incomplete == 7
     assert synchroniser.add("b", 0, None) is None  # too late
     assert synchroniser.add("b", 9, None) is not None
@@ -182,14 +181,6 @@ def test_a_complete_sample_is_estimated_whatever_the_order(fitted: Bench, fit: F
     assert fitted.estimator.newest == 102 * PERIOD
 
 
-def test_without_a_model_there_is_no_estimate(bench: Bench) -> None:
-    bench.send(50)
-    assert not bench.estimates
-    assert bench.figures("samples", "triggers", "window") == [50, 50, 50]
-    assert bench.estimator.newest == 49 * PERIOD
-    assert bench.estimator.state[0] == 1 and "no model yet" in bench.estimator.state[1]
-
-
 def test_an_incomplete_sample_is_never_estimated_or_fitted(trial: Trial) -> None:
     for lacking in MEASURED:
         bench = Bench(trial, least_samples=10, pending=5)
@@ -201,8 +192,7 @@ def test_an_incomplete_sample_is_never_estimated_or_fitted(trial: Trial) -> None
 def test_a_cluster_that_is_not_in_the_message_is_missing(trial: Trial) -> None:
     bench = Bench(trial, least_samples=10)
     values = bench.values()
-    absent = next(iter(values[STRESS]))
-    del values[STRESS][absent]
+    absent, _ = values[STRESS].popitem()
     for stamp in range(0, 10 * PERIOD, PERIOD):
         for topic, value in values.items():
             bench.estimator.add(topic, stamp, value)
@@ -232,51 +222,50 @@ def test_a_jump_back_in_time_clears_what_was_measured(fitted: Bench, fit: Fit) -
 # --- when to fit
 
 
-def test_it_fits_by_itself_once_the_window_holds_enough(bench: Bench) -> None:
+def test_it_fits_by_itself_once_the_window_holds_enough_and_estimates_nothing_before(
+    bench: Bench,
+) -> None:
     bench.send(19)
     assert not bench.fitter.requests
-    bench.send(1, start=19)
-    (request,) = bench.fitter.requests
+    bench.send(31, start=19)
+    (request,) = bench.fitter.requests  # one at a time
     assert len(request.samples) == 20
     assert request.steady == Steady(bench.settings.plateau, least_samples=20)
     assert request.settings == bench.settings.identification
-    bench.send(50, start=20)
-    assert len(bench.fitter.requests) == 1  # one at a time
+    assert not bench.estimates and bench.estimator.newest == 49 * PERIOD
+    assert bench.figures("samples", "triggers", "window") == [50, 50, 50]
+    assert bench.estimator.state[0] == 1 and "no model yet" in bench.estimator.state[1]
 
 
 def test_without_a_plateau_it_tries_again_every_ten_samples(bench: Bench) -> None:
     bench.send(20)
     bench.answer(0, None)
     assert not bench.models and bench.estimator.state[0] == 1
-    bench.send(9, start=20)
-    assert len(bench.fitter.requests) == 1
-    bench.send(1, start=29)
-    assert len(bench.fitter.requests) == 2
+    for more, requests in ((9, 1), (1, 2)):
+        bench.send(more, start=20 + 9 * (more == 1))
+        assert len(bench.fitter.requests) == requests
 
 
-def test_with_a_model_it_fits_again_after_refit_after_new_samples(
+def test_with_a_model_it_fits_again_after_new_samples_and_compares_models_of_alike_settings(
     fitted: Bench, fit: Fit, trial: Trial
 ) -> None:
     fitted.send(29, start=20)
     assert len(fitted.fitter.requests) == 1
     fitted.send(1, start=49)
-    steady = fitted.fitter.requests[1].steady
-    assert steady is not None
-    assert steady.rival is fit.model and steady.after == fit.last_stamp
+    fitted.answer(1, fit)
+    theta = dataclasses.replace(fitted.settings.identification, theta=0.1)
+    fitted.settings = dataclasses.replace(fitted.settings, identification=theta)
+    for request in (2, 3):
+        fitted.send(30, start=30 * request - 10)
+        fitted.answer(request, fit)
+    steady = [request.steady for request in fitted.fitter.requests[1:]]
+    assert [each.rival for each in steady] == [fit.model, None, fit.model]
+    assert [each.after for each in steady] == [fit.last_stamp, 0, fit.last_stamp]
     never = Bench(trial, least_samples=20, refit_after=0)
     never.send(20)
     never.answer(0, fit)
     never.send(200, start=20)
     assert len(never.fitter.requests) == 1
-
-
-def test_auto_fit_is_switched_while_it_runs(bench: Bench) -> None:
-    bench.settings = dataclasses.replace(bench.settings, auto_fit=False)
-    bench.send(100)
-    assert not bench.fitter.requests
-    bench.settings = dataclasses.replace(bench.settings, auto_fit=True)
-    bench.send(1, start=100)
-    assert len(bench.fitter.requests) == 1
 
 
 # --- how a fit ends, and which model stays
@@ -330,17 +319,6 @@ def test_the_model_that_is_better_on_the_newest_samples_stays(trial: Trial, fit:
         assert "before it 0.05" in text
 
 
-def test_with_changed_settings_a_refit_is_compared_with_no_model(fitted: Bench, fit: Fit) -> None:
-    theta = dataclasses.replace(fitted.settings.identification, theta=0.1)
-    fitted.settings = dataclasses.replace(fitted.settings, identification=theta)
-    fitted.send(30, start=20)
-    fitted.answer(1, fit)
-    fitted.send(30, start=50)
-    without, compared = (request.steady for request in fitted.fitter.requests[1:])
-    assert without is not None and without.rival is None and without.after == 0
-    assert compared is not None and compared.rival is fit.model
-
-
 # --- outliers
 
 
@@ -364,6 +342,10 @@ def test_outliers_are_counted_every_two_seconds_with_or_without_fits(bench: Benc
         for _, future in bench.fitter.counts:
             future.cancel()
     assert [len(samples) for samples, _ in bench.fitter.counts] == [*range(9, 41, 8)]
+    assert not bench.fitter.requests
+    bench.settings = dataclasses.replace(bench.settings, auto_fit=True)  # while it runs
+    bench.send(1, start=40)
+    assert len(bench.fitter.requests) == 1
 
 
 # --- on request
@@ -409,26 +391,22 @@ def test_a_request_is_refused_while_a_fit_runs_and_answered_with_the_error_or_th
 # --- stored models
 
 
-def test_a_stored_model_predicts_from_the_first_sample(bench: Bench, hold_model: Path) -> None:
-    bench.estimator.load(hold_model)
-    stored = read_model(hold_model)
-    (reported,) = bench.models
-    assert isinstance(reported, StoredModel) and reported.trial == stored.trial
-    assert bench.estimator.state == (0, f"predicting with the model of {stored.trial}")
-    bench.send(2)
-    assert len(bench.estimates) == 2
-    np.testing.assert_array_equal(bench.estimates[0].model.stiffness, stored.model.stiffness)
-
-
-def test_a_model_of_another_socket_is_refused(
+def test_a_stored_model_predicts_from_the_first_sample_unless_it_is_of_another_socket(
     bench: Bench, hold_model: Path, tmp_path: Path
 ) -> None:
     document = json.loads(hold_model.read_text())
     tile = next(iter(document["geometry"]["tiles"].values()))
     tile["anchor"][2] += 0.01
-    other = tmp_path / "model.json"
-    other.write_text(json.dumps(document))
+    (tmp_path / "model.json").write_text(json.dumps(document))
     with refused(ConfigurationError, "another socket"):
-        bench.estimator.load(other)
+        bench.estimator.load(tmp_path / "model.json")
     bench.send(2)
     assert not bench.models and not bench.estimates
+    bench.estimator.load(hold_model)
+    stored = read_model(hold_model)
+    (reported,) = bench.models
+    assert isinstance(reported, StoredModel) and reported.trial == stored.trial
+    assert bench.estimator.state == (0, f"predicting with the model of {stored.trial}")
+    bench.send(2, start=2)
+    assert len(bench.estimates) == 2
+    np.testing.assert_array_equal(bench.estimates[0].model.stiffness, stored.model.stiffness)

@@ -1,16 +1,18 @@
 """What the status line counts, compared with what the bag library decodes."""
 
+import copy
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from support.bags import wrench_vector
+from support.messages import Maker
 
 from socket_testbed.live.graph_status import MEASURED, GraphStatus
 from socket_testbed.nodes.listeners import StatusListener
 from socket_testbed.trials.bag import BagReader
-from socket_testbed.trials.layout import decode, message_class, stamp_of, typestore
+from socket_testbed.trials.layout import decode, stamp_of, typestore
 from socket_testbed.trials.topics import (
     CAPACITANCE,
     ESTIMATED_WRENCH,
@@ -24,6 +26,7 @@ from socket_testbed.trials.topics import (
 )
 
 Messages = list[tuple[Topic, Any]]
+NAMING = (PARAMETERS, RECORDED_TRIAL)
 
 
 @pytest.fixture(scope="module")
@@ -85,21 +88,14 @@ def test_predictions_are_judged_over_the_last_seconds(measured: Messages) -> Non
     """Predictions that are off by (3, 0, 0) N and (0, 0.2, 0) N m, and by far more long before."""
     messages: Messages = []
     last = max(stamp_of(message) for topic, message in measured if topic is TRIGGER)
-    kinds = {name: message_class(f"geometry_msgs/msg/{name}") for name in ("Wrench", "Vector3")}
     for topic, message in measured:
-        if topic is not WRENCH:
-            continue
-        off = 30.0 if stamp_of(message) < last - 12e9 else 3.0
-        f, m = message.wrench.force, message.wrench.torque
-        predicted = kinds["Wrench"](
-            force=kinds["Vector3"](x=f.x + off, y=f.y, z=f.z),
-            torque=kinds["Vector3"](x=m.x, y=m.y - 0.2, z=m.z),
-        )
-        stamped = message_class(ESTIMATED_WRENCH.type)(header=message.header, wrench=predicted)
-        messages += [(topic, message), (ESTIMATED_WRENCH, stamped)]
-    status = fed(messages)
+        if topic is WRENCH:
+            predicted = copy.deepcopy(message)
+            predicted.wrench.force.x += 30.0 if stamp_of(message) < last - 12e9 else 3.0
+            predicted.wrench.torque.y -= 0.2
+            messages += [(topic, message), (ESTIMATED_WRENCH, predicted)]
     assert fed(messages[:1]).errors() is None
-    assert status.errors() == pytest.approx((np.sqrt(3.0), 0.2 / np.sqrt(3.0)))
+    assert fed(messages).errors() == pytest.approx((np.sqrt(3.0), 0.2 / np.sqrt(3.0)))
 
 
 def test_time_that_jumps_back_starts_over(measured: Messages) -> None:
@@ -109,21 +105,9 @@ def test_time_that_jumps_back_starts_over(measured: Messages) -> None:
     assert twice.elapsed == once.elapsed
 
 
-def test_names_are_read(measured: Messages) -> None:
-    header = measured[0][1].header
-    model = typestore().types[PARAMETERS.type]
-    wrench = message_class("geometry_msgs/msg/Wrench")
-    vector = message_class("geometry_msgs/msg/Vector3")
-    none = wrench(force=vector(x=0.0, y=0.0, z=0.0), torque=vector(x=0.0, y=0.0, z=0.0))
-    values: dict[str, Any] = {
-        "header": header, "variant": "rigid_bias", "names": ["tile"], "stiffness": [],
-        "rest_positions": [], "wrench_bias": none, "bias_names": [], "force_bias": [],
-        "wrench_rmse": none, "samples": 80, "solver_status": "solved",
-    }  # fmt: skip
-    status = fed(
-        [
-            (PARAMETERS, model(**values)),
-            (RECORDED_TRIAL, message_class(RECORDED_TRIAL.type)(data="s01 é")),
-        ]
-    )
-    assert status.variant == "rigid_bias" and status.trial == "s01 é"
+def test_names_are_read() -> None:
+    for seed in range(8):
+        messages = [(topic, Maker(seed, 0).message(topic.type)) for topic in NAMING]
+        status = fed(messages)
+        parameters, trial = (message for _, message in messages)
+        assert (status.variant, status.trial) == (parameters.variant, trial.data)

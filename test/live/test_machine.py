@@ -28,7 +28,6 @@ from socket_testbed.live.machine import (
 from socket_testbed.settings.acquisition import (
     ClusterSettings,
     LoadCellSettings,
-    MocapSettings,
     SchedulingSettings,
     TriggerSettings,
 )
@@ -76,31 +75,22 @@ def test_what_is_refused_is_said_and_the_rest_is_done(monkeypatch: pytest.Monkey
     def refuse(thread: int, *_: object) -> None:
         raise PermissionError(errno.EPERM, "Operation not permitted")
 
+    library = SimpleNamespace(mlockall=lambda flags: -1)
     monkeypatch.setattr(os, "sched_setscheduler", refuse)
     monkeypatch.setattr(os, "sched_setaffinity", lambda thread, cores: changed.append(cores))
-    monkeypatch.setattr(
-        machine.ctypes, "CDLL", lambda *_, **__: SimpleNamespace(mlockall=lambda flags: -1)
-    )
+    monkeypatch.setattr(machine.ctypes, "CDLL", lambda *_, **__: library)
     monkeypatch.setattr(machine.ctypes, "get_errno", lambda: errno.EPERM)
-    lines = schedule(SchedulingSettings(priority=20, cores=(1,), lock_memory=True))
-    assert [line.partition(" is refused (Operation not permitted): ")[0] for line in lines] == [
-        "scheduling.priority 20",
-        "scheduling.lock_memory",
-    ]
-    assert "'USER - rtprio 20'" in lines[0] and "CAP_SYS_NICE" in lines[0]
-    assert "'USER - memlock unlimited'" in lines[1]
-    assert changed and not any("\n" in line for line in lines)
+    priority, memory = schedule(SchedulingSettings(priority=20, cores=(1,), lock_memory=True))
+    why = "is refused (Operation not permitted): "
+    assert priority.startswith(f"scheduling.priority 20 {why}") and "CAP_SYS_NICE" in priority
+    assert memory.startswith(f"scheduling.lock_memory {why}")
+    assert "'USER - rtprio 20'" in priority and "'USER - memlock unlimited'" in memory
+    assert changed and "\n" not in priority + memory
     assert len(measure_lateness(20, 0.01)) == 0
     assert schedule(SchedulingSettings()) == []
     monkeypatch.undo()
     (line,) = schedule(SchedulingSettings(cores=(1023,)))
     assert line.startswith("scheduling.cores [1023] is refused") and "0 to" in line
-
-
-def test_every_node_that_measures_has_these_settings() -> None:
-    for kind in (TriggerSettings, ClusterSettings, LoadCellSettings, MocapSettings):
-        assert kind().scheduling == SchedulingSettings()
-        assert "scheduling.priority" in kind.flat()
 
 
 def test_this_machine_is_measured_in_a_thread_of_its_own() -> None:
@@ -163,27 +153,15 @@ def test_doctor_says_whether_it_is_enough_for_the_rate(monkeypatch: pytest.Monke
         assert [f.hint for f in doctor.check_scheduling(simulated)] == [""]
 
 
-@pytest.mark.parametrize(("late", "failed"), [(0, False), (12, False), (1000, True)])
-def test_doctor_reads_again_what_a_busy_machine_read_late(
-    monkeypatch: pytest.MonkeyPatch, late: int, failed: bool
-) -> None:
+def test_doctor_reads_again_what_a_busy_machine_read_late(monkeypatch: pytest.MonkeyPatch) -> None:
     """A cluster that is broken stays so; one that was read late is fine the next time."""
-
-    class Reader:
-        readings = 0
-
-        def __init__(self, *_: object) -> None: ...
-
-        def identify(self) -> dict[str, str]:
-            return {"distal": "FDC1004"}
-
-        def read(self, moment: float) -> SimpleNamespace:
-            self.readings += 1
-            text = "read more than 0.05 s after the trigger: relieve the computer"
-            return SimpleNamespace(faults={"distal": text} if self.readings <= late else {})
-
-        def close(self) -> None: ...
-
-    monkeypatch.setattr(doctor, "make_clusters", Reader)
-    (finding,) = doctor.check_clusters(simulated_testbed())
-    assert (finding.hint != "") == failed
+    for late in (0, 12, 1000):
+        states = iter([{"distal": "read late: relieve the computer"}] * late + [{}] * 1000)
+        reader = SimpleNamespace(
+            identify=lambda: {"distal": "FDC1004"},
+            read=lambda moment, states=states: SimpleNamespace(faults=next(states)),
+            close=lambda: None,
+        )
+        monkeypatch.setattr(doctor, "make_clusters", lambda *_, reader=reader: reader)
+        (finding,) = doctor.check_clusters(simulated_testbed())
+        assert (finding.hint != "") == (late == 1000)
