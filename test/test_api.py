@@ -29,7 +29,6 @@ from socket_testbed.files import packaged
 from socket_testbed.report import write
 from socket_testbed.socket_design import tiling
 from socket_testbed.socket_design.tiling import TilingSettings
-from socket_testbed.trials.trial import Trial
 
 FUNCTIONS = [name for name in st.__all__ if name.islower()]
 
@@ -59,19 +58,8 @@ def run_example(name: str, folder: Path) -> None:
     assert failed == 0, "".join(said)
 
 
-SLOW = {"tile"}
-
-
-@pytest.mark.parametrize(
-    "name",
-    [
-        pytest.param(name, marks=[pytest.mark.slow] if name in SLOW else [])
-        for name in sorted({*FUNCTIONS} - {"write_report"})
-    ],
-)
-def test_an_example_runs(name: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    # 300 rounds of the search find two tiles more and take most of the example's time.
-    monkeypatch.setattr(tiling, "TilingSettings", partial(TilingSettings, rounds=12))
+@pytest.mark.parametrize("name", sorted({*FUNCTIONS} - {"write_report", "tile"}))
+def test_an_example_runs(name: str, folder: Path) -> None:
     run_example(name, folder)
 
 
@@ -150,6 +138,10 @@ def test_every_result_has_a_table_a_document_files_and_a_figure(folder, tmp_path
 
 @pytest.mark.slow
 def test_simulate_and_tile_are_those_of_the_verbs(folder, tmp_path, monkeypatch) -> None:
+    # 300 rounds of the search find two tiles more and take most of the example's time.
+    with monkeypatch.context() as patch:
+        patch.setattr(tiling, "TilingSettings", partial(TilingSettings, rounds=12))
+        run_example("tile", folder)
     monkeypatch.chdir(tmp_path)
     verb("simulate", "-o", "hold", "--duration", 40, "--seed", 3)
     same = st.open_trial(folder / "trials" / "hold").samples().to_dataframe()
@@ -174,36 +166,18 @@ def test_the_example_of_a_report_is_that_of_the_verb(folder, tmp_path, monkeypat
         assert (folder / file).read_bytes() == (tmp_path / file).read_bytes()
 
 
-def test_notes_are_warnings_or_go_where_they_are_wanted(folder, tmp_path) -> None:
-    def spoil(topic: str, message):
-        if topic == "/load_cell/wrench":
-            message.wrench.torque.z += 300.0
-        return message
-
-    path = rewrite(folder / "trials" / "hold", tmp_path / "spoilt", spoil)
-    with pytest.warns(UserWarning, match="looks implausible"):
-        st.fit(st.open_trial(path))
-    heard: list[str] = []
-    trial = st.open_trial(path, notify=heard.append)
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        st.fit(trial)
-        st.evaluate(trial, st.fit(trial))
-    assert heard and len(heard) == len(set(heard))
-
-
 def test_wrong_input_is_a_testbed_error(folder) -> None:
-    with pytest.raises(st.TestbedError, match="no such trial"):
-        st.open_trial(folder / "nowhere")
     trial = st.open_trial(folder / "trials" / "hold")
-    with pytest.raises(st.TestbedError, match=r"theta.*from 0 to 1"):
-        st.fit(trial, theta=5.0)
-    with pytest.raises(st.TestbedError, match="segment is None: give"):
-        st.fit(trial, segment=None)
+    for error, call in (
+        ("no such trial", lambda: st.open_trial(folder / "nowhere")),
+        (r"theta.*from 0 to 1", lambda: st.fit(trial, theta=5.0)),
+        ("segment is None: give", lambda: st.fit(trial, segment=None)),
+        ("unknown scenario 'walk'", lambda: st.simulate(folder / "walking", "walk")),
+    ):
+        with pytest.raises(st.TestbedError, match=error):
+            call()
     with pytest.raises(AttributeError, match="no attribute 'fitt'"):
         _ = st.fitt  # type: ignore[attr-defined]
-    with pytest.raises(st.TestbedError, match="unknown scenario 'walk'"):
-        st.simulate(folder / "walking", "walk")
 
 
 @pytest.mark.slow
@@ -232,71 +206,71 @@ def test_the_example_notebook_runs(tmp_path: Path) -> None:
     assert any("image/png" in out.get("data", {}) for out in shown)
 
 
-def test_the_laptop_s_lines_run(folder: Path, monkeypatch, capsys) -> None:
-    text = (CHECKOUT / "docs" / "laptop.md").read_text()
-    program = text.partition("```python\n")[2].partition("```")[0]
-    monkeypatch.chdir(folder)
-    exec(compile(program, "laptop.md", "exec"), {})
-    assert (folder / "regions.parquet").is_file()
-    assert "peak pressure low [kPa]" in capsys.readouterr().out
+def run_lines(page: str, before: str) -> None:
+    """Run the first program of a page that begins so."""
+    text = (CHECKOUT / page).read_text().partition(f"```python\n{before}")[2]
+    exec(compile(before + text.partition("```")[0], page, "exec"), {})
 
 
 @pytest.mark.slow
-def test_the_readme_s_lines_run(tmp_path, monkeypatch, capsys) -> None:
-    text = (CHECKOUT / "README.md").read_text()
-    program = text.partition("```python\nimport socket_testbed")[2].partition("```")[0]
-    monkeypatch.chdir(tmp_path)
+def test_the_readme_s_and_the_laptop_s_lines_run(folder, tmp_path, monkeypatch, capsys) -> None:
     mpl.use("Agg")
-    exec(compile("import socket_testbed" + program, "README.md", "exec"), {})
-    assert (tmp_path / "push.png").stat().st_size > 5000
-    printed = capsys.readouterr().out
-    assert "pressure sd [kPa]" in printed and "RMSE" in printed
+    for page, before, place, file, printed in (
+        ("README.md", "import socket_testbed", tmp_path, "push.png", "pressure sd [kPa]"),
+        ("docs/laptop.md", "", folder, "regions.parquet", "peak pressure low [kPa]"),
+    ):
+        monkeypatch.chdir(place)
+        run_lines(page, before)
+        assert Path(file).stat().st_size > 5000
+        assert printed in capsys.readouterr().out
 
 
-def test_a_fit_is_never_silently_of_wrong_values(folder, tmp_path) -> None:
+def test_a_fit_of_wrong_values_is_refused_or_noted(folder, tmp_path) -> None:
     """What counts as wrong: identification/test_plausibility.py."""
-    hold = folder / "trials" / "hold"
-    fitted = st.fit(st.open_trial(hold))
+    fitted = st.fit(st.open_trial(folder / "trials" / "hold"))
 
-    def scaled(factor: float, ending: str, part: str) -> tuple[Trial, list[str]]:
+    def scaled(factor: float, ending: str, part: str) -> Path:
         def change(topic: str, message):
             if topic.endswith(ending):
-                vector = getattr(message, topic.rpartition("/")[2])
-                vector = getattr(vector, part)
+                vector = getattr(getattr(message, topic.rpartition("/")[2]), part)
                 vector.x, vector.y, vector.z = (factor * v for v in (vector.x, vector.y, vector.z))
             return message
 
-        notes: list[str] = []
-        path = rewrite(hold, tmp_path / f"{part}{factor}", change)
-        return st.open_trial(path, notify=notes.append), notes
+        return rewrite(folder / "trials" / "hold", tmp_path / f"{part}{factor}", change)
 
-    trial, notes = scaled(-1.0, "/wrench", "force")
-    st.fit(trial, "20:35")
-    assert any("the wrench looks negated" in note for note in notes)
+    negated = scaled(-1.0, "/wrench", "force")
+    with pytest.warns(UserWarning, match="the wrench looks negated"):
+        st.fit(st.open_trial(negated), "20:35")
+    heard: list[str] = []
+    trial = st.open_trial(negated, notify=heard.append)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        st.fit(trial, "20:35")
+        st.evaluate(trial, st.fit(trial, "20:35"))
+    assert heard and len(heard) == len(set(heard))
     with pytest.raises(st.TestbedError, match=r"Fz is .*millinewtons"):
-        st.fit(scaled(1e3, "/wrench", "force")[0], "20:35")
-    trial, notes = scaled(1e3, "/pose", "position")
+        st.fit(st.open_trial(scaled(1e3, "/wrench", "force")), "20:35")
+    trial = st.open_trial(scaled(1e3, "/pose", "position"))
     for use in (st.fit, lambda t: st.predict(t, fitted), lambda t: st.evaluate(t, fitted)):
         with pytest.raises(st.TestbedError, match=r"limb position is .* likely in millimetres"):
             use(trial)
-    assert notes == []
 
 
 def test_a_model_is_judged_on_poses_averaged_as_in_its_fit(folder, tmp_path) -> None:
-    hold = str(folder / "trials" / "hold")
-    model, errors = str(tmp_path / "model.json"), tmp_path / "errors.json"
-    assert run(["fit", hold, "--pose-smoothing", "2", "-o", model]) == 0
-    trial = st.open_trial(hold)
-    stored = st.read_model(model)
-    assert stored.settings.pose_smoothing == 2.0
+    trial = st.open_trial(folder / "trials" / "hold")
     fitted = st.fit(trial, pose_smoothing=2.0)
-    judged = st.evaluate(trial, model)
-    pd.testing.assert_frame_equal(judged.to_dataframe(), fitted.to_dataframe(), rtol=1e-9)
+    fitted.save(tmp_path / "model.json")
+    stored = st.read_model(tmp_path / "model.json")
+    assert stored.settings.pose_smoothing == 2.0
+    judged = st.evaluate(trial, stored).to_dataframe()
+    pd.testing.assert_frame_equal(judged, fitted.to_dataframe(), rtol=1e-9)
     raw = st.evaluate(trial, stored, pose_smoothing=0.0)
-    assert raw.to_dataframe().loc["Fz", "RMSE"] != judged.to_dataframe().loc["Fz", "RMSE"]
-    words = ["evaluate", hold, "--model", model, "--pose-smoothing", "0", "-o", str(errors)]
-    assert run(words) == 0 and json.loads(errors.read_text()) == raw.document()
+    assert raw.to_dataframe().loc["Fz", "RMSE"] != judged.loc["Fz", "RMSE"]
+    errors = tmp_path / "errors.json"
+    words = ("--model", tmp_path / "model.json", "--pose-smoothing", 0, "-o", errors)
+    verb("evaluate", trial.path, *words)
+    assert json.loads(errors.read_text()) == raw.document()
     shown = st.export(trial, tmp_path / "table.csv", model=stored)["predicted.Fz [N]"]
     np.testing.assert_allclose(shown, st.predict(trial, stored)["Fz [N]"])
     with pytest.raises(st.TestbedError, match="pose_smoothing is -1"):
-        st.evaluate(trial, model, pose_smoothing=-1.0)
+        st.evaluate(trial, stored, pose_smoothing=-1.0)

@@ -8,13 +8,18 @@ from socket_testbed.errors import ConfigurationError
 from socket_testbed.files import atomic_output, check_new_folder, check_outputs
 
 
-def test_two_writers_of_one_output_do_not_meet(tmp_path: Path) -> None:
+def test_two_writers_of_one_output_do_not_meet_and_an_error_leaves_the_older_file(
+    tmp_path: Path,
+) -> None:
     path = tmp_path / "out.txt"
     with atomic_output(path) as first:
         first.write_text("first")
         with atomic_output(path) as second:
             second.write_text("second")
         assert path.read_text() == "second"
+    with refused(ConfigurationError, "No space left"), atomic_output(path) as staging:
+        staging.write_text("half of")
+        raise OSError(28, "No space left on device")
     assert path.read_text() == "first" and list(tmp_path.iterdir()) == [path]
 
 
@@ -51,21 +56,11 @@ def test_an_output_replaces_nothing_and_makes_no_folder_unless_asked(tmp_path: P
             check_outputs(tmp_path / mistyped, replace=True)
         with refused(ConfigurationError, fact), atomic_output(tmp_path / mistyped):
             pass
-    assert list(tmp_path.iterdir()) == [taken]
-
-
-def test_a_new_folder_lies_at_most_one_below_what_exists(tmp_path: Path) -> None:
     check_new_folder(tmp_path / "trials" / "s01")
-    with refused(ConfigurationError, "no such folder"):
-        check_new_folder(tmp_path / "home" / "trials" / "s01")
-    with refused(ConfigurationError, "exists already"):
-        check_new_folder(tmp_path)
-
-
-def test_an_error_leaves_the_older_file(tmp_path: Path) -> None:
-    path = tmp_path / "out.txt"
-    path.write_text("older")
-    with refused(ConfigurationError, "No space left"), atomic_output(path) as staging:
-        staging.write_text("half of")
-        raise OSError(28, "No space left on device")
-    assert path.read_text() == "older" and list(tmp_path.iterdir()) == [path]
+    for path, fact in (
+        (tmp_path / "home/trials/s01", "no such folder"),
+        (tmp_path, "exists alrea"),
+    ):
+        with refused(ConfigurationError, fact):
+            check_new_folder(path)
+    assert list(tmp_path.iterdir()) == [taken]

@@ -163,8 +163,3 @@ def requirements_of(wheel: Path) -> list[str]:
         name = next(name for name in archive.namelist() if name.endswith("/METADATA"))
         lines = archive.read(name).decode().splitlines()
     return [line.removeprefix("Requires-Dist: ") for line in lines if "Requires-Dist" in line]
-
-
-def test_the_version_has_one_home() -> None:
-    for path in (ROOT / "package.xml", ROOT / "msg_defs" / "package.xml"):
-        assert f"<version>{__version__}</version>" in path.read_text()
