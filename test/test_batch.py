@@ -10,10 +10,18 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
-from support.batches import count, make_trial, own_column
+from support.batches import count
 
 from socket_testbed.batch import Job, Row, Task, find_trials, plan_jobs, run_batch
 from socket_testbed.errors import ConfigurationError, TestbedError, TrialError
+
+
+def make_trial(path: Path, content: str = "messages") -> Path:
+    path.mkdir(parents=True)
+    (path / "metadata.yaml").write_text("rosbag2")
+    (path / f"{path.name}.mcap").write_text(content)
+    return path
+
 
 NAMES = ["s01/hold", "s02/hold", "walk"]
 
@@ -71,6 +79,9 @@ def test_finished_trials_are_skipped_and_metadata_are_read_anew(study: Path, tas
     first = (task.folder / "summary.csv").read_bytes()
     assert run(study, task)[0] == ["skipped"] * 3
     assert (task.folder / "summary.csv").read_bytes() == first
+    table = pd.read_parquet(task.folder / "summary.parquet").set_index("trial")
+    own = table[[f"{name}_rmse [N]" for name in NAMES]].notna().to_numpy()
+    assert (own == [[1, 0, 0], [0, 1, 0], [0, 0, 1]]).all()
     assert run(study, replace(task, again=True))[0] == ["ok"] * 3
     (study / "walk" / "trial.yaml").write_text('subject: "007"\nmass: 70\n')
     (study / "s02" / "hold" / "trial.yaml").write_text("side: lft")
@@ -81,16 +92,15 @@ def test_finished_trials_are_skipped_and_metadata_are_read_anew(study: Path, tas
     assert table_of(task)["mass [kg]"].dropna().to_dict() == {"walk": 70.0}
 
 
-def put_an_older_trial(study: Path) -> None:
-    make_trial(study / "before", "old")
-    shutil.rmtree(study / "walk")
-    (study / "before" / "before.mcap").rename(study / "before" / "walk.mcap")
-    (study / "before").rename(study / "walk")
-
-
 def test_a_trial_is_done_again_when_anything_changed(study: Path, task: Task) -> None:
     task = replace(task, metadata=("mass",))
     trial, output = study / "walk", task.folder / "walk.json"
+    older = make_trial(study / ".older" / "walk", "old")
+
+    def put_the_older_one() -> None:
+        shutil.rmtree(trial)
+        older.rename(trial)
+
     run(study, task)
     for change in (
         lambda: (trial / "walk.mcap").write_text("MESSAGES of walk"),  # of the same size
@@ -98,7 +108,7 @@ def test_a_trial_is_done_again_when_anything_changed(study: Path, task: Task) ->
         lambda: (trial / "trial.yaml").write_text("mass: 71\nsubject: A"),
         lambda: output.write_text("another model"),
         output.unlink,
-        lambda: put_an_older_trial(study),
+        put_the_older_one,
     ):
         change()
         assert run(study, task)[0] == ["skipped", "skipped", "ok"]
@@ -138,15 +148,12 @@ def test_an_interruption_keeps_complete_results(study: Path, task: Task) -> None
     assert (task.folder / "summary.csv").read_bytes() == table  # nothing was reached
     for name in ("s01", "s02"):
         (study / name / "hold" / "hold.mcap").write_text("messages")
-    assert run(study, task)[0] == ["ok"] * 3
 
-
-def test_an_output_whose_record_an_interruption_prevented_is_ours(study, task) -> None:
     def write_and_stop(job: Job) -> Row:
         count(job)
         raise KeyboardInterrupt
 
-    with pytest.raises(KeyboardInterrupt):
+    with pytest.raises(KeyboardInterrupt):  # an output without its record is ours all the same
         run(study, replace(task, work=write_and_stop))
     assert run(study, task)[0] == ["ok"] * 3
 
@@ -170,13 +177,6 @@ def test_files_of_others_stay_unless_they_are_to_be_replaced(study, task) -> Non
     assert run(study, replace(task, replace=True))[0] == ["skipped", "skipped", "ok"]
     with pytest.raises(ConfigurationError, match=r"summary.csv exists already"):
         run(study, replace(task, verb="fit"))
-
-
-def test_trials_with_other_columns_make_one_table(study: Path, task: Task) -> None:
-    run(study, replace(task, work=own_column))
-    table = pd.read_parquet(task.folder / "summary.parquet").set_index("trial")
-    values = table[[f"{name}_rmse [N]" for name in NAMES]].notna().to_numpy()
-    assert (values == pd.DataFrame({0: [1, 0, 0], 1: [0, 1, 0], 2: [0, 0, 1]})).all(axis=None)
 
 
 def test_an_unreachable_or_missing_dask_is_one_line(study, task, monkeypatch) -> None:

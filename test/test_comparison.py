@@ -35,9 +35,8 @@ def test_angles_differ_the_short_way_round() -> None:
     title = "shear direction [deg]"
     table = values_table("regions", ["a", "b"], title, TRIALS, values, values - 5.0, values + 5.0)
     table = table.query("item == 'two'")
-    np.testing.assert_allclose(table["difference"], [20.0, 30.0])
-    np.testing.assert_allclose(table["difference high"], np.array([20.0, 30.0]) + np.hypot(5, 5))
-    np.testing.assert_allclose(table["difference low"], np.array([20.0, 30.0]) - np.hypot(5, 5))
+    for column, reach in (("", 0.0), (" high", np.hypot(5, 5)), (" low", -np.hypot(5, 5))):
+        np.testing.assert_allclose(table[f"difference{column}"], np.array([20.0, 30.0]) + reach)
 
 
 def test_a_value_that_is_not_determined_has_an_interval_alone() -> None:

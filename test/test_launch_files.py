@@ -34,6 +34,7 @@ class Stub:
 
 Launch = Callable[..., list[Stub]]
 DISCOVERY = "ROS_AUTOMATIC_DISCOVERY_RANGE"
+LEFT = {"namespace": "left"}
 
 
 @pytest.fixture
@@ -44,12 +45,9 @@ def launch(monkeypatch: pytest.MonkeyPatch) -> Launch:
         def __getattr__(self, attribute: str) -> type[Stub]:
             return Stub
 
-    for package, parts in {
-        "launch": ("actions", "event_handlers", "events", "substitutions"),
-        "launch_ros": ("actions",),
-    }.items():
-        for module in (package, *(f"{package}.{part}" for part in parts)):
-            monkeypatch.setitem(sys.modules, module, Anything(module))
+    parts = ("actions", "event_handlers", "events", "substitutions")
+    for module in ("launch", "launch_ros", "launch_ros.actions", *(f"launch.{p}" for p in parts)):
+        monkeypatch.setitem(sys.modules, module, Anything(module))
     kept = []
 
     def run(name: str, **arguments: object) -> list[Stub]:
@@ -58,12 +56,9 @@ def launch(monkeypatch: pytest.MonkeyPatch) -> Launch:
         (actions,) = program["generate_launch_description"]().positional
         (reach,) = (a.positional[1] for a in actions if a.positional[:1] == (DISCOVERY,))
         assert reach.positional == (DISCOVERY,) and reach.given == {"default_value": "LOCALHOST"}
-        declared = {
-            a.positional[0]: a.given.get("default_value") for a in actions if len(a.positional) == 1
-        }
-        for action in actions:
-            if action.positional[:1] != (DISCOVERY,) and len(action.positional) == 1:
-                assert action.given["description"], action.positional
+        arguments_of = [a for a in actions if len(a.positional) == 1]
+        assert all(action.given["description"] for action in arguments_of)
+        declared = {a.positional[0]: a.given.get("default_value") for a in arguments_of}
         context = {key: str(value) for key, value in (declared | arguments).items()}
         (bring_up,) = (a.given["function"] for a in actions if "function" in a.given)
         return bring_up(context)
@@ -85,12 +80,17 @@ def parameters(action: Stub) -> dict[str, Any]:
 @pytest.fixture
 def params(tmp_path: Path) -> Path:
     """Node parameters of a testbed that could be real."""
-    content = yaml.safe_load(packaged("config", "simulated.yaml").read_text())
-    content["mocap_node"] = {"ros__parameters": {"server": "192.0.2.1"}}
-    content["trigger_node"] = {"ros__parameters": {"rate": 20.0}}
     path = tmp_path / "testbed.yaml"
-    path.write_text(yaml.safe_dump(content))
+    path.write_text(packaged("config", "simulated.yaml").read_text())
+    set_parameters(path, "mocap_node", server="192.0.2.1")
+    set_parameters(path, "trigger_node", rate=20.0)
     return path
+
+
+def set_parameters(path: Path, node: str, **values: object) -> None:
+    content = yaml.safe_load(path.read_text())
+    content.setdefault(node, {"ros__parameters": {}})["ros__parameters"].update(values)
+    path.write_text(yaml.safe_dump(content))
 
 
 def test_the_testbed_is_launched_as_run_starts_it(
@@ -148,9 +148,7 @@ def test_a_simulated_testbed_is_launched_with_its_world(
 def test_what_is_wrong_is_named_before_any_node_starts(launch: Launch, params: Path) -> None:
     with pytest.raises(TestbedError, match=r"mocap_node|load_cell_node"):
         launch("testbed")  # what hardware needs
-    content = yaml.safe_load(params.read_text())
-    content["cluster_node"] = {"ros__parameters": {"names": ["distale", "a", "b", "c"]}}
-    params.write_text(yaml.safe_dump(content))
+    set_parameters(params, "cluster_node", names=["distale", "a", "b", "c"])
     with refused(TestbedError, "distale"):
         launch("testbed", params=params)
 
@@ -164,42 +162,32 @@ def test_a_load_cell_node_that_is_started_again_finds_its_tare(
     assert "recorder_node" not in parameters(launched["trigger_node"])["wait_for"]
     tare = Path(parameters(launched["load_cell_node"])["tare_file"])
     assert tare.parent.is_dir() and not tare.exists()
-    content = yaml.safe_load(params.read_text())
-    content["load_cell_node"]["ros__parameters"]["tare_file"] = str(tmp_path / "mine.json")
-    params.write_text(yaml.safe_dump(content))
+    set_parameters(params, "load_cell_node", tare_file=str(tmp_path / "mine.json"))
     launched = nodes(launch("testbed", params=params))
     assert parameters(launched["load_cell_node"])["tare_file"] == str(tmp_path / "mine.json")
 
 
-def test_a_trial_is_replayed_through_calibration_and_estimator(launch: Launch, hold: Path) -> None:
+def test_a_trial_is_replayed_through_calibration_and_estimator_in_its_namespace(
+    launch: Launch, hold: Path, tmp_path: Path
+) -> None:
     actions = launch("replay", trial=hold, rate="2", loop="true")
     launched = nodes(actions)
     assert list(launched) == ["calibration_node", "estimator_node", "replay_node"]
-    assert {a.given["namespace"] for a in launched.values()} == {"/"}
     replay = parameters(launched["replay_node"])
     assert (replay["trial"], replay["rate"], replay["loop"]) == (str(hold), 2.0, True)
     assert replay["measured_only"]
-    assert replay["wait_for"] == ["/calibration_node", "/estimator_node"]
     for name, key in (("calibration_node", "calibration"), ("estimator_node", "geometry")):
         found = parameters(launched[name])
-        assert found["use_sim_time"]
-        assert Path(found[key]).parent == hold
+        assert found["use_sim_time"] and Path(found[key]).parent == hold
     # The end of the replay ends the launch.
     (handler,) = handlers(actions)
     assert handler.given["target_action"] is launched["replay_node"]
-
-
-def test_a_replay_goes_into_the_namespace_of_its_trial(
-    launch: Launch, hold: Path, tmp_path: Path
-) -> None:
-    target = move_to_namespace(hold, tmp_path / "lab", "/lab")
-    launched = nodes(launch("replay", trial=target))
-    assert launched["estimator_node"].given["namespace"] == "/lab"
-    launched = nodes(launch("replay", trial=target, namespace="left"))
-    assert {action.given["namespace"] for action in launched.values()} == {"/left"}
-    replay = parameters(launched["replay_node"])
-    assert replay["namespace"] == "left"
-    assert replay["wait_for"] == ["/left/calibration_node", "/left/estimator_node"]
+    lab = move_to_namespace(hold, tmp_path / "lab", "/lab")
+    for trial, given, namespace in ((hold, {}, "/"), (lab, {}, "/lab"), (lab, LEFT, "/left")):
+        launched = nodes(launch("replay", trial=trial, **given))
+        assert launched["estimator_node"].given["namespace"] == namespace
+        waits = [f"{namespace.rstrip('/')}/{name}_node" for name in ("calibration", "estimator")]
+        assert parameters(launched["replay_node"])["wait_for"] == waits
 
 
 def test_launch_files_are_in_the_style_of_ament_s_linters() -> None:

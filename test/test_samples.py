@@ -23,7 +23,9 @@ def samples() -> Samples:
     )
 
 
-def test_a_table_of_samples_has_a_unit_in_every_name(samples: Samples) -> None:
+def test_a_table_of_samples_has_a_unit_in_every_name_and_is_written_with_its_time(
+    samples: Samples, tmp_path: Path
+) -> None:
     frame = samples.to_dataframe()
     assert frame.index.name == "time [s]" and frame.index.tolist() == [0.0, 0.25, 0.5]
     np.testing.assert_array_equal(frame[["Mx [N m]", "Fz [N]"]], samples.wrench[:, [0, 5]])
@@ -33,10 +35,6 @@ def test_a_table_of_samples_has_a_unit_in_every_name(samples: Samples) -> None:
     np.testing.assert_array_equal(frame["cuff.Fz [N]"], samples.local_forces[:, 1, 2])
     assert frame["cuff.status [-]"].tolist() == [Status.OUT_OF_RANGE, Status.MISSING, Status.OK]
     assert len(frame.columns) == 6 + 6 + 2 * 4
-
-
-def test_a_table_is_written_with_its_time(samples: Samples, tmp_path: Path) -> None:
-    frame = samples.to_dataframe()
     write_table(frame, tmp_path / "samples.parquet")
     found = pd.read_parquet(tmp_path / "samples.parquet").set_index("time [s]")
     pd.testing.assert_frame_equal(found, frame)
