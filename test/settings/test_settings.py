@@ -1,4 +1,4 @@
-"""Settings and the file of the node parameters."""
+"""Settings, the file of the node parameters, and names of trials, which are names of takes."""
 
 import dataclasses
 import math
@@ -11,14 +11,17 @@ import yaml
 from support.wording import refused
 
 from socket_testbed.__main__ import run
+from socket_testbed.drivers.natnet.connection import TakeKeeper
+from socket_testbed.drivers.natnet.messages import encode_command
 from socket_testbed.errors import ConfigurationError
-from socket_testbed.live.bringup import Testbed
 from socket_testbed.settings.acquisition import TriggerSettings
 from socket_testbed.settings.identification import IdentificationSettings
 from socket_testbed.settings.testbed import (
     EstimatorSettings,
+    RecorderSettings,
     TestbedSettings,
     WindowSettings,
+    check_take_name,
     estimator_settings,
     read_testbed,
     write_testbed,
@@ -89,11 +92,9 @@ def test_a_solver_that_is_not_installed_is_refused_where_it_is_set(
     for set_it in (
         lambda: estimator_settings(EstimatorSettings(), path),
         lambda: estimator_settings(EstimatorSettings(), solver="osqqp"),
-        lambda: Testbed(read_testbed(path)),
     ):
-        with pytest.raises(ConfigurationError) as refused:
+        with refused(ConfigurationError, wrong):
             set_it()
-        assert str(refused.value) == wrong
     assert run(["run", "--simulated", "--params", str(path)]) == 1
     assert wrong in capsys.readouterr().err
 
@@ -108,17 +109,19 @@ def test_a_solver_that_is_not_installed_is_refused_where_it_is_set(
 
 
 @pytest.fixture
-def write(tmp_path):
-    def write_file(content):
+def read(tmp_path):
+    """Reads a file with a content."""
+
+    def read_file(content, *base):
         path = tmp_path / "testbed.yaml"
         path.write_text(content if isinstance(content, str) else yaml.safe_dump(content))
-        return path
+        return read_testbed(path, *base)
 
-    return write_file
+    return read_file
 
 
-def test_a_file_of_parameters_gives_the_settings_of_its_nodes(write):
-    path = write(
+def test_a_file_of_parameters_gives_the_settings_of_its_nodes(read):
+    found = read(
         """
         estimator_node:
           ros__parameters:
@@ -132,7 +135,6 @@ def test_a_file_of_parameters_gives_the_settings_of_its_nodes(write):
           ros__parameters: {rate: 2, loop: true}
         """
     )
-    found = read_testbed(path)
     others = {"estimator_node", "replay_node"}
     assert all(found.nodes()[name] == kind() for name, kind in NODES.items() if name not in others)
     estimator = found.estimator_node
@@ -143,16 +145,13 @@ def test_a_file_of_parameters_gives_the_settings_of_its_nodes(write):
     assert found.replay_node.rate == 2.0
 
 
-def test_all_defaults_written_to_a_file_come_back_as_those_of_an_empty_file(write):
-    content = {n: {"ros__parameters": kind().to_flat()} for n, kind in NODES.items()}
-    assert read_testbed(write(content)) == read_testbed(write("")) == TestbedSettings()
-
-
-def test_a_file_over_another_replaces_the_nodes_that_it_names(write):
-    first = read_testbed(write("trigger_node: {ros__parameters: {rate: 9, pulse: 1e-3}}"))
-    second = read_testbed(write("trigger_node: {ros__parameters: {rate: 7}}"), first)
+def test_a_file_over_another_replaces_the_nodes_that_it_names(read):
+    defaults = {n: {"ros__parameters": kind().to_flat()} for n, kind in NODES.items()}
+    assert read(defaults) == read("") == TestbedSettings()
+    first = read("trigger_node: {ros__parameters: {rate: 9, pulse: 1e-3}}")
+    second = read("trigger_node: {ros__parameters: {rate: 7}}", first)
     assert second.trigger_node == TriggerSettings(rate=7.0)
-    third = read_testbed(write("replay_node: {ros__parameters: {rate: 7}}"), first)
+    third = read("replay_node: {ros__parameters: {rate: 7}}", first)
     assert third.trigger_node == first.trigger_node != TriggerSettings()
 
 
@@ -168,7 +167,7 @@ def test_what_is_written_comes_back_but_for_what_belongs_to_one_run(tmp_path):
     assert found.trigger_node == TriggerSettings(rate=20.0)
 
 
-def test_a_bad_file_is_named_with_its_field_and_the_hint(write):
+def test_a_bad_file_is_named_with_its_field_and_the_hint(read, tmp_path):
     known = "estimator_node: {ros__parameters: {identification: "
     for content, error in (
         ("estimater_node: {ros__parameters: {}}", "did you mean 'estimator_node'"),
@@ -179,6 +178,35 @@ def test_a_bad_file_is_named_with_its_field_and_the_hint(write):
         (f"{known}{{tetha: 1}}}}}}", "'identification.tetha': did you mean 'identification.theta'"),
         (f"{known}3}}}}", "estimator_node: unknown key 'identification'"),
     ):
-        path = write(content)
-        with refused(ConfigurationError, str(path), error):
-            read_testbed(path)
+        with refused(ConfigurationError, str(tmp_path / "testbed.yaml"), error):
+            read(content)
+
+
+# --- names of trials, which go to Motive as names of takes
+
+
+def test_a_name_goes_to_motive_as_it_is_or_is_refused_when_it_is_given(tmp_path: Path):
+    for name in ("trial_20261122_101500", "S01 left 2", "Übung-3.b", "歩行"):
+        assert check_take_name(name) == name
+        assert encode_command(f"SetRecordTakeName,{name}").count(b",") == 1
+    wrong = ("", "a,b", "StopRecording\nx", "a\0b", "..", ".hidden", "../../x", "a/b", "a\\b")
+    wrong += ("C:x", "a ", "a.", "what?", "\udcff", "x" * 201, "x" * 70_000, "ü" * 101, "a\u2028b")
+    for name in wrong:
+        with refused(ConfigurationError, "the trial's name ", ": give letters") as caught:
+            check_take_name(name)
+        assert len(str(caught.value).encode()) < 450
+    for name in ("a,b", "line\nbreak", "x" * 230):
+        with refused(ConfigurationError, "the trial's name"):
+            RecorderSettings(directory=str(tmp_path / name), record=True)
+        RecorderSettings(directory=str(tmp_path / name))  # it is no trial itself
+
+
+def test_a_refused_take_is_not_pursued_and_the_one_before_it_ends():
+    sent: list[str] = []
+    keeper = TakeKeeper(lambda command, done: sent.append(command))
+    keeper.want("first")
+    with refused(ConfigurationError, "the trial's name"):
+        keeper.want("a,b")
+    assert keeper.settled  # nothing was started, nothing is wanted
+    keeper.step(1.0, connected=True)
+    assert sent == [] and keeper.fault == ""

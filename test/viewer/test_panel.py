@@ -62,70 +62,66 @@ def server() -> Iterator[PageServer]:
     server.close()
 
 
-class Client:
-    """A browser that notes what it is notified of."""
+class Shown:
+    """A panel of a source, and a browser that notes what it is notified of."""
 
-    def __init__(self) -> None:
+    def __init__(self, server: PageServer, controls: Controls | None = None) -> None:
+        self.source = Source(controls)
+        self.panel = Panel(server.viser, self.source)
+        assert self.panel._buttons is not None
+        self.controls = self.panel._buttons
+        self.buttons = self.controls._buttons
         self.heard: list[tuple[str, str]] = []
 
     def add_notification(self, title: str, body: str, **how: Any) -> None:
         self.heard.append((title, body))
 
+    def press(self, what: str) -> None:
+        """Press a button and wait for what comes of it."""
+        (callback,) = self.buttons[what]._impl.update_cb
+        callback(SimpleNamespace(client=self))
 
-def press(panel: Panel, what: str, client: Client | None = None) -> None:
-    """Press a button and wait for what comes of it."""
-    assert panel._buttons is not None
-    (callback,) = panel._buttons._buttons[what]._impl.update_cb
-    callback(SimpleNamespace(client=client))
-
-
-def show(panel: Panel, source: Source) -> str:
-    """Show how a source is, however shortly ago that was done; returns what the buttons report."""
-    panel._next_texts = panel._next_plots = -math.inf
-    panel.update(source)
-    assert panel._buttons is not None
-    return str(panel._buttons._said.content)
+    def update(self) -> str:
+        """Show how the source is, however shortly ago; returns what the buttons report."""
+        self.panel._next_texts = self.panel._next_plots = -math.inf
+        self.panel.update(self.source)
+        return str(self.controls._said.content)
 
 
 def test_each_button_says_what_came_of_it(server: PageServer) -> None:
-    controls, client = Controls(), Client()
-    source = Source(controls)
-    panel = Panel(server.viser, source)
-    assert panel._buttons is not None
-    panel._buttons._name.value = " stairs "
-    panel._buttons._metadata["subject"].value = "S01"
+    controls = Controls()
+    shown = Shown(server, controls)
+    shown.controls._name.value = " stairs "
+    shown.controls._metadata["subject"].value = "S01"
     for what in ("tare", "fit", "trigger on", "trigger off", "event", "record", "stop"):
-        press(panel, what, client)
+        shown.press(what)
     assert controls.called == [
         *(("tare",), ("fit",), ("trigger", True), ("trigger", False), ("event", "event")),
         *(("record", "stairs", {"subject": "S01"}), ("stop_recording",)),
     ]
-    assert client.heard[0] == ("tare", "done tare")
+    assert shown.heard[0] == ("tare", "done tare")
     controls.refused = TestbedError("an axis <b>moves</b>", "hold still")
-    press(panel, "tare", client)
-    assert client.heard[-1] == ("tare failed", "an axis <b>moves</b>: hold still")
-    assert "an axis &lt;b&gt;moves&lt;/b&gt;: hold still" in show(panel, source)
+    shown.press("tare")
+    assert shown.heard[-1] == ("tare failed", "an axis <b>moves</b>: hold still")
+    assert "an axis &lt;b&gt;moves&lt;/b&gt;: hold still" in shown.update()
 
 
 def test_a_button_is_off_while_its_call_runs_but_events_go_on(server: PageServer) -> None:
     controls = Controls()
-    source = Source(controls)
-    panel = Panel(server.viser, source)
-    assert panel._buttons is not None
-    buttons = panel._buttons._buttons
+    shown = Shown(server, controls)
+    buttons = shown.buttons
     controls.go_on.clear()
-    threads = [
-        threading.Thread(target=press, args=(panel, what)) for what in ("fit", "event", "event")
-    ]
+    calls = ("fit", "event", "event")
+    threads = [threading.Thread(target=shown.press, args=(what,)) for what in calls]
     for thread in threads:
         thread.start()
     for _ in threads:
         assert controls.begun.acquire(timeout=HANGS)
-    report = show(panel, source)
+    report = shown.update()
     assert "fit: 0 s" in report or "fit: 1 s" in report
     assert buttons["fit"].disabled and not buttons["event"].disabled
     assert not buttons["tare"].disabled
-    press(panel, "fit")  # of another browser, at the same moment
+    shown.press("fit")  # of another browser, at the same moment
     assert [call[0] for call in controls.called].count("fit") == 1
     controls.go_on.set()
     for thread in threads:
@@ -136,34 +132,29 @@ def test_a_button_is_off_while_its_call_runs_but_events_go_on(server: PageServer
 def test_record_and_stop_take_turns_and_a_page_without_controls_has_them_off(
     server: PageServer,
 ) -> None:
-    source = Source(Controls())
-    panel = Panel(server.viser, source)
-    assert panel._buttons is not None
-    buttons = panel._buttons._buttons
-    for source.recorded in ("", "s01", ""):
-        show(panel, source)
-        assert buttons["record"].visible == (source.recorded == "")
-        assert buttons["stop"].visible == (source.recorded != "")
-    off = Panel(server.viser, Source(None))
-    assert off._buttons is not None
-    assert all(button.disabled for button in off._buttons._buttons.values())
-    press(off, "tare")
-    assert "the buttons are off" in show(off, Source(None))
-    assert all(button.disabled for button in off._buttons._buttons.values())
+    shown = Shown(server, Controls())
+    for shown.source.recorded in ("", "s01", ""):
+        shown.update()
+        assert shown.buttons["record"].visible == (shown.source.recorded == "")
+        assert shown.buttons["stop"].visible == (shown.source.recorded != "")
+    off = Shown(server)
+    for _ in range(2):
+        assert all(button.disabled for button in off.buttons.values())
+        off.press("tare")
+        assert "the buttons are off" in off.update()
 
 
 def test_what_has_not_changed_is_not_sent_again(
     server: PageServer, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    source = Source(Controls())
-    panel = Panel(server.viser, source)
-    show(panel, source)
+    shown = Shown(server, Controls())
+    shown.update()
     sent: list[Any] = []
     monkeypatch.setattr(server.viser.gui._websock_interface, "queue_message", sent.append)
-    show(panel, source)
+    shown.update()
     assert not sent
-    source.recorded = "s01"
-    show(panel, source)
+    shown.source.recorded = "s01"
+    shown.update()
     assert len(sent) == 3  # the line, and the two buttons
 
 
