@@ -43,19 +43,12 @@ def spoilt(hold: Path, tmp_path_factory) -> Path:
         return message
 
     path = rewrite(hold, tmp_path_factory.mktemp("spoilt") / NASTY, spoil)
-    for name, change in (("socket.yaml", rename_cluster), ("calibration.yaml", magnify)):
+    for name, more in (("socket.yaml", None), ("calibration.yaml", [5e5, 0, 0, 0, 0, 0])):
         document = yaml.safe_load((path / name).read_text())
-        change(document)
+        cluster = document["clusters"]["distal"]
+        document["clusters"] = {NASTY: cluster}
+        if more:
+            cluster["shear_x"] = more  # 450 N on a tile
         (path / name).write_text(yaml.safe_dump(document))
     write_metadata(TrialMetadata(side="left", notes=NASTY), path / METADATA_FILE)
     return path
-
-
-def rename_cluster(document: dict) -> None:
-    document["clusters"] = {NASTY: document["clusters"]["distal"]}
-
-
-def magnify(document: dict) -> None:
-    cluster = document["clusters"].pop("distal")
-    cluster["shear_x"] = [5e5, 0, 0, 0, 0, 0]  # 450 N on a tile
-    document["clusters"] = {NASTY: cluster}

@@ -46,9 +46,9 @@ def drawn(section: Section, name: str):
 def test_a_panel_draws_every_model_with_its_errors(results):
     axis, candidates = drawn(wrench_section(results), "wrench").axes[0], results.candidates
     expected = [results.samples.wrench[:, 3], *(c.predicted[:, 3] for c in candidates)]
-    time = results.samples.time
     for line, values in zip(axis.lines, expected, strict=True):
-        np.testing.assert_array_equal(line.get_xydata(), np.stack([time, values], axis=1))
+        points = np.stack([results.samples.time, values], axis=1)
+        np.testing.assert_array_equal(line.get_xydata(), points)
     measured, *key = [text.get_text() for text in axis.get_legend().get_texts()]
     assert measured == "measured" and axis.get_ylabel() == "force [N]" and len(key) == 4
     for text, candidate in zip(key, candidates, strict=True):
@@ -57,12 +57,9 @@ def test_a_panel_draws_every_model_with_its_errors(results):
         assert f"{error.sigma:.2f} N, skill" in text
     assert len({line.get_color() for line in axis.lines}) == 5
 
-
-def test_a_channel_left_out_is_marked_and_one_without_a_value_says_so(results):
-    first, *others = results.candidates
-    nothing = np.full(3, np.nan)
+    first, *others = candidates
     errors = [*first.errors]
-    errors[3] = channel_errors("Fx", nothing, nothing)
+    errors[3] = channel_errors("Fx", *[np.full(3, np.nan)] * 2)
     errors[4] = dataclasses.replace(errors[4], in_objective=False)
     changed = dataclasses.replace(first, errors=tuple(errors))
     spoilt = dataclasses.replace(results, candidates=(changed, *others))
@@ -104,26 +101,23 @@ def test_the_overview_shows_when_what_was_lost(results):
 
 
 def test_the_validation_shows_every_error_and_the_coverage():
-    unknown = (np.nan,) * 3
+    unknown, known = (np.nan,) * 3, (0.5, 0.7, 0.9)
+    predictors = ((INVERSE_DISTANCE, unknown), (CLOSED, unknown), (FORCE_MAP, known))
+    errors = {
+        ("cluster", NASTY): (0.8, 0.7, 0.5),
+        ("cluster", ""): (0.9, 0.6, 0.4),
+        ("tiles", ""): (0.5, 0.45, 0.3),
+    }
     judgements = [
         Judgement(question, predictor, "left out", "", "a", cluster, 9, error, coverage=coverage)
-        for question, cluster, errors in (
-            ("cluster", NASTY, (0.8, 0.7, 0.5)),
-            ("cluster", "", (0.9, 0.6, 0.4)),
-            ("tiles", "", (0.5, 0.45, 0.3)),
-        )
-        for predictor, error, coverage in zip(
-            (INVERSE_DISTANCE, CLOSED, FORCE_MAP),
-            errors,
-            (unknown, unknown, (0.5, 0.7, 0.9)),
-            strict=True,
-        )
+        for (question, cluster), found in errors.items()
+        for (predictor, coverage), error in zip(predictors, found, strict=True)
     ]
     bars, coverage = validation_figure(judgements, NASTY).axes
     names = [text.get_text() for text in bars.get_yticklabels()]
     assert names == [NASTY, "all clusters", "tiles without a sensor"]
     widths = [[bar.get_width() for bar in shown] for shown in bars.containers]
-    assert widths == [[0.8, 0.9, 0.5], [0.7, 0.6, 0.45], [0.5, 0.4, 0.3]]
+    assert widths == [list(row) for row in zip(*errors.values(), strict=True)]
     drawn = [line.get_xydata().tolist() for line in coverage.lines[1:]]
     assert drawn == [[[50.0, 50.0], [80.0, 70.0], [95.0, 90.0]]] * 2
 
@@ -133,15 +127,20 @@ def squares_of(axis) -> PolyCollection:
     return [c for c in axis.collections if isinstance(c, PolyCollection)][1]
 
 
+def scales_of(figure, unit: str) -> list[tuple[float, float]]:
+    """Ends of the colour bars."""
+    return [axis.get_ylim() for axis in figure.axes if axis.get_ylabel() == unit]
+
+
 def test_tiles_have_the_colours_of_their_values_on_one_scale_unless_their_ranges_differ(rng):
     geometry = dataclasses.replace(random_socket(rng, rings=3, columns=6), clusters={NASTY: 4})
+    unit = "stiffness [N/m]"
     for larger in (1.5, 9.0):
         values = {"x": rng.uniform(0.0, 1.0, 18), "y": rng.uniform(0.0, larger, 18)}
-        figure = tile_map_figure(geometry, values, "stiffness [N/m]", notes={NASTY: "a note"})
-        bars = [axis for axis in figure.axes if axis.get_ylabel() == "stiffness [N/m]"]
+        figure = tile_map_figure(geometry, values, unit, notes={NASTY: "a note"})
         rows = [np.concatenate([*values.values()])] if larger < 2.0 else [*values.values()]
         ends = [(row.min(), row.max()) for row in rows]
-        np.testing.assert_allclose([bar.get_ylim() for bar in bars], ends)
+        np.testing.assert_allclose(scales_of(figure, unit), ends)
         maps = [axis for axis in figure.axes if axis.get_xlim()[0] < -180.0]
         for axis, row, scale in zip(maps, values.values(), [*ends, *ends], strict=False):
             expected = colormaps[SCALE](Normalize(*scale)(row))
@@ -150,25 +149,23 @@ def test_tiles_have_the_colours_of_their_values_on_one_scale_unless_their_ranges
     # Maps that are alike share a scale beside another one.
     estimate, truth = rng.uniform(0.0, 30.0, 18), rng.uniform(0.0, 40.0, 18)
     maps = {"estimate": estimate, "its standard deviation": 0.1 * estimate, "truth": truth}
-    bars = [a for a in tile_map_figure(geometry, maps, "kPa").axes if a.get_ylabel() == "kPa"]
     both = min(estimate.min(), truth.min()), max(estimate.max(), truth.max())
     deviation = 0.1 * estimate.min(), 0.1 * estimate.max()
-    np.testing.assert_allclose([bar.get_ylim() for bar in bars], [both, deviation, both])
+    scales = scales_of(tile_map_figure(geometry, maps, "kPa"), "kPa")
+    np.testing.assert_allclose(scales, [both, deviation, both])
 
 
 def test_pressure_begins_at_zero_and_hatches_what_is_not_determined(rng):
-    geometry = ring_socket()
+    geometry, unit = ring_socket(), "pressure [kPa]"
     values = rng.uniform(5.0, 30.0, len(geometry))
     values[3] = np.nan
-    determined = np.arange(len(geometry)) != 11
-    maps, marks = {"mean": values}, {"determined": {"mean": determined}}
-    figure = tile_map_figure(geometry, maps, "pressure [kPa]", from_zero=True, **marks)
+    marks = {"determined": {"mean": np.arange(len(geometry)) != 11}}
+    figure = tile_map_figure(geometry, {"mean": values}, unit, from_zero=True, **marks)
     hatched = sum(len(c.get_paths()) for a in figure.axes for c in a.collections if c.get_hatch())
     assert hatched == 2 and "hatched: not determined" in figure.get_supxlabel()
-    (bar,) = [axis for axis in figure.axes if axis.get_ylabel() == "pressure [kPa]"]
-    assert bar.get_ylim() == pytest.approx((0.0, np.nanmax(values)))
+    np.testing.assert_allclose(scales_of(figure, unit), [(0.0, np.nanmax(values))])
     np.testing.assert_array_equal(paint_tiles(geometry, values).fills[3], 1.0)
-    known = tile_map_figure(geometry, {"mean": np.nan_to_num(values)}, "pressure [kPa]")
+    known = tile_map_figure(geometry, {"mean": np.nan_to_num(values)}, unit)
     assert "hatched" not in known.get_supxlabel()
 
 
@@ -207,20 +204,17 @@ def test_regions_have_their_panels_lines_bands_and_events(rng):
     assert [heading for heading, _ in parts] == ["sectors", "heights", ""]
     several = group_regions([f"r{i}" for i in range(2 * len(LINE_STYLES) + 1)])
     assert [len(group) for _, group in several] == [len(LINE_STYLES)] * 2 + [1]
-    time = np.linspace(0.0, 60.0, 250)
-    values = rng.normal(10.0, 1.0, (250, 2))
+    time, values = np.linspace(0.0, 60.0, 250), rng.normal(10.0, 1.0, (250, 2))
     mean = Quantity(1e3 * values, 1e3 * values - 2e3, 1e3 * values + 3e3, 0.0 * values)
-    regions = {"a$_b": 1, "fibula head": 0}
     events = [(30.0, "removed"), (10.0, "placed"), (50.0, "placed")]
     figure = DEFAULT_STYLE.figure(60.0)
-    draw_regions(figure, time, mean, regions, events, DEFAULT_STYLE)
+    draw_regions(figure, time, mean, {"a$_b": 1, "fibula head": 0}, events, DEFAULT_STYLE)
     (axis,) = figure.axes
     lines = [line for line in axis.lines if len(line.get_xdata()) == 250]
-    for line, shade, column in zip(lines, axis.collections, regions.values(), strict=True):
-        np.testing.assert_allclose(line.get_xydata(), np.stack([time, values[:, column]], axis=1))
+    for line, shade, row in zip(lines, axis.collections, values.T[::-1], strict=True):
+        np.testing.assert_allclose(line.get_xydata(), np.stack([time, row], axis=1))
         points = shade.get_paths()[0].vertices[:, 1]
-        ends = values[:, column].min() - 2.0, values[:, column].max() + 3.0
-        assert (points.min(), points.max()) == pytest.approx(ends)
+        assert (points.min(), points.max()) == pytest.approx((row.min() - 2.0, row.max() + 3.0))
     marks = sorted(line.get_xdata()[0] for line in axis.lines if len(line.get_xdata()) == 2)
     assert marks == [10.0, 30.0, 50.0] and "1 placed, 2 removed" in figure.get_supxlabel()
 

@@ -2,6 +2,7 @@
 
 import re
 import zlib
+from contextlib import suppress
 from itertools import product
 
 import numpy as np
@@ -67,23 +68,21 @@ def drawn_texts(figure):
 
 def overlap(a, b) -> float:
     """The smaller side of what two boxes share [px]."""
-    across = min(a.x1, b.x1) - max(a.x0, b.x0)
-    along = min(a.y1, b.y1) - max(a.y0, b.y0)
-    return min(across, along)
+    return min(min(a.x1, b.x1) - max(a.x0, b.x0), min(a.y1, b.y1) - max(a.y0, b.y0))
+
+
+def is_within(a, b, margin: float = 0.0) -> bool:
+    across = b.x0 - margin <= a.x0 and a.x1 <= b.x1 + margin
+    return across and b.y0 - margin <= a.y0 and a.y1 <= b.y1 + margin
 
 
 def check_words(name: str, figure) -> None:
     """Every word is of 7 pt, inside the figure, and beside the panels and the other words."""
     texts, panels = drawn_texts(figure)
-    for text, size, box in texts:
-        assert size >= 7.0, (name, text)
-        assert box.x0 > -0.5 and box.x1 < figure.bbox.width + 0.5, (name, text)
-        assert box.y0 > -0.5 and box.y1 < figure.bbox.height + 0.5, (name, text)
+    for i, (text, size, box) in enumerate(texts):
+        assert size >= 7.0 and is_within(box, figure.bbox, 0.5), (name, text)
         for panel in panels:
-            inside = panel.x0 <= box.x0 and box.x1 <= panel.x1
-            inside = inside and panel.y0 <= box.y0 and box.y1 <= panel.y1
-            assert inside or overlap(box, panel) < 1.5, (name, text)
-    for i, (text, _, box) in enumerate(texts):
+            assert is_within(box, panel) or overlap(box, panel) < 1.5, (name, text)
         for other, _, beside in texts[:i]:
             assert overlap(box, beside) < 1.5, (name, text, other)
 
@@ -94,11 +93,9 @@ def check_pdf(content: bytes, width: float) -> None:
     assert float(box[2]) / 72.0 * 25.4 == pytest.approx(width, abs=1.0)
     sizes = []
     for start in re.finditer(rb"stream\r?\n", content):
-        try:
+        with suppress(zlib.error):
             stream = zlib.decompressobj().decompress(content[start.end() :])
-        except zlib.error:
-            continue
-        sizes += [float(size) for size in re.findall(rb"/F\d+ ([\d.]+) Tf", stream)]
+            sizes += [float(size) for size in re.findall(rb"/F\d+ ([\d.]+) Tf", stream)]
     assert sizes and min(sizes) >= 7.0
     assert b"/TrueType" in content or b"/CIDFontType2" in content
     assert b"/Type3" not in content

@@ -43,12 +43,15 @@ def no_front(monkeypatch):
     monkeypatch.setattr("socket_testbed.report.results.pareto_front", lambda *_, **__: {})
 
 
-def test_the_given_model_is_the_one_that_was_given(results, hold_model):
-    given = results.candidates[-1]
+def test_the_given_model_is_the_one_that_was_given_and_of_this_socket(results, hold, hold_model):
+    fitted, given = results.candidates[-2:]  # with the same settings on the same segment
     stored = read_model(hold_model)
     np.testing.assert_array_equal(given.model.stiffness, stored.model.stiffness)
-    fitted = results.candidates[-2]  # with the same settings on the same segment
     np.testing.assert_allclose(given.predicted, fitted.predicted, rtol=1e-6, atol=1e-6)
+    moved = dataclasses.replace(stored.geometry, anchors=stored.geometry.anchors + 0.01)
+    other = dataclasses.replace(stored, geometry=moved)
+    with pytest.raises(TestbedError, match="another socket"):
+        compute_results(Trial(hold), "plateau", Trial(hold).estimator, THETAS, other)
 
 
 def test_the_summary_has_the_numbers_of_every_model_and_its_weakness(results):
@@ -131,15 +134,9 @@ def test_without_a_front_or_a_validation_the_rest_stands(hold, monkeypatch):
     assert "held-out the" not in " ".join(summarise(results))
 
 
-def test_a_model_of_another_socket_is_refused(hold, hold_model):
-    stored = read_model(hold_model)
-    moved = dataclasses.replace(stored.geometry, anchors=stored.geometry.anchors + 0.01)
-    given = dataclasses.replace(stored, geometry=moved)
-    with pytest.raises(TestbedError, match="another socket"):
-        compute_results(Trial(hold), "plateau", Trial(hold).estimator, THETAS, given)
-
-
-def test_a_page_that_cannot_be_written_is_refused_and_nothing_is_left(results, tmp_path):
+def test_a_page_that_cannot_be_written_is_refused_and_nothing_is_left(
+    results, tmp_path, monkeypatch
+):
     for name in ("page", "page.pdf", "page.html.gz"):
         with pytest.raises(ConfigurationError, match=r"page.*\.html"):
             check_page_path(tmp_path / name)
@@ -151,10 +148,7 @@ def test_a_page_that_cannot_be_written_is_refused_and_nothing_is_left(results, t
         with pytest.raises(ConfigurationError, match=f"{taken} exists already"):
             write_report(results, tmp_path / "page.html", "", MADE)
         (tmp_path / taken).rmdir()
-    assert [path.name for path in tmp_path.iterdir()] == ["file"]
 
-
-def test_what_fails_in_the_middle_leaves_nothing(results, tmp_path, monkeypatch):
     def full(_, path):
         assert path.parent.is_dir()
         raise OSError(28, "No space left on device")
@@ -163,7 +157,7 @@ def test_what_fails_in_the_middle_leaves_nothing(results, tmp_path, monkeypatch)
     monkeypatch.setattr(write, "write_table", full)
     with pytest.raises(ConfigurationError, match="No space left"):
         write_report(results, tmp_path / "page.html", "", MADE)
-    assert list(tmp_path.iterdir()) == []
+    assert [path.name for path in tmp_path.iterdir()] == ["file"]
 
 
 def test_gaps_and_drop_outs_are_counted():
@@ -171,9 +165,8 @@ def test_gaps_and_drop_outs_are_counted():
     assert find_gaps(time) == [(2.0, 3.0), (0.5, 1.0)]  # the longest first
     assert find_gaps(np.arange(100) * 0.25) == find_gaps(np.array([1.0])) == []
     rng = np.random.default_rng(8)
-    samples = make_samples(
-        rng.normal(size=(200, 3)), rng.normal(size=(200, 6)), {"a": rng.normal(size=(200, 3))}
-    )  # at 4 Hz
+    position, force, wrench = (rng.normal(size=(200, n)) for n in (3, 3, 6))
+    samples = make_samples(position, wrench, {"a": force})  # at 4 Hz
     samples.wrench[10:20, 2] = np.nan
     samples.position[190:] = np.nan
     for code, rows in ((1, slice(30, 33)), (2, slice(40, 44)), (3, slice(60, 65))):
@@ -181,11 +174,10 @@ def test_gaps_and_drop_outs_are_counted():
     lost = find_drop_outs(samples, Segment("span", 0.0, 4.0, slice(0, 17)))
     assert tuple(lost.loc["Mz", ["missing [1]", "of them in the segment [1]"]]) == (10, 7)
     assert lost.loc["Mz", "missing [%]"] == pytest.approx(5.0)
-    longest = lost["longest [s]"]
-    assert longest["Mz"] == pytest.approx(11 / 4.0)  # from the last value to the next
-    assert longest["limb position"] == pytest.approx(10 / 4.0)  # to the end
-    assert lost.loc["Mx", "missing [1]"] == 0 and longest["Mx"] == 0.0
-    assert math.isnan(lost.loc["Mx", "saturated [1]"])
+    # From the last value to the next, or to the end.
+    longest = lost.loc[["Mz", "limb position", "Mx"], "longest [s]"]
+    assert longest.tolist() == pytest.approx([11 / 4.0, 10 / 4.0, 0.0])
+    assert lost.loc["Mx", "missing [1]"] == 0 and math.isnan(lost.loc["Mx", "saturated [1]"])
     counts = ["missing [1]", "saturated [1]", "out of range [1]"]
     assert tuple(lost.loc["a (Fx, Fy, Fz)", counts]) == (4, 3, 5)
     flags = {name: int(rows.sum()) for name, rows in unusable(samples).items() if rows.any()}

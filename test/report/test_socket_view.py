@@ -51,12 +51,19 @@ def geometry() -> SocketGeometry:
 
 def renamed(geometry: SocketGeometry, name: str) -> SocketGeometry:
     """The same socket; a tile and the cluster on it have another name."""
-    first, *others = geometry.clusters.items()
-    names = list(geometry.names)
-    names[first[1]] = name
-    return dataclasses.replace(
-        geometry, names=tuple(names), clusters={name: first[1], **dict(others)}
-    )
+    (_, tile), *others = geometry.clusters.items()
+    names = (*geometry.names[:tile], name, *geometry.names[tile + 1 :])
+    return dataclasses.replace(geometry, names=names, clusters={name: tile, **dict(others)})
+
+
+def names_on(axis) -> list[str]:
+    return [text.get_text().replace("\n", "") for text in axis.texts]
+
+
+def points_of(trace: dict) -> np.ndarray:
+    """The points of a trace, shape (m, 3) [mm]."""
+    read = ((base64.b64decode(trace[axis]["bdata"]), trace[axis]["dtype"]) for axis in "xyz")
+    return np.stack([np.frombuffer(data, kind) for data, kind in read], axis=-1)
 
 
 def test_a_square_has_the_tiles_area_and_lies_in_its_plane_along_its_axes():
@@ -73,11 +80,8 @@ def test_a_square_has_the_tiles_area_and_lies_in_its_plane_along_its_axes():
 
 def test_a_simplified_surface_keeps_its_size_and_its_area():
     mesh = cone(240, 160)
-    soup = trimesh.Trimesh(
-        mesh.vertices[mesh.faces].reshape(-1, 3),
-        np.arange(mesh.faces.size).reshape(-1, 3),
-        process=False,
-    )
+    corners = np.arange(mesh.faces.size).reshape(-1, 3)
+    soup = trimesh.Trimesh(mesh.vertices[mesh.faces].reshape(-1, 3), corners, process=False)
     for surface in (mesh, soup):
         simplified = simplify(surface, 4_000)
         assert 1_000 < len(simplified.faces) <= 4_000
@@ -97,10 +101,6 @@ def test_values_that_are_not_the_tiles_are_refused_and_a_scale_has_two_ends(geom
         low, high = value_range(geometry, np.resize(values, len(geometry)))
         assert low < high
         assert not np.any((np.array(values) < low) | (np.array(values) > high))
-
-
-def names_on(axis) -> list[str]:
-    return [text.get_text().replace("\n", "") for text in axis.texts]
 
 
 def test_each_tile_is_at_its_angle_and_height_or_on_the_distal_end(geometry):
@@ -139,17 +139,6 @@ def written(tmp_path, geometry, mesh=None, title="A socket", facts=()) -> tuple[
     assert [p.name for p in tmp_path.iterdir()] == ["socket.html"]
     text = path.read_text(encoding="utf-8")
     return text, Page(text)
-
-
-def points_of(trace: dict) -> np.ndarray:
-    """The points of a trace, shape (m, 3) [mm]."""
-    return np.stack(
-        [
-            np.frombuffer(base64.b64decode(trace[axis]["bdata"]), trace[axis]["dtype"])
-            for axis in "xyz"
-        ],
-        axis=-1,
-    )
 
 
 def test_a_page_loads_nothing_and_shows_every_tile_and_the_surface(geometry, tmp_path):
