@@ -64,9 +64,7 @@ def test_steady_times_and_stamps_are_each_other_s_inverse(clocks, clock) -> None
         assert clock.to_steady(clock.to_epoch(seconds)) == pytest.approx(seconds, abs=1e-9)
 
 
-def test_processes_of_one_graph_tell_the_same_time(
-    clocks: Clocks, clock: SteadyClock, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_processes_of_one_graph_tell_the_same_time(clocks, clock, monkeypatch) -> None:
     monkeypatch.setenv(BEGINNING, str(clock.beginning))
     clocks.pass_time(7_000_000_000)
     clocks.wall += 3_600_000_000_000  # set before another process starts

@@ -86,9 +86,7 @@ def test_what_is_no_cycle_is_named(walk: Trial) -> None:
             st.cycles(walk, **arguments)
 
 
-def test_the_verb_writes_the_same_numbers(
-    walk: Trial, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_verb_writes_the_same_numbers(walk, tmp_path, capsys) -> None:
     output = tmp_path / "cycles.csv"
     words = ["export", str(walk.path), "--cycles", "step", "--segment", "0:30", "-o", str(output)]
     assert run(words) == 0

@@ -129,9 +129,7 @@ def good(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.parametrize("name", READERS)
-def test_a_damaged_file_is_a_named_error_or_gives_finite_numbers(
-    name: str, good: Path, tmp_path: Path
-) -> None:
+def test_a_damaged_file_is_a_named_error_or_gives_finite_numbers(name, good, tmp_path) -> None:
     file, read, is_text, missing, protected = READERS[name]
     content = (good / file).read_bytes()
     shutil.copytree((good / file).parent, tmp_path / "files")
@@ -226,9 +224,7 @@ def test_a_value_that_no_sensor_reads_is_missing_and_noted(good: Path, tmp_path:
     assert any("holds 8 values beyond 1e+06" in note for note in notes)
 
 
-def test_a_text_stl_with_a_damaged_normal_is_read_without_a_traceback(
-    good: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_text_stl_with_a_damaged_normal_is_read_without_a_traceback(good, tmp_path, caplog):
     text = (good / "text/scan.stl").read_text()
     (tmp_path / "scan.stl").write_text(text.replace("facet normal", "facet normal x", 1))
     read_scan(tmp_path / "scan.stl")

@@ -233,9 +233,7 @@ VALUES = (
 @pytest.mark.parametrize("name", documents())
 @given(data=draw.data())
 @settings(max_examples=120, deadline=None, derandomize=True, database=None)
-def test_whatever_stands_in_a_field_is_read_or_refused_by_its_name(
-    name: str, folder: Path, data: draw.DataObject
-) -> None:
+def test_whatever_stands_in_a_field_is_read_or_refused_by_its_name(name, folder, data) -> None:
     document, read = documents()[name]
     document = model(folder) if document is None else document
     place = data.draw(draw.sampled_from([*places(document)]))

@@ -8,9 +8,7 @@ from socket_testbed.errors import ConfigurationError
 from socket_testbed.files import atomic_output, check_new_folder, check_outputs
 
 
-def test_two_writers_of_one_output_do_not_meet_and_an_error_leaves_the_older_file(
-    tmp_path: Path,
-) -> None:
+def test_two_writers_of_one_output_do_not_meet_and_an_error_leaves_the_older_file(tmp_path) -> None:
     path = tmp_path / "out.txt"
     with atomic_output(path) as first:
         first.write_text("first")

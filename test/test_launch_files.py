@@ -93,9 +93,7 @@ def set_parameters(path: Path, node: str, **values: object) -> None:
     path.write_text(yaml.safe_dump(content))
 
 
-def test_the_testbed_is_launched_as_run_starts_it(
-    launch: Launch, params: Path, tmp_path: Path
-) -> None:
+def test_the_testbed_is_launched_as_run_starts_it(launch, params, tmp_path) -> None:
     record = tmp_path / "trial"
     launched = nodes(launch("testbed", params=params, record=record))
     described = Testbed(read_testbed(params), record=record).nodes(tmp_path)
@@ -124,9 +122,7 @@ def handlers(actions: list[Stub]) -> list[Stub]:
 
 
 @pytest.mark.graph
-def test_a_simulated_testbed_is_launched_with_its_world(
-    launch: Launch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_simulated_testbed_is_launched_with_its_world(launch, capsys) -> None:
     actions = launch("testbed", simulated="true", namespace="left")
     launched = nodes(actions)
     try:
@@ -153,9 +149,7 @@ def test_what_is_wrong_is_named_before_any_node_starts(launch: Launch, params: P
         launch("testbed", params=params)
 
 
-def test_a_load_cell_node_that_is_started_again_finds_its_tare(
-    launch: Launch, params: Path, tmp_path: Path
-) -> None:
+def test_a_load_cell_node_that_is_started_again_finds_its_tare(launch, params, tmp_path) -> None:
     """A respawn runs the same command: the tare's file is in it, in a folder that stays."""
     launched = nodes(launch("testbed", params=params))
     assert "recorder_node" not in launched  # without a trial to record

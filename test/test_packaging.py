@@ -73,9 +73,7 @@ def test_colcon_finds_both_packages_as_what_they_are(workspace: Path) -> None:
 
 
 @needs_colcon
-def test_a_plain_colcon_build_gives_a_package_that_works_anywhere(
-    workspace: Path, tmp_path: Path
-) -> None:
+def test_a_plain_colcon_build_gives_a_package_that_works_anywhere(workspace, tmp_path) -> None:
     call(workspace, "colcon", "build")
     prefix = workspace / "install" / "socket_testbed"
     programs = {path.name for path in (prefix / "lib" / "socket_testbed").iterdir()}

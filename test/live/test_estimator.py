@@ -222,9 +222,7 @@ def test_a_jump_back_in_time_clears_what_was_measured(fitted: Bench, fit: Fit) -
 # --- when to fit
 
 
-def test_it_fits_by_itself_once_the_window_holds_enough_and_estimates_nothing_before(
-    bench: Bench,
-) -> None:
+def test_it_fits_by_itself_once_the_window_holds_enough_and_estimates_nothing_before(bench) -> None:
     bench.send(19)
     assert not bench.fitter.requests
     bench.send(31, start=19)

@@ -70,9 +70,7 @@ def test_a_fit_is_the_same_in_a_process_of_its_own_but_does_not_average_poses(
 # --- what is fitted
 
 
-def test_the_newest_stretch_is_fitted_and_none_across_a_slip_of_a_cluster(
-    worker: FitWorker, trial: Trial, slipped: tuple[Samples, int]
-) -> None:
+def test_the_newest_stretch_is_fitted_and_none_across_a_slip_of_a_cluster(worker, trial, slipped):
     samples, row = slipped
     refit = worker.submit(samples, trial.geometry, SETTINGS, STEADY).result(HANGS)
     assert refit is not None
@@ -84,9 +82,7 @@ def test_the_newest_stretch_is_fitted_and_none_across_a_slip_of_a_cluster(
     assert error.rmse < 1.0
 
 
-def test_a_refit_is_judged_by_the_newest_samples_which_it_left_out(
-    worker: FitWorker, trial: Trial, slipped: tuple[Samples, int]
-) -> None:
+def test_a_refit_is_judged_by_the_newest_samples_which_it_left_out(worker, trial, slipped) -> None:
     samples, row = slipped
     before, after = (
         fit_contact_model(part, trial.geometry, SETTINGS).model
@@ -119,9 +115,7 @@ def test_without_enough_steady_data_that_is_newer_than_the_model_s_there_is_no_f
         assert worker.submit(some, trial.geometry, SETTINGS, steady).result(HANGS) is None
 
 
-def test_what_cannot_be_fitted_is_refused_with_its_error(
-    worker: FitWorker, trial: Trial, samples: Samples
-) -> None:
+def test_what_cannot_be_fitted_is_refused_with_its_error(worker, trial, samples) -> None:
     zero, negated = (dataclasses.replace(samples, wrench=k * samples.wrench) for k in (0.0, -1.0))
     cases = [(zero, steady, "no load") for steady in (STEADY, None)]
     cases += [(negated, steady, "negated") for steady in (STEADY, None)]
@@ -131,9 +125,7 @@ def test_what_cannot_be_fitted_is_refused_with_its_error(
             submitted.result(HANGS)
 
 
-def test_outliers_are_counted_by_channel_and_do_not_end_a_stretch(
-    worker: FitWorker, trial: Trial, samples: Samples
-) -> None:
+def test_outliers_are_counted_by_channel_and_do_not_end_a_stretch(worker, trial, samples) -> None:
     wrench, position = samples.wrench.copy(), samples.position.copy()
     wrench[[20, 30], 3] = 1e9
     position[40] = 5.0

@@ -83,9 +83,7 @@ def test_a_wrong_value_is_refused_by_its_name():
             EstimatorSettings.from_flat({name: 7}, "here")
 
 
-def test_a_solver_that_is_not_installed_is_refused_where_it_is_set(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_solver_that_is_not_installed_is_refused_where_it_is_set(tmp_path, monkeypatch, capsys):
     path = tmp_path / "testbed.yaml"
     path.write_text("estimator_node: {ros__parameters: {identification: {solver: osqqp}}}")
     wrong = "solver 'osqqp' is not installed: did you mean 'osqp'?"

@@ -171,9 +171,7 @@ def test_the_page_shows_a_push_and_a_sensor_that_fails(tab: Tab, source: Pushed)
         assert url.startswith(("http://localhost:", "ws://localhost:", "blob:http://localhost:"))
 
 
-def test_browsers_see_the_same_and_come_back_with_their_server(
-    tab: Tab, browser: Browser, served: list[Page], source: Pushed, port: int
-) -> None:
+def test_browsers_see_the_same_and_come_back_with_their_server(tab, browser, served, source, port):
     other = Tab(browser, f"http://127.0.0.1:{port}")
     source.push(20e3)
     for each in (tab, other):

@@ -129,9 +129,7 @@ def test_a_button_is_off_while_its_call_runs_but_events_go_on(server: PageServer
     assert not buttons["fit"].disabled
 
 
-def test_record_and_stop_take_turns_and_a_page_without_controls_has_them_off(
-    server: PageServer,
-) -> None:
+def test_record_and_stop_take_turns_and_a_page_without_controls_has_them_off(server) -> None:
     shown = Shown(server, Controls())
     for shown.source.recorded in ("", "s01", ""):
         shown.update()
@@ -144,9 +142,7 @@ def test_record_and_stop_take_turns_and_a_page_without_controls_has_them_off(
         assert "the buttons are off" in off.update()
 
 
-def test_what_has_not_changed_is_not_sent_again(
-    server: PageServer, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_has_not_changed_is_not_sent_again(server, monkeypatch) -> None:
     shown = Shown(server, Controls())
     shown.update()
     sent: list[Any] = []

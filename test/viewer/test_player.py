@@ -170,9 +170,7 @@ def test_events_are_marks_and_nothing_is_shown_in_a_gap(gappy: Player) -> None:
     assert {state.words.split(";")[0] for state in gappy.sensors()} == {"not triggered for 2.0 s"}
 
 
-def test_a_trial_opens_before_all_of_it_is_read(
-    hold: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_trial_opens_before_all_of_it_is_read(hold, tmp_path, monkeypatch) -> None:
     path = tmp_path / "trial"
     shutil.copytree(hold, path)
     with monkeypatch.context() as patch:
