@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 import yaml
 from support import HANGS
+from support.clocks import careful_time_scale
 from support.graph import Probe
-from support.pace import careful_time_scale
 from support.testbeds import Recorded
 from support.verbs import call, refused
 

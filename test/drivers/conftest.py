@@ -1,7 +1,7 @@
 """Drivers on real threads and sockets run in testbed time, as slow as this machine needs."""
 
 import pytest
-from support.pace import careful_time_scale
+from support.clocks import careful_time_scale
 
 from socket_testbed import clocks
 

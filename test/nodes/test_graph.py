@@ -16,8 +16,8 @@ from socket_testbed_msgs.msg import ClusterCapacitance, ClusterCapacitanceArray
 from std_srvs.srv import Trigger as TriggerService
 from support import HANGS
 from support.bags import move_to_namespace
+from support.clocks import careful_time_scale
 from support.graph import Probe
-from support.pace import careful_time_scale
 
 from socket_testbed.errors import TestbedError
 from socket_testbed.identification.force_map import ForceMap

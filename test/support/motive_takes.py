@@ -22,24 +22,10 @@ RATE = 120.0  # [Hz]
 UNITS = {"Meters": 1.0, "Centimeters": 1e-2, "Millimeters": 1e-3}
 SOCKET_NAMES = tuple(f"Socket:Marker{i}" for i in (1, 2, 3))
 PYLON_NAMES = tuple(f"Pylon:Marker{i}" for i in (1, 2, 3))
-CELL = np.array(
-    [
-        [0.06, 0.0, 0.01],
-        [-0.05, 0.03, 0.0],
-        [0.01, -0.07, 0.02],
-        [0.0, 0.03, 0.08],
-        [0.04, 0.05, 0.1],
-    ]
-)
+CELL = 1e-3 * np.array([[60, 0, 10], [-50, 30, 0], [10, -70, 20], [0, 30, 80], [40, 50, 100]])
 IN_SOCKET = np.array([0.0, 0.0, 0.13])  # [m]; the middle of `random_socket`
-LIMB = np.array(
-    [
-        [0.0, 0.07, 0.1],
-        [0.05, -0.03, 0.12],
-        [-0.06, -0.02, 0.09],
-        [0.02, 0.02, 0.2],
-        [-0.03, 0.06, 0.17],
-    ]
+LIMB = 1e-3 * np.array(
+    [[0, 70, 100], [50, -30, 120], [-60, -20, 90], [20, 20, 200], [-30, 60, 170]]
 )
 
 
@@ -59,18 +45,14 @@ class Written:
 
 def cells_of(take: Written) -> tuple[list[tuple[str, str, str, str]], np.ndarray]:
     """Titles (type, name, property, axis) and numbers of the columns behind the time."""
-    titles, columns = [], []
-    scale = UNITS[take.unit]
+    titles, columns, scale = [], [], UNITS[take.unit]
     error = "Error Per Marker" if take.version in {"1.2", "1.20", "1.21"} else "Mean Marker Error"
     for name, pose in take.bodies.items():
         titles += [("Rigid Body", name, "Rotation", axis) for axis in "XYZW"]
         titles += [("Rigid Body", name, "Position", axis) for axis in "XYZ"]
         titles.append(("Rigid Body", name, error, ""))
-        columns += [
-            *pose.quaternion().T,
-            *(pose.translation / scale).T,
-            np.full(len(take), 5e-5 / scale),
-        ]
+        columns += [*pose.quaternion().T, *(pose.translation / scale).T]
+        columns.append(np.full(len(take), 5e-5 / scale))
     for kind, markers in (("Rigid Body Marker", take.solved), ("Marker", take.markers)):
         for name, positions in markers.items():
             titles += [(kind, name, "Position", axis) for axis in "XYZ"]
@@ -96,12 +78,11 @@ def motive_lines(take: Written) -> list[str]:
     }
     kinds, names, meanings, axes = (list(row) for row in zip(*titles, strict=True))
     ids = [f'"{sum(map(ord, name)):08X}"' for name in names]
-    labels = ("", "", "", "")
-    if float(take.version) > 1.22:
-        labels = ("Type", "Name", "ID", "Parent")
-    rows = [["", labels[0], *kinds], ["", labels[1], *names], ["", labels[2], *ids]]
+    named = float(take.version) > 1.22
+    labels = ("Type", "Name", "ID") if named else ("", "", "")
+    rows = [["", label, *row] for label, row in zip(labels, (kinds, names, ids), strict=True)]
     if float(take.version) >= 1.25:
-        rows.append(["", labels[3], *["" for _ in names]])
+        rows.append(["", "Parent", *["" for _ in names]])
     rows += [["", "", *meanings], ["Frame", "Time (Seconds)", *axes]]
     for frame, numbers in enumerate(table):
         cells = [f"{value:.6f}" if np.isfinite(value) else "" for value in numbers]

@@ -20,23 +20,15 @@ NASTY = "<b>a & \"b\" 'c' $\\frac$"
 
 
 class Page(HTMLParser):
-    """What a page holds; its elements must be closed in their order.
-
-    Attributes:
-        tags: All tags, with their attributes.
-        text: All that is read, without scripts and styles.
-        said: Texts of the elements by tag, scripts and styles too.
-        tables: Cells of the tables by their id, row by row.
-        open: Elements that were never closed.
-    """
+    """What a page holds; its elements must be closed in their order."""
 
     def __init__(self, text: str) -> None:
         super().__init__()
         self.tags: list[tuple[str, dict[str, str | None]]] = []
-        self.text = ""
-        self.said: dict[str, list[str]] = {}
-        self.tables: dict[str, list[list[str]]] = {}
-        self.open: list[str] = []
+        self.text = ""  # all that is read, without scripts and styles
+        self.said: dict[str, list[str]] = {}  # texts by tag, scripts and styles too
+        self.tables: dict[str, list[list[str]]] = {}  # cells by the table's id, row by row
+        self.open: list[str] = []  # elements that were never closed
         self._rows: list[list[str]] = []
         self.feed(text)
         self.close()

@@ -33,8 +33,8 @@ from socket_testbed.trials.topics import (
 )
 from socket_testbed.trials.trial import Trial
 from support.bags import pose_vector, wrench_vector
+from support.clocks import careful_time_scale
 from support.graph import Probe
-from support.pace import careful_time_scale
 
 LEVELS = ("OK", "WARN", "ERROR")
 MEASURED = (CAPACITANCE, WRENCH, SOCKET_POSE, PYLON_POSE, MARKERS)
@@ -198,12 +198,8 @@ class Recorded:
         """Messages of a topic, but for those around which a busy machine held the world up."""
         # A state must be there before its forerunner's time is over: 40 ms ahead of its own.
         late = self._truth["lateness"] > -0.045
-        begin = self._truth["stamps"][late] - 0.06e9
-        end = (
-            self._truth["stamps"][late]
-            + 1e9 * np.maximum(self._truth["lateness"][late], 0.0)
-            + 0.03e9
-        )
+        at, lateness = self._truth["stamps"][late], self._truth["lateness"][late]
+        begin, end = at - 0.06e9, at + 1e9 * np.maximum(lateness, 0.0) + 0.03e9
         return [
             (stamp, message)
             for stamp, message in self.by_topic[topic].items()
