@@ -131,12 +131,13 @@ def test_no_yaml_that_cannot_be_is_more_than_one_line(tmp_path: Path) -> None:
 
 def test_a_file_that_is_no_text_or_is_not_there_is_named(tmp_path: Path) -> None:
     (tmp_path / "binary.yaml").write_bytes(bytes(range(256)))
-    with refused(ConfigurationError, "binary.yaml", "UTF-8"):
-        load_yaml(tmp_path / "binary.yaml")
-    with refused(ConfigurationError, "none.yaml", "check the path"):
-        load_yaml(tmp_path / "none.yaml")
-    with refused(ConfigurationError, str(tmp_path), "cannot be read"):
-        load_yaml(tmp_path)
+    for name, problem in (
+        ("binary.yaml", "UTF-8"),
+        ("none.yaml", "check the path"),
+        ("", "cannot"),
+    ):
+        with refused(ConfigurationError, str(tmp_path / name), problem):
+            load_yaml(tmp_path / name)
     for text in ("[" * 10_000, '{"a": NaN}', '{"a": 1e999}', "{"):
         (tmp_path / "model.json").write_text(text)
         with refused(ConfigurationError, "is not a model"):

@@ -1,8 +1,6 @@
 """The launch files, with stand-ins for launch and launch_ros, which only a ROS installation has."""
 
-import re
 import runpy
-import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -182,21 +180,3 @@ def test_a_trial_is_replayed_through_calibration_and_estimator_in_its_namespace(
         assert launched["estimator_node"].given["namespace"] == namespace
         waits = [f"{namespace.rstrip('/')}/{name}_node" for name in ("calibration", "estimator")]
         assert parameters(launched["replay_node"])["wait_for"] == waits
-
-
-def test_launch_files_are_in_the_style_of_ament_s_linters() -> None:
-    """Quotes, lines and imports as ament_flake8 has them; the header that ament_copyright reads."""
-    folder = CHECKOUT / "launch"
-    style = (
-        *("line-length=99", "lint.flake8-quotes.inline-quotes='single'"),
-        *("lint.isort.force-sort-within-sections=true", "lint.isort.order-by-type=false"),
-        *("lint.isort.known-third-party=['launch','socket_testbed']", "lint.per-file-ignores={}"),
-    )
-    words = [sys.executable, "-m", "ruff", "check", "--select=E501,I001,Q000", folder]
-    words += [word for each in style for word in ("--config", each)]
-    done = subprocess.run(words, check=False, capture_output=True, text=True)
-    assert done.returncode == 0, done.stdout + done.stderr
-    (notice,) = {tuple(path.read_text().splitlines()[:13]) for path in folder.glob("*.py")}
-    assert re.fullmatch(r"# Copyright \d{4} socket_testbed maintainers", notice[0])
-    licence = " ".join((CHECKOUT / "LICENSE").read_text().split())
-    assert " ".join(" ".join(line[2:] for line in notice[2:]).split()) in licence

@@ -23,7 +23,6 @@ from socket_testbed.live.estimator import (
     Estimate,
     OnlineEstimator,
     SampleWindow,
-    StampSynchroniser,
 )
 from socket_testbed.live.fit_worker import Comparison, Refit, Steady
 from socket_testbed.samples import Samples
@@ -119,33 +118,6 @@ def fitted(bench: Bench, fit: Fit) -> Bench:
 # --- measurements by stamp, and the window
 
 
-def test_measurements_of_a_stamp_come_together_whatever_their_order() -> None:
-    rng = np.random.default_rng(0)
-    arrivals = [(kind, stamp) for kind in "abc" for stamp in range(50)]
-    rng.shuffle(arrivals)
-    synchroniser = StampSynchroniser(("a", "b", "c"), pending=50)
-    complete = {}
-    for kind, stamp in arrivals:
-        entry = synchroniser.add(kind, int(stamp), f"{kind}{stamp}")
-        if entry is not None:
-            complete[int(stamp)] = entry
-    assert complete == {s: {k: f"{k}{s}" for k in "abc"} for s in range(50)}
-    assert synchroniser.incomplete == 0
-
-
-def test_nothing_is_matched_by_nearest_and_what_stays_incomplete_is_forgotten() -> None:
-    synchroniser = StampSynchroniser(("a", "b"), pending=3)
-    assert synchroniser.add("a", 1_000_000_000, 0) is None
-    assert synchroniser.add("b", 1_000_000_001, 0) is None
-    synchroniser.clear()
-    assert synchroniser.add("b", 1_000_000_000, 0) is None
-    synchroniser.clear()
-    assert not any(synchroniser.add("a", stamp, None) for stamp in range(10))
-    assert synchroniser.incomplete == 7
-    assert synchroniser.add("b", 0, None) is None  # too late
-    assert synchroniser.add("b", 9, None) is not None
-
-
 def test_a_window_holds_the_newest_samples_in_the_order_of_their_stamps() -> None:
     window, late = SampleWindow(("p", "q"), duration=3.0), 1.5e9
     stamps = [round(k * 1e7 * (1.0 + (k > 700))) for k in range(2000)]  # 100 Hz, then 50 Hz
@@ -172,20 +144,26 @@ def test_a_complete_sample_is_estimated_whatever_the_order(fitted: Bench, fit: F
         *(Pose.from_quaternion(v[None, :3], v[None, 3:]) for v in list(values.values())[2:])
     )
     wrench, forces = fit.model.predict(np.hstack([limb.translation, limb.rotation_vector()]))
-    for k, order in enumerate((MEASURED, MEASURED[::-1], (*MEASURED[2:], *MEASURED[:2]))):
-        stamp = (100 + k) * PERIOD
-        *waiting, last = (fitted.estimator.add(topic, stamp, values[topic]) for topic in order)
-        assert waiting == [None, None, None] and last is not None and last.stamp == stamp
-        np.testing.assert_allclose(last.wrench, wrench[0])
-        np.testing.assert_allclose(last.forces, forces[0])
-    assert fitted.estimator.newest == 102 * PERIOD
+    arrivals = [(k * PERIOD, topic) for k in range(100, 120) for topic in MEASURED]
+    np.random.default_rng(0).shuffle(arrivals)
+    found = [fitted.estimator.add(topic, stamp, values[topic]) for stamp, topic in arrivals]
+    estimates = [estimate for estimate in found if estimate is not None]
+    last = {stamp: number for number, (stamp, _) in enumerate(arrivals)}
+    assert [e.stamp for e in estimates] == sorted(last, key=lambda stamp: last[stamp])
+    for estimate in estimates:
+        np.testing.assert_allclose(estimate.wrench, wrench[0])
+        np.testing.assert_allclose(estimate.forces, forces[0])
 
 
-def test_an_incomplete_sample_is_never_estimated_or_fitted(trial: Trial) -> None:
+def test_an_incomplete_sample_is_never_estimated_fitted_or_matched_by_nearest(trial: Trial) -> None:
     for lacking in MEASURED:
         bench = Bench(trial, least_samples=10, pending=5)
         bench.send(30, lacking=lacking)
-        assert bench.figures("samples", "window", "incomplete") == [0, 0, 25]
+        value = bench.values()[lacking]
+        for stamp in (0, 29 * PERIOD - 1):  # too late, and of no sample
+            assert bench.estimator.add(lacking, stamp, value) is None
+        assert bench.figures("samples", "window") == [0, 0]
+        assert bench.figures("incomplete")[0] >= 25
         assert not bench.fitter.requests
 
 

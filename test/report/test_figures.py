@@ -23,7 +23,7 @@ from socket_testbed.report.figures.style import (
     thin_band,
 )
 from socket_testbed.report.figures.tiles import certainty_of, paint_tiles, tile_map_figure
-from socket_testbed.report.page import Section, svg_url
+from socket_testbed.report.page import Section
 from socket_testbed.report.sections import quality
 from socket_testbed.report.sections.channels import wrench_section
 from socket_testbed.report.sections.pressure import draw_regions, group_regions
@@ -217,8 +217,3 @@ def test_regions_have_their_panels_lines_bands_and_events(rng):
         assert (points.min(), points.max()) == pytest.approx((row.min() - 2.0, row.max() + 3.0))
     marks = sorted(line.get_xdata()[0] for line in axis.lines if len(line.get_xdata()) == 2)
     assert marks == [10.0, 30.0, 50.0] and "1 placed, 2 removed" in figure.get_supxlabel()
-
-
-def test_a_picture_on_a_page_has_its_points_to_a_hundredth_and_no_names():
-    svg = '<?xml version="1.0"?><svg><g id="x"><path d="M 1.0432 2 \nL 3.06 4 "/></g></svg>'
-    assert svg_url(svg) == "data:image/svg+xml,<svg><g><path d='M 1.04 2 L 3.06 4 '/></g></svg>"

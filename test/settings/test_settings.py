@@ -56,11 +56,8 @@ THETA = "give a number from 0 to 1: weight of the wrench against the clusters"
 
 WRONG = (
     (IdentificationSettings, "theta", 1.01, f"theta is 1.01: {THETA}"),
-    (IdentificationSettings, "theta", math.nan, f"theta is nan: {THETA}"),
     (IdentificationSettings, "smoothness", math.inf, "smoothness is inf: give a number"),
     (IdentificationSettings, "theta", "high", f"theta is 'high': {THETA}"),
-    (IdentificationSettings, "theta", True, f"theta is True: {THETA}"),
-    (IdentificationSettings, "theta", None, f"theta is empty: {THETA}"),
     (IdentificationSettings, "variant", "stifness", "did you mean 'stiffness'"),
     (IdentificationSettings, "leave_out", "Mz", "leave_out is 'Mz': give a list"),
     (IdentificationSettings, "leave_out", [1], "leave_out[0] is 1: give a text"),
