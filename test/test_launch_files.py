@@ -115,7 +115,6 @@ def test_the_testbed_is_launched_as_run_starts_it(launch, params, tmp_path) -> N
 
 
 def handlers(actions: list[Stub]) -> list[Stub]:
-    """Event handlers among the actions."""
     return [a.positional[0] for a in actions if "executable" not in a.given]
 
 

@@ -39,6 +39,5 @@ def test_a_stop_ends_every_wait() -> None:
         pacer = Pacer(1.0, tick=lambda stamp: None, paused=paused)
         pacer.begin(0)
         threading.Timer(0.05, pacer.stop).start()
-        assert not pacer.wait_for(3_600_000_000_000)
-        assert pacer.stopped
+        assert not pacer.wait_for(3_600_000_000_000) and pacer.stopped
         pacer.rest(3600.0)  # returns at once

@@ -38,7 +38,6 @@ def rng():
 
 
 def drawn(section: Section, name: str):
-    """A figure of a section."""
     (figure,) = [figure for figure in section.figures if figure.name == name]
     return figure.draw(DEFAULT_STYLE)
 
@@ -128,7 +127,6 @@ def squares_of(axis) -> PolyCollection:
 
 
 def scales_of(figure, unit: str) -> list[tuple[float, float]]:
-    """Ends of the colour bars."""
     return [axis.get_ylim() for axis in figure.axes if axis.get_ylabel() == unit]
 
 

@@ -105,10 +105,11 @@ def test_a_dead_channel_that_was_left_out_costs_no_sample(hold, tmp_path, no_fro
         return message
 
     results = results_of(rewrite(hold, tmp_path / "dead", spoil), "Mz")
+    notes = list_notes(results)
     lost = int(np.isnan(results.samples.position[results.in_segment]).any(axis=1).sum())
-    (noted,) = [n for n in list_notes(results) if "are in no fit" in n] or ["0 of"]
+    (noted,) = [note for note in notes if "are in no fit" in note] or ["0 of"]
     assert noted.split()[0] == str(lost)
-    assert "Never measured over the segment: Mz." in list_notes(results)
+    assert "Never measured over the segment: Mz." in notes
     assert "mean moment \N{EN DASH} N m" in summarise(results)[1]
     assert all(candidate.held_out for candidate in results.candidates)
 

@@ -57,12 +57,10 @@ def wavy(mesh: trimesh.Trimesh, amplitude: float) -> trimesh.Trimesh:
 
 
 def scaled(mesh: trimesh.Trimesh, factor: float) -> trimesh.Trimesh:
-    """The mesh in another size."""
     return trimesh.Trimesh(mesh.vertices * factor, mesh.faces, process=False)
 
 
 def shifted(mesh: trimesh.Trimesh, x: float) -> trimesh.Trimesh:
-    """The mesh beside itself."""
     return trimesh.Trimesh(mesh.vertices + np.array([x, 0.0, 0.0]), mesh.faces, process=False)
 
 
@@ -99,7 +97,6 @@ def assert_same_faces(
 
 
 def angle_between(direction: np.ndarray, other: np.ndarray) -> float:
-    """Angle between unit vectors [deg]."""
     return float(np.degrees(np.arccos(np.clip(direction @ other, -1.0, 1.0))))
 
 

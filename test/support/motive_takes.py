@@ -92,12 +92,10 @@ def motive_lines(take: Written) -> list[str]:
 
 
 def write_take(take: Written, path: Path, newline: str = "\r\n", bom: bool = False) -> Path:
-    """Write a take as CSV."""
     return write_lines(motive_lines(take), path, newline, bom)
 
 
 def write_lines(lines: list[str], path: Path, newline: str = "\n", bom: bool = False) -> Path:
-    """Write lines, each with its end."""
     text = "".join(line + newline for line in lines)
     path.write_bytes(text.encode("utf-8-sig" if bom else "utf-8"))
     return path
@@ -125,7 +123,6 @@ def make_bench(
     scene: np.random.Generator | None = None,
     **changes: object,
 ) -> Bench:
-    """A random bench."""
     scene = scene or rng
     cell_in_world = random_pose(scene, 1.0)
     limb_in_cell = Pose(np.eye(3), IN_SOCKET) @ random_pose(scene, 0.01)
@@ -178,7 +175,6 @@ def track(bench: Bench, name: str, triad: tuple[str, ...], frame: Pose) -> Bench
 
 
 def write_landmarks(document: dict, path: Path) -> Path:
-    """Write LANDMARKS.yaml."""
     path.write_text(yaml.safe_dump(document, sort_keys=False))
     return path
 

@@ -37,7 +37,6 @@ def markers_at(body: int, moment: float) -> np.ndarray:
 
 
 def scene(moment: float):
-    """What the cameras see."""
     found = []
     for body, name in enumerate(NAMES):
         position, rotation = pose_at(body, moment)

@@ -64,7 +64,6 @@ class Page(HTMLParser):
 
     @property
     def loads(self) -> list[str]:
-        """What the page would load or link to."""
         return self.attributes("src", "href", "srcset", "data")
 
     @property
@@ -83,7 +82,6 @@ class Page(HTMLParser):
 
 
 def columns(path: Path) -> dict[str, list[str]]:
-    """Columns of a CSV by their header."""
     with path.open(newline="", encoding="utf-8") as stream:
         header, *rows = csv.reader(stream)
     return dict(zip(header, map(list, zip(*rows, strict=True)), strict=True))

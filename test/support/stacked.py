@@ -98,7 +98,6 @@ def named_offsets(
 
 
 def relative(found: np.ndarray, expected: np.ndarray) -> float:
-    """Distance of two solutions [-]."""
     return float(np.linalg.norm(found - expected) / np.linalg.norm(expected))
 
 

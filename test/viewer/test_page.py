@@ -61,7 +61,6 @@ def page(source: Moving) -> Iterator[Page]:
 
 
 def browse(page: Page, **options: Any) -> ClientConnection:
-    """Connect as the page in a browser does."""
     protocol: Any = [f"viser-v{viser_version}"]
     url = page._server.url.replace("http", "ws")
     browser = connect(url, subprotocols=protocol, **options)
