@@ -76,24 +76,6 @@ def copy_configuration(source: Path, target: Path) -> Path:
     return target
 
 
-def rewrite(source: Path, target: Path, change: Callable[[str, Any], Any]) -> Path:
-    """Copy a trial message by message; `change` maps (topic, message) to a message or None."""
-    with _copied(source, target) as (old, new):
-        for raw in old.messages():
-            message = change(raw.topic, decode(raw.data, raw.type))
-            if message is not None:
-                new.write(raw.topic, raw.time, encode(message, raw.type))
-    return target
-
-
-def move_to_namespace(source: Path, target: Path, namespace: str) -> Path:
-    """Copy a trial as if its graph had run in a namespace."""
-    with _copied(source, target, namespace) as (old, new):
-        for raw in old.messages():
-            new.write(namespace + raw.topic, raw.time, raw.data)
-    return target
-
-
 def add_events(
     source: Path, target: Path, events: list[tuple[str, float, float]], namespace: str = ""
 ) -> Trial:
