@@ -25,7 +25,7 @@ from socket_testbed.identification.evaluation import (
     summarise_errors,
 )
 from socket_testbed.identification.fit import Fit, fit_contact_model
-from socket_testbed.identification.force_map import map_samples
+from socket_testbed.identification.force_map import map_trial
 from socket_testbed.identification.information import (
     Engagement,
     LoadShare,
@@ -511,9 +511,10 @@ def export(
         table = pd.concat([table, springs.set_axis(table.index)], axis=1)
     if force_map:
         leave_out = trial.estimator.identification.leave_out
-        mapped = map_samples(
-            samples[chosen.rows], trial.geometry, trial.estimator.force_map, leave_out
+        estimator, trusted = map_trial(
+            samples, trial.geometry, trial.estimator.force_map, leave_out
         )
+        mapped = estimator.estimate(trusted[chosen.rows])
         added = pd.DataFrame(mapped.columns(trial.geometry.names, "map."), index=table.index)
         table = pd.concat([table, added], axis=1)
     if pressure:

@@ -19,10 +19,8 @@ from socket_testbed.documents import check_number
 from socket_testbed.geometry.regions import Region, all_regions
 from socket_testbed.geometry.socket import SocketGeometry, find_regions
 from socket_testbed.identification.force_map import (
-    ForceMap,
     MapEstimate,
-    map_samples,
-    without_untrusted,
+    map_trial,
 )
 from socket_testbed.identification.model_file import finite_or_null
 from socket_testbed.identification.objective import check_channels
@@ -150,12 +148,10 @@ def force_map(
     samples = trial.samples()
     chosen = select(trial, segment, settings)
     with threadpool_limits(1):
-        estimate = map_samples(
-            samples[chosen.rows],
-            trial.geometry,
-            settings.force_map,
-            settings.identification.leave_out,
+        force_map, trusted = map_trial(
+            samples, trial.geometry, settings.force_map, settings.identification.leave_out
         )
+        estimate = force_map.estimate(trusted[chosen.rows])
     return TrialMap(trial, chosen, np.asarray(samples.time[chosen.rows]), estimate)
 
 
@@ -381,9 +377,11 @@ def pressure(
     samples = trial.samples()
     check_channels(settings.identification.leave_out, samples.channels)
     chosen = select(trial, segment, settings)
-    rows = without_untrusted(samples[chosen.rows], geometry, settings.identification.leave_out)
     with threadpool_limits(1):
-        force_map = ForceMap(geometry, samples.clusters, settings.force_map)
+        force_map, trusted = map_trial(
+            samples, geometry, settings.force_map, settings.identification.leave_out
+        )
+        rows = trusted[chosen.rows]
         outputs = pressure_outputs(force_map, rows, geometry, places, 1e3 * threshold)
     return TrialPressure(trial, chosen, places, outputs, threshold, share)
 

@@ -6,10 +6,8 @@ prior has the mean zero and the covariance
 
 .. math:: K = T \bigl(K_{field} + K_{preload} + (U U^T) \circ (1 + \kappa^2 M)\bigr) T^T
 
-- M is the Matern covariance of the graph of neighbouring tiles,
-  :math:`(2\nu/\ell^2 + L)^{-(\nu+1)}` scaled to a unit diagonal, with L the graph's Laplacian
-  weighted by 1/d^2, d the distance of the tiles: forces are alike along the surface, not through
-  the air (Borovitskiy et al., Matern Gaussian processes on graphs, AISTATS 2021);
+- M is the Matern correlation :math:`(1 + \sqrt{3} d/\ell) e^{-\sqrt{3} d/\ell}` of the tiles'
+  distance d: forces are alike in the neighbourhood;
 - the field has this correlation, with one amplitude for the normal and one for both tangents; the
   preload is a normal force that all tiles have in common;
 - the six columns of U are the forces of a bed of springs under a small motion of the rigid limb,
@@ -24,15 +22,16 @@ in its frame. With the noise R of the channels
 .. math:: F = K H^T (H K H^T + R)^{-1} y
 
 (Rasmussen & Williams, Gaussian Processes for Machine Learning, 2006, section 2.2). The sizes of
-the parts are uncertain. The common amplitude has an inverse-gamma prior and is integrated out; the
-sizes relative to it and the clusters' offsets are drawn from stated log-normal priors, and every
-draw counts by its evidence in the sample.
+the parts are uncertain. The common amplitude has an inverse-gamma prior and is integrated out. The
+others follow wide distributions (`ForceMapSettings`), of which a quasi-random sequence takes M
+hypotheses. A hypothesis counts by its mean evidence: over the trial, or live over the last samples.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, fields, replace
+from types import SimpleNamespace
 
 import numpy as np
 from scipy.special import chdtri, i0e, i1e, ndtri
@@ -49,9 +48,12 @@ from socket_testbed.identification.plausibility import (
 from socket_testbed.samples import LOCAL_CHANNELS, WRENCH_CHANNELS, Samples, Status
 from socket_testbed.settings.identification import ForceMapSettings
 
-_SMOOTHNESS = 1.5  # [-]; nu of the Matern covariance
-_AMPLITUDE_FREEDOM = 6.0  # [1]; degrees of freedom of the prior of the amplitude
-_OFFSETS = 4  # sizes of the clusters' offsets per draw
+_NUGGET = 1e-9  # [-]; of the correlation: tiles that almost coincide leave it definite
+_AMPLITUDE_FREEDOM = 2.0  # [1]; degrees of freedom of the prior of the amplitude
+_EVIDENCE = 1.0  # independent samples that a trial's evidence is worth
+_MEMORY = 1000  # live samples over which the evidence is averaged
+_LEAST_WEIGHT = 2e-3  # of a hypothesis that counts, relative to the likeliest
+_LEARNT_FROM = 500  # samples of a trial at most, evenly spread
 _CHUNK = 256  # samples
 _DRAWN = 2048  # samples whose joint draws come at a time
 _TINY = 1e-12  # [N]
@@ -111,75 +113,88 @@ def _averaged(parts: Iterable[MapEstimate], source: str) -> MapEstimate:
 
 @dataclass(frozen=True)
 class _Conditioned:
-    """The draws of the prior, conditioned on the channels that are present.
+    """The M hypotheses of the prior, conditioned on the channels that are present.
 
     A tile's force has four components here: along x, y, z of {S} and along the tile's normal.
     """
 
     present: IntArray  # indices of the d channels that are present
-    # K H' S^-1 of the M draws, from the channels to the forces, shape (M, n, 4, d)
+    # K H' S^-1 of the hypotheses, from the channels to the forces, shape (M, n, 4, d)
     gain: FloatArray
     precision: FloatArray  # S^-1, shape (M, d, d)
     log_determinant: FloatArray  # of S, shape (M,)
     variances: FloatArray  # of the forces, shape (M, n, 4) [N^2]
 
-    def average(self, measured: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Mean and variances of the forces over the draws, weighted by their evidence.
+    def __getitem__(self, kept: IntArray) -> _Conditioned:
+        """Some of the hypotheses."""
+        return _Conditioned(
+            present=self.present,
+            gain=self.gain[kept],
+            precision=self.precision[kept],
+            log_determinant=self.log_determinant[kept],
+            variances=self.variances[kept],
+        )
 
-        With the amplitude's prior, the channels have a multivariate t distribution under each
-        draw, and the square of the amplitude the posterior mean (f + y' S^-1 y) / (f + d - 2).
+    def average(self, measured: FloatArray, weights: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Mean and variances of the forces over the hypotheses.
+
+        With the amplitude's prior, the square of the amplitude has under each hypothesis the
+        posterior mean (f + y' S^-1 y) / (f + d - 2).
 
         Args:
             measured: The channels that are present, shape (N, d).
+            weights: Probabilities of the hypotheses, shape (M,) [-].
 
         Returns:
             Forces, shape (N, n, 4) [N], and their variances, shape (N, n, 4) [N^2].
         """
         count, channels = measured.shape
-        draws, tiles = self.variances.shape[:2]
-        forces = measured @ self.gain.reshape(draws * tiles * 4, channels).T
-        forces = forces.reshape(count, draws, tiles * 4)
-        distance, freedom = self.distance(measured), _AMPLITUDE_FREEDOM
-        weights = self.weights(distance)
-        scales = weights * (freedom + distance) / max(freedom + channels - 2.0, 1.0)
-        mean = (weights[:, None] @ forces)[:, 0]
-        between = (weights[:, None] @ forces**2)[:, 0] - mean**2
-        variances = scales @ self.variances.reshape(draws, -1) + np.maximum(between, 0.0)
+        hypotheses, tiles = self.variances.shape[:2]
+        forces = measured @ self.gain.reshape(hypotheses * tiles * 4, channels).T
+        forces = forces.reshape(count, hypotheses, tiles * 4)
+        freedom = _AMPLITUDE_FREEDOM
+        scales = freedom + self.distance(measured)
+        scales *= weights / max(freedom + channels - 2.0, 1.0)
+        mean = weights @ forces
+        between = weights @ forces**2 - mean**2
+        variances = scales @ self.variances.reshape(hypotheses, -1) + np.maximum(between, 0.0)
         return mean.reshape(count, -1, 4), variances.reshape(count, -1, 4)
 
     def distance(self, measured: FloatArray) -> FloatArray:
-        """Squared sizes y' S^-1 y of the channels (N, d) under the draws, shape (N, M) [-]."""
-        draws, channels = self.precision.shape[:2]
-        # One product over all draws: a batch of small ones takes several times as long.
-        whitened = measured @ self.precision.reshape(draws * channels, channels).T
-        whitened = whitened.reshape(len(measured), draws, channels)
+        """Squared sizes y' S^-1 y of the channels (N, d) by hypothesis, shape (N, M) [-]."""
+        hypotheses, channels = self.precision.shape[:2]
+        # One product over all of them: a batch of small ones takes several times as long.
+        whitened = measured @ self.precision.reshape(hypotheses * channels, channels).T
+        whitened = whitened.reshape(len(measured), hypotheses, channels)
         return np.asarray((whitened * measured[:, None]).sum(axis=2))
 
-    def weights(self, distance: FloatArray) -> FloatArray:
-        """Probabilities of the draws by their evidence, shape (N, M) [-]; see `distance`."""
+    def log_evidence(self, measured: FloatArray) -> FloatArray:
+        """That of the hypotheses in the channels (N, d), up to a constant, shape (N, M) [-].
+
+        With the amplitude's prior, the channels have a multivariate t distribution.
+        """
         freedom = _AMPLITUDE_FREEDOM
         exponent = freedom + len(self.present)
-        evidence = self.log_determinant + exponent * np.log1p(distance / freedom)
-        weights = np.exp(0.5 * (evidence.min(axis=1, keepdims=True) - evidence))
-        return np.asarray(weights / weights.sum(axis=1, keepdims=True))
+        distance = np.log1p(self.distance(measured) / freedom)
+        return np.asarray(-0.5 * (self.log_determinant + exponent * distance))
 
 
 @dataclass(frozen=True)
 class JointDraws:
     """D joint draws of the forces on all n tiles at k samples, as the factors that vary.
 
-    Each of the M draws of the prior's sizes is a hypothesis. A draw of the forces in the tiles'
-    frames is :math:`G_m y + b_m E_{md}` with its hypothesis m at the sample; of the first D/2
-    draws, the others have the opposite errors.
+    Each of the M hypotheses is a guess of the prior's sizes. A draw of the forces in the tiles'
+    frames is :math:`G_m y + b_m E_d` with its hypothesis m; of the first D/2 draws, the others have
+    the opposite errors.
     """
 
     rows: IntArray  # indices of the samples, shape (k,)
     channels: FloatArray  # their channels y, shape (k, d) [N m, N]
     gain: FloatArray  # G of the hypotheses, shape (M, 3n, d)
-    weights: FloatArray  # probabilities of the hypotheses, shape (k, M) [-]
+    weights: FloatArray  # probabilities of the hypotheses, shape (M,) [-]
     sizes: FloatArray  # sizes b of the errors under each hypothesis, shape (k, M) [-]
-    hypotheses: IntArray  # those of the draws, shape (k, D/2)
-    errors: FloatArray  # E, shape (M, D/2, 3n) [N]
+    hypotheses: IntArray  # those of the draws, shape (D/2,)
+    errors: FloatArray  # E, shape (D/2, 3n) [N]
 
     def __getitem__(self, part: slice) -> JointDraws:
         """The draws of some of the samples."""
@@ -187,27 +202,21 @@ class JointDraws:
             self,
             rows=self.rows[part],
             channels=self.channels[part],
-            weights=self.weights[part],
             sizes=self.sizes[part],
-            hypotheses=self.hypotheses[part],
         )
 
     def values(self) -> FloatArray:
         """The forces in the tiles' frames, in a row, shape (k, D, 3n) [N]."""
-        count, half = self.hypotheses.shape
-        each = np.arange(count)[:, None]
-        errors = self.errors[self.hypotheses, np.arange(half)]
-        errors *= self.sizes[each, self.hypotheses][..., None]
+        errors = self.sizes[:, self.hypotheses, None] * self.errors
         hypotheses, forces, channels = self.gain.shape
         means = self.channels @ self.gain.reshape(-1, channels).T
-        means = means.reshape(count, hypotheses, forces)[each, self.hypotheses]
+        means = means.reshape(-1, hypotheses, forces)[:, self.hypotheses]
         return np.concatenate([means + errors, means - errors], axis=1)
 
     def mean(self) -> FloatArray:
         """The estimate: mean of the values over the hypotheses, shape (k, 3n) [N]."""
-        weighted = self.weights[:, :, None] * self.channels[:, None]  # (k, M, d)
-        flat = np.swapaxes(self.gain, 1, 2).reshape(-1, self.gain.shape[1])
-        return np.asarray(weighted.reshape(-1, len(flat)) @ flat)
+        gain = np.tensordot(self.weights, self.gain, axes=1)
+        return np.asarray(self.channels @ gain.T)
 
     def mapped(self, mapping: FloatArray) -> JointDraws:
         """The same draws of r linear functions of the forces, by their matrix, shape (3n, r)."""
@@ -216,50 +225,89 @@ class JointDraws:
 
 
 class ForceMap:
-    """Maps one sample's clusters and wrench to the forces on all tiles, with uncertainty."""
+    """Maps one sample's clusters and wrench to the forces on all tiles, with uncertainty.
+
+    Args:
+        geometry: Geometry of the socket.
+        clusters: Names of the clusters, in the order of the samples.
+        settings: The prior.
+        trial: Samples in whose evidence the hypotheses count; without them each call of `estimate`
+            and `sample` has that of its own samples, and `update` that of the last ones.
+    """
 
     def __init__(
         self,
         geometry: SocketGeometry,
         clusters: tuple[str, ...],
         settings: ForceMapSettings | None = None,
+        trial: Samples | None = None,
     ) -> None:
         self._geometry = geometry
         self._settings = settings or ForceMapSettings()
         self._clusters = clusters
         self._areas = geometry.areas
         self._normals = geometry.rotations[:, :, 2]
-        self._moments = _prior_moments(geometry, clusters, self._settings)
+        self._hypotheses = _hypotheses(self._settings)
+        self._moments = _prior_moments(geometry, clusters, self._hypotheses)
         self._patterns: dict[bytes, _Conditioned] = {}
-        self._drawn: dict[int, tuple[FloatArray, ...]] = {}  # by their number
+        self._drawn: dict[bytes, tuple[FloatArray, ...]] = {}  # by number and hypotheses
+        self._learnt_from = 0  # samples
+        self._evidence = np.zeros(len(self._hypotheses))
+        if trial is not None:
+            self._evidence = self._mean_evidence(trial)
+            self._learnt_from = len(trial)
 
     def estimate(self, samples: Samples) -> MapEstimate:
         """The map at every sample; that of the prior where a sample has no channel at all."""
-        return self._estimate(samples.wrench, samples.local_forces, samples.status)
+        values, present = _channels(samples.wrench, samples.local_forces, samples.status)
+        return self._estimate(values, present, self._weights(samples))
 
     def update(
         self, wrench: FloatArray, local_forces: FloatArray, status: StatusArray
     ) -> MapEstimate:
-        """The map at one live sample, with N = 1, as `estimate` has it.
+        """The map at one live sample, with N = 1, in whose evidence the hypotheses count from now.
 
         Args:
             wrench: Wrench [M; F] in {S}, shape (6,) [N m, N]; NaN where missing.
             local_forces: Forces on the clusters in their frames, shape (c, 3) [N].
             status: Status of each cluster (`Status`), shape (c,); a cluster counts if it is OK.
         """
-        return self._estimate(wrench[None], local_forces[None], status[None])
+        values, present = _channels(wrench[None], local_forces[None], status[None])
+        if present.any():
+            conditioned = self._conditioned(present[0])
+            found = conditioned.log_evidence(values[:, conditioned.present])[0]
+            self._learnt_from = min(self._learnt_from + 1, _MEMORY)
+            self._evidence += (found - self._evidence) / self._learnt_from
+        return self._estimate(values, present, _probabilities(self._evidence))
 
-    def _estimate(
-        self, wrench: FloatArray, local_forces: FloatArray, status: StatusArray
-    ) -> MapEstimate:
-        values, present = _channels(wrench, local_forces, status)
+    def _mean_evidence(self, samples: Samples) -> FloatArray:
+        """Logarithm of the evidence of the hypotheses, mean over the samples, shape (M,) [-]."""
+        values, present = _channels(samples.wrench, samples.local_forces, samples.status)
+        rows = np.flatnonzero(present.any(axis=1))
+        if not len(rows):
+            return np.zeros(len(self._hypotheses))
+        rows = rows[np.linspace(0, len(rows) - 1, min(len(rows), _LEARNT_FROM)).astype(int)]
+        total = np.zeros(len(self._hypotheses))
+        for pattern, some in _by_pattern(present[rows]):
+            conditioned = self._conditioned(pattern)
+            measured = values[rows[some]][:, conditioned.present]
+            total += conditioned.log_evidence(measured).sum(axis=0)
+        return total / len(rows)
+
+    def _weights(self, samples: Samples) -> FloatArray:
+        """Probabilities of the hypotheses at the samples, shape (M,) [-]; 0 for unlikely ones."""
+        learnt = self._evidence if self._learnt_from else self._mean_evidence(samples)
+        return _probabilities(learnt)
+
+    def _estimate(self, values: FloatArray, present: BoolArray, weights: FloatArray) -> MapEstimate:
+        kept = np.flatnonzero(weights)
         forces, variances = np.empty((2, len(values), len(self._areas), 4))
         for pattern, rows in _by_pattern(present):
-            conditioned = self._conditioned(pattern)
+            conditioned = self._conditioned(pattern)[kept]
             for start in range(0, len(rows), _CHUNK):
                 chunk = rows[start : start + _CHUNK]
                 measured = values[chunk][:, conditioned.present]
-                forces[chunk], variances[chunk] = conditioned.average(measured)
+                forces[chunk], variances[chunk] = conditioned.average(measured, weights[kept])
         return self._describe(forces, variances, present)
 
     def mean(self, samples: Samples) -> MapEstimate:
@@ -269,8 +317,11 @@ class ForceMap:
         usual sample: its standard deviations are root mean squares.
         """
         starts = range(0, len(samples), _CHUNK)
-        parts = (self.estimate(samples[start : start + _CHUNK]) for start in starts)
-        return _averaged(parts, self.source(samples))
+        values, present = _channels(samples.wrench, samples.local_forces, samples.status)
+        weights = self._weights(samples)
+        chunks = (slice(start, start + _CHUNK) for start in starts)
+        parts = (self._estimate(values[chunk], present[chunk], weights) for chunk in chunks)
+        return _averaged(parts, self._source(present))
 
     def source(self, samples: Samples) -> str:
         """What the map at some samples is conditioned on, in words."""
@@ -280,9 +331,9 @@ class ForceMap:
     def sample(self, samples: Samples, count: int = 200) -> Iterator[JointDraws]:
         r"""Joint draws of the forces on all tiles, given the channels of each sample.
 
-        A draw of the prior's sizes is chosen by its evidence, and the amplitude s from its
-        posterior, an inverse-gamma distribution. Then with F' and e drawn from the prior of the
-        forces and from the noise of the channels, the forces
+        A hypothesis is chosen by its evidence, and the amplitude s from its posterior, an
+        inverse-gamma distribution. Then with F' and e drawn from the prior of the forces and from
+        the noise of the channels, the forces
 
         .. math:: F = G y + s \, (F' - G (H F' + e))
 
@@ -298,59 +349,55 @@ class ForceMap:
         Yields:
             The draws of some of the samples, until every sample has come once, in whatever order.
         """
-        settings = _draw(self._settings)
-        if count not in self._drawn:  # the same in all samples, and long to draw
-            rng = np.random.default_rng(0)
-            drawn = self._prior_draws(settings, count // 2, rng)
-            levels = rng.permuted(np.tile(_levels(count // 2), (2, 1)), axis=1)
-            self._drawn = {count: (*drawn, *levels)}
-        priors, errors, chosen, amplitude = self._drawn[count]
+        weights = self._weights(samples)
+        kept = np.flatnonzero(weights)
+        weights = weights[kept]
+        levels = np.random.default_rng(0).permuted(np.tile(_levels(count // 2), (2, 1)), axis=1)
+        hypotheses = np.searchsorted(weights.cumsum()[:-1], levels[0])
+        priors, errors = self._prior_draws(kept[hypotheses])
         values, present = _channels(samples.wrench, samples.local_forces, samples.status)
         tiles = len(self._areas)
         for pattern, rows in _by_pattern(present):
-            conditioned = self._conditioned(pattern)
+            conditioned = self._conditioned(pattern)[kept]
             gain = np.einsum(
                 "nij,mnid->mnjd", self._geometry.rotations, conditioned.gain[:, :, :3]
-            ).reshape(len(settings), 3 * tiles, -1)
-            left = priors - errors[..., conditioned.present] @ np.swapaxes(gain, 1, 2)
+            ).reshape(len(kept), 3 * tiles, -1)
+            known = gain[hypotheses] @ errors[:, conditioned.present, None]
             freedom = _AMPLITUDE_FREEDOM + len(conditioned.present)
-            left /= np.sqrt(chdtri(freedom, amplitude))[:, None]
+            left = (priors - known[..., 0]) / np.sqrt(chdtri(freedom, levels[1]))[:, None]
             for start in range(0, len(rows), _DRAWN):
                 some = rows[start : start + _DRAWN]
                 measured = values[some][:, conditioned.present]
-                distance = conditioned.distance(measured)
-                weights = conditioned.weights(distance)
-                below = weights.cumsum(axis=1)[:, :-1, None]
                 yield JointDraws(
                     rows=some,
                     channels=measured,
                     gain=gain,
                     weights=weights,
-                    sizes=np.sqrt(_AMPLITUDE_FREEDOM + distance),
-                    hypotheses=(chosen > below).sum(axis=1),
+                    sizes=np.sqrt(_AMPLITUDE_FREEDOM + conditioned.distance(measured)),
+                    hypotheses=hypotheses,
                     errors=left,
                 )
 
-    def _prior_draws(
-        self, settings: list[ForceMapSettings], count: int, rng: np.random.Generator
-    ) -> tuple[FloatArray, FloatArray]:
-        """Draws of the prior: forces, (M, count, 3n) [N], and channels with noise, (M, count, c).
+    def _prior_draws(self, hypotheses: IntArray) -> tuple[FloatArray, FloatArray]:
+        """Draws of the prior: forces, (D, 3n) [N], and channels with noise, shape (D, c).
 
-        Forces are in the tiles' frames. All draws of the prior's sizes share the random numbers.
+        Forces are in the tiles' frames; each draw has its hypothesis.
         """
-        geometry = self._geometry
-        correlation = surface_correlation(geometry, self._settings.length)
-        motions = _rigid_motions(geometry, self._settings.arm)
-        of_forces = rng.standard_normal((count, 3 * len(geometry)))
-        of_noise = rng.standard_normal((count, len(WRENCH_CHANNELS) + 3 * len(self._clusters)))
-        forces, channels = [], []
-        for drawn in settings:
-            mapping = _mapping(geometry, self._clusters, drawn.share)
-            prior = _prior(geometry, correlation, motions, drawn)
-            noise = _noise(mapping @ prior @ mapping.T, drawn)
-            forces.append(of_forces @ np.linalg.cholesky(prior).T)
-            channels.append(forces[-1] @ mapping.T + of_noise * np.sqrt(np.diag(noise)))
-        return np.array(forces), np.array(channels)
+        key = hypotheses.tobytes()
+        if key not in self._drawn:  # the same in all samples, and long to draw
+            geometry, rng = self._geometry, np.random.default_rng(0)
+            numbers = rng.standard_normal((len(hypotheses), _Prior.numbers_of(len(geometry))))
+            shape = len(hypotheses), len(WRENCH_CHANNELS) + 3 * len(self._clusters)
+            noise = rng.standard_normal(shape)
+            forces = np.empty((len(hypotheses), 3 * len(geometry)))
+            for number in np.unique(hypotheses):
+                drawn, which = self._hypotheses[number], hypotheses == number
+                mapping = _mapping(geometry, self._clusters, drawn.share)
+                forces[which] = _Prior(geometry, drawn).draw(numbers[which])
+                noise[which] *= np.sqrt(self._moments[3][number])
+                noise[which] += forces[which] @ mapping.T
+            self._drawn = {key: (forces, noise)}
+        return self._drawn[key]
 
     def _conditioned(self, pattern: BoolArray) -> _Conditioned:
         """The draws conditioned on a pattern of channels; a pattern is computed once."""
@@ -358,7 +405,7 @@ class ForceMap:
         if key not in self._patterns:
             if len(self._patterns) >= _MOST_PATTERNS:
                 self._patterns.clear()
-            total, cross, before = self._moments
+            total, cross, before, _ = self._moments
             present = np.flatnonzero(pattern)
             cross = cross[..., present]
             precision = np.asarray(np.linalg.inv(total[:, present[:, None], present]), np.float64)
@@ -413,6 +460,9 @@ def _channels(
 
 def _by_pattern(present: BoolArray) -> Iterator[tuple[BoolArray, IntArray]]:
     """Each pattern of present channels with the samples that have it."""
+    if len(present) == 1:  # live: what follows takes as long as the map
+        yield present[0], np.zeros(1, dtype=np.int64)
+        return
     patterns, which = np.unique(present, axis=0, return_inverse=True)
     for number, pattern in enumerate(patterns):
         yield pattern, np.flatnonzero(which.reshape(-1) == number)
@@ -432,42 +482,27 @@ def _rice_deviation(size: FloatArray, sigma: FloatArray) -> FloatArray:
     return np.asarray(np.sqrt(np.maximum(square, 0.0)))
 
 
-def map_samples(
+def map_trial(
     samples: Samples,
     geometry: SocketGeometry,
     settings: ForceMapSettings,
     leave_out: tuple[str, ...] = (),
-) -> MapEstimate:
-    """The map at every sample, without single outliers and without channels that are left out."""
-    trusted = without_untrusted(samples, geometry, leave_out)
-    return ForceMap(geometry, samples.clusters, settings).estimate(trusted)
-
-
-def without_untrusted(
-    samples: Samples, geometry: SocketGeometry, leave_out: tuple[str, ...] = ()
-) -> Samples:
-    """The samples without single outliers and without channels that are left out."""
+) -> tuple[ForceMap, Samples]:
+    """The map of a trial, and its samples without single outliers and channels left out."""
     ignored = find_outliers(samples, geometry, leave_out).values
     ignored[:, [name in leave_out for name in samples.channels]] = True
-    return without_outliers(samples, Outliers(np.zeros(len(samples), bool), ignored))
+    trusted = without_outliers(samples, Outliers(np.zeros(len(samples), bool), ignored))
+    return ForceMap(geometry, samples.clusters, settings, trusted), trusted
 
 
-def surface_correlation(geometry: SocketGeometry, length: float) -> FloatArray:
-    """Matern correlation of the tiles along the surface, definite, shape (n, n) [-].
+def wall_correlation(geometry: SocketGeometry, length: float) -> FloatArray:
+    """Matern correlation of the tiles, smoothness 3/2, definite, shape (n, n) [-].
 
-    Forces are alike over the length l [m].
+    Forces are alike over the length l [m], by the distance of the tiles' centres.
     """
-    a, b = geometry.neighbours.T
-    distance = np.linalg.norm(geometry.anchors[a] - geometry.anchors[b], axis=1)
-    laplacian = np.zeros((len(geometry), len(geometry)))
-    np.add.at(laplacian, (a, b), -1.0 / distance**2)
-    laplacian += laplacian.T
-    np.fill_diagonal(laplacian, -laplacian.sum(axis=1))
-    eigenvalues, vectors = np.linalg.eigh(laplacian)
-    damped = 2.0 * _SMOOTHNESS / length**2 + np.maximum(eigenvalues, 0.0)
-    covariance = (vectors * damped ** -(_SMOOTHNESS + 1.0)) @ vectors.T
-    scale = np.sqrt(np.diag(covariance))
-    return np.asarray(covariance / (scale * scale[:, None]))
+    apart = np.linalg.norm(geometry.anchors[:, None] - geometry.anchors, axis=2)
+    scaled = np.sqrt(3.0) * apart / length
+    return np.asarray((1.0 + scaled) * np.exp(-scaled) + _NUGGET * np.eye(len(geometry)))
 
 
 def _rigid_motions(geometry: SocketGeometry, arm: float) -> FloatArray:
@@ -484,26 +519,44 @@ def _rigid_motions(geometry: SocketGeometry, arm: float) -> FloatArray:
     return np.swapaxes(geometry.rotations, 1, 2) @ in_socket
 
 
-_RELATIVE = ("shear", "preload", "bed", "sinking", "rotation", "bed_shear", "bed_variation")
+_LOG_NORMAL = {
+    **dict.fromkeys(("shear", "preload", "bed", "sinking", "rotation", "bed_shear"), "spread"),
+    "bed_variation": "spread",
+    "length": "length_spread",
+    "cluster_error": "cluster_error_spread",
+}
+_NORMAL = {"drag": "drag_spread", "share": "share_spread"}
+_LEAST_SHARE = 0.2  # [-]
 
 
-def _draw(settings: ForceMapSettings) -> list[ForceMapSettings]:
-    """The prior's uncertain sizes, drawn evenly (a Latin hypercube; one draw has the medians).
+def _hypotheses(settings: ForceMapSettings) -> list[SimpleNamespace]:
+    """The prior's uncertain sizes, spread evenly over their distributions; one has the medians.
 
-    Each draw comes with several sizes of the clusters' offsets: what matters most.
+    The points are the additive recurrence of the generalised golden ratio, of low discrepancy
+    (Niederreiter, Random Number Generation and Quasi-Monte Carlo Methods, 1992, section 3.2).
     """
-    levels = np.tile(ndtri(_levels(settings.draws)), (len(_RELATIVE) + 1, 1))
-    points = np.random.default_rng(0).permuted(levels, axis=1).T
-    offsets = np.exp(settings.cluster_error_spread * ndtri(_levels(_OFFSETS)))
-    found: list[ForceMapSettings] = []
-    for *relative, of_share in points.tolist():
-        factors = zip(_RELATIVE, np.exp(settings.spread * np.array(relative)), strict=True)
-        sizes = {name: getattr(settings, name) * factor for name, factor in factors}
-        share = min(max(settings.share + settings.share_spread * of_share, 0.2), 1.0)
-        drawn = replace(settings, **sizes, share=share)
-        errors = (settings.cluster_error * offsets).tolist()
-        found += [replace(drawn, cluster_error=error) for error in errors]
+    dimensions = len(_LOG_NORMAL) + len(_NORMAL)
+    ratio = 1.0
+    for _ in range(64):  # to rounding
+        ratio = (1.0 + ratio) ** (1.0 / (dimensions + 1.0))
+    steps = ratio ** -np.arange(1.0, dimensions + 1.0)
+    points = ndtri((0.5 + np.arange(settings.draws)[:, None] * steps) % 1.0)
+    found = []
+    for point in points.tolist():
+        sizes = {}
+        for (name, spread), value in zip((_LOG_NORMAL | _NORMAL).items(), point, strict=True):
+            median, change = getattr(settings, name), getattr(settings, spread) * value
+            sizes[name] = median + change if name in _NORMAL else median * np.exp(change)
+        sizes["share"] = min(max(sizes["share"], _LEAST_SHARE), 1.0)
+        found.append(SimpleNamespace(**(vars(settings) | sizes)))  # not bounded as settings are
     return found
+
+
+def _probabilities(log_evidence: FloatArray) -> FloatArray:
+    """Of the hypotheses, from their evidence, shape (M,) [-]; 0 for those that hardly count."""
+    weights = np.exp(_EVIDENCE * (log_evidence - log_evidence.max()))
+    weights[weights < _LEAST_WEIGHT] = 0.0
+    return np.asarray(weights / weights.sum())
 
 
 def _levels(count: int) -> FloatArray:
@@ -512,57 +565,84 @@ def _levels(count: int) -> FloatArray:
 
 
 def _prior_moments(
-    geometry: SocketGeometry, clusters: tuple[str, ...], settings: ForceMapSettings
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Covariances under the M draws of the prior, from which any channels can condition the forces.
+    geometry: SocketGeometry, clusters: tuple[str, ...], hypotheses: list[SimpleNamespace]
+) -> tuple[FloatArray, ...]:
+    """Covariances under the M hypotheses, from which any channels can condition the forces.
 
     Returns:
         That of the channels, shape (M, c, c), of the forces with the channels, shape (M, n, 4, c),
-        and the variances of the forces, shape (M, n, 4).
+        the variances of the forces, shape (M, n, 4), and of the channels' noise, shape (M, c).
     """
     count = len(geometry)
     # From a tile's frame to x, y, z of {S} and the normal.
     along_normal = np.broadcast_to([[0.0, 0.0, 1.0]], (count, 1, 3))
     turned = np.concatenate([geometry.rotations, along_normal], axis=1)
-    tile = np.arange(3 * count).reshape(count, 3)
-    correlation = surface_correlation(geometry, settings.length)
-    motions = _rigid_motions(geometry, settings.arm)
-    total, cross, variances = [], [], []
-    for drawn in _draw(settings):
-        prior = _prior(geometry, correlation, motions, drawn)
+    total, cross, variances, noise = [], [], [], []
+    for drawn in hypotheses:
+        prior = _Prior(geometry, drawn)
         mapping = _mapping(geometry, clusters, drawn.share)
-        mapped = prior @ mapping.T
-        signal = mapping @ mapped
-        total.append(signal + _noise(signal, drawn))
-        cross.append(turned @ mapped.reshape(count, 3, -1))
-        before = turned @ prior[tile[:, :, None], tile[:, None]]
-        variances.append((before * turned).sum(axis=2))
-    return np.array(total), np.array(cross), np.array(variances)
+        mapped = prior.times(mapping.T.reshape(count, 3, -1))
+        signal = mapping @ mapped.reshape(3 * count, -1)
+        noise.append(_noise(signal, drawn))
+        total.append(signal + np.diag(noise[-1]))
+        cross.append(turned @ mapped)
+        variances.append((turned @ prior.blocks() * turned).sum(axis=2))
+    return np.array(total), np.array(cross), np.array(variances), np.array(noise)
 
 
-def _prior(
-    geometry: SocketGeometry,
-    correlation: FloatArray,
-    motions: FloatArray,
-    settings: ForceMapSettings,
-) -> FloatArray:
-    """Covariance K of all forces in the tiles' frames, shape (3n, 3n) [N^2]: see this module."""
-    count = len(geometry)
-    bed = motions * np.array([settings.bed_shear, settings.bed_shear, 1.0])[:, None]
-    bed = bed / np.sqrt((bed**2).sum(axis=1).mean(axis=0))
-    sizes = [settings.bed, settings.bed, settings.sinking, *[settings.rotation] * 3]
-    bed = (bed * sizes).reshape(3 * count, 6)
-    varying = 1.0 + settings.bed_variation**2 * correlation
-    prior = (bed @ bed.T) * np.kron(varying, np.ones((3, 3)))
-    for axis, size in enumerate((settings.shear, settings.shear, 1.0)):
-        prior[axis::3, axis::3] += size**2 * correlation
-    prior[2::3, 2::3] += settings.preload**2
+class _Prior:
+    """The forces in the tiles' frames under one hypothesis: their covariance K, by its parts."""
 
-    drag = np.tile(np.eye(3), (count, 1, 1))
-    drag[:, :2, 2] = settings.drag * (proximal_direction(geometry) @ geometry.rotations)[:, :2]
-    prior = drag @ prior.reshape(count, 3, 3 * count)
-    prior = drag @ np.moveaxis(prior.reshape(3 * count, count, 3), 0, 2)
-    return settings.normal_deviation**2 * prior.reshape(3 * count, 3 * count)
+    def __init__(self, geometry: SocketGeometry, sizes: SimpleNamespace) -> None:
+        count = len(geometry)
+        self._correlation = wall_correlation(geometry, sizes.length)
+        self._field = np.array([sizes.shear, sizes.shear, 1.0])
+        self._preload = sizes.preload
+        bed = np.array([sizes.bed_shear, sizes.bed_shear, 1.0])[:, None]
+        bed = bed * _rigid_motions(geometry, sizes.arm)
+        bed /= np.sqrt((bed**2).sum(axis=1).mean(axis=0))
+        self._bed = bed * [sizes.bed, sizes.bed, sizes.sinking, *[sizes.rotation] * 3]  # (n, 3, 6)
+        self._variation = sizes.bed_variation
+        turned = np.tile(np.eye(3), (count, 1, 1))  # T
+        turned[:, :2, 2] = sizes.drag * (proximal_direction(geometry) @ geometry.rotations)[:, :2]
+        self._turned = sizes.normal_deviation * turned
+
+    def times(self, columns: FloatArray) -> FloatArray:
+        """The product of K and columns of the shape (n, 3, c), of the same shape."""
+        given = np.swapaxes(self._turned, 1, 2) @ columns
+        found = np.tensordot(self._correlation, given, axes=1) * self._field[:, None] ** 2
+        found[:, 2] += self._preload**2 * given[:, 2].sum(axis=0)
+        motions = np.swapaxes(self._bed, 1, 2) @ given  # (n, 6, c)
+        varying = self._variation**2 * np.tensordot(self._correlation, motions, axes=1)
+        found += self._bed @ (motions.sum(axis=0) + varying)
+        return np.asarray(self._turned @ found)
+
+    def blocks(self) -> FloatArray:
+        """The covariances of each tile's force, shape (n, 3, 3) [N^2]."""
+        own = np.diag(self._field**2) + np.diag([0.0, 0.0, self._preload**2])
+        own = own + (1.0 + self._variation**2) * self._bed @ np.swapaxes(self._bed, 1, 2)
+        return np.asarray(self._turned @ own @ np.swapaxes(self._turned, 1, 2))
+
+    def draw(self, numbers: FloatArray) -> FloatArray:
+        """Draws of the forces from D rows of standard normal numbers, shape (D, 3n) [N].
+
+        Args:
+            numbers: Shape (D, `numbers_of`).
+        """
+        count, tiles = len(numbers), len(self._correlation)
+        parts = np.split(numbers, [3 * tiles, 9 * tiles, 9 * tiles + 1], axis=1)
+        root = np.linalg.cholesky(self._correlation)
+        field, varying = (root @ part.reshape(count, tiles, -1) for part in parts[:2])
+        field *= self._field
+        field[..., 2] += self._preload * parts[2]
+        motions = parts[3][:, None] + self._variation * varying
+        field += np.einsum("naj,dnj->dna", self._bed, motions)
+        return np.einsum("nab,dnb->dna", self._turned, field).reshape(count, -1)
+
+    @staticmethod
+    def numbers_of(tiles: int) -> int:
+        """Numbers that a draw of the forces on so many tiles takes."""
+        return 9 * tiles + 7
 
 
 def _mapping(geometry: SocketGeometry, clusters: tuple[str, ...], share: float) -> FloatArray:
@@ -576,10 +656,10 @@ def _mapping(geometry: SocketGeometry, clusters: tuple[str, ...], share: float) 
     return np.vstack([wrench.reshape(6, -1), local.reshape(-1, 3 * count)])
 
 
-def _noise(signal: FloatArray, settings: ForceMapSettings) -> FloatArray:
-    """Covariance R of noise, offset and gain of the channels, diagonal, by the prior's H K H'."""
+def _noise(signal: FloatArray, settings: SimpleNamespace) -> FloatArray:
+    """Variances R of noise, offset and gain of the channels, by the prior's H K H', shape (c,)."""
     clusters = len(signal) - len(WRENCH_CHANNELS)
     errors = (settings.moment_error, settings.force_error, settings.cluster_error)
     offset = np.repeat(errors, (3, 3, clusters))
     gain = np.repeat([0.0, settings.cluster_gain_error], (len(WRENCH_CHANNELS), clusters))
-    return np.diag(offset**2 + gain**2 * np.diag(signal))
+    return np.asarray(offset**2 + gain**2 * np.diag(signal))

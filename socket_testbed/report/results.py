@@ -19,7 +19,7 @@ from socket_testbed.identification.evaluation import (
     predict_channels,
 )
 from socket_testbed.identification.fit import Fit, fit_contact_model
-from socket_testbed.identification.force_map import ForceMap, MapEstimate, without_untrusted
+from socket_testbed.identification.force_map import MapEstimate, map_trial
 from socket_testbed.identification.information import (
     Engagement,
     LoadShare,
@@ -261,11 +261,9 @@ def _read_pressure(
     """Pressure over a segment and at instants of the trial, from the force map."""
     geometry, side = trial.geometry, trial.metadata.side
     leave_out = settings.identification.leave_out
-    usable = without_untrusted(samples, geometry, leave_out)
-    chosen = without_untrusted(samples[segment.rows], geometry, leave_out)
-    force_map = ForceMap(geometry, samples.clusters, settings.force_map)
+    force_map, usable = map_trial(samples, geometry, settings.force_map, leave_out)
     places = all_regions(geometry, side)
-    outputs = pressure_outputs(force_map, chosen, geometry, places, THRESHOLD)
+    outputs = pressure_outputs(force_map, usable[segment.rows], geometry, places, THRESHOLD)
     spread = np.linspace(0, len(samples) - 1, min(len(samples), _INSTANTS)).round()
     rows = np.union1d(spread.astype(np.int64), [segment.rows.start + outputs.peak_row])
     time = samples.time

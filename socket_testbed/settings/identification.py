@@ -139,46 +139,48 @@ class ForceMapSettings(Settings):
     """
 
     normal_deviation: float = setting(
-        3.3, "usual size of a tile's own normal force; the data scales it [N]", 1e-3, 1e4
+        4.5, "usual size of a tile's own normal force; the data scales it [N]", 1e-3, 1e4
     )
-    length: float = setting(
-        0.06, "length along the surface over which forces are alike [m]", 1e-3, 1.0
-    )
+    length: float = setting(0.08, "distance over which forces are alike [m]", 1e-3, 1.0)
     shear: float = setting(
-        0.3, "a tile's own tangential force, relative to its own normal force [-]", 1e-3, 1e2
+        0.2, "a tile's own tangential force, relative to its own normal force [-]", 1e-3, 1e2
     )
-    preload: float = setting(0.7, "normal force common to all tiles, relative to it [-]", 1e-3, 1e2)
+    length_spread: float = setting(
+        0.5, "standard deviation of the logarithm of length [-]", 0.0, 1.0
+    )
+    preload: float = setting(1.2, "normal force common to all tiles, relative to it [-]", 1e-3, 1e2)
     bed: float = setting(
-        0.6, "forces of a bed of springs as the limb moves sideways, relative to it [-]", 1e-3, 1e2
+        0.5, "forces of a bed of springs as the limb moves sideways, relative to it [-]", 1e-3, 1e2
     )
-    sinking: float = setting(1.1, "the same as the limb sinks, relative to it [-]", 1e-3, 1e2)
-    rotation: float = setting(0.2, "the same as the limb turns, relative to it [-]", 1e-3, 1e2)
+    sinking: float = setting(1.4, "the same as the limb sinks, relative to it [-]", 1e-3, 1e2)
+    rotation: float = setting(0.15, "the same as the limb turns, relative to it [-]", 1e-3, 1e2)
     bed_shear: float = setting(
-        0.06, "tangential stiffness of the bed, relative to its normal stiffness [-]", 1e-3, 1e1
+        0.05, "tangential stiffness of the bed, relative to its normal stiffness [-]", 1e-3, 1e1
     )
     bed_variation: float = setting(
-        0.5, "variation of the bed's stiffness over the surface, relative to its mean [-]",
+        0.7, "variation of the bed's stiffness over the surface, relative to its mean [-]",
         1e-3, 1e1,
     )  # fmt: skip
     arm: float = setting(
         0.06, "distance at which a rotation counts like a translation [m]", 1e-3, 1.0
     )
     drag: float = setting(
-        0.18, "distal force on a tile by friction, relative to its normal force [-]", -1.0, 1.0
+        0.1, "distal force on a tile by friction, relative to its normal force [-]", -1.0, 1.0
     )
-    share: float = setting(0.85, "share of the load that the tiles bear, mean [-]", 0.2, 1.0)
-    share_spread: float = setting(0.05, "its standard deviation [-]", 0.0, 0.2)
+    drag_spread: float = setting(0.1, "its standard deviation [-]", 0.0, 0.5)
+    share: float = setting(0.88, "share of the load that the tiles bear, mean [-]", 0.2, 1.0)
+    share_spread: float = setting(0.07, "its standard deviation [-]", 0.0, 0.3)
     moment_error: float = setting(
-        0.4, "offset of a moment, and what the surface between the tiles adds to it [N m]",
+        0.7, "offset of a moment, and what the surface between the tiles adds to it [N m]",
         1e-6, 1e2,
     )  # fmt: skip
     force_error: float = setting(4.0, "the same of a force of the load cell [N]", 1e-6, 1e3)
-    cluster_error: float = setting(0.6, "offset of a force on a cluster [N]", 1e-6, 1e3)
+    cluster_error: float = setting(0.3, "offset of a force on a cluster [N]", 1e-6, 1e3)
     cluster_gain_error: float = setting(0.05, "error of a cluster's gain [-]", 0.0, 1.0)
     cluster_error_spread: float = setting(
-        1.5, "standard deviation of the logarithm of cluster_error [-]", 0.0, 3.0
+        1.0, "standard deviation of the logarithm of cluster_error [-]", 0.0, 3.0
     )
     spread: float = setting(
         1.0, "the same of bed_shear, bed_variation and the relative sizes [-]", 0.0, 2.0
     )
-    draws: int = setting(4, "draws of these; 1: all are as given [1]", 1, 64)
+    draws: int = setting(64, "hypotheses of these; 1: all are as given [1]", 1, 1024)

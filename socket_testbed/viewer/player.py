@@ -19,7 +19,7 @@ from socket_testbed.errors import TestbedError
 from socket_testbed.geometry.pose import Pose
 from socket_testbed.geometry.regions import all_regions
 from socket_testbed.geometry.socket import SocketGeometry
-from socket_testbed.identification.force_map import ForceMap, without_untrusted
+from socket_testbed.identification.force_map import ForceMap, map_trial
 from socket_testbed.identification.model_file import StoredModel
 from socket_testbed.identification.noise import smooth_poses
 from socket_testbed.identification.plausibility import require_position
@@ -171,15 +171,18 @@ class Player:
         smoothing = 0.0 if model is None else model.settings.pose_smoothing
         settings = trial.estimator
         period = float(np.median(np.diff(samples.time))) if len(samples) > 1 else 0.0
+        force_map, trusted = map_trial(
+            samples, geometry, settings.force_map, settings.identification.leave_out
+        )
         return _Part(
             samples=samples,
             time=samples.time,
             gap=_GAP * period,
-            trusted=without_untrusted(samples, geometry, settings.identification.leave_out),
+            trusted=trusted,
             poses=smooth_poses(samples, smoothing).pose,
             socket=socket @ geometry.socket_body.inverse(),
             limb=pylon @ geometry.limb,
-            map=ForceMap(geometry, samples.clusters, settings.force_map),
+            map=force_map,
             sensors={
                 "load cell": _missing(samples.wrench),
                 **{name: samples.status[:, i] for i, name in enumerate(samples.clusters)},

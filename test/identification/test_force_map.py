@@ -1,24 +1,26 @@
 """The force map against an independent conditioning, and its properties."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from support.problems import make_samples
 
 from socket_testbed.files import packaged
+from socket_testbed.geometry.axis import proximal_direction
 from socket_testbed.geometry.socket import read_socket
 from socket_testbed.identification.force_map import (
     ForceMap,
     MapEstimate,
-    _draw,
+    _hypotheses,
     _mapping,
     _noise,
-    _prior,
+    _Prior,
     _rice_deviation,
     _rigid_motions,
-    map_samples,
-    surface_correlation,
+    map_trial,
+    wall_correlation,
 )
 from socket_testbed.identification.validation import close_wrench, inverse_distance
 from socket_testbed.samples import Samples, Status
@@ -47,22 +49,66 @@ def fields(estimate: MapEstimate) -> list[np.ndarray]:
     return [value for value in vars(estimate).values() if isinstance(value, np.ndarray)]
 
 
-def test_the_correlation_of_the_surface_is_positive_definite() -> None:
-    for length in (0.01, 0.05, 0.3):
-        correlation = surface_correlation(GEOMETRY, length)
-        assert np.linalg.eigvalsh(correlation).min() > 0.0
-        np.testing.assert_allclose(np.diag(correlation), 1.0)
+def whole_prior(sizes: SimpleNamespace) -> np.ndarray:
+    """The prior's covariance as the module's equation states it, shape (3n, 3n)."""
+    tiles = len(GEOMETRY)
+    correlation = wall_correlation(GEOMETRY, sizes.length)
+    bed = np.diag([sizes.bed_shear, sizes.bed_shear, 1.0]) @ _rigid_motions(GEOMETRY, sizes.arm)
+    bed /= np.sqrt((bed**2).sum(axis=(0, 1)) / tiles)
+    bed *= [sizes.bed, sizes.bed, sizes.sinking, *[sizes.rotation] * 3]
+    bed = bed.reshape(-1, 6)
+    prior = np.kron(correlation, np.diag([sizes.shear, sizes.shear, 1.0]) ** 2)
+    prior += sizes.preload**2 * np.kron(np.ones((tiles, tiles)), np.diag([0.0, 0.0, 1.0]))
+    varying = 1.0 + sizes.bed_variation**2 * correlation
+    prior += (bed @ bed.T) * np.kron(varying, np.ones((3, 3)))
+    drag = np.eye(3 * tiles)
+    proximal = proximal_direction(GEOMETRY) @ GEOMETRY.rotations
+    for axis in (0, 1):
+        drag[np.arange(axis, 3 * tiles, 3), np.arange(2, 3 * tiles, 3)] = (
+            sizes.drag * proximal[:, axis]
+        )
+    return sizes.normal_deviation**2 * drag @ prior @ drag.T
 
 
-def test_live_and_offline_agree_and_pressures_are_those_of_the_forces(force_map: ForceMap) -> None:
-    samples = some_samples()
-    samples.status[2, 1] = Status.SATURATED
-    samples.wrench[3, 4] = np.nan
-    together = force_map.estimate(samples)
-    for k in range(len(samples)):
-        alone = force_map.update(samples.wrench[k], samples.local_forces[k], samples.status[k])
-        for one, many in zip(fields(alone), fields(together), strict=True):
-            np.testing.assert_allclose(one[0], many[k], rtol=1e-9, atol=1e-9)
+def test_the_prior_s_parts_are_its_equation_s() -> None:
+    tiles = len(GEOMETRY)
+    for sizes in _hypotheses(ForceMapSettings())[:3]:
+        whole, prior = whole_prior(sizes), _Prior(GEOMETRY, sizes)
+        columns = np.random.default_rng(0).normal(size=(3 * tiles, 2))
+        found = prior.times(columns.reshape(tiles, 3, 2)).reshape(-1, 2)
+        np.testing.assert_allclose(found, whole @ columns, rtol=1e-9, atol=1e-9 * whole.max())
+        blocks = whole.reshape(tiles, 3, tiles, 3)[np.arange(tiles), :, np.arange(tiles)]
+        np.testing.assert_allclose(prior.blocks(), blocks, atol=1e-9 * whole.max())
+        root = prior.draw(np.eye(_Prior.numbers_of(tiles)))  # a draw is linear in its numbers
+        np.testing.assert_allclose(root.T @ root, whole, atol=1e-9 * whole.max())
+
+
+def test_hypotheses_follow_the_stated_distributions() -> None:
+    settings = ForceMapSettings(draws=256, spread=2.0)
+    found = _hypotheses(settings)
+    assert vars(found[0]) == pytest.approx(vars(settings))
+    for name, spread in (("sinking", 2.0), ("length", 0.5), ("cluster_error", 1.0)):
+        logs = np.log([getattr(sizes, name) / getattr(settings, name) for sizes in found])
+        assert abs(np.median(logs)) < 0.1 * spread and abs(logs.std() - spread) < 0.1 * spread
+    assert max(sizes.share for sizes in found) <= 1.0
+
+
+def test_a_trial_s_evidence_weighs_the_hypotheses_of_each_of_its_samples() -> None:
+    samples = some_samples(30)
+    whole = ForceMap(GEOMETRY, CLUSTERS, trial=samples)
+    np.testing.assert_allclose(
+        whole.estimate(samples[4:5]).forces[0], whole.estimate(samples).forces[4]
+    )
+    alone = ForceMap(GEOMETRY, CLUSTERS).estimate(samples[4:5])
+    assert not np.allclose(alone.forces[0], whole.estimate(samples[4:5]).forces[0])
+    live = ForceMap(GEOMETRY, CLUSTERS)
+    for k in range(30):
+        last = live.update(samples.wrench[k], samples.local_forces[k], samples.status[k])
+    np.testing.assert_allclose(last.forces[0], whole.estimate(samples).forces[29])
+
+
+def test_pressures_are_those_of_the_forces(force_map: ForceMap) -> None:
+    together = force_map.estimate(some_samples())
     local = np.einsum("nji,knj->kni", GEOMETRY.rotations, together.forces)
     np.testing.assert_allclose(together.normal_pressure, -local[..., 2] / GEOMETRY.areas)
     shear = np.linalg.norm(local[..., :2], axis=-1) / GEOMETRY.areas
@@ -88,7 +134,7 @@ def test_a_dropped_channel_is_as_if_it_never_was() -> None:
 
 def test_less_is_known_with_less_measured(force_map: ForceMap) -> None:
     samples = some_samples()
-    settings = ForceMapSettings(draws=1, cluster_error_spread=0.0)
+    settings = ForceMapSettings(draws=1)
     single = ForceMap(GEOMETRY, CLUSTERS, settings)
     complete = single.estimate(samples)
     samples.status[:, 0] = Status.OUT_OF_RANGE
@@ -137,7 +183,8 @@ def test_outliers_and_channels_left_out_do_not_count() -> None:
     samples = some_samples(40)
     samples.local_forces[7, 2, 0] = 1e9
     samples.wrench[:, 2] += 40.0
-    found = map_samples(samples, GEOMETRY, ForceMapSettings(), ("Mz",))
+    force_map, trusted = map_trial(samples, GEOMETRY, ForceMapSettings(), ("Mz",))
+    found = force_map.estimate(trusted)
     samples.local_forces[7, 2, 0] = np.nan
     samples.wrench[:, 2] = np.nan
     expected = ForceMap(GEOMETRY, CLUSTERS).estimate(samples)
@@ -146,7 +193,7 @@ def test_outliers_and_channels_left_out_do_not_count() -> None:
 
 def test_joint_draws_have_the_posterior_of_a_plain_conditioning() -> None:
     """With one draw of the prior's sizes, the posterior is a multivariate t distribution."""
-    settings = ForceMapSettings(draws=1, cluster_error_spread=0.0, spread=0.0)
+    settings = ForceMapSettings(draws=1)
     force_map = ForceMap(GEOMETRY, CLUSTERS, settings)
     samples = some_samples(1)
     samples.status[0, 2] = Status.MISSING
@@ -154,18 +201,17 @@ def test_joint_draws_have_the_posterior_of_a_plain_conditioning() -> None:
     assert joint.rows.tolist() == [0]
     draws = joint.values()[0]
 
-    (drawn, *_) = _draw(settings)
-    correlation = surface_correlation(GEOMETRY, settings.length)
-    prior = _prior(GEOMETRY, correlation, _rigid_motions(GEOMETRY, settings.arm), drawn)
+    (drawn,) = _hypotheses(settings)
+    prior = whole_prior(drawn)
     kept = np.repeat([True, True, True, True, False, True], 3)
     mapping = _mapping(GEOMETRY, CLUSTERS, drawn.share)
     total = mapping @ prior @ mapping.T
-    total = (total + _noise(total, drawn))[np.ix_(kept, kept)]
+    total = (total + np.diag(_noise(total, drawn)))[np.ix_(kept, kept)]
     mapping = mapping[kept]
     measured = np.concatenate([samples.wrench[0], samples.local_forces[0].ravel()])[kept]
     gain = np.linalg.solve(total, mapping @ prior).T
     square = measured @ np.linalg.solve(total, measured)
-    covariance = (prior - gain @ mapping @ prior) * (6.0 + square) / (6.0 + 15.0 - 2.0)
+    covariance = (prior - gain @ mapping @ prior) * (2.0 + square) / (2.0 + 15.0 - 2.0)
 
     deviation = np.sqrt(np.diag(covariance))
     assert np.abs((draws.mean(axis=0) - gain @ measured) / deviation).max() < 1e-6  # in pairs
