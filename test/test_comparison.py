@@ -39,19 +39,6 @@ def test_angles_differ_the_short_way_round() -> None:
         np.testing.assert_allclose(table[f"difference{column}"], np.array([20.0, 30.0]) + reach)
 
 
-def test_a_value_that_is_not_determined_has_an_interval_alone() -> None:
-    values = np.array([[1.0, 2.0], [3.0, 5.0]])
-    known = np.array([[True, False], [False, True]])
-    ends = values - 1.0, values + 1.0
-    table = values_table("tiles", ["a", "b"], "pressure [kPa]", TRIALS, values, *ends, known)
-    table = table.set_index(["name", "item"])
-    row = table.loc[("a", "two")]
-    assert row[["value", "difference"]].isna().all()
-    assert np.isnan(table.loc[("b", "two"), "difference"])  # the first is not determined
-    assert row["low"] == 2.0
-    assert row["difference low"] == pytest.approx(2.0 - np.sqrt(2.0))
-
-
 def test_clear_differences_are_counted_against_chance_and_sorted() -> None:
     values = np.array([[1.0, 1.0, 1.0, 1.0], [1.2, 9.0, -4.0, 1.0]])
     reach = np.array([1.0, 1.0, 1.0, 0.0])  # the last has no uncertainty, as a share of all

@@ -24,7 +24,7 @@ import numpy as np
 from socket_testbed.api.pressure import OF_TILES, TrialPressure, pressure
 from socket_testbed.api.result import Result, records
 from socket_testbed.api.trials import PathLike, Progress, open_trial, started
-from socket_testbed.arrays import BoolArray, FloatArray
+from socket_testbed.arrays import FloatArray
 from socket_testbed.errors import ConfigurationError, TrialError
 from socket_testbed.files import atomic_output
 from socket_testbed.geometry.regions import Region
@@ -56,9 +56,7 @@ _VALUE = ("value", "low", "high")
 _DIFFERENCE = ("difference", "difference low", "difference high")
 _VALUES = (*_VALUE, *_DIFFERENCE)
 COLUMNS = ("part", "name", "quantity", "unit", "item", *_VALUES, "text")
-LEGEND = (
-    "value (95 % interval); n.d.: not determined; *: the interval of the difference excludes 0."
-)
+LEGEND = "value (95 % interval); *: the interval of the difference excludes 0."
 _MEAN = "mean pressure [kPa]"
 _HEADINGS = {
     "metadata": "Metadata of the trials",
@@ -101,28 +99,18 @@ def values_table(
     values: FloatArray,
     low: FloatArray | None = None,
     high: FloatArray | None = None,
-    determined: BoolArray | None = None,
 ) -> pd.DataFrame:
     """A quantity of m things in k trials, shape (k, m), in the columns of `COLUMNS`.
 
-    `title` holds its unit; degrees repeat after 360. Where a value is not determined, its 95 %
-    interval stands alone.
+    `title` holds its unit; degrees repeat after 360.
     """
     import pandas as pd
 
     low, high = (np.full(values.shape, np.nan) if end is None else end for end in (low, high))
-    determined = np.full(values.shape, True) if determined is None else determined
     difference, lower, upper = difference_intervals(values, low, high)
     name, unit = split_unit(title)
     turns = 360.0 * np.round(difference / 360.0) if unit == "deg" else 0.0
-    columns = (
-        np.where(determined, values, np.nan),
-        low,
-        high,
-        np.where(determined & determined[0], difference - turns, np.nan),
-        lower - turns,
-        upper - turns,
-    )
+    columns = (values, low, high, difference - turns, lower - turns, upper - turns)
     table = {
         "part": part,
         "name": np.repeat(np.array(names, dtype=object), len(values)),
@@ -171,7 +159,7 @@ class Comparison(Result):
         Columns: `part` (such as `regions`), `name` (such as `anterior proximal`), `quantity` and
         `unit`, `item` (the trial), `value` with the ends `low` and `high` of its 95 % interval,
         `difference` to the first trial with `difference low` and `difference high`, and `text` of
-        what is no number. A value that is not determined is NaN beside its interval.
+        what is no number.
         """
         return self.table.copy()
 
@@ -273,14 +261,14 @@ class Comparison(Result):
 
 
 def _cell(row: Mapping[str, Any], columns: Sequence[str]) -> str:
-    """A value or difference with its interval; the interval alone where it is not determined."""
+    """A value or difference with its interval."""
     digits, sign = _DIGITS.get(row["unit"], 1), "+" if columns == _DIFFERENCE else ""
     value, low, high = (row[name] for name in columns)
     shown = f"{value:{sign}z.{digits}f}" if np.isfinite(value) else ""
     if not np.isfinite([low, high]).all():
         return shown
     differs = " *" if sign and (low > 0.0 or high < 0.0) else ""
-    return f"{shown or 'n.d.'} ({low:z.{digits}f} to {high:z.{digits}f}){differs}"
+    return f"{shown} ({low:z.{digits}f} to {high:z.{digits}f}){differs}"
 
 
 def compare(
@@ -536,8 +524,8 @@ def _of_output(
     """An output, of `TITLES`, of the things in some rows of each trial's `part`."""
     quantities = [read_column(getattr(each.outputs, part), title) for each in found]
     columns = [
-        (q.value[row], q.low[row], q.high[row], q.determined(each.share)[row])
-        for q, row, each in zip(quantities, map(list, rows), found, strict=True)
+        (q.value[row], q.low[row], q.high[row])
+        for q, row in zip(quantities, map(list, rows), strict=True)
     ]
     return values_table(part, names, title, items, *map(np.array, zip(*columns, strict=True)))
 

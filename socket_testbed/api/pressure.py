@@ -30,7 +30,6 @@ from socket_testbed.identification.pressure import (
     TITLES,
     PressureOutputs,
     RegionOutputs,
-    interval_end,
     normal_quantity,
     pressure_outputs,
     read_column,
@@ -164,7 +163,7 @@ class TrialPressure(Result):
     places: tuple[Region, ...]  # the last one is the socket
     outputs: PressureOutputs
     threshold: float  # [kPa]; a tile with a higher pressure is in contact
-    share: float  # [-]; of a value: if its interval reaches farther, it is not determined
+    share: float  # [-]; of a value: if its interval reaches farther, it is uncertain
 
     def __repr__(self) -> str:
         socket = self.regions.iloc[-1]
@@ -188,7 +187,7 @@ class TrialPressure(Result):
     def regions(self) -> pd.DataFrame:
         """Outputs over the segment, a row per region, then `socket`.
 
-        Columns: each of `TITLES`, NaN where it is not determined, with the ends of its 95 %
+        Columns: each of `TITLES`, the best estimate under the posterior, with the ends of its 95 %
         interval, such as `peak pressure low [kPa]`; and `nearest tile` to the centre of pressure.
         """
         table = self._table(self.outputs.regions, [place.name for place in self.places], TITLES)
@@ -214,8 +213,8 @@ class TrialPressure(Result):
         """Outputs of the regions and stresses of the tiles at every sample, by `time [s]`.
 
         Columns such as `anterior proximal.mean pressure [kPa]`, and `distal.pressure [kPa]` and
-        `distal.shear [kPa]` of the tiles, with the ends of their 95 % intervals; NaN where a value
-        is not determined. The intervals of tiles are 1.96 standard deviations of the force map.
+        `distal.shear [kPa]` of the tiles, with the ends of their 95 % intervals. Those of tiles
+        are 1.96 standard deviations of the force map.
         """
         import pandas as pd
 
@@ -231,14 +230,14 @@ class TrialPressure(Result):
         )
         of_shear = normal_quantity(1e-3 * estimate.shear, 1e-3 * estimate.shear_standard_deviation)
         of_shear = dataclasses.replace(of_shear, low=np.maximum(of_shear.low, 0.0))
-        found = with_interval("pressure [kPa]", of_pressure, self.share)
-        found |= with_interval("shear [kPa]", of_shear, self.share)
+        found = with_interval("pressure [kPa]", of_pressure)
+        found |= with_interval("shear [kPa]", of_shear)
         for tile, name in enumerate(self.trial.geometry.names):
             columns |= {f"{name}.{title}": values[:, tile] for title, values in found.items()}
         return pd.DataFrame(columns, index=pd.Index(self.time, name="time [s]"))
 
     def document(self) -> dict[str, Any]:
-        """The outputs for JSON: a value that is not determined is null beside its interval."""
+        """The outputs for JSON, each value with its interval and whether it is uncertain."""
         regions = self.regions
         tiles = {place.name: place.tiles for place in self.places}
         names = self.trial.geometry.names
@@ -252,12 +251,15 @@ class TrialPressure(Result):
             "regions": {
                 name: {
                     "tiles": [names[tile] for tile in tiles[str(name)]],
-                    "nearest tile": row["nearest tile"] or None,
-                    **_values(row, TITLES),
+                    "nearest tile": regions["nearest tile"].iloc[row] or None,
+                    **self._values(self.outputs.regions, row, TITLES),
                 }
-                for name, row in regions.iterrows()
+                for row, name in enumerate(regions.index)
             },
-            "tiles": {name: _values(row, OF_TILES) for name, row in self.tiles.iterrows()},
+            "tiles": {
+                name: self._values(self.outputs.tiles, row, OF_TILES)
+                for row, name in enumerate(names)
+            },
         }
 
     def save(self, path: PathLike, over_time: bool = False) -> None:
@@ -303,8 +305,21 @@ class TrialPressure(Result):
         """Columns by their titles, each with the ends of its interval."""
         columns: dict[str, FloatArray] = {}
         for title in titles:
-            columns |= with_interval(title, read_column(found, title), self.share)
+            columns |= with_interval(title, read_column(found, title))
         return columns
+
+    def _values(self, found: RegionOutputs, row: int, titles: Sequence[str]) -> dict[str, Any]:
+        """The values of a region or tile with their intervals, for JSON."""
+        values = {}
+        for title in titles:
+            quantity = read_column(found, title)
+            values[title] = {
+                "value": finite_or_null(quantity.value[row]),
+                "low": finite_or_null(quantity.low[row]),
+                "high": finite_or_null(quantity.high[row]),
+                "uncertain": not quantity.certain(self.share)[row],
+            }
+        return values
 
     def _nearest(self, centre: FloatArray) -> str:
         """Name of the tile nearest to a point [m]; empty if it is not known."""
@@ -317,18 +332,6 @@ class TrialPressure(Result):
 def _clusters_by_tile(geometry: SocketGeometry) -> list[str]:
     clusters = {tile: cluster for cluster, tile in geometry.clusters.items()}
     return [clusters.get(tile, "") for tile in range(len(geometry))]
-
-
-def _values(row: pd.Series, titles: Sequence[str]) -> dict[str, Any]:
-    """A row's values with their intervals, for JSON."""
-    return {
-        title: {
-            "value": finite_or_null(row[title]),
-            "low": finite_or_null(row[interval_end(title, "low")]),
-            "high": finite_or_null(row[interval_end(title, "high")]),
-        }
-        for title in titles
-    }
 
 
 def pressure(
@@ -351,8 +354,7 @@ def pressure(
         trial: The trial.
         segment: As `specification` in `st.select_segment`, or a `Segment`.
         threshold: Pressure above which a tile is in contact [kPa].
-        share: A value whose interval reaches farther than this share of it is not determined: it
-            is NaN, and its interval stands beside it [-].
+        share: A value whose interval reaches farther than this share of it is called uncertain [-].
         regions: Names of tiles by the names of regions, instead of those of `socket.yaml`.
         params: A `testbed.yaml` to use instead of the trial's own; its group `force_map` is the
             prior.
@@ -370,7 +372,7 @@ def pressure(
     >>> found.save("pressure.csv")
     """
     check_number(threshold, "--threshold", 0.0, 1e4)
-    check_number(share, "--share", 0.0, 1e3)
+    check_number(share, "--share", 0.0, 10.0)
     settings = estimator_settings(trial.estimator, as_path(params), leave_out=leave_out)
     geometry = trial.geometry
     places = _regions(trial, regions)

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -27,7 +26,7 @@ from socket_testbed.identification.pressure import TITLES, interval_end
 from socket_testbed.trials.trial import Trial
 
 if TYPE_CHECKING:
-    import pandas as pd
+    pass
 
 _ABREAST = 3  # outputs in a table
 _SHOWN = 8  # tiles of a map
@@ -101,36 +100,34 @@ def _row(found: TrialPressure) -> Row:
 
 def pressure_tables(found: TrialPressure) -> str:
     """Outputs of the regions, and of the tiles under a cluster, in tables below each other."""
-    tiles = found.tiles
+    document, geometry = found.document(), found.trial.geometry
+    measured = {name: geometry.names[tile] for name, tile in geometry.clusters.items()}
+    clusters = {f"{tile}, {name}": document["tiles"][tile] for name, tile in measured.items()}
     parts = [
-        *_tables("region", found.regions),
-        *_tables("tile under a cluster", tiles[tiles["cluster"] != ""]),
-        f"value (95 % interval); not determined: the interval reaches farther from the value than"
-        f" {found.share:g} of it\nin contact: above {found.threshold:g} kPa; the integrals cover"
-        f" {found.outputs.integrated:.1f} s",
+        *_tables("region", document["regions"]),
+        *_tables("tile under a cluster", clusters),
+        "best estimate under the posterior (95 % interval); uncertain: the interval reaches"
+        f" farther from the value than {found.share:g} of it\nin contact: above"
+        f" {found.threshold:g} kPa; the integrals cover {found.outputs.integrated:.1f} s",
     ]
     return "\n".join(parts)
 
 
-def _tables(label: str, outputs: pd.DataFrame) -> list[str]:
+def _tables(label: str, outputs: Mapping[str, Mapping[str, Any]]) -> list[str]:
     """Outputs with their intervals, a row per region or tile, some columns a table."""
-    known = [title for title in TITLES if title in outputs]
+    known = [title for title in TITLES if title in next(iter(outputs.values()), ())]
     groups = [known[start : start + _ABREAST] for start in range(0, len(known), _ABREAST)]
-    return [
-        table([label, *titles], [[str(n), *_cells(row, titles)] for n, row in outputs.iterrows()])
-        + "\n"
-        for titles in groups
-    ]
+    found = []
+    for titles in groups:
+        rows = [[name, *(_cell(of[title]) for title in titles)] for name, of in outputs.items()]
+        found.append(table([label, *titles], rows) + "\n")
+    return found
 
 
-def _cells(row: pd.Series, titles: Sequence[str]) -> list[str]:
-    """Values with their intervals, or the intervals alone where a value is not determined."""
-    cells = []
-    for title in titles:
-        low, high = (number(row[interval_end(title, end)], 1) for end in ("low", "high"))
-        value = number(row[title], 1) if math.isfinite(row[title]) else "not determined"
-        cells.append(f"{value} ({low} to {high})")
-    return cells
+def _cell(quantity: Mapping[str, Any]) -> str:
+    """A value with its interval, and whether it is uncertain."""
+    value, low, high = (number(quantity[part], 1) for part in ("value", "low", "high"))
+    return f"{value} ({low} to {high})" + " uncertain" * quantity["uncertain"]
 
 
 def pressure_columns(found: TrialPressure) -> Row:

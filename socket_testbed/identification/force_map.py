@@ -397,7 +397,8 @@ class ForceMap:
                 noise[which] *= np.sqrt(self._moments[3][number])
                 noise[which] += forces[which] @ mapping.T
             self._drawn = {key: (forces, noise)}
-        return self._drawn[key]
+        forces, noise = self._drawn[key]
+        return forces, noise
 
     def _conditioned(self, pattern: BoolArray) -> _Conditioned:
         """The draws conditioned on a pattern of channels; a pattern is computed once."""

@@ -40,7 +40,7 @@ from socket_testbed.identification.force_map import ForceMap, MapEstimate
 from socket_testbed.samples import Samples
 
 THRESHOLD = 5e3  # [Pa]; a tile above it is in contact, unless another is given
-SHARE = 0.5  # [-]; a value is determined if its interval reaches no farther, likewise
+SHARE = 0.5  # [-]; a value is uncertain if its interval reaches farther than this share of it
 _DRAWS = 200
 _PEAK_WIDENING = 1.25  # [-]; of the errors: the tails of true fields are longer than the draws'
 _QUANTILES = (0.025, 0.5, 0.975)  # [-]
@@ -79,14 +79,10 @@ class Quantity:
     # region for a coordinate, a right angle for a direction
     scale: FloatArray
 
-    def determined(self, share: float) -> BoolArray:
+    def certain(self, share: float = SHARE) -> BoolArray:
         """Where the interval reaches no farther from the value than a share of the scale [-]."""
         reach = np.maximum(self.high - self.value, self.value - self.low)
         return np.asarray(reach <= share * self.scale)  # never where one is NaN
-
-    def masked(self, share: float) -> FloatArray:
-        """The values; NaN where they are not determined."""
-        return np.where(self.determined(share), self.value, np.nan)
 
 
 def normal_quantity(value: FloatArray, deviation: FloatArray) -> Quantity:
@@ -119,10 +115,10 @@ def read_column(found: RegionOutputs, title: str) -> Quantity:
     return Quantity(*(factor * (part if axis is None else part[..., axis]) for part in parts))
 
 
-def with_interval(title: str, quantity: Quantity, share: float) -> dict[str, FloatArray]:
-    """A column and the ends of its interval, by their titles; NaN where it is not determined."""
+def with_interval(title: str, quantity: Quantity) -> dict[str, FloatArray]:
+    """A column and the ends of its interval, by their titles."""
     return {
-        title: quantity.masked(share),
+        title: quantity.value,
         interval_end(title, "low"): quantity.low,
         interval_end(title, "high"): quantity.high,
     }

@@ -27,7 +27,7 @@ from socket_testbed.report.figures.style import (
 from socket_testbed.tables import write_table
 
 NOTHING = "\N{EN DASH}"  # in a cell without a value
-MASKED = "not determined"  # in a cell whose value is
+UNCERTAIN = ", uncertain"  # beside an interval that reaches far
 
 
 def number(value: float, spec: str = ".3g") -> str:
@@ -185,6 +185,6 @@ def _template() -> Any:
         lstrip_blocks=True,
     )
     environment.filters["svg_url"] = svg_url
-    environment.globals |= {"font": FONT, "masked": MASKED}
+    environment.globals |= {"font": FONT, "uncertain": UNCERTAIN}
     environment.policies["json.dumps_kwargs"] = {"separators": (",", ":")}
     return environment.get_template("page.html")

@@ -25,7 +25,7 @@ from socket_testbed.arrays import FloatArray
 from socket_testbed.errors import TestbedError
 from socket_testbed.geometry.regions import Region
 from socket_testbed.geometry.socket import HEIGHTS
-from socket_testbed.identification.pressure import SHARE, read_column
+from socket_testbed.identification.pressure import read_column
 from socket_testbed.trials.metadata import SIDES
 from socket_testbed.viewer.source import (
     HISTORY,
@@ -182,20 +182,20 @@ def regions_html(found: RegionsNow | None) -> str:
     if found is None:
         return ""
     quantities = [read_column(found.outputs, title) for title in _COLUMNS]
-    determined = [quantity.determined(SHARE) for quantity in quantities]
+    certain = [quantity.certain() for quantity in quantities]
     rows = []
     for number, place in enumerate(found.places):
         if _is_part(place, found.places):
             continue
         cells = []
-        for quantity, known in zip(quantities, determined, strict=True):
+        for quantity, known in zip(quantities, certain, strict=True):
             value, low, high = (q[number] for q in (quantity.value, quantity.low, quantity.high))
             if not math.isfinite(value):
                 cells.append("<td>-</td>")
                 continue
-            shown = _digits(value) if known[number] else "<i>undetermined</i>"
-            reach = f"{_digits(low)} to {_digits(high)}"
-            cells.append(f"<td>{shown}<br><small>{reach}</small></td>")
+            pale, word = ("", "") if known[number] else (' style="opacity:.6"', " uncertain")
+            reach = f"{_digits(low)} to {_digits(high)}{word}"
+            cells.append(f"<td{pale}>{_digits(value)}<br><small>{reach}</small></td>")
         rows.append(f'<tr class="row"><td>{escape(place.name)}</td>{"".join(cells)}</tr>')
     head = "".join(f"<th>{title}</th>" for title in _COLUMNS.values())
     widths = '<colgroup><col style="width:19%"></colgroup>'

@@ -25,7 +25,7 @@ from socket_testbed.viewer.source import Instant
 PRESSURE, SHEAR, DEVIATION = "normal pressure", "shear", "standard deviation"
 
 _SMALLEST = 0.4  # [-]; edge of a tile of which nothing is known, by its own
-_LARGEST = 0.92  # [-]; edge of a tile whose value is determined
+_LARGEST = 0.92  # [-]; edge of a tile whose value is certain
 _PALEST = 0.6  # [-]; of a tile's colour, the rest is white
 _STEPS = 20  # of certainty: a tile keeps its size while that hardly changes
 _SQUARE = 0.5 * np.array([[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [1.0, 1.0, 0.0], [-1.0, 1.0, 0.0]])
@@ -191,7 +191,7 @@ class Legend:
         self._words.content = self._describe(estimate)
 
     def _describe(self, estimate: MapEstimate) -> str:
-        """The peak, how well it is known, and how much of the map is determined."""
+        """The peak, how well it is known, and how much of the map is certain."""
         pressure = estimate.normal_pressure[0]
         deviation = estimate.normal_pressure_standard_deviation[0]
         if not np.isfinite(pressure).any():
@@ -201,7 +201,7 @@ class Legend:
         known = reach <= SHARE * np.abs(pressure)
         place = self._places[peak]
         head = f"peak {pressure[peak] / _KPA:.0f} ± {reach[peak] / _KPA:.0f} kPa, {place}"
-        body = f"determined on {known.sum()} of {len(pressure)} tiles; {estimate.source}"
+        body = f"certain on {known.sum()} of {len(pressure)} tiles; {estimate.source}"
         measured = estimate.source.partition("measured: ")[2].split(", ")
         lacking = [name for name in ("wrench", *self._geometry.clusters) if name not in measured]
         warning = f"without {', '.join(lacking)}" if lacking else ""
@@ -342,7 +342,7 @@ def _shown(estimate: MapEstimate, quantity: str) -> tuple[FloatArray, NDArray[np
 
 
 def _certainty(values: FloatArray, deviations: FloatArray) -> NDArray[np.float32]:
-    """How certain values are: 1 where they are determined, less the wider their interval is."""
+    """How certain values are: 1 where they are, less the wider their interval is."""
     reach = np.maximum(NORMAL_QUANTILE * deviations, 1e-9)
     shares = np.nan_to_num(np.clip(SHARE * np.abs(values) / reach, 0.0, 1.0))
     return (np.round(_STEPS * shares) / _STEPS).astype(np.float32)
@@ -392,7 +392,7 @@ def _places(geometry: SocketGeometry) -> list[str]:
 
 def _bar(end: float, quantity: str) -> str:
     ticks = "".join(f"<span>{end * tick / (_TICKS - 1):g}</span>" for tick in range(_TICKS))
-    note = "full squares are determined; the smaller, the wider the 95 % interval"
+    note = "full squares are certain; the smaller, the wider the 95 % interval"
     if quantity == DEVIATION:
         note = ""
     return (

@@ -119,13 +119,13 @@ def test_intervals_hold_their_values_stay_where_values_can_be_and_do_not_average
     assert (found.area.high <= areas + 1e-12).all()
 
 
-def test_a_value_is_determined_where_its_interval_stays_within_a_share_of_it() -> None:
+def test_a_value_is_certain_where_its_interval_stays_within_a_share_of_it() -> None:
     value = np.array([[10.0, 10.0, -10.0, 0.0, 0.0]])
     low, high = np.array([[5.0, 4.9, -15.0, 0.0, -1.0]]), np.array([[15.0, 12.0, -6.0, 0.0, 1.0]])
     quantity = Quantity(value, low, high, np.abs(value))
-    assert quantity.determined(0.5).tolist() == [[True, False, True, True, False]]
+    assert quantity.certain(0.5).tolist() == [[True, False, True, True, False]]
     unknown = replace(quantity, low=np.full_like(low, np.nan))
-    assert not unknown.determined(1e9).any()
+    assert not unknown.certain(1e9).any()
 
 
 def test_a_direction_near_half_a_turn_has_a_narrow_interval() -> None:
@@ -135,7 +135,7 @@ def test_a_direction_near_half_a_turn_has_a_narrow_interval() -> None:
     direction = reader.interval("direction", np.radians([179.0]), drawn)
     np.testing.assert_allclose(np.degrees(direction.low), 179.0, atol=1e-6)
     np.testing.assert_allclose(np.degrees(direction.high), 181.0, atol=1e-6)
-    assert direction.determined(0.5).all()
+    assert direction.certain(0.5).all()
 
 
 def moving_samples(count: int) -> Samples:
@@ -158,7 +158,7 @@ def test_draws_at_some_samples_tell_what_draws_at_all_tell(monkeypatch) -> None:
     samples, regions = moving_samples(700), all_regions(GEOMETRY)
     samples.local_forces[333], samples.wrench[333] = [2.0, -0.8, -80.0], 6.0 * samples.wrench[0]
     samples.status[333] = Status.OK  # a peak of one sample
-    force_map = ForceMap(GEOMETRY, CLUSTERS)
+    force_map = ForceMap(GEOMETRY, CLUSTERS, trial=samples)
     every = pressure_outputs(force_map, samples, GEOMETRY, regions, THRESHOLD)
     monkeypatch.setattr(pressure, "MOST_DRAWN", 100)
     some = pressure_outputs(force_map, samples, GEOMETRY, regions, THRESHOLD)

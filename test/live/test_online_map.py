@@ -130,7 +130,7 @@ def test_outputs_of_a_sample_are_those_of_pressure(hold: Path) -> None:
             ours, known = (getattr(getattr(of, name), end) for of in (found, theirs))
             np.testing.assert_allclose(ours, known, rtol=1e-9)
     text = regions_html(RegionsNow(7.0, live.places, found))
-    assert "socket" in text and "undetermined" in text and "anterior proximal" not in text
+    assert "socket" in text and "uncertain" in text and "anterior proximal" not in text
     assert f"{theirs.peak.value[-1] * 1e-3:.0f}" in text and "at 7.0 s" in text
 
 

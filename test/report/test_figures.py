@@ -153,14 +153,14 @@ def test_tiles_have_the_colours_of_their_values_on_one_scale_unless_their_ranges
     np.testing.assert_allclose(scales, [both, deviation, both])
 
 
-def test_pressure_begins_at_zero_and_hatches_what_is_not_determined(rng):
+def test_pressure_begins_at_zero_and_hatches_what_has_no_value(rng):
     geometry, unit = ring_socket(), "pressure [kPa]"
     values = rng.uniform(5.0, 30.0, len(geometry))
     values[3] = np.nan
-    marks = {"determined": {"mean": np.arange(len(geometry)) != 11}}
+    marks = {"certain": {"mean": np.arange(len(geometry)) != 11}}
     figure = tile_map_figure(geometry, {"mean": values}, unit, from_zero=True, **marks)
     hatched = sum(len(c.get_paths()) for a in figure.axes for c in a.collections if c.get_hatch())
-    assert hatched == 2 and "hatched: not determined" in figure.get_supxlabel()
+    assert hatched == 1 and "pale: uncertain, hatched: no value" in figure.get_supxlabel()
     np.testing.assert_allclose(scales_of(figure, unit), [(0.0, np.nanmax(values))])
     np.testing.assert_array_equal(paint_tiles(geometry, values).fills[3], 1.0)
     known = tile_map_figure(geometry, {"mean": np.nan_to_num(values)}, unit)

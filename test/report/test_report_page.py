@@ -24,7 +24,7 @@ from socket_testbed.identification.evaluation import evaluate, summarise_errors,
 from socket_testbed.identification.pareto import KNEE, SENSOR_ONLY, WRENCH_ONLY
 from socket_testbed.identification.pressure import TITLES, interval_end
 from socket_testbed.report.figures import style
-from socket_testbed.report.page import MASKED, ReportFigure
+from socket_testbed.report.page import UNCERTAIN, ReportFigure
 from socket_testbed.report.results import Results
 from socket_testbed.report.write import files_folder, write_report
 from socket_testbed.settings.identification import PAPER_VARIANTS
@@ -140,9 +140,8 @@ def test_the_pressure_on_the_page_is_that_of_the_api(page, page_path, results):
             values, low, high = columns[title.replace("²", "^2")]
             for i, row in enumerate(rows):
                 value, interval = row[number].split("\n")
-                assert (value == MASKED) == np.isnan(values.iloc[i])
-                assert value == MASKED or printed(value) == values.iloc[i]
-                ends = [printed(end) for end in interval.split(" to ")]
+                assert printed(value) == values.iloc[i]
+                ends = [printed(end) for end in interval.removesuffix(UNCERTAIN).split(" to ")]
                 assert ends == [low.iloc[i], high.iloc[i]]
     written = pd.read_csv(files_folder(page_path) / "pressure.csv", index_col="region")
     for title, (values, low, high) in columns.items():

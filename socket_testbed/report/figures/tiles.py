@@ -124,7 +124,7 @@ class TilePaint:
     """How the tiles are painted."""
 
     fills: FloatArray  # (n, 4) [-], RGBA
-    hatched: BoolArray  # (n,), tiles without a value, or whose value is not determined
+    hatched: BoolArray  # (n,), tiles without a value
     scale: ScalarMappable
 
 
@@ -133,21 +133,20 @@ def paint_tiles(
     values: FloatArray,
     limits: tuple[float, float] | None = None,
     certainty: FloatArray | None = None,
-    determined: BoolArray | None = None,
+    certain: BoolArray | None = None,
 ) -> TilePaint:
     """Paint tiles by their values, shape (n,); those without one are white and hatched.
 
     `certainty` is 1 for a value's full colour, less for a paler one [-]; without it, values that
-    are not `determined` are pale. These are hatched.
+    are not `certain` are pale.
     """
     scale = ScalarMappable(Normalize(*(limits or value_range(geometry, values))), SCALE)
     unknown = np.isnan(values)
-    hatched = unknown if determined is None else unknown | ~determined
     fills = np.where(unknown[:, None], to_rgba(NO_VALUE), scale.to_rgba(values))
     if certainty is None:
-        certainty = np.where(hatched, PALE, 1.0)
+        certainty = np.where(np.ones_like(unknown) if certain is None else certain, 1.0, PALE)
     white = np.array(to_rgba(NO_VALUE))
-    return TilePaint(white + certainty[:, None] * (fills - white), hatched, scale)
+    return TilePaint(white + certainty[:, None] * (fills - white), unknown, scale)
 
 
 def _draw_unrolled(
@@ -348,7 +347,7 @@ def _draw_maps(
     *,
     side: str = "",
     certainty: Mapping[str, FloatArray] | None = None,
-    determined: Mapping[str, BoolArray] | None = None,
+    certain: Mapping[str, BoolArray] | None = None,
     notes: Mapping[str, str] | None = None,
 ) -> None:
     """Draw maps of values in rows, with one bar if their scales are the same, and a key below.
@@ -356,7 +355,7 @@ def _draw_maps(
     Tiles with a cluster have a thick outline and a number, which the key explains, with their
     notes. The other marks, by the maps' names: see `paint_tiles`.
     """
-    certainty, determined, notes = certainty or {}, determined or {}, notes or {}
+    certainty, certain, notes = certainty or {}, certain or {}, notes or {}
     labels = [""] * len(geometry)
     key = []
     for number, (cluster, tile) in enumerate(geometry.clusters.items(), start=1):
@@ -370,11 +369,12 @@ def _draw_maps(
     has_end = not wall_tiles(geometry, socket_axis(geometry)).all()
     free = style.width / columns - _AXIS - _BAR
     common = len(set(scales)) == 1
-    any_hatched = False
+    any_unknown = any_pale = False
     bar: dict[str, Any] = {"label": wrap(unit, _BAR_LABEL), "pad": 0.01}
     for panels, (name, row), limits in zip(axes, values.items(), scales, strict=False):
-        paint = paint_tiles(geometry, row, limits, certainty.get(name), determined.get(name))
-        any_hatched |= bool(paint.hatched.any())
+        paint = paint_tiles(geometry, row, limits, certainty.get(name), certain.get(name))
+        any_unknown |= bool(paint.hatched.any())
+        any_pale |= not np.all(certain.get(name, True))
         _draw_unrolled(panels[0], geometry, paint, labels, side=side)
         heading = wrap(name, 0.9 * free)  # bold type is wider
         panels[0].set_title(heading, loc="left", fontweight="bold", parse_math=False)
@@ -387,7 +387,7 @@ def _draw_maps(
         panel.set_visible(False)
     if common:
         figure.colorbar(paint.scale, ax=[*axes.flat], aspect=25.0 * rows, **bar)
-    add_key(figure, style, *key, "hatched: not determined" * any_hatched)
+    add_key(figure, style, *key, "pale: uncertain" * any_pale, "hatched: no value" * any_unknown)
 
 
 def add_key(figure: Figure | SubFigure, style: FigureStyle, *parts: str) -> None:

@@ -38,7 +38,7 @@ from socket_testbed.report.figures.tiles import (
     certainty_of,
     tile_map_figure,
 )
-from socket_testbed.report.page import MASKED, NOTHING, Heading, ReportFigure, Section, Table
+from socket_testbed.report.page import NOTHING, UNCERTAIN, Heading, ReportFigure, Section, Table
 from socket_testbed.report.results import PressureResults, Results
 from socket_testbed.report.sections.surface import scene_values
 from socket_testbed.trials.segment import Segment
@@ -75,7 +75,7 @@ def section(results: Results) -> Section:
         "Pressure",
         [
             f"Over {results.segment}. A value whose 95 % interval reaches farther than"
-            f" {100.0 * SHARE:g} % of it is not determined; its interval stands alone. In contact:"
+            f" {100.0 * SHARE:g} % of it is uncertain, and pale. In contact:"
             f" above {1e-3 * THRESHOLD:g} kPa; the integrals cover"
             f" {found.outputs.integrated:.1f} s, while in contact. The direction of the shear is"
             " that from proximal about the inward normal. 'socket-testbed pressure' gives the same"
@@ -83,10 +83,8 @@ def section(results: Results) -> Section:
             _overview(results),
             *pressure_tables(found),
             Heading("In 3D, over time"),
-            "The colour scale is that of the chosen values. Tiles without a value are white, and"
-            " those whose pressure or shear has an interval that reaches farther than the value"
-            " itself; tiles with a cluster are outlined. The axes are those of {S}, the frame of"
-            " the load cell.",
+            "The colour scale is that of the chosen values. Tiles without a value are white; tiles"
+            " with a cluster are outlined. The axes are those of {S}, the frame of the load cell.",
             tile_scene(geometry, sets, "The tiles of the socket in the colours of their pressure"),
             Heading("How it is estimated"),
             "From the clusters' and the load cell's measurements, without a fitted model: a"
@@ -100,14 +98,11 @@ def section(results: Results) -> Section:
 
 
 def regions_frame(pressure: PressureResults) -> pd.DataFrame:
-    """Outputs over the segment with the ends of their intervals, a row per region.
-
-    Values are NaN where they are not determined.
-    """
+    """Outputs over the segment with the ends of their intervals, a row per region."""
     names = pd.Index([place.name for place in pressure.places], name="region")
     columns: dict[str, FloatArray] = {}
     for title in _DECIMALS:
-        columns |= with_interval(title, read_column(pressure.outputs.regions, title), SHARE)
+        columns |= with_interval(title, read_column(pressure.outputs.regions, title))
     return pd.DataFrame(columns, index=names)
 
 
@@ -149,15 +144,14 @@ def _words(pressure: PressureResults, title: str, row: int) -> tuple[str, str]:
     """An output of a region, and its interval."""
     quantity, decimals = read_column(pressure.outputs.regions, title), _DECIMALS[title]
     value, low, high = (part[row] for part in (quantity.value, quantity.low, quantity.high))
-    known = np.isfinite([low, high]).all()
-    return (
-        f"{value:z.{decimals}f}" if quantity.determined(SHARE)[row] else MASKED,
-        f"{low:z.{decimals}f} to {high:z.{decimals}f}" if known else NOTHING,
-    )
+    if not np.isfinite([low, high]).all():
+        return NOTHING, NOTHING
+    uncertain = UNCERTAIN * (not quantity.certain()[row])
+    return f"{value:z.{decimals}f}", f"{low:z.{decimals}f} to {high:z.{decimals}f}{uncertain}"
 
 
 def _scene_pressures(found: PressureResults) -> dict[str, TileValues]:
-    """Pressure and shear on the tiles, where they are determined, by the name of the choice."""
+    """Pressure and shear on the tiles, by the name of the choice."""
     over_trial, tiles = found.over_trial, found.outputs.tiles
     pressures = normal_quantity(
         over_trial.normal_pressure, over_trial.normal_pressure_standard_deviation
@@ -165,13 +159,11 @@ def _scene_pressures(found: PressureResults) -> dict[str, TileValues]:
     shears = normal_quantity(over_trial.shear, over_trial.shear_standard_deviation)
     start = int(np.searchsorted(found.instants, found.peak_time))
     return {
-        f"{name}, mean over the segment": TileValues(
-            f"mean {name} [kPa]", 1e-3 * quantity.masked(_MAP_SHARE)
-        )
+        f"{name}, mean over the segment": TileValues(f"mean {name} [kPa]", 1e-3 * quantity.value)
         for name, quantity in (("pressure", tiles.mean), ("shear", tiles.shear))
     } | {
         f"{name} over the trial": TileValues(
-            f"{name} [kPa]", 1e-3 * quantity.masked(_MAP_SHARE), found.instants, start
+            f"{name} [kPa]", 1e-3 * quantity.value, found.instants, start
         )
         for name, quantity in (("pressure", pressures), ("shear", shears))
     }
@@ -180,17 +172,13 @@ def _scene_pressures(found: PressureResults) -> dict[str, TileValues]:
 def _overview(results: Results) -> ReportFigure:
     """Pressure over the segment and at its peak, unrolled, and that of the regions over time."""
     geometry, found = results.trial.geometry, results.pressure
-    maps, determined = instant_maps(found.outputs, found.time, _MAP_SHARE, results.segment.kind)
-    values = {
-        f"{name} [kPa]": np.where(determined[name], pressure, np.nan)
-        for name, pressure in maps.items()
-    }
-    estimates = {f"{name}, estimate [kPa]": pressure for name, pressure in maps.items()}
+    maps, _ = instant_maps(found.outputs, found.time, _MAP_SHARE, results.segment.kind)
+    values = {f"{name} [kPa]": pressure for name, pressure in maps.items()}
     events = [(event.time, event.label) for event in results.events]
     return ReportFigure(
         "pressure_map",
-        f"Pressure on the unrolled socket, {results.segment}. Hatched, pale tiles are not"
-        " determined: their 95 % interval reaches farther than the value itself. Tiles with a"
+        f"Pressure on the unrolled socket, {results.segment}. Pale tiles are"
+        " uncertain: their 95 % interval reaches farther than the value itself. Tiles with a"
         " cluster are outlined. Below, the mean pressure of sectors, heights and own regions."
         f" {THINNED}",
         lambda style: pressure_figure(
@@ -206,7 +194,7 @@ def _overview(results: Results) -> ReportFigure:
         ),
         "Pressure on the unrolled socket: the mean over the segment, and at its peak; below, that"
         " of the regions over time",
-        pd.DataFrame({"tile": geometry.names, **values, **estimates}),
+        pd.DataFrame({"tile": geometry.names, **values}),
         is_map=True,
     )
 
@@ -268,7 +256,7 @@ def force_map_figure(
 def instant_maps(
     outputs: PressureOutputs, time: FloatArray, share: float, span: str
 ) -> tuple[dict[str, FloatArray], dict[str, BoolArray]]:
-    """Pressures of the tiles over a span and at its peak, and which of them are determined.
+    """Pressures of the tiles over a span and at its peak, and which of them are certain.
 
     Shapes (n,), in kPa, by what they are.
     """
@@ -278,8 +266,8 @@ def instant_maps(
     mean = f"mean over the {span if span in _SPANS else 'segment'}"
     values = {mean: 1e-3 * outputs.tiles.mean.value, at_peak: 1e-3 * pressure}
     return values, {
-        mean: outputs.tiles.mean.determined(share),
-        at_peak: normal_quantity(pressure, deviation).determined(share),
+        mean: outputs.tiles.mean.certain(share),
+        at_peak: normal_quantity(pressure, deviation).certain(share),
     }
 
 
@@ -307,9 +295,9 @@ def pressure_figure(
         side: The leg that wears the socket; empty where that is not known.
         title: What is shown.
         style: How it is set.
-        share: Of a value: if its interval reaches farther, it is not determined [-].
+        share: Of a value: if its interval reaches farther, it is uncertain and pale [-].
     """
-    maps, determined = instant_maps(outputs, time, share, span.kind)
+    maps, certain = instant_maps(outputs, time, share, span.kind)
     left_out = {SOCKET, *(f"{sector} {height}" for sector in SECTORS for height in HEIGHTS)}
     regions = {place.name: i for i, place in enumerate(places) if place.name not in left_out}
     mean = outputs.mean_pressure()
@@ -321,7 +309,7 @@ def pressure_figure(
         style,
         from_zero=True,
         side=side,
-        determined=determined,
+        certain=certain,
         below=(
             _regions_height(regions, style),
             lambda part: draw_regions(part, time, mean, regions, events, style),
