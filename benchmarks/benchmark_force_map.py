@@ -1,147 +1,134 @@
-"""The force map against the simulated truth, beside inverse distance, and its time per sample.
+"""The force map and its pressure outputs against limbs whose forces are known, beside a rival.
 
 Usage:
-    python benchmarks/benchmark_force_map.py [--seeds 10 11 12 13 14] [--offset 0]
-        [--duration 120] [--time-only]
+    python benchmarks/benchmark_force_map.py [--seeds 100 ... 111] [--families ...] [--time-only]
 
-The prior was chosen with the seeds 0 to 4 and others above 1000: judge it by the rest. An error is
-the root mean square over the tiles without a sensor and the samples under load, relative to that of
-the true forces; predicting zero has 1.
+The families are the package's simulator, soft and stiff, and the laws of `limbs.py`. The prior was
+chosen on the seeds below 100: judge it by the others. An error is the root mean square over the
+tiles without a sensor, relative to that of the true forces; predicting zero has 1. The rival is the
+inverse-distance interpolation of the clusters with the smallest change that meets the wrench.
 """
 
 from __future__ import annotations
 
 import argparse
 import statistics
-from dataclasses import dataclass
+from collections import defaultdict
 
 import numpy as np
+from limbs import FAMILIES, Limb, Trial
 from machine import describe_machine
 from measure import repeat
 from problems import CLUSTERS, cylinder
+from scipy.special import ndtri
 
 from socket_testbed.arrays import FloatArray
-from socket_testbed.calibration.model import Calibration, read_calibration
+from socket_testbed.calibration.model import read_calibration
 from socket_testbed.files import packaged
+from socket_testbed.geometry.regions import all_regions
 from socket_testbed.geometry.socket import SocketGeometry, read_socket
 from socket_testbed.identification.force_map import ForceMap
-from socket_testbed.identification.validation import close_wrench, inverse_distance
+from socket_testbed.identification.pressure import THRESHOLD, outputs_of, pressure_outputs
+from socket_testbed.identification.validation import LEVELS, close_wrench, inverse_distance
 from socket_testbed.samples import Samples, Status
-from socket_testbed.simulation.limb import SCENARIOS, TISSUES, Scenario, TissueKind
-from socket_testbed.simulation.trial import SimulatedTrial, simulate
+from socket_testbed.simulation.limb import SCENARIOS, TISSUES
+from socket_testbed.simulation.trial import simulate
 
-_RATE = 2.0  # [Hz]
+_PROJECT = [f"project {tissue}" for tissue in TISSUES]
+_OUTPUTS = ("mean", "peak", "area", "integral", "centre", "shear", "direction", "share")
+_SAMPLES = 24  # of a trial
 _LEAST_FORCE = 20.0  # [N]; below it the socket hangs free
-_LEVELS = {"50 %": 0.6745, "80 %": 1.2816, "95 %": 1.9600}  # [-]; standard deviations
 _BUDGET = 1.0  # [s]
 
 
-@dataclass(frozen=True)
-class Result:
-    """Errors of a trial [-], and the share of the true forces within the map's intervals [-]."""
-
-    map: float
-    inverse_distance: float
-    closed: float
-    coverage: tuple[float, ...]
-
-
 def main() -> None:
-    """Simulate, judge and print."""
+    """Make limbs, judge and print."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--seeds", type=int, nargs="+", default=[10, 11, 12, 13, 14])
-    parser.add_argument(
-        "--offset", type=float, default=0.0, help="added to the clusters' channels, unknown [N]"
-    )
-    parser.add_argument("--duration", type=float, default=120.0, help="of a trial [s]")
+    parser.add_argument("--seeds", type=int, nargs="+", default=list(range(100, 112)))
+    parser.add_argument("--families", nargs="+", default=[*_PROJECT, *FAMILIES])
     parser.add_argument("--time-only", action="store_true", help="only the time per sample")
     arguments = parser.parse_args()
     print(describe_machine(1))
     _print_times()
     if arguments.time_only:
         return
-    print(f"\n{'tissue':6} {'scenario':16} {'map: mean, worst':>17} {'inverse distance':>17}"
-          f" {'wrench met':>11} {'worse':>6}  within {', '.join(_LEVELS)}")  # fmt: skip
-    found: list[Result] = []
-    for tissue in TISSUES:
-        for scenario in SCENARIOS:
-            results = [
-                judge(tissue, scenario, seed, arguments.duration, arguments.offset)
-                for seed in arguments.seeds
-            ]
-            print(_row(tissue, scenario, results), flush=True)
-            found += results
-    print(_row("all", f"{len(found)} trials", found))
-
-
-def judge(
-    tissue: TissueKind, scenario: Scenario, seed: int, duration: float, offset: float
-) -> Result:
-    """Simulate a trial and judge the map and its rivals.
-
-    Args:
-        tissue: Kind of the tissue.
-        scenario: The load history.
-        seed: Seed of all that is random.
-        duration: Duration [s].
-        offset: Standard deviation of an unknown offset of each channel of a cluster [N].
-    """
     geometry = read_socket(packaged("config", "socket.yaml"))
+    print(f"\n{'':16} {'map: mean, worst':>17} {'rival':>7} {'worse':>6}   tiles' forces within"
+          f" {', '.join(f'{100 * level:g}' for level in LEVELS)} %;"
+          f" outputs of regions and socket within 95 %: {', '.join(_OUTPUTS)}")  # fmt: skip
+    for family in arguments.families:
+        trials = (make(geometry, family, seed) for seed in arguments.seeds)
+        print(_row(family, [judge(geometry, trial) for trial in trials]), flush=True)
+
+
+def make(geometry: SocketGeometry, family: str, seed: int) -> Trial:
+    """A trial of a family."""
+    rng = np.random.default_rng(seed)
+    if family in FAMILIES:
+        return FAMILIES[family](Limb(geometry, rng))
     calibration = read_calibration(packaged("config", "calibration.yaml"))
-    trial = simulate(geometry, calibration, scenario, duration, _RATE, seed, tissue=tissue)
-    samples = _samples(geometry, calibration, trial)
-    shift = np.random.default_rng(seed).normal(0.0, offset, samples.local_forces.shape[1:])
-    samples.local_forces[:] += shift
-    loaded = np.linalg.norm(samples.wrench[:, 3:], axis=1) >= _LEAST_FORCE
-    samples, truth = samples[loaded], trial.truth.forces[loaded]
-
-    tiles = list(geometry.clusters.values())
-    free = np.setdiff1d(np.arange(len(geometry)), tiles)
-    estimate = ForceMap(geometry, samples.clusters).estimate(samples)
-    rival = inverse_distance(geometry, samples.clusters, samples.local_forces)
-    closed = close_wrench(geometry, rival, samples.wrench, tiles)
-    size = _rms(truth[:, free])
-    misses = np.abs(estimate.forces - truth)[:, free] / estimate.standard_deviations[:, free]
-    return Result(
-        map=_rms((estimate.forces - truth)[:, free]) / size,
-        inverse_distance=_rms((rival - truth)[:, free]) / size,
-        closed=_rms((closed - truth)[:, free]) / size,
-        coverage=tuple(float(np.mean(misses < level)) for level in _LEVELS.values()),
-    )
-
-
-def _samples(geometry: SocketGeometry, calibration: Calibration, trial: SimulatedTrial) -> Samples:
-    """What the testbed measures, without the poses, which the map does not use."""
+    tissue, scenario = TISSUES[_PROJECT.index(family)], SCENARIOS[seed % len(SCENARIOS)]
+    trial = simulate(geometry, calibration, scenario, 120.0, 2.0, seed, tissue=tissue)
     forces, status = [], []
     for cluster, capacitance in trial.capacitance.items():
         read = np.where(np.isfinite(capacitance), Status.OK, Status.MISSING).astype(np.uint8)
         stress, of_cluster = calibration.clusters[cluster].apply(capacitance, read)
         forces.append(geometry.cluster_force(cluster, stress))
         status.append(of_cluster)
-    nothing = np.full((len(trial.stamps), 3), np.nan)
-    return Samples(
-        stamps=trial.stamps,
-        position=nothing,
-        rotation=nothing,
-        wrench=trial.wrench,
-        clusters=tuple(trial.capacitance),
-        local_forces=np.stack(forces, axis=1),
-        status=np.stack(status, axis=1),
-    )
+    nothing, local = np.full((len(trial.stamps), 3), np.nan), np.stack(forces, axis=1)
+    samples = Samples(
+        trial.stamps, nothing, nothing, trial.wrench, tuple(trial.capacitance), local,
+        np.stack(status, axis=1),
+    )  # fmt: skip
+    loaded = np.flatnonzero(np.linalg.norm(samples.wrench[:, 3:], axis=1) >= _LEAST_FORCE)
+    rows = loaded[np.linspace(0, len(loaded) - 1, _SAMPLES).astype(int)]
+    return Trial(samples[rows], trial.truth.forces[rows])
+
+
+def judge(geometry: SocketGeometry, trial: Trial) -> dict[str, float]:
+    """Errors of the map and its rival, and the shares of true values within the intervals [-]."""
+    samples, truth = trial.samples, trial.forces
+    tiles = list(geometry.clusters.values())
+    free = np.setdiff1d(np.arange(len(geometry)), tiles)
+    force_map = ForceMap(geometry, samples.clusters, trial=samples)
+    estimate = force_map.estimate(samples)
+    local = np.where((samples.status == Status.OK)[..., None], samples.local_forces, np.nan)
+    rival = inverse_distance(geometry, samples.clusters, local)
+    rival = close_wrench(geometry, rival, samples.wrench, tiles)
+    size = _rms(truth[:, free])
+    misses = np.abs(estimate.forces - truth)[:, free] / estimate.standard_deviations[:, free]
+    found = {
+        "map": _rms((estimate.forces - truth)[:, free]) / size,
+        "rival": _rms((rival - truth)[:, free]) / size,
+    } | {f"{level}": float(np.mean(misses < ndtri(0.5 + 0.5 * level))) for level in LEVELS}
+    regions = all_regions(geometry)
+    outputs = pressure_outputs(force_map, samples, geometry, regions, THRESHOLD).regions
+    known = outputs_of(truth, samples.time, geometry, regions, THRESHOLD)
+    for name in _OUTPUTS:
+        quantity, true = getattr(outputs, name), known[name]
+        if name == "direction":
+            true = quantity.value + (true - quantity.value + np.pi) % (2.0 * np.pi) - np.pi
+        within = (quantity.low - 1e-12 <= true) & (true <= quantity.high + 1e-12)
+        found[name] = float(within[np.isfinite(true)].mean())
+    return found
 
 
 def _rms(values: FloatArray) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
-def _row(tissue: str, scenario: str, results: list[Result]) -> str:
-    errors = np.array([(r.map, r.inverse_distance, r.closed) for r in results])
-    coverage = np.mean([r.coverage for r in results], axis=0)
-    worse = int((errors[:, 0] > errors[:, 2]).sum())
-    mean = errors.mean(axis=0)
+def _row(family: str, results: list[dict[str, float]]) -> str:
+    columns = defaultdict(list)
+    for result in results:
+        for name, value in result.items():
+            columns[name].append(value)
+    mean = {name: statistics.mean(values) for name, values in columns.items()}
+    worse = sum(one > other for one, other in zip(columns["map"], columns["rival"], strict=True))
+    tiles = " ".join(f"{100 * mean[f'{level}']:4.0f}" for level in LEVELS)
+    outputs = " ".join(f"{100 * mean[name]:4.0f}" for name in _OUTPUTS)
     return (
-        f"{tissue:6} {scenario:16} {mean[0]:10.3f}, {errors[:, 0].max():.3f} {mean[1]:17.3f}"
-        f" {mean[2]:11.3f} {worse:6d}  {', '.join(f'{share:.3f}' for share in coverage)}"
+        f"{family:16} {mean['map']:9.3f}, {max(columns['map']):.3f} {mean['rival']:7.3f}"
+        f" {worse:2d}/{len(results)}  {tiles} ; {outputs}"
     )
 
 
