@@ -116,7 +116,7 @@ def friction_bed(limb: Limb) -> Trial:
 
 def finite_elements(limb: Limb) -> Trial:
     """Soft tissue on a rigid bone, linear elastic, in contact with a rigid wall with friction."""
-    rng, geometry = limb.rng, limb.geometry
+    rng = limb.rng
     along, tangential = _compliances(limb, rng.uniform(0.25, 0.5))
     mismatch = 0.2 * rng.random() + 0.3 * rng.random() * limb.field(rng.uniform(0.04, 0.08))
     friction = rng.uniform(0.0, 0.5)

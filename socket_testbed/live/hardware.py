@@ -99,7 +99,7 @@ def i2c_opener(settings: ClusterSettings) -> Callable[[int], I2cBus]:
 
     chip = capacitive_chip(settings)[1]
     return SimulatedClusterHardware(
-        chip, capacitance, world.faults, _I2C_FREQUENCY, sleep=sleep
+        settings, chip, capacitance, world.faults, _I2C_FREQUENCY, sleep=sleep
     ).open_bus
 
 

@@ -57,6 +57,9 @@ class ClusterSettings(Settings):
     multiplexer: int = fixed(
         0x70, "address of the multiplexer on these buses; 0: there is none [1]", 0, 0x77
     )
+    multiplexers: tuple[int, ...] = fixed(
+        (), "the same by cluster, where they differ; empty: one address for all [1]", 0, 0x77
+    )
     channels: tuple[int, ...] = fixed(
         (0, 1, 2, 3), "channel of the multiplexer that each cluster is on [1]", 0, 7
     )
@@ -70,6 +73,11 @@ class ClusterSettings(Settings):
         0.05, "latest reading after its trigger; a later one is missing [s]", 1e-3, 1.0
     )
     scheduling: SchedulingSettings = SchedulingSettings()
+
+    @property
+    def each_multiplexer(self) -> tuple[int, ...]:
+        """Address of every cluster's multiplexer; 0: it has none."""
+        return self.multiplexers or (self.multiplexer,) * len(self.names)
 
 
 @dataclass(frozen=True)

@@ -20,12 +20,12 @@ FAULTS = {
     "trigger.missing": "the pulse makes no edge",
     "trigger.late": "the edge comes so much later [s]",
     "clusters.unplugged": "the bus is gone: every transfer fails with ENODEV",
-    "clusters.nack": "1 + the multiplexer channel whose chip does not answer (EREMOTEIO)",
+    "clusters.nack": "number of the cluster, from 1, whose chip does not answer (EREMOTEIO)",
     "clusters.timeout": "every transfer times out (ETIMEDOUT) after so long [s]",
-    "clusters.stuck_done": "1 + the channel whose chip converts no more, until it is reset",
-    "clusters.rail": "1 + the channel whose chip reads full scale on all inputs",
-    "clusters.shifted": "1 + the channel whose chip shifts its inputs by one, until it is reset",
-    "clusters.brown_out": "1 + the channel whose chip resets itself, again and again",
+    "clusters.stuck_done": "number of the cluster whose chip converts no more, until it is reset",
+    "clusters.rail": "number of the cluster whose chip reads full scale on all inputs",
+    "clusters.shifted": "number of the cluster whose chip shifts its inputs, until it is reset",
+    "clusters.brown_out": "number of the cluster whose chip resets itself, again and again",
     "load_cell.unplugged": "the chip is gone: every byte reads 0x00",
     "load_cell.flipped_bits": "probability that a frame has a flipped bit [-]",
     "load_cell.rail": "1 + the input that is at a rail: a broken wire",
@@ -46,7 +46,8 @@ FAULTS = {
 
 _FILE = "world"
 _KEPT = 32  # states; more than any chip looks back
-_INPUTS = 16  # capacitances
+_MOST_CLUSTERS = 16
+_INPUTS = 4 * _MOST_CLUSTERS  # capacitances
 _WIDTH = _INPUTS + 6 + 14
 _LAYOUT = np.dtype(
     [
@@ -130,11 +131,13 @@ class World:
 
         Args:
             moment: Time of the steady clock [s].
-            capacitance: Capacitances by cluster and input, shape (4, 4) [pF].
+            capacitance: Capacitances by cluster and input, shape (c, 4) [pF], c at most 16.
             wrench: Load on the load cell [M; F], shape (6,) [N m, N].
             poses: Positions [m] and quaternions (x, y, z, w) of the two bodies, shape (2, 7).
         """
-        state = np.concatenate([a.ravel() for a in (capacitance, wrench, poses)])
+        state = np.zeros(_WIDTH)
+        state[: capacitance.size] = capacitance.ravel()
+        state[_INPUTS:] = np.concatenate([wrench, poses.ravel()])
         # While the count of changes is odd, readers know that a change is under way.
         self._changes[0] += 1
         if self._changes[0] == 1:  # before the first state it was as it is then

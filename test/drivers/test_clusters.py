@@ -95,7 +95,7 @@ class Bench:
         self,
         slope: float = 0.2,
         settings: ClusterSettings = SETTINGS,
-        speeds: tuple[float, ...] = (1.0, 1.0, 1.0, 1.0),
+        speeds: tuple[float, ...] = (),
         overhead: float = 0.0,
     ) -> None:
         self.clock = FakeClock(START)
@@ -103,7 +103,7 @@ class Bench:
         self.slope = slope  # [pF/s]
         self.offsets: dict[tuple[int, int], float] = {}
         self.hardware = SimulatedClusterHardware(
-            SimulatedFdc1004, self.capacitance, self.faults, FREQUENCY, self.clock,
+            settings, SimulatedFdc1004, self.capacitance, self.faults, FREQUENCY, self.clock,
             self.clock.sleep, speeds,
         )  # fmt: skip
         self.settings = settings
@@ -328,7 +328,7 @@ def test_another_chip_takes_a_driver_a_simulated_one_and_their_place_in_the_regi
     driver, simulated = hardware.capacitive_chip(settings)
     clock, faults = FakeClock(START), {"clusters.nack": 2.0}
     bench = SimulatedClusterHardware(
-        simulated, lambda c, n, t: c + 0.5 * n, faults, FREQUENCY, clock, clock.sleep
+        settings, simulated, lambda c, n, t: c + 0.5 * n, faults, FREQUENCY, clock, clock.sleep
     )
     reader = ClusterReader(settings, driver, bench.open_bus, clock, clock.sleep)
     assert reader.identify()["distal"] == "halves at 0x2A behind channel 3 of 0x70 on i2c-1"
@@ -360,19 +360,38 @@ def test_triggers_of_any_rate_lose_nothing_and_slow_ones_wait_about_a_cycle() ->
             assert bench.clock.now - trigger < 1.1 * 4 / sample_rate + 8e-3
 
 
+def test_ten_clusters_on_two_buses_and_three_multiplexers_are_told_apart() -> None:
+    """Chips share one address: a channel left open on another multiplexer would mix two of them."""
+    settings = replace(
+        SETTINGS,
+        names=tuple("abcdefghij"),
+        buses=(1,) * 6 + (3,) * 4,
+        multiplexers=(0x70,) * 4 + (0x71,) * 2 + (0x70,) * 4,
+        channels=(0, 1, 2, 3, 0, 1, 7, 2, 1, 0),
+    )
+    bench = Bench(settings=settings)
+    for _ in range(3):
+        reading = bench.read()
+        assert (reading.status == OK).all() and not reading.faults
+        bench.clock.now += 0.1
+    short = replace(settings, multiplexers=(0x70, 0x71))
+    with pytest.raises(ConfigurationError, match="2 multiplexers"):
+        ClusterReader(short, Fdc1004, bench.open_bus)
+
+
 def test_a_cluster_can_have_a_bus_of_its_own() -> None:
     clock = FakeClock(START)
-    chips = SimulatedClusterHardware(
-        SimulatedFdc1004, lambda c, n, t: c + 0.1 * n, {}, FREQUENCY, clock, clock.sleep
-    ).chips
     settings = replace(SETTINGS, multiplexer=0, buses=(3, 4, 5, 6), channels=(0, 0, 0, 0))
+    bench = SimulatedClusterHardware(
+        settings, SimulatedFdc1004, lambda c, n, t: c + 0.1 * n, {}, FREQUENCY, clock, clock.sleep
+    )
     opened = []
 
     def open_bus(number: int) -> I2cBus:
         opened.append(number)
         if number == 5:
             raise OSError(errno.ENOENT, "x")
-        return SimulatedI2cBus([chips[number - 3]], sleep=clock.sleep)
+        return bench.open_bus(number)
 
     reader = ClusterReader(settings, Fdc1004, open_bus, clock, clock.sleep)
     reading = reader.read(clock.now)
@@ -502,7 +521,7 @@ def hanging(bench: Bench, masks: set[int]) -> Callable[..., None]:
     transfer = SimulatedI2cBus.i2c_rdwr
 
     def hang(bus: SimulatedI2cBus, *messages: i2c_msg) -> None:
-        if bench.hardware.multiplexer.mask in masks and messages[0].addr == 0x50:
+        if bench.hardware.multiplexers[1, 0x70].mask in masks and messages[0].addr == 0x50:
             bench.clock.sleep(0.05)
             raise OSError(errno.ETIMEDOUT, "x")
         transfer(bus, *messages)
@@ -528,7 +547,7 @@ def test_a_chip_that_hangs_the_bus_costs_one_time_out_and_silences_no_other() ->
 def test_a_multiplexer_that_does_not_answer_is_named_once_for_all() -> None:
     bench = Bench()
     bench.read()
-    bench.hardware.multiplexer.write = Mock(side_effect=OSError(errno.EREMOTEIO, "x"))
+    bench.hardware.multiplexers[1, 0x70].write = Mock(side_effect=OSError(errno.EREMOTEIO, "x"))
     reading = bench.read(START + 1.0)
     assert missing(reading) == [0, 1, 2, 3]
     (fault,) = set(reading.faults.values())

@@ -64,12 +64,10 @@ class ClusterReader:
         self._clock = clock
         self._sleep = sleep
         self._pause = _PAUSE * INPUTS / settings.sample_rate  # [s]
-        self._buses = {
-            number: _Bus(number, open_bus, settings.multiplexer) for number in settings.buses
-        }
+        self._buses = {number: _Bus(number, open_bus) for number in settings.buses}
+        places = zip(settings.buses, settings.each_multiplexer, settings.channels, strict=True)
         self._clusters = [
-            self._describe(*wired)
-            for wired in zip(settings.names, settings.buses, settings.channels, strict=True)
+            self._describe(name, *place) for name, place in zip(settings.names, places, strict=True)
         ]
 
     def read(self, trigger: float) -> ClusterReading:
@@ -115,12 +113,13 @@ class ClusterReader:
                     bus.disconnect()
             self._close(bus)
 
-    def _describe(self, name: str, number: int, channel: int) -> _Cluster:
-        bus, address = self._buses[number], self._settings.multiplexer
+    def _describe(self, name: str, number: int, address: int, channel: int) -> _Cluster:
+        bus = self._buses[number]
+        bus.add_multiplexer(address)
         place = f"behind channel {channel} of 0x{address:02X}" if address else ""
         port, rate = I2cPort(bus, bus.name, self._chip.address, place), self._settings.sample_rate
         inputs = InputReader(self._chip(port, rate, self._sleep), rate, self._clock)
-        return _Cluster(name, bus, channel, inputs)
+        return _Cluster(name, bus, address, channel, inputs)
 
     def _advance(self, cluster: _Cluster) -> bool:
         """Poll a cluster once; returns whether to poll it again."""
@@ -193,13 +192,13 @@ class ClusterReader:
 
 
 class _Bus:
-    """A bus with its multiplexer (TI TCA9548A), if it has one, and its state as far as known.
+    """A bus with its multiplexers (TI TCA9548A), if it has any, and its state as far as known.
 
     It is opened when needed, and can be closed and opened under the chips on it. The chips share
     one address: two channels at once would put them on the same wires.
     """
 
-    def __init__(self, number: int, open_bus: Callable[[int], I2cBus], multiplexer: int) -> None:
+    def __init__(self, number: int, open_bus: Callable[[int], I2cBus]) -> None:
         self.name = f"i2c-{number}"  # its name, such as i2c-1
         self.backoff = clocks.Backoff()
         self.fault = ""  # why it was closed
@@ -207,9 +206,12 @@ class _Bus:
         self._number = number
         self._open_bus = open_bus
         self._bus: I2cBus | None = None
-        self._multiplexer = (
-            I2cPort(self, self.name, multiplexer, part="multiplexer") if multiplexer else None
-        )
+        self._multiplexers: dict[int, I2cPort] = {}  # by their addresses
+
+    def add_multiplexer(self, address: int) -> None:
+        """Say that there is a multiplexer at an address; 0: none."""
+        if address:
+            self._multiplexers[address] = I2cPort(self, self.name, address, part="multiplexer")
 
     @property
     def is_open(self) -> bool:
@@ -228,18 +230,20 @@ class _Bus:
             raise OSError(errno.ENODEV, "the bus is closed")
         self._bus.i2c_rdwr(*messages)
 
-    def select(self, channel: int) -> None:
-        """Connect one channel, 0..7 [1], and it alone.
+    def select(self, multiplexer: int, channel: int) -> None:
+        """Connect one channel, 0..7 [1], of one multiplexer, and it alone.
 
         It is always written: after a brown-out a remembered selection would be wrong.
         """
-        if self._multiplexer is not None:
-            self._multiplexer.write_byte(1 << channel)
+        self.disconnect(but=multiplexer)
+        if multiplexer:
+            self._multiplexers[multiplexer].write_byte(1 << channel)
 
-    def disconnect(self) -> None:
-        """Connect no channel."""
-        if self._multiplexer is not None:
-            self._multiplexer.write_byte(0)
+    def disconnect(self, but: int = 0) -> None:
+        """Connect no channel, of any multiplexer but one."""
+        for address, multiplexer in self._multiplexers.items():
+            if address != but:
+                multiplexer.write_byte(0)
 
     def close(self) -> None:
         """Close it; one that is gone is closed already."""
@@ -253,6 +257,7 @@ class _Bus:
 class _Cluster:
     name: str
     bus: _Bus
+    multiplexer: int  # its address; 0: none
     channel: int
     inputs: InputReader
     backoff: clocks.Backoff = field(default_factory=clocks.Backoff)
@@ -261,28 +266,31 @@ class _Cluster:
 
     def select(self) -> None:
         self.bus.open()
-        self.bus.select(self.channel)
+        self.bus.select(self.multiplexer, self.channel)
 
 
 def check_settings(settings: ClusterSettings, chip: type[CapacitiveChip]) -> None:
     """Check that the settings fit together, beyond the range of each."""
     names, buses, channels = settings.names, settings.buses, settings.channels
-    if not names or not len(names) == len(buses) == len(channels):
+    multiplexers = settings.each_multiplexer
+    if not names or not len(names) == len(buses) == len(channels) == len(multiplexers):
         raise ConfigurationError(
-            f"{len(names)} names, {len(buses)} buses and {len(channels)} channels of clusters",
-            "give each cluster one of each",
+            f"{len(names)} names, {len(buses)} buses, {len(channels)} channels and"
+            f" {len(multiplexers)} multiplexers of clusters",
+            "give each cluster one of each, or no multiplexers for one address for all",
         )
     if settings.sample_rate not in chip.sample_rates:
         raise ConfigurationError(
             f"sample_rate is {settings.sample_rate}",
             f"give one of those of the {chip.name}: {', '.join(map(str, chip.sample_rates))}",
         )
-    if settings.multiplexer and settings.multiplexer < 0x70:
-        fact = f"multiplexer is 0x{settings.multiplexer:02X}"
-        raise ConfigurationError(fact, "give 0x70 to 0x77, or 0 for none")
+    for address in multiplexers:
+        if address and address < 0x70:
+            fact = f"multiplexer is 0x{address:02X}"
+            raise ConfigurationError(fact, "give 0x70 to 0x77, or 0 for none")
     at: dict[str, str] = {}
-    for name, bus, channel in zip(names, buses, channels, strict=True):
-        place = f"bus {bus}" + (f", channel {channel}" if settings.multiplexer else "")
+    for name, bus, address, channel in zip(names, buses, multiplexers, channels, strict=True):
+        place = f"bus {bus}" + (f", channel {channel} of 0x{address:02X}" if address else "")
         if name in at.values() or place in at:
             raise ConfigurationError(
                 f"the clusters '{at.get(place, name)}' and '{name}' share a name or {place}",

@@ -13,10 +13,10 @@ from smbus2 import i2c_msg
 
 from socket_testbed import clocks
 from socket_testbed.drivers.clusters.i2c import I2cBus, opening_failed
+from socket_testbed.settings.acquisition import ClusterSettings
 
 _BROWN_OUT_PERIOD = 0.3  # [s]
 _BEYOND = 1e3  # [pF]; out of every range
-_MULTIPLEXER = 0x70
 _BITS_PER_BYTE = 9
 _LONGEST_CREDIT = 1e-3  # [s]
 _READ = 0x0001  # flag of linux/i2c.h
@@ -36,7 +36,7 @@ class SimulatedChip:
     Args:
         capacitance: Capacitance of an input, 0..3, at a time of the clock [pF].
         faults: The faults of `simulation.world`, looked up at each transfer.
-        channel: Channel of the multiplexer [1].
+        number: Its cluster's place in the settings, from 1, by which faults name it [1].
         speed: Its oscillator's frequency over the nominal one [-].
     """
 
@@ -47,13 +47,13 @@ class SimulatedChip:
         capacitance: Callable[[int, float], float],
         clock: Callable[[], float] = clocks.monotonic,
         faults: Mapping[str, float] = MappingProxyType({}),
-        channel: int = 0,
+        number: int = 1,
         speed: float = 1.0,
     ) -> None:
         self._felt = capacitance
         self._clock = clock
         self._faults = faults
-        self._number = 1 + channel
+        self._number = number
         self._speed = speed
         self._stuck = False
         self._browned_out = -math.inf
@@ -100,10 +100,17 @@ class SimulatedChip:
 
 
 class SimulatedTca9548a:
-    """The multiplexer: a mask of the channels that are connected."""
+    """A multiplexer: a mask of the channels that are connected."""
 
-    def __init__(self) -> None:
+    def __init__(self, address: int = 0x70) -> None:
+        self.address = address
         self.mask = 0  # bit n connects channel n [1]
+        self.chips: dict[int, SimulatedChip] = {}  # by their channels
+
+    @property
+    def connected(self) -> list[SimulatedChip]:
+        """The chips that are on the bus's wires now."""
+        return [chip for channel, chip in self.chips.items() if self.mask >> channel & 1]
 
     def write(self, data: bytes) -> None:
         """Take the mask, the last byte of a write."""
@@ -120,37 +127,34 @@ class SimulatedI2cBus:
     Opening it restarts the host, as the chips see it.
 
     Args:
-        chips: The chip on each channel; without a multiplexer all are on the same wires.
-        multiplexer: The multiplexer, or None.
+        parts: The multiplexers and chips that are on the same wires.
         faults: The faults of `simulation.world`, looked up at each transfer.
         frequency: Clock of the bus [Hz]; None: transfers take no time.
     """
 
     def __init__(
         self,
-        chips: Sequence[SimulatedChip],
-        multiplexer: SimulatedTca9548a | None = None,
+        parts: Sequence[SimulatedTca9548a | SimulatedChip],
         faults: Mapping[str, float] = MappingProxyType({}),
         frequency: float | None = None,
         clock: Callable[[], float] = clocks.monotonic,
         sleep: Callable[[float], None] = clocks.sleep,
     ) -> None:
-        self._chips = chips
-        self._multiplexer = multiplexer
+        self._parts = parts
         self._faults = faults
         self._frequency = frequency
         self._clock = clock
         self._sleep = sleep
         self._owed = 0.0  # time of the transfers that was not slept yet [s]
         self._is_gone = False
-        for chip in chips:
+        for chip in _chips_of(parts):
             chip.host_restarted()
 
     def i2c_rdwr(self, *messages: i2c_msg) -> None:
         """Transfer messages with repeated starts between them."""
         if self._faults.get("clusters.unplugged", 0.0):
             self._is_gone = True
-            _power_down(self._chips, self._multiplexer)
+            _power_down(self._parts)
         if self._is_gone:
             raise OSError(errno.ENODEV, "the bus is gone (simulated)")
         hangs_for = self._faults.get("clusters.timeout", 0.0)
@@ -174,15 +178,16 @@ class SimulatedI2cBus:
         self._is_gone = True
 
     def _addressed(self, address: int) -> Sequence[SimulatedTca9548a | SimulatedChip]:
-        if self._multiplexer is not None and address == _MULTIPLEXER:
-            return (self._multiplexer,)
-        mask = 0xFF if self._multiplexer is None else self._multiplexer.mask
-        connected = [part for n, part in enumerate(self._chips) if mask >> n & 1]
-        if not (found := [part for part in connected if part.address == address]):
+        multiplexers = [part for part in self._parts if isinstance(part, SimulatedTca9548a)]
+        chips = [part for part in self._parts if isinstance(part, SimulatedChip)]
+        chips += [chip for multiplexer in multiplexers for chip in multiplexer.connected]
+        struck = [chip for chip in chips if chip.address == address]
+        for chip in struck:
+            chip.strike()
+        found = [part for part in multiplexers if part.address == address]
+        if not (struck or found):
             raise no_answer()
-        for part in found:
-            part.strike()
-        return found
+        return [*struck, *found]
 
     def _take_time(self, transferred: int) -> None:
         if self._frequency is None:
@@ -196,31 +201,45 @@ class SimulatedI2cBus:
 
 
 class SimulatedClusterHardware:
-    """Four chips on channels 0 to 3 of a multiplexer at 0x70 on bus 1.
+    """The chips of all clusters where the settings say that they are.
 
     Args:
         chip: Which chip they are.
-        capacitance: Capacitance by the chip's channel and its input, both 0..3, at a time
+        capacitance: Capacitance by the cluster's place in the settings, its input, 0..3, and a time
             of the clock [pF].
         faults: The faults of `simulation.world`, looked up at each transfer.
-        frequency: Clock of the bus [Hz]; None: transfers take no time.
-        speeds: Frequency of each chip's oscillator over the nominal one [-].
+        frequency: Clock of the buses [Hz]; None: transfers take no time.
+        speeds: Frequency of each chip's oscillator over the nominal one, 1 if not given [-].
     """
 
     def __init__(
         self,
+        settings: ClusterSettings,
         chip: type[SimulatedChip],
         capacitance: Callable[[int, int, float], float],
         faults: Mapping[str, float],
         frequency: float | None = None,
         clock: Callable[[], float] = clocks.monotonic,
         sleep: Callable[[float], None] = clocks.sleep,
-        speeds: Sequence[float] = (1.0, 1.0, 1.0, 1.0),
+        speeds: Sequence[float] = (),
     ) -> None:
-        self.multiplexer = SimulatedTca9548a()
-        self.chips = [
-            chip(partial(capacitance, n), clock, faults, n, speed) for n, speed in enumerate(speeds)
-        ]
+        self.multiplexers: dict[tuple[int, int], SimulatedTca9548a] = {}  # by bus and address
+        self.chips: list[SimulatedChip] = []
+        self._buses: dict[int, list[SimulatedTca9548a | SimulatedChip]] = {}
+        places = zip(settings.buses, settings.each_multiplexer, settings.channels, strict=True)
+        for n, (bus, address, channel) in enumerate(places):
+            speed = speeds[n] if speeds else 1.0
+            made = chip(partial(capacitance, n), clock, faults, 1 + n, speed)
+            self.chips.append(made)
+            wires = self._buses.setdefault(bus, [])
+            if not address:
+                wires.append(made)
+                continue
+            if (bus, address) not in self.multiplexers:
+                wires.append(
+                    self.multiplexers.setdefault((bus, address), SimulatedTca9548a(address))
+                )
+            self.multiplexers[bus, address].chips[channel] = made
         self._faults = faults
         self._timing = frequency, clock, sleep
 
@@ -228,14 +247,21 @@ class SimulatedClusterHardware:
         """Open a bus by its number [1]; chips that were unplugged come back reset."""
         unplugged = bool(self._faults.get("clusters.unplugged", 0.0))
         if unplugged:
-            _power_down(self.chips, self.multiplexer)
-        if unplugged or number != 1:
+            _power_down(self._buses.get(number, ()))
+        if unplugged or number not in self._buses:
             raise opening_failed(number, FileNotFoundError(errno.ENOENT, "simulated"))
-        return SimulatedI2cBus(self.chips, self.multiplexer, self._faults, *self._timing)
+        return SimulatedI2cBus(self._buses[number], self._faults, *self._timing)
 
 
-def _power_down(chips: Sequence[SimulatedChip], multiplexer: SimulatedTca9548a | None) -> None:
-    if multiplexer is not None:
-        multiplexer.mask = 0
-    for part in chips:
-        part.power_up()
+def _chips_of(parts: Sequence[SimulatedTca9548a | SimulatedChip]) -> list[SimulatedChip]:
+    """All chips of a bus, connected or not."""
+    behind = [[part] if isinstance(part, SimulatedChip) else part.chips.values() for part in parts]
+    return [chip for some in behind for chip in some]
+
+
+def _power_down(parts: Sequence[SimulatedTca9548a | SimulatedChip]) -> None:
+    for part in parts:
+        if isinstance(part, SimulatedTca9548a):
+            part.mask = 0
+    for chip in _chips_of(parts):
+        chip.power_up()
