@@ -20,7 +20,9 @@ from socket_testbed.arrays import FloatArray, IntArray
 from socket_testbed.calibration.model import Calibration, read_calibration, write_calibration
 from socket_testbed.errors import ConfigurationError, closest
 from socket_testbed.files import atomic_output, packaged, refuse_existing
+from socket_testbed.geometry.regions import all_regions
 from socket_testbed.geometry.socket import read_socket, write_socket
+from socket_testbed.identification.placement import place_clusters
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -306,6 +308,8 @@ def tile(
     landmarks: PathLike | None = None,
     points: FloatArray | None = None,
     clusters: PathLike | None = None,
+    place: int = 0,
+    keep_out: Sequence[str] = (),
     bodies: PathLike | None = None,
     settings: TilingSettings | None = None,
     progress: Progress | None = None,
@@ -326,6 +330,9 @@ def tile(
             unit.
         clusters: YAML file with the places of the clusters in {S} or in the scan (default: the
             usual ones).
+        place: Number of clusters in all: those of `clusters` stay, and the others are proposed
+            where they tell most about the force map; 0: none is proposed.
+        keep_out: Regions and tiles that take no proposed cluster, such as `anterior proximal`.
         bodies: A registered `socket.yaml` whose marker bodies are kept (default: nominal ones).
         settings: Settings of the tiling.
         progress: See `Progress`.
@@ -358,13 +365,13 @@ def tile(
 
     if output is not None:
         _check_socket_output(Path(output), bodies)
-    places = read_cluster_places(Path(clusters)) if clusters else None
+    places = read_cluster_places(Path(clusters)) if clusters else [] if place else None
     kept = read_socket(as_path(bodies) or packaged("config", "socket.yaml"))
     kept = kept if bodies else dataclasses.replace(kept, registration="")
     upwards = parse_direction(proximal, "--proximal") if proximal else None
     front = parse_direction(anterior, "--anterior") if anterior else None
 
-    def place(vertices: FloatArray, upwards: FloatArray, metres: float) -> Placement:
+    def placed(vertices: FloatArray, upwards: FloatArray, metres: float) -> Placement:
         if landmarks is not None:
             return place_by_landmarks(Path(landmarks), metres)
         if points is not None:
@@ -376,19 +383,50 @@ def tile(
         design = design_socket(
             path.name,
             read_scan(path, unit, body),
-            place,
+            placed,
             upwards,
             places,
             kept,
             settings or TilingSettings(),
             started(progress, "tiling"),
         )
+        if place:
+            design = _with_proposed_clusters(design, place, keep_out)
     if landmarks is None and points is None and front is None:
         note = "x of the scan is assumed to be anterior: look, or give --anterior"
         design = dataclasses.replace(design, notes=(*design.notes, note))
     if output is not None:
         _write_design(design, Path(output))
     return design
+
+
+def _with_proposed_clusters(
+    design: SocketDesign, count: int, keep_out: Sequence[str]
+) -> SocketDesign:
+    """The design with clusters where they tell most, and notes on how much that is worth."""
+    geometry = design.geometry
+    regions = {region.name: region for region in all_regions(geometry)}
+    allowed = np.ones(len(geometry), dtype=bool)
+    for name in keep_out:
+        if name not in regions and name not in geometry.names:
+            fact = f"--keep-out: there is no region or tile '{name}'"
+            raise ConfigurationError(fact, closest(name, [*regions, *geometry.names]))
+        tiles = regions[name].tiles if name in regions else [geometry.names.index(name)]
+        allowed[tiles] = False
+    found = place_clusters(geometry, count, list(geometry.clusters.values()), allowed)
+    names, clusters = list(geometry.names), dict(geometry.clusters)
+    for number, tile in enumerate(found.tiles[len(clusters) :].tolist(), start=1):
+        clusters[f"cluster_{number}"] = tile
+        names[tile] = f"cluster_{number}"
+    errors = ", ".join(f"{n}: {error:.2f}" for n, error in found.errors.items())
+    low, high = found.at_random
+    note = (
+        "the clusters are proposed. Expected error of the force map on tiles without one, over"
+        f" their rms, by the number of clusters: {errors}; with {count} at random {low:.2f} to"
+        f" {high:.2f}: the number tells more than the places"
+    )
+    geometry = dataclasses.replace(geometry, names=tuple(names), clusters=clusters)
+    return dataclasses.replace(design, geometry=geometry, notes=(*design.notes, note))
 
 
 def _check_socket_output(output: Path, bodies: PathLike | None) -> None:

@@ -247,12 +247,19 @@ class ForceMap:
         self._clusters = clusters
         self._areas = geometry.areas
         self._normals = geometry.rotations[:, :, 2]
-        self._hypotheses = _hypotheses(self._settings)
-        self._moments = _prior_moments(geometry, clusters, self._hypotheses)
+        self._priors = [Prior(geometry, clusters, sizes) for sizes in hypotheses(self._settings)]
+        # Of the M hypotheses: covariances of the channels, (M, c, c), of the forces with the
+        # channels, (M, n, 4, c), and variances of the forces, (M, n, 4).
+        along_normal = np.broadcast_to([[0.0, 0.0, 1.0]], (len(geometry), 1, 3))
+        turned = np.concatenate([geometry.rotations, along_normal], axis=1)
+        self._total = np.array([prior.signal + np.diag(prior.noise) for prior in self._priors])
+        self._cross = np.array([turned @ prior.with_channels for prior in self._priors])
+        blocks = [(turned @ prior.blocks() * turned).sum(axis=2) for prior in self._priors]
+        self._variances = np.array(blocks)
         self._patterns: dict[bytes, _Conditioned] = {}
         self._drawn: dict[bytes, tuple[FloatArray, ...]] = {}  # by number and hypotheses
         self._learnt_from = 0  # samples
-        self._evidence = np.zeros(len(self._hypotheses))
+        self._evidence = np.zeros(len(self._priors))
         if trial is not None:
             self._evidence = self._mean_evidence(trial)
             self._learnt_from = len(trial)
@@ -285,9 +292,9 @@ class ForceMap:
         values, present = _channels(samples.wrench, samples.local_forces, samples.status)
         rows = np.flatnonzero(present.any(axis=1))
         if not len(rows):
-            return np.zeros(len(self._hypotheses))
+            return np.zeros(len(self._priors))
         rows = rows[np.linspace(0, len(rows) - 1, min(len(rows), _LEARNT_FROM)).astype(int)]
-        total = np.zeros(len(self._hypotheses))
+        total = np.zeros(len(self._priors))
         for pattern, some in _by_pattern(present[rows]):
             conditioned = self._conditioned(pattern)
             measured = values[rows[some]][:, conditioned.present]
@@ -378,24 +385,22 @@ class ForceMap:
                     errors=left,
                 )
 
-    def _prior_draws(self, hypotheses: IntArray) -> tuple[FloatArray, FloatArray]:
+    def _prior_draws(self, chosen: IntArray) -> tuple[FloatArray, FloatArray]:
         """Draws of the prior: forces, (D, 3n) [N], and channels with noise, shape (D, c).
 
-        Forces are in the tiles' frames; each draw has its hypothesis.
+        Forces are in the tiles' frames; each draw has its hypothesis, of those `chosen`.
         """
-        key = hypotheses.tobytes()
+        key = chosen.tobytes()
         if key not in self._drawn:  # the same in all samples, and long to draw
-            geometry, rng = self._geometry, np.random.default_rng(0)
-            numbers = rng.standard_normal((len(hypotheses), _Prior.numbers_of(len(geometry))))
-            shape = len(hypotheses), len(WRENCH_CHANNELS) + 3 * len(self._clusters)
-            noise = rng.standard_normal(shape)
-            forces = np.empty((len(hypotheses), 3 * len(geometry)))
-            for number in np.unique(hypotheses):
-                drawn, which = self._hypotheses[number], hypotheses == number
-                mapping = _mapping(geometry, self._clusters, drawn.share)
-                forces[which] = _Prior(geometry, drawn).draw(numbers[which])
-                noise[which] *= np.sqrt(self._moments[3][number])
-                noise[which] += forces[which] @ mapping.T
+            tiles, rng = len(self._geometry), np.random.default_rng(0)
+            numbers = rng.standard_normal((len(chosen), Prior.numbers_of(tiles)))
+            noise = rng.standard_normal((len(chosen), self._total.shape[1]))
+            forces = np.empty((len(chosen), 3 * tiles))
+            for number in np.unique(chosen):
+                prior, which = self._priors[number], chosen == number
+                forces[which] = prior.draw(numbers[which])
+                noise[which] *= np.sqrt(prior.noise)
+                noise[which] += forces[which] @ prior.mapping.T
             self._drawn = {key: (forces, noise)}
         forces, noise = self._drawn[key]
         return forces, noise
@@ -406,17 +411,17 @@ class ForceMap:
         if key not in self._patterns:
             if len(self._patterns) >= _MOST_PATTERNS:
                 self._patterns.clear()
-            total, cross, before, _ = self._moments
             present = np.flatnonzero(pattern)
-            cross = cross[..., present]
-            precision = np.asarray(np.linalg.inv(total[:, present[:, None], present]), np.float64)
+            cross = self._cross[..., present]
+            total = self._total[:, present[:, None], present]
+            precision = np.asarray(np.linalg.inv(total), np.float64)
             gain = cross @ precision[:, None]
             self._patterns[key] = _Conditioned(
                 present=present,
                 gain=gain,
                 precision=precision,
                 log_determinant=-np.linalg.slogdet(precision)[1],
-                variances=before - (gain * cross).sum(axis=3),
+                variances=self._variances - (gain * cross).sum(axis=3),
             )
         return self._patterns[key]
 
@@ -530,7 +535,7 @@ _NORMAL = {"drag": "drag_spread", "share": "share_spread"}
 _LEAST_SHARE = 0.2  # [-]
 
 
-def _hypotheses(settings: ForceMapSettings) -> list[SimpleNamespace]:
+def hypotheses(settings: ForceMapSettings) -> list[SimpleNamespace]:
     """The prior's uncertain sizes, spread evenly over their distributions; one has the medians.
 
     The points are the additive recurrence of the generalised golden ratio, of low discrepancy
@@ -565,36 +570,17 @@ def _levels(count: int) -> FloatArray:
     return np.asarray((np.arange(count) + 0.5) / count)
 
 
-def _prior_moments(
-    geometry: SocketGeometry, clusters: tuple[str, ...], hypotheses: list[SimpleNamespace]
-) -> tuple[FloatArray, ...]:
-    """Covariances under the M hypotheses, from which any channels can condition the forces.
+class Prior:
+    """The forces in the tiles' frames under one hypothesis: their covariance K, by its parts.
 
-    Returns:
-        That of the channels, shape (M, c, c), of the forces with the channels, shape (M, n, 4, c),
-        the variances of the forces, shape (M, n, 4), and of the channels' noise, shape (M, c).
+    Attributes:
+        mapping: H from the forces to the channels, shape (c, 3n).
+        noise: Variances R of the channels' noise, shape (c,).
     """
-    count = len(geometry)
-    # From a tile's frame to x, y, z of {S} and the normal.
-    along_normal = np.broadcast_to([[0.0, 0.0, 1.0]], (count, 1, 3))
-    turned = np.concatenate([geometry.rotations, along_normal], axis=1)
-    total, cross, variances, noise = [], [], [], []
-    for drawn in hypotheses:
-        prior = _Prior(geometry, drawn)
-        mapping = _mapping(geometry, clusters, drawn.share)
-        mapped = prior.times(mapping.T.reshape(count, 3, -1))
-        signal = mapping @ mapped.reshape(3 * count, -1)
-        noise.append(_noise(signal, drawn))
-        total.append(signal + np.diag(noise[-1]))
-        cross.append(turned @ mapped)
-        variances.append((turned @ prior.blocks() * turned).sum(axis=2))
-    return np.array(total), np.array(cross), np.array(variances), np.array(noise)
 
-
-class _Prior:
-    """The forces in the tiles' frames under one hypothesis: their covariance K, by its parts."""
-
-    def __init__(self, geometry: SocketGeometry, sizes: SimpleNamespace) -> None:
+    def __init__(
+        self, geometry: SocketGeometry, clusters: tuple[str, ...], sizes: SimpleNamespace
+    ) -> None:
         count = len(geometry)
         self._correlation = wall_correlation(geometry, sizes.length)
         self._field = np.array([sizes.shear, sizes.shear, 1.0])
@@ -607,6 +593,10 @@ class _Prior:
         turned = np.tile(np.eye(3), (count, 1, 1))  # T
         turned[:, :2, 2] = sizes.drag * (proximal_direction(geometry) @ geometry.rotations)[:, :2]
         self._turned = sizes.normal_deviation * turned
+        self.mapping = _mapping(geometry, clusters, sizes.share)
+        self.with_channels = self.times(self.mapping.T.reshape(count, 3, -1))  # K H', (n, 3, c)
+        self.signal = self.mapping @ self.with_channels.reshape(3 * count, -1)  # H K H'
+        self.noise = _noise(self.signal, sizes)
 
     def times(self, columns: FloatArray) -> FloatArray:
         """The product of K and columns of the shape (n, 3, c), of the same shape."""

@@ -12,6 +12,7 @@ from support import meshes
 from support.verbs import call, refused
 
 from socket_testbed.__main__ import run
+from socket_testbed.geometry.regions import all_regions
 from socket_testbed.geometry.socket import read_socket, write_socket
 
 pytestmark = pytest.mark.slow
@@ -102,6 +103,18 @@ def test_clusters_and_bodies_are_taken_over(tiled: Path, tmp_path: Path, capsys)
     code, _, err = call(capsys, "tile", cup, "-o", output, "--replace", *anterior)
     assert code == 1 and "registered marker bodies" in err and "--bodies" in err
     assert "nominal" not in err
+
+
+def test_clusters_are_proposed_where_they_tell_most(cup: Path, tmp_path: Path, capsys) -> None:
+    output = tmp_path / "six.yaml"
+    words = ["tile", cup, "-o", output, "--anterior=-y", "--rounds", "2", "--place", "6"]
+    code, _, error = call(capsys, *words, "--keep-out", "posterior")
+    geometry = read_socket(output)
+    assert code == 0 and "the number tells more than the places" in error
+    assert list(geometry.clusters) == [f"cluster_{number}" for number in range(1, 7)]
+    tiles = {region.name: set(region.tiles) for region in all_regions(geometry)}
+    assert not tiles["posterior"] & set(geometry.clusters.values())
+    refused(capsys, *words, "--replace", "--keep-out", "nowhere", named=["tile 'nowhere'"])
 
 
 def test_points_and_landmarks_place_the_same_frame(cup: Path, tmp_path: Path, capsys) -> None:

@@ -13,12 +13,12 @@ from socket_testbed.geometry.socket import read_socket
 from socket_testbed.identification.force_map import (
     ForceMap,
     MapEstimate,
-    _hypotheses,
+    Prior,
     _mapping,
     _noise,
-    _Prior,
     _rice_deviation,
     _rigid_motions,
+    hypotheses,
     map_trial,
     wall_correlation,
 )
@@ -72,20 +72,20 @@ def whole_prior(sizes: SimpleNamespace) -> np.ndarray:
 
 def test_the_prior_s_parts_are_its_equation_s() -> None:
     tiles = len(GEOMETRY)
-    for sizes in _hypotheses(ForceMapSettings())[:3]:
-        whole, prior = whole_prior(sizes), _Prior(GEOMETRY, sizes)
+    for sizes in hypotheses(ForceMapSettings())[:3]:
+        whole, prior = whole_prior(sizes), Prior(GEOMETRY, CLUSTERS, sizes)
         columns = np.random.default_rng(0).normal(size=(3 * tiles, 2))
         found = prior.times(columns.reshape(tiles, 3, 2)).reshape(-1, 2)
         np.testing.assert_allclose(found, whole @ columns, rtol=1e-9, atol=1e-9 * whole.max())
         blocks = whole.reshape(tiles, 3, tiles, 3)[np.arange(tiles), :, np.arange(tiles)]
         np.testing.assert_allclose(prior.blocks(), blocks, atol=1e-9 * whole.max())
-        root = prior.draw(np.eye(_Prior.numbers_of(tiles)))  # a draw is linear in its numbers
+        root = prior.draw(np.eye(Prior.numbers_of(tiles)))  # a draw is linear in its numbers
         np.testing.assert_allclose(root.T @ root, whole, atol=1e-9 * whole.max())
 
 
 def test_hypotheses_follow_the_stated_distributions() -> None:
     settings = ForceMapSettings(draws=256, spread=2.0)
-    found = _hypotheses(settings)
+    found = hypotheses(settings)
     assert vars(found[0]) == pytest.approx(vars(settings))
     for name, spread in (("sinking", 2.0), ("length", 0.5), ("cluster_error", 1.0)):
         logs = np.log([getattr(sizes, name) / getattr(settings, name) for sizes in found])
@@ -201,7 +201,7 @@ def test_joint_draws_have_the_posterior_of_a_plain_conditioning() -> None:
     assert joint.rows.tolist() == [0]
     draws = joint.values()[0]
 
-    (drawn,) = _hypotheses(settings)
+    (drawn,) = hypotheses(settings)
     prior = whole_prior(drawn)
     kept = np.repeat([True, True, True, True, False, True], 3)
     mapping = _mapping(GEOMETRY, CLUSTERS, drawn.share)
