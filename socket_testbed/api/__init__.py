@@ -37,6 +37,7 @@ from socket_testbed.api.tradeoff import paper as paper
 from socket_testbed.api.tradeoff import pareto as pareto
 from socket_testbed.api.tradeoff import write_report as write_report
 from socket_testbed.api.trials import annotate as annotate
+from socket_testbed.api.trials import check_data as check_data
 from socket_testbed.api.trials import open_trial as open_trial
 from socket_testbed.api.trials import select_segment as select_segment
 from socket_testbed.api.trials import simulate as simulate

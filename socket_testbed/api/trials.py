@@ -16,6 +16,8 @@ from socket_testbed.errors import ConfigurationError, TrialError, closest
 from socket_testbed.files import check_new_folder, packaged
 from socket_testbed.geometry.regions import Side
 from socket_testbed.geometry.socket import read_socket
+from socket_testbed.identification.data_check import Finding
+from socket_testbed.identification.data_check import check_data as find_faults
 from socket_testbed.samples import Samples
 from socket_testbed.settings.identification import PlateauSettings
 from socket_testbed.settings.testbed import EstimatorSettings
@@ -167,6 +169,21 @@ def annotate(
 
 def _warn(note: str) -> None:
     warnings.warn(note, stacklevel=2)
+
+
+def check_data(trial: Trial) -> tuple[Finding, ...]:
+    """Check whether a trial's data is good: what to look at, the worst first.
+
+    Signs, lags, units, dead, clipped, noisy and missing sources, each judged by itself and by the
+    others: see `socket_testbed.identification.data_check`.
+
+    Raises:
+        TrialError: If the trial cannot be read.
+
+    >>> st.check_data(st.open_trial("trials/hold"))
+    ()
+    """
+    return find_faults(trial.samples(), trial.geometry, trial.metadata.mass)
 
 
 def select_segment(samples: Samples, specification: str = "plateau") -> Segment:

@@ -12,11 +12,13 @@ from functools import cache, partial
 from pathlib import Path
 from typing import Any, Generic, Literal, TypeVar
 
+from socket_testbed import api
 from socket_testbed.batch import Job, Row, Task, find_trials, plan_jobs, run_batch
 from socket_testbed.commands.signatures import takes
 from socket_testbed.documents import check_number
-from socket_testbed.errors import ConfigurationError
+from socket_testbed.errors import ConfigurationError, TestbedError
 from socket_testbed.files import check_outputs, check_picture
+from socket_testbed.identification.data_check import GOOD
 from socket_testbed.settings.identification import IdentificationSettings
 from socket_testbed.settings.testbed import EstimatorSettings, estimator_settings
 from socket_testbed.tables import check_format
@@ -61,6 +63,28 @@ def open_given(
     return Trial(trial, geometry, calibration, cache(print_note), spans, load_cell, tare)
 
 
+def open_checked(trial: Path, **options: Any) -> Trial:
+    """Open the trial of the options, and say first whether its data is good."""
+    opened = open_given(trial, **options)
+    say_data(opened)
+    return opened
+
+
+def say_data(trial: Trial, prefix: str = "", good: bool = True) -> str:
+    """Note whether a trial's data is good, or what to look at; returns the first of it.
+
+    A trial that cannot be read is left to the verb, which says why.
+    """
+    try:
+        found = [str(finding) for finding in api.check_data(trial)] or [GOOD]
+    except TestbedError:
+        return ""
+    for line in found:
+        if trial.notify is not None and (good or line != GOOD):
+            trial.notify(f"{prefix}{line}")
+    return found[0].removeprefix("data: ")
+
+
 def open_all(paths: Sequence[Path], options: Mapping[str, Any]) -> list[Trial]:
     """The trials at some paths, of which a folder of trials stands for all in it.
 
@@ -68,7 +92,10 @@ def open_all(paths: Sequence[Path], options: Mapping[str, Any]) -> list[Trial]:
     """
     notify = cache(print_note)
     found = [path for given in paths for path in find_trials(given, notify).values() or [given]]
-    return [dataclasses.replace(open_given(path, **options), notify=notify) for path in found]
+    trials = [dataclasses.replace(open_given(path, **options), notify=notify) for path in found]
+    for trial in trials:
+        say_data(trial, f"{trial.name}: ")
+    return trials
 
 
 def check_files(output: Path | None, figure: Path | None, *, replace: bool) -> None:
@@ -185,7 +212,7 @@ def on_trials(
     trials = find_trials(trial, print_note)
     if not trials:
         check_outputs(output, replace=replace)
-        verb.show(verb.work(open_given(trial, **options), {"alone": True, **options}), options)
+        verb.show(verb.work(open_checked(trial, **options), {"alone": True, **options}), options)
         return
     assert output is not None
     settings = given(options, estimator_settings, IdentificationSettings)
@@ -203,7 +230,10 @@ def on_trials(
 
 def _do(verb: TrialVerb[R], options: Mapping[str, Any], job: Job) -> Row:
     files = {name: job.files.get(_option(name)) for name in _FILES}
-    return verb.row(verb.work(job.trial, {**options, **files, "output": job.output}))
+    data = say_data(job.trial, good=False)
+    return {"data": data} | verb.row(
+        verb.work(job.trial, {**options, **files, "output": job.output})
+    )
 
 
 def _option(name: str) -> str:

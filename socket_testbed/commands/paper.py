@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from socket_testbed import api
-from socket_testbed.commands.options import check_files, draw, given, open_given
+from socket_testbed.commands.options import check_files, draw, given, open_checked
 from socket_testbed.commands.signatures import takes
 from socket_testbed.commands.text import Progress, number, table
 from socket_testbed.errors import ConfigurationError
@@ -51,7 +51,7 @@ def pareto(
     if output is not None and output.suffix.lower() != ".csv":
         raise ConfigurationError(f"{output}: is not a .csv file", "name a .csv file")
     check_files(output, figure, replace=replace)
-    opened = open_given(trial, **options)
+    opened = open_checked(trial, **options)
     found = api.pareto(opened, **given(options, api.pareto, api.fit), progress=Progress)
     if output is not None:
         found.save(output)
@@ -109,7 +109,7 @@ def paper(trial: Path, *, json: bool = False, **options: Any) -> None:
     Args:
         json: Print JSON on standard output.
     """
-    opened = open_given(trial, **options)
+    opened = open_checked(trial, **options)
     found = api.paper(opened, **given(options, api.paper, api.fit), progress=Progress)
     if json:
         print(found.to_json())

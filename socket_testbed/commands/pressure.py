@@ -15,7 +15,7 @@ from socket_testbed.commands.options import (
     draw,
     given,
     on_trials,
-    open_given,
+    open_checked,
     segment_columns,
 )
 from socket_testbed.commands.signatures import takes
@@ -158,7 +158,7 @@ def map(
         figure: Draw the mean pressure and its uncertainty.
     """
     check_files(output, figure, replace=replace)
-    opened = open_given(trial, **options)
+    opened = open_checked(trial, **options)
     found = api.force_map(opened, **given(options, api.force_map))
     found.save(output)
     draw(found, figure, **options)

@@ -9,7 +9,14 @@ from typing import Any
 import numpy as np
 
 from socket_testbed import api
-from socket_testbed.commands.options import check_metadata, given, open_given, print_note
+from socket_testbed.commands.options import (
+    check_metadata,
+    given,
+    open_checked,
+    open_given,
+    print_note,
+    say_data,
+)
 from socket_testbed.commands.signatures import takes
 from socket_testbed.commands.text import Progress, number, table
 from socket_testbed.files import check_outputs
@@ -72,7 +79,7 @@ def export(
         map: As `force_map` in `export`.
     """
     check_outputs(output, replace=replace)
-    opened = open_given(trial, **options)
+    opened = open_checked(trial, **options)
     written = api.export(opened, output, force_map=map, **given(options, api.export))
     segment, rows = written.attrs["segment"], written.attrs["rows"]
     print(f"{opened.name}: {segment}, {rows}, {len(written.columns)} columns in {output}")
@@ -86,6 +93,7 @@ def info(trial: Path, **options: Any) -> None:
     opened = dataclasses.replace(opened, notify=lambda note: notes.update({note: None}))
     print(_topics(opened))
     shown = len(notes)
+    say_data(opened)
     samples, metadata = opened.samples(), opened.metadata
     print()
     for note in list(notes)[shown:]:

@@ -13,6 +13,7 @@ from socket_testbed.arrays import BoolArray, FloatArray
 from socket_testbed.errors import IdentificationError
 from socket_testbed.geometry.regions import Region, Side, all_regions
 from socket_testbed.identification.contact import ContactModel
+from socket_testbed.identification.data_check import Finding, check_data
 from socket_testbed.identification.evaluation import (
     ChannelErrors,
     evaluate_predictions,
@@ -118,6 +119,7 @@ class Results:
     validation: tuple[Judgement, ...]  # empty where the trial does not allow it,
     no_validation: str  # for this reason
     pressure: PressureResults
+    data: tuple[Finding, ...]  # what to look at in the data
 
     @property
     def in_segment(self) -> BoolArray:
@@ -203,6 +205,7 @@ def compute_results(
         plateaus=tuple(find_plateaus(samples, settings.plateau, leave_out)),
         events=tuple(noting.events()),
         bag_notes=tuple(dict.fromkeys(notes)),
+        data=check_data(samples, trial.geometry, trial.metadata.mass),
         motion=measure_motion(chosen, trial.geometry, settings.identification.pose_smoothing),
         validation=validation,
         no_validation=no_validation,

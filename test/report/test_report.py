@@ -110,7 +110,7 @@ def test_a_dead_channel_that_was_left_out_costs_no_sample(hold, tmp_path, no_fro
     (noted,) = [note for note in notes if "are in no fit" in note] or ["0 of"]
     assert noted.split()[0] == str(lost)
     assert "Never measured over the segment: Mz." in notes
-    assert "mean moment \N{EN DASH} N m" in summarise(results)[1]
+    assert "mean moment \N{EN DASH} N m" in summarise(results)[2]
     assert all(candidate.held_out for candidate in results.candidates)
 
 

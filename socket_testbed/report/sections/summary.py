@@ -44,6 +44,7 @@ def summarise(results: Results) -> list[str]:
     (force, _), (moment, _) = mean_and_sigma(wrench[:, 3:]), mean_and_sigma(wrench[:, :3])
     return [
         describe_pressure(results.pressure, results.trial.geometry),
+        "; ".join(map(str, results.data)).capitalize() or "Data: good.",
         f"Fitted to the segment, {results.segment}: {int(results.in_segment.sum())} of"
         f" {len(results.samples)} samples, mean force {number(force)} N, mean moment"
         f" {number(moment)} N m. Errors over it are in-sample, those over the rest held-out.",

@@ -1,0 +1,308 @@
+"""Whether a trial's data is good, or what to look at: each source judged by itself and the others.
+
+A limb that is loaded presses the wall: over a trial every cluster's normal force follows the force
+along the socket, and the limb's pose does. So a reversed sign, a late or a dead source and a wrong
+unit show without a model. The thresholds keep a margin to 64 sound simulated trials (four
+scenarios, soft and stiff) and four like the published experiment. No single trial shows a wrong
+gain, an offset, a turned load cell, or two clusters exchanged that are loaded alike.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from socket_testbed.arrays import FloatArray
+from socket_testbed.errors import IdentificationError
+from socket_testbed.geometry.axis import proximal_direction
+from socket_testbed.geometry.socket import SocketGeometry
+from socket_testbed.identification.plausibility import (
+    find_outliers,
+    outlier_notes,
+    require_position,
+    require_units,
+    sign_note,
+)
+from socket_testbed.samples import Samples, Status, channel_unit
+
+GOOD = "data: good"
+LEAST_SAMPLES = 30
+LEAST_CHANGE = 15.0  # [N]; standard deviation of the load, to judge what follows it
+OPPOSITE = -0.2  # correlation with the load from which a sign is reversed; sound 0.39 and more [-]
+UNRELATED = 0.2  # correlation below which a source does not follow, [-]
+EXPLAINED = 0.4  # with less of its variance explained by the wrench; sound 0.57 and more [-]
+LATEST = 0.75  # lag of one source to another, sound 0.5 at most [s]
+CLEARER = 0.03  # correlation that a lag gains, at least [-]
+LONGEST_LAG = 10.0  # [s]
+MISSING = 0.05  # share of the samples that a source lacks, sound 0 [-]
+STILL = 2.0  # time that a value never changes, sound two samples [s]
+CLIPPED = 0.05  # share of the samples at one end of a channel's range, sound 0.002 [-]
+NOISE = {"N": 20.0, "N m": 3.0}  # sound 0.3 N, like the published experiment 11 N; by unit
+STRESS_SHARE = (
+    0.001,
+    3.0,
+)  # change of all clusters' forces over the load's, sound 0.03 to 0.15 [-]
+WEIGHTS = (0.02, 5.0)  # size of the load in weights of a stated mass [-]
+SINKING = 0.5  # cosine of the limb's motion under load to the axis; sound 0.996 and more [-]
+LEVER = 2.0  # moment over force, in distances of the farthest tile [-]
+ROTATION = 0.7  # of the limb from its mean attitude, sound 0.04 [rad]
+GRAVITY = 9.81  # [m/s^2]
+
+
+@dataclass(frozen=True)
+class Finding:
+    """Something about a trial's data that should be looked at."""
+
+    source: str  # what: the wrench, the limb pose, a cluster or a channel
+    fact: str  # what is wrong with it
+    hint: str  # what to check
+
+    def __str__(self) -> str:
+        return f"data: look at {self.source}: {self.fact}; {self.hint}"
+
+
+def check_data(
+    samples: Samples, geometry: SocketGeometry, mass: float | None = None
+) -> tuple[Finding, ...]:
+    """What to look at in the data of a trial, the worst first; empty if it is good.
+
+    Args:
+        samples: All samples of the trial.
+        geometry: Geometry of the socket.
+        mass: Of the person [kg], if it is stated.
+    """
+    if len(samples) < LEAST_SAMPLES:
+        return ()
+    found = [*_sizes(samples, geometry, mass), *_courses(samples, geometry)]
+    found += [*_channels(samples)]
+    spikes = outlier_notes(samples, find_outliers(samples, geometry))
+    found += [Finding("single values", note, "check cables and connectors") for note in spikes]
+    return tuple(found)
+
+
+def _sizes(samples: Samples, geometry: SocketGeometry, mass: float | None) -> Iterator[Finding]:
+    """Units and frames."""
+    for require in (require_position, require_units):
+        try:
+            require(samples, geometry)
+        except IdentificationError as error:
+            yield Finding("the units", error.fact, error.hint)
+            return
+    force = _norm(samples.wrench[:, 3:])
+    size, reach = _quantile(force, 0.95), _norm(geometry.anchors).max()
+    moment = _quantile(_norm(samples.wrench[:, :3]), 0.5)
+    load = _quantile(force, 0.5)
+    if load > 1.0 and moment > LEVER * reach * load:
+        yield Finding(
+            "the wrench",
+            f"{moment:.3g} N m of moment under {load:.3g} N is a lever of {moment / load:.2g} m,"
+            f" where the farthest tile is {reach:.2g} m away",
+            "check that moments are in N m and forces in N, and the load cell's channels",
+        )
+    weights = size / (GRAVITY * mass) if mass else 1.0
+    if not WEIGHTS[0] <= weights <= WEIGHTS[1]:
+        yield Finding(
+            "the wrench",
+            f"its force of {size:.3g} N is {weights:.2g} weights of the stated {mass:g} kg",
+            "check that forces are in N, and the mass",
+        )
+    turned = samples.rotation - np.nanmean(samples.rotation, axis=0, keepdims=True)
+    angle = _quantile(_norm(turned), 0.95)
+    if angle > ROTATION:
+        yield Finding(
+            "the limb pose",
+            f"the limb turns by {np.degrees(angle):.0f} deg in the socket",
+            "check the order of the quaternion (x, y, z, w), and the marker bodies",
+        )
+
+
+def _courses(samples: Samples, geometry: SocketGeometry) -> Iterator[Finding]:
+    """Signs, lags, and what follows the load and what does not."""
+    proximal = proximal_direction(geometry)
+    load = -samples.wrench[:, 3:] @ proximal
+    pressing = -samples.trusted_forces[:, :, 2]
+    period = float(np.median(np.diff(samples.time))) if len(samples) > 1 else 0.0
+    together = np.nansum(pressing, axis=1)
+    if not np.isfinite(load).any():
+        return
+    changes = [float(np.nanstd(course)) for course in (together, load)]
+    if changes[0] > max(STRESS_SHARE[1] * changes[1], LEAST_CHANGE / 5):
+        yield Finding(
+            "the wrench",
+            f"its force along the socket changes by {changes[1]:.2g} N while those of the clusters"
+            f" change by {changes[0]:.2g} N",
+            "check that forces are in N and stresses in Pa, the load cell's channels, and the"
+            " calibration",
+        )
+        return
+    if not changes[1] > LEAST_CHANGE:
+        return
+    note = sign_note(samples, geometry)
+    follows = {
+        name: _correlation(column, load)
+        for name, column in zip(samples.clusters, pressing.T, strict=True)
+    }
+    opposite = [name for name, value in follows.items() if value < OPPOSITE]
+    if note or (len(opposite) > 1 and 2 * len(opposite) > len(follows)):
+        fact = "the clusters are pressed less the more the load cell is"
+        yield Finding("the wrench", note or fact, "check the sign of the load cell's channels")
+        return
+    if 0.0 < changes[0] < STRESS_SHARE[0] * changes[1]:
+        yield Finding(
+            "the clusters",
+            f"their forces change by {changes[0]:.2g} N while the load does by {changes[1]:.2g} N",
+            "check that stresses are in Pa and forces in N, and the calibration",
+        )
+    down = -samples.position @ proximal
+    for name, course in (("the clusters", together), ("the limb pose", down)):
+        lag = _lag(load, course, period)
+        if abs(lag) > max(LATEST, 2.5 * period):
+            yield Finding(
+                name,
+                f"they follow the load cell by {lag:.1f} s" if lag > 0.0
+                else f"the load cell follows by {-lag:.1f} s",
+                "check the clocks and the delays of the sources",
+            )  # fmt: skip
+            return
+    for name, value in follows.items():
+        column = pressing[:, samples.clusters.index(name)]
+        if value < OPPOSITE:
+            yield Finding(
+                name,
+                f"it is pressed less the more the limb is loaded (correlation {value:.2f})",
+                "check the sign of its normal channel, or whether clusters are exchanged",
+            )
+        elif value < UNRELATED and _explained(column, samples.wrench) < EXPLAINED:
+            yield Finding(
+                name,
+                f"it does not follow the load (correlation {value:.2f})",
+                "check its place, its cable and its calibration",
+            )
+    along = _along(samples.position, load, proximal)
+    if along < SINKING:
+        yield Finding(
+            "the limb pose",
+            "the limb does not sink as it is loaded: it moves at"
+            f" {np.degrees(np.arccos(along)):.0f} deg to the socket's axis",
+            "check the axes and the registration of the marker bodies",
+        )
+
+
+def _channels(samples: Samples) -> Iterator[Finding]:
+    """Sources and channels that are missing, stand still, are clipped or noisy."""
+    period = float(np.median(np.diff(samples.time)))
+    sources = {
+        "the wrench": np.isfinite(samples.wrench).all(axis=1),
+        "the limb pose": np.isfinite(samples.pose).all(axis=1),
+        **{name: samples.status[:, k] == Status.OK for k, name in enumerate(samples.clusters)},
+    }
+    for name, present in sources.items():
+        lacking = float(np.mean(~present))
+        if lacking > MISSING:
+            yield Finding(
+                name,
+                f"{100.0 * lacking:.0f} % of its samples are missing or out of range",
+                "see 'info' for the gaps, and 'doctor' for the wiring",
+            )
+    # A pose that is averaged or extrapolated still moves in its last digits.
+    if period * max(map(_longest_run, _known(samples.pose).T)) > max(STILL, 4.0 * period):
+        yield Finding("the limb pose", "it stands still", "check the cameras and the bodies' names")
+    values = np.hstack([samples.wrench, samples.trusted_forces.reshape(len(samples), -1)])
+    for name, column in zip(samples.channels, values.T, strict=True):
+        known = column[np.isfinite(column)]
+        if len(known) < LEAST_SAMPLES:
+            continue
+        still = period * _longest_run(known)
+        at_end = max(np.mean(known == known.max()), np.mean(known == known.min()))
+        noise, unit = _noise(known), channel_unit(name)
+        if still > max(STILL, 4.0 * period):
+            yield Finding(
+                name, f"it does not change for {still:.1f} s", "check the sensor and its driver"
+            )
+        elif at_end > CLIPPED:
+            yield Finding(
+                name,
+                f"{100.0 * at_end:.0f} % of its values are at one end, {known.max():.3g} {unit}",
+                "check the sensor's range: it is clipped",
+            )
+        elif noise > NOISE[unit]:
+            yield Finding(
+                name,
+                f"its noise is {noise:.3g} {unit}",
+                "check shields, connectors and the supply",
+            )
+
+
+def _known(vectors: FloatArray) -> FloatArray:
+    """The vectors without a missing component; a missing one if there is none."""
+    known = vectors[np.isfinite(vectors).all(axis=1)]
+    return known if len(known) else vectors[:1]
+
+
+def _norm(vectors: FloatArray) -> FloatArray:
+    return np.asarray(np.linalg.norm(vectors, axis=1))
+
+
+def _quantile(values: FloatArray, share: float) -> float:
+    """A quantile of the finite values; 0 without any."""
+    finite = values[np.isfinite(values)]
+    return float(np.quantile(finite, share)) if len(finite) else 0.0
+
+
+def _correlation(one: FloatArray, other: FloatArray) -> float:
+    """Correlation of two courses where both are known; 0 where one does not change."""
+    known = np.isfinite(one) & np.isfinite(other)
+    if known.sum() < LEAST_SAMPLES:
+        return 1.0  # too little to say anything
+    a, b = one[known] - one[known].mean(), other[known] - other[known].mean()
+    size = np.sqrt((a @ a) * (b @ b))
+    return float(a @ b / size) if size > 0.0 else 0.0
+
+
+def _along(position: FloatArray, load: FloatArray, proximal: FloatArray) -> float:
+    """Cosine of the angle between the limb's motion under load and the distal direction [-]."""
+    known = np.isfinite(position).all(axis=1) & np.isfinite(load)
+    if known.sum() < LEAST_SAMPLES:
+        return 1.0
+    moved = (load[known] - load[known].mean()) @ (position[known] - position[known].mean(axis=0))
+    return float(-moved @ proximal / max(np.linalg.norm(moved), 1e-12))
+
+
+def _explained(course: FloatArray, by: FloatArray) -> float:
+    """Share of the variance of a course (N,) that is linear in others (N, k) [-]."""
+    known = np.isfinite(course) & np.isfinite(by).all(axis=1)
+    if known.sum() < LEAST_SAMPLES or not np.ptp(course[known]) > 0.0:
+        return 0.0
+    columns = np.column_stack([by[known], np.ones(int(known.sum()))])
+    spread = np.maximum(columns.std(axis=0), 1e-12)
+    spread[-1] = 1.0
+    fit = np.linalg.lstsq(columns / spread, course[known], rcond=None)[0]
+    left = course[known] - columns / spread @ fit
+    return float(1.0 - left.var() / course[known].var())
+
+
+def _lag(reference: FloatArray, course: FloatArray, period: float) -> float:
+    """Time by which a course follows another, 0 unless a lag is clearly better [s]."""
+    most = min(round(LONGEST_LAG / period), len(course) // 3)
+    found = {
+        lag: _correlation(course[max(lag, 0) : len(course) + min(lag, 0)],
+                          reference[max(-lag, 0) : len(course) - max(lag, 0)])
+        for lag in range(-most, most + 1)
+    }  # fmt: skip
+    best = max(found, key=lambda lag: (found[lag], -abs(lag)))
+    clear = found[best] > max(found[0] + CLEARER, 0.5)
+    return best * period if clear else 0.0
+
+
+def _longest_run(values: FloatArray) -> int:
+    """Length of the longest run of equal values."""
+    ends = np.flatnonzero(np.append(np.diff(values) != 0.0, True))
+    return int(np.diff(np.append(-1, ends)).max())
+
+
+def _noise(values: FloatArray) -> float:
+    """White noise of a course: from its second differences, robust against motion."""
+    second = np.diff(values, 2)
+    return float(1.4826 * np.median(np.abs(second - np.median(second))) / np.sqrt(6.0))
