@@ -49,6 +49,8 @@ def _show_fit(found: TrialFit, options: Mapping[str, Any]) -> None:
     )
     if model.variant in PAPER_VARIANTS:
         print(f"stiffness k0 of Stage 1: {settings.initial_stiffness:.4g} N/m")
+    if fit.wrench:
+        print(f"the wrench is predicted by {fit.wrench}")
     print(f"{fit.status}\n\n{errors_table(fit.errors)}\n")
     shares, motion = found.load_shares(), found.motion()
     borne = [f"{share.name} {number(100 * share.springs, 0)} %" for share in shares]

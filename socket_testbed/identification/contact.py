@@ -53,6 +53,9 @@ class ContactModel:
     reference_pose: FloatArray = field(default_factory=lambda: np.zeros(6))
     # what `rigid_bias` adds to the wrench per relative pose, shape (6, 6) [N m, N per m, rad]
     wrench_slope: FloatArray = field(default_factory=lambda: np.zeros((6, 6)))
+    # the model that the wrench is taken from where this bed's springs predict unseen samples worse:
+    # one of another sharpness, or a linear regression, which has no springs
+    of_wrench: ContactModel | None = None
 
     @property
     def is_rigid(self) -> bool:
@@ -83,6 +86,8 @@ class ContactModel:
         Returns:
             Wrenches [M; F] in {S}, shape (N, 6) [N m, N].
         """
+        if self.of_wrench is not None:
+            return self.of_wrench.wrench(pose)
         motion = self.law.motion(pose)
         return self._wrench_of(motion, self._springs(motion))
 
@@ -91,6 +96,8 @@ class ContactModel:
         motion = self.law.motion(pose)
         springs = self._springs(motion)
         forces = self._spring_forces(springs) + self._bias_in_socket_frame()
+        if self.of_wrench is not None:
+            return self.of_wrench.wrench(pose), forces
         return self._wrench_of(motion, springs), forces
 
     def cluster_forces(self, pose: FloatArray) -> dict[str, FloatArray]:

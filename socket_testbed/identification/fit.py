@@ -18,7 +18,11 @@ from socket_testbed.identification.box_qp import (
 )
 from socket_testbed.identification.contact import ContactModel
 from socket_testbed.identification.evaluation import ChannelErrors, evaluate
-from socket_testbed.identification.objective import build_objective, check_channels
+from socket_testbed.identification.objective import (
+    LEAST_SAMPLES,
+    build_objective,
+    check_channels,
+)
 from socket_testbed.identification.problem import Problem
 from socket_testbed.samples import Samples, channel_names
 from socket_testbed.settings.identification import (
@@ -26,6 +30,9 @@ from socket_testbed.settings.identification import (
     check_solver,
 )
 
+REGRESSION = "linear regression on the pose"
+CLEARLY = 0.95  # [-]; of the error of the bed's own springs, from which another is better
+_RANK = 1e-10  # [-]; smallest singular value of the standardised poses, relative to the largest
 _STEPS = 100
 _DAMPING = 1e-2  # [-]; of the first step, against the mean curvature
 _ROUNDING = 1e-13  # [-]; of the objective's value
@@ -49,6 +56,7 @@ class Fit:
     stage_two: BoxSolution  # certified solution of Stage 2
     # certified joint refinement of both in the rigid variants, otherwise None
     joint: BoxSolution | None = None
+    wrench: str = ""  # where the wrench is taken from, if not from the model's own springs
 
     @property
     def status(self) -> str:
@@ -87,6 +95,7 @@ def fit_contact_model(
         x, joint = _refine(problem, x, solver, tolerance)
         moments = problem.moments(x)
     model, used = problem.model(x), problem.objective.samples
+    model, chosen = _with_wrench_model(model, samples, used, geometry, settings)
     return Fit(
         model=model,
         settings=problem.settings,
@@ -97,7 +106,73 @@ def fit_contact_model(
         stage_one=rest,
         stage_two=springs,
         joint=joint,
+        wrench=chosen,
     )
+
+
+def _with_wrench_model(
+    model: ContactModel,
+    samples: Samples,
+    used: Samples,
+    geometry: SocketGeometry,
+    settings: IdentificationSettings,
+) -> tuple[ContactModel, str]:
+    """The model with what predicts the wrench best, and that in words; empty for its own springs.
+
+    The bed of `contact_sharpness`, beds of other sharpness and a linear regression on the pose are
+    fitted on the first half of the samples that a fit uses, and judged on the second, which none of
+    them has seen. Another one is taken if it is clearly better, and fitted on all samples.
+    """
+    middle = used.stamps[len(used) // 2]
+    first, unseen = used[used.stamps < middle], used[used.stamps >= middle]
+    if settings.variant != "rigid_bias" or not settings.wrench_sharpness:
+        return model, ""
+    if min(len(first), len(unseen)) < LEAST_SAMPLES:
+        return model, ""
+    alone, early = replace(settings, wrench_sharpness=()), samples[samples.stamps < middle]
+
+    def fitted(sharpness: float, on: Samples) -> ContactModel:
+        return fit_contact_model(on, geometry, replace(alone, contact_sharpness=sharpness)).model
+
+    own, *others = settings.contact_sharpness, *settings.wrench_sharpness
+    tried = {f"springs of sharpness {value:g} /m": fitted(value, early) for value in (own, *others)}
+    base = next(iter(tried))
+    tried[REGRESSION] = _regression(tried[base], first)
+    errors = {name: _wrench_error(each, unseen) for name, each in tried.items()}
+    best = min(errors, key=errors.__getitem__)
+    if not errors[best] < CLEARLY * errors[base]:
+        return model, ""
+    if best == REGRESSION:
+        chosen = _regression(model, used)
+    else:
+        chosen = fitted(others[list(tried).index(best) - 1], samples)
+    better = f"{best}: {100.0 * (1.0 - errors[best] / errors[base]):.0f} % less error on the"
+    return replace(model, of_wrench=chosen), f"{better} unseen half than the bed's own springs"
+
+
+def _regression(model: ContactModel, samples: Samples) -> ContactModel:
+    """A model without springs, whose wrench is linear in the pose, by least squares."""
+    known = np.isfinite(samples.wrench).all(axis=1)
+    motion, wrench = model.law.motion(samples.pose[known]), samples.wrench[known]
+    mean, constant = motion.mean(axis=0), wrench.mean(axis=0)
+    spread = motion.std(axis=0)
+    spread = np.where(spread > 1e-12 * np.abs(samples.pose[known]).max(axis=0), spread, np.inf)
+    slope = np.linalg.lstsq((motion - mean) / spread, wrench - constant, rcond=_RANK)[0].T / spread
+    return replace(
+        model,
+        stiffness=np.zeros_like(model.stiffness),
+        force_bias={},
+        wrench_slope=slope,
+        wrench_bias=constant - slope @ mean,
+    )
+
+
+def _wrench_error(model: ContactModel, samples: Samples) -> float:
+    """Mean error of the moments and of the forces, each over its change [-]."""
+    missed = np.sqrt(np.nanmean((model.wrench(samples.pose) - samples.wrench) ** 2, axis=0))
+    change = np.nanstd(samples.wrench, axis=0)
+    parts = ((missed[part].sum(), change[part].sum()) for part in (slice(0, 3), slice(3, 6)))
+    return float(sum(error / max(size, 1e-9) for error, size in parts))
 
 
 def _refine(

@@ -69,9 +69,10 @@ def load_shares(samples: Samples, model: ContactModel) -> tuple[LoadShare, ...]:
 
     Samples without a pose or a channel of the part do not count; a share without any is NaN.
     """
-    alone = replace(model, wrench_bias=np.zeros(6), wrench_slope=np.zeros((6, 6)))
+    bed = replace(model, of_wrench=None)
+    alone = replace(bed, wrench_bias=np.zeros(6), wrench_slope=np.zeros((6, 6)))
     springs = predict_channels(alone, samples.pose, ())
-    offsets = predict_channels(model, samples.pose, ()) - springs
+    offsets = predict_channels(bed, samples.pose, ()) - springs
     found = []
     for name, part in (("Fz", slice(5, 6)), ("force", slice(3, 6)), ("moment", slice(0, 3))):
         measured = samples.wrench[:, part]

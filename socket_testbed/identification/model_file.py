@@ -80,24 +80,13 @@ def write_model(
         segment: The segment of the trial.
         path: The file; an older one is replaced.
     """
-    model = fit.model
     document = {
         "format": _FORMAT,
         "trial": trial,
         "segment": segment,
         "settings": fit.settings.to_flat(),
         "geometry": geometry.to_document(),
-        "parameters": {
-            "variant": model.variant,
-            "sharpness": model.sharpness,
-            "stiffness": model.stiffness.tolist(),
-            "rest_positions": model.rest_positions.tolist(),
-            "wrench_bias": model.wrench_bias.tolist(),
-            "force_bias": {name: bias.tolist() for name, bias in model.force_bias.items()},
-            "clusters": list(model.cluster_points),
-            "reference_pose": model.reference_pose.tolist(),
-            "wrench_slope": model.wrench_slope.tolist(),
-        },
+        "parameters": _parameters(fit.model),
         "quality": {
             "samples": fit.samples,
             "last_stamp": fit.last_stamp,
@@ -112,6 +101,24 @@ def write_model(
     }
     with atomic_output(path) as staging:
         staging.write_text(json.dumps(document, indent=1, allow_nan=False), encoding="utf-8")
+
+
+def _parameters(model: ContactModel) -> dict[str, Any]:
+    """The parameters of a model for JSON."""
+    found = {
+        "variant": model.variant,
+        "sharpness": model.sharpness,
+        "stiffness": model.stiffness.tolist(),
+        "rest_positions": model.rest_positions.tolist(),
+        "wrench_bias": model.wrench_bias.tolist(),
+        "force_bias": {name: bias.tolist() for name, bias in model.force_bias.items()},
+        "clusters": list(model.cluster_points),
+        "reference_pose": model.reference_pose.tolist(),
+        "wrench_slope": model.wrench_slope.tolist(),
+    }
+    if model.of_wrench is not None:
+        found["of_wrench"] = _parameters(model.of_wrench)
+    return found
 
 
 def errors_document(errors: ChannelErrors) -> dict[str, Any]:
@@ -157,6 +164,7 @@ class _Parameters(Document):
     reference_pose: tuple[_Place, _Place, _Place, _Place, _Place, _Place] | None = None
     wrench_slope: tuple[_Six, _Six, _Six, _Six, _Six, _Six] | None = None
     parameter_factor: Any = None  # of older files, which nothing reads any more
+    of_wrench: _Parameters | None = None
 
     def model(self, geometry: SocketGeometry, where: str) -> ContactModel:
         """The contact model on a socket's tiles."""
@@ -171,6 +179,9 @@ class _Parameters(Document):
                 raise ConfigurationError(
                     f"{where}: {key} has {len(getattr(self, key))} rows for {points} tiles", _AGAIN
                 )
+        of_wrench = None
+        if self.of_wrench is not None:
+            of_wrench = self.of_wrench.model(geometry, f"{where}: of_wrench")
         rigid = {"reference_pose": self.reference_pose, "wrench_slope": self.wrench_slope}
         return ContactModel(
             variant=self.variant,
@@ -183,6 +194,7 @@ class _Parameters(Document):
             wrench_bias=np.array(self.wrench_bias),
             force_bias={name: np.array(bias) for name, bias in self.force_bias.items()},
             cluster_points={name: geometry.clusters[name] for name in clusters},
+            of_wrench=of_wrench,
             **{name: np.array(value) for name, value in rigid.items() if value is not None},
         )
 

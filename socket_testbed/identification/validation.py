@@ -27,7 +27,7 @@ from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification.contact import ContactModel
 from socket_testbed.identification.contact_law import wrench_map
 from socket_testbed.identification.evaluation import ChannelErrors, evaluate, predict_channels
-from socket_testbed.identification.fit import fit_contact_model
+from socket_testbed.identification.fit import REGRESSION, fit_contact_model
 from socket_testbed.identification.force_map import ForceMap
 from socket_testbed.identification.noise import channel_noise, smooth_poses
 from socket_testbed.identification.objective import LEAST_SAMPLES
@@ -47,7 +47,6 @@ INVERSE_DISTANCE = "inverse distance"
 CLOSED = "inverse distance, wrench met"
 FORCE_MAP = "force map"
 CONSTANT = "best constant"
-REGRESSION = "linear regression on the pose"
 MOST_SAMPLES = 1000  # of a trial, on which forces on tiles are judged
 
 _EXPONENT = 2.0  # [-]; Shepard's

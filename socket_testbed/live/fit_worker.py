@@ -152,7 +152,8 @@ def _fit(
     settings: IdentificationSettings,
     steady: Steady | None,
 ) -> Refit | None:
-    settings = replace(settings, pose_smoothing=0.0)  # live, a centred window would lag
+    # Live, a centred window would lag, and the wrench is measured anyway.
+    settings = replace(settings, pose_smoothing=0.0, wrench_sharpness=())
     if steady is None:
         return Refit(_plausible_fit(samples, geometry, settings))
     if len(samples) and not samples.wrench.any():

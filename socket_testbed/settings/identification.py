@@ -72,6 +72,10 @@ class IdentificationSettings(Settings):
     contact_sharpness: float = setting(
         1000.0, "sharpness alpha of the rigid variants' contact [1/m]", 1.0, 1e6
     )
+    wrench_sharpness: tuple[float, ...] = setting(
+        (100.0, 20.0), "those tried for the wrench of rigid_bias beside it and a linear regression,"
+        " by the error on the unseen half; none: its own [1/m]", 1.0, 1e6,
+    )  # fmt: skip
     prior: float = setting(
         1.0, "weight of the rigid variants' prior over the tiles against the errors [-]", 1e-9, 1e6
     )

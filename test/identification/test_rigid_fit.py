@@ -9,6 +9,7 @@ from support.problems import make_samples, random_socket, uniform_bed
 
 from socket_testbed.identification.contact import ContactModel
 from socket_testbed.identification.fit import fit_contact_model
+from socket_testbed.identification.model_file import read_model, write_model
 from socket_testbed.identification.objective import build_objective
 from socket_testbed.identification.problem import Problem
 from socket_testbed.settings.identification import RIGID_VARIANTS, IdentificationSettings
@@ -113,3 +114,23 @@ def test_a_pose_or_a_load_that_stands_still_gives_no_slope():
     size = np.abs(bed.wrench(samples.pose) - bed.wrench(samples.pose).mean(axis=0)).max(axis=0)
     reach = np.abs(samples.pose - held.reference_pose).max(axis=0)
     assert (np.abs(held.wrench_slope) @ reach < 0.1 * size).all()
+
+
+def test_the_wrench_is_taken_from_what_predicts_the_unseen_half_best(tmp_path):
+    """A wrench that is linear in the pose is a regression's; the bed keeps the clusters' forces."""
+    geometry, _, samples, settings = rigid_case(4, "rigid_bias", count=160)
+    own = fit_contact_model(samples, geometry, settings)
+    assert own.wrench == "" and own.model.of_wrench is None  # the bed is the truth
+    slope = np.random.default_rng(2).normal(size=(6, 6)) * np.repeat([[40.0], [2000.0]], 3, axis=0)
+    pose = samples.pose - samples.pose.mean(axis=0)
+    samples.wrench[:] = [0.5, 1.0, 0.1, 5.0, 3.0, -250.0] + pose @ slope.T
+    fit = fit_contact_model(samples, geometry, settings)
+    assert fit.wrench.startswith("linear regression on the pose: ")
+    np.testing.assert_allclose(fit.model.wrench(samples.pose), samples.wrench, atol=0.5)
+    alone = dataclasses.replace(fit.model, of_wrench=None)
+    np.testing.assert_array_equal(alone.forces(samples.pose), fit.model.forces(samples.pose))
+    write_model(fit, geometry, {"name": "made up"}, "all", tmp_path / "model.json")
+    stored = read_model(tmp_path / "model.json").model
+    np.testing.assert_allclose(
+        stored.wrench(samples.pose), fit.model.wrench(samples.pose), atol=1e-6
+    )
