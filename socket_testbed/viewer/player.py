@@ -110,11 +110,10 @@ class Player:
         if self._shown is None or self._shown.stamp != stamp:
             trusted = part.trusted
             known = bool(measured_rows(trusted[row : row + 1])[0])
-            measured = trusted.wrench[row], trusted.local_forces[row], trusted.status[row]
             self._shown = Instant(
                 stamp=stamp,
                 time=float(part.time[row]),
-                map=part.map.update(*measured) if known else None,
+                map=part.map.estimate(trusted[row : row + 1]) if known else None,
                 wrench=part.samples.wrench[row],
                 predicted=self._predicted(part, slice(row, row + 1))[0],
                 socket_in_world=_pose_at(part.socket, row),

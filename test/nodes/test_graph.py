@@ -77,11 +77,14 @@ def test_every_sample_is_predicted_as_the_model_does_offline(hold: Path, hold_mo
     np.testing.assert_allclose(forces, model.forces(samples.pose), atol=1e-9)
     # Where a marker was occluded the prediction is NaN, never an old one.
     assert np.isnan(wrench[np.isnan(samples.pose).any(axis=1)]).all()
-    # The force map is the same as offline, and asks for no marker.
-    offline = ForceMap(trial.geometry, samples.clusters).estimate(samples)
-    np.testing.assert_allclose(maps[:, 0, :, :3], offline.forces, atol=1e-9)
-    np.testing.assert_allclose(maps[:, 1, :, :3], offline.standard_deviations, atol=1e-9)
-    np.testing.assert_allclose(maps[:, 0, :, 3], offline.normal_pressure)
+    # The force map is that of a running mean of the evidence, and asks for no marker.
+    running = ForceMap(trial.geometry, samples.clusters)
+    rows = zip(samples.wrench, samples.local_forces, samples.status, maps, strict=True)
+    for *row, (values, deviations) in rows:
+        expected = running.update(*row)
+        np.testing.assert_allclose(values[:, :3], expected.forces[0], atol=1e-9)
+        np.testing.assert_allclose(deviations[:, :3], expected.standard_deviations[0], atol=1e-9)
+        np.testing.assert_allclose(values[:, 3], expected.normal_pressure[0])
 
 
 def test_another_process_subscribes_while_the_command_replays_and_estimates(hold: Path) -> None:

@@ -155,4 +155,4 @@ def test_stamps_that_jump_back_are_counted_and_named(
     assert "20 earlier values are replaced" in doubled and "and 17 more" in doubled
     capsys.readouterr()
     assert run(["info", str(target)]) == 0
-    assert capsys.readouterr().out.count("note: ") == 2
+    assert capsys.readouterr().out.count("note: the stamps of") == 2
