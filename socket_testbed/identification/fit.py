@@ -32,6 +32,7 @@ from socket_testbed.settings.identification import (
 
 REGRESSION = "linear regression on the pose"
 CLEARLY = 0.95  # [-]; of the error of the bed's own springs, from which another is better
+_LEAST_CHANGE = 0.1  # [-]; of the force, relative to its size
 _RANK = 1e-10  # [-]; smallest singular value of the standardised poses, relative to the largest
 _STEPS = 100
 _DAMPING = 1e-2  # [-]; of the first step, against the mean curvature
@@ -127,7 +128,10 @@ def _with_wrench_model(
     first, unseen = used[used.stamps < middle], used[used.stamps >= middle]
     if settings.variant != "rigid_bias" or not settings.wrench_sharpness:
         return model, ""
-    if min(len(first), len(unseen)) < LEAST_SAMPLES:
+    force = used.wrench[:, 3:]
+    change, size = np.sqrt(np.nanvar(force, axis=0).sum()), np.sqrt(np.nanmean(force**2) * 3.0)
+    # Under one load the unseen half does not show how a prediction goes on under another.
+    if min(len(first), len(unseen)) < LEAST_SAMPLES or not change > _LEAST_CHANGE * size:
         return model, ""
     alone, early = replace(settings, wrench_sharpness=()), samples[samples.stamps < middle]
 

@@ -134,3 +134,11 @@ def test_the_wrench_is_taken_from_what_predicts_the_unseen_half_best(tmp_path):
     np.testing.assert_allclose(
         stored.wrench(samples.pose), fit.model.wrench(samples.pose), atol=1e-6
     )
+
+
+def test_under_one_load_the_wrench_stays_the_bed_s():
+    """A hold says nothing about another load: a regression on its creep would go astray."""
+    geometry, _, samples, settings = rigid_case(4, "rigid_bias", count=160)
+    change = samples.wrench - samples.wrench.mean(axis=0)
+    samples.wrench[:] = [0.5, 1.0, 0.1, 5.0, 3.0, -250.0] + 1e-3 * change
+    assert fit_contact_model(samples, geometry, settings).model.of_wrench is None
