@@ -63,6 +63,7 @@ _HEADINGS = {
     "trials": "Segments, sources and calibrations",
     "regions": "By region",
     "tiles": "Tile by tile",
+    "limb": "Limb in the socket",
     "wrench": "Wrench",
 }
 _INDEPENDENT = (
@@ -474,6 +475,14 @@ def _table(
         tiles = found[0].trial.geometry.names
         every = [[*range(len(tiles))]] * len(found)
         tables += [_of_output("tiles", title, tiles, every, found, names) for title in OF_TILES]
+    limbs = [each.limb() for each in found]
+    if all(len(limb) for limb in limbs):
+        for title in limbs[0].index:
+            columns = (
+                np.array([[limb.loc[title, end]] for limb in limbs], dtype=float)
+                for end in ("value", "low", "high")
+            )
+            tables.append(values_table("limb", [""], title, names, *columns))
     wrenches = [_wrench(each) for each in found]
     for title, values in (
         ("mean", np.array([wrench.mean() for wrench in wrenches])),

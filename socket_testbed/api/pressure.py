@@ -35,6 +35,7 @@ from socket_testbed.identification.pressure import (
     read_column,
     with_interval,
 )
+from socket_testbed.identification.suspension import Suspension, find_suspension
 from socket_testbed.settings.testbed import estimator_settings
 from socket_testbed.tables import write_table
 from socket_testbed.trials.segment import Segment
@@ -183,6 +184,33 @@ class TrialPressure(Result):
         """The force map that they are computed from, at every sample: 6 kB each."""
         return TrialMap(self.trial, self.segment, self.time, self.outputs.estimate)
 
+    @cached_property
+    def suspension(self) -> Suspension | None:
+        """How the limb sits in the socket; None without poses and a wrench."""
+        return find_suspension(self.trial.samples()[self.segment.rows], self.trial.geometry)
+
+    def limb(self) -> pd.DataFrame:
+        """Pistoning, range of rotation and stiffness along and about x, y, z of {S}.
+
+        Rows such as `pistoning [mm]` and `stiffness Fz [N/mm]`, columns `value`, `low`, `high`
+        (95 %) and `uncertain`; NaN where the load did not change in every direction. Empty without
+        poses. `suspension` has all of the 6 x 6 stiffness.
+        """
+        import pandas as pd
+
+        found = {} if self.suspension is None else self.suspension.outputs()
+        table = {
+            title: {
+                "value": float(of.value),
+                "low": float(of.low),
+                "high": float(of.high),
+                "uncertain": not of.certain(self.share),
+            }
+            for title, of in found.items()
+        }
+        columns = ["value", "low", "high", "uncertain"]
+        return pd.DataFrame.from_dict(table, orient="index", columns=columns)
+
     @property
     def regions(self) -> pd.DataFrame:
         """Outputs over the segment, a row per region, then `socket`.
@@ -259,6 +287,10 @@ class TrialPressure(Result):
             "tiles": {
                 name: self._values(self.outputs.tiles, row, OF_TILES)
                 for row, name in enumerate(names)
+            },
+            "limb": {
+                str(title): {name: finite_or_null(value) for name, value in row.items()}
+                for title, row in self.limb().iterrows()
             },
         }
 

@@ -66,6 +66,8 @@ def _show(found: Comparison) -> None:
     _print("whole socket", found.cells("regions").loc[["socket"]].droplevel("name"))
     for quantity in _BY_REGION:
         _print(f"{quantity} by region", found.cells("regions", quantity).drop("socket"))
+    if "limb" in set(found.table["part"]):
+        _print("limb in the socket", found.cells("limb").droplevel("name"))
     _print("wrench", found.cells("wrench"))
     print("\n" + "\n  ".join(found.differing()))
     print(f"\n{LEGEND}")

@@ -106,6 +106,10 @@ def pressure_tables(found: TrialPressure) -> str:
     parts = [
         *_tables("region", document["regions"]),
         *_tables("tile under a cluster", clusters),
+        table(
+            ["limb in the socket", "value"], [[t, _cell(of)] for t, of in document["limb"].items()]
+        )
+        + "\n",
         "best estimate under the posterior (95 % interval); uncertain: the interval reaches"
         f" farther from the value than {found.share:g} of it\nin contact: above"
         f" {found.threshold:g} kPa; the integrals cover {found.outputs.integrated:.1f} s",
@@ -125,7 +129,9 @@ def _tables(label: str, outputs: Mapping[str, Mapping[str, Any]]) -> list[str]:
 
 
 def _cell(quantity: Mapping[str, Any]) -> str:
-    """A value with its interval, and whether it is uncertain."""
+    """A value with its interval, and whether it is uncertain; a dash where it is not known."""
+    if quantity["value"] is None:
+        return "-"
     value, low, high = (number(quantity[part], 1) for part in ("value", "low", "high"))
     return f"{value} ({low} to {high})" + " uncertain" * quantity["uncertain"]
 

@@ -29,9 +29,11 @@ def _is_number(cell: str) -> bool:
     return cell in {"", "-"} or cell.lstrip("-").replace(".", "", 1).isdigit()
 
 
-def number(value: float, digits: int = 3) -> str:
+def number(value: float | None, digits: int = 3) -> str:
     """A number for a table; a dash where there is none."""
-    return f"{round(value, digits) + 0.0:.{digits}f}" if math.isfinite(value) else "-"
+    if value is None or not math.isfinite(value):
+        return "-"
+    return f"{round(value, digits) + 0.0:.{digits}f}"
 
 
 def say(line: str) -> None:

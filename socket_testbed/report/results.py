@@ -46,6 +46,7 @@ from socket_testbed.identification.pressure import (
     PressureOutputs,
     pressure_outputs,
 )
+from socket_testbed.identification.suspension import Suspension, find_suspension
 from socket_testbed.identification.validation import Judgement, judge_samples
 from socket_testbed.samples import Samples
 from socket_testbed.settings.identification import PAPER_VARIANTS, VARIANTS, Variant
@@ -70,6 +71,7 @@ class PressureResults:
     outputs: PressureOutputs  # over the segment
     instants: FloatArray  # (k,) [s], spread over the trial, that of the peak among them
     over_trial: MapEstimate  # at the instants
+    suspension: Suspension | None  # of the limb in the socket over the segment
 
     @property
     def peak_time(self) -> float:
@@ -271,4 +273,7 @@ def _read_pressure(
     rows = np.union1d(spread.astype(np.int64), [segment.rows.start + outputs.peak_row])
     time = samples.time
     over_trial = force_map.estimate(usable[rows])
-    return PressureResults(side, places, time[segment.rows], outputs, time[rows], over_trial)
+    suspension = find_suspension(samples[segment.rows], geometry)
+    return PressureResults(
+        side, places, time[segment.rows], outputs, time[rows], over_trial, suspension
+    )

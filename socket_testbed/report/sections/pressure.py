@@ -82,6 +82,7 @@ def section(results: Results) -> Section:
             " numbers, and those of another segment or threshold.",
             _overview(results),
             *pressure_tables(found),
+            *_limb_table(found),
             Heading("In 3D, over time"),
             "The colour scale is that of the chosen values. Tiles without a value are white; tiles"
             " with a cluster are outlined. The axes are those of {S}, the frame of the load cell.",
@@ -124,6 +125,20 @@ def pressure_tables(pressure: PressureResults) -> list[Table]:
         Table("pressure-regions", f"Pressure and load {below}", first),
         Table("pressure-shear", f"Shear and centre of pressure {below}", second),
     ]
+
+
+def _limb_table(pressure: PressureResults) -> list[Table]:
+    """How the limb sits in the socket, with intervals; none without poses."""
+    if pressure.suspension is None:
+        return []
+    outputs = pressure.suspension.outputs()
+    cells = {}
+    for title, of in outputs.items():
+        known = np.isfinite(of.value)
+        uncertain = UNCERTAIN * (not of.certain())
+        cells[title] = f"{of.value:.2f} ({of.low:.2f} to {of.high:.2f}{uncertain})" * bool(known)
+    column = pd.DataFrame({"over the segment": cells}).replace("", NOTHING)
+    return [Table("limb", "Limb in the socket, about the centre of the tiles", column)]
 
 
 def describe_pressure(pressure: PressureResults, geometry: SocketGeometry) -> str:
