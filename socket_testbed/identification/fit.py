@@ -126,10 +126,11 @@ def _with_wrench_model(
     """
     middle = used.stamps[len(used) // 2]
     first, unseen = used[used.stamps < middle], used[used.stamps >= middle]
-    if settings.variant != "rigid_bias" or not settings.wrench_sharpness:
+    known = bool(np.isfinite(used.wrench).all())  # else a channel is left out
+    if settings.variant != "rigid_bias" or not settings.wrench_sharpness or not known:
         return model, ""
     force = used.wrench[:, 3:]
-    change, size = np.sqrt(np.nanvar(force, axis=0).sum()), np.sqrt(np.nanmean(force**2) * 3.0)
+    change, size = np.sqrt(force.var(axis=0).sum()), np.sqrt(3.0 * np.mean(force**2))
     # Under one load the unseen half does not show how a prediction goes on under another.
     if min(len(first), len(unseen)) < LEAST_SAMPLES or not change > _LEAST_CHANGE * size:
         return model, ""
@@ -156,11 +157,10 @@ def _with_wrench_model(
 
 def _regression(model: ContactModel, samples: Samples) -> ContactModel:
     """A model without springs, whose wrench is linear in the pose, by least squares."""
-    known = np.isfinite(samples.wrench).all(axis=1)
-    motion, wrench = model.law.motion(samples.pose[known]), samples.wrench[known]
+    motion, wrench = model.law.motion(samples.pose), samples.wrench
     mean, constant = motion.mean(axis=0), wrench.mean(axis=0)
     spread = motion.std(axis=0)
-    spread = np.where(spread > 1e-12 * np.abs(samples.pose[known]).max(axis=0), spread, np.inf)
+    spread = np.where(spread > 1e-12 * np.abs(samples.pose).max(axis=0), spread, np.inf)
     slope = np.linalg.lstsq((motion - mean) / spread, wrench - constant, rcond=_RANK)[0].T / spread
     return replace(
         model,
@@ -173,8 +173,8 @@ def _regression(model: ContactModel, samples: Samples) -> ContactModel:
 
 def _wrench_error(model: ContactModel, samples: Samples) -> float:
     """Mean error of the moments and of the forces, each over its change [-]."""
-    missed = np.sqrt(np.nanmean((model.wrench(samples.pose) - samples.wrench) ** 2, axis=0))
-    change = np.nanstd(samples.wrench, axis=0)
+    missed = np.sqrt(np.mean((model.wrench(samples.pose) - samples.wrench) ** 2, axis=0))
+    change = samples.wrench.std(axis=0)
     parts = ((missed[part].sum(), change[part].sum()) for part in (slice(0, 3), slice(3, 6)))
     return float(sum(error / max(size, 1e-9) for error, size in parts))
 
