@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from socket_testbed import api
 from socket_testbed.api import TrialPressure
@@ -24,9 +24,6 @@ from socket_testbed.errors import ConfigurationError
 from socket_testbed.identification.model_file import finite_or_null
 from socket_testbed.identification.pressure import TITLES, interval_end
 from socket_testbed.trials.trial import Trial
-
-if TYPE_CHECKING:
-    pass
 
 _ABREAST = 3  # outputs in a table
 _SHOWN = 8  # tiles of a map

@@ -40,10 +40,8 @@ MISSING = 0.05  # share of the samples that a source lacks, sound 0 [-]
 STILL = 2.0  # time that a value never changes, sound two samples [s]
 CLIPPED = 0.05  # share of the samples at one end of a channel's range, sound 0.002 [-]
 NOISE = {"N": 20.0, "N m": 3.0}  # sound 0.3 N, like the published experiment 11 N; by unit
-STRESS_SHARE = (
-    0.001,
-    3.0,
-)  # change of all clusters' forces over the load's, sound 0.03 to 0.15 [-]
+# Change of all clusters' forces over that of the load, sound 0.03 to 0.15 [-].
+STRESS_SHARE = (0.001, 3.0)
 WEIGHTS = (0.02, 5.0)  # size of the load in weights of a stated mass [-]
 SINKING = 0.5  # cosine of the limb's motion under load to the axis; sound 0.996 and more [-]
 LEVER = 2.0  # moment over force, in distances of the farthest tile [-]
@@ -74,7 +72,8 @@ def check_data(
         mass: Of the person [kg], if it is stated.
     """
     if len(samples) < LEAST_SAMPLES:
-        return ()
+        fact = f"{len(samples)} samples are too few to judge it by"
+        return (Finding("the trial", fact, f"record {LEAST_SAMPLES} or more"),)
     found = [*_sizes(samples, geometry, mass), *_courses(samples, geometry)]
     found += [*_channels(samples)]
     spikes = outlier_notes(samples, find_outliers(samples, geometry))
@@ -108,8 +107,8 @@ def _sizes(samples: Samples, geometry: SocketGeometry, mass: float | None) -> It
             f"its force of {size:.3g} N is {weights:.2g} weights of the stated {mass:g} kg",
             "check that forces are in N, and the mass",
         )
-    turned = samples.rotation - np.nanmean(samples.rotation, axis=0, keepdims=True)
-    angle = _quantile(_norm(turned), 0.95)
+    rotation = _known(samples.rotation)
+    angle = _quantile(_norm(rotation - rotation.mean(axis=0)), 0.95)
     if angle > ROTATION:
         yield Finding(
             "the limb pose",
@@ -161,8 +160,8 @@ def _courses(samples: Samples, geometry: SocketGeometry) -> Iterator[Finding]:
         if abs(lag) > max(LATEST, 2.5 * period):
             yield Finding(
                 name,
-                f"they follow the load cell by {lag:.1f} s" if lag > 0.0
-                else f"the load cell follows by {-lag:.1f} s",
+                f"late by {lag:.1f} s against the load cell" if lag > 0.0
+                else f"early by {-lag:.1f} s against the load cell",
                 "check the clocks and the delays of the sources",
             )  # fmt: skip
             return

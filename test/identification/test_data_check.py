@@ -107,3 +107,17 @@ def test_a_reversed_cluster_and_a_load_of_another_size_are_named(sound: dict[str
     samples.local_forces[:, 0] *= -1.0
     (heavy,) = check_data(samples, trial.geometry, mass=5.0)
     assert "weights of the stated 5 kg" in heavy.fact
+
+
+def test_without_poses_or_with_few_samples_it_says_so(sound: dict[str, Path]) -> None:
+    trial = st.open_trial(sound["ramp"])
+    samples = trial.samples()
+    samples = replace(
+        samples,
+        position=np.full_like(samples.position, np.nan),
+        rotation=np.full_like(samples.rotation, np.nan),
+    )
+    (found,) = check_data(samples, trial.geometry)
+    assert found.source == "the limb pose" and "missing" in found.fact
+    (few,) = check_data(samples[:20], trial.geometry)
+    assert "20 samples are too few" in few.fact
