@@ -19,6 +19,15 @@ def test_an_upper_end_takes_the_lower_reach_of_the_first() -> None:
     assert upper[1, 0] == pytest.approx(-6.0 + np.hypot(5.0, 3.0))
 
 
+def test_errors_that_two_trials_share_cancel() -> None:
+    values, reach = np.array([[10.0], [12.0]]), 5.0
+    for correlation, expected in ((0.0, np.hypot(5.0, 5.0)), (0.7, np.sqrt(15.0)), (1.0, 0.0)):
+        ends = difference_intervals(values, values - reach, values + reach, correlation)
+        np.testing.assert_allclose(
+            [end[1, 0] for end in ends], 2.0 + expected * np.array([0, -1, 1])
+        )
+
+
 def test_95_percent_intervals_of_skew_quantities_hold_the_true_difference() -> None:
     """Rates of exponential samples have skew intervals whose ends are known exactly."""
     count, pairs, true = 8, 4000, np.array([1.0, 3.0])

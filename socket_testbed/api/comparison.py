@@ -1,13 +1,16 @@
 r"""Trials side by side: values of every trial, and differences to the first.
 
 The interval of a difference :math:`x_1 - x_0` comes from the intervals :math:`[l, u]` of both
-values, whose errors are taken as independent:
+values, with a + b - 2 r sqrt(a b) of the squares a and b of their reaches:
 
-.. math:: \left[ d - \sqrt{(x_1 - l_1)^2 + (u_0 - x_0)^2},\;
-          d + \sqrt{(u_1 - x_1)^2 + (x_0 - l_0)^2} \right]
+.. math:: \left[ d - \sqrt{a_l + b_u - 2 r \sqrt{a_l b_u}},\;
+          d + \sqrt{a_u + b_l - 2 r \sqrt{a_u b_l}} \right], \quad
+          a_l = (x_1 - l_1)^2, \; b_u = (u_0 - x_0)^2, \ldots
 
-so that variances add, and a skew interval stays skew (Zou & Donner, Construction of confidence
-limits about effect measures, Statistics in Medicine 27, 2008).
+The errors have the correlation r: `SAME_LIMB` in trials of one subject in one socket, else 0.
+
+A skew interval stays skew (Zou & Donner, Construction of confidence limits about effect measures,
+Statistics in Medicine 27, 2008).
 """
 
 from __future__ import annotations
@@ -66,11 +69,13 @@ _HEADINGS = {
     "limb": "Limb in the socket",
     "wrench": "Wrench",
 }
+# Correlation of the map's errors in two trials of one limb in one socket: docs/compare.md [-].
+SAME_LIMB = 0.7
 _INDEPENDENT = (
-    "The interval of a difference takes the errors of both trials as independent, so that their"
-    " variances add (Zou & Donner 2008). It covers what the sensors leave open under the prior of"
-    " the force map. Errors that both trials share, such as those of the same sensors, cancel in"
-    " part: then it is too wide. docs/compare.md states how often it held the true difference."
+    "The interval of a difference takes the errors of two limbs as independent, so that their"
+    f" variances add; those of one subject in one socket as correlated by {SAME_LIMB:g}, so that"
+    " they cancel in part (Zou & Donner 2008). It covers what the sensors leave open under the"
+    " prior of the force map. docs/compare.md states how often it held the true difference."
 )
 _MAPS = (
     "On the unrolled wall and the distal end; each set of maps has one colour scale, that of the"
@@ -81,12 +86,19 @@ _DIGITS = {"1": 0, "-": 2, "N m": 2}  # behind the point; 1 unless given
 
 
 def difference_intervals(
-    values: FloatArray, low: FloatArray, high: FloatArray
+    values: FloatArray, low: FloatArray, high: FloatArray, correlation: FloatArray | float = 0.0
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Differences to the first of k trials and the ends of their intervals, shape (k, m) each."""
+    """Differences to the first of k trials and the ends of their intervals, shape (k, m) each.
+
+    The errors of each trial have a correlation with those of the first, shape (k, 1) [-].
+    """
     below, above = np.maximum(values - low, 0.0), np.maximum(high - values, 0.0)
     difference = values - values[0]
-    ends = difference - np.hypot(below, above[0]), difference + np.hypot(above, below[0])
+
+    def reach(own: FloatArray, other: FloatArray) -> FloatArray:
+        return np.sqrt(own**2 + other**2 - 2.0 * correlation * own * other)
+
+    ends = difference - reach(below, above[0]), difference + reach(above, below[0])
     for row in (difference, *ends):
         row[0] = np.nan
     return difference, *ends
@@ -100,15 +112,16 @@ def values_table(
     values: FloatArray,
     low: FloatArray | None = None,
     high: FloatArray | None = None,
+    correlation: FloatArray | float = 0.0,
 ) -> pd.DataFrame:
     """A quantity of m things in k trials, shape (k, m), in the columns of `COLUMNS`.
 
-    `title` holds its unit; degrees repeat after 360.
+    `title` holds its unit; degrees repeat after 360. `correlation` as in `difference_intervals`.
     """
     import pandas as pd
 
     low, high = (np.full(values.shape, np.nan) if end is None else end for end in (low, high))
-    difference, lower, upper = difference_intervals(values, low, high)
+    difference, lower, upper = difference_intervals(values, low, high, correlation)
     name, unit = split_unit(title)
     turns = 360.0 * np.round(difference / 360.0) if unit == "deg" else 0.0
     columns = (values, low, high, difference - turns, lower - turns, upper - turns)
@@ -286,8 +299,9 @@ def compare(
     The outputs of `st.pressure` by region and tile, with their differences and 95 % intervals, the
     mean wrench, and the metadata. All must be of one socket, unless `by_region`.
 
-    The interval of a difference takes the errors of both trials as independent, see
-    `socket_testbed.api.comparison`; docs/compare.md states how often it held the true difference.
+    The interval of a difference takes the errors of two limbs as independent, and those of one
+    subject in one socket as correlated, see `socket_testbed.api.comparison`; docs/compare.md states
+    how often it held the true difference.
 
     Args:
         items: Two to twelve trials, or their folders.
@@ -536,7 +550,20 @@ def _of_output(
         (q.value[row], q.low[row], q.high[row])
         for q, row in zip(quantities, map(list, rows), strict=True)
     ]
-    return values_table(part, names, title, items, *map(np.array, zip(*columns, strict=True)))
+    values, low, high = map(np.array, zip(*columns, strict=True))
+    return values_table(part, names, title, items, values, low, high, _correlation(found))
+
+
+def _correlation(found: Sequence[TrialPressure]) -> FloatArray:
+    """Correlation of the force map's errors with those of the first trial, shape (k, 1) [-]."""
+    first = found[0].trial
+    alike = [
+        each.trial.metadata.subject is not None
+        and each.trial.metadata.subject == first.metadata.subject
+        and each.trial.geometry.same_tiles(first.geometry)
+        for each in found
+    ]
+    return SAME_LIMB * np.array(alike, dtype=float)[:, None]
 
 
 def _wrench(found: TrialPressure) -> pd.DataFrame:
