@@ -136,7 +136,7 @@ def test_run_ends_by_itself_and_a_fault_is_seen(
     tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     path = tmp_path / "trial"
-    words = ["run", *SIMULATED, "--rate", "20", "--duration", "10", "--record", str(path)]
+    words = ["run", *SIMULATED, "--rate", "20", "--duration", "20", "--record", str(path)]
     code, out, err = call(capfd, *words, "--fault", "clusters.nack=3", "--one-process")
     assert code == 0, err
     assert "no answer at 0x50 behind channel 2 of 0x70 on i2c-1: check" in err
