@@ -7,10 +7,11 @@ stages, `pareto` runs them over the trade-off. `contact` is the resulting model,
 file, `evaluation` its errors.
 
 **What is the force on every tile now?** The force map, which needs no fit. `force_map` estimates
-it from the clusters and the wrench, `pressure` reads regions from it.
+it from the clusters and the wrench, `pressure` reads regions from it, `placement` says where
+further clusters would tell most. `suspension` is how the limb sits: its stiffness and pistoning.
 
-**How far can all this be trusted?** Judging. Of the samples: `plausibility` checks size and sign,
-`noise` measures the noise. Of a model: `information` says what the trial determines, `published`
-compares with the paper. Of every estimate: `validation` judges it on data it has not seen, beside
-simple rivals.
+**How far can all this be trusted?** Judging. Of the samples: `data_check` says what to look at,
+`plausibility` checks size and sign, `noise` measures the noise. Of a model: `information` says what
+the trial determines, `published` compares with the paper. Of every estimate: `validation` judges it
+on data it has not seen, beside simple rivals.
 """
