@@ -6,7 +6,7 @@ BIN := $(VENV)/bin
 FITS := "import sys, venv, ensurepip; assert (3, 11) <= sys.version_info[:2] <= (3, 13)"
 PYTHON ?= $(shell for p in python3.11 python3.12 python3.13 python3; do \
 	$$p -c $(FITS) 2>/dev/null && command -v $$p && break; done)
-REQUIREMENTS := $(addprefix requirements/,ros.txt runtime.txt hardware.txt view.txt dev.txt)
+REQUIREMENTS := $(addprefix requirements/,ros.txt runtime.txt hardware.txt dev.txt)
 PIP := $(BIN)/pip --disable-pip-version-check --quiet
 
 # Another ROS environment, sourced or of wheels, must not leak into this one.

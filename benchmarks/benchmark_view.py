@@ -16,16 +16,14 @@ import tempfile
 import threading
 import time
 from contextlib import contextmanager
+from http.client import HTTPConnection
 from pathlib import Path
 
 os.environ.setdefault("ROS_DOMAIN_ID", str(1 + os.getpid() % 100))
 
-import msgspec
 import numpy as np
 from benchmark_acquisition import Arrivals, listening
 from machine import describe_machine
-from viser import __version__ as viser_version
-from websockets.sync.client import connect
 
 from socket_testbed.__main__ import run as verb
 from socket_testbed.clocks import BEGINNING, SteadyClock
@@ -36,25 +34,21 @@ from socket_testbed.settings.testbed import ViewSettings
 from socket_testbed.trials.topics import ESTIMATED_WRENCH, FORCE_MAP, TRIGGER
 
 PORT = 8437
-CAMERA = {
-    "type": "ViewerCameraMessage",
-    **{"wxyz": (1, 0, 0, 0), "position": (1, 0, 0), "fov": 1.0, "near": 0.1, "far": 10.0},
-    **{"image_height": 100, "image_width": 100, "look_at": (0, 0, 0), "up_direction": (0, 0, 1)},
-}
+PERIOD = 0.15  # [s]; between a page's questions
 TICK = os.sysconf("SC_CLK_TCK")  # [Hz]
 
 
 def browse(count: int) -> None:
-    """Read the page with so many connections, and print how many messages came, until killed."""
+    """Ask as so many pages do, and print how many answers came, until killed."""
     received = [0] * count
 
     def read(number: int) -> None:
-        with connect(
-            f"ws://127.0.0.1:{PORT}", subprotocols=[f"viser-v{viser_version}"], max_size=None
-        ) as page:
-            page.send(msgspec.msgpack.encode(CAMERA))
-            for _ in page:
-                received[number] += 1
+        page = HTTPConnection("127.0.0.1", PORT)
+        while True:
+            page.request("GET", "/now")
+            page.getresponse().read()
+            received[number] += 1
+            time.sleep(PERIOD)
 
     for number in range(count):
         threading.Thread(target=read, args=(number,), daemon=True).start()

@@ -20,13 +20,11 @@ from support import CHECKOUT, meshes
 from support.bags import rewrite
 from support.benches import sensor_bench, write_bench
 from support.motive_takes import make_bench, write_landmarks, write_take
-from support.pages import TWO_SECTIONS
 
 import socket_testbed as st
 from socket_testbed.__main__ import run
 from socket_testbed.api import Result
 from socket_testbed.files import packaged
-from socket_testbed.report import write
 from socket_testbed.socket_design import tiling
 from socket_testbed.socket_design.tiling import TilingSettings
 
@@ -156,9 +154,7 @@ def test_simulate_and_tile_are_those_of_the_verbs(folder, tmp_path, monkeypatch)
 
 
 @pytest.mark.slow
-def test_the_example_of_a_report_is_that_of_the_verb(folder, tmp_path, monkeypatch) -> None:
-    monkeypatch.setattr(write, "SECTIONS", write.SECTIONS)
-    exec(TWO_SECTIONS, {})
+def test_the_example_of_a_report_is_that_of_the_verb(folder, tmp_path) -> None:
     run_example("write_report", folder)
     verb("report", folder / "trials" / "hold", "-o", tmp_path / "hold.html", "--thetas", 5)
     for name in ("errors.csv", "overview.csv"):
@@ -197,7 +193,6 @@ def test_the_example_notebook_runs(tmp_path: Path) -> None:
     path = CHECKOUT / "examples" / "first_trial.ipynb"
     notebook = nbformat.read(path, as_version=4)
     assert all(not cell.get("outputs") for cell in notebook.cells), "strip the outputs"
-    notebook.cells.insert(-1, nbformat.v4.new_code_cell(TWO_SECTIONS))
     NotebookClient(notebook, kernel_name="python3", timeout=300).execute(
         env={**os.environ, "PYTHONPATH": str(CHECKOUT)}, cwd=str(tmp_path)
     )

@@ -10,7 +10,6 @@ from pathlib import Path
 from zipfile import ZipFile
 
 import pytest
-from support.pages import TWO_SECTIONS
 
 from socket_testbed import __version__
 
@@ -136,7 +135,6 @@ def test_a_wheel_holds_all_that_the_offline_verbs_need(workspace: Path, tmp_path
     quick = ("--no-deps", "--no-index", "--no-compile")
     call(tmp_path, *pip, "install", *quick, "--target", str(site), str(wheel))
     script = (
-        f"{TWO_SECTIONS}\n"
         "import sys, socket_testbed;"
         "print(socket_testbed.__file__);"
         "from socket_testbed.__main__ import run;"

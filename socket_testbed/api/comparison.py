@@ -15,7 +15,7 @@ Statistics in Medicine 27, 2008).
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from itertools import count
@@ -30,8 +30,8 @@ from socket_testbed.api.trials import PathLike, Progress, open_trial, started
 from socket_testbed.arrays import FloatArray
 from socket_testbed.errors import ConfigurationError, TrialError
 from socket_testbed.files import atomic_output
-from socket_testbed.geometry.regions import Region
-from socket_testbed.geometry.socket import SocketGeometry
+from socket_testbed.geometry.regions import Region, Side
+from socket_testbed.geometry.socket import SOCKET, SocketGeometry
 from socket_testbed.identification.pressure import (
     NORMAL_QUANTILE,
     SHARE,
@@ -49,7 +49,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from socket_testbed.report.figures.style import FigureStyle
-    from socket_testbed.report.page import Section
 
 PAGES = (".html", ".htm")
 _MOST = 12  # trials side by side
@@ -78,10 +77,11 @@ _INDEPENDENT = (
     " prior of the force map. docs/compare.md states how often it held the true difference."
 )
 _MAPS = (
-    "On the unrolled wall and the distal end; each set of maps has one colour scale, that of the"
-    " differences with zero in its middle. A tile is pale where its value is uncertain against the"
-    " largest ones. Thick outlines: clusters."
+    "Mean pressure on the unrolled wall and the distal end, on one scale; the greyer, the less"
+    " certain. Differences have a scale of their own with zero in its middle; they are grey where"
+    " their 95 % interval holds zero. Outlined: clusters."
 )
+_NUMBERS = ("regions", "tiles")  # parts of the table
 _DIGITS = {"1": 0, "-": 2, "N m": 2}  # behind the point; 1 unless given
 
 
@@ -160,7 +160,7 @@ class Comparison(Result):
     geometry: SocketGeometry | None  # None: sockets differ, or regions alone are compared
     pressures: FloatArray  # (k, n) [kPa], means of the tiles
     deviations: FloatArray  # (k, n) [kPa], their standard deviations
-    side: str = ""  # the leg that wears the socket, if that is stated
+    side: Side | None = None  # the leg that wears the socket, if that is stated
 
     def __repr__(self) -> str:
         names = self.table.groupby("part")["name"].nunique()
@@ -216,9 +216,14 @@ class Comparison(Result):
             f" chance alone up to about {0.05 * len(rows):.0f} would"
         ]
         for row in clear.head(most).to_dict("records"):
-            cell = _cell(row, _DIFFERENCE).removesuffix(" *")
-            what = f"{self._difference(row['item'])}, {row['name']}: {row['quantity']}"
-            lines.append(f"{what} {cell} {row['unit']}")
+            digits = _DIGITS.get(row["unit"], 1)
+            by, *ends = (abs(row[name]) for name in _DIFFERENCE)
+            low, high = sorted(ends)
+            way = "lower" if row["difference"] < 0.0 else "higher"
+            lines.append(
+                f"{row['name']}: {row['quantity']} {by:.{digits}f} {row['unit']} {way} in"
+                f" {row['item']} than in {self.items[0]} ({low:.{digits}f} to {high:.{digits}f})"
+            )
         return lines
 
     def _difference(self, item: str) -> str:
@@ -237,40 +242,18 @@ class Comparison(Result):
 
     def _figure(self, style: FigureStyle) -> Figure:
         """Maps of the mean pressure on one colour scale."""
-        limits = self.pressures.min(initial=0.0), self.pressures.max(initial=-np.inf)
-        return self._maps(self.items, self.pressures, self.deviations, _MEAN, limits, style)
-
-    def _differences(self, style: FigureStyle) -> Figure:
-        """Maps of the differences to the first trial, with zero in the middle of one scale."""
-        differences = self.pressures[1:] - self.pressures[0]
-        spread = np.hypot(self.deviations[1:], self.deviations[0])
-        most = float(np.abs(differences).max()) or 1.0
-        names = [self._difference(item) for item in self.items[1:]]
-        unit = f"difference in {_MEAN}"
-        return self._maps(names, differences, spread, unit, (-most, most), style)
-
-    def _maps(
-        self,
-        names: Sequence[str],
-        values: FloatArray,
-        deviations: FloatArray,
-        unit: str,
-        limits: tuple[float, float],
-        style: FigureStyle,
-    ) -> Figure:
         if self.geometry is None:
             return super()._figure(style)
-        from socket_testbed.report.figures.tiles import certainty_of, tile_map_figure
+        from socket_testbed.report.figures.tiles import tile_map_figure
 
-        certainty = map(certainty_of, values, deviations)
         return tile_map_figure(
             self.geometry,
-            dict(zip(names, values, strict=True)),
-            unit,
+            dict(zip(self.items, self.pressures, strict=True)),
+            _MEAN,
             style=style,
-            limits=limits,
-            side=self.side,
-            certainty=dict(zip(names, certainty, strict=True)),
+            limits=(self.pressures.min(), self.pressures.max()),
+            side=self.side or "",
+            reach=dict(zip(self.items, NORMAL_QUANTILE * self.deviations, strict=True)),
         )
 
 
@@ -356,7 +339,7 @@ def compare(
         geometry=None if by_region else first,
         pressures=np.array([of.value for of in tiles]),
         deviations=np.array([(of.high - of.low) / (2.0 * NORMAL_QUANTILE) for of in tiles]),
-        side=(sides.pop() or "") if len(sides) == 1 else "",
+        side=sides.pop() if len(sides) == 1 else None,
     )
 
 
@@ -377,56 +360,109 @@ def write_comparison(
     >>> st.write_comparison(found, "liners.html")
     """
     # matplotlib takes its time to import.
-    from socket_testbed.report.page import Bullets, Section, pairs_table, render
+    from socket_testbed.report.page import Bullets, Cards, Maps, Section, Table, pairs_table, render
 
     path = Path(page)
     if path.suffix.lower() not in PAGES:
         raise ConfigurationError(f"{path}: a comparison is a page", "let it end in .html")
     made = datetime.now(UTC).strftime("%Y-%m-%d %H:%M:%S UTC")
     origin = [("page made", made), ("command", command)]
-    table = pairs_table("provenance-table", "What the page was made with", origin)
-    sections = [
-        Section("notes", "Notes", [Bullets(found.notes, "notes"), LEGEND]),
-        *_sections(found),
-        Section("provenance", "Provenance", [table]),
+    count, *clearest = found.differing()
+    data, titles = _map_data(found)
+    cells = found.cells("regions").loc["socket"].rename_axis("output")
+    parts = {name: _tables(found, name) for name in dict.fromkeys(found.table["part"])}
+    numbers = [
+        Section(name, _HEADINGS[name], parts.pop(name)) for name in _NUMBERS if name in parts
     ]
-    text = render(f"Comparison of trials: {', '.join(found.items)}", found.title, sections)
+    socket = Table("socket-table", "Outputs of the socket", cells)
+    made_with = pairs_table("provenance-table", "What the page was made with", origin)
+    groups = {
+        "": [
+            Section("differing", "", [Cards(), Bullets([*clearest, f"{count}."])]),
+            *([Section("maps", "Maps", [Maps(titles, _MAPS)])] if titles else []),
+            Section("socket", "Whole socket", [socket]),
+        ],
+        "Numbers": [Section("intervals", "Intervals", [_INDEPENDENT, LEGEND]), *numbers],
+        "Data": [
+            Section("notes", "Notes", [Bullets(found.notes, "notes")]),
+            *(Section(name, _HEADINGS[name], tables) for name, tables in parts.items()),
+            Section("provenance", "Provenance", [made_with]),
+        ],
+    }
+    title = f"Comparison of trials: {', '.join(found.items)}"
+    text = render(title, found.title, groups, data | {"cards": _cards(found)})
     with atomic_output(path) as staging:
         staging.write_text(text, encoding="utf-8")
 
 
-def _sections(found: Comparison) -> Iterator[Section]:
-    from socket_testbed.report.page import Bullets, Folded, ReportFigure, Section, Table
-
-    count, *clearest = found.differing()
-    yield Section("differing", "Clear differences", [f"{count}.", Bullets(clearest)])
-    cells = found.cells("regions").loc["socket"].rename_axis("output")
-    socket = Table("socket-table", "Outputs of the socket", cells)
-    yield Section("socket", "Whole socket", [_INDEPENDENT, socket])
-    if found.geometry is not None:
-        figures = [
-            ReportFigure("", f"{shown}.", draw, f"{shown}: {', '.join(names)}", is_map=True)
-            for shown, draw, names in (
-                ("Maps of the mean pressure", found._figure, found.items),
-                (f"Differences to {found.items[0]}", found._differences, found.items[1:]),
+def _cards(found: Comparison) -> list[dict[str, Any]]:
+    """The difference of the socket's peak and mean pressure of every trial to the first one."""
+    of, shown = found.table, []
+    rows = of[(of["part"] == "regions") & (of["name"] == SOCKET) & (of["item"] != found.items[0])]
+    for quantity in ("peak pressure", "mean pressure"):
+        for row in rows[rows["quantity"] == quantity].to_dict("records"):
+            by, low, high = (row[name] for name in _DIFFERENCE)
+            clear = low > 0.0 or high < 0.0
+            shown.append(
+                {
+                    "title": f"{quantity.capitalize()}, {found._difference(row['item'])}",
+                    "value": f"{by:+.1f} kPa",
+                    "interval": f"{low:.1f} to {high:.1f}",
+                    "words": "a clear difference" if clear else "no clear difference",
+                }
             )
+    return shown
+
+
+def _map_data(found: Comparison) -> tuple[dict[str, Any], dict[str, str]]:
+    """Maps of the trials on one scale, and of the differences on another, with their titles."""
+    if found.geometry is None:
+        return {}, {}
+    from socket_testbed.pages.document import moment, socket_document
+
+    table = found.table
+    rows = table[(table["part"] == "tiles") & (table["quantity"] == "mean pressure")]
+    difference, low, high = (
+        rows[name].to_numpy().reshape(-1, len(found.items)).T[1:] for name in _DIFFERENCE
+    )
+    spread = (high - low) / (2.0 * NORMAL_QUANTILE)
+    names = [*found.items, *map(found._difference, found.items[1:])]
+    values = [*found.pressures, *difference]
+    deviations = [*found.deviations, *spread]
+    most = float(np.abs(difference).max()) or 1.0
+    nothing = np.zeros(0)
+    maps: list[dict[str, Any]] = [
+        {
+            "box": f"map-{number}",
+            "moment": moment(0.0, 1e3 * value, 1e3 * deviation, nothing, nothing),
+            "range": most if number >= len(found.items) else None,
+            "diverging": number >= len(found.items),
+        }
+        for number, (value, deviation) in enumerate(zip(values, deviations, strict=True))
+    ]
+    data = {
+        "socket": socket_document(found.geometry, found.side),
+        "maps": maps,
+        "scale": float(found.pressures.max()),
+    }
+    return data, {entry["box"]: name for entry, name in zip(maps, names, strict=True)}
+
+
+def _tables(found: Comparison, part: str) -> list[Any]:
+    """The tables of a part."""
+    from socket_testbed.report.page import Table
+
+    rows = found.table[found.table["part"] == part]
+    if part in {"regions", "tiles"}:
+        titles = rows[["quantity", "unit"]].drop_duplicates().itertuples(index=False)
+        return [
+            Table(f"{part}-{number}", f"{name} [{unit}]", found.cells(part, name))
+            for number, (name, unit) in enumerate(titles)
         ]
-        yield Section("maps", "Maps", [_MAPS, *figures])
-    for part in dict.fromkeys(found.table["part"]):
-        rows = found.table[found.table["part"] == part]
-        if part in {"regions", "tiles"}:
-            titles = rows[["quantity", "unit"]].drop_duplicates().itertuples(index=False)
-            tables = [
-                Table(f"{part}-{number}", f"{name} [{unit}]", found.cells(part, name))
-                for number, (name, unit) in enumerate(titles)
-            ]
-        else:
-            cells = found.cells(part)
-            cells.index = [": ".join(filter(None, names)) for names in cells.index]
-            is_text = bool(rows["text"].notna().any())
-            tables = [Table(f"{part}-table", _HEADINGS[part], cells, is_text=is_text)]
-        shown = [Folded("Show the tables", tables)] if part == "tiles" else tables
-        yield Section(part, _HEADINGS[part], shown)
+    cells = found.cells(part)
+    cells.index = [": ".join(filter(None, names)) for names in cells.index]
+    is_text = bool(rows["text"].notna().any())
+    return [Table(f"{part}-table", _HEADINGS[part], cells, is_text=is_text)]
 
 
 def _open(items: Sequence[Trial | PathLike]) -> list[Trial]:

@@ -323,7 +323,6 @@ class TrialPressure(Result):
             self.trial.metadata.side or "",
             f"{self.trial.name}: pressure, {self.segment}",
             style,
-            self.share,
         )
 
     def _table(

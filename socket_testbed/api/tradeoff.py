@@ -227,12 +227,13 @@ def write_report(
     params: PathLike | None = None,
     command: str = "socket_testbed.write_report",
     replace: bool = False,
+    figures: bool = False,
     width: float = 180,
     title: bool = True,
     progress: Progress | None = None,
     **choices: Any,
 ) -> Results:
-    """Write the results of a trial as one page, and a folder of its figures and data beside it.
+    """Write the results of a trial as one page, and a folder with its data beside it.
 
     The paper's variants are fitted, and the one of the settings beside them (`rigid_bias` by
     default); the trade-off of the paper's is walked along theta.
@@ -246,7 +247,8 @@ def write_report(
         params: As in `fit`.
         command: What made the page, for the record.
         replace: Whether an older page and its folder are replaced; else they are an error.
-        width: Printed width of the figures in the folder, 88 or 180 [mm].
+        figures: Whether the folder holds figures for print as well, as `.pdf` and `.png`.
+        width: Printed width of these figures, 88 or 180 [mm].
         title: Whether these figures have titles, and their keys errors.
         progress: See `Progress`.
         choices: Settings as in `fit`, but for `variant`.
@@ -271,7 +273,7 @@ def write_report(
     check_thetas(thetas)
     require_segment(segment)
     check_page_path(page, replace)
-    style = figure_style(width, title)
+    figure_style(width, title)  # refused before the work
     settings = estimator_settings(trial.estimator, as_path(params), **choices)
     stored = None if model is None else stored_model(model)
     with threadpool_limits(1):
@@ -288,6 +290,7 @@ def write_report(
     if trial.notify is not None:
         for note in results.bag_notes:
             trial.notify(note)
-    drawing = started(progress, "drawing")
+    drawing = started(progress, "drawing") if figures else None
+    style = figure_style(width, title) if figures else None
     write_page(results, page, command, datetime.now(UTC), drawing, replace, style)
     return results

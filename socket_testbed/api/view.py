@@ -2,23 +2,21 @@
 
 from __future__ import annotations
 
-from importlib.util import find_spec
 from typing import TYPE_CHECKING, Self
 
 from socket_testbed.api.models import Model, model_for
-from socket_testbed.errors import ConfigurationError
 from socket_testbed.trials.trial import Trial
 
 if TYPE_CHECKING:
-    from socket_testbed.viewer.page import Page
+    from socket_testbed.pages.server import PageServer
 
 
 class TrialPage:
     """The page of a trial, which a browser finds at its `url`; a context manager."""
 
-    def __init__(self, name: str, url: str, page: Page) -> None:
-        self.url = url
-        self._name, self._page = name, page
+    def __init__(self, name: str, server: PageServer) -> None:
+        self.url = server.url
+        self._name, self._server = name, server
 
     def __repr__(self) -> str:
         return f"TrialPage({self._name} at {self.url})"
@@ -31,7 +29,7 @@ class TrialPage:
 
     def close(self) -> None:
         """Stop serving the page."""
-        self._page.close()
+        self._server.close()
 
 
 def view(
@@ -44,8 +42,8 @@ def view(
 ) -> TrialPage:
     """Show a trial in a browser: play, pause, seek; the pressure on the socket at every instant.
 
-    The map and the outputs by region are computed for the instant that is drawn: a long trial opens
-    at once, and plays while the rest of it is read. Nothing is written.
+    It opens at the peak. The map and the outputs by region are computed for the instant that is
+    drawn. Nothing is written.
 
     Args:
         trial: The trial.
@@ -60,8 +58,7 @@ def view(
         The page, with its `url`, served until it is closed, or until the program ends.
 
     Raises:
-        ConfigurationError: If `viser`, which serves the page, is not installed, the port is taken,
-            or the model was fitted on another socket.
+        ConfigurationError: If the port is taken, or the model was fitted on another socket.
         IdentificationError: If the limb positions are in another unit or frame.
         TrialError: If the trial cannot be read.
 
@@ -69,19 +66,8 @@ def view(
     ...     print(page.url)
     http://127.0.0.1:...
     """
-    require_viewer()
-    from socket_testbed.viewer.page import Page, PageServer
-    from socket_testbed.viewer.player import Player
+    from socket_testbed.pages.player import Player
+    from socket_testbed.pages.server import PageServer
 
     player = Player(trial, None if model is None else model_for(trial, model))
-    server = PageServer(host, port, names)
-    return TrialPage(trial.name, server.url, Page(player, server))
-
-
-def require_viewer() -> None:
-    """Refuse to go on without the optional extra that serves pages."""
-    if find_spec("viser") is None:
-        raise ConfigurationError(
-            "viser, which serves the page, is not installed",
-            "run 'pip install -r requirements/view.txt'",
-        )
+    return TrialPage(trial.name, PageServer(player, host, port, names))

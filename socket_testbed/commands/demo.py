@@ -10,16 +10,22 @@ from contextlib import ExitStack
 from pathlib import Path
 
 import numpy as np
-from matplotlib.figure import Figure
+from matplotlib.figure import Figure, SubFigure
 
 from socket_testbed import api
 from socket_testbed.arrays import FloatArray
 from socket_testbed.commands.text import Progress, number, table
 from socket_testbed.errors import ConfigurationError, TrialError
 from socket_testbed.files import check_new_folder, make_folder
-from socket_testbed.geometry.socket import SocketGeometry
+from socket_testbed.geometry.regions import all_regions
+from socket_testbed.identification.fit import REGRESSION
 from socket_testbed.identification.force_map import ForceMap
-from socket_testbed.identification.validation import judge_tiles, without_cluster
+from socket_testbed.identification.pressure import NORMAL_QUANTILE
+from socket_testbed.identification.validation import (
+    CLOSED,
+    FORCE_MAP,
+    without_cluster,
+)
 from socket_testbed.live.bringup import (
     end,
     replay_with_estimator,
@@ -31,13 +37,19 @@ from socket_testbed.live.graph_status import GraphStatus
 from socket_testbed.live.machine import SLOWEST, busy_note, measure_speed, pace
 from socket_testbed.live.processes import Graph, require_ros
 from socket_testbed.live.simulated_world import Simulation
-from socket_testbed.report.figures.style import save_figure
-from socket_testbed.report.figures.tiles import certainty_of, tile_map_figure
+from socket_testbed.pages.document import part_of
+from socket_testbed.report.figures.style import (
+    LINE_STYLES,
+    add_legend,
+    save_figure,
+    style_axes,
+)
+from socket_testbed.report.figures.tiles import tile_map_figure
 from socket_testbed.samples import Samples
 from socket_testbed.settings.testbed import EstimatorSettings, ReplaySettings
 from socket_testbed.simulation.trial import TRUTH_FILE, GroundTruth, read_truth
+from socket_testbed.trials import topics
 from socket_testbed.trials.segment import select_segment
-from socket_testbed.trials.topics import FORCE_MAP
 from socket_testbed.trials.trial import Trial
 
 _DURATION = 60.0  # [s] of the testbed; of the trial
@@ -76,9 +88,12 @@ def demo(*, output: Path = Path("demo"), seed: int = 0) -> None:
 
     print("3. every estimate on what it has not seen, against the simulated truth\n")
     truth = read_truth(trial.path, samples.stamps)
-    print(_judged(api.validate(trial), samples, trial.geometry, truth, live))
+    ends = _Ending(trial, samples, truth, live)
+    print(_judged(api.validate(trial)), "\n")
+    for line in ends.sentences():
+        print(f"- {line}")
     figure = output / "force_map.png"
-    save_figure(_draw(trial, samples, truth, live), figure)
+    save_figure(ends.draw(), figure)
     print(f"\ntrial {trial.path}, figure {figure} ({time.monotonic() - started:.0f} s)")
     print(f"look at the trial: {_program()} view {shlex.quote(str(trial.path))}")
 
@@ -196,96 +211,143 @@ def _estimate(trial: Trial, samples: Samples, speed: float, log: Path) -> FloatA
     )
     with log.open("w", encoding="utf-8") as output, EstimateListener() as listener:
         replay_with_estimator(trial, replay, EstimatorSettings(), output)
-        received = len(listener.estimates[FORCE_MAP])
+        received = len(listener.estimates[topics.FORCE_MAP])
         print(
             f"   {received} force maps of {len(samples)} samples received,"
             f" {listener.models} models fitted on the way"
         )
         if not received:
             raise TrialError("the graph published no force map", f"read {log}")
-        return np.moveaxis(listener.series(FORCE_MAP, samples.stamps.tolist()), 1, 0)
+        return np.moveaxis(listener.series(topics.FORCE_MAP, samples.stamps.tolist()), 1, 0)
 
 
-_COLUMNS = ("tiles without sensor", "95 % hold", "left-out clusters", "M [N m]", "F [N]")
+_COLUMNS = ("tiles without sensor", "left-out clusters", "M [N m]", "F [N]")
+_ESTIMATES = (FORCE_MAP, CLOSED, "rigid_bias", REGRESSION)
 
 
-def _judged(
-    found: api.Validation,
-    samples: Samples,
-    geometry: SocketGeometry,
-    truth: GroundTruth,
-    live: FloatArray,
-) -> str:
-    """The table of all estimates: on tiles, on clusters left out, of the wrench."""
-    summary = found.summary()
-    cells: dict[str, dict[str, str]] = {}
-    for (question, test, name), row in summary.iterrows():
-        line = cells.setdefault(name, {})
+def _judged(found: api.Validation) -> str:
+    """The table of the errors on tiles, on clusters left out and of the wrench, the best marked."""
+    cells = {name: dict.fromkeys(_COLUMNS, np.nan) for name in _ESTIMATES}
+    for (question, test, name), row in found.summary().iterrows():
+        if name not in cells:
+            continue
         if question == "tiles":
-            line[_COLUMNS[0]] = number(row["error [-]"], 2)
-            line[_COLUMNS[1]] = number(100.0 * row["within 95 % [-]"], 0)
+            cells[name][_COLUMNS[0]] = row["error [-]"]
         elif question == "cluster":
-            line[_COLUMNS[2]] = number(row["error [-]"], 2)
+            cells[name][_COLUMNS[1]] = row["error [-]"]
         elif test == "second half":
-            line[_COLUMNS[3]] = number(row["moment RMSE [N m]"], 2)
-            line[_COLUMNS[4]] = number(row["force RMSE [N]"], 1)
-    (received,) = judge_tiles(
-        samples,
-        geometry,
-        truth.forces,
-        {"force map": lambda _: (live[0, ..., :3], live[1, ..., :3])},
-        "second half",
-    )
-    cells["force map, live (all samples)"] = {
-        _COLUMNS[0]: number(received.error, 2),
-        _COLUMNS[1]: number(100.0 * received.coverage[-1], 0),
-    }
-    lines = [[name, *(row.get(title, "-") for title in _COLUMNS)] for name, row in cells.items()]
+            cells[name][_COLUMNS[2]] = row["moment RMSE [N m]"]
+            cells[name][_COLUMNS[3]] = row["force RMSE [N]"]
+    best = {title: np.nanmin([row[title] for row in cells.values()]) for title in _COLUMNS}
+    lines = []
+    for name, row in cells.items():
+        marks = {title: "*" * bool(value == best[title]) for title, value in row.items()}
+        digits = dict.fromkeys(_COLUMNS, 2) | {_COLUMNS[3]: 1}
+        lines.append([name, *(number(row[t], digits[t]) + marks[t] for t in _COLUMNS)])
     legend = (
-        "tiles, clusters: rms error over the rms of the force, 1 is predicting zero; how many % of"
-        "\nthe values the 95 % intervals hold. M, F: RMSE of the wrench from the pose alone, fitted"
-        "\non the first half (pushed around), judged on the second (held, unloaded)"
+        "*: the best. Tiles, clusters: rms error over the rms of the force, 1 is predicting zero."
+        "\nM, F: RMSE of the wrench from the pose alone, fitted on the first half (pushed around),"
+        "\njudged on the second (held, unloaded)"
     )
     return f"{table(['estimate', *_COLUMNS], lines)}\n\n{legend}"
 
 
-def _draw(trial: Trial, samples: Samples, truth: GroundTruth, live: FloatArray) -> Figure:
-    """The map over the hold, its uncertainty and the truth, as mean normal pressures."""
-    geometry = trial.geometry
-    rows = select_segment(samples, "plateau", EstimatorSettings().plateau).rows
-    truth_pressure = (
-        -np.einsum("kni,ni->kn", truth.forces[rows], geometry.rotations[:, :, 2]) / geometry.areas
-    )
-    estimate, deviation, actual = (
-        1e-3 * np.nanmean(values, axis=0) for values in (*live[..., 3][:, rows], truth_pressure)
-    )
-    name = "estimated live, mean over the hold; pale where it is uncertain"
-    return tile_map_figure(
-        geometry,
-        {
-            name: estimate,
-            "its standard deviation": deviation,
-            "simulated truth": actual,
-        },
-        "normal pressure [kPa]",
-        "Normal pressure on the socket",
-        notes=_held_out(trial, samples[rows]),
-        certainty={name: certainty_of(estimate, deviation)},
-    )
+class _Ending:
+    """What the demo found over the hold, in words and as a picture; pressures in kPa."""
 
+    def __init__(
+        self, trial: Trial, samples: Samples, truth: GroundTruth, live: FloatArray
+    ) -> None:
+        self._trial, self._geometry = trial, trial.geometry
+        rows = select_segment(samples, "plateau", EstimatorSettings().plateau).rows
+        self._hold, self._places = samples[rows], all_regions(trial.geometry)
+        normal = self._geometry.rotations[:, :, 2]
+        pressed = -np.einsum("kni,ni->kn", truth.forces[rows], normal) / self._geometry.areas
+        self._estimate, self._deviation, self._truth = (
+            1e-3 * np.nanmean(values, axis=0) for values in (*live[..., 3][:, rows], pressed)
+        )
+        self._left_out = {name: self._without(name) for name in samples.clusters}
 
-def _held_out(trial: Trial, hold: Samples) -> dict[str, str]:
-    """What each cluster measured over a hold, and what the map says without it, in words."""
-    notes = {}
-    force_map = ForceMap(trial.geometry, hold.clusters)
-    for column, cluster in enumerate(hold.clusters):
-        tile = trial.geometry.clusters[cluster]
-        hidden = force_map.estimate(without_cluster(hold, cluster))
-        measured = -np.nanmean(hold.trusted_forces[:, column, 2]) / trial.geometry.areas[tile]
+    def _without(self, cluster: str) -> tuple[float, float, float]:
+        """What a cluster measured, and what the map says without it, with its deviation."""
+        geometry, hold = self._geometry, self._hold
+        tile = geometry.clusters[cluster]
+        hidden = ForceMap(geometry, hold.clusters).estimate(without_cluster(hold, cluster))
+        column = hold.clusters.index(cluster)
+        measured = -np.nanmean(hold.trusted_forces[:, column, 2]) / geometry.areas[tile]
         predicted = np.nanmean(hidden.normal_pressure[:, tile])
         deviation = np.nanmean(hidden.normal_pressure_standard_deviation[:, tile])
-        notes[cluster] = (
-            f"{1e-3 * measured:.0f} kPa measured, {1e-3 * predicted:.0f} ± {1e-3 * deviation:.0f}"
-            " without it"
+        return 1e-3 * float(measured), 1e-3 * float(predicted), 1e-3 * float(deviation)
+
+    def sentences(self) -> list[str]:
+        """What was measured and estimated, how well, and where to look next."""
+        clusters = {tile: name for name, tile in self._geometry.clusters.items()}
+        bare = np.setdiff1d(np.arange(len(self._geometry)), [*clusters])
+        error = self._estimate - self._truth
+        reach = NORMAL_QUANTILE * self._deviation
+        held = 100.0 * np.mean(np.abs(error[bare]) <= reach[bare])
+        load = np.nanmean(np.linalg.norm(self._hold.wrench[:, 3:], axis=1))
+        name, (measured, *_) = max(self._left_out.items(), key=lambda found: found[1][0])
+        highest = int(bare[self._estimate[bare].argmax()])
+        weakest = int(bare[np.abs(error[bare]).argmax()])
+
+        def said(tile: int) -> str:
+            low, high = self._estimate[tile] + reach[tile] * np.array([-1.0, 1.0])
+            return (
+                f"{self._estimate[tile]:.1f} kPa (95 %: {low:.1f} to {high:.1f}),"
+                f" {self._truth[tile]:.1f} in truth"
+            )
+
+        worst, (there, without, deviation) = max(
+            self._left_out.items(), key=lambda found: abs(found[1][0] - found[1][1])
         )
-    return notes
+        return [
+            f"Measured over the hold, under {load:.0f} N: most by the cluster {name},"
+            f" {measured:.1f} kPa.",
+            f"Estimated between the clusters: most at {part_of(self._places, highest)},"
+            f" {said(highest)}; {held:.0f} % of the 95 % intervals hold the truth.",
+            f"Farthest off: {part_of(self._places, weakest)}, {said(weakest)}.",
+            f"Weakest without its cluster: {worst}, {without:.1f} kPa (95 %:"
+            f" {without - NORMAL_QUANTILE * deviation:.1f} to"
+            f" {without + NORMAL_QUANTILE * deviation:.1f}), {there:.1f} measured.",
+            "Look next: 'view' shows the map over time, 'report' all of it on one page.",
+        ]
+
+    def draw(self) -> Figure:
+        """The map and the truth on one scale, the error, and every cluster left out."""
+        most = float(max(self._estimate.max(), self._truth.max()))
+        name = "estimated live, mean over the hold"
+        maps = {
+            name: (self._estimate, (0.0, most)),
+            "simulated truth": (self._truth, (0.0, most)),
+            "error: estimate less truth": (self._estimate - self._truth, (-0.5 * most, 0.5 * most)),
+        }
+        return tile_map_figure(
+            self._geometry,
+            {title: values for title, (values, _) in maps.items()},
+            "normal pressure [kPa]",
+            "Normal pressure on the socket",
+            limits={title: ends for title, (_, ends) in maps.items()},
+            reach={name: NORMAL_QUANTILE * self._deviation}
+            | {title: 0.0 * values for title, (values, _) in [*maps.items()][1:]},
+            below=(48.0, self._draw_left_out),
+        )
+
+    def _draw_left_out(self, part: SubFigure) -> None:
+        axis, places = part.subplots(), np.arange(len(self._left_out))
+        measured, predicted, deviation = np.array([*self._left_out.values()]).T
+        axis.errorbar(
+            predicted,
+            places,
+            xerr=NORMAL_QUANTILE * deviation,
+            fmt="s",
+            capsize=3,
+            color=LINE_STYLES[1]["color"],
+            label="estimated without the cluster, 95 % interval",
+        )
+        axis.plot(measured, places, "o", color=LINE_STYLES[0]["color"], label="measured")
+        axis.set_yticks(places, [f" {name}" for name in self._left_out], parse_math=False)
+        axis.set_ylim(len(places) - 0.5, -0.5)
+        axis.set_xlabel("normal pressure [kPa]")
+        style_axes(axis)
+        add_legend(axis, ncols=2)

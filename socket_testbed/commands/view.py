@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 from socket_testbed import api
-from socket_testbed.api.view import require_viewer
 from socket_testbed.commands.options import open_given
 from socket_testbed.commands.signatures import takes
 from socket_testbed.commands.text import say
@@ -65,13 +64,8 @@ def view(
 
 
 def check_page(settings: ViewSettings) -> None:
-    """Refuse a page that cannot be served, before any node starts.
-
-    Raises:
-        ConfigurationError: If what serves it is not installed, or its port is taken.
-    """
-    require_viewer()
-    from socket_testbed.viewer.page import listen
+    """Refuse a page that cannot be served, before any node starts."""
+    from socket_testbed.pages.server import listen
 
     listen(settings.host, settings.port).close()
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from socket_testbed.arrays import FloatArray
+from socket_testbed.arrays import BoolArray, FloatArray
 from socket_testbed.geometry.socket import SocketGeometry
 
 _AWAY = 0.5  # [-]; cosine of the angle at which a tile's x is no longer the proximal direction
@@ -90,3 +90,9 @@ def socket_axis(geometry: SocketGeometry) -> SocketAxis:
     low, high = along.min(axis=0), along.max(axis=0)
     end = np.array([*0.5 * (low + high)[:2], low[2]]) @ frame
     return SocketAxis(end, through_s.proximal, through_s.anterior)
+
+
+def wall_tiles(geometry: SocketGeometry, around: SocketAxis) -> BoolArray:
+    """Which tiles are on the wall, shape (n,); those of the end and at the axis are not."""
+    steep = geometry.rotations[:, :, 2] @ around.proximal < _UP
+    return np.asarray(steep & (around.radii(geometry.anchors) >= np.sqrt(geometry.areas)))

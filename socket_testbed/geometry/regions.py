@@ -13,6 +13,8 @@ from socket_testbed.geometry.socket import HEIGHTS, SOCKET, SocketGeometry
 
 Side = Literal["left", "right"]
 
+UNMEASURED = "unmeasured wall"
+"""The tiles without a cluster."""
 _TINY = 1e-9  # [m]
 # Quarter turns about the axis from anterior towards left, by the leg.
 _SECTORS: dict[Side | None, dict[str, int]] = {
@@ -62,6 +64,13 @@ def anatomical_regions(geometry: SocketGeometry, side: Side | None = None) -> tu
 
 
 def all_regions(geometry: SocketGeometry, side: Side | None = None) -> tuple[Region, ...]:
-    """The anatomical regions, those of `socket.yaml`, and the socket itself, in this order."""
+    """The anatomical regions, those of `socket.yaml`, the tiles without a cluster, and the socket.
+
+    They come in this order; where every tile has a cluster, nothing is unmeasured.
+    """
     own = [Region(name, np.array(tiles)) for name, tiles in geometry.regions.items()]
-    return (*anatomical_regions(geometry, side), *own, Region(SOCKET, np.arange(len(geometry))))
+    every = np.arange(len(geometry))
+    bare = np.setdiff1d(every, [*geometry.clusters.values()])
+    if len(bare):
+        own.append(Region(UNMEASURED, bare))
+    return (*anatomical_regions(geometry, side), *own, Region(SOCKET, every))

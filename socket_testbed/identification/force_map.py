@@ -507,8 +507,13 @@ def wall_correlation(geometry: SocketGeometry, length: float) -> FloatArray:
     Forces are alike over the length l [m], by the distance of the tiles' centres.
     """
     apart = np.linalg.norm(geometry.anchors[:, None] - geometry.anchors, axis=2)
+    return matern(apart, length) + _NUGGET * np.eye(len(geometry))
+
+
+def matern(apart: FloatArray, length: float) -> FloatArray:
+    """Matern correlation, smoothness 3/2, over distances [m] by a length [m], of their shape."""
     scaled = np.sqrt(3.0) * apart / length
-    return np.asarray((1.0 + scaled) * np.exp(-scaled) + _NUGGET * np.eye(len(geometry)))
+    return np.asarray((1.0 + scaled) * np.exp(-scaled))
 
 
 def _rigid_motions(geometry: SocketGeometry, arm: float) -> FloatArray:

@@ -85,6 +85,12 @@ class Quantity:
         return np.asarray(reach <= share * self.scale)  # never where one is NaN
 
 
+def column_of(quantity: Quantity, column: int) -> Quantity:
+    """One of the last axis."""
+    parts = (getattr(quantity, part.name)[..., column] for part in fields(Quantity))
+    return Quantity(*parts)
+
+
 def normal_quantity(value: FloatArray, deviation: FloatArray) -> Quantity:
     """Values whose 95 % intervals are given by their standard deviations."""
     reach = NORMAL_QUANTILE * deviation

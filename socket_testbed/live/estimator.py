@@ -29,7 +29,7 @@ from socket_testbed.identification.model_file import StoredModel, read_model
 from socket_testbed.identification.plausibility import channel_limits
 from socket_testbed.identification.pressure import (
     THRESHOLD,
-    RegionOutputs,
+    PressureOutputs,
     measured_rows,
     pressure_outputs,
 )
@@ -207,13 +207,12 @@ class OnlineMap:
 
     def outputs(
         self, wrench: FloatArray, stresses: Mapping[str, tuple[FloatArray, int]]
-    ) -> RegionOutputs | None:
-        """The outputs of one sample by region, from joint draws; None if no channel counts."""
+    ) -> PressureOutputs | None:
+        """The outputs of one sample, from joint draws; None if no channel counts."""
         sample = self._sample(wrench, stresses)
         if not measured_rows(sample)[0]:
             return None
-        found = pressure_outputs(self._map, sample, self._geometry, self.places, THRESHOLD)
-        return found.regions
+        return pressure_outputs(self._map, sample, self._geometry, self.places, THRESHOLD)
 
     def _sample(
         self, wrench: FloatArray, stresses: Mapping[str, tuple[FloatArray, int]]

@@ -1,16 +1,16 @@
 """View node: serves the page on which the running testbed is seen in a browser.
 
-Subscribes, while a browser is open: estimate/force_map, load_cell/wrench, estimate/wrench,
-mocap/socket/pose, mocap/pylon/pose, clusters/stress. Always: /diagnostics, recorder/trial.
-Publishes: /diagnostics.
+Subscribes, while a browser asks: estimate/force_map, load_cell/wrench, estimate/wrench,
+clusters/stress. Always: /diagnostics, recorder/trial. Publishes: /diagnostics.
 
-No executor serves the subscriptions of the page: the thread that draws takes the newest messages
-when it needs them. At 100 Hz most of them are never decoded.
+No executor serves the subscriptions of the page: whoever asks takes the newest messages. At 100 Hz
+most of them are never decoded.
 """
 
 from __future__ import annotations
 
 import math
+from collections import deque
 from pathlib import Path
 from typing import Any
 
@@ -25,39 +25,49 @@ from std_msgs.msg import String
 
 from socket_testbed import clocks
 from socket_testbed.arrays import FloatArray
+from socket_testbed.errors import ConfigurationError
 from socket_testbed.files import packaged
-from socket_testbed.geometry.pose import Pose
+from socket_testbed.geometry.axis import proximal_direction
 from socket_testbed.geometry.socket import SocketGeometry, read_socket
 from socket_testbed.identification.force_map import MapEstimate
-from socket_testbed.live.estimator import OnlineMap
+from socket_testbed.identification.pressure import Quantity
+from socket_testbed.live.estimator import OnlineMap, cluster_forces
 from socket_testbed.nodes.base import ELAPSED, FREE, OK, PolledSubscription, TestbedNode
 from socket_testbed.nodes.controls import ServiceControls
-from socket_testbed.nodes.frames import known_pose
+from socket_testbed.pages.document import (
+    Document,
+    bars,
+    cards,
+    course,
+    moment,
+    numbers,
+    socket_document,
+)
+from socket_testbed.pages.server import PageServer, is_local
+from socket_testbed.samples import Status
 from socket_testbed.settings.testbed import EstimatorSettings, ViewSettings
 from socket_testbed.trials.messages import Reader
+from socket_testbed.trials.metadata import FIELDS
 from socket_testbed.trials.topics import (
     DIAGNOSTICS,
     ESTIMATED_WRENCH,
     FORCE_MAP,
-    PYLON_POSE,
     RECORDED_TRIAL,
-    SOCKET_POSE,
     STRESS,
     WRENCH,
     Topic,
 )
-from socket_testbed.viewer.page import Page, PageServer
-from socket_testbed.viewer.source import HISTORY, Controls, Instant, RegionsNow, SensorState
-from socket_testbed.viewer.source import Recording as RecordingNow
 
 _OLD = 2.0  # [s]; what came longer ago is not shown as if it were now
-_DEPTHS = {FORCE_MAP: 1, SOCKET_POSE: 1, PYLON_POSE: 1, WRENCH: 50, ESTIMATED_WRENCH: 50}
-_REGIONS_EVERY = 1.0  # [s] at least between joint draws
+_SILENT = 3.0  # [s]; a node that reported longer ago is silent
+_IDLE = 3.0  # [s] without a question: no browser is open
+_DEPTHS = {FORCE_MAP: 1, WRENCH: 50, ESTIMATED_WRENCH: 50, STRESS: 1}
+_MOST_WRENCHES = 200  # kept to find that of a stress
+_HISTORY = 30.0  # [s]; of the course
+_OUTPUTS_EVERY = 1.0  # [s] at least between joint draws
 _ESTIMATOR = "estimator_node/get_parameters"
-_FOREIGN = SensorState(
-    "force map", 2, "is of another socket than the page's: give its --geometry", math.nan, 0.0
-)
 _COUNTS = ("samples", "triggers", "messages", "maps")  # among the figures of a node
+_SIGNS = ("\N{BLACK CIRCLE}", "\N{BLACK UP-POINTING TRIANGLE}", "\N{BLACK SQUARE}")
 
 
 class ViewNode(TestbedNode[ViewSettings]):
@@ -67,136 +77,225 @@ class ViewNode(TestbedNode[ViewSettings]):
         super().__init__("view_node", ViewSettings)
         settings = self.settings
         path = Path(settings.geometry) if settings.geometry else packaged("config", "socket.yaml")
-        server = PageServer(settings.host, settings.port, settings.names)
-        allowed = settings.buttons or server.is_local
-        controls = ServiceControls(self) if allowed else None
-        self._live = LiveSource(self, read_socket(path), controls)
-        self._page = Page(self._live, server)
-        self.report(OK, f"the testbed is seen at {server.url}")
+        allowed = settings.buttons or is_local(settings.host)
+        self._live = LiveSource(self, read_socket(path), ServiceControls(self) if allowed else None)
+        self._server = PageServer(self._live, settings.host, settings.port, settings.names)
+        self.report(OK, f"the testbed is seen at {self._server.url}")
 
     def check(self) -> None:
-        """End where the page has failed: `run` starts the node again."""
-        if not self._page.works:
-            raise RuntimeError("the page draws no more, see above")
+        """Unsubscribe when no browser is open any more."""
+        with self._server.asking:
+            self._live.rest()
 
     def close(self) -> None:
         """End the page."""
-        self._page.close()
+        self._server.close()
         super().close()
 
 
 class LiveSource:
-    """The running testbed as the page shows it.
+    """The running testbed, a `Source` of the page.
 
     Args:
-        node: The node that listens to diagnostics.
+        node: The node that listens.
         geometry: Geometry of the socket.
         controls: What the buttons do; None where nobody may press them.
     """
 
-    playback = None
-
     def __init__(
-        self, node: TestbedNode[Any], geometry: SocketGeometry, controls: Controls | None
+        self, node: TestbedNode[Any], geometry: SocketGeometry, controls: ServiceControls | None
     ) -> None:
-        self.geometry = geometry
-        self.controls = controls
-        self._node = node
+        self._geometry, self._controls, self._node = geometry, controls, node
         self._own = node.get_fully_qualified_name()
         self._prefix = self._own.removesuffix(node.get_name())
         self._inbox: _Inbox | None = None
+        self._asked_at = 0.0  # [s]; when a browser last asked
         self._newest: dict[Topic, tuple[int, Any, float]] = {}  # stamp [ns], values, arrival [s]
-        self._rows: dict[int, FloatArray] = {}  # measured and predicted wrench by stamp [ns]
+        self._wrenches: dict[int, FloatArray] = {}  # by stamp [ns]
         self._first = 0  # [ns]
-        self._shown: Instant | None = None
         self._sensors: dict[str, tuple[DiagnosticArray, float]] = {}
         self._rates: dict[str, tuple[float, float, float]] = {}  # count, time [s], rate [Hz]
         self._trial = ("", 0.0)
         self._settings = EstimatorSettings()  # those of the estimator that runs
-        self._regions = OnlineMap(geometry, lambda: self._settings)
-        self._outputs: RegionsNow | None = None
+        self._outputs = OnlineMap(geometry, lambda: self._settings)
+        self._shown: Document = {}  # cards but for the data, bars, course
+        self._shown_at = -math.inf  # [s]
+        self._course: deque[tuple[float, ...]] = deque()  # time [s], force [N], peak and ends [Pa]
         self._next_outputs = -math.inf  # [s]
-        self._asked = False
+        self._knows_settings = False
         self._estimator = node.create_client(GetParameters, _ESTIMATOR)
         node.listen(DIAGNOSTICS, self._on_diagnostics, needed=False)
         node.listen(RECORDED_TRIAL, self._on_trial, needed=False)
 
-    def watched(self, on: bool) -> None:
-        """Subscribe while a browser is open."""
-        if on:
+    def start(self) -> Document:
+        """The socket, and whether buttons may be pressed."""
+        return {
+            "title": "socket_testbed, live",
+            "facts": {},
+            "socket": socket_document(self._geometry),
+            "live": True,
+            "buttons": self._controls is not None,
+            "metadata": FIELDS,
+        }
+
+    def now(self, time: float | None) -> Document:
+        """The newest sample; the cards, bars and course are renewed once a second."""
+        del time
+        self._asked_at = clocks.monotonic()
+        if self._inbox is None:
             self._inbox = _Inbox(self._node)
-            self._asked = False
-        elif self._inbox is not None:
+            self._knows_settings = False
+        self._take(self._inbox)
+        self._renew(self._inbox)
+        measured, predicted = self._recent(WRENCH), self._recent(ESTIMATED_WRENCH)
+        data, sensors = self._state_of_sensors()
+        found = {"moment": self._moment(), "sensors": sensors, "recording": self._recording()}
+        found |= self._shown | {"cards": [*self._shown.get("cards", []), data]}
+        nothing = np.full(6, np.nan)
+        pair = (nothing if wrench is None else wrench for wrench in (measured, predicted))
+        return found | {"wrench": [numbers(wrench) for wrench in pair]}
+
+    def act(self, what: str, given: dict[str, Any]) -> str:
+        """Call the service of a button."""
+        controls = self._controls
+        if controls is None:
+            raise ConfigurationError("the buttons are off", "start 'view' with --buttons")
+        given = {name: str(value) for name, value in given.items() if value}
+        acts = {
+            "tare": controls.tare,
+            "fit": controls.fit,
+            "stop recording": controls.stop_recording,
+            "mark": lambda: controls.event(given.get("label", "event")),
+            "trigger-on": lambda: controls.trigger(True),
+            "trigger-off": lambda: controls.trigger(False),
+            "record": lambda: controls.record(given.pop("trial", ""), given),
+        }
+        if what not in acts:
+            raise ConfigurationError(f"no button is called '{what}'", "load the page again")
+        return acts[what]()
+
+    def rest(self) -> None:
+        """Unsubscribe when nobody has asked for a while."""
+        if self._inbox is not None and clocks.monotonic() - self._asked_at > _IDLE:
             self._inbox.close()
             self._inbox = None
             self._newest.clear()
 
-    def instant(self) -> Instant | None:
-        """The newest sample."""
-        if self._inbox is None or not self._take(self._inbox):
-            return self._shown_or_old()
-        stamp = max(stamp for stamp, _, _ in self._newest.values())
-        wrench, predicted = self._wrench(WRENCH), self._wrench(ESTIMATED_WRENCH)
-        socket, limb = self._poses()
-        self._shown = Instant(
-            stamp, (stamp - self._first) * 1e-9, self._map(), wrench, predicted, socket, limb
-        )
-        return self._shown
-
-    def wrenches(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """The last wrenches."""
-        stamps = sorted(self._rows)
-        rows = np.array([self._rows[stamp] for stamp in stamps]).reshape(-1, 12)
-        time = 1e-9 * (np.array(stamps, dtype=np.float64) - self._first)
-        return time, rows[:, :6], rows[:, 6:]
-
-    def sensors(self) -> list[SensorState]:
-        """What the nodes report of themselves."""
+    def _take(self, inbox: _Inbox) -> None:
+        """Take what has come, but for the stresses."""
         now = clocks.monotonic()
-        return [_FOREIGN] * self._has_foreign_map() + [
-            SensorState(
-                name,
-                int.from_bytes(status.level, "little"),
-                status.message,
-                self._rates.get(name, (0.0, 0.0, math.nan))[2],
-                now - arrival,
-            )
-            for name, (status, arrival) in sorted(self._sensors.items())
-        ]
+        for topic in (FORCE_MAP, WRENCH, ESTIMATED_WRENCH):
+            for stamp, values in inbox.take(topic):
+                self._newest[topic] = stamp, values, now
+                if topic is WRENCH:
+                    if self._wrenches and stamp < next(iter(self._wrenches)):
+                        self._wrenches.clear()  # a graph that was started again
+                        self._course.clear()
+                        self._first = 0
+                    self._first = self._first or stamp
+                    self._wrenches[stamp] = values
+        while len(self._wrenches) > _MOST_WRENCHES:
+            del self._wrenches[next(iter(self._wrenches))]
 
-    def recording(self) -> RecordingNow | None:
-        """The trial that is being recorded."""
+    def _renew(self, inbox: _Inbox) -> None:
+        """Compute the outputs by region of the newest sample, once a second."""
+        now = clocks.monotonic()
+        if now < self._next_outputs:
+            return
+        self._next_outputs = now + _OUTPUTS_EVERY
+        self._ask_settings()
+        if now - self._shown_at > _OLD:
+            self._shown = {}
+        for stamp, stresses in inbox.take(STRESS):
+            wrench = self._wrenches.get(stamp, np.full(6, np.nan))
+            found = self._outputs.outputs(wrench, stresses)
+            if found is None:
+                continue
+            forces, status = cluster_forces(self._geometry, stresses)
+            tiles = [*self._geometry.clusters.values()]
+            measured = np.where(
+                status == Status.OK, -forces[:, 2] / self._geometry.areas[tiles], np.nan
+            )
+            pressure = found.estimate.normal_pressure[0]
+            places, of = self._outputs.places, found.regions
+            peak = of.peak
+            force = -wrench[3:] @ proximal_direction(self._geometry)
+            row = (peak.value[-1], peak.low[-1], peak.high[-1])
+            self._course.append((1e-9 * (stamp - self._first), float(force), *map(float, row)))
+            while self._course[-1][0] - self._course[0][0] > _HISTORY:
+                self._course.popleft()
+            time, load, value, low, high = np.array(self._course).T
+            self._shown_at = now
+            self._shown = {
+                "cards": cards(self._geometry, places, of, pressure, {})[:-1],
+                "bars": bars(places, of),
+                "course": course(time, load, Quantity(value, low, high, value), []),
+                "measured": numbers(1e-3 * measured, 1),
+            }
+
+    def _moment(self) -> Document:
+        """The newest map."""
+        stamp, found, _ = self._newest.get(FORCE_MAP, (0, None, 0.0))
+        if found is None or self._recent(FORCE_MAP) is None or found[0] != self._geometry.names:
+            return {"time": 0.0, "words": "no force map"}
+        estimate = MapEstimate(**found[1])
+        shown = moment(
+            1e-9 * (stamp - self._first),
+            estimate.normal_pressure[0],
+            estimate.normal_pressure_standard_deviation[0],
+            estimate.shear[0],
+            np.full(0, np.nan),
+        )
+        return shown | {"measured": self._shown.get("measured", [])}
+
+    def _recent(self, topic: Topic) -> Any:
+        """The newest values; None where they came long ago."""
+        _, values, arrival = self._newest.get(topic, (0, None, -math.inf))
+        return values if clocks.monotonic() - arrival < _OLD else None
+
+    def _state_of_sensors(self) -> tuple[Document, list[list[str]]]:
+        """The card of the data, and a row per node: sign, name, words, rate and age."""
+        now, rows, bad = clocks.monotonic(), [], []
+        for name, (status, arrival) in sorted(self._sensors.items()):
+            level, words = int.from_bytes(status.level, "little"), status.message
+            if now - arrival > _SILENT:
+                level, words = 2, f"silent for {now - arrival:.0f} s; it said: {words}"
+            title = name.removeprefix(self._prefix).removesuffix("_node").replace("_", " ")
+            rate = self._rates.get(name, (0.0, 0.0, math.nan))[2]
+            shown = f"{rate:.3g} Hz" if math.isfinite(rate) else ""
+            rows.append([_SIGNS[min(level, 2)], title, words, shown])
+            bad += [(level, f"{title}: {words}")] * (level > 0)
+        _, found, _ = self._newest.get(FORCE_MAP, (0, None, 0.0))
+        if found is not None and found[0] != self._geometry.names:
+            bad.append((3, "the force map is of another socket: give 'view' its --geometry"))
+        if bad:
+            words = max(bad)[1] + f" (and {len(bad) - 1} more)" * (len(bad) > 1)
+            return {"title": "Data", "value": "look", "words": words, "bad": True}, rows
+        if not rows:
+            words = "no data from the testbed"
+            return {"title": "Data", "value": "none", "words": words, "bad": True}, rows
+        words = f"all {len(rows)} parts of the testbed are well"
+        return {"title": "Data", "value": "good", "words": words}, rows
+
+    def _recording(self) -> Document:
+        """The trial that is being recorded, and the free space."""
         trial, since = self._trial
         now = clocks.monotonic()
         recorder, arrival = self._sensors.get(f"{self._prefix}recorder_node", (None, now))
-        if recorder is None:
-            return RecordingNow(trial, now - since if trial else 0.0, math.nan)
-        figures = {entry.key: entry.value for entry in recorder.values}
-        elapsed = float(figures[ELAPSED]) + now - max(arrival, since) if trial else 0.0
-        return RecordingNow(trial, elapsed, float(figures[FREE]))
-
-    def regions(self) -> RegionsNow | None:
-        """The standard outputs of the newest sample."""
-        now = clocks.monotonic()
-        if now < self._next_outputs or self._inbox is None:
-            return self._outputs
-        self._next_outputs = now + _REGIONS_EVERY
-        self._ask_settings()
-        self._outputs = None
-        for stamp, stresses in self._inbox.take(STRESS):
-            row = self._rows.get(stamp)
-            wrench = np.full(6, np.nan) if row is None else row[:6]
-            outputs = self._regions.outputs(wrench, stresses)
-            if outputs is not None:
-                at = 1e-9 * (stamp - self._first)
-                self._outputs = RegionsNow(at, self._regions.places, outputs)
-        return self._outputs
+        words = f"recording {trial}" if trial else "nothing is being recorded"
+        if recorder is not None:
+            figures = {entry.key: entry.value for entry in recorder.values}
+            if trial:
+                elapsed = float(figures[ELAPSED]) + now - max(arrival, since)
+                words += f" for {elapsed // 60:.0f}:{elapsed % 60:02.0f}"
+            words += f", {1e-9 * float(figures[FREE]):.1f} GB free"
+        return {"on": bool(trial), "words": words}
 
     def _ask_settings(self) -> None:
         """Ask for the prior of the estimator, and for what it leaves out, once per browser."""
-        if self._asked or not self._estimator.service_is_ready():
+        if self._knows_settings or not self._estimator.service_is_ready():
             return
-        self._asked = True
+        self._knows_settings = True
         names = [n for n in EstimatorSettings.flat() if n.startswith("force_map.")]
         names.append("identification.leave_out")
 
@@ -208,64 +307,6 @@ class LiveSource:
 
         request = GetParameters.Request(names=names)
         self._estimator.call_async(request).add_done_callback(take)
-
-    def _take(self, inbox: _Inbox) -> bool:
-        """Take what has come; returns whether it is anything."""
-        now, news = clocks.monotonic(), False
-        for topic in _DEPTHS:
-            for stamp, values in inbox.take(topic):
-                news = True
-                self._newest[topic] = stamp, values, now
-                if topic in (WRENCH, ESTIMATED_WRENCH):
-                    self._add_row(topic, stamp, values)
-        return news
-
-    def _add_row(self, topic: Topic, stamp: int, wrench: FloatArray) -> None:
-        if not self._rows or stamp < next(iter(self._rows)):  # a graph that was started again
-            self._rows.clear()
-            self._first = self._first if 0 < self._first <= stamp else stamp
-        row = self._rows.setdefault(stamp, np.full(12, np.nan))
-        row[0 if topic is WRENCH else 6 :][:6] = wrench
-        while stamp - next(iter(self._rows)) > HISTORY * 1e9:
-            del self._rows[next(iter(self._rows))]
-
-    def _shown_or_old(self) -> Instant | None:
-        """What was shown, without what has become old."""
-        shown = self._shown
-        if shown is not None and shown.map is not None and self._recent(FORCE_MAP) is None:
-            nothing = np.full(6, np.nan)
-            self._shown = Instant(shown.stamp, shown.time, None, nothing, nothing, None, None)
-        return self._shown
-
-    def _recent(self, topic: Topic) -> Any:
-        """The newest values; None where they came long ago."""
-        _, values, arrival = self._newest.get(topic, (0, None, -math.inf))
-        return values if clocks.monotonic() - arrival < _OLD else None
-
-    def _wrench(self, topic: Topic) -> FloatArray:
-        wrench: FloatArray | None = self._recent(topic)
-        return np.full(6, np.nan) if wrench is None else wrench
-
-    def _map(self) -> MapEstimate | None:
-        found = self._recent(FORCE_MAP)
-        return None if found is None or self._has_foreign_map() else MapEstimate(**found[1])
-
-    def _has_foreign_map(self) -> bool:
-        """Whether the newest map is of another socket than the one that is shown."""
-        found = self._recent(FORCE_MAP)
-        return found is not None and found[0] != self.geometry.names
-
-    def _poses(self) -> tuple[Pose | None, Pose | None]:
-        """Pose of {S} and of the limb in the world."""
-        socket, pylon = (self._pose(topic) for topic in (SOCKET_POSE, PYLON_POSE))
-        return (
-            socket @ self.geometry.socket_body.inverse() if socket else None,
-            pylon @ self.geometry.limb if pylon else None,
-        )
-
-    def _pose(self, topic: Topic) -> Pose | None:
-        pose = self._recent(topic)
-        return None if pose is None else known_pose(pose)
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         now = clocks.monotonic()
@@ -299,9 +340,8 @@ class _Inbox:
             start_parameter_services=False,
             use_global_arguments=False,
         )
-        topics = (*_DEPTHS, STRESS)
-        self._subscriptions = {topic: self._subscribe(topic) for topic in topics}
-        self._readers = {topic: Reader(topic) for topic in topics}
+        self._subscriptions = {topic: self._subscribe(topic) for topic in _DEPTHS}
+        self._readers = {topic: Reader(topic) for topic in _DEPTHS}
 
     def close(self) -> None:
         """Unsubscribe."""
@@ -313,5 +353,5 @@ class _Inbox:
 
     def _subscribe(self, topic: Topic) -> PolledSubscription:
         # Whoever publishes waits for no page: a message that is lost is not sent again.
-        qos = QoSProfile(depth=_DEPTHS.get(topic, 1), reliability=ReliabilityPolicy.BEST_EFFORT)
+        qos = QoSProfile(depth=_DEPTHS[topic], reliability=ReliabilityPolicy.BEST_EFFORT)
         return PolledSubscription(self._node, topic, qos)

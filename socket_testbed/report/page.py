@@ -1,9 +1,10 @@
-"""A page: sections of text, tables, figures and a 3D scene, rendered as one self-contained file."""
+"""A page: pictures of a socket and sections of text, tables and charts, as one file."""
 
 from __future__ import annotations
 
+import base64
+import gzip
 import math
-import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
@@ -16,14 +17,11 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 from matplotlib.figure import Figure
 from pandas.api.types import is_numeric_dtype
+from plotly.offline import get_plotlyjs
 
-from socket_testbed.report.figures.style import (
-    DEFAULT_STYLE,
-    FONT,
-    FigureStyle,
-    save_figure,
-    svg_of,
-)
+from socket_testbed.arrays import FloatArray
+from socket_testbed.pages.document import numbers
+from socket_testbed.report.figures.style import FigureStyle, save_figure, thin
 from socket_testbed.tables import write_table
 
 NOTHING = "\N{EN DASH}"  # in a cell without a value
@@ -83,35 +81,66 @@ def pairs_table(name: str, caption: str, pairs: Sequence[tuple[str, str]]) -> Ta
 
 @dataclass(frozen=True)
 class ReportFigure:
-    """A figure on a page, and beside it as files with its data."""
+    """A chart on a page, and beside it as files: its data, and on demand for print."""
 
     kind: ClassVar = "figure"
-    name: str  # of its files; empty for a figure that has none
+    name: str  # of its files
     caption: str
-    draw: Callable[[FigureStyle], Figure]
+    draw: Callable[[FigureStyle], Figure]  # for print
     description: str  # for who cannot see it
-    data: pd.DataFrame = field(default_factory=pd.DataFrame)
-    is_map: bool = False  # its colours stand for values: on a dark page they stay as they are
+    data: pd.DataFrame
+    # Panels of lines for the page, see report.js; None for what is on the map of the socket
+    chart: Mapping[str, Any] | None = None
 
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "draw", cache(self.draw))  # for the page and for its files
+    def files(self, drawn: bool) -> list[str]:
+        """Names of its files, with those for print if they are drawn."""
+        return [f"{self.name}.{suffix}" for suffix in ["csv", *["pdf", "png"] * drawn]]
 
-    @property
-    def files(self) -> list[str]:
-        """Names of its files."""
-        return [f"{self.name}.{suffix}" for suffix in ("pdf", "png", "csv") if self.name]
+    def write(self, folder: Path, style: FigureStyle | None) -> None:
+        """Write its files to a folder, those for print in a style."""
+        write_table(self.data, folder / f"{self.name}.csv")
+        if style is not None:
+            figure = self.draw(style)
+            for suffix in ("pdf", "png"):
+                save_figure(figure, folder / f"{self.name}.{suffix}")
 
-    @property
-    def svg(self) -> str:
-        """The picture on the page."""
-        return svg_of(self.draw(DEFAULT_STYLE))
 
-    def write(self, folder: Path, style: FigureStyle) -> None:
-        """Write its files to a folder."""
-        pdf, png, csv = (folder / name for name in self.files)
-        write_table(self.data, csv)
-        for path in (pdf, png):
-            save_figure(self.draw(style), path)
+def line_chart(time: FloatArray, panels: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """A chart of panels, each a title and lines by their names, over time (N,) [s], thinned."""
+    shown = []
+    for panel in panels:
+        lines = {}
+        for name, values in panel["lines"].items():
+            x, y = thin(time, values)
+            lines[name] = {"x": numbers(x), "y": numbers(y, 4)}
+        shown.append({"title": panel["title"], "lines": lines})
+    return {"over": "time [s]", "panels": shown}
+
+
+@dataclass(frozen=True)
+class Pictures:
+    """The socket: cards, its map unrolled and in 3D, a course over time, regions as bars."""
+
+    kind: ClassVar = "pictures"
+    description: str
+    has_mean: bool = True  # whether the mean over a segment can be chosen
+    has_course: bool = True
+
+
+@dataclass(frozen=True)
+class Cards:
+    """The page's cards alone."""
+
+    kind: ClassVar = "cards"
+
+
+@dataclass(frozen=True)
+class Maps:
+    """Unrolled maps side by side, by their identifiers on the page with their titles."""
+
+    kind: ClassVar = "maps"
+    maps: Mapping[str, str]
+    legend: str
 
 
 @dataclass(frozen=True)
@@ -142,7 +171,7 @@ class Folded:
 
 @dataclass(frozen=True)
 class Section:
-    """A section of a page: paragraphs as text, headings, lists, tables, figures, a `Scene`."""
+    """A section of a page: paragraphs as text, headings, lists, tables, figures, pictures."""
 
     name: str  # its identifier
     title: str
@@ -155,36 +184,43 @@ class Section:
         return [part for part in self.parts if isinstance(part, ReportFigure)]
 
 
-_NOT_DRAWN = re.compile(
-    r'<\?xml.*?\?>|<!DOCTYPE.*?>|<!--.*?-->|<metadata>.*?</metadata>|(?<=<g) id="[^"]*"', re.DOTALL
-)
-_COORDINATES = re.compile(r' d="[^"]*"|translate\([^)]*\)| [xy]="[^"]*"')
-_RESERVED = str.maketrans({"%": "%25", "#": "%23", "&": "%26", '"': "'"})
+def render(
+    title: str,
+    subtitle: str,
+    groups: Mapping[str, Sequence[Section]],
+    data: Mapping[str, Any] | None = None,
+    **content: Any,
+) -> str:
+    """A page as one self-contained file; every text in it is escaped.
+
+    Args:
+        title: Its heading.
+        subtitle: What it is of.
+        groups: Sections by the title under which they are folded; those of "" are open.
+        data: What its pictures show, see report.js.
+        content: What else the template takes.
+    """
+    defaults = {"metadata": {}, "folder": "", "figures": False, "viewer": _viewer()}
+    return _template().render(
+        title=title, subtitle=subtitle, groups=groups, data=data, **(defaults | content)
+    )
 
 
-def svg_url(svg: str) -> Markup:
-    """A picture as the address of an image: to a hundredth of a point, no names, no comments."""
-    drawn = _NOT_DRAWN.sub("", svg)
-    drawn = _COORDINATES.sub(lambda part: re.sub(r"(\.\d\d)\d+", r"\1", part[0]), drawn)
-    drawn = re.sub(r">\s+<", "><", drawn.replace("xlink:href", "href"))
-    return Markup("data:image/svg+xml," + " ".join(drawn.split()).translate(_RESERVED))
-
-
-def render(title: str, subtitle: str, sections: Sequence[Section], **content: Any) -> str:
-    """A page as one self-contained file; every text in it is escaped."""
-    return _template().render(title=title, subtitle=subtitle, sections=sections, **content)
+@cache
+def _viewer() -> Markup:
+    """plotly.js as it comes with plotly, compressed: the browser unpacks it."""
+    return Markup(base64.b64encode(gzip.compress(get_plotlyjs().encode(), mtime=0)).decode())
 
 
 @cache
 def _template() -> Any:
     environment = Environment(
-        loader=PackageLoader("socket_testbed", "report/templates"),
+        loader=PackageLoader("socket_testbed", "pages/static"),
         autoescape=True,
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters["svg_url"] = svg_url
-    environment.globals |= {"font": FONT, "uncertain": UNCERTAIN}
+    environment.globals |= {"uncertain": UNCERTAIN}
     environment.policies["json.dumps_kwargs"] = {"separators": (",", ":")}
     return environment.get_template("page.html")

@@ -20,7 +20,7 @@ from socket_testbed.identification.evaluation import (
     predict_channels,
 )
 from socket_testbed.identification.fit import Fit, fit_contact_model
-from socket_testbed.identification.force_map import MapEstimate, map_trial
+from socket_testbed.identification.force_map import map_trial
 from socket_testbed.identification.information import (
     Engagement,
     LoadShare,
@@ -58,7 +58,7 @@ from socket_testbed.trials.trial import Trial
 
 GIVEN = "given"
 _LEAST_HELD_OUT = 10  # samples
-_INSTANTS = 60  # of the trial, at which the pressure is shown in 3D
+_INSTANTS = 150  # of the trial, at which the pressure is shown
 
 
 @dataclass(frozen=True)
@@ -69,8 +69,7 @@ class PressureResults:
     places: tuple[Region, ...]  # the last one is the socket
     time: FloatArray  # (N,) [s], of the segment's samples since the first one of the trial
     outputs: PressureOutputs  # over the segment
-    instants: FloatArray  # (k,) [s], spread over the trial, that of the peak among them
-    over_trial: MapEstimate  # at the instants
+    over_trial: PressureOutputs  # at instants that are spread over the trial, with that of the peak
     suspension: Suspension | None  # of the limb in the socket over the segment
 
     @property
@@ -271,9 +270,8 @@ def _read_pressure(
     outputs = pressure_outputs(force_map, usable[segment.rows], geometry, places, THRESHOLD)
     spread = np.linspace(0, len(samples) - 1, min(len(samples), _INSTANTS)).round()
     rows = np.union1d(spread.astype(np.int64), [segment.rows.start + outputs.peak_row])
-    time = samples.time
-    over_trial = force_map.estimate(usable[rows])
+    over_trial = pressure_outputs(force_map, usable[rows], geometry, places, THRESHOLD)
     suspension = find_suspension(samples[segment.rows], geometry)
     return PressureResults(
-        side, places, time[segment.rows], outputs, time[rows], over_trial, suspension
+        side, places, samples.time[segment.rows], outputs, over_trial, suspension
     )

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from socket_testbed.errors import ConfigurationError
 from socket_testbed.files import atomic_output, check_outputs, refuse_existing
-from socket_testbed.report.figures.style import DEFAULT_STYLE, FigureStyle
+from socket_testbed.report.figures.style import FigureStyle
 from socket_testbed.report.page import Section, render
 from socket_testbed.report.results import Results
 from socket_testbed.report.sections import (
@@ -25,19 +25,23 @@ from socket_testbed.tables import write_table
 _SUFFIXES = (".html", ".htm")
 _ERRORS = "errors.csv"  # in the folder of every report
 
-# In the order of the page; the origin, which needs the command, comes last.
-SECTIONS: tuple[Callable[[Results], Section], ...] = (
-    summary.section,
-    pressure.section,
-    channels.wrench_section,
-    channels.local_section,
-    channels.paper_section,
-    channels.errors_section,
-    validation.section,
-    fronts.section,
-    surface.section,
-    quality.section,
-)
+# In the order of the page, by the title under which they are folded; the origin, which needs the
+# command, comes last.
+SECTIONS: dict[str, tuple[Callable[[Results], Section], ...]] = {
+    "": (pressure.head_section,),
+    "Numbers": (pressure.section,),
+    "Model": (
+        summary.section,
+        channels.wrench_section,
+        channels.local_section,
+        channels.errors_section,
+        validation.section,
+        fronts.section,
+        channels.paper_section,
+        surface.section,
+    ),
+    "Data": (summary.notes_section, quality.section),
+}
 
 
 def files_folder(page: Path) -> Path:
@@ -62,13 +66,14 @@ def write_report(
     made: datetime,
     progress: Callable[[int, int], None] | None = None,
     replace: bool = False,
-    style: FigureStyle = DEFAULT_STYLE,
+    style: FigureStyle | None = None,
 ) -> None:
-    """Write the page and the folder with its files, both or none."""
+    """Write the page and the folder with its files, both or none; figures for print in a style."""
     check_page_path(page, replace)
     folder = files_folder(page)
-    sections = [make(results) for make in SECTIONS]
-    sections.append(summary.origin_section(results, command, made))
+    groups = {group: [make(results) for make in makers] for group, makers in SECTIONS.items()}
+    groups["Data"].append(summary.origin_section(results, command, made))
+    sections = [section for group in groups.values() for section in group]
     figures = [figure for section in sections for figure in section.figures]
     with atomic_output(page) as new_page, atomic_output(folder, replace) as new_folder:
         new_folder.mkdir()
@@ -77,14 +82,15 @@ def write_report(
                 write_table(frame, new_folder / name)
         for done, figure in enumerate(figures, start=1):
             figure.write(new_folder, style)
-            if progress is not None:
+            if progress is not None and style is not None:
                 progress(done, len(figures))
         text = render(
-            f"Report on {results.trial.name}",
-            f"{results.segment}, theta {results.settings.identification.theta:g}; measured against"
-            " predicted wrench and local forces, with and without offsets",
-            sections,
+            results.trial.name,
+            f"{results.segment}",
+            groups,
+            pressure.page_data(results),
             metadata=results.trial.metadata.described(),
             folder=folder.name,
+            figures=style is not None,
         )
         new_page.write_text(text, encoding="utf-8")

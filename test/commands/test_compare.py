@@ -134,5 +134,10 @@ def test_legs_are_compared_by_anatomy_and_the_page_says_so(trials, tmp_path, cap
     shown = written.rows("socket-table")["mean pressure [kPa]"]
     expected = st.compare(*legs, segment="15:20").cells("regions", "mean pressure").loc["socket"]
     assert shown == expected.tolist()
-    assert len([a for tag, a in written.tags if tag == "img" and a["alt"]]) == 2
+    assert [a["id"] for _, a in written.tags if a.get("role") == "img"] == [
+        "map-0",
+        "map-1",
+        "map-2",
+    ]
+    assert len(json.loads(written.script("page-data"))["maps"]) == 3
     assert all(link.startswith(("#", "data:")) for link in written.loads)

@@ -52,5 +52,5 @@ def test_own_regions_stand_in_the_file_and_before_the_socket(tmp_path) -> None:
     geometry = read_socket(tmp_path / "socket.yaml")
     assert geometry.regions == own
     names = [region.name for region in all_regions(geometry)]
-    assert names[-3:] == ["fibula head", "patellar tendon", "socket"]
-    assert len(names) == 4 + 3 + 12 + 3
+    assert names[-4:] == ["fibula head", "patellar tendon", "unmeasured wall", "socket"]
+    assert len(names) == 4 + 3 + 12 + 4

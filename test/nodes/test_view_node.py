@@ -7,7 +7,9 @@ import pytest
 import rclpy
 from support.graph import Probe
 from support.ring_socket import ring_socket
+from support.wording import refused
 
+from socket_testbed.errors import ConfigurationError
 from socket_testbed.identification.force_map import MapEstimate
 from socket_testbed.nodes.listeners import ListenerNode
 from socket_testbed.nodes.view_node import LiveSource
@@ -33,21 +35,23 @@ def test_a_map_of_another_socket_is_named_and_not_drawn() -> None:
     with Probe() as probe:
         node = ListenerNode("page", lambda: None)
         source = LiveSource(node, GEOMETRY, None)
-        source.watched(True)
+        source.now(None)  # it listens while a browser asks
         publisher = probe.publisher(FORCE_MAP)
 
         def shows(geometry, drawn: bool) -> bool:
             publisher.publish(force_map_packer(geometry.names)(1, random_map()))
-            instant = source.instant()
-            words = " ".join(sensor.words for sensor in source.sensors())
-            return (
-                instant is not None
-                and (instant.map is not None) is drawn
-                and ("another socket" in words) is not drawn
+            found = source.now(None)
+            words = found["cards"][-1]["words"]
+            return ("pressure" in found["moment"]) is drawn and (
+                ("another socket" in words) is not drawn
             )
 
         probe.wait(lambda: shows(GEOMETRY, True), "the map")
         probe.wait(lambda: shows(other, False), "that it is of another socket")
-        source.watched(False)
+        with refused(ConfigurationError, "buttons are off"):
+            source.act("tare", {})
+        source._asked_at -= 60.0  # no browser has asked for a while
+        source.rest()
+        assert source._inbox is None
         node.destroy_node()
     rclpy.shutdown()

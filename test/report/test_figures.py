@@ -22,7 +22,7 @@ from socket_testbed.report.figures.style import (
     thin,
     thin_band,
 )
-from socket_testbed.report.figures.tiles import certainty_of, paint_tiles, tile_map_figure
+from socket_testbed.report.figures.tiles import paint_tiles, tile_map_figure
 from socket_testbed.report.page import Section
 from socket_testbed.report.sections import quality
 from socket_testbed.report.sections.channels import wrench_section
@@ -157,30 +157,30 @@ def test_pressure_begins_at_zero_and_hatches_what_has_no_value(rng):
     geometry, unit = ring_socket(), "pressure [kPa]"
     values = rng.uniform(5.0, 30.0, len(geometry))
     values[3] = np.nan
-    marks = {"certain": {"mean": np.arange(len(geometry)) != 11}}
-    figure = tile_map_figure(geometry, {"mean": values}, unit, from_zero=True, **marks)
+    figure = tile_map_figure(geometry, {"mean": values}, unit, from_zero=True)
     hatched = sum(len(c.get_paths()) for a in figure.axes for c in a.collections if c.get_hatch())
-    assert hatched == 1 and "pale: uncertain, hatched: no value" in figure.get_supxlabel()
+    assert hatched == 1 and "hatched: no value" in figure.get_supxlabel()
     np.testing.assert_allclose(scales_of(figure, unit), [(0.0, np.nanmax(values))])
     np.testing.assert_array_equal(paint_tiles(geometry, values).fills[3], 1.0)
     known = tile_map_figure(geometry, {"mean": np.nan_to_num(values)}, unit)
     assert "hatched" not in known.get_supxlabel()
 
 
-def test_tiles_on_the_distal_end_alone_have_a_map_which_pales_where_it_is_uncertain(rng):
-    geometry = random_socket(rng, rings=3, columns=6)
-    upwards = np.tile(np.diag([-1.0, -1.0, 1.0]), (18, 1, 1))
-    geometry = dataclasses.replace(geometry, rotations=upwards)
-    values = np.linspace(1.0, 2.0, 18)
-    certainty = certainty_of(values, np.where(np.arange(18) < 9, 0.0, 1.0))
-    assert (certainty[:9] == 1.0).all() and (certainty[9:] < 0.6).all()
-    maps, marks = {"x": values}, {"certainty": {"x": certainty}}
-    wall, end = tile_map_figure(geometry, maps, "N/m", **marks).axes[:2]
-    assert len(squares_of(wall).get_paths()) == 0
-    colours = colormaps[SCALE](Normalize(1.0, 2.0)(values))
-    shown = end.collections[0].get_facecolors()
-    expected = 1.0 - certainty[:, None] * (1.0 - colours)  # the higher tiles over the lower ones
-    np.testing.assert_allclose(shown, expected[np.argsort(geometry.anchors[:, 2])], atol=1e-12)
+def test_a_map_with_intervals_is_smooth_and_greyer_where_they_reach_far(rng):
+    geometry, unit = ring_socket(), "pressure [kPa]"
+    values, known = np.full(len(geometry), 20.0), {"x": np.zeros(len(geometry))}
+    unknown = {"x": np.full(len(geometry), 60.0)}
+    colour = colormaps[SCALE](Normalize(0.0, 40.0)(20.0))[:3]
+    for reach, expected in ((known, colour), (unknown, 0.15 * np.array(colour) + 0.85 * 150 / 255)):
+        figure = tile_map_figure(geometry, {"x": values}, unit, limits=(0.0, 40.0), reach=reach)
+        wall, end = figure.axes[:2]
+        for panel in (wall, end):
+            image = np.asarray(panel.images[0].get_array())
+            shown = image[image[..., 3] == 1.0][:, :3]
+            assert len(shown) > 100
+            np.testing.assert_allclose(shown, np.broadcast_to(expected, shown.shape), atol=5e-3)
+        grey = "the greyer, the less certain" in figure.get_supxlabel()
+        assert grey == (reach is unknown)
 
 
 def test_the_sides_of_a_map_are_those_of_the_leg():

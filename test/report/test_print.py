@@ -31,7 +31,12 @@ from socket_testbed.report.write import SECTIONS
 @pytest.fixture(scope="module")
 def figures(results: Results) -> dict:
     """What draws every figure of the report and two of the API, by its name."""
-    drawn = {f.name: f.draw for make in SECTIONS for f in make(results).figures}
+    drawn = {
+        f.name: f.draw
+        for makers in SECTIONS.values()
+        for make in makers
+        for f in make(results).figures
+    }
     quality = calibrate_bench(sensor_bench(play=2e3, repeats=1), nominal().wiring, True, False)
     curves = np.random.default_rng(5).normal(size=(9, 101, 3))
     spans = np.arange(18.0).reshape(9, 2)

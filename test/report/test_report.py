@@ -154,7 +154,7 @@ def test_a_page_that_cannot_be_written_is_refused_and_nothing_is_left(
         assert path.parent.is_dir()
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(write, "SECTIONS", (write.channels.errors_section,))
+    monkeypatch.setattr(write, "SECTIONS", {"Data": (write.channels.errors_section,)})
     monkeypatch.setattr(write, "write_table", full)
     with pytest.raises(ConfigurationError, match="No space left"):
         write_report(results, tmp_path / "page.html", "", MADE)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import base64
 import dataclasses
 import gzip
-import html
 import json
 
 import numpy as np
@@ -17,16 +16,15 @@ from support.problems import random_socket
 from support.ring_socket import ring_socket
 
 from socket_testbed.errors import ConfigurationError, TestbedError
-from socket_testbed.geometry.axis import socket_axis
+from socket_testbed.geometry.axis import socket_axis, wall_tiles
 from socket_testbed.geometry.socket import SocketGeometry
-from socket_testbed.report.figures.scene import TileValues, simplify, socket_page
 from socket_testbed.report.figures.tiles import (
     paint_tiles,
     socket_figure,
     tile_squares,
     value_range,
-    wall_tiles,
 )
+from socket_testbed.report.socket_page import simplify, write_socket_page
 
 NASTY = "</script><b>a & \"b\" 'c' $\\frac$"
 
@@ -60,12 +58,6 @@ def names_on(axis) -> list[str]:
     return [text.get_text().replace("\n", "") for text in axis.texts]
 
 
-def points_of(trace: dict) -> np.ndarray:
-    """The points of a trace, shape (m, 3) [mm]."""
-    read = ((base64.b64decode(trace[axis]["bdata"]), trace[axis]["dtype"]) for axis in "xyz")
-    return np.stack([np.frombuffer(data, kind) for data, kind in read], axis=-1)
-
-
 def test_a_square_has_the_tiles_area_and_lies_in_its_plane_along_its_axes():
     rng = np.random.default_rng(5)
     tilted = random_socket(rng, rings=3, columns=5)
@@ -91,12 +83,8 @@ def test_a_simplified_surface_keeps_its_size_and_its_area():
 
 
 def test_values_that_are_not_the_tiles_are_refused_and_a_scale_has_two_ends(geometry):
-    for draw in (
-        lambda v: TileValues("", v).document(geometry),
-        lambda v: paint_tiles(geometry, v),
-    ):
-        with pytest.raises(ConfigurationError, match=r"shape \(66,\)"):
-            draw(np.ones(66))
+    with pytest.raises(ConfigurationError, match=r"shape \(66,\)"):
+        paint_tiles(geometry, np.ones(66))
     for values in ([5.0, 5.0], [0.0, 0.0], [np.nan, -3.0], [np.nan, np.nan]):
         low, high = value_range(geometry, np.resize(values, len(geometry)))
         assert low < high
@@ -135,7 +123,7 @@ def test_each_tile_is_at_its_angle_and_height_or_on_the_distal_end(geometry):
 
 def written(tmp_path, geometry, mesh=None, title="A socket", facts=()) -> tuple[str, Page]:
     path = tmp_path / "socket.html"
-    socket_page(mesh or cone(), geometry, path, title, facts)
+    write_socket_page(mesh or cone(), geometry, path, title, facts)
     assert [p.name for p in tmp_path.iterdir()] == ["socket.html"]
     text = path.read_text(encoding="utf-8")
     return text, Page(text)
@@ -143,48 +131,20 @@ def written(tmp_path, geometry, mesh=None, title="A socket", facts=()) -> tuple[
 
 def test_a_page_loads_nothing_and_shows_every_tile_and_the_surface(geometry, tmp_path):
     text, page = written(tmp_path, geometry)
-    assert page.loads and all(what.startswith("data:image/svg+xml,") for what in page.loads)
-    assert not page.open
+    assert not page.loads and not page.open
     assert "default-src 'none'" in page.policy and "http" not in page.policy
     style = "".join(page.said["style"])
     assert "@import" not in style and "url(" not in style
-    viewer = gzip.decompress(base64.b64decode(page.script("scene-viewer"))).decode()
+    viewer = gzip.decompress(base64.b64decode(page.script("viewer"))).decode()
     assert viewer.count("plotly.js v") == 1
     # The viewer's own buttons hold one that sends the chart to somebody.
     assert "displayModeBar: false" in text
-    # By keyboard; without its script the page shows the picture, and no control without effect.
-    (box,) = [a for _, a in page.tags if a.get("id") == "scene"]
-    assert box["tabindex"] == "0" and box["aria-label"] and box["role"]
-    assert set(page.said["button"]) >= {"Turn left", "Nearer", "Start view"}
-    assert all("hidden" in a for _, a in page.tags if "needs-scene" in (a.get("class") or ""))
-
-    figure, values = (json.loads(page.script(f"scene-{name}")) for name in ("figure", "values"))
-    traces, scene = figure["data"], figure["layout"]["scene"]
-    corners = points_of(traces[0]).reshape(-1, 5, 3)[:, :4]
-    np.testing.assert_allclose(corners, 1e3 * tile_squares(geometry), atol=1e-4)
-    np.testing.assert_allclose(points_of(traces[-1]), 1e3 * cone().vertices, rtol=1e-5, atol=1e-4)
-    assert scene["aspectmode"] == "data" and scene["zaxis"]["title"]["text"] == "z [mm]"
-    assert {a["text"] for a in scene["annotations"]} == set(geometry.clusters)
-    assert values["names"][0].split("<br>") == [
-        "<b>ring1_01</b>",
-        "anchor (48.6, 0.0, 104.6) mm",
-        "inward normal (-0.995, 0.000, 0.105)",
-    ]
-    shown = values["sets"]["tiles"]["area"]
-    np.testing.assert_allclose(shown["values"][0], 1e6 * geometry.areas)
-    assert shown["unit"] == "area [mm^2]"
-
-
-def test_values_of_a_scene_are_those_of_the_tiles(geometry):
-    values = np.random.default_rng(5).uniform(0.0, 70.0, (3, len(geometry)))
-    values[1, 3] = np.nan
-    times = np.array([0.0, 1.25, 7.0])
-    found = TileValues("pressure [kPa]", values, times, start=2).document(geometry)
-    assert (found["low"], found["high"]) == (np.nanmin(values), np.nanmax(values))
-    assert (found["times"], found["start"]) == ([0.0, 1.25, 7.0], 2)
-    assert found["values"][1][3] is None
-    rows = np.array(found["values"], dtype=float)
-    np.testing.assert_allclose(rows, values, rtol=5e-4)
+    shown = json.loads(page.script("page-data"))
+    squares = np.array(shown["socket"]["squares"])[:, :4]
+    np.testing.assert_allclose(squares, 1e3 * tile_squares(geometry), atol=0.051)
+    points = np.array(shown["socket"]["surface"]["points"])
+    np.testing.assert_allclose(points, 1e3 * cone().vertices, atol=0.051)
+    np.testing.assert_allclose(shown["extras"]["area [mm^2]"]["values"], 1e6 * geometry.areas)
 
 
 def test_names_are_no_markup(geometry, tmp_path):
@@ -193,13 +153,7 @@ def test_names_are_no_markup(geometry, tmp_path):
     assert NASTY not in text
     assert page.said["title"] == page.said["h1"] == [NASTY]
     assert page.tables["facts"][1:] == [[NASTY, "1 < 2"], ["tiles", NASTY]]
-    annotations = json.loads(page.script("scene-figure"))["layout"]["scene"]["annotations"]
-    names = [
-        fact.split("<br>")[0][3:-4] for fact in json.loads(page.script("scene-values"))["names"]
-    ]
-    for shown in (names, [annotation["text"] for annotation in annotations]):
-        assert NASTY in {html.unescape(name) for name in shown}
-        assert not any("<" in name for name in shown)
+    assert NASTY in json.loads(page.script("page-data"))["socket"]["clusters"]
 
 
 def test_a_page_stays_small_needs_no_clusters_and_leaves_an_older_one_if_it_fails(
@@ -209,5 +163,5 @@ def test_a_page_stays_small_needs_no_clusters_and_leaves_an_older_one_if_it_fail
     text, _ = written(tmp_path, bare, mesh=cone(500, 500))
     assert len(text.encode()) < 4e6
     with pytest.raises(TestbedError):
-        socket_page(cone(), geometry, tmp_path / "socket.html" / "below.html", "", ())
+        write_socket_page(cone(), geometry, tmp_path / "socket.html" / "below.html", "", ())
     assert (tmp_path / "socket.html").read_text(encoding="utf-8") == text

@@ -10,12 +10,6 @@ import numpy as np
 
 MADE = datetime(2026, 2, 3, 4, 5, 6, tzinfo=UTC)
 THETAS = np.linspace(0.0, 1.0, 5)
-# Leaves two sections, with one figure, to a report: to draw and save all takes most of its time,
-# and test_report_page does so.
-TWO_SECTIONS = """
-from socket_testbed.report import write as report
-report.SECTIONS = (report.channels.errors_section, report.quality.section)
-"""
 NASTY = "<b>a & \"b\" 'c' $\\frac$"
 
 

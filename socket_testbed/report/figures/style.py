@@ -27,10 +27,9 @@ CLUSTER = "#D55E00"  # Okabe & Ito's vermilion
 EDGE = "#2B5C7D"
 NO_VALUE = "#FFFFFF"
 HATCH = "/////"  # of what has no value
-PALE = 0.55  # [-]; of its colour, the rest is white
 PROXIMAL = "#333333"
 AXES = ("#B2182B", "#1B7837", "#2166AC")  # x, y, z
-SCALE = "cividis"  # Nunez et al. 2018, doi:10.1371/journal.pone.0199239: even in lightness
+SCALE = "viridis"  # even in lightness, told apart by the colour-blind; as on the pages
 
 
 # Okabe & Ito's colours differ in lightness, too, and each line has its own dashes.

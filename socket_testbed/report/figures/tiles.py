@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -14,14 +14,16 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.collections import PolyCollection
 from matplotlib.colors import Normalize, to_rgba
 from matplotlib.figure import Figure, SubFigure
-from matplotlib.patches import Patch, Rectangle
+from matplotlib.patches import Patch as Swatch
+from matplotlib.patches import Rectangle
 from matplotlib.patheffects import withStroke
 
 from socket_testbed.arrays import BoolArray, FloatArray, IntArray
 from socket_testbed.errors import ConfigurationError
-from socket_testbed.geometry.axis import SocketAxis, socket_axis
+from socket_testbed.geometry.axis import SocketAxis, socket_axis, wall_tiles
 from socket_testbed.geometry.pose import Pose
 from socket_testbed.geometry.socket import SocketGeometry
+from socket_testbed.pages.wall import patches
 from socket_testbed.report.figures.style import (
     CLUSTER,
     DEFAULT_STYLE,
@@ -29,7 +31,6 @@ from socket_testbed.report.figures.style import (
     HATCH,
     MM,
     NO_VALUE,
-    PALE,
     SCALE,
     SMALL,
     SURFACE,
@@ -40,7 +41,6 @@ from socket_testbed.report.figures.style import (
     wrap,
 )
 
-_WALL = np.sqrt(0.5)  # [-]; of the normals of what is at 45 degrees; the end faces up more
 _WIDEST_FACE = 60.0  # [deg]; a wider one is at the axis, where there is no angle
 _BESIDE = 3.0  # [deg]; free on both sides of the unrolled wall
 _ABOVE = 0.03  # [-]; of its height, free above and below
@@ -50,7 +50,10 @@ _WALL_SHARE = 3.4  # [-]; width of the wall by that of the distal end
 _SMALLEST = 3.0  # [pt]; of a name on a tile
 _LONGEST_LINE = 9  # characters
 _CHARACTER, _LINE = 0.62, 1.25  # [-]; width of a character, height of a line, by the font's size
-_PALEST = 0.15  # [-]; of a tile's colour: white has no value
+_IMAGE_STEP = 0.12  # [-]; between the points of an image, by the tiles' edge
+_GREY, _GREYEST = "#969696", 0.85  # of what is uncertain; its share
+_GREY_FROM = 2.5  # [-]; reach of an interval by the value, from which it is greyest
+_LEAST_SHARE = 0.1  # [-]; of the scale; to which the reach of smaller values is compared
 _ALIKE = 2.0  # [-]; ratio of ranges that are still seen on one scale
 _AXIS, _BAR = 12.0, 15.0  # [mm]; beside a map: its axis; the bar of colours
 _BAR_LABEL = 38.0  # [mm]; longest line beside a bar
@@ -88,12 +91,6 @@ def covered_tiles(geometry: SocketGeometry) -> BoolArray:
     return np.isin(np.arange(len(geometry)), [*geometry.clusters.values()])
 
 
-def wall_tiles(geometry: SocketGeometry, around: SocketAxis) -> BoolArray:
-    """Which tiles are on the wall, shape (n,); those of the end and at the axis are not."""
-    steep = geometry.rotations[:, :, 2] @ around.proximal < _WALL
-    return steep & (around.radii(geometry.anchors) >= np.sqrt(geometry.areas))
-
-
 def value_range(geometry: SocketGeometry, values: FloatArray) -> tuple[float, float]:
     """Ends of the colour scale: range of the finite values (..., n), wider where it is a point."""
     if values.shape[-1:] != (len(geometry),):
@@ -109,16 +106,6 @@ def value_range(geometry: SocketGeometry, values: FloatArray) -> tuple[float, fl
     return low - margin, high + margin
 
 
-def certainty_of(values: FloatArray, deviation: FloatArray) -> FloatArray:
-    """How certain values of the tiles are, from their standard deviation relative to their size.
-
-    The size is that of the value or half of the largest one, whichever is more. 1 is certain; the
-    least is more than 0, so that something is seen.
-    """
-    size = np.maximum(np.abs(values), 0.5 * np.abs(values).max())
-    return np.asarray(np.clip(1.0 - deviation / size, _PALEST, 1.0))
-
-
 @dataclass(frozen=True)
 class TilePaint:
     """How the tiles are painted."""
@@ -126,27 +113,57 @@ class TilePaint:
     fills: FloatArray  # (n, 4) [-], RGBA
     hatched: BoolArray  # (n,), tiles without a value
     scale: ScalarMappable
+    images: Mapping[str, FloatArray] = field(default_factory=dict)  # of the surface, see `_images`
 
 
 def paint_tiles(
-    geometry: SocketGeometry,
-    values: FloatArray,
-    limits: tuple[float, float] | None = None,
-    certainty: FloatArray | None = None,
-    certain: BoolArray | None = None,
+    geometry: SocketGeometry, values: FloatArray, limits: tuple[float, float] | None = None
 ) -> TilePaint:
-    """Paint tiles by their values, shape (n,); those without one are white and hatched.
-
-    `certainty` is 1 for a value's full colour, less for a paler one [-]; without it, values that
-    are not `certain` are pale.
-    """
+    """Paint tiles by their values, shape (n,); those without one are white and hatched."""
     scale = ScalarMappable(Normalize(*(limits or value_range(geometry, values))), SCALE)
     unknown = np.isnan(values)
     fills = np.where(unknown[:, None], to_rgba(NO_VALUE), scale.to_rgba(values))
-    if certainty is None:
-        certainty = np.where(np.ones_like(unknown) if certain is None else certain, 1.0, PALE)
-    white = np.array(to_rgba(NO_VALUE))
-    return TilePaint(white + certainty[:, None] * (fills - white), unknown, scale)
+    return TilePaint(fills, unknown, scale)
+
+
+def _images(
+    geometry: SocketGeometry, values: FloatArray, reach: FloatArray, scale: ScalarMappable
+) -> dict[str, FloatArray]:
+    """Values of the tiles, smooth over the surface, by its parts, RGBA, shape (h, w, 4).
+
+    They turn grey as the interval, with a reach (n,) to each side, exceeds the value, as on pages.
+    """
+    images = {}
+    for patch in patches(geometry, _IMAGE_STEP):
+        value, doubt = patch.weights @ values, np.maximum(patch.weights @ reach, 0.0)
+        doubt = doubt / np.maximum(np.abs(value), _LEAST_SHARE * scale.get_clim()[1]) - 1.0
+        grey = _GREYEST * np.clip(doubt / (_GREY_FROM - 1.0), 0.0, 1.0)[..., None]
+        image = np.asarray(scale.to_rgba(value))
+        image += grey * (np.array(to_rgba(_GREY)) - image)
+        image[..., 3] = np.isfinite(patch.points[..., 0])
+        images[patch.name] = image
+    return images
+
+
+def _draw_image(
+    axis: Axes, geometry: SocketGeometry, paint: TilePaint, name: str, around: SocketAxis
+) -> None:
+    """Draw the image of a part of the surface, if there is one."""
+    for patch in patches(geometry, _IMAGE_STEP) if name in paint.images else []:
+        if patch.name != name:
+            continue
+        x, y = patch.x[[0, -1]], patch.y[[0, -1]]
+        if name == "end":  # along y of {S} to the left, x up
+            ends = around.end + 1e-3 * (np.outer(-x, around.left) + np.outer(y, around.anterior))
+            x, y = 1e3 * ends[:, 1], 1e3 * ends[:, 0]
+        axis.imshow(
+            paint.images[name],
+            extent=(*x, *y),
+            origin="lower",
+            aspect=axis.get_aspect(),
+            zorder=0.5,
+            interpolation="bilinear",
+        )
 
 
 def _draw_unrolled(
@@ -176,6 +193,9 @@ def _draw_unrolled(
     axis.set_aspect(1.0 / (1e3 * np.radians(1.0) * max(_radius(geometry, around), 1e-3)))
     axis.set_ylabel("height [mm]")
     _name_sides(axis, side)
+    limits = axis.get_xlim(), axis.get_ylim()
+    _draw_image(axis, geometry, paint, "wall", around)
+    axis.set(xlim=limits[0], ylim=limits[1])
     wall = _polygons(faces, facecolors=SURFACE, edgecolors=SURFACE, linewidths=0.3, rasterized=True)
     axis.add_collection(wall, autolim=False)
     wall.set_clip_path(Rectangle((-180.0, 0.0), 360.0, 1.0, transform=axis.get_xaxis_transform()))
@@ -201,6 +221,9 @@ def _draw_end(
         faces = 1e3 * surface.triangles[..., [1, 0]]
         grey: dict[str, Any] = {"facecolors": SURFACE, "edgecolors": SURFACE, "linewidths": 0.3}
         axis.add_collection(_polygons(faces, rasterized=True, **grey), autolim=False)
+    limits = axis.get_xlim(), axis.get_ylim()
+    _draw_image(axis, geometry, paint, "end", socket_axis(geometry))
+    axis.set(xlim=limits[0], ylim=limits[1])
     facing = geometry.rotations[:, 2, 2] > _LEAST_FACING
     tiles = np.flatnonzero(~wall_tiles(geometry, socket_axis(geometry)) & facing)
     tiles = tiles[np.argsort(geometry.anchors[tiles, 2])]
@@ -217,7 +240,8 @@ def _draw_tiles(
 ) -> None:
     """Draw some tiles, with corners in the panel, shape (m, 4, 2), hatches and labels."""
     covered = covered_tiles(geometry)[tiles]
-    edges = np.where(covered[:, None], to_rgba(CLUSTER), to_rgba(EDGE))
+    edge = to_rgba(EDGE, 0.0 if paint.images else 1.0)
+    edges = np.where(covered[:, None], to_rgba(CLUSTER), edge)
     look: dict[str, Any] = {"edgecolors": edges, "linewidths": np.where(covered, 1.6, 0.6)}
     hatch: dict[str, Any] = {"facecolors": "none", "edgecolors": "0.35", "hatch": HATCH}
     axis.add_collection(_polygons(squares, facecolors=paint.fills[tiles], **look))
@@ -346,16 +370,16 @@ def _draw_maps(
     style: FigureStyle,
     *,
     side: str = "",
-    certainty: Mapping[str, FloatArray] | None = None,
-    certain: Mapping[str, BoolArray] | None = None,
     notes: Mapping[str, str] | None = None,
+    reach: Mapping[str, FloatArray] | None = None,
 ) -> None:
     """Draw maps of values in rows, with one bar if their scales are the same, and a key below.
 
-    Tiles with a cluster have a thick outline and a number, which the key explains, with their
-    notes. The other marks, by the maps' names: see `paint_tiles`.
+    Maps with a `reach` of 95 % intervals, (n,), are smooth over the surface, and grey where these
+    exceed the values. Tiles with a cluster have a thick outline and a number, which the key
+    explains, with their notes.
     """
-    certainty, certain, notes = certainty or {}, certain or {}, notes or {}
+    notes, reach = notes or {}, reach or {}
     labels = [""] * len(geometry)
     key = []
     for number, (cluster, tile) in enumerate(geometry.clusters.items(), start=1):
@@ -369,12 +393,15 @@ def _draw_maps(
     has_end = not wall_tiles(geometry, socket_axis(geometry)).all()
     free = style.width / columns - _AXIS - _BAR
     common = len(set(scales)) == 1
-    any_unknown = any_pale = False
+    any_unknown = any_grey = False
     bar: dict[str, Any] = {"label": wrap(unit, _BAR_LABEL), "pad": 0.01}
     for panels, (name, row), limits in zip(axes, values.items(), scales, strict=False):
-        paint = paint_tiles(geometry, row, limits, certainty.get(name), certain.get(name))
+        paint = paint_tiles(geometry, row, limits)
+        if name in reach and not paint.hatched.any():
+            images = _images(geometry, row, reach[name], paint.scale)
+            paint = replace(paint, fills=np.zeros_like(paint.fills), images=images)
+        any_grey |= bool(paint.images) and bool(np.any(reach[name]))
         any_unknown |= bool(paint.hatched.any())
-        any_pale |= not np.all(certain.get(name, True))
         _draw_unrolled(panels[0], geometry, paint, labels, side=side)
         heading = wrap(name, 0.9 * free)  # bold type is wider
         panels[0].set_title(heading, loc="left", fontweight="bold", parse_math=False)
@@ -387,7 +414,8 @@ def _draw_maps(
         panel.set_visible(False)
     if common:
         figure.colorbar(paint.scale, ax=[*axes.flat], aspect=25.0 * rows, **bar)
-    add_key(figure, style, *key, "pale: uncertain" * any_pale, "hatched: no value" * any_unknown)
+    grey = "the greyer, the less certain" * any_grey
+    add_key(figure, style, *key, grey, "hatched: no value" * any_unknown)
 
 
 def add_key(figure: Figure | SubFigure, style: FigureStyle, *parts: str) -> None:
@@ -405,18 +433,21 @@ def tile_map_figure(
     title: str = "",
     style: FigureStyle = DEFAULT_STYLE,
     *,
-    limits: tuple[float, float] | None = None,
+    limits: tuple[float, float] | Mapping[str, tuple[float, float]] | None = None,
     from_zero: bool = False,
     below: tuple[float, Callable[[SubFigure], None]] | None = None,
     **marks: Any,
 ) -> Figure:
     """Tiles by their values in colours that print in grey, a map per set of values.
 
-    Values have shape (n,), NaN, hatched, where there is none. Without `limits`, maps whose ranges
-    are alike share a scale, which begins at zero or below if `from_zero`. `below` is the height
-    [mm] of what else is drawn, and what draws it; `marks` are as in `_draw_maps`.
+    Values have shape (n,), NaN, hatched, where there is none. Without `limits`, of all or by name,
+    maps whose ranges are alike share a scale, which begins at zero or below if `from_zero`. `below`
+    is the height [mm] of what else is drawn, and what draws it; `marks` are as in `_draw_maps`.
     """
-    scales = [limits] * len(values) if limits else _scales_of(geometry, values, from_zero)
+    if limits is None:
+        scales = _scales_of(geometry, values, from_zero)
+    else:
+        scales = [limits[n] if isinstance(limits, Mapping) else limits for n in values]
     height, draw = below or (0.0, None)
     heights = _maps_height(geometry, style, scales), height
     figure = style.figure(sum(heights))
@@ -448,6 +479,6 @@ def socket_figure(
     kinds = {"tile": TILE, "tile with a cluster": CLUSTER}
     if surface is not None:
         kinds["interior surface"] = SURFACE
-    handles = [Patch(facecolor=colour, label=name) for name, colour in kinds.items()]
+    handles = [Swatch(facecolor=colour, label=name) for name, colour in kinds.items()]
     figure.legend(handles=handles, loc="outside lower center", ncols=3)
     return lay_out(figure)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from math import isfinite
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 import pandas as pd
@@ -30,7 +30,7 @@ from socket_testbed.report.figures.style import (
     thin,
     wrap,
 )
-from socket_testbed.report.page import Heading, ReportFigure, Section, Table
+from socket_testbed.report.page import Heading, ReportFigure, Section, Table, line_chart
 from socket_testbed.report.results import Results
 from socket_testbed.samples import WRENCH_CHANNELS, Samples, channel_unit
 from socket_testbed.settings.identification import PAPER_VARIANTS
@@ -181,7 +181,20 @@ def _channels(results: Results, name: str, title: str, channels: Sequence[int]) 
         lambda style: _draw(samples, segment, models, channels, heading, style),
         f"{title} over time, a panel per channel with its errors; the table of errors holds them",
         results.series(columns),
+        _chart(results, channels),
     )
+
+
+def _chart(results: Results, channels: Sequence[int]) -> dict[str, Any]:
+    """A panel per channel for the page."""
+    samples, measured = results.samples, trusted_values(results.samples)
+    panels = []
+    for i in channels:
+        name = samples.channels[i]
+        lines = {"measured": measured[:, i]}
+        lines |= {c.label: c.predicted[:, i] for c in results.candidates}
+        panels.append({"title": f"{name} [{channel_unit(name)}]", "lines": lines})
+    return line_chart(samples.time, panels)
 
 
 @in_style

@@ -19,6 +19,7 @@ from socket_testbed.identification.pareto import (
     Front,
     front_table,
 )
+from socket_testbed.pages.document import numbers
 from socket_testbed.report.figures.style import (
     DEFAULT_STYLE,
     LINE_STYLES,
@@ -64,9 +65,23 @@ def section(results: Results) -> Section:
         lambda style: pareto_figure(fronts, results.title("Trade-off"), style),
         "Pareto fronts of the paper's variants with the sensor-only, knee, wrench-only solutions",
         front_table(fronts),
+        {
+            "dots": True,
+            "log": True,
+            "over": _WRENCH_LABEL,
+            "panels": [{"title": _LOCAL_LABEL, "lines": dict(map(_points, fronts))}],
+        },
     )
     verdicts = [f"{front.variant}: {front.knee.verdict}." for front in fronts]
     return Section("fronts", "Pareto fronts", [Bullets(verdicts), figure, _marks(fronts)])
+
+
+def _points(front: Front) -> tuple[str, dict[str, Any]]:
+    """The solutions that no other dominates, for the page."""
+    kept = np.flatnonzero(front.non_dominated)
+    kept = kept[np.argsort(front.wrench_error[kept], kind="stable")]
+    errors = np.maximum([front.wrench_error[kept], front.local_error[kept]], _LEAST_ERROR)
+    return _describe(front), dict(zip("xy", numbers(errors, 6), strict=True))
 
 
 def _marks(fronts: Iterable[Front]) -> Table:

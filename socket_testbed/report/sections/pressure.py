@@ -3,26 +3,39 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure, SubFigure
 
-from socket_testbed.arrays import BoolArray, FloatArray
-from socket_testbed.geometry.regions import Region
+from socket_testbed.arrays import FloatArray
+from socket_testbed.geometry.regions import UNMEASURED, Region
 from socket_testbed.geometry.socket import HEIGHTS, SECTORS, SOCKET, SocketGeometry
 from socket_testbed.identification.force_map import MapEstimate
 from socket_testbed.identification.pressure import (
+    NORMAL_QUANTILE,
     SHARE,
     THRESHOLD,
     PressureOutputs,
     Quantity,
+    column_of,
     normal_quantity,
     read_column,
     with_interval,
 )
-from socket_testbed.report.figures.scene import TileValues, tile_scene
+from socket_testbed.pages.document import (
+    axial_force,
+    bars,
+    cards,
+    course,
+    data_card,
+    measured_pressure,
+    moment,
+    moments,
+    socket_document,
+)
 from socket_testbed.report.figures.style import (
     DEFAULT_STYLE,
     LINE_STYLES,
@@ -35,12 +48,19 @@ from socket_testbed.report.figures.style import (
 )
 from socket_testbed.report.figures.tiles import (
     add_key,
-    certainty_of,
     tile_map_figure,
 )
-from socket_testbed.report.page import NOTHING, UNCERTAIN, Heading, ReportFigure, Section, Table
+from socket_testbed.report.page import (
+    NOTHING,
+    UNCERTAIN,
+    Heading,
+    Pictures,
+    ReportFigure,
+    Section,
+    Table,
+)
 from socket_testbed.report.results import PressureResults, Results
-from socket_testbed.report.sections.surface import scene_values
+from socket_testbed.report.sections.surface import model_values
 from socket_testbed.trials.segment import Segment
 
 _DECIMALS = {
@@ -56,7 +76,6 @@ _DECIMALS = {
     "centre of pressure z [mm]": 0,
 }
 _PRESSURES = 5  # columns of the first table by region
-_MAP_SHARE = 1.0  # [-]; as `SHARE`, in pictures
 _SPANS = ("plateau", "hold")
 _UNIT = "pressure [kPa]"
 _MOST_POINTS = 300  # per line
@@ -64,34 +83,68 @@ _BAND = 0.18  # [-]; opacity
 _NUMBER = 0.04  # [-]; of a panel's width, for the number of an event
 
 
-def section(results: Results) -> Section:
-    """The section on pressure."""
-    found, geometry = results.pressure, results.trial.geometry
-    sets = {"force map": _scene_pressures(found)} | {
-        candidate.label: scene_values(results, candidate) for candidate in results.candidates
+def head_section(results: Results) -> Section:
+    """The pictures of the socket."""
+    described = "Pressure on the unrolled wall of the socket, estimated between the clusters"
+    return Section("socket", "", [Pictures(described)])
+
+
+def page_data(results: Results) -> dict[str, Any]:
+    """What the pictures of the socket show."""
+    found, geometry, first = results.pressure, results.trial.geometry, results.samples.stamps[0]
+    over_trial, tiles = found.over_trial, found.outputs.tiles
+    samples, measured = over_trial.samples, measured_pressure(found.outputs.samples, geometry)
+    time = 1e-9 * (samples.stamps - first)
+    peak = column_of(over_trial.series.peak, -1)
+    deviation = (tiles.mean.high - tiles.mean.low) / (2.0 * NORMAL_QUANTILE)
+    mean = moment(
+        found.peak_time, tiles.mean.value, deviation, tiles.shear.value, measured.mean(axis=0)
+    )
+    events = [(event.time, event.label) for event in results.events]
+    return {
+        "socket": socket_document(geometry, found.side),
+        "start": found.peak_time,
+        "moments": moments(time, over_trial.estimate, samples, geometry),
+        "mean": mean | {"time": None, "words": f"mean over {results.segment}"},
+        "course": course(time, axial_force(samples, geometry), peak, events),
+        "cards": pressure_cards(results),
+        "bars": bars(found.places, found.outputs.regions),
+        "extras": {
+            f"{candidate.label}: {name}": values
+            for candidate in results.candidates
+            for name, values in model_values(results, candidate).items()
+        },
     }
+
+
+def pressure_cards(results: Results) -> list[dict[str, Any]]:
+    """The three cards of the segment."""
+    found = results.pressure
+    pressure, data = found.outputs.peak_map.normal_pressure[0], data_card(results.data)
+    return cards(results.trial.geometry, found.places, found.outputs.regions, pressure, data)
+
+
+def section(results: Results) -> Section:
+    """The section with the outputs in numbers."""
+    found = results.pressure
     return Section(
         "pressure",
         "Pressure",
         [
             f"Over {results.segment}. A value whose 95 % interval reaches farther than"
-            f" {100.0 * SHARE:g} % of it is uncertain, and pale. In contact:"
+            f" {100.0 * SHARE:g} % of it is called uncertain. In contact:"
             f" above {1e-3 * THRESHOLD:g} kPa; the integrals cover"
             f" {found.outputs.integrated:.1f} s, while in contact. The direction of the shear is"
             " that from proximal about the inward normal. 'socket-testbed pressure' gives the same"
             " numbers, and those of another segment or threshold.",
-            _overview(results),
             *pressure_tables(found),
             *_limb_table(found),
-            Heading("In 3D, over time"),
-            "The colour scale is that of the chosen values. Tiles without a value are white; tiles"
-            " with a cluster are outlined. The axes are those of {S}, the frame of the load cell.",
-            tile_scene(geometry, sets, "The tiles of the socket in the colours of their pressure"),
             Heading("How it is estimated"),
             "From the clusters' and the load cell's measurements, without a fitted model: a"
             f" Gaussian process over the socket's surface ({found.outputs.source}). About 95 % of"
             " the true values lie within the intervals. The mean over the segment is as uncertain"
             " as one sample, since what the sensors leave open does not change.",
+            _overview(results),
             _force_map(results),
         ],
         {"pressure.csv": regions_frame(found), "pressure_of_regions.csv": _over_time(found)},
@@ -165,36 +218,17 @@ def _words(pressure: PressureResults, title: str, row: int) -> tuple[str, str]:
     return f"{value:z.{decimals}f}", f"{low:z.{decimals}f} to {high:z.{decimals}f}{uncertain}"
 
 
-def _scene_pressures(found: PressureResults) -> dict[str, TileValues]:
-    """Pressure and shear on the tiles, by the name of the choice."""
-    over_trial, tiles = found.over_trial, found.outputs.tiles
-    pressures = normal_quantity(
-        over_trial.normal_pressure, over_trial.normal_pressure_standard_deviation
-    )
-    shears = normal_quantity(over_trial.shear, over_trial.shear_standard_deviation)
-    start = int(np.searchsorted(found.instants, found.peak_time))
-    return {
-        f"{name}, mean over the segment": TileValues(f"mean {name} [kPa]", 1e-3 * quantity.value)
-        for name, quantity in (("pressure", tiles.mean), ("shear", tiles.shear))
-    } | {
-        f"{name} over the trial": TileValues(
-            f"{name} [kPa]", 1e-3 * quantity.value, found.instants, start
-        )
-        for name, quantity in (("pressure", pressures), ("shear", shears))
-    }
-
-
 def _overview(results: Results) -> ReportFigure:
     """Pressure over the segment and at its peak, unrolled, and that of the regions over time."""
     geometry, found = results.trial.geometry, results.pressure
-    maps, _ = instant_maps(found.outputs, found.time, _MAP_SHARE, results.segment.kind)
+    maps, _ = instant_maps(found.outputs, found.time, results.segment.kind)
     values = {f"{name} [kPa]": pressure for name, pressure in maps.items()}
     events = [(event.time, event.label) for event in results.events]
     return ReportFigure(
         "pressure_map",
-        f"Pressure on the unrolled socket, {results.segment}. Pale tiles are"
-        " uncertain: their 95 % interval reaches farther than the value itself. Tiles with a"
-        " cluster are outlined. Below, the mean pressure of sectors, heights and own regions."
+        f"Pressure on the unrolled socket, {results.segment}. The greyer, the"
+        " less certain. Tiles with a cluster are outlined. Below, the mean pressure of sectors,"
+        " heights and own regions."
         f" {THINNED}",
         lambda style: pressure_figure(
             geometry,
@@ -210,7 +244,6 @@ def _overview(results: Results) -> ReportFigure:
         "Pressure on the unrolled socket: the mean over the segment, and at its peak; below, that"
         " of the regions over time",
         pd.DataFrame({"tile": geometry.names, **values}),
-        is_map=True,
     )
 
 
@@ -240,13 +273,12 @@ def _force_map(results: Results) -> ReportFigure:
     return ReportFigure(
         "force_map",
         "Mean normal pressure over the segment on every tile, and the standard deviation of its"
-        f" error. {mean.source}. Pale tiles are uncertain; tiles with a cluster are outlined.",
+        f" error. {mean.source}. The greyer, the less certain. Tiles with a cluster are outlined.",
         lambda style: force_map_figure(geometry, mean, results.title("Force map"), style),
         "Normal pressure on the unrolled socket, and its standard deviation below",
         pd.DataFrame(
             {"tile": geometry.names} | {name: 1e-3 * row[0] for name, row in columns.items()}
         ),
-        is_map=True,
     )
 
 
@@ -256,34 +288,32 @@ def force_map_figure(
     title: str,
     style: FigureStyle = DEFAULT_STYLE,
 ) -> Figure:
-    """Normal pressure of the first sample of a force map, and below its standard deviation.
-
-    The pressure fades to white where it is uncertain: see `certainty_of`.
-    """
+    """Normal pressure of the first sample of a force map, and below its standard deviation."""
     pressure = 1e-3 * estimate.normal_pressure[0]
     deviation = 1e-3 * estimate.normal_pressure_standard_deviation[0]
-    name = "normal pressure; pale where it is uncertain"
-    maps = {name: pressure, "its standard deviation": deviation}
-    certainty = {name: certainty_of(pressure, deviation)}
-    return tile_map_figure(geometry, maps, _UNIT, title, style, certainty=certainty)
+    maps = {"normal pressure": pressure, "its standard deviation": deviation}
+    reach = dict(zip(maps, (NORMAL_QUANTILE * deviation, 0.0 * deviation), strict=True))
+    return tile_map_figure(geometry, maps, _UNIT, title, style, reach=reach)
 
 
 def instant_maps(
-    outputs: PressureOutputs, time: FloatArray, share: float, span: str
-) -> tuple[dict[str, FloatArray], dict[str, BoolArray]]:
-    """Pressures of the tiles over a span and at its peak, and which of them are certain.
+    outputs: PressureOutputs, time: FloatArray, span: str
+) -> tuple[dict[str, FloatArray], dict[str, FloatArray]]:
+    """Pressures of the tiles over a span and at its peak, and the reach of their intervals.
 
     Shapes (n,), in kPa, by what they are.
     """
-    pressure = outputs.peak_map.normal_pressure[0]
-    deviation = outputs.peak_map.normal_pressure_standard_deviation[0]
-    at_peak = f"at the peak, {time[outputs.peak_row]:.2f} s"
-    mean = f"mean over the {span if span in _SPANS else 'segment'}"
-    values = {mean: 1e-3 * outputs.tiles.mean.value, at_peak: 1e-3 * pressure}
-    return values, {
-        mean: outputs.tiles.mean.certain(share),
-        at_peak: normal_quantity(pressure, deviation).certain(share),
+    at_peak = outputs.peak_map
+    found = {
+        f"mean over the {span if span in _SPANS else 'segment'}": outputs.tiles.mean,
+        f"at the peak, {time[outputs.peak_row]:.2f} s": normal_quantity(
+            at_peak.normal_pressure[0], at_peak.normal_pressure_standard_deviation[0]
+        ),
     }
+    reach = {
+        name: 1e-3 * np.maximum(of.high - of.value, of.value - of.low) for name, of in found.items()
+    }
+    return {name: 1e-3 * of.value for name, of in found.items()}, reach
 
 
 def pressure_figure(
@@ -296,7 +326,6 @@ def pressure_figure(
     side: str = "",
     title: str = "",
     style: FigureStyle = DEFAULT_STYLE,
-    share: float = _MAP_SHARE,
 ) -> Figure:
     """Unrolled maps of the pressure, and below them that of sectors, heights and own regions.
 
@@ -310,10 +339,13 @@ def pressure_figure(
         side: The leg that wears the socket; empty where that is not known.
         title: What is shown.
         style: How it is set.
-        share: Of a value: if its interval reaches farther, it is uncertain and pale [-].
     """
-    maps, certain = instant_maps(outputs, time, share, span.kind)
-    left_out = {SOCKET, *(f"{sector} {height}" for sector in SECTORS for height in HEIGHTS)}
+    maps, reach = instant_maps(outputs, time, span.kind)
+    left_out = {
+        SOCKET,
+        UNMEASURED,
+        *(f"{sector} {height}" for sector in SECTORS for height in HEIGHTS),
+    }
     regions = {place.name: i for i, place in enumerate(places) if place.name not in left_out}
     mean = outputs.mean_pressure()
     return tile_map_figure(
@@ -324,7 +356,7 @@ def pressure_figure(
         style,
         from_zero=True,
         side=side,
-        certain=certain,
+        reach=reach,
         below=(
             _regions_height(regions, style),
             lambda part: draw_regions(part, time, mean, regions, events, style),

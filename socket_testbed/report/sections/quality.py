@@ -18,7 +18,15 @@ from socket_testbed.report.figures.style import (
     style_axes,
     thin,
 )
-from socket_testbed.report.page import Bullets, Heading, ReportFigure, Section, Table, number
+from socket_testbed.report.page import (
+    Bullets,
+    Heading,
+    ReportFigure,
+    Section,
+    Table,
+    line_chart,
+    number,
+)
 from socket_testbed.report.results import Results
 from socket_testbed.samples import LOCAL_CHANNELS, WRENCH_CHANNELS, Samples, Status
 from socket_testbed.trials.segment import Segment
@@ -182,6 +190,13 @@ def _overview(results: Results) -> ReportFigure:
         lambda style: _draw_overview(results, lacking, style),
         "Magnitudes of the measured force and moment over time, and drop-outs by measurement",
         results.series(columns),
+        line_chart(
+            samples.time,
+            [
+                {"title": title, "lines": {"measured": values}}
+                for title, values in [*columns.items()][:2]
+            ],
+        ),
     )
 
 

@@ -32,10 +32,14 @@ _DIGEST = 16  # hexadecimal digits: enough to tell files apart
 
 
 def section(results: Results) -> Section:
-    """The section with the summary and the notes."""
-    notes = list_notes(results)
-    listed = [Heading("Notes"), Bullets(notes, "notes")] if notes else []
-    return Section("summary", "Summary", [Bullets(summarise(results)), *listed])
+    """The section on the models that were fitted."""
+    return Section("models", "Fitted models", [Bullets(summarise(results)[2:])])
+
+
+def notes_section(results: Results) -> Section:
+    """The section with what to know of the data."""
+    lines = [*map(str, results.data), *list_notes(results)] or ["Nothing."]
+    return Section("notes", "Notes", [Bullets(lines, "notes")])
 
 
 def summarise(results: Results) -> list[str]:

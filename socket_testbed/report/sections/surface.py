@@ -10,7 +10,7 @@ import pandas as pd
 from matplotlib.figure import Figure, SubFigure
 
 from socket_testbed.arrays import FloatArray
-from socket_testbed.report.figures.scene import TileValues
+from socket_testbed.pages.document import numbers
 from socket_testbed.report.figures.style import (
     LINE_STYLES,
     SEGMENT_STYLE,
@@ -23,7 +23,7 @@ from socket_testbed.report.figures.style import (
 from socket_testbed.report.figures.tiles import tile_map_figure
 from socket_testbed.report.page import ReportFigure, Section, Table
 from socket_testbed.report.results import Candidate, Results
-from socket_testbed.samples import LOCAL_CHANNELS, channel_unit
+from socket_testbed.samples import channel_unit
 from socket_testbed.settings.identification import BIAS_VARIANTS
 from socket_testbed.tables import split_unit
 
@@ -38,8 +38,9 @@ _REST = {
 def section(results: Results) -> Section:
     """The section on what the models say of the tiles."""
     text = (
-        "Also in the 3D scene above. Values of a rigid variant are in the tile's own frame (z along"
-        " the inward normal), its rest positions from the reference pose; those of the paper's"
+        "The map at the top of the page shows them, too. Values of a rigid variant are in the"
+        " tile's own frame (z along the inward normal), its rest positions from the"
+        " reference pose; those of the paper's"
         " variants are in {S}, their rest positions from the mean limb position of the segment. The"
         " offset of a cluster is in the cluster's own frame; the wrench's offset belongs to no"
         " tile. A channel that is not in the objective has no offset."
@@ -54,28 +55,18 @@ def section(results: Results) -> Section:
     )
 
 
-def scene_values(results: Results, candidate: Candidate) -> dict[str, TileValues]:
-    """Parameters of a model on the tiles in 3D, by the name of the choice."""
+def model_values(results: Results, candidate: Candidate) -> dict[str, dict[str, Any]]:
+    """Parameters of a model on the tiles for the map, by their names."""
     model, frame = candidate.model, _frame(candidate)
     kinds = [
         ("stiffness", "N/m", model.stiffness),
         ("rest position", "mm", _rest_offsets(results, candidate)),
     ]
-    values = {
-        f"{kind} {axis} [{unit}]": TileValues(
-            f"{kind} along {axis} of {frame} [{unit}]", of_tiles[:, i]
-        )
-        for kind, unit, of_tiles in kinds
+    return {
+        f"{kind} along {axis} of {frame} [{unit}]": {"values": numbers(of[:, i]), "unit": unit}
+        for kind, unit, of in kinds
         for i, axis in enumerate("xyz")
     }
-    if model.variant in BIAS_VARIANTS:
-        bias = np.full_like(model.stiffness, np.nan)
-        for cluster, force in model.force_bias.items():
-            bias[model.cluster_points[cluster]] = force
-        for i, channel in enumerate(LOCAL_CHANNELS):
-            title = f"offset {channel} in the cluster's frame [N]"
-            values[f"offset {channel} [N]"] = TileValues(title, bias[:, i])
-    return values
 
 
 def _frame(candidate: Candidate) -> str:
@@ -135,7 +126,6 @@ def _tile_map(
         ),
         f"{title}: tiles of the unrolled socket in the colours of their values",
         pd.DataFrame({"tile": geometry.names, "cluster": of_tiles, **columns}),
-        is_map=True,
     )
 
 
@@ -152,7 +142,6 @@ def _engaged_springs(results: Results) -> ReportFigure:
         lambda style: _draw_engagement(results, style),
         "Share of the time with engaged springs on the unrolled socket, and their number over time",
         results.series({name: of for found in columns for name, of in found.items()}),
-        is_map=True,
     )
 
 

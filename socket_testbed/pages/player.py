@@ -1,0 +1,106 @@
+"""A trial as the page shows it: at any time that is asked for, and its course."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from socket_testbed.errors import ConfigurationError
+from socket_testbed.geometry.regions import all_regions
+from socket_testbed.identification.data_check import check_data
+from socket_testbed.identification.force_map import map_trial
+from socket_testbed.identification.model_file import StoredModel
+from socket_testbed.identification.noise import smooth_poses
+from socket_testbed.identification.plausibility import require_position
+from socket_testbed.identification.pressure import (
+    THRESHOLD,
+    column_of,
+    measured_rows,
+    pressure_outputs,
+)
+from socket_testbed.pages.document import (
+    Document,
+    axial_force,
+    bars,
+    cards,
+    course,
+    data_card,
+    moments,
+    numbers,
+    socket_document,
+)
+from socket_testbed.trials.trial import Trial
+
+_INSTANTS = 400  # of the course
+_GAP = 3.0  # usual steps between samples; a longer one is a gap
+
+
+class Player:
+    """A trial, a `Source` of the page: its map and outputs are computed when they are shown.
+
+    Args:
+        trial: The trial.
+        model: Predicts the wrench; None for no prediction.
+    """
+
+    def __init__(self, trial: Trial, model: StoredModel | None = None) -> None:
+        self._trial, self._geometry = trial, trial.geometry
+        self._samples = samples = trial.samples()
+        settings = trial.estimator
+        self._map, self._trusted = map_trial(
+            samples, trial.geometry, settings.force_map, settings.identification.leave_out
+        )
+        self._places = all_regions(trial.geometry, trial.metadata.side)
+        self._data = data_card(check_data(samples, trial.geometry, trial.metadata.mass))
+        self._gap = _GAP * float(np.median(np.diff(samples.time))) if len(samples) > 1 else 0.0
+        self._predicted = np.full((len(samples), 6), np.nan)
+        if model is not None:
+            model.require_socket(trial.geometry)
+            require_position(samples, trial.geometry)
+            poses = smooth_poses(samples, model.settings.pose_smoothing).pose
+            self._predicted = model.model.wrench(poses)
+        self._start = self._course()
+
+    def start(self) -> Document:
+        """The socket, the course, and the time of the peak, at which the page opens."""
+        return self._start
+
+    def _course(self) -> Document:
+        samples, time = self._samples, self._samples.time
+        rows = np.linspace(0, len(samples) - 1, min(len(samples), _INSTANTS)).round().astype(int)
+        rows = np.unique(rows)
+        some = self._trusted[rows]
+        found = pressure_outputs(self._map, some, self._geometry, self._places, THRESHOLD)
+        events = [(event.time, event.label) for event in self._trial.events_of(samples)]
+        peak = column_of(found.series.peak, -1)
+        return {
+            "title": self._trial.name,
+            "facts": self._trial.metadata.described(),
+            "socket": socket_document(self._geometry, self._trial.metadata.side),
+            "course": course(time[rows], axial_force(some, self._geometry), peak, events),
+            "start": float(time[rows][found.peak_row]),
+            "end": float(time[-1]),
+        }
+
+    def now(self, time: float | None) -> Document:
+        """The newest sample at a time since the first one [s]."""
+        at, samples = time or 0.0, self._samples
+        row = max(int(np.searchsorted(samples.time, at + 1e-6, "right")) - 1, 0)
+        one = self._trusted[row : row + 1]
+        if at - samples.time[row] > self._gap or not measured_rows(one)[0]:
+            nothing = {"title": "Peak", "value": "none", "words": "no sample at this time"}
+            return {"moment": {"time": at}, "cards": [nothing, self._data]}
+        found = pressure_outputs(self._map, one, self._geometry, self._places, THRESHOLD)
+        pressure = found.estimate.normal_pressure[0]
+        (shown,) = moments(samples.time[row : row + 1], found.estimate, one, self._geometry)
+        return {
+            "moment": shown,
+            "cards": cards(self._geometry, self._places, found.regions, pressure, self._data),
+            "bars": bars(self._places, found.regions),
+            "wrench": [numbers(samples.wrench[row]), numbers(self._predicted[row])],
+        }
+
+    def act(self, what: str, given: dict[str, Any]) -> str:
+        """A recorded trial has no services."""
+        raise ConfigurationError(f"a recorded trial cannot {what}", "watch the running testbed")

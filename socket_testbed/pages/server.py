@@ -1,0 +1,237 @@
+"""Serves the page of a trial or a running testbed, to its own page alone."""
+
+from __future__ import annotations
+
+import json
+import os
+import socket
+import threading
+from collections.abc import Iterable
+from functools import cache
+from http import HTTPStatus
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from importlib.resources import files
+from ipaddress import IPv4Address, IPv6Address, ip_address
+from typing import Any, Protocol
+from urllib.parse import parse_qs, urlsplit
+
+from plotly.offline import get_plotlyjs
+
+from socket_testbed.errors import ConfigurationError, TestbedError
+from socket_testbed.pages.document import Document
+
+_LOCAL = ("127.0.0.1", "localhost", "::1")
+_HTTP = 80  # the port that a browser does not name
+# The page asks nobody but its own server, and no other page shows it in a frame.
+_POLICY = "default-src 'self' data: blob: 'unsafe-inline' 'unsafe-eval'; frame-ancestors 'none'"
+_TYPES = {".html": "text/html", ".js": "text/javascript", ".css": "text/css"}
+_LONGEST = 20_000  # [bytes]; of what a page sends
+_IDLE = 30.0  # [s]; a connection that asks nothing is closed
+
+
+class Source(Protocol):
+    """What a page shows: a trial, or a running testbed. One thread at a time asks it."""
+
+    def start(self) -> Document:
+        """The socket, and all that does not change."""
+
+    def now(self, time: float | None) -> Document:
+        """The pictures at a time since the first sample [s], or of the newest sample."""
+
+    def act(self, what: str, given: dict[str, Any]) -> str:
+        """Press a button; returns its outcome in one line, or raises a TestbedError."""
+
+
+class PageServer:
+    """Serves a source until it is closed.
+
+    Args:
+        source: What is shown.
+        host: Address that it listens on.
+        port: Its port; 0 for one that is free.
+        names: Further names by which it may be called.
+
+    Attributes:
+        asking: Held while the source is asked.
+        url: Where a browser finds the page.
+    """
+
+    def __init__(self, source: Source, host: str, port: int, names: tuple[str, ...] = ()) -> None:
+        address = _address(host)
+        listening = listen(host, port)
+        port = listening.getsockname()[1]
+        name = "localhost" if is_local(host) else socket.gethostname()
+        shown = name if address is not None and address.is_unspecified else host
+        self.url = f"http://{_bracketed(shown)}:{port}"
+        self._server = ThreadingHTTPServer((host, port), _Handler, bind_and_activate=False)
+        self._server.socket.close()
+        self._server.socket = listening
+        self._server.closing = False  # type: ignore[attr-defined]
+        self._server.source = source  # type: ignore[attr-defined]
+        self.asking = self._server.asking = threading.Lock()  # type: ignore[attr-defined]
+        names = (*_LOCAL, host, name, f"{name}.local", *names)
+        self._server.guard = Guard(names, port)  # type: ignore[attr-defined]
+        self._thread = threading.Thread(target=self._server.serve_forever, args=(0.1,), daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        """Stop serving, also on connections that are open."""
+        self._server.closing = True  # type: ignore[attr-defined]
+        self._server.shutdown()
+        self._server.server_close()
+        self._thread.join()
+
+
+class _Handler(BaseHTTPRequestHandler):
+    """Answers one browser."""
+
+    protocol_version = "HTTP/1.1"
+    timeout = _IDLE
+    server: Any
+
+    def do_GET(self) -> None:
+        """The page, its parts, and the source."""
+        if self._is_refused():
+            return
+        address = urlsplit(self.path)
+        try:
+            if address.path == "/start":
+                with self.server.asking:
+                    self._answer_json(self.server.source.start())
+            elif address.path == "/now":
+                asked = parse_qs(address.query).get("t")
+                with self.server.asking:
+                    self._answer_json(self.server.source.now(float(asked[0]) if asked else None))
+            else:
+                self._answer_file(address.path)
+        except ValueError:
+            self._answer(HTTPStatus.BAD_REQUEST, b"the time is no number\n")
+
+    def do_POST(self) -> None:
+        """A button."""
+        length = self.headers.get("Content-Length", "")
+        if self._is_refused():
+            return
+        if not length.isdigit() or int(length) > _LONGEST:
+            self._answer(HTTPStatus.BAD_REQUEST, b"too long\n")
+            return
+        try:
+            given = json.loads(self.rfile.read(int(length)))
+            what = str(given.pop("do"))
+        except (ValueError, AttributeError, KeyError, TypeError):
+            self._answer(HTTPStatus.BAD_REQUEST, b"no button\n")
+            return
+        try:
+            self._answer_json({"said": self.server.source.act(what, given)})
+        except TestbedError as error:
+            self._answer_json({"said": str(error), "failed": True})
+
+    def log_message(self, format: str, *args: Any) -> None:
+        """Nothing is printed."""
+
+    def _is_refused(self) -> bool:
+        address = self.connection.getsockname()[0]
+        hosts, origins = (self.headers.get_all(name) or [] for name in ("Host", "Origin"))
+        refusal = self.server.guard.refuses(hosts, origins, address)
+        status = HTTPStatus.FORBIDDEN if refusal else HTTPStatus.SERVICE_UNAVAILABLE
+        if refusal or self.server.closing:
+            self.close_connection = True
+            self._answer(status, f"{refusal or 'the page is closed'}\n".encode())
+            return True
+        return False
+
+    def _answer_json(self, found: Document) -> None:
+        body = json.dumps(found, separators=(",", ":"), allow_nan=False).encode()
+        self._answer(HTTPStatus.OK, body, "application/json")
+
+    def _answer_file(self, path: str) -> None:
+        body, kind = _static().get(path, (b"no such page\n", ""))
+        self._answer(HTTPStatus.OK if kind else HTTPStatus.NOT_FOUND, body, kind or "text/plain")
+
+    def _answer(self, status: HTTPStatus, body: bytes, kind: str = "text/plain") -> None:
+        self.send_response(status)
+        self.send_header("Content-Type", f"{kind}; charset=utf-8")
+        self.send_header("Content-Length", str(len(body)))
+        self.send_header("Content-Security-Policy", _POLICY)
+        self.send_header("Cache-Control", "no-store")
+        self.end_headers()
+        self.wfile.write(body)
+
+
+@cache
+def _static() -> dict[str, tuple[bytes, str]]:
+    """The parts of the page and their types by their paths."""
+    found = {"/plotly.js": (get_plotlyjs().encode(), _TYPES[".js"])}
+    for file in (files("socket_testbed") / "pages" / "static").iterdir():
+        kind = _TYPES[os.path.splitext(file.name)[1]]  # noqa: PTH122 - no path in a zip file
+        found[f"/{file.name}"] = (file.read_bytes(), kind)
+    return found | {"/": found["/live.html"]}
+
+
+def is_local(host: str) -> bool:
+    """Whether this machine alone reaches a host."""
+    address = _address(host)
+    return address is not None and address.is_loopback
+
+
+def listen(host: str, port: int) -> socket.socket:
+    """A socket that listens on an address or name of this machine; port 0 for one that is free.
+
+    Raises:
+        ConfigurationError: If the address is not one of this machine, or the port is taken.
+    """
+    try:
+        family, *_, address = socket.getaddrinfo(
+            host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE
+        )[0]
+        return socket.create_server(address[:2], family=family)
+    except OSError as error:
+        unknown = isinstance(error, socket.gaierror)
+        reason = error.strerror if unknown else os.strerror(error.errno or 0)
+        raise ConfigurationError(
+            f"the page cannot listen on {host}:{port} ({reason})",
+            "give another port, or an address of this machine",
+        ) from None
+
+
+def _address(host: str) -> IPv4Address | IPv6Address | None:
+    """The address of a host; None for a name."""
+    try:
+        return ip_address("127.0.0.1" if host == "localhost" else host)
+    except ValueError:
+        return None
+
+
+def _bracketed(name: str) -> str:
+    """A name or an address as it stands in a URL."""
+    return f"[{name}]" if ":" in name else name
+
+
+class Guard:
+    """Lets through requests for this server that come from its own page.
+
+    Another site's page may send requests to this machine: they carry that site as their origin, or
+    its name as their host where the name is made to point to this machine (DNS rebinding).
+
+    Args:
+        names: Names and addresses by which the server may be called, besides the address that a
+            request arrives at: no other site has that as its name.
+        port: Its port.
+    """
+
+    def __init__(self, names: Iterable[str], port: int) -> None:
+        self._names = {name.lower() for name in names}
+        self._port = port
+
+    def refuses(self, hosts: Iterable[str], origins: Iterable[str], address: str) -> str:
+        """Why a request for hosts, from origins, to an address is refused; empty if it is not."""
+        hosts = [host.lower() for host in hosts]
+        names = {_bracketed(name) for name in (*self._names, address)}
+        allowed = {f"{name}:{self._port}" for name in names}
+        if self._port == _HTTP:
+            allowed |= names
+        if len(hosts) != 1 or hosts[0] not in allowed:
+            return "the page is not served by this name: give it with --allow-host"
+        if any(origin.lower() != f"http://{hosts[0]}" for origin in origins):
+            return "requests from other pages are refused"
+        return ""

@@ -1,0 +1,121 @@
+// The page of a trial, or of a running testbed: it asks for the next picture when it drew the last.
+"use strict";
+
+const PERIOD = 150;  // [ms] at least between pictures
+const JUMP = 5;  // [s]; by the arrow keys
+const ASK = {
+  tare: "Tare the load cell? The limb must be out of the socket and nothing may touch it.",
+  "trigger-off": "Stop the measurement? No sensor is read until it is started again.",
+};
+const WRENCH = ["Mx [N m]", "My [N m]", "Mz [N m]", "Fx [N]", "Fy [N]", "Fz [N]"];
+
+async function get(path) { return (await fetch(path)).json(); }
+
+function say(text, failed) {
+  byId("said").textContent = text;
+  byId("said").className = failed ? "failed" : "";
+}
+
+async function press(what, given = {}) {
+  if (ASK[what] && !confirm(ASK[what])) { return; }
+  say(`${what} …`);
+  const answer = await fetch("do", {method: "POST", headers: {"Content-Type": "application/json"},
+    body: JSON.stringify({do: what, ...given})});
+  const {said, failed} = await answer.json();
+  say(`${what}: ${said}`, failed);
+}
+
+function fill(table, rows) {
+  table.replaceChildren(...rows.map((cells) => {
+    const row = document.createElement("tr");
+    row.append(...cells.map((cell) => element("td", "", cell)));
+    return row;
+  }));
+}
+
+(async function () {
+  const start = await get("start"), live = start.live === true;
+  document.title = start.title;
+  byId("title").textContent = start.title;
+  byId("facts").textContent = Object.entries(start.facts).map(([name, fact]) => `${name} ${fact}`).join(", ");
+  let position = start.start ?? 0, playing = false, moved = true, since = 0;
+  const seek = (time) => {
+    position = Math.min(Math.max(time, 0), start.end ?? 0);
+    moved = true;
+  };
+  const view = new SocketView(start.socket, live ? () => {} : seek);
+  if (start.course) { view.show({course: start.course}); }
+
+  if (live) {
+    byId("buttons").hidden = byId("trial").hidden = byId("service").hidden = !start.buttons;
+    const fields = ["trial", ...(start.metadata ?? [])].map((name) => {
+      const field = element(name === "side" ? "select" : "input");
+      if (name === "side") { field.append(...["", "left", "right"].map((side) => new Option(side))); }
+      field.name = name;
+      const label = element("label", "", `${name} `);
+      label.append(field);
+      byId("metadata").append(label);
+      return field;
+    });
+    byId("record").addEventListener("click", () => press(
+      byId("record").dataset.on ? "stop recording" : "record",
+      Object.fromEntries(fields.map((field) => [field.name, field.value.trim()]))));
+    byId("mark").addEventListener("click", () => press("mark", {label: byId("label").value}));
+    for (const name of ["tare", "fit", "trigger-off", "trigger-on"]) {
+      byId(name).addEventListener("click", () => press(name));
+    }
+  } else {
+    byId("player").hidden = byId("cursor").hidden = false;
+    const toggle = () => {
+      if (!playing && position >= start.end) { seek(0); }
+      playing = !playing;
+      since = performance.now();
+      byId("play").textContent = playing ? "Pause" : "Play";
+    };
+    byId("play").addEventListener("click", toggle);
+    byId("events").replaceChildren(new Option("go to"), ...start.course.events.map(
+      (event) => new Option(`${event.time.toFixed(2)} s: ${event.label}`, event.time)));
+    byId("events").addEventListener("change", (event) => seek(Number(event.target.value)));
+    document.addEventListener("keydown", (event) => {
+      if (["INPUT", "SELECT", "BUTTON"].includes(event.target.tagName)) { return; }
+      const step = {ArrowLeft: -JUMP, ArrowRight: JUMP}[event.key];
+      if (step) { seek(position + step); }
+      if (event.key === " ") { event.preventDefault(); toggle(); }
+    });
+  }
+
+  for (;;) {
+    const began = performance.now();
+    if (playing) {
+      seek(position + Number(byId("speed").value) * (began - since) / 1000);
+      since = began;
+      if (position >= start.end) {
+        playing = false;
+        byId("play").textContent = "Play";
+      }
+    }
+    if (!document.hidden && (live || moved)) {
+      moved = false;
+      try {
+        const found = await get(live ? "now" : `now?t=${position}`);
+        view.show(found);
+        if (found.sensors) { fill(byId("sensors"), found.sensors); }
+        if (found.wrench) {
+          const [measured, predicted] = found.wrench;
+          fill(byId("wrench"), [["", "measured", "predicted"], ...WRENCH.map((name, i) => [name,
+            measured[i]?.toFixed(2) ?? "none", predicted[i]?.toFixed(2) ?? "none"])]);
+        }
+        if (found.recording) {
+          byId("recording").textContent = found.recording.words;
+          byId("record").dataset.on = found.recording.on ? "on" : "";
+          byId("record").textContent = found.recording.on ? "■ Stop recording" : "● Record";
+        }
+      } catch (error) {
+        say(`no answer from the testbed (${error.message}): is the program still running?`, true);
+        moved = true;
+        await new Promise((later) => setTimeout(later, 2000));
+      }
+    }
+    await new Promise((later) => setTimeout(later, Math.max(20, PERIOD - performance.now() + began)));
+  }
+})();

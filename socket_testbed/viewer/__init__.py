@@ -1,1 +1,0 @@
-"""The page in a browser: a running testbed, or a trial, as it is seen; no ROS."""
