@@ -11,6 +11,18 @@ The errors have the correlation r: `SAME_LIMB` in trials of one subject in one s
 
 A skew interval stays skew (Zou & Donner, Construction of confidence limits about effect measures,
 Statistics in Medicine 27, 2008).
+
+Of conditions with several trials each, x is the mean of a condition and [l, u] the mean of its
+intervals: a repetition does not narrow what the sensors leave open. The spread between donnings is
+the standard deviation s of the trials about the means of their conditions, pooled over all
+conditions, with nu degrees of freedom. To the square of each reach it adds that of
+
+.. math:: t_{0.975, \nu} \, s \sqrt{1 / k_1 + 1 / k_0}
+
+at k_1 and k_0 trials. The smallest difference that they detect, at 5 % with a power of 80 %, is the
+root of the squares of :math:`\lambda s \sqrt{1 / k_1 + 1 / k_0}`, with the noncentrality lambda at
+which a t test has this power (Owen, The power of Student's t-test, Journal of the American
+Statistical Association 60, 1965), and of (1.96 + 0.84) / 1.96 times the reach without spread.
 """
 
 from __future__ import annotations
@@ -18,11 +30,12 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from itertools import count
+from itertools import chain, count
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from scipy.special import nctdtrinc, ndtri, stdtrit
 
 from socket_testbed.api.pressure import OF_TILES, TrialPressure, pressure
 from socket_testbed.api.result import Result, records
@@ -58,8 +71,9 @@ _OTHER_TIME = 0.05  # [-]; likewise for the time that an integral covers
 _VALUE = ("value", "low", "high")
 _DIFFERENCE = ("difference", "difference low", "difference high")
 _VALUES = (*_VALUE, *_DIFFERENCE)
+_SPREAD = ("spread", "degrees of freedom", "detectable")
 COLUMNS = ("part", "name", "quantity", "unit", "item", *_VALUES, "text")
-LEGEND = "value (95 % interval); *: the interval of the difference excludes 0."
+_LEGEND = "value (95 % interval); *: the interval of the difference excludes 0."
 _MEAN = "mean pressure [kPa]"
 _HEADINGS = {
     "metadata": "Metadata of the trials",
@@ -82,6 +96,7 @@ _MAPS = (
     " differences with zero in its middle. A tile is pale where its value is uncertain against the"
     " largest ones. Thick outlines: clusters."
 )
+_POWER = 0.8  # [-]; chance that a difference of the detectable size is told from 0
 _DIGITS = {"1": 0, "-": 2, "N m": 2}  # behind the point; 1 unless given
 
 
@@ -104,11 +119,74 @@ def difference_intervals(
     return difference, *ends
 
 
+@dataclass(frozen=True)
+class Conditions:
+    """What is compared: c conditions, each with the trials that were recorded under it."""
+
+    names: tuple[str, ...]
+    trials: tuple[tuple[int, ...], ...]  # their numbers, by condition
+
+    @property
+    def freedom(self) -> int:
+        """Degrees of freedom of the spread between donnings; 0 with one trial each."""
+        return sum(len(rows) - 1 for rows in self.trials)
+
+    def mean(self, values: FloatArray) -> FloatArray:
+        """Means of the conditions, shape (c, m), of values of the trials, shape (k, m)."""
+        return np.array([values[[*rows]].mean(axis=0) for rows in self.trials])
+
+    def at_trials(self, values: FloatArray) -> FloatArray:
+        """Values of the conditions, shape (c, m), at each of their trials, shape (k, m)."""
+        condition = {row: number for number, rows in enumerate(self.trials) for row in rows}
+        return values[[condition[row] for row in sorted(condition)]]
+
+    def columns(
+        self,
+        values: FloatArray,
+        low: FloatArray,
+        high: FloatArray,
+        correlation: FloatArray | float = 0.0,
+    ) -> dict[str, FloatArray]:
+        """Numbers of a table by its columns, shape (c, m) each, of those of the k trials, (k, m).
+
+        `correlation` as in `difference_intervals`; the equations are the module's.
+        """
+        value, low, high = map(self.mean, (values, low, high))
+        difference, lower, upper = difference_intervals(value, low, high, correlation)
+        found = (value, low, high, difference, lower, upper)
+        columns = dict(zip(_VALUES, found, strict=True))
+        if not self.freedom:
+            return columns
+        spread = np.sqrt(((values - self.at_trials(value)) ** 2).sum(axis=0) / self.freedom)
+        share = np.array([[1.0 / len(rows)] for rows in self.trials])
+        error = spread * np.sqrt(share + share[0])
+        quantile = stdtrit(self.freedom, 0.975)
+        noncentrality = nctdtrinc(self.freedom, 1.0 - _POWER, quantile)
+        of_sensors = (1.0 + ndtri(_POWER) / NORMAL_QUANTILE) * np.fmax(
+            upper - difference, difference - lower
+        )
+        columns |= _widened(_VALUE, value, low, high, quantile * spread * np.sqrt(share))
+        columns |= _widened(_DIFFERENCE, difference, lower, upper, quantile * error)
+        detectable = np.hypot(of_sensors, noncentrality * error)
+        freedom = np.full(value.shape, float(self.freedom))
+        pooled = np.broadcast_to(spread, value.shape)
+        return columns | dict(zip(_SPREAD, (pooled, freedom, detectable), strict=True))
+
+
+def _widened(
+    names: Sequence[str], value: FloatArray, low: FloatArray, high: FloatArray, reach: FloatArray
+) -> dict[str, FloatArray]:
+    """The ends of an interval, with an independent error of some reach to both sides."""
+    below, above = np.maximum(value - low, 0.0), np.maximum(high - value, 0.0)
+    ends = value - np.hypot(below, reach), value + np.hypot(above, reach)
+    return dict(zip(names[1:], ends, strict=True))
+
+
 def values_table(
     part: str,
     names: Sequence[str],
     title: str,
-    items: Sequence[str],
+    conditions: Conditions,
     values: FloatArray,
     low: FloatArray | None = None,
     high: FloatArray | None = None,
@@ -117,34 +195,45 @@ def values_table(
     """A quantity of m things in k trials, shape (k, m), in the columns of `COLUMNS`.
 
     `title` holds its unit; degrees repeat after 360. `correlation` as in `difference_intervals`.
+    Where trials are repeated, there are the columns of their spread, too.
     """
     import pandas as pd
 
-    low, high = (np.full(values.shape, np.nan) if end is None else end for end in (low, high))
-    difference, lower, upper = difference_intervals(values, low, high, correlation)
     name, unit = split_unit(title)
-    turns = 360.0 * np.round(difference / 360.0) if unit == "deg" else 0.0
-    columns = (values, low, high, difference - turns, lower - turns, upper - turns)
+    if low is None or high is None:  # known without error, which has an interval if repeated
+        low = high = values if conditions.freedom else np.full(values.shape, np.nan)
+    if unit == "deg":  # the trials of a condition within half a turn of their mean direction
+        middle = np.degrees(np.angle(conditions.mean(np.exp(1j * np.radians(values)))))
+        turns = 360.0 * np.round((values - conditions.at_trials(middle)) / 360.0)
+        values, low, high = values - turns, low - turns, high - turns
+    columns = conditions.columns(values, low, high, correlation)
+    if unit == "deg":
+        turns = 360.0 * np.round(columns["difference"] / 360.0)
+        columns |= {end: columns[end] - turns for end in _DIFFERENCE}
+    items = conditions.names
     table = {
         "part": part,
-        "name": np.repeat(np.array(names, dtype=object), len(values)),
+        "name": np.repeat(np.array(names, dtype=object), len(items)),
         "quantity": name,
         "unit": unit,
         "item": np.tile(np.array(items, dtype=object), len(names)),
-        **{column: of.T.ravel() for column, of in zip(_VALUES, columns, strict=True)},
+        **{column: of.T.ravel() for column, of in columns.items()},
     }
-    return pd.DataFrame(table).assign(text=None)[[*COLUMNS]]
+    found = pd.DataFrame(table).assign(text=None)
+    return found[[*COLUMNS, *(column for column in _SPREAD if column in columns)]]
 
 
 def _texts_table(
-    part: str, texts: Mapping[str, Sequence[str]], items: Sequence[str]
+    part: str, texts: Mapping[str, Sequence[str]], conditions: Conditions
 ) -> pd.DataFrame:
+    """Texts of the trials; those of a condition's trials are joined where they differ."""
     import pandas as pd
 
     rows = [
-        (part, name, "", "", item, *[np.nan] * len(_VALUES), text)
-        for name, of_items in texts.items()
-        for item, text in zip(items, of_items, strict=True)
+        (part, name, "", "", item, *[np.nan] * len(_VALUES), "; ".join(different))
+        for name, of_trials in texts.items()
+        for item, trials in zip(conditions.names, conditions.trials, strict=True)
+        for different in [dict.fromkeys(of_trials[trial] for trial in trials)]
     ]
     return pd.DataFrame(rows, columns=[*COLUMNS])
 
@@ -153,7 +242,7 @@ def _texts_table(
 class Comparison(Result):
     """Trials side by side."""
 
-    items: tuple[str, ...]  # names of the trials
+    items: tuple[str, ...]  # names of the trials, or of the conditions
     title: str  # what they are compared over
     notes: tuple[str, ...]  # what a reader must know
     table: pd.DataFrame  # see `to_dataframe`
@@ -161,11 +250,13 @@ class Comparison(Result):
     pressures: FloatArray  # (k, n) [kPa], means of the tiles
     deviations: FloatArray  # (k, n) [kPa], their standard deviations
     side: str = ""  # the leg that wears the socket, if that is stated
+    conditions: Mapping[str, list[str]] | None = None  # names of each one's trials
 
     def __repr__(self) -> str:
         names = self.table.groupby("part")["name"].nunique()
         counts = ", ".join(f"{names[p]} {p}" for p in ("regions", "tiles") if p in names)
-        return f"Comparison(trials {', '.join(self.items)}; {counts})"
+        kind = "conditions" if self.conditions else "trials"
+        return f"Comparison({kind} {', '.join(self.items)}; {counts})"
 
     def to_dataframe(self) -> pd.DataFrame:
         """Every value in long form.
@@ -173,7 +264,9 @@ class Comparison(Result):
         Columns: `part` (such as `regions`), `name` (such as `anterior proximal`), `quantity` and
         `unit`, `item` (the trial), `value` with the ends `low` and `high` of its 95 % interval,
         `difference` to the first trial with `difference low` and `difference high`, and `text` of
-        what is no number.
+        what is no number. Of conditions with several trials: `spread` between the donnings, a
+        standard deviation with its `degrees of freedom`, and the smallest difference that is
+        `detectable`.
         """
         return self.table.copy()
 
@@ -196,9 +289,12 @@ class Comparison(Result):
             cells[row["item"]] = row["text"] or _cell(row, _VALUE)
             if row["item"] != self.items[0] and not row["text"]:
                 cells[self._difference(row["item"])] = _cell(row, _DIFFERENCE)
+                if np.isfinite(row.get("detectable", np.nan)):
+                    cells["spread"] = _number(row, "spread")
+                    cells["detectable"] = _number(row, "detectable")
         table = pd.DataFrame.from_dict(found, orient="index").fillna("")
         table.index = pd.MultiIndex.from_tuples(found, names=["name", "quantity"])
-        columns = [*self.items, *map(self._difference, self.items[1:])]
+        columns = [*self.items, *map(self._difference, self.items[1:]), "spread", "detectable"]
         table = table.reindex(columns=[name for name in columns if name in table])
         return table.droplevel("quantity") if quantity else table
 
@@ -221,6 +317,32 @@ class Comparison(Result):
             lines.append(f"{what} {cell} {row['unit']}")
         return lines
 
+    def detectable(self) -> str:
+        """The smallest differences that can be seen, in a sentence; empty with one trial each."""
+        if not self.conditions or "detectable" not in self.table:
+            return ""
+        rows = self.table.query("part == 'regions' and quantity == 'mean pressure'")
+        least = rows.groupby("name")["detectable"].max()
+        regions = least.drop("socket")
+        fewest, most = (f"{of(map(len, self.conditions.values()))}" for of in (min, max))
+        return (
+            f"with {fewest if fewest == most else f'{fewest} to {most}'} trials per condition"
+            f" differences of {least['socket']:.1f} kPa and more can be seen in the socket's mean"
+            f" pressure, of {regions.min():.1f} to {regions.max():.1f} kPa in that of its regions"
+        )
+
+    @property
+    def legend(self) -> str:
+        """What the cells of its tables say."""
+        if "detectable" not in self.table:
+            return _LEGEND
+        freedom = self.table["degrees of freedom"].max()
+        return (
+            f"{_LEGEND} Values are means of the repeated trials. spread: the standard deviation"
+            f" between donnings, which the intervals cover, with {freedom:.0f} degrees of freedom."
+            f" detectable: the smallest difference that {_POWER:.0%} of such studies tell from 0."
+        )
+
     def _difference(self, item: str) -> str:
         """Name of the column of a trial's difference."""
         return f"{item} - {self.items[0]}"
@@ -230,6 +352,7 @@ class Comparison(Result):
         return {
             "kind": "trials",
             "items": list(self.items),
+            **({"conditions": self.conditions} if self.conditions else {}),
             "title": self.title,
             "notes": list(self.notes),
             "rows": records(self.table),
@@ -276,17 +399,22 @@ class Comparison(Result):
 
 def _cell(row: Mapping[str, Any], columns: Sequence[str]) -> str:
     """A value or difference with its interval."""
-    digits, sign = _DIGITS.get(row["unit"], 1), "+" if columns == _DIFFERENCE else ""
+    sign = "+" if columns == _DIFFERENCE else ""
     value, low, high = (row[name] for name in columns)
-    shown = f"{value:{sign}z.{digits}f}" if np.isfinite(value) else ""
+    shown = _number(row, columns[0], sign) if np.isfinite(value) else ""
     if not np.isfinite([low, high]).all():
         return shown
     differs = " *" if sign and (low > 0.0 or high < 0.0) else ""
-    return f"{shown} ({low:z.{digits}f} to {high:z.{digits}f}){differs}"
+    return f"{shown} ({_number(row, columns[1])} to {_number(row, columns[2])}){differs}"
+
+
+def _number(row: Mapping[str, Any], column: str, sign: str = "") -> str:
+    return f"{row[column]:{sign}z.{_DIGITS.get(row['unit'], 1)}f}"
 
 
 def compare(
     *items: Trial | PathLike,
+    conditions: Mapping[str, Sequence[Trial | PathLike]] | None = None,
     segment: str = "plateau",
     threshold: float = 1e-3 * THRESHOLD,
     share: float = SHARE,
@@ -301,10 +429,13 @@ def compare(
 
     The interval of a difference takes the errors of two limbs as independent, and those of one
     subject in one socket as correlated, see `socket_testbed.api.comparison`; docs/compare.md states
-    how often it held the true difference.
+    how often it held the true difference. With several trials per condition it also carries the
+    spread between donnings, which is given with the smallest difference that can be detected.
 
     Args:
         items: Two to twelve trials, or their folders.
+        conditions: Instead, the trials of two to twelve conditions by their names, such as the
+            repeated donnings of each liner.
         segment: As `specification` in `st.select_segment`, of every trial.
         threshold: As in `st.pressure`.
         share: As in `st.pressure`.
@@ -313,8 +444,8 @@ def compare(
         progress: See `Progress`.
 
     Raises:
-        ConfigurationError: If there are fewer than two trials or too many, one is given twice or is
-            a file, or they are of different sockets.
+        ConfigurationError: If there are fewer than two trials or conditions or too many, a trial is
+            given twice or is a file, or they are of different sockets.
         TrialError: If a trial cannot be read or holds no such segment.
 
     >>> found = st.compare("trials/hold", "trials/walk", segment="15:20")
@@ -325,8 +456,9 @@ def compare(
     >>> found.save("comparison.csv")
     >>> st.write_comparison(found, "comparison.html")
     """
-    trials = _open(items)
+    trials, groups = _open(items, conditions)
     names = _names([trial.path for trial in trials])
+    compared = Conditions(tuple(conditions or names), groups)
     first = trials[0].geometry
     other = next((trial for trial in trials if not trial.geometry.same_tiles(first)), None)
     if other is not None and not by_region:
@@ -345,18 +477,27 @@ def compare(
         report(done, len(trials))
     sides = {trial.metadata.side for trial in trials}
     shared, rows = _shared_regions(found, other is None)
-    tiles = [
-        read_column(each.outputs.tiles, "mean pressure [kPa]") for each in found if not by_region
-    ]
+    table = _table(found, names, compared, shared, rows, by_region)
+    tiles = table[(table["part"] == "tiles") & (table["quantity"] + " [kPa]" == _MEAN)]
+    pressures, low, high = (
+        tiles[column].to_numpy(dtype=float).reshape(-1, len(compared.names)).T for column in _VALUE
+    )
+    of_conditions = {
+        condition: [names[number] for number in numbers]
+        for condition, numbers in zip(compared.names, compared.trials, strict=True)
+    }
     return Comparison(
-        items=names,
+        items=compared.names,
         title=f"segment {segment}, in contact above {threshold:g} kPa",
-        notes=tuple(_notes(found, names, shared, other is None, params is None)),
-        table=_table(found, names, shared, rows, by_region),
+        notes=tuple(
+            _notes(found, names, shared, other is None, params is None, compared.freedom > 0)
+        ),
+        table=table,
         geometry=None if by_region else first,
-        pressures=np.array([of.value for of in tiles]),
-        deviations=np.array([(of.high - of.low) / (2.0 * NORMAL_QUANTILE) for of in tiles]),
+        pressures=pressures,
+        deviations=(high - low) / (2.0 * NORMAL_QUANTILE),
         side=(sides.pop() or "") if len(sides) == 1 else "",
+        conditions=of_conditions if conditions else None,
     )
 
 
@@ -386,7 +527,7 @@ def write_comparison(
     origin = [("page made", made), ("command", command)]
     table = pairs_table("provenance-table", "What the page was made with", origin)
     sections = [
-        Section("notes", "Notes", [Bullets(found.notes, "notes"), LEGEND]),
+        Section("notes", "Notes", [Bullets(found.notes, "notes"), found.legend]),
         *_sections(found),
         Section("provenance", "Provenance", [table]),
     ]
@@ -399,7 +540,8 @@ def _sections(found: Comparison) -> Iterator[Section]:
     from socket_testbed.report.page import Bullets, Folded, ReportFigure, Section, Table
 
     count, *clearest = found.differing()
-    yield Section("differing", "Clear differences", [f"{count}.", Bullets(clearest)])
+    first = [f"{found.detectable()}."] if found.detectable() else []
+    yield Section("differing", "Clear differences", [*first, f"{count}.", Bullets(clearest)])
     cells = found.cells("regions").loc["socket"].rename_axis("output")
     socket = Table("socket-table", "Outputs of the socket", cells)
     yield Section("socket", "Whole socket", [_INDEPENDENT, socket])
@@ -429,15 +571,25 @@ def _sections(found: Comparison) -> Iterator[Section]:
         yield Section(part, _HEADINGS[part], shown)
 
 
-def _open(items: Sequence[Trial | PathLike]) -> list[Trial]:
-    """The trials, each given once."""
-    if not 2 <= len(items) <= _MOST:
+def _open(
+    items: Sequence[Trial | PathLike], conditions: Mapping[str, Sequence[Trial | PathLike]] | None
+) -> tuple[list[Trial], tuple[tuple[int, ...], ...]]:
+    """The trials, each given once, and the numbers of those of each condition."""
+    if conditions and items:
         raise ConfigurationError(
-            f"{len(items)} trials are given to compare",
+            f"{len(items)} trials are given beside conditions", "give each trial to a condition"
+        )
+    what = "conditions" if conditions else "trials"
+    groups = [*conditions.values()] if conditions else [[item] for item in items]
+    if empty := [name for name, of_name in (conditions or {}).items() if not of_name]:
+        raise ConfigurationError(f"the condition '{empty[0]}' has no trial", "name its trials")
+    if not 2 <= len(groups) <= _MOST:
+        raise ConfigurationError(
+            f"{len(groups)} {what} are given to compare",
             f"give 2 to {_MOST}, or 'pressure FOLDER -o OUTPUT' for a table with a row per trial",
         )
     trials: list[Trial] = []
-    for item in items:
+    for item in chain(*groups):
         path = item.path if isinstance(item, Trial) else Path(item)
         if path.suffix.lower() in {".json", ".yaml", ".yml"}:
             raise ConfigurationError(
@@ -446,7 +598,8 @@ def _open(items: Sequence[Trial | PathLike]) -> list[Trial]:
         if path.resolve() in [trial.path.resolve() for trial in trials]:
             raise ConfigurationError(f"{path} is given twice", "give each trial once")
         trials.append(item if isinstance(item, Trial) else open_trial(item))
-    return trials
+    numbers = count()
+    return trials, tuple(tuple(next(numbers) for _ in group) for group in groups)
 
 
 def _names(paths: Sequence[Path]) -> tuple[str, ...]:
@@ -459,6 +612,7 @@ def _names(paths: Sequence[Path]) -> tuple[str, ...]:
 def _table(
     found: Sequence[TrialPressure],
     names: Sequence[str],
+    compared: Conditions,
     shared: Sequence[str],
     rows: Sequence[Sequence[int]],
     by_region: bool,
@@ -472,6 +626,7 @@ def _table(
         if any(name in texts for texts in described)
     }
     origins = {
+        **({"trials": names} if compared.freedom else {}),
         "segment": [str(each.segment) for each in found],
         "samples": [str(len(each.time)) for each in found],
         "measured": [each.outputs.source for each in found],
@@ -481,14 +636,14 @@ def _table(
         ],
     }
     tables = [
-        _texts_table("metadata", metadata, names),
-        _texts_table("trials", origins, names),
-        *(_of_output("regions", title, shared, rows, found, names) for title in TITLES),
+        _texts_table("metadata", metadata, compared),
+        _texts_table("trials", origins, compared),
+        *(_of_output("regions", title, shared, rows, found, compared) for title in TITLES),
     ]
     if not by_region:
         tiles = found[0].trial.geometry.names
         every = [[*range(len(tiles))]] * len(found)
-        tables += [_of_output("tiles", title, tiles, every, found, names) for title in OF_TILES]
+        tables += [_of_output("tiles", title, tiles, every, found, compared) for title in OF_TILES]
     limbs = [each.limb() for each in found]
     if all(len(limb) for limb in limbs):
         for title in limbs[0].index:
@@ -496,7 +651,7 @@ def _table(
                 np.array([[limb.loc[title, end]] for limb in limbs], dtype=float)
                 for end in ("value", "low", "high")
             )
-            tables.append(values_table("limb", [""], title, names, *columns))
+            tables.append(values_table("limb", [""], title, compared, *columns))
     wrenches = [_wrench(each) for each in found]
     for title, values in (
         ("mean", np.array([wrench.mean() for wrench in wrenches])),
@@ -504,7 +659,7 @@ def _table(
     ):
         for column, name in enumerate(WRENCH_CHANNELS):
             titled = f"{title} [{channel_unit(name)}]"
-            tables.append(values_table("wrench", [name], titled, names, values[:, [column]]))
+            tables.append(values_table("wrench", [name], titled, compared, values[:, [column]]))
     return pd.concat([table for table in tables if len(table)], ignore_index=True)
 
 
@@ -542,7 +697,7 @@ def _of_output(
     names: Sequence[str],
     rows: Sequence[Sequence[int]],
     found: Sequence[TrialPressure],
-    items: Sequence[str],
+    compared: Conditions,
 ) -> pd.DataFrame:
     """An output, of `TITLES`, of the things in some rows of each trial's `part`."""
     quantities = [read_column(getattr(each.outputs, part), title) for each in found]
@@ -551,11 +706,12 @@ def _of_output(
         for q, row in zip(quantities, map(list, rows), strict=True)
     ]
     values, low, high = map(np.array, zip(*columns, strict=True))
-    return values_table(part, names, title, items, values, low, high, _correlation(found))
+    correlation = _correlation(found, compared)
+    return values_table(part, names, title, compared, values, low, high, correlation)
 
 
-def _correlation(found: Sequence[TrialPressure]) -> FloatArray:
-    """Correlation of the force map's errors with those of the first trial, shape (k, 1) [-]."""
+def _correlation(found: Sequence[TrialPressure], compared: Conditions) -> FloatArray:
+    """Correlation of the force map's errors with those of the first, shape (c, 1) [-]."""
     first = found[0].trial
     alike = [
         each.trial.metadata.subject is not None
@@ -563,7 +719,8 @@ def _correlation(found: Sequence[TrialPressure]) -> FloatArray:
         and each.trial.geometry.same_tiles(first.geometry)
         for each in found
     ]
-    return SAME_LIMB * np.array(alike, dtype=float)[:, None]
+    all_alike = np.array([[all(alike[row] for row in rows)] for rows in compared.trials])
+    return SAME_LIMB * np.asarray(all_alike & all_alike[0], dtype=float)
 
 
 def _wrench(found: TrialPressure) -> pd.DataFrame:
@@ -580,6 +737,7 @@ def _notes(
     shared: Sequence[str],
     alike: bool,
     own_params: bool,
+    repeated: bool,
 ) -> list[str]:
     trials = [each.trial for each in found]
     notes: list[str] = []
@@ -604,6 +762,14 @@ def _notes(
     if lacking := sorted(own.difference(shared)):
         notes.append(
             f"not compared, since not all trials have these regions alike: {', '.join(lacking)}"
+        )
+    subjects = {trial.metadata.subject for trial in trials}
+    if repeated and len(subjects) > 1:
+        notes.append("several limbs: the spread between donnings holds that between the limbs")
+    elif repeated and None in subjects:
+        notes.append(
+            "no subject is stated: errors of one limb are not taken to cancel in a difference;"
+            " state it with 'annotate TRIAL --subject CODE'"
         )
     forces = [float(np.linalg.norm(_wrench(each).mean()[3:])) for each in found]
     times = [each.outputs.integrated for each in found]
