@@ -50,7 +50,8 @@ def test_95_percent_intervals_of_skew_quantities_hold_the_true_difference() -> N
 def test_angles_differ_the_short_way_round() -> None:
     values = np.array([[170.0, -10.0], [-170.0, 20.0]])
     title = "shear direction [deg]"
-    table = values_table("regions", ["a", "b"], title, TRIALS, values, values - 5.0, values + 5.0)
+    keys = [("regions", name, title) for name in ("a", "b")]
+    table = values_table(TRIALS, keys, values, values - 5.0, values + 5.0)
     table = table.query("item == 'two'")
     for column, reach in (("", 0.0), (" high", np.hypot(5, 5)), (" low", -np.hypot(5, 5))):
         np.testing.assert_allclose(table[f"difference{column}"], np.array([20.0, 30.0]) + reach)
@@ -59,11 +60,10 @@ def test_angles_differ_the_short_way_round() -> None:
 def test_clear_differences_are_counted_against_chance_and_sorted() -> None:
     values = np.array([[1.0, 1.0, 1.0, 1.0], [1.2, 9.0, -4.0, 1.0]])
     reach = np.array([1.0, 1.0, 1.0, 0.0])  # the last has no uncertainty, as a share of all
-    names = ["anterior", "medial", "distal", "socket"]
-    ends = values - reach, values + reach
-    table = values_table("regions", names, "shear [kPa]", TRIALS, values, *ends)
-    nothing = np.zeros((2, 0))
-    found = Comparison(TRIALS.names, "", (), table, None, nothing, nothing)
+    names = ("anterior", "medial", "distal", "socket")
+    keys = [("regions", name, "shear [kPa]") for name in names]
+    table = values_table(TRIALS, keys, values, values - reach, values + reach)
+    found = Comparison(TRIALS.names, "", (), table, None)
     first, *lines = found.differing()
     assert first.startswith("2 of 3 intervals") and "about 0 would" in first
     assert lines == [
@@ -138,9 +138,8 @@ def test_intervals_hold_the_difference_and_see_the_detectable_one() -> None:
 
 def test_directions_of_repeated_trials_have_a_mean_the_short_way_round() -> None:
     values = np.array([[178.0], [-178.0], [-172.0], [-176.0]])
-    table = values_table(
-        "regions", ["a"], "shear direction [deg]", repeated(2), values, values, values
-    )
+    keys = [("regions", "a", "shear direction [deg]")]
+    table = values_table(repeated(2), keys, values, values, values)
     assert table["value"].to_numpy() % 360.0 == pytest.approx([180.0, 186.0])
     assert table["difference"][1] == pytest.approx(6.0)
     assert table["spread"][1] == pytest.approx(np.sqrt((2 * 2.0**2 + 2 * 2.0**2) / 2))

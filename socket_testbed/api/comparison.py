@@ -32,26 +32,20 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from itertools import chain, count
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 from scipy.special import nctdtrinc, ndtri, stdtrit
 
-from socket_testbed.api.pressure import OF_TILES, TrialPressure, pressure
+from socket_testbed.api.pressure import TrialPressure, pressure
 from socket_testbed.api.result import Result, records
 from socket_testbed.api.trials import PathLike, Progress, open_trial, started
 from socket_testbed.arrays import FloatArray
 from socket_testbed.errors import ConfigurationError, TrialError
 from socket_testbed.files import atomic_output
-from socket_testbed.geometry.regions import Region
+from socket_testbed.geometry.regions import Side
 from socket_testbed.geometry.socket import SocketGeometry
-from socket_testbed.identification.pressure import (
-    NORMAL_QUANTILE,
-    SHARE,
-    THRESHOLD,
-    TITLES,
-    read_column,
-)
+from socket_testbed.identification.pressure import NORMAL_QUANTILE, SHARE, THRESHOLD
 from socket_testbed.samples import WRENCH_CHANNELS, channel_unit
 from socket_testbed.tables import split_unit
 from socket_testbed.trials.metadata import FIELDS
@@ -63,6 +57,9 @@ if TYPE_CHECKING:
 
     from socket_testbed.report.figures.style import FigureStyle
     from socket_testbed.report.page import Section
+
+Key: TypeAlias = tuple[str, str, str]
+"""Part, name and title of an output."""
 
 PAGES = (".html", ".htm")
 _MOST = 12  # trials side by side
@@ -183,59 +180,43 @@ def _widened(
 
 
 def values_table(
-    part: str,
-    names: Sequence[str],
-    title: str,
     conditions: Conditions,
+    keys: Sequence[Key],
     values: FloatArray,
-    low: FloatArray | None = None,
-    high: FloatArray | None = None,
+    low: FloatArray,
+    high: FloatArray,
     correlation: FloatArray | float = 0.0,
 ) -> pd.DataFrame:
-    """A quantity of m things in k trials, shape (k, m), in the columns of `COLUMNS`.
+    """Values of k trials with intervals, shape (k, m), in the columns of `COLUMNS`.
 
-    `title` holds its unit; degrees repeat after 360. `correlation` as in `difference_intervals`.
-    Where trials are repeated, there are the columns of their spread, too.
+    The keys of the m things are part, name and title, which holds the unit; degrees repeat after
+    360. `correlation` as in `difference_intervals`. Where trials are repeated, there are the
+    columns of their spread, too.
     """
     import pandas as pd
 
-    name, unit = split_unit(title)
-    if low is None or high is None:  # known without error, which has an interval if repeated
-        low = high = values if conditions.freedom else np.full(values.shape, np.nan)
-    if unit == "deg":  # the trials of a condition within half a turn of their mean direction
-        middle = np.degrees(np.angle(conditions.mean(np.exp(1j * np.radians(values)))))
-        turns = 360.0 * np.round((values - conditions.at_trials(middle)) / 360.0)
-        values, low, high = values - turns, low - turns, high - turns
-    columns = conditions.columns(values, low, high, correlation)
-    if unit == "deg":
-        turns = 360.0 * np.round(columns["difference"] / 360.0)
-        columns |= {end: columns[end] - turns for end in _DIFFERENCE}
-    items = conditions.names
+    parts, names, titles = zip(*keys, strict=True)
+    quantities, units = zip(*map(split_unit, titles), strict=True)
+    turn = np.where(np.array(units) == "deg", 1.0 / 360.0, 0.0)
+    if conditions.freedom:  # what is known without error has an interval, too
+        low, high = (np.where(np.isnan(end), values, end) for end in (low, high))
+    # The trials of a condition within half a turn of their mean direction.
+    middle = np.degrees(np.angle(conditions.mean(np.exp(1j * np.radians(values)))))
+    turns = 360.0 * np.round(turn * (values - conditions.at_trials(middle)))
+    columns = conditions.columns(values - turns, low - turns, high - turns, correlation)
+    turns = 360.0 * np.round(turn * columns["difference"])
+    columns |= {end: columns[end] - turns for end in _DIFFERENCE}
+    of_keys = (parts, names, quantities, units)
     table = {
-        "part": part,
-        "name": np.repeat(np.array(names, dtype=object), len(items)),
-        "quantity": name,
-        "unit": unit,
-        "item": np.tile(np.array(items, dtype=object), len(names)),
+        **{
+            column: np.repeat(np.array(of, dtype=object), len(conditions.names))
+            for column, of in zip(COLUMNS, of_keys, strict=False)
+        },
+        "item": np.tile(np.array(conditions.names, dtype=object), len(keys)),
         **{column: of.T.ravel() for column, of in columns.items()},
     }
     found = pd.DataFrame(table).assign(text=None)
     return found[[*COLUMNS, *(column for column in _SPREAD if column in columns)]]
-
-
-def _texts_table(
-    part: str, texts: Mapping[str, Sequence[str]], conditions: Conditions
-) -> pd.DataFrame:
-    """Texts of the trials; those of a condition's trials are joined where they differ."""
-    import pandas as pd
-
-    rows = [
-        (part, name, "", "", item, *[np.nan] * len(_VALUES), "; ".join(different))
-        for name, of_trials in texts.items()
-        for item, trials in zip(conditions.names, conditions.trials, strict=True)
-        for different in [dict.fromkeys(of_trials[trial] for trial in trials)]
-    ]
-    return pd.DataFrame(rows, columns=[*COLUMNS])
 
 
 @dataclass(frozen=True, repr=False)
@@ -247,8 +228,6 @@ class Comparison(Result):
     notes: tuple[str, ...]  # what a reader must know
     table: pd.DataFrame  # see `to_dataframe`
     geometry: SocketGeometry | None  # None: sockets differ, or regions alone are compared
-    pressures: FloatArray  # (k, n) [kPa], means of the tiles
-    deviations: FloatArray  # (k, n) [kPa], their standard deviations
     side: str = ""  # the leg that wears the socket, if that is stated
     conditions: Mapping[str, list[str]] | None = None  # names of each one's trials
 
@@ -360,40 +339,37 @@ class Comparison(Result):
 
     def _figure(self, style: FigureStyle) -> Figure:
         """Maps of the mean pressure on one colour scale."""
-        limits = self.pressures.min(initial=0.0), self.pressures.max(initial=-np.inf)
-        return self._maps(self.items, self.pressures, self.deviations, _MEAN, limits, style)
+        return self._maps(style, _VALUE, {item: item for item in self.items}, _MEAN)
 
     def _differences(self, style: FigureStyle) -> Figure:
         """Maps of the differences to the first trial, with zero in the middle of one scale."""
-        differences = self.pressures[1:] - self.pressures[0]
-        spread = np.hypot(self.deviations[1:], self.deviations[0])
-        most = float(np.abs(differences).max()) or 1.0
-        names = [self._difference(item) for item in self.items[1:]]
-        unit = f"difference in {_MEAN}"
-        return self._maps(names, differences, spread, unit, (-most, most), style)
+        names = {item: self._difference(item) for item in self.items[1:]}
+        return self._maps(style, _DIFFERENCE, names, f"difference in {_MEAN}")
 
     def _maps(
-        self,
-        names: Sequence[str],
-        values: FloatArray,
-        deviations: FloatArray,
-        unit: str,
-        limits: tuple[float, float],
-        style: FigureStyle,
+        self, style: FigureStyle, columns: Sequence[str], names: Mapping[str, str], label: str
     ) -> Figure:
+        """Maps of the values, or differences, of the mean pressure, by the names of the maps."""
         if self.geometry is None:
             return super()._figure(style)
         from socket_testbed.report.figures.tiles import certainty_of, tile_map_figure
 
-        certainty = map(certainty_of, values, deviations)
+        tiles = self.table.query("part == 'tiles' and quantity == 'mean pressure'")
+        of_items = [tiles.loc[tiles["item"] == item, [*columns]].to_numpy().T for item in names]
+        values, low, high = np.array(of_items, dtype=float).swapaxes(0, 1)
+        certainty = map(certainty_of, values, (high - low) / (2.0 * NORMAL_QUANTILE))
+        limits = values.min(initial=0.0), values.max()
+        if columns == _DIFFERENCE:
+            most = float(np.abs(values).max()) or 1.0
+            limits = -most, most
         return tile_map_figure(
             self.geometry,
-            dict(zip(names, values, strict=True)),
-            unit,
+            dict(zip(names.values(), values, strict=True)),
+            label,
             style=style,
             limits=limits,
             side=self.side,
-            certainty=dict(zip(names, certainty, strict=True)),
+            certainty=dict(zip(names.values(), certainty, strict=True)),
         )
 
 
@@ -456,6 +432,8 @@ def compare(
     >>> found.save("comparison.csv")
     >>> st.write_comparison(found, "comparison.html")
     """
+    import pandas as pd
+
     trials, groups = _open(items, conditions)
     names = _names([trial.path for trial in trials])
     compared = Conditions(tuple(conditions or names), groups)
@@ -476,26 +454,29 @@ def compare(
             raise TrialError(f"{name}: {error.fact}", error.hint) from None
         report(done, len(trials))
     sides = {trial.metadata.side for trial in trials}
-    shared, rows = _shared_regions(found, other is None)
-    table = _table(found, names, compared, shared, rows, by_region)
-    tiles = table[(table["part"] == "tiles") & (table["quantity"] + " [kPa]" == _MEAN)]
-    pressures, low, high = (
-        tiles[column].to_numpy(dtype=float).reshape(-1, len(compared.names)).T for column in _VALUE
+    rows = _shared_rows(found, other is None, by_region)
+    value, low, high = (
+        np.array([[row.get(end, np.nan) for row in of.values()] for of in rows]) for end in _VALUE
     )
+    of_map = np.array([part in {"regions", "tiles"} for part, _, _ in rows[0]])
+    correlation = of_map * _correlation(found, compared)
+    numbers = values_table(compared, [*rows[0]], value, low, high, correlation)
+    notes = [*_notes(found, names, rows, other is None, compared.freedom > 0)]
+    if params is None and len({trial.estimator.force_map for trial in trials}) > 1:
+        notes.append(
+            "the trials were recorded with different priors of the force map (force_map.*): give"
+            " one with --params"
+        )
     of_conditions = {
-        condition: [names[number] for number in numbers]
-        for condition, numbers in zip(compared.names, compared.trials, strict=True)
+        condition: [names[number] for number in numbers_of]
+        for condition, numbers_of in zip(compared.names, compared.trials, strict=True)
     }
     return Comparison(
         items=compared.names,
         title=f"segment {segment}, in contact above {threshold:g} kPa",
-        notes=tuple(
-            _notes(found, names, shared, other is None, params is None, compared.freedom > 0)
-        ),
-        table=table,
+        notes=tuple(notes),
+        table=pd.concat([_texts(found, names, compared), numbers], ignore_index=True),
         geometry=None if by_region else first,
-        pressures=pressures,
-        deviations=(high - low) / (2.0 * NORMAL_QUANTILE),
         side=(sides.pop() or "") if len(sides) == 1 else "",
         conditions=of_conditions if conditions else None,
     )
@@ -609,22 +590,67 @@ def _names(paths: Sequence[Path]) -> tuple[str, ...]:
     return next(names for names in tails if len({*names}) == len(names))
 
 
-def _table(
-    found: Sequence[TrialPressure],
-    names: Sequence[str],
-    compared: Conditions,
-    shared: Sequence[str],
-    rows: Sequence[Sequence[int]],
-    by_region: bool,
+def _shared_rows(
+    found: Sequence[TrialPressure], one_socket: bool, by_region: bool
+) -> list[dict[Key, dict[str, Any]]]:
+    """The outputs and the wrench of each trial, as far as all trials have them."""
+    sides = {each.trial.metadata.side for each in found}
+    neutral = None in sides and len(sides) > 1
+    mirrored = ("medial", "lateral") if sides == {"left", "right"} else ()
+    rows: list[dict[Key, dict[str, Any]]] = []
+    tiles: list[dict[str, tuple[int, ...]]] = []
+    for each in found:
+        side = each.trial.metadata.side if neutral else None
+        tiles.append({_without_side(of.name, side): tuple(of.tiles) for of in each.places})
+        outputs = {
+            (part, _without_side(name, side) if part == "regions" else name, title): row
+            for (part, name, title), row in each.rows().items()
+        }
+        rows.append(outputs | _wrench_rows(each))
+
+    def is_shared(key: Key) -> bool:
+        part, name, _ = key
+        if part == "regions" and one_socket and not name.startswith(mirrored):
+            # A region of the same name may have other tiles.
+            return len({of.get(name) for of in tiles}) == 1
+        return not (part == "tiles" and by_region) and all(key in of for of in rows)
+
+    keys = [*filter(is_shared, rows[0])]
+    return [{key: of[key] for key in keys} for of in rows]
+
+
+def _without_side(name: str, side: Side | None) -> str:
+    """Name of a region by left and right, whatever leg it is of."""
+    if side is None:
+        return name
+    other = {"left": "right", "right": "left"}[side]
+    sector, _, height = name.partition(" ")
+    return " ".join([{"lateral": side, "medial": other}.get(sector, sector), height]).strip()
+
+
+def _wrench_rows(found: TrialPressure) -> dict[Key, dict[str, Any]]:
+    """Mean and standard deviation of the wrench over the segment, without missing values."""
+    import pandas as pd
+
+    wrench = found.trial.samples()[found.segment.rows].wrench
+    table = pd.DataFrame(wrench, columns=list(WRENCH_CHANNELS))
+    statistics = {"mean": table.mean(), "standard deviation": table.std(ddof=0)}
+    return {
+        ("wrench", name, f"{title} [{channel_unit(name)}]"): {"value": of[name]}
+        for title, of in statistics.items()
+        for name in WRENCH_CHANNELS
+    }
+
+
+def _texts(
+    found: Sequence[TrialPressure], names: Sequence[str], compared: Conditions
 ) -> pd.DataFrame:
+    """What is no number, of each condition's trials: one text where they agree."""
     import pandas as pd
 
     described = [each.trial.metadata.described() for each in found]
-    metadata = {
-        name: [texts.get(name, "not stated") for texts in described]
-        for name in FIELDS
-        if any(name in texts for texts in described)
-    }
+    stated = [name for name in FIELDS if any(name in texts for texts in described)]
+    texts = {("metadata", n): [of.get(n, "not stated") for of in described] for n in stated}
     origins = {
         **({"trials": names} if compared.freedom else {}),
         "segment": [str(each.segment) for each in found],
@@ -635,79 +661,14 @@ def _table(
             f"{each.trial.calibration.source} ({each.trial.calibration.date})" for each in found
         ],
     }
-    tables = [
-        _texts_table("metadata", metadata, compared),
-        _texts_table("trials", origins, compared),
-        *(_of_output("regions", title, shared, rows, found, compared) for title in TITLES),
+    texts |= {("trials", name): [*of_trials] for name, of_trials in origins.items()}
+    rows = [
+        (*key, "", "", item, *[np.nan] * len(_VALUES), "; ".join(different))
+        for key, of_trials in texts.items()
+        for item, numbers in zip(compared.names, compared.trials, strict=True)
+        for different in [dict.fromkeys(of_trials[number] for number in numbers)]
     ]
-    if not by_region:
-        tiles = found[0].trial.geometry.names
-        every = [[*range(len(tiles))]] * len(found)
-        tables += [_of_output("tiles", title, tiles, every, found, compared) for title in OF_TILES]
-    limbs = [each.limb() for each in found]
-    if all(len(limb) for limb in limbs):
-        for title in limbs[0].index:
-            columns = (
-                np.array([[limb.loc[title, end]] for limb in limbs], dtype=float)
-                for end in ("value", "low", "high")
-            )
-            tables.append(values_table("limb", [""], title, compared, *columns))
-    wrenches = [_wrench(each) for each in found]
-    for title, values in (
-        ("mean", np.array([wrench.mean() for wrench in wrenches])),
-        ("standard deviation", np.array([wrench.std(ddof=0) for wrench in wrenches])),
-    ):
-        for column, name in enumerate(WRENCH_CHANNELS):
-            titled = f"{title} [{channel_unit(name)}]"
-            tables.append(values_table("wrench", [name], titled, compared, values[:, [column]]))
-    return pd.concat([table for table in tables if len(table)], ignore_index=True)
-
-
-def _shared_regions(
-    found: Sequence[TrialPressure], alike: bool
-) -> tuple[list[str], list[list[int]]]:
-    """Names of the regions that all trials have, and which of each trial's regions they are."""
-    sides = {each.trial.metadata.side for each in found}
-    neutral = None in sides and len(sides) > 1
-    names = [[_without_side(r, each) if neutral else r.name for r in each.places] for each in found]
-    shared = [name for name in names[0] if all(name in others for others in names)]
-    if alike:  # a region of the same name may have other tiles
-        mirrored = ("medial", "lateral") if sides == {"left", "right"} else ()
-        tiles = [
-            {name: tuple(region.tiles) for name, region in zip(of, each.places, strict=True)}
-            for of, each in zip(names, found, strict=True)
-        ]
-        shared = [n for n in shared if n.startswith(mirrored) or len({t[n] for t in tiles}) == 1]
-    return shared, [[of.index(name) for name in shared] for of in names]
-
-
-def _without_side(region: Region, found: TrialPressure) -> str:
-    """Name of a region by left and right, whatever leg it is of."""
-    side = found.trial.metadata.side
-    if side is None:
-        return region.name
-    other = {"left": "right", "right": "left"}[side]
-    sector, _, height = region.name.partition(" ")
-    return " ".join([{"lateral": side, "medial": other}.get(sector, sector), height]).strip()
-
-
-def _of_output(
-    part: str,
-    title: str,
-    names: Sequence[str],
-    rows: Sequence[Sequence[int]],
-    found: Sequence[TrialPressure],
-    compared: Conditions,
-) -> pd.DataFrame:
-    """An output, of `TITLES`, of the things in some rows of each trial's `part`."""
-    quantities = [read_column(getattr(each.outputs, part), title) for each in found]
-    columns = [
-        (q.value[row], q.low[row], q.high[row])
-        for q, row in zip(quantities, map(list, rows), strict=True)
-    ]
-    values, low, high = map(np.array, zip(*columns, strict=True))
-    correlation = _correlation(found, compared)
-    return values_table(part, names, title, compared, values, low, high, correlation)
+    return pd.DataFrame(rows, columns=[*COLUMNS])
 
 
 def _correlation(found: Sequence[TrialPressure], compared: Conditions) -> FloatArray:
@@ -723,70 +684,56 @@ def _correlation(found: Sequence[TrialPressure], compared: Conditions) -> FloatA
     return SAME_LIMB * np.asarray(all_alike & all_alike[0], dtype=float)
 
 
-def _wrench(found: TrialPressure) -> pd.DataFrame:
-    """The wrench over the segment, as a table whose statistics skip missing values."""
-    import pandas as pd
-
-    wrench = found.trial.samples()[found.segment.rows].wrench
-    return pd.DataFrame(wrench, columns=list(WRENCH_CHANNELS))
-
-
 def _notes(
     found: Sequence[TrialPressure],
     names: Sequence[str],
-    shared: Sequence[str],
-    alike: bool,
-    own_params: bool,
+    rows: Sequence[Mapping[Key, Mapping[str, Any]]],
+    one_socket: bool,
     repeated: bool,
-) -> list[str]:
+) -> Iterator[str]:
     trials = [each.trial for each in found]
-    notes: list[str] = []
-    if not alike:
-        notes.append(
+    if not one_socket:
+        yield (
             "the trials are of different sockets: regions are sectors and thirds of each socket's"
             " own height, and hold other areas"
         )
     sides = [trial.metadata.side for trial in trials]
     if {"left", "right"} <= {*sides}:
-        notes.append(
+        yield (
             "left and right legs are compared: medial with medial, lateral with lateral; tiles are"
             " compared where they are in the socket"
         )
     elif None in sides and any(sides):
         unknown = ", ".join(n for n, side in zip(names, sides, strict=True) if side is None)
-        notes.append(
+        yield (
             f"no side is stated for {unknown}: the regions are left and right; state it with"
             " 'annotate TRIAL --side left|right'"
         )
+    shared = {name for part, name, _ in rows[0] if part == "regions"}
     own = {name for trial in trials for name in trial.geometry.regions}
-    if lacking := sorted(own.difference(shared)):
-        notes.append(
-            f"not compared, since not all trials have these regions alike: {', '.join(lacking)}"
-        )
+    if lacking := sorted(own - shared):
+        yield f"not compared, since not all trials have these regions alike: {', '.join(lacking)}"
     subjects = {trial.metadata.subject for trial in trials}
     if repeated and len(subjects) > 1:
-        notes.append("several limbs: the spread between donnings holds that between the limbs")
+        yield "several limbs: the spread between donnings holds that between the limbs"
     elif repeated and None in subjects:
-        notes.append(
+        yield (
             "no subject is stated: errors of one limb are not taken to cancel in a difference;"
             " state it with 'annotate TRIAL --subject CODE'"
         )
-    forces = [float(np.linalg.norm(_wrench(each).mean()[3:])) for each in found]
+    forces = [
+        float(np.linalg.norm([of["wrench", f"F{axis}", "mean [N]"]["value"] for axis in "xyz"]))
+        for of in rows
+    ]
     times = [each.outputs.integrated for each in found]
     for name, force, time in zip(names[1:], forces[1:], times[1:], strict=True):
         if abs(force - forces[0]) > _OTHER_LOAD * forces[0]:
-            notes.append(
+            yield (
                 f"the mean force is {force:.0f} N in {name} and {forces[0]:.0f} N in {names[0]}:"
                 " differences in pressure hold that of the load"
             )
         if abs(time - times[0]) > _OTHER_TIME * times[0]:
-            notes.append(
+            yield (
                 f"the pressure-time integral covers {time:.1f} s in {name} and {times[0]:.1f} s in"
                 f" {names[0]}: it is not of equal times"
             )
-    if own_params and len({trial.estimator.force_map for trial in trials}) > 1:
-        notes.append(
-            "the trials were recorded with different priors of the force map (force_map.*): give"
-            " one with --params"
-        )
-    return notes
