@@ -1,31 +1,44 @@
 """Differences with intervals, against sums of variances and against chance itself."""
 
-import numpy as np
-import pytest
-from scipy.stats import gamma
+from itertools import product
 
-from socket_testbed.api.comparison import Comparison, difference_intervals, values_table
+import numpy as np
+import pandas as pd
+import pytest
+from scipy.optimize import brentq
+from scipy.stats import chi2, gamma, nct, norm, t, ttest_ind
+
+from socket_testbed.api.comparison import Comparison, Conditions, values_table
 
 RNG = np.random.default_rng(12)
-TRIALS = ("one", "two")
+TRIALS = Conditions(("one", "two"), np.array([0, 1]))
+ENDS = ("difference low", "difference high")
+
+
+def table_of(conditions: Conditions, names: str, title: str, values, reach) -> pd.DataFrame:
+    rows = [
+        {
+            ("regions", name, title): {"value": v, "low": v - r, "high": v + r}
+            for name, v, r in zip(names.split(), of_trial, reach, strict=True)
+        }
+        for of_trial in values
+    ]
+    return values_table(conditions, rows)
 
 
 def test_an_upper_end_takes_the_lower_reach_of_the_first() -> None:
-    values, low, high = np.array([[10.0], [4.0]]), np.array([[7.0], [3.0]]), [[11.0], [9.0]]
-    difference, lower, upper = difference_intervals(values, low, np.array(high))
-    assert np.isnan([difference[0], lower[0], upper[0]]).all()
-    assert difference[1, 0] == -6.0
-    assert lower[1, 0] == pytest.approx(-6.0 - np.hypot(1.0, 1.0))
-    assert upper[1, 0] == pytest.approx(-6.0 + np.hypot(5.0, 3.0))
+    values, low, high = np.array([[[10.0], [4.0]], [[7.0], [3.0]], [[11.0], [9.0]]])
+    found = TRIALS.columns(values, low, high)
+    assert np.isnan([found[name][0] for name in ("difference", *ENDS)]).all()
+    reaches = -np.hypot(1.0, 1.0), np.hypot(5.0, 3.0)
+    assert [found[end][1, 0] + 6.0 for end in ENDS] == pytest.approx(reaches)
 
 
 def test_errors_that_two_trials_share_cancel() -> None:
     values, reach = np.array([[10.0], [12.0]]), 5.0
     for correlation, expected in ((0.0, np.hypot(5.0, 5.0)), (0.7, np.sqrt(15.0)), (1.0, 0.0)):
-        ends = difference_intervals(values, values - reach, values + reach, correlation)
-        np.testing.assert_allclose(
-            [end[1, 0] for end in ends], 2.0 + expected * np.array([0, -1, 1])
-        )
+        found = TRIALS.columns(values, values - reach, values + reach, correlation)
+        assert [found[end][1, 0] for end in ENDS] == pytest.approx([2 - expected, 2 + expected])
 
 
 def test_95_percent_intervals_of_skew_quantities_hold_the_true_difference() -> None:
@@ -34,15 +47,14 @@ def test_95_percent_intervals_of_skew_quantities_hold_the_true_difference() -> N
     means = RNG.gamma(count, true[:, None] / count, size=(2, pairs))
     # mean * count / scale is gamma distributed: the exact ends of the mean's interval.
     low, high = (means * count / gamma.ppf(q, count) for q in (0.975, 0.025))
-    _, lower, upper = difference_intervals(means, low, high)
-    held = (lower[1] <= true[1] - true[0]) & (true[1] - true[0] <= upper[1])
+    lower, upper = (TRIALS.columns(means, low, high)[end][1] for end in ENDS)
+    held = (lower <= true[1] - true[0]) & (true[1] - true[0] <= upper)
     assert 0.93 < held.mean() < 0.97
 
 
 def test_angles_differ_the_short_way_round() -> None:
     values = np.array([[170.0, -10.0], [-170.0, 20.0]])
-    title = "shear direction [deg]"
-    table = values_table("regions", ["a", "b"], title, TRIALS, values, values - 5.0, values + 5.0)
+    table = table_of(TRIALS, "a b", "shear direction [deg]", values, [5.0, 5.0])
     table = table.query("item == 'two'")
     for column, reach in (("", 0.0), (" high", np.hypot(5, 5)), (" low", -np.hypot(5, 5))):
         np.testing.assert_allclose(table[f"difference{column}"], np.array([20.0, 30.0]) + reach)
@@ -50,15 +62,84 @@ def test_angles_differ_the_short_way_round() -> None:
 
 def test_clear_differences_are_counted_against_chance_and_sorted() -> None:
     values = np.array([[1.0, 1.0, 1.0, 1.0], [1.2, 9.0, -4.0, 1.0]])
-    reach = np.array([1.0, 1.0, 1.0, 0.0])  # the last has no uncertainty, as a share of all
-    names = ["anterior", "medial", "distal", "socket"]
-    ends = values - reach, values + reach
-    table = values_table("regions", names, "shear [kPa]", TRIALS, values, *ends)
+    reach = [1.0, 1.0, 1.0, 0.0]  # the last has no uncertainty, as a share of all
+    table = table_of(TRIALS, "anterior medial distal socket", "shear [kPa]", values, reach)
     nothing = np.zeros((2, 0))
-    found = Comparison(TRIALS, "", (), table, None, nothing, nothing)
+    found = Comparison(TRIALS.trials(TRIALS.names), "", (), table, None, nothing, nothing)
     first, *lines = found.differing()
     assert first.startswith("2 of 3 intervals") and "about 0 would" in first
     assert lines == [
         "two - one, medial: shear +8.0 (6.6 to 9.4) kPa",
         "two - one, distal: shear -5.0 (-6.4 to -3.6) kPa",
     ]
+
+
+def repeated(trials: int) -> Conditions:
+    return Conditions(("a", "b"), np.repeat([0, 1], trials))
+
+
+def test_without_errors_of_sensors_it_is_students_t_test() -> None:
+    values = RNG.normal(10.0, 2.0, (5, 40))
+    uneven = Conditions(("a", "b"), np.array([0, 1, 1, 0, 1]))
+    found = uneven.columns(values, values, values)
+    expected = ttest_ind(values[[1, 2, 4]], values[[0, 3]]).confidence_interval()
+    np.testing.assert_allclose([found[end][1] for end in ENDS], [*expected])
+    pooled = np.sqrt((values[[0, 3]].var(axis=0) * 2 + values[[1, 2, 4]].var(axis=0) * 3) / 3)
+    np.testing.assert_allclose(found["spread"], [pooled, pooled])
+    assert (found["degrees of freedom"] == 3.0).all()
+    assert np.isnan(found["detectable"][0]).all()
+
+
+def test_without_spread_it_is_the_interval_of_single_trials() -> None:
+    """Trials that repeat each other tell no more of what the sensors leave open."""
+    values, reach = np.array([[10.0], [12.0]]), np.array([[5.0], [1.0]])
+    single = TRIALS.columns(values, values - reach, values + 2.0 * reach, 0.7)
+    many = [np.repeat(of, 3, axis=0) for of in (values, values - reach, values + 2.0 * reach)]
+    found = repeated(3).columns(*many, 0.7)
+    for column, expected in single.items():
+        np.testing.assert_allclose(found[column], expected, err_msg=column)
+    assert set(found) - set(single) == {"spread", "degrees of freedom", "detectable"}
+    # A normal error: 1.96 deviations to be told from 0, and 0.84 more in four of five cases.
+    farther = (single["difference"] - single["difference low"])[1]
+    np.testing.assert_allclose(found["detectable"][1], farther * (1.0 + norm.ppf(0.8) / 1.96))
+
+
+def test_intervals_hold_the_difference_and_see_the_detectable_one() -> None:
+    """Errors that a limb shares, that a condition shares, and that differ by donning.
+
+    The half width depends on the sample's spread alone, whose square is chi-squared: coverage and
+    power are integrals over it.
+    """
+    studies = 20_000
+    for trials, own in product((2, 3, 6), (0.0, 0.5, 2.0)):  # own: of the map, by that of donnings
+        freedom, donning, of_map = 2 * (trials - 1), np.sqrt(2.0 / trials), own * np.sqrt(0.6)
+        edge = float(t.ppf(0.975, freedom))
+        noncentrality = brentq(lambda c, e=edge, f=freedom: nct.sf(e, f, c) - 0.8, 1.0, 9.0)
+        size = np.hypot(of_map * (norm.ppf(0.975) + norm.ppf(0.8)), noncentrality * donning)
+        spread = np.sqrt(chi2.ppf((np.arange(2000) + 0.5) / 2000, freedom) / freedom)
+        half = np.hypot(1.96 * of_map, edge * spread * donning)
+        total = np.hypot(of_map, donning)
+        coverage = 2.0 * norm.cdf(half / total).mean() - 1.0
+        power = norm.cdf((size - half) / total).mean()
+        assert 0.9495 < coverage < 0.98 and 0.795 < power < 0.83
+
+        shared = np.sqrt(0.7) * RNG.normal(0.0, own, (1, studies))
+        means = shared + np.sqrt(0.3) * RNG.normal(0.0, own, (2, studies)) + [[0.0], [size]]
+        values = np.repeat(means, trials, axis=0)
+        values += RNG.normal(0.0, 1.0, values.shape)
+        ends = values - 1.96 * own, values + 1.96 * own
+        found = repeated(trials).columns(values, *ends, 0.7)
+        low, high = (found[end][1] for end in ENDS)
+        assert ((low <= size) & (size <= high)).mean() == pytest.approx(coverage, abs=0.007)
+        assert (low > 0.0).mean() == pytest.approx(power, abs=0.012)
+        assert np.sqrt((found["detectable"][1] ** 2).mean()) == pytest.approx(size, rel=0.02)
+        for mean, true in enumerate((0.0, size)):
+            assert ((found["low"][mean] <= true) & (true <= found["high"][mean])).mean() > 0.94
+
+
+def test_directions_of_repeated_trials_have_a_mean_the_short_way_round() -> None:
+    values = np.array([[178.0], [-178.0], [-172.0], [-176.0]])
+    table = table_of(repeated(2), "a", "shear direction [deg]", values, [0.0])
+    assert table["value"].to_numpy() % 360.0 == pytest.approx([180.0, 186.0])
+    assert table["difference"][1] == pytest.approx(6.0)
+    assert table["spread"][1] == pytest.approx(np.sqrt((2 * 2.0**2 + 2 * 2.0**2) / 2))

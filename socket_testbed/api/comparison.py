@@ -11,34 +11,41 @@ The errors have the correlation r: `SAME_LIMB` in trials of one subject in one s
 
 A skew interval stays skew (Zou & Donner, Construction of confidence limits about effect measures,
 Statistics in Medicine 27, 2008).
+
+Of conditions with several trials each, x is the mean of a condition and [l, u] the mean of its
+intervals: a repetition does not narrow what the sensors leave open. The spread between donnings is
+the standard deviation s of the trials about the means of their conditions, pooled over all
+conditions, with nu degrees of freedom. To the square of each reach it adds that of
+
+.. math:: t_{0.975, \nu} \, s \sqrt{1 / k_1 + 1 / k_0}
+
+at k_1 and k_0 trials. The smallest difference that they detect, at 5 % with a power of 80 %, is the
+root of the squares of :math:`\lambda s \sqrt{1 / k_1 + 1 / k_0}`, with the noncentrality lambda at
+which a t test has this power (Owen, The power of Student's t-test, Journal of the American
+Statistical Association 60, 1965), and of (1.96 + 0.84) / 1.96 times the reach without spread.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from itertools import count
+from itertools import chain, count
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
+from scipy.special import nctdtrinc, ndtri, stdtrit
 
-from socket_testbed.api.pressure import OF_TILES, TrialPressure, pressure
+from socket_testbed.api.pressure import Rows, TrialPressure, pressure
 from socket_testbed.api.result import Result, records
 from socket_testbed.api.trials import PathLike, Progress, open_trial, started
-from socket_testbed.arrays import FloatArray
+from socket_testbed.arrays import FloatArray, IntArray
 from socket_testbed.errors import ConfigurationError, TrialError
 from socket_testbed.files import atomic_output
-from socket_testbed.geometry.regions import Region, Side
+from socket_testbed.geometry.regions import Side
 from socket_testbed.geometry.socket import SOCKET, SocketGeometry
-from socket_testbed.identification.pressure import (
-    NORMAL_QUANTILE,
-    SHARE,
-    THRESHOLD,
-    TITLES,
-    read_column,
-)
+from socket_testbed.identification.pressure import NORMAL_QUANTILE, SHARE, THRESHOLD
 from socket_testbed.samples import WRENCH_CHANNELS, channel_unit
 from socket_testbed.tables import split_unit
 from socket_testbed.trials.metadata import FIELDS
@@ -49,6 +56,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from socket_testbed.report.figures.style import FigureStyle
+
+T = TypeVar("T")
 
 PAGES = (".html", ".htm")
 _MOST = 12  # trials side by side
@@ -82,78 +91,114 @@ _MAPS = (
     " their 95 % interval holds zero. Outlined: clusters."
 )
 _NUMBERS = ("regions", "tiles")  # parts of the table
+_POWER = 0.8  # [-]; chance that a difference of the detectable size is told from 0
 _DIGITS = {"1": 0, "-": 2, "N m": 2}  # behind the point; 1 unless given
 
 
-def difference_intervals(
-    values: FloatArray, low: FloatArray, high: FloatArray, correlation: FloatArray | float = 0.0
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Differences to the first of k trials and the ends of their intervals, shape (k, m) each.
+@dataclass(frozen=True)
+class Conditions:
+    """What k trials are compared by: c conditions, of which a trial may be one by itself."""
 
-    The errors of each trial have a correlation with those of the first, shape (k, 1) [-].
-    """
-    below, above = np.maximum(values - low, 0.0), np.maximum(high - values, 0.0)
-    difference = values - values[0]
+    names: tuple[str, ...]
+    of_trials: IntArray  # number of each trial's condition, shape (k,)
 
-    def reach(own: FloatArray, other: FloatArray) -> FloatArray:
-        return np.sqrt(own**2 + other**2 - 2.0 * correlation * own * other)
+    @property
+    def freedom(self) -> int:
+        """Degrees of freedom of the spread between donnings; 0 with one trial each."""
+        return len(self.of_trials) - len(self.names)
 
-    ends = difference - reach(below, above[0]), difference + reach(above, below[0])
-    for row in (difference, *ends):
-        row[0] = np.nan
-    return difference, *ends
+    def trials(self, of_trials: Sequence[T]) -> dict[str, list[T]]:
+        """What belongs to the trials, by condition."""
+        found: dict[str, list[T]] = {name: [] for name in self.names}
+        for condition, each in zip(self.of_trials, of_trials, strict=True):
+            found[self.names[condition]].append(each)
+        return found
+
+    def mean(self, values: FloatArray) -> FloatArray:
+        """Means of the conditions, shape (c, m), of values of the trials, shape (k, m)."""
+        return np.array([np.mean(of, axis=0) for of in self.trials([*values]).values()])
+
+    def columns(
+        self,
+        values: FloatArray,
+        low: FloatArray,
+        high: FloatArray,
+        correlation: FloatArray | float = 0.0,
+    ) -> dict[str, FloatArray]:
+        """Columns of numbers, shape (c, m) each, of m values and their intervals, shape (k, m).
+
+        The errors of each condition have a correlation with those of the first, shape (c, m) [-].
+        The module states the equations.
+        """
+        value, low, high = map(self.mean, (values, low, high))
+        below, above = np.maximum(value - low, 0.0), np.maximum(high - value, 0.0)
+        difference = value - value[0]
+        lower, upper = (
+            np.sqrt(own**2 + first**2 - 2.0 * correlation * own * first)
+            for own, first in ((below, above[0]), (above, below[0]))
+        )
+        found = (value, low, high, difference, difference - lower, difference + upper)
+        columns = dict(zip(_VALUES, found, strict=True))
+        if self.freedom:
+            squares = (values - value[self.of_trials]) ** 2
+            spread = np.sqrt(squares.sum(axis=0) / self.freedom)
+            share = 1.0 / np.bincount(self.of_trials)[:, None]
+            error = spread * np.sqrt(share + share[0])
+            quantile = stdtrit(self.freedom, 0.975)
+            noncentrality = nctdtrinc(self.freedom, 1.0 - _POWER, quantile)
+            normal = 1.0 + ndtri(_POWER) / NORMAL_QUANTILE
+            reach = quantile * spread * np.sqrt(share)
+            columns |= {
+                "low": value - np.hypot(below, reach),
+                "high": value + np.hypot(above, reach),
+                "difference low": difference - np.hypot(lower, quantile * error),
+                "difference high": difference + np.hypot(upper, quantile * error),
+                "spread": np.tile(spread, (len(value), 1)),
+                "degrees of freedom": np.full(value.shape, float(self.freedom)),
+                "detectable": np.hypot(normal * np.fmax(lower, upper), noncentrality * error),
+            }
+        for name in columns.keys() & {*_DIFFERENCE, "detectable"}:
+            columns[name][0] = np.nan
+        return columns
 
 
 def values_table(
-    part: str,
-    names: Sequence[str],
-    title: str,
-    items: Sequence[str],
-    values: FloatArray,
-    low: FloatArray | None = None,
-    high: FloatArray | None = None,
-    correlation: FloatArray | float = 0.0,
+    conditions: Conditions, rows: Sequence[Rows], correlation: FloatArray | float = 0.0
 ) -> pd.DataFrame:
-    """A quantity of m things in k trials, shape (k, m), in the columns of `COLUMNS`.
+    """A table with `COLUMNS` of the same outputs of k trials, see `Conditions.columns`.
 
-    `title` holds its unit; degrees repeat after 360. `correlation` as in `difference_intervals`.
+    Those of the force map have a correlation. Degrees repeat after 360. Where trials are repeated,
+    there are the columns of their spread, too.
     """
     import pandas as pd
 
-    low, high = (np.full(values.shape, np.nan) if end is None else end for end in (low, high))
-    difference, lower, upper = difference_intervals(values, low, high, correlation)
-    name, unit = split_unit(title)
-    turns = 360.0 * np.round(difference / 360.0) if unit == "deg" else 0.0
-    columns = (values, low, high, difference - turns, lower - turns, upper - turns)
-    table = {
-        "part": part,
-        "name": np.repeat(np.array(names, dtype=object), len(values)),
-        "quantity": name,
-        "unit": unit,
-        "item": np.tile(np.array(items, dtype=object), len(names)),
-        **{column: of.T.ravel() for column, of in zip(_VALUES, columns, strict=True)},
-    }
-    return pd.DataFrame(table).assign(text=None)[[*COLUMNS]]
-
-
-def _texts_table(
-    part: str, texts: Mapping[str, Sequence[str]], items: Sequence[str]
-) -> pd.DataFrame:
-    import pandas as pd
-
-    rows = [
-        (part, name, "", "", item, *[np.nan] * len(_VALUES), text)
-        for name, of_items in texts.items()
-        for item, text in zip(items, of_items, strict=True)
-    ]
-    return pd.DataFrame(rows, columns=[*COLUMNS])
+    things = [(part, name, *split_unit(title)) for part, name, title in rows[0]]
+    table = pd.DataFrame(things, columns=[*COLUMNS[:4]])
+    values, low, high = (
+        np.array([[row.get(end, np.nan) for row in of.values()] for of in rows]) for end in _VALUE
+    )
+    correlation = correlation * table["part"].isin(["regions", "tiles"]).to_numpy()
+    turn = np.where(table["unit"] == "deg", 1.0 / 360.0, 0.0)
+    if conditions.freedom:  # what is known without error has an interval, too
+        low, high = (np.where(np.isnan(end), values, end) for end in (low, high))
+    # The trials of a condition within half a turn of their mean direction.
+    middle = np.degrees(np.angle(conditions.mean(np.exp(1j * np.radians(values)))))
+    turns = 360.0 * np.round(turn * (values - middle[conditions.of_trials]))
+    columns = conditions.columns(values - turns, low - turns, high - turns, correlation)
+    turns = 360.0 * np.round(turn * columns["difference"])
+    columns |= {end: columns[end] - turns for end in _DIFFERENCE}
+    table = table.loc[table.index.repeat(len(conditions.names))].reset_index(drop=True)
+    table["item"] = [*conditions.names] * len(things)
+    table = table.assign(**{name: of.T.ravel() for name, of in columns.items()})
+    table.insert(COLUMNS.index("text"), "text", None)
+    return table
 
 
 @dataclass(frozen=True, repr=False)
 class Comparison(Result):
     """Trials side by side."""
 
-    items: tuple[str, ...]  # names of the trials
+    conditions: Mapping[str, Sequence[str]]  # names of each one's trials; a trial by its own name
     title: str  # what they are compared over
     notes: tuple[str, ...]  # what a reader must know
     table: pd.DataFrame  # see `to_dataframe`
@@ -165,7 +210,18 @@ class Comparison(Result):
     def __repr__(self) -> str:
         names = self.table.groupby("part")["name"].nunique()
         counts = ", ".join(f"{names[p]} {p}" for p in ("regions", "tiles") if p in names)
-        return f"Comparison(trials {', '.join(self.items)}; {counts})"
+        return f"Comparison({self.kind} {', '.join(self.items)}; {counts})"
+
+    @property
+    def items(self) -> tuple[str, ...]:
+        """Names of the conditions, or of the trials."""
+        return tuple(self.conditions)
+
+    @property
+    def kind(self) -> str:
+        """What is compared: trials, or conditions."""
+        of_itself = all([name] == [*trials] for name, trials in self.conditions.items())
+        return "trials" if of_itself else "conditions"
 
     def to_dataframe(self) -> pd.DataFrame:
         """Every value in long form.
@@ -173,7 +229,9 @@ class Comparison(Result):
         Columns: `part` (such as `regions`), `name` (such as `anterior proximal`), `quantity` and
         `unit`, `item` (the trial), `value` with the ends `low` and `high` of its 95 % interval,
         `difference` to the first trial with `difference low` and `difference high`, and `text` of
-        what is no number.
+        what is no number. Of conditions with several trials: `spread` between the donnings, a
+        standard deviation with its `degrees of freedom`, and the smallest difference that is
+        `detectable`.
         """
         return self.table.copy()
 
@@ -196,9 +254,12 @@ class Comparison(Result):
             cells[row["item"]] = row["text"] or _cell(row, _VALUE)
             if row["item"] != self.items[0] and not row["text"]:
                 cells[self._difference(row["item"])] = _cell(row, _DIFFERENCE)
+                if np.isfinite(row.get("detectable", np.nan)):
+                    cells["spread"] = _number(row, "spread")
+                    cells["detectable"] = _number(row, "detectable")
         table = pd.DataFrame.from_dict(found, orient="index").fillna("")
         table.index = pd.MultiIndex.from_tuples(found, names=["name", "quantity"])
-        columns = [*self.items, *map(self._difference, self.items[1:])]
+        columns = [*self.items, *map(self._difference, self.items[1:]), "spread", "detectable"]
         table = table.reindex(columns=[name for name in columns if name in table])
         return table.droplevel("quantity") if quantity else table
 
@@ -235,6 +296,7 @@ class Comparison(Result):
         return {
             "kind": "trials",
             "items": list(self.items),
+            **({"conditions": self.conditions} if self.kind == "conditions" else {}),
             "title": self.title,
             "notes": list(self.notes),
             "rows": records(self.table),
@@ -259,17 +321,22 @@ class Comparison(Result):
 
 def _cell(row: Mapping[str, Any], columns: Sequence[str]) -> str:
     """A value or difference with its interval."""
-    digits, sign = _DIGITS.get(row["unit"], 1), "+" if columns == _DIFFERENCE else ""
+    sign = "+" if columns == _DIFFERENCE else ""
     value, low, high = (row[name] for name in columns)
-    shown = f"{value:{sign}z.{digits}f}" if np.isfinite(value) else ""
+    shown = _number(row, columns[0], sign) if np.isfinite(value) else ""
     if not np.isfinite([low, high]).all():
         return shown
     differs = " *" if sign and (low > 0.0 or high < 0.0) else ""
-    return f"{shown} ({low:z.{digits}f} to {high:z.{digits}f}){differs}"
+    return f"{shown} ({_number(row, columns[1])} to {_number(row, columns[2])}){differs}"
+
+
+def _number(row: Mapping[str, Any], column: str, sign: str = "") -> str:
+    return f"{row[column]:{sign}z.{_DIGITS.get(row['unit'], 1)}f}"
 
 
 def compare(
     *items: Trial | PathLike,
+    conditions: Mapping[str, Sequence[Trial | PathLike]] | None = None,
     segment: str = "plateau",
     threshold: float = 1e-3 * THRESHOLD,
     share: float = SHARE,
@@ -284,10 +351,13 @@ def compare(
 
     The interval of a difference takes the errors of two limbs as independent, and those of one
     subject in one socket as correlated, see `socket_testbed.api.comparison`; docs/compare.md states
-    how often it held the true difference.
+    how often it held the true difference. With several trials per condition it also carries the
+    spread between donnings, which is given with the smallest difference that can be detected.
 
     Args:
         items: Two to twelve trials, or their folders.
+        conditions: Instead, the trials of two to twelve conditions by their names, such as the
+            repeated donnings of each liner.
         segment: As `specification` in `st.select_segment`, of every trial.
         threshold: As in `st.pressure`.
         share: As in `st.pressure`.
@@ -296,8 +366,8 @@ def compare(
         progress: See `Progress`.
 
     Raises:
-        ConfigurationError: If there are fewer than two trials or too many, one is given twice or is
-            a file, or they are of different sockets.
+        ConfigurationError: If there are fewer than two trials or conditions or too many, a trial is
+            given twice or is a file, or they are of different sockets.
         TrialError: If a trial cannot be read or holds no such segment.
 
     >>> found = st.compare("trials/hold", "trials/walk", segment="15:20")
@@ -308,8 +378,11 @@ def compare(
     >>> found.save("comparison.csv")
     >>> st.write_comparison(found, "comparison.html")
     """
-    trials = _open(items)
+    import pandas as pd
+
+    trials, of_trials = _open(items, conditions)
     names = _names([trial.path for trial in trials])
+    compared = Conditions(tuple(conditions or names), of_trials)
     first = trials[0].geometry
     other = next((trial for trial in trials if not trial.geometry.same_tiles(first)), None)
     if other is not None and not by_region:
@@ -327,18 +400,27 @@ def compare(
             raise TrialError(f"{name}: {error.fact}", error.hint) from None
         report(done, len(trials))
     sides = {trial.metadata.side for trial in trials}
-    shared, rows = _shared_regions(found, other is None)
-    tiles = [
-        read_column(each.outputs.tiles, "mean pressure [kPa]") for each in found if not by_region
-    ]
+    rows = _shared_rows(found, other is None, by_region)
+    numbers = values_table(compared, rows, _correlation(found, compared))
+    notes = [*_notes(found, names, rows, other is None, compared.freedom)]
+    if params is None and len({trial.estimator.force_map for trial in trials}) > 1:
+        notes.append(
+            "the trials were recorded with different priors of the force map (force_map.*): give"
+            " one with --params"
+        )
+    tiles = numbers.query("part == 'tiles' and quantity == 'mean pressure'")
+    over = f"segment {segment}, in contact above {threshold:g} kPa"
+    pressures, lower, upper = (
+        tiles[end].to_numpy().reshape(-1, len(compared.names)).T for end in _VALUE
+    )
     return Comparison(
-        items=names,
-        title=f"segment {segment}, in contact above {threshold:g} kPa",
-        notes=tuple(_notes(found, names, shared, other is None, params is None)),
-        table=_table(found, names, shared, rows, by_region),
+        conditions=compared.trials(names),
+        title="; ".join([*_detectable(numbers, compared), over]),
+        notes=tuple(notes),
+        table=pd.concat([_texts(found, names, compared), numbers], ignore_index=True),
         geometry=None if by_region else first,
-        pressures=np.array([of.value for of in tiles]),
-        deviations=np.array([(of.high - of.low) / (2.0 * NORMAL_QUANTILE) for of in tiles]),
+        pressures=pressures,
+        deviations=(upper - lower) / (2.0 * NORMAL_QUANTILE),
         side=sides.pop() if len(sides) == 1 else None,
     )
 
@@ -465,15 +547,25 @@ def _tables(found: Comparison, part: str) -> list[Any]:
     return [Table(f"{part}-table", _HEADINGS[part], cells, is_text=is_text)]
 
 
-def _open(items: Sequence[Trial | PathLike]) -> list[Trial]:
-    """The trials, each given once."""
-    if not 2 <= len(items) <= _MOST:
+def _open(
+    items: Sequence[Trial | PathLike], conditions: Mapping[str, Sequence[Trial | PathLike]] | None
+) -> tuple[list[Trial], IntArray]:
+    """The trials, each given once, and the number of each one's condition."""
+    if conditions and items:
         raise ConfigurationError(
-            f"{len(items)} trials are given to compare",
+            f"{len(items)} trials are given beside conditions", "give each trial to a condition"
+        )
+    what = "conditions" if conditions else "trials"
+    groups = [*conditions.values()] if conditions else [[item] for item in items]
+    if empty := [name for name, of_name in (conditions or {}).items() if not of_name]:
+        raise ConfigurationError(f"the condition '{empty[0]}' has no trial", "name its trials")
+    if not 2 <= len(groups) <= _MOST:
+        raise ConfigurationError(
+            f"{len(groups)} {what} are given to compare",
             f"give 2 to {_MOST}, or 'pressure FOLDER -o OUTPUT' for a table with a row per trial",
         )
     trials: list[Trial] = []
-    for item in items:
+    for item in chain(*groups):
         path = item.path if isinstance(item, Trial) else Path(item)
         if path.suffix.lower() in {".json", ".yaml", ".yml"}:
             raise ConfigurationError(
@@ -482,7 +574,7 @@ def _open(items: Sequence[Trial | PathLike]) -> list[Trial]:
         if path.resolve() in [trial.path.resolve() for trial in trials]:
             raise ConfigurationError(f"{path} is given twice", "give each trial once")
         trials.append(item if isinstance(item, Trial) else open_trial(item))
-    return trials
+    return trials, np.repeat(np.arange(len(groups)), [*map(len, groups)])
 
 
 def _names(paths: Sequence[Path]) -> tuple[str, ...]:
@@ -492,22 +584,81 @@ def _names(paths: Sequence[Path]) -> tuple[str, ...]:
     return next(names for names in tails if len({*names}) == len(names))
 
 
-def _table(
-    found: Sequence[TrialPressure],
-    names: Sequence[str],
-    shared: Sequence[str],
-    rows: Sequence[Sequence[int]],
-    by_region: bool,
+def _shared_rows(found: Sequence[TrialPressure], one_socket: bool, by_region: bool) -> list[Rows]:
+    """The outputs and the wrench of each trial, as far as all trials have them."""
+    sides = {each.trial.metadata.side for each in found}
+    neutral = None in sides and len(sides) > 1
+    mirrored = ("medial", "lateral") if sides == {"left", "right"} else ()
+    rows: list[Rows] = []
+    tiles: list[dict[str, tuple[int, ...]]] = []
+    for each in found:
+        side = each.trial.metadata.side if neutral else None
+        tiles.append({_without_side(of.name, side): tuple(of.tiles) for of in each.places})
+        outputs = {
+            (part, _without_side(name, side) if part == "regions" else name, title): row
+            for (part, name, title), row in each.rows().items()
+        }
+        rows.append(outputs | _wrench_rows(each))
+
+    def is_shared(key: tuple[str, str, str]) -> bool:
+        part, name, _ = key
+        if part == "regions" and one_socket and not name.startswith(mirrored):
+            # A region of the same name may have other tiles.
+            return len({of.get(name) for of in tiles}) == 1
+        return not (part == "tiles" and by_region) and all(key in of for of in rows)
+
+    keys = [*filter(is_shared, rows[0])]
+    return [{key: of[key] for key in keys} for of in rows]
+
+
+def _without_side(name: str, side: Side | None) -> str:
+    """Name of a region by left and right, whatever leg it is of."""
+    if side is None:
+        return name
+    other = {"left": "right", "right": "left"}[side]
+    sector, _, height = name.partition(" ")
+    return " ".join([{"lateral": side, "medial": other}.get(sector, sector), height]).strip()
+
+
+def _wrench_rows(found: TrialPressure) -> Rows:
+    """Mean and standard deviation of the wrench over the segment, without missing values."""
+    import pandas as pd
+
+    wrench = found.trial.samples()[found.segment.rows].wrench
+    table = pd.DataFrame(wrench, columns=list(WRENCH_CHANNELS))
+    statistics = {"mean": table.mean(), "standard deviation": table.std(ddof=0)}
+    return {
+        ("wrench", name, f"{title} [{channel_unit(name)}]"): {"value": of[name]}
+        for title, of in statistics.items()
+        for name in WRENCH_CHANNELS
+    }
+
+
+def _detectable(table: pd.DataFrame, compared: Conditions) -> Iterator[str]:
+    """What repeated trials can tell apart, in words."""
+    if compared.freedom:
+        rows = table.query("part == 'regions' and quantity == 'mean pressure'")
+        least = rows.groupby("name")["detectable"].max()
+        regions, counts = least.drop("socket"), np.bincount(compared.of_trials)
+        trials = " to ".join(map(str, sorted({counts.min(), counts.max()})))
+        yield (
+            f"with {trials} trials per condition differences of {least['socket']:.1f} kPa and more"
+            f" can be seen in the socket's mean pressure, of {regions.min():.1f} to"
+            f" {regions.max():.1f} kPa in that of its regions"
+        )
+
+
+def _texts(
+    found: Sequence[TrialPressure], names: Sequence[str], compared: Conditions
 ) -> pd.DataFrame:
+    """What is no number, of each condition's trials: one text where they agree."""
     import pandas as pd
 
     described = [each.trial.metadata.described() for each in found]
-    metadata = {
-        name: [texts.get(name, "not stated") for texts in described]
-        for name in FIELDS
-        if any(name in texts for texts in described)
-    }
+    stated = [name for name in FIELDS if any(name in texts for texts in described)]
+    texts = {("metadata", n): [of.get(n, "not stated") for of in described] for n in stated}
     origins = {
+        **({"trials": names} if compared.freedom else {}),
         "segment": [str(each.segment) for each in found],
         "samples": [str(len(each.time)) for each in found],
         "measured": [each.outputs.source for each in found],
@@ -516,82 +667,17 @@ def _table(
             f"{each.trial.calibration.source} ({each.trial.calibration.date})" for each in found
         ],
     }
-    tables = [
-        _texts_table("metadata", metadata, names),
-        _texts_table("trials", origins, names),
-        *(_of_output("regions", title, shared, rows, found, names) for title in TITLES),
+    texts |= {("trials", name): [*of_trials] for name, of_trials in origins.items()}
+    rows = [
+        (*key, "", "", item, *[np.nan] * len(_VALUES), "; ".join(dict.fromkeys(different)))
+        for key, of_trials in texts.items()
+        for item, different in compared.trials(of_trials).items()
     ]
-    if not by_region:
-        tiles = found[0].trial.geometry.names
-        every = [[*range(len(tiles))]] * len(found)
-        tables += [_of_output("tiles", title, tiles, every, found, names) for title in OF_TILES]
-    limbs = [each.limb() for each in found]
-    if all(len(limb) for limb in limbs):
-        for title in limbs[0].index:
-            columns = (
-                np.array([[limb.loc[title, end]] for limb in limbs], dtype=float)
-                for end in ("value", "low", "high")
-            )
-            tables.append(values_table("limb", [""], title, names, *columns))
-    wrenches = [_wrench(each) for each in found]
-    for title, values in (
-        ("mean", np.array([wrench.mean() for wrench in wrenches])),
-        ("standard deviation", np.array([wrench.std(ddof=0) for wrench in wrenches])),
-    ):
-        for column, name in enumerate(WRENCH_CHANNELS):
-            titled = f"{title} [{channel_unit(name)}]"
-            tables.append(values_table("wrench", [name], titled, names, values[:, [column]]))
-    return pd.concat([table for table in tables if len(table)], ignore_index=True)
+    return pd.DataFrame(rows, columns=[*COLUMNS])
 
 
-def _shared_regions(
-    found: Sequence[TrialPressure], alike: bool
-) -> tuple[list[str], list[list[int]]]:
-    """Names of the regions that all trials have, and which of each trial's regions they are."""
-    sides = {each.trial.metadata.side for each in found}
-    neutral = None in sides and len(sides) > 1
-    names = [[_without_side(r, each) if neutral else r.name for r in each.places] for each in found]
-    shared = [name for name in names[0] if all(name in others for others in names)]
-    if alike:  # a region of the same name may have other tiles
-        mirrored = ("medial", "lateral") if sides == {"left", "right"} else ()
-        tiles = [
-            {name: tuple(region.tiles) for name, region in zip(of, each.places, strict=True)}
-            for of, each in zip(names, found, strict=True)
-        ]
-        shared = [n for n in shared if n.startswith(mirrored) or len({t[n] for t in tiles}) == 1]
-    return shared, [[of.index(name) for name in shared] for of in names]
-
-
-def _without_side(region: Region, found: TrialPressure) -> str:
-    """Name of a region by left and right, whatever leg it is of."""
-    side = found.trial.metadata.side
-    if side is None:
-        return region.name
-    other = {"left": "right", "right": "left"}[side]
-    sector, _, height = region.name.partition(" ")
-    return " ".join([{"lateral": side, "medial": other}.get(sector, sector), height]).strip()
-
-
-def _of_output(
-    part: str,
-    title: str,
-    names: Sequence[str],
-    rows: Sequence[Sequence[int]],
-    found: Sequence[TrialPressure],
-    items: Sequence[str],
-) -> pd.DataFrame:
-    """An output, of `TITLES`, of the things in some rows of each trial's `part`."""
-    quantities = [read_column(getattr(each.outputs, part), title) for each in found]
-    columns = [
-        (q.value[row], q.low[row], q.high[row])
-        for q, row in zip(quantities, map(list, rows), strict=True)
-    ]
-    values, low, high = map(np.array, zip(*columns, strict=True))
-    return values_table(part, names, title, items, values, low, high, _correlation(found))
-
-
-def _correlation(found: Sequence[TrialPressure]) -> FloatArray:
-    """Correlation of the force map's errors with those of the first trial, shape (k, 1) [-]."""
+def _correlation(found: Sequence[TrialPressure], compared: Conditions) -> FloatArray:
+    """Correlation of the force map's errors with those of the first, shape (c, 1) [-]."""
     first = found[0].trial
     alike = [
         each.trial.metadata.subject is not None
@@ -599,64 +685,66 @@ def _correlation(found: Sequence[TrialPressure]) -> FloatArray:
         and each.trial.geometry.same_tiles(first.geometry)
         for each in found
     ]
-    return SAME_LIMB * np.array(alike, dtype=float)[:, None]
-
-
-def _wrench(found: TrialPressure) -> pd.DataFrame:
-    """The wrench over the segment, as a table whose statistics skip missing values."""
-    import pandas as pd
-
-    wrench = found.trial.samples()[found.segment.rows].wrench
-    return pd.DataFrame(wrench, columns=list(WRENCH_CHANNELS))
+    all_alike = np.array([[all(of)] for of in compared.trials(alike).values()])
+    return SAME_LIMB * np.asarray(all_alike & all_alike[0], dtype=float)
 
 
 def _notes(
     found: Sequence[TrialPressure],
     names: Sequence[str],
-    shared: Sequence[str],
-    alike: bool,
-    own_params: bool,
-) -> list[str]:
+    rows: Sequence[Rows],
+    one_socket: bool,
+    freedom: int,
+) -> Iterator[str]:
     trials = [each.trial for each in found]
-    notes: list[str] = []
-    if not alike:
-        notes.append(
+    if not one_socket:
+        yield (
             "the trials are of different sockets: regions are sectors and thirds of each socket's"
             " own height, and hold other areas"
         )
     sides = [trial.metadata.side for trial in trials]
     if {"left", "right"} <= {*sides}:
-        notes.append(
+        yield (
             "left and right legs are compared: medial with medial, lateral with lateral; tiles are"
             " compared where they are in the socket"
         )
     elif None in sides and any(sides):
         unknown = ", ".join(n for n, side in zip(names, sides, strict=True) if side is None)
-        notes.append(
+        yield (
             f"no side is stated for {unknown}: the regions are left and right; state it with"
             " 'annotate TRIAL --side left|right'"
         )
+    shared = {name for part, name, _ in rows[0] if part == "regions"}
     own = {name for trial in trials for name in trial.geometry.regions}
-    if lacking := sorted(own.difference(shared)):
-        notes.append(
-            f"not compared, since not all trials have these regions alike: {', '.join(lacking)}"
+    if lacking := sorted(own - shared):
+        yield f"not compared, since not all trials have these regions alike: {', '.join(lacking)}"
+    subjects = {trial.metadata.subject for trial in trials}
+    if freedom:
+        yield (
+            "values are means of repeated trials; spread: the standard deviation between donnings"
+            f" (degrees of freedom: {freedom}), which the intervals carry; detectable: the smallest"
+            f" difference that {100 * _POWER:.0f} % of such studies would tell from 0"
         )
-    forces = [float(np.linalg.norm(_wrench(each).mean()[3:])) for each in found]
+    if freedom and len(subjects) > 1:
+        yield "several limbs: the spread between donnings holds that between the limbs"
+    elif freedom and None in subjects:
+        yield (
+            "no subject is stated: errors of one limb are not taken to cancel in a difference;"
+            " state it with 'annotate TRIAL --subject CODE'"
+        )
+    forces = [
+        float(np.linalg.norm([of["wrench", f"F{axis}", "mean [N]"]["value"] for axis in "xyz"]))
+        for of in rows
+    ]
     times = [each.outputs.integrated for each in found]
     for name, force, time in zip(names[1:], forces[1:], times[1:], strict=True):
         if abs(force - forces[0]) > _OTHER_LOAD * forces[0]:
-            notes.append(
+            yield (
                 f"the mean force is {force:.0f} N in {name} and {forces[0]:.0f} N in {names[0]}:"
                 " differences in pressure hold that of the load"
             )
         if abs(time - times[0]) > _OTHER_TIME * times[0]:
-            notes.append(
+            yield (
                 f"the pressure-time integral covers {time:.1f} s in {name} and {times[0]:.1f} s in"
                 f" {names[0]}: it is not of equal times"
             )
-    if own_params and len({trial.estimator.force_map for trial in trials}) > 1:
-        notes.append(
-            "the trials were recorded with different priors of the force map (force_map.*): give"
-            " one with --params"
-        )
-    return notes

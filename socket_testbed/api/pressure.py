@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -18,10 +18,7 @@ from socket_testbed.arrays import FloatArray
 from socket_testbed.documents import check_number
 from socket_testbed.geometry.regions import Region, all_regions
 from socket_testbed.geometry.socket import SocketGeometry, find_regions
-from socket_testbed.identification.force_map import (
-    MapEstimate,
-    map_trial,
-)
+from socket_testbed.identification.force_map import MapEstimate, map_trial
 from socket_testbed.identification.model_file import finite_or_null
 from socket_testbed.identification.objective import check_channels
 from socket_testbed.identification.pressure import (
@@ -47,8 +44,12 @@ if TYPE_CHECKING:
 
     from socket_testbed.report.figures.style import FigureStyle
 
+Rows: TypeAlias = dict[tuple[str, str, str], dict[str, Any]]
+"""Values of outputs, by part, name and title."""
+
 _CENTRES = [title for title in TITLES if title.startswith("centre of pressure")]
 OF_TILES = tuple(title for title in TITLES if title not in (*_CENTRES, "contact area [cm^2]"))
+_ROW = ("value", "low", "high", "uncertain")
 _OVER_TIME = tuple(title for title in TITLES if not title.startswith("pressure-time"))
 
 
@@ -148,10 +149,10 @@ def force_map(
     samples = trial.samples()
     chosen = select(trial, segment, settings)
     with threadpool_limits(1):
-        force_map, trusted = map_trial(
+        mapping, trusted = map_trial(
             samples, trial.geometry, settings.force_map, settings.identification.leave_out
         )
-        estimate = force_map.estimate(trusted[chosen.rows])
+        estimate = mapping.estimate(trusted[chosen.rows])
     return TrialMap(trial, chosen, np.asarray(samples.time[chosen.rows]), estimate)
 
 
@@ -189,6 +190,33 @@ class TrialPressure(Result):
         """How the limb sits in the socket; None without poses and a wrench."""
         return find_suspension(self.trial.samples()[self.segment.rows], self.trial.geometry)
 
+    def rows(self) -> Rows:
+        """Every output by its part (`regions`, `tiles` or `limb`), its place and its title.
+
+        Each has a `value` with the ends `low` and `high` of its 95 % interval, and is `uncertain`
+        or not.
+        """
+        regions = tuple(place.name for place in self.places)
+        parts = (
+            ("regions", regions, self.outputs.regions, TITLES),
+            ("tiles", self.trial.geometry.names, self.outputs.tiles, OF_TILES),
+        )
+        quantities = [
+            (part, names, title, read_column(found, title))
+            for part, names, found, titles in parts
+            for title in titles
+        ]
+        if self.suspension is not None:
+            limb = self.suspension.outputs()
+            quantities += [("limb", ("",), title, found) for title, found in limb.items()]
+        rows: Rows = {}
+        for part, names, title, found in quantities:
+            columns = found.value, found.low, found.high, ~found.certain(self.share)
+            values = zip(*(np.atleast_1d(column).tolist() for column in columns), strict=True)
+            for name, row in zip(names, values, strict=True):
+                rows[part, name, title] = dict(zip(_ROW, row, strict=True))
+        return rows
+
     def limb(self) -> pd.DataFrame:
         """Pistoning, range of rotation and stiffness along and about x, y, z of {S}.
 
@@ -198,18 +226,8 @@ class TrialPressure(Result):
         """
         import pandas as pd
 
-        found = {} if self.suspension is None else self.suspension.outputs()
-        table = {
-            title: {
-                "value": float(of.value),
-                "low": float(of.low),
-                "high": float(of.high),
-                "uncertain": not of.certain(self.share),
-            }
-            for title, of in found.items()
-        }
-        columns = ["value", "low", "high", "uncertain"]
-        return pd.DataFrame.from_dict(table, orient="index", columns=columns)
+        found = {title: row for (part, _, title), row in self.rows().items() if part == "limb"}
+        return pd.DataFrame.from_dict(found, orient="index", columns=[*_ROW])
 
     @property
     def regions(self) -> pd.DataFrame:
@@ -218,8 +236,10 @@ class TrialPressure(Result):
         Columns: each of `TITLES`, the best estimate under the posterior, with the ends of its 95 %
         interval, such as `peak pressure low [kPa]`; and `nearest tile` to the centre of pressure.
         """
-        table = self._table(self.outputs.regions, [place.name for place in self.places], TITLES)
-        table.index.name = "region"
+        import pandas as pd
+
+        names = pd.Index([place.name for place in self.places], name="region")
+        table = pd.DataFrame(_columns(self.outputs.regions, TITLES), index=names)
         centres = table[_CENTRES].to_numpy() * 1e-3
         table["nearest tile"] = [self._nearest(centre) for centre in centres]
         return table
@@ -227,9 +247,11 @@ class TrialPressure(Result):
     @property
     def tiles(self) -> pd.DataFrame:
         """Outputs over the segment, a row per tile, with 95 % intervals as in `regions`."""
+        import pandas as pd
+
         geometry = self.trial.geometry
-        table = self._table(self.outputs.tiles, list(geometry.names), OF_TILES)
-        table.index.name = "tile"
+        names = pd.Index(geometry.names, name="tile")
+        table = pd.DataFrame(_columns(self.outputs.tiles, OF_TILES), index=names)
         table.insert(0, "cluster", _clusters_by_tile(geometry))
         return table
 
@@ -247,7 +269,7 @@ class TrialPressure(Result):
         import pandas as pd
 
         columns: dict[str, FloatArray] = {}
-        found = self._columns(self.outputs.series, _OVER_TIME)
+        found = _columns(self.outputs.series, _OVER_TIME)
         for number, place in enumerate(self.places):
             columns |= {
                 f"{place.name}.{title}": values[:, number] for title, values in found.items()
@@ -266,9 +288,21 @@ class TrialPressure(Result):
 
     def document(self) -> dict[str, Any]:
         """The outputs for JSON, each value with its interval and whether it is uncertain."""
-        regions = self.regions
-        tiles = {place.name: place.tiles for place in self.places}
         names = self.trial.geometry.names
+        nearest = self.regions["nearest tile"]
+        found: dict[str, dict[str, dict[str, Any]]] = {
+            "regions": {
+                place.name: {
+                    "tiles": [names[tile] for tile in place.tiles],
+                    "nearest tile": nearest[place.name] or None,
+                }
+                for place in self.places
+            },
+            "tiles": {name: {} for name in names},
+            "limb": {"": {}},
+        }
+        for (part, name, title), row in self.rows().items():
+            found[part][name][title] = {key: finite_or_null(value) for key, value in row.items()}
         return {
             **origin(self.trial, self.segment),
             "samples": len(self.time),
@@ -276,22 +310,8 @@ class TrialPressure(Result):
             "largest reach of an interval [-]": self.share,
             "integrated time [s]": self.outputs.integrated,
             "source": self.outputs.source,
-            "regions": {
-                name: {
-                    "tiles": [names[tile] for tile in tiles[str(name)]],
-                    "nearest tile": regions["nearest tile"].iloc[row] or None,
-                    **self._values(self.outputs.regions, row, TITLES),
-                }
-                for row, name in enumerate(regions.index)
-            },
-            "tiles": {
-                name: self._values(self.outputs.tiles, row, OF_TILES)
-                for row, name in enumerate(names)
-            },
-            "limb": {
-                str(title): {name: finite_or_null(value) for name, value in row.items()}
-                for title, row in self.limb().iterrows()
-            },
+            **found,
+            "limb": found["limb"][""],
         }
 
     def save(self, path: PathLike, over_time: bool = False) -> None:
@@ -325,39 +345,20 @@ class TrialPressure(Result):
             style,
         )
 
-    def _table(
-        self, found: RegionOutputs, names: Sequence[str], titles: Sequence[str]
-    ) -> pd.DataFrame:
-        import pandas as pd
-
-        return pd.DataFrame(self._columns(found, titles), index=pd.Index(names))
-
-    def _columns(self, found: RegionOutputs, titles: Sequence[str]) -> dict[str, FloatArray]:
-        """Columns by their titles, each with the ends of its interval."""
-        columns: dict[str, FloatArray] = {}
-        for title in titles:
-            columns |= with_interval(title, read_column(found, title))
-        return columns
-
-    def _values(self, found: RegionOutputs, row: int, titles: Sequence[str]) -> dict[str, Any]:
-        """The values of a region or tile with their intervals, for JSON."""
-        values = {}
-        for title in titles:
-            quantity = read_column(found, title)
-            values[title] = {
-                "value": finite_or_null(quantity.value[row]),
-                "low": finite_or_null(quantity.low[row]),
-                "high": finite_or_null(quantity.high[row]),
-                "uncertain": not quantity.certain(self.share)[row],
-            }
-        return values
-
     def _nearest(self, centre: FloatArray) -> str:
         """Name of the tile nearest to a point [m]; empty if it is not known."""
         if not np.isfinite(centre).all():
             return ""
         geometry = self.trial.geometry
         return geometry.names[int(np.linalg.norm(geometry.anchors - centre, axis=1).argmin())]
+
+
+def _columns(found: RegionOutputs, titles: Sequence[str]) -> dict[str, FloatArray]:
+    """Columns by their titles, each with the ends of its interval."""
+    columns: dict[str, FloatArray] = {}
+    for title in titles:
+        columns |= with_interval(title, read_column(found, title))
+    return columns
 
 
 def _clusters_by_tile(geometry: SocketGeometry) -> list[str]:
@@ -407,15 +408,13 @@ def pressure(
     settings = estimator_settings(trial.estimator, as_path(params), leave_out=leave_out)
     geometry = trial.geometry
     places = _regions(trial, regions)
-    samples = trial.samples()
-    check_channels(settings.identification.leave_out, samples.channels)
+    samples, left_out = trial.samples(), settings.identification.leave_out
+    check_channels(left_out, samples.channels)
     chosen = select(trial, segment, settings)
     with threadpool_limits(1):
-        force_map, trusted = map_trial(
-            samples, geometry, settings.force_map, settings.identification.leave_out
-        )
+        mapping, trusted = map_trial(samples, geometry, settings.force_map, left_out)
         rows = trusted[chosen.rows]
-        outputs = pressure_outputs(force_map, rows, geometry, places, 1e3 * threshold)
+        outputs = pressure_outputs(mapping, rows, geometry, places, 1e3 * threshold)
     return TrialPressure(trial, chosen, places, outputs, threshold, share)
 
 

@@ -25,6 +25,7 @@ _METAVARS = {
     "dask": "ADDRESS",
     "cycles": "LABEL",
     "fault": "NAME=VALUE",
+    "condition": "NAME=TRIAL,...",
     "columns": "QUANTITY=HEADER",
     "units": "QUANTITY=UNIT",
     "wiring": "C",
@@ -108,7 +109,7 @@ def _add(group: Any, parameter: Parameter, keywords: dict[str, Any]) -> None:
     keywords["help"] = _help(parameter)
     if parameter.positional:
         several = "+" if keywords.pop("action", "") else None
-        count = several if default is REQUIRED else "?"
+        count = several if default is REQUIRED else "*" if several else "?"
         group.add_argument(name, **keywords | {"nargs": count, "metavar": name.upper()})
         return
     if "choices" not in keywords and keywords.get("action") != "store_true":

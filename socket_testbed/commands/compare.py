@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -10,9 +12,10 @@ import pandas as pd
 from socket_testbed import api
 from socket_testbed.api import Comparison
 from socket_testbed.api.comparison import LEGEND, PAGES
-from socket_testbed.commands.options import given, open_all, typed_command
+from socket_testbed.commands.options import given, open_all, print_note, typed_command
 from socket_testbed.commands.signatures import takes
 from socket_testbed.commands.text import Progress, table
+from socket_testbed.errors import ConfigurationError
 from socket_testbed.files import check_outputs
 from socket_testbed.tables import check_format
 
@@ -21,8 +24,9 @@ _BY_REGION = ("mean pressure", "peak pressure", "share of load")
 
 @takes("compare", "commands.options.open_given", "files.check_outputs")
 def compare(
-    trial: list[Path],
+    trial: list[Path] | None = None,
     *,
+    condition: Iterable[str] = (),
     output: Path | None = None,
     json: bool = False,
     replace: bool = False,
@@ -32,6 +36,7 @@ def compare(
 
     Args:
         trial: Two or more trials; a folder of trials stands for all of them.
+        condition: Instead, the repeated trials of a condition, such as gel=trials/gel1,trials/gel2.
         output: A page (.html), or a table (.csv, .parquet) of every value and difference.
         json: Print JSON on standard output.
     """
@@ -39,8 +44,14 @@ def compare(
     if output is not None and page is None:
         check_format(output)
     check_outputs(output, replace=replace)
-    trials = open_all(trial, options)
-    found = api.compare(*trials, **given(options, api.compare), progress=Progress)
+    notify = cache(print_note)
+    trials = open_all(trial or [], options, notify)
+    conditions = {
+        name: open_all(paths, options, notify) for name, paths in _conditions(condition).items()
+    }
+    found = api.compare(
+        *trials, conditions=conditions, **given(options, api.compare), progress=Progress
+    )
     if page is not None:
         api.write_comparison(found, page, typed_command())
     elif output is not None:
@@ -53,8 +64,21 @@ def compare(
         print(f"written: {output}")
 
 
+def _conditions(words: Iterable[str]) -> dict[str, list[Path]]:
+    """Paths by the names of conditions."""
+    found: dict[str, list[Path]] = {}
+    for word in words:
+        name, _, paths = word.partition("=")
+        if not name or not paths:
+            raise ConfigurationError(
+                f"--condition {word}: no NAME=TRIAL", "write it such as gel=trials/gel1,trials/gel2"
+            )
+        found.setdefault(name, []).extend(map(Path, filter(None, paths.split(","))))
+    return found
+
+
 def _show(found: Comparison) -> None:
-    print(f"trials {', '.join(found.items)}: {found.title}")
+    print(f"{found.kind} {', '.join(found.items)}: {found.title}")
     for note in found.notes:
         print(f"note: {note}")
     print()

@@ -85,12 +85,16 @@ def say_data(trial: Trial, prefix: str = "", good: bool = True) -> str:
     return found[0].removeprefix("data: ")
 
 
-def open_all(paths: Sequence[Path], options: Mapping[str, Any]) -> list[Trial]:
+def open_all(
+    paths: Sequence[Path],
+    options: Mapping[str, Any],
+    notify: Callable[[str], None] | None = None,
+) -> list[Trial]:
     """The trials at some paths, of which a folder of trials stands for all in it.
 
-    A note that several of them have is printed once.
+    A note that several of them have is printed once, or each is given to `notify`.
     """
-    notify = cache(print_note)
+    notify = notify or cache(print_note)
     found = [path for given in paths for path in find_trials(given, notify).values() or [given]]
     trials = [dataclasses.replace(open_given(path, **options), notify=notify) for path in found]
     for trial in trials:

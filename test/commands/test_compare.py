@@ -67,6 +67,46 @@ def test_the_verb_and_its_files_hold_what_the_api_gives(trials, tmp_path, capsys
     assert f"{clear} of {len(ends)} intervals of the regions' differences exclude 0" in out
 
 
+def test_repeated_donnings_give_their_spread_and_what_can_be_seen(
+    folder, trials, tmp_path, capsys
+) -> None:
+    for seed in (2, 3):
+        st.simulate(folder / "again" / f"sock{seed}", duration=30, seed=seed)
+    conditions = {"gel": trials[:1], "sock": [trials[1], *(folder / "again").iterdir()]}
+    page = tmp_path / "liners.html"
+    words = ["--condition", f"gel={trials[0]}", "--condition", f"sock={trials[1]}"]
+    words += ["--condition", f"sock={folder / 'again'}", *SEGMENT]  # a folder of trials
+    code, out, err = call(capsys, "compare", *words, "-o", page)
+    found = st.compare(conditions=conditions, segment="15:20")
+    assert code == 0 and out.startswith(f"conditions gel, sock: {found.title}\n")
+    assert err.count("no side of the leg") == 1 and "no subject is stated" in out
+    rows = found.to_dataframe().set_index(["part", "name", "quantity", "item"])
+    least = rows.loc[("regions", "socket", "mean pressure", "sock"), "detectable"]
+    sentence = (
+        f"with 1 to 3 trials per condition differences of {least:.1f} kPa and more can be seen"
+    )
+    assert found.title.startswith(sentence) and found.title in Page(page.read_text()).text
+    title = "peak pressure [kPa]"
+    outputs = [st.pressure(st.open_trial(trial), "15:20") for trial in conditions["sock"]]
+    for part in ("regions", "tiles"):
+        values = np.array([getattr(output, part)[title] for output in outputs])
+        shown = rows.loc[part].xs(("peak pressure", "sock"), level=("quantity", "item"))
+        np.testing.assert_allclose(shown["value"], values.mean(axis=0))
+        np.testing.assert_allclose(shown["spread"], values.std(axis=0, ddof=1))
+    document = found.document()
+    assert document["conditions"]["gel"] == ["gel"] and len(document["conditions"]["sock"]) == 3
+    row = next(row for row in document["rows"] if row["part"] == "regions")
+    assert row["degrees of freedom"] == 2.0 and row["detectable"] is None  # the first condition
+    single = st.compare(conditions={"a": trials[:1], "b": trials[1:]}, segment="15:20")
+    plain = st.compare(*trials, segment="15:20").to_dataframe()
+    renamed = single.to_dataframe().replace({"item": {"a": "gel", "b": "sock"}})
+    pd.testing.assert_frame_equal(renamed, plain)
+    assert single.title.startswith("segment")
+    refused(capsys, "compare", trials[0], *words, named=["1 trials", "beside conditions"])
+    refused(capsys, "compare", *words, "--condition", "x", named=["--condition x", "gel=trials"])
+    refused(capsys, "compare", *words, "--condition", "x=,", named=["'x' has no trial"])
+
+
 def test_own_regions_of_other_tiles_are_not_compared(trials, tmp_path) -> None:
     copies = [shutil.copytree(trial, tmp_path / trial.name) for trial in trials]
     for number, copy in enumerate(copies):
