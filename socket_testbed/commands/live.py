@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import dataclasses
 import time
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -32,6 +33,7 @@ from socket_testbed.live.bringup import (
 )
 from socket_testbed.live.doctor import examine
 from socket_testbed.live.machine import busy_note, measure_speed, pace
+from socket_testbed.live.press import press_test
 from socket_testbed.live.processes import Graph, GraphNode
 from socket_testbed.live.simulated_world import Simulation
 from socket_testbed.settings.identification import IdentificationSettings
@@ -43,7 +45,7 @@ from socket_testbed.settings.testbed import (
     read_testbed,
 )
 from socket_testbed.simulation.limb import Scenario, TissueKind
-from socket_testbed.simulation.world import FAULTS
+from socket_testbed.simulation.world import FAULTS, World
 from socket_testbed.trials.metadata import METADATA_FILE, write_metadata
 from socket_testbed.trials.reprocess import RECORDED
 from socket_testbed.trials.topics import full_namespace
@@ -128,10 +130,16 @@ def configured(
 
 
 @takes("commands.live.configured", "commands.live.simulated")
-def doctor(**options: Any) -> None:
-    """List what is wired, what is not, and how to fix it."""
+def doctor(*, press: bool = False, **options: Any) -> None:
+    """List what is wired, what is not, and how to fix it.
+
+    Args:
+        press: Ask for a press on each cluster instead, the limb out of the socket: its place, its
+            sign, and the load cell's direction.
+    """
     simulation, faults = simulated(**options)
     testbed = configured(simulation, **options)
+    world = None
     with ExitStack() as stack:
         if simulation is not None:
             # The drivers run in this process: the simulation keeps to its clock.
@@ -140,12 +148,25 @@ def doctor(**options: Any) -> None:
             testbed, world = simulate_hardware(graph, testbed, simulation)
             for name, value in faults.items():
                 world.faults.switch(name, value)
-        findings = examine(testbed)
+        if press:
+            clusters = [*read_socket(testbed.geometry).clusters]
+            findings = list(press_test(testbed, partial(_ask, world, clusters)))
+        else:
+            findings = examine(testbed)
     rows = [[f.what, "failed" if f.hint else "ok", f.found, f.hint] for f in findings]
     print(table(["what", "", "found", "hint"], rows))
     failing = sum(bool(finding.hint) for finding in findings)
     if failing:
         raise DeviceError(f"{failing} of {len(findings)} checks failed", "see the table's hints")
+
+
+def _ask(world: World | None, clusters: Sequence[str], request: str) -> None:
+    """Say what a person shall do; in a simulated world it is done."""
+    say(request)
+    if world is not None:
+        name = request.removeprefix("press on ")
+        number = clusters.index(name) + 1 if name in clusters else -1
+        world.faults.switch("limb.out", number)
 
 
 @takes(

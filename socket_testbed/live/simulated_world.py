@@ -37,6 +37,7 @@ from socket_testbed.simulation.world import World
 _PERIOD = 0.04  # [s]; of the physics; between two states the world is linear
 _LEAD = 0.2  # [s]; of the physics ahead of the clock: a busy machine does not stop the world
 _SWITCH = 5e-4  # [s]; a frame that is due waits no longer for the physics
+_THUMB = 15e3  # [Pa]; pressure of a thumb on a cluster
 _BODIES = ("socket", "pylon")
 
 
@@ -90,7 +91,10 @@ class LiveTestbed:
         """Move the world on to a time of the steady clock [s]."""
         elapsed = moment - self._start
         load = self._loads[int(elapsed / _PERIOD) % len(self._loads)]
-        forces = self._limb.step(load, max(moment - self._last, 1e-3))
+        if out := int(self._world.faults["limb.out"]):
+            forces, load = self._pressed(out)
+        else:
+            forces = self._limb.step(load, max(moment - self._last, 1e-3))
         self._last = moment
         position, rotation = self._limb.position, self._limb.rotation
         now = np.array([elapsed])
@@ -119,6 +123,16 @@ class LiveTestbed:
                 "lateness": clocks.monotonic() - moment,
             }
         )
+
+    def _pressed(self, number: int) -> tuple[FloatArray, FloatArray]:
+        """Forces on the tiles (n, 3) [N] and the load (6,) under a thumb on the n-th cluster."""
+        forces = np.zeros((len(self._geometry), 3))
+        if number > 0:
+            tile = [*self._geometry.clusters.values()][number - 1]
+            inward = self._geometry.rotations[tile, :, 2]
+            forces[tile] = -_THUMB * self._geometry.areas[tile] * inward
+        moments = np.cross(self._geometry.anchors, forces)
+        return forces, np.concatenate([moments.sum(axis=0), forces.sum(axis=0)])
 
     def save(self, path: Path, clock: SteadyClock) -> None:
         """Write the true states, and what the sensors felt of them but for their noise."""

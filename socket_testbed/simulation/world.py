@@ -40,6 +40,7 @@ FAULTS = {
     "mocap.restart": "each new number restarts the server: clients forgotten, another clock",
     "mocap.occlude": "1 + the marker that is occluded on both bodies",
     "mocap.swap": "probability that two labels of a body are swapped in a frame [-]",
+    "limb.out": "-1: the limb is out of the socket; n: and a thumb presses on the n-th cluster",
     "clock.step": "the system clock is off by so much [s]",
 }
 

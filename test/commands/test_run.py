@@ -6,6 +6,7 @@ import subprocess
 import sys
 from dataclasses import dataclass
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -19,6 +20,8 @@ from support.verbs import call, refused
 from socket_testbed import clocks
 from socket_testbed.__main__ import run
 from socket_testbed.files import packaged
+from socket_testbed.geometry.socket import read_socket
+from socket_testbed.live import press
 from socket_testbed.samples import Status
 from socket_testbed.settings.testbed import read_testbed
 from socket_testbed.trials.layout import decode, stamp_of
@@ -208,3 +211,50 @@ def test_a_cluster_on_no_tile_is_named(tmp_path: Path, capsys: pytest.CaptureFix
     names = ["brim_lateral", "mid_anterior", "posterior_distal", "distale"]
     file.write_text(yaml.safe_dump({"cluster_node": {"ros__parameters": {"names": names}}}))
     refused(capsys, "run", "--simulated", "--params", file, named=["distale"])
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("manageable_time")
+def test_a_press_on_each_cluster_finds_what_is_wired_wrong(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    def pressed(*words: object) -> dict[str, str]:
+        _, out, _ = call(capsys, "doctor", "--press", "--simulated", *words)
+        rows = [re.split(r"  +", line) for line in out.splitlines()]
+        return {row[0].removeprefix("press on "): row[1:] for row in rows if len(row) > 2}
+
+    rows = pressed()
+    for name in ("brim_lateral", "mid_anterior", "posterior_distal", "distal"):
+        state, found = rows[name][:2]
+        assert state == "ok" and re.fullmatch(
+            rf"{name} felt \+1\d\.\d kPa, the load cell .* N", found
+        )
+
+    # Two cables are exchanged.
+    parameters = yaml.safe_load(packaged("config", "simulated.yaml").read_text())
+    names = ["mid_anterior", "brim_lateral", "posterior_distal", "distal"]
+    parameters |= {"cluster_node": {"ros__parameters": {"names": names}}}
+    file = tmp_path / "testbed.yaml"
+    file.write_text(yaml.safe_dump(parameters))
+    rows = pressed("--params", file)
+    assert rows["mid_anterior"][1].startswith("brim_lateral felt +")
+    assert "exchange the places of mid_anterior and brim_lateral" in rows["mid_anterior"][2]
+    assert rows["distal"][0] == "ok"
+
+
+def test_a_press_that_turns_signs_round_is_named() -> None:
+    geometry = read_socket(packaged("config", "socket.yaml"))
+    names = tuple(geometry.clusters)
+    bench = SimpleNamespace(names=names, geometry=geometry)
+    outward = -geometry.rotations[geometry.clusters["distal"], :, 2]
+    zero, threshold = press._Reading(np.zeros(4), np.zeros(3)), np.full(4, 4e3)
+    for sign, force, hint in (
+        (1.0, 14.0 * outward, ""),
+        (-1.0, 14.0 * outward, "its normal is the wrong way round"),
+        (1.0, -14.0 * outward, "check the load cell's signs"),
+        (1.0, 14.0 * np.array([0.0, 1.0, 0.0]), "how the load cell is turned"),
+        (1.0, np.full(3, np.nan), "check the load cell's wiring"),
+    ):
+        normal = np.where(np.array(names) == "distal", sign * 15e3, 0.0)
+        found = press._judge(bench, "distal", press._Reading(normal, force), zero, threshold)
+        assert hint in found.hint and bool(found.hint) == bool(hint)
