@@ -32,7 +32,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from itertools import chain, count
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar
 
 import numpy as np
 from scipy.special import nctdtrinc, ndtri, stdtrit
@@ -40,7 +40,7 @@ from scipy.special import nctdtrinc, ndtri, stdtrit
 from socket_testbed.api.pressure import TrialPressure, pressure
 from socket_testbed.api.result import Result, records
 from socket_testbed.api.trials import PathLike, Progress, open_trial, started
-from socket_testbed.arrays import FloatArray
+from socket_testbed.arrays import FloatArray, IntArray
 from socket_testbed.errors import ConfigurationError, TrialError
 from socket_testbed.files import atomic_output
 from socket_testbed.geometry.regions import Side
@@ -58,6 +58,7 @@ if TYPE_CHECKING:
     from socket_testbed.report.figures.style import FigureStyle
     from socket_testbed.report.page import Section
 
+T = TypeVar("T")
 Key: TypeAlias = tuple[str, str, str]
 """Part, name and title of an output."""
 
@@ -68,7 +69,6 @@ _OTHER_TIME = 0.05  # [-]; likewise for the time that an integral covers
 _VALUE = ("value", "low", "high")
 _DIFFERENCE = ("difference", "difference low", "difference high")
 _VALUES = (*_VALUE, *_DIFFERENCE)
-_SPREAD = ("spread", "degrees of freedom", "detectable")
 COLUMNS = ("part", "name", "quantity", "unit", "item", *_VALUES, "text")
 _LEGEND = "value (95 % interval); *: the interval of the difference excludes 0."
 _MEAN = "mean pressure [kPa]"
@@ -97,45 +97,28 @@ _POWER = 0.8  # [-]; chance that a difference of the detectable size is told fro
 _DIGITS = {"1": 0, "-": 2, "N m": 2}  # behind the point; 1 unless given
 
 
-def difference_intervals(
-    values: FloatArray, low: FloatArray, high: FloatArray, correlation: FloatArray | float = 0.0
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Differences to the first of k trials and the ends of their intervals, shape (k, m) each.
-
-    The errors of each trial have a correlation with those of the first, shape (k, 1) [-].
-    """
-    below, above = np.maximum(values - low, 0.0), np.maximum(high - values, 0.0)
-    difference = values - values[0]
-
-    def reach(own: FloatArray, other: FloatArray) -> FloatArray:
-        return np.sqrt(own**2 + other**2 - 2.0 * correlation * own * other)
-
-    ends = difference - reach(below, above[0]), difference + reach(above, below[0])
-    for row in (difference, *ends):
-        row[0] = np.nan
-    return difference, *ends
-
-
 @dataclass(frozen=True)
 class Conditions:
-    """What is compared: c conditions, each with the trials that were recorded under it."""
+    """What k trials are compared by: c conditions, of which a trial may be one by itself."""
 
     names: tuple[str, ...]
-    trials: tuple[tuple[int, ...], ...]  # their numbers, by condition
+    of_trials: IntArray  # number of each trial's condition, shape (k,)
 
     @property
     def freedom(self) -> int:
         """Degrees of freedom of the spread between donnings; 0 with one trial each."""
-        return sum(len(rows) - 1 for rows in self.trials)
+        return len(self.of_trials) - len(self.names)
+
+    def trials(self, of_trials: Sequence[T]) -> dict[str, list[T]]:
+        """What belongs to the trials, by condition."""
+        found: dict[str, list[T]] = {name: [] for name in self.names}
+        for condition, each in zip(self.of_trials, of_trials, strict=True):
+            found[self.names[condition]].append(each)
+        return found
 
     def mean(self, values: FloatArray) -> FloatArray:
         """Means of the conditions, shape (c, m), of values of the trials, shape (k, m)."""
-        return np.array([values[[*rows]].mean(axis=0) for rows in self.trials])
-
-    def at_trials(self, values: FloatArray) -> FloatArray:
-        """Values of the conditions, shape (c, m), at each of their trials, shape (k, m)."""
-        condition = {row: number for number, rows in enumerate(self.trials) for row in rows}
-        return values[[condition[row] for row in sorted(condition)]]
+        return np.array([np.mean(of, axis=0) for of in self.trials([*values]).values()])
 
     def columns(
         self,
@@ -144,39 +127,41 @@ class Conditions:
         high: FloatArray,
         correlation: FloatArray | float = 0.0,
     ) -> dict[str, FloatArray]:
-        """Numbers of a table by its columns, shape (c, m) each, of those of the k trials, (k, m).
+        """Columns of numbers, shape (c, m) each, of m values and their intervals, shape (k, m).
 
-        `correlation` as in `difference_intervals`; the equations are the module's.
+        The errors of each condition have a correlation with those of the first, shape (c, m) [-].
+        The module states the equations.
         """
         value, low, high = map(self.mean, (values, low, high))
-        difference, lower, upper = difference_intervals(value, low, high, correlation)
-        found = (value, low, high, difference, lower, upper)
-        columns = dict(zip(_VALUES, found, strict=True))
-        if not self.freedom:
-            return columns
-        spread = np.sqrt(((values - self.at_trials(value)) ** 2).sum(axis=0) / self.freedom)
-        share = np.array([[1.0 / len(rows)] for rows in self.trials])
-        error = spread * np.sqrt(share + share[0])
-        quantile = stdtrit(self.freedom, 0.975)
-        noncentrality = nctdtrinc(self.freedom, 1.0 - _POWER, quantile)
-        of_sensors = (1.0 + ndtri(_POWER) / NORMAL_QUANTILE) * np.fmax(
-            upper - difference, difference - lower
+        below, above = np.maximum(value - low, 0.0), np.maximum(high - value, 0.0)
+        difference = value - value[0]
+        lower, upper = (
+            np.sqrt(own**2 + first**2 - 2.0 * correlation * own * first)
+            for own, first in ((below, above[0]), (above, below[0]))
         )
-        columns |= _widened(_VALUE, value, low, high, quantile * spread * np.sqrt(share))
-        columns |= _widened(_DIFFERENCE, difference, lower, upper, quantile * error)
-        detectable = np.hypot(of_sensors, noncentrality * error)
-        freedom = np.full(value.shape, float(self.freedom))
-        pooled = np.broadcast_to(spread, value.shape)
-        return columns | dict(zip(_SPREAD, (pooled, freedom, detectable), strict=True))
-
-
-def _widened(
-    names: Sequence[str], value: FloatArray, low: FloatArray, high: FloatArray, reach: FloatArray
-) -> dict[str, FloatArray]:
-    """The ends of an interval, with an independent error of some reach to both sides."""
-    below, above = np.maximum(value - low, 0.0), np.maximum(high - value, 0.0)
-    ends = value - np.hypot(below, reach), value + np.hypot(above, reach)
-    return dict(zip(names[1:], ends, strict=True))
+        found = (value, low, high, difference, difference - lower, difference + upper)
+        columns = dict(zip(_VALUES, found, strict=True))
+        if self.freedom:
+            squares = (values - value[self.of_trials]) ** 2
+            spread = np.sqrt(squares.sum(axis=0) / self.freedom)
+            share = 1.0 / np.bincount(self.of_trials)[:, None]
+            error = spread * np.sqrt(share + share[0])
+            quantile = stdtrit(self.freedom, 0.975)
+            noncentrality = nctdtrinc(self.freedom, 1.0 - _POWER, quantile)
+            normal = 1.0 + ndtri(_POWER) / NORMAL_QUANTILE
+            reach = quantile * spread * np.sqrt(share)
+            columns |= {
+                "low": value - np.hypot(below, reach),
+                "high": value + np.hypot(above, reach),
+                "difference low": difference - np.hypot(lower, quantile * error),
+                "difference high": difference + np.hypot(upper, quantile * error),
+                "spread": np.tile(spread, (len(value), 1)),
+                "degrees of freedom": np.full(value.shape, float(self.freedom)),
+                "detectable": np.hypot(normal * np.fmax(lower, upper), noncentrality * error),
+            }
+        for name in columns.keys() & {*_DIFFERENCE, "detectable"}:
+            columns[name][0] = np.nan
+        return columns
 
 
 def values_table(
@@ -187,55 +172,57 @@ def values_table(
     high: FloatArray,
     correlation: FloatArray | float = 0.0,
 ) -> pd.DataFrame:
-    """Values of k trials with intervals, shape (k, m), in the columns of `COLUMNS`.
+    """A table with `COLUMNS` of m values and their intervals, as in `Conditions.columns`.
 
-    The keys of the m things are part, name and title, which holds the unit; degrees repeat after
-    360. `correlation` as in `difference_intervals`. Where trials are repeated, there are the
-    columns of their spread, too.
+    The titles in the m keys hold the units; degrees repeat after 360. Where trials are repeated,
+    there are the columns of their spread, too.
     """
     import pandas as pd
 
-    parts, names, titles = zip(*keys, strict=True)
-    quantities, units = zip(*map(split_unit, titles), strict=True)
-    turn = np.where(np.array(units) == "deg", 1.0 / 360.0, 0.0)
+    things = [(part, name, *split_unit(title)) for part, name, title in keys]
+    table = pd.DataFrame(things, columns=[*COLUMNS[:4]])
+    turn = np.where(table["unit"] == "deg", 1.0 / 360.0, 0.0)
     if conditions.freedom:  # what is known without error has an interval, too
         low, high = (np.where(np.isnan(end), values, end) for end in (low, high))
     # The trials of a condition within half a turn of their mean direction.
     middle = np.degrees(np.angle(conditions.mean(np.exp(1j * np.radians(values)))))
-    turns = 360.0 * np.round(turn * (values - conditions.at_trials(middle)))
+    turns = 360.0 * np.round(turn * (values - middle[conditions.of_trials]))
     columns = conditions.columns(values - turns, low - turns, high - turns, correlation)
     turns = 360.0 * np.round(turn * columns["difference"])
     columns |= {end: columns[end] - turns for end in _DIFFERENCE}
-    of_keys = (parts, names, quantities, units)
-    table = {
-        **{
-            column: np.repeat(np.array(of, dtype=object), len(conditions.names))
-            for column, of in zip(COLUMNS, of_keys, strict=False)
-        },
-        "item": np.tile(np.array(conditions.names, dtype=object), len(keys)),
-        **{column: of.T.ravel() for column, of in columns.items()},
-    }
-    found = pd.DataFrame(table).assign(text=None)
-    return found[[*COLUMNS, *(column for column in _SPREAD if column in columns)]]
+    table = table.loc[table.index.repeat(len(conditions.names))].reset_index(drop=True)
+    table["item"] = [*conditions.names] * len(keys)
+    table = table.assign(**{name: of.T.ravel() for name, of in columns.items()})
+    table.insert(COLUMNS.index("text"), "text", None)
+    return table
 
 
 @dataclass(frozen=True, repr=False)
 class Comparison(Result):
     """Trials side by side."""
 
-    items: tuple[str, ...]  # names of the trials, or of the conditions
+    conditions: Mapping[str, Sequence[str]]  # names of each one's trials; a trial by its own name
     title: str  # what they are compared over
     notes: tuple[str, ...]  # what a reader must know
     table: pd.DataFrame  # see `to_dataframe`
     geometry: SocketGeometry | None  # None: sockets differ, or regions alone are compared
     side: str = ""  # the leg that wears the socket, if that is stated
-    conditions: Mapping[str, list[str]] | None = None  # names of each one's trials
 
     def __repr__(self) -> str:
         names = self.table.groupby("part")["name"].nunique()
         counts = ", ".join(f"{names[p]} {p}" for p in ("regions", "tiles") if p in names)
-        kind = "conditions" if self.conditions else "trials"
-        return f"Comparison({kind} {', '.join(self.items)}; {counts})"
+        return f"Comparison({self.kind} {', '.join(self.items)}; {counts})"
+
+    @property
+    def items(self) -> tuple[str, ...]:
+        """Names of the conditions, or of the trials."""
+        return tuple(self.conditions)
+
+    @property
+    def kind(self) -> str:
+        """What is compared: trials, or conditions."""
+        of_itself = all([name] == [*trials] for name, trials in self.conditions.items())
+        return "trials" if of_itself else "conditions"
 
     def to_dataframe(self) -> pd.DataFrame:
         """Every value in long form.
@@ -298,7 +285,7 @@ class Comparison(Result):
 
     def detectable(self) -> str:
         """The smallest differences that can be seen, in a sentence; empty with one trial each."""
-        if not self.conditions or "detectable" not in self.table:
+        if "detectable" not in self.table:
             return ""
         rows = self.table.query("part == 'regions' and quantity == 'mean pressure'")
         least = rows.groupby("name")["detectable"].max()
@@ -331,7 +318,7 @@ class Comparison(Result):
         return {
             "kind": "trials",
             "items": list(self.items),
-            **({"conditions": self.conditions} if self.conditions else {}),
+            **({"conditions": self.conditions} if self.kind == "conditions" else {}),
             "title": self.title,
             "notes": list(self.notes),
             "rows": records(self.table),
@@ -434,9 +421,9 @@ def compare(
     """
     import pandas as pd
 
-    trials, groups = _open(items, conditions)
+    trials, of_trials = _open(items, conditions)
     names = _names([trial.path for trial in trials])
-    compared = Conditions(tuple(conditions or names), groups)
+    compared = Conditions(tuple(conditions or names), of_trials)
     first = trials[0].geometry
     other = next((trial for trial in trials if not trial.geometry.same_tiles(first)), None)
     if other is not None and not by_region:
@@ -467,18 +454,13 @@ def compare(
             "the trials were recorded with different priors of the force map (force_map.*): give"
             " one with --params"
         )
-    of_conditions = {
-        condition: [names[number] for number in numbers_of]
-        for condition, numbers_of in zip(compared.names, compared.trials, strict=True)
-    }
     return Comparison(
-        items=compared.names,
+        conditions=compared.trials(names),
         title=f"segment {segment}, in contact above {threshold:g} kPa",
         notes=tuple(notes),
         table=pd.concat([_texts(found, names, compared), numbers], ignore_index=True),
         geometry=None if by_region else first,
         side=(sides.pop() or "") if len(sides) == 1 else "",
-        conditions=of_conditions if conditions else None,
     )
 
 
@@ -554,8 +536,8 @@ def _sections(found: Comparison) -> Iterator[Section]:
 
 def _open(
     items: Sequence[Trial | PathLike], conditions: Mapping[str, Sequence[Trial | PathLike]] | None
-) -> tuple[list[Trial], tuple[tuple[int, ...], ...]]:
-    """The trials, each given once, and the numbers of those of each condition."""
+) -> tuple[list[Trial], IntArray]:
+    """The trials, each given once, and the number of each one's condition."""
     if conditions and items:
         raise ConfigurationError(
             f"{len(items)} trials are given beside conditions", "give each trial to a condition"
@@ -579,8 +561,7 @@ def _open(
         if path.resolve() in [trial.path.resolve() for trial in trials]:
             raise ConfigurationError(f"{path} is given twice", "give each trial once")
         trials.append(item if isinstance(item, Trial) else open_trial(item))
-    numbers = count()
-    return trials, tuple(tuple(next(numbers) for _ in group) for group in groups)
+    return trials, np.repeat(np.arange(len(groups)), [*map(len, groups)])
 
 
 def _names(paths: Sequence[Path]) -> tuple[str, ...]:
@@ -663,10 +644,9 @@ def _texts(
     }
     texts |= {("trials", name): [*of_trials] for name, of_trials in origins.items()}
     rows = [
-        (*key, "", "", item, *[np.nan] * len(_VALUES), "; ".join(different))
+        (*key, "", "", item, *[np.nan] * len(_VALUES), "; ".join(dict.fromkeys(different)))
         for key, of_trials in texts.items()
-        for item, numbers in zip(compared.names, compared.trials, strict=True)
-        for different in [dict.fromkeys(of_trials[number] for number in numbers)]
+        for item, different in compared.trials(of_trials).items()
     ]
     return pd.DataFrame(rows, columns=[*COLUMNS])
 
@@ -680,7 +660,7 @@ def _correlation(found: Sequence[TrialPressure], compared: Conditions) -> FloatA
         and each.trial.geometry.same_tiles(first.geometry)
         for each in found
     ]
-    all_alike = np.array([[all(alike[row] for row in rows)] for rows in compared.trials])
+    all_alike = np.array([[all(of)] for of in compared.trials(alike).values()])
     return SAME_LIMB * np.asarray(all_alike & all_alike[0], dtype=float)
 
 

@@ -78,8 +78,7 @@ def _conditions(words: Iterable[str]) -> dict[str, list[Path]]:
 
 
 def _show(found: Comparison) -> None:
-    kind = "conditions" if found.conditions else "trials"
-    print(f"{kind} {', '.join(found.items)}: {found.title}")
+    print(f"{found.kind} {', '.join(found.items)}: {found.title}")
     if found.detectable():
         print(found.detectable())
     for note in found.notes:
