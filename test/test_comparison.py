@@ -56,7 +56,8 @@ def test_clear_differences_are_counted_against_chance_and_sorted() -> None:
     names = ("anterior", "medial", "distal", "socket")
     keys = [("regions", name, "shear [kPa]") for name in names]
     table = values_table(TRIALS, keys, values, values - reach, values + reach)
-    found = Comparison({"one": ["one"], "two": ["two"]}, "", (), table, None)
+    nothing = np.zeros((2, 0))
+    found = Comparison(TRIALS.trials(TRIALS.names), "", (), table, None, nothing, nothing)
     first, *lines = found.differing()
     assert first.startswith("2 of 3 intervals") and "about 0 would" in first
     assert lines == [

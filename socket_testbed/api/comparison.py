@@ -70,7 +70,7 @@ _VALUE = ("value", "low", "high")
 _DIFFERENCE = ("difference", "difference low", "difference high")
 _VALUES = (*_VALUE, *_DIFFERENCE)
 COLUMNS = ("part", "name", "quantity", "unit", "item", *_VALUES, "text")
-_LEGEND = "value (95 % interval); *: the interval of the difference excludes 0."
+LEGEND = "value (95 % interval); *: the interval of the difference excludes 0."
 _MEAN = "mean pressure [kPa]"
 _HEADINGS = {
     "metadata": "Metadata of the trials",
@@ -206,6 +206,8 @@ class Comparison(Result):
     notes: tuple[str, ...]  # what a reader must know
     table: pd.DataFrame  # see `to_dataframe`
     geometry: SocketGeometry | None  # None: sockets differ, or regions alone are compared
+    pressures: FloatArray  # (k, n) [kPa], means of the tiles
+    deviations: FloatArray  # (k, n) [kPa], their standard deviations
     side: str = ""  # the leg that wears the socket, if that is stated
 
     def __repr__(self) -> str:
@@ -283,32 +285,6 @@ class Comparison(Result):
             lines.append(f"{what} {cell} {row['unit']}")
         return lines
 
-    def detectable(self) -> str:
-        """The smallest differences that can be seen, in a sentence; empty with one trial each."""
-        if "detectable" not in self.table:
-            return ""
-        rows = self.table.query("part == 'regions' and quantity == 'mean pressure'")
-        least = rows.groupby("name")["detectable"].max()
-        regions = least.drop("socket")
-        fewest, most = (f"{of(map(len, self.conditions.values()))}" for of in (min, max))
-        return (
-            f"with {fewest if fewest == most else f'{fewest} to {most}'} trials per condition"
-            f" differences of {least['socket']:.1f} kPa and more can be seen in the socket's mean"
-            f" pressure, of {regions.min():.1f} to {regions.max():.1f} kPa in that of its regions"
-        )
-
-    @property
-    def legend(self) -> str:
-        """What the cells of its tables say."""
-        if "detectable" not in self.table:
-            return _LEGEND
-        freedom = self.table["degrees of freedom"].max()
-        return (
-            f"{_LEGEND} Values are means of the repeated trials. spread: the standard deviation"
-            f" between donnings, which the intervals cover, with {freedom:.0f} degrees of freedom."
-            f" detectable: the smallest difference that {_POWER:.0%} of such studies tell from 0."
-        )
-
     def _difference(self, item: str) -> str:
         """Name of the column of a trial's difference."""
         return f"{item} - {self.items[0]}"
@@ -326,37 +302,40 @@ class Comparison(Result):
 
     def _figure(self, style: FigureStyle) -> Figure:
         """Maps of the mean pressure on one colour scale."""
-        return self._maps(style, _VALUE, {item: item for item in self.items}, _MEAN)
+        limits = self.pressures.min(initial=0.0), self.pressures.max(initial=-np.inf)
+        return self._maps(self.items, self.pressures, self.deviations, _MEAN, limits, style)
 
     def _differences(self, style: FigureStyle) -> Figure:
         """Maps of the differences to the first trial, with zero in the middle of one scale."""
-        names = {item: self._difference(item) for item in self.items[1:]}
-        return self._maps(style, _DIFFERENCE, names, f"difference in {_MEAN}")
+        differences = self.pressures[1:] - self.pressures[0]
+        spread = np.hypot(self.deviations[1:], self.deviations[0])
+        most = float(np.abs(differences).max()) or 1.0
+        names = [self._difference(item) for item in self.items[1:]]
+        unit = f"difference in {_MEAN}"
+        return self._maps(names, differences, spread, unit, (-most, most), style)
 
     def _maps(
-        self, style: FigureStyle, columns: Sequence[str], names: Mapping[str, str], label: str
+        self,
+        names: Sequence[str],
+        values: FloatArray,
+        deviations: FloatArray,
+        unit: str,
+        limits: tuple[float, float],
+        style: FigureStyle,
     ) -> Figure:
-        """Maps of the values, or differences, of the mean pressure, by the names of the maps."""
         if self.geometry is None:
             return super()._figure(style)
         from socket_testbed.report.figures.tiles import certainty_of, tile_map_figure
 
-        tiles = self.table.query("part == 'tiles' and quantity == 'mean pressure'")
-        of_items = [tiles.loc[tiles["item"] == item, [*columns]].to_numpy().T for item in names]
-        values, low, high = np.array(of_items, dtype=float).swapaxes(0, 1)
-        certainty = map(certainty_of, values, (high - low) / (2.0 * NORMAL_QUANTILE))
-        limits = values.min(initial=0.0), values.max()
-        if columns == _DIFFERENCE:
-            most = float(np.abs(values).max()) or 1.0
-            limits = -most, most
+        certainty = map(certainty_of, values, deviations)
         return tile_map_figure(
             self.geometry,
-            dict(zip(names.values(), values, strict=True)),
-            label,
+            dict(zip(names, values, strict=True)),
+            unit,
             style=style,
             limits=limits,
             side=self.side,
-            certainty=dict(zip(names.values(), certainty, strict=True)),
+            certainty=dict(zip(names, certainty, strict=True)),
         )
 
 
@@ -448,18 +427,25 @@ def compare(
     of_map = np.array([part in {"regions", "tiles"} for part, _, _ in rows[0]])
     correlation = of_map * _correlation(found, compared)
     numbers = values_table(compared, [*rows[0]], value, low, high, correlation)
-    notes = [*_notes(found, names, rows, other is None, compared.freedom > 0)]
+    notes = [*_notes(found, names, rows, other is None, compared.freedom)]
     if params is None and len({trial.estimator.force_map for trial in trials}) > 1:
         notes.append(
             "the trials were recorded with different priors of the force map (force_map.*): give"
             " one with --params"
         )
+    tiles = numbers.query("part == 'tiles' and quantity == 'mean pressure'")
+    over = f"segment {segment}, in contact above {threshold:g} kPa"
+    pressures, lower, upper = (
+        tiles[end].to_numpy().reshape(-1, len(compared.names)).T for end in _VALUE
+    )
     return Comparison(
         conditions=compared.trials(names),
-        title=f"segment {segment}, in contact above {threshold:g} kPa",
+        title="; ".join([*_detectable(numbers, compared), over]),
         notes=tuple(notes),
         table=pd.concat([_texts(found, names, compared), numbers], ignore_index=True),
         geometry=None if by_region else first,
+        pressures=pressures,
+        deviations=(upper - lower) / (2.0 * NORMAL_QUANTILE),
         side=(sides.pop() or "") if len(sides) == 1 else "",
     )
 
@@ -490,7 +476,7 @@ def write_comparison(
     origin = [("page made", made), ("command", command)]
     table = pairs_table("provenance-table", "What the page was made with", origin)
     sections = [
-        Section("notes", "Notes", [Bullets(found.notes, "notes"), found.legend]),
+        Section("notes", "Notes", [Bullets(found.notes, "notes"), LEGEND]),
         *_sections(found),
         Section("provenance", "Provenance", [table]),
     ]
@@ -503,8 +489,7 @@ def _sections(found: Comparison) -> Iterator[Section]:
     from socket_testbed.report.page import Bullets, Folded, ReportFigure, Section, Table
 
     count, *clearest = found.differing()
-    first = [f"{found.detectable()}."] if found.detectable() else []
-    yield Section("differing", "Clear differences", [*first, f"{count}.", Bullets(clearest)])
+    yield Section("differing", "Clear differences", [f"{count}.", Bullets(clearest)])
     cells = found.cells("regions").loc["socket"].rename_axis("output")
     socket = Table("socket-table", "Outputs of the socket", cells)
     yield Section("socket", "Whole socket", [_INDEPENDENT, socket])
@@ -623,6 +608,20 @@ def _wrench_rows(found: TrialPressure) -> dict[Key, dict[str, Any]]:
     }
 
 
+def _detectable(table: pd.DataFrame, compared: Conditions) -> Iterator[str]:
+    """What repeated trials can tell apart, in words."""
+    if compared.freedom:
+        rows = table.query("part == 'regions' and quantity == 'mean pressure'")
+        least = rows.groupby("name")["detectable"].max()
+        regions, counts = least.drop("socket"), np.bincount(compared.of_trials)
+        trials = " to ".join(map(str, sorted({counts.min(), counts.max()})))
+        yield (
+            f"with {trials} trials per condition differences of {least['socket']:.1f} kPa and more"
+            f" can be seen in the socket's mean pressure, of {regions.min():.1f} to"
+            f" {regions.max():.1f} kPa in that of its regions"
+        )
+
+
 def _texts(
     found: Sequence[TrialPressure], names: Sequence[str], compared: Conditions
 ) -> pd.DataFrame:
@@ -669,7 +668,7 @@ def _notes(
     names: Sequence[str],
     rows: Sequence[Mapping[Key, Mapping[str, Any]]],
     one_socket: bool,
-    repeated: bool,
+    freedom: int,
 ) -> Iterator[str]:
     trials = [each.trial for each in found]
     if not one_socket:
@@ -694,9 +693,15 @@ def _notes(
     if lacking := sorted(own - shared):
         yield f"not compared, since not all trials have these regions alike: {', '.join(lacking)}"
     subjects = {trial.metadata.subject for trial in trials}
-    if repeated and len(subjects) > 1:
+    if freedom:
+        yield (
+            f"values are means of repeated trials; spread: the standard deviation between donnings (degrees"
+            f" of freedom: {freedom}), which the intervals carry; detectable: the"
+            f" smallest difference that {100 * _POWER:.0f} % of such studies would tell from 0"
+        )
+    if freedom and len(subjects) > 1:
         yield "several limbs: the spread between donnings holds that between the limbs"
-    elif repeated and None in subjects:
+    elif freedom and None in subjects:
         yield (
             "no subject is stated: errors of one limb are not taken to cancel in a difference;"
             " state it with 'annotate TRIAL --subject CODE'"

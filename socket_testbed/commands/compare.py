@@ -11,7 +11,7 @@ import pandas as pd
 
 from socket_testbed import api
 from socket_testbed.api import Comparison
-from socket_testbed.api.comparison import PAGES
+from socket_testbed.api.comparison import LEGEND, PAGES
 from socket_testbed.commands.options import given, open_all, print_note, typed_command
 from socket_testbed.commands.signatures import takes
 from socket_testbed.commands.text import Progress, table
@@ -79,8 +79,6 @@ def _conditions(words: Iterable[str]) -> dict[str, list[Path]]:
 
 def _show(found: Comparison) -> None:
     print(f"{found.kind} {', '.join(found.items)}: {found.title}")
-    if found.detectable():
-        print(found.detectable())
     for note in found.notes:
         print(f"note: {note}")
     print()
@@ -96,7 +94,7 @@ def _show(found: Comparison) -> None:
         _print("limb in the socket", found.cells("limb").droplevel("name"))
     _print("wrench", found.cells("wrench"))
     print("\n" + "\n  ".join(found.differing()))
-    print(f"\n{found.legend}")
+    print(f"\n{LEGEND}")
 
 
 def _print(title: str, cells: pd.DataFrame) -> None:
