@@ -695,9 +695,9 @@ def _notes(
     subjects = {trial.metadata.subject for trial in trials}
     if freedom:
         yield (
-            f"values are means of repeated trials; spread: the standard deviation between donnings (degrees"
-            f" of freedom: {freedom}), which the intervals carry; detectable: the"
-            f" smallest difference that {100 * _POWER:.0f} % of such studies would tell from 0"
+            "values are means of repeated trials; spread: the standard deviation between donnings"
+            f" (degrees of freedom: {freedom}), which the intervals carry; detectable: the smallest"
+            f" difference that {100 * _POWER:.0f} % of such studies would tell from 0"
         )
     if freedom and len(subjects) > 1:
         yield "several limbs: the spread between donnings holds that between the limbs"
