@@ -3,6 +3,7 @@
 from itertools import product
 
 import numpy as np
+import pandas as pd
 import pytest
 from scipy.optimize import brentq
 from scipy.stats import chi2, gamma, nct, norm, t, ttest_ind
@@ -12,6 +13,17 @@ from socket_testbed.api.comparison import Comparison, Conditions, values_table
 RNG = np.random.default_rng(12)
 TRIALS = Conditions(("one", "two"), np.array([0, 1]))
 ENDS = ("difference low", "difference high")
+
+
+def table_of(conditions: Conditions, names: str, title: str, values, reach) -> pd.DataFrame:
+    rows = [
+        {
+            ("regions", name, title): {"value": v, "low": v - r, "high": v + r}
+            for name, v, r in zip(names.split(), of_trial, reach, strict=True)
+        }
+        for of_trial in values
+    ]
+    return values_table(conditions, rows)
 
 
 def test_an_upper_end_takes_the_lower_reach_of_the_first() -> None:
@@ -42,9 +54,7 @@ def test_95_percent_intervals_of_skew_quantities_hold_the_true_difference() -> N
 
 def test_angles_differ_the_short_way_round() -> None:
     values = np.array([[170.0, -10.0], [-170.0, 20.0]])
-    title = "shear direction [deg]"
-    keys = [("regions", name, title) for name in ("a", "b")]
-    table = values_table(TRIALS, keys, values, values - 5.0, values + 5.0)
+    table = table_of(TRIALS, "a b", "shear direction [deg]", values, [5.0, 5.0])
     table = table.query("item == 'two'")
     for column, reach in (("", 0.0), (" high", np.hypot(5, 5)), (" low", -np.hypot(5, 5))):
         np.testing.assert_allclose(table[f"difference{column}"], np.array([20.0, 30.0]) + reach)
@@ -52,10 +62,8 @@ def test_angles_differ_the_short_way_round() -> None:
 
 def test_clear_differences_are_counted_against_chance_and_sorted() -> None:
     values = np.array([[1.0, 1.0, 1.0, 1.0], [1.2, 9.0, -4.0, 1.0]])
-    reach = np.array([1.0, 1.0, 1.0, 0.0])  # the last has no uncertainty, as a share of all
-    names = ("anterior", "medial", "distal", "socket")
-    keys = [("regions", name, "shear [kPa]") for name in names]
-    table = values_table(TRIALS, keys, values, values - reach, values + reach)
+    reach = [1.0, 1.0, 1.0, 0.0]  # the last has no uncertainty, as a share of all
+    table = table_of(TRIALS, "anterior medial distal socket", "shear [kPa]", values, reach)
     nothing = np.zeros((2, 0))
     found = Comparison(TRIALS.trials(TRIALS.names), "", (), table, None, nothing, nothing)
     first, *lines = found.differing()
@@ -131,8 +139,7 @@ def test_intervals_hold_the_difference_and_see_the_detectable_one() -> None:
 
 def test_directions_of_repeated_trials_have_a_mean_the_short_way_round() -> None:
     values = np.array([[178.0], [-178.0], [-172.0], [-176.0]])
-    keys = [("regions", "a", "shear direction [deg]")]
-    table = values_table(repeated(2), keys, values, values, values)
+    table = table_of(repeated(2), "a", "shear direction [deg]", values, [0.0])
     assert table["value"].to_numpy() % 360.0 == pytest.approx([180.0, 186.0])
     assert table["difference"][1] == pytest.approx(6.0)
     assert table["spread"][1] == pytest.approx(np.sqrt((2 * 2.0**2 + 2 * 2.0**2) / 2))

@@ -32,12 +32,12 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from itertools import chain, count
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 from scipy.special import nctdtrinc, ndtri, stdtrit
 
-from socket_testbed.api.pressure import TrialPressure, pressure
+from socket_testbed.api.pressure import Rows, TrialPressure, pressure
 from socket_testbed.api.result import Result, records
 from socket_testbed.api.trials import PathLike, Progress, open_trial, started
 from socket_testbed.arrays import FloatArray, IntArray
@@ -59,8 +59,6 @@ if TYPE_CHECKING:
     from socket_testbed.report.page import Section
 
 T = TypeVar("T")
-Key: TypeAlias = tuple[str, str, str]
-"""Part, name and title of an output."""
 
 PAGES = (".html", ".htm")
 _MOST = 12  # trials side by side
@@ -165,22 +163,21 @@ class Conditions:
 
 
 def values_table(
-    conditions: Conditions,
-    keys: Sequence[Key],
-    values: FloatArray,
-    low: FloatArray,
-    high: FloatArray,
-    correlation: FloatArray | float = 0.0,
+    conditions: Conditions, rows: Sequence[Rows], correlation: FloatArray | float = 0.0
 ) -> pd.DataFrame:
-    """A table with `COLUMNS` of m values and their intervals, as in `Conditions.columns`.
+    """A table with `COLUMNS` of the same outputs of k trials, see `Conditions.columns`.
 
-    The titles in the m keys hold the units; degrees repeat after 360. Where trials are repeated,
+    Those of the force map have a correlation. Degrees repeat after 360. Where trials are repeated,
     there are the columns of their spread, too.
     """
     import pandas as pd
 
-    things = [(part, name, *split_unit(title)) for part, name, title in keys]
+    things = [(part, name, *split_unit(title)) for part, name, title in rows[0]]
     table = pd.DataFrame(things, columns=[*COLUMNS[:4]])
+    values, low, high = (
+        np.array([[row.get(end, np.nan) for row in of.values()] for of in rows]) for end in _VALUE
+    )
+    correlation = correlation * table["part"].isin(["regions", "tiles"]).to_numpy()
     turn = np.where(table["unit"] == "deg", 1.0 / 360.0, 0.0)
     if conditions.freedom:  # what is known without error has an interval, too
         low, high = (np.where(np.isnan(end), values, end) for end in (low, high))
@@ -191,7 +188,7 @@ def values_table(
     turns = 360.0 * np.round(turn * columns["difference"])
     columns |= {end: columns[end] - turns for end in _DIFFERENCE}
     table = table.loc[table.index.repeat(len(conditions.names))].reset_index(drop=True)
-    table["item"] = [*conditions.names] * len(keys)
+    table["item"] = [*conditions.names] * len(things)
     table = table.assign(**{name: of.T.ravel() for name, of in columns.items()})
     table.insert(COLUMNS.index("text"), "text", None)
     return table
@@ -421,12 +418,7 @@ def compare(
         report(done, len(trials))
     sides = {trial.metadata.side for trial in trials}
     rows = _shared_rows(found, other is None, by_region)
-    value, low, high = (
-        np.array([[row.get(end, np.nan) for row in of.values()] for of in rows]) for end in _VALUE
-    )
-    of_map = np.array([part in {"regions", "tiles"} for part, _, _ in rows[0]])
-    correlation = of_map * _correlation(found, compared)
-    numbers = values_table(compared, [*rows[0]], value, low, high, correlation)
+    numbers = values_table(compared, rows, _correlation(found, compared))
     notes = [*_notes(found, names, rows, other is None, compared.freedom)]
     if params is None and len({trial.estimator.force_map for trial in trials}) > 1:
         notes.append(
@@ -556,14 +548,12 @@ def _names(paths: Sequence[Path]) -> tuple[str, ...]:
     return next(names for names in tails if len({*names}) == len(names))
 
 
-def _shared_rows(
-    found: Sequence[TrialPressure], one_socket: bool, by_region: bool
-) -> list[dict[Key, dict[str, Any]]]:
+def _shared_rows(found: Sequence[TrialPressure], one_socket: bool, by_region: bool) -> list[Rows]:
     """The outputs and the wrench of each trial, as far as all trials have them."""
     sides = {each.trial.metadata.side for each in found}
     neutral = None in sides and len(sides) > 1
     mirrored = ("medial", "lateral") if sides == {"left", "right"} else ()
-    rows: list[dict[Key, dict[str, Any]]] = []
+    rows: list[Rows] = []
     tiles: list[dict[str, tuple[int, ...]]] = []
     for each in found:
         side = each.trial.metadata.side if neutral else None
@@ -574,7 +564,7 @@ def _shared_rows(
         }
         rows.append(outputs | _wrench_rows(each))
 
-    def is_shared(key: Key) -> bool:
+    def is_shared(key: tuple[str, str, str]) -> bool:
         part, name, _ = key
         if part == "regions" and one_socket and not name.startswith(mirrored):
             # A region of the same name may have other tiles.
@@ -594,7 +584,7 @@ def _without_side(name: str, side: Side | None) -> str:
     return " ".join([{"lateral": side, "medial": other}.get(sector, sector), height]).strip()
 
 
-def _wrench_rows(found: TrialPressure) -> dict[Key, dict[str, Any]]:
+def _wrench_rows(found: TrialPressure) -> Rows:
     """Mean and standard deviation of the wrench over the segment, without missing values."""
     import pandas as pd
 
@@ -666,7 +656,7 @@ def _correlation(found: Sequence[TrialPressure], compared: Conditions) -> FloatA
 def _notes(
     found: Sequence[TrialPressure],
     names: Sequence[str],
-    rows: Sequence[Mapping[Key, Mapping[str, Any]]],
+    rows: Sequence[Rows],
     one_socket: bool,
     freedom: int,
 ) -> Iterator[str]:

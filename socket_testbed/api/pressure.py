@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -43,6 +43,9 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from socket_testbed.report.figures.style import FigureStyle
+
+Rows: TypeAlias = dict[tuple[str, str, str], dict[str, Any]]
+"""Values of outputs, by part, name and title."""
 
 _CENTRES = [title for title in TITLES if title.startswith("centre of pressure")]
 OF_TILES = tuple(title for title in TITLES if title not in (*_CENTRES, "contact area [cm^2]"))
@@ -187,7 +190,7 @@ class TrialPressure(Result):
         """How the limb sits in the socket; None without poses and a wrench."""
         return find_suspension(self.trial.samples()[self.segment.rows], self.trial.geometry)
 
-    def rows(self) -> dict[tuple[str, str, str], dict[str, Any]]:
+    def rows(self) -> Rows:
         """Every output by its part (`regions`, `tiles` or `limb`), its place and its title.
 
         Each has a `value` with the ends `low` and `high` of its 95 % interval, and is `uncertain`
@@ -206,7 +209,7 @@ class TrialPressure(Result):
         if self.suspension is not None:
             limb = self.suspension.outputs()
             quantities += [("limb", ("",), title, found) for title, found in limb.items()]
-        rows: dict[tuple[str, str, str], dict[str, Any]] = {}
+        rows: Rows = {}
         for part, names, title, found in quantities:
             columns = found.value, found.low, found.high, ~found.certain(self.share)
             values = zip(*(np.atleast_1d(column).tolist() for column in columns), strict=True)
