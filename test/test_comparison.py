@@ -34,6 +34,16 @@ def test_an_upper_end_takes_the_lower_reach_of_the_first() -> None:
     assert [found[end][1, 0] + 6.0 for end in ENDS] == pytest.approx(reaches)
 
 
+@pytest.mark.filterwarnings("error")
+def test_an_interval_without_an_end_gives_none_to_the_difference() -> None:
+    """Such as the stiffness of a limb that was hardly moved."""
+    values = np.array([[1.0], [2.0], [4.0]])
+    conditions = Conditions(("a", "b"), np.array([0, 0, 1]))
+    found = conditions.columns(values, np.full((3, 1), -np.inf), values + 1.0)
+    assert found["difference"][1] == 2.5
+    assert not np.isfinite([found[name][1, 0] for name in (*ENDS, "detectable")]).any()
+
+
 def test_errors_that_two_trials_share_cancel() -> None:
     values, reach = np.array([[10.0], [12.0]]), 5.0
     for correlation, expected in ((0.0, np.hypot(5.0, 5.0)), (0.7, np.sqrt(15.0)), (1.0, 0.0)):

@@ -133,10 +133,11 @@ class Conditions:
         value, low, high = map(self.mean, (values, low, high))
         below, above = np.maximum(value - low, 0.0), np.maximum(high - value, 0.0)
         difference = value - value[0]
-        lower, upper = (
-            np.sqrt(own**2 + first**2 - 2.0 * correlation * own * first)
-            for own, first in ((below, above[0]), (above, below[0]))
-        )
+        with np.errstate(invalid="ignore"):  # of an interval without an end the reach is unknown
+            lower, upper = (
+                np.sqrt(own**2 + first**2 - 2.0 * correlation * own * first)
+                for own, first in ((below, above[0]), (above, below[0]))
+            )
         found = (value, low, high, difference, difference - lower, difference + upper)
         columns = dict(zip(_VALUES, found, strict=True))
         if self.freedom:
@@ -155,7 +156,7 @@ class Conditions:
                 "difference high": difference + np.hypot(upper, quantile * error),
                 "spread": np.tile(spread, (len(value), 1)),
                 "degrees of freedom": np.full(value.shape, float(self.freedom)),
-                "detectable": np.hypot(normal * np.fmax(lower, upper), noncentrality * error),
+                "detectable": np.hypot(normal * np.maximum(lower, upper), noncentrality * error),
             }
         for name in columns.keys() & {*_DIFFERENCE, "detectable"}:
             columns[name][0] = np.nan

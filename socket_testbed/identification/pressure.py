@@ -167,7 +167,15 @@ class PressureOutputs:
     @cached_property
     def series(self) -> RegionOutputs:
         """Of the regions at every sample, shape (N, R); NaN where nothing was measured."""
-        return self.at(np.arange(len(self.samples)))
+        kept = np.flatnonzero(measured_rows(self.samples))
+        series: dict[str, Quantity] = {}
+        measured = self.samples[kept]
+        drawn = _expanded(self.force_map, measured, self.reader.areas, self.threshold)
+        for some, alone, instants in drawn:
+            for name, quantity in vars(self.reader.outputs(alone, instants)).items():
+                shape = (len(self.samples), *quantity.value.shape[1:])
+                _store(series.setdefault(name, _unknown(shape)), quantity, kept[some])
+        return RegionOutputs(**series)
 
     def mean_pressure(self) -> Quantity:
         """Mean pressure of the regions at every sample, as in `series`, shape (N, R) [Pa]."""
@@ -181,18 +189,6 @@ class PressureOutputs:
                 part = self.reader.interval("mean", some.mean(), some.values())
                 _store(found, part, kept[some.rows])
         return found
-
-    def at(self, rows: IntArray) -> RegionOutputs:
-        """Outputs of the regions at k samples, by their indices, shape (k, R); else as `series`."""
-        samples = self.samples[rows]
-        kept = np.flatnonzero(measured_rows(samples))
-        series: dict[str, Quantity] = {}
-        drawn = _expanded(self.force_map, samples[kept], self.reader.areas, self.threshold)
-        for some, alone, instants in drawn:
-            for name, quantity in vars(self.reader.outputs(alone, instants)).items():
-                shape = (len(samples), *quantity.value.shape[1:])
-                _store(series.setdefault(name, _unknown(shape)), quantity, kept[some])
-        return RegionOutputs(**series)
 
 
 @dataclass(frozen=True)
