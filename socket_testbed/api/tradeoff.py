@@ -223,7 +223,7 @@ def write_report(
     segment: str = "plateau",
     *,
     model: Model | None = None,
-    thetas: int = 101,
+    thetas: int = 31,
     params: PathLike | None = None,
     command: str = "socket_testbed.write_report",
     replace: bool = False,

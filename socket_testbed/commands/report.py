@@ -34,7 +34,7 @@ if TYPE_CHECKING:  # it imports matplotlib, which takes its time
     "fit",
     without="figure page command variant",  # the paper's variants and the default
 )
-def report(trial: Path, *, output: Path, thetas: int = 101, **options: Any) -> None:
+def report(trial: Path, *, output: Path, thetas: int = 31, **options: Any) -> None:
     """Write a page with a trial's results: figures, errors, data quality.
 
     Args:
