@@ -26,7 +26,7 @@ from scipy.linalg import eigh
 from socket_testbed.arrays import FloatArray
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification.contact import ContactModel
-from socket_testbed.identification.contact_law import wrench_map
+from socket_testbed.identification.contact_law import relative_pose, wrench_map
 from socket_testbed.identification.evaluation import predict_channels
 from socket_testbed.identification.noise import (
     ChannelNoise,
@@ -35,7 +35,6 @@ from socket_testbed.identification.noise import (
     smooth_poses,
     smoothing_gain,
 )
-from socket_testbed.identification.rigid_law import relative_pose
 from socket_testbed.samples import Samples
 from socket_testbed.settings.identification import BIAS_VARIANTS
 
