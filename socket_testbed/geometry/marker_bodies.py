@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from itertools import permutations
 from typing import TypeAlias
 
 import numpy as np
@@ -98,14 +97,6 @@ _SMALLEST = 0.01  # [m]
 _CLOSE = 0.25  # of the tolerance
 FEWEST_MARKERS, MOST_MARKERS = 3, 8  # of a body
 
-_ORDERS = np.array(list(permutations(range(3))))
-_EDGES = ((0, 1), (1, 2), (2, 0))
-_EDGE_OF = {frozenset(edge): i for i, edge in enumerate(_EDGES)}
-# Another order of the markers is another order of the same three edges.
-_EDGES_OF_ORDERS = np.array(
-    [[_EDGE_OF[frozenset((o[a], o[b]))] for a, b in _EDGES] for o in permutations(range(3))]
-)
-
 
 @dataclass(frozen=True)
 class BodyFit:
@@ -170,38 +161,6 @@ def _triad_fault(edges: FloatArray) -> tuple[str, str] | None:
     return None
 
 
-def fit_triad(
-    reference: FloatArray, observed: FloatArray, tolerance: float = EDGE_TOLERANCE
-) -> BodyFit:
-    """Fit a body's triad to observed ones, whatever the order of their labels.
-
-    The labels stand if the edge lengths agree with the body's; otherwise the order whose
-    edges agree best is taken, which finds a swap of labels that lasts a single frame. The
-    rotation is the least-squares one (`fit_rigid`). A frame has no pose if a marker is occluded
-    (NaN) or if no order agrees within the tolerance.
-
-    Args:
-        reference: Markers in the body's frame, shape (3, 3) [m].
-        observed: Markers in another frame, shape (N, 3, 3) [m].
-        tolerance: Largest difference of an edge length from the body's [m].
-    """
-    lengths, own = edge_lengths(observed), edge_lengths(reference)
-    # The first order is the labels' own. Where it fits, noise must not flip a triad that is
-    # nearly symmetric.
-    labels_fit = (np.abs(lengths - own) <= tolerance).all(axis=1)
-    if labels_fit.all():
-        pose = fit_rigid(reference, observed)
-        residual = root_mean_square(misfit(reference, observed, pose))
-        return BodyFit(pose, residual, np.broadcast_to(_ORDERS[0], (len(observed), 3)))
-    mismatch = np.abs(lengths[:, _EDGES_OF_ORDERS] - own).max(axis=-1)
-    mismatch = np.where(np.isfinite(mismatch), mismatch, np.inf)
-    best = np.where(labels_fit, 0, mismatch.argmin(axis=-1))
-    usable = mismatch.min(axis=-1) <= tolerance
-
-    order = np.where(usable[:, None], _ORDERS[best], -1)
-    return _fit_ordered(reference, observed, order, tolerance, np.inf)
-
-
 def body_fault(markers: FloatArray) -> tuple[str, str] | None:
     """What makes a body's markers useless, and the hint; None for good ones."""
     if len(markers) == FEWEST_MARKERS:
@@ -235,20 +194,18 @@ def fit_body(
 ) -> BodyFit:
     """Fit a body to its markers in each frame, whatever the order of their labels.
 
-    Three markers are all needed (`fit_triad`). Of more, the pose is fitted to all that are seen
-    and whose distances agree with the body's, three at least. The labels stand where their
-    distances agree; otherwise the markers are identified by their distances: the largest set that
-    agrees, if there is only one and it holds most of the markers seen; four markers or more, if
+    Three markers are all needed. Of more, the pose is fitted to all that are seen and whose
+    distances agree with the body's, three at least. The labels stand where their distances agree;
+    otherwise the markers are identified by their distances: the largest set that agrees, if there
+    is only one and it holds most of the markers seen; all of three or four markers at least, if
     they change their labels. The rest of a body has no pose if it could as well be another part
-    of it, or is on one line.
+    of it, or is on one line. The rotation is the least-squares one (`fit_rigid`).
 
     Args:
         reference: Markers in the body's frame, shape (k, 3) [m].
         observed: Markers in another frame, shape (N, k, 3) [m]; NaN where occluded.
         tolerance: Largest difference of a distance from the body's [m].
     """
-    if len(reference) == FEWEST_MARKERS:
-        return fit_triad(reference, observed, tolerance)
     own = distances(reference)
     count, size = observed.shape[:2]
     order = np.full((count, size), -1)
@@ -265,20 +222,16 @@ def fit_body(
         trial = None
         for frame in sorted(np.flatnonzero(waiting), key=lambda k: -seen[k]):
             found = _matches(own, distances(observed[frame]), tolerance)
-            if len(found) == 1 and _is_sure(found[0], int(seen[frame])):
+            if len(found) == 1 and _is_sure(found[0], int(seen[frame]), size):
                 trial = np.full(size, -1)
                 trial[[i for i, _ in found[0]]] = [label for _, label in found[0]]
                 break
             waiting[frame] = False
-    return _fit_ordered(reference, observed, order, tolerance, _CLOSE * tolerance)
+    return _fit_ordered(reference, observed, order, tolerance)
 
 
 def _fit_ordered(
-    reference: FloatArray,
-    observed: FloatArray,
-    order: IntArray,
-    tolerance: float,
-    largest_of_three: float,
+    reference: FloatArray, observed: FloatArray, order: IntArray, tolerance: float
 ) -> BodyFit:
     """Fit each frame to the markers that its order names, all frames with the same ones at once."""
     count = len(observed)
@@ -294,7 +247,8 @@ def _fit_ordered(
         pose = fit_rigid(reference[used], markers)
         off = root_mean_square(misfit(reference[used], markers, pose))
         # Mirrored markers have all distances right; three of more agree easily by chance.
-        fits = off <= (tolerance if used.sum() > FEWEST_MARKERS else largest_of_three)
+        some = used.sum() == FEWEST_MARKERS < len(used)
+        fits = off <= (_CLOSE if some else 1.0) * tolerance
         rows = rows[fits]
         rotation[rows], translation[rows] = pose.rotation[fits], pose.translation[fits]
         residual[rows] = off[fits]
@@ -325,9 +279,13 @@ def _swaps(match: _Match) -> bool:
     return any(own != seen for own, seen in match)
 
 
-def _is_sure(match: _Match, seen: int) -> bool:
-    """Whether so many of the markers seen agree that it is no chance; labels count as one."""
-    return 2 * len(match) > seen and len(match) + (not _swaps(match)) > FEWEST_MARKERS
+def _is_sure(match: _Match, seen: int, size: int) -> bool:
+    """Whether so many of the markers seen agree that it is no chance; labels count as one.
+
+    All markers of a body are enough, three of a larger one are not.
+    """
+    most = 2 * len(match) > seen and len(match) + (not _swaps(match)) > FEWEST_MARKERS
+    return most or len(match) == size
 
 
 def _matches(own: FloatArray, seen: FloatArray, tolerance: float) -> list[_Match]:
