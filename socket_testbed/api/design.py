@@ -352,9 +352,9 @@ def tile(
     True
     """
     from socket_testbed.socket_design.clusters import read_cluster_places
-    from socket_testbed.socket_design.design import design_socket  # trimesh takes its time
-    from socket_testbed.socket_design.placement import (
+    from socket_testbed.socket_design.design import (
         Placement,
+        design_socket,  # trimesh takes its time
         parse_direction,
         place_by_directions,
         place_by_landmarks,

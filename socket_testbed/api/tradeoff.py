@@ -22,13 +22,14 @@ from socket_testbed.api.trials import (
 )
 from socket_testbed.documents import check_number
 from socket_testbed.identification.pareto import (
+    PUBLISHED_FRAMES,
+    THEIRS,
     Front,
+    beside_published,
     front_document,
     front_table,
     pareto_front,
-    write_fronts,
 )
-from socket_testbed.identification.published import PUBLISHED_FRAMES, THEIRS, beside_published
 from socket_testbed.settings.identification import (
     PAPER_VARIANTS,
     IdentificationSettings,
@@ -69,17 +70,6 @@ class Tradeoff(Result):
         """The fronts for JSON."""
         fronts = [front_document(front) for front in self.fronts.values()]
         return origin(self.trial, self.segment) | {"fronts": fronts}
-
-    def save(self, path: PathLike) -> None:
-        """Write every solution as a table, or the fronts as JSON; an older file is replaced.
-
-        Args:
-            path: `.csv`, `.parquet` or `.mat`, or `.json`.
-        """
-        if Path(path).suffix.lower() == ".csv":
-            write_fronts(self.fronts.values(), Path(path))  # numbers of ten digits
-        else:
-            super().save(path)
 
     def _figure(self, style: FigureStyle) -> Figure:
         from socket_testbed.report.sections.fronts import pareto_figure

@@ -22,7 +22,7 @@ from scipy.spatial.distance import cdist
 from socket_testbed.arrays import BoolArray, FloatArray, IntArray
 from socket_testbed.errors import ScanError
 from socket_testbed.socket_design.clusters import ClusterPlace, LaidCluster, lay_clusters
-from socket_testbed.socket_design.mesh import number_cells
+from socket_testbed.socket_design.scan_file import number_cells
 from socket_testbed.socket_design.squares import (
     OTHER_WALL,
     REACH,
