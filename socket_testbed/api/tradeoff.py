@@ -102,9 +102,6 @@ def pareto(
         progress: See `Progress`.
         choices: Settings as in `fit`, but for `variant` and `theta`.
 
-    Raises:
-        TestbedError: As `fit`; also if one of the two groups has no channel in the objective.
-
     >>> tradeoff = st.pareto(st.open_trial("trials/hold"), thetas=11)
     >>> tradeoff.fronts["stiffness"]
     Front(stiffness, 11 solutions, ... not dominated; knee of depth ...)
@@ -187,9 +184,6 @@ def paper(
     Returns:
         The figures; their table has a row each, see `beside_published`.
 
-    Raises:
-        TestbedError: As `fit` and `pareto`.
-
     >>> found = st.paper(st.open_trial("trials/hold"), thetas=5)
     >>> found.to_dataframe().loc["RMSE of Mx [N m]", "the paper"].tolist()
     [3.99, 0.95]
@@ -243,9 +237,6 @@ def write_report(
 
     Returns:
         All that the page shows.
-
-    Raises:
-        TestbedError: As `fit`; also if the page exists or cannot be written.
 
     >>> results = st.write_report(st.open_trial("trials/hold"), "hold.html", thetas=5)
     >>> list(results.fitted)
