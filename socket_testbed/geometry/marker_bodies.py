@@ -93,7 +93,8 @@ def root_mean_square(values: FloatArray, axis: int = -1) -> FloatArray:
 
 
 EDGE_TOLERANCE = 0.002  # [m]; well above the noise of a marker
-_SMALLEST = 0.01  # [m]
+_SMALLEST = 0.01  # [m]; distance of two markers, and of one from the line of the others
+_THINNEST = 0.002  # [m]; the latter for three markers, which are all needed for a pose
 _CLOSE = 0.25  # of the tolerance
 FEWEST_MARKERS, MOST_MARKERS = 3, 8  # of a body
 
@@ -135,36 +136,8 @@ def distances(markers: FloatArray) -> FloatArray:
     return _lengths(markers[..., :, None, :] - markers[..., None, :, :])
 
 
-def edge_lengths(markers: FloatArray) -> FloatArray:
-    """Lengths of the edges 0-1, 1-2 and 2-0 of triads, shape (..., 3) [m]."""
-    return _lengths(markers - markers[..., [1, 2, 0], :])
-
-
-def _triad_fault(edges: FloatArray) -> tuple[str, str] | None:
-    """What makes a triad useless, and the hint; None for a good one."""
-    lengths = ", ".join(f"{1e3 * edge:.1f}" for edge in edges)
-    shortest, middle, longest = np.sort(edges)
-    half = 0.5 * edges.sum()
-    area = np.sqrt(max(half * (half - edges).prod(), 0.0))  # Heron
-    if shortest < _SMALLEST or area < 0.1 * _SMALLEST * longest:
-        return (
-            f"the markers are on one line or too close (edges {lengths} mm)",
-            f"make a triangle of them, with edges of {1e3 * _SMALLEST:g} mm or more",
-        )
-    closest = min(middle - shortest, longest - middle)
-    if closest < 2.0 * EDGE_TOLERANCE:
-        return (
-            f"two edges of the triad differ by {1e3 * closest:.1f} mm only (edges {lengths} mm),"
-            " so swapped labels cannot be found",
-            f"move a marker until all edges differ by {2e3 * EDGE_TOLERANCE:g} mm or more",
-        )
-    return None
-
-
 def body_fault(markers: FloatArray) -> tuple[str, str] | None:
     """What makes a body's markers useless, and the hint; None for good ones."""
-    if len(markers) == FEWEST_MARKERS:
-        return _triad_fault(edge_lengths(markers))
     between = distances(markers)
     a, b = np.unravel_index((between + np.diag([np.inf] * len(markers))).argmin(), between.shape)
     if between[a, b] < _SMALLEST:
@@ -172,10 +145,11 @@ def body_fault(markers: FloatArray) -> tuple[str, str] | None:
             f"markers {a + 1} and {b + 1} are {1e3 * between[a, b]:.1f} mm apart",
             f"move them {1e3 * _SMALLEST:g} mm apart or more",
         )
-    if _widths(markers) < _SMALLEST:
+    width = _SMALLEST if len(markers) > FEWEST_MARKERS else _THINNEST
+    if _widths(markers) < width:
         return (
             "the markers are on one line",
-            f"move a marker {1e3 * _SMALLEST:g} mm or more away from the line",
+            f"move a marker {1e3 * width:g} mm or more away from the line",
         )
     alike = [m for m in _matches(between, between, 2.0 * EDGE_TOLERANCE) if _swaps(m)]
     if alike:

@@ -23,7 +23,7 @@ from support.motive_takes import (
 from support.problems import PYLON_TRIAD, SOCKET_TRIAD, random_pose
 
 from socket_testbed.errors import RegistrationError
-from socket_testbed.geometry.marker_bodies import edge_lengths, fit_body
+from socket_testbed.geometry.marker_bodies import distances, fit_body
 from socket_testbed.geometry.pose import Pose
 from socket_testbed.geometry.socket import read_socket, write_socket
 from socket_testbed.socket_design.landmarks import LandmarkFit, register_landmarks
@@ -49,9 +49,9 @@ def test_a_take_without_errors_gives_the_truth(rng, tmp_path):
         distance, angle = between(pose, truth)
         assert distance < 2e-8 and angle < 2e-7
     assert np.linalg.norm(found.limb_position - bench.q) < 1e-8
-    edges = edge_lengths(np.array([found.geometry.socket_markers, found.geometry.pylon_markers]))
-    own = edge_lengths(np.array([SOCKET_TRIAD, PYLON_TRIAD]))
-    np.testing.assert_allclose(edges, own, atol=1e-8)
+    apart = distances(np.array([found.geometry.socket_markers, found.geometry.pylon_markers]))
+    own = distances(np.array([SOCKET_TRIAD, PYLON_TRIAD]))
+    np.testing.assert_allclose(apart, own, atol=1e-8)
     assert found.geometry.names == bench.geometry.names
     assert not any("moved" in note or "off" in note for note in found.notes)
 
