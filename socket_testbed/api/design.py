@@ -22,7 +22,6 @@ from socket_testbed.errors import ConfigurationError, closest
 from socket_testbed.files import atomic_output, packaged, refuse_existing
 from socket_testbed.geometry.regions import all_regions
 from socket_testbed.geometry.socket import read_socket, write_socket
-from socket_testbed.identification.placement import place_clusters
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -388,6 +387,8 @@ def _with_proposed_clusters(
     design: SocketDesign, count: int, keep_out: Sequence[str]
 ) -> SocketDesign:
     """The design with clusters where they tell most, and notes on how much that is worth."""
+    from socket_testbed.socket_design.clusters import place_clusters
+
     geometry = design.geometry
     regions = {region.name: region for region in all_regions(geometry)}
     allowed = np.ones(len(geometry), dtype=bool)
