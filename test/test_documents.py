@@ -36,8 +36,8 @@ from socket_testbed.identification.fit import fit_contact_model
 from socket_testbed.identification.model_file import read_model, write_model
 from socket_testbed.settings.testbed import TestbedSettings, read_testbed
 from socket_testbed.socket_design.clusters import read_cluster_places
+from socket_testbed.socket_design.design import place_by_landmarks
 from socket_testbed.socket_design.landmarks import read_landmarks
-from socket_testbed.socket_design.placement import place_by_landmarks
 from socket_testbed.trials.metadata import read_metadata
 
 

@@ -6,7 +6,11 @@ computes in one thread of linear algebra, so that the same trial gives the same 
 machine, and writes the same files.
 
 Lengths are in metres, forces in newtons, times in seconds. An error is a `TestbedError` whose one
-line says what is wrong and how to fix it. The examples run in a folder with two simulated trials.
+line says what is wrong and how to fix it: a `ConfigurationError` for a wrong setting or file, a
+`TrialError` for a trial that cannot be read or holds no such segment, an `IdentificationError` for
+samples that allow no fit, a `CalibrationError`, `ScanError` or `RegistrationError` for data that
+allows no calibration, design or registration. The examples run in a folder with two simulated
+trials.
 """
 
 # Each public name stands once, here; `socket_testbed` takes its own from this list.

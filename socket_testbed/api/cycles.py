@@ -167,10 +167,6 @@ def cycles(
     Returns:
         The cycles. Their band needs three of them.
 
-    Raises:
-        TrialError: If there is no such event, or no cycle within the segment and the table.
-        ConfigurationError: If there is no such channel, or the table has no time.
-
     >>> trial = st.simulate("trials/cycles", "ramp", duration=130, seed=1)
     >>> found = st.cycles(trial, "Fz")
     >>> found

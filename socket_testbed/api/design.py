@@ -22,7 +22,6 @@ from socket_testbed.errors import ConfigurationError, closest
 from socket_testbed.files import atomic_output, packaged, refuse_existing
 from socket_testbed.geometry.regions import all_regions
 from socket_testbed.geometry.socket import read_socket, write_socket
-from socket_testbed.identification.placement import place_clusters
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -101,9 +100,6 @@ class CalibratedCluster(Result):
         Args:
             limit: Largest held-out RMSE [% of the full scale].
             force: Whether a cluster above the limit is accepted, and marked as forced.
-
-        Raises:
-            CalibrationError: If the gain has the wrong sign, or the limit is exceeded.
         """
         from socket_testbed.calibration.calibrate import bench_record
 
@@ -128,10 +124,6 @@ class CalibratedCluster(Result):
             path: The YAML file, whatever its suffix.
             limit: Largest held-out RMSE [% of the full scale].
             force: Whether a cluster above the limit is accepted.
-
-        Raises:
-            ConfigurationError: If the file exists or cannot be written.
-            CalibrationError: See `calibration`.
         """
         path = Path(path)
         if self.existing_file is None or self.existing_file.resolve() != path.resolve():
@@ -238,10 +230,6 @@ def calibrate(
             cluster's, else 0, 1, 2, 3).
         drop_outliers: Whether outliers are left out of the fit.
 
-    Raises:
-        ConfigurationError: For a wrong file, name or setting.
-        CalibrationError: If the data does not determine the fit.
-
     >>> found = st.calibrate("bench.csv", "distal", wiring=(2, 3, 0, 1))
     >>> found
     CalibratedCluster(distal: 1062 readings; held-out RMSE of full scale: normal ... %, ...)
@@ -340,11 +328,6 @@ def tile(
     Returns:
         The design: `geometry` is the socket, `facts()` describes it, `notes` need a look.
 
-    Raises:
-        ConfigurationError: For a wrong file or setting, or if the output holds registered marker
-            bodies that would be lost.
-        ScanError: If the scan cannot be read, or has no interior that takes tiles.
-
     >>> design = st.tile("scan.stl", "socket.yaml", proximal="+z", anterior="+x")
     >>> design
     SocketDesign(scan.stl: ... tiles on ...% of ... cm^2)
@@ -352,9 +335,9 @@ def tile(
     True
     """
     from socket_testbed.socket_design.clusters import read_cluster_places
-    from socket_testbed.socket_design.design import design_socket  # trimesh takes its time
-    from socket_testbed.socket_design.placement import (
+    from socket_testbed.socket_design.design import (
         Placement,
+        design_socket,  # trimesh takes its time
         parse_direction,
         place_by_directions,
         place_by_landmarks,
@@ -404,6 +387,8 @@ def _with_proposed_clusters(
     design: SocketDesign, count: int, keep_out: Sequence[str]
 ) -> SocketDesign:
     """The design with clusters where they tell most, and notes on how much that is worth."""
+    from socket_testbed.socket_design.clusters import place_clusters
+
     geometry = design.geometry
     regions = {region.name: region for region in all_regions(geometry)}
     allowed = np.ones(len(geometry), dtype=bool)
@@ -474,11 +459,6 @@ def register(
 
     Returns:
         The registration with its uncertainty; `geometry` is the registered socket.
-
-    Raises:
-        RegistrationError: If a marker is missing, the take is not static, or the landmarks do not
-            fit.
-        ConfigurationError: For a wrong file.
 
     >>> found = st.register("take.csv", "landmarks.yaml", "old_socket.yaml", "new_socket.yaml")
     >>> found

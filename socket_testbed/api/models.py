@@ -141,9 +141,6 @@ class TrialFit(Result):
 
         The errors on the samples of the fit flatter; these are what to rank trials and settings
         by. They take another fit, with the same settings.
-
-        Raises:
-            IdentificationError: If a half is too short, or the first allows no fit.
         """
         with threadpool_limits(1):
             return judge_unseen_half(self._samples(), self.trial.geometry, self.fit.settings)
@@ -296,11 +293,6 @@ def fit(
         initial_stiffness: k0 of Stage 1 [N/m]; `auto`: from the slope of the wrench.
         solver: A solver that qpsolvers finds.
 
-    Raises:
-        ConfigurationError: For a wrong setting.
-        TrialError: If the trial cannot be read or holds no such segment.
-        IdentificationError: If the samples do not allow a fit.
-
     >>> trial = st.open_trial("trials/hold")
     >>> fitted = st.fit(trial, variant="rigid_bias", theta=0.5)
     >>> fitted
@@ -344,9 +336,6 @@ def note_implausible(
 
 def read_model(path: PathLike) -> StoredModel:
     """Read a model that `fit` wrote.
-
-    Raises:
-        ConfigurationError: If the file is missing or is not a model.
 
     >>> st.fit(st.open_trial("trials/hold")).save("hold.json")
     >>> model = st.read_model("hold.json")
@@ -392,10 +381,6 @@ def predict(trial: Trial, model: Model) -> pd.DataFrame:
         A table with the index and the names of `trial.samples().to_dataframe()`: the wrench in
         {S} and the force on each cluster in its frame. NaN where the limb position is missing.
 
-    Raises:
-        ConfigurationError: If the model was fitted on another socket.
-        IdentificationError: If the limb positions are in another unit or frame.
-
     >>> trial = st.open_trial("trials/hold")
     >>> predicted = st.predict(trial, st.fit(trial))
     >>> measured = trial.samples().to_dataframe()
@@ -430,11 +415,6 @@ def evaluate(
             the model's fit).
         pressure: Whether the pressure outputs of the segment are added, see `st.pressure`. They
             come from the force map, not from the model.
-
-    Raises:
-        TrialError: If the trial cannot be read, holds no such segment, or is of another socket.
-        IdentificationError: If the limb positions are in another unit or frame.
-        ConfigurationError: If the file is not a model, or the model lacks a cluster of the trial.
 
     >>> fitted = st.fit(st.open_trial("trials/hold"))
     >>> found = st.evaluate(st.open_trial("trials/walk"), fitted, segment="all")
@@ -487,10 +467,6 @@ def export(
 
     Returns:
         The table, with a unit in the name of every column; its `attrs` name the segment and rows.
-
-    Raises:
-        ConfigurationError: If the suffix is no format, the file cannot be written, or the model
-            was fitted on another socket.
 
     >>> table = st.export(st.open_trial("trials/hold"), "hold.csv", segment="10:20")
     >>> "distal.C0 [pF]" in table.columns, len(table)

@@ -18,7 +18,11 @@ from socket_testbed.arrays import FloatArray
 from socket_testbed.documents import check_number
 from socket_testbed.geometry.regions import Region, all_regions
 from socket_testbed.geometry.socket import SocketGeometry, find_regions
-from socket_testbed.identification.force_map import MapEstimate, map_trial
+from socket_testbed.identification.force_map import (
+    MapEstimate,
+    map_trial,
+)
+from socket_testbed.identification.information import Suspension, find_suspension
 from socket_testbed.identification.model_file import finite_or_null
 from socket_testbed.identification.objective import check_channels
 from socket_testbed.identification.pressure import (
@@ -32,7 +36,6 @@ from socket_testbed.identification.pressure import (
     read_column,
     with_interval,
 )
-from socket_testbed.identification.suspension import Suspension, find_suspension
 from socket_testbed.settings.testbed import estimator_settings
 from socket_testbed.tables import write_table
 from socket_testbed.trials.segment import Segment

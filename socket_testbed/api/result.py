@@ -43,9 +43,6 @@ class Result:
 
         Args:
             path: `.csv`, `.parquet` or `.mat` for its table, `.json` for its document.
-
-        Raises:
-            ConfigurationError: For another suffix, or if the file cannot be written.
         """
         path = Path(path)
         if path.suffix.lower() == ".json":
@@ -59,9 +56,6 @@ class Result:
         Args:
             width: Its printed width, 88 or 180 [mm].
             title: Whether it has a title.
-
-        Raises:
-            ConfigurationError: If figures are not laid out for the width, or it has none.
         """
         # matplotlib takes its time to import.
         from socket_testbed.report.figures.style import figure_style, in_style

@@ -22,13 +22,14 @@ from socket_testbed.api.trials import (
 )
 from socket_testbed.documents import check_number
 from socket_testbed.identification.pareto import (
+    PUBLISHED_FRAMES,
+    THEIRS,
     Front,
+    beside_published,
     front_document,
     front_table,
     pareto_front,
-    write_fronts,
 )
-from socket_testbed.identification.published import PUBLISHED_FRAMES, THEIRS, beside_published
 from socket_testbed.settings.identification import (
     PAPER_VARIANTS,
     IdentificationSettings,
@@ -70,17 +71,6 @@ class Tradeoff(Result):
         fronts = [front_document(front) for front in self.fronts.values()]
         return origin(self.trial, self.segment) | {"fronts": fronts}
 
-    def save(self, path: PathLike) -> None:
-        """Write every solution as a table, or the fronts as JSON; an older file is replaced.
-
-        Args:
-            path: `.csv`, `.parquet` or `.mat`, or `.json`.
-        """
-        if Path(path).suffix.lower() == ".csv":
-            write_fronts(self.fronts.values(), Path(path))  # numbers of ten digits
-        else:
-            super().save(path)
-
     def _figure(self, style: FigureStyle) -> Figure:
         from socket_testbed.report.sections.fronts import pareto_figure
 
@@ -111,9 +101,6 @@ def pareto(
         params: As in `fit`.
         progress: See `Progress`.
         choices: Settings as in `fit`, but for `variant` and `theta`.
-
-    Raises:
-        TestbedError: As `fit`; also if one of the two groups has no channel in the objective.
 
     >>> tradeoff = st.pareto(st.open_trial("trials/hold"), thetas=11)
     >>> tradeoff.fronts["stiffness"]
@@ -197,9 +184,6 @@ def paper(
     Returns:
         The figures; their table has a row each, see `beside_published`.
 
-    Raises:
-        TestbedError: As `fit` and `pareto`.
-
     >>> found = st.paper(st.open_trial("trials/hold"), thetas=5)
     >>> found.to_dataframe().loc["RMSE of Mx [N m]", "the paper"].tolist()
     [3.99, 0.95]
@@ -255,9 +239,6 @@ def write_report(
 
     Returns:
         All that the page shows.
-
-    Raises:
-        TestbedError: As `fit`; also if the page exists or cannot be written.
 
     >>> results = st.write_report(st.open_trial("trials/hold"), "hold.html", thetas=5)
     >>> list(results.fitted)

@@ -82,10 +82,6 @@ def open_trial(
         The trial. `trial.samples()` are its synchronised samples, `trial.events()` its events,
         `trial.geometry` is its socket.
 
-    Raises:
-        TrialError: If there is no such trial.
-        ConfigurationError: If the tare or the spans without load are wrong.
-
     >>> trial = st.open_trial("trials/hold")
     >>> trial
     Trial('trials/hold')
@@ -138,10 +134,6 @@ def annotate(
     Returns:
         All metadata of the trial, as `trial.metadata` gives them from now on.
 
-    Raises:
-        ConfigurationError: If a value is wrong, the stored file is broken or cannot be written.
-        TrialError: If the path is no folder of a trial.
-
     >>> trial = st.open_trial("trials/hold")
     >>> st.annotate(trial, subject="S01", side="left", mass=82.5).columns()
     {'subject': 'S01', 'side': 'left', 'socket': None, 'liner': None, 'mass [kg]': 82.5, ...}
@@ -177,9 +169,6 @@ def check_data(trial: Trial) -> tuple[Finding, ...]:
     Signs, lags, units, dead, clipped, noisy and missing sources, each judged by itself and by the
     others: see `socket_testbed.identification.data_check`.
 
-    Raises:
-        TrialError: If the trial cannot be read.
-
     >>> st.check_data(st.open_trial("trials/hold"))
     ()
     """
@@ -198,10 +187,6 @@ def select_segment(samples: Samples, specification: str = "plateau") -> Segment:
             the hold or, without one, the part under load; `all`; `T0:T1` in seconds since the first
             sample; or `event:A:B` between events, such as `event:placed+5:removed-2`, with labels
             of the trial's events, `push#2` for the second push, or seconds at either end.
-
-    Raises:
-        ConfigurationError: If the specification cannot be read.
-        TrialError: If there is no such part.
 
     >>> samples = st.open_trial("trials/hold").samples()
     >>> segment = st.select_segment(samples, "10:20")
@@ -270,11 +255,6 @@ def simulate(
         calibration: A `calibration.yaml` (default: the package's own, `config/like_paper.yaml` with
             `like_paper`).
         progress: See `Progress`.
-
-    Raises:
-        ConfigurationError: If the folder exists or cannot be written, the scenario or the tissue is
-            unknown, or a number is out of range.
-        CalibrationError: If the calibration lacks a cluster of the socket.
 
     >>> st.simulate("trials/short", "ramp", duration=30, seed=1)
     Trial('trials/short')

@@ -131,20 +131,14 @@ def validate(
     - Where a trial has a simulated ground truth, the forces on the tiles without a sensor are
       compared with it.
 
-    Simple rivals answer the same questions; see `socket_testbed.identification.validation`.
+    Simple rivals answer the same questions; see `socket_testbed.identification.validation`. Of
+    several trials, one that cannot be judged is passed over with a note.
 
     Args:
         trials: Trials of one socket.
         params: A `testbed.yaml` to use instead of each trial's own.
         progress: See `Progress`.
         choices: `theta`, `smoothness`, `leave_out`, `pose_smoothing` and `solver` as in `fit`.
-
-    Raises:
-        ConfigurationError: If the trials are of different sockets, a trial is given twice, or a
-            setting is wrong.
-        TrialError: If a trial cannot be read.
-        IdentificationError: If a single trial is too short or does not allow a fit. Among several
-            trials it is passed over with a note.
 
     >>> found = st.validate(st.open_trial("trials/hold"), st.open_trial("trials/walk"))
     >>> found

@@ -16,8 +16,8 @@ from socket_testbed.commands.text import Progress, number, table
 from socket_testbed.documents import check_number
 from socket_testbed.files import check_outputs
 from socket_testbed.geometry.pose import Pose
+from socket_testbed.socket_design.design import parse_point
 from socket_testbed.socket_design.landmarks import LANDMARK_FILE_HELP
-from socket_testbed.socket_design.placement import parse_point
 from socket_testbed.socket_design.registration import RegisteredBody, Registration
 from socket_testbed.socket_design.tiling import TilingSettings
 

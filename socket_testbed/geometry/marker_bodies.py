@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from itertools import permutations
 from typing import TypeAlias
 
 import numpy as np
@@ -94,17 +93,10 @@ def root_mean_square(values: FloatArray, axis: int = -1) -> FloatArray:
 
 
 EDGE_TOLERANCE = 0.002  # [m]; well above the noise of a marker
-_SMALLEST = 0.01  # [m]
+_SMALLEST = 0.01  # [m]; distance of two markers, and of one from the line of the others
+_THINNEST = 0.002  # [m]; the latter for three markers, which are all needed for a pose
 _CLOSE = 0.25  # of the tolerance
 FEWEST_MARKERS, MOST_MARKERS = 3, 8  # of a body
-
-_ORDERS = np.array(list(permutations(range(3))))
-_EDGES = ((0, 1), (1, 2), (2, 0))
-_EDGE_OF = {frozenset(edge): i for i, edge in enumerate(_EDGES)}
-# Another order of the markers is another order of the same three edges.
-_EDGES_OF_ORDERS = np.array(
-    [[_EDGE_OF[frozenset((o[a], o[b]))] for a, b in _EDGES] for o in permutations(range(3))]
-)
 
 
 @dataclass(frozen=True)
@@ -144,68 +136,8 @@ def distances(markers: FloatArray) -> FloatArray:
     return _lengths(markers[..., :, None, :] - markers[..., None, :, :])
 
 
-def edge_lengths(markers: FloatArray) -> FloatArray:
-    """Lengths of the edges 0-1, 1-2 and 2-0 of triads, shape (..., 3) [m]."""
-    return _lengths(markers - markers[..., [1, 2, 0], :])
-
-
-def _triad_fault(edges: FloatArray) -> tuple[str, str] | None:
-    """What makes a triad useless, and the hint; None for a good one."""
-    lengths = ", ".join(f"{1e3 * edge:.1f}" for edge in edges)
-    shortest, middle, longest = np.sort(edges)
-    half = 0.5 * edges.sum()
-    area = np.sqrt(max(half * (half - edges).prod(), 0.0))  # Heron
-    if shortest < _SMALLEST or area < 0.1 * _SMALLEST * longest:
-        return (
-            f"the markers are on one line or too close (edges {lengths} mm)",
-            f"make a triangle of them, with edges of {1e3 * _SMALLEST:g} mm or more",
-        )
-    closest = min(middle - shortest, longest - middle)
-    if closest < 2.0 * EDGE_TOLERANCE:
-        return (
-            f"two edges of the triad differ by {1e3 * closest:.1f} mm only (edges {lengths} mm),"
-            " so swapped labels cannot be found",
-            f"move a marker until all edges differ by {2e3 * EDGE_TOLERANCE:g} mm or more",
-        )
-    return None
-
-
-def fit_triad(
-    reference: FloatArray, observed: FloatArray, tolerance: float = EDGE_TOLERANCE
-) -> BodyFit:
-    """Fit a body's triad to observed ones, whatever the order of their labels.
-
-    The labels stand if the edge lengths agree with the body's; otherwise the order whose
-    edges agree best is taken, which finds a swap of labels that lasts a single frame. The
-    rotation is the least-squares one (`fit_rigid`). A frame has no pose if a marker is occluded
-    (NaN) or if no order agrees within the tolerance.
-
-    Args:
-        reference: Markers in the body's frame, shape (3, 3) [m].
-        observed: Markers in another frame, shape (N, 3, 3) [m].
-        tolerance: Largest difference of an edge length from the body's [m].
-    """
-    lengths, own = edge_lengths(observed), edge_lengths(reference)
-    # The first order is the labels' own. Where it fits, noise must not flip a triad that is
-    # nearly symmetric.
-    labels_fit = (np.abs(lengths - own) <= tolerance).all(axis=1)
-    if labels_fit.all():
-        pose = fit_rigid(reference, observed)
-        residual = root_mean_square(misfit(reference, observed, pose))
-        return BodyFit(pose, residual, np.broadcast_to(_ORDERS[0], (len(observed), 3)))
-    mismatch = np.abs(lengths[:, _EDGES_OF_ORDERS] - own).max(axis=-1)
-    mismatch = np.where(np.isfinite(mismatch), mismatch, np.inf)
-    best = np.where(labels_fit, 0, mismatch.argmin(axis=-1))
-    usable = mismatch.min(axis=-1) <= tolerance
-
-    order = np.where(usable[:, None], _ORDERS[best], -1)
-    return _fit_ordered(reference, observed, order, tolerance, np.inf)
-
-
 def body_fault(markers: FloatArray) -> tuple[str, str] | None:
     """What makes a body's markers useless, and the hint; None for good ones."""
-    if len(markers) == FEWEST_MARKERS:
-        return _triad_fault(edge_lengths(markers))
     between = distances(markers)
     a, b = np.unravel_index((between + np.diag([np.inf] * len(markers))).argmin(), between.shape)
     if between[a, b] < _SMALLEST:
@@ -213,10 +145,11 @@ def body_fault(markers: FloatArray) -> tuple[str, str] | None:
             f"markers {a + 1} and {b + 1} are {1e3 * between[a, b]:.1f} mm apart",
             f"move them {1e3 * _SMALLEST:g} mm apart or more",
         )
-    if _widths(markers) < _SMALLEST:
+    width = _SMALLEST if len(markers) > FEWEST_MARKERS else _THINNEST
+    if _widths(markers) < width:
         return (
             "the markers are on one line",
-            f"move a marker {1e3 * _SMALLEST:g} mm or more away from the line",
+            f"move a marker {1e3 * width:g} mm or more away from the line",
         )
     alike = [m for m in _matches(between, between, 2.0 * EDGE_TOLERANCE) if _swaps(m)]
     if alike:
@@ -235,20 +168,18 @@ def fit_body(
 ) -> BodyFit:
     """Fit a body to its markers in each frame, whatever the order of their labels.
 
-    Three markers are all needed (`fit_triad`). Of more, the pose is fitted to all that are seen
-    and whose distances agree with the body's, three at least. The labels stand where their
-    distances agree; otherwise the markers are identified by their distances: the largest set that
-    agrees, if there is only one and it holds most of the markers seen; four markers or more, if
+    Three markers are all needed. Of more, the pose is fitted to all that are seen and whose
+    distances agree with the body's, three at least. The labels stand where their distances agree;
+    otherwise the markers are identified by their distances: the largest set that agrees, if there
+    is only one and it holds most of the markers seen; all of three or four markers at least, if
     they change their labels. The rest of a body has no pose if it could as well be another part
-    of it, or is on one line.
+    of it, or is on one line. The rotation is the least-squares one (`fit_rigid`).
 
     Args:
         reference: Markers in the body's frame, shape (k, 3) [m].
         observed: Markers in another frame, shape (N, k, 3) [m]; NaN where occluded.
         tolerance: Largest difference of a distance from the body's [m].
     """
-    if len(reference) == FEWEST_MARKERS:
-        return fit_triad(reference, observed, tolerance)
     own = distances(reference)
     count, size = observed.shape[:2]
     order = np.full((count, size), -1)
@@ -265,20 +196,16 @@ def fit_body(
         trial = None
         for frame in sorted(np.flatnonzero(waiting), key=lambda k: -seen[k]):
             found = _matches(own, distances(observed[frame]), tolerance)
-            if len(found) == 1 and _is_sure(found[0], int(seen[frame])):
+            if len(found) == 1 and _is_sure(found[0], int(seen[frame]), size):
                 trial = np.full(size, -1)
                 trial[[i for i, _ in found[0]]] = [label for _, label in found[0]]
                 break
             waiting[frame] = False
-    return _fit_ordered(reference, observed, order, tolerance, _CLOSE * tolerance)
+    return _fit_ordered(reference, observed, order, tolerance)
 
 
 def _fit_ordered(
-    reference: FloatArray,
-    observed: FloatArray,
-    order: IntArray,
-    tolerance: float,
-    largest_of_three: float,
+    reference: FloatArray, observed: FloatArray, order: IntArray, tolerance: float
 ) -> BodyFit:
     """Fit each frame to the markers that its order names, all frames with the same ones at once."""
     count = len(observed)
@@ -294,7 +221,8 @@ def _fit_ordered(
         pose = fit_rigid(reference[used], markers)
         off = root_mean_square(misfit(reference[used], markers, pose))
         # Mirrored markers have all distances right; three of more agree easily by chance.
-        fits = off <= (tolerance if used.sum() > FEWEST_MARKERS else largest_of_three)
+        some = used.sum() == FEWEST_MARKERS < len(used)
+        fits = off <= (_CLOSE if some else 1.0) * tolerance
         rows = rows[fits]
         rotation[rows], translation[rows] = pose.rotation[fits], pose.translation[fits]
         residual[rows] = off[fits]
@@ -325,9 +253,13 @@ def _swaps(match: _Match) -> bool:
     return any(own != seen for own, seen in match)
 
 
-def _is_sure(match: _Match, seen: int) -> bool:
-    """Whether so many of the markers seen agree that it is no chance; labels count as one."""
-    return 2 * len(match) > seen and len(match) + (not _swaps(match)) > FEWEST_MARKERS
+def _is_sure(match: _Match, seen: int, size: int) -> bool:
+    """Whether so many of the markers seen agree that it is no chance; labels count as one.
+
+    All markers of a body are enough, three of a larger one are not.
+    """
+    most = 2 * len(match) > seen and len(match) + (not _swaps(match)) > FEWEST_MARKERS
+    return most or len(match) == size
 
 
 def _matches(own: FloatArray, seen: FloatArray, tolerance: float) -> list[_Match]:

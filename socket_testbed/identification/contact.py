@@ -12,26 +12,16 @@ from functools import cached_property
 import numpy as np
 
 from socket_testbed.arrays import FloatArray
-from socket_testbed.identification.contact_law import ContactLaw
-from socket_testbed.identification.paper_law import PaperLaw
-from socket_testbed.identification.rigid_law import RigidLaw
+from socket_testbed.identification.contact_law import LAWS, ContactLaw, RigidLaw
 from socket_testbed.settings.identification import Variant
-
-LAWS: dict[str, type[ContactLaw]] = {
-    "stiffness": PaperLaw,
-    "stiffness_bias": PaperLaw,
-    "rigid": RigidLaw,
-    "rigid_bias": RigidLaw,
-}
-"""The law of each variant."""
 
 
 @dataclass(frozen=True)
 class ContactModel:
     """A bed of unilateral tri-axial springs, with the constant offsets of the sensors.
 
-    The paper's variants read the position of the limb alone: see `paper_law`. The rigid variants
-    read its pose and work in the tiles' frames: see `rigid_law`.
+    The paper's variants read the position of the limb alone (`PaperLaw`). The rigid variants read
+    its pose and work in the tiles' frames (`RigidLaw`).
     """
 
     variant: Variant  # the law, and which offsets the model has

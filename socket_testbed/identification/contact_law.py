@@ -5,18 +5,19 @@ r"""The contact law: the motion of the limb makes a force on every tile, by spri
 with the limb's motion u since a reference pose, the displacement v_i of tile i in the law's own
 frame B_i, its rest displacement r_i and stiffnesses k_i. A law defines u, B, J and s, and the sizes
 of its parameters; everything else is the same for every law (`problem`). Arrays have the axis of
-the frame before the tile. To add a law, derive from `ContactLaw` in a module of its own, and list
-its variants in `contact.LAWS` and in `settings.identification`.
+the frame before the tile. To add a law, derive from `ContactLaw`, and list its variants in `LAWS`
+and in `settings.identification`.
 """
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import ClassVar
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from socket_testbed.arrays import FloatArray, IntArray
 from socket_testbed.settings.identification import IdentificationSettings
@@ -212,3 +213,264 @@ class ContactLaw(ABC):
     ) -> tuple[FloatArray, FloatArray]:
         """Constant (6,) and slope (6, 6) over the motion of the wrench's residuals, (N, 6)."""
         return residual.mean(axis=0), np.zeros((6, 6))
+
+
+_STIFFNESS, _DISTANCE = 1e3, 1e-3  # [N/m, m]; scales of the parameters
+
+
+class PaperLaw(ContactLaw):
+    r"""The published law: springs along the axes of {S}, moved by the limb's position.
+
+    .. math:: F_i = k_i \circ g(\delta_i) \circ \delta_i, \qquad \delta_i = q - q_{r,i}
+
+    The gate acts on each axis of {S}. Rest positions are in {S}; a fit counts them from the mean
+    limb position, about which Stage 1 has a box. The prior is the mean square difference of
+    neighbours.
+    """
+
+    REFINED = False
+    OFFSETS_THROUGHOUT = False
+    MOST_ROWS = None
+    GATES = (0, 1, 2)
+
+    @property
+    def frames(self) -> FloatArray:
+        """Those of {S}, for every tile."""
+        return np.broadcast_to(np.eye(3), (len(self.anchors), 3, 3))
+
+    def motion_map(self) -> FloatArray:
+        """Every tile moves with the limb's position."""
+        return self.frames
+
+    def motion(self, pose: FloatArray) -> FloatArray:
+        """Positions since the reference position, shape (N, 3) [m]."""
+        return pose[:, :3] - self.reference_pose[:3]
+
+    def columns(self, moved: FloatArray) -> FloatArray:
+        """Gated displacements, axis by axis."""
+        return moved * gate(moved, self.sharpness)
+
+    @classmethod
+    def sharpness_of(cls, settings: IdentificationSettings) -> float:
+        """That of `gate_sharpness`."""
+        return settings.gate_sharpness
+
+    @classmethod
+    def reference_of(cls, pose: FloatArray, settings: IdentificationSettings) -> FloatArray:
+        """The middle q_ref of the box of rest positions: the mean position, unless it is given."""
+        middle = settings.reference_position or pose[:, :3].mean(axis=0)
+        return np.concatenate([middle, np.zeros(3)])
+
+    def resolved(
+        self, settings: IdentificationSettings, loading: Loading
+    ) -> IdentificationSettings:
+        """With k0 by the slope of the wrench where it is to follow from the samples."""
+        if settings.initial_stiffness > 0.0:
+            return settings
+        slope, least = self.bed_stiffness(loading, np.ones(3))[0], self.least_stiffness(loading)[1]
+        return replace(settings, initial_stiffness=max(slope, least))
+
+    def sizes(self, settings: IdentificationSettings, loading: Loading) -> Sizes:
+        """Sizes as the settings give them; the smoothness has no centre."""
+        points, pairs = len(self.anchors), max(len(loading.neighbours), 1)
+        scale = np.repeat([_STIFFNESS, _DISTANCE], 3)[:, None] * np.ones(points)
+        limit = settings.rest_position_limit
+        differences = neighbour_differences(points, loading.neighbours)
+        smooth = settings.smoothness / (3.0 * pairs) * differences  # mean over axes and pairs
+        expected = settings.stiffness_difference, settings.rest_position_difference
+        weights = [(_STIFFNESS / expected[0]) ** 2, (_DISTANCE / expected[1]) ** 2]
+        return Sizes(
+            scale=scale,
+            start=np.zeros_like(scale),
+            springs=np.full((3, points), settings.initial_stiffness),
+            lower=np.repeat([0.0, -limit], 3)[:, None] / scale,
+            upper=np.repeat([np.inf, limit], 3)[:, None] / scale,
+            prior=np.multiply.outer(weights, smooth),
+        )
+
+    def stored(self, rest: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Rest positions in {S}."""
+        return rest.T + self.reference_pose[:3], np.zeros(6)
+
+
+OWN = 0.3  # [-]; epsilon: how far a tile may be from the common mean, against its neighbours
+_RATIOS = (0.1, 0.15, 0.2, 0.3, 0.45, 0.7, 1.0)  # [-]; of tangential to normal stiffness
+_LEAST_SETTLING = 1e-4  # [m]
+_SLOPE_RIDGE = 0.003  # [-]; against the variance of the pose
+_LEAST_CHANGE = 0.01  # [-]; of the force, against its size, that a slope needs
+_LEAST_MOTION = 1e-9  # [m, rad]; less is rounding of a pose that stands still
+
+
+def relative_pose(pose: FloatArray, reference: FloatArray) -> FloatArray:
+    """Displacement and rotation vector since a reference pose, both in {S}.
+
+    Args:
+        pose: Position and rotation vector, shape (N, 6) [m, rad].
+        reference: The same of the reference, shape (6,) [m, rad].
+
+    Returns:
+        ``[q - c, phi]`` with ``R = exp(phi) R_ref``, shape (N, 6) [m, rad]; NaN where the pose is.
+    """
+    relative = pose - reference
+    known = np.isfinite(relative).all(axis=1)
+    relative[~known] = np.nan
+    if known.any():
+        turned = Rotation.from_rotvec(pose[known, 3:]) * Rotation.from_rotvec(-reference[3:])
+        relative[known, 3:] = turned.as_rotvec()
+    return relative
+
+
+class RigidLaw(ContactLaw):
+    r"""The law of the `rigid` variants: tiles that a rigid limb presses on.
+
+    With the pose of the limb relative to a reference pose (position c, rotation R_ref), that is
+    its displacement q - c and its rotation vector phi, the tile at a_i is displaced by
+
+    .. math:: u_i = q - c + \phi \times (a_i - c), \qquad v_i = R_i^T u_i, \qquad
+              \delta_i = v_i - r_i
+
+    with v_i in the tile's own frame {L_i} (z along the inward normal) and r_i its rest
+    displacement, at which the tile bears nothing. Compression along the normal gates normal and
+    shear alike:
+
+    .. math:: F_i = \left( k_x g \delta_x,\; k_y g \delta_y,\; -k_z p \right), \qquad
+              p = \frac{\ln(1 + e^{-2 \alpha \delta_z})}{2 \alpha}, \qquad
+              g = -\frac{dp}{d\delta_z} = \frac{1}{1 + e^{2 \alpha \delta_z}}
+
+    g is the paper's gate; p is its integral, so that a tile never pulls, and its stiffness grows
+    over the first 1 / alpha of compression as that of a layer that comes into contact bit by bit.
+
+    The expected stiffnesses, normal and tangential, are those of the uniform bed that best
+    explains how the wrench changes with the pose; the expected rest displacement is the mean load
+    over that bed's stiffness. So no stiffness is assumed. With Q = epsilon I + D'D, D the
+    differences of neighbours, the prior is
+    :math:`\lambda/(3n) \sum_a (x_a - \bar x_a)^T Q (x_a - \bar x_a)` against an objective that is
+    1 where zero is predicted; x_a are the stiffnesses along an axis over their expected value,
+    with mean 1, and the rest displacements over theirs, with mean 0.
+    """
+
+    REFINED = True
+    OFFSETS_THROUGHOUT = True
+    MOST_ROWS = 500
+    GATES = (2,)
+
+    @property
+    def frames(self) -> FloatArray:
+        """Those of the tiles."""
+        return self.rotations
+
+    def motion_map(self) -> FloatArray:
+        """Displacements of the tiles' centres on a rigid limb."""
+        arms = self.anchors - self.reference_pose[:3]
+        turns = np.cross(np.eye(3), arms[:, None]).swapaxes(1, 2)  # columns e_j x arm
+        return np.concatenate([np.broadcast_to(np.eye(3), turns.shape), turns], axis=2)
+
+    def motion(self, pose: FloatArray) -> FloatArray:
+        """Relative poses, shape (N, 6) [m, rad]."""
+        return relative_pose(pose, self.reference_pose)
+
+    def columns(self, moved: FloatArray) -> FloatArray:
+        """(g delta_x, g delta_y, -p)."""
+        opened = gate(moved[:, 2], self.sharpness)
+        with np.errstate(invalid="ignore"):  # NaN stays NaN
+            pressed = np.logaddexp(0.0, (-2.0 * self.sharpness) * moved[:, 2])
+        columns = moved * opened[:, None]
+        columns[:, 2] = pressed / (-2.0 * self.sharpness)
+        return columns
+
+    def slopes(self, moved: FloatArray) -> dict[tuple[int, int], FloatArray]:
+        """Derivatives of the columns."""
+        x, y, z = np.moveaxis(moved, 1, 0)
+        opened = gate(z, self.sharpness)
+        slope = self._gate_slope(opened)
+        shear = {(0, 2): slope * x, (1, 2): slope * y}
+        return {(axis, axis): opened for axis in range(3)} | shear
+
+    def bends(self, moved: FloatArray) -> dict[tuple[int, int, int], FloatArray]:
+        """Second derivatives of the columns."""
+        x, y, z = np.moveaxis(moved, 1, 0)
+        opened = gate(z, self.sharpness)
+        slope = self._gate_slope(opened)
+        twist = -2.0 * self.sharpness * slope * (1.0 - 2.0 * opened)
+        return {
+            (0, 0, 2): slope,
+            (0, 2, 2): twist * x,
+            (1, 1, 2): slope,
+            (1, 2, 2): twist * y,
+            (2, 2, 2): slope,
+        }
+
+    def _gate_slope(self, opened: FloatArray) -> FloatArray:
+        """Derivative of gates by the displacement along the normal, of the same shape [1/m]."""
+        return -2.0 * self.sharpness * opened * (1.0 - opened)
+
+    @classmethod
+    def sharpness_of(cls, settings: IdentificationSettings) -> float:
+        """That of `contact_sharpness`."""
+        return settings.contact_sharpness
+
+    @classmethod
+    def reference_of(cls, pose: FloatArray, settings: IdentificationSettings) -> FloatArray:
+        """The mean pose on SE(3)."""
+        rotation = Rotation.from_rotvec(pose[:, 3:]).mean().as_rotvec()
+        return np.concatenate([pose[:, :3].mean(axis=0), rotation])
+
+    def sizes(self, settings: IdentificationSettings, loading: Loading) -> Sizes:
+        """Sizes as the data show them: see this class."""
+        stiffness, rest = self._expect(loading)
+        points = len(self.anchors)
+        prior = OWN * np.eye(points) + neighbour_differences(points, loading.neighbours)
+        weight = loading.zero * settings.prior / (3.0 * points)
+        ones = np.ones((6, points))
+        upper = np.inf * ones
+        return Sizes(
+            scale=np.array([*stiffness, rest, rest, rest])[:, None] * ones,
+            start=np.repeat([1.0, 0.0], 3)[:, None] * ones,
+            springs=stiffness[:, None] * ones[:3],
+            lower=np.where(np.arange(6)[:, None] < 3, 0.0, -upper),
+            upper=upper,
+            prior=weight * np.stack([prior, prior]),
+        )
+
+    def _expect(self, loading: Loading) -> tuple[FloatArray, float]:
+        """Expected stiffness along x, y, z [N/m] and rest displacement [m]: see this class."""
+        best, stiffness = np.inf, np.zeros(3)
+        for ratio in _RATIOS:
+            along = np.array([ratio, ratio, 1.0])
+            normal, miss = self.bed_stiffness(loading, along)
+            if miss < best:
+                best, stiffness = miss, normal * along
+        load, least = self.least_stiffness(loading)
+        if stiffness.mean() < least:  # the limb hardly moved
+            stiffness = np.full(3, least) if not stiffness.any() else stiffness
+            stiffness *= least / stiffness.mean()
+        return stiffness, max(load / (len(self.anchors) * float(stiffness.mean())), _LEAST_SETTLING)
+
+    def wrench_offsets(
+        self, motion: FloatArray, residual: FloatArray, wrench: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Constant and slope over the pose by ridge regression on the standardised pose.
+
+        No slope along what did not move, and hardly any where the force hardly changed. On a hold
+        the limb creeps under one load, and a slope that fits this would cancel the springs.
+        """
+        mean, spread = motion.mean(axis=0), motion.std(axis=0)
+        inverse = 1.0 / np.where(spread > _LEAST_MOTION, spread, np.inf)
+        scaled = (motion - mean) * inverse
+        force = wrench[:, 3:]
+        change = float(np.sqrt(force.var(axis=0).sum()))
+        size = float(np.sqrt((force**2).sum(axis=1).mean()))
+        ridge = _SLOPE_RIDGE + (_LEAST_CHANGE * size / max(change, 1e-9)) ** 2
+        gram = scaled.T @ scaled / len(scaled) + ridge * np.eye(6)
+        left = residual - residual.mean(axis=0)
+        slope = np.linalg.solve(gram, scaled.T @ left / len(scaled)).T * inverse
+        return residual.mean(axis=0) - slope @ mean, slope
+
+
+LAWS: dict[str, type[ContactLaw]] = {
+    "stiffness": PaperLaw,
+    "stiffness_bias": PaperLaw,
+    "rigid": RigidLaw,
+    "rigid_bias": RigidLaw,
+}
+"""The law of each variant."""

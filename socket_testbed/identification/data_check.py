@@ -18,8 +18,11 @@ from socket_testbed.arrays import FloatArray
 from socket_testbed.errors import IdentificationError
 from socket_testbed.geometry.axis import proximal_direction
 from socket_testbed.geometry.socket import SocketGeometry
+from socket_testbed.identification.evaluation import trusted_values
+from socket_testbed.identification.noise import channel_noise
 from socket_testbed.identification.plausibility import (
     find_outliers,
+    finite_quantile,
     outlier_notes,
     require_position,
     require_units,
@@ -90,9 +93,9 @@ def _sizes(samples: Samples, geometry: SocketGeometry, mass: float | None) -> It
             yield Finding("the units", error.fact, error.hint)
             return
     force = _norm(samples.wrench[:, 3:])
-    size, reach = _quantile(force, 0.95), _norm(geometry.anchors).max()
-    moment = _quantile(_norm(samples.wrench[:, :3]), 0.5)
-    load = _quantile(force, 0.5)
+    size, reach = finite_quantile(force, 0.95), _norm(geometry.anchors).max()
+    moment = finite_quantile(_norm(samples.wrench[:, :3]), 0.5)
+    load = finite_quantile(force, 0.5)
     if load > 1.0 and moment > LEVER * reach * load:
         yield Finding(
             "the wrench",
@@ -108,7 +111,7 @@ def _sizes(samples: Samples, geometry: SocketGeometry, mass: float | None) -> It
             "check that forces are in N, and the mass",
         )
     rotation = _known(samples.rotation)
-    angle = _quantile(_norm(rotation - rotation.mean(axis=0)), 0.95)
+    angle = finite_quantile(_norm(rotation - rotation.mean(axis=0)), 0.95)
     if angle > ROTATION:
         yield Finding(
             "the limb pose",
@@ -208,14 +211,15 @@ def _channels(samples: Samples) -> Iterator[Finding]:
     # A pose that is averaged or extrapolated still moves in its last digits.
     if period * max(map(_longest_run, _known(samples.pose).T)) > max(STILL, 4.0 * period):
         yield Finding("the limb pose", "it stands still", "check the cameras and the bodies' names")
-    values = np.hstack([samples.wrench, samples.trusted_forces.reshape(len(samples), -1)])
-    for name, column in zip(samples.channels, values.T, strict=True):
+    values = trusted_values(samples)
+    noises = channel_noise(samples).values.tolist()
+    for name, column, noise in zip(samples.channels, values.T, noises, strict=True):
         known = column[np.isfinite(column)]
         if len(known) < LEAST_SAMPLES:
             continue
         still = period * _longest_run(known)
         at_end = max(np.mean(known == known.max()), np.mean(known == known.min()))
-        noise, unit = _noise(known), channel_unit(name)
+        unit = channel_unit(name)
         if still > max(STILL, 4.0 * period):
             yield Finding(
                 name, f"it does not change for {still:.1f} s", "check the sensor and its driver"
@@ -242,12 +246,6 @@ def _known(vectors: FloatArray) -> FloatArray:
 
 def _norm(vectors: FloatArray) -> FloatArray:
     return np.asarray(np.linalg.norm(vectors, axis=1))
-
-
-def _quantile(values: FloatArray, share: float) -> float:
-    """A quantile of the finite values; 0 without any."""
-    finite = values[np.isfinite(values)]
-    return float(np.quantile(finite, share)) if len(finite) else 0.0
 
 
 def _correlation(one: FloatArray, other: FloatArray) -> float:
@@ -299,9 +297,3 @@ def _longest_run(values: FloatArray) -> int:
     """Length of the longest run of equal values."""
     ends = np.flatnonzero(np.append(np.diff(values) != 0.0, True))
     return int(np.diff(np.append(-1, ends)).max())
-
-
-def _noise(values: FloatArray) -> float:
-    """White noise of a course: from its second differences, robust against motion."""
-    second = np.diff(values, 2)
-    return float(1.4826 * np.median(np.abs(second - np.median(second))) / np.sqrt(6.0))

@@ -100,8 +100,8 @@ def summarise_errors(errors: Sequence[ChannelErrors]) -> ErrorSummary:
     wrench = [error for error in known if error.name in WRENCH_CHANNELS]
     local = [error for error in known if error.name not in WRENCH_CHANNELS]
     return ErrorSummary(
-        moment_rmse=_mean(error.rmse for error in wrench if error.name[0] == "M"),
-        force_rmse=_mean(error.rmse for error in wrench if error.name[0] == "F"),
+        moment_rmse=finite_mean(error.rmse for error in wrench if error.name[0] == "M"),
+        force_rmse=finite_mean(error.rmse for error in wrench if error.name[0] == "F"),
         local_rmse=_median(error.rmse for error in local),
         skill=_median(error.skill for error in known),
         wrench_skill=_median(error.skill for error in wrench),
@@ -161,7 +161,8 @@ def trusted_values(samples: Samples) -> FloatArray:
     return np.hstack([samples.wrench, samples.trusted_forces.reshape(len(samples), count)])
 
 
-def _mean(values: Iterable[float]) -> float:
+def finite_mean(values: Iterable[float]) -> float:
+    """Mean of the finite values; NaN without any."""
     finite = [value for value in values if np.isfinite(value)]
     return float(np.mean(finite)) if finite else float("nan")
 

@@ -34,6 +34,7 @@ REGRESSION = "linear regression on the pose"
 CLEARLY = 0.95  # [-]; of the error of the bed's own springs, from which another is better
 _LEAST_CHANGE = 0.1  # [-]; of the force, relative to its size
 _RANK = 1e-10  # [-]; smallest singular value of the standardised poses, relative to the largest
+_STILL = 1e-12  # [-]; spread of a pose's component that is constant, against its size
 _STEPS = 100
 _DAMPING = 1e-2  # [-]; of the first step, against the mean curvature
 _ROUNDING = 1e-13  # [-]; of the objective's value
@@ -155,20 +156,25 @@ def _with_wrench_model(
     return replace(model, of_wrench=chosen), f"{better} unseen half than the bed's own springs"
 
 
-def _regression(model: ContactModel, samples: Samples) -> ContactModel:
-    """A model without springs, whose wrench is linear in the pose, by least squares."""
-    motion, wrench = model.law.motion(samples.pose), samples.wrench
-    mean, constant = motion.mean(axis=0), wrench.mean(axis=0)
+def regress_wrench(samples: Samples, motion: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Slope (6, 6) and constant (6,) of the wrench over the limb's motion (N, 6), by least squares.
+
+    Where the motions lack rank, it is the regression of least norm in standardised motions. A
+    channel of the wrench without values has a constant of NaN.
+    """
+    mean, constant = motion.mean(axis=0), samples.wrench.mean(axis=0)
     spread = motion.std(axis=0)
-    spread = np.where(spread > 1e-12 * np.abs(samples.pose).max(axis=0), spread, np.inf)
-    slope = np.linalg.lstsq((motion - mean) / spread, wrench - constant, rcond=_RANK)[0].T / spread
-    return replace(
-        model,
-        stiffness=np.zeros_like(model.stiffness),
-        force_bias={},
-        wrench_slope=slope,
-        wrench_bias=constant - slope @ mean,
-    )
+    spread = np.where(spread > _STILL * np.abs(samples.pose).max(axis=0), spread, np.inf)
+    known = np.nan_to_num(samples.wrench - constant)
+    slope = np.linalg.lstsq((motion - mean) / spread, known, rcond=_RANK)[0].T / spread
+    return slope, constant - slope @ mean
+
+
+def _regression(model: ContactModel, samples: Samples) -> ContactModel:
+    """A model without springs, whose wrench is linear in the pose."""
+    slope, constant = regress_wrench(samples, model.law.motion(samples.pose))
+    none = np.zeros_like(model.stiffness)
+    return replace(model, stiffness=none, force_bias={}, wrench_slope=slope, wrench_bias=constant)
 
 
 def _wrench_error(model: ContactModel, samples: Samples) -> float:

@@ -50,7 +50,6 @@ from socket_testbed.settings.identification import ForceMapSettings
 
 _NUGGET = 1e-9  # [-]; of the correlation: tiles that almost coincide leave it definite
 _AMPLITUDE_FREEDOM = 2.0  # [1]; degrees of freedom of the prior of the amplitude
-_EVIDENCE = 1.0  # independent samples that a trial's evidence is worth
 _MEMORY = 1000  # live samples over which the evidence is averaged
 _LEAST_WEIGHT = 2e-3  # of a hypothesis that counts, relative to the likeliest
 _LEARNT_FROM = 500  # samples of a trial at most, evenly spread
@@ -565,7 +564,7 @@ def hypotheses(settings: ForceMapSettings) -> list[SimpleNamespace]:
 
 def _probabilities(log_evidence: FloatArray) -> FloatArray:
     """Of the hypotheses, from their evidence, shape (M,) [-]; 0 for those that hardly count."""
-    weights = np.exp(_EVIDENCE * (log_evidence - log_evidence.max()))
+    weights = np.exp(log_evidence - log_evidence.max())
     weights[weights < _LEAST_WEIGHT] = 0.0
     return np.asarray(weights / weights.sum())
 

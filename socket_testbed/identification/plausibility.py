@@ -40,6 +40,7 @@ import numpy as np
 from socket_testbed.arrays import BoolArray, FloatArray
 from socket_testbed.errors import IdentificationError
 from socket_testbed.geometry.socket import SocketGeometry
+from socket_testbed.identification.evaluation import trusted_values
 from socket_testbed.samples import (
     LOCAL_CHANNELS,
     WRENCH_CHANNELS,
@@ -52,7 +53,7 @@ LARGEST_FORCE = 5000.0  # [N]; three times the weight of a person of 170 kg
 LARGEST_MOMENT = 500.0  # [N m]; more than a leg transmits below the knee
 LARGEST_STRESS = 2e6  # [Pa]; several times the highest pressures reported in sockets
 LARGEST_DISTANCE = 2.0  # [-]; of the limb from the load cell, in distances of the farthest tile
-UNIT_QUANTILE = 75.0  # [%]; of the sizes, which has to be within the limits
+UNIT_QUANTILE = 0.75  # [-]; of the sizes, which has to be within the limits
 OUTLIER_RATIO = 200.0  # [-]; of a value's square to the mean square of its group of channels,
 OUTLIER_SHARE = 1.0 / 3.0  # [-]; or of it to the sum of squares, whichever is less
 LEAST_VALUES = 30  # [1]; in a group, to judge one by the others
@@ -90,7 +91,10 @@ def find_outliers(
     """Find single outliers by the rule of this module; channels that are left out do not count."""
     values = _counted(samples, leave_out)
     limits = channel_limits(geometry, samples.clusters)
-    single = [_size(column) <= limit for column, limit in zip(values.T, limits, strict=True)]
+    single = [
+        finite_quantile(np.abs(column), UNIT_QUANTILE) <= limit
+        for column, limit in zip(values.T, limits, strict=True)
+    ]
     found = (np.abs(values) > limits) & single  # else it is the channel: see `require_units`
     for group in (*_WRENCH_GROUPS, slice(6, None)):
         squares = np.where(found[:, group], 0.0, np.nan_to_num(values[:, group])) ** 2
@@ -174,7 +178,7 @@ def find_implausible(samples: Samples, geometry: SocketGeometry) -> tuple[Implau
     Returns:
         The proposals in the order of the channels, one per channel and reason.
     """
-    load = _median(np.linalg.norm(samples.wrench[:, 3:], axis=1))
+    load = finite_quantile(np.linalg.norm(samples.wrench[:, 3:], axis=1), 0.5)
     found: list[Implausible] = []
     if load >= LEAST_LOAD:
         found += _implausible_moments(samples, geometry, load)
@@ -209,7 +213,7 @@ def _implausible_moments(
 ) -> Iterator[Implausible]:
     reach = float(np.linalg.norm(geometry.anchors, axis=1).max())
     for name, values in zip(WRENCH_CHANNELS[:3], samples.wrench.T, strict=False):
-        moment = _median(np.abs(values))
+        moment = finite_quantile(np.abs(values), 0.5)
         if moment > LEVER_FACTOR * reach * load:
             yield Implausible(
                 name,
@@ -223,7 +227,7 @@ def _implausible_forces(samples: Samples, load: float) -> Iterator[Implausible]:
     most = _peak(np.linalg.norm(samples.wrench[:, 3:], axis=1))
     for name, force in zip(samples.channels[6:], samples.values[:, 6:].T, strict=True):
         # In a cluster's frame z points inwards, so that compression is along -z.
-        size, pull = _median(np.abs(force)), _median(force)
+        size, pull = finite_quantile(np.abs(force), 0.5), finite_quantile(force, 0.5)
         if size > load:
             yield Implausible(
                 name,
@@ -256,16 +260,16 @@ def _outside_range(samples: Samples) -> Iterator[Implausible]:
                 )
 
 
-def _median(values: FloatArray) -> float:
-    """Median of the finite values; NaN, which exceeds nothing, without any."""
+def finite_quantile(values: FloatArray, share: float) -> float:
+    """A quantile of the finite values; 0 without any."""
     finite = values[np.isfinite(values)]
-    return float(np.median(finite)) if len(finite) else float("nan")
+    return float(np.quantile(finite, share)) if len(finite) else 0.0
 
 
 def _peak(values: FloatArray) -> float:
-    """The `PEAK_QUANTILE` of the magnitudes, below the largest; NaN without a value."""
+    """The `PEAK_QUANTILE` of the magnitudes, below the largest; 0 without a value."""
     finite = np.abs(values[np.isfinite(values)])
-    return float(np.quantile(finite, PEAK_QUANTILE, method="lower")) if len(finite) else np.nan
+    return float(np.quantile(finite, PEAK_QUANTILE, method="lower")) if len(finite) else 0.0
 
 
 def require_position(samples: Samples, geometry: SocketGeometry) -> None:
@@ -276,7 +280,7 @@ def require_position(samples: Samples, geometry: SocketGeometry) -> None:
     centre = np.median(position, axis=0)
     reach = _reach(geometry)
     distance = float(np.linalg.norm(centre))
-    spread = _size(np.linalg.norm(position - centre, axis=1))
+    spread = finite_quantile(np.linalg.norm(position - centre, axis=1), UNIT_QUANTILE)
     if distance <= LARGEST_DISTANCE * reach and spread <= reach:
         return
     likely = "it is likely in millimetres: divide it by 1000, or"
@@ -297,7 +301,7 @@ def require_units(
     for name, column, limit in zip(
         samples.channels, values.T, channel_limits(geometry, samples.clusters), strict=True
     ):
-        size = _size(column)
+        size = finite_quantile(np.abs(column), UNIT_QUANTILE)
         if size > limit:
             unit = channel_unit(name)
             likely = {"N": "millinewtons", "N m": "newton millimetres"}[unit]
@@ -361,14 +365,6 @@ def channel_limits(geometry: SocketGeometry, clusters: tuple[str, ...]) -> Float
 
 def _counted(samples: Samples, leave_out: tuple[str, ...]) -> FloatArray:
     """Values of the channels that count, NaN elsewhere, shape (N, 6 + 3c) [N m, N]."""
-    values = np.hstack(
-        [samples.wrench, samples.trusted_forces.reshape(len(samples), 3 * len(samples.clusters))]
-    )
+    values = trusted_values(samples)
     counts = np.array([name not in leave_out for name in samples.channels])
     return np.where(counts & np.isfinite(values), values, np.nan)
-
-
-def _size(values: FloatArray) -> float:
-    """Size that a quarter of the finite values exceeds; 0 without any."""
-    finite = values[np.isfinite(values)]
-    return float(np.percentile(np.abs(finite), UNIT_QUANTILE)) if len(finite) else 0.0

@@ -27,8 +27,8 @@ import numpy as np
 
 from socket_testbed.arrays import FloatArray
 from socket_testbed.identification.box_qp import BoxQP
-from socket_testbed.identification.contact import LAWS, ContactModel
-from socket_testbed.identification.contact_law import Loading
+from socket_testbed.identification.contact import ContactModel
+from socket_testbed.identification.contact_law import LAWS, Loading
 from socket_testbed.identification.objective import ClusterChannel, Objective
 from socket_testbed.settings.identification import BIAS_VARIANTS, Variant
 

@@ -26,8 +26,13 @@ from socket_testbed.errors import IdentificationError
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification.contact import ContactModel
 from socket_testbed.identification.contact_law import wrench_map
-from socket_testbed.identification.evaluation import ChannelErrors, evaluate, predict_channels
-from socket_testbed.identification.fit import REGRESSION, fit_contact_model
+from socket_testbed.identification.evaluation import (
+    ChannelErrors,
+    evaluate,
+    finite_mean,
+    predict_channels,
+)
+from socket_testbed.identification.fit import REGRESSION, fit_contact_model, regress_wrench
 from socket_testbed.identification.force_map import ForceMap
 from socket_testbed.identification.noise import channel_noise, smooth_poses
 from socket_testbed.identification.objective import LEAST_SAMPLES
@@ -51,8 +56,6 @@ MOST_SAMPLES = 1000  # of a trial, on which forces on tiles are judged
 
 _EXPONENT = 2.0  # [-]; Shepard's
 _NEAR = 1e-6  # [m]; a tile nearer than this to a cluster's is that tile
-_RANK = 1e-10  # [-]; smallest singular value of the standardised poses, relative to the largest
-_ROUNDING = 1e-12  # [-]; spread of a pose's component that is constant, against its size
 _UNKNOWN = (float("nan"),) * len(LEVELS)
 
 Question = Literal["cluster", "wrench", "tiles"]
@@ -145,19 +148,11 @@ WrenchPredictor = Callable[[FloatArray], FloatArray]
 
 
 def wrench_rivals(samples: Samples) -> dict[str, WrenchPredictor]:
-    """The best constant and linear regression on the pose, fitted on samples; by name.
-
-    Where the poses lack rank, the regression is the one of least norm in standardised poses. A
-    channel of the wrench without values is predicted as NaN.
-    """
-    pose, constant = samples.pose, samples.wrench.mean(axis=0)
-    mean, spread = pose.mean(axis=0), pose.std(axis=0)
-    spread = np.where(spread > _ROUNDING * np.abs(pose).max(axis=0), spread, np.inf)
-    known = np.nan_to_num(samples.wrench - constant)
-    slope = np.linalg.lstsq((pose - mean) / spread, known, rcond=_RANK)[0]
+    """The best constant and linear regression on the pose, fitted on samples; by name."""
+    mean, (slope, constant) = samples.wrench.mean(axis=0), regress_wrench(samples, samples.pose)
     return {
-        CONSTANT: lambda pose: np.tile(constant, (len(pose), 1)),
-        REGRESSION: lambda pose: constant + (pose - mean) @ (slope / spread[:, None]),
+        CONSTANT: lambda pose: np.tile(mean, (len(pose), 1)),
+        REGRESSION: lambda pose: constant + pose @ slope.T,
     }
 
 
@@ -176,7 +171,7 @@ def judge_wrench(
     found = []
     for name, predict in predictors.items():
         rmse = np.sqrt(np.mean((predict(samples.pose) - samples.wrench) ** 2, axis=0))
-        moment, force = _mean(rmse[:3]), _mean(rmse[3:])
+        moment, force = finite_mean(rmse[:3]), finite_mean(rmse[3:])
         found.append(
             Judgement(
                 "wrench",
@@ -187,17 +182,11 @@ def judge_wrench(
                 samples=len(samples),
                 moment_rmse=moment,
                 force_rmse=force,
-                moment_skill=_skill(moment, _mean(constant[:3])),
-                force_skill=_skill(force, _mean(constant[3:])),
+                moment_skill=_skill(moment, finite_mean(constant[:3])),
+                force_skill=_skill(force, finite_mean(constant[3:])),
             )
         )
     return found
-
-
-def _mean(values: FloatArray) -> float:
-    """Mean of the finite values; NaN without any."""
-    finite = values[np.isfinite(values)]
-    return float(finite.mean()) if len(finite) else float("nan")
 
 
 def _skill(error: float, constant: float) -> float:

@@ -25,7 +25,9 @@ from socket_testbed.identification.information import (
     Engagement,
     LoadShare,
     Motion,
+    Suspension,
     engagement,
+    find_suspension,
     known_directions,
     load_shares,
     measure_motion,
@@ -46,7 +48,6 @@ from socket_testbed.identification.pressure import (
     PressureOutputs,
     pressure_outputs,
 )
-from socket_testbed.identification.suspension import Suspension, find_suspension
 from socket_testbed.identification.validation import Judgement, judge_samples
 from socket_testbed.samples import Samples
 from socket_testbed.settings.identification import PAPER_VARIANTS, VARIANTS, Variant

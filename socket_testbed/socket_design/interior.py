@@ -13,7 +13,7 @@ from trimesh.util import diagonal_dot
 
 from socket_testbed.arrays import BoolArray, FloatArray, IntArray
 from socket_testbed.errors import ScanError
-from socket_testbed.socket_design.mesh import (
+from socket_testbed.socket_design.scan_file import (
     boundary_half_edges,
     boundary_loops,
     loop_length,

@@ -229,11 +229,7 @@ class RegisteredBody:
 
     def covariance_at(self, point: FloatArray) -> FloatArray:
         """Covariance of a point between body and frame, in the frame's axes, (3, 3) [m^2]."""
-        return self.landmarks.uncertainty.at(point) + self._in_frame(self.reference, point)
-
-    def single_covariance_at(self, point: FloatArray) -> FloatArray:
-        """What the noise of a single frame adds to `covariance_at`, shape (3, 3) [m^2]."""
-        return self._in_frame(self.single, point)
+        return self.landmarks.uncertainty.at(point) + self.in_axes(self.reference, point)
 
     def rotation_covariance(self) -> FloatArray:
         """Covariance of the rotation between body and frame, in the frame's axes [rad^2]."""
@@ -241,8 +237,8 @@ class RegisteredBody:
             self.reference.rotation, self.in_frame.rotation
         )
 
-    def _in_frame(self, body: PoseUncertainty, point: FloatArray) -> FloatArray:
-        """Covariance of a point of the frame by an uncertainty of the body."""
+    def in_axes(self, body: PoseUncertainty, point: FloatArray) -> FloatArray:
+        """Covariance of a point of the frame by an uncertainty of the body, (3, 3) [m^2]."""
         return _in_axes(body.at(self.in_frame.inverse().apply(point)), self.in_frame.rotation)
 
 
@@ -334,7 +330,8 @@ def register_take(
         pylon=pylon,
         limb_position=q,
         covariance=socket.covariance_at(q) + _in_axes(pylon.covariance_at(origin), turn),
-        single=socket.single_covariance_at(q) + _in_axes(pylon.single_covariance_at(origin), turn),
+        single=socket.in_axes(socket.single, q)
+        + _in_axes(pylon.in_axes(pylon.single, origin), turn),
         notes=tuple(notes),
     )
 

@@ -11,7 +11,7 @@ from scipy.spatial import KDTree
 from scipy.spatial.distance import cdist
 
 from socket_testbed.arrays import BoolArray, FloatArray, IntArray
-from socket_testbed.socket_design.mesh import number_cells
+from socket_testbed.socket_design.scan_file import number_cells
 
 _SMALL = 1e-12  # in place of a zero that is divided by
 REACH = 1.45  # [edges]; squares that overlap have their centres within it

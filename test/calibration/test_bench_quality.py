@@ -7,11 +7,9 @@ import pytest
 from support.benches import FULL_SCALE, bench_of, exact_bench, nominal, sensor_bench
 
 from socket_testbed.calibration.bench_data import BenchData, join_benches
-from socket_testbed.calibration.calibrate import calibrate_bench
-from socket_testbed.calibration.drift import cycle_ids, find_branches
-from socket_testbed.calibration.fit import design_matrices, find_outliers, fit_polynomials
-from socket_testbed.calibration.quality import (
+from socket_testbed.calibration.calibrate import (
     Groups,
+    calibrate_bench,
     choose_groups,
     cross_validate,
     half_widths,
@@ -19,6 +17,8 @@ from socket_testbed.calibration.quality import (
     repeatability,
     stress_errors,
 )
+from socket_testbed.calibration.drift import cycle_ids, find_branches
+from socket_testbed.calibration.fit import design_matrices, find_outliers, fit_polynomials
 from socket_testbed.errors import CalibrationError
 
 WIRING = nominal().wiring

@@ -12,7 +12,6 @@ from socket_testbed.geometry.marker_bodies import (
     body_fault,
     fit_body,
     fit_rigid,
-    fit_triad,
     pose_uncertainty,
 )
 from socket_testbed.geometry.pose import Pose
@@ -53,7 +52,7 @@ def test_any_order_of_labels_gives_the_pose_and_an_occluded_marker_none(rng):
     observed = np.take_along_axis(true, np.tile(orders, (10, 1))[:, :, None], axis=1)
     lost = np.array([0, 7, 8, 59])
     observed[lost, 1] = np.nan
-    fit, seen = fit_triad(SOCKET_TRIAD, observed), np.setdiff1d(np.arange(60), lost)
+    fit, seen = fit_body(SOCKET_TRIAD, observed), np.setdiff1d(np.arange(60), lost)
     np.testing.assert_allclose(fit.pose.rotation[seen], pose.rotation[seen], atol=1e-10)
     np.testing.assert_allclose(fit.pose.translation[seen], pose.translation[seen], atol=1e-12)
     np.testing.assert_allclose(fit.residual[seen], 0.0, atol=1e-12)
@@ -64,14 +63,14 @@ def test_any_order_of_labels_gives_the_pose_and_an_occluded_marker_none(rng):
     assert (fit.order[lost] == -1).all()
     alike = fit_body(SOCKET_TRIAD, observed)
     np.testing.assert_array_equal(alike.pose.translation, fit.pose.translation)
-    none = fit_triad(SOCKET_TRIAD, np.zeros((0, 3, 3)))
+    none = fit_body(SOCKET_TRIAD, np.zeros((0, 3, 3)))
     assert none.pose.rotation.shape == (0, 3, 3) and none.pose.translation.shape == (0, 3)
 
 
 def test_another_triad_gives_no_pose_by_the_tolerance_of_its_edges(rng):
     for stretch in (0.9, 1.1, 1000.0):
         observed = markers_at(random_pose(rng, count=5), stretch * SOCKET_TRIAD)
-        fit = fit_triad(SOCKET_TRIAD, observed)
+        fit = fit_body(SOCKET_TRIAD, observed)
         assert np.isnan(fit.pose.rotation).all() and np.isnan(fit.residual).all()
     reference = np.array([[0.0, 0.0, 0.0], [0.08, 0.0, 0.0], [0.0, 0.15, 0.0]])
     longer = reference.copy()
@@ -79,14 +78,14 @@ def test_another_triad_gives_no_pose_by_the_tolerance_of_its_edges(rng):
     observed = markers_at(random_pose(rng, count=4), longer)
     observed[0] = observed[0, [1, 0, 2]]
     for tolerance, found in ((0.0019, False), (0.0021, True)):
-        assert (fit_triad(reference, observed, tolerance).found == found).all()
+        assert (fit_body(reference, observed, tolerance).found == found).all()
 
 
 def test_noise_never_turns_a_rightly_labelled_isosceles_triad_over(rng):
     for off in (0.0, 2e-5, 2e-4):  # from the line of symmetry [m]
         isosceles = np.array([[-0.04, 0.0, 0.0], [0.04, 0.0, 0.0], [off, 0.07, 0.0]])
         pose = random_pose(rng, count=100)
-        fit = fit_triad(isosceles, observe(isosceles, pose, rng))
+        fit = fit_body(isosceles, observe(isosceles, pose, rng))
         known = fit.found  # to find no pose is honest, too
         assert (angles_between(fit.pose.rotation[known], pose.rotation[known]) < 0.02).all()
 
@@ -228,7 +227,7 @@ def test_the_residuals_give_the_noise_whatever_is_occluded(rng):
         assert fit.noise == pytest.approx(NOISE, rel=tolerance)
         observed[1::2, 0] = np.nan
         assert fit_body(body, observed).noise == pytest.approx(NOISE, rel=2.0 * tolerance)
-    assert math.isnan(fit_triad(SOCKET_TRIAD, np.full((5, 3, 3), np.nan)).noise)
+    assert math.isnan(fit_body(SOCKET_TRIAD, np.full((5, 3, 3), np.nan)).noise)
 
 
 def test_covariances_are_those_of_random_trials(rng):

@@ -24,11 +24,12 @@ from socket_testbed.identification.pareto import (
     find_knee,
     find_non_dominated,
     front_document,
+    front_table,
     pareto_front,
-    write_fronts,
 )
 from socket_testbed.report.sections.fronts import pareto_figure
 from socket_testbed.settings.identification import PAPER_VARIANTS, VARIANTS
+from socket_testbed.tables import write_table
 
 LOCAL = tuple(f"cluster_{i}.F{axis}" for i in range(3) for axis in "xyz")
 
@@ -229,7 +230,7 @@ def test_a_front_marks_its_ends_and_its_knee_but_nothing_flawed():
 
 def test_the_table_and_the_json_are_the_fronts(tmp_path):
     fronts = [made_up_front(), made_up_front("stiffness_bias", 0.1, {3: "not certified"})]
-    write_fronts(fronts, tmp_path / "front.csv")
+    write_table(front_table(fronts), tmp_path / "front.csv")
     table = pd.read_csv(tmp_path / "front.csv", keep_default_na=False)
     assert table["variant"].tolist() == ["stiffness"] * 11 + ["stiffness_bias"] * 11
     assert [mark for mark in table["mark"][:11] if mark] == [SENSOR_ONLY, KNEE, WRENCH_ONLY]

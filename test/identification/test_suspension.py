@@ -4,7 +4,7 @@ import numpy as np
 
 from socket_testbed.files import packaged
 from socket_testbed.geometry.socket import read_socket
-from socket_testbed.identification.suspension import find_suspension
+from socket_testbed.identification.information import find_suspension
 from socket_testbed.samples import Samples
 
 GEOMETRY = read_socket(packaged("config", "socket.yaml"))

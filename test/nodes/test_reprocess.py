@@ -14,7 +14,7 @@ from support.graph import Probe
 from support.testbeds import Recorded, manageable
 
 from socket_testbed.files import packaged
-from socket_testbed.geometry.marker_bodies import fit_triad
+from socket_testbed.geometry.marker_bodies import fit_body
 from socket_testbed.geometry.socket import read_socket, write_socket
 from socket_testbed.live.bringup import Simulation, end, simulate_hardware, simulated_testbed
 from socket_testbed.live.processes import Graph
@@ -67,7 +67,7 @@ def test_wrenches_and_poses_are_repaired(recorded: Path) -> None:
             off = np.abs(wrench - oracle.averaged("wrench", stamp))
             assert (off < np.repeat([0.1, 0.9], 3)).all()
         if np.isfinite(socket).all():
-            seen = fit_triad(markers, oracle.felt("markers", stamp)[0][None]).pose
+            seen = fit_body(markers, oracle.felt("markers", stamp)[0][None]).pose
             assert np.linalg.norm(socket[:3] - seen.translation[0]) < 6e-4
             assert abs(socket[3:] @ seen.quaternion()[0]) > 1.0 - 1e-5
             checked += 1

@@ -10,7 +10,7 @@ from support.motive_takes import UNITS, Written, motive_lines, write_lines, writ
 from support.problems import SOCKET_TRIAD, random_pose
 
 from socket_testbed.errors import RegistrationError
-from socket_testbed.geometry.marker_bodies import fit_triad
+from socket_testbed.geometry.marker_bodies import fit_body
 from socket_testbed.geometry.pose import Pose
 from socket_testbed.socket_design.motive import MotiveTake, read_motive_csv
 from socket_testbed.socket_design.registration import tracked_frame
@@ -195,7 +195,7 @@ def test_the_markers_of_a_real_take_give_the_pose_of_motive(real):
     for markers, labels in ((measured, [0, 1, 2]), (measured, [1, 0, 2]), (solved, [2, 0, 1])):
         arms = markers - motive.translation[:, None]
         observed = (markers @ move.rotation.T + move.translation)[:, labels]
-        fit = fit_triad((arms @ motive.rotation).mean(axis=0), observed)
+        fit = fit_body((arms @ motive.rotation).mean(axis=0), observed)
         off = np.linalg.norm(fit.pose.translation - expected.translation, axis=1)
         turn = np.swapaxes(expected.rotation, 1, 2) @ fit.pose.rotation
         assert off.max() < 5e-5 and Rotation.from_matrix(turn).magnitude().max() < 3e-4

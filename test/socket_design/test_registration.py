@@ -23,7 +23,7 @@ from support.motive_takes import (
 from support.problems import PYLON_TRIAD, SOCKET_TRIAD, random_pose
 
 from socket_testbed.errors import RegistrationError
-from socket_testbed.geometry.marker_bodies import edge_lengths, fit_triad
+from socket_testbed.geometry.marker_bodies import distances, fit_body
 from socket_testbed.geometry.pose import Pose
 from socket_testbed.geometry.socket import read_socket, write_socket
 from socket_testbed.socket_design.landmarks import LandmarkFit, register_landmarks
@@ -49,9 +49,9 @@ def test_a_take_without_errors_gives_the_truth(rng, tmp_path):
         distance, angle = between(pose, truth)
         assert distance < 2e-8 and angle < 2e-7
     assert np.linalg.norm(found.limb_position - bench.q) < 1e-8
-    edges = edge_lengths(np.array([found.geometry.socket_markers, found.geometry.pylon_markers]))
-    own = edge_lengths(np.array([SOCKET_TRIAD, PYLON_TRIAD]))
-    np.testing.assert_allclose(edges, own, atol=1e-8)
+    apart = distances(np.array([found.geometry.socket_markers, found.geometry.pylon_markers]))
+    own = distances(np.array([SOCKET_TRIAD, PYLON_TRIAD]))
+    np.testing.assert_allclose(apart, own, atol=1e-8)
     assert found.geometry.names == bench.geometry.names
     assert not any("moved" in note or "off" in note for note in found.notes)
 
@@ -60,7 +60,7 @@ def test_a_body_of_more_markers_is_registered_in_the_frame_of_its_first(rng, tmp
     bench = make_bench(rng)
     names, extra = list(SOCKET_NAMES), np.array([[0.02, 0.06, 0.01], [-0.05, 0.01, 0.045]])
     seen = np.array([bench.places[name] for name in SOCKET_NAMES])
-    fit = fit_triad(SOCKET_TRIAD, seen[None]).pose
+    fit = fit_body(SOCKET_TRIAD, seen[None]).pose
     markers, places = dict(bench.take.markers), Pose(fit.rotation[0], fit.translation[0])
     for k, place in enumerate(places.apply(extra)):
         names.append(f"Socket:Extra{k}")
@@ -101,7 +101,7 @@ def limb_position(found: Registration, socket: np.ndarray, pylon: np.ndarray) ->
     """The limb position that a trial finds from two observed triads."""
     geometry = found.geometry
     in_world = [
-        fit_triad(triad, observed[None]).pose
+        fit_body(triad, observed[None]).pose
         for triad, observed in ((geometry.socket_markers, socket), (geometry.pylon_markers, pylon))
     ]
     return geometry.limb_pose(*in_world).translation[0]
@@ -312,7 +312,7 @@ def errors_of(found: Registration, bench: Bench) -> dict[str, np.ndarray]:
     for body, names in (("socket", SOCKET_NAMES), ("pylon", PYLON_NAMES)):
         places = np.array([bench.places[name] for name in names])
         markers = geometry.socket_markers if body == "socket" else geometry.pylon_markers
-        in_world[body], batch = own_frame_of(places), fit_triad(markers, places[None]).pose
+        in_world[body], batch = own_frame_of(places), fit_body(markers, places[None]).pose
         fitted[body] = Pose(batch.rotation[0], batch.translation[0])
     cell_in_world = in_world["socket"] @ bench.socket_body.inverse()
     no_motion = geometry.socket_body @ fitted["socket"].inverse() @ cell_in_world

@@ -21,10 +21,11 @@ from socket_testbed.socket_design.clusters import (
     lay_clusters,
     read_cluster_places,
 )
-from socket_testbed.socket_design.design import nominal_places, tile_names
-from socket_testbed.socket_design.placement import (
+from socket_testbed.socket_design.design import (
+    nominal_places,
     parse_direction,
     place_by_landmarks,
+    tile_names,
 )
 from socket_testbed.socket_design.squares import Squares, Surroundings, rim_points, spread_points
 

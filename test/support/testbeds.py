@@ -14,7 +14,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from socket_testbed.geometry.marker_bodies import fit_triad
+from socket_testbed.geometry.marker_bodies import fit_body
 from socket_testbed.live.bringup import Testbed, end, simulated_testbed, start
 from socket_testbed.live.machine import SLOWEST, busy_note
 from socket_testbed.live.processes import Graph
@@ -241,7 +241,7 @@ class Recorded:
                 if not np.isfinite(pose).all():
                     assert np.isnan(pose).all()
                     continue
-                true = fit_triad(triad, self.averaged("markers", stamp)[k][None]).pose
+                true = fit_body(triad, self.averaged("markers", stamp)[k][None]).pose
                 turn = abs(pose[3:] @ true.quaternion()[0])
                 assert np.linalg.norm(pose[:3] - true.translation[0]) < 6e-4, stamp
                 assert 2.0 * np.arccos(min(turn, 1.0)) < 0.01, stamp

@@ -16,7 +16,7 @@ from socket_testbed.identification.evaluation import (
     summarise_errors,
     trusted_values,
 )
-from socket_testbed.identification.published import THEIRS, beside_published
+from socket_testbed.identification.pareto import THEIRS, beside_published
 from socket_testbed.report.figures.style import (
     LINE_STYLES,
     MEASURED_STYLE,

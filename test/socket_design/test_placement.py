@@ -9,9 +9,9 @@ from socket_testbed.errors import ConfigurationError
 from socket_testbed.files import packaged
 from socket_testbed.geometry.socket import read_socket
 from socket_testbed.identification.force_map import ForceMap
-from socket_testbed.identification.placement import place_clusters
 from socket_testbed.samples import Samples
 from socket_testbed.settings.identification import ForceMapSettings
+from socket_testbed.socket_design.clusters import place_clusters
 
 GEOMETRY = read_socket(packaged("config", "socket.yaml"))
 
