@@ -217,8 +217,6 @@ def test_the_table_and_the_json_are_the_fronts(tmp_path):
     write_fronts(fronts, tmp_path / "front.csv")
     table = pd.read_csv(tmp_path / "front.csv", keep_default_na=False)
     assert table["variant"].tolist() == ["stiffness"] * 11 + ["stiffness_bias"] * 11
-    assert [mark for mark in table["mark"][:11] if mark] == [SENSOR_ONLY, KNEE, WRENCH_ONLY]
-    assert table["non-dominated"][:11].tolist() == [1] * 9 + [0] * 2
     errors = table["wrench error [-]"][:11].astype(float)
     np.testing.assert_allclose(errors, fronts[0].wrench_error, rtol=1e-9)
     flawed = table.loc[14, ["flaw", "wrench error [-]", "RMSE Mx [N m]"]]
