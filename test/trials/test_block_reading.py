@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 import pytest
 from rosbags.rosbag2 import StoragePlugin
-from support import SHARED_DATA
 from support.bags import (
     copy_configuration,
     copying,
@@ -22,7 +21,7 @@ from socket_testbed.errors import TrialError
 from socket_testbed.samples import Status
 from socket_testbed.trials import bag, messages
 from socket_testbed.trials.bag import BagReader, RawMessage
-from socket_testbed.trials.layout import decode, fields_of, stamp_of, typestore
+from socket_testbed.trials.layout import Layout, decode, fields_of, stamp_of, typestore
 from socket_testbed.trials.messages import Reader
 from socket_testbed.trials.synchronise import Measurements
 from socket_testbed.trials.topics import (
@@ -78,10 +77,8 @@ def check_every_message(path: Path) -> int:
     return compared
 
 
-def test_every_message_of_real_bags() -> None:
-    folder = SHARED_DATA / "rosbag2"
-    if not folder.is_dir():
-        pytest.skip("the shared data are not there")
+def test_every_message_of_real_bags(shared_data: Path) -> None:
+    folder = shared_data / "rosbag2"
     assert sum(check_every_message(path) for path in folder.iterdir() if path.is_dir()) > 0
 
 
@@ -96,6 +93,8 @@ def varied(kinds: list[str]) -> Iterator[RawMessage]:
 
 def test_every_message_of_topics_whose_messages_vary(tmp_path: Path) -> None:
     kinds = [name for name in typestore().types if name.startswith("socket_testbed_msgs/")]
+    kinds += ["geometry_msgs/msg/WrenchStamped", "sensor_msgs/msg/PointCloud2"]
+    kinds += ["diagnostic_msgs/msg/DiagnosticArray"]
     bag = written_by_rosbags(varied(kinds), tmp_path / "varied")
     assert check_every_message(bag) == 60 * len(kinds)
 
@@ -187,3 +186,52 @@ def test_a_message_that_cannot_be_decoded_is_named(hold: Path, tmp_path: Path) -
             new.write(raw.topic, raw.time, raw.data[:-9] if number == 500 else raw.data)
     with pytest.raises(TrialError, match=r"torn: a message on \S+ cannot be decoded"):
         Trial(tmp_path / "torn").samples()
+
+
+@pytest.mark.parametrize("kind", [CAPACITANCE.type, "socket_testbed_msgs/msg/ForceMap"])
+def test_any_other_byte_is_read_as_the_library_reads_it(kind: str) -> None:
+    """A message with one byte changed fits if only numbers or what aligns them changed."""
+    message = Maker(7, 0).message(kind)
+    raw = encode(message, kind, True)
+    layout, before = Layout(raw, kind), strings_of(decode(raw, kind), kind)
+    records, fits = layout.records([raw[:-1], raw, b"", encode(message, kind, False), raw])
+    assert fits.tolist() == [False, True, False, False, True] and len(records) == 2
+    outcomes = set()
+    for at in range(len(raw)):
+        changed = bytearray(raw)
+        changed[at] ^= 0xA5
+        record = layout.record(changed)
+        try:
+            message = decode(bytes(changed), kind)
+            same = strings_of(message, kind) == before
+        except Exception:
+            same = False
+        assert (record is not None) == same
+        if record is not None:
+            np.testing.assert_array_equal(numbers_in(record), numbers_of(message, kind))
+        outcomes.add(same)
+    assert outcomes == {True, False}
+
+
+def damaged(kind: str) -> Iterator[bytes]:
+    rng = np.random.default_rng(0)
+    raw = encode(Maker(3, 0).message(kind), kind, True)
+    yield raw + bytes(4)
+    for _ in range(60):
+        torn = bytearray(raw)
+        torn[rng.integers(len(torn))] = rng.integers(256)
+        yield from (bytes(torn), raw[: rng.integers(len(raw))])
+
+
+def test_bytes_that_are_no_such_message_are_refused() -> None:
+    """Whatever is accepted is what the library accepts, too."""
+    kinds = [name for name in typestore().types if name.startswith("socket_testbed_msgs/")]
+    for kind, bad in ((name, bad) for name in kinds for bad in damaged(name)):
+        try:
+            Layout(bad, kind)
+        except ValueError:
+            continue
+        try:
+            decode(bad, kind)
+        except Exception as error:
+            assert "utf-8" in str(error)  # a string's bytes: nobody reads them from a layout

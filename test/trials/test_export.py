@@ -101,20 +101,11 @@ def test_samples_are_read_back_as_they_are(suffix, gappy, samples, tmp_path) -> 
         assert field.name.endswith(f" [{field.metadata[b'unit'].decode()}]")
 
 
-def test_a_segment_keeps_the_trial_s_time(gappy: Path, samples: Samples, tmp_path: Path) -> None:
-    path = tmp_path / "out.csv"
-    call(gappy, "-o", path, "--segment", "10:20")
-    table = pd.read_csv(path)
-    rows = (samples.time >= 10.0) & (samples.time <= 20.0)
-    np.testing.assert_array_equal(table["stamp [ns]"], samples.stamps[rows])
-    np.testing.assert_array_equal(table["time [s]"], samples.time[rows])
-
-
 def test_predictions_have_the_errors_that_evaluate_finds(
     gappy, hold_model, samples, tmp_path
 ) -> None:
     path = tmp_path / "out.parquet"
-    call(gappy, "-o", path, "--model", hold_model)
+    call(gappy, "-o", path, "--model", hold_model, "--segment", "all")
     columns = read_back(path)
     for error in evaluate(samples, read_model(hold_model).model):
         measured = columns[f"{error.name} [{error.unit}]"].copy()

@@ -9,7 +9,6 @@ import pytest
 import yaml
 from support.bags import copying, move_to_namespace, rewrite
 
-from socket_testbed.__main__ import run
 from socket_testbed.errors import CalibrationError, TrialError
 from socket_testbed.simulation.trial import TRUTH_FILE, read_true_forces, read_truth
 from socket_testbed.trials.bag import BagReader, BagWriter
@@ -93,12 +92,10 @@ def test_metadata_that_is_missing_or_promises_other_counts(hold: Path, tmp_path:
     with pytest.raises(TrialError, match="lists 239 messages"):
         Trial(target).samples()
     metadata = yaml.safe_load(text)
-    information = metadata["rosbag2_bagfile_information"]
-    for entry in ("text", {"message_count": 7}, {"topic_metadata": {"name": "x"}}):
-        information["topics_with_message_count"] = [entry]
-        file.write_text(yaml.safe_dump(metadata))
-        with pytest.raises(TrialError, match=r"is not rosbag2 metadata: .*reindex"):
-            Trial(target).samples()
+    metadata["rosbag2_bagfile_information"]["topics_with_message_count"] = [{"message_count": 7}]
+    file.write_text(yaml.safe_dump(metadata))
+    with pytest.raises(TrialError, match=r"is not rosbag2 metadata: .*reindex"):
+        Trial(target).samples()
 
 
 def test_a_disagreement_on_qos_hides_no_message(shared_data: Path) -> None:
@@ -132,9 +129,7 @@ def test_a_trial_whose_configuration_does_not_suffice_says_what_to_give(
         Trial(hold, calibration_file=target / "calibration.yaml").samples()
 
 
-def test_stamps_that_jump_back_are_counted_and_named(
-    hold: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_stamps_that_jump_back_are_counted_and_named(hold: Path, tmp_path: Path) -> None:
     notes: list[str] = []
     Trial(hold, notify=notes.append).samples()
     assert notes == []
@@ -153,6 +148,3 @@ def test_stamps_that_jump_back_are_counted_and_named(
     assert back.startswith("the stamps of load_cell/wrench jump back, once (from 9.75 s to 5.0")
     assert doubled.startswith("the stamps of load_cell/wrench are doubled, 20 times (at 5.00 s")
     assert "20 earlier values are replaced" in doubled and "and 17 more" in doubled
-    capsys.readouterr()
-    assert run(["info", str(target)]) == 0
-    assert capsys.readouterr().out.count("note: the stamps of") == 2
