@@ -62,10 +62,6 @@ def test_any_order_of_labels_gives_the_pose_and_an_occluded_marker_none(rng):
     for values in (fit.pose.rotation, fit.pose.translation, fit.residual):
         assert np.isnan(values[lost]).all()
     assert (fit.order[lost] == -1).all()
-    alike = fit_body(SOCKET_TRIAD, observed)
-    np.testing.assert_array_equal(alike.pose.translation, fit.pose.translation)
-    none = fit_triad(SOCKET_TRIAD, np.zeros((0, 3, 3)))
-    assert none.pose.rotation.shape == (0, 3, 3) and none.pose.translation.shape == (0, 3)
 
 
 def test_another_triad_gives_no_pose_by_the_tolerance_of_its_edges(rng):
@@ -145,7 +141,7 @@ def test_with_three_markers_left_there_is_a_pose_or_none_but_no_wrong_one(rng):
         assert not fit_body(body, observed).found.any()
 
 
-def test_labels_in_any_order_are_put_right_and_a_reflection_is_left_out(rng):
+def test_labels_in_any_order_are_put_right_and_other_bodies_have_no_pose(rng):
     for size in SIZES:
         body, pose = body_of(size), random_pose(rng, count=COUNT)
         truth = observe(body, pose, rng)
@@ -165,11 +161,6 @@ def test_labels_in_any_order_are_put_right_and_a_reflection_is_left_out(rng):
         fit = fit_body(body, truth)
         assert fit.found.all() and (fit.order[:, 1] == -1).all()
         check(fit, body, pose)
-
-
-def test_another_body_and_a_mirrored_one_have_no_pose(rng):
-    for size in SIZES:
-        body, pose = body_of(size), random_pose(rng, count=COUNT)
         for other in (1.2 * body, body * np.array([1.0, 1.0, -1.0]), body_of(size, seed=5)):
             assert not fit_body(body, observe(other, pose, rng)).found.any()
 
@@ -228,7 +219,6 @@ def test_the_residuals_give_the_noise_whatever_is_occluded(rng):
         assert fit.noise == pytest.approx(NOISE, rel=tolerance)
         observed[1::2, 0] = np.nan
         assert fit_body(body, observed).noise == pytest.approx(NOISE, rel=2.0 * tolerance)
-    assert math.isnan(fit_triad(SOCKET_TRIAD, np.full((5, 3, 3), np.nan)).noise)
 
 
 def test_covariances_are_those_of_random_trials(rng):

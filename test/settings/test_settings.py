@@ -1,7 +1,6 @@
 """Settings, the file of the node parameters, and names of trials, which are names of takes."""
 
 import dataclasses
-import math
 from pathlib import Path
 
 import numpy as np
@@ -51,19 +50,12 @@ def test_whatever_means_a_number_is_one():
     assert IdentificationSettings(reference_position=np.ones(3)).reference_position == (1.0,) * 3
 
 
-THETA = "give a number from 0 to 1: weight of the wrench against the clusters"
-
-
 WRONG = (
-    (IdentificationSettings, "theta", 1.01, f"theta is 1.01: {THETA}"),
-    (IdentificationSettings, "smoothness", math.inf, "smoothness is inf: give a number"),
-    (IdentificationSettings, "theta", "high", f"theta is 'high': {THETA}"),
+    (IdentificationSettings, "theta", 1.01, "theta is 1.01: give a number from 0 to 1: weight"),
     (IdentificationSettings, "variant", "stifness", "did you mean 'stiffness'"),
     (IdentificationSettings, "leave_out", "Mz", "leave_out is 'Mz': give a list"),
-    (IdentificationSettings, "leave_out", [1], "leave_out[0] is 1: give a text"),
     (IdentificationSettings, "initial_stiffness", "aut", "is 'aut': give a number from 0"),
     (IdentificationSettings, "reference_position", [1.0], "give x, y and z in m"),
-    (WindowSettings, "least_samples", 50.5, "least_samples is 50.5: give a whole number"),
     (EstimatorSettings, "auto_fit", "yes", "auto_fit is 'yes': give true or false"),
 )
 
@@ -166,12 +158,9 @@ def test_a_bad_file_is_named_with_its_field_and_the_hint(read, tmp_path):
     known = "estimator_node: {ros__parameters: {identification: "
     for content, error in (
         ("estimater_node: {ros__parameters: {}}", "did you mean 'estimator_node'"),
-        ("lamp_post: {ros__parameters: {}}", "unknown key 'lamp_post': use one of"),
         ("estimator_node: {ros_parameters: {}}", "did you mean 'ros__parameters'"),
         ("estimator_node: {}", "estimator_node: 'ros__parameters' is missing: add"),
-        ("estimator_node:", "estimator_node is empty: give 'key: value' lines"),
         (f"{known}{{tetha: 1}}}}}}", "'identification.tetha': did you mean 'identification.theta'"),
-        (f"{known}3}}}}", "estimator_node: unknown key 'identification'"),
     ):
         with refused(ConfigurationError, str(tmp_path / "testbed.yaml"), error):
             read(content)
