@@ -219,7 +219,7 @@ def test_a_span_gives_what_every_draw_at_every_sample_gives(threshold: float) ->
 
 @pytest.mark.parametrize("tissue", ["soft", "stiff"])
 def test_intervals_hold_the_truth_of_simulated_holds(tissue: TissueKind) -> None:
-    """Of limbs that the map was not chosen by; `benchmark_pressure.py` has the shares."""
+    """Of limbs that the map was not chosen by; `benchmark_force_map.py` has the shares."""
     geometry = read_socket(packaged("config", "socket.yaml"))
     clusters, regions = tuple(geometry.clusters), all_regions(geometry)
     tiles = list(geometry.clusters.values())
