@@ -27,7 +27,6 @@ from socket_testbed.identification.pareto import (
     pareto_front,
     write_fronts,
 )
-from socket_testbed.report.sections.fronts import pareto_figure
 from socket_testbed.settings.identification import PAPER_VARIANTS, VARIANTS
 
 LOCAL = tuple(f"cluster_{i}.F{axis}" for i in range(3) for axis in "xyz")
@@ -227,15 +226,3 @@ def test_the_table_and_the_json_are_the_fronts(tmp_path):
         assert len(document["solutions"]) == 11
         assert document["marks"].keys() == front.marks.keys()
     assert document["knee"]["theta"] is document["solutions"][0]["rmse"]["Mx"] is None
-
-
-def test_the_figure_shows_every_sound_solution_and_may_be_empty():
-    fronts = [made_up_front(flaws={3: "not determined"}), made_up_front("stiffness_bias", 1e-3)]
-    (axes,) = pareto_figure(fronts, "two fronts").axes
-    shown = {(float(x), float(y)) for line in axes.lines for x, y in line.get_xydata()}
-    errors = [np.stack([f.wrench_error, f.local_error], axis=1)[f.sound] for f in fronts]
-    assert shown == {(float(x), float(y)) for x, y in np.vstack(errors)}
-    nothing = made_up_front(flaws=dict.fromkeys(range(11), "not certified"))
-    zero = dataclasses.replace(made_up_front(), wrench_error=np.zeros(11))  # no place on log axes
-    for front in (nothing, zero):
-        pareto_figure([front], "nothing").canvas.draw()

@@ -188,9 +188,9 @@ def test_a_message_that_cannot_be_decoded_is_named(hold: Path, tmp_path: Path) -
         Trial(tmp_path / "torn").samples()
 
 
-@pytest.mark.parametrize("kind", [CAPACITANCE.type, "socket_testbed_msgs/msg/ForceMap"])
-def test_any_other_byte_is_read_as_the_library_reads_it(kind: str) -> None:
+def test_any_other_byte_is_read_as_the_library_reads_it() -> None:
     """A message with one byte changed fits if only numbers or what aligns them changed."""
+    kind = CAPACITANCE.type
     message = Maker(7, 0).message(kind)
     raw = encode(message, kind, True)
     layout, before = Layout(raw, kind), strings_of(decode(raw, kind), kind)
@@ -211,27 +211,3 @@ def test_any_other_byte_is_read_as_the_library_reads_it(kind: str) -> None:
             np.testing.assert_array_equal(numbers_in(record), numbers_of(message, kind))
         outcomes.add(same)
     assert outcomes == {True, False}
-
-
-def damaged(kind: str) -> Iterator[bytes]:
-    rng = np.random.default_rng(0)
-    raw = encode(Maker(3, 0).message(kind), kind, True)
-    yield raw + bytes(4)
-    for _ in range(60):
-        torn = bytearray(raw)
-        torn[rng.integers(len(torn))] = rng.integers(256)
-        yield from (bytes(torn), raw[: rng.integers(len(raw))])
-
-
-def test_bytes_that_are_no_such_message_are_refused() -> None:
-    """Whatever is accepted is what the library accepts, too."""
-    kinds = [name for name in typestore().types if name.startswith("socket_testbed_msgs/")]
-    for kind, bad in ((name, bad) for name in kinds for bad in damaged(name)):
-        try:
-            Layout(bad, kind)
-        except ValueError:
-            continue
-        try:
-            decode(bad, kind)
-        except Exception as error:
-            assert "utf-8" in str(error)  # a string's bytes: nobody reads them from a layout
