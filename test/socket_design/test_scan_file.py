@@ -114,7 +114,6 @@ def test_of_two_bodies_one_must_be_chosen_by_its_number(cone, path):
     with pytest.raises(ScanError, match=rf"has 2 bodies of 0 \({len(cone.faces)} faces, 1"):
         read_scan(path)
     assert_same_surface(read_scan(path, body="0").mesh, cone)
-    assert read_scan(path, unit="mm", body="1").mesh.is_watertight
     for wrong in ("2", "-1", "socket"):
         with pytest.raises(ScanError, match=rf"no body '{wrong}' among 0.*--body"):
             read_scan(path, body=wrong)
@@ -204,8 +203,6 @@ def test_a_file_that_is_cut_off_is_refused(cone, tmp_path):
 
 def test_the_bodies_of_a_real_file(shared_data):
     path = shared_data / "homebrew_socket" / "socket.STL"
-    with pytest.raises(ScanError, match=r"0 \(7626 faces, .*1 \(11052 faces, 111.8 x 154.7"):
-        read_scan(path)
     scan = read_scan(path, body="1")
     assert (len(scan.mesh.faces), scan.unit, scan.body) == (11052, "mm", "1")
     assert scan.mesh.is_watertight
