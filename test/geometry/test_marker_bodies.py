@@ -127,19 +127,6 @@ def test_the_pose_is_that_of_least_squares_of_all_markers_seen(rng):
             assert fit.residual[k] == pytest.approx(distance / math.sqrt(seen.sum()), rel=1e-6)
 
 
-def test_with_three_markers_left_there_is_a_pose_or_none_but_no_wrong_one(rng):
-    for size in SIZES:
-        body, pose = body_of(size), random_pose(rng, count=200)
-        observed = observe(body, pose, rng)
-        for frame in observed:
-            frame[rng.permutation(size)[3:]] = np.nan
-        fit = fit_body(body, observed)
-        assert fit.found.mean() > 0.3  # the others are a part of the body that it has twice
-        check(fit, body, pose, 0.01)
-        observed[:, 2:] = np.nan
-        assert not fit_body(body, observed).found.any()
-
-
 def test_labels_in_any_order_are_put_right_and_other_bodies_have_no_pose(rng):
     for size in SIZES:
         body, pose = body_of(size), random_pose(rng, count=COUNT)

@@ -20,10 +20,10 @@ from support.motive_takes import (
     register,
     track,
 )
-from support.problems import PYLON_TRIAD, SOCKET_TRIAD, random_pose
+from support.problems import SOCKET_TRIAD, random_pose
 
 from socket_testbed.errors import RegistrationError
-from socket_testbed.geometry.marker_bodies import edge_lengths, fit_triad
+from socket_testbed.geometry.marker_bodies import fit_triad
 from socket_testbed.geometry.pose import Pose
 from socket_testbed.socket_design.landmarks import LandmarkFit, register_landmarks
 from socket_testbed.socket_design.registration import (
@@ -36,23 +36,6 @@ from socket_testbed.socket_design.registration import (
 @pytest.fixture
 def rng():
     return np.random.default_rng(23)
-
-
-def test_a_take_without_errors_gives_the_truth(rng, tmp_path):
-    bench = make_bench(rng, noise=0.0, unit="Millimeters")
-    found = register(bench, tmp_path)
-    for pose, truth in (
-        (found.geometry.socket_body, bench.socket_body),
-        (found.geometry.limb, bench.limb),
-    ):
-        distance, angle = between(pose, truth)
-        assert distance < 2e-8 and angle < 2e-7
-    assert np.linalg.norm(found.limb_position - bench.q) < 1e-8
-    edges = edge_lengths(np.array([found.geometry.socket_markers, found.geometry.pylon_markers]))
-    own = edge_lengths(np.array([SOCKET_TRIAD, PYLON_TRIAD]))
-    np.testing.assert_allclose(edges, own, atol=1e-8)
-    assert found.geometry.names == bench.geometry.names
-    assert not any("moved" in note or "off" in note for note in found.notes)
 
 
 def test_a_body_of_more_markers_is_registered_in_the_frame_of_its_first(rng, tmp_path):

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
-from support.bags import copying, move_to_namespace, rewrite
+from support.bags import move_to_namespace, rewrite
 
 from socket_testbed.errors import CalibrationError, TrialError
 from socket_testbed.simulation.trial import TRUTH_FILE, read_true_forces, read_truth
@@ -40,15 +40,6 @@ def test_true_forces_are_those_of_the_simulated_tiles_alone(hold: Path, tmp_path
     np.savez(tmp_path / TRUTH_FILE, forces=forces)
     with pytest.raises(TrialError, match=f"{TRUTH_FILE}: is damaged"):
         read_true_forces(tmp_path, samples.stamps, tiles)
-
-
-def test_the_order_of_recording_does_not_matter(hold: Path, tmp_path: Path) -> None:
-    with copying(hold, tmp_path / "shuffled") as (old, new):
-        messages = list(old.messages())
-        for k in np.random.default_rng(0).permutation(len(messages)):
-            new.write(messages[k].topic, messages[k].time, messages[k].data)
-    shuffled = Trial(tmp_path / "shuffled").samples()
-    np.testing.assert_array_equal(shuffled.values, Trial(hold).samples().values)
 
 
 def test_a_topic_that_is_missing_or_empty_is_named(hold: Path, tmp_path: Path) -> None:
