@@ -229,7 +229,8 @@ def main() -> None:
         for helper in helpers:
             helper.kill()
             helper.join()
-        show_costs({who: after[who] - before.get(who, 0.0) for who in after}, count, options.rate)
+        spent = {who: after[who] - before.get(who, 0.0) for who in after}
+        show_costs({who: each for who, each in spent.items() if each > 0.0}, count, options.rate)
         show_arrivals(testbed.record, triggers, estimates)
 
 

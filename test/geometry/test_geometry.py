@@ -114,12 +114,13 @@ def test_a_socket_survives_its_file(rng, tmp_path):
     path = tmp_path / "socket.yaml"
     plain = random_socket(rng, rings=3, columns=5, clusters=4)
     scan = ScanFrame(0.001, random_pose(rng))
-    turned = dataclasses.replace(plain, turned={"cluster_1": 0.5 * np.pi}, scan=scan)
+    more = {"turned": {"cluster_1": 0.5 * np.pi}, "regions": {"heel": (3, 5)}, "scan": scan}
+    turned = dataclasses.replace(plain, **more)
     for geometry in (plain, turned):
         write_socket(geometry, path)
         found = read_socket(path)
-        assert found.names == geometry.names
-        assert found.clusters == geometry.clusters
+        for field in ("names", "clusters", "regions"):
+            assert getattr(found, field) == getattr(geometry, field)
         assert found.turned == pytest.approx(geometry.turned, abs=1e-9)
         np.testing.assert_array_equal(found.neighbours, geometry.neighbours)
         np.testing.assert_array_equal(found.areas, geometry.areas)

@@ -207,10 +207,8 @@ def test_tiles_with_a_sensor_do_not_count():
     judged = judge_tiles(samples, geometry, truth, estimators, "second half")
     errors = {judgement.predictor: judgement.error for judgement in judged}
     assert errors["zero"] == pytest.approx(1.0)
-    sensed = [*geometry.clusters.values()]
-    bare = np.setdiff1d(np.arange(len(geometry)), sensed)
+    bare = np.setdiff1d(np.arange(len(geometry)), [*geometry.clusters.values()])
     forces = field_rivals(geometry)[CLOSED](samples)[0]
-    assert np.allclose(forces[:, sensed], truth[:, sensed], rtol=1e-6, atol=1e-6)
     expected = np.sqrt(np.mean((forces - truth)[:, bare] ** 2) / np.mean(truth[:, bare] ** 2))
     assert errors[CLOSED] == pytest.approx(expected)
 

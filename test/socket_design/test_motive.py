@@ -165,21 +165,10 @@ def test_a_bad_file_is_named_with_its_place_and_a_hint(scene, tmp_path):
         assert hint in caught.value.hint
 
 
-@pytest.fixture(scope="module")
-def real(shared_data: Path) -> MotiveTake:
-    return read_motive_csv(shared_data / "motive_csv" / "sample_optitrack_take.csv")
-
-
-def test_a_real_take_is_read(real):
+def test_the_markers_of_a_real_take_give_the_pose_of_motive(shared_data):
+    real = read_motive_csv(shared_data / "motive_csv" / "sample_optitrack_take.csv")
     assert len(real) == 250 and real.frame_rate == 120.0 and real.units == "Meters"
     assert real.notes == () and list(real.bodies) == ["Rigid Body 1"]
-    assert real.markers_of("Rigid Body 1") == tuple(f"Rigid Body 1:Marker{i}" for i in (1, 2, 3))
-    np.testing.assert_allclose(real.times, real.frames / 120.0, atol=1e-6)
-    unlabelled = [real.markers[name] for name in real.markers if name.startswith("Unlabeled")]
-    assert np.isnan(unlabelled).any()
-
-
-def test_the_markers_of_a_real_take_give_the_pose_of_motive(real):
     motive = real.body("Rigid Body 1")
     measured = real.stack(real.markers_of("Rigid Body 1"))
     solved = np.stack([*real.solved.values()], axis=1)
