@@ -117,6 +117,7 @@ def main() -> None:
                 "evaluate": ["--segment", "all", "--model", str(model)],
                 "pressure": ["--segment", "all"],
                 "export": ["-o", str(path.with_suffix(".parquet"))],
+                "report": ["--segment", "all", "-o", str(path.with_suffix(".html"))],
             }
             rows = {"the bag library's iteration": floor, "reading all samples": reading}
             for name, (seconds, memory) in rows.items():

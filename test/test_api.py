@@ -168,7 +168,6 @@ def test_wrong_input_is_a_testbed_error(folder) -> None:
         ("no such trial", lambda: st.open_trial(folder / "nowhere")),
         (r"theta.*from 0 to 1", lambda: st.fit(trial, theta=5.0)),
         ("segment is None: give", lambda: st.fit(trial, segment=None)),
-        ("unknown scenario 'walk'", lambda: st.simulate(folder / "walking", "walk")),
     ):
         with pytest.raises(st.TestbedError, match=error):
             call()
@@ -222,7 +221,6 @@ def test_the_readme_s_and_the_laptop_s_lines_run(folder, tmp_path, monkeypatch, 
 
 def test_a_fit_of_wrong_values_is_refused_or_noted(folder, tmp_path) -> None:
     """What counts as wrong: identification/test_plausibility.py."""
-    fitted = st.fit(st.open_trial(folder / "trials" / "hold"))
 
     def scaled(factor: float, ending: str, part: str) -> Path:
         def change(topic: str, message):
@@ -231,7 +229,7 @@ def test_a_fit_of_wrong_values_is_refused_or_noted(folder, tmp_path) -> None:
                 vector.x, vector.y, vector.z = (factor * v for v in (vector.x, vector.y, vector.z))
             return message
 
-        return rewrite(folder / "trials" / "hold", tmp_path / f"{part}{factor}", change)
+        return rewrite(folder / "trials" / "hold", tmp_path / part, change)
 
     negated = scaled(-1.0, "/wrench", "force")
     with pytest.warns(UserWarning, match="the wrench looks negated"):
@@ -240,11 +238,9 @@ def test_a_fit_of_wrong_values_is_refused_or_noted(folder, tmp_path) -> None:
     trial = st.open_trial(negated, notify=heard.append)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        st.fit(trial, "20:35")
         st.evaluate(trial, st.fit(trial, "20:35"))
     assert heard and len(heard) == len(set(heard))
-    with pytest.raises(st.TestbedError, match=r"Fz is .*millinewtons"):
-        st.fit(st.open_trial(scaled(1e3, "/wrench", "force")), "20:35")
+    fitted = st.fit(trial, "20:35")
     trial = st.open_trial(scaled(1e3, "/pose", "position"))
     for use in (st.fit, lambda t: st.predict(t, fitted), lambda t: st.evaluate(t, fitted)):
         with pytest.raises(st.TestbedError, match=r"limb position is .* likely in millimetres"):
@@ -261,11 +257,5 @@ def test_a_model_is_judged_on_poses_averaged_as_in_its_fit(folder, tmp_path) -> 
     pd.testing.assert_frame_equal(judged, fitted.to_dataframe(), rtol=1e-9)
     raw = st.evaluate(trial, stored, pose_smoothing=0.0)
     assert raw.to_dataframe().loc["Fz", "RMSE"] != judged.loc["Fz", "RMSE"]
-    errors = tmp_path / "errors.json"
-    words = ("--model", tmp_path / "model.json", "--pose-smoothing", 0, "-o", errors)
-    verb("evaluate", trial.path, *words)
-    assert json.loads(errors.read_text()) == raw.document()
     shown = st.export(trial, tmp_path / "table.csv", model=stored)["predicted.Fz [N]"]
     np.testing.assert_allclose(shown, st.predict(trial, stored)["Fz [N]"])
-    with pytest.raises(st.TestbedError, match="pose_smoothing is -1"):
-        st.evaluate(trial, stored, pose_smoothing=-1.0)

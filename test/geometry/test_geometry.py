@@ -29,9 +29,8 @@ def homogeneous(pose: Pose) -> np.ndarray:
 
 def test_quaternions_of_any_length_are_rotations_and_nothing_is_not(rng):
     quaternions = rng.normal(size=(200, 4)) * 10.0 ** rng.integers(-6, 7, (200, 1))
-    bad = [[0.0] * 4, [np.nan, 0.0, 0.0, 1.0], [np.inf, 0.0, 0.0, 1.0], [np.nan] * 4]
-    quaternions[[3, 50, 51, 199]] = bad
-    unusable = np.isin(np.arange(200), [3, 50, 51, 199])
+    quaternions[[3, 50, 199]] = [[0.0] * 4, [np.nan, 0.0, 0.0, 1.0], [np.inf, 0.0, 0.0, 1.0]]
+    unusable = np.isin(np.arange(200), [3, 50, 199])
     with np.errstate(all="raise"):
         pose = Pose.from_quaternion(rng.normal(size=(200, 3)), quaternions)
     expected = Rotation.from_quat(quaternions[~unusable])  # x, y, z, w
@@ -42,9 +41,6 @@ def test_quaternions_of_any_length_are_rotations_and_nothing_is_not(rng):
         np.testing.assert_array_equal(np.isnan(values).all(axis=1), unusable)
     back = Pose.from_quaternion(pose.translation, pose.quaternion())
     np.testing.assert_allclose(back.rotation, pose.rotation, atol=1e-14)
-    single = Pose(pose.rotation[0], pose.translation[0])
-    np.testing.assert_allclose(single.quaternion(), pose.quaternion()[0], atol=1e-15)
-    np.testing.assert_allclose(single.rotation_vector(), vectors[0], atol=1e-15)
 
 
 def test_poses_compose_and_invert_as_homogeneous_matrices_singly_and_in_batches(rng):
@@ -118,12 +114,13 @@ def test_a_socket_survives_its_file(rng, tmp_path):
     path = tmp_path / "socket.yaml"
     plain = random_socket(rng, rings=3, columns=5, clusters=4)
     scan = ScanFrame(0.001, random_pose(rng))
-    turned = dataclasses.replace(plain, turned={"cluster_1": 0.5 * np.pi}, scan=scan)
+    more = {"turned": {"cluster_1": 0.5 * np.pi}, "regions": {"heel": (3, 5)}, "scan": scan}
+    turned = dataclasses.replace(plain, **more)
     for geometry in (plain, turned):
         write_socket(geometry, path)
         found = read_socket(path)
-        assert found.names == geometry.names
-        assert found.clusters == geometry.clusters
+        for field in ("names", "clusters", "regions"):
+            assert getattr(found, field) == getattr(geometry, field)
         assert found.turned == pytest.approx(geometry.turned, abs=1e-9)
         np.testing.assert_array_equal(found.neighbours, geometry.neighbours)
         np.testing.assert_array_equal(found.areas, geometry.areas)
@@ -165,32 +162,19 @@ def test_tiles_may_be_numbered_and_pairs_of_neighbours_given_twice(document, tmp
 
 
 LEFT_HANDED = np.diag([1.0, 1.0, -1.0]).tolist()
-STRETCHED = np.diag([1.0, 1.0, 1.001]).tolist()
 LINE = [[0.0, 0.0, 0.0], [0.05, 0.0, 0.0], [0.1, 0.0, 0.0]]
 IN_MILLIMETRES_OF_NOTHING = [[0.0, 0.0, 0.0], [0.001, 0.0, 0.0], [0.0, 0.001, 0.0]]
 TILE = ("tiles", "tile_0_1")
 BAD = [
     ((*TILE, "frame"), LEFT_HANDED, "tile_0_1: frame is not a right-handed orthonormal"),
-    ((*TILE, "frame"), STRETCHED, "frame is not a right-handed orthonormal frame (off by 0.00"),
-    ((*TILE, "area"), 9.0, "area is 9.0: give a number from 1e-08 to 0.05: the area [m^2]"),
     ((*TILE, "anchor"), [0.0, 0.0, 120.0], "anchor[2] is 120.0: give a number from -2 to 2"),
-    (("tiles",), {}, "tiles is an empty mapping: give 'key"),
     (("neighbours",), [["tile_0_0", "tile_0_9"]], "no tile 'tile_0_9': did you mean 'tile_0_"),
     (("neighbours",), [["tile_0_0", "tile_0_0"]], "give two different tiles"),
     (("clusters", "cluster_0"), "tile_0_x", "cluster_0: no tile 'tile_0_x': did you mean"),
     (("clusters",), {"a": "tile_0_0", "b": "tile_0_0"}, "on 'tile_0_0': give each its own tile"),
     (("bodies", "socket", "markers"), LINE, "the markers are on one line"),
-    (
-        ("bodies", "pylon", "markers"),
-        IN_MILLIMETRES_OF_NOTHING,
-        "1.0 mm apart: move them 10 mm apart",
-    ),
-    (("bodies", "pylon", "markers"), LINE[:2], "markers is a list of 2: give a list of 3 to 8"),
-    (("bodies", "pylon", "limb_in_body", "rotation"), LEFT_HANDED, "rotation is not a right"),
-    (("regions",), {"heel": []}, "regions: heel has no tiles"),
-    (("regions",), {"heel": ["tile_0_x"]}, "no tile 'tile_0_x': did you mean 'tile_0_"),
+    (("bodies", "pylon", "markers"), IN_MILLIMETRES_OF_NOTHING, "1.0 mm apart: move them"),
     (("regions",), {"heel": ["tile_0_0", "tile_0_0"]}, "holds a tile twice"),
-    (("regions",), {"anterior proximal": ["tile_0_0"]}, "name of a standard region"),
     (("regions",), {"socket": ["tile_0_0"]}, "name of a standard region"),
 ]
 

@@ -20,18 +20,6 @@ def law_of(variant, geometry, sharpness=ALPHA, reference=(0.01, -0.02, 0.15, 0.0
     return LAWS[variant](geometry.anchors, geometry.rotations, sharpness, np.array(reference))
 
 
-@pytest.mark.parametrize("sharpness", [1.0, 1e5])
-def test_columns_of_the_paper_s_law_are_the_gated_displacements(rng, sharpness):
-    law = law_of("stiffness", random_socket(rng), sharpness)
-    moved = rng.uniform(-0.01, 0.01, (20, 3, 7))
-    np.testing.assert_allclose(law.columns(moved), naive_gated(moved, sharpness), atol=1e-16)
-    with np.errstate(over="raise"):  # the law itself must keep its overflow quiet
-        assert (law.columns(np.full((1, 3, 1), 1e3)) == 0.0).all()
-    d = np.linspace(0.0, 10.0 / sharpness, 10_001)[:, None, None] * np.ones((1, 3, 1))
-    # A property of the paper's gate: how much a spring can pull.
-    assert law.columns(d).max() * sharpness == pytest.approx(0.139, abs=5e-4)
-
-
 @pytest.mark.parametrize("variant", [v for v in VARIANTS if LAWS[v].REFINED])
 def test_slopes_and_bends_are_the_derivatives_of_the_columns(rng, variant):
     law = law_of(variant, random_socket(rng), 300.0)
@@ -94,6 +82,8 @@ def test_the_paper_s_model_is_its_springs_with_their_offsets(rng, variant):
             expected = (springs[:, tile] + offset) @ geometry.rotations[tile]
             np.testing.assert_allclose(local[name], expected, atol=1e-10)
         np.testing.assert_allclose(forces[:, tile], springs[:, tile] + offset, atol=1e-10)
+    with np.errstate(over="raise"):  # far out of contact the law keeps its overflow quiet
+        assert (law_of(variant, geometry).columns(np.full((1, 3, 1), 1e3)) == 0.0).all()
 
 
 def test_a_rigid_model_gates_in_the_tile_s_frame_and_never_pulls(rng):
@@ -109,15 +99,3 @@ def test_a_rigid_model_gates_in_the_tile_s_frame_and_never_pulls(rng):
         expected = np.stack([2000.0 * opened * x, 1500.0 * opened * y, normal], axis=1)
         np.testing.assert_allclose(forces[:, tile] @ frame, expected, rtol=1e-9, atol=1e-9)
         assert normal.max() <= 0.0
-
-
-@pytest.mark.parametrize("variant", VARIANTS)
-def test_predict_is_the_wrench_and_the_forces_and_nothing_without_a_pose(rng, variant):
-    bed = random_bed(rng, random_socket(rng), variant)
-    pose = np.hstack([moving_limb(rng, 10), rng.normal(0.0, 0.02, (10, 3))])
-    pose[4] = np.nan
-    wrench, forces = bed.predict(pose)
-    np.testing.assert_allclose(wrench, bed.wrench(pose), rtol=1e-12)
-    np.testing.assert_allclose(forces, bed.forces(pose), rtol=1e-12)
-    for values in (wrench, forces.reshape(10, -1), *bed.cluster_forces(pose).values()):
-        assert np.isnan(values[4]).all() and np.isfinite(np.delete(values, 4, axis=0)).all()

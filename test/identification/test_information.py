@@ -29,11 +29,9 @@ def moving(rng, geometry, motion, noise, count=400):
     return make_samples(pose, np.zeros((count, 6)), {})
 
 
-@pytest.mark.parametrize("variant", ["stiffness", "stiffness_bias"])
-def test_the_shares_of_a_bed_are_its_own(variant):
+def test_the_shares_of_a_bed_are_its_own():
     rng = np.random.default_rng(1)
-    geometry = random_socket(rng)
-    bed = random_bed(rng, geometry, variant)
+    bed = random_bed(rng, random_socket(rng), "stiffness_bias")
     samples = samples_of_bed(rng, bed, moving_limb(rng, 30))
     shares = {share.name: share for share in load_shares(samples, bed)}
     assert set(shares) == {"Fz", "force", "moment"}
@@ -44,7 +42,6 @@ def test_the_shares_of_a_bed_are_its_own(variant):
         measured = samples.wrench[:, part]
         by_hand = np.sum(bed.wrench_bias[part] * measured) / np.sum(measured**2)
         assert share.offsets == pytest.approx(by_hand)
-        assert (share.offsets == 0.0) is (variant == "stiffness")
     little = (LoadShare("Fz", 0.02, 0.97, 0.01), LoadShare("force", 0.12, 0.87, 0.01), share)
     assert "only 12 % of the measured force (2 % of Fz), the offsets 87 %" in share_warning(little)
     assert share_warning((little[0], LoadShare("force", 0.6, 0.3, 0.1), share)) == ""
@@ -81,33 +78,24 @@ def test_motion_and_noise_are_told_apart():
     enough = [excitation.sufficient for excitation in found.excitations]
     assert enough == [False, True, True, False, True, False]
     assert found.directions == 3
-    text = [str(excitation) for excitation in found.excitations]
-    assert text[0].startswith("position x: 0.") and text[0].endswith("noise: push from the sides")
-    assert "mrad of motion" in text[3] and "high and low" in text[3]
-    assert text[5].endswith("twist the limb in the socket")
-    assert text[4].endswith("of noise")
+    assert str(found.excitations[5]).endswith("twist the limb in the socket")
     unknown = measure_motion(moving(rng, geometry, [1e-3] * 6, [0.0] * 6, 8), geometry)
     assert unknown.directions == 0
     assert all("unknown noise" in str(excitation) for excitation in unknown.excitations)
 
 
-@pytest.mark.parametrize("variant", ["stiffness", "stiffness_bias"])
-def test_what_is_known_grows_with_motion_and_falls_with_noise(variant):
+def test_what_is_known_grows_with_motion_and_falls_with_noise():
     rng = np.random.default_rng(6)
-    bed = random_bed(rng, random_socket(rng, rings=4, columns=8, clusters=4), variant)
+    geometry = random_socket(rng, rings=4, columns=8, clusters=4)
+    bed = random_bed(rng, geometry, "stiffness_bias")
     steady = samples_of_bed(rng, bed, rng.normal(0.0, 1e-5, (200, 3)), noise=0.1)
     few = known_directions(steady, bed, 1e3)
-    if variant == "stiffness_bias":
-        assert few == pytest.approx(0.0, abs=1e-6)  # the offsets take all that one pose says
-    else:
-        assert 10.0 < few <= 18.0  # 6 numbers of the wrench, 12 of the clusters
+    assert few == pytest.approx(0.0, abs=1e-6)  # the offsets take all that one pose says
     phase = np.linspace(0.0, 2.0 * np.pi, 200)[:, None] * [1.0, 2.0, 3.0]
     moving = samples_of_bed(rng, bed, 3e-3 * np.sin(phase), noise=0.1)
     many = known_directions(moving, bed, 1e3)
     noisy = samples_of_bed(rng, bed, 3e-3 * np.sin(phase), noise=10.0)
     assert many > known_directions(noisy, bed, 1e3) > few
-    assert many > known_directions(moving, bed, 1e2)
-    assert many <= bed.stiffness.size
     assert np.isnan(known_directions(moving[:8], bed, 1e3))
 
 

@@ -42,13 +42,10 @@ def test_a_model_reads_back_as_it_was_written(hold: Path, tmp_path: Path, varian
 
 SPOILT = (
     (("format",), "socket_testbed model 0", "is of the format 'socket_testbed model 0': fit the"),
-    (("parameters", "variant"), "stiff", "variant is 'stiff': did you mean 'stiffness'"),
     (("parameters", "stiffness"), [[1.0, 2.0, 3.0]], "stiffness has 1 rows for "),
-    (("parameters", "stiffness", 1, 2), -2000.5, "stiffness[1][2] is -2000.5: give a number"),
     (("parameters", "rest_positions", 1, 2), 1e300, "rest_positions[1][2] is 1e+300: give"),
     (("parameters", "force_bias", "elsewhere"), [0, 0, 0], "unknown key 'elsewhere'"),
     (("parameters", "clusters"), ["nowhere"], "clusters: no cluster 'nowhere'"),
-    (("quality", "errors", 0, "rmse"), "small", "quality: errors[0]: rmse is 'small': give"),
 )
 
 
@@ -58,9 +55,6 @@ def test_a_spoilt_model_is_refused(hold_model: Path, tmp_path: Path) -> None:
         path.write_text(json.dumps(changed(json.loads(text), place, value)))
         with refused(ConfigurationError, str(path), error):
             read_model(path)
-    path.write_text(text[: len(text) // 2])
-    with refused(ConfigurationError, "is not a model"):
-        read_model(path)
 
 
 def test_a_model_of_an_older_version_is_read(hold_model: Path, tmp_path: Path) -> None:

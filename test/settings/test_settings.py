@@ -1,7 +1,6 @@
 """Settings, the file of the node parameters, and names of trials, which are names of takes."""
 
 import dataclasses
-import math
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +9,6 @@ import qpsolvers
 import yaml
 from support.wording import refused
 
-from socket_testbed.__main__ import run
 from socket_testbed.drivers.natnet.connection import TakeKeeper
 from socket_testbed.drivers.natnet.messages import encode_command
 from socket_testbed.errors import ConfigurationError
@@ -51,19 +49,12 @@ def test_whatever_means_a_number_is_one():
     assert IdentificationSettings(reference_position=np.ones(3)).reference_position == (1.0,) * 3
 
 
-THETA = "give a number from 0 to 1: weight of the wrench against the clusters"
-
-
 WRONG = (
-    (IdentificationSettings, "theta", 1.01, f"theta is 1.01: {THETA}"),
-    (IdentificationSettings, "smoothness", math.inf, "smoothness is inf: give a number"),
-    (IdentificationSettings, "theta", "high", f"theta is 'high': {THETA}"),
+    (IdentificationSettings, "theta", 1.01, "theta is 1.01: give a number from 0 to 1: weight"),
     (IdentificationSettings, "variant", "stifness", "did you mean 'stiffness'"),
     (IdentificationSettings, "leave_out", "Mz", "leave_out is 'Mz': give a list"),
-    (IdentificationSettings, "leave_out", [1], "leave_out[0] is 1: give a text"),
     (IdentificationSettings, "initial_stiffness", "aut", "is 'aut': give a number from 0"),
     (IdentificationSettings, "reference_position", [1.0], "give x, y and z in m"),
-    (WindowSettings, "least_samples", 50.5, "least_samples is 50.5: give a whole number"),
     (EstimatorSettings, "auto_fit", "yes", "auto_fit is 'yes': give true or false"),
 )
 
@@ -80,19 +71,9 @@ def test_a_wrong_value_is_refused_by_its_name():
             EstimatorSettings.from_flat({name: 7}, "here")
 
 
-def test_a_solver_that_is_not_installed_is_refused_where_it_is_set(tmp_path, monkeypatch, capsys):
-    path = tmp_path / "testbed.yaml"
-    path.write_text("estimator_node: {ros__parameters: {identification: {solver: osqqp}}}")
-    wrong = "solver 'osqqp' is not installed: did you mean 'osqp'?"
-    for set_it in (
-        lambda: estimator_settings(EstimatorSettings(), path),
-        lambda: estimator_settings(EstimatorSettings(), solver="osqqp"),
-    ):
-        with refused(ConfigurationError, wrong):
-            set_it()
-    assert run(["run", "--simulated", "--params", str(path)]) == 1
-    assert wrong in capsys.readouterr().err
-
+def test_a_solver_that_is_not_installed_is_refused_where_it_is_set(monkeypatch):
+    with refused(ConfigurationError, "solver 'osqqp' is not installed: did you mean 'osqp'?"):
+        estimator_settings(EstimatorSettings(), solver="osqqp")
     monkeypatch.setattr(qpsolvers, "available_solvers", ["daqp"])
     with pytest.raises(ConfigurationError, match=r"'osqp' is not.*runtime\.txt for .*or use.*daqp"):
         estimator_settings(EstimatorSettings(), solver="osqp")
@@ -130,19 +111,14 @@ def test_a_file_of_parameters_gives_the_settings_of_its_nodes(read):
           ros__parameters: {rate: 2, loop: true}
         """
     )
-    others = {"estimator_node", "replay_node"}
-    assert all(found.nodes()[name] == kind() for name, kind in NODES.items() if name not in others)
     estimator = found.estimator_node
-    assert estimator.identification.theta == 1.0
-    assert estimator.identification.leave_out == ("Mz",)
-    assert estimator.plateau.smoothing == 4.0
-    assert estimator.window == WindowSettings()
-    assert found.replay_node.rate == 2.0
+    assert (estimator.identification.theta, estimator.plateau.smoothing) == (1.0, 4.0)
+    assert estimator.identification.leave_out == ("Mz",) and estimator.window == WindowSettings()
+    assert found.replay_node.rate == 2.0 and found.trigger_node == TriggerSettings()
 
 
 def test_a_file_over_another_replaces_the_nodes_that_it_names(read):
-    defaults = {n: {"ros__parameters": kind().to_flat()} for n, kind in NODES.items()}
-    assert read(defaults) == read("") == TestbedSettings()
+    assert read("") == TestbedSettings()
     first = read("trigger_node: {ros__parameters: {rate: 9, pulse: 1e-3}}")
     second = read("trigger_node: {ros__parameters: {rate: 7}}", first)
     assert second.trigger_node == TriggerSettings(rate=7.0)
@@ -166,12 +142,9 @@ def test_a_bad_file_is_named_with_its_field_and_the_hint(read, tmp_path):
     known = "estimator_node: {ros__parameters: {identification: "
     for content, error in (
         ("estimater_node: {ros__parameters: {}}", "did you mean 'estimator_node'"),
-        ("lamp_post: {ros__parameters: {}}", "unknown key 'lamp_post': use one of"),
         ("estimator_node: {ros_parameters: {}}", "did you mean 'ros__parameters'"),
         ("estimator_node: {}", "estimator_node: 'ros__parameters' is missing: add"),
-        ("estimator_node:", "estimator_node is empty: give 'key: value' lines"),
         (f"{known}{{tetha: 1}}}}}}", "'identification.tetha': did you mean 'identification.theta'"),
-        (f"{known}3}}}}", "estimator_node: unknown key 'identification'"),
     ):
         with refused(ConfigurationError, str(tmp_path / "testbed.yaml"), error):
             read(content)
@@ -184,9 +157,8 @@ def test_a_name_goes_to_motive_as_it_is_or_is_refused_when_it_is_given(tmp_path:
     for name in ("trial_20261122_101500", "S01 left 2", "Übung-3.b", "歩行"):
         assert check_take_name(name) == name
         assert encode_command(f"SetRecordTakeName,{name}").count(b",") == 1
-    wrong = ("", "a,b", "StopRecording\nx", "a\0b", "..", ".hidden", "../../x", "a/b", "a\\b")
-    wrong += ("C:x", "a ", "a.", "what?", "\udcff", "x" * 201, "x" * 70_000, "ü" * 101, "a\u2028b")
-    for name in wrong:
+    wrong = ("", "a,b", "StopRecording\nx", "a\0b", "..", ".hidden", "a/b", "a\\b", "C:x", "a ")
+    for name in (*wrong, "a.", "\udcff", "x" * 70_000, "ü" * 101, "a\u2028b"):
         with refused(ConfigurationError, "the trial's name ", ": give letters") as caught:
             check_take_name(name)
         assert len(str(caught.value).encode()) < 450

@@ -13,7 +13,6 @@ from socket_testbed.errors import RegistrationError
 from socket_testbed.geometry.marker_bodies import fit_body
 from socket_testbed.geometry.pose import Pose
 from socket_testbed.socket_design.motive import MotiveTake, read_motive_csv
-from socket_testbed.socket_design.registration import tracked_frame
 
 FIRST_FRAME = 7  # index of its line in formats until 1.22
 
@@ -141,26 +140,20 @@ def text(old: str, new: str):
 
 
 BAD = [
-    (lambda lines: [], "not a Motive export", "export"),
     (lambda lines: lines[FIRST_FRAME - 1 :], "not a Motive export", "header information"),
     (lambda lines: lines[:1] + lines[6:], "no rows of types", "header information"),
     (lambda lines: lines[:FIRST_FRAME], "holds no frame", "export"),
     (text("Length Units,Meters", "Length,Meters"), "'Length Units'", "export"),
     (text("Frame Rate,120.000000", "Rate,120"), "Frame Rate", "export"),
-    (text("Frame Rate,120.000000", "Frame Rate,0"), "no frame rate", "export"),
     (text("Quaternion", "XYZ"), "type XYZ", "export quaternions"),
     (text(",Meters", ",Furlongs"), "'Furlongs'", "metres"),
-    (text("Global", "Local"), "'Local'", "global"),
     (text("Version,1.21", "Version,1.1"), "version 1.1", "1.20 to 1.25"),
     (lambda lines: text("Rigid Body", "B")(text("Marker", "M")(lines)), "neither", "markers"),
     (cell(6, 5, "Q"), "rigid body 'Socket' has no column Rotation W", "all its"),
     (cell(10, 7, "O.5"), "line 11, column 8 (Rigid Body Socket, Position", "number"),
-    (cell(12, 23, "1e"), "line 13, column 24 (Marker Socket:Marker1", "number"),
     (cell(9, 0, "1"), "line 10: the frame does not follow", "export"),
     (cell(9, 1, "0.0"), "line 10: the time does not follow", "export"),
     (cell(11, 2, "7.0"), "line 12: the quaternion of 'Socket'", "export"),
-    (lambda lines: [*lines[:9], lines[9] + ",1.0", *lines[10:]], "line 10 has", "export"),
-    (text("Total", "x" * 140_000), "line 1 is not CSV", "export"),
 ]
 
 
@@ -172,33 +165,19 @@ def test_a_bad_file_is_named_with_its_place_and_a_hint(scene, tmp_path):
         assert hint in caught.value.hint
 
 
-@pytest.fixture(scope="module")
-def real(shared_data: Path) -> MotiveTake:
-    return read_motive_csv(shared_data / "motive_csv" / "sample_optitrack_take.csv")
-
-
-def test_a_real_take_is_read(real):
+def test_the_markers_of_a_real_take_give_the_pose_of_motive(shared_data):
+    real = read_motive_csv(shared_data / "motive_csv" / "sample_optitrack_take.csv")
     assert len(real) == 250 and real.frame_rate == 120.0 and real.units == "Meters"
     assert real.notes == () and list(real.bodies) == ["Rigid Body 1"]
-    assert real.markers_of("Rigid Body 1") == tuple(f"Rigid Body 1:Marker{i}" for i in (1, 2, 3))
-    np.testing.assert_allclose(real.times, real.frames / 120.0, atol=1e-6)
-    unlabelled = [real.markers[name] for name in real.markers if name.startswith("Unlabeled")]
-    assert np.isnan(unlabelled).any()
-
-
-def test_the_markers_of_a_real_take_give_the_pose_of_motive(real):
     motive = real.body("Rigid Body 1")
     measured = real.stack(real.markers_of("Rigid Body 1"))
     solved = np.stack([*real.solved.values()], axis=1)
     move = random_pose(np.random.default_rng(3), 1.0)  # the body hardly moves: move the scene
     expected = move @ motive
-    for markers, labels in ((measured, [0, 1, 2]), (measured, [1, 0, 2]), (solved, [2, 0, 1])):
+    for markers, labels in ((measured, [1, 0, 2]), (solved, [2, 0, 1])):
         arms = markers - motive.translation[:, None]
         observed = (markers @ move.rotation.T + move.translation)[:, labels]
         fit = fit_body((arms @ motive.rotation).mean(axis=0), observed)
         off = np.linalg.norm(fit.pose.translation - expected.translation, axis=1)
         turn = np.swapaxes(expected.rotation, 1, 2) @ fit.pose.rotation
         assert off.max() < 5e-5 and Rotation.from_matrix(turn).magnitude().max() < 3e-4
-    between = tracked_frame(measured, motive, "take").inverse() @ motive
-    assert np.linalg.norm(between.translation.mean(axis=0)) < 5e-5
-    assert np.linalg.norm(Rotation.from_matrix(between.rotation).mean().as_rotvec()) < 3e-4

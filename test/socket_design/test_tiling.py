@@ -114,17 +114,10 @@ def test_tiles_keep_to_one_wall_of_a_prism_however_coarse_its_mesh() -> None:
 
 
 def test_turning_the_scan_changes_little() -> None:
-    counts = [len(tiling_of("cup").squares)]
-    counts += [
-        len(tile(SURFACES["cup"], Rotation.random(random_state=seed)).squares) for seed in (1, 2)
-    ]
-    assert max(counts) - min(counts) <= 0.08 * max(counts)
-
-
-def test_the_same_seed_gives_the_same_tiles() -> None:
-    first, second = tiling_of("holed").squares, tile(SURFACES["holed"]).squares
-    assert np.array_equal(first.anchors, second.anchors)
-    assert np.array_equal(first.rotations, second.rotations)
+    first, again = tiling_of("cup").squares, tile(SURFACES["cup"]).squares
+    np.testing.assert_array_equal(again.anchors, first.anchors)  # the same seed, the same tiles
+    turned = tile(SURFACES["cup"], Rotation.random(random_state=1)).squares
+    assert abs(len(turned) - len(first)) <= 0.08 * len(first)
 
 
 def test_a_surface_without_room_is_refused() -> None:

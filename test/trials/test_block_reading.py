@@ -1,5 +1,6 @@
 """Reading in blocks gives what the library decodes, message by message."""
 
+from collections import defaultdict
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -8,7 +9,6 @@ from typing import Any
 import numpy as np
 import pytest
 from rosbags.rosbag2 import StoragePlugin
-from support import SHARED_DATA
 from support.bags import (
     copy_configuration,
     copying,
@@ -22,9 +22,8 @@ from socket_testbed.errors import TrialError
 from socket_testbed.samples import Status
 from socket_testbed.trials import bag, messages
 from socket_testbed.trials.bag import BagReader, RawMessage
-from socket_testbed.trials.layout import decode, fields_of, stamp_of, typestore
+from socket_testbed.trials.layout import Layout, decode, fields_of, stamp_of, typestore
 from socket_testbed.trials.messages import Reader
-from socket_testbed.trials.synchronise import Measurements
 from socket_testbed.trials.topics import (
     CAPACITANCE,
     PYLON_POSE,
@@ -78,10 +77,8 @@ def check_every_message(path: Path) -> int:
     return compared
 
 
-def test_every_message_of_real_bags() -> None:
-    folder = SHARED_DATA / "rosbag2"
-    if not folder.is_dir():
-        pytest.skip("the shared data are not there")
+def test_every_message_of_real_bags(shared_data: Path) -> None:
+    folder = shared_data / "rosbag2"
     assert sum(check_every_message(path) for path in folder.iterdir() if path.is_dir()) > 0
 
 
@@ -96,50 +93,29 @@ def varied(kinds: list[str]) -> Iterator[RawMessage]:
 
 def test_every_message_of_topics_whose_messages_vary(tmp_path: Path) -> None:
     kinds = [name for name in typestore().types if name.startswith("socket_testbed_msgs/")]
+    kinds += ["geometry_msgs/msg/WrenchStamped", "sensor_msgs/msg/PointCloud2"]
+    kinds += ["diagnostic_msgs/msg/DiagnosticArray"]
     bag = written_by_rosbags(varied(kinds), tmp_path / "varied")
     assert check_every_message(bag) == 60 * len(kinds)
 
 
-def plainly_read(path: Path) -> Measurements:
-    """The measurements of a bag, message by message, as a user would write it."""
-    values: dict[str, dict[int, Any]] = {}
-    clusters: dict[str, dict[int, Any]] = {}
+def plainly_read(path: Path) -> dict[str, dict[int, Any]]:
+    """By topic, or cluster, and stamp: the numbers of the last message, as a user would read it."""
+    found: dict[str, dict[int, Any]] = defaultdict(dict)
     with BagReader(path) as bag:
         for raw in bag.messages():
             message = decode(raw.data, raw.type)
             stamp = message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
-            own = values.setdefault(raw.topic.removeprefix("/"), {})
             if raw.topic.endswith(CAPACITANCE.name):
                 for cluster in message.clusters:
-                    clusters.setdefault(cluster.name, {})[stamp] = cluster
+                    found[cluster.name][stamp] = [*cluster.capacitance, *cluster.status]
             elif raw.topic.endswith(WRENCH.name):
-                own[stamp] = wrench_vector(message.wrench)
+                found[WRENCH.name][stamp] = wrench_vector(message.wrench)
             elif raw.topic.endswith("/pose"):
-                own[stamp] = pose_vector(message.pose)
+                found[raw.topic.removeprefix("/")][stamp] = pose_vector(message.pose)
             elif raw.topic.endswith(TRIGGER.name):
-                own[stamp] = ()
-    columns = [values[topic.name] for topic in (TRIGGER, WRENCH, SOCKET_POSE, PYLON_POSE)]
-    stamps = sorted({stamp for column in (*columns, *clusters.values()) for stamp in column})
-
-    def table(topic: Any, width: int) -> np.ndarray:
-        return np.array([values[topic.name].get(stamp, [np.nan] * width) for stamp in stamps])
-
-    def readings(field: str, missing: float) -> np.ndarray:
-        rows = [
-            [getattr(own[at], field) if at in own else [missing] * 4 for own in clusters.values()]
-            for at in stamps
-        ]
-        return np.array(rows)
-
-    return Measurements(
-        stamps=np.array(stamps),
-        wrench=table(WRENCH, 6),
-        socket=table(SOCKET_POSE, 7),
-        pylon=table(PYLON_POSE, 7),
-        clusters=tuple(clusters),
-        capacitance=readings("capacitance", np.nan),
-        status=readings("status", Status.MISSING).astype(np.uint8),
-    )
+                found[TRIGGER.name][stamp] = ()
+    return found
 
 
 def mixed(messages: Iterable[RawMessage]) -> Iterator[RawMessage]:
@@ -166,9 +142,18 @@ def test_measurements_of_mixed_messages(hold: Path, tmp_path: Path) -> None:
         path = written_by_rosbags(mixed(bag.messages()), tmp_path / "mixed", StoragePlugin.SQLITE3)
     copy_configuration(hold, path)
     expected, found = plainly_read(path), Trial(path).measurements()
-    assert found.clusters == expected.clusters
-    for field in ("stamps", "wrench", "socket", "pylon", "capacitance", "status"):
-        np.testing.assert_array_equal(getattr(found, field), getattr(expected, field), field)
+    tables = {WRENCH.name: found.wrench, SOCKET_POSE.name: found.socket}
+    tables |= {PYLON_POSE.name: found.pylon, TRIGGER.name: np.empty((len(found.stamps), 0))}
+    readings = np.concatenate([found.capacitance, found.status], axis=2)
+    tables |= dict(zip(found.clusters, readings.swapaxes(0, 1), strict=True))
+    assert expected.keys() == tables.keys()
+    assert found.stamps.tolist() == sorted({stamp for own in expected.values() for stamp in own})
+    for name, table in tables.items():
+        missing = [np.nan] * table.shape[1]
+        if name in found.clusters:
+            missing[4:] = [Status.MISSING] * 4
+        rows = [expected[name].get(stamp, missing) for stamp in found.stamps.tolist()]
+        np.testing.assert_array_equal(table, np.array(rows).reshape(table.shape), name)
 
 
 def test_a_part_of_a_recording_ends_at_its_duration(hold: Path) -> None:
@@ -187,3 +172,28 @@ def test_a_message_that_cannot_be_decoded_is_named(hold: Path, tmp_path: Path) -
             new.write(raw.topic, raw.time, raw.data[:-9] if number == 500 else raw.data)
     with pytest.raises(TrialError, match=r"torn: a message on \S+ cannot be decoded"):
         Trial(tmp_path / "torn").samples()
+
+
+def test_any_other_byte_is_read_as_the_library_reads_it() -> None:
+    """A message with one byte changed fits if only numbers or what aligns them changed."""
+    kind = CAPACITANCE.type
+    message = Maker(7, 0).message(kind)
+    raw = encode(message, kind, True)
+    layout, before = Layout(raw, kind), strings_of(decode(raw, kind), kind)
+    records, fits = layout.records([raw[:-1], raw, b"", encode(message, kind, False), raw])
+    assert fits.tolist() == [False, True, False, False, True] and len(records) == 2
+    outcomes = set()
+    for at in range(len(raw)):
+        changed = bytearray(raw)
+        changed[at] ^= 0xA5
+        record = layout.record(changed)
+        try:
+            message = decode(bytes(changed), kind)
+            same = strings_of(message, kind) == before
+        except Exception:
+            same = False
+        assert (record is not None) == same
+        if record is not None:
+            np.testing.assert_array_equal(numbers_in(record), numbers_of(message, kind))
+        outcomes.add(same)
+    assert outcomes == {True, False}

@@ -45,19 +45,15 @@ def test_the_load_is_placed_and_removed_between_its_two_levels() -> None:
         assert found[1].time == pytest.approx(40 + 2 * 0.6, abs=0.05)
 
 
-def test_noise_and_single_wrong_values_are_no_events() -> None:
+def test_noise_wrong_values_and_one_level_of_load_are_no_events() -> None:
     samples = samples_of(HOLD, RATE, noise=8.0)
     samples.wrench[500, 5] = 0.0
     samples.wrench[1000, 5] = -900.0
     samples.wrench[220:240] = np.nan
     assert labels(find_events(samples, SETTINGS)) == ["placed", "removed"]
-
-
-def test_one_level_of_load_has_no_events() -> None:
-    for load in (0.0, 280.0):
-        samples = samples_of(np.full(600, load), RATE, noise=2.0)
-        assert find_events(samples, SETTINGS) == []
-        assert find_events(samples[:1], SETTINGS) == find_events(samples[:0], SETTINGS) == []
+    level = samples_of(np.full(600, 280.0), RATE, noise=2.0)
+    for few in (level, level[:1], level[:0]):
+        assert find_events(few, SETTINGS) == []
 
 
 def test_steps_of_a_walk_are_as_many_events_and_cycles() -> None:
@@ -85,26 +81,20 @@ EVENTS = [
 
 SPANS = {
     "event:placed:removed": (11.0, 41.0),
-    "event:placed+5:removed-2": (16.0, 39.0),
     "event:placed+.5:removed-2.25": (11.5, 38.75),
     "event:3:placed": (3.0, 11.0),
     "event:push:60.5": (15.0, 60.5),
     "event:push#2-1:placed#2+1": (19.0, 51.0),
     "event:placed:placed": (11.0, 50.0),  # one cycle: the next after the start
     "event:push:push#1+3": (15.0, 18.0),
-    "event:push-1:push+1.5": (14.0, 16.5),  # around one event
     "event:push-off-1:push-off+1": (15.0, 17.0),
 }
 NO_SPANS = {
     "event:plced:removed": "no event 'plced': did you mean 'placed'? it has",
-    "event:tread:removed": "it has placed (2 times), push (2 times), push-off",
     "event:push#3:removed": "no 'push#3': 'push' happens 2 times: give #1 to #2",
-    "event:push#0:removed": "no 'push#0'",
     "event:removed:push": "no 'push' is after 41.00 s: the last",
-    "event:push+30:removed": "no 'removed' is after 45.00 s: the last",
     "event:placed:9": "ends at 9.00 s, its start is at 11.00 s",
     "event:push": "has no two ends: give event:A:B",
-    "event::push": "has no two ends",
     "event:a:b:c": "has no two ends",
 }
 
@@ -135,7 +125,6 @@ def test_a_label_can_name_a_segment_or_is_refused() -> None:
 
 def test_cycles_between_two_events() -> None:
     assert cycle_spans(EVENTS, "push:removed") == [(20.0, 41.0)]
-    assert cycle_spans(EVENTS, "placed:removed") == [(11.0, 41.0)]
     assert cycle_spans(EVENTS) == [(11.0, 50.0)]
     with pytest.raises(TrialError, match="did you mean 'push'"):
         cycle_spans(EVENTS, "puhs")
@@ -153,11 +142,8 @@ def test_recorded_and_found_events_are_in_one_list(hold: Path, tmp_path: Path) -
     assert labels(events) == ["placed", "push", "step", "step", "unnamed", "removed"]
     assert [e.time for e in events if e.source == "recorded"] == pytest.approx([22, 30, 31, 32])
     assert [e for e in events if e.source == "found"] == found
-
-
-def test_a_recorded_label_replaces_the_found_ones(hold: Path, tmp_path: Path) -> None:
-    trial = add_events(hold, tmp_path / "marked", [("placed", 15.0, 15.0)])
-    assert str(trial.events()[0]) == "placed at 15.00 s (recorded)"
+    trial = add_events(hold, tmp_path / "placed", [("placed", 15.0, 15.0)])
+    assert str(trial.events()[0]) == "placed at 15.00 s (recorded)"  # instead of the found one
     assert labels(trial.events()) == ["placed", "removed"]
 
 

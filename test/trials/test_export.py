@@ -11,9 +11,10 @@ from support.bags import rewrite
 
 import socket_testbed as st
 from socket_testbed.__main__ import run
+from socket_testbed.calibration.bench_data import STRESSES
 from socket_testbed.identification.evaluation import evaluate
 from socket_testbed.identification.model_file import read_model
-from socket_testbed.samples import WRENCH_CHANNELS, Samples
+from socket_testbed.samples import WRENCH_CHANNELS, Samples, Status
 from socket_testbed.tables import matlab_names, write_table
 from socket_testbed.trials.layout import stamp_of
 from socket_testbed.trials.trial import Trial
@@ -73,7 +74,7 @@ def title(name: str, unit: str, suffix: str) -> str:
 def test_samples_are_read_back_as_they_are(suffix, gappy, samples, tmp_path) -> None:
     path = tmp_path / f"out{suffix}"
     call(gappy, "-o", path)
-    columns = read_back(path)
+    columns, trial = read_back(path), Trial(gappy)
     stamps = columns["stamp [ns]"]
     assert stamps.dtype == np.int64 and np.array_equal(stamps, samples.stamps)
     assert np.all(stamps % 1000 == SHIFT % 1000)
@@ -92,6 +93,16 @@ def test_samples_are_read_back_as_they_are(suffix, gappy, samples, tmp_path) -> 
         assert_column(f"{cluster}.status", "-", samples.status[:, k])
         for i, axis in enumerate("xyz"):
             assert_column(f"{cluster}.F{axis}", "N", samples.local_forces[:, k, i])
+        # By the calibration, capacitances give the stress, and this times the area the force.
+        stress = np.stack([columns[title(f"{cluster}.{axis}", "Pa", suffix)] for axis in STRESSES])
+        force = trial.geometry.cluster_force(cluster, stress.T)
+        np.testing.assert_allclose(force, samples.local_forces[:, k], rtol=1e-9)
+        own = [columns[title(f"{cluster}.C{i}", "pF", suffix)] for i in range(4)]
+        capacitance = np.stack(own, axis=-1)
+        usable = samples.status[:, k] == Status.OK
+        none = np.zeros(capacitance[usable].shape, dtype=np.uint8)
+        expected, _ = trial.calibration.clusters[cluster].apply(capacitance[usable], none)
+        np.testing.assert_allclose(stress.T[usable], expected, rtol=1e-9)
     # Every kind of drop-out is there, or the test shows nothing.
     assert np.isnan(samples.wrench[:, 0]).sum() == 4
     assert set(np.unique(samples.status)) >= {0, 1, 2}
@@ -101,20 +112,11 @@ def test_samples_are_read_back_as_they_are(suffix, gappy, samples, tmp_path) -> 
         assert field.name.endswith(f" [{field.metadata[b'unit'].decode()}]")
 
 
-def test_a_segment_keeps_the_trial_s_time(gappy: Path, samples: Samples, tmp_path: Path) -> None:
-    path = tmp_path / "out.csv"
-    call(gappy, "-o", path, "--segment", "10:20")
-    table = pd.read_csv(path)
-    rows = (samples.time >= 10.0) & (samples.time <= 20.0)
-    np.testing.assert_array_equal(table["stamp [ns]"], samples.stamps[rows])
-    np.testing.assert_array_equal(table["time [s]"], samples.time[rows])
-
-
 def test_predictions_have_the_errors_that_evaluate_finds(
     gappy, hold_model, samples, tmp_path
 ) -> None:
     path = tmp_path / "out.parquet"
-    call(gappy, "-o", path, "--model", hold_model)
+    call(gappy, "-o", path, "--model", hold_model, "--segment", "all")
     columns = read_back(path)
     for error in evaluate(samples, read_model(hold_model).model):
         measured = columns[f"{error.name} [{error.unit}]"].copy()

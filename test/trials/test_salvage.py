@@ -3,12 +3,13 @@
 import os
 import struct
 import tracemalloc
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
 import zstandard
+from hypothesis import given, settings
+from hypothesis import strategies as draw
 from rosbags.rosbag2 import CompressionMode
 from rosbags.rosbag2.storage_mcap import McapReader
 from support.bags import copying, written_by_rosbags
@@ -87,14 +88,6 @@ def write(folder: Path, data: bytes) -> Path:
     return folder
 
 
-def cuts_of(recording: Recording) -> list[int]:
-    """Where to cut: all around the ends of the chunks, and anywhere."""
-    around = [end + shift for end in recording.ends for shift in range(-45, 45)]
-    anywhere = np.random.default_rng(1).integers(0, len(recording.data), 300).tolist()
-    tail = range(recording.ends[-1], len(recording.data), 7)
-    return [cut for cut in (*around, *anywhere, *tail, 0, 1, 8, 9, 43) if cut < len(recording.data)]
-
-
 def header_end(data: bytes) -> int:
     """Where the first record of a recording ends [bytes]: behind the magic, 9 bytes and itself."""
     return 8 + 9 + int.from_bytes(data[9:17], "little")
@@ -118,25 +111,29 @@ def check(recording: Recording, data: bytes, folder: Path) -> None:
             assert "record the trial again" in str(error)
 
 
-def torn(recording: Recording) -> Iterator[bytes]:
-    """Files as they are left on a disk by a kill or a power cut."""
-    whole = recording.data
-    rng = np.random.default_rng(2)
-    for number, cut in enumerate(cuts_of(recording)):
-        yield whole[:cut]
-        if number % 3 == 0:  # zeros are appended, a sector at least
-            yield whole[:cut] + bytes(int(rng.integers(512, 5000)))
-    for end in recording.ends:  # old blocks
-        for _ in range(20):
-            yield whole[:end] + rng.bytes(4096)
-    for size in (*recording.ends, len(whole) - 100):  # sectors that never reached the disk
-        for sector in range(512, size, 512):
-            yield whole[:sector] + bytes(size - sector)
-
-
 def test_a_torn_file_gives_exactly_the_whole_chunks_before_the_damage(recording, tmp_path) -> None:
-    for data in torn(recording):
-        check(recording, data, tmp_path / "bag")
+    """By a kill or a power cut: cut, zeros or old blocks behind, sectors never written."""
+    whole, sizes = recording.data, draw.integers(0, len(recording.data) - 1)
+    ends = draw.sampled_from([0, 8, header_end(whole), *recording.ends, len(whole) - 45])
+    near = draw.builds(lambda end, shift: max(0, end + shift), ends, draw.integers(-45, 44))
+
+    @given(
+        cut=sizes | near,
+        tail=draw.sampled_from(["nothing", "zeros", "old blocks", "no sectors"]),
+        size=draw.integers(512, 5000),
+    )
+    @settings(max_examples=800, deadline=None, derandomize=True, database=None)
+    def tear(cut: int, tail: str, size: int) -> None:
+        if tail == "no sectors":
+            cut = max(512, cut - cut % 512)
+        elif tail == "old blocks":
+            cut = max(cut, recording.ends[0])
+        unwritten = bytes(len(whole) - cut)
+        old = np.random.default_rng(size).bytes(size)
+        tails = {"nothing": b"", "zeros": bytes(size), "old blocks": old, "no sectors": unwritten}
+        check(recording, whole[:cut] + tails[tail], tmp_path / "bag")
+
+    tear()
 
 
 def test_a_lying_length_takes_no_memory(recording, tmp_path: Path) -> None:
@@ -162,9 +159,8 @@ def test_a_lying_length_takes_no_memory(recording, tmp_path: Path) -> None:
 
 def test_compressed_chunks_are_saved_as_well(recording, tmp_path: Path) -> None:
     messages = [message for chunk in recording.chunks for message in chunk]
-    path = written_by_rosbags(
-        messages, tmp_path / "bag", mode=CompressionMode.STORAGE, chunk=MESSAGES
-    )
+    packed = {"mode": CompressionMode.STORAGE, "chunk": MESSAGES}
+    path = written_by_rosbags(messages, tmp_path / "bag", **packed)
     compressed = Recording(path / "bag.mcap", recording.chunks)
     (path / "metadata.yaml").unlink()
     for cut in np.random.default_rng(3).integers(compressed.ends[0], len(compressed.data), 60):
@@ -186,19 +182,15 @@ def test_damage_before_the_last_chunk_is_an_error_and_no_shorter_trial(recording
 def test_the_note_says_what_was_saved(recording, tmp_path: Path) -> None:
     cut = recording.ends[2] + 5
     folder = write(tmp_path / "bag", recording.data[:cut])
-    changed = (folder / "bag.mcap").stat().st_mtime_ns
     with BagReader(folder) as bag:
         metadata, note = bag.notes
-    # It is only read.
-    assert [path.stat().st_mtime_ns for path in folder.iterdir()] == [changed]
+    assert (folder / "bag.mcap").read_bytes() == recording.data[:cut]  # it is only read
     assert "no metadata.yaml" in metadata
     assert f"cut short (no end): {3 * MESSAGES} messages up to " in note
     assert "(0.3 s) were saved, the last second may be missing (5 bytes cannot be read)" in note
 
     with BagReader(write(tmp_path / "bag", recording.data[:-1])) as bag:
         assert bag.notes[-1].endswith("were saved, none is missing")
-    with BagReader(write(tmp_path / "bag", recording.data)) as bag:
-        assert bag.notes == [metadata]
     with pytest.raises(TrialError, match="cannot be read"):
         read(write(tmp_path / "bag", b"no MCAP at all, whatever its name says: " * 9))
     # A single file is opened as well.
@@ -237,12 +229,9 @@ def test_a_trial_cut_short_gives_the_samples_of_the_whole_one(hold, tmp_path, ca
     samples, whole = Trial(trial).samples(), Trial(hold).samples()
     assert 190 <= len(samples) < 200
     np.testing.assert_array_equal(samples.values, whole.values[: len(samples)])
-    np.testing.assert_array_equal(samples.stamps, whole.stamps[: len(samples)])
-    for words in (["info", trial], ["fit", trial, "-o", tmp_path / "model.json"]):
-        code, out, err = call(capsys, *words)
-        said, silent = (out, err) if words[0] == "info" else (err, out)
-        assert code == 0 and "note: " not in silent
-        assert said.count("note: the recording trial.mcap was cut short (no end): ") == 1
+    code, _, err = call(capsys, "fit", trial, "-o", tmp_path / "model.json")
+    assert code == 0
+    assert err.count("note: the recording trial.mcap was cut short (no end): ") == 1
 
 
 def test_a_recorder_goes_on_beside_what_was_cut_short_and_nothing_else(tmp_path: Path) -> None:

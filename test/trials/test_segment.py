@@ -13,7 +13,6 @@ from socket_testbed.trials.segment import (
     find_newest_plateaus,
     find_plateaus,
     longest_within,
-    moving_mean,
     select_segment,
 )
 
@@ -71,11 +70,9 @@ def test_a_ramp_a_limb_without_load_and_few_samples_have_no_plateau() -> None:
 def test_a_span_of_seconds_is_taken_and_an_unknown_segment_refused_with_a_hint() -> None:
     held = samples_of_force(np.full(50, 280.0))
     assert select_segment(held, "5:10.5", SETTINGS).rows == slice(20, 43)
-    for text in ("10", "a:b", "10:20:30", "plateaux", ""):
+    for text in ("10", "a:b", "10:20:30", ""):
         with pytest.raises(ConfigurationError, match="T0:T1"):
             select_segment(held, text, SETTINGS)
-    with pytest.raises(ConfigurationError, match=r"did you mean 'auto'\?.*event:A:B"):
-        select_segment(held, "atuo", SETTINGS)
     with pytest.raises(TrialError, match="0 samples"):
         select_segment(held, "100:200", SETTINGS)
     for text in ("plateau", "hold", "auto"):
@@ -106,6 +103,8 @@ def test_auto_takes_the_part_under_load_where_nothing_is_held() -> None:
     assert part.start == pytest.approx(10.8, abs=0.5) and part.end == pytest.approx(49.2, abs=0.5)
     with pytest.raises(TrialError, match=r"no hold .*--segment auto"):
         select_segment(samples, "hold", SETTINGS)
+    events = select_segment(samples, "event:placed+5:removed-2", SETTINGS)
+    assert str(events).startswith("event:placed+5:removed-2 ")
 
 
 def test_a_trial_without_a_plateau_says_which_segment_would_do() -> None:
@@ -115,23 +114,6 @@ def test_a_trial_without_a_plateau_says_which_segment_would_do() -> None:
     text = caught.value.hint.split("--segment ")[1].split()[0]
     part = select_segment(samples, text, SETTINGS)
     assert part.start == pytest.approx(5 + 0.1 * 55, abs=0.5) and 64.0 < part.end < 65.0
-
-
-def test_an_event_segment_is_named_by_its_events() -> None:
-    samples = history((0, 90), (10, 90), (12, 280), (40, 280), (42, 90), (60, 90))
-    segment = select_segment(samples, "event:placed+5:removed-2", SETTINGS)
-    assert str(segment).startswith("event:placed+5:removed-2 16.")
-    assert segment.start == pytest.approx(16.2, abs=0.3)
-    assert segment.end == pytest.approx(39.2, abs=0.3)
-
-
-def test_the_moving_mean_passes_over_nan_and_keeps_constants() -> None:
-    values = np.full((50, 2), 3.0)
-    values[10:13, 0] = np.nan
-    values[20:45, 1] = np.nan
-    mean = moving_mean(values, 7)
-    assert np.allclose(mean[:, 0], 3.0)
-    assert np.isnan(mean[30, 1]) and mean[0, 1] == pytest.approx(3.0)
 
 
 # --- changes of a cluster, and the newest stretch
@@ -144,9 +126,8 @@ def with_cluster(samples: Samples, force: np.ndarray) -> Samples:
     return dataclasses.replace(samples, local_forces=local)
 
 
-@pytest.mark.parametrize("missing", [0, 16])
-def test_a_step_of_a_cluster_ends_a_plateau(missing: int) -> None:
-    force = seconds((30, 10), (50, 18))
+def test_a_step_of_a_cluster_ends_a_plateau() -> None:
+    missing, force = 16, seconds((30, 10), (50, 18))
     samples = with_cluster(samples_of_force(seconds((80, 280))), force)
     samples.local_forces[120 : 120 + missing] = np.nan  # a gap hides no step
     settings = dataclasses.replace(SETTINGS, missing_fraction=0.5)
@@ -182,18 +163,12 @@ def test_a_cluster_out_of_its_range_or_dead_ends_no_plateau() -> None:
     assert find_plateaus(samples, lenient)[0].end > 75.0
 
 
-def test_the_newest_stretches_come_first_and_end_at_their_newest_sample() -> None:
-    samples = samples_of_force(seconds((60, 280), (20, 90)))
-    newest, older = find_newest_plateaus(samples, SETTINGS)
-    assert newest.start >= 59.0 and newest.end == samples.time[-1]
-    assert older.end - older.start > 55.0
-
-
 def test_a_stretch_names_the_channel_that_slipped_before_it_and_no_change_of_load() -> None:
     force = seconds((30, 10), (50, 18))
     slipped = with_cluster(samples_of_force(seconds((80, 280))), force)
     newest, older = find_newest_plateaus(slipped, SETTINGS)
     assert newest.cause == "a.Fz changed by -8.0 N" and older.cause == ""
+    assert newest.start >= 29.0 and newest.end == slipped.time[-1]
     loaded = with_cluster(samples_of_force(seconds((30, 150), (50, 280))), force)
     newest, older = find_newest_plateaus(loaded, SETTINGS)
     assert newest.cause == older.cause == ""
