@@ -102,7 +102,7 @@ def test_a_fault_that_costs_nothing(live: LiveTestbed) -> None:
 
 
 def test_a_restarted_server_is_found_again(live: LiveTestbed) -> None:
-    seen = len(live.diagnostics)
+    seen = len(live.probe.said("mocap_node"))
     live.switch("mocap.restart", live.elapsed())
     live.wait_for_moment("mocap_node", "ERROR|WARN", seen)
     well(live, "mocap_node")

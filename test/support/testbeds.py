@@ -24,7 +24,6 @@ from socket_testbed.simulation.world import World
 from socket_testbed.trials.layout import decode, stamp_of
 from socket_testbed.trials.topics import (
     CAPACITANCE,
-    DIAGNOSTICS,
     MARKERS,
     PYLON_POSE,
     SOCKET_POSE,
@@ -80,7 +79,6 @@ class LiveTestbed:
 
     def __enter__(self) -> Self:
         self.probe = Probe().__enter__()
-        self.diagnostics = self.probe.listen(DIAGNOSTICS)
         self.triggers = self.probe.listen(TRIGGER)
         self.wrenches = self.probe.listen(WRENCH)
         self.graph = Graph().__enter__()
@@ -105,11 +103,8 @@ class LiveTestbed:
 
     def said(self, node: str) -> tuple[str, str]:
         """Level and message of a node's newest diagnostics."""
-        for message in reversed(self.diagnostics):
-            for status in message.status:
-                if status.name == f"/{node}":
-                    return LEVELS[status.level[0]], status.message
-        return "", ""
+        reports = self.probe.said(node)
+        return (LEVELS[reports[-1].level[0]], reports[-1].message) if reports else ("", "")
 
     def wait_for(self, node: str, level: str, text: str = "") -> str:
         """Wait until a node's newest diagnostics have a level and a text; returns the message."""
@@ -122,11 +117,12 @@ class LiveTestbed:
         return self.said(node)[1]
 
     def wait_for_moment(self, node: str, level: str, since: int) -> None:
-        """Wait until a node has reported a level, however briefly."""
+        """Wait until a node has reported a level, however briefly, since so many reports."""
 
         def reported() -> bool:
-            new = [s for m in self.diagnostics[since:] for s in m.status if s.name == f"/{node}"]
-            return any(re.fullmatch(level, LEVELS[s.level[0]]) for s in new)
+            return any(
+                re.fullmatch(level, LEVELS[s.level[0]]) for s in self.probe.said(node)[since:]
+            )
 
         self.probe.wait(reported, f"{node} {level}, however briefly")
 
