@@ -18,6 +18,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as draw
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.rosbag2.storage_mcap import McapReader
+from support.bags import rewrite
 from support.benches import exact_bench, write_bench
 from support.damage import damaged, numbers_of, without_a_number
 from support.meshes import open_cone, scaled
@@ -207,6 +208,19 @@ def test_a_recorded_number_that_changed_on_the_disk_is_an_error(good: Path, tmp_
     (tmp_path / "bag.mcap").write_bytes(content)
     with refused(TrialError, "checksum"):
         sampled(tmp_path / "bag.mcap")
+
+
+def test_a_value_that_no_sensor_reads_is_missing_and_noted(good: Path, tmp_path: Path) -> None:
+    def change(topic: str, message: Any) -> Any:
+        if topic.endswith("wrench"):
+            message.wrench.force.z = 1e200
+        return message
+
+    notes: list[str] = []
+    with BagReader(rewrite(good / "hold", tmp_path / "hold", change)) as bag:
+        measured = read_measurements(bag, notes.append)
+    assert np.isnan(measured.wrench[:, 5]).all() and np.isfinite(measured.wrench[:, :5]).all()
+    assert any("holds 8 values beyond 1e+06" in note for note in notes)
 
 
 def test_a_text_stl_with_a_damaged_normal_is_read_without_a_traceback(good, tmp_path, caplog):

@@ -21,7 +21,9 @@ def test_two_writers_of_one_output_do_not_meet_and_an_error_leaves_the_older_fil
     assert path.read_text() == "first" and list(tmp_path.iterdir()) == [path]
 
 
-def test_the_first_of_two_writers_of_a_folder_keeps_it(tmp_path: Path) -> None:
+def test_the_first_of_two_writers_of_a_folder_keeps_it_until_it_is_to_be_replaced(
+    tmp_path: Path,
+) -> None:
     path = tmp_path / "trial"
     with refused(ConfigurationError, "another run wrote it"), atomic_output(path) as second:
         (second / "deep").mkdir(parents=True)
@@ -29,14 +31,9 @@ def test_the_first_of_two_writers_of_a_folder_keeps_it(tmp_path: Path) -> None:
             first.mkdir()
             (first / "data").write_text("first")
     assert (path / "data").read_text() == "first" and list(tmp_path.iterdir()) == [path]
-
-
-def test_a_folder_that_is_to_be_replaced_goes_in_one_step(tmp_path: Path) -> None:
-    path = tmp_path / "files"
-    for content in ("older", "newer"):
-        with atomic_output(path, replace=True) as staging:
-            staging.mkdir()
-            (staging / content).write_text(content)
+    with atomic_output(path, replace=True) as staging:  # in one step
+        staging.mkdir()
+        (staging / "newer").write_text("second")
     assert [p.name for p in path.iterdir()] == ["newer"] and list(tmp_path.iterdir()) == [path]
 
 

@@ -131,9 +131,7 @@ def test_a_wheel_holds_all_that_the_offline_verbs_need(workspace: Path, tmp_path
     )
     verbs = (
         "simulate -o hold --duration 40",
-        "info hold",
         "fit hold -o hold.json",
-        "evaluate hold --model hold.json",
         "report hold -o hold.html --thetas 3",
         "export hold -o hold.csv",
     )

@@ -7,13 +7,7 @@ import numpy as np
 import pytest
 import yaml
 from support import verbs
-from support.benches import (
-    HEADER,
-    bench_of,
-    nominal,
-    sensor_bench,
-    write_bench,
-)
+from support.benches import HEADER, bench_of, nominal, sensor_bench, write_bench
 
 from socket_testbed.calibration.model import Calibration, read_calibration, write_calibration
 from socket_testbed.files import packaged

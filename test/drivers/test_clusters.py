@@ -30,10 +30,7 @@ from socket_testbed.live import hardware
 from socket_testbed.samples import Status
 from socket_testbed.settings.acquisition import ClusterSettings
 from socket_testbed.simulation.devices.fdc1004 import SimulatedFdc1004
-from socket_testbed.simulation.devices.i2c import (
-    SimulatedClusterHardware,
-    SimulatedI2cBus,
-)
+from socket_testbed.simulation.devices.i2c import SimulatedClusterHardware, SimulatedI2cBus
 from socket_testbed.simulation.world import FAULTS
 
 OK, SATURATED, MISSING = Status.OK, Status.SATURATED, Status.MISSING
@@ -250,9 +247,7 @@ def test_errors_of_the_bus_name_the_place_and_a_hint() -> None:
             assert type(caught.value) is kind and caught.value.address == 0x50
 
 
-def test_a_bus_is_opened_with_its_time_out_or_says_why_not(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_bus_is_opened_with_its_time_out_or_says_why_not(monkeypatch: pytest.MonkeyPatch) -> None:
     bus = Mock(fd=5)
     monkeypatch.setattr(i2c, "SMBus", lambda: bus)
     monkeypatch.setattr(i2c, "ioctl", request := Mock())

@@ -178,6 +178,16 @@ def test_of_a_lasting_occlusion_the_other_markers_keep_their_places():
     assert errors_of(sample, 0)[2] < 1e-5
 
 
+def test_markers_whose_distances_contradict_their_labels_are_missing():
+    tracker = tracker_of(
+        frames(),
+        labels=lambda _: (1, 0, 2),
+        swapped=lambda i: ((0, 0, 2),) if i > 5 else (),
+        hidden=lambda i: ((0, 0),) if i > 5 else (),
+    )
+    assert np.isnan(tracker.sample(8.5 * PERIOD).markers[0]).all()
+
+
 def test_a_gap_between_frames_gives_nothing_and_frames_are_kept_for_a_second():
     tracker = tracker_of(np.concatenate([frames(10), frames(10, 0.2)]))
     for trigger in (0.1, 0.199, -0.01, 0.25):

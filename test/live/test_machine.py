@@ -16,12 +16,7 @@ from socket_testbed import clocks
 from socket_testbed.errors import ConfigurationError
 from socket_testbed.live import doctor, hardware, machine
 from socket_testbed.live.bringup import Testbed, simulated_testbed
-from socket_testbed.live.machine import (
-    MachineSpeed,
-    busy_note,
-    measure_lateness,
-    schedule,
-)
+from socket_testbed.live.machine import MachineSpeed, busy_note, measure_lateness, schedule
 from socket_testbed.settings.acquisition import (
     ClusterSettings,
     LoadCellSettings,

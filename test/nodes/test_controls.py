@@ -49,25 +49,19 @@ def triggers(
 
 def test_the_stamp_is_when_it_was_called() -> None:
     late = 0.002 * np.random.default_rng(1).exponential(size=8)
-    for speed, ago in product((1.0, 0.5, 0.25, 2.0), (0.0, 2.0)):
+    for speed, ago in product((1.0, 0.25, 2.0), (0.0, 2.0)):
         heard, begin = triggers(speed, late)
         expected = EPOCH + round((begin - ago) * speed * 1e9)
         assert abs(stamp_by_triggers(begin - ago, heard) - expected) < 20e6  # 20 ms
-
-
-def test_triggers_that_a_busy_machine_held_up_count_little() -> None:
+    # Triggers that a busy machine held up count little; one, or a burst alone, is in real time.
     delays = np.zeros(20)
     delays[[3, 4, 5]] = 0.8, 0.55, 0.3  # a burst
     delays[[9, 14, 17]] = 0.2, 0.4, 0.15
     heard, begin = triggers(1.0, delays)
     assert stamp_by_triggers(begin - 5.0, heard) == EPOCH + round((begin - 5.0) * 1e9)
-
-
-def test_one_trigger_or_a_burst_alone_runs_in_real_time() -> None:
-    one = [(100.0, EPOCH)]
-    assert stamp_by_triggers(99.0, one) == EPOCH - 10**9
-    burst = [(100.0, EPOCH), (100.0 + 1e-5, EPOCH + 250_000_000)]
-    assert stamp_by_triggers(100.0, burst) == pytest.approx(EPOCH + 250_000_000, abs=1e5)
+    one, next_one = (100.0, EPOCH), (100.0 + 1e-5, EPOCH + 250_000_000)
+    assert stamp_by_triggers(99.0, [one]) == EPOCH - 10**9
+    assert stamp_by_triggers(100.0, [one, next_one]) == pytest.approx(next_one[1], abs=1e5)
 
 
 STOPPED = """
@@ -149,7 +143,8 @@ def test_motive_records_while_the_recorder_does(tmp_path: Path) -> None:
 def live(tmp_path_factory: pytest.TempPathFactory) -> Iterator[LiveTestbed]:
     """A testbed that records, with the pylon alone for minutes."""
     record = tmp_path_factory.mktemp("controls") / "s01"
-    with LiveTestbed(record, simulation=Simulation("static_hold", 1800.0)) as live:
+    still = Simulation("static_hold", 1800.0)
+    with LiveTestbed(record, simulation=still, one_process=True) as live:
         yield live
 
 
@@ -214,7 +209,7 @@ def test_the_trigger_is_switched_and_a_tare_outlives_its_node(
 
     live.probe.wait(tared, "a tare")
     live.probe.wait(lambda: abs(live.wrenches[-1].wrench.force.z) < 5.0, "the tare")
-    live.kill("load_cell_node")
+    live.kill("testbed")
     count = len(live.wrenches)
     live.probe.wait(
         lambda: any(np.isfinite(m.wrench.force.z) for m in live.wrenches[count + 5 :]),

@@ -27,18 +27,14 @@ NODES = ("trigger_node", "cluster_node", "load_cell_node", "mocap_node", "calibr
 @pytest.fixture(scope="module")
 def two(tmp_path_factory: pytest.TempPathFactory) -> Iterator[SimpleNamespace]:
     """Two testbeds that run at once, and what another program hears of them."""
-    simulation = manageable(Simulation("static_hold", 1800.0), 8.0)
+    simulation = manageable(Simulation("static_hold", 1800.0), 20.0)
     with Probe() as probe, Graph() as left, Graph() as right:
         triggers = {name: probe.listen(TRIGGER, f"{name}/trigger") for name in NAMESPACES}
         wrenches = {name: probe.listen(WRENCH, f"{name}/load_cell/wrench") for name in NAMESPACES}
-        testbeds = [
-            dataclasses.replace(
-                simulated_testbed(rate=4.0, simulation=simulation),
-                namespace=name,
-                one_process=True,
-            )
-            for name in NAMESPACES
-        ]
+        both = dataclasses.replace(
+            simulated_testbed(rate=10.0, simulation=simulation), one_process=True
+        )
+        testbeds = [dataclasses.replace(both, namespace=name) for name in NAMESPACES]
         for graph, testbed in zip((left, right), testbeds, strict=True):
             start(graph, testbed)
         probe.wait(lambda: all(len(found) > 5 for found in wrenches.values()), "both testbeds")

@@ -28,12 +28,7 @@ from socket_testbed.settings.testbed import RecorderSettings, ReplaySettings
 from socket_testbed.trials.bag import BagReader
 from socket_testbed.trials.layout import decode, nanoseconds, stamp_of
 from socket_testbed.trials.metadata import METADATA_FILE, TrialMetadata
-from socket_testbed.trials.topics import (
-    DIAGNOSTICS,
-    RECORDED_TRIAL,
-    WRENCH,
-    match_topics,
-)
+from socket_testbed.trials.topics import DIAGNOSTICS, RECORDED_TRIAL, WRENCH, match_topics
 from socket_testbed.trials.trial import CONFIGURATION_FILES, Trial
 
 pytestmark = pytest.mark.graph

@@ -8,7 +8,6 @@ import os
 import re
 import signal
 import threading
-import time
 from pathlib import Path
 from typing import Any, Self
 
@@ -143,9 +142,6 @@ class LiveTestbed:
 
     def newest(self) -> int:
         return stamp_of(self.wrenches[-1])
-
-    def elapsed(self) -> float:
-        return time.monotonic()
 
 
 class Recorded:
