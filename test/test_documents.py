@@ -224,7 +224,7 @@ VALUES = (
 
 @pytest.mark.parametrize("name", documents())
 @given(data=draw.data())
-@settings(max_examples=80, deadline=None, derandomize=True, database=None)
+@settings(max_examples=120, deadline=None, derandomize=True, database=None)
 def test_whatever_stands_in_a_field_is_read_or_refused_by_its_name(name, folder, data) -> None:
     document, read = documents()[name]
     document = model(folder) if document is None else document
@@ -232,7 +232,9 @@ def test_whatever_stands_in_a_field_is_read_or_refused_by_its_name(name, folder,
     value = data.draw(VALUES | draw.just(DELETE) if isinstance(place[-1], str) else VALUES)
     path = folder / f"{name}.yaml"
     wrong = changed(document, place, value)
-    path.write_text(json.dumps(wrong) if name == "model" else yaml.safe_dump(wrong))
+    path.write_text(
+        json.dumps(wrong) if name == "model" else yaml.dump(wrong, Dumper=yaml.CSafeDumper)
+    )
     try:
         found = read(path)
     except TestbedError as error:
