@@ -46,24 +46,20 @@ def markers_at(body, moment, references=TRIADS, pose=pose_at):
     return rotation.apply(references[body]) + position
 
 
-def frame_of(placed, ids=IDS, hidden=(), filled=(), gone=()) -> MocapFrame:
-    """A frame of markers by body and label; the other arguments name (body, label) pairs."""
-    markers = [
-        LabelledMarker(
-            identity, label + 1, tuple(place), (body, label) in hidden, (body, label) in filled
-        )
-        for body, (identity, places) in enumerate(zip(ids, placed, strict=True))
-        for label, place in enumerate(places)
-        if (body, label) not in gone
-    ]
-    markers.append(LabelledMarker(0, 77, (1.0, 1.0, 1.0), False, False))
-    return MocapFrame(0, (), tuple(markers), 0, False, False)
-
-
 def frame_at(
-    moment, swapped=(), labels=None, lies=(), wrong=0.0, references=TRIADS, pose=pose_at, **faults
+    moment,
+    swapped=(),
+    labels=None,
+    lies=(),
+    wrong=0.0,
+    references=TRIADS,
+    pose=pose_at,
+    ids=IDS,
+    hidden=(),
+    filled=(),
+    gone=(),
 ) -> MocapFrame:
-    """A frame of the true motion; `swapped` names (body, label, label)."""
+    """A frame of the true motion; `swapped` names (body, label, label), others (body, label)."""
     placed = [markers_at(body, moment, references, pose) + wrong for body in range(2)]
     if labels is not None:
         placed = [places[list(labels)] for places in placed]
@@ -71,7 +67,14 @@ def frame_at(
         placed[body][[a, b]] = placed[body][[b, a]]
     for body, label in lies:
         placed[body][label] = 0.0
-    return frame_of(placed, **faults)
+    markers = [LabelledMarker(0, 77, (1.0, 1.0, 1.0), False, False)]
+    for body, places in enumerate(placed):
+        for label, place in enumerate(places):
+            at = (body, label)
+            if at not in gone:
+                own = (ids[body], label + 1, tuple(place), at in hidden, at in filled)
+                markers.append(LabelledMarker(*own))
+    return MocapFrame(0, (), tuple(markers), 0, False, False)
 
 
 def tracker_of(

@@ -186,7 +186,7 @@ class Recorded:
         """The mean of what the sensors felt around a time."""
         return np.mean([self.felt(name, stamp + offset) for offset in self._around], axis=0)
 
-    def _known(self, topic: str) -> list[tuple[int, Any]]:
+    def known(self, topic: str) -> list[tuple[int, Any]]:
         """Messages of a topic, but for those around which a busy machine held the world up."""
         # A state must be there before its forerunner's time is over: 40 ms ahead of its own.
         late = self._truth["lateness"] > -0.045
@@ -206,7 +206,7 @@ class Recorded:
         and poses on average around it, or at the very time where much around it is missing.
         """
         counts = dict.fromkeys((t.name for t in MEASURED), 0)
-        for stamp, message in self._known(WRENCH.name):
+        for stamp, message in self.known(WRENCH.name):
             wrench = np.array(wrench_vector(message.wrench))
             if np.isfinite(wrench).all():
                 felt = (self.averaged("wrench", stamp), self.felt("wrench", stamp))
@@ -215,7 +215,7 @@ class Recorded:
                 counts[WRENCH.name] += 1
             else:
                 assert np.isnan(wrench).all()
-        for stamp, message in self._known(CAPACITANCE.name):
+        for stamp, message in self.known(CAPACITANCE.name):
             moments = stamp + np.linspace(-0.03e9, 0.055e9, 12)
             felt = np.array([self.felt("capacitance", moment) for moment in moments])
             for i, cluster in enumerate(message.clusters):
@@ -228,7 +228,7 @@ class Recorded:
                 counts[CAPACITANCE.name] += int(fine.sum())
         for k, topic in enumerate((SOCKET_POSE, PYLON_POSE)):
             triad = (self._geometry.socket_markers, self._geometry.pylon_markers)[k]
-            for stamp, message in self._known(topic.name):
+            for stamp, message in self.known(topic.name):
                 pose = np.array(pose_vector(message.pose))
                 if not np.isfinite(pose).all():
                     assert np.isnan(pose).all()
@@ -238,7 +238,7 @@ class Recorded:
                 assert np.linalg.norm(pose[:3] - true.translation[0]) < 6e-4, stamp
                 assert 2.0 * np.arccos(min(turn, 1.0)) < 0.01, stamp
                 counts[topic.name] += 1
-        for stamp, message in self._known(MARKERS.name):
+        for stamp, message in self.known(MARKERS.name):
             felt = self.felt("markers", stamp)
             for body, true in zip(message.bodies, felt, strict=True):
                 seen = np.array([(m.x, m.y, m.z) for m in body.markers])
