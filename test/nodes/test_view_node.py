@@ -7,8 +7,8 @@ import pytest
 import rclpy
 from support.graph import Probe
 from support.ring_socket import ring_socket
+from support.sources import estimate_of
 
-from socket_testbed.identification.force_map import MapEstimate
 from socket_testbed.nodes.listeners import ListenerNode
 from socket_testbed.nodes.view_node import LiveSource
 from socket_testbed.trials.messages import force_map_packer
@@ -19,16 +19,10 @@ pytestmark = pytest.mark.graph
 GEOMETRY = ring_socket()
 
 
-def random_map() -> MapEstimate:
-    rng = np.random.default_rng(3)
-    forces, deviations = rng.normal(0.0, 5.0, (2, 1, len(GEOMETRY), 3))
-    pressures = rng.uniform(0.0, 9e3, (4, 1, len(GEOMETRY)))
-    return MapEstimate(forces, abs(deviations), *pressures, "measured: wrench")
-
-
 def test_a_map_of_another_socket_is_named_and_not_drawn() -> None:
     """Even if it has as many tiles."""
     other = dataclasses.replace(GEOMETRY, names=tuple(reversed(GEOMETRY.names)))
+    drawn_map = estimate_of(np.full(len(GEOMETRY), 5e3), "measured: wrench")
     rclpy.init()
     with Probe() as probe:
         node = ListenerNode("page", lambda: None)
@@ -37,7 +31,7 @@ def test_a_map_of_another_socket_is_named_and_not_drawn() -> None:
         publisher = probe.publisher(FORCE_MAP)
 
         def shows(geometry, drawn: bool) -> bool:
-            publisher.publish(force_map_packer(geometry.names)(1, random_map()))
+            publisher.publish(force_map_packer(geometry.names)(1, drawn_map))
             instant = source.instant()
             words = " ".join(sensor.words for sensor in source.sensors())
             return (
