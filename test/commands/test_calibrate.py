@@ -7,10 +7,19 @@ import numpy as np
 import pytest
 import yaml
 from support import verbs
-from support.benches import HEADER, bench_of, nominal, sensor_bench, write_bench
+from support.benches import (
+    FULL_SCALE,
+    HEADER,
+    bench_of,
+    load_path,
+    nominal,
+    sensor_bench,
+    write_bench,
+)
 
 from socket_testbed.calibration.model import Calibration, read_calibration, write_calibration
 from socket_testbed.files import packaged
+from socket_testbed.simulation.sensors import invert_calibration
 
 WIRING = ("--wiring", 2, 3, 0, 1)  # of the package's own 'distal', whose sensor is simulated
 
@@ -73,6 +82,24 @@ def test_report_and_record_say_how_good_it_is_and_where_it_comes_from(call, benc
     calibration = read_calibration(output)
     assert calibration.source == "distal: bench.csv" and calibration.date == stored["date"]
     assert calibration.clusters["distal"].bench == stored
+
+
+def test_cross_talk_is_the_coupling_of_the_sensor(call, tmp_path, output):
+    """Full shear x feels like so much of the full normal stress, and the other way round."""
+    ramp = np.concatenate([np.linspace(0.0, 1.0, 15), np.linspace(1.0, 0.0, 15)])
+    pure = [np.outer(ramp, [0.0, side * FULL_SCALE[1], 0.0]) for side in (1.0, -1.0) * 2]
+    applied = np.concatenate([load_path(), *pure])
+    for coupling in (0.0, 0.06):
+        felt = applied / FULL_SCALE
+        felt[:, :2] += coupling * felt[:, 1::-1]
+        bench = bench_of(invert_calibration(nominal(), felt * FULL_SCALE), applied)
+        out = call(write_bench(tmp_path / "bench.csv", bench), *WIRING, "--force")
+        found = record(output)["cross_talk_percent"]
+        assert found["normal"] == pytest.approx(100.0 * coupling, rel=0.1, abs=0.1)
+        # Normal stress has one sign: the fit's constant takes its mean, a third, off the shear.
+        assert 50.0 * coupling <= found["shear_x"] <= 100.0 * coupling + 0.1
+        assert found["shear_y"] < 0.3
+        assert "cross-talk % FS" in out and "no pure" not in out
 
 
 def test_one_cluster_of_a_file_is_replaced_or_added(call, refused, bench_file, tmp_path, output):

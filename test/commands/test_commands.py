@@ -139,6 +139,10 @@ def test_a_broken_trial_is_named_and_leaves_nothing(hold, tmp_path, capsys) -> N
                 ["calibration", "distal", "elsewhere"],
             ),
             (lambda t: os.truncate(t / "hold.mcap", 100_000), ["hold.mcap", "truncated"]),
+            (
+                lambda t: (t / "metadata.yaml").write_text("rosbag2: ["),
+                ["metadata.yaml", "ros2 bag reindex"],
+            ),
             (lambda t: (t / "hold.mcap").unlink(), ["hold.mcap", "not there"]),
         )
     ):

@@ -124,4 +124,6 @@ def test_legs_are_compared_by_anatomy_and_the_page_says_so(trials, tmp_path, cap
     assert "left and right legs are compared" in written.text
     assert written.rows("metadata-table")["liner"] == ["<b>gel</b>", "not stated"]
     assert written.rows("metadata-table")["mass"] == ["not stated", "81.5 kg"]
+    expected = st.compare(*legs, segment="15:20").cells("regions", "mean pressure").loc["socket"]
+    assert written.rows("socket-table")["mean pressure [kPa]"] == expected.tolist()
     assert len([a for tag, a in written.tags if tag == "img" and a["alt"]]) == 2

@@ -76,7 +76,9 @@ def test_the_pages_programs_compile() -> None:
     assert found == ["README.md", "README.md", "laptop.md"]  # test_api runs two
 
 
-def test_the_readme_names_every_verb() -> None:
+def test_the_readme_names_every_verb_and_make_targets_that_exist() -> None:
+    targets = re.findall(r"^([a-z]+):", (CHECKOUT / "Makefile").read_text(), flags=re.MULTILINE)
+    assert set(re.findall(r"(?:^|`)make ([a-z]+)", README, flags=re.MULTILINE)) <= set(targets)
     rows = README.partition("| for | verbs")[2].partition("\n\n")[0]
     assert set(re.findall(r"`([a-z]+)`", rows)) == set(VERBS)
 

@@ -67,6 +67,8 @@ def test_verb_api_and_files_give_the_same_numbers(hold, found, tmp_path, capsys)
     code, out, _ = call(capsys, *options, "--json")
     assert code == 0 and json.loads(out) == found.document()
 
+    few = ["pressure", hold, "--segment", "10:11", "--share", "0.01"]
+    assert ") uncertain" in call(capsys, *few)[1]
     over_time = tmp_path / "over_time.parquet"
     code, out, _ = call(capsys, *options, "-o", over_time, "--over-time")
     socket, title = found.regions.loc["socket"], "mean pressure [kPa]"
@@ -122,3 +124,5 @@ def test_a_figure_is_that_of_the_api(hold: Path, tmp_path, capsys) -> None:
     assert code == 0 and f"written: {figure}" in out
     st.pressure(st.open_trial(hold), "10:11").draw(tmp_path / "own.png", width=88, title=False)
     assert (tmp_path / "own.png").read_bytes() == figure.read_bytes()
+    with pytest.raises(ConfigurationError, match="width of 120 mm"):
+        st.pressure(st.open_trial(hold), "10:11").draw(tmp_path / "other.png", width=120)

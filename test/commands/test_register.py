@@ -109,6 +109,7 @@ def test_the_verb_writes_the_registered_socket(files, tmp_path, capsys):
     assert "60 frames at 120 Hz" in out and "socket and load_cell: 53 frames used, 7 left" in out
     assert "5 landmarks, residual 0." in out and "(9 degrees of freedom)" in out
     assert all(f"\n{name} " in out for name in bench.take.markers)
+    assert "limb position q in {S}: (" in out and "mm in all" in out
     x, y, z = (f"{1e3 * value:.2f}" for value in new.limb.translation)
     turn = np.degrees(Rotation.from_matrix(new.limb.rotation).magnitude())
     assert f"at ({x}, {y}, {z}) mm, turned by {turn:.2f} deg about" in out
@@ -145,3 +146,6 @@ def test_a_socket_that_nobody_could_read_again_is_not_written(files, tmp_path, c
     named = ["socket.yaml: bodies: socket: markers[0][0] is -1.4"]
     verbs.refused(capsys, *words, named=named)
     assert (tmp_path / "socket.yaml").read_bytes() == old
+    del bench.take.markers[SOCKET_NAMES[1]]
+    write_take(bench.take, tmp_path / "take.csv")
+    verbs.refused(capsys, *words, named=["rigid body 'Socket' has 2 measured markers"])

@@ -6,6 +6,7 @@ import subprocess
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
 import pytest
 import yaml
 from support import HANGS
@@ -18,6 +19,7 @@ from socket_testbed import clocks
 from socket_testbed.__main__ import run
 from socket_testbed.files import packaged
 from socket_testbed.nodes import controls
+from socket_testbed.samples import Status
 from socket_testbed.settings.testbed import read_testbed
 from socket_testbed.trials.layout import stamp_of
 from socket_testbed.trials.metadata import TrialMetadata
@@ -73,7 +75,12 @@ def ended(tmp_path_factory: pytest.TempPathFactory) -> Ended:
 def test_run_records_until_ctrl_c(ended: Ended) -> None:
     trial = Trial(ended.path)
     samples = trial.samples()
-    assert ended.out.startswith(f"{ended.path}: {len(samples)} triggers, ")
+    lacks = {"wrench": np.isnan(samples.wrench).any(axis=1)}
+    lacks |= {"limb position": np.isnan(samples.position).any(axis=1)}
+    lacks |= dict(zip(samples.clusters, (samples.status == Status.MISSING).T, strict=True))
+    missing = [f"{name} missing {rows.sum()}" for name, rows in lacks.items() if rows.any()]
+    said = ", ".join(missing) or f"all {len(samples)} complete"
+    assert ended.out == f"{ended.path}: {len(samples)} triggers, {said}\n"
     recorded = Recorded(ended.path)
     assert not recorded.notes and not any(recorded.lacking().values())
     assert trial.metadata == TrialMetadata("S01", "left")
@@ -97,7 +104,7 @@ def test_marked_events_are_recorded_and_select_a_segment(ended, tmp_path, capsys
     assert code == 0
     assert push.time <= float(segment[0]) < float(segment[1]) <= step.time + 0.01
     words = ["--segment", "event:puhs:9", "-o", tmp_path / "m.json"]
-    named = ["no event 'puhs': did you mean 'push'? it has push (once)"]
+    named = ["no event 'puhs': did you mean 'push'? it has ", "push (once)"]
     refused(capsys, "fit", ended.path, *words, named=named)
 
 
@@ -151,6 +158,7 @@ def test_doctor_finds_all_that_is_simulated(capsys: pytest.CaptureFixture[str]) 
         "ADS131M06 on spidev0.0, ID 0x26",
         "0 of 1000 frames corrupted",
         "NatNet 4.1",
+        "motion capture clock",
         "its three markers are seen",
     ):
         assert found in table

@@ -143,6 +143,7 @@ BAD = (
     (SPHERE, (), "cavity"),
     (CUP, ("--size", "0.03"), "--size"),
     (CUP, ("--proximal", "up"), "--proximal is 'up'"),
+    (CUP, ("--anterior", "+z"), "--anterior is along"),
     (CUP, ("--points", "0 0 0", "1 0 0", "2 0 0"), "on one line"),
 )
 

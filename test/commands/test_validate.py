@@ -127,6 +127,7 @@ def test_fit_says_who_bears_the_load_and_what_would_move_the_pose_more(
     assert code == 0
     assert "warning: the springs bear only" in out  # the offsets explain a hold
     assert "of noise: twist the limb in the socket" in out and "of 6 independent directions" in out
+    assert ("negative skill:" in out) is ("  -0." in out)
     words = ["--variant", "stiffness", "-o", tmp_path / "moving.json", "--segment", "all"]
     code, out, _ = call(capsys, "fit", folder / "s0", *words)
     assert code == 0 and "warning" not in out

@@ -96,6 +96,11 @@ def test_a_server_is_waited_for_and_found():
             link.server = NatNetServer(scene, address=address, faults=link.faults, seed=9)
             assert link.until_fine() < 1.5
             assert link.check_sample() < ACCURACY
+    with Link(client=False) as link:  # and an interface that is not there yet
+        settings = MocapSettings(server="127.0.0.1", interface="192.0.2.77")
+        link.client = NatNetClient(settings, lambda *_: None)
+        link.client.start()
+        link.until_level(2, "no network")
 
 
 def restart(link) -> float:

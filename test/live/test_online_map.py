@@ -15,6 +15,8 @@ from socket_testbed.settings.identification import ForceMapSettings, Identificat
 from socket_testbed.settings.testbed import EstimatorSettings
 from socket_testbed.trials.topics import PYLON_POSE, SOCKET_POSE, STRESS, WRENCH
 from socket_testbed.trials.trial import Trial
+from socket_testbed.viewer.panel import regions_html
+from socket_testbed.viewer.source import RegionsNow
 
 GEOMETRY = read_socket(packaged("config", "socket.yaml"))
 CLUSTERS = tuple(GEOMETRY.clusters)
@@ -117,6 +119,9 @@ def test_outputs_of_a_sample_are_those_of_pressure(hold: Path) -> None:
         for end in ("value", "high"):
             ours, known = (getattr(getattr(of, name), end) for of in (found, theirs))
             np.testing.assert_allclose(ours, known, rtol=1e-9)
+    text = regions_html(RegionsNow(7.0, live.places, found))
+    assert "socket" in text and "uncertain" in text and "anterior proximal" not in text
+    assert f"{theirs.peak.value[-1] * 1e-3:.0f}" in text and "at 7.0 s" in text
 
 
 def test_outputs_follow_the_estimator_and_leave_out_what_cannot_be() -> None:

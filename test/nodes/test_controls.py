@@ -246,4 +246,6 @@ def test_a_service_without_an_answer_is_named(monkeypatch: pytest.MonkeyPatch) -
         nowhere = rclpy.create_node("page", namespace="/nowhere", context=probe.context)
         with pytest.raises(TestbedError, match="nobody offers load_cell/tare: check that load_"):
             ServiceControls(nowhere).tare()
+        with pytest.raises(TestbedError, match="start 'run' with --record DIR, or 'record DIR'"):
+            ServiceControls(nowhere).record("stairs", {})
         nowhere.destroy_node()

@@ -87,10 +87,10 @@ def test_services_of_one_testbed_leave_the_other_alone(two: SimpleNamespace) -> 
 
 def test_each_testbed_has_transforms_of_its_own(two: SimpleNamespace) -> None:
     """Frames are called the same in both: on one topic nobody could tell them apart."""
-    for name in NAMESPACES:
-        moving = two.probe.listen(TF, f"{name}/tf")
-        static = two.probe.listen(TF_STATIC, f"{name}/tf_static")
-        two.probe.wait(lambda m=moving, s=static: bool(m) and bool(s), f"the transforms in {name}")
-        assert {t.child_frame_id for t in moving[-1].transforms} == {"socket", "limb"}
-        assert static[0].transforms[0].child_frame_id == "load_cell"
+    moving = [two.probe.listen(TF, f"{name}/tf") for name in NAMESPACES]
+    static = [two.probe.listen(TF_STATIC, f"{name}/tf_static") for name in NAMESPACES]
+    two.probe.wait(lambda: all(moving) and all(static), "the transforms of both")
+    for own, fixed in zip(moving, static, strict=True):
+        assert {t.child_frame_id for t in own[-1].transforms} == {"socket", "limb"}
+        assert fixed[0].transforms[0].child_frame_id == "load_cell"
     assert two.probe.node.count_publishers("/tf") == 0

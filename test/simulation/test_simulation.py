@@ -254,6 +254,24 @@ def test_the_cameras_drop_and_swap_as_often_as_set(geometry) -> None:
     assert moved.mean() == pytest.approx(0.2, abs=0.03)
 
 
+FIVE = 0.001 * np.array([[0, 0, 0], [61, 4, 9], [13, 47, 2], [40, 72, 31], [-35, 20, 44]])
+
+
+def test_a_body_of_five_markers_keeps_its_pose_through_occlusions(geometry, calibration) -> None:
+    larger = dataclasses.replace(geometry, socket_markers=FIVE)
+    faulty = dataclasses.replace(PERFECT, drop_out=0.1, label_swap=0.2)
+    plain, trial = (
+        simulate(of, calibration, "ramp", 5.0, 4.0, 0, errors=errors, mocap_window=0.0)
+        for of, errors in ((geometry, PERFECT), (larger, faulty))
+    )
+    assert trial.socket_markers.shape[1:] == (5, 3) and trial.pylon_markers.shape[1:] == (3, 3)
+    position = trial.socket_pose.translation
+    found = np.isfinite(position).all(axis=1)
+    whole = np.isfinite(trial.socket_markers).all(axis=(1, 2))
+    assert found[whole].all() and found.sum() > whole.sum()
+    np.testing.assert_allclose(position[found], plain.socket_pose.translation[found], atol=1e-9)
+
+
 def test_the_noise_of_a_marker_is_that_of_a_real_take(shared_data: Path) -> None:
     """`sample_optitrack_take.csv` of cmuphyscomp/hmv-s16: a triad of 0.2 m, 250 frames at 120 Hz.
 
