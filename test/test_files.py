@@ -21,7 +21,9 @@ def test_two_writers_of_one_output_do_not_meet_and_an_error_leaves_the_older_fil
     assert path.read_text() == "first" and list(tmp_path.iterdir()) == [path]
 
 
-def test_the_first_of_two_writers_of_a_folder_keeps_it(tmp_path: Path) -> None:
+def test_the_first_of_two_writers_of_a_folder_keeps_it_until_it_is_to_be_replaced(
+    tmp_path: Path,
+) -> None:
     path = tmp_path / "trial"
     with refused(ConfigurationError, "another run wrote it"), atomic_output(path) as second:
         (second / "deep").mkdir(parents=True)
@@ -29,14 +31,9 @@ def test_the_first_of_two_writers_of_a_folder_keeps_it(tmp_path: Path) -> None:
             first.mkdir()
             (first / "data").write_text("first")
     assert (path / "data").read_text() == "first" and list(tmp_path.iterdir()) == [path]
-
-
-def test_a_folder_that_is_to_be_replaced_goes_in_one_step(tmp_path: Path) -> None:
-    path = tmp_path / "files"
-    for content in ("older", "newer"):
-        with atomic_output(path, replace=True) as staging:
-            staging.mkdir()
-            (staging / content).write_text(content)
+    with atomic_output(path, replace=True) as staging:  # in one step
+        staging.mkdir()
+        (staging / "newer").write_text("second")
     assert [p.name for p in path.iterdir()] == ["newer"] and list(tmp_path.iterdir()) == [path]
 
 
@@ -49,16 +46,12 @@ def test_an_output_replaces_nothing_and_makes_no_folder_unless_asked(tmp_path: P
         check_outputs(None, taken, replace=False)
     with refused(ConfigurationError, "as a folder"):
         check_outputs(tmp_path, replace=True)
+    check_new_folder(tmp_path / "trials" / "s01")
+    with refused(ConfigurationError, "no such folder"):
+        check_new_folder(tmp_path / "home/trials/s01")
     for mistyped, fact in (("modles/m.json", "no such folder"), ("bench.csv/m", "is not a folder")):
         with refused(ConfigurationError, fact):
             check_outputs(tmp_path / mistyped, replace=True)
         with refused(ConfigurationError, fact), atomic_output(tmp_path / mistyped):
             pass
-    check_new_folder(tmp_path / "trials" / "s01")
-    for path, fact in (
-        (tmp_path / "home/trials/s01", "no such folder"),
-        (tmp_path, "exists alrea"),
-    ):
-        with refused(ConfigurationError, fact):
-            check_new_folder(path)
     assert list(tmp_path.iterdir()) == [taken]

@@ -3,13 +3,13 @@
 import os
 import re
 import shutil
-import subprocess
 import sys
 import venv
 from pathlib import Path
 from zipfile import ZipFile
 
 import pytest
+from support.verbs import program
 
 from socket_testbed import __version__
 
@@ -44,19 +44,12 @@ def workspace(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def call(workspace: Path, *words: str, **environment: str) -> str:
-    prefix = os.environ.get("AMENT_PREFIX_PATH", sys.prefix)
-    variables = {
-        **os.environ,
-        "AMENT_PREFIX_PATH": prefix,
-        "CMAKE_PREFIX_PATH": os.environ.get("CMAKE_PREFIX_PATH", sys.prefix),
-        "PATH": f"{BIN}:{os.environ['PATH']}",
-        **environment,
-    }
-    done = subprocess.run(
-        words, check=False, cwd=workspace, env=variables, capture_output=True, text=True
-    )
-    assert done.returncode == 0, done.stdout + done.stderr
-    return done.stdout
+    prefixes = ("AMENT_PREFIX_PATH", "CMAKE_PREFIX_PATH")
+    variables = {name: os.environ.get(name, sys.prefix) for name in prefixes}
+    variables |= {"PATH": f"{BIN}:{os.environ['PATH']}", **environment}
+    code, out, err = program(*words, folder=workspace, **variables)
+    assert code == 0, out + err
+    return out
 
 
 @needs_colcon
@@ -103,21 +96,15 @@ def check_nodes_run_in_the_active_environment(
     """Colcon's interpreter is not theirs, and one that lacks something is named in one line."""
     programs = sorted((prefix / "lib" / "socket_testbed").iterdir())
     assert {path.read_text().splitlines()[0] for path in programs} == {"#!/usr/bin/env python3"}
-    program, other = prefix / "lib" / "socket_testbed" / "estimator_node", folder / "other"
+    program_file, other = prefix / "lib" / "socket_testbed" / "estimator_node", folder / "other"
     venv.create(other, with_pip=False, symlinks=True)
     said = {}
     for environment in (BIN.parent, other):
-        done = subprocess.run(
-            [program, "--ros-args", "-p", "identification.solver:=osqqp"],
-            check=False,
-            capture_output=True,
-            text=True,
-            env={name: value for name, value in os.environ.items() if name != _BOOTSTRAP}
-            | {"PATH": f"{environment / 'bin'}:{os.environ['PATH']}"}
-            | {"PYTHONPATH": ":".join(map(str, paths))},
-        )
-        assert done.returncode == 1
-        said[environment] = done.stderr
+        variables = {"PATH": f"{environment / 'bin'}:{os.environ['PATH']}", _BOOTSTRAP: ""}
+        variables["PYTHONPATH"] = ":".join(map(str, paths))
+        words = (program_file, "--ros-args", "-p", "identification.solver:=osqqp")
+        code, _, said[environment] = program(*words, **variables)
+        assert code == 1
     assert said[BIN.parent] == "error: solver 'osqqp' is not installed: did you mean 'osqp'?\n"
     assert re.fullmatch(rf"error: {other}/bin/python3? has no module '\w+': .*\n", said[other])
 
@@ -142,9 +129,7 @@ def test_a_wheel_holds_all_that_the_offline_verbs_need(workspace: Path, tmp_path
     )
     verbs = (
         "simulate -o hold --duration 40",
-        "info hold",
         "fit hold -o hold.json",
-        "evaluate hold --model hold.json",
         "report hold -o hold.html --thetas 3",
         "export hold -o hold.csv",
     )

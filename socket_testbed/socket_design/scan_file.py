@@ -303,9 +303,10 @@ def _check_ply(path: Path, data: bytes) -> str:
 def _check_obj(path: Path, data: bytes) -> str:
     """Refuse an OBJ with lines of vertices or faces that make no sense; its comments."""
     text = data.decode("utf-8", "replace")
-    for number, line in enumerate(text.replace("\\\n", " ").splitlines(), start=1):
+    # Lines end as for the reader, by a line feed: another end stands within a vertex or face.
+    for number, line in enumerate(text.replace("\\\n", " ").split("\n"), start=1):
         words = line.strip()
-        if words[:1] in {"v", "f"} and words[1:2].isspace() and not _OBJ_LINE.fullmatch(words):
+        if words[:1] in {"v", "f"} and not words[1:2].strip() and not _OBJ_LINE.fullmatch(words):
             raise ScanError(
                 f"{path}: line {number} is not a vertex or a face ('{words[:40]}')",
                 f"{_AGAIN}, as OBJ with plain indices or as binary STL",

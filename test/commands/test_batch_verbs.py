@@ -5,7 +5,6 @@ import os
 import shutil
 import signal
 import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +12,7 @@ import pandas as pd
 import pytest
 from distributed import LocalCluster
 from support import HANGS
-from support.verbs import call, refused
+from support.verbs import COMMAND, call, program, refused
 
 import socket_testbed as st
 from socket_testbed.__main__ import run
@@ -66,34 +65,19 @@ def assert_models(folder: Path, expected: Path) -> None:
 def models(whole_study: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The same trials in parallel, by the command itself; the broken one fails."""
     folder = tmp_path_factory.mktemp("batch") / "models"
-    words = ["fit", whole_study, "-o", folder, "--jobs", 2]
-    done = subprocess.run(
-        [sys.executable, "-m", "socket_testbed", *map(str, words)],
-        check=False,
-        capture_output=True,
-        text=True,
-    )
-    assert done.returncode == 1, done.stderr
-    lines = done.stdout.splitlines()
-    assert len(lines) == 5 and all(f" {name}: " in done.stdout for name in (*GOOD, BROKEN))
-    assert sum(": ok, mean moment RMSE 0." in line for line in lines) == 3
-    assert "Traceback" not in done.stderr and "Warning" not in done.stderr
-    *_, named, last = done.stderr.splitlines()
+    code, out, err = program(*COMMAND, "fit", whole_study, "-o", folder, "--jobs", 2)
+    assert code == 1 and out.count(": ok, mean moment RMSE 0.") == 3 and "Warning" not in err
+    *_, named, last = err.splitlines()
     assert named.startswith(f"{BROKEN}: ") and "hold.mcap" in named and "truncated" in named
     assert last.startswith("socket-testbed fit: error: 1 of 4 trials failed")
     return folder
 
 
 def test_the_summary_holds_the_figures_of_single_calls(models, one_by_one, whole_study) -> None:
+    """What becomes of failed and of skipped trials: test_batch.py."""
     assert_models(models, one_by_one)
-    table = pd.read_csv(models / "summary.csv")
-    same = pd.read_parquet(models / "summary.parquet")
-    pd.testing.assert_frame_equal(table, same, check_dtype=False, check_exact=True)
-    table = table.set_index("trial")
-    assert list(table.index) == sorted((*GOOD, BROKEN))
-    assert table["status"].to_dict() == {BROKEN: "failed", **dict.fromkeys(GOOD, "ok")}
+    table = pd.read_csv(models / "summary.csv").set_index("trial")
     assert "truncated" in table["error"][BROKEN] and table["error"][list(GOOD)].isna().all()
-    assert table.loc[BROKEN].drop(["status", "error"]).isna().all()
     row = table.loc["walk"]
     model = json.loads((models / "walk.json").read_text())
     quality = model["quality"]
@@ -102,9 +86,6 @@ def test_the_summary_holds_the_figures_of_single_calls(models, one_by_one, whole
     for error in quality["errors"]:
         for figure in ("rmse", "mae", "sigma"):
             assert row[f"{error['name']}_{figure} [{error['unit']}]"] == error[figure]
-    skills = np.array([error["skill"] for error in quality["errors"]], dtype=float)
-    assert row["median_wrench_skill_in_sample [-]"] == pytest.approx(np.median(skills[:6]))
-    assert row["median_local_skill_in_sample [-]"] == pytest.approx(np.nanmedian(skills[6:]))
     moments = [error["rmse"] for error in quality["errors"][:3]]
     assert row["mean_moment_rmse [N m]"] == pytest.approx(np.mean(moments))
     # Each fit is judged on a half of the segment that it has not seen, too.
@@ -113,9 +94,9 @@ def test_the_summary_holds_the_figures_of_single_calls(models, one_by_one, whole
     middle = (rows.start + rows.stop) // 2
     fitted = st.fit(trial, f"{time[rows.start]}:{time[middle - 1]}")
     unseen = st.evaluate(trial, fitted, f"{time[middle]}:{time[rows.stop - 1]}").to_dataframe()
-    expected = np.nanmedian(unseen["skill"][:6]), np.nanmedian(unseen["skill"][6:])
-    assert row["median_wrench_skill_unseen_half [-]"] == pytest.approx(expected[0])
-    assert row["median_local_skill_unseen_half [-]"] == pytest.approx(expected[1])
+    for group, skills in (("wrench", unseen["skill"][:6]), ("local", unseen["skill"][6:])):
+        found = row[f"median_{group}_skill_unseen_half [-]"]
+        assert found == pytest.approx(np.nanmedian(skills))
     solved = [quality[key] for key in ("stage_1", "stage_2", "joint")]
     assert row["kkt_residual [-]"] == max(each["stationarity"] for each in solved) < 1e-8
 
@@ -123,9 +104,8 @@ def test_the_summary_holds_the_figures_of_single_calls(models, one_by_one, whole
 def test_a_changed_option_is_never_passed_over(study, tmp_path, capsys) -> None:
     shutil.rmtree(study / "s01")
     fit = ["fit", study, "-o", tmp_path / "models", "--jobs", 1]
-    assert call(capsys, *fit)[1].count(": ok, mean") == 2
-    assert call(capsys, *fit)[1].count(": skipped, mean") == 2
-    assert call(capsys, *fit, "--theta", 0.9)[1].count(": ok, mean") == 2
+    for words, state in (((), "ok"), ((), "skipped"), (("--theta", 0.9), "ok")):
+        assert call(capsys, *fit, *words)[1].count(f": {state}, mean") == 2
     model = tmp_path / "models" / "walk.json"
     assert json.loads(model.read_text())["settings"]["theta"] == 0.9
 
@@ -147,7 +127,6 @@ def test_trials_are_judged_by_their_own_models_or_all_by_one(
         assert found == expected
         row = pd.read_csv(tmp_path / name / "summary.csv").set_index("trial").loc["s02/hold"]
         assert row["model"] == model.rpartition("/")[2]
-        assert row["Fz_rmse [N]"] == expected["channels"][5]["rmse"]
         assert row["in_sample"] == ("yes" if name == "own" else "no")
 
 
@@ -171,9 +150,9 @@ def test_ctrl_c_leaves_what_is_finished_and_a_re_run_goes_on(study, tmp_path, ca
     shutil.rmtree(study / BROKEN)
     for number in range(4):  # enough to be in their midst for sure
         shutil.copytree(study / "walk", study / f"walk_{number}")
-    words = [sys.executable, "-m", "socket_testbed", "fit", study, "-o", tmp_path / "models"]
+    words = ["fit", str(study), "-o", str(tmp_path / "models"), "--jobs"]
     with subprocess.Popen(
-        [*map(str, words), "--jobs", "2"],
+        [*COMMAND, *words, "2"],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
@@ -188,7 +167,7 @@ def test_ctrl_c_leaves_what_is_finished_and_a_re_run_goes_on(study, tmp_path, ca
     finished = table.index[table["status"] == "ok"].tolist()
     assert 1 <= len(finished) < 7
     assert set(table["status"]) == {"ok", "not reached"}
-    code, out, _ = call(capsys, *words[3:], "--jobs", 1)
+    code, out, _ = call(capsys, *words, 1)
     assert code == 0
     # What a worker had finished but not yet told, is done as well.
     assert len(finished) <= out.count(": skipped") < 7

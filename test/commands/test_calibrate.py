@@ -18,7 +18,6 @@ from support.benches import (
 )
 
 from socket_testbed.calibration.model import Calibration, read_calibration, write_calibration
-from socket_testbed.errors import TestbedError
 from socket_testbed.files import packaged
 from socket_testbed.simulation.sensors import invert_calibration
 
@@ -83,13 +82,6 @@ def test_report_and_record_say_how_good_it_is_and_where_it_comes_from(call, benc
     calibration = read_calibration(output)
     assert calibration.source == "distal: bench.csv" and calibration.date == stored["date"]
     assert calibration.clusters["distal"].bench == stored
-    for key, value in (("baseline", [1.0, 2.0]), ("bench", [1])):
-        document = yaml.safe_load(output.read_text())
-        document["clusters"]["distal"][key] = value
-        wrong = output.with_name("wrong.yaml")
-        wrong.write_text(yaml.safe_dump(document))
-        with pytest.raises(TestbedError, match=rf"wrong.yaml: clusters: distal: {key}"):
-            read_calibration(wrong)
 
 
 def test_cross_talk_is_the_coupling_of_the_sensor(call, tmp_path, output):
@@ -165,6 +157,7 @@ def test_outliers_are_listed_and_dropped_only_on_request(call, tmp_path, output)
 
 
 def test_baselines_are_stored_and_take_the_drift_off(call, tmp_path, output):
+    """How much: calibration/test_bench_drift.py."""
     bench = sensor_bench()
     rest, drift = bench.capacitance[0], np.array([0.2, 0.1, 0.15, 0.05])
     part = (bench.time / bench.time[-1])[:, None]
@@ -175,14 +168,9 @@ def test_baselines_are_stored_and_take_the_drift_off(call, tmp_path, output):
         path.write_text("\n".join([",".join(HEADER[4:]), *rows]))
     out = call(write_bench(tmp_path / "bench.csv", drifted), *WIRING, "--baseline", *files)
     assert "drift, corrected" in out and "above the limit" in out
-    corrected = read_calibration(output).clusters["distal"]
-    np.testing.assert_allclose(corrected.baseline, rest, rtol=1e-8)
-    assert corrected.bench["drift"]["flagged"] is True
-    np.testing.assert_allclose(corrected.bench["drift"]["capacitance"], drift, rtol=1e-3)
-    call(write_bench(tmp_path / "clean.csv", bench), *WIRING, "--baseline", files[0])
-    clean = read_calibration(output).clusters["distal"]
-    assert "drift" not in clean.bench and clean.baseline is not None
-    np.testing.assert_allclose(corrected.normal, clean.normal, rtol=1e-6)
+    found = read_calibration(output).clusters["distal"]
+    np.testing.assert_allclose(found.baseline, rest, rtol=1e-8)
+    assert found.bench["drift"]["flagged"] is True
 
 
 def test_forces_need_the_area_of_the_tile(call, refused, tmp_path, output):
@@ -196,14 +184,12 @@ def test_forces_need_the_area_of_the_tile(call, refused, tmp_path, output):
     other.write_text(socket.read_text().replace("  distal: distal", "  tip: distal"))
     refused(path, *WIRING, "--geometry", other, named=["has no cluster 'distal'"])
     gains = []
-    for words in (
-        (path, "--area", 9e-4),
-        (path, "--geometry", socket),
-        (write_bench(tmp_path / "bench.csv", bench),),
-    ):
-        call(*words, *WIRING)
+    for words in (("--area", 9e-4), ("--geometry", socket)):
+        call(path, *words, *WIRING)
         gains.append(read_calibration(output).clusters["distal"].normal[1])
         output.unlink()
+    call(write_bench(tmp_path / "bench.csv", bench), *WIRING)
+    gains.append(read_calibration(output).clusters["distal"].normal[1])
     np.testing.assert_allclose(gains, gains[0], rtol=1e-6)
 
 
@@ -212,7 +198,6 @@ def test_a_wrong_call_gives_one_line(refused, bench_file, tmp_path, output):
     upside_down = bench_of(12.0 - bench.capacitance, bench.stress)
     for path, words, named in (
         (bench_file, (), ("wiring 0 1 2 3", "--wiring 2 3 0 1")),
-        (bench_file, ("--wiring", 0, 0, 1, 2), ("--wiring is [0, 0, 1, 2]", "once")),
         (bench_file, ("--wiring", 2, 3, 1, 0), ("exceeds 10 %", "shear_x 4")),
         (
             write_bench(tmp_path / "upside_down.csv", upside_down),
@@ -223,15 +208,11 @@ def test_a_wrong_call_gives_one_line(refused, bench_file, tmp_path, output):
         refused(path, *words, named=named)
     for words, named in (
         (("--units", "normal"), ("--units: 'normal' is no", "normal=kPa")),
-        (("--units", "normel=kPa"), ("no quantity 'normel'", "normal")),
-        (("--units", "c0=pF", "c0=fF"), ("c0 is given twice", "once")),
         (("--units", "normal=Pa"), ("normal spans only 60 Pa", "--units normal=UNIT")),
         (("--columns", "normal=load,cell"), ("no column for normal",)),
         (("--limit", -1), ("--limit", "from 0 to 100")),
-        (("--area", 900), ("--area is 900", "from 1e-06 to 0.05")),
         (("--figure", "fit.txt"), ("fit.txt", ".png or .pdf")),
         (("--baseline", "a", "b", "c"), ("--baseline: 3 files", "before")),
-        (("--baseline", "none.csv"), ("none.csv", "no such file")),
         (("--into", "none.yaml"), ("none.yaml", "no such file")),
     ):
         refused(bench_file, *WIRING, *words, named=named)

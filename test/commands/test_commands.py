@@ -3,7 +3,6 @@
 import json
 import os
 import shutil
-import subprocess
 import sys
 from pathlib import Path
 
@@ -12,12 +11,11 @@ import pandas as pd
 import pytest
 import yaml
 from support.bags import rewrite
-from support.verbs import call, refused
+from support.verbs import call, program, refused
 
 import socket_testbed as st
 from socket_testbed.__main__ import VERBS, run
 from socket_testbed.commands.signatures import options_of
-from socket_testbed.simulation.trial import read_truth
 
 
 def test_every_verb_explains_itself_and_each_of_its_options(capsys) -> None:
@@ -39,8 +37,8 @@ def test_the_help_imports_no_library() -> None:
         "try: run(['report', '--help'])\n"
         "except SystemExit: sys.exit('numpy' in sys.modules or 'socket_testbed.api' in sys.modules)"
     )
-    done = subprocess.run([sys.executable, "-c", script], check=False, capture_output=True)
-    assert done.returncode == 0 and b"--thetas" in done.stdout
+    code, out, _ = program(sys.executable, "-c", script)
+    assert code == 0 and "--thetas" in out
 
 
 def test_info_says_what_a_trial_holds(hold: Path, capsys) -> None:
@@ -52,9 +50,6 @@ def test_info_says_what_a_trial_holds(hold: Path, capsys) -> None:
     noise = {line.split("  ")[0]: line.split()[-1] for line in out.splitlines() if line}
     assert float(noise["force [N]"]) == pytest.approx(0.15, rel=0.2)  # the simulated load cell's
     assert 0.001 < float(noise["limb position [mm]"]) < 0.01  # 8 um a marker, averaged
-    with np.load(hold / "ground_truth.npz") as truth:  # beside the trial
-        assert truth["forces"].shape == (240, len(truth["names"]), 3)
-        assert {"stamps", "wrench", "position"} <= set(truth.files)
 
 
 def test_a_left_out_channel_is_marked_and_bears_no_weight(hold, tmp_path, capsys) -> None:
@@ -62,34 +57,14 @@ def test_a_left_out_channel_is_marked_and_bears_no_weight(hold, tmp_path, capsys
     model = tmp_path / "model.json"
     code, out, _ = call(capsys, "fit", hold, "-o", model, "--leave-out", "distal.Fx", "Mz")
     assert code == 0 and out.count("not in objective") == 2
-    stored = json.loads(model.read_text())
-    assert stored["parameters"]["force_bias"]["distal"][0] == 0.0
-    assert stored["parameters"]["wrench_bias"][2] == 0.0
-    code, out, _ = call(capsys, "evaluate", hold, "--model", model)
-    assert out.count("not in objective") == 2
+    stored = json.loads(model.read_text())["parameters"]
+    assert stored["force_bias"]["distal"][0] == stored["wrench_bias"][2] == 0.0
     found = json.loads(call(capsys, "evaluate", hold, "--model", model, "--json")[1])
     assert found == st.evaluate(st.open_trial(hold), model).document()
-    local = [c["rmse"] for c in found["channels"] if "." in c["name"] and c["in_objective"]]
-    median = np.median(local)  # as the paper counts: without distal.Fx
-    assert len(local) == 11
-    assert found["in_objective"]["median_local_rmse [N]"] == pytest.approx(median, rel=1e-12)
+    median = found["in_objective"]["median_local_rmse [N]"]
+    code, out, _ = call(capsys, "evaluate", hold, "--model", model)
+    assert code == 0 and out.count("not in objective") == 2
     assert f"median local RMSE {median:.3f} N, of the channels in the objective" in out
-
-
-def test_the_offsets_of_a_hold_vanish_with_the_bias_variant(hold, tmp_path, capsys) -> None:
-    channels = {}
-    for variant in ("stiffness", "stiffness_bias"):
-        model = tmp_path / f"{variant}.json"
-        assert call(capsys, "fit", hold, "--variant", variant, "-o", model)[0] == 0
-        errors = st.evaluate(st.open_trial(hold), model).errors
-        assert all(e.mae <= e.rmse + 1e-12 and e.sigma <= e.rmse + 1e-12 for e in errors)
-        channels[variant] = np.array([[e.rmse, e.sigma] for e in errors])
-    plain, bias = channels.values()
-    assert bias[3:6, 0].mean() < 0.2 * plain[3:6, 0].mean()
-    assert np.median(bias[6:, 0]) < 0.3 * np.median(plain[6:, 0])
-    # Without offsets the residuals stand still: sigma is much smaller than the RMSE.
-    assert plain[6:, 1].sum() < 0.4 * plain[6:, 0].sum()
-    np.testing.assert_allclose(bias[:, 1], bias[:, 0], rtol=1e-3, atol=1e-6)
 
 
 def test_a_spoilt_channel_is_named_and_can_be_left_out(hold, tmp_path, capsys) -> None:
@@ -111,13 +86,9 @@ def test_a_spoilt_channel_is_named_and_can_be_left_out(hold, tmp_path, capsys) -
 
 def test_a_ramp_is_fitted_on_all_of_it_for_want_of_a_plateau(tmp_path, capsys) -> None:
     trial, model = tmp_path / "ramp", tmp_path / "model.json"
-    call(capsys, "simulate", "-o", trial, "--scenario", "ramp", "--duration", 60)
-    assert np.ptp(read_truth(trial).wrench[:, 5]) > 150.0
+    assert call(capsys, "simulate", "-o", trial, "--scenario", "ramp", "--duration", 60)[0] == 0
     refused(capsys, "fit", trial, "-o", model, named=["no plateau", "(the part under load)"])
     assert call(capsys, "fit", trial, "--segment", "all", "-o", model)[0] == 0
-    words = ["evaluate", trial, "--model", model, "--segment", "30:60", "--json"]
-    channels = {c["name"]: c for c in json.loads(call(capsys, *words)[1])["channels"]}
-    assert channels["Fz"]["skill"] > 0.5
 
 
 @pytest.mark.slow
@@ -133,22 +104,17 @@ def test_all_but_the_graph_works_without_ros(tmp_path: Path) -> None:
         "assert run(['evaluate', 'hold', '--model', 'model.json']) == 0\n"
         "assert run(['replay', 'hold']) == 1\n"
     )
-    done = subprocess.run(
-        [sys.executable, "-c", script], check=False, cwd=tmp_path, capture_output=True, text=True
-    )
-    assert done.returncode == 0, done.stderr
-    assert "rclpy cannot be imported: run 'make setup'" in done.stderr
+    code, _, err = program(sys.executable, "-c", script, folder=tmp_path)
+    assert code == 0, err
+    assert "rclpy cannot be imported: run 'make setup'" in err
 
 
 @pytest.mark.slow
 def test_a_full_disk_leaves_nothing_that_looks_whole(tmp_path: Path) -> None:
     # A limit on the size of a file stands for the disk: writing fails in the middle.
     command = f"ulimit -f 64; {sys.executable} -m socket_testbed simulate -o hold --duration 60"
-    done = subprocess.run(
-        ["bash", "-c", command], check=False, cwd=tmp_path, capture_output=True, text=True
-    )
-    assert done.returncode == 1
-    assert "hold: cannot be written" in done.stderr and "Traceback" not in done.stderr
+    code, _, err = program("bash", "-c", command, folder=tmp_path)
+    assert code == 1 and "hold: cannot be written" in err
     assert list(tmp_path.iterdir()) == []
 
 
@@ -163,41 +129,26 @@ def rename_cluster(document) -> None:
     document["clusters"]["elsewhere"] = document["clusters"].pop("distal")
 
 
-BROKEN = (
-    (
-        lambda t: edit(t / "socket.yaml", lambda d: d.update(neighbors=d.pop("neighbours"))),
-        ["socket.yaml", "'neighbors'", "did you mean 'neighbours'?"],
-    ),
-    (
-        lambda t: edit(t / "calibration.yaml", rename_cluster),
-        ["calibration", "distal", "elsewhere"],
-    ),
-    (
-        lambda t: (t / "testbed.yaml").write_text(
-            "estimator_node: {ros__parameters: {identification: {thetta: 0.5}}}"
-        ),
-        ["testbed.yaml", "thetta", "did you mean 'identification.theta'?"],
-    ),
-    (
-        lambda t: os.truncate(t / "hold.mcap", (t / "hold.mcap").stat().st_size // 2),
-        ["hold.mcap", "truncated", "mcap recover"],
-    ),
-    (
-        lambda t: (t / "metadata.yaml").write_text("rosbag2: ["),
-        ["metadata.yaml", "ros2 bag reindex"],
-    ),
-    (lambda t: (t / "hold.mcap").unlink(), ["hold.mcap", "not there"]),
-)
-
-
-def test_bad_input_gets_one_line_that_names_it(hold, hold_model, tmp_path, capsys) -> None:
-    output = tmp_path / "out.json"
-    for number, (spoil, named) in enumerate(BROKEN):
+def test_a_broken_trial_is_named_and_leaves_nothing(hold, tmp_path, capsys) -> None:
+    """All that a file may hold: test_documents.py and test_salvage.py."""
+    output = tmp_path / "model.json"
+    for number, (spoil, named) in enumerate(
+        (
+            (
+                lambda t: edit(t / "calibration.yaml", rename_cluster),
+                ["calibration", "distal", "elsewhere"],
+            ),
+            (lambda t: os.truncate(t / "hold.mcap", 100_000), ["hold.mcap", "truncated"]),
+            (
+                lambda t: (t / "metadata.yaml").write_text("rosbag2: ["),
+                ["metadata.yaml", "ros2 bag reindex"],
+            ),
+            (lambda t: (t / "hold.mcap").unlink(), ["hold.mcap", "not there"]),
+        )
+    ):
         trial = Path(shutil.copytree(hold, tmp_path / f"{number}" / "hold"))
         spoil(trial)
         refused(capsys, "fit", trial, "-o", output, named=named)
-        refused(capsys, "evaluate", trial, "--model", hold_model, named=named)
-        refused(capsys, "replay", trial, "--estimate", named=named)
         assert not output.exists() and not list(tmp_path.glob(".*partial*"))
 
 
@@ -208,30 +159,17 @@ WRONG = {
     "fit HOLD -o m --segment 900:999": ["900:999", "samples"],
     "fit HOLD -o m --theta 1.5": ["theta", "from 0 to 1"],
     "fit HOLD -o m --leave-out distal.fx": ["distal.fx", "distal.Fx"],
-    "fit HOLD -o /proc/model": ["/proc/model", "cannot be written"],
     "fit HOLD -o modles/m.json": ["modles", "no such folder"],
-    "fit HOLD -o HOLD": ["hold", "as a folder"],
-    "evaluate nowhere --model MODEL": ["nowhere", "no such trial"],
     "evaluate HOLD --model HOLD/socket.yaml": ["socket.yaml", "is not a model"],
     "simulate -o HOLD": ["exists already"],
     "simulate -o x --rate 0": ["--rate", "from 0.1 to 1000"],
-    "simulate -o home/trials/s01": ["home", "no such folder"],
-    "record HOLD": ["exists already"],
-    "record home/trials/s01": ["home", "no such folder"],
     "record new --mass 1000": ["--mass", "400"],
-    "replay HOLD --rate -1": ["--rate"],
     "replay HOLD --geometry s.yaml": ["--geometry", "add --estimate"],
-    "demo -o home/trials/s01": ["home", "no such folder"],
     "run --simulated --record home/trials/s01": ["home", "no such folder"],
-    "run --simulated --record HOLD": ["exists already"],
-    "run --simulated --record /proc/trial": ["name another folder"],
     "run --fault mocap.drop=1": ["add --simulated"],
     "run --simulated --fault mocap.dorp=1": ["did you mean 'mocap.drop'?"],
-    "run --simulated --fault mocap.drop=often": ["'often' is not a number"],
-    "run --simulated --period 1": ["--period"],
     "run --simulated --leave-out distal.Fq": ["distal.F"],
     "run --simulated --time-scale slow": ["'slow' is not a number"],
-    "run --time-scale 0.5": ["add --simulated"],
     "run --simulated --side left": ["--side is for a trial that is recorded"],
     "run --simulated --view-port 8081": ["is for a page: add --view"],
     "run --simulated --view --view-host 192.0.2.1": ["cannot listen on 192.0.2.1"],
@@ -239,15 +177,11 @@ WRONG = {
     "pressure HOLD --leave-out distl.Fz": ["did you mean 'distal.Fz'"],
     "pressure HOLD --over-time": ["--over-time has no output"],
     "pressure HOLD -o regions.foo": ["'.foo' is not a table format"],
-    "pressure HOLD --figure map.bmp": ["map.bmp", ".png"],
-    "pareto HOLD --thetas 1": ["--thetas"],
     "pareto HOLD -o front.xlsx": ["front.xlsx", "name a .csv file"],
-    "map no_trial -o map.xlsx": ["is not a table format"],
     "compare HOLD": ["1 trials", "2 to 12"],
     "compare" + 13 * " HOLD": ["13 trials", "12"],
     "compare HOLD HOLD": ["hold is given twice"],
     "compare a.json b.json": ["a.json: compare takes trials", "evaluate TRIAL --model"],
-    "compare HOLD nowhere -o compared.txt": ["compared.txt", "'.txt'"],
     "view HOLD --namespace lab": ["--namespace is for the running testbed"],
     "view --tare none": ["--tare is for a trial"],
 }

@@ -12,32 +12,28 @@ from socket_testbed.trials.trial import Trial
 
 
 def test_it_records_slower_until_the_samples_are_complete(tmp_path, monkeypatch, capsys) -> None:
-    for number, (speed, complete, scales) in enumerate(
-        (
-            (1.0, [1.0], [1.0]),
-            (1.0, [0.4, 0.8, 0.95], [1.0, 0.5, 0.25]),
-            # At the slowest again and again, as a busy moment may pass; then with what there is.
-            (0.001, [0.0, 0.6, 0.95], [0.0625] * 3),
-            (0.04, [0.1, 0.2, 0.3, 0.4, 0.5], [0.25, 0.125, 0.0625, 0.0625, 0.0625]),
-        )
+    tried: list[float] = []
+
+    def run_live(path: Path, seed: int, scale: float, log: Path) -> None:
+        path.mkdir()
+        tried.append(scale)
+
+    monkeypatch.setattr(demo, "_run_live", run_live)
+    monkeypatch.setattr(demo, "summary", lambda path: "all there")
+    monkeypatch.setattr(Trial, "samples", lambda trial: None)
+    for speed, complete, scales in (
+        (1.0, [0.4, 0.8, 0.95], [1.0, 0.5, 0.25]),
+        # At the slowest again and again, as a busy moment may pass; then with what there is.
+        (0.04, [0.1, 0.2, 0.3, 0.4, 0.5], [0.25, 0.125, 0.0625, 0.0625, 0.0625]),
     ):
-        tried: list[float] = []
-
-        def run_live(path: Path, seed: int, scale: float, log: Path, tried=tried) -> None:
-            path.mkdir()
-            tried.append(scale)
-
+        tried.clear()
         fractions = iter(complete)
-        machine = MachineSpeed(0.0, speed)
-        monkeypatch.setattr(demo, "measure_speed", lambda machine=machine: machine)
-        monkeypatch.setattr(demo, "_run_live", run_live)
-        monkeypatch.setattr(demo, "_complete", lambda trial, fractions=fractions: next(fractions))
-        monkeypatch.setattr(demo, "summary", lambda path: "all there")
-        monkeypatch.setattr(Trial, "samples", lambda trial: None)
-        _, scale = demo._record(Trial(tmp_path / f"trial{number}"), 0, tmp_path / "log")
+        monkeypatch.setattr(demo, "measure_speed", lambda speed=speed: MachineSpeed(0.0, speed))
+        monkeypatch.setattr(demo, "_complete", lambda trial, found=fractions: next(found))
+        _, scale = demo._record(Trial(tmp_path / f"trial{speed}"), 0, tmp_path / "log")
         assert tried == scales and scale == scales[-1]
         printed = capsys.readouterr().out
-        assert ("this machine is busy" in printed) == (scales[0] < 1.0)
+        assert ("this machine is busy" in printed) == (speed < 1.0)
         assert printed.count("samples are complete: again at") == len(scales) - 1
 
 
@@ -63,12 +59,3 @@ def test_a_recording_that_falls_behind_is_broken_off() -> None:
 def test_a_trial_that_is_too_short_is_not_complete(hold: Path) -> None:
     """Where the nodes come up late, what there is of the protocol is whole but short."""
     assert demo._complete(Trial(hold)) == pytest.approx(240 / (10.0 * 54.0))
-
-
-def test_it_names_its_program_as_it_was_called(monkeypatch: pytest.MonkeyPatch) -> None:
-    for called, program in (
-        (".venv/bin/socket-testbed", ".venv/bin/socket-testbed"),
-        ("/opt/socket_testbed/__main__.py", "socket-testbed"),
-    ):
-        monkeypatch.setattr("sys.argv", [called, "demo"])
-        assert demo._program() == program

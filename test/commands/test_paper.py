@@ -1,6 +1,5 @@
 """`pareto` and `paper`: the front and the published pipeline, against fits by hand."""
 
-import csv
 import dataclasses
 import json
 
@@ -23,26 +22,17 @@ def test_the_verb_prints_and_writes_both_fronts(hold, tmp_path, capsys):
     assert code == 0
     for text in (*PAPER_VARIANTS, SENSOR_ONLY, KNEE, WRENCH_ONLY, "[N m]", "of 11", "plateau"):
         assert text in out
-    with table.open(newline="") as stream:
-        rows = list(csv.DictReader(stream))
-    assert [row["theta [-]"] for row in rows] == 2 * [f"{i / 10:g}" for i in range(11)]
-    assert all(float(row["KKT residual or gap [-]"]) <= 1e-8 for row in rows)
-    assert figure.read_bytes().startswith(b"\x89PNG")
-    plain, bias = st.pareto(st.open_trial(hold), thetas=11).fronts.values()
-    assert plain.knee.depth > 0.5 and max(bias.knee.span) < 0.05 * max(plain.knee.span)
+    assert len(pd.read_csv(table)) == 2 * 11 and figure.read_bytes().startswith(b"\x89PNG")
     assert sorted(tmp_path.iterdir()) == [table, figure]
 
 
-def test_the_errors_of_a_front_are_those_of_fit_at_the_same_theta(hold, capsys):
-    chosen = {"smoothness": 1e-4, "leave_out": ["Mz", "distal.Fx"]}
+def test_the_verb_s_options_reach_the_front(hold, capsys):
+    """That each solution is the fit at its theta: identification/test_pareto.py."""
     words = ["--segment", "20:40", "--smoothness", "1e-4", "--leave-out", "Mz,distal.Fx"]
     code, out, _ = call(capsys, "pareto", hold, "--thetas", 3, "--json", *words)
-    found = json.loads(out)
-    assert code == 0 and found["segment"]["kind"] == "span"
-    for front in found["fronts"]:
-        fitted = st.fit(st.open_trial(hold), "20:40", variant=front["variant"], theta=1.0, **chosen)
-        expected = {e.name: e.rmse for e in fitted.fit.errors if e.in_objective}
-        assert front["marks"][WRENCH_ONLY]["rmse"] == pytest.approx(expected, rel=1e-5, abs=1e-7)
+    chosen = {"smoothness": 1e-4, "leave_out": ["Mz", "distal.Fx"]}
+    found = st.pareto(st.open_trial(hold), "20:40", thetas=3, **chosen)
+    assert code == 0 and json.loads(out) == found.document()
 
 
 def test_flawed_solutions_are_named_with_their_thetas(hold, monkeypatch, capsys):
@@ -98,20 +88,10 @@ def test_the_figures_are_those_of_the_paper_s_variants_on_the_first_frames(hold,
 
 def test_a_printed_number_stands_with_the_reason_why_it_is_not_comparable(figures) -> None:
     rows = figures[0].to_dataframe()
-    printed = {
-        "mean RMSE of the moments [N m]": (1.69, 0.44),
-        "mean RMSE of the forces [N]": (5.94, 5.25),
-        "RMSE of Mx [N m]": (3.99, 0.95),
-        "median RMSE of the clusters in the objective [N]": (90.07, 3.76),
-    }
-    remarks = rows["", "remark"]
-    for name, theirs in rows["the paper"].iterrows():
-        np.testing.assert_equal((*theirs,), printed.get(name, (np.nan, np.nan)))
-        if name in printed:
-            assert "not comparable: 50 samples, 1000" in remarks[name]
-        elif name != "RMSE of distal.Fy [N]":
-            assert "the number is not in this package" in remarks[name]
-    assert "11 of 12 channels counted, 9" in remarks[[*printed][3]]
+    name, remarks = "mean RMSE of the moments [N m]", rows["", "remark"]
+    assert rows.loc[name, "the paper"].tolist() == [1.69, 0.44]
+    assert "not comparable: 50 samples, 1000" in remarks[name]
+    assert "the number is not in this package" in remarks["RMSE of Fy [N]"]
     assert "left out of the objective" in remarks["RMSE of distal.Fy [N]"]
 
 
@@ -121,8 +101,6 @@ def test_the_command_prints_what_the_api_gives(hold, figures, capsys) -> None:
     words += ["--initial-stiffness", "auto"]
     document = json.loads(call(capsys, *words, "--json")[1])
     assert document == figures[0].document()
-    found = pd.DataFrame.from_dict(document["figures"], orient="index")
-    np.testing.assert_array_equal(found.iloc[:, :4].astype(float), rows.iloc[:, :4])
     code, out, _ = call(capsys, *words)
     shown = next(line for line in out.splitlines() if line.startswith("mean RMSE of the moments"))
     values = rows.loc["mean RMSE of the moments [N m]"]

@@ -3,7 +3,6 @@
 import re
 import signal
 import subprocess
-import sys
 from dataclasses import dataclass
 from pathlib import Path
 from types import SimpleNamespace
@@ -15,16 +14,17 @@ from support import HANGS
 from support.clocks import careful_time_scale
 from support.graph import Probe
 from support.testbeds import Recorded
-from support.verbs import call, refused
+from support.verbs import COMMAND, call, program, refused
 
 from socket_testbed import clocks
 from socket_testbed.__main__ import run
 from socket_testbed.files import packaged
 from socket_testbed.geometry.socket import read_socket
 from socket_testbed.live import press
+from socket_testbed.nodes import controls
 from socket_testbed.samples import Status
 from socket_testbed.settings.testbed import read_testbed
-from socket_testbed.trials.layout import decode, stamp_of
+from socket_testbed.trials.layout import stamp_of
 from socket_testbed.trials.metadata import TrialMetadata
 from socket_testbed.trials.topics import CAPACITANCE, EVENT, PYLON_POSE, TRIGGER, WRENCH
 from socket_testbed.trials.trial import Trial
@@ -32,7 +32,6 @@ from socket_testbed.trials.trial import Trial
 pytestmark = pytest.mark.graph
 
 SIMULATED = ("--simulated", "--time-scale", "auto")
-COMMAND = (sys.executable, "-m", "socket_testbed")
 
 
 @dataclass(frozen=True)
@@ -64,9 +63,9 @@ def ended(tmp_path_factory: pytest.TempPathFactory) -> Ended:
             goal = len(triggers) + 5
             probe.wait(lambda goal=goal: len(triggers) > goal, "triggers")
             around.append(stamp_of(triggers[-1]))
-            said = subprocess.run([*COMMAND, "mark", label], check=False, capture_output=True)
-            assert said.returncode == 0 and not said.stderr, said.stderr
-            assert said.stdout.startswith(b"marked '%b' in the trial trial, ack" % label.encode())
+            code, out, err = program(*COMMAND, "mark", label)
+            assert code == 0 and not err, err
+            assert out.startswith(f"marked '{label}' in the trial trial, ack")
             goal = len(triggers) + 1  # the newest may be older than the event: time is slow
             probe.wait(lambda goal=goal: len(triggers) > goal, "triggers after it")
             around.append(stamp_of(triggers[-1]))
@@ -83,8 +82,7 @@ def test_run_records_until_ctrl_c(ended: Ended) -> None:
     lacks |= {"limb position": np.isnan(samples.position).any(axis=1)}
     lacks |= dict(zip(samples.clusters, (samples.status == Status.MISSING).T, strict=True))
     missing = [f"{name} missing {rows.sum()}" for name, rows in lacks.items() if rows.any()]
-    complete = f"all {len(samples)} complete"
-    said = ", ".join(missing) or complete
+    said = ", ".join(missing) or f"all {len(samples)} complete"
     assert ended.out == f"{ended.path}: {len(samples)} triggers, {said}\n"
     recorded = Recorded(ended.path)
     assert not recorded.notes and not any(recorded.lacking().values())
@@ -101,25 +99,26 @@ def test_marked_events_are_recorded_and_select_a_segment(ended, tmp_path, capsys
     for event, before, after in ((push, *ended.around[:2]), (step, *ended.around[2:])):
         # A message that a busy machine held up is late, never early.
         assert 1e-9 * (before - begin) - 0.3 < event.time < 1e-9 * (after - begin)
-    with trial.open() as bag:
-        raw = next(bag.messages(["/event"]))
-    assert decode(raw.data, raw.type).header.frame_id == "load_cell"
 
-    code, out, _ = call(capsys, "info", ended.path)
-    assert code == 0 and f"event push (recorded): {push.time:.2f} s" in out
+    assert f"event push (recorded): {push.time:.2f} s" in call(capsys, "info", ended.path)[1]
     words = ["--segment", "event:push:step 2", "-o", tmp_path / "samples.csv"]
     code, out, _ = call(capsys, "export", ended.path, *words)
     (segment,) = re.findall(r"event:push:step 2 ([\d.]+) s to ([\d.]+) s", out)
     assert code == 0
     assert push.time <= float(segment[0]) < float(segment[1]) <= step.time + 0.01
     words = ["--segment", "event:puhs:9", "-o", tmp_path / "m.json"]
-    named = ["no event 'puhs': did you mean 'push'? it has push (once)"]
+    named = ["no event 'puhs': did you mean 'push'? it has ", "push (once)"]
     refused(capsys, "fit", ended.path, *words, named=named)
 
 
-def test_an_event_that_nobody_hears_is_an_error(capfd: pytest.CaptureFixture[str]) -> None:
+def test_an_event_that_nobody_hears_is_an_error(
+    capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(controls, "_TRIGGERED_WITHIN", 0.0)
     with Probe() as probe:
-        assert run(["mark", "push", "--namespace", "elsewhere"]) == 1
+        with monkeypatch.context() as patch:
+            patch.setattr(controls, "_LINKED_WITHIN", 0.2)
+            assert run(["mark", "push", "--namespace", "elsewhere"]) == 1
         assert "nobody subscribes to /elsewhere/event: start 'run" in capfd.readouterr().err
         received = probe.listen(EVENT, "/lab/event")
         assert run(["mark", "push"]) == 1
@@ -130,8 +129,7 @@ def test_an_event_that_nobody_hears_is_an_error(capfd: pytest.CaptureFixture[str
         assert "no trial is being recorded" in err and "no trigger came" in err
         probe.wait(lambda: len(received) == 1, "the event")
         assert received[0].label == "push" and received[0].header.frame_id == "load_cell"
-    for words in (["2nd"], ["push", "--namespace", "a b"]):
-        refused(capfd, "mark", *words, named=["'"])
+    refused(capfd, "mark", "2nd", named=["'"])
 
 
 @pytest.mark.timeout(300)  # 10 s of a testbed that may be 16 times slower
@@ -164,7 +162,6 @@ def test_doctor_finds_all_that_is_simulated(capsys: pytest.CaptureFixture[str]) 
         "0 of 1000 frames corrupted",
         "NatNet 4.1",
         "motion capture clock",
-        "spidev0.0 converts",
         "its three markers are seen",
     ):
         assert found in table
@@ -204,13 +201,6 @@ def test_doctor_without_hardware(capsys: pytest.CaptureFixture[str], tmp_path: P
     assert code == 1 and "Traceback" not in table + err
     for named in ("/dev/i2c-250", "dtparam=i2c_arm=on", "spidev250.7", "'no such chip'"):
         assert named in table
-
-
-def test_a_cluster_on_no_tile_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    file = tmp_path / "testbed.yaml"
-    names = ["brim_lateral", "mid_anterior", "posterior_distal", "distale"]
-    file.write_text(yaml.safe_dump({"cluster_node": {"ros__parameters": {"names": names}}}))
-    refused(capsys, "run", "--simulated", "--params", file, named=["distale"])
 
 
 @pytest.mark.slow

@@ -6,7 +6,6 @@ import json
 import shutil
 from pathlib import Path
 
-import numpy as np
 import pandas as pd
 import pytest
 import yaml
@@ -43,10 +42,7 @@ def rows_of(out: str, heading: str) -> dict[str, list[str]]:
 def test_one_trial_is_judged_on_its_other_half(folder: Path, capsys) -> None:
     code, out, _ = call(capsys, "validate", folder / "s0")
     assert code == 0
-    assert out.startswith("s0: ")
-    for heading in ("left out", "without a sensor", "other half", "IN-SAMPLE"):
-        assert heading in out, heading
-    assert "another trial" not in out
+    assert out.startswith("s0: ") and "IN-SAMPLE" in out and "another trial" not in out
     wrench = rows_of(out, "fitted on the other half of the trial")
     assert {"best constant", "linear regression on the pose", "stiffness"} <= set(wrench)
     assert float(wrench["best constant"][2]) <= 0.0  # no constant beats the best one
@@ -68,7 +64,6 @@ def test_several_trials_predict_each_other_and_json_holds_it_all(folder: Path, c
     assert pairs == {(a, b) for a in document["trials"] for b in document["trials"] if a != b}
     found = st.validate(*(st.open_trial(folder / name) for name in document["trials"]))
     assert found.document() == document
-    assert repr(found).startswith("Validation(3 trials, models fitted on 3; ")
 
 
 @pytest.mark.usefixtures("few_variants")
@@ -83,21 +78,16 @@ def test_a_study_has_a_row_per_trial_and_shows_median_skills(
     table = pd.read_csv(output).set_index("trial")
     assert table.index.tolist() == ["s0", "s1", "s2"]
     assert table["liner"].to_dict()["s1"] == "gel" and table["mass [kg]"]["s1"] == 80.0
-    shown = {
-        ("wrench", "second half", "stiffness"): [],
-        ("cluster", "left out", "force map"): [],
-    }
-    for name in table.index:
-        for judged in st.validate(st.open_trial(study / name)).judgements:
-            values = shown.get((judged.question, judged.test, judged.predictor))
-            if values is not None and not judged.cluster:
-                wrench = judged.question == "wrench"
-                values.append(judged.force_skill if wrench else judged.error)
-    skills, errors = shown.values()
-    np.testing.assert_allclose(table["wrench, second half: stiffness force skill [-]"], skills)
-    np.testing.assert_allclose(table["cluster, left out: force map error [-]"], errors)
+    (alone,) = (
+        judged.force_skill
+        for judged in st.validate(st.open_trial(study / "s1")).judgements
+        if (judged.question, judged.test) == ("wrench", "second half")
+        and judged.predictor == "stiffness"
+    )
+    skills = table["wrench, second half: stiffness force skill [-]"]
+    assert skills["s1"] == pytest.approx(alone)
     rows = rows_of(out, "fitted on the other half of the trial")
-    assert float(rows["stiffness"][3]) == pytest.approx(np.median(skills), abs=0.006)
+    assert float(rows["stiffness"][3]) == pytest.approx(skills.median(), abs=0.006)
     assert "median force skill [-]" in out
 
 

@@ -30,11 +30,7 @@ from socket_testbed.live import hardware
 from socket_testbed.samples import Status
 from socket_testbed.settings.acquisition import ClusterSettings
 from socket_testbed.simulation.devices.fdc1004 import SimulatedFdc1004
-from socket_testbed.simulation.devices.i2c import (
-    SimulatedChip,
-    SimulatedClusterHardware,
-    SimulatedI2cBus,
-)
+from socket_testbed.simulation.devices.i2c import SimulatedClusterHardware, SimulatedI2cBus
 from socket_testbed.simulation.world import FAULTS
 
 OK, SATURATED, MISSING = Status.OK, Status.SATURATED, Status.MISSING
@@ -251,9 +247,7 @@ def test_errors_of_the_bus_name_the_place_and_a_hint() -> None:
             assert type(caught.value) is kind and caught.value.address == 0x50
 
 
-def test_a_bus_is_opened_with_its_time_out_or_says_why_not(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_bus_is_opened_with_its_time_out_or_says_why_not(monkeypatch: pytest.MonkeyPatch) -> None:
     bus = Mock(fd=5)
     monkeypatch.setattr(i2c, "SMBus", lambda: bus)
     monkeypatch.setattr(i2c, "ioctl", request := Mock())
@@ -271,6 +265,7 @@ def test_settings_that_do_not_fit_together_are_refused() -> None:
     changes = {
         "3 buses": {"buses": (1, 1, 1)},
         "0 names": {"names": ()},
+        "2 multiplexers": {"multiplexers": (0x70, 0x71)},
         "sample_rate is 300": {"sample_rate": 300},
         "'mid_anterior' and 'distal' share": {"channels": (0, 1, 2, 1)},
         "'a' and 'a' share": {"names": ("a", "b", "a", "c")},
@@ -284,60 +279,29 @@ def test_settings_that_do_not_fit_together_are_refused() -> None:
         hardware.make_clusters(replace(SETTINGS, chip="fdc1005"))
 
 
-class Halves:
-    """A chip at another address that counts in halves of a picofarad and cannot shift its range."""
+class OtherChip(Fdc1004):
+    """A chip at another address."""
 
-    name, address = "halves", 0x2A
-    sample_rates: tuple[int, ...] = (1000,)
-
-    def __init__(self, port: I2cPort, sample_rate: int, sleep: Callable[[float], None]) -> None:
-        self.where, self._port = port.where, port
-
-    def check_identity(self) -> None:
-        assert self._port.read(9) == 0xBEEF
-
-    reset_and_configure = check_identity
-
-    def done(self) -> tuple[bool, ...]:
-        return (True,) * 4
-
-    def read(self, channel: int) -> int:
-        return self._port.read(channel)
-
-    def convert(self, channel: int, code: int) -> Conversion:
-        return Conversion(0.5 * code)
-
-
-class SimulatedHalves(SimulatedChip):
     address = 0x2A
 
-    def write(self, data: bytes) -> None:
-        self.register = data[0]
 
-    def read(self, length: int) -> bytes:
-        n = self.register
-        code = 0xBEEF if n == 9 else round(2.0 * self.input(n, self._clock()))
-        return code.to_bytes(2, "big")
+class SimulatedOtherChip(SimulatedFdc1004):
+    address = 0x2A
 
 
-def test_another_chip_takes_a_driver_a_simulated_one_and_their_place_in_the_registry(
+def test_another_chip_takes_its_driver_a_simulated_one_and_a_place_in_the_registry(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setitem(hardware.CAPACITIVE_CHIPS, "halves", (Halves, SimulatedHalves))
-    settings = replace(SETTINGS, chip="halves", sample_rate=1000)
+    monkeypatch.setitem(hardware.CAPACITIVE_CHIPS, "other", (OtherChip, SimulatedOtherChip))
+    settings = replace(SETTINGS, chip="other")
     driver, simulated = hardware.capacitive_chip(settings)
-    clock, faults = FakeClock(START), {"clusters.nack": 2.0}
+    clock = FakeClock(START)
     bench = SimulatedClusterHardware(
-        settings, simulated, lambda c, n, t: c + 0.5 * n, faults, FREQUENCY, clock, clock.sleep
+        settings, simulated, lambda c, n, t: c + 0.5 * n, {}, FREQUENCY, clock, clock.sleep
     )
     reader = ClusterReader(settings, driver, bench.open_bus, clock, clock.sleep)
-    assert reader.identify()["distal"] == "halves at 0x2A behind channel 3 of 0x70 on i2c-1"
-    reading = reader.read(clock.now)
-    assert missing(reading) == [1]
-    assert reading.capacitance[3].tolist() == [3.0, 3.5, 4.0, 4.5]
-    faults.clear()
-    clock.now += 1.0
-    assert not reader.read(clock.now).faults
+    assert "0x2A behind channel 3 of 0x70 on i2c-1" in str(reader.identify()["distal"])
+    assert reader.read(clock.now).capacitance[3] == pytest.approx([3.0, 3.5, 4.0, 4.5], abs=1e-5)
 
 
 def test_triggers_of_any_rate_lose_nothing_and_slow_ones_wait_about_a_cycle() -> None:
@@ -374,9 +338,6 @@ def test_ten_clusters_on_two_buses_and_three_multiplexers_are_told_apart() -> No
         reading = bench.read()
         assert (reading.status == OK).all() and not reading.faults
         bench.clock.now += 0.1
-    short = replace(settings, multiplexers=(0x70, 0x71))
-    with pytest.raises(ConfigurationError, match="2 multiplexers"):
-        ClusterReader(short, Fdc1004, bench.open_bus)
 
 
 def test_a_cluster_can_have_a_bus_of_its_own() -> None:
@@ -429,15 +390,15 @@ def test_each_place_is_identified_and_at_the_end_no_chip_is_connected() -> None:
     assert not bench.buses[0].is_open
     bench.clock.now += 1.0
     assert not bench.read().faults and len(bench.buses) == 2
-    dead = ClusterReader(
-        SETTINGS, Fdc1004, lambda n: failing_bus(errno.ENODEV), bench.clock, bench.clock.sleep
-    )
-    assert missing(dead.read(bench.clock.now)) == [0, 1, 2, 3]
-    dead.close()
+    bench.hardware.multiplexers[1, 0x70].write = Mock(side_effect=OSError(errno.EREMOTEIO, "x"))
+    reading = bench.read()
+    assert missing(reading) == [0, 1, 2, 3]
+    (fault,) = set(reading.faults.values())  # once for all
+    check_line(fault, "no answer at 0x70 on i2c-1", "multiplexer's plug")
 
 
 def test_the_range_follows_an_input() -> None:
-    for rate, picofarads in itertools.product((4.0, 100.0), (-14.0, 17.0, 30.0, 60.0, 110.0)):
+    for rate, picofarads in itertools.product((4.0, 100.0), (-14.0, 30.0, 110.0)):
         bench = Bench(slope=0.05)
         bench.offsets[2, 1] = picofarads
         readings = bench.run(rate, 12)
@@ -491,7 +452,7 @@ def test_a_fault_is_reported_for_its_clusters_alone_and_overcome() -> None:
         ("stuck_done", 2.0, [1]),
         ("brown_out", 4.0, [3]),
     )
-    for (fault, value, rows), rate in itertools.product(cases, (4.0, 50.0, 100.0)):
+    for (fault, value, rows), rate in itertools.product(cases, (4.0, 100.0)):
         bench = Bench()
         assert not bench.run(rate, 5)[-1].faults
         begin = bench.clock.now + 0.5 / rate
@@ -544,18 +505,8 @@ def test_a_chip_that_hangs_the_bus_costs_one_time_out_and_silences_no_other() ->
     assert not bench.run(4.0, 8, START + 17.0)[-1].faults
 
 
-def test_a_multiplexer_that_does_not_answer_is_named_once_for_all() -> None:
-    bench = Bench()
-    bench.read()
-    bench.hardware.multiplexers[1, 0x70].write = Mock(side_effect=OSError(errno.EREMOTEIO, "x"))
-    reading = bench.read(START + 1.0)
-    assert missing(reading) == [0, 1, 2, 3]
-    (fault,) = set(reading.faults.values())
-    check_line(fault, "no answer at 0x70 on i2c-1", "multiplexer's plug")
-
-
 def test_random_faults_give_no_wrong_value_and_are_repaired() -> None:
-    for seed, rate in itertools.product(range(2), (4.0, 50.0, 100.0)):
+    for seed, rate in enumerate((4.0, 4.0, 50.0, 100.0)):
         rng = random.Random(seed)
         triggers = 200
         duration = triggers / rate

@@ -147,10 +147,8 @@ def test_other_settings_give_the_same_wrench() -> None:
     for changes in (
         {"channels": 8, "inputs": (7, 6, 0, 1, 2, 3)},
         {"crc": "ansi"},
-        {"oversampling": 1024, "window": 0.004},
         {"oversampling": 16384, "window": 0.05},
-        {"gain": 2, "excitation": 3.3},
-        {"clock_in": 4.096e6},
+        {"gain": 2, "excitation": 3.3, "clock_in": 4.096e6},
     ):
         bench = Bench(dataclasses.replace(SETTINGS, **changes), late=0.2)
         bench.run(0.5)
@@ -191,7 +189,7 @@ def test_with_conversions_missing_a_wrench_does_not_lag() -> None:
 
 @pytest.mark.parametrize("line", [False, True])
 def test_faults_of_any_order_make_no_wrong_wrench_and_are_overcome(line: bool) -> None:
-    for seed, names in enumerate((*FAULTS, *(3 * [""]))):
+    for seed, names in enumerate((*FAULTS, "", "")):
         bench = Bench(seed=seed, line=line)
         rng = np.random.default_rng(100 + seed)
         bench.run(0.2)
@@ -204,6 +202,8 @@ def test_faults_of_any_order_make_no_wrong_wrench_and_are_overcome(line: bool) -
         assert all(bench.valid(50.1, 50.18))
         if names in {"unplugged", "frozen", "rail"}:
             assert not any(bench.valid(bench.now - 0.15, bench.now - 0.02))
+            # Nobody waits for a wrench that does not come.
+            assert bench.cell.ready(bench.now - 0.1) and not bench.cell.ready(bench.now + 0.1)
         bench.faults.clear()
         off = bench.now
         bench.run(1.4)
@@ -267,16 +267,6 @@ def test_the_line_is_asked_for_falling_edges_on_the_steady_clock(monkeypatch) ->
     line.close()
     assert asked["released"]
     assert make_load_cell(SETTINGS)._reader._open_line is None
-
-
-def test_nobody_waits_for_a_wrench_that_does_not_come() -> None:
-    for fault in ("unplugged", "frozen", "flipped_bits"):
-        bench = Bench()
-        bench.run(0.3)
-        bench.fault(fault, 1.0)
-        bench.run(0.5)
-        assert np.isnan(bench.cell.wrench_at(bench.now - 0.1).wrench).all()
-        assert bench.cell.ready(bench.now - 0.1) and not bench.cell.ready(bench.now + 0.1)
 
 
 def test_another_converter_is_named_until_it_is_changed() -> None:
@@ -354,8 +344,6 @@ def test_a_tare_takes_the_load_away_and_outlives_a_restart(tmp_path) -> None:
     reading = bench.cell.wrench_at(bench.now - 0.1)
     np.testing.assert_allclose(reading.wrench, 0.0, atol=1e-2)
     np.testing.assert_allclose(reading.tare, load, atol=1e-2)
-    figures = bench.cell.figures()
-    assert f"tared: removed {figures['tare']}" == text
     assert abs(reading.tared - time.time_ns()) < 1e9 * HANGS
     again = Bench(settings, wrench=still(load + 1.0))
     again.tared = load
@@ -363,19 +351,15 @@ def test_a_tare_takes_the_load_away_and_outlives_a_restart(tmp_path) -> None:
     later = again.readings[-1][1]
     np.testing.assert_allclose(later.wrench, 1.0, atol=1e-2)
     np.testing.assert_array_equal(later.tare, reading.tare)
-    assert later.tared == reading.tared and again.cell.figures()["tared"] == figures["tared"]
+    assert later.tared == reading.tared
+    assert again.cell.figures()["tared"] == bench.cell.figures()["tared"]
 
 
 def test_a_tare_that_cannot_be_kept_is_not_taken_and_a_damaged_one_names_its_file(tmp_path) -> None:
-    path = tmp_path / "tare.json"
-    zeros = '{"offsets_mV_per_V": [0, 0, 0, 0, 0, 0], "time": '
-    for content in (
-        "", "{", "[1]", '{"offsets_mV_per_V": [1, 2]}', '{"offsets_mV_per_V": "x"}', "\0",
-        zeros + '"today"}', zeros + '"2026-01-01T09:00:00"}',
-    ):  # fmt: skip
-        path.write_text(content)
-        with refused(ConfigurationError, "tare.json", "remove the file and tare again"):
-            Bench(dataclasses.replace(SETTINGS, tare_file=str(path)))
+    path = tmp_path / "tare.json"  # what else may stand in it: test_documents.py
+    path.write_text("{")
+    with refused(ConfigurationError, "tare.json", "remove the file and tare again"):
+        Bench(dataclasses.replace(SETTINGS, tare_file=str(path)))
     settings = dataclasses.replace(SETTINGS, tare_file=str(path / "tare.json"))  # in no folder
     bench = Bench(settings, wrench=still(10 * np.ones(6)))
     bench.run(1.2)
@@ -415,18 +399,14 @@ def test_a_tare_refuses_what_it_must() -> None:
 
 def test_wrong_settings_are_named() -> None:
     for name, value, fact in (
-        ("matrix", (), " is empty"),
         ("matrix", (1.0,) * 35, " has 35 numbers"),
         ("matrix", (1.0,) * 36, " cannot be inverted"),
-        ("full_scale", (), " is empty"),
         ("full_scale", (1.0, 2.0), " has 2 numbers"),
         ("inputs", (0, 1, 2, 3, 4, 4), " names an input twice"),
         ("inputs", (0, 1, 2, 3, 4, 7), " names input 7"),
-        ("inputs", (0, 1), " has 2 numbers"),
         ("channels", 7, " is 7: "),
         ("sign", (1.0, 1.0, 1.0, 1.0, 1.0, 0.5), " holds"),
         ("amplifier_gain", (34.0,), " has 1 numbers"),
-        ("oversampling", 1000, " is 1000: "),
         ("gain", 3, " is 3: "),
         ("window", 0.001, " is 0.001 s"),
         ("device", "spi0", " is 'spi0': "),

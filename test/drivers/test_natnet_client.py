@@ -42,15 +42,15 @@ def group() -> tuple[str, int]:
         udp.settimeout(1.0)
         try:
             udp.bind((GROUP, 0))
-            port = udp.getsockname()[1]
-            membership = socket.inet_aton(GROUP) + local
-            udp.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, membership)
+            udp.setsockopt(
+                socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, socket.inet_aton(GROUP) + local
+            )
             udp.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, local)
-            udp.sendto(b"?", (GROUP, port))
+            udp.sendto(b"?", udp.getsockname())
             udp.recv(10)
         except OSError as error:
             pytest.skip(f"no multicast on the loopback: {error}")
-    return GROUP, port
+        return udp.getsockname()
 
 
 def test_frames_of_every_version_come_with_their_exposure_on_the_steady_clock():
@@ -155,8 +155,7 @@ def test_a_callback_that_fails_does_not_end_the_thread():
 
         def take(frame, moment, models):
             taken.append(frame)
-            if len(taken) == 1:
-                raise ValueError("the callback's own")
+            raise ValueError("the callback's own")
 
         link.client = NatNetClient(link.settings, take)
         link.client.start()
@@ -258,7 +257,6 @@ def test_a_wrong_address_is_refused_at_once():
     for settings, text in (
         ({}, "server is empty"),
         ({"server": "no such host.invalid"}, "server 'no such host.invalid' is not known"),
-        ({"server": "127.0.0.1", "bitstream": "four"}, "bitstream is 'four'"),
         ({"server": "127.0.0.1", "bitstream": "2.10"}, "bitstream is '2.10', which is too old"),
         ({"server": "127.0.0.1", "multicast": "10.0.0.1"}, "multicast is '10.0.0.1'"),
         ({"server": "127.0.0.1", "interface": "wlan0"}, "interface is 'wlan0'"),

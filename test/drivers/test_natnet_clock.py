@@ -10,7 +10,6 @@ from socket_testbed.settings.acquisition import MocapSettings
 LIMIT = MocapSettings().clock_uncertainty  # [s]
 GOOD = jitter(0.5e-3, 0.3e-3)
 LINKS = {
-    "cable": (jitter(1e-4, 2e-5), jitter(1e-4, 3e-5)),
     "busy Wi-Fi": (jitter(0.8e-3, 0.4e-3), jitter(0.8e-3, 1.5e-3)),
     "a queue that fills and empties": (GOOD, queue(0.5e-3, 0.02, 7.0)),
     "a queue of 30 ms at first, back": (GOOD, queue_at_first(0.03, 2.0, GOOD)),
@@ -40,7 +39,7 @@ def test_no_frame_is_stamped_worse_than_is_stated():
 
 
 def test_a_restarted_server_is_noticed_by_its_first_echo():
-    for jump in (-1.0, -0.05, 0.05, 3.0, 1e6):
+    for jump in (-0.05, 0.05, 1e6):
 
         def restarted(at: float, jump: float = jump) -> float:
             return crystal(at) + (jump if at > 12.0 else 0.0)

@@ -54,7 +54,6 @@ CONTENT = Content(
         Marker(2, 1, np.array([np.nan, 0.0, 0.0])),
     ],
     marker_sets={"all": RNG.normal(size=(4, 3)), "": np.empty((0, 3))},
-    others=RNG.normal(size=(2, 3)),
     recording=True,
     models_changed=True,
 )
@@ -154,8 +153,6 @@ def test_what_is_defined_besides_rigid_bodies_is_passed_over():
         models = parse_model_definitions(payload, version)
         assert models["socket"].markers == ((1.0, 2.0, 3.0),)
         assert set(models) == {"socket"}
-    sized = pack("<iii", 2, 99, 5) + b"what?" + pack("<ii", 1, len(rigid(b"a\0", b"m\0")))
-    assert set(parse_model_definitions(sized + rigid(b"a\0", b"m\0"), (4, 1))) == {"a"}
     with refused(MalformedDatagram, "unknown type 99"):
         parse_model_definitions(pack("<ii", 1, 99) + bytes(50), (3, 1))
 
@@ -195,16 +192,15 @@ def test_a_count_that_lies_is_found_out_or_does_no_harm():
     found_out = 0
     for version in VERSIONS:
         truth = parse(bytes(ENCODED[version, FRAME].data), version)
-        for _ in range(300):
+        for _ in range(100):
             try:
                 frame = parse(ENCODED[version, FRAME].corrupted(rng), version)
-                assert frame.mid_exposure == truth.mid_exposure
                 assert repr(frame.markers) == repr(truth.markers)  # NaN is not equal to itself
                 found = parse(ENCODED[version, MODELDEF].corrupted(rng), version)
                 assert {model.id for model in found.values()} <= {3, 9}
             except MalformedDatagram:
                 found_out += 1
-    assert found_out > 1000
+    assert found_out > 300
 
 
 def test_a_server_info_of_another_kind_is_named():

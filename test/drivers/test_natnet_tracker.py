@@ -46,24 +46,20 @@ def markers_at(body, moment, references=TRIADS, pose=pose_at):
     return rotation.apply(references[body]) + position
 
 
-def frame_of(placed, ids=IDS, hidden=(), filled=(), gone=()) -> MocapFrame:
-    """A frame of markers by body and label; the other arguments name (body, label) pairs."""
-    markers = [
-        LabelledMarker(
-            identity, label + 1, tuple(place), (body, label) in hidden, (body, label) in filled
-        )
-        for body, (identity, places) in enumerate(zip(ids, placed, strict=True))
-        for label, place in enumerate(places)
-        if (body, label) not in gone
-    ]
-    markers.append(LabelledMarker(0, 77, (1.0, 1.0, 1.0), False, False))
-    return MocapFrame(0, (), tuple(markers), 0, False, False)
-
-
 def frame_at(
-    moment, swapped=(), labels=None, lies=(), wrong=0.0, references=TRIADS, pose=pose_at, **faults
+    moment,
+    swapped=(),
+    labels=None,
+    lies=(),
+    wrong=0.0,
+    references=TRIADS,
+    pose=pose_at,
+    ids=IDS,
+    hidden=(),
+    filled=(),
+    gone=(),
 ) -> MocapFrame:
-    """A frame of the true motion; `swapped` names (body, label, label)."""
+    """A frame of the true motion; `swapped` names (body, label, label), others (body, label)."""
     placed = [markers_at(body, moment, references, pose) + wrong for body in range(2)]
     if labels is not None:
         placed = [places[list(labels)] for places in placed]
@@ -71,7 +67,14 @@ def frame_at(
         placed[body][[a, b]] = placed[body][[b, a]]
     for body, label in lies:
         placed[body][label] = 0.0
-    return frame_of(placed, **faults)
+    markers = [LabelledMarker(0, 77, (1.0, 1.0, 1.0), False, False)]
+    for body, places in enumerate(placed):
+        for label, place in enumerate(places):
+            at = (body, label)
+            if at not in gone:
+                own = (ids[body], label + 1, tuple(place), at in hidden, at in filled)
+                markers.append(LabelledMarker(*own))
+    return MocapFrame(0, (), tuple(markers), 0, False, False)
 
 
 def tracker_of(
@@ -135,10 +138,6 @@ def test_a_body_of_more_markers_has_its_pose_whatever_few_of_them_are_seen():
             seen = np.isfinite(sample.markers).all(axis=2)
             assert seen[0].tolist() == [k not in labels for k in range(count)]
             assert seen[1].tolist() == [k < 3 for k in range(count)]
-    references = (EIGHT[:6], TRIADS[1])
-    faults = {"hidden": lambda _: ((0, 3),), "swapped": lambda _: ((0, 1, 4),)}
-    tracker = tracker_of(frames(), references=references, **faults)
-    assert_right(tracker.sample(9.5 * PERIOD), 1e-4, references)
 
 
 def test_too_few_markers_or_those_that_two_labels_could_exchange_make_no_pose():
@@ -161,9 +160,9 @@ def test_frames_without_a_pose_are_bridged_over_the_largest_gap_at_most():
     for first, last in ((9, 9), (10, 10), (9, 10)):
         hidden = [((0, 2),) if first <= i <= last else () for i in range(20)]
         assert_right(tracker_of(frames(), hidden=hidden.__getitem__).sample(9.5 * PERIOD), 1e-4)
-    settings = MocapSettings(stale=1.5 * PERIOD)
-    tracker = tracker_of(frames(), settings, hidden=lambda i: ((0, 2),) if i == 9 else ())
-    sample = tracker.sample(9.5 * PERIOD)
+    sample = tracker_of(
+        frames(), MocapSettings(stale=1.5 * PERIOD), hidden=lambda i: ((0, 2),) if i == 9 else ()
+    ).sample(9.5 * PERIOD)
     assert np.isnan(sample.positions[0]).all() and np.isnan(sample.quaternions[0]).all()
     assert np.isfinite(sample.markers[0]).all(axis=1).tolist() == [True, True, False]
     assert sample.faults == ("marker 3 of rigid body 'socket' is occluded", "")
@@ -182,21 +181,14 @@ def test_of_a_lasting_occlusion_the_other_markers_keep_their_places():
     assert errors_of(sample, 0)[2] < 1e-5
 
 
-def test_markers_whose_distances_contradict_their_labels_or_that_jump_are_missing():
-    contradicted = tracker_of(
+def test_markers_whose_distances_contradict_their_labels_are_missing():
+    tracker = tracker_of(
         frames(),
         labels=lambda _: (1, 0, 2),
         swapped=lambda i: ((0, 0, 2),) if i > 5 else (),
         hidden=lambda i: ((0, 0),) if i > 5 else (),
     )
-    jumping = tracker_of(
-        frames(),
-        hidden=lambda i: ((0, 0),) if i > 4 else (),
-        swapped=lambda i: ((0, 1, 2),) if i in (9, 10) else (),
-    )
-    for tracker in (contradicted, jumping):
-        sample = tracker.sample(8.5 * PERIOD)
-        assert np.isnan(sample.markers[0]).all() and np.isnan(sample.positions[0]).all()
+    assert np.isnan(tracker.sample(8.5 * PERIOD).markers[0]).all()
 
 
 def test_a_gap_between_frames_gives_nothing_and_frames_are_kept_for_a_second():
@@ -234,16 +226,6 @@ def test_unknown_bodies_and_another_triad_are_reported():
     assert np.isnan(sample.positions[0]).all()
     assert errors_of(sample, 0)[2] < 1e-5  # its markers are kept
     assert sample.faults[1] == ""
-
-
-def test_ids_may_change_between_frames():
-    tracker = BodyTracker(SETTINGS, *TRIADS)
-    for index, moment in enumerate(frames()):
-        ids = IDS if index < 10 else IDS[::-1]
-        names = NAMES if index < 10 else NAMES[::-1]
-        tracker.add(frame_at(moment, ids=ids), moment, models_of(*names))
-    for trigger in (5.5, 9.5, 15.5):
-        assert_right(tracker.sample(trigger * PERIOD))
 
 
 def test_ready_means_that_no_later_frame_makes_it_better():
@@ -338,10 +320,9 @@ def test_with_a_frame_or_none_in_the_window_the_pose_is_interpolated():
         assert sample.frames == (2, 2)
     # Two frames at the end of a window, carried to the trigger's time, would be noisier.
     tracker = tracker_of([-0.02, 0.004, 0.005], pose=steady, wrong=noise.__getitem__)
-    sample, interpolated = tracker.sample(0.0, 0.012), tracker.sample(0.0)
-    np.testing.assert_array_equal(sample.positions, interpolated.positions)
-    np.testing.assert_array_equal(sample.quaternions, interpolated.quaternions)
-    assert sample.frames == interpolated.frames == (2, 2)
+    np.testing.assert_array_equal(
+        tracker.sample(0.0, 0.012).positions, tracker.sample(0.0).positions
+    )
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -356,6 +337,7 @@ def test_whatever_happens_to_the_frames_a_pose_is_right_or_missing(seed):
     for _ in range(400):
         moment += PERIOD * (1.0 + rng.integers(1, 20) * (rng.random() < 0.1))
         moments.append(moment)
+        ids = IDS if rng.random() > 0.02 else IDS[::-1]
         swapped = [(b, *rng.permutation(3)[:2]) for b in range(2) if rng.random() < 0.15]
         for body, *_ in swapped:
             swaps[body].add(moment)
@@ -364,9 +346,10 @@ def test_whatever_happens_to_the_frames_a_pose_is_right_or_missing(seed):
         gone = [pair for pair in pairs if rng.random() < 0.015]
         frame = frame_at(
             moment, swapped, labels, lies=hidden + filled, wrong=rng.normal(0.0, 1e-5, (3, 3)),
-            hidden=hidden, filled=filled, gone=gone,
+            hidden=hidden, filled=filled, gone=gone, ids=ids,
         )  # fmt: skip
-        tracker.add(frame, moment, MODELS if rng.random() > 0.02 else None)
+        models = models_of(*(NAMES if ids == IDS else NAMES[::-1]))
+        tracker.add(frame, moment, models if rng.random() > 0.02 else None)
         trigger = moment - rng.uniform(0.0, 0.06)
         sample = tracker.sample(trigger)
         around = {

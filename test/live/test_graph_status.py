@@ -26,7 +26,6 @@ from socket_testbed.trials.topics import (
 )
 
 Messages = list[tuple[Topic, Any]]
-NAMING = (PARAMETERS, RECORDED_TRIAL)
 
 
 @pytest.fixture(scope="module")
@@ -106,8 +105,7 @@ def test_time_that_jumps_back_starts_over(measured: Messages) -> None:
 
 
 def test_names_are_read() -> None:
-    for seed in range(8):
-        messages = [(topic, Maker(seed, 0).message(topic.type)) for topic in NAMING]
-        status = fed(messages)
-        parameters, trial = (message for _, message in messages)
-        assert (status.variant, status.trial) == (parameters.variant, trial.data)
+    messages = [(topic, Maker(1, 0).message(topic.type)) for topic in (PARAMETERS, RECORDED_TRIAL)]
+    status = fed(messages)
+    parameters, trial = (message for _, message in messages)
+    assert (status.variant, status.trial) == (parameters.variant, trial.data)

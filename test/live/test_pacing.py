@@ -24,7 +24,7 @@ def test_the_clock_never_runs_back_and_ends_at_the_message(monkeypatch: pytest.M
     assert ticks == sorted(ticks) and len(ticks) > 8
 
 
-def test_a_pause_moves_what_follows() -> None:
+def test_a_pause_moves_what_follows_and_a_stop_ends_every_wait() -> None:
     pacer = Pacer(1.0, tick=lambda stamp: None, paused=True)
     pacer.begin(0)
     start = time.monotonic()
@@ -32,9 +32,6 @@ def test_a_pause_moves_what_follows() -> None:
     assert pacer.wait_for(0)
     assert pacer.wait_for(100_000_000)
     assert time.monotonic() - start > 0.25  # 0.3; 0.2 if what follows did not move
-
-
-def test_a_stop_ends_every_wait() -> None:
     for paused in (False, True):
         pacer = Pacer(1.0, tick=lambda stamp: None, paused=paused)
         pacer.begin(0)

@@ -1,17 +1,19 @@
-"""The graph as processes: what it needs, and what it does without."""
+"""The graph as processes: what it needs, what it does without, and what it starts again."""
 
 import os
 import signal
+import tempfile
+from pathlib import Path
 
 import pytest
 from support.graph import Probe
 
 from socket_testbed.live.processes import SPARE, Graph, NodeFailedError
 from socket_testbed.settings.testbed import CalibrationNodeSettings
-from socket_testbed.trials.topics import DIAGNOSTICS
+
+pytestmark = pytest.mark.graph
 
 
-@pytest.mark.graph
 def test_a_graph_ends_with_what_it_needs_and_goes_on_without_what_is_optional() -> None:
     said: list[str] = []
     with open(os.devnull, "w") as nowhere, Graph(nowhere) as graph:  # noqa: PTH123
@@ -23,31 +25,60 @@ def test_a_graph_ends_with_what_it_needs_and_goes_on_without_what_is_optional() 
             graph.watch(lambda: False, said.append)
 
 
-@pytest.mark.graph
 def test_a_spare_process_takes_the_place_of_a_killed_node() -> None:
     said: list[str] = []
     with open(os.devnull, "w") as nowhere, Graph(nowhere) as graph, Probe() as probe:  # noqa: PTH123
-        probe.listen(DIAGNOSTICS)
-
-        def heard_of(node: str) -> list[str]:
-            statuses = (s for m in probe.received[DIAGNOSTICS.name] for s in m.status)
-            return [status.message for status in statuses if status.name == f"/{node}"]
-
-        graph.start("calibration_node", CalibrationNodeSettings())
+        node = "calibration_node"
+        probe.said(node)
+        graph.start(node, CalibrationNodeSettings())
         graph.keep_spare()
         graph.watch(lambda: SPARE in graph._members, said.append)
         spare = graph._members[SPARE].process
-        graph._members["calibration_node"].process.send_signal(signal.SIGKILL)
+        graph._members[node].process.send_signal(signal.SIGKILL)
         graph.watch(lambda: bool(said), said.append)
         assert said == ["calibration_node was ended by SIGKILL: started again"]
-        assert graph._members["calibration_node"].process is spare
-        graph.watch(lambda: "started again" in heard_of("calibration_node"), said.append)
+        assert graph._members[node].process is spare
+        graph.watch(lambda: bool(probe.said(node, "started again")), said.append)
         # There is another spare one; a dead one leaves the restart to a new process.
         graph.watch(lambda: SPARE in graph._members, said.append)
-        for name in (SPARE, "calibration_node"):
+        for name in (SPARE, node):
             graph._members[name].process.send_signal(signal.SIGKILL)
             graph._members[name].process.wait()
         dead = graph._members[SPARE].process
         graph.watch(lambda: len(said) == 3, said.append)
-        assert graph._members["calibration_node"].process not in {spare, dead}
-        assert graph._members["calibration_node"].exit_code() is None
+        assert graph._members[node].process not in {spare, dead}
+        assert graph._members[node].exit_code() is None
+
+
+NODE = """
+import os, signal, rclpy
+from socket_testbed.live.processes import RESTARTED
+from socket_testbed.nodes.base import OK
+from socket_testbed.nodes.listeners import ListenerNode
+
+rclpy.init()
+node = ListenerNode("worker", lambda: None)
+node.report(OK, "works")
+if RESTARTED not in os.environ:
+    os.kill(os.getpid(), signal.SIGKILL)
+signal.pause()
+"""
+
+
+def test_the_first_ok_of_a_node_that_was_killed_is_a_recovery(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "worker.py").write_text(NODE)
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path), prepend=":")
+    restarts: list[str] = []
+    with tempfile.TemporaryFile("w+") as log:
+
+        def said() -> list[str]:
+            log.seek(0)
+            return [line.rpartition("]: ")[2] for line in log.read().splitlines()]
+
+        with Graph(log) as graph:
+            graph.start_program("worker", "worker", [])
+            graph.watch(lambda: len(said()) >= 2, restarts.append)
+        assert said()[:2] == ["works", "recovered: works"]
+    assert restarts == ["worker was ended by SIGKILL: started again"]

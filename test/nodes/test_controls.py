@@ -49,25 +49,19 @@ def triggers(
 
 def test_the_stamp_is_when_it_was_called() -> None:
     late = 0.002 * np.random.default_rng(1).exponential(size=8)
-    for speed, ago in product((1.0, 0.5, 0.25, 2.0), (0.0, 2.0)):
+    for speed, ago in product((1.0, 0.25, 2.0), (0.0, 2.0)):
         heard, begin = triggers(speed, late)
         expected = EPOCH + round((begin - ago) * speed * 1e9)
         assert abs(stamp_by_triggers(begin - ago, heard) - expected) < 20e6  # 20 ms
-
-
-def test_triggers_that_a_busy_machine_held_up_count_little() -> None:
+    # Triggers that a busy machine held up count little; one, or a burst alone, is in real time.
     delays = np.zeros(20)
     delays[[3, 4, 5]] = 0.8, 0.55, 0.3  # a burst
     delays[[9, 14, 17]] = 0.2, 0.4, 0.15
     heard, begin = triggers(1.0, delays)
     assert stamp_by_triggers(begin - 5.0, heard) == EPOCH + round((begin - 5.0) * 1e9)
-
-
-def test_one_trigger_or_a_burst_alone_runs_in_real_time() -> None:
-    one = [(100.0, EPOCH)]
-    assert stamp_by_triggers(99.0, one) == EPOCH - 10**9
-    burst = [(100.0, EPOCH), (100.0 + 1e-5, EPOCH + 250_000_000)]
-    assert stamp_by_triggers(100.0, burst) == pytest.approx(EPOCH + 250_000_000, abs=1e5)
+    one, next_one = (100.0, EPOCH), (100.0 + 1e-5, EPOCH + 250_000_000)
+    assert stamp_by_triggers(99.0, [one]) == EPOCH - 10**9
+    assert stamp_by_triggers(100.0, [one, next_one]) == pytest.approx(next_one[1], abs=1e5)
 
 
 STOPPED = """
@@ -149,7 +143,8 @@ def test_motive_records_while_the_recorder_does(tmp_path: Path) -> None:
 def live(tmp_path_factory: pytest.TempPathFactory) -> Iterator[LiveTestbed]:
     """A testbed that records, with the pylon alone for minutes."""
     record = tmp_path_factory.mktemp("controls") / "s01"
-    with LiveTestbed(record, simulation=Simulation("static_hold", 1800.0)) as live:
+    still = Simulation("static_hold", 1800.0)
+    with LiveTestbed(record, simulation=still, one_process=True) as live:
         yield live
 
 
@@ -171,13 +166,14 @@ def test_a_trial_is_recorded_with_a_name_and_metadata_and_an_event(
     assert "s01" in controls.stop_recording()
     with pytest.raises(TestbedError, match="trial's name"):
         controls.record("../stairs", {})
-    with pytest.raises(TestbedError, match="did you mean 'left'"):
-        controls.record("stairs", {"side": "lft"})
     with pytest.raises(ConfigurationError, match="mass is 'heavy'"):
         controls.record("stairs", {"mass": "heavy"})
     assert controls.record("stairs", {"subject": "S02", "mass": "70"}).endswith("s01_stairs")
     live.wait_for_triggers(5)
-    assert controls.event("push") == "marked 'push' in the trial s01_stairs"
+    with ThreadPoolExecutor() as pool:  # at once
+        marked = [pool.submit(controls.event, label) for label in ("push", "step")]
+    for label, said in zip(("push", "step"), marked, strict=True):
+        assert said.result() == f"marked '{label}' in the trial s01_stairs"
     live.wait_for_triggers(5)
     controls.stop_recording()
     assert live.testbed.record is not None
@@ -185,15 +181,6 @@ def test_a_trial_is_recorded_with_a_name_and_metadata_and_an_event(
     assert trial.metadata == TrialMetadata("S02", mass=70.0)
     (event,) = [event for event in trial.events() if event.label == "push"]
     assert 0.0 < event.time < trial.samples().time[-1] - trial.samples().time[0]
-
-
-@pytest.mark.graph
-def test_events_that_are_marked_at_once_are_all_heard(
-    live: LiveTestbed, controls: ServiceControls
-) -> None:
-    with ThreadPoolExecutor() as pool:
-        marked = [pool.submit(controls.event, "step") for _ in range(2)]
-        assert all(each.result(HANGS).startswith("marked 'step'") for each in marked)
 
 
 @pytest.mark.graph
@@ -222,7 +209,7 @@ def test_the_trigger_is_switched_and_a_tare_outlives_its_node(
 
     live.probe.wait(tared, "a tare")
     live.probe.wait(lambda: abs(live.wrenches[-1].wrench.force.z) < 5.0, "the tare")
-    live.kill("load_cell_node")
+    live.kill("testbed")
     count = len(live.wrenches)
     live.probe.wait(
         lambda: any(np.isfinite(m.wrench.force.z) for m in live.wrenches[count + 5 :]),
@@ -242,10 +229,7 @@ def test_stamps_are_even_and_values_are_averages_over_the_trigger_s_period(
     stamps = [stamp_of(message) for message in live.triggers[count:]]
     assert 1e-9 * np.median(np.diff(stamps)) == pytest.approx(0.05, abs=2e-3)
 
-    def figure(node: str, name: str) -> float:
-        found = [s.values for m in live.diagnostics for s in m.status if s.name == f"/{node}"]
-        return float({v.key: v.value for v in found[-1]}[name])
-
+    figure = live.probe.figure
     for node, name, least, most in (
         ("mocap_node", "averaged_frames", 10, 14),
         ("load_cell_node", "averaged_conversions", 22, 28),
@@ -260,9 +244,8 @@ def test_a_service_without_an_answer_is_named(monkeypatch: pytest.MonkeyPatch) -
     monkeypatch.setattr(module, "_FOUND_WITHIN", 0.1)
     with Probe() as probe:
         nowhere = rclpy.create_node("page", namespace="/nowhere", context=probe.context)
-        alone = ServiceControls(nowhere)
         with pytest.raises(TestbedError, match="nobody offers load_cell/tare: check that load_"):
-            alone.tare()
+            ServiceControls(nowhere).tare()
         with pytest.raises(TestbedError, match="start 'run' with --record DIR, or 'record DIR'"):
-            alone.record("stairs", {})
+            ServiceControls(nowhere).record("stairs", {})
         nowhere.destroy_node()

@@ -5,8 +5,8 @@ wrong, and no sample is missing without a status.
 """
 
 import re
+import time
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 import pytest
 from support import CHECKOUT
@@ -17,38 +17,29 @@ from socket_testbed.simulation.world import FAULTS
 pytestmark = pytest.mark.graph
 
 
-@dataclass(frozen=True)
-class Case:
-    """A fault and what is said of it."""
-
-    value: float
-    node: str
-    level: str
-    text: str
-
-
+# By fault: its value, the node that reports it, and the level and the words of that.
 CASES = {
-    "trigger.missing": Case(1, "trigger_node", "ERROR", "no edge on line 27 .*check the wire"),
-    "trigger.late": Case(0.004, "trigger_node", "ERROR", "no edge on line 27"),
-    "clusters.unplugged": Case(1, "cluster_node", "ERROR", "i2c-1"),
-    "clusters.nack": Case(3, "cluster_node", "ERROR", "0x50 behind channel 2 of 0x70 on i2c-1: "),
-    "clusters.timeout": Case(0.05, "cluster_node", "ERROR", "i2c-1"),
-    "clusters.stuck_done": Case(2, "cluster_node", "ERROR", "channel 1 of 0x70 on i2c-1"),
-    "clusters.rail": Case(4, "cluster_node", "ERROR|WARN", "distal|channel 3"),
-    "clusters.brown_out": Case(1, "cluster_node", "ERROR|WARN", "channel 0 of 0x70 on i2c-1"),
-    "load_cell.unplugged": Case(1, "load_cell_node", "ERROR", "spidev0.0"),
-    "load_cell.flipped_bits": Case(0.2, "load_cell_node", "WARN|ERROR", "checksum"),
-    "load_cell.rail": Case(3, "load_cell_node", "ERROR", "bridge 3 .*rail"),
-    "load_cell.brown_out": Case(0.4, "load_cell_node", "WARN|ERROR", "reset"),
-    "load_cell.frozen": Case(1, "load_cell_node", "ERROR", "convert"),
-    "mocap.unplugged": Case(1, "mocap_node", "ERROR", "127.0.0.1"),
-    "mocap.drop": Case(0.3, "mocap_node", "WARN|ERROR", "lost|missing|datagram"),
-    "mocap.truncate": Case(0.3, "mocap_node", "WARN|ERROR", "datagram|lost"),
-    "mocap.duplicate": Case(0.3, "mocap_node", "WARN|ERROR", "duplicate|twice|order|datagram"),
-    "mocap.reorder": Case(0.3, "mocap_node", "WARN|ERROR", "order|lost|datagram"),
-    "mocap.corrupt": Case(0.3, "mocap_node", "WARN|ERROR", "datagram|lost"),
-    "mocap.occlude": Case(2, "mocap_node", "WARN", "occluded|socket"),
-    "clock.step": Case(3600.0, "trigger_node", "WARN", r"system clock was set by \+3600"),
+    "trigger.missing": (1, "trigger_node", "ERROR", "no edge on line 27 .*check the wire"),
+    "trigger.late": (0.004, "trigger_node", "ERROR", "no edge on line 27"),
+    "clusters.unplugged": (1, "cluster_node", "ERROR", "i2c-1"),
+    "clusters.nack": (3, "cluster_node", "ERROR", "0x50 behind channel 2 of 0x70 on i2c-1: "),
+    "clusters.timeout": (0.05, "cluster_node", "ERROR", "i2c-1"),
+    "clusters.stuck_done": (2, "cluster_node", "ERROR", "channel 1 of 0x70 on i2c-1"),
+    "clusters.rail": (4, "cluster_node", "ERROR|WARN", "distal|channel 3"),
+    "clusters.brown_out": (1, "cluster_node", "ERROR|WARN", "channel 0 of 0x70 on i2c-1"),
+    "load_cell.unplugged": (1, "load_cell_node", "ERROR", "spidev0.0"),
+    "load_cell.flipped_bits": (0.2, "load_cell_node", "WARN|ERROR", "checksum"),
+    "load_cell.rail": (3, "load_cell_node", "ERROR", "bridge 3 .*rail"),
+    "load_cell.brown_out": (0.4, "load_cell_node", "WARN|ERROR", "reset"),
+    "load_cell.frozen": (1, "load_cell_node", "ERROR", "convert"),
+    "mocap.unplugged": (1, "mocap_node", "ERROR", "127.0.0.1"),
+    "mocap.drop": (0.3, "mocap_node", "WARN|ERROR", "lost|missing|datagram"),
+    "mocap.truncate": (0.3, "mocap_node", "WARN|ERROR", "datagram|lost"),
+    "mocap.duplicate": (0.3, "mocap_node", "WARN|ERROR", "duplicate|twice|order|datagram"),
+    "mocap.reorder": (0.3, "mocap_node", "WARN|ERROR", "order|lost|datagram"),
+    "mocap.corrupt": (0.3, "mocap_node", "WARN|ERROR", "datagram|lost"),
+    "mocap.occlude": (2, "mocap_node", "WARN", "occluded|socket"),
+    "clock.step": (3600.0, "trigger_node", "WARN", r"system clock was set by \+3600"),
 }
 # Nothing to see while they are on: the values are right all the same.
 SILENT = {"mocap.swap": 0.2}
@@ -76,34 +67,26 @@ def test_every_fault_is_tested_and_documented() -> None:
     assert documented == set(FAULTS)
 
 
-def well(live: LiveTestbed, *nodes: str) -> None:
-    for node in nodes:
-        live.wait_for(node, "OK")
-
-
 @pytest.mark.parametrize("fault", CASES)
 def test_a_fault_is_named_and_so_is_its_end(live: LiveTestbed, fault: str) -> None:
-    case = CASES[fault]
-    live.switch(fault, case.value)
+    value, node, level, words = CASES[fault]
+    live.switch(fault, value)
     try:
-        live.wait_for(case.node, case.level, case.text)
+        live.wait_for(node, level, words)
     finally:
         live.switch(fault, 0.0)
-    well(live, case.node)
+    live.wait_for(node, "OK")
     live.wait_for_triggers(3)
 
 
-def test_a_fault_that_costs_nothing(live: LiveTestbed) -> None:
+def test_a_fault_that_costs_nothing_and_a_server_that_restarts(live: LiveTestbed) -> None:
     for fault, value in SILENT.items():
         live.switch(fault, value)
         live.wait_for_triggers(20)
         live.switch(fault, 0.0)
-        well(live, "mocap_node")
-
-
-def test_a_restarted_server_is_found_again(live: LiveTestbed) -> None:
-    seen = len(live.diagnostics)
-    live.switch("mocap.restart", live.elapsed())
+        live.wait_for("mocap_node", "OK")
+    seen = len(live.probe.said("mocap_node"))
+    live.switch("mocap.restart", time.monotonic())
     live.wait_for_moment("mocap_node", "ERROR|WARN", seen)
-    well(live, "mocap_node")
+    live.wait_for("mocap_node", "OK")
     live.wait_for_triggers(5)

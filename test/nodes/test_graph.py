@@ -15,11 +15,10 @@ from rclpy.parameter import Parameter
 from socket_testbed_msgs.msg import ClusterCapacitance, ClusterCapacitanceArray
 from std_srvs.srv import Trigger as TriggerService
 from support import HANGS
-from support.bags import move_to_namespace
 from support.clocks import careful_time_scale
 from support.graph import Probe
+from support.verbs import COMMAND, program
 
-from socket_testbed.errors import TestbedError
 from socket_testbed.identification.force_map import ForceMap
 from socket_testbed.identification.model_file import read_model
 from socket_testbed.live.bringup import replay_with_estimator
@@ -34,31 +33,18 @@ from socket_testbed.settings.testbed import (
 from socket_testbed.trials.layout import stamp_of
 from socket_testbed.trials.topics import (
     CAPACITANCE,
-    DIAGNOSTICS,
     ESTIMATED_WRENCH,
     FORCE_MAP,
     LOCAL_FORCES,
     PARAMETERS,
     PRESSURE_MAP,
     STRESS,
-    TRIGGER,
 )
 from socket_testbed.trials.trial import Trial
 
 pytestmark = pytest.mark.graph
 
 NO_FIT = EstimatorSettings(auto_fit=False)
-
-
-def last(diagnostics: list, node: str) -> list:
-    """The values of a node's newest diagnostics."""
-    found = [s.values for m in diagnostics for s in m.status if s.name == f"/{node}"]
-    return found[-1] if found else []
-
-
-def last_count(diagnostics: list, node: str, key: str) -> int:
-    """A figure of a node's newest diagnostics, 0 where there is none yet."""
-    return int({v.key: v.value for v in last(diagnostics, node)}.get(key, 0))
 
 
 def test_every_sample_is_predicted_as_the_model_does_offline(hold: Path, hold_model: Path) -> None:
@@ -91,17 +77,12 @@ def test_another_process_subscribes_while_the_command_replays_and_estimates(hold
     """As the README says: `replay --estimate` in one terminal, a subscriber in another."""
     # The first fit takes a busy machine many seconds: the replay takes 15 to 60 s.
     words = ["--rate", max(4.0 * careful_time_scale(), 1.0), "--estimate"]
-    command = [sys.executable, "-m", "socket_testbed", "replay", hold, *words]
+    words += ["--variant", "stiffness_bias"]
     with Probe() as probe:
         topics = (ESTIMATED_WRENCH, LOCAL_FORCES, PARAMETERS, PRESSURE_MAP, STRESS)
         heard = {topic: probe.listen(topic) for topic in topics}
-        done = subprocess.run(
-            [str(word) for word in [*command, "--variant", "stiffness_bias"]],
-            check=False,
-            capture_output=True,
-            timeout=HANGS,
-        )
-        assert done.returncode == 0, done.stderr.decode()
+        code, _, err = program(*COMMAND, "replay", hold, *words)
+        assert code == 0, err
         probe.wait(lambda: all(heard.values()), "the estimates")
     wrenches, forces, models, maps, _ = heard.values()
     assert {model.variant for model in models} == {"stiffness_bias"}
@@ -120,7 +101,6 @@ def test_a_fit_when_asked_answers_and_predicts(hold: Path) -> None:
         maps, pictures = probe.listen(FORCE_MAP), probe.listen(PRESSURE_MAP)
         models = probe.listen(PARAMETERS)
         wrenches = probe.listen(ESTIMATED_WRENCH)
-        diagnostics = probe.listen(DIAGNOSTICS)
         graph.start("calibration_node", CalibrationNodeSettings(), use_sim_time=True)
         graph.start("estimator_node", NO_FIT, use_sim_time=True)
         answer = probe.call(TriggerService, "estimator/fit", TriggerService.Request())
@@ -131,7 +111,7 @@ def test_a_fit_when_asked_answers_and_predicts(hold: Path) -> None:
         )
         graph.start("replay_node", dataclasses.replace(replay, loop=True))
 
-        probe.wait(lambda: last_count(diagnostics, "estimator_node", "window") > 60, "samples")
+        probe.wait(lambda: probe.figure("estimator_node", "window") > 60, "samples")
         probe.wait(lambda: bool(maps and pictures), "a map and its picture")
         assert not models and not wrenches
         answer = probe.call(TriggerService, "estimator/fit", TriggerService.Request())
@@ -145,7 +125,7 @@ def test_a_fit_when_asked_answers_and_predicts(hold: Path) -> None:
 
 def test_the_calibration_node_says_which_cluster_it_does_not_know() -> None:
     with Graph() as graph, Probe() as probe:
-        stresses, diagnostics = probe.listen(STRESS), probe.listen(DIAGNOSTICS)
+        stresses = probe.listen(STRESS)
         graph.start("calibration_node", CalibrationNodeSettings())
         publisher = probe.publisher(CAPACITANCE)
         message = ClusterCapacitanceArray()
@@ -156,8 +136,8 @@ def test_the_calibration_node_says_which_cluster_it_does_not_know() -> None:
         ]
 
         def levels() -> set[bytes]:
-            own = (s for m in diagnostics for s in m.status)
-            return {s.level for s in own if "no calibration for unknown" in s.message}
+            found = probe.said("calibration_node", "no calibration for unknown")
+            return {status.level for status in found}
 
         def send_until_heard() -> bool:
             publisher.publish(message)
@@ -196,27 +176,17 @@ def test_parameters_are_described_checked_and_changed_at_run_time() -> None:
 
 
 def failed(*words: object) -> str:
-    """What a Python program prints that must end with exit code 1 and without a traceback."""
-    done = subprocess.run(
-        [sys.executable, *map(str, words)],
-        check=False,
-        capture_output=True,
-        text=True,
-        timeout=HANGS,
-    )
-    assert done.returncode == 1 and "Traceback" not in done.stderr, done.stderr
-    return done.stderr
+    """What a Python program prints that must end with exit code 1."""
+    code, _, err = program(sys.executable, *words)
+    assert code == 1, err
+    return err
 
 
 @pytest.mark.parametrize(
     ("node", "given", "said"),
     [
         ("estimator_node", "identification.solver:=osqqp", "'osqqp' is not installed.*'osqp'"),
-        ("estimator_node", "geometry:=nowhere.yaml", "nowhere.yaml"),
-        ("calibration_node", "calibration:=nowhere.yaml", "nowhere.yaml"),
-        ("replay_node", "rate:=1.0", "trial is empty"),
         ("replay_node", "trial:=nowhere", "nowhere.*no such trial"),
-        ("recorder_node", "directory:=/proc/trial -p record:=true", "/proc/trial"),
         ("recoder_node", "rate:=1.0", "there is no node.*did you mean 'recorder_node'?"),
     ],
 )
@@ -244,32 +214,9 @@ def test_a_trial_that_breaks_off_ends_its_replay_with_one_line(hold, tmp_path: P
 
 def test_a_killed_command_leaves_no_node(hold: Path) -> None:
     with Probe() as probe:
-        diagnostics = probe.listen(DIAGNOSTICS)
-        command = [sys.executable, "-m", "socket_testbed", "replay", str(hold), "--estimate"]
+        command = [*COMMAND, "replay", str(hold), "--estimate"]
         replay = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT)
-        probe.wait(lambda: len(last(diagnostics, "estimator_node")) > 0, "the estimator")
+        probe.wait(lambda: bool(probe.said("estimator_node")), "the estimator")
         replay.kill()
         # The pipe closes when the last process that holds it has ended.
         replay.communicate(timeout=HANGS)
-
-
-def test_a_trial_is_estimated_where_it_was_recorded(
-    hold: Path, hold_model: Path, tmp_path: Path
-) -> None:
-    """`test_frames` replays into a given namespace."""
-    target = move_to_namespace(hold, tmp_path / "lab", "/lab")
-    with Probe() as probe:
-        forces = probe.listen(LOCAL_FORCES, "/lab/estimate/local_forces")
-        triggers = probe.listen(TRIGGER, "/lab/trigger")
-        settings = dataclasses.replace(NO_FIT, model=str(hold_model))
-        replay_with_estimator(Trial(target), ReplaySettings(trial=str(target), rate=20.0), settings)
-        probe.wait(lambda: bool(forces and triggers), "forces in the namespace")
-    assert len(forces[0].forces) == len(Trial(hold).geometry)
-
-
-def test_a_node_that_dies_ends_the_command_with_its_name(hold: Path, tmp_path: Path) -> None:
-    spoilt = tmp_path / "model.json"
-    spoilt.write_text("{}")
-    settings = dataclasses.replace(NO_FIT, model=str(spoilt))
-    with pytest.raises(TestbedError, match="estimator_node ended with exit code 1"):
-        replay_with_estimator(Trial(hold), ReplaySettings(trial=str(hold), rate=50.0), settings)

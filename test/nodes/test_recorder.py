@@ -18,21 +18,17 @@ from rosgraph_msgs.msg import Clock
 from std_srvs.srv import SetBool
 from support import HANGS
 from support.graph import Probe
+from support.verbs import COMMAND
 
 from socket_testbed.batch import find_trials
 from socket_testbed.files import packaged
 from socket_testbed.live.processes import Graph
 from socket_testbed.nodes.base import stamp_to_ros
-from socket_testbed.settings.testbed import NextTrialSettings, RecorderSettings, ReplaySettings
+from socket_testbed.settings.testbed import RecorderSettings, ReplaySettings
 from socket_testbed.trials.bag import BagReader
 from socket_testbed.trials.layout import decode, nanoseconds, stamp_of
-from socket_testbed.trials.metadata import FIELDS, METADATA_FILE, TrialMetadata
-from socket_testbed.trials.topics import (
-    DIAGNOSTICS,
-    RECORDED_TRIAL,
-    WRENCH,
-    match_topics,
-)
+from socket_testbed.trials.metadata import METADATA_FILE, TrialMetadata
+from socket_testbed.trials.topics import DIAGNOSTICS, RECORDED_TRIAL, WRENCH, match_topics
 from socket_testbed.trials.trial import CONFIGURATION_FILES, Trial
 
 pytestmark = pytest.mark.graph
@@ -43,19 +39,7 @@ def counts(trial: Path) -> dict[str, int]:
         return bag.counts
 
 
-def statuses(diagnostics: list, node: str = "recorder_node") -> list[DiagnosticStatus]:
-    """What a node reported of itself."""
-    return [s for m in diagnostics for s in m.status if s.name == f"/{node}"]
-
-
-def figures(diagnostics: list, node: str = "recorder_node") -> dict[str, str]:
-    """The figures of a node's newest diagnostics; empty where there is none yet."""
-    return {v.key: v.value for s in statuses(diagnostics, node)[-1:] for v in s.values}
-
-
-def count(diagnostics: list, key: str, node: str = "recorder_node") -> int:
-    """A figure of a node's newest diagnostics, 0 where there is none yet."""
-    return int(figures(diagnostics, node).get(key, 0))
+NODE = "recorder_node"
 
 
 @contextmanager
@@ -107,23 +91,18 @@ def test_a_replay_is_the_recording_in_its_order(hold: Path, tmp_path: Path) -> N
         probe.node.create_subscription(
             Clock, "/clock", lambda m: clocks.append(nanoseconds(m.clock)), 1000
         )
-        diagnostics = probe.listen(DIAGNOSTICS)
         graph.start("recorder_node", RecorderSettings(directory=str(recorded), record=True))
-        probe.wait(lambda: len(figures(diagnostics)) > 0, "the recorder's diagnostics")
+        probe.wait(lambda: bool(probe.said(NODE)), "the recorder's diagnostics")
         replay = ReplaySettings(
             trial=str(hold), rate=30.0, paused=True, wait_for=("recorder_node",)
         )
         graph.start("replay_node", replay)
-        probe.wait(lambda: len(figures(diagnostics, "replay_node")) > 0, "the replay")
-        assert not count(diagnostics, "published", "replay_node")
+        probe.wait(lambda: bool(probe.said("replay_node")), "the replay")
+        assert not probe.figure("replay_node", "published")
         assert probe.call(SetBool, "replay/pause", SetBool.Request(data=False)).success
         graph.wait("replay_node")
         names = list(match_topics(counts(hold), "hold").values())
-
-        probe.wait(
-            lambda: all(count(diagnostics, name) == 240 for name in names),
-            "all messages recorded",
-        )
+        probe.wait(lambda: all(probe.figure(NODE, name) == 240 for name in names), "all of it")
     with BagReader(hold) as before, BagReader(recorded) as after:
         for name in names:
             raws = list(before.messages([name]))
@@ -140,36 +119,28 @@ def test_a_killed_recorder_keeps_what_had_come_and_goes_on_beside(tmp_path: Path
     trial, beside = tmp_path / "trial", tmp_path / "trial_2"
     settings = ("record:=true", f"directory:={trial}")
     with Probe() as probe:
-        announced, diagnostics = probe.listen(RECORDED_TRIAL), probe.listen(DIAGNOSTICS)
+        announced = probe.listen(RECORDED_TRIAL)
         with recorder(*settings) as process:
             probe.wait(lambda: names(announced)[-1:] == ["trial"], "the trial's name")
             send = Sender(probe)
 
             def send_until_recorded() -> bool:
                 send()
-                return count(diagnostics, "/load_cell/wrench") > 100
+                return probe.figure(NODE, "/load_cell/wrench") > 100
 
             probe.wait(send_until_recorded, "100 messages")
-            # Nobody sends any more: what has come reaches the disk within a flush period, so
-            # that a kill takes no more than that.
-            assert RecorderSettings().flush_period == 1.0
-            had_come = count(diagnostics, "/load_cell/wrench")
+            # Nobody sends any more: what has come reaches the disk within a flush period.
+            had_come = probe.figure(NODE, "/load_cell/wrench")
             probe.wait(lambda: len(recorded(trial)[0]) >= had_come, "them on the disk")
             process.kill()
             process.wait()
         before = {file: file.read_bytes() for file in trial.iterdir()}
         assert trial / "metadata.yaml" not in before
-        diagnostics.clear()
         with recorder(*settings):
             probe.wait(lambda: names(announced)[-1:] == ["trial_2"], "the other trial's name")
-            probe.wait(
-                lambda: any(
-                    s.level == DiagnosticStatus.WARN
-                    and f"recording {beside}: {trial} was cut short" in s.message
-                    for s in statuses(diagnostics)
-                ),
-                "the recorder's word about it",
-            )
+            words = f"recording {beside}: {trial} was cut short"
+            probe.wait(lambda: bool(probe.said(NODE, words)), "the recorder's word about it")
+            assert probe.said(NODE, words)[0].level == DiagnosticStatus.WARN
     with BagReader(trial) as bag:
         assert "cut short" in bag.notes[-1]
     numbers, times = recorded(trial)
@@ -183,17 +154,15 @@ def test_a_full_disk_ends_the_recording_and_keeps_it(tmp_path: Path) -> None:
     trial = tmp_path / "trial"
     settings = ("record:=true", f"directory:={trial}", "flush_period:=0.1")
     with Probe() as probe, recorder(*settings, limit="200"):
-        announced, diagnostics = probe.listen(RECORDED_TRIAL), probe.listen(DIAGNOSTICS)
+        announced = probe.listen(RECORDED_TRIAL)
         send = Sender(probe)
 
         def send_until_full() -> bool:
             send(10)
-            return any(
-                s.level == DiagnosticStatus.ERROR and "make space" in s.message
-                for s in statuses(diagnostics)
-            )
+            return bool(probe.said(NODE, "make space"))
 
         probe.wait(send_until_full, "the recorder's word about the disk")
+        assert probe.said(NODE, "make space")[0].level == DiagnosticStatus.ERROR
         probe.wait(lambda: names(announced)[-1:] == [""], "no trial's name")
     numbers, _ = recorded(trial)
     assert numbers == list(range(len(numbers))) and len(numbers) > 200
@@ -231,19 +200,14 @@ def test_a_recording_to_which_nothing_comes_is_reported_and_ctrl_c_ends_it_whole
 ) -> None:
     """Ten seconds without a testbed, then a load cell alone."""
     trial = tmp_path / "trial"
-    command = [sys.executable, "-m", "socket_testbed", "record", str(trial)]
-    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
+    process = subprocess.Popen([*COMMAND, "record", str(trial)], stderr=subprocess.PIPE, text=True)
     try:
         with Probe() as probe:
-            diagnostics = probe.listen(DIAGNOSTICS)
             send = Sender(probe)
-
-            def said(text: str) -> bool:
-                return any(text in status.message for status in statuses(diagnostics))
-
-            probe.wait(lambda: said("but nothing arrives: check"), "a word on the silence")
+            probe.wait(lambda: bool(probe.said(NODE, "but nothing arrives: check")), "the silence")
             send()
-            probe.wait(lambda: said("but nothing arrives on /trigger, "), "a word on the others")
+            words = "but nothing arrives on /trigger, "
+            probe.wait(lambda: bool(probe.said(NODE, words)), "a word on the others")
             process.send_signal(signal.SIGINT)
             _, error = process.communicate(timeout=HANGS)
     finally:
@@ -273,7 +237,7 @@ def test_simulated_time_is_recorded_as_it_is(tmp_path: Path) -> None:
 
         probe.wait(tick, "the recorder to follow the clock")
         send(5)
-        probe.wait(lambda: count(diagnostics, "/load_cell/wrench") == 5, "its messages")
+        probe.wait(lambda: probe.figure(NODE, "/load_cell/wrench") == 5, "its messages")
         process.send_signal(signal.SIGINT)
         assert process.wait(timeout=HANGS) == 0
     assert recorded(trial) == ([0, 1, 2, 3, 4], [1_000_000_000_000] * 5)
@@ -291,13 +255,10 @@ def test_no_other_program_chooses_what_is_stored_or_where(tmp_path: Path) -> Non
     secret, trials = tmp_path / "secret", tmp_path / "trials"
     secret.write_text("subject: S09\n")
     with Probe() as probe, recorder(f"directory:={trials}"):
-        for name in ("geometry", "calibration", "parameters", "metadata"):
+        for name in ("geometry", "calibration", "parameters", "metadata", "directory"):
             assert set_parameters(probe, **{name: str(secret)}), name
-        assert set_parameters(probe, directory=str(tmp_path / "elsewhere"))
         (reason,) = set_parameters(probe, next__name="../up")
         assert "the trial's name" in reason
-        (reason,) = set_parameters(probe, next__side="lft")
-        assert "did you mean 'left'?" in reason
         record(probe, True)
         record(probe, False)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["secret", "trials"]
@@ -310,7 +271,6 @@ def test_no_other_program_chooses_what_is_stored_or_where(tmp_path: Path) -> Non
 def test_the_next_trial_has_the_name_and_the_metadata_that_were_set(tmp_path: Path) -> None:
     stated = tmp_path / "stated.yaml"
     stated.write_text("subject: S01\nliner: gel\n")
-    assert set(vars(NextTrialSettings())) == {"name", *FIELDS}
     with Probe() as probe, recorder(f"directory:={tmp_path}", f"metadata:={stated}"):
 
         def recorded_as(**values: Any) -> str:
@@ -330,15 +290,10 @@ def test_the_next_trial_has_the_name_and_the_metadata_that_were_set(tmp_path: Pa
 
 
 def test_a_recorder_that_cannot_begin_leaves_no_folder(tmp_path: Path) -> None:
-    trial, passwd = tmp_path / "trial", tmp_path / "passwd"
-    passwd.write_text("root:x:0:0:root:/root:/bin/bash\n")
-    for wrong in (tmp_path / "nowhere.yaml", passwd):
-        settings = ("record:=true", f"directory:={trial}", f"geometry:={wrong}")
-        with recorder(*settings) as process:
+    """Nor does it write into a folder that is not a trial cut short."""
+    trial, folder = tmp_path / "trial", tmp_path / "folder"
+    folder.mkdir()
+    for where, geometry in ((trial, tmp_path / "nowhere.yaml"), (folder, "")):
+        with recorder("record:=true", f"directory:={where}", f"geometry:='{geometry}'") as process:
             assert process.wait(timeout=HANGS) == 1
-        assert list(tmp_path.iterdir()) == [passwd]
-    # Nor does it write into a folder that is not a trial cut short.
-    trial.mkdir()
-    with recorder("record:=true", f"directory:={trial}") as process:
-        assert process.wait(timeout=HANGS) == 1
-    assert not list(trial.iterdir()) and len(list(tmp_path.iterdir())) == 2
+        assert list(tmp_path.iterdir()) == [folder] and not list(folder.iterdir())

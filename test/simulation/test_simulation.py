@@ -76,7 +76,7 @@ def test_the_socket_carries_the_load_by_pressure_within_the_cone_of_friction(geo
         assert (tangential <= tissue.friction * normal + 1e-9).all()
 
 
-def test_the_tissue_stiffens(geometry) -> None:
+def test_the_tissue_stiffens_creeps_under_a_held_load_and_does_not_retrace(geometry) -> None:
     tissue = make_tissue(geometry, np.random.default_rng(0))
     stuck = dataclasses.replace(tissue, friction=0.0, creep=0.0, fit=0.0 * tissue.fit)
     limb = LimbInSocket(stuck, geometry.anchors.mean(axis=0))
@@ -87,15 +87,12 @@ def test_the_tissue_stiffens(geometry) -> None:
     first, second = np.diff(sunk)
     assert 0.0 < second < first
 
-
-def test_a_held_load_creeps_and_loading_is_not_retraced(geometry) -> None:
     load = np.array([0, 0, 0, 0, 0, -250.0])
     _, limb = press(geometry, 250.0)
     at_once = limb.displacement[2]
     for _ in range(200):
         limb.step(load, 0.5)
     assert limb.displacement[2] < at_once - 1e-5
-
     before = limb.displacement.copy()
     for share in (1.2, 1.4, 1.2, 1.0):
         limb.step(share * load, 1e-6)
@@ -149,7 +146,7 @@ def test_the_soft_tissue_is_the_published_silicone(geometry) -> None:
 @pytest.mark.parametrize(("tissue", "least", "most"), [("soft", 6.0, 9.0), ("stiff", 0.6, 1.4)])
 def test_the_limb_settles_under_the_paper_s_load(geometry, tissue, least, most) -> None:
     settled = []
-    for seed in range(7):
+    for seed in range(5):
         time, position, _ = follow(geometry, "static_hold", seed, tissue, rate=0.5)
         before, held = (time > 5) & (time < 15), (time > 60) & (time < 95)
         settled.append(position[before].mean(axis=0) - position[held].mean(axis=0))
@@ -160,7 +157,7 @@ def test_the_limb_settles_under_the_paper_s_load(geometry, tissue, least, most) 
 
 
 def test_the_limb_is_held_however_long_the_steps(geometry) -> None:
-    for scenario, tissue, rate in itertools.product(SCENARIOS, TISSUES, (0.5, 10.0)):
+    for scenario, tissue, rate in itertools.product(SCENARIOS, TISSUES, (0.5, 5.0)):
         rng = np.random.default_rng(7)
         load = load_history(scenario, np.arange(0.0, 10.0, 1.0 / rate), rng)
         limb = LoadedLimb(geometry, load[0], rng, tissue)

@@ -14,7 +14,7 @@ from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.task import Future
 
 from socket_testbed.nodes.base import message_type, publisher_qos, subscriber_qos
-from socket_testbed.trials.topics import Topic
+from socket_testbed.trials.topics import DIAGNOSTICS, Topic
 from support import HANGS
 
 _ASK_AGAIN = 3.0  # [s]
@@ -67,6 +67,18 @@ class Probe:
             message_type(topic), name or topic.name, on_message, subscriber_qos(topic)
         )
         return received
+
+    def said(self, node: str, words: str = "") -> list[Any]:
+        """What a node has reported of itself in such words; it is heard from the first call on."""
+        if DIAGNOSTICS.name not in self.received:
+            self.listen(DIAGNOSTICS)
+        found = (s for message in self.received[DIAGNOSTICS.name] for s in message.status)
+        return [s for s in found if s.name == f"/{node}" and words in s.message]
+
+    def figure(self, node: str, key: str) -> float:
+        """A figure that a node has reported last, 0 where there is none yet."""
+        newest = {v.key: v.value for s in self.said(node)[-1:] for v in s.values}
+        return float(newest.get(key, 0.0))
 
     def publisher(self, topic: Topic, subscribers: int = 1) -> Any:
         """A publisher, once so many subscribers are matched."""

@@ -8,7 +8,6 @@ import os
 import re
 import signal
 import threading
-import time
 from pathlib import Path
 from typing import Any, Self
 
@@ -24,7 +23,6 @@ from socket_testbed.simulation.world import World
 from socket_testbed.trials.layout import decode, stamp_of
 from socket_testbed.trials.topics import (
     CAPACITANCE,
-    DIAGNOSTICS,
     MARKERS,
     PYLON_POSE,
     SOCKET_POSE,
@@ -80,7 +78,6 @@ class LiveTestbed:
 
     def __enter__(self) -> Self:
         self.probe = Probe().__enter__()
-        self.diagnostics = self.probe.listen(DIAGNOSTICS)
         self.triggers = self.probe.listen(TRIGGER)
         self.wrenches = self.probe.listen(WRENCH)
         self.graph = Graph().__enter__()
@@ -105,11 +102,8 @@ class LiveTestbed:
 
     def said(self, node: str) -> tuple[str, str]:
         """Level and message of a node's newest diagnostics."""
-        for message in reversed(self.diagnostics):
-            for status in message.status:
-                if status.name == f"/{node}":
-                    return LEVELS[status.level[0]], status.message
-        return "", ""
+        reports = self.probe.said(node)
+        return (LEVELS[reports[-1].level[0]], reports[-1].message) if reports else ("", "")
 
     def wait_for(self, node: str, level: str, text: str = "") -> str:
         """Wait until a node's newest diagnostics have a level and a text; returns the message."""
@@ -122,11 +116,12 @@ class LiveTestbed:
         return self.said(node)[1]
 
     def wait_for_moment(self, node: str, level: str, since: int) -> None:
-        """Wait until a node has reported a level, however briefly."""
+        """Wait until a node has reported a level, however briefly, since so many reports."""
 
         def reported() -> bool:
-            new = [s for m in self.diagnostics[since:] for s in m.status if s.name == f"/{node}"]
-            return any(re.fullmatch(level, LEVELS[s.level[0]]) for s in new)
+            return any(
+                re.fullmatch(level, LEVELS[s.level[0]]) for s in self.probe.said(node)[since:]
+            )
 
         self.probe.wait(reported, f"{node} {level}, however briefly")
 
@@ -147,9 +142,6 @@ class LiveTestbed:
 
     def newest(self) -> int:
         return stamp_of(self.wrenches[-1])
-
-    def elapsed(self) -> float:
-        return time.monotonic()
 
 
 class Recorded:
@@ -194,7 +186,7 @@ class Recorded:
         """The mean of what the sensors felt around a time."""
         return np.mean([self.felt(name, stamp + offset) for offset in self._around], axis=0)
 
-    def _known(self, topic: str) -> list[tuple[int, Any]]:
+    def known(self, topic: str) -> list[tuple[int, Any]]:
         """Messages of a topic, but for those around which a busy machine held the world up."""
         # A state must be there before its forerunner's time is over: 40 ms ahead of its own.
         late = self._truth["lateness"] > -0.045
@@ -214,7 +206,7 @@ class Recorded:
         and poses on average around it, or at the very time where much around it is missing.
         """
         counts = dict.fromkeys((t.name for t in MEASURED), 0)
-        for stamp, message in self._known(WRENCH.name):
+        for stamp, message in self.known(WRENCH.name):
             wrench = np.array(wrench_vector(message.wrench))
             if np.isfinite(wrench).all():
                 felt = (self.averaged("wrench", stamp), self.felt("wrench", stamp))
@@ -223,7 +215,7 @@ class Recorded:
                 counts[WRENCH.name] += 1
             else:
                 assert np.isnan(wrench).all()
-        for stamp, message in self._known(CAPACITANCE.name):
+        for stamp, message in self.known(CAPACITANCE.name):
             moments = stamp + np.linspace(-0.03e9, 0.055e9, 12)
             felt = np.array([self.felt("capacitance", moment) for moment in moments])
             for i, cluster in enumerate(message.clusters):
@@ -236,7 +228,7 @@ class Recorded:
                 counts[CAPACITANCE.name] += int(fine.sum())
         for k, topic in enumerate((SOCKET_POSE, PYLON_POSE)):
             triad = (self._geometry.socket_markers, self._geometry.pylon_markers)[k]
-            for stamp, message in self._known(topic.name):
+            for stamp, message in self.known(topic.name):
                 pose = np.array(pose_vector(message.pose))
                 if not np.isfinite(pose).all():
                     assert np.isnan(pose).all()
@@ -246,7 +238,7 @@ class Recorded:
                 assert np.linalg.norm(pose[:3] - true.translation[0]) < 6e-4, stamp
                 assert 2.0 * np.arccos(min(turn, 1.0)) < 0.01, stamp
                 counts[topic.name] += 1
-        for stamp, message in self._known(MARKERS.name):
+        for stamp, message in self.known(MARKERS.name):
             felt = self.felt("markers", stamp)
             for body, true in zip(message.bodies, felt, strict=True):
                 seen = np.array([(m.x, m.y, m.z) for m in body.markers])

@@ -1,11 +1,28 @@
 """Verbs called as on the command line, and what a refusal has to be."""
 
+import os
+import subprocess
+import sys
 from collections.abc import Sequence
+from pathlib import Path
 
 import pytest
 
 from socket_testbed.__main__ import run
 from support.wording import check_line
+
+COMMAND = (sys.executable, "-m", "socket_testbed")
+_LONGEST = 500.0  # [s]
+
+
+def program(*words: object, folder: Path | None = None, **environment: str) -> tuple[int, str, str]:
+    """Exit code and outputs of a program in a process of its own, which prints no traceback."""
+    done = subprocess.run(
+        [str(word) for word in words], check=False, cwd=folder, env=os.environ | environment,
+        capture_output=True, text=True, timeout=_LONGEST,
+    )  # fmt: skip
+    assert "Traceback" not in done.stderr, done.stderr
+    return done.returncode, done.stdout, done.stderr
 
 
 def call(capsys: pytest.CaptureFixture[str], *words: object) -> tuple[int, str, str]:
