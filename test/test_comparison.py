@@ -79,8 +79,8 @@ def test_clear_differences_are_counted_against_chance_and_sorted() -> None:
     first, *lines = found.differing()
     assert first.startswith("2 of 3 intervals") and "about 0 would" in first
     assert lines == [
-        "two - one, medial: shear +8.0 (6.6 to 9.4) kPa",
-        "two - one, distal: shear -5.0 (-6.4 to -3.6) kPa",
+        "medial: shear 8.0 kPa higher in two than in one (6.6 to 9.4)",
+        "distal: shear 5.0 kPa lower in two than in one (3.6 to 6.4)",
     ]
 
 
