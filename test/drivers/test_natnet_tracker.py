@@ -6,7 +6,7 @@ import threading
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation, Slerp
-from support.natnet import NAMES, TRIADS, pose_at
+from support.natnet import NAMES, TRIADS, markers_at, pose_at
 from support.wording import check_line
 
 from socket_testbed import clocks
@@ -39,11 +39,6 @@ def steady(body, moment):
     place = np.array([0.4, -0.3, 0.7 + 0.2 * body])
     first = Rotation.from_rotvec([0.3, 0.2 * body, -0.4])
     return place + velocity * moment, first * Rotation.from_rotvec(rate * moment)
-
-
-def markers_at(body, moment, references=TRIADS, pose=pose_at):
-    position, rotation = pose(body, moment)
-    return rotation.apply(references[body]) + position
 
 
 def frame_at(

@@ -30,10 +30,15 @@ def pose_at(body: int, moment: float) -> tuple[np.ndarray, Rotation]:
     return position, Rotation.from_rotvec([0.3 * np.sin(phase), 0.2 * body, 0.4 * np.cos(phase)])
 
 
-def markers_at(body: int, moment: float) -> np.ndarray:
-    """Markers of a body in the world, shape (3, 3) [m]."""
-    position, rotation = pose_at(body, moment)
-    return rotation.apply(TRIADS[body]) + position
+def markers_at(
+    body: int,
+    moment: float,
+    references: tuple[np.ndarray, ...] = TRIADS,
+    pose: Callable[[int, float], tuple[np.ndarray, Rotation]] = pose_at,
+) -> np.ndarray:
+    """Markers of a body in the world, shape (m, 3) [m]."""
+    position, rotation = pose(body, moment)
+    return rotation.apply(references[body]) + position
 
 
 def scene(moment: float):
