@@ -124,6 +124,8 @@ BAD = [
     (with_cell(9, 0, "0.1"), NONE, NONE, ("does not increase at line 10",), "order"),
     (constant(6, "6.5"), NONE, NONE, ("'c2 [pF]' is 6.5 pF in every row",), "wire"),
     (with_cell(0, 1, "normal [N]"), NONE, NONE, ("force in N",), "--area"),
+    (lambda rows: rows[:1], NONE, NONE, ("holds no row",), "header"),
+    (with_cell(0, 7, "c3"), NONE, NONE, ("'c3' has no unit",), "c3=pF"),
     (lambda rows: [*rows[:5], [*rows[5], "1"], *rows[6:]], NONE, NONE, ("line 6",), "';'"),
     (lambda rows: [*rows[:5], rows[5][:-1], *rows[6:]], NONE, NONE, ("empty in line 6",), "fill"),
     (lambda rows: [row[:-1] for row in rows], NONE, NONE, ("no column for c3",), "c3=NAME"),

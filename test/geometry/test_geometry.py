@@ -174,6 +174,7 @@ BAD = [
     (("clusters",), {"a": "tile_0_0", "b": "tile_0_0"}, "on 'tile_0_0': give each its own tile"),
     (("bodies", "socket", "markers"), LINE, "the markers are on one line"),
     (("bodies", "pylon", "markers"), IN_MILLIMETRES_OF_NOTHING, "1.0 mm apart: move them"),
+    (("regions",), {"heel": []}, "regions: heel has no tiles"),
     (("regions",), {"heel": ["tile_0_0", "tile_0_0"]}, "holds a tile twice"),
     (("regions",), {"socket": ["tile_0_0"]}, "name of a standard region"),
 ]

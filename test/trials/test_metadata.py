@@ -47,6 +47,7 @@ WRONG = [
     ({"operator": "K L"}, "initials"),
     ({"liner": "  "}, "liner is empty"),
     ({"notes": "bell\a"}, "control character"),
+    ({"notes": "\udcff"}, "control character"),
     ({"protocol": "x" * 81}, "81 characters"),
 ]
 
