@@ -9,9 +9,9 @@ from typing import Any
 from socket_testbed import api
 from socket_testbed.api import Evaluation, TrialFit
 from socket_testbed.batch import Row, find_trials
+from socket_testbed.commands.arguments import takes
 from socket_testbed.commands.options import TrialVerb, given, on_trials, segment_columns
 from socket_testbed.commands.pressure import pressure_columns, pressure_tables
-from socket_testbed.commands.signatures import takes
 from socket_testbed.commands.text import number, table
 from socket_testbed.errors import ConfigurationError, IdentificationError
 from socket_testbed.identification.evaluation import ChannelErrors, summarise_errors

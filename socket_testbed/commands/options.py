@@ -14,7 +14,7 @@ from typing import Any, Generic, Literal, TypeVar
 
 from socket_testbed import api
 from socket_testbed.batch import Job, Row, Task, find_trials, plan_jobs, run_batch
-from socket_testbed.commands.signatures import takes
+from socket_testbed.commands.arguments import takes
 from socket_testbed.documents import check_number
 from socket_testbed.errors import ConfigurationError, TestbedError
 from socket_testbed.files import check_outputs, check_picture

@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from socket_testbed import api
+from socket_testbed.commands.arguments import takes
 from socket_testbed.commands.options import check_files, draw, given, open_checked
-from socket_testbed.commands.signatures import takes
 from socket_testbed.commands.text import Progress, number, table
 from socket_testbed.errors import ConfigurationError
 from socket_testbed.identification.pareto import KNEE, SENSOR_ONLY, WRENCH_ONLY, Front

@@ -8,8 +8,8 @@ from typing import Any
 import pandas as pd
 
 from socket_testbed import api
+from socket_testbed.commands.arguments import takes
 from socket_testbed.commands.options import check_files, draw, given, open_all
-from socket_testbed.commands.signatures import takes
 from socket_testbed.commands.text import Progress, number, table
 
 _ERRORS = {"error [-]": 2}

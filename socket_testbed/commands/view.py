@@ -12,8 +12,8 @@ from typing import Any
 
 from socket_testbed import api
 from socket_testbed.api.view import require_viewer
+from socket_testbed.commands.arguments import takes
 from socket_testbed.commands.options import open_given
-from socket_testbed.commands.signatures import takes
 from socket_testbed.commands.text import say
 from socket_testbed.documents import check_number
 from socket_testbed.errors import ConfigurationError

@@ -16,7 +16,7 @@ from support.verbs import call, refused
 
 import socket_testbed as st
 from socket_testbed.__main__ import VERBS, run
-from socket_testbed.commands.signatures import options_of
+from socket_testbed.commands.arguments import options_of
 from socket_testbed.simulation.trial import read_truth
 
 
