@@ -16,7 +16,7 @@ from socket_testbed.calibration.drift import DRIFT_LIMIT, Drift
 from socket_testbed.calibration.model import SHEAR_TERMS
 from socket_testbed.commands.arguments import takes
 from socket_testbed.commands.options import check_files, draw, given, print_note
-from socket_testbed.commands.text import number, table
+from socket_testbed.commands.terminal import number, table
 from socket_testbed.documents import check_number
 from socket_testbed.errors import ConfigurationError, closest
 

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from socket_testbed import api
 from socket_testbed.arrays import FloatArray
 from socket_testbed.commands.arguments import takes
-from socket_testbed.commands.text import Progress, number, table
+from socket_testbed.commands.terminal import Progress, number, table
 from socket_testbed.documents import check_number
 from socket_testbed.files import check_outputs
 from socket_testbed.geometry.pose import Pose

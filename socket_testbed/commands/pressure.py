@@ -19,7 +19,7 @@ from socket_testbed.commands.options import (
     open_checked,
     segment_columns,
 )
-from socket_testbed.commands.text import number, table
+from socket_testbed.commands.terminal import number, table
 from socket_testbed.errors import ConfigurationError
 from socket_testbed.identification.model_file import finite_or_null
 from socket_testbed.identification.pressure import TITLES, interval_end

@@ -18,7 +18,7 @@ from socket_testbed.commands.options import (
     segment_columns,
     typed_command,
 )
-from socket_testbed.commands.text import Progress
+from socket_testbed.commands.terminal import Progress
 from socket_testbed.trials.metadata import FIELDS
 from socket_testbed.trials.trial import Trial
 

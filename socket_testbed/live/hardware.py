@@ -15,10 +15,16 @@ from socket_testbed.drivers.clusters.chip import CapacitiveChip
 from socket_testbed.drivers.clusters.fdc1004 import Fdc1004
 from socket_testbed.drivers.clusters.i2c import I2cBus, open_i2c
 from socket_testbed.drivers.clusters.reader import ClusterReader
-from socket_testbed.drivers.gpio import GpiodLines, Use
+from socket_testbed.drivers.gpio import (
+    GpiodLines,
+    GpioTrigger,
+    TimerTrigger,
+    Trigger,
+    Use,
+    trigger_lines,
+)
 from socket_testbed.drivers.load_cell.ads131m0x import SpiDevice, open_spi
 from socket_testbed.drivers.load_cell.load_cell import LoadCell
-from socket_testbed.drivers.trigger import GpioTrigger, TimerTrigger, Trigger, trigger_lines
 from socket_testbed.errors import ConfigurationError, closest
 from socket_testbed.settings.acquisition import ClusterSettings, LoadCellSettings, TriggerSettings
 from socket_testbed.simulation.devices.ads131m0x import SimulatedLoadCellHardware
