@@ -11,7 +11,7 @@ import numpy as np
 from socket_testbed import clocks
 from socket_testbed.arrays import FloatArray
 from socket_testbed.drivers.load_cell.ads131m0x import checksum
-from socket_testbed.drivers.load_cell.bridges import check_settings
+from socket_testbed.drivers.load_cell.load_cell import check_settings
 from socket_testbed.settings.acquisition import LoadCellSettings
 
 ID, STATUS, MODE, CLOCK, GAIN1, GAIN2, CFG, LAST = 0x00, 0x01, 0x02, 0x03, 0x04, 0x05, 0x06, 0x30
