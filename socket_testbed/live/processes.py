@@ -90,6 +90,19 @@ def write_parameters(nodes: Iterable[GraphNode], path: Path) -> Path:
     return path
 
 
+def launched(node: GraphNode, folder: Path) -> dict[str, Any]:
+    """Keywords of the action that starts a node from a launch file; a folder for its parameters."""
+    return {
+        "package": "socket_testbed",
+        "executable": node.name,
+        "name": node.name,
+        "namespace": node.namespace,
+        "remappings": REMAPPINGS,
+        "parameters": [str(write_parameters([node], folder / f"{node.name}.yaml"))],
+        "output": "screen",
+    }
+
+
 def require_ros() -> None:
     """Refuse to go on without ROS 2 and the messages."""
     for package in ("rclpy", "socket_testbed_msgs"):
