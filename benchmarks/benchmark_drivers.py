@@ -21,9 +21,9 @@ from typing import Any
 
 import numpy as np
 from machine import describe_machine
+from socket_testbed.drivers.averaging import averaging_span
 
 from socket_testbed import clocks
-from socket_testbed.drivers.averaging import averaging_span
 from socket_testbed.drivers.clusters.reader import ClusterReader
 from socket_testbed.drivers.load_cell.load_cell import LoadCell
 from socket_testbed.drivers.natnet.client import NatNetClient

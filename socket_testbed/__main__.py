@@ -19,7 +19,7 @@ VERBS = {
     "doctor": "live",
     "tile": "design",
     "register": "design",
-    "calibrate": "calibrate",
+    "calibrate": "design",
     "simulate": "trials",
     "record": "live",
     "annotate": "trials",

@@ -85,8 +85,8 @@ def test_a_list_takes_no_path_and_may_be_given_in_parts(tmp_path: Path, monkeypa
             "hold other/walk --leave-out Mz --json",
         ),
         ("models.fit", "hold --leave-out Mz distal.Fq -o m", None),
-        ("calibrate.calibrate", "--columns normal=N/mm2 c0=C/0", None),
-        ("calibrate.calibrate", "--baseline hold hold", None),
+        ("design.calibrate", "--columns normal=N/mm2 c0=C/0", None),
+        ("design.calibrate", "--baseline hold hold", None),
     ):
         parser = Parser()
         add_options(parser, f"commands.{verb}")

@@ -15,10 +15,9 @@ import numpy as np
 from msgspec import Meta
 
 from socket_testbed import clocks
-from socket_testbed.arrays import BoolArray, FloatArray, IntArray
+from socket_testbed.arrays import BoolArray, FloatArray, IntArray, line_weights
 from socket_testbed.clocks import SteadyClock
 from socket_testbed.documents import Document, read_document
-from socket_testbed.drivers.averaging import line_weights
 from socket_testbed.drivers.gpio import EdgeLine
 from socket_testbed.drivers.load_cell.ads131m0x import (
     SpiDevice,
