@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Sequence
 from math import isfinite
 from pathlib import Path
@@ -82,9 +81,9 @@ def tile(
     picture, page = (path.name for path in beside)
     print(f"{output}, {picture} and {page} written")
     for note in design.notes:
-        print(f"note: {note}", file=sys.stderr)
+        print_note(note)
     if not design.geometry.registration:
-        print("note: the marker bodies are nominal: register them", file=sys.stderr)
+        print_note("the marker bodies are nominal: register them")
     facts = design.facts()
     width = max(len(name) for name, _ in facts)
     for name, value in facts:
@@ -111,7 +110,7 @@ def register(
         check_outputs(output, replace=replace)
     found = api.register(take, landmarks, socket, output, force=force)
     for note in found.notes:
-        print(f"note: {note}", file=sys.stderr)
+        print_note(note)
     print(f"{_registration(found)}\n\nregistered socket in {output}")
 
 
