@@ -23,7 +23,6 @@ import numpy as np
 from machine import describe_machine
 
 from socket_testbed import clocks
-from socket_testbed.drivers.averaging import averaging_span
 from socket_testbed.drivers.clusters.reader import ClusterReader
 from socket_testbed.drivers.load_cell.load_cell import LoadCell
 from socket_testbed.drivers.natnet.client import NatNetClient
@@ -33,6 +32,7 @@ from socket_testbed.live.bringup import Testbed, simulate_hardware, simulated_te
 from socket_testbed.live.hardware import i2c_opener, spi_opener
 from socket_testbed.live.processes import Graph
 from socket_testbed.live.simulated_world import Simulation
+from socket_testbed.nodes.sensor_node import averaging_span
 from socket_testbed.simulation.sensors import CAMERA_RATE
 
 _TRANSFERS, _ON_BUS = 44, 107e-6  # fewest per trigger; their mean time at 400 kHz [s]

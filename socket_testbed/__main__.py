@@ -9,8 +9,7 @@ import sys
 from importlib import import_module
 
 from socket_testbed import __version__
-from socket_testbed.commands.arguments import Parser, add_options, release_paths
-from socket_testbed.commands.signatures import read_function
+from socket_testbed.commands.arguments import Parser, add_options, read_function, release_paths
 from socket_testbed.errors import TestbedError, likely
 
 # Each verb and the module that holds its function; the function's docstring is its help.
@@ -20,7 +19,7 @@ VERBS = {
     "doctor": "live",
     "tile": "design",
     "register": "design",
-    "calibrate": "calibrate",
+    "calibrate": "design",
     "simulate": "trials",
     "record": "live",
     "annotate": "trials",
@@ -30,9 +29,9 @@ VERBS = {
     "info": "trials",
     "fit": "models",
     "evaluate": "models",
-    "validate": "validate",
-    "paper": "paper",
-    "pareto": "paper",
+    "validate": "models",
+    "paper": "models",
+    "pareto": "models",
     "pressure": "pressure",
     "compare": "compare",
     "map": "pressure",

@@ -1,4 +1,4 @@
-"""Array types of the package, and the root mean square of what is known."""
+"""Array types of the package, the root mean square of what is known, and weights of a line."""
 
 from typing import TypeAlias
 
@@ -15,3 +15,25 @@ def rms(values: FloatArray, empty: float = float("nan")) -> float:
     """Root mean square of the finite values; `empty` without any."""
     finite = values[np.isfinite(values)]
     return float(np.sqrt(np.mean(finite**2))) if len(finite) else empty
+
+
+def line_weights(offsets: FloatArray) -> FloatArray:
+    """Weights that make of n values the value at offset 0 of their least-squares line.
+
+    With offsets that are even about 0 it is the mean. With others, as where some values are
+    missing, the mean would lag behind a steady motion; the line does not.
+
+    Args:
+        offsets: Times of the values from the time that is asked for, shape (n,) [s].
+
+    Returns:
+        Weights, shape (n,) [-]; their sum of squares is the variance of the result for values of
+        variance 1.
+    """
+    if len(offsets) == 0:
+        return offsets
+    mean = offsets.mean()
+    centred = offsets - mean
+    spread = float(centred @ centred)
+    weights = np.full(len(offsets), 1.0 / len(offsets))
+    return weights - centred * (mean / spread) if spread > 0.0 else weights

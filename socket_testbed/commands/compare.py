@@ -12,9 +12,9 @@ import pandas as pd
 from socket_testbed import api
 from socket_testbed.api import Comparison
 from socket_testbed.api.comparison import LEGEND, PAGES
+from socket_testbed.commands.arguments import takes
 from socket_testbed.commands.options import given, open_all, print_note, typed_command
-from socket_testbed.commands.signatures import takes
-from socket_testbed.commands.text import Progress, table
+from socket_testbed.commands.terminal import Progress, table
 from socket_testbed.errors import ConfigurationError
 from socket_testbed.files import check_outputs
 from socket_testbed.tables import check_format

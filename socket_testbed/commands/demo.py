@@ -14,7 +14,7 @@ from matplotlib.figure import Figure, SubFigure
 
 from socket_testbed import api
 from socket_testbed.arrays import FloatArray
-from socket_testbed.commands.text import Progress, number, table
+from socket_testbed.commands.terminal import Progress, number, table
 from socket_testbed.errors import ConfigurationError, TrialError
 from socket_testbed.files import check_new_folder, make_folder
 from socket_testbed.geometry.regions import all_regions

@@ -12,10 +12,9 @@ from typing import Any
 
 from socket_testbed import clocks
 from socket_testbed.calibration.model import read_calibration
+from socket_testbed.commands.arguments import takes
 from socket_testbed.commands.options import check_metadata, given, open_given, print_note
-from socket_testbed.commands.signatures import takes
-from socket_testbed.commands.status_line import StatusLine
-from socket_testbed.commands.text import say, table
+from socket_testbed.commands.terminal import StatusLine, say, table
 from socket_testbed.documents import check_number
 from socket_testbed.errors import ConfigurationError, DeviceError, closest
 from socket_testbed.files import check_new_folder, make_folder, packaged

@@ -1,24 +1,66 @@
-"""`fit` and `evaluate`: a contact model from a trial, and its errors on another."""
+"""`fit`, `evaluate`, `validate`, `pareto` and `paper`: contact models, and how good they are."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from socket_testbed import api
 from socket_testbed.api import Evaluation, TrialFit
 from socket_testbed.batch import Row, find_trials
-from socket_testbed.commands.options import TrialVerb, given, on_trials, segment_columns
+from socket_testbed.commands.arguments import takes
+from socket_testbed.commands.options import (
+    TrialVerb,
+    check_files,
+    draw,
+    given,
+    on_trials,
+    open_all,
+    open_checked,
+    segment_columns,
+)
 from socket_testbed.commands.pressure import pressure_columns, pressure_tables
-from socket_testbed.commands.signatures import takes
-from socket_testbed.commands.text import number, table
+from socket_testbed.commands.terminal import Progress, number, table
 from socket_testbed.errors import ConfigurationError, IdentificationError
 from socket_testbed.identification.evaluation import ChannelErrors, summarise_errors
 from socket_testbed.identification.information import LEAST_RATIO, share_warning
 from socket_testbed.identification.model_file import finite_or_null, quoted_figures
+from socket_testbed.identification.pareto import KNEE, SENSOR_ONLY, WRENCH_ONLY, Front
 from socket_testbed.settings.identification import PAPER_VARIANTS
 from socket_testbed.trials.trial import Trial
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+_ERRORS = {"error [-]": 2}
+_SEVERAL_ERRORS = _ERRORS | {"worst error [-]": 2}
+_COVERAGE = {"50 %": "within 50 % [-]", "80 %": "within 80 % [-]", "95 %": "within 95 % [-]"}
+_RMSE = {"moment RMSE [N m]": 3, "force RMSE [N]": 2}
+_SKILL = {"moment skill [-]": 2, "force skill [-]": 2}
+_MEDIANS = {f"median {title}": digits for title, digits in _SKILL.items()}  # of several trials
+_HEADINGS = (
+    ("cluster", "left out", "Force on a cluster that was left out, from the others and the wrench"),
+    ("tiles", "second half", "Force on the tiles without a sensor, against the simulated truth"),
+    ("wrench", "second half", "Wrench from the pose alone, fitted on the other half of the trial"),
+    ("wrench", "other trial", "Wrench from the pose alone, fitted on another trial"),
+    ("wrench", "in-sample", "Wrench from the pose alone, IN-SAMPLE: on the half that was fitted"),
+)
+_JUDGED_LEGEND = (
+    "error: rms error over the rms of the forces, 1 is predicting zero; 50, 80, 95 %: share of the"
+    "\nvalues within these intervals of the estimate; RMSE: mean of three channels; skill: 1 - RMSE"
+    "\nover that of the constants that fit these samples best, below 0 worse than a constant"
+)
+
+_FRONT_HEADER = (
+    *("variant", "solution", "theta", "wrench error", "local error"),
+    *("moment [N m]", "force [N]", "local [N]", ""),
+)
+_FRONT_LEGEND = (
+    "wrench error, local error: roots of the weighted squares of the objective, J_w and J_f;"
+    "\nmoment, force, local: mean, mean and median RMSE of the channels in the objective;"
+    "\ndominated: another theta is better in both, which two stages one after the other allow"
+)
 
 
 @takes("commands.options.on_trials", "commands.options.open_given", "fit")
@@ -155,6 +197,184 @@ def _evaluation_row(found: Evaluation) -> Row:
         **error_columns(found.errors, {"": found.errors}),
         **(pressure_columns(found.pressure) if found.pressure is not None else {}),
     }
+
+
+@takes(
+    "commands.options.open_given",
+    "validate",
+    "fit",
+    "commands.options.draw",
+    "files.check_outputs",
+    without="unloaded segment variant frames initial_stiffness",
+)
+def validate(
+    trial: list[Path],
+    *,
+    output: Path | None = None,
+    figure: Path | None = None,
+    json: bool = False,
+    replace: bool = False,
+    **options: Any,
+) -> None:
+    """Judge estimates on data they have not seen, beside simple rivals.
+
+    Args:
+        trial: Trials, or folders of trials, of one socket.
+        output: Table with a row per trial, for a study.
+        figure: Draw the errors by cluster and the coverage of the intervals.
+        json: Print JSON on standard output.
+    """
+    check_files(output, figure, replace=replace)
+    found = api.validate(
+        *open_all(trial, options), **given(options, api.validate, api.fit), progress=Progress
+    )
+    if output is not None:
+        found.save(output)
+    draw(found, figure, **options)
+    if json:
+        print(found.to_json())
+        return
+    if len(found.trials) == 1:
+        print(f"{found.trials[0]}: the part under load, in two halves")
+    else:
+        print(
+            f"{len(found.trials)} trials, means over them; models fitted on {len(found.fitted)}:"
+            f" {', '.join(found.fitted)}"
+        )
+    tables = dict([*found.summary().groupby(level=["question", "test"])])
+    for question, test, heading in _HEADINGS:
+        if (question, test) in tables:
+            rows = tables[question, test].droplevel([0, 1])
+            print(f"\n{heading}\n\n{_judged_table(rows, question)}")
+    print(f"\n{_JUDGED_LEGEND}")
+    for path in filter(None, (output, figure)):
+        print(f"\nwritten: {path}")
+
+
+def _judged_table(rows: pd.DataFrame, question: str) -> str:
+    counts = rows["judged [1]"]
+    several = bool((counts > 1).any())
+    if question == "wrench":
+        digits, shares = _RMSE | (_MEDIANS if several else _SKILL), {}
+    else:
+        digits, shares = _SEVERAL_ERRORS if several else _ERRORS, _COVERAGE
+    columns = {title: [number(v, n) for v in rows[title]] for title, n in digits.items()}
+    for title, share in shares.items():
+        columns[title] = [number(100.0 * value, 0) for value in rows[share]]
+    if counts.nunique() > 1:  # a variant could not be fitted everywhere
+        columns["judged"] = [f"{count:.0f}" for count in counts]
+    cells = [[str(name), *row] for name, *row in zip(rows.index, *columns.values(), strict=True)]
+    return table(["predictor", *columns], cells)
+
+
+@takes(
+    "commands.options.open_given",
+    "pareto",
+    "fit",
+    "commands.options.draw",
+    "files.check_outputs",
+    without="variant theta",  # both of the paper's, and all
+)
+def pareto(
+    trial: Path,
+    *,
+    output: Path | None = None,
+    figure: Path | None = None,
+    json: bool = False,
+    replace: bool = False,
+    **options: Any,
+) -> None:
+    """Trace the trade-off of wrench against clusters over theta.
+
+    Args:
+        output: Table of every solution (.csv).
+        figure: Draw both fronts.
+        json: Print JSON on standard output.
+    """
+    if output is not None and output.suffix.lower() != ".csv":
+        raise ConfigurationError(f"{output}: is not a .csv file", "name a .csv file")
+    check_files(output, figure, replace=replace)
+    opened = open_checked(trial, **options)
+    found = api.pareto(opened, **given(options, api.pareto, api.fit), progress=Progress)
+    if output is not None:
+        found.save(output)
+    draw(found, figure, **options)
+    if json:
+        print(found.to_json())
+        return
+    print(f"{opened.name}: {found.segment}, theta from 0 to 1 in {options['thetas']} values\n")
+    fronts = [*found.fronts.values()]
+    print(f"{_front_table(fronts)}\n\n{_FRONT_LEGEND}\n")
+    for front in fronts:
+        print(_describe_front(front))
+    for path in filter(None, (output, figure)):
+        print(f"written: {path}")
+
+
+def _front_table(fronts: Sequence[Front]) -> str:
+    rows = []
+    for front in fronts:
+        for name in (SENSOR_ONLY, KNEE, WRENCH_ONLY):
+            index = front.marks.get(name)
+            if index is None:
+                flaw = front.flaws[0 if name == SENSOR_ONLY else -1]
+                absence = "none: see below" if name == KNEE else flaw
+                rows.append([front.variant, name, *["-"] * 6, absence])
+                continue
+            errors = (front.wrench_error, front.local_error)
+            sizes = (front.moment_rmse, front.force_rmse, front.local_rmse)
+            cells = [f"{front.theta[index]:.3g}", *(number(e[index], 4) for e in errors)]
+            cells += [number(size[index]) for size in sizes]
+            remark = "" if front.non_dominated[index] else "dominated"
+            rows.append([front.variant, name, *cells, remark])
+    return table(_FRONT_HEADER, rows)
+
+
+def _describe_front(front: Front) -> str:
+    """Counts, certificate and flaws of a front, a line each."""
+    count = len(front.theta)
+    lines = [
+        f"{front.variant}: {front.knee.verdict}",
+        f"  {int(front.non_dominated.sum())} of {count} solutions not dominated, largest KKT"
+        f" residual or gap {front.worst_residual:.1e}",
+    ]
+    for flaw in dict.fromkeys(filter(None, front.flaws)):
+        thetas = front.theta[[text == flaw for text in front.flaws]]
+        span = f"{thetas[0]:.3g}" + (f" to {thetas[-1]:.3g}" if len(thetas) > 1 else "")
+        lines.append(f"  left out: {len(thetas)} at theta {span}: {flaw}")
+    return "\n".join(lines)
+
+
+@takes("commands.options.open_given", "paper", "fit", without="variant")
+def paper(trial: Path, *, json: bool = False, **options: Any) -> None:
+    """Run the published pipeline and lay its figures beside the printed ones.
+
+    Args:
+        json: Print JSON on standard output.
+    """
+    opened = open_checked(trial, **options)
+    found = api.paper(opened, **given(options, api.paper, api.fit), progress=Progress)
+    if json:
+        print(found.to_json())
+        return
+    settings = found.settings.to_flat()
+    print(f"{opened.name}: {found.segment}, {found.samples} samples")
+    print(
+        f"theta {settings['theta']:g}, weights {settings['weights']}; rest positions within"
+        f" {1e3 * settings['rest_position_limit']:g} mm of"
+        f" {settings['reference_position'] or 'the mean limb position'}; k0"
+        f" {settings['initial_stiffness']:.4g} N/m, alpha {settings['gate_sharpness']:g} 1/m\n"
+    )
+    figures = found.document()["figures"]
+    cells = [
+        [
+            name,
+            *("-" if v is None else v if isinstance(v, str) else number(v) for v in row.values()),
+        ]
+        for name, row in figures.items()
+    ]
+    titles = next(iter(figures.values()))
+    print(table(["figure", *titles], cells))
 
 
 def errors_table(errors: Sequence[ChannelErrors]) -> str:

@@ -14,7 +14,8 @@ from typing import Any, Generic, Literal, TypeVar
 
 from socket_testbed import api
 from socket_testbed.batch import Job, Row, Task, find_trials, plan_jobs, run_batch
-from socket_testbed.commands.signatures import takes
+from socket_testbed.commands.arguments import takes
+from socket_testbed.commands.terminal import say
 from socket_testbed.documents import check_number
 from socket_testbed.errors import ConfigurationError, TestbedError
 from socket_testbed.files import check_outputs, check_picture
@@ -142,11 +143,7 @@ def segment_columns(segment: Segment) -> Row:
 
 
 def check_metadata(options: Mapping[str, Any]) -> TrialMetadata:
-    """The metadata of a trial among the options.
-
-    Raises:
-        ConfigurationError: If one is wrong, with its option.
-    """
+    """The metadata of a trial among the options; an error names the option that is wrong."""
     stated = {name: options[name] for name in FIELDS}
     try:
         return change_metadata(TrialMetadata(), stated, options.get("remove", ()))
@@ -161,15 +158,7 @@ def typed_command() -> str:
 
 def print_note(note: str) -> None:
     """Print a note on standard error."""
-    _warn(f"note: {note}")
-
-
-def _report(line: str) -> None:
-    print(line, flush=True)  # at once, however standard output is buffered
-
-
-def _warn(line: str) -> None:
-    print(line, file=sys.stderr)
+    say(f"note: {note}")
 
 
 @dataclass(frozen=True)
@@ -229,7 +218,8 @@ def on_trials(
     task = Task(verb.name, output, work, settings, verb.metadata, again, replace)
     if jobs is not None:
         check_number(jobs, "--jobs", 1)
-    run_batch(task, planned, _report, _warn, jobs, dask)
+    report = partial(print, flush=True)  # at once, however standard output is buffered
+    run_batch(task, planned, report, say, jobs, dask)
 
 
 def _do(verb: TrialVerb[R], options: Mapping[str, Any], job: Job) -> Row:

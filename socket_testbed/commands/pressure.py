@@ -9,6 +9,7 @@ from typing import Any
 from socket_testbed import api
 from socket_testbed.api import TrialPressure
 from socket_testbed.batch import Row, find_trials
+from socket_testbed.commands.arguments import takes
 from socket_testbed.commands.options import (
     TrialVerb,
     check_files,
@@ -18,8 +19,7 @@ from socket_testbed.commands.options import (
     open_checked,
     segment_columns,
 )
-from socket_testbed.commands.signatures import takes
-from socket_testbed.commands.text import number, table
+from socket_testbed.commands.terminal import number, table
 from socket_testbed.errors import ConfigurationError
 from socket_testbed.identification.model_file import finite_or_null
 from socket_testbed.identification.pressure import TITLES, interval_end

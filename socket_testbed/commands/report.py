@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from socket_testbed import api
 from socket_testbed.api.tradeoff import check_thetas
 from socket_testbed.batch import Row
+from socket_testbed.commands.arguments import takes
 from socket_testbed.commands.models import error_columns
 from socket_testbed.commands.options import (
     TrialVerb,
@@ -17,8 +18,7 @@ from socket_testbed.commands.options import (
     segment_columns,
     typed_command,
 )
-from socket_testbed.commands.signatures import takes
-from socket_testbed.commands.text import Progress
+from socket_testbed.commands.terminal import Progress
 from socket_testbed.trials.metadata import FIELDS
 from socket_testbed.trials.trial import Trial
 

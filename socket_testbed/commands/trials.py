@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from socket_testbed import api
+from socket_testbed.commands.arguments import takes
 from socket_testbed.commands.options import (
     check_metadata,
     given,
@@ -17,8 +18,7 @@ from socket_testbed.commands.options import (
     print_note,
     say_data,
 )
-from socket_testbed.commands.signatures import takes
-from socket_testbed.commands.text import Progress, number, table
+from socket_testbed.commands.terminal import Progress, number, table
 from socket_testbed.files import check_outputs
 from socket_testbed.identification.noise import channel_noise, noise_groups
 from socket_testbed.samples import Samples, Status

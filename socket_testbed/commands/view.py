@@ -11,9 +11,9 @@ from pathlib import Path
 from typing import Any
 
 from socket_testbed import api
+from socket_testbed.commands.arguments import takes
 from socket_testbed.commands.options import open_given
-from socket_testbed.commands.signatures import takes
-from socket_testbed.commands.text import say
+from socket_testbed.commands.terminal import say
 from socket_testbed.documents import check_number
 from socket_testbed.errors import ConfigurationError
 from socket_testbed.live.processes import Graph

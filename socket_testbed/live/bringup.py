@@ -15,7 +15,7 @@ import numpy as np
 
 from socket_testbed.calibration.model import read_calibration
 from socket_testbed.drivers.clusters import reader as clusters
-from socket_testbed.drivers.load_cell import bridges
+from socket_testbed.drivers.load_cell import load_cell
 from socket_testbed.drivers.natnet.connection import server_address
 from socket_testbed.errors import ConfigurationError, TestbedError, closest
 from socket_testbed.files import packaged
@@ -89,7 +89,7 @@ class Testbed:
         """Check the settings of the devices before anything starts."""
         cluster_node = self.settings.cluster_node
         clusters.check_settings(cluster_node, capacitive_chip(cluster_node)[0])
-        bridges.check_settings(self.settings.load_cell_node)
+        load_cell.check_settings(self.settings.load_cell_node)
         if self.simulation is None:
             server_address(self.settings.mocap_node)
 

@@ -6,7 +6,7 @@ It knows no ROS: the estimator node converts messages for it and publishes what 
 from __future__ import annotations
 
 import threading
-from collections import OrderedDict
+from collections import OrderedDict, deque
 from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import CancelledError, Future
 from concurrent.futures.process import BrokenProcessPool
@@ -41,7 +41,6 @@ from socket_testbed.trials.topics import PYLON_POSE, SOCKET_POSE, STRESS, WRENCH
 
 MEASURED = (STRESS, WRENCH, SOCKET_POSE, PYLON_POSE)  # each is part of a sample
 
-_SMALLEST_BUFFER = 256  # samples
 _FIRST_ATTEMPT = 10  # samples between attempts at the first model
 _COUNT_PERIOD = 2_000_000_000  # [ns]; between counts of the outliers
 
@@ -85,53 +84,45 @@ class StampSynchroniser:
 
 
 class SampleWindow:
-    """The newest samples, up to a duration [s], kept so that handing them out takes no time."""
+    """The newest samples, up to a duration [s], as bytes: handing them out takes no time."""
 
     def __init__(self, clusters: tuple[str, ...], duration: float) -> None:
         self._clusters = clusters
         self._duration = round(duration * 1e9)
         width = len(clusters)
-        fields: list[tuple[str, type, tuple[int, ...]]] = [
-            ("stamps", np.int64, ()),
-            ("position", np.float64, (3,)),
-            ("rotation", np.float64, (3,)),
-            ("wrench", np.float64, (6,)),
-            ("local_forces", np.float64, (width, 3)),
-            ("status", np.uint8, (width,)),
-        ]
-        self._buffer = np.empty(_SMALLEST_BUFFER, dtype=fields)
-        self._names = [name for name, *_ in fields]
-        self._start = self._end = 0
+        self._layout = np.dtype(
+            [
+                ("stamps", np.int64),
+                ("position", np.float64, 3),
+                ("rotation", np.float64, 3),
+                ("wrench", np.float64, 6),
+                ("local_forces", np.float64, (width, 3)),
+                ("status", np.uint8, (width,)),
+            ]
+        )
+        self._rows: deque[tuple[int, bytes]] = deque()  # stamp [ns] and sample
 
     def __len__(self) -> int:
-        return self._end - self._start
+        return len(self._rows)
 
     def add(self, sample: Samples) -> None:
         """Add the newest sample; those older than the window go."""
-        if self._end == len(self._buffer):
-            self._make_room()
-        self._buffer[self._end] = tuple(getattr(sample, name)[0] for name in self._names)
-        self._end += 1
-        while self._buffer["stamps"][self._start] < sample.stamps[0] - self._duration:
-            self._start += 1
+        values = tuple(getattr(sample, name)[0] for name in self._layout.names or ())
+        stamp = int(sample.stamps[0])
+        self._rows.append((stamp, np.array(values, self._layout).tobytes()))
+        while self._rows[0][0] < stamp - self._duration:
+            self._rows.popleft()
 
     def clear(self) -> None:
         """Forget all samples."""
-        self._start = self._end = 0
+        self._rows.clear()
 
     def samples(self) -> Samples:
         """The samples of the window in the order of their stamps."""
-        rows = self._buffer[self._start : self._end]
+        rows = np.frombuffer(b"".join(row for _, row in self._rows), self._layout)
         rows = rows[np.argsort(rows["stamps"], kind="stable")]
-        return Samples(clusters=self._clusters, **{name: rows[name] for name in self._names})
-
-    def _make_room(self) -> None:
-        """Move the samples to the front, into a larger buffer where they fill half of it."""
-        kept = self._buffer[self._start : self._end]
-        if 2 * len(kept) > len(self._buffer):
-            self._buffer = np.empty(2 * len(self._buffer), dtype=self._buffer.dtype)
-        self._buffer[: len(kept)] = kept.copy()
-        self._start, self._end = 0, len(kept)
+        names = self._layout.names or ()
+        return Samples(clusters=self._clusters, **{name: rows[name] for name in names})
 
 
 def cluster_forces(

@@ -15,13 +15,19 @@ from socket_testbed.drivers.clusters.chip import CapacitiveChip
 from socket_testbed.drivers.clusters.fdc1004 import Fdc1004
 from socket_testbed.drivers.clusters.i2c import I2cBus, open_i2c
 from socket_testbed.drivers.clusters.reader import ClusterReader
-from socket_testbed.drivers.gpio import GpiodLines, Use
+from socket_testbed.drivers.gpio import (
+    GpiodLines,
+    GpioTrigger,
+    TimerTrigger,
+    Trigger,
+    Use,
+    trigger_lines,
+)
 from socket_testbed.drivers.load_cell.ads131m0x import SpiDevice, open_spi
 from socket_testbed.drivers.load_cell.load_cell import LoadCell
-from socket_testbed.drivers.trigger import GpioTrigger, TimerTrigger, Trigger, trigger_lines
 from socket_testbed.errors import ConfigurationError, closest
 from socket_testbed.settings.acquisition import ClusterSettings, LoadCellSettings, TriggerSettings
-from socket_testbed.simulation.devices.ads131m0x import SimulatedLoadCellHardware
+from socket_testbed.simulation.devices.ads131m0x import SimulatedAds131m0x, simulated_load_cell
 from socket_testbed.simulation.devices.fdc1004 import SimulatedFdc1004
 from socket_testbed.simulation.devices.gpio import SimulatedLines
 from socket_testbed.simulation.devices.i2c import SimulatedChip, SimulatedClusterHardware
@@ -108,8 +114,8 @@ def make_load_cell(settings: LoadCellSettings) -> LoadCell:
     if settings.data_ready_line < 0:
         return LoadCell(settings, spi_opener(settings))
     if settings.simulation:
-        hardware = _simulated_load_cell(settings)
-        return LoadCell(settings, hardware.open_device, open_line=hardware.open_line)
+        chip = _simulated_load_cell(settings)
+        return LoadCell(settings, lambda: chip, open_line=lambda: chip)
 
     def open_line() -> GpiodLines:
         uses: dict[int, Use] = {settings.data_ready_line: "falling"}
@@ -126,10 +132,11 @@ def spi_opener(settings: LoadCellSettings) -> Callable[[], SpiDevice]:
     if not settings.simulation:
         _require_real_time()
         return lambda: open_spi(settings.device, settings.spi_clock)
-    return _simulated_load_cell(settings).open_device
+    chip = _simulated_load_cell(settings)
+    return lambda: chip
 
 
-def _simulated_load_cell(settings: LoadCellSettings) -> SimulatedLoadCellHardware:
+def _simulated_load_cell(settings: LoadCellSettings) -> SimulatedAds131m0x:
     world = World(Path(settings.simulation))
     rng = np.random.default_rng()
     errors = SensorErrors()
@@ -138,4 +145,4 @@ def _simulated_load_cell(settings: LoadCellSettings) -> SimulatedLoadCellHardwar
     def wrench(moment: float) -> FloatArray:
         return world.wrench(moment) + next(noise)
 
-    return SimulatedLoadCellHardware(wrench, settings, world.faults)
+    return simulated_load_cell(wrench, settings, world.faults)

@@ -59,10 +59,6 @@ def end_with_starter() -> None:
         os.kill(os.getpid(), signal.SIGTERM)
 
 
-class NodeFailedError(TestbedError):
-    """A node ended by itself with an error."""
-
-
 @dataclass(frozen=True)
 class GraphNode:
     """A node and how it is started."""
@@ -88,6 +84,19 @@ def write_parameters(nodes: Iterable[GraphNode], path: Path) -> Path:
         document[f"/**/{node.name}"] = {"ros__parameters": values}
     path.write_text(yaml.safe_dump(document), encoding="utf-8")
     return path
+
+
+def launched(node: GraphNode, folder: Path) -> dict[str, Any]:
+    """Keywords of the action that starts a node from a launch file; a folder for its parameters."""
+    return {
+        "package": "socket_testbed",
+        "executable": node.name,
+        "name": node.name,
+        "namespace": node.namespace,
+        "remappings": REMAPPINGS,
+        "parameters": [str(write_parameters([node], folder / f"{node.name}.yaml"))],
+        "output": "screen",
+    }
 
 
 def require_ros() -> None:
@@ -216,7 +225,7 @@ class Graph:
         return self._spawn(ended.command, again=True)
 
     def wait(self, node: str) -> None:
-        """Wait until a node has done its work; a NodeFailedError if one ends with an error."""
+        """Wait until a node has done its work; an error if one ends with one."""
         while (code := self._members[node].exit_code()) is None:
             for name, member in self._members.items():
                 if name != node and (other := member.exit_code()) is not None:
@@ -235,7 +244,7 @@ class Graph:
                 return
 
     def check(self) -> None:
-        """Raise a NodeFailedError if a process has ended."""
+        """Raise an error if a process has ended."""
         for name, member in self._members.items():
             if (code := member.exit_code()) is not None:
                 raise _failure(name, code)
@@ -243,7 +252,7 @@ class Graph:
     def watch(self, done: Callable[[], bool], notify: Callable[[str], None]) -> None:
         """Keep the processes running until something is done; `notify` gets a line per restart.
 
-        A process that is killed is started again; one that fails at first is a NodeFailedError.
+        A process that is killed is started again; one that fails at first is an error.
         """
         began = time.monotonic()
         while not done():
@@ -290,8 +299,8 @@ def _ros_arguments(namespace: str) -> list[str]:
     return ["--ros-args", *(word for rule in rules for word in ("-r", rule))]
 
 
-def _failure(name: str, code: int) -> NodeFailedError:
-    return NodeFailedError(f"{name} {_ending(code)}", "see what it printed")
+def _failure(name: str, code: int) -> TestbedError:
+    return TestbedError(f"{name} {_ending(code)}", "see what it printed")
 
 
 def _ending(code: int) -> str:

@@ -163,9 +163,6 @@ class TestbedNode(Node, Generic[S]):
         settings: The settings as they are now. A change that they refuse is refused by the node,
             with the reason.
         finished: Set when the node has done its work.
-
-    Raises:
-        ConfigurationError: If a parameter given at the start is wrong.
     """
 
     __test__ = False

@@ -91,10 +91,6 @@ def publish_event(label: str, called: float, namespace: str = "/") -> Marked:
         label: What happened.
         called: When, on this machine's monotonic clock [s].
         namespace: Namespace of the testbed.
-
-    Raises:
-        ConfigurationError: If the namespace cannot be one.
-        TestbedError: If nobody subscribes, or it is not acknowledged.
     """
     namespace = full_namespace(namespace)
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)  # Ctrl-C is the verb's
@@ -241,13 +237,11 @@ def _speed(triggers: Sequence[tuple[float, int]]) -> float:
 class ServiceControls:
     """Calls the services of the testbed in a node's namespace, from any thread but the node's.
 
-    Each call returns what came of it in one line.
+    Each call returns what came of it in one line, or raises a TestbedError: the service refuses,
+    does not answer, or is not offered.
 
     Args:
         node: The node, which is spun elsewhere.
-
-    Raises:
-        TestbedError: From any call: if the service refuses, does not answer, or is not offered.
     """
 
     def __init__(self, node: Node) -> None:

@@ -12,10 +12,9 @@ import numpy as np
 from std_srvs.srv import Trigger as TriggerService
 
 from socket_testbed import clocks
-from socket_testbed.drivers.averaging import averaging_span
 from socket_testbed.live.hardware import make_load_cell
 from socket_testbed.nodes.base import OK, WARN
-from socket_testbed.nodes.sensor_node import SensorNode
+from socket_testbed.nodes.sensor_node import SensorNode, averaging_span
 from socket_testbed.settings.acquisition import LoadCellSettings
 from socket_testbed.trials.messages import load_cell_raw_packer, wrench_packer
 from socket_testbed.trials.topics import LOAD_CELL_RAW, WRENCH

@@ -15,7 +15,6 @@ import numpy as np
 from std_msgs.msg import String
 
 from socket_testbed import clocks
-from socket_testbed.drivers.averaging import averaging_span
 from socket_testbed.drivers.natnet.client import NatNetClient
 from socket_testbed.drivers.natnet.tracker import BodyTracker, MocapSample
 from socket_testbed.errors import ConfigurationError
@@ -23,7 +22,7 @@ from socket_testbed.files import packaged
 from socket_testbed.geometry.socket import read_socket
 from socket_testbed.nodes.base import ERROR, OK, WARN
 from socket_testbed.nodes.frames import FrameBroadcaster
-from socket_testbed.nodes.sensor_node import SensorNode
+from socket_testbed.nodes.sensor_node import SensorNode, averaging_span
 from socket_testbed.settings.acquisition import MocapSettings
 from socket_testbed.trials.messages import markers_packer, pose_packer
 from socket_testbed.trials.topics import MARKERS, PYLON_POSE, RECORDED_TRIAL, SOCKET_POSE

@@ -12,6 +12,7 @@ from socket_testbed.trials.messages import Reader
 from socket_testbed.trials.topics import TRIGGER
 
 _IDLE = 0.3  # [s]; without a trigger
+_LONGEST_SPAN = 0.25  # [s]; of the default
 _SETTLE = 5.0  # [s]; for a device to answer before the testbed starts without it
 
 
@@ -101,3 +102,13 @@ class SensorNode(TestbedNode[S]):
                 self.measure(stamp, moment)
                 self.samples += 1
                 self.busy_since = None
+
+
+def averaging_span(wanted: float, period: float) -> float:
+    """Span around a trigger to average over [s].
+
+    Args:
+        wanted: The setting [s]; negative for the trigger's period, 0.25 s at most.
+        period: Period of the trigger [s]; 0 if it is not known yet.
+    """
+    return wanted if wanted >= 0.0 else min(period, _LONGEST_SPAN)

@@ -16,7 +16,7 @@ from std_srvs.srv import SetBool
 
 from socket_testbed import clocks
 from socket_testbed.clocks import SteadyClock
-from socket_testbed.drivers.trigger import Trigger
+from socket_testbed.drivers.gpio import Trigger
 from socket_testbed.errors import DeviceError
 from socket_testbed.live.hardware import make_trigger, wall_clock
 from socket_testbed.nodes.base import ERROR, OK, WARN, RecentFault, TestbedNode

@@ -125,10 +125,6 @@ def _sway(time: FloatArray, rng: np.random.Generator) -> FloatArray:
     return sway
 
 
-class EquilibriumError(TestbedError):
-    """The limb finds no equilibrium under a load."""
-
-
 @dataclass(frozen=True)
 class Tissue:
     """Mechanical properties of the surface points."""
@@ -289,7 +285,7 @@ class LimbInSocket:
             # Where the surface begins to slip Powell's steps may stall: start from rest.
             answer = root(imbalance, start, method="lm", options={"xtol": 1e-12, "ftol": 1e-14})
         if np.abs(answer.fun).max() > _HELD:
-            raise EquilibriumError(
+            raise TestbedError(
                 f"no equilibrium under the load {np.round(wrench, 2).tolist()} [N m, N]",
                 "give a smaller load or a socket that holds the limb",
             )

@@ -14,7 +14,7 @@ import numpy as np
 
 from socket_testbed.arrays import FloatArray, IntArray
 from socket_testbed.calibration.model import Calibration
-from socket_testbed.drivers.load_cell.bridges import Bridges
+from socket_testbed.drivers.load_cell.load_cell import Bridges
 from socket_testbed.errors import TrialError
 from socket_testbed.files import atomic_output, check_new_folder, make_folder, packaged
 from socket_testbed.geometry.marker_bodies import fit_body, nearest_rotations

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from socket_testbed.arrays import FloatArray
-from socket_testbed.drivers.load_cell import bridges
-from socket_testbed.drivers.load_cell.bridges import AXES, UNITS, Bridges
+from socket_testbed.drivers.load_cell import load_cell
+from socket_testbed.drivers.load_cell.load_cell import AXES, UNITS, Bridges
 from socket_testbed.errors import ConfigurationError, TrialError
 from socket_testbed.geometry.marker_bodies import fit_body
 from socket_testbed.geometry.pose import Pose
@@ -34,7 +34,7 @@ def read_load_cell(path: Path) -> LoadCellSettings:
     """The load cell's settings in a `testbed.yaml`."""
     settings = read_testbed(path).load_cell_node
     try:
-        bridges.check_settings(settings)
+        load_cell.check_settings(settings)
     except ConfigurationError as error:
         raise ConfigurationError(f"{path}: {error.fact}", error.hint) from None
     return settings
@@ -87,7 +87,7 @@ def remake_wrenches(
     elif tare == NO_TARE:
         offsets = np.zeros(6)
     last = np.broadcast_to(offsets, wrenches.shape)[np.isfinite(wrenches).all(axis=1)][-1:]
-    used = "".join(map(bridges.in_words, last))
+    used = "".join(map(load_cell.in_words, last))
     notify(f"the wrenches are made anew from load_cell/raw, with the tare {tare}: {used}")
     return replace(measured, wrench=wrenches - offsets)
 

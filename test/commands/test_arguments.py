@@ -40,7 +40,7 @@ def test_the_version_is_printed(capsys) -> None:
 def test_options_are_those_of_the_signature() -> None:
     """Types, defaults and descriptions of the API, by hand for one verb."""
     parser = Parser(prog="pareto")
-    add_options(parser, "commands.paper.pareto")
+    add_options(parser, "commands.models.pareto")
     options = {option.dest: option for option in parser._actions}
     assert options["segment"].default == "plateau" and options["thetas"].default == 101
     assert options["thetas"].type is int and options["smoothness"].type is float
@@ -67,7 +67,7 @@ def test_a_list_takes_no_path_and_may_be_given_in_parts(tmp_path: Path, monkeypa
         options = parser.parse_args(["-o", "m", *release_paths(line.split(), parser)])
         assert options.leave_out == ["Mz", "distal.Fx"] and options.trial == Path("hold")
     parser = Parser()
-    add_options(parser, "commands.validate.validate")
+    add_options(parser, "commands.models.validate")
     line = "--leave-out Mz hold other/walk --json"
     expected = "hold other/walk --leave-out Mz --json"
     assert release_paths(line.split(), parser) == expected.split()

@@ -15,7 +15,7 @@ from support.verbs import call, program, refused
 
 import socket_testbed as st
 from socket_testbed.__main__ import VERBS, run
-from socket_testbed.commands.signatures import options_of
+from socket_testbed.commands.arguments import options_of
 
 
 def test_every_verb_explains_itself_and_each_of_its_options(capsys) -> None:

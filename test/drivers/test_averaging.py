@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from socket_testbed.drivers.averaging import averaging_span, line_weights
+from socket_testbed.arrays import line_weights
+from socket_testbed.nodes.sensor_node import averaging_span
 from socket_testbed.settings.acquisition import LoadCellSettings, MocapSettings
 
 

@@ -23,7 +23,7 @@ from socket_testbed.errors import ConfigurationError, DeviceError
 from socket_testbed.live.hardware import make_load_cell
 from socket_testbed.samples import Status
 from socket_testbed.settings.acquisition import LoadCellSettings
-from socket_testbed.simulation.devices.ads131m0x import SimulatedLoadCellHardware
+from socket_testbed.simulation.devices.ads131m0x import simulated_load_cell
 
 _RNG = np.random.default_rng(7)
 MATRIX = np.diag([900.0, 950.0, 1800.0, 40.0, 42.0, 60.0]) @ (
@@ -62,11 +62,11 @@ class Bench:
         self.rng = np.random.default_rng(seed)
         self.late = late  # [s]; patience of the caller
         self.tared = np.zeros(6)
-        self.hardware = SimulatedLoadCellHardware(wrench, settings, self.faults, self.clock, seed)
+        self.chip = simulated_load_cell(wrench, settings, self.faults, self.clock, seed)
         self.line = line
         self.cell = LoadCell(
             settings, self.open_device, self.clock, self.sleep,
-            self.hardware.open_line if line else None,
+            (lambda: self.chip) if line else None,
         )  # fmt: skip
         self.readings: list[tuple[float, object]] = []
         self._asked: list[float] = []
@@ -79,7 +79,7 @@ class Bench:
         self.now += duration
 
     def open_device(self):
-        return self.hardware.open_device()
+        return self.chip
 
     def fault(self, name: str, value: float) -> None:
         self.faults[f"load_cell.{name}"] = value
@@ -229,12 +229,12 @@ def test_with_drdy_each_conversion_has_the_time_of_its_edge(
     assert all(bench.valid(start=begin + 0.1))
     assert bench.cell.figures()["status_disagrees"] > 400
     monkeypatch.undo()
-    bench.hardware.chip.is_wired = False
+    bench.chip.is_wired = False
     bench.run(0.5)
     level, text = bench.cell.health(bench.now)
     assert level == 2
     check_line(text, "converts, but no edge comes on line 22: check the wire", "data_ready_line")
-    bench.hardware.chip.is_wired = True
+    bench.chip.is_wired = True
     bench.run(0.9)
     assert bench.cell.health(bench.now)[0] == 0
 
@@ -271,8 +271,8 @@ def test_the_line_is_asked_for_falling_edges_on_the_steady_clock(monkeypatch) ->
 
 def test_another_converter_is_named_until_it_is_changed() -> None:
     bench = Bench()
-    right = bench.hardware
-    bench.hardware = SimulatedLoadCellHardware(
+    right = bench.chip
+    bench.chip = simulated_load_cell(
         moving, dataclasses.replace(SETTINGS, channels=8), bench.faults, bench.clock
     )
     bench.run(0.5)
@@ -280,7 +280,7 @@ def test_another_converter_is_named_until_it_is_changed() -> None:
     assert level == 2 and "ID 0x2802, not 0x26xx" in text and "channels" in text
     with pytest.raises(DeviceError, match="0x2802"):
         bench.cell.identify()
-    bench.hardware = right
+    bench.chip = right
     bench.run(0.6)
     assert bench.cell.identify() == "ADS131M06 on spidev0.0, ID 0x2602"
     assert bench.cell.check_frames(20) == 0

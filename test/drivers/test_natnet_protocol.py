@@ -17,6 +17,7 @@ from socket_testbed.drivers.natnet.messages import (
     REQUEST,
     SERVERINFO,
     MalformedDatagram,
+    RigidBodyDefinition,
     ServerInfo,
     encode_command,
     encode_connect,
@@ -33,7 +34,6 @@ from socket_testbed.simulation.devices.natnet_encoding import (
     OCCLUDED,
     Body,
     Content,
-    Definition,
     Marker,
     encode_frame,
     encode_model_definitions,
@@ -58,8 +58,8 @@ CONTENT = Content(
     models_changed=True,
 )
 DEFINITIONS = [
-    Definition("socket", 3, RNG.normal(size=(3, 3))),
-    Definition("Prothese \u00e4", 9, RNG.normal(size=(4, 3))),
+    RigidBodyDefinition("socket", 3, RNG.normal(size=(3, 3))),
+    RigidBodyDefinition("Prothese \u00e4", 9, RNG.normal(size=(4, 3))),
 ]
 ENCODED = {
     (version, kind): message

@@ -9,7 +9,7 @@ import pytest
 from support.clocks import FakeClock
 from support.wording import refused
 
-from socket_testbed.drivers.trigger import GpioTrigger, TimerTrigger, trigger_lines
+from socket_testbed.drivers.gpio import GpioTrigger, TimerTrigger, trigger_lines
 from socket_testbed.errors import DeviceError
 from socket_testbed.settings.acquisition import TriggerSettings
 from socket_testbed.simulation.devices.gpio import SimulatedLines

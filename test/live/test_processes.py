@@ -8,7 +8,8 @@ from pathlib import Path
 import pytest
 from support.graph import Probe
 
-from socket_testbed.live.processes import SPARE, Graph, NodeFailedError
+from socket_testbed.errors import TestbedError
+from socket_testbed.live.processes import SPARE, Graph
 from socket_testbed.settings.testbed import CalibrationNodeSettings
 
 pytestmark = pytest.mark.graph
@@ -21,7 +22,7 @@ def test_a_graph_ends_with_what_it_needs_and_goes_on_without_what_is_optional() 
         graph.watch(lambda: bool(said), said.append)
         assert said == ["page ended with exit code 1: started again"]
         graph.start_program("needed", "socket_testbed.nodes", ["no_such_node"])
-        with pytest.raises(NodeFailedError, match="needed ended with exit code 1"):
+        with pytest.raises(TestbedError, match="needed ended with exit code 1"):
             graph.watch(lambda: False, said.append)
 
 

@@ -7,13 +7,13 @@ import pytest
 import trimesh
 
 from socket_testbed.calibration.model import read_calibration
+from socket_testbed.errors import TestbedError
 from socket_testbed.files import packaged
 from socket_testbed.geometry.pose import Pose
 from socket_testbed.geometry.socket import read_socket
 from socket_testbed.simulation.limb import (
     SCENARIOS,
     TISSUES,
-    EquilibriumError,
     LimbInSocket,
     LoadedLimb,
     load_history,
@@ -169,7 +169,7 @@ def test_the_limb_is_held_however_long_the_steps(geometry) -> None:
 def test_a_load_that_pulls_the_limb_out_is_refused(geometry) -> None:
     tissue = make_tissue(geometry, np.random.default_rng(0))
     limb = LimbInSocket(tissue, geometry.anchors.mean(axis=0))
-    with pytest.raises(EquilibriumError, match="no equilibrium"):
+    with pytest.raises(TestbedError, match="no equilibrium"):
         limb.step(np.array([0, 0, 0, 0, 0, 5000.0]), 0.25)
 
 

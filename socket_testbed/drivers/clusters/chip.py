@@ -23,18 +23,6 @@ _UNFINISHED = 2.5
 _SETTLING = 0.5  # two conversions: the one under way has the former range
 
 
-class ChipResetError(DeviceError):
-    """The chip fell back to its reset state."""
-
-
-class WrongChipError(DeviceError):
-    """Another chip answers."""
-
-
-class ConversionTimeoutError(DeviceError):
-    """A chip that answers does not convert."""
-
-
 @dataclass(frozen=True)
 class Conversion:
     """The meaning of a code."""
@@ -62,7 +50,7 @@ class CapacitiveChip(Protocol):
     ) -> None: ...
 
     def check_identity(self) -> None:
-        """Check that it is this chip; raises `WrongChipError`."""
+        """Check that it is this chip."""
 
     def reset_and_configure(self) -> None:
         """Reset it, check its identity, and let it convert all inputs in turn."""
@@ -70,7 +58,7 @@ class CapacitiveChip(Protocol):
     def done(self) -> tuple[bool, ...]:
         """Whether each input was converted since it was last read, shape (4,).
 
-        Raises `ChipResetError` if the chip has lost its settings.
+        A chip that has lost its settings is an error.
         """
         ...
 
@@ -181,7 +169,7 @@ class InputReader:
         if asked >= self._trigger + near and entry.read >= self._trigger - near and is_young:
             self.pending.discard(n)
         elif asked - max(self._begun, entry.read) > _UNFINISHED * self._cycle:
-            raise ConversionTimeoutError(
+            raise DeviceError(
                 f"conversions of input {n + 1} do not finish at {self.chip.where}",
                 "the chip is reset; if this comes again, check its supply",
             )

@@ -7,9 +7,7 @@ from collections.abc import Callable
 from socket_testbed import clocks
 from socket_testbed.drivers.clusters.chip import (
     INPUTS,
-    ChipResetError,
     Conversion,
-    WrongChipError,
 )
 from socket_testbed.drivers.clusters.i2c import I2cPort
 from socket_testbed.errors import DeviceError
@@ -47,11 +45,11 @@ class Fdc1004:
         self.capdac = [0] * INPUTS
 
     def check_identity(self) -> None:
-        """Check that this is an FDC1004; raises `WrongChipError` if it is another chip."""
+        """Check that this is an FDC1004."""
         for register, (what, expected) in _IDENTITY.items():
             value = self._port.read(register)
             if value != expected:
-                raise WrongChipError(
+                raise DeviceError(
                     f"{self.where} says {what} 0x{value:04X}, not 0x{expected:04X}",
                     "check the address and the wiring: this is not an FDC1004",
                 )
@@ -83,7 +81,7 @@ class Fdc1004:
         """Whether each input was converted since it was last read, shape (4,)."""
         value = self._port.read(_FDC_CONF)
         if value & ~_DONE != self._conf:
-            raise ChipResetError(
+            raise DeviceError(
                 f"{self.where} fell back to its reset state (FDC_CONF 0x{value:04X}, not"
                 f" 0x{self._conf:04X})",
                 "it is configured again; check its supply",

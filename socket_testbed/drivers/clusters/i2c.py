@@ -33,10 +33,6 @@ class BusError(DeviceError):
         self.address = address  # address of the chip [1]
 
 
-class NoAnswerError(BusError):
-    """The chip did not acknowledge."""
-
-
 class BusTimeoutError(BusError):
     """The bus hung."""
 
@@ -122,7 +118,7 @@ class I2cPort:
         kind, fact = BusError, f"transfer failed at {self.where} ({device_files.reason(error)})"
         hint = f"check the {self._part}'s wiring"
         if error.errno in {errno.EREMOTEIO, errno.ENXIO}:
-            kind, fact = NoAnswerError, f"no answer at {self.where}"
+            fact = f"no answer at {self.where}"
             hint = f"check the {self._part}'s plug and its supply"
         elif error.errno == errno.ETIMEDOUT:
             kind, fact = BusTimeoutError, f"the bus hangs at {self.where}"

@@ -101,14 +101,6 @@ class ChecksumError(DeviceError):
     """A frame does not match its checksum: nothing in it can be used."""
 
 
-class NoAnswerError(DeviceError):
-    """The converter or its bus does not answer."""
-
-
-class ConverterResetError(DeviceError):
-    """The converter fell back to its reset state, with another gain and rate."""
-
-
 @dataclass(frozen=True)
 class ConverterFrame:
     """The content of a frame."""
@@ -205,7 +197,7 @@ class Ads131m0x:
         answer = self._exchange(_NULL)
         status = _response(answer)
         if status & _RESET_BIT:
-            raise ConverterResetError(
+            raise DeviceError(
                 f"{self._name}: the converter fell back to its reset state",
                 "check its supply and its SYNC/RESET pin",
             )
@@ -282,12 +274,12 @@ class Ads131m0x:
         try:
             answer = bytes(self._spi.xfer2(list(frame)))
         except OSError as error:
-            raise NoAnswerError(
+            raise DeviceError(
                 f"{self._name}: the bus fails ({error.strerror or error})",
                 "check the device and restart the computer if it persists",
             ) from None
         if not any(answer) or answer == b"\xff" * len(frame):
-            raise NoAnswerError(
+            raise DeviceError(
                 f"{self._name}: no answer (every bit reads {answer[0] & 1})",
                 "check MISO, CS and the supply of the converter",
             )

@@ -14,7 +14,7 @@ from collections.abc import Callable
 import numpy as np
 
 from socket_testbed import clocks
-from socket_testbed.arrays import BoolArray, FloatArray, IntArray
+from socket_testbed.arrays import FloatArray, IntArray
 from socket_testbed.drivers.gpio import EdgeLine
 from socket_testbed.drivers.load_cell.ads131m0x import (
     CHECK_WIRING,
@@ -22,11 +22,9 @@ from socket_testbed.drivers.load_cell.ads131m0x import (
     ChecksumError,
     ConverterFrame,
     SpiDevice,
-    at_rail,
     conversion_period,
     group_delay,
 )
-from socket_testbed.drivers.load_cell.bridges import Bridges
 from socket_testbed.errors import DeviceError
 from socket_testbed.settings.acquisition import LoadCellSettings
 
@@ -138,7 +136,6 @@ class ConverterReader:
     One thread calls `poll` and `close`; the other methods may be called from any.
 
     Args:
-        bridges: Its bridges.
         open_device: Opens its bus; called again after a failure.
         open_line: Opens the line that DRDY is wired to; None: it is not wired.
     """
@@ -146,7 +143,6 @@ class ConverterReader:
     def __init__(
         self,
         settings: LoadCellSettings,
-        bridges: Bridges,
         open_device: Callable[[], SpiDevice],
         clock: Callable[[], float] = clocks.monotonic,
         sleep: Callable[[float], None] = clocks.sleep,
@@ -158,7 +154,6 @@ class ConverterReader:
         self.silence = max(_SILENCE, 5.0 * self.period)
         self._delay = group_delay(settings.clock_in, settings.oversampling)
         self._settings = settings
-        self._bridges = bridges
         self._open_device = open_device
         self._clock = clock
         self._sleep = sleep
@@ -223,16 +218,15 @@ class ConverterReader:
             self._line.close()
             self._line = None
 
-    def between(self, start: float, end: float) -> tuple[FloatArray, FloatArray, BoolArray]:
-        """Conversions measured after `start` and until `end` [s].
-
-        Returns:
-            Their times, shape (n,) [s], ratios of the bridges, shape (n, 6) [mV/V], and whether
-            these are clipped, shape (n, 6).
-        """
+    def between(self, start: float, end: float) -> tuple[FloatArray, IntArray]:
+        """Conversions measured after `start` and until `end` [s], as `Conversions.between`."""
         with self._lock:
-            times, codes = self._conversions.between(start, end)
-        return times, self._bridges.ratios(codes), at_rail(codes[:, self._bridges.inputs])
+            return self._conversions.between(start, end)
+
+    def newest(self, count: int) -> IntArray:
+        """Codes of so many conversions at the end, shape (n, channels); fewer at first."""
+        with self._lock:
+            return self._conversions.newest(count)
 
     def over(self, until: float) -> float:
         """When the conversions measured until a time have ended [s]."""
@@ -242,12 +236,6 @@ class ConverterReader:
         """Whether no conversion measured until a time [s] is still to come."""
         with self._lock:
             return self._emptied >= self.over(until)
-
-    def at_rail_for(self, count: int) -> BoolArray:
-        """Which bridges were at a rail in all of the last conversions, so many, shape (6,)."""
-        with self._lock:
-            codes = self._conversions.newest(count)
-        return np.asarray(at_rail(codes[:, self._bridges.inputs]).sum(axis=0) == count)
 
     def counts(self) -> dict[str, int]:
         """Numbers of conversions, of corrupted frames and of restarts."""

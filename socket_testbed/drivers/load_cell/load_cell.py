@@ -1,8 +1,9 @@
-"""The load cell: wrenches around given times, its health, and its tare."""
+"""The load cell: from the converter's codes to wrenches around given times; health and tare."""
 
 from __future__ import annotations
 
 import json
+import math
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -14,18 +15,34 @@ import numpy as np
 from msgspec import Meta
 
 from socket_testbed import clocks
-from socket_testbed.arrays import BoolArray, FloatArray
+from socket_testbed.arrays import BoolArray, FloatArray, IntArray, line_weights
 from socket_testbed.clocks import SteadyClock
 from socket_testbed.documents import Document, read_document
-from socket_testbed.drivers.averaging import line_weights
 from socket_testbed.drivers.gpio import EdgeLine
-from socket_testbed.drivers.load_cell.ads131m0x import SpiDevice
-from socket_testbed.drivers.load_cell.bridges import AXES, UNITS, Bridges, in_words
+from socket_testbed.drivers.load_cell.ads131m0x import (
+    SpiDevice,
+    at_rail,
+    check_device,
+    conversion_period,
+    volts,
+)
 from socket_testbed.drivers.load_cell.converter_reader import ConverterReader
 from socket_testbed.errors import ConfigurationError, DeviceError
 from socket_testbed.files import atomic_output, make_folder
 from socket_testbed.samples import Status
 from socket_testbed.settings.acquisition import LoadCellSettings
+
+AXES = ("Mx", "My", "Mz", "Fx", "Fy", "Fz")
+UNITS = ("N m", "N m", "N m", "N", "N", "N")
+_MAKERS_ORDER = (3, 4, 5, 0, 1, 2)  # of Fx Fy Fz Mx My Mz, to have the moments first
+_NUMBERS = {  # settings with a number for each bridge or axis
+    "inputs": "give the input of each of the six bridges, 6 numbers",
+    "amplifier_gain": "give the gain of each of the six bridges, 6 numbers",
+    "sign": "give the sign of each of the six bridges, 6 numbers",
+    "full_scale": "give the maker's full scale of each axis, 6 numbers",
+    "matrix": "give the maker's 36 numbers, row by row",
+}
+_WORST_CONDITION = 1e6  # [-]; of the maker's matrix with rows of length one
 
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 _BROKEN_WIRE = 5  # conversions in a row at a rail
@@ -33,6 +50,118 @@ _AFTER = 0.25  # part of the window that is after the trigger
 _WORST = 3.0  # variance of a wrench from what is left of a window, against the complete one's
 _NEARLY_ALL = 0.9  # part of the conversions in a span that are averaged, at least
 _RECENT = 0.8  # [s]; span of a report of health
+
+
+class Bridges:
+    """The bridges as the settings describe them, checked.
+
+    `ratio = sign * mV / (excitation * amplifier_gain)`, `wrench = C @ ratio`, with the voltage
+    at the converter's input, so that the converter's own gain is out of it already.
+    """
+
+    def __init__(self, settings: LoadCellSettings) -> None:
+        check_settings(settings)
+        order = list(_MAKERS_ORDER)
+        # input of the converter that each bridge is on, shape (6,)
+        self.inputs: IntArray = np.array(settings.inputs, dtype=np.int64)
+        # wrench [M; F] over the bridges' ratios, shape (6, 6) [N m, N per mV/V]
+        self.matrix: FloatArray = np.array(settings.matrix).reshape(6, 6)[order]
+        # full scale of [M; F], shape (6,) [N m, N]
+        self.full_scale: FloatArray = np.array(settings.full_scale)[order]
+        self._gain = settings.gain
+        self._scale: FloatArray = (
+            1e3 * np.array(settings.sign) / settings.excitation / np.array(settings.amplifier_gain)
+        )
+
+    def ratios(self, codes: IntArray) -> FloatArray:
+        """Ratios of the bridges, shape (n, 6) [mV/V], of codes by input, shape (n, channels)."""
+        return self._scale * volts(codes[:, self.inputs], self._gain)
+
+    def wrenches(self, ratios: FloatArray) -> FloatArray:
+        """Wrenches [M; F], shape (..., 6) [N m, N], of ratios, shape (..., 6) [mV/V]."""
+        return ratios @ self.matrix.T
+
+    def ratios_at(self, wrenches: FloatArray) -> FloatArray:
+        """Ratios, shape (..., 6) [mV/V], of wrenches [M; F], shape (..., 6): undoes `wrenches`."""
+        return np.asarray(wrenches @ np.linalg.inv(self.matrix).T)
+
+    def ratios_from(self, other: Bridges, ratios: FloatArray) -> FloatArray:
+        """Ratios, shape (..., 6) [mV/V], of the voltages that make given ones by other settings.
+
+        The converter's own gain was set in it, and is that of the other settings.
+        """
+        if lacking := sorted(set(self.inputs.tolist()) - set(other.inputs.tolist())):
+            raise _wrong(
+                f"inputs names input {lacking[0]}, which was not recorded",
+                f"give inputs of {', '.join(map(str, sorted(other.inputs.tolist())))}",
+            )
+        bridges = [other.inputs.tolist().index(place) for place in self.inputs]
+        return np.asarray((ratios / other._scale)[..., bridges] * self._scale)
+
+    def overload(self, peak: FloatArray) -> tuple[int, str]:
+        """How far absolute values of [M; F], shape (6,), go beyond the cell.
+
+        Returns:
+            0, 1 above 80 % of a full scale or 2 above all of it, with the fact and the hint.
+        """
+        share = peak / self.full_scale
+        worst = int(share.argmax())
+        # In steps, so that a message stands while the load moves about.
+        tenths = math.floor(10.0 * share[worst] + 1e-9)
+        level = 2 if share[worst] > 1.0 else 1 if share[worst] > 0.8 else 0
+        if level == 0:
+            return 0, ""
+        limit = f"{10 * tenths} % of its full scale of {self.full_scale[worst]:g} {UNITS[worst]}"
+        hint = "unload the cell" if level == 2 else "do not load it further"
+        return level, f"{AXES[worst]} is above {limit}: {hint}"
+
+
+def in_words(wrench: FloatArray) -> str:
+    """The values of [M; F], shape (6,) [N m, N], with their names and units."""
+    values = zip(AXES, wrench, UNITS, strict=True)
+    return ", ".join(f"{axis} {value:.4g} {unit}" for axis, value, unit in values)
+
+
+def check_settings(settings: LoadCellSettings) -> None:
+    """Check that the settings fit together, beyond the range of each."""
+    check_device(settings.device)
+    if settings.channels not in (6, 8):
+        raise _wrong(f"channels is {settings.channels}", "give 6 (ADS131M06) or 8 (ADS131M08)")
+    for name, low, high in (("oversampling", 128, 16384), ("gain", 1, 128)):
+        value = getattr(settings, name)
+        if value.bit_count() != 1 or not low <= value <= high:
+            raise _wrong(f"{name} is {value}", f"give a power of two from {low} to {high}")
+    for name, hint in _NUMBERS.items():
+        values = getattr(settings, name)
+        if len(values) != (36 if name == "matrix" else 6):
+            count = f"has {len(values)} numbers" if values else "is empty"
+            raise _wrong(f"{name} {count}", hint)
+    if len(set(settings.inputs)) < len(settings.inputs):
+        raise _wrong("inputs names an input twice", "give each bridge an input of its own")
+    if max(settings.inputs) >= settings.channels:
+        raise _wrong(
+            f"inputs names input {max(settings.inputs)} of a converter of {settings.channels}",
+            f"give inputs from 0 to {settings.channels - 1}",
+        )
+    if any(abs(sign) != 1.0 for sign in settings.sign):
+        raise _wrong("sign holds a value other than 1 and -1", "give 1 or -1 for each bridge")
+    matrix = np.array(settings.matrix).reshape(6, 6)
+    if not np.isfinite(matrix).all():
+        raise _wrong("matrix holds a value that is not finite", "give the maker's 36 numbers")
+    # Forces and moments differ in size by their units; that is no fault of a matrix.
+    lengths = np.linalg.norm(matrix, axis=1, keepdims=True)
+    if not lengths.all() or np.linalg.cond(matrix / lengths) > _WORST_CONDITION:
+        raise _wrong("matrix cannot be inverted", "check the maker's 36 numbers, row by row")
+    period = conversion_period(settings.clock_in, settings.oversampling)
+    if settings.window < period:
+        raise _wrong(
+            f"window is {settings.window:g} s, shorter than a conversion ({period:g} s)",
+            "give a longer window or less oversampling",
+        )
+
+
+def _wrong(fact: str, hint: str) -> ConfigurationError:
+    return ConfigurationError(f"load_cell_node: {fact}", hint)
 
 
 class Tare:
@@ -121,9 +250,7 @@ class LoadCell:
         self._clock = clock
         self._bridges = Bridges(settings)
         self._tare = Tare(settings.tare_file)
-        self._reader = ConverterReader(
-            settings, self._bridges, open_device, clock, sleep, open_line
-        )
+        self._reader = ConverterReader(settings, open_device, clock, sleep, open_line)
 
     @property
     def period(self) -> float:
@@ -197,7 +324,7 @@ class LoadCell:
         before, after = self._reach(span)
         window = before + after
         end = moment + after
-        times, ratios, rails = self._reader.between(end - window, end)
+        times, ratios, rails = self._between(end - window, end)
         if span > 0.0 and (rails.any() or len(times) < _NEARLY_ALL * window / self.period):
             return self.wrench_at(moment)
         missing = np.full(6, np.nan)
@@ -235,8 +362,9 @@ class LoadCell:
         """
         level, fact, hint = self._reader.trouble(now)
         found = [(level, f"{fact}: {hint}")] if level else []
-        _, ratios, rails = self._reader.between(now - _RECENT, now)
-        broken = self._reader.at_rail_for(_BROKEN_WIRE)
+        _, ratios, rails = self._between(now - _RECENT, now)
+        newest = at_rail(self._reader.newest(_BROKEN_WIRE)[:, self._bridges.inputs])
+        broken = newest.sum(axis=0) == _BROKEN_WIRE
         if broken.any():
             fact = f"{self._saturated(broken)} for {_BROKEN_WIRE} conversions or more"
             found.append((2, f"{fact}: a broken wire? check the bridge and its wiring"))
@@ -263,7 +391,7 @@ class LoadCell:
         level, fact, hint = self._reader.trouble(now)
         if level > 1:
             raise DeviceError(f"cannot tare: {fact}", hint)
-        _, ratios, rails = self._reader.between(now - settings.tare_duration, now)
+        _, ratios, rails = self._between(now - settings.tare_duration, now)
         expected = settings.tare_duration / self.period
         if len(ratios) < 0.5 * expected:
             raise DeviceError(
@@ -289,6 +417,11 @@ class LoadCell:
         removed = self._bridges.wrenches(offsets - self._tare.no_load[0])
         self._tare.set(offsets, SteadyClock().to_epoch(now))
         return f"tared: removed {in_words(removed)}"
+
+    def _between(self, start: float, end: float) -> tuple[FloatArray, FloatArray, BoolArray]:
+        """Times [s] of the conversions, ratios [mV/V] and which are clipped, shape (n, 6) each."""
+        times, codes = self._reader.between(start, end)
+        return times, self._bridges.ratios(codes), at_rail(codes[:, self._bridges.inputs])
 
     def _reach(self, span: float) -> tuple[float, float]:
         """How far before and after a time the conversions are that make its wrench [s]."""

@@ -14,8 +14,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from socket_testbed import clocks
-from socket_testbed.arrays import BoolArray, FloatArray, IntArray
-from socket_testbed.drivers.averaging import line_weights
+from socket_testbed.arrays import BoolArray, FloatArray, IntArray, line_weights
 from socket_testbed.drivers.natnet.messages import BodiesByName, MocapFrame
 from socket_testbed.geometry.marker_bodies import (
     EDGE_TOLERANCE,

@@ -11,7 +11,7 @@ import numpy as np
 from socket_testbed import clocks
 from socket_testbed.arrays import FloatArray
 from socket_testbed.drivers.load_cell.ads131m0x import checksum
-from socket_testbed.drivers.load_cell.bridges import check_settings
+from socket_testbed.drivers.load_cell.load_cell import check_settings
 from socket_testbed.settings.acquisition import LoadCellSettings
 
 ID, STATUS, MODE, CLOCK, GAIN1, GAIN2, CFG, LAST = 0x00, 0x01, 0x02, 0x03, 0x04, 0x05, 0x06, 0x30
@@ -262,40 +262,29 @@ class SimulatedAds131m0x:
             self._registers.locked, self._response = True, [command]
 
 
-class SimulatedLoadCellHardware:
-    """A load cell whose bridges are on a simulated converter.
+def simulated_load_cell(
+    wrench: Callable[[float], FloatArray],
+    settings: LoadCellSettings,
+    faults: Mapping[str, float] | None = None,
+    clock: Callable[[], float] = clocks.monotonic,
+    seed: int | None = None,
+) -> SimulatedAds131m0x:
+    """The converter of a load cell, its bridges under a load.
 
     Args:
-        wrench: Called with a time of the steady clock [s] for the load on it, [M; F],
-            shape (6,) [N m, N].
+        wrench: Called with a time of the steady clock [s] for the load, [M; F], shape (6,)
+            [N m, N].
+        settings: How the bridges are wired, and their decoupling.
+        faults: The faults of `simulation.world`, looked up at each frame.
+        clock: The steady clock [s].
+        seed: Seed of the flipped bits.
     """
-
-    def __init__(
-        self,
-        wrench: Callable[[float], FloatArray],
-        settings: LoadCellSettings,
-        faults: Mapping[str, float] | None = None,
-        clock: Callable[[], float] = clocks.monotonic,
-        seed: int | None = None,
-    ) -> None:
-        check_settings(settings)
-        self._wrench = wrench
-        to_ratio = np.linalg.inv(np.array(settings.matrix).reshape(6, 6))
-        per_bridge = np.array(settings.sign) * settings.excitation * settings.amplifier_gain
-        to_volts = 1e-3 * per_bridge[:, None] * to_ratio  # of [F; M], by bridge
-        self._to_volts = np.zeros((settings.channels, 6))  # of [M; F], by channel
-        self._to_volts[list(settings.inputs)] = np.roll(to_volts, 3, axis=1)
-        self.chip = SimulatedAds131m0x(
-            self._volts, settings.channels, faults, clock, settings.clock_in, seed
-        )
-
-    def open_device(self) -> SimulatedAds131m0x:
-        """The converter's bus."""
-        return self.chip
-
-    def open_line(self) -> SimulatedAds131m0x:
-        """The line that its DRDY is wired to."""
-        return self.chip
-
-    def _volts(self, moment: float) -> FloatArray:
-        return self._to_volts @ self._wrench(moment)
+    check_settings(settings)
+    to_ratio = np.linalg.inv(np.array(settings.matrix).reshape(6, 6))
+    per_bridge = np.array(settings.sign) * settings.excitation * settings.amplifier_gain
+    to_volts = np.zeros((settings.channels, 6))  # of [M; F], by channel
+    to_volts[list(settings.inputs)] = np.roll(1e-3 * per_bridge[:, None] * to_ratio, 3, axis=1)
+    return SimulatedAds131m0x(
+        lambda moment: to_volts @ wrench(moment),
+        settings.channels, faults, clock, settings.clock_in, seed,
+    )  # fmt: skip

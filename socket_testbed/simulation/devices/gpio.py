@@ -10,7 +10,7 @@ _DELAY = 2e-6  # [s]; from the output to the stamped edge
 
 
 class SimulatedLines:
-    """The `Lines` of `drivers.trigger.GpioTrigger`; the edge comes by the wire."""
+    """The `Lines` of `drivers.gpio.GpioTrigger`; the edge comes by the wire."""
 
     def __init__(
         self,

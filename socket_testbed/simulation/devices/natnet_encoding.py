@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from struct import Struct, pack, pack_into
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from socket_testbed.arrays import FloatArray
 from socket_testbed.drivers.natnet.messages import (
@@ -14,6 +15,7 @@ from socket_testbed.drivers.natnet.messages import (
     MODELDEF,
     OLDEST,
     SERVERINFO,
+    RigidBodyDefinition,
     ServerInfo,
     Version,
 )
@@ -60,15 +62,6 @@ class Content:
     others: FloatArray = field(default_factory=lambda: np.empty((0, 3)))  # unlabelled markers [m]
     recording: bool = False
     models_changed: bool = False
-
-
-@dataclass(frozen=True)
-class Definition:
-    """A rigid body's definition: name, id, marker positions in the body, shape (m, 3) [m]."""
-
-    name: str
-    id: int
-    markers: FloatArray
 
 
 @dataclass
@@ -157,7 +150,9 @@ def encode_frame(content: Content, version: Version) -> Message:
     return frame.finished()
 
 
-def encode_model_definitions(definitions: Iterable[Definition], version: Version) -> Message:
+def encode_model_definitions(
+    definitions: Iterable[RigidBodyDefinition], version: Version
+) -> Message:
     """MODELDEF of rigid bodies, with the marker set that Motive makes of each."""
     message, content = Message.of(MODELDEF), Message(bytearray())
     number = 0
@@ -172,7 +167,7 @@ def encode_model_definitions(definitions: Iterable[Definition], version: Version
     return message.finished()
 
 
-def _marker_set(definition: Definition) -> Message:
+def _marker_set(definition: RigidBodyDefinition) -> Message:
     part = Message(bytearray())
     part.text(definition.name)
     part.count(len(definition.markers))
@@ -180,7 +175,7 @@ def _marker_set(definition: Definition) -> Message:
     return part
 
 
-def _definition(definition: Definition, version: Version) -> Message:
+def _definition(definition: RigidBodyDefinition, version: Version) -> Message:
     part = Message(bytearray())
     part.text(definition.name)
     part.data += pack("<ii3f", definition.id, -1, 0.0, 0.0, 0.0)
@@ -193,12 +188,12 @@ def _definition(definition: Definition, version: Version) -> Message:
     return part
 
 
-def _name_markers(part: Message, definition: Definition) -> None:
+def _name_markers(part: Message, definition: RigidBodyDefinition) -> None:
     for k in range(len(definition.markers)):
         part.text(f"Marker {k + 1}")
 
 
-def _floats(values: FloatArray) -> bytearray:
+def _floats(values: ArrayLike) -> bytearray:
     return bytearray(np.asarray(values, dtype="<f4").tobytes())
 
 

@@ -55,12 +55,13 @@ class Scene:
         self._seen.clear()
         self._names = ()
 
-    def definitions(self, moment: float) -> list[encoding.Definition]:
+    def definitions(self, moment: float) -> list[messages.RigidBodyDefinition]:
         """The rigid bodies as they are defined at a time of the steady clock [s]."""
         found = []
         for name, markers, position, quaternion in self._bodies(moment):
             in_body = Rotation.from_quat(quaternion).inv().apply(markers - position)
-            found.append(encoding.Definition(name, self._identify(name), in_body))
+            places = tuple((float(x), float(y), float(z)) for x, y, z in in_body)
+            found.append(messages.RigidBodyDefinition(name, self._identify(name), places))
         return found
 
     def content(

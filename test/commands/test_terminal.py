@@ -19,8 +19,8 @@ import pytest
 from support import HANGS
 from support.verbs import COMMAND
 
-from socket_testbed.commands import status_line
-from socket_testbed.commands.status_line import StatusLine, fitted
+from socket_testbed.commands import terminal as module
+from socket_testbed.commands.terminal import StatusLine, fitted
 from socket_testbed.live.graph_status import GraphStatus
 
 
@@ -69,7 +69,7 @@ class Terminal:
 @pytest.fixture
 def terminal(monkeypatch: pytest.MonkeyPatch) -> Iterator[Terminal]:
     """A terminal of a kind that can go back in a line; the line is drawn at every call."""
-    monkeypatch.setattr(status_line, "_PERIOD", 0.0)
+    monkeypatch.setattr(module, "_PERIOD", 0.0)
     found = Terminal()
     monkeypatch.setenv("TERM", "xterm")
     for name in ("NO_COLOR", "RCUTILS_COLORIZED_OUTPUT"):
@@ -150,7 +150,7 @@ def test_a_dumb_terminal_or_a_log_file_gets_plain_lines(term, terminal, monkeypa
         assert status.output is None  # the nodes print there themselves
         status.say("it starts")
         status.renew()
-        monkeypatch.setattr(status_line, "_LOGGED_PERIOD", 0.0)
+        monkeypatch.setattr(module, "_LOGGED_PERIOD", 0.0)
         status._status.triggers = 7
         status.renew()
         if term == "dumb":
@@ -168,14 +168,14 @@ def test_a_status_is_in_words(tmp_path: Path) -> None:
     status.add_wrench(0, np.zeros(6))
     status.add_prediction(0, np.array([0.25, -0.25, 0.25, 4.0, 4.0, -4.0]))
     status.wrench = np.array([0.12, 0.2, 0.3, 1.4, -2.0, -612.0])
-    elapsed, *parts, model = status_line.status_parts(status, 3661.0, tmp_path)
+    elapsed, *parts, model = module.status_parts(status, 3661.0, tmp_path)
     assert elapsed == "0:00:00 of 1:01:01"
     assert model == "rigid_bias off by 4.0 N, 0.25 N m"
     assert parts[0] == "12 triggers, 11 complete" and parts[2] == "recording s01?[2J"
     assert re.fullmatch(r"no trigger for \d\d+ s", parts[1])
     assert re.fullmatch(r"[\d.]+(e\+\d+)? GB free", parts[3])
     assert parts[4:] == ["F 1 -2 -612 N", "M 0.1 0.2 0.3 N m"]
-    assert len(status_line.status_parts(status, disk=tmp_path / "gone")) == 7
+    assert len(module.status_parts(status, disk=tmp_path / "gone")) == 7
 
 
 @pytest.mark.graph

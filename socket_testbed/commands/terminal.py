@@ -1,12 +1,14 @@
-"""What a graph does now, in one line that renews itself below the lines of what happened.
+"""What a terminal shows: tables, numbers, progress, and what a graph does now.
 
-The nodes print into a file, from which the terminal gets whole lines: no node waits for a terminal
-that is held up, and what one printed last is there after it has ended. Where the output is no
-terminal, the nodes print into it themselves, and the status comes as a line a minute.
+The status of a graph is one line that renews itself below the lines of what happened. The nodes
+print into a file, from which the terminal gets whole lines: no node waits for a terminal that is
+held up, and what one printed last is there after it has ended. Where the output is no terminal, the
+nodes print into it themselves, and the status comes as a line a minute.
 """
 
 from __future__ import annotations
 
+import math
 import os
 import select
 import shutil
@@ -20,7 +22,6 @@ from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Self
 
-from socket_testbed.commands.text import say
 from socket_testbed.live.graph_status import GraphStatus
 from socket_testbed.trials.topics import full_namespace
 
@@ -29,12 +30,74 @@ if TYPE_CHECKING:
 
 _PERIOD = 0.5  # [s]; between two drawings
 _LOGGED_PERIOD = 60.0  # [s]; where nothing can be drawn over
+_LOGGED_PROGRESS = 10.0  # [s]; likewise
 _SILENCE = 5.0  # [s]; without a trigger
 _KEYS = 0  # standard input
 _CHUNK = 1 << 14  # [B]; of what the nodes have said
 _WIDTH = 80  # columns of a terminal that does not say
 _SEPARATOR = " | "
 _CLEAR = "\x1b[K"  # to the end of the line
+
+
+def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """A table with numbers to the right and texts to the left."""
+    columns = list(zip(*(header, *rows), strict=True))
+    widths = [max(map(len, column)) for column in columns]
+    lines = []
+    for row in (header, ["-" * width for width in widths], *rows):
+        cells = [
+            cell.rjust(width) if all(map(_is_number, column[1:])) else cell.ljust(width)
+            for cell, width, column in zip(row, widths, columns, strict=True)
+        ]
+        lines.append("  ".join(cells).rstrip())
+    return "\n".join(lines)
+
+
+def _is_number(cell: str) -> bool:
+    return cell in {"", "-"} or cell.lstrip("-").replace(".", "", 1).isdigit()
+
+
+def number(value: float | None, digits: int = 3) -> str:
+    """A number for a table; a dash where there is none."""
+    if value is None or not math.isfinite(value):
+        return "-"
+    return f"{round(value, digits) + 0.0:.{digits}f}"
+
+
+def say(line: str) -> None:
+    """Print a line of what happens on standard error."""
+    print(line, file=sys.stderr, flush=True)
+
+
+class Progress:
+    """A line on standard error with the progress of long work.
+
+    Args:
+        what: What is being done.
+    """
+
+    def __init__(self, what: str) -> None:
+        self._what = what
+        self._last = time.monotonic()
+        self._shown = False
+
+    def __call__(self, done: int, total: int) -> None:
+        """Report how many steps are done."""
+        now = time.monotonic()
+        end = done == total
+        terminal = sys.stderr.isatty()
+        period = _PERIOD if terminal else _LOGGED_PROGRESS
+        if (end and self._shown) or now - self._last > period:
+            self._last, self._shown = now, not end
+            tail = "\n" if end or not terminal else ""
+            start = "\r" if terminal else ""
+            print(f"{start}{self._what}: {100 * done // total} %", end=tail, file=sys.stderr)
+
+    def stop(self) -> None:
+        """Leave the work undone: what is printed next stands in a line of its own."""
+        if self._shown and sys.stderr.isatty():
+            print(file=sys.stderr)
+        self._shown = False
 
 
 class StatusLine:

@@ -5,14 +5,14 @@ from types import SimpleNamespace
 import pytest
 from support.clocks import FakeClock
 
-from socket_testbed.live import pacing
-from socket_testbed.live.pacing import Pacer
+from socket_testbed.nodes import replay_node
+from socket_testbed.nodes.replay_node import Pacer
 
 
 def test_the_clock_never_runs_back_and_ends_at_the_message(monkeypatch: pytest.MonkeyPatch) -> None:
     # 10 ms pass with each look at the clock, however fast the machine is.
     clock = FakeClock(look=0.01)
-    monkeypatch.setattr(pacing, "time", SimpleNamespace(monotonic=clock))
+    monkeypatch.setattr(replay_node, "time", SimpleNamespace(monotonic=clock))
     ticks: list[int] = []
     pacer = Pacer(2.0, ticks.append)
     pacer.begin(0)
