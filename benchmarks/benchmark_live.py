@@ -21,20 +21,18 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from http.client import HTTPConnection
 from pathlib import Path
 
 os.environ.setdefault("ROS_DOMAIN_ID", str(1 + os.getpid() % 100))
 os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
 
-import msgspec
 import numpy as np
 import rclpy
 from machine import describe_machine
 from rclpy.executors import ExternalShutdownException
 from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.task import Future
-from viser import __version__ as viser_version
-from websockets.sync.client import connect
 
 from socket_testbed.__main__ import run as verb
 from socket_testbed.clocks import BEGINNING, SteadyClock
@@ -59,11 +57,7 @@ RELAYED = Topic("relayed", CAPACITANCE.type)
 SETTLED = 8.0  # [s]; after the first trigger: nodes are imported, the first model is fitted
 TICK = os.sysconf("SC_CLK_TCK")  # [Hz]
 PORT = 8437
-CAMERA = {
-    "type": "ViewerCameraMessage",
-    **{"wxyz": (1, 0, 0, 0), "position": (1, 0, 0), "fov": 1.0, "near": 0.1, "far": 10.0},
-    **{"image_height": 100, "image_width": 100, "look_at": (0, 0, 0), "up_direction": (0, 0, 1)},
-}
+PERIOD = 0.15  # [s]; between the questions of a page
 
 
 class Arrivals:
@@ -129,14 +123,14 @@ def relay() -> None:
 
 
 def browse(count: int) -> None:
-    """Read the page with so many connections, until killed."""
+    """Ask as so many pages do, until killed."""
 
     def read() -> None:
-        protocol = [f"viser-v{viser_version}"]
-        with connect(f"ws://127.0.0.1:{PORT}", subprotocols=protocol, max_size=None) as page:
-            page.send(msgspec.msgpack.encode(CAMERA))
-            for _ in page:
-                pass
+        page = HTTPConnection("127.0.0.1", PORT)
+        while True:
+            page.request("GET", "/now")
+            page.getresponse().read()
+            time.sleep(PERIOD)
 
     readers = [threading.Thread(target=read) for _ in range(count)]
     for reader in readers:

@@ -72,7 +72,7 @@ def press_test(testbed: Testbed, ask: Callable[[str], None]) -> Iterator[Finding
             yield _judge(bench, name, pressed, zero, threshold)
             if pressed is not None:
                 ask("let go")
-                bench.wait(lambda reading: not _is_over(reading, zero, _RELEASED * threshold))
+                bench.wait(lambda reading: _is_released(reading, zero, _RELEASED * threshold))
 
 
 def _mean(readings: list[_Reading]) -> tuple[FloatArray, FloatArray]:
@@ -85,6 +85,11 @@ def _mean(readings: list[_Reading]) -> tuple[FloatArray, FloatArray]:
 def _is_over(reading: _Reading, zero: _Reading, threshold: FloatArray) -> bool:
     """Whether a cluster is pressed, or pulled."""
     return bool((np.abs(reading.normal - zero.normal) > threshold).any())
+
+
+def _is_released(reading: _Reading, zero: _Reading, threshold: FloatArray) -> bool:
+    """Whether every cluster was read, and none is pressed."""
+    return bool((np.abs(reading.normal - zero.normal) <= threshold).all())
 
 
 def _judge(
