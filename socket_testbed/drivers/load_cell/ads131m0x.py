@@ -105,11 +105,8 @@ class ChecksumError(DeviceError):
 class ConverterFrame:
     """The content of a frame."""
 
-    status: int  # the STATUS register
-    codes: IntArray  # codes by channel, shape (channels,)
-    # whether all channels hold a conversion that was not read before; the codes of any other frame
-    # are old
-    new: bool
+    codes: IntArray  # by channel, shape (channels,); old where the frame is not new
+    new: bool  # whether all channels hold a conversion that was not read before
 
 
 def conversion_period(clock_in: float, oversampling: int) -> float:
@@ -206,7 +203,7 @@ class Ads131m0x:
             for at in range(_WORD, len(answer) - _WORD, _WORD)
         ]
         ready = (1 << self._channels) - 1
-        return ConverterFrame(status, np.array(codes), status & ready == ready)
+        return ConverterFrame(np.array(codes), status & ready == ready)
 
     def check_frames(self, count: int) -> int:
         """Number of frames, out of so many, that do not match their checksum."""

@@ -174,7 +174,12 @@ class Tare:
         # never
         self.no_load: tuple[FloatArray, int] = np.zeros(6), 0
         if self._path is not None and self._path.exists():
-            self.no_load = _read(self._path)
+            try:
+                document = read_document(self._path, _TareDocument)
+            except ConfigurationError as error:
+                raise ConfigurationError(error.fact, "remove the file and tare again") from None
+            microseconds = (document.time - _EPOCH) // timedelta(microseconds=1)
+            self.no_load = np.array(document.offsets_mV_per_V), 1000 * microseconds
 
     def set(self, offsets: FloatArray, time: int) -> None:
         """Take other ratios and write them to the file.
@@ -203,15 +208,6 @@ _Ratio = Annotated[float, Meta(ge=-1e3, le=1e3)]  # [mV/V]; no bridge comes near
 class _TareDocument(Document):
     offsets_mV_per_V: tuple[_Ratio, _Ratio, _Ratio, _Ratio, _Ratio, _Ratio]
     time: Annotated[datetime, Meta(tz=True)]
-
-
-def _read(path: Path) -> tuple[FloatArray, int]:
-    try:
-        document = read_document(path, _TareDocument)
-    except ConfigurationError as error:
-        raise ConfigurationError(error.fact, "remove the file and tare again") from None
-    since = document.time - _EPOCH
-    return np.array(document.offsets_mV_per_V), 1000 * (since // timedelta(microseconds=1))
 
 
 @dataclass(frozen=True)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import ipaddress
+import re
 import select
 import socket
 from collections import deque
@@ -58,17 +59,13 @@ def server_address(settings: MocapSettings) -> tuple[str, int]:
 
 def bitstream_version(settings: MocapSettings) -> Version:
     """The version of the stream to ask for."""
-    parts = settings.bitstream.split(".")
-    if len(parts) != 2 or not all(p.isascii() and p.isdigit() and int(p) < 256 for p in parts):
-        raise ConfigurationError(
-            f"mocap_node: bitstream is '{settings.bitstream}'", "give a version such as 4.1"
-        )
-    version = int(parts[0]), int(parts[1])
+    fact = f"mocap_node: bitstream is '{settings.bitstream}'"
+    parts = re.fullmatch(r"([0-9]{1,2})\.([0-9]{1,2})", settings.bitstream)
+    if parts is None:
+        raise ConfigurationError(fact, "give a version such as 4.1")
+    version = int(parts[1]), int(parts[2])
     if version < OLDEST:
-        raise ConfigurationError(
-            f"mocap_node: bitstream is '{settings.bitstream}', which is too old",
-            "give 3.0 or later, such as 4.1",
-        )
+        raise ConfigurationError(f"{fact}, which is too old", "give 3.0 or later, such as 4.1")
     return version
 
 
