@@ -51,7 +51,7 @@ def _measure(samples: Samples, geometry: SocketGeometry, variant: str) -> None:
     pose = samples.pose[:1]
     started = time.process_time()
     for _ in range(_PREDICTIONS):
-        fit.model.predict(pose)
+        fit.model.wrench(pose), fit.model.forces(pose)
     each = (time.process_time() - started) / _PREDICTIONS
     print(
         f"n = {len(geometry)}, N = {len(samples)}, {variant}: fit {spent:.2f} s of processor time"
