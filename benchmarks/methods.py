@@ -77,8 +77,8 @@ def prepare_ours(stage: StageTwoInput, without_solver: bool = False) -> Run:
 def prepare_product(stage: StageTwoInput) -> Run:
     """The symmetric product S'S alone, of the N x 3n matrix S that is there already."""
     s = gated_displacement(
-        stage.objective.position, stage.rest_positions, stage.settings.gate_sharpness
-    ).reshape(len(stage.objective.position), -1)
+        stage.objective.samples.position, stage.rest_positions, stage.settings.gate_sharpness
+    ).reshape(len(stage.objective.samples.position), -1)
 
     def run() -> None:
         _ = s.T @ s  # numpy sees the symmetry and multiplies out one half

@@ -66,9 +66,9 @@ def smoothness_rows(stage: StageTwoInput) -> FloatArray:
 def row_blocks(stage: StageTwoInput) -> Iterator[RowBlock]:
     """All rows, one channel after the other."""
     objective, points = stage.objective, len(stage.geometry)
-    count = len(objective.position)
+    count = len(objective.samples.position)
     s = gated_displacement(
-        objective.position, stage.rest_positions, stage.settings.gate_sharpness
+        objective.samples.position, stage.rest_positions, stage.settings.gate_sharpness
     ).reshape(count, -1)
     mapping = wrench_map(stage.geometry.anchors)
     for row in range(6):
@@ -98,7 +98,7 @@ def row_blocks(stage: StageTwoInput) -> Iterator[RowBlock]:
 def stacked_shape(stage: StageTwoInput) -> tuple[int, int]:
     """Rows and columns of the stacked matrix."""
     channels = stage.objective.channels
-    rows = 6 * len(stage.objective.position) + sum(len(c.force) for c in channels)
+    rows = 6 * len(stage.objective.samples.position) + sum(len(c.force) for c in channels)
     columns = 3 * len(stage.geometry) + 6 + len(channels)
     return rows + 3 * len(stage.geometry.neighbours), columns
 
@@ -146,7 +146,7 @@ def to_solution(stage: StageTwoInput, z: FloatArray, status: str) -> Solution:
 def objective_value(stage: StageTwoInput, solution: Solution) -> float:
     """Objective of Stage 2 from the definition: no moments, no stacked matrix [-]."""
     objective = stage.objective
-    count, points = len(objective.position), len(stage.geometry)
+    count, points = len(objective.samples.position), len(stage.geometry)
     mapping = wrench_map(stage.geometry.anchors)
     by_point = solution.stiffness.reshape(points, 3)
     wrench_sum = np.zeros(6)
@@ -155,7 +155,7 @@ def objective_value(stage: StageTwoInput, solution: Solution) -> float:
     for start in range(0, count, _BLOCK):
         rows = slice(start, start + _BLOCK)
         forces = by_point * gated_displacement(
-            objective.position[rows], stage.rest_positions, stage.settings.gate_sharpness
+            objective.samples.position[rows], stage.rest_positions, stage.settings.gate_sharpness
         )
         model = forces.reshape(-1, 3 * points) @ mapping.T + solution.wrench_bias
         wrench_sum += ((model - objective.wrench[rows]) ** 2).sum(axis=0)

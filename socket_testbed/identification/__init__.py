@@ -1,17 +1,16 @@
 """Identification answers three questions, each by its own modules.
 
-**How does the limb's motion make forces?** The contact model. `contact_law` defines a law;
-`paper_law` and `rigid_law` are the two. `objective` chooses and weighs the channels of a fit,
-`problem` turns them into programs for any law, `box_qp` solves and certifies these. `fit` runs both
-stages, `pareto` runs them over the trade-off. `contact` is the resulting model, `model_file` its
-file, `evaluation` its errors.
+**How does the limb's motion make forces?** The contact model. `contact_law` defines the laws.
+`objective` chooses and weighs the channels of a fit, `problem` turns them into programs for any
+law, `box_qp` solves and certifies these. `fit` runs both stages, `pareto` runs them over the
+trade-off and compares with the paper. `contact` is the resulting model, `model_file` its file,
+`evaluation` its errors.
 
 **What is the force on every tile now?** The force map, which needs no fit. `force_map` estimates
-it from the clusters and the wrench, `pressure` reads regions from it, `placement` says where
-further clusters would tell most. `suspension` is how the limb sits: its stiffness and pistoning.
+it from the clusters and the wrench, `pressure` reads regions from it.
 
 **How far can all this be trusted?** Judging. Of the samples: `data_check` says what to look at,
 `plausibility` checks size and sign, `noise` measures the noise. Of a model: `information` says what
-the trial determines, `published` compares with the paper. Of every estimate: `validation` judges it
-on data it has not seen, beside simple rivals.
+the trial determines of it, and how the limb sits. Of every estimate: `validation` judges it on data
+it has not seen, beside simple rivals.
 """

@@ -118,17 +118,13 @@ class BoxSolution:
     course: str = ""  # of a joint refinement its steps, in words: the solver gave the first of them
 
     @property
-    def found_by(self) -> str:
-        """The solver with its iterations, and the exchanges of pivoting, in words."""
-        course = f"{self.course}, " if self.course else ""
-        iterations = "" if self.iterations is None else f" {self.iterations} iterations"
-        return f"{course}{self.solver}{iterations}, pivoting {self.exchanges} exchanges"
-
-    @property
     def status(self) -> str:
         """What found the solution, with the certificate, in words."""
+        course = f"{self.course}, " if self.course else ""
+        iterations = "" if self.iterations is None else f" {self.iterations} iterations"
+        found_by = f"{course}{self.solver}{iterations}, pivoting {self.exchanges} exchanges"
         kkt, gap = self.certificate.stationarity, self.certificate.gap
-        return f"{self.found_by}: KKT {kkt:.1e}, gap {gap:.1e}"
+        return f"{found_by}: KKT {kkt:.1e}, gap {gap:.1e}"
 
 
 class UncertifiedSolutionError(IdentificationError):

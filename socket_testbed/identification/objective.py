@@ -82,11 +82,6 @@ class Objective:
     channel_shares: FloatArray  # weight of each channel's squared error in J_f, shape (m,) [1/N^2]
 
     @property
-    def position(self) -> FloatArray:
-        """Limb positions q, shape (N, 3) [m]."""
-        return self.samples.position
-
-    @property
     def wrench_weights(self) -> FloatArray:
         """Weight of each squared wrench error, shape (6,) [1/(N m)^2, 1/N^2]."""
         return self.settings.theta * self.wrench_shares
