@@ -47,7 +47,7 @@ def measure(trial: st.Trial) -> None:
         spent, waited = time.process_time() - started, time.perf_counter() - clock
         started = time.process_time()
         for _ in range(PREDICTIONS):
-            fit.model.predict(pose)
+            fit.model.wrench(pose), fit.model.forces(pose)
         each = (time.process_time() - started) / PREDICTIONS
         print(
             f"n = {len(geometry)}, N = {len(samples)}, {variant}: fit {spent:.2f} s of processor"

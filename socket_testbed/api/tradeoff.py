@@ -20,6 +20,7 @@ from socket_testbed.api.trials import (
     select_frames,
     started,
 )
+from socket_testbed.arrays import FloatArray
 from socket_testbed.documents import check_number
 from socket_testbed.identification.pareto import (
     PUBLISHED_FRAMES,
@@ -83,6 +84,11 @@ def check_thetas(thetas: int) -> None:
     check_number(thetas, "--thetas", 2, _MOST_THETAS)
 
 
+def _values(thetas: int) -> FloatArray:
+    """So many thetas from 0 to 1, with no more digits than a person would write [-]."""
+    return np.linspace(0.0, 1.0, thetas).round(10)
+
+
 def pareto(
     trial: Trial,
     segment: str | Segment = "plateau",
@@ -117,7 +123,7 @@ def pareto(
             trial.samples()[chosen.rows],
             trial.geometry,
             settings.identification,
-            np.linspace(0.0, 1.0, thetas),
+            _values(thetas),
             progress=started(progress, "solving for every theta"),
         )
     return Tradeoff(trial, chosen, fronts)
@@ -262,7 +268,7 @@ def write_report(
             trial,
             segment,
             settings,
-            np.linspace(0.0, 1.0, thetas),
+            _values(thetas),
             stored,
             started(progress, "solving for every theta"),
         )

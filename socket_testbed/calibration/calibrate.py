@@ -61,19 +61,11 @@ def stress_errors(
     known: FloatArray, predicted: FloatArray, full_scale: FloatArray
 ) -> tuple[StressErrors, ...]:
     """Errors of the normal stress, shear x and shear y."""
-    columns = zip(known.T, predicted.T, full_scale.tolist(), strict=True)
-    return tuple(_errors(*column) for column in columns)
-
-
-def _errors(known: FloatArray, predicted: FloatArray, full_scale: float) -> StressErrors:
     residual = predicted - known
-    rmse = float(np.sqrt(np.mean(residual**2)))
-    return StressErrors(
-        rmse=rmse,
-        mae=float(np.mean(np.abs(residual))),
-        r2=1.0 - rmse**2 / float(np.var(known)),
-        percent=100.0 * rmse / full_scale,
-    )
+    rmse = np.sqrt(np.mean(residual**2, axis=0))
+    mae, r2 = np.mean(np.abs(residual), axis=0), 1.0 - rmse**2 / np.var(known, axis=0)
+    figures = np.column_stack([rmse, mae, r2, 100.0 * rmse / full_scale])
+    return tuple(StressErrors(*row) for row in figures.tolist())
 
 
 def hysteresis(bench: BenchData, residual: FloatArray, branches: IntArray) -> FloatArray:

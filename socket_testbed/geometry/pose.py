@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Annotated, Any
 
@@ -36,19 +37,19 @@ class Pose:
 
     def quaternion(self) -> FloatArray:
         """Quaternions (x, y, z, w), shape (4,) or (N, 4) [-]; NaN where the pose is NaN."""
-        usable = np.isfinite(self.rotation).all(axis=(-2, -1))
-        quaternion = np.full((*self.rotation.shape[:-2], 4), np.nan)
-        if usable.any():
-            quaternion[usable] = Rotation.from_matrix(self.rotation[usable]).as_quat()
-        return quaternion
+        return self._known(Rotation.as_quat, 4)
 
     def rotation_vector(self) -> FloatArray:
         """Rotation vectors, shape (3,) or (N, 3) [rad]; NaN where the pose is NaN."""
+        return self._known(Rotation.as_rotvec, 3)
+
+    def _known(self, convert: Callable[[Rotation], FloatArray], size: int) -> FloatArray:
+        """Rotations in another form of some size; NaN where the pose is NaN."""
         usable = np.isfinite(self.rotation).all(axis=(-2, -1))
-        vector = np.full(self.rotation.shape[:-1], np.nan)
+        found = np.full((*self.rotation.shape[:-2], size), np.nan)
         if usable.any():
-            vector[usable] = Rotation.from_matrix(self.rotation[usable]).as_rotvec()
-        return vector
+            found[usable] = convert(Rotation.from_matrix(self.rotation[usable]))
+        return found
 
     def inverse(self) -> Pose:
         """Pose of the frame in the body."""

@@ -62,8 +62,11 @@ class ContactModel:
         Returns:
             Forces in {S}, shape (N, n, 3) [N]; NaN where the pose is NaN.
         """
-        springs = self._springs(self.law.motion(pose))
-        return self._spring_forces(springs) + self._bias_in_socket_frame()
+        forces = self._spring_forces(self._springs(self.law.motion(pose)))
+        for name, bias in self.force_bias.items():
+            point = self.cluster_points[name]
+            forces[:, point] += self.rotations[point] @ bias
+        return forces
 
     def wrench(self, pose: FloatArray) -> FloatArray:
         """Wrench ``C F + b_w`` at the load cell, in `rigid_bias` with its slope over the pose.
@@ -79,16 +82,11 @@ class ContactModel:
         if self.of_wrench is not None:
             return self.of_wrench.wrench(pose)
         motion = self.law.motion(pose)
-        return self._wrench_of(motion, self._springs(motion))
-
-    def predict(self, pose: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Wrenches and forces in one pass: see `wrench` and `forces`."""
-        motion = self.law.motion(pose)
-        springs = self._springs(motion)
-        forces = self._spring_forces(springs) + self._bias_in_socket_frame()
-        if self.of_wrench is not None:
-            return self.of_wrench.wrench(pose), forces
-        return self._wrench_of(motion, springs), forces
+        springs = self._springs(motion).reshape(len(motion), -1)
+        wrench = springs @ self.law.onto.reshape(6, -1).T + self.wrench_bias
+        if self.wrench_slope.any():
+            wrench += motion @ self.wrench_slope.T
+        return np.asarray(wrench)
 
     def cluster_forces(self, pose: FloatArray) -> dict[str, FloatArray]:
         """Forces on the clusters, each in its cluster's frame, shape (N, 3) each [N]."""
@@ -140,18 +138,3 @@ class ContactModel:
     ) -> FloatArray:
         """The same in {S}, shape (N, points, 3) [N]."""
         return np.einsum("nab,tbn->tna", self.law.frames[points], springs)
-
-    def _wrench_of(self, motion: FloatArray, springs: FloatArray) -> FloatArray:
-        """The wrench of the springs with the offsets, shape (N, 6) [N m, N]."""
-        wrench = springs.reshape(len(motion), -1) @ self.law.onto.reshape(6, -1).T
-        wrench += self.wrench_bias
-        if self.wrench_slope.any():
-            wrench += motion @ self.wrench_slope.T
-        return np.asarray(wrench)
-
-    def _bias_in_socket_frame(self) -> FloatArray:
-        bias = np.zeros_like(self.anchors)
-        for name, force in self.force_bias.items():
-            point = self.cluster_points[name]
-            bias[point] = self.rotations[point] @ force
-        return bias

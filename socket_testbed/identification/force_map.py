@@ -126,13 +126,8 @@ class _Conditioned:
 
     def __getitem__(self, kept: IntArray) -> _Conditioned:
         """Some of the hypotheses."""
-        return _Conditioned(
-            present=self.present,
-            gain=self.gain[kept],
-            precision=self.precision[kept],
-            log_determinant=self.log_determinant[kept],
-            variances=self.variances[kept],
-        )
+        parts = ("gain", "precision", "log_determinant", "variances")
+        return replace(self, **{name: getattr(self, name)[kept] for name in parts})
 
     def average(self, measured: FloatArray, weights: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Mean and variances of the forces over the hypotheses.
@@ -253,7 +248,7 @@ class ForceMap:
         turned = np.concatenate([geometry.rotations, along_normal], axis=1)
         self._total = np.array([prior.signal + np.diag(prior.noise) for prior in self._priors])
         self._cross = np.array([turned @ prior.with_channels for prior in self._priors])
-        blocks = [(turned @ prior.blocks() * turned).sum(axis=2) for prior in self._priors]
+        blocks = [(turned @ prior.blocks * turned).sum(axis=2) for prior in self._priors]
         self._variances = np.array(blocks)
         self._patterns: dict[bytes, _Conditioned] = {}
         self._drawn: dict[bytes, tuple[FloatArray, ...]] = {}  # by number and hypotheses
@@ -358,7 +353,8 @@ class ForceMap:
         weights = self._weights(samples)
         kept = np.flatnonzero(weights)
         weights = weights[kept]
-        levels = np.random.default_rng(0).permuted(np.tile(_levels(count // 2), (2, 1)), axis=1)
+        middles = (np.arange(count // 2) + 0.5) / (count // 2)  # of equally probable parts
+        levels = np.random.default_rng(0).permuted(np.tile(middles, (2, 1)), axis=1)
         hypotheses = np.searchsorted(weights.cumsum()[:-1], levels[0])
         priors, errors = self._prior_draws(kept[hypotheses])
         values, present = _channels(samples.wrench, samples.local_forces, samples.status)
@@ -392,7 +388,7 @@ class ForceMap:
         key = chosen.tobytes()
         if key not in self._drawn:  # the same in all samples, and long to draw
             tiles, rng = len(self._geometry), np.random.default_rng(0)
-            numbers = rng.standard_normal((len(chosen), Prior.numbers_of(tiles)))
+            numbers = rng.standard_normal((len(chosen), 9 * tiles + 7))
             noise = rng.standard_normal((len(chosen), self._total.shape[1]))
             forces = np.empty((len(chosen), 3 * tiles))
             for number in np.unique(chosen):
@@ -569,17 +565,14 @@ def _probabilities(log_evidence: FloatArray) -> FloatArray:
     return np.asarray(weights / weights.sum())
 
 
-def _levels(count: int) -> FloatArray:
-    """Middles of equally probable parts, shape (count,) [-]."""
-    return np.asarray((np.arange(count) + 0.5) / count)
-
-
 class Prior:
     """The forces in the tiles' frames under one hypothesis: their covariance K, by its parts.
 
     Attributes:
         mapping: H from the forces to the channels, shape (c, 3n).
         noise: Variances R of the channels' noise, shape (c,).
+        with_channels: K H', shape (n, 3, c).
+        blocks: The covariances of each tile's force, shape (n, 3, 3) [N^2].
     """
 
     def __init__(
@@ -598,32 +591,26 @@ class Prior:
         turned[:, :2, 2] = sizes.drag * (proximal_direction(geometry) @ geometry.rotations)[:, :2]
         self._turned = sizes.normal_deviation * turned
         self.mapping = _mapping(geometry, clusters, sizes.share)
-        self.with_channels = self.times(self.mapping.T.reshape(count, 3, -1))  # K H', (n, 3, c)
-        self.signal = self.mapping @ self.with_channels.reshape(3 * count, -1)  # H K H'
+        K, tiles = self.covariance(), np.arange(count)
+        self.blocks = K.reshape(count, 3, count, 3)[tiles, :, tiles]
+        self.with_channels = (K @ self.mapping.T).reshape(count, 3, -1)
+        self.signal = self.mapping @ K @ self.mapping.T  # H K H'
         self.noise = _noise(self.signal, sizes)
 
-    def times(self, columns: FloatArray) -> FloatArray:
-        """The product of K and columns of the shape (n, 3, c), of the same shape."""
-        given = np.swapaxes(self._turned, 1, 2) @ columns
-        found = np.tensordot(self._correlation, given, axes=1) * self._field[:, None] ** 2
-        found[:, 2] += self._preload**2 * given[:, 2].sum(axis=0)
-        motions = np.swapaxes(self._bed, 1, 2) @ given  # (n, 6, c)
-        varying = self._variation**2 * np.tensordot(self._correlation, motions, axes=1)
-        found += self._bed @ (motions.sum(axis=0) + varying)
-        return np.asarray(self._turned @ found)
-
-    def blocks(self) -> FloatArray:
-        """The covariances of each tile's force, shape (n, 3, 3) [N^2]."""
-        own = np.diag(self._field**2) + np.diag([0.0, 0.0, self._preload**2])
-        own = own + (1.0 + self._variation**2) * self._bed @ np.swapaxes(self._bed, 1, 2)
-        return np.asarray(self._turned @ own @ np.swapaxes(self._turned, 1, 2))
+    def covariance(self) -> FloatArray:
+        """K, shape (3n, 3n) [N^2]: see this module."""
+        count = len(self._correlation)
+        alike = np.kron(self._correlation, np.ones((3, 3)))  # M, for each component of a force
+        normal, bed = np.tile([0.0, 0.0, 1.0], count), self._bed.reshape(3 * count, -1)
+        K = np.kron(self._correlation, np.diag(self._field**2))
+        K += self._preload**2 * np.outer(normal, normal)
+        K += (bed @ bed.T) * (1.0 + self._variation**2 * alike)
+        turned = self._turned @ K.reshape(count, 3, -1)
+        K = self._turned @ turned.reshape(3 * count, -1).T.reshape(count, 3, -1)
+        return np.asarray(K.reshape(3 * count, -1))
 
     def draw(self, numbers: FloatArray) -> FloatArray:
-        """Draws of the forces from D rows of standard normal numbers, shape (D, 3n) [N].
-
-        Args:
-            numbers: Shape (D, `numbers_of`).
-        """
+        """Draws of the forces, (D, 3n) [N], from standard normal numbers, shape (D, 9n + 7)."""
         count, tiles = len(numbers), len(self._correlation)
         parts = np.split(numbers, [3 * tiles, 9 * tiles, 9 * tiles + 1], axis=1)
         root = np.linalg.cholesky(self._correlation)
@@ -633,11 +620,6 @@ class Prior:
         motions = parts[3][:, None] + self._variation * varying
         field += np.einsum("naj,dnj->dna", self._bed, motions)
         return np.einsum("nab,dnb->dna", self._turned, field).reshape(count, -1)
-
-    @staticmethod
-    def numbers_of(tiles: int) -> int:
-        """Numbers that a draw of the forces on so many tiles takes."""
-        return 9 * tiles + 7
 
 
 def _mapping(geometry: SocketGeometry, clusters: tuple[str, ...], share: float) -> FloatArray:

@@ -243,13 +243,14 @@ def _numbers(axis: int) -> list[tuple[str, str, str]]:
     """Name, unit and advice of each number of the pose, for a socket along one axis of {S}."""
     along, across = "load and unload the limb", "push from the sides"
     twist, tilt = "twist the limb in the socket", "push from the sides, high and low"
-    positions = [
-        (f"position {x}", "mm", along if i == axis else across) for i, x in enumerate(_AXES)
+    return [
+        (f"{kind} {x}", unit, own if i == axis else other)
+        for kind, unit, own, other in (
+            ("position", "mm", along, across),
+            ("rotation about", "mrad", twist, tilt),
+        )
+        for i, x in enumerate(_AXES)
     ]
-    rotations = [
-        (f"rotation about {x}", "mrad", twist if i == axis else tilt) for i, x in enumerate(_AXES)
-    ]
-    return positions + rotations
 
 
 @dataclass(frozen=True)

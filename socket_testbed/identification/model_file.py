@@ -199,12 +199,6 @@ class _Parameters(Document):
         )
 
 
-def _read_errors(errors: list[dict[str, Any]], where: str) -> tuple[ChannelErrors, ...]:
-    """Errors of the channels; JSON has no NaN, null stands for it."""
-    known = [{k: math.nan if v is None else v for k, v in each.items()} for each in errors]
-    return convert(known, tuple[ChannelErrors, ...], where)
-
-
 class _Quality(Struct):  # the certificates are for people
     samples: _Count
     last_stamp: _Count
@@ -244,10 +238,10 @@ def read_model(path: Path, geometry: SocketGeometry | None = None) -> StoredMode
     if data["format"] != _FORMAT:
         raise ConfigurationError(f"{path}: is of the format {shown(data['format'])}", _AGAIN)
     document = convert(data, _Model, str(path))
-    fitted_on, quality = (
-        socket_from_document(document.geometry, f"{path}: geometry"),
-        document.quality,
-    )
+    quality = document.quality
+    fitted_on = socket_from_document(document.geometry, f"{path}: geometry")
+    # JSON has no NaN, null stands for it.
+    errors = [{k: math.nan if v is None else v for k, v in e.items()} for e in quality.errors]
     stored = StoredModel(
         model=document.parameters.model(fitted_on, f"{path}: parameters"),
         geometry=fitted_on,
@@ -255,7 +249,7 @@ def read_model(path: Path, geometry: SocketGeometry | None = None) -> StoredMode
         samples=quality.samples,
         last_stamp=quality.last_stamp,
         wrench_rmse=np.array(quality.wrench_rmse, dtype=float),
-        errors=_read_errors(quality.errors, f"{path}: quality: errors"),
+        errors=convert(errors, tuple[ChannelErrors, ...], f"{path}: quality: errors"),
         status=quality.status,
         trial=str(document.trial.name),
         unloaded=tuple(document.trial.unloaded),

@@ -343,8 +343,8 @@ class OnlineEstimator:
         self._counts["samples"] += 1
         estimate = None
         if (model := self._model) is not None:
-            wrench, forces = model.predict(sample.pose)
-            estimate = Estimate(stamp, model, wrench[0], forces[0])
+            wrench, forces = model.wrench(sample.pose)[0], model.forces(sample.pose)[0]
+            estimate = Estimate(stamp, model, wrench, forces)
             self._counts["predictions"] += 1
         self.newest = max(self.newest, stamp)
         with self._lock:

@@ -257,8 +257,7 @@ class _Expectation:
         bare = replace(geometry, clusters={})
         for sizes in hypotheses(replace(settings, draws=_HYPOTHESES)):
             prior = Prior(bare, (), sizes)
-            whole = prior.times(np.eye(3 * len(geometry)).reshape(len(geometry), 3, -1))
-            whole = whole.reshape(3 * len(geometry), -1)
+            whole = prior.covariance()
             mapped = whole @ prior.mapping.T
             known = prior.mapping @ mapped + np.diag(prior.noise)
             self._before.append(whole)

@@ -17,7 +17,7 @@ import trimesh
 from msgspec import Meta
 from trimesh.triangles import closest_point
 
-from socket_testbed.arrays import FloatArray, IntArray
+from socket_testbed.arrays import FloatArray
 from socket_testbed.documents import Document, read_document
 from socket_testbed.errors import ConfigurationError, RegistrationError
 from socket_testbed.geometry.axis import SocketAxis, axis_through
@@ -410,6 +410,7 @@ def _tiled_socket(
     names = tile_names(squares.anchors, axis)
     order = np.array(sorted(range(len(names)), key=names.__getitem__))
     place_of = np.argsort(order)
+    pairs = np.sort(place_of[tiling.neighbours], axis=1)
     name_of_cluster_tile = {tile: cluster for cluster, tile in clusters.items()}
     return dataclasses.replace(
         bodies,
@@ -417,16 +418,10 @@ def _tiled_socket(
         anchors=squares.anchors[order],
         rotations=rotations[order],
         areas=np.full(len(names), squares.edge**2),
-        neighbours=_renumbered(tiling.neighbours, place_of),
+        neighbours=pairs[np.lexsort(pairs.T[::-1])],
         clusters={cluster: int(place_of[tile]) for cluster, tile in clusters.items()},
         source=source,
         regions={},
         turned=turned,
         scan=scan,
     )
-
-
-def _renumbered(pairs: IntArray, place_of: IntArray) -> IntArray:
-    """Pairs of tiles by their new indices, each and all sorted."""
-    pairs = np.sort(place_of[pairs], axis=1)
-    return pairs[np.lexsort(pairs.T[::-1])]

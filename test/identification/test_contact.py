@@ -99,3 +99,13 @@ def test_a_rigid_model_gates_in_the_tile_s_frame_and_never_pulls(rng):
         expected = np.stack([2000.0 * opened * x, 1500.0 * opened * y, normal], axis=1)
         np.testing.assert_allclose(forces[:, tile] @ frame, expected, rtol=1e-9, atol=1e-9)
         assert normal.max() <= 0.0
+
+
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_nothing_is_predicted_without_a_pose(rng, variant):
+    bed = random_bed(rng, random_socket(rng), variant)
+    pose = np.hstack([moving_limb(rng, 10), rng.normal(0.0, 0.02, (10, 3))])
+    pose[4] = np.nan
+    wrench, forces = bed.wrench(pose), bed.forces(pose)
+    for values in (wrench, forces.reshape(10, -1), *bed.cluster_forces(pose).values()):
+        assert np.isnan(values[4]).all() and np.isfinite(np.delete(values, 4, axis=0)).all()

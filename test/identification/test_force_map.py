@@ -74,12 +74,10 @@ def test_the_prior_s_parts_are_its_equation_s() -> None:
     tiles = len(GEOMETRY)
     for sizes in hypotheses(ForceMapSettings())[:3]:
         whole, prior = whole_prior(sizes), Prior(GEOMETRY, CLUSTERS, sizes)
-        columns = np.random.default_rng(0).normal(size=(3 * tiles, 2))
-        found = prior.times(columns.reshape(tiles, 3, 2)).reshape(-1, 2)
-        np.testing.assert_allclose(found, whole @ columns, rtol=1e-9, atol=1e-9 * whole.max())
+        np.testing.assert_allclose(prior.covariance(), whole, atol=1e-9 * whole.max())
         blocks = whole.reshape(tiles, 3, tiles, 3)[np.arange(tiles), :, np.arange(tiles)]
-        np.testing.assert_allclose(prior.blocks(), blocks, atol=1e-9 * whole.max())
-        root = prior.draw(np.eye(Prior.numbers_of(tiles)))  # a draw is linear in its numbers
+        np.testing.assert_allclose(prior.blocks, blocks, atol=1e-9 * whole.max())
+        root = prior.draw(np.eye(9 * tiles + 7))  # a draw is linear in its numbers
         np.testing.assert_allclose(root.T @ root, whole, atol=1e-9 * whole.max())
 
 

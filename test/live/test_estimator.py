@@ -138,7 +138,8 @@ def test_a_complete_sample_is_estimated_whatever_the_order(fitted: Bench, fit: F
     limb = fitted.geometry.limb_pose(
         *(Pose.from_quaternion(v[None, :3], v[None, 3:]) for v in list(values.values())[2:])
     )
-    wrench, forces = fit.model.predict(np.hstack([limb.translation, limb.rotation_vector()]))
+    pose = np.hstack([limb.translation, limb.rotation_vector()])
+    wrench, forces = fit.model.wrench(pose), fit.model.forces(pose)
     arrivals = [(k * PERIOD, topic) for k in range(100, 120) for topic in MEASURED]
     np.random.default_rng(0).shuffle(arrivals)
     found = [fitted.estimator.add(topic, stamp, values[topic]) for stamp, topic in arrivals]
