@@ -373,7 +373,7 @@ def compare(
 
     >>> found = st.compare("trials/hold", "trials/walk", segment="15:20")
     >>> found
-    Comparison(trials hold, walk; 20 regions, 79 tiles)
+    Comparison(trials hold, walk; 21 regions, 79 tiles)
     >>> found.cells("regions", "peak pressure").loc["socket", "walk - hold"]
     '... (... to ...)...'
     >>> found.save("comparison.csv")

@@ -401,7 +401,7 @@ def pressure(
 
     >>> found = st.pressure(st.open_trial("trials/hold"))
     >>> found
-    TrialPressure(hold, plateau ... s; 20 regions, peak pressure ... to ... kPa)
+    TrialPressure(hold, plateau ... s; 21 regions, peak pressure ... to ... kPa)
     >>> list(found.regions)[:3]
     ['mean pressure [kPa]', 'mean pressure low [kPa]', 'mean pressure high [kPa]']
     >>> found.save("pressure.csv")
