@@ -43,7 +43,6 @@ setup(
     extras_require={
         "test": ["pytest"],
         "completion": ["argcomplete>=3,<4"],
-        "view": requirements("view"),
     },
     zip_safe=True,
     maintainer="socket_testbed maintainers",

@@ -11,9 +11,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import trimesh
+from numpy.typing import NDArray
 from scipy.spatial import KDTree
 from scipy.spatial.distance import cdist
 
@@ -37,9 +39,52 @@ from socket_testbed.socket_design.squares import (
     squares_at,
 )
 
+_STEPS = 2  # towards the surface; it is a plane around each of its points
+_STEEP = 0.3  # [-]; cosine below which a plane is not followed
+
+# Corners and thirds of the edges, in halves of an edge.
+_AROUND = np.array(
+    [[x, y] for x in (-3, -1, 1, 3) for y in (-3, -1, 1, 3) if 3 in (abs(x), abs(y))]
+) / (3.0)
+
+
+def _border_points(squares: Squares, points: SurfacePoints) -> FloatArray:
+    """Points of the surface along the borders of squares, shape (m, 12, 3) [m]."""
+    half, tree = 0.5 * squares.edge, KDTree(points.positions)
+    along = np.einsum("mij,bj->mbi", squares.rotations[:, :, :2], half * _AROUND)
+    border = squares.anchors[:, None] + along
+    normal = squares.rotations[:, None, :, 2]
+    for _ in range(_STEPS):
+        nearest = tree.query(border, workers=-1)[1]
+        there = points.normals[nearest]
+        steepness = (there * normal).sum(axis=2)
+        step = ((points.positions[nearest] - border) * there).sum(axis=2)
+        step = np.where(steepness > _STEEP, step / np.maximum(steepness, _STEEP), 0.0)
+        border = border + step[:, :, None] * normal
+    return border
+
+
+def _border_gaps(
+    squares: Squares, borders: NDArray[np.floating[Any]], index: int, others: IntArray
+) -> FloatArray:
+    """Gaps between a square and p others close to it, by the points of their borders, (p,) [m].
+
+    Negative where a point of one's border lies in the column over the other.
+    """
+    own = (borders[others] - squares.anchors[index]) @ squares.rotations[index][:, :2]
+    offset = borders[index] - squares.anchors[others][:, None]
+    theirs = offset @ squares.rotations[others][:, :, :2]
+    outside = [
+        np.maximum(np.abs(seen[:, :, 0]), np.abs(seen[:, :, 1])).min(axis=1)
+        for seen in (own, theirs)
+    ]
+    return np.minimum(*outside) - 0.5 * squares.edge
+
+
 _WASTE_SPACING = 0.15  # [edges]; of the squares by which waste is counted
 _CHANCE = (0.0, 0.02, 0.1, 0.3)  # [-]; how far a recreation strays from least waste
 _FEWEST_RUINED, _MOST_RUINED = 3, 14
+_PLANE = 0.002  # [m]; gaps smaller than it are measured on the surface itself
 _CLEARANCE = 0.0001  # [m]; between tiles, as the plane geometry of the search is not exact
 
 
@@ -51,8 +96,11 @@ class Search:
     The first `fixed` squares are tiles in any case; they overlap nowhere.
     """
 
-    def __init__(self, squares: Squares, footprints: Footprints, fixed: int = 0) -> None:
+    def __init__(
+        self, squares: Squares, points: SurfacePoints, footprints: Footprints, fixed: int = 0
+    ) -> None:
         self._fixed = fixed
+        self._borders = _border_points(squares, points).astype(np.float32)
         # Rounded to 30 nm, which is nothing beside the clearance; it takes half the time.
         squares = Squares(
             squares.anchors.astype(np.float32), squares.rotations.astype(np.float32), squares.edge
@@ -164,10 +212,14 @@ class Search:
         x, y, z = (squares.anchors[others] - squares.anchors[index]).T
         apart2 = x**2 + y**2 + z**2
         # With less than an edge between their centres, squares overlap however they are turned.
-        overlap = apart2 < squares.edge**2
+        overlap = apart2 < (squares.edge - _PLANE) ** 2
         overlap &= normals[others] @ normals[index] > OTHER_WALL
         unsure = np.flatnonzero(~overlap & (apart2 <= (REACH * squares.edge) ** 2))
-        overlap[unsure] = gaps(squares, np.array([index]), others[unsure])[0] < _CLEARANCE
+        some = others[unsure]
+        gap = gaps(squares, np.array([index]), some)[0]
+        close = np.abs(gap) < _PLANE
+        gap[close] = _border_gaps(squares, self._borders, index, some[close])
+        overlap[unsure] = gap < _CLEARANCE
         return overlap
 
 
@@ -254,7 +306,7 @@ def tile_interior(
         )
         fitting = glued.join(fitting)
     footprints = Footprints(mesh, fitting, settings.flatness)
-    search = Search(fitting, footprints, len(laid)) if len(fitting) else None
+    search = Search(fitting, points, footprints, len(laid)) if len(fitting) else None
     tiles = search.fill() if search else np.zeros(0, dtype=np.int64)
     if not search or not len(tiles):
         raise ScanError(
