@@ -15,6 +15,7 @@ import nbformat
 import numpy as np
 import pandas as pd
 import pytest
+from matplotlib.figure import Figure
 from nbclient import NotebookClient
 from support import CHECKOUT, meshes
 from support.bags import rewrite
@@ -132,6 +133,40 @@ def test_every_result_has_a_table_a_document_files_and_a_figure(folder, tmp_path
         (found,) = (found for found in results if type(found).__name__ == name)
         found.save(tmp_path / "found.json")
         assert json.loads((tmp_path / "found.json").read_text()) == found.document()
+
+
+def test_a_notebook_draws_maps_at_an_instant_and_into_its_own_axes(folder) -> None:
+    path = folder / "trials" / "walk"
+    found = st.force_map(str(path), "10:12")  # a path where a trial is taken
+    at = found.at(11.1)
+    row = int(np.flatnonzero(found.time <= 11.1)[-1])
+    assert at.time == found.time[row] and len(at.estimate.forces) == 1
+    assert np.allclose(at.estimate.normal_pressure[0], found.estimate.normal_pressure[row])
+    # Mean and spread of the draws are those of the map, in {S}, too.
+    draws = at.draws(400)[0]
+    pressure = at.estimate.normal_pressure[0]
+    assert draws.shape == (400, len(pressure), 3)
+    spread = at.estimate.normal_pressure_standard_deviation[0]
+    assert np.abs(draws[..., 2].mean(axis=0) - pressure).max() < 0.3 * spread.max()
+    assert np.median(draws[..., 2].std(axis=0) / spread) == pytest.approx(1.0, abs=0.15)
+    geometry = found.trial.geometry
+    local = draws * [1, 1, -1] * geometry.areas[:, None]
+    total = np.einsum("nij,dnj->di", geometry.rotations, local)[:, 2]
+    assert total.mean() == pytest.approx(at.estimate.forces[0, :, 2].sum(), rel=0.03)
+    frame = found.trial.to_dataframe()
+    pd.testing.assert_frame_equal(frame, st.open_trial(path).samples().to_dataframe())
+    for time in (9.0, 14.0):
+        with pytest.raises(st.TestbedError, match="give a time between 10"):
+            found.at(time)
+
+    figure, axes = Figure(), []
+    for drawn in (found, at, st.cycles(path, "Fz", by="placed:removed")):
+        axes.append(figure.add_subplot())
+        drawn.draw(ax=axes[-1])
+    assert [ax.get_ylabel() for ax in axes] == ["height [mm]", "height [mm]", "Fz [N]"]
+    assert all(ax.has_data() for ax in axes)
+    with pytest.raises(st.TestbedError, match="no single panel"):
+        st.fit(folder / "trials" / "hold").draw(ax=axes[0])
 
 
 @pytest.mark.slow

@@ -5,12 +5,12 @@ function works under the same conditions as its verb: it reports the same notes 
 computes in one thread of linear algebra, so that the same trial gives the same numbers on every
 machine, and writes the same files.
 
-Lengths are in metres, forces in newtons, times in seconds. An error is a `TestbedError` whose one
-line says what is wrong and how to fix it: a `ConfigurationError` for a wrong setting or file, a
-`TrialError` for a trial that cannot be read or holds no such segment, an `IdentificationError` for
-samples that allow no fit, a `CalibrationError`, `ScanError` or `RegistrationError` for data that
-allows no calibration, design or registration. The examples run in a folder with two simulated
-trials.
+Where a function takes a trial it takes its path as well. Lengths are in metres, forces in newtons,
+times in seconds. An error is a `TestbedError` whose one line says what is wrong and how to fix it:
+a `ConfigurationError` for a wrong setting or file, a `TrialError` for a trial that cannot be read
+or holds no such segment, an `IdentificationError` for samples that allow no fit, a
+`CalibrationError`, `ScanError` or `RegistrationError` for data that allows no calibration, design
+or registration. The examples run in a folder with two simulated trials.
 """
 
 # Each public name stands once, here; `socket_testbed` takes its own from this list.

@@ -39,7 +39,7 @@ from scipy.special import nctdtrinc, ndtri, stdtrit
 
 from socket_testbed.api.pressure import Rows, TrialPressure, pressure
 from socket_testbed.api.result import Result, records
-from socket_testbed.api.trials import PathLike, Progress, open_trial, started
+from socket_testbed.api.trials import PathLike, Progress, as_trial, started
 from socket_testbed.arrays import FloatArray, IntArray
 from socket_testbed.errors import ConfigurationError, TrialError
 from socket_testbed.files import atomic_output
@@ -574,7 +574,7 @@ def _open(
             )
         if path.resolve() in [trial.path.resolve() for trial in trials]:
             raise ConfigurationError(f"{path} is given twice", "give each trial once")
-        trials.append(item if isinstance(item, Trial) else open_trial(item))
+        trials.append(as_trial(item))
     return trials, np.repeat(np.arange(len(groups)), [*map(len, groups)])
 
 

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from socket_testbed.api.result import Result
-from socket_testbed.api.trials import select
+from socket_testbed.api.trials import PathLike, as_trial, select
 from socket_testbed.arrays import FloatArray, IntArray
 from socket_testbed.errors import ConfigurationError, TrialError, closest
 from socket_testbed.tables import split_unit
@@ -19,6 +19,7 @@ from socket_testbed.trials.trial import Trial
 
 if TYPE_CHECKING:
     import pandas as pd
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
     from socket_testbed.report.figures.style import FigureStyle
@@ -105,7 +106,7 @@ class Cycles(Result):
 
     def _figure(self, style: FigureStyle) -> Figure:
         """Each quantity with its band: mean and one standard deviation."""
-        from socket_testbed.report.figures.style import LINE_STYLES, lay_out, style_axes, wrap
+        from socket_testbed.report.figures.style import lay_out, style_axes, wrap
 
         count = len(self.titles)
         if count > _MOST_PANELS:
@@ -119,20 +120,9 @@ class Cycles(Result):
         band = "mean and one standard deviation" if len(self) >= _BAND else "mean, no band"
         style.add_title(figure, f"{self.trial.name}: {self}; {band}")
         panels = figure.subplots(rows, across, squeeze=False, sharex=True).ravel()
-        percent, colour = np.linspace(0.0, 100.0, _POINTS), LINE_STYLES[1]["color"]
-        columns = zip(panels, self.titles, self.mean.T, self.deviation.T, strict=False)
-        for number, (panel, name, mean, deviation) in enumerate(columns):
-            if len(self) <= _MOST_LINES:
-                panel.plot(percent, self.curves[:, :, number].T, color="0.8", linewidth=0.5)
-            band_ends = mean - deviation, mean + deviation
-            panel.fill_between(percent, *band_ends, color=colour, alpha=_OPACITY, linewidth=0.0)
-            panel.plot(percent, mean, color=colour)
-            if not np.isfinite(mean).any():
-                middle = {"transform": panel.transAxes, "ha": "center", "color": "0.3"}
-                panel.text(0.5, 0.5, "no value", **middle)
-                panel.set_yticks([])
+        for number, (panel, name) in enumerate(zip(panels, self.titles, strict=False)):
+            self._draw_quantity(panel, number)
             panel.set_ylabel(wrap(name, 0.75 * _PANEL), parse_math=False)
-            panel.set_xlim(0.0, 100.0)
             style_axes(panel)
         for panel in panels[count:]:
             panel.remove()
@@ -141,9 +131,35 @@ class Cycles(Result):
             panel.set_xlabel("cycle [%]")
         return lay_out(figure)
 
+    def _draw_into(self, ax: Axes) -> None:
+        if len(self.titles) != 1:
+            raise ConfigurationError(
+                f"axes hold one of these {len(self.titles)} quantities",
+                "name one, such as st.cycles(trial, 'Fz')",
+            )
+        self._draw_quantity(ax, 0)
+        ax.set(xlabel="cycle [%]", ylabel=self.titles[0])
+
+    def _draw_quantity(self, panel: Axes, number: int) -> None:
+        """Mean of a quantity with its band, and the single cycles."""
+        from socket_testbed.report.figures.style import LINE_STYLES
+
+        percent, colour = np.linspace(0.0, 100.0, _POINTS), LINE_STYLES[1]["color"]
+        mean, deviation = self.mean[:, number], self.deviation[:, number]
+        if len(self) <= _MOST_LINES:
+            panel.plot(percent, self.curves[:, :, number].T, color="0.8", linewidth=0.5)
+        ends = mean - deviation, mean + deviation
+        panel.fill_between(percent, *ends, color=colour, alpha=_OPACITY, linewidth=0.0)
+        panel.plot(percent, mean, color=colour)
+        if not np.isfinite(mean).any():
+            middle: dict[str, Any] = {"transform": panel.transAxes, "ha": "center", "color": "0.3"}
+            panel.text(0.5, 0.5, "no value", **middle)
+            panel.set_yticks([])
+        panel.set_xlim(0.0, 100.0)
+
 
 def cycles(
-    trial: Trial,
+    trial: Trial | PathLike,
     quantity: str | Sequence[str] | pd.DataFrame | None = None,
     *,
     by: str = PLACED,
@@ -174,6 +190,7 @@ def cycles(
     >>> list(found.to_dataframe())
     ['Fz mean [N]', 'Fz sd [N]', 'Fz n [-]']
     """
+    trial = as_trial(trial)
     time, titles, values = _series(trial, quantity)
     chosen = select(trial, segment, trial.estimator)
     all_spans = cycle_spans(trial.events(), by)
@@ -182,7 +199,7 @@ def cycles(
     if len(spans) == 0:
         raise TrialError(
             f"no cycle by '{by}' lies within {start:.2f} s to {end:.2f} s",
-            f"the trial has {len(all_spans)}: see 'info' for its events",
+            f"the trial has {len(all_spans)}: give the segment 'all', or see 'info'",
         )
     durations = spans[:, 1] - spans[:, 0]
     kept = durations <= _LONG * np.median(durations)

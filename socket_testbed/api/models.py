@@ -15,7 +15,7 @@ from socket_testbed.api.cycles import cycles as cycles_of
 from socket_testbed.api.pressure import TrialPressure
 from socket_testbed.api.pressure import pressure as pressure_of
 from socket_testbed.api.result import Result, origin
-from socket_testbed.api.trials import PathLike, as_path, select, select_frames
+from socket_testbed.api.trials import PathLike, as_path, as_trial, select, select_frames
 from socket_testbed.arrays import FloatArray
 from socket_testbed.identification.evaluation import (
     ChannelErrors,
@@ -260,7 +260,7 @@ def _means(errors: Sequence[ChannelErrors]) -> str:
 
 
 def fit(
-    trial: Trial,
+    trial: Trial | PathLike,
     segment: str | Segment = "plateau",
     *,
     params: PathLike | None = None,
@@ -301,6 +301,7 @@ def fit(
     'N'
     >>> fitted.save("hold.json")
     """
+    trial = as_trial(trial)
     settings = estimator_settings(
         trial.estimator,
         as_path(params),
@@ -368,7 +369,7 @@ def _predictions(samples: Samples, stored: StoredModel) -> FloatArray:
         return predict_channels(stored.model, smooth.pose, samples.clusters)
 
 
-def predict(trial: Trial, model: Model) -> pd.DataFrame:
+def predict(trial: Trial | PathLike, model: Model) -> pd.DataFrame:
     """Predict every channel of a trial from its limb positions.
 
     The poses are averaged over the window of the model's fit, if that has one.
@@ -387,6 +388,7 @@ def predict(trial: Trial, model: Model) -> pd.DataFrame:
     >>> bool((predicted - measured)["Fz [N]"].abs().median() < 20)
     True
     """
+    trial = as_trial(trial)
     import pandas as pd
 
     stored = model_for(trial, model)
@@ -398,7 +400,7 @@ def predict(trial: Trial, model: Model) -> pd.DataFrame:
 
 
 def evaluate(
-    trial: Trial,
+    trial: Trial | PathLike,
     model: Model,
     segment: str | Segment = "plateau",
     *,
@@ -423,6 +425,7 @@ def evaluate(
     >>> list(found.to_dataframe())
     ['unit', 'RMSE', 'MAE', 'sigma', 'skill', 'samples', 'in objective']
     """
+    trial = as_trial(trial)
     stored = model_for(trial, model)
     if pose_smoothing is not None:
         changed = dataclasses.replace(stored.settings, pose_smoothing=pose_smoothing)
@@ -443,7 +446,7 @@ def evaluate(
 
 
 def export(
-    trial: Trial,
+    trial: Trial | PathLike,
     path: PathLike,
     segment: str | Segment = "all",
     model: Model | None = None,
@@ -472,6 +475,7 @@ def export(
     >>> "distal.C0 [pF]" in table.columns, len(table)
     (True, 41)
     """
+    trial = as_trial(trial)
     import pandas as pd
 
     path = Path(path)

@@ -13,19 +13,18 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from socket_testbed.api.result import Result, origin, records
-from socket_testbed.api.trials import PathLike, as_path, select
+from socket_testbed.api.trials import PathLike, as_path, as_trial, select
 from socket_testbed.arrays import FloatArray
 from socket_testbed.documents import check_number
+from socket_testbed.errors import ConfigurationError, TrialError
 from socket_testbed.geometry.regions import Region, all_regions
 from socket_testbed.geometry.socket import SocketGeometry, find_regions
-from socket_testbed.identification.force_map import (
-    MapEstimate,
-    map_trial,
-)
+from socket_testbed.identification.force_map import ForceMap, MapEstimate, map_trial
 from socket_testbed.identification.information import Suspension, find_suspension
 from socket_testbed.identification.model_file import finite_or_null
 from socket_testbed.identification.objective import check_channels
 from socket_testbed.identification.pressure import (
+    NORMAL_QUANTILE,
     SHARE,
     THRESHOLD,
     TITLES,
@@ -36,6 +35,7 @@ from socket_testbed.identification.pressure import (
     read_column,
     with_interval,
 )
+from socket_testbed.samples import Samples
 from socket_testbed.settings.testbed import estimator_settings
 from socket_testbed.tables import write_table
 from socket_testbed.trials.segment import Segment
@@ -43,6 +43,7 @@ from socket_testbed.trials.trial import Trial
 
 if TYPE_CHECKING:
     import pandas as pd
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
     from socket_testbed.report.figures.style import FigureStyle
@@ -64,6 +65,8 @@ class TrialMap(Result):
     segment: Segment
     time: FloatArray  # (N,) [s], of its samples since the first sample of the trial
     estimate: MapEstimate
+    samples: Samples  # with the channels that count
+    force_map: ForceMap
 
     def __repr__(self) -> str:
         mean = self.estimate.mean()
@@ -107,6 +110,42 @@ class TrialMap(Result):
         )
         return table.sort_values("pressure [kPa]", ascending=False, kind="stable")
 
+    def at(self, time: float) -> TrialMap:
+        """The map at an instant: its newest sample at a time since the first one [s]."""
+        row = int(np.searchsorted(self.time, time + 1e-6, "right")) - 1
+        if row < 0 or time > self.time[-1] + np.ptp(self.time[-2:]):
+            raise TrialError(
+                f"the map has no sample at {time:g} s",
+                f"give a time between {self.time[0]:.2f} s and {self.time[-1]:.2f} s",
+            )
+        when, samples = self.time[row : row + 1], self.samples[row : row + 1]
+        instant = Segment("instant", float(when[0]), float(when[0]), slice(row, row + 1))
+        estimate = self.force_map.estimate(samples)
+        return TrialMap(self.trial, instant, when, estimate, samples, self.force_map)
+
+    def draws(self, count: int = 200) -> FloatArray:
+        """Joint draws of the stresses on all tiles, from which any function has its interval.
+
+        Each draw is a map that agrees with all that was measured. The random numbers are the same
+        in all samples, and seeded.
+
+        Args:
+            count: Number D of draws, even.
+
+        Returns:
+            Shear along x (proximal) and along y of each tile's frame, and normal pressure, positive
+            in compression, shape (N, D, n, 3) [Pa]. Of many samples that is much: see `at`.
+        """
+        geometry = self.trial.geometry
+        check_number(count, "count", 2)
+        if count % 2:
+            raise ConfigurationError(f"{count} draws are odd", "give an even number")
+        found = np.empty((len(self.time), count, len(geometry), 3))
+        for draws in self.force_map.sample(self.samples, count):
+            values = draws.values().reshape(len(draws.rows), count, -1, 3)
+            found[draws.rows] = values / geometry.areas[:, None] * [1.0, 1.0, -1.0]
+        return found
+
     def document(self) -> dict[str, Any]:
         """The map for JSON, with its means over the segment by tile."""
         means = records(self.summary().reset_index())
@@ -119,9 +158,17 @@ class TrialMap(Result):
         heading = f"{self.trial.name}, {self.segment}: force map"
         return force_map_figure(self.trial.geometry, self.estimate.mean(), heading, style)
 
+    def _draw_into(self, ax: Axes) -> None:
+        from socket_testbed.report.figures.tiles import draw_wall
+
+        mean, side = self.estimate.mean(), self.trial.metadata.side or ""
+        reach = 1e-3 * NORMAL_QUANTILE * mean.normal_pressure_standard_deviation[0]
+        pressure = 1e-3 * mean.normal_pressure[0]
+        draw_wall(ax, self.trial.geometry, pressure, "pressure [kPa]", reach, side)
+
 
 def force_map(
-    trial: Trial,
+    trial: Trial | PathLike,
     segment: str | Segment = "plateau",
     *,
     params: PathLike | None = None,
@@ -147,7 +194,10 @@ def force_map(
     >>> found.estimate.forces.shape, list(found.to_dataframe())[:2]
     ((41, 79, 3), ['distal.Fx [N]', 'distal.Fx.sd [N]'])
     >>> found.save("map.csv")
+    >>> found.at(12.0).draws().shape  # of any function of the map: its interval
+    (1, 200, 79, 3)
     """
+    trial = as_trial(trial)
     settings = estimator_settings(trial.estimator, as_path(params))
     samples = trial.samples()
     chosen = select(trial, segment, settings)
@@ -155,8 +205,9 @@ def force_map(
         mapping, trusted = map_trial(
             samples, trial.geometry, settings.force_map, settings.identification.leave_out
         )
-        estimate = mapping.estimate(trusted[chosen.rows])
-    return TrialMap(trial, chosen, np.asarray(samples.time[chosen.rows]), estimate)
+        rows = trusted[chosen.rows]
+        estimate = mapping.estimate(rows)
+    return TrialMap(trial, chosen, np.asarray(samples.time[chosen.rows]), estimate, rows, mapping)
 
 
 @dataclass(frozen=True, repr=False)
@@ -186,7 +237,8 @@ class TrialPressure(Result):
     @cached_property
     def map(self) -> TrialMap:
         """The force map that they are computed from, at every sample: 6 kB each."""
-        return TrialMap(self.trial, self.segment, self.time, self.outputs.estimate)
+        of = self.outputs
+        return TrialMap(self.trial, self.segment, self.time, of.estimate, of.samples, of.force_map)
 
     @cached_property
     def suspension(self) -> Suspension | None:
@@ -348,6 +400,9 @@ class TrialPressure(Result):
             style,
         )
 
+    def _draw_into(self, ax: Axes) -> None:
+        self.map._draw_into(ax)
+
     def _nearest(self, centre: FloatArray) -> str:
         """Name of the tile nearest to a point [m]; empty if it is not known."""
         if not np.isfinite(centre).all():
@@ -370,7 +425,7 @@ def _clusters_by_tile(geometry: SocketGeometry) -> list[str]:
 
 
 def pressure(
-    trial: Trial,
+    trial: Trial | PathLike,
     segment: str | Segment = "plateau",
     *,
     threshold: float = 1e-3 * THRESHOLD,
@@ -406,6 +461,7 @@ def pressure(
     ['mean pressure [kPa]', 'mean pressure low [kPa]', 'mean pressure high [kPa]']
     >>> found.save("pressure.csv")
     """
+    trial = as_trial(trial)
     check_number(threshold, "--threshold", 0.0, 1e4)
     check_number(share, "--share", 0.0, 10.0)
     settings = estimator_settings(trial.estimator, as_path(params), leave_out=leave_out)

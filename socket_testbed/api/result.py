@@ -16,6 +16,7 @@ from socket_testbed.trials.trial import Trial
 
 if TYPE_CHECKING:
     import pandas as pd
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
     from socket_testbed.report.figures.style import FigureStyle
@@ -63,12 +64,30 @@ class Result:
         found: Figure = in_style(self._figure)(figure_style(width, title))
         return found
 
-    def draw(self, path: PathLike, width: float = 180, title: bool = True) -> None:
-        """Write `figure`, see there, as `.png` or `.pdf`; an older file is replaced."""
-        check_picture(Path(path))
-        from socket_testbed.report.figures.style import save_figure
+    def draw(
+        self,
+        path: PathLike | None = None,
+        width: float = 180,
+        title: bool = True,
+        *,
+        ax: Axes | None = None,
+    ) -> None:
+        """Write `figure`, see there, as `.png` or `.pdf`, or draw into your own axes.
 
-        save_figure(self.figure(width, title), Path(path))
+        Args:
+            path: The file; an older one is replaced.
+            width: As in `figure`.
+            title: As in `figure`.
+            ax: Axes of matplotlib into which the result's main panel is drawn, in your own style:
+                the unrolled wall of a map, a quantity over a cycle.
+        """
+        if ax is not None:
+            self._draw_into(ax)
+        if path is not None:
+            check_picture(Path(path))
+            from socket_testbed.report.figures.style import save_figure
+
+            save_figure(self.figure(width, title), Path(path))
 
     def _saved_table(self) -> pd.DataFrame:
         return self.to_dataframe()
@@ -80,6 +99,11 @@ class Result:
     def _figure(self, style: FigureStyle) -> Figure:
         raise ConfigurationError(
             f"{type(self).__name__} has no figure", "draw its table: see to_dataframe()"
+        )
+
+    def _draw_into(self, ax: Axes) -> None:
+        raise ConfigurationError(
+            f"{type(self).__name__} has no single panel to draw", "leave ax: see figure()"
         )
 
 

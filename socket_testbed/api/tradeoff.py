@@ -16,6 +16,7 @@ from socket_testbed.api.trials import (
     PathLike,
     Progress,
     as_path,
+    as_trial,
     require_segment,
     select_frames,
     started,
@@ -90,7 +91,7 @@ def _values(thetas: int) -> FloatArray:
 
 
 def pareto(
-    trial: Trial,
+    trial: Trial | PathLike,
     segment: str | Segment = "plateau",
     *,
     thetas: int = 101,
@@ -113,6 +114,7 @@ def pareto(
     Front(stiffness, 11 solutions, ... not dominated; knee of depth ...)
     >>> tradeoff.draw("front.png")
     """
+    trial = as_trial(trial)
     check_thetas(thetas)
     settings = estimator_settings(trial.estimator, as_path(params), **choices)
     chosen = select_frames(trial, segment, settings)
@@ -163,7 +165,7 @@ class PaperTable(Result):
 
 
 def paper(
-    trial: Trial,
+    trial: Trial | PathLike,
     segment: str | Segment = "plateau",
     *,
     thetas: int = 101,
@@ -194,6 +196,7 @@ def paper(
     >>> found.to_dataframe().loc["RMSE of Mx [N m]", "the paper"].tolist()
     [3.99, 0.95]
     """
+    trial = as_trial(trial)
     chosen = {"weights": weights, "frames": frames, **choices}
     check_thetas(thetas)
     fits = {v: fit(trial, segment, params=params, variant=v, **chosen) for v in PAPER_VARIANTS}
@@ -208,7 +211,7 @@ def paper(
 
 
 def write_report(
-    trial: Trial,
+    trial: Trial | PathLike,
     page: PathLike,
     segment: str = "plateau",
     *,
@@ -250,6 +253,7 @@ def write_report(
     >>> list(results.fitted)
     ['stiffness', 'stiffness_bias', 'rigid_bias']
     """
+    trial = as_trial(trial)
     # matplotlib and plotly take their time to import.
     from socket_testbed.report.figures.style import figure_style
     from socket_testbed.report.results import compute_results

@@ -102,8 +102,13 @@ def open_trial(
     return trial
 
 
+def as_trial(trial: Trial | PathLike) -> Trial:
+    """The trial, which may be given by its path."""
+    return trial if isinstance(trial, Trial) else open_trial(trial)
+
+
 def annotate(
-    trial: Trial,
+    trial: Trial | PathLike,
     *,
     subject: str | None = None,
     side: Side | None = None,
@@ -139,6 +144,7 @@ def annotate(
     {'subject': 'S01', 'side': 'left', 'socket': None, 'liner': None, 'mass [kg]': 82.5, ...}
     >>> st.annotate(trial, remove=["mass"]).mass
     """
+    trial = as_trial(trial)
     changes = {
         "subject": subject,
         "side": side,
@@ -163,7 +169,7 @@ def _warn(note: str) -> None:
     warnings.warn(note, stacklevel=2)
 
 
-def check_data(trial: Trial) -> tuple[Finding, ...]:
+def check_data(trial: Trial | PathLike) -> tuple[Finding, ...]:
     """Check whether a trial's data is good: what to look at, the worst first.
 
     Signs, lags, units, dead, clipped, noisy and missing sources, each judged by itself and by the
@@ -172,6 +178,7 @@ def check_data(trial: Trial) -> tuple[Finding, ...]:
     >>> st.check_data(st.open_trial("trials/hold"))
     ()
     """
+    trial = as_trial(trial)
     return find_faults(trial.samples(), trial.geometry, trial.metadata.mass)
 
 

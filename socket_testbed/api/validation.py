@@ -13,7 +13,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from socket_testbed.api.result import Result
-from socket_testbed.api.trials import PathLike, Progress, as_path, started
+from socket_testbed.api.trials import PathLike, Progress, as_path, as_trial, started
 from socket_testbed.errors import ConfigurationError, IdentificationError, TrialError
 from socket_testbed.identification.model_file import finite_or_null
 from socket_testbed.identification.noise import smooth_poses
@@ -116,7 +116,7 @@ class Validation(Result):
 
 
 def validate(
-    *trials: Trial,
+    *trials: Trial | PathLike,
     params: PathLike | None = None,
     progress: Progress | None = None,
     **choices: Any,
@@ -147,7 +147,7 @@ def validate(
     >>> bool((left_out["error [-]"] > 0.0).all())
     True
     """
-    recordings = _recordings(trials, as_path(params), choices)
+    recordings = _recordings([*map(as_trial, trials)], as_path(params), choices)
     several = len(trials) > 1
     chosen = _spread(recordings, _MOST_FITTED)
     report = started(progress, "validating") or (lambda done, total: None)

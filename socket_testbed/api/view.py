@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Self
 
 from socket_testbed.api.models import Model, model_for
+from socket_testbed.api.trials import PathLike, as_trial
 from socket_testbed.trials.trial import Trial
 
 if TYPE_CHECKING:
@@ -33,7 +34,7 @@ class TrialPage:
 
 
 def view(
-    trial: Trial,
+    trial: Trial | PathLike,
     model: Model | None = None,
     *,
     port: int = 0,
@@ -66,6 +67,7 @@ def view(
     ...     print(page.url)
     http://127.0.0.1:...
     """
+    trial = as_trial(trial)
     from socket_testbed.pages.player import Player
     from socket_testbed.pages.server import PageServer
 

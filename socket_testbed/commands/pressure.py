@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,7 @@ from socket_testbed.commands.options import (
 )
 from socket_testbed.commands.terminal import number, table
 from socket_testbed.errors import ConfigurationError
+from socket_testbed.geometry.socket import PARTS_OF_SECTORS
 from socket_testbed.identification.model_file import finite_or_null
 from socket_testbed.identification.pressure import TITLES, interval_end
 from socket_testbed.trials.trial import Trial
@@ -40,6 +42,7 @@ def pressure(
     *,
     output: Path | None = None,
     over_time: bool = False,
+    cycles: str | None = None,
     figure: Path | None = None,
     json: bool = False,
     replace: bool = False,
@@ -50,6 +53,9 @@ def pressure(
     Args:
         output: Table of the regions; for a folder of trials the folder of such tables.
         over_time: Write a table of every sample instead: regions and tiles over time.
+        cycles: Write and draw means and standard deviations over 0 to 100 % of a cycle instead;
+            cycles run from each event of a label to the next, such as 'stance', or between two,
+            such as 'stance:swing'. Mostly with --segment all.
         figure: Draw unrolled maps, mean and at the peak, and regions over time.
         json: Print JSON on standard output.
     """
@@ -63,16 +69,33 @@ def pressure(
         raise ConfigurationError("--over-time has no output", "name its table with -o FILE.csv")
     check_files(None if trials else output, figure, replace=replace)
     verb = TrialVerb("pressure", ".pressure.csv", _compute, _row, _show, ("side",))
-    options |= {"over_time": over_time, "figure": figure, "json": json}
+    options |= {"over_time": over_time, "cycles": cycles, "figure": figure, "json": json}
     on_trials(verb, trial, output=output, replace=replace, **options)
 
 
 def _compute(trial: Trial, options: Mapping[str, Any]) -> TrialPressure:
     found = api.pressure(trial, **given(options, api.pressure))
+    if options["cycles"] is not None:
+        _bring_to_cycles(found, **options)
+        return found
     if options["output"] is not None:
         found.save(options["output"], over_time=options["over_time"])
     draw(found, **options)
     return found
+
+
+def _bring_to_cycles(
+    found: TrialPressure, cycles: str, output: Path | None, **options: Any
+) -> None:
+    """Write all outputs over a cycle, and draw the mean pressure of the regions."""
+    table, of = found.over_time(), partial(api.cycles, found.trial, by=cycles)
+    every = of(table, segment=found.segment)
+    print(f"{every}\n")
+    if output is not None:
+        every.save(output)
+    names = [place.name for place in found.places if place.name not in PARTS_OF_SECTORS]
+    shown = [f"{name}.mean pressure [kPa]" for name in names]
+    draw(of(table[shown], segment=found.segment), **options)
 
 
 def _show(found: TrialPressure, options: Mapping[str, Any]) -> None:

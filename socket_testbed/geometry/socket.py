@@ -32,11 +32,12 @@ from socket_testbed.geometry.pose import (
 
 HEIGHTS = ("proximal", "middle", "distal")
 SECTORS = ("anterior", "posterior", "medial", "lateral", "left", "right")
+PARTS_OF_SECTORS = [f"{sector} {height}" for sector in SECTORS for height in HEIGHTS]
 SOCKET = "socket"  # the region of all tiles
 
 _STANDARD_REGIONS = {
     *(SOCKET, *SECTORS, *HEIGHTS),
-    *(f"{sector} {height}" for sector in SECTORS for height in HEIGHTS),
+    *PARTS_OF_SECTORS,
 }
 _SAME_PLACE = 1e-4  # [m]
 _FromScan = Annotated[float, Meta(ge=-100.0, le=100.0)]  # [m]; a scanner's origin may be anywhere

@@ -6,6 +6,7 @@ Pressures are in kPa, lengths in mm; what is not known is null.
 from __future__ import annotations
 
 import base64
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from typing import Any
 
@@ -15,7 +16,7 @@ from socket_testbed.arrays import FloatArray
 from socket_testbed.geometry.axis import proximal_direction, socket_axis, wall_tiles
 from socket_testbed.geometry.pose import Pose
 from socket_testbed.geometry.regions import UNMEASURED, Region, Side
-from socket_testbed.geometry.socket import HEIGHTS, SECTORS, SOCKET, SocketGeometry
+from socket_testbed.geometry.socket import HEIGHTS, PARTS_OF_SECTORS, SOCKET, SocketGeometry
 from socket_testbed.identification.data_check import Finding
 from socket_testbed.identification.force_map import MapEstimate
 from socket_testbed.identification.pressure import Quantity, RegionOutputs, read_column
@@ -24,6 +25,7 @@ from socket_testbed.samples import Samples
 
 BARS = ("mean pressure [kPa]", "peak pressure [kPa]", "share of load [%]", "shear [kPa]")
 """Outputs that are drawn as bars."""
+_MOST_MARKS = 20
 _WEIGHT = 1.0 / 8192.0  # [-]; unit of the stored weights
 _SIDES = {"left": ("lateral", "medial"), "right": ("medial", "lateral"), None: ("left", "right")}
 # Corners of a square of edge 1, counter-clockwise about the inward normal, and closed.
@@ -137,21 +139,25 @@ def axial_force(samples: Samples, geometry: SocketGeometry) -> FloatArray:
 def course(
     time: FloatArray, force: FloatArray, peak: Quantity, events: Iterable[tuple[float, str]]
 ) -> Document:
-    """Force along the socket (N,) [N] and the socket's peak pressure (N,) [Pa] over time [s]."""
+    """Force along the socket (N,) [N] and the socket's peak pressure (N,) [Pa] over time [s].
+
+    Events of a label that is there too often, such as steps, are no marks.
+    """
+    listed = [*events]
+    often = Counter(label for _, label in listed)
     return {
         "time": numbers(time, 3),
         "force": numbers(force, 1),
         "peak": numbers(1e-3 * peak.value),
         "low": numbers(1e-3 * peak.low),
         "high": numbers(1e-3 * peak.high),
-        "events": [{"time": at, "label": label} for at, label in events],
+        "events": [{"time": at, "label": of} for at, of in listed if often[of] <= _MOST_MARKS],
     }
 
 
 def bars(places: Sequence[Region], outputs: RegionOutputs) -> Document:
     """Outputs of the regions with their 95 % intervals, by their titles, less parts of sectors."""
-    parts = {f"{sector} {height}" for sector in SECTORS for height in HEIGHTS}
-    shown = [i for i, place in enumerate(places) if place.name not in parts]
+    shown = [i for i, place in enumerate(places) if place.name not in PARTS_OF_SECTORS]
     found = {}
     for title in BARS:
         of = read_column(outputs, title)

@@ -4,6 +4,10 @@ The load is the size of the force on the load cell. The samples are split into t
 such that the loads within each are as alike as possible (Otsu, IEEE Trans. Syst. Man Cybern. 9
 (1979) 62). The load is placed when it rises above 60 % of the way from the lower mean to the upper,
 and removed when it falls below 40 %: noise in between makes no event.
+
+Steps are found without marks, too: stance begins when the load rises above 10 % of the way from its
+median in the lower level to the upper mean, and swing when it falls below 5 %, where that happens
+three times at least, at most 3 s apart.
 """
 
 from __future__ import annotations
@@ -26,9 +30,12 @@ from socket_testbed.trials.messages import Reader
 from socket_testbed.trials.topics import EVENT, TRIGGER, match_topics
 
 PLACED, REMOVED = "placed", "removed"
+STANCE, SWING = "stance", "swing"
 Source = Literal["recorded", "found"]
 
 _RISEN, _FALLEN = 0.6, 0.4  # [-]; of the way from the lower level of load to the upper
+_STRUCK, _OFF = 0.1, 0.05  # the same of a step, from the usual load in swing
+_STEPS, _STRIDE = 3, 3.0  # of a walk: number at least, time between them at most [s]
 _LONGEST_LABEL = 99  # characters
 _LABEL = re.compile(r"[^\W\d_](?:[\w. ]|-(?=[^\W\d_]))*")
 _NUMBER = r"(?:\d+(?:\.\d*)?|\.\d+)"
@@ -112,7 +119,8 @@ def find_events(samples: Samples, settings: PlateauSettings) -> list[Event]:
     """Find when the load was placed and removed, from its two levels (see the module).
 
     The events are `placed` and `removed` in turns, when the load passes the threshold, linear
-    between samples; none if its levels differ by less than `least_force`.
+    between samples; none if its levels differ by less than `least_force`. In a walk there are also
+    `stance` and `swing`.
     """
     time, load = _load(samples)
     if len(load) < 2:
@@ -121,13 +129,27 @@ def find_events(samples: Samples, settings: PlateauSettings) -> list[Event]:
     if upper - lower < settings.least_force:
         return []
     risen, fallen = (lower + share * (upper - lower) for share in (_RISEN, _FALLEN))
+    events = _passes(time, load, (PLACED, risen), (REMOVED, fallen))
+    swing = float(np.median(load[load < 0.5 * (lower + upper)]))
+    struck, off = (swing + share * (upper - swing) for share in (_STRUCK, _OFF))
+    steps = _passes(time, load, (STANCE, struck), (SWING, off))
+    strikes = [step.time for step in steps if step.label == STANCE]
+    if len(strikes) >= _STEPS and np.median(np.diff(strikes)) <= _STRIDE:
+        events = sorted([*events, *steps], key=lambda event: event.time)
+    return events
+
+
+def _passes(
+    time: FloatArray, load: FloatArray, rise: tuple[str, float], fall: tuple[str, float]
+) -> list[Event]:
+    """When a load rises above one threshold and falls below another, in turns, by its labels."""
+    (_, risen), (_, fallen) = rise, fall
     decided = np.flatnonzero((load >= risen) | (load <= fallen))
-    placed = load[decided] >= risen
-    changes = np.flatnonzero(placed[1:] != placed[:-1]) + 1
+    above = load[decided] >= risen
     events = []
-    for change in changes:
+    for change in np.flatnonzero(above[1:] != above[:-1]) + 1:
         after = decided[change]
-        label, threshold = (PLACED, risen) if placed[change] else (REMOVED, fallen)
+        label, threshold = rise if above[change] else fall
         share = (threshold - load[after - 1]) / (load[after] - load[after - 1])
         when = time[after - 1] + share * (time[after] - time[after - 1])
         events.append(Event(label, float(when), "found"))
@@ -136,10 +158,11 @@ def find_events(samples: Samples, settings: PlateauSettings) -> list[Event]:
 
 def is_loaded(events: Sequence[Event], time: float) -> bool:
     """Whether the load is placed at a time [s], by the events that `find_events` found."""
-    before = [event for event in events if event.time <= time]
+    changes = [event for event in events if event.label in (PLACED, REMOVED)]
+    before = [event for event in changes if event.time <= time]
     if before:
         return before[-1].label == PLACED
-    return not events or events[0].label == REMOVED
+    return not changes or changes[0].label == REMOVED
 
 
 def loaded_span(samples: Samples, settings: PlateauSettings) -> tuple[float, float] | None:

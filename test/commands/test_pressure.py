@@ -126,3 +126,15 @@ def test_a_figure_is_that_of_the_api(hold: Path, tmp_path, capsys) -> None:
     assert (tmp_path / "own.png").read_bytes() == figure.read_bytes()
     with pytest.raises(ConfigurationError, match="width of 120 mm"):
         st.pressure(st.open_trial(hold), "10:11").draw(tmp_path / "other.png", width=120)
+
+
+def test_cycles_are_written_and_drawn(tmp_path: Path, capsys) -> None:
+    trial = st.simulate(tmp_path / "ramp", "ramp", duration=130, seed=1)
+    words = ("--segment", "all", "--cycles", "placed", "--figure", tmp_path / "c.png")
+    code, out, _ = call(capsys, "pressure", trial.path, *words, "-o", tmp_path / "c.csv")
+    assert code == 0 and "4 cycles from each 'placed'" in out
+    assert (tmp_path / "c.png").read_bytes().startswith(b"\x89PNG")
+    table = pd.read_csv(tmp_path / "c.csv", index_col=0)
+    every = st.pressure(trial, "all").over_time()["socket.mean pressure [kPa]"]
+    expected = st.cycles(trial, every.to_frame()).mean[:, 0]
+    assert np.allclose(table["socket.mean pressure mean [kPa]"], expected)

@@ -16,6 +16,7 @@ from socket_testbed.trials.events import (
     cycle_spans,
     event_span,
     find_events,
+    is_loaded,
 )
 from socket_testbed.trials.layout import encode, message_class
 from socket_testbed.trials.topics import EVENT
@@ -60,9 +61,14 @@ def test_steps_of_a_walk_are_as_many_events_and_cycles() -> None:
     time = np.arange(0.0, 30.0, 1 / RATE)
     load = 40 + 360 * np.clip(np.sin(2 * np.pi * time / 1.5), 0.0, None)
     found = find_events(samples_of(load, RATE), SETTINGS)
-    assert labels(found) == ["placed", "removed"] * 20
+    assert labels(found) == ["stance", "placed", "removed", "swing"] * 20
     spans = np.array(cycle_spans(found))
     assert len(spans) == 19
+    # The foot bears load half of the time; 10 % and 5 % of it are passed soon after that.
+    stances = np.array(cycle_spans(found, "stance:swing"))
+    assert np.allclose(np.diff(stances, axis=1), 0.75, atol=0.1)
+    assert np.allclose(np.diff(np.array(cycle_spans(found, "stance")), axis=1), 1.5, atol=0.02)
+    assert is_loaded(found, 0.4) and not is_loaded(found, 1.2)
     assert np.allclose(np.diff(spans, axis=1), 1.5, atol=0.02)
     assert np.allclose(spans[1:, 0], spans[:-1, 1])
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -117,13 +117,22 @@ class TilePaint:
 
 
 def paint_tiles(
-    geometry: SocketGeometry, values: FloatArray, limits: tuple[float, float] | None = None
+    geometry: SocketGeometry,
+    values: FloatArray,
+    limits: tuple[float, float] | None = None,
+    reach: FloatArray | None = None,
 ) -> TilePaint:
-    """Paint tiles by their values, shape (n,); those without one are white and hatched."""
+    """Paint tiles by their values, shape (n,); those without one are white and hatched.
+
+    With the reach of their intervals, (n,), values on all tiles are smooth over the surface.
+    """
     scale = ScalarMappable(Normalize(*(limits or value_range(geometry, values))), SCALE)
     unknown = np.isnan(values)
     fills = np.where(unknown[:, None], to_rgba(NO_VALUE), scale.to_rgba(values))
-    return TilePaint(fills, unknown, scale)
+    if reach is None or unknown.any():
+        return TilePaint(fills, unknown, scale)
+    images = _images(geometry, values, reach, scale)
+    return TilePaint(np.zeros_like(fills), unknown, scale, images)
 
 
 def _images(
@@ -396,10 +405,7 @@ def _draw_maps(
     any_unknown = any_grey = False
     bar: dict[str, Any] = {"label": wrap(unit, _BAR_LABEL), "pad": 0.01}
     for panels, (name, row), limits in zip(axes, values.items(), scales, strict=False):
-        paint = paint_tiles(geometry, row, limits)
-        if name in reach and not paint.hatched.any():
-            images = _images(geometry, row, reach[name], paint.scale)
-            paint = replace(paint, fills=np.zeros_like(paint.fills), images=images)
+        paint = paint_tiles(geometry, row, limits, reach.get(name))
         any_grey |= bool(paint.images) and bool(np.any(reach[name]))
         any_unknown |= bool(paint.hatched.any())
         _draw_unrolled(panels[0], geometry, paint, labels, side=side)
@@ -416,6 +422,23 @@ def _draw_maps(
         figure.colorbar(paint.scale, ax=[*axes.flat], aspect=25.0 * rows, **bar)
     grey = "the greyer, the less certain" * any_grey
     add_key(figure, style, *key, grey, "hatched: no value" * any_unknown)
+
+
+def draw_wall(
+    axis: Axes,
+    geometry: SocketGeometry,
+    values: FloatArray,
+    unit: str,
+    reach: FloatArray | None = None,
+    side: str = "",
+) -> None:
+    """Draw values on the wall, shape (n,), with a bar of colours, into the axes of somebody.
+
+    See `paint_tiles` for the reach of their intervals.
+    """
+    paint = paint_tiles(geometry, values, reach=reach)
+    _draw_unrolled(axis, geometry, paint, [""] * len(geometry), side=side)
+    axis.figure.colorbar(paint.scale, ax=axis, label=unit)
 
 
 def add_key(figure: Figure | SubFigure, style: FigureStyle, *parts: str) -> None:
