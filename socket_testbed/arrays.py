@@ -1,4 +1,4 @@
-"""Array types of the package, the root mean square of what is known, and weights of a line."""
+"""Array types of the package, and what is computed of arrays in several places."""
 
 from typing import TypeAlias
 
@@ -15,6 +15,12 @@ def rms(values: FloatArray, empty: float = float("nan")) -> float:
     """Root mean square of the finite values; `empty` without any."""
     finite = values[np.isfinite(values)]
     return float(np.sqrt(np.mean(finite**2))) if len(finite) else empty
+
+
+def evenly(count: int, most: int) -> IntArray:
+    """Indices of `most` of some samples at most, evenly spread from the first to the last."""
+    chosen = np.linspace(0, count - 1, min(count, most)).round().astype(np.int64)
+    return np.unique(chosen)
 
 
 def line_weights(offsets: FloatArray) -> FloatArray:

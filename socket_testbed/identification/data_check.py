@@ -39,6 +39,7 @@ EXPLAINED = 0.4  # with less of its variance explained by the wrench; sound 0.57
 LATEST = 0.75  # lag of one source to another, sound 0.5 at most [s]
 CLEARER = 0.03  # correlation that a lag gains, at least [-]
 LONGEST_LAG = 10.0  # [s]
+LAG_STEP = 0.04  # [s]; at least
 MISSING = 0.05  # share of the samples that a source lacks, sound 0 [-]
 STILL = 2.0  # time that a value never changes, sound two samples [s]
 CLIPPED = 0.05  # share of the samples at one end of a channel's range, sound 0.002 [-]
@@ -282,6 +283,8 @@ def _explained(course: FloatArray, by: FloatArray) -> float:
 
 def _lag(reference: FloatArray, course: FloatArray, period: float) -> float:
     """Time by which a course follows another, 0 unless a lag is clearly better [s]."""
+    step = max(1, round(LAG_STEP / period))
+    reference, course, period = reference[::step], course[::step], step * period
     most = min(round(LONGEST_LAG / period), len(course) // 3)
     found = {
         lag: _correlation(course[max(lag, 0) : len(course) + min(lag, 0)],

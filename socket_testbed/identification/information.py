@@ -24,7 +24,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg import eigh
 
-from socket_testbed.arrays import FloatArray, IntArray
+from socket_testbed.arrays import FloatArray, IntArray, evenly
 from socket_testbed.geometry.axis import proximal_direction
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification.contact import ContactModel
@@ -45,6 +45,7 @@ LEAST_SHARE = 0.5  # [-]; of the load, which the springs should bear
 LEAST_RATIO = 3.0  # [-]; of motion to noise: noise then shrinks a stiffness by a tenth
 _LEAST_NOISE = 1e-9  # [m, rad]; of a pose without any
 _UNKNOWN_NOISE = 1.0  # [m, rad]; so large that what may be noise counts as no motion
+_MOST_RESAMPLED = 4000  # samples
 _MOST_SAMPLES = 300  # of a segment, whose derivatives are taken
 _RANK = 1e-9  # [-]; smallest singular value of poses that move
 _DRAWS = 200  # of the pose's noise
@@ -128,7 +129,7 @@ def known_directions(
     rows = np.flatnonzero(samples.complete)
     if not len(rows) or not np.isfinite(noise.wrench).all():
         return math.nan
-    chosen = rows[np.linspace(0, len(rows) - 1, min(len(rows), _MOST_SAMPLES)).astype(np.int64)]
+    chosen = rows[evenly(len(rows), _MOST_SAMPLES)]
     pose = smooth_poses(samples, window).pose[chosen]
     middle = pose.mean(axis=0)
     drawn = np.random.default_rng(0).multivariate_normal(np.zeros(6), spread, _DRAWS)
@@ -378,7 +379,7 @@ def find_suspension(samples: Samples, geometry: SocketGeometry) -> Suspension | 
         return _stiffness(moved[rows], load[rows], variance), np.diff(ends)[0], (high - low)[3:]
 
     rng, count = np.random.default_rng(0), len(moved)
-    blocks = np.array_split(np.arange(count), _BLOCKS)
+    blocks = np.array_split(evenly(count, _MOST_RESAMPLED), _BLOCKS)
     chosen = rng.integers(0, _BLOCKS, (_RESAMPLES, _BLOCKS))
     drawn = [found(np.concatenate([blocks[block] for block in row])) for row in chosen]
     value = found(np.arange(count))

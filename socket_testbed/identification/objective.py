@@ -26,7 +26,7 @@ from typing import Any
 
 import numpy as np
 
-from socket_testbed.arrays import BoolArray, FloatArray, rms
+from socket_testbed.arrays import BoolArray, FloatArray, IntArray, rms
 from socket_testbed.errors import ConfigurationError, IdentificationError, closest
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification.noise import (
@@ -94,6 +94,17 @@ class Objective:
     def with_settings(self, **changes: Any) -> Objective:
         """The same samples with another theta, smoothness or variant."""
         return replace(self, settings=replace(self.settings, **changes))
+
+    def part(self, rows: IntArray) -> Objective:
+        """The same objective by some of the samples, whose indices are given."""
+        channels = []
+        for channel in self.channels:
+            force = np.full(len(self.samples), np.nan)
+            force[channel.rows] = channel.force
+            kept = channel.rows[rows]
+            channels.append(replace(channel, rows=kept, force=force[rows][kept]))
+        samples, wrench = self.samples[rows], self.wrench[rows]
+        return replace(self, samples=samples, wrench=wrench, channels=tuple(channels))
 
 
 def check_channels(leave_out: tuple[str, ...], names: tuple[str, ...]) -> None:

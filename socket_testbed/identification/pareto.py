@@ -28,7 +28,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from socket_testbed.arrays import BoolArray, FloatArray
+from socket_testbed.arrays import BoolArray, FloatArray, evenly
 from socket_testbed.documents import check_number
 from socket_testbed.errors import ConfigurationError, IdentificationError
 from socket_testbed.geometry.socket import SocketGeometry
@@ -188,7 +188,8 @@ def pareto_front(
     or not determined, carries its flaw and is not on the front.
 
     Args:
-        samples: Samples of the segment; those without a wrench or a limb position are skipped.
+        samples: Samples of the segment; those without a wrench or a limb position are skipped. Of
+            more than 4000, as many are used, evenly spread.
         geometry: Geometry of the socket.
         settings: Settings of the identification; its theta and variant do not matter.
         thetas: Weights of the wrench against the clusters, in [0, 1] and rising [-].
@@ -206,6 +207,7 @@ def pareto_front(
         )
     settings = replace(settings, variant=PAPER_VARIANTS[0])
     objective = build_objective(samples, geometry, settings)
+    objective = objective.part(evenly(len(objective.samples), _MOST_SAMPLES))
     _require_both_groups(objective)
     solver = _FrontSolver(objective)
     points: dict[Variant, list[FrontPoint]] = {variant: [] for variant in variants}
@@ -445,6 +447,7 @@ OURS, THEIRS = "this trial", "the paper"
 WITHOUT, WITH = "without offsets", "with offsets"
 NOT_HERE = "the number is not in this package"
 
+_MOST_SAMPLES = 4000  # of a front
 _LOAD_SHARE = 0.2  # [-]; by which another load is still comparable
 _RATE_SHARE = 0.05  # [-]
 _UNSTEADY = 10.0  # [N]; standard deviation of the force that is no hold

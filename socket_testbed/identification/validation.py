@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from scipy.special import ndtri
 
-from socket_testbed.arrays import BoolArray, FloatArray, IntArray, rms
+from socket_testbed.arrays import BoolArray, FloatArray, IntArray, evenly, rms
 from socket_testbed.errors import IdentificationError
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification.contact import ContactModel
@@ -53,6 +53,7 @@ CLOSED = "inverse distance, wrench met"
 FORCE_MAP = "force map"
 CONSTANT = "best constant"
 MOST_SAMPLES = 1000  # of a trial, on which forces on tiles are judged
+_MOST_WRENCHES = 4000  # of a half of a trial
 
 _EXPONENT = 2.0  # [-]; Shepard's
 _NEAR = 1e-6  # [m]; a tile nearer than this to a cluster's is that tile
@@ -380,8 +381,7 @@ def judge_unseen_half(
 def thinned(rows: BoolArray, most: int = MOST_SAMPLES) -> IntArray:
     """At most `most` of some rows, evenly spread over them."""
     numbers = np.flatnonzero(rows)
-    chosen = np.linspace(0, len(numbers) - 1, min(len(numbers), most))
-    return np.asarray(numbers[np.round(chosen).astype(np.int64)])
+    return np.asarray(numbers[evenly(len(numbers), most)])
 
 
 def judge_samples(
@@ -411,6 +411,7 @@ def judge_samples(
     window = settings.identification.pose_smoothing
     seen, unseen = (smooth_poses(samples[half], window) for half in (first, second))
     predictors = wrench_predictors(seen, models)
+    seen, unseen = (half[evenly(len(half), _MOST_WRENCHES)] for half in (seen, unseen))
     found += judge_wrench(seen, predictors, "in-sample", name, name)
     found += judge_wrench(unseen, predictors, "second half", name, name)
     if truth is not None:

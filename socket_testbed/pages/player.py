@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from socket_testbed.arrays import evenly
 from socket_testbed.errors import ConfigurationError
 from socket_testbed.geometry.regions import all_regions
 from socket_testbed.identification.data_check import check_data
@@ -68,8 +69,7 @@ class Player:
 
     def _course(self) -> Document:
         samples, time = self._samples, self._samples.time
-        rows = np.linspace(0, len(samples) - 1, min(len(samples), _INSTANTS)).round().astype(int)
-        rows = np.unique(rows)
+        rows = evenly(len(samples), _INSTANTS)
         some = self._trusted[rows]
         found = pressure_outputs(self._map, some, self._geometry, self._places, THRESHOLD)
         events = [(event.time, event.label) for event in self._trial.events_of(samples)]

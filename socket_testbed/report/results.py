@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
 
-from socket_testbed.arrays import BoolArray, FloatArray
+from socket_testbed.arrays import BoolArray, FloatArray, evenly
 from socket_testbed.errors import IdentificationError
 from socket_testbed.geometry.regions import Region, Side, all_regions
 from socket_testbed.identification.contact import ContactModel
@@ -169,11 +169,11 @@ def compute_results(
     """Fit the variants on a segment of a trial, walk along theta, and judge all of it."""
     if given is not None:
         given.require_socket(trial.geometry)
-    notes: list[str] = []
-    noting = replace(trial, notify=notes.append)
-    samples = measured = noting.samples()
+    samples = measured = trial.samples()
+    events = trial.events()
+    notes = trial.notes
     leave_out = settings.identification.leave_out
-    segment = select_segment(samples, specification, settings.plateau, leave_out, noting.events)
+    segment = select_segment(samples, specification, settings.plateau, leave_out, trial.events)
     segment = first_frames(segment, samples, settings.identification.frames)
     sign = sign_note(samples[segment.rows], trial.geometry)
     outliers = find_outliers(samples, trial.geometry, leave_out)
@@ -205,7 +205,7 @@ def compute_results(
         no_fronts=no_fronts,
         implausible=find_implausible(chosen, trial.geometry),
         plateaus=tuple(find_plateaus(samples, settings.plateau, leave_out)),
-        events=tuple(noting.events()),
+        events=tuple(events),
         bag_notes=tuple(dict.fromkeys(notes)),
         data=check_data(samples, trial.geometry, trial.metadata.mass),
         motion=measure_motion(chosen, trial.geometry, settings.identification.pose_smoothing),
@@ -269,8 +269,8 @@ def _read_pressure(
     force_map, usable = map_trial(samples, geometry, settings.force_map, leave_out)
     places = all_regions(geometry, side)
     outputs = pressure_outputs(force_map, usable[segment.rows], geometry, places, THRESHOLD)
-    spread = np.linspace(0, len(samples) - 1, min(len(samples), _INSTANTS)).round()
-    rows = np.union1d(spread.astype(np.int64), [segment.rows.start + outputs.peak_row])
+    spread = evenly(len(samples), _INSTANTS)
+    rows = np.union1d(spread, [segment.rows.start + outputs.peak_row])
     over_trial = pressure_outputs(force_map, usable[rows], geometry, places, THRESHOLD)
     suspension = find_suspension(samples[segment.rows], geometry)
     return PressureResults(

@@ -5,10 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import count
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from socket_testbed.calibration.model import Calibration, read_calibration
 from socket_testbed.errors import ConfigurationError, TrialError
@@ -36,6 +37,9 @@ from socket_testbed.trials.synchronise import (
     read_measurements,
 )
 from socket_testbed.trials.topics import CAPACITANCE, LOAD_CELL_RAW, MARKERS, TRIGGER, Topic
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 SOCKET_FILE = "socket.yaml"
 CALIBRATION_FILE = "calibration.yaml"
@@ -70,6 +74,7 @@ class Trial:
     unloaded: tuple[tuple[float, float], ...] = ()
     load_cell_file: Path | None = None
     tare: str = RECORDED
+    _noted: dict[str, None] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         check_unloaded(self.unloaded)
@@ -163,6 +168,10 @@ class Trial:
     def _samples(self) -> Samples:
         return self.samples_of(self.measurements())
 
+    def to_dataframe(self) -> pd.DataFrame:
+        """The samples as a pandas table, see `Samples.to_dataframe`."""
+        return self.samples().to_dataframe()
+
     def measurements_and_samples(self) -> tuple[Measurements, Samples]:
         """`measurements` and `samples` from one reading."""
         measured = self.measurements()
@@ -196,7 +205,13 @@ class Trial:
                     "give the socket.yaml of this trial with --geometry",
                 )
 
+    @property
+    def notes(self) -> list[str]:
+        """The notes on the trial so far, each once."""
+        return [*self._noted]
+
     def _notify(self, note: str) -> None:
+        self._noted[note] = None
         if self.notify is not None:
             self.notify(note)
 
