@@ -42,7 +42,7 @@ from socket_testbed.trials.topics import PYLON_POSE, SOCKET_POSE, STRESS, WRENCH
 MEASURED = (STRESS, WRENCH, SOCKET_POSE, PYLON_POSE)  # each is part of a sample
 
 _FIRST_ATTEMPT = 10  # samples between attempts at the first model
-_COUNT_PERIOD = 2_000_000_000  # [ns]; between counts of the outliers
+_CHECK_PERIOD = 2_000_000_000  # [ns]; between checks of the data
 
 
 class StampSynchroniser:
@@ -277,9 +277,9 @@ class OnlineEstimator:
         self._last_stamp = 0  # of the samples that the model was fitted on [ns]
         self._fitted_with = settings().identification
         self._origin = ""  # of the model, in words
-        self._counting = False
-        self._last_count = 0  # [ns]
-        self._outliers: dict[str, int] = {}
+        self._checking = False
+        self._last_check = 0  # [ns]
+        self._findings: tuple[str, ...] = ()  # on the data of the window
         self._counts = {"triggers": 0, "samples": 0, "predictions": 0, "fits": 0, "refused": 0}
         self._state = (1, "no model yet: waiting for steady data or estimator/fit")
         self.newest = 0
@@ -288,10 +288,10 @@ class OnlineEstimator:
     def state(self) -> tuple[int, str]:
         """0 OK, 1 warning or 2 error, and why, in one line."""
         level, text = self._state
-        if not self._outliers:
+        if not self._findings:
             return level, text
-        found = ", ".join(f"{name} {count}" for name, count in self._outliers.items())
-        return max(level, 1), f"{text}; outliers in the window, left out of fits: {found}"
+        more = f" (and {len(self._findings) - 1} more)" * (len(self._findings) > 1)
+        return max(level, 1), f"{self._findings[0]}{more}; {text}"
 
     def figures(self) -> dict[str, object]:
         """Counts for the diagnostics, by name."""
@@ -317,8 +317,8 @@ class OnlineEstimator:
             self._synchroniser.clear()
             with self._lock:
                 self._window.clear()
-            self.newest = self._last_count = self._last_stamp = 0
-            self._outliers = {}
+            self.newest = self._last_check = self._last_stamp = 0
+            self._findings = ()
         self._last_trigger = stamp
         self._counts["triggers"] += 1
         return jumped
@@ -352,8 +352,8 @@ class OnlineEstimator:
         self._since_attempt += 1
         if self._fit_is_due():
             self._start_fit(steady=True)
-        if stamp - self._last_count >= _COUNT_PERIOD and not self._counting:
-            self._count_outliers(stamp)
+        if stamp - self._last_check >= _CHECK_PERIOD and not self._checking:
+            self._check(stamp)
         return estimate
 
     def fit(self) -> Fit:
@@ -450,15 +450,15 @@ class OnlineEstimator:
         self._state = (0, self._origin + compared)
         self._notify(fit)
 
-    def _count_outliers(self, stamp: int) -> None:
-        self._counting, self._last_count = True, stamp
+    def _check(self, stamp: int) -> None:
+        self._checking, self._last_check = True, stamp
         with self._lock:
             samples = self._window.samples()
         leave_out = self._settings().identification.leave_out
-        future = self._fitter.count_outliers(samples, self._geometry, leave_out)
-        future.add_done_callback(self._take_outliers)
+        future = self._fitter.check(samples, self._geometry, leave_out)
+        future.add_done_callback(self._take_findings)
 
-    def _take_outliers(self, future: Future[dict[str, int]]) -> None:
-        self._counting = False
+    def _take_findings(self, future: Future[tuple[str, ...]]) -> None:
+        self._checking = False
         if not future.cancelled() and future.exception() is None:
-            self._outliers = future.result()
+            self._findings = future.result()

@@ -18,6 +18,8 @@ from socket_testbed.arrays import rms
 from socket_testbed.errors import IdentificationError
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification.contact import ContactModel
+from socket_testbed.identification.data_check import LEAST_SAMPLES as LEAST_CHECKED
+from socket_testbed.identification.data_check import check_data
 from socket_testbed.identification.evaluation import predict_channels, trusted_values
 from socket_testbed.identification.fit import Fit, fit_contact_model
 from socket_testbed.identification.objective import LEAST_SAMPLES
@@ -117,11 +119,11 @@ class FitWorker:
         """
         return self._submit(partial(_fit, samples, geometry, settings, steady))
 
-    def count_outliers(
+    def check(
         self, samples: Samples, geometry: SocketGeometry, leave_out: tuple[str, ...]
-    ) -> Future[dict[str, int]]:
-        """Count the outliers of some samples by channel, but for those left out."""
-        return self._submit(partial(_count_outliers, samples, geometry, leave_out))
+    ) -> Future[tuple[str, ...]]:
+        """Say what to look at in some samples, the worst first, but for channels left out."""
+        return self._submit(partial(_check, samples, geometry, leave_out))
 
     def _submit(self, work: Callable[[], T]) -> Future[T]:
         try:
@@ -211,10 +213,10 @@ def _compare(
     return Comparison(len(samples), error(old), error(new))
 
 
-def _count_outliers(
+def _check(
     samples: Samples, geometry: SocketGeometry, leave_out: tuple[str, ...]
-) -> dict[str, int]:
-    outliers = find_outliers(samples, geometry, leave_out)
-    counts = {"limb position": int(outliers.position.sum())}
-    counts |= zip(samples.channels, outliers.values.sum(axis=0).tolist(), strict=True)
-    return {name: count for name, count in counts.items() if count > 0}
+) -> tuple[str, ...]:
+    if len(samples) < LEAST_CHECKED:
+        return ()
+    found = check_data(samples, geometry, leave_out=leave_out, whole=False)
+    return tuple(map(str, found))

@@ -97,3 +97,12 @@ def test_without_poses_or_with_few_samples_it_says_so(sound: dict[str, Path]) ->
     assert found.source == "the limb pose" and "missing" in found.fact
     (few,) = check_data(samples[:20], trial.geometry)
     assert "20 samples are too few" in few.fact
+
+
+def test_a_cluster_that_disagrees_with_the_others_is_named(sound: dict[str, Path]) -> None:
+    for path in sound.values():
+        trial = st.open_trial(path)
+        forces = trial.samples().local_forces.copy()
+        forces[:, 0, 2] -= 25e3 * trial.geometry.areas[0]
+        (found,) = check_data(replace(trial.samples(), local_forces=forces), trial.geometry)
+        assert found.source == trial.samples().clusters[0] and "the others" in found.fact

@@ -34,7 +34,7 @@ class FakeFitter:
 
     def __init__(self) -> None:
         self.requests: list[SimpleNamespace] = []
-        self.counts: list[tuple[Samples, Future[dict[str, int]]]] = []
+        self.checks: list[tuple[Samples, Future[tuple[str, ...]]]] = []
 
     def submit(self, samples, geometry, settings, steady) -> "Future[Refit | None]":
         future: Future[Refit | None] = Future()
@@ -42,9 +42,9 @@ class FakeFitter:
         self.requests.append(asked)
         return future
 
-    def count_outliers(self, samples, geometry, leave_out) -> "Future[dict[str, int]]":
-        self.counts.append((samples, Future()))
-        return self.counts[-1][1]
+    def check(self, samples, geometry, leave_out) -> "Future[tuple[str, ...]]":
+        self.checks.append((samples, Future()))
+        return self.checks[-1][1]
 
 
 @pytest.fixture(scope="module")
@@ -287,22 +287,21 @@ def test_the_model_that_is_better_on_the_newest_samples_stays(trial: Trial, fit:
         assert "before it 0.05" in text
 
 
-# --- outliers
+# --- whether the data is good
 
 
-def test_outliers_are_a_warning_that_names_channel_and_number(bench: Bench) -> None:
-    """Counted every two seconds, one at a time, with or without fits."""
+def test_what_to_look_at_in_the_data_is_a_warning(bench: Bench) -> None:
+    """Checked every two seconds, one at a time, with or without fits."""
     bench.settings = dataclasses.replace(bench.settings, auto_fit=False)
     bench.send(20)
-    ((samples, future),) = bench.fitter.counts
+    ((samples, future),) = bench.fitter.checks
     assert len(samples) == 9 and not bench.fitter.requests
-    future.set_result({"Fx": 2, "distal.Fz": 1})
+    future.set_result(("data: look at Fx: it stands still", "data: look at the mass"))
     level, text = bench.estimator.state
-    assert level == 1 and "no model yet" in text and "outliers" in text
-    assert "Fx 2, distal.Fz 1" in text
+    assert level == 1 and text.startswith("data: look at Fx: it stands still (and 1 more); no mod")
     bench.send(1, start=20)
-    bench.fitter.counts[1][1].set_result({})
-    assert "outliers" not in bench.estimator.state[1]
+    bench.fitter.checks[1][1].set_result(())
+    assert "look at" not in bench.estimator.state[1]
     bench.settings = dataclasses.replace(bench.settings, auto_fit=True)  # while it runs
     bench.send(1, start=21)
     assert len(bench.fitter.requests) == 1

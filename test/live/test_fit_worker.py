@@ -123,14 +123,15 @@ def test_what_cannot_be_fitted_is_refused_with_its_error(worker, trial, samples)
             submitted.result(HANGS)
 
 
-def test_outliers_are_counted_by_channel_and_do_not_end_a_stretch(worker, trial, samples) -> None:
+def test_outliers_are_named_by_channel_and_do_not_end_a_stretch(worker, trial, samples) -> None:
     wrench, position = samples.wrench.copy(), samples.position.copy()
     wrench[[20, 30], 3] = 1e9
     position[40] = 5.0
     wrong = dataclasses.replace(samples, wrench=wrench, position=position)
-    for left_out, expected in (((), {"Fx": 2}), (("Fx",), {})):
-        counts = worker.count_outliers(wrong, trial.geometry, left_out).result(HANGS)
-        assert counts == {"limb position": 1} | expected
+    for left_out in ((), ("Fx",)):
+        found = "; ".join(worker.check(wrong, trial.geometry, left_out).result(HANGS))
+        assert "limb position" in found and ("Fx" in found) is not bool(left_out)
+    assert worker.check(samples, trial.geometry, ()).result(HANGS) == ()
     clean, found = (
         worker.submit(some, trial.geometry, SETTINGS, STEADY).result(HANGS)
         for some in (samples, wrong)
