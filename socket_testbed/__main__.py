@@ -12,32 +12,42 @@ from socket_testbed import __version__
 from socket_testbed.commands.arguments import Parser, add_options, read_function, release_paths
 from socket_testbed.errors import TestbedError, likely
 
-# Each verb and the module that holds its function; the function's docstring is its help.
-VERBS = {
-    "demo": "demo",
-    "run": "live",
-    "doctor": "live",
-    "tile": "design",
-    "register": "design",
-    "calibrate": "design",
-    "simulate": "trials",
-    "record": "live",
-    "annotate": "trials",
-    "mark": "mark",
-    "replay": "live",
-    "view": "view",
-    "info": "trials",
-    "fit": "models",
-    "evaluate": "models",
-    "validate": "models",
-    "paper": "models",
-    "pareto": "models",
-    "pressure": "pressure",
-    "compare": "compare",
-    "map": "pressure",
-    "report": "report",
-    "export": "trials",
+# Each verb: the module that holds its function, whose docstring is its help, and an example.
+_GROUPS = {
+    "try": {
+        "demo": ("demo", ""),
+    },
+    "set up": {
+        "tile": ("design", "scan.stl -o socket.yaml"),
+        "calibrate": ("design", "bench.csv --cluster distal -o calibration.yaml"),
+        "register": ("design", "static.csv --landmarks landmarks.yaml --socket socket.yaml"),
+        "doctor": ("live", "--press"),
+    },
+    "in the lab": {
+        "run": ("live", "--record trials --view"),
+        "record": ("live", "trials"),
+        "mark": ("mark", "push"),
+        "view": ("view", "trials/s01"),
+        "simulate": ("trials", "-o trials/walk --scenario protocol --duration 60"),
+    },
+    "afterwards": {
+        "info": ("trials", "trials/s01"),
+        "annotate": ("trials", "trials/s01 --subject S01 --side left --mass 82.5"),
+        "report": ("report", "trials/s01 -o s01.html"),
+        "pressure": ("pressure", "trials/s01 --segment hold -o s01.csv --figure s01.pdf"),
+        "compare": ("compare", "trials/gel trials/sock --segment hold"),
+        "fit": ("models", "trials/s01 -o s01.json"),
+        "evaluate": ("models", "trials/s02 --model s01.json"),
+        "validate": ("models", "trials/s01 trials/s02"),
+        "replay": ("live", "trials/s01 --estimate"),
+        "export": ("trials", "trials/s01 -o s01.csv --pressure"),
+        "map": ("pressure", "trials/s01 -o map.csv"),
+        "pareto": ("models", "trials/s01 --thetas 21 --figure front.pdf"),
+        "paper": ("models", "trials/s01"),
+    },
 }
+VERBS = {verb: module for group in _GROUPS.values() for verb, (module, _) in group.items()}
+EXAMPLES = {verb: example for group in _GROUPS.values() for verb, (_, example) in group.items()}
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -54,20 +64,25 @@ def _parse(words: list[str]) -> argparse.Namespace:
         prog="socket-testbed",
         description="Software of an instrumented prosthetic-socket testbed.",
         allow_abbrev=False,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     version = f"socket_testbed {__version__}"
     parser.add_argument("-V", "--version", action="version", version=version)
     verbs = parser.add_subparsers(dest="verb", required=True, metavar="VERB")
     verb = next(iter(words), "-")
     called, arguments = parser, words
+    if verb not in VERBS:
+        parser.epilog = "\n\n".join(
+            "\n".join([f"{title}:", *(f"  {name:<10} {_summary(name)}" for name in group)])
+            for title, group in _GROUPS.items()
+        )
     for name in [verb] if verb in VERBS else VERBS:
         function = read_function(f"commands.{VERBS[name]}.{name}")
-        summary = function.summary[0].lower() + function.summary[1:]
+        example = f"example:\n  socket-testbed {name} {EXAMPLES[name]}"
         subparser = verbs.add_parser(
             name,
-            help=summary,
-            description=summary,
-            epilog=function.epilog,
+            description=_summary(name),
+            epilog="\n\n".join(filter(None, [example, function.epilog])),
             formatter_class=argparse.RawDescriptionHelpFormatter,
             allow_abbrev=False,
         )
@@ -83,6 +98,11 @@ def _parse(words: list[str]) -> argparse.Namespace:
     if unknown:
         called.error(f"not understood: {' '.join(unknown)}")
     return options
+
+
+def _summary(verb: str) -> str:
+    summary = read_function(f"commands.{VERBS[verb]}.{verb}").summary
+    return summary[0].lower() + summary[1:]
 
 
 def _verb_hint(verb: str) -> str:

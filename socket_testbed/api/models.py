@@ -116,6 +116,7 @@ class TrialFit(Result):
             status=fit.status,
             trial=self.trial.name,
             unloaded=self.trial.unloaded,
+            segment=str(self.segment),
         )
 
     def load_shares(self) -> tuple[LoadShare, ...]:
@@ -192,8 +193,12 @@ class Evaluation(Result):
 
     @property
     def in_sample(self) -> bool:
-        """Whether the model was fitted on this trial."""
-        return self.model.trial == self.trial.name
+        """Whether the model was fitted on some of these samples."""
+        same = self.model.trial == self.trial.name
+        if not same or self.model.last_stamp not in self.trial.samples().stamps:
+            return False
+        start, end = self.model.span
+        return start <= self.segment.end and self.segment.start <= end
 
     def to_dataframe(self) -> pd.DataFrame:
         """Errors, one row per channel in the channel's unit."""

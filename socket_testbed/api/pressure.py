@@ -462,8 +462,8 @@ def pressure(
     >>> found.save("pressure.csv")
     """
     trial = as_trial(trial)
-    check_number(threshold, "--threshold", 0.0, 1e4)
-    check_number(share, "--share", 0.0, 10.0)
+    check_number(threshold, "--threshold", 0.0, 500.0)
+    check_number(share, "--share", 0.0, 5.0)
     settings = estimator_settings(trial.estimator, as_path(params), leave_out=leave_out)
     geometry = trial.geometry
     places = _regions(trial, regions)
@@ -484,9 +484,4 @@ def _regions(trial: Trial, own: Mapping[str, Sequence[str]] | None) -> tuple[Reg
         given = find_regions(own, geometry.names, "regions")
         geometry = dataclasses.replace(geometry, regions=given)
     side = trial.metadata.side
-    if side is None and trial.notify is not None:
-        trial.notify(
-            "no side of the leg is stated: the regions are left and right, not medial and lateral;"
-            " state it with 'annotate TRIAL --side left|right'"
-        )
     return all_regions(geometry, side)

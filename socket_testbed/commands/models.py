@@ -70,6 +70,8 @@ def fit(trial: Path, *, output: Path, **options: Any) -> None:
     Args:
         output: File of the model, or the folder of the models of a folder of trials.
     """
+    if output.suffix.lower() in (".csv", ".parquet", ".mat", ".html", ".png", ".pdf"):
+        raise ConfigurationError(f"{output}: a model is no {output.suffix}", "name a .json")
     on_trials(TrialVerb("fit", ".json", _fit, _fit_row, _show_fit), trial, output=output, **options)
 
 

@@ -49,7 +49,7 @@ def simulate(*, output: Path, **options: Any) -> None:
 
 @takes("annotate")
 def annotate(trial: list[Path], **options: Any) -> None:
-    """State and show a trial's metadata: subject code, side, socket, liner, ...
+    """State and show a trial's metadata: subject code, side, socket, liner and more.
 
     Args:
         trial: Folder of the trial, or of several.
@@ -65,7 +65,12 @@ def annotate(trial: list[Path], **options: Any) -> None:
 def _metadata(metadata: TrialMetadata) -> str:
     """The metadata of a trial, as far as they are stated."""
     rows = [[name, text] for name, text in metadata.described().items()]
-    return table(["metadata", "value"], rows) if rows else "no metadata: 'annotate' states them"
+    found = table(["metadata", "value"], rows) if rows else "no metadata: 'annotate' states them"
+    if metadata.side is None:
+        found += (
+            "\nno side: regions are left and right; 'annotate TRIAL --side left|right' says which"
+        )
+    return found
 
 
 @takes("commands.options.open_given", "export", "files.check_outputs", without="path force_map")

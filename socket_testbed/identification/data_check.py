@@ -46,6 +46,7 @@ LEAST_SAMPLES = 30
 LEAST_CHANGE = 15.0  # [N]; standard deviation of the load, to judge what follows it
 OPPOSITE = -0.2  # correlation with the load from which a sign is reversed; sound 0 and more [-]
 UNRELATED = 0.2  # correlation below which a source does not follow, [-]
+QUIET = 4.0  # change of a cluster over its noise, from which it has something to follow [-]
 EXPLAINED = 0.4  # of its variance by wrench and pose at least; sound 0.48 and more [-]
 LATEST = 3.5  # lag of one source to another, sound 2.8 at most (stiff tissue creeps) [s]
 CLEARER = 0.03  # correlation that a lag gains, at least [-]
@@ -191,6 +192,8 @@ def _courses(samples: Samples, geometry: SocketGeometry) -> Iterator[Finding]:
                 "check the clocks and the delays of the sources",
             )  # fmt: skip
             return
+    normal = channel_noise(samples).local_forces[:, 2].tolist()
+    noises = dict(zip(samples.clusters, normal, strict=True))
     posed = np.isfinite(samples.pose).any()
     causes = np.hstack([samples.wrench, samples.pose]) if posed else samples.wrench
     for name, value in follows.items():
@@ -201,7 +204,11 @@ def _courses(samples: Samples, geometry: SocketGeometry) -> Iterator[Finding]:
                 f"it is pressed less the more the limb is loaded (correlation {value:.2f})",
                 "check the sign of its normal channel, or whether clusters are exchanged",
             )
-        elif value < UNRELATED and _explained(column, causes) < EXPLAINED:
+        elif (
+            value < UNRELATED
+            and _explained(column, causes) < EXPLAINED
+            and np.nanstd(column) > QUIET * noises[name]  # or it is hardly loaded
+        ):
             yield Finding(
                 name,
                 f"it does not follow the load (correlation {value:.2f})",

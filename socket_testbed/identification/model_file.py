@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -51,6 +52,13 @@ class StoredModel:
     trial: str  # name of the trial it was fitted on
     # spans of it by which the clusters' drift was corrected [s]
     unloaded: tuple[tuple[float, float], ...]
+    segment: str  # of the trial, such as `plateau 12.00 s to 31.50 s`
+
+    @property
+    def span(self) -> tuple[float, float]:
+        """Start and end of the segment since the trial's first sample [s]; all if unknown."""
+        found = re.search(r"([\d.]+) s to ([\d.]+) s$", self.segment)
+        return (float(found[1]), float(found[2])) if found else (0.0, math.inf)
 
     def __repr__(self) -> str:
         return (
@@ -253,6 +261,7 @@ def read_model(path: Path, geometry: SocketGeometry | None = None) -> StoredMode
         status=quality.status,
         trial=str(document.trial.name),
         unloaded=tuple(document.trial.unloaded),
+        segment=document.segment,
     )
     if geometry is not None:
         stored.require_socket(geometry)

@@ -17,6 +17,7 @@ from urllib.parse import parse_qs, urlsplit
 
 from plotly.offline import get_plotlyjs
 
+from socket_testbed.documents import check_number
 from socket_testbed.errors import ConfigurationError, TestbedError
 from socket_testbed.pages.document import Document
 
@@ -180,6 +181,7 @@ def listen(host: str, port: int) -> socket.socket:
     Raises:
         ConfigurationError: If the address is not one of this machine, or the port is taken.
     """
+    check_number(port, "the port of the page", 0, 65535)
     try:
         family, *_, address = socket.getaddrinfo(
             host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE

@@ -11,7 +11,7 @@ from socket_testbed.commands.arguments import Parser, add_options, release_paths
 MISTAKES = (
     ([], "VERB"),
     (["fitt"], "unknown verb 'fitt': did you mean 'fit'?"),
-    (["nothing"], "use one of demo, run, doctor"),
+    (["nothing"], "use one of demo, tile, calibrate"),
     (["fit"], "required: TRIAL, -o/--output: see 'socket-testbed fit --help'"),
     (["fit", "t", "-o", "m", "--varant", "rigid"], "--varant: did you mean '--variant'?"),
     (["fit", "t", "-o", "m", "--variant", "rigd"], "did you mean 'rigid'?"),

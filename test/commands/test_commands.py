@@ -14,13 +14,14 @@ from support.bags import rewrite
 from support.verbs import call, program, refused
 
 import socket_testbed as st
-from socket_testbed.__main__ import VERBS, run
+from socket_testbed.__main__ import EXAMPLES, VERBS, _parse, run
 from socket_testbed.commands.arguments import options_of
 
 
 def test_every_verb_explains_itself_and_each_of_its_options(capsys) -> None:
-    """And what names an output file can replace it."""
+    """Its example is understood, and what names an output file can replace it."""
     for verb, module in VERBS.items():
+        assert _parse([verb, *EXAMPLES[verb].split()]).verb == verb
         with pytest.raises(SystemExit) as ended:
             run([verb, "--help"])
         assert ended.value.code == 0 and f"socket-testbed {verb} " in capsys.readouterr().out
@@ -203,7 +204,7 @@ def test_a_wrong_call_gets_one_line(hold, hold_model, tmp_path, capsys, monkeypa
 
 
 TAKEN = (
-    "fit HOLD -o TAKEN",
+    "fit HOLD -o TAKEN.json",
     "evaluate HOLD --model MODEL -o TAKEN",
     "export HOLD -o TAKEN",
     "map HOLD -o TAKEN",
@@ -224,17 +225,18 @@ def test_no_output_replaces_a_file_unless_that_is_asked_for(
     hold, hold_model, tmp_path, capsys, monkeypatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    for suffix in (".csv", ".png", ".html"):
+    for suffix in (".csv", ".png", ".html", ".json"):
         (tmp_path / f"bench{suffix}").write_text("data of a day")
     places = {"HOLD": hold, "MODEL": hold_model, "TAKEN.": "bench.", "TAKEN": "bench.csv"}
     for line in TAKEN:
         words = words_of(line, places)
         refused(capsys, *words, named=["exists already"])
         assert {file.read_text() for file in tmp_path.iterdir()} == {"data of a day"}, line
-    words = ["fit", hold, "-o", "bench.csv", "--variant", "stiffness"]
+    words = ["fit", hold, "-o", "bench.json", "--variant", "stiffness"]
     refused(capsys, *words, named=["--replace"])
     assert call(capsys, *words, "--replace")[0] == 0
-    assert st.read_model("bench.csv").model.variant == "stiffness"
+    refused(capsys, "fit", hold, "-o", "model.csv", named=["a model is no .csv"])
+    assert st.read_model("bench.json").model.variant == "stiffness"
 
 
 def test_a_trial_of_another_kind_is_shown_and_refused(shared_data: Path, capsys) -> None:

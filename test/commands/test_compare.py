@@ -69,7 +69,7 @@ def test_repeated_donnings_give_their_spread_and_what_can_be_seen(folder, trials
     code, out, err = call(capsys, "compare", *words)
     found = st.compare(conditions=conditions, segment="15:20")
     assert code == 0 and out.startswith(f"conditions gel, sock: {found.title}\n")
-    assert err.count("no side of the leg") == 1 and "no subject is stated" in out
+    assert not err.count("no side of the leg") and "no subject is stated" in out
     document = found.document()
     assert document["conditions"] == {"gel": ["gel"], "sock": ["sock", "sock2"]}
     rows = found.to_dataframe().set_index(["part", "name", "quantity", "item"])
@@ -129,7 +129,7 @@ def test_different_sockets_are_compared_by_region_on_request(folder, trials, cap
     own = ("--geometry", trials[0] / "socket.yaml")
     code, out, err = call(capsys, "compare", trials[1], folder / "wider", *SEGMENT, *own)
     assert code == 0
-    assert err.count("no side of the leg is stated") == err.count("--side left|right") == 1
+    assert "no side" not in err
     words = ("--by-region", "--json")
     code, out, _ = call(capsys, "compare", trials[1], folder / "wider", *SEGMENT, *words)
     document = json.loads(out)
