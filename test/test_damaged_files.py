@@ -17,7 +17,6 @@ import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as draw
 from rosbags.rosbag2 import StoragePlugin, Writer
-from rosbags.rosbag2.storage_mcap import McapReader
 from support.bags import rewrite
 from support.benches import exact_bench, write_bench
 from support.damage import damaged, numbers_of, without_a_number
@@ -29,7 +28,7 @@ from support.wording import refused
 import socket_testbed as st
 from socket_testbed.calibration.bench_data import read_bench
 from socket_testbed.drivers.clusters.i2c import BusError
-from socket_testbed.errors import ConfigurationError, ScanError, TestbedError, TrialError
+from socket_testbed.errors import ConfigurationError, ScanError, TestbedError
 from socket_testbed.files import packaged
 from socket_testbed.geometry.socket import socket_from_document
 from socket_testbed.simulation.trial import TRUTH_FILE, read_truth
@@ -196,18 +195,6 @@ def test_an_open_quote_does_not_swallow_the_lines_behind_it(good: Path, tmp_path
         (tmp_path / file).write_text("\n".join([*lines, end]) + "\n")
         with refused(TestbedError, "line"):
             read(tmp_path / file)
-
-
-def test_a_recorded_number_that_changed_on_the_disk_is_an_error(good: Path, tmp_path: Path) -> None:
-    content = bytearray((good / "bag/bag.mcap").read_bytes())
-    reader = McapReader(good / "bag/bag.mcap")
-    reader.open()
-    chunk = reader.chunks[0]
-    reader.close()
-    content[chunk.chunk_start_offset + chunk.chunk_length - 60] ^= 1
-    (tmp_path / "bag.mcap").write_bytes(content)
-    with refused(TrialError, "checksum"):
-        sampled(tmp_path / "bag.mcap")
 
 
 def test_a_value_that_no_sensor_reads_is_missing_and_noted(good: Path, tmp_path: Path) -> None:

@@ -32,7 +32,7 @@ from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 from socket_testbed.documents import load_yaml
 from socket_testbed.errors import TrialError
 from socket_testbed.trials.layout import typestore
-from socket_testbed.trials.salvage import SalvagedRecording, salvage
+from socket_testbed.trials.salvage import SalvagedRecording, check_sums
 from socket_testbed.trials.topics import PUBLISHER_DEPTH, REQUIRED, TOPICS, Topic, match_topics
 
 _STORAGE = (".mcap", ".db3")
@@ -44,6 +44,8 @@ _LARGEST_RATIO = 500  # times its size; recorders come to 20
 _BLOCK = 4096  # messages that are decoded at once
 _FOREVER = QosTime(2147483647, 4294967295)
 _CHUNK = 2**20 - 2**10  # [bytes]; the library closes a chunk at 1 MiB
+_CHUNK_SPAN = 10**9  # [ns]; damage costs a chunk
+_CHECKSUM_BEFORE = 4 + 8  # [bytes] from the end of the file: that of the index
 _CHECKSUM_AT = 9 + 3 * 8  # [bytes] from the start of a chunk's record
 _TRUNCATED = ("end magic", "truncated", "footer", "empty", "ended before")
 
@@ -71,7 +73,7 @@ class Block:
 class BagReader:
     """A bag, read message by message in the order of the recording; a context manager.
 
-    A recording that was cut short is read up to its last complete chunk, and a note says so.
+    Of a recording that was cut short or damaged every sound chunk is read, and a note says so.
 
     Args:
         path: Folder of the bag, or one storage file.
@@ -89,7 +91,7 @@ class BagReader:
         self._stack = ExitStack()
         self._readers: list[Reader | SalvagedRecording] = []
         self._packed: dict[Path, Path] = {}  # files by what they were unpacked to
-        self._cut_short = False
+        self._lacks = False  # messages
         self.notes: list[str] = []
 
     def __enter__(self) -> Self:
@@ -211,19 +213,29 @@ class BagReader:
                 f"{journal.name}, which may hold the newest messages, is not read:"
                 f" 'sqlite3 {file} vacuum' takes them in"
             )
+        sound, checked = check_sums(file) if file.suffix == ".mcap" else (True, False)
+        if not sound:
+            return self._salvage(file)
+        if not checked:
+            self.notes.append(f"{file.name} has no checksums: damage in it cannot be seen")
         try:
-            salvaged = salvage(file) if file.suffix == ".mcap" else None
-            reader: Reader | SalvagedRecording = salvaged or Reader(file)
-            self._stack.enter_context(reader)
+            return self._stack.enter_context(Reader(file))
+        except Exception as error:  # the library raises whatever the bytes lead it to
+            if file.suffix == ".mcap":
+                with suppress(TrialError):
+                    return self._salvage(file)
+            raise _damaged(self._packed.get(file, file), error) from None
+
+    def _salvage(self, file: Path) -> SalvagedRecording:
+        """What can be read of a recording that was cut short or damaged."""
+        try:
+            salvaged = self._stack.enter_context(SalvagedRecording(file))
         except TrialError as error:
             fact = error.fact.replace(str(file), str(self._packed.get(file, file)))
             raise TrialError(fact, error.hint) from None
-        except Exception as error:  # the library raises whatever the bytes lead it to
-            raise _damaged(self._packed.get(file, file), error) from None
-        if salvaged is not None:
-            self._cut_short = True
-            self.notes.append(salvaged.note)
-        return reader
+        self._lacks = True
+        self.notes.append(salvaged.note)
+        return salvaged
 
     def _unpack(self, file: Path) -> Path:
         """A storage file unpacked into a folder that goes with this reader."""
@@ -246,8 +258,8 @@ class BagReader:
         counts = self.counts
         for name, count in promised.items():
             held = counts.get(name, 0)
-            # A recording that was cut short has fewer; a note says so.
-            if held != count and not (self._cut_short and held < count):
+            # A recording that was cut short or damaged has fewer; a note says so.
+            if held != count and not (self._lacks and held < count):
                 raise TrialError(
                     f"{self.path}: metadata.yaml lists {count} messages on {name},"
                     f" the storage file holds {held}",
@@ -349,6 +361,7 @@ class BagWriter:
         self.path = path
         self._writer = Writer(path, version=9, storage_plugin=StoragePlugin.MCAP)
         self._connections: dict[str, Connection] = {}
+        self._chunk_time: int | None = None  # [ns]; of its first message
 
     def __enter__(self) -> Self:
         self._writer.open()
@@ -361,8 +374,19 @@ class BagWriter:
         # Even after an error: what was recorded so far is a complete bag.
         self._close_chunk()
         self._writer.close()
+        self._sign()
         for file in (self.path / f"{self.path.name}.mcap", self._writer.metapath):
             sync(file)
+
+    def _sign(self) -> None:
+        """Write the checksum of the index, for which the library writes zero: unchecked."""
+        with (self.path / f"{self.path.name}.mcap").open("r+b") as file:
+            place = file.seek(-_CHECKSUM_BEFORE, os.SEEK_END)
+            file.seek(place - 16)
+            start = int.from_bytes(file.read(8), "little")
+            file.seek(start)
+            checksum = zlib.crc32(file.read(place - start))
+            file.write(checksum.to_bytes(4, "little"))
 
     def abandon(self) -> None:
         """Leave the bag without an end after its storage failed; a reader salvages its content."""
@@ -377,8 +401,12 @@ class BagWriter:
 
     def write(self, name: str, time: int, data: bytes) -> None:
         """Append a serialised message, recorded at a time since the epoch [ns]."""
-        if self._storage.chunk.bio.tell() + len(data) > _CHUNK:
+        since = time if self._chunk_time is None else self._chunk_time
+        full = self._storage.chunk.bio.tell() + len(data) > _CHUNK
+        if full or abs(time - since) >= _CHUNK_SPAN:
             self._close_chunk()
+        if self._chunk_time is None:
+            self._chunk_time = time
         self._writer.write(self._connections[name], time, data)
 
     def flush(self) -> None:
@@ -398,6 +426,7 @@ class BagWriter:
 
     def _close_chunk(self) -> None:
         """Write the chunk with its checksum, for which the library writes zero: unchecked."""
+        self._chunk_time = None
         storage = self._storage
         if not storage.chunk.bio.tell():
             return
