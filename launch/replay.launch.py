@@ -16,16 +16,16 @@ from launch.actions import (
 )
 from launch.event_handlers import OnProcessExit
 from launch.events import Shutdown
-from launch.substitutions import EnvironmentVariable, LaunchConfiguration
+from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
 from launch import LaunchContext, LaunchDescription
+from socket_testbed.files import local_graph
 from socket_testbed.live.bringup import replay_nodes
 from socket_testbed.live.processes import launched
 from socket_testbed.settings.testbed import ReplaySettings, read_testbed
 from socket_testbed.trials.trial import Trial
 
-RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
 TEMPORARY = tempfile.TemporaryDirectory(prefix="socket_testbed_")  # until this program ends
 
 ARGUMENTS = {
@@ -60,7 +60,7 @@ def generate_launch_description() -> LaunchDescription:
     return LaunchDescription(
         [
             # It stays on this machine unless the user's own environment says otherwise.
-            SetEnvironmentVariable(RANGE, EnvironmentVariable(RANGE, default_value="LOCALHOST")),
+            *(SetEnvironmentVariable(*item) for item in local_graph().items()),
             DeclareLaunchArgument("trial", description="folder of the trial"),
             *(
                 DeclareLaunchArgument(name, default_value=default, description=description)

@@ -13,12 +13,12 @@ from launch.actions import (
     SetEnvironmentVariable,
 )
 from launch.event_handlers import OnShutdown
-from launch.substitutions import EnvironmentVariable, LaunchConfiguration
+from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
 from launch import LaunchContext, LaunchDescription
 from socket_testbed.clocks import shared_environment
-from socket_testbed.files import packaged
+from socket_testbed.files import local_graph, packaged
 from socket_testbed.live.bringup import (
     Simulation,
     Testbed,
@@ -27,7 +27,6 @@ from socket_testbed.live.bringup import (
 )
 from socket_testbed.live.processes import Graph, launched
 
-RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
 # The simulated world, and a folder for parameters and the tare, until this program ends: a node
 # that is started again finds them.
 GRAPH = Graph()
@@ -69,7 +68,7 @@ def generate_launch_description() -> LaunchDescription:
     return LaunchDescription(
         [
             # It stays on this machine unless the user's own environment says otherwise.
-            SetEnvironmentVariable(RANGE, EnvironmentVariable(RANGE, default_value="LOCALHOST")),
+            *(SetEnvironmentVariable(*item) for item in local_graph().items()),
             # A node that is started again has the same clock as the others.
             *(SetEnvironmentVariable(*item) for item in shared_environment().items()),
             DeclareLaunchArgument(

@@ -11,6 +11,7 @@ from importlib import import_module
 from socket_testbed import __version__
 from socket_testbed.commands.arguments import Parser, add_options, read_function, release_paths
 from socket_testbed.errors import TestbedError, likely
+from socket_testbed.files import local_graph
 
 # Each verb: the module that holds its function, whose docstring is its help, and an example.
 _GROUPS = {
@@ -124,8 +125,6 @@ def run(arguments: list[str] | None = None) -> int:
     # The programs are small: a second thread of linear algebra waits for the other cores' work
     # much longer than it helps. It is read when numpy is first imported, by the verb below.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    # Whoever reaches a graph can read and stop it: it stays on this machine unless told otherwise.
-    os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     options = vars(_parse(words))
     verb = options.pop("verb")
     # Ended by another process, or started in the background of a script where the shell has it
@@ -133,6 +132,8 @@ def run(arguments: list[str] | None = None) -> int:
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, signal.default_int_handler)
     try:
+        # Whoever reaches a graph can read and stop it: it stays here unless told otherwise.
+        os.environ |= local_graph()
         module = import_module(f"socket_testbed.commands.{VERBS[verb]}")
         getattr(module, verb)(**options)
         sys.stdout.flush()

@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 import errno
+import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from socket_testbed.errors import ConfigurationError
+
+RANGE, _LOCAL = "ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST"
+# Of Fast DDS, whose newer versions read another name.
+_PROFILES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
 
 
 def packaged(folder: str, name: str) -> Path:
@@ -34,6 +39,16 @@ def refuse_existing(path: Path) -> None:
     """Refuse to write over something."""
     if path.exists():
         raise ConfigurationError(f"{path} exists already", "name another output or remove it")
+
+
+def local_graph() -> dict[str, str]:
+    """Variables that keep a ROS graph on this machine; none where the user's own open it."""
+    if os.environ.get(RANGE, _LOCAL) != _LOCAL:
+        return {}
+    found = {RANGE: _LOCAL}
+    if not any(name in os.environ for name in _PROFILES):
+        found |= dict.fromkeys(_PROFILES, str(packaged("config", "loopback.xml")))
+    return found
 
 
 def check_outputs(*paths: Path | None, replace: bool) -> None:

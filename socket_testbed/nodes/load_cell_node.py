@@ -1,23 +1,28 @@
 """Load-cell node: the wrench at each trigger, averaged around it.
 
-Subscribes: trigger. Publishes: load_cell/wrench, load_cell/raw, /diagnostics.
-Service: load_cell/tare.
+Subscribes: trigger, recorder/trial. Publishes: load_cell/wrench, load_cell/raw, event,
+/diagnostics. Services: load_cell/tare, load_cell/force_tare.
 """
 
 from __future__ import annotations
 
 import threading
+from functools import partial
 
 import numpy as np
+from socket_testbed_msgs.msg import Event
+from std_msgs.msg import String
 from std_srvs.srv import Trigger as TriggerService
 
 from socket_testbed import clocks
+from socket_testbed.errors import DeviceError
 from socket_testbed.live.hardware import make_load_cell
-from socket_testbed.nodes.base import OK, WARN
+from socket_testbed.nodes.base import OK, WARN, header_to_ros
 from socket_testbed.nodes.sensor_node import SensorNode, averaging_span
 from socket_testbed.settings.acquisition import LoadCellSettings
+from socket_testbed.trials.events import TARE
 from socket_testbed.trials.messages import load_cell_raw_packer, wrench_packer
-from socket_testbed.trials.topics import LOAD_CELL_RAW, WRENCH
+from socket_testbed.trials.topics import EVENT, LOAD_CELL_RAW, RECORDED_TRIAL, WRENCH
 
 _PATIENCE = 0.05  # [s]; for the conversions after a trigger
 
@@ -38,7 +43,12 @@ class LoadCellNode(SensorNode[LoadCellSettings]):
         self._polling = threading.Thread(target=self._poll, name="load_cell")
         self._polling.start()
         self.follow_triggers()
-        self.serve(TriggerService, "load_cell/tare", self._cell.tare, slow=True)
+        self._events = self.advertise(EVENT)
+        self._trial = ""  # that is being recorded
+        self.listen(RECORDED_TRIAL, self._on_recorded, needed=False)
+        self.serve(TriggerService, "load_cell/tare", self._tare, slow=True)
+        forced = partial(self._tare, forced=True)
+        self.serve(TriggerService, "load_cell/force_tare", forced, slow=True)
 
     def close(self) -> None:
         """Stop reading and close the converter."""
@@ -82,6 +92,21 @@ class LoadCellNode(SensorNode[LoadCellSettings]):
         self._wrench.publish(self._pack(stamp, reading.wrench))
         raw = self._pack_raw(stamp, reading.ratios, reading.tare, reading.tared, reading.status)
         self._raw.publish(raw)
+
+    def _tare(self, forced: bool = False) -> str:
+        """Tare, and tell whoever records."""
+        if self._trial and not forced:
+            raise DeviceError(
+                f"cannot tare: the trial {self._trial} is being recorded",
+                "stop the recording, or force it (load_cell/force_tare)",
+            )
+        said = self._cell.tare(forced=forced)
+        header = header_to_ros(clocks.SteadyClock().to_epoch(clocks.monotonic()))
+        self._events.publish(Event(header=header, label=said.replace("tared:", TARE)))
+        return said
+
+    def _on_recorded(self, message: String) -> None:
+        self._trial = message.data
 
     def health(self) -> tuple[int, str]:
         """That of the converter, or what the last wrenches lack."""

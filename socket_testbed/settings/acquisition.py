@@ -132,6 +132,9 @@ class LoadCellSettings(Settings):
     tare_moment: float = setting(
         0.2, "largest standard deviation of a moment while taring [N m]", 1e-4, 1e2
     )
+    tare_load: float = setting(
+        100.0, "largest force that a tare removes unless it is forced [N]", 1.0, 1e5
+    )
     tare_file: str = fixed("", "file that keeps the tare over a restart; empty: none [-]")
     scheduling: SchedulingSettings = SchedulingSettings()
 

@@ -31,6 +31,7 @@ from socket_testbed.trials.topics import EVENT, TRIGGER, match_topics
 
 PLACED, REMOVED = "placed", "removed"
 STANCE, SWING = "stance", "swing"
+TARE = "tare"
 Source = Literal["recorded", "found"]
 
 _RISEN, _FALLEN = 0.6, 0.4  # [-]; of the way from the lower level of load to the upper
@@ -41,6 +42,7 @@ _LABEL = re.compile(r"[^\W\d_](?:[\w. ]|-(?=[^\W\d_]))*")
 _NUMBER = r"(?:\d+(?:\.\d*)?|\.\d+)"
 _END = re.compile(rf"(?P<label>.+?)(?:#(?P<number>\d+))?(?P<offset>[+-]{_NUMBER})?")
 _GRAMMAR = "give event:A:B, such as event:placed+5:removed-2 or event:push#2:80"
+_TARED = 1.0  # [s]; around a tare nothing is found in the load
 _EDGE = 10.0  # [s]; how far outside the samples a stamp may be
 
 
@@ -75,9 +77,17 @@ def check_label(label: str) -> str:
 
 
 def join_events(recorded: Sequence[Event], found: Sequence[Event]) -> list[Event]:
-    """Recorded events, and found ones of other labels, in the order of their times."""
+    """Recorded events, and found ones of other labels, in the order of their times.
+
+    At a tare the load jumps, but nobody placed or removed it.
+    """
     known = {event.label for event in recorded}
-    others = [event for event in found if event.label not in known]
+    tared = [event.time for event in recorded if event.label.partition(" ")[0] == TARE]
+    others = [
+        event
+        for event in found
+        if event.label not in known and all(abs(event.time - time) > _TARED for time in tared)
+    ]
     return sorted([*recorded, *others], key=lambda event: event.time)
 
 

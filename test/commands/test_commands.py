@@ -139,7 +139,7 @@ def test_a_broken_trial_is_named_and_leaves_nothing(hold, tmp_path, capsys) -> N
                 lambda t: edit(t / "calibration.yaml", rename_cluster),
                 ["calibration", "distal", "elsewhere"],
             ),
-            (lambda t: os.truncate(t / "hold.mcap", 100_000), ["hold.mcap", "truncated"]),
+            (lambda t: os.truncate(t / "hold.mcap", 5000), ["hold.mcap", "truncated"]),
             (
                 lambda t: (t / "metadata.yaml").write_text("rosbag2: ["),
                 ["metadata.yaml", "ros2 bag reindex"],
@@ -274,10 +274,12 @@ def test_the_map_has_every_tile_with_its_uncertainty(hold: Path, tmp_path: Path,
 
 
 def test_a_graph_stays_on_this_machine_unless_told_otherwise(hold: Path, monkeypatch) -> None:
-    name = "ROS_AUTOMATIC_DISCOVERY_RANGE"
+    name, profiles = "ROS_AUTOMATIC_DISCOVERY_RANGE", "FASTRTPS_DEFAULT_PROFILES_FILE"
     for chosen in (None, "SUBNET"):
-        monkeypatch.delenv(name)
+        for variable in (name, profiles, "FASTDDS_DEFAULT_PROFILES_FILE"):
+            monkeypatch.delenv(variable, raising=False)
         if chosen:
             monkeypatch.setenv(name, chosen)
         assert run(["info", str(hold)]) == 0
         assert os.environ[name] == (chosen or "LOCALHOST")
+        assert (profiles in os.environ) is not bool(chosen)

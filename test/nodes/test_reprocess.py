@@ -44,7 +44,10 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
         graph.start_nodes(testbed.nodes(graph.folder))
         probe.wait(lambda: len(raws) > 20, "the first samples")
         request = TriggerService.Request()
-        probe.wait(lambda: probe.call(TriggerService, "load_cell/tare", request).success, "a tare")
+        refusal = probe.call(TriggerService, "load_cell/tare", request)
+        assert not refusal.success and "trial is being recorded" in refusal.message
+        forced = "load_cell/force_tare"
+        probe.wait(lambda: probe.call(TriggerService, forced, request).success, "a tare")
         probe.wait(lambda: raws[-1].tared.sec > 0, "wrenches with the tare")
         tared = len(raws)
         probe.wait(lambda: len(raws) > tared + 40, "more of them")
@@ -56,6 +59,8 @@ def test_wrenches_and_poses_are_repaired_and_replayed_so(recorded: Path) -> None
     wrong = Trial(recorded).measurements()
     assert np.isnan(wrong.socket).all()  # no pose fits the markers of the wrong file
     assert np.nanmax(np.abs(wrong.wrench[-20:, 5])) < 5.0  # the pylon's 91 N are gone
+    (tare,) = [event.label for event in Trial(recorded).events() if event.source == "recorded"]
+    assert tare.startswith("tare removed Mx ") and "Fz" in tare
     found = Trial(recorded, RIGHT, tare="none").measurements()
     oracle = Recorded(recorded)
     markers = read_socket(RIGHT).socket_markers

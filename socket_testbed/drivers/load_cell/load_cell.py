@@ -373,11 +373,12 @@ class LoadCell:
         level, text = max(found, key=lambda entry: entry[0])
         return level, text if level else f"spidev{self.settings.device} converts"
 
-    def tare(self, now: float | None = None) -> str:
+    def tare(self, now: float | None = None, forced: bool = False) -> str:
         """Let the load of the last `tare_duration` stand for no load.
 
         Args:
             now: End of that span [s]; None for the present.
+            forced: Whether a load above `tare_load` is removed, too.
 
         Returns:
             The load that was removed, in words.
@@ -411,6 +412,13 @@ class LoadCell:
             )
         offsets = ratios.mean(axis=0)
         removed = self._bridges.wrenches(offsets - self._tare.no_load[0])
+        force = float(np.linalg.norm(removed[3:]))
+        if force > settings.tare_load and not forced:
+            raise DeviceError(
+                f"cannot tare: the cell bears {force:.0f} N, more than {settings.tare_load:g} N",
+                "take the limb out of the socket; if nothing loads the cell, force it"
+                " (load_cell/force_tare)",
+            )
         self._tare.set(offsets, SteadyClock().to_epoch(now))
         return f"tared: removed {in_words(removed)}"
 
