@@ -174,6 +174,7 @@ class OnlineMap:
         self._synchroniser = StampSynchroniser(kinds, settings().window.pending)
         self._prior = settings().force_map
         self._map = ForceMap(geometry, self._clusters, self._prior)
+        self._newest: tuple[FloatArray, Mapping[str, tuple[FloatArray, int]]]
         self.count = 0
         self.places = all_regions(geometry)
 
@@ -192,9 +193,14 @@ class OnlineMap:
         measured = self._synchroniser.add(topic.name, stamp, value)
         if measured is None:
             return None
-        sample = self._sample(measured[WRENCH.name], measured[STRESS.name])
+        self._newest = measured[WRENCH.name], measured[STRESS.name]
+        sample = self._sample(*self._newest)
         self.count += 1
         return self._map.update(sample.wrench[0], sample.local_forces[0], sample.status[0])
+
+    def newest_outputs(self) -> PressureOutputs | None:
+        """The outputs of the sample that was mapped last."""
+        return self.outputs(*self._newest)
 
     def outputs(
         self, wrench: FloatArray, stresses: Mapping[str, tuple[FloatArray, int]]

@@ -38,6 +38,7 @@ from socket_testbed.trials.messages import (
     Reader,
     force_map_packer,
     local_forces_packer,
+    regions_packer,
     wrench_packer,
 )
 from socket_testbed.trials.topics import (
@@ -47,6 +48,7 @@ from socket_testbed.trials.topics import (
     PARAMETERS,
     PRESSURE_MAP,
     PYLON_POSE,
+    REGIONS,
     SOCKET_POSE,
     STRESS,
     TRIGGER,
@@ -55,6 +57,7 @@ from socket_testbed.trials.topics import (
 )
 
 _PICTURE_PERIOD = 100_000_000  # [ns]; RViz needs no more
+_REGIONS_PERIOD = 500_000_000  # [ns]; joint draws take 15 ms
 _ARROW_SCALE = 0.002  # [m/N]
 _FULL_COLOUR = 30e3  # [Pa]; normal pressure
 _FAINT = 10e3  # [Pa]; standard deviation of the normal pressure
@@ -88,6 +91,9 @@ class EstimatorNode(TestbedNode[EstimatorSettings]):
         self._model = self.advertise(PARAMETERS)
         self._force_map = self.advertise(FORCE_MAP)
         self._pressure_map = self.advertise(PRESSURE_MAP)
+        self._regions = self.advertise(REGIONS)
+        self._pack_regions = regions_packer([place.name for place in self._online_map.places])
+        self._read = 0  # [ns]; stamp of the last outputs of the regions
         for topic in (STRESS, WRENCH, SOCKET_POSE, PYLON_POSE):
             self.listen(topic, partial(self._on_measured, topic, Reader(topic)), raw=True)
         self._triggers = Reader(TRIGGER)
@@ -138,6 +144,12 @@ class EstimatorNode(TestbedNode[EstimatorSettings]):
         if due and self._pressure_map.get_subscription_count() > 0:
             self._drawn = stamp
             self._pressure_map.publish(self._picture.serialised(stamp, estimate))
+        due = abs(stamp - self._read) >= _REGIONS_PERIOD
+        if due and self._regions.get_subscription_count() > 0:
+            self._read = stamp
+            outputs = self._online_map.newest_outputs()
+            if outputs is not None:
+                self._regions.publish(self._pack_regions(stamp, outputs.regions))
 
     def _publish_estimate(self, estimate: Estimate) -> None:
         stamp, model = estimate.stamp, estimate.model

@@ -80,7 +80,8 @@ class RecorderNode(TestbedNode[RecorderSettings]):
         self._warned = False
         self._now: Callable[[], int] = SteadyClock().now
         self._announcer = self.advertise(RECORDED_TRIAL)
-        self._topics = {self.resolve_topic_name(topic.name): topic for topic in TOPICS}
+        chosen = [topic for topic in TOPICS if settings.everything or not topic.derived]
+        self._topics = {self.resolve_topic_name(topic.name): topic for topic in chosen}
         for name, topic in self._topics.items():
             callback = partial(self._on_message, name)
             self.listen(topic, callback, name, needed=topic.required, raw=True)

@@ -112,6 +112,9 @@ class RecorderSettings(Settings):
     )
     parameters: str = fixed("", "path of the testbed.yaml to store; empty: the package's own [-]")
     metadata: str = fixed("", "path of a trial.yaml that every trial starts from; empty: none [-]")
+    everything: bool = fixed(
+        False, "record the maps, too, which a replay or 'map' computes again [-]"
+    )
     next: NextTrialSettings = NextTrialSettings()
     flush_period: float = fixed(1.0, "longest time before data is on the disk [s]", 0.05, 60.0)
 

@@ -31,6 +31,7 @@ from socket_testbed.trials.topics import (
     LOAD_CELL_RAW,
     LOCAL_FORCES,
     MARKERS,
+    REGIONS,
     SOCKET_POSE,
     STRESS,
     TRIGGER,
@@ -40,6 +41,7 @@ from socket_testbed.trials.topics import (
 
 if TYPE_CHECKING:
     from socket_testbed.identification.force_map import MapEstimate
+    from socket_testbed.identification.pressure import RegionOutputs
 
 WORLD_FRAME = "world"  # the motion capture's
 LOAD_CELL_FRAME = "load_cell"  # the paper's {S}
@@ -356,6 +358,25 @@ def force_map_packer(names: Sequence[str]) -> Callable[[int, MapEstimate], bytes
         template = template_of(estimate.source)
         for field in (*_VECTORS, *_PRESSURES, *_SHEARS):
             template.numbers[field] = getattr(estimate, field)[0]
+        return template.serialised(stamp)
+
+    return pack
+
+
+def regions_packer(names: Sequence[str]) -> Callable[[int, RegionOutputs], bytes]:
+    """Packs a RegionPressures of R regions from its stamp [ns] and outputs with N = 1."""
+    fields = {"mean": "mean", "peak": "peak", "shear": "shear", "share": "load_share"}
+    columns = [f"{field}{end}" for field in fields.values() for end in ("", "_low", "_high")]
+    blanks: list[Any] = [None] * len(names)
+    numbers = dict.fromkeys(columns, blanks)
+    template = Template(REGIONS.type, LOAD_CELL_FRAME, names=names, **numbers)
+
+    def pack(stamp: int, outputs: RegionOutputs) -> bytes:
+        for output, field in fields.items():
+            quantity = getattr(outputs, output)
+            ends = (quantity.value, quantity.low, quantity.high)
+            for end, values in zip(("", "_low", "_high"), ends, strict=True):
+                template.numbers[field + end] = values
         return template.serialised(stamp)
 
     return pack

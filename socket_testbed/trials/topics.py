@@ -17,6 +17,7 @@ class Topic:
     type: str  # as `package/msg/Type`
     required: bool = False  # offline work on a trial needs it
     computed: bool = False  # a node computes it from measured topics
+    derived: bool = False  # it can be computed again from a trial, and is large
     latched: bool = False  # late subscribers get the last message (transient local, depth 1)
 
 
@@ -35,11 +36,18 @@ ESTIMATED_WRENCH = Topic("estimate/wrench", "geometry_msgs/msg/WrenchStamped", c
 LOCAL_FORCES = Topic(
     "estimate/local_forces", "socket_testbed_msgs/msg/LocalForceArray", computed=True
 )
-FORCE_MAP = Topic("estimate/force_map", "socket_testbed_msgs/msg/ForceMap", computed=True)
+FORCE_MAP = Topic(
+    "estimate/force_map", "socket_testbed_msgs/msg/ForceMap", computed=True, derived=True
+)
+REGIONS = Topic(
+    "estimate/regions", "socket_testbed_msgs/msg/RegionPressures", computed=True, derived=True
+)
 PARAMETERS = Topic(
     "estimate/parameters", "socket_testbed_msgs/msg/ContactModel", computed=True, latched=True
 )
-PRESSURE_MAP = Topic("estimate/pressure_map", "visualization_msgs/msg/MarkerArray", computed=True)
+PRESSURE_MAP = Topic(
+    "estimate/pressure_map", "visualization_msgs/msg/MarkerArray", computed=True, derived=True
+)
 DIAGNOSTICS = Topic("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray", computed=True)
 
 TOPICS = (
@@ -55,6 +63,7 @@ TOPICS = (
     ESTIMATED_WRENCH,
     LOCAL_FORCES,
     FORCE_MAP,
+    REGIONS,
     PARAMETERS,
     PRESSURE_MAP,
     DIAGNOSTICS,

@@ -79,6 +79,12 @@ CONTRACT = {
         " geometry_msgs/Vector3[] force_bias; geometry_msgs/Wrench wrench_rmse;"
         " uint32 samples; string solver_status"
     ),
+    "RegionPressures": "std_msgs/Header header; string[] names; "
+    + "; ".join(
+        f"float64[] {name}{end}"
+        for name in ("mean", "peak", "shear", "load_share")
+        for end in ("", "_low", "_high")
+    ),
     "Event": "std_msgs/Header header; string label",
 }
 
