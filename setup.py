@@ -42,6 +42,7 @@ setup(
     # Without "test", colcon test runs no test.
     extras_require={
         "test": ["pytest"],
+        "c3d": ["ezc3d>=1.5,<2"],
         "completion": ["argcomplete>=3,<4"],
     },
     zip_safe=True,

@@ -72,7 +72,13 @@ def test_a_plain_colcon_build_gives_a_package_that_works_anywhere(workspace, tmp
     assert {"estimator_node", "calibration_node", "replay_node", "recorder_node"} <= programs
     share = prefix / "share" / "socket_testbed"
     assert {p.name for p in (share / "config").iterdir()} >= {
-        *("socket.yaml", "calibration.yaml", "testbed.rviz", "plotjuggler_layout.xml")
+        *(
+            "socket.yaml",
+            "calibration.yaml",
+            "testbed.rviz",
+            "plotjuggler_layout.xml",
+            "loopback.xml",
+        )
     }
     assert (share / "launch" / "replay.launch.py").is_file()
 

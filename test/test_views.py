@@ -3,6 +3,8 @@
 Neither program runs here: each file must parse and name nothing that is not there.
 """
 
+import json
+import re
 from importlib import import_module
 from typing import Any
 from xml.etree import ElementTree
@@ -61,3 +63,17 @@ def test_plotjuggler_draws_fields_of_the_topics_that_it_selects() -> None:
     for i in range(len(ClusterSettings().names)):
         stresses = (f"/{STRESS.name}/clusters[{i}]/" + n for n in ("normal", "shear_x", "shear_y"))
         assert curves.issuperset(stresses)
+
+
+def test_foxglove_draws_fields_of_topics_that_there_are() -> None:
+    layout = json.loads(packaged("config", "foxglove_layout.json").read_text())
+    panels = layout["configById"]
+    assert set(re.findall(r'"([\w]+![\w]+)"', json.dumps(layout["layout"]))) == set(panels)
+    for panel in panels.values():
+        for curve in panel.get("paths", ()):
+            topic, _, field = curve["value"].removeprefix("/").partition(".")
+            plain = re.sub(r"\[:\]\{.*\}", "[0]", field).replace(".", "/")
+            assert field_type(BY_NAME[f"/{topic}"].type, plain) == "double", curve
+        for named in ("topicPath", "topicToRender"):
+            assert panel.get(named, "/trigger") in BY_NAME
+        assert set(panel.get("topics", ())) <= set(BY_NAME)

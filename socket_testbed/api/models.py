@@ -17,6 +17,7 @@ from socket_testbed.api.pressure import pressure as pressure_of
 from socket_testbed.api.result import Result, origin
 from socket_testbed.api.trials import PathLike, as_path, as_trial, select, select_frames
 from socket_testbed.arrays import FloatArray
+from socket_testbed.errors import ConfigurationError
 from socket_testbed.identification.evaluation import (
     ChannelErrors,
     errors_to_dataframe,
@@ -53,7 +54,8 @@ from socket_testbed.identification.validation import judge_unseen_half
 from socket_testbed.samples import Samples, channel_unit
 from socket_testbed.settings.identification import Variant, Weights
 from socket_testbed.settings.testbed import estimator_settings
-from socket_testbed.tables import FORMATS, check_format, write_table
+from socket_testbed.tables import check_format, write_table
+from socket_testbed.trials.gait_files import GAIT_FORMATS, write_gait_file
 from socket_testbed.trials.segment import Segment
 from socket_testbed.trials.synchronise import sample_table
 from socket_testbed.trials.trial import Trial
@@ -224,7 +226,7 @@ class Evaluation(Result):
             path: The file; JSON unless it ends in `.csv`, `.parquet` or `.mat`.
         """
         path = Path(path)
-        if path.suffix.lower() in FORMATS:
+        if path.suffix.lower() in GAIT_FORMATS:
             super().save(path)
         else:
             self._write_json(path)
@@ -463,7 +465,9 @@ def export(
 
     Args:
         trial: The trial.
-        path: The file; its suffix, `.csv`, `.parquet` or `.mat`, selects the format.
+        path: The file; its suffix, `.csv`, `.parquet` or `.mat`, selects the format. OpenSim's
+            external loads are `.mot` or `.sto`, its markers `.trc`, both together `.c3d`: see
+            `socket_testbed.trials.gait_files`.
         segment: As `specification` in `st.select_segment`, or a `Segment`.
         model: A model whose predictions are added as `predicted.*`, and its engaged springs as
             `springs.*`, see `Evaluation.engagement`.
@@ -484,6 +488,16 @@ def export(
     import pandas as pd
 
     path = Path(path)
+    if path.suffix.lower() in GAIT_FORMATS:
+        if model or force_map or pressure or cycles:
+            raise ConfigurationError(
+                f"{path}: a {path.suffix} holds measured forces and markers alone",
+                "give .csv, .parquet or .mat for what is computed",
+            )
+        chosen = select(trial, segment, trial.estimator)
+        table = write_gait_file(trial, chosen.rows, path)
+        table.attrs |= {"segment": str(chosen), "rows": f"{len(table)} samples"}
+        return table
     check_format(path)
     stored = None if model is None else model_for(trial, model)
     measured, samples = trial.measurements_and_samples()

@@ -77,7 +77,7 @@ def _metadata(metadata: TrialMetadata) -> str:
 def export(
     trial: Path, *, output: Path, map: bool = False, replace: bool = False, **options: Any
 ) -> None:
-    """Write a trial's synchronised samples as CSV, Parquet or MAT.
+    """Write a trial's samples as CSV, Parquet or MAT, or for OpenSim and C3D.
 
     Args:
         output: As `path` in `export`.

@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+import ezc3d
 import numpy as np
 import pandas as pd
 import pyarrow.parquet as pq
@@ -12,6 +13,7 @@ from support.bags import rewrite
 import socket_testbed as st
 from socket_testbed.__main__ import run
 from socket_testbed.calibration.bench_data import STRESSES
+from socket_testbed.errors import TestbedError
 from socket_testbed.identification.evaluation import evaluate
 from socket_testbed.identification.model_file import read_model
 from socket_testbed.samples import WRENCH_CHANNELS, Samples, Status
@@ -150,3 +152,32 @@ def test_any_text_and_number_survives(tmp_path: Path) -> None:
         np.testing.assert_array_equal(found[0], values)
         np.testing.assert_array_equal(found[1], large)
         assert found[1].dtype == np.int64
+
+
+def test_gait_laboratories_read_loads_and_markers(hold: Path, tmp_path: Path) -> None:
+    trial = Trial(hold)
+    samples = trial.samples()[40:81]
+    for name in ("loads.mot", "markers.trc", "trial.c3d"):
+        call(hold, "-o", tmp_path / name, "--segment", "10:20")
+    text = (tmp_path / "loads.mot").read_text().splitlines()
+    head = dict(line.split("=") for line in text if "=" in line)
+    assert text.index("endheader") == 5 and head["nRows"] == "41" and head["nColumns"] == "10"
+    loads = pd.read_csv(tmp_path / "loads.mot", sep="\t", skiprows=6)
+    assert loads["time"].iloc[[0, -1]].tolist() == [10.0, 20.0]
+    forces = loads[[f"socket_force_v{axis}" for axis in "xyz"]]
+    torques = loads[[f"socket_torque_{axis}" for axis in "xyz"]]
+    np.testing.assert_allclose(np.hstack([torques, forces]), samples.wrench, atol=1e-6)
+
+    markers = pd.read_csv(tmp_path / "markers.trc", sep="\t", skiprows=5, header=None)
+    assert (tmp_path / "markers.trc").read_text().splitlines()[3].split("\t")[2] == "socket_1"
+    c3d = ezc3d.c3d(str(tmp_path / "trial.c3d"))
+    points = c3d["data"]["points"][:3].transpose(2, 1, 0).reshape(41, -1)
+    np.testing.assert_allclose(points, markers.to_numpy()[:, 2:], atol=1e-3)
+    np.testing.assert_allclose(c3d["data"]["analogs"][0].T, samples.wrench, rtol=1e-6, atol=1e-5)
+    # The triad of the socket is that of its rigid body, moved.
+    triad = points[0].reshape(-1, 3)[:3]
+    body = 1e3 * trial.geometry.socket_markers
+    apart = [np.linalg.norm(m[[0, 1, 2]] - m[[1, 2, 0]], axis=1) for m in (triad, body)]
+    np.testing.assert_allclose(*apart, atol=1.0)
+    with pytest.raises(TestbedError, match="measured forces and markers alone"):
+        st.export(hold, tmp_path / "x.trc", force_map=True)

@@ -1,0 +1,147 @@
+"""Files that gait laboratories read: external loads and markers for OpenSim, and C3D.
+
+- `.mot`, `.sto`: the wrench of the limb on the socket as OpenSim's external load, in the frame of
+  the load cell and about its origin: `socket_force_v*` [N], `socket_force_p*` [m], zero, and
+  `socket_torque_*` [N m]. In OpenSim, it is expressed in the body that carries the load cell.
+- `.trc`: the markers of the bodies in the motion capture's frame [mm].
+- `.c3d`: both; the wrench as six analog channels. It needs the library ezc3d.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from socket_testbed.arrays import FloatArray
+from socket_testbed.errors import ConfigurationError, TrialError
+from socket_testbed.files import atomic_output
+from socket_testbed.samples import WRENCH_CHANNELS, Samples
+from socket_testbed.trials.bag import required_topics
+from socket_testbed.trials.messages import Reader
+from socket_testbed.trials.topics import MARKERS
+from socket_testbed.trials.trial import Trial
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+GAIT_FORMATS = (".mot", ".sto", ".trc", ".c3d")
+_LOADS = [f"socket_{part}{axis}" for part in ("force_v", "force_p", "torque_") for axis in "xyz"]
+
+
+def write_gait_file(trial: Trial, rows: slice, path: Path) -> pd.DataFrame:
+    """Write some samples of a trial in the format of the file's suffix.
+
+    Returns:
+        What was written, a row per sample, indexed by `time [s]`: loads [N, m, N m], markers [mm],
+        or both, with the wrench as six channels [N m, N].
+    """
+    import pandas as pd
+
+    samples = trial.samples()
+    time = pd.Index(samples.time[rows], name="time [s]")
+    suffix = path.suffix.lower()
+    if suffix in {".mot", ".sto"}:
+        wrench = samples.wrench[rows]
+        loads = np.hstack([wrench[:, 3:], np.zeros((len(wrench), 3)), wrench[:, :3]])
+        table = pd.DataFrame(loads, columns=_LOADS, index=time)
+        _write_text(path, _storage(table))
+        return table
+    labels, points = _markers(trial, samples)
+    columns = [f"{label}_{axis}" for label in labels for axis in "xyz"]
+    table = pd.DataFrame(points[rows].reshape(len(time), -1), columns=columns, index=time)
+    if suffix == ".trc":
+        _write_text(path, _markers_text(table, labels, path.name))
+        return table
+    table[list(WRENCH_CHANNELS)] = samples.wrench[rows]
+    _write_c3d(path, table, labels)
+    return table
+
+
+def _markers(trial: Trial, samples: Samples) -> tuple[list[str], FloatArray]:
+    """Names of the m markers, and where they were at every sample, shape (N, m, 3) [mm]."""
+    found: dict[int, dict[str, FloatArray]] = {}
+    with trial.open() as bag:
+        topic = required_topics(bag).get(MARKERS)
+        if topic is None:
+            raise TrialError(f"{trial.path}: has no markers", "export the wrench as .mot")
+        reader = Reader(MARKERS)
+        for raw in bag.messages([topic]):
+            stamp, bodies = reader.read(raw.data)
+            found[stamp] = {
+                f"{body}_{number}": place
+                for body, places in bodies
+                for number, place in enumerate(places, start=1)
+            }
+    labels = list(dict.fromkeys(label for markers in found.values() for label in markers))
+    points = np.full((len(samples), len(labels), 3), np.nan)
+    for row, stamp in enumerate(samples.stamps.tolist()):
+        for label, place in found.get(stamp, {}).items():
+            points[row, labels.index(label)] = 1e3 * place
+    return labels, points
+
+
+def _rate(table: pd.DataFrame) -> float:
+    """Samples a second [Hz]."""
+    return float(1.0 / np.median(np.diff(table.index))) if len(table) > 1 else 1.0
+
+
+def _storage(table: pd.DataFrame) -> str:
+    """A storage file of OpenSim."""
+    columns = len(table.columns) + 1
+    header = ["socket", "version=1", f"nRows={len(table)}", f"nColumns={columns}", "inDegrees=no"]
+    lines = [*header, "endheader", "\t".join(["time", *table.columns])]
+    for time, row in zip(table.index, table.to_numpy(), strict=True):
+        lines.append("\t".join([f"{time:.6f}", *(f"{value:.6f}" for value in row)]))
+    return "\n".join(lines) + "\n"
+
+
+def _markers_text(table: pd.DataFrame, labels: list[str], name: str) -> str:
+    """A TRC file; a marker that was not seen is blank."""
+    rate, count = f"{_rate(table):.6g}", len(table)
+    fields = "DataRate CameraRate NumFrames NumMarkers Units OrigDataRate OrigDataStartFrame"
+    values = [rate, rate, count, len(labels), "mm", rate, 1, count]
+    axes = [f"{axis}{k}" for k in range(1, len(labels) + 1) for axis in "XYZ"]
+    lines = [
+        f"PathFileType\t4\t(X/Y/Z)\t{name}",
+        "\t".join([*fields.split(), "OrigNumFrames"]),
+        "\t".join(map(str, values)),
+        "\t".join(["Frame#", "Time", *(f"{label}\t\t" for label in labels)]),
+        "\t".join(["", "", *axes]),
+        "",
+    ]
+    rows = zip(table.index, table.to_numpy(), strict=True)
+    for frame, (time, row) in enumerate(rows, start=1):
+        cells = [f"{value:.4f}" if np.isfinite(value) else "" for value in row]
+        lines.append("\t".join([str(frame), f"{time:.6f}", *cells]))
+    return "\n".join(lines) + "\n"
+
+
+def _write_text(path: Path, text: str) -> None:
+    with atomic_output(path) as staging:
+        staging.write_text(text, encoding="utf-8")
+
+
+def _write_c3d(path: Path, table: pd.DataFrame, labels: list[str]) -> None:
+    try:
+        import ezc3d
+    except ImportError:
+        raise ConfigurationError(
+            f"{path}: needs the library ezc3d", "install it: pip install ezc3d"
+        ) from None
+    file, rate = ezc3d.c3d(), _rate(table)
+    points = table.to_numpy()[:, : 3 * len(labels)].reshape(len(table), -1, 3)
+    place = np.ones((4, len(labels), len(table)))
+    place[:3] = points.transpose(2, 1, 0)
+    parameters = file["parameters"]
+    parameters["POINT"]["RATE"]["value"] = [rate]
+    parameters["POINT"]["LABELS"]["value"] = labels
+    parameters["POINT"]["UNITS"]["value"] = ["mm"]
+    parameters["ANALOG"]["RATE"]["value"] = [rate]
+    parameters["ANALOG"]["LABELS"]["value"] = list(WRENCH_CHANNELS)
+    parameters["ANALOG"]["UNITS"]["value"] = ["Nm"] * 3 + ["N"] * 3
+    file["data"]["points"] = place
+    file["data"]["analogs"] = table[list(WRENCH_CHANNELS)].to_numpy().T[None]
+    with atomic_output(path) as staging:
+        file.write(str(staging))
