@@ -347,6 +347,10 @@ class TestbedNode(Node, Generic[S]):
         return self._kind.from_flat(cleaned, self.get_name())
 
     def _check_settings(self, changes: list[Parameter]) -> SetParametersResult:
+        for change in changes:
+            if change.type_ == Parameter.Type.NOT_SET:
+                reason = f"{change.name} cannot be deleted: set it to another value"
+                return SetParametersResult(successful=False, reason=reason)
         try:
             self._read_settings({change.name: change.value for change in changes})
         except ConfigurationError as error:

@@ -15,6 +15,7 @@ import numpy as np
 
 from socket_testbed.arrays import FloatArray, IntArray, StatusArray
 from socket_testbed.errors import TrialError
+from socket_testbed.samples import Status
 from socket_testbed.trials.layout import (
     Layout,
     Record,
@@ -261,10 +262,15 @@ def capacitance_packer(
 
 
 def _stress(records: Record, sample: Any) -> dict[str, tuple[FloatArray, int]]:
-    """Normal stress, shear x and y [Pa], and status by cluster, of one message."""
+    """Normal stress, shear x and y [Pa], and status by cluster, of one message.
+
+    Two clusters of one name are missing: which of them is meant, nobody knows.
+    """
     found = {}
     for cluster, own in zip(sample.clusters, elements(records, "clusters"), strict=True):
         *stress, status = own.tolist()
+        if cluster.name in found:
+            stress, status = [np.nan] * 3, int(Status.MISSING)
         found[cluster.name] = np.array(stress), status
     return found
 

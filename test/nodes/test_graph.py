@@ -164,7 +164,7 @@ def test_parameters_are_described_checked_and_changed_at_run_time() -> None:
     with Graph() as graph, Probe() as probe:
         graph.start("estimator_node", EstimatorSettings())
 
-        def refusal(name: str, value: float | str) -> str:
+        def refusal(name: str, value: float | str | None) -> str:
             parameter = Parameter(f"identification.{name}", value=value).to_parameter_msg()
             request = SetParameters.Request(parameters=[parameter])
             (result,) = probe.call(SetParameters, "estimator_node/set_parameters", request).results
@@ -181,6 +181,8 @@ def test_parameters_are_described_checked_and_changed_at_run_time() -> None:
         assert not refusal("theta", 0.25) and not refusal("theta", 1) and refusal("theta", 1.5)
         assert "did you mean 'stiffness_bias'?" in refusal("variant", "stifness_bias")
         assert "did you mean 'osqp'?" in refusal("solver", "osqqp")
+        assert refusal("leave_out", None) and refusal("theta", None)  # deleted
+        assert not refusal("theta", 0.5)
 
 
 def failed(*words: object) -> str:

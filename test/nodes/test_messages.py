@@ -22,7 +22,15 @@ from socket_testbed.identification.force_map import MapEstimate
 from socket_testbed.identification.model_file import read_model
 from socket_testbed.nodes.base import header_to_ros, message_type
 from socket_testbed.nodes.estimator_node import PressureMap, model_message
-from socket_testbed.trials.layout import fields_of, nanoseconds, stamp_of, typestore
+from socket_testbed.samples import Status
+from socket_testbed.trials.layout import (
+    encode,
+    fields_of,
+    make_message,
+    nanoseconds,
+    stamp_of,
+    typestore,
+)
 from socket_testbed.trials.messages import (
     Reader,
     capacitance_packer,
@@ -277,3 +285,12 @@ def test_tiles_cover_their_areas_and_face_outwards_and_arrows_start_at_them() ->
         (start, tip) = ([p.x, p.y, p.z] for p in arrow.points)
         np.testing.assert_allclose(start, GEOMETRY.anchors[i])
         np.testing.assert_allclose(np.subtract(tip, start), 0.002 * estimate.forces[0, i])
+
+
+def test_two_clusters_of_one_name_are_missing() -> None:
+    clusters = [{"name": name, "normal": 1.0} for name in ("distal", "distal", "other")]
+    data, reader = encode(make_message(STRESS.type, clusters=clusters), STRESS.type), Reader(STRESS)
+    for _ in range(2):
+        found = reader.read(data)[1]
+        assert np.isnan(found["distal"][0]).all() and found["distal"][1] == Status.MISSING
+        assert found["other"][1] == Status.OK
