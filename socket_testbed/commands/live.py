@@ -16,7 +16,7 @@ from socket_testbed.commands.arguments import takes
 from socket_testbed.commands.options import check_metadata, given, open_given, print_note
 from socket_testbed.commands.terminal import StatusLine, say, table
 from socket_testbed.documents import check_number
-from socket_testbed.errors import ConfigurationError, DeviceError, closest
+from socket_testbed.errors import ConfigurationError, DeviceError, TrialError, closest
 from socket_testbed.files import check_new_folder, make_folder, packaged
 from socket_testbed.geometry.socket import read_socket
 from socket_testbed.identification.fit import check_names
@@ -234,6 +234,16 @@ def run(
         end(graph, testbed)
     if record is not None:
         print(summary(record))
+        _require_end(record)
+
+
+def _require_end(trial: Path) -> None:
+    """A recording that did not get its end is an error."""
+    if not (trial / "metadata.yaml").exists():
+        raise TrialError(
+            f"{trial}: the recording stopped before its end, the trial keeps what it has",
+            "make space on the disk, and see what the recorder said",
+        )
 
 
 def _check_writable(path: Path) -> None:
@@ -357,6 +367,7 @@ def record(
         except KeyboardInterrupt:
             graph.stop()
     print(directory)
+    _require_end(directory)
 
 
 def _resolved(path: Path | None) -> str:

@@ -248,3 +248,14 @@ def test_a_press_that_turns_signs_round_is_named() -> None:
         normal = np.where(np.array(names) == "distal", sign * 15e3, 0.0)
         found = press._judge(bench, "distal", press._Reading(normal, force), zero, threshold)
         assert hint in found.hint and bool(found.hint) == bool(hint)
+
+
+@pytest.mark.slow
+def test_a_recording_that_the_disk_cannot_hold_ends_with_an_error(tmp_path: Path) -> None:
+    """A limit on the size of files stands for a full disk; what was recorded before is kept."""
+    words = ["run", "--simulated", "--record", tmp_path / "full", "--rate", 100, "--duration", 30]
+    limited = ["bash", "-c", 'ulimit -f 1200; exec "$@"', "_", *COMMAND]
+    code, out, err = program(*limited, *words)
+    assert code == 1 and "recording stopped" in err, err
+    assert err.splitlines()[-1].endswith("make space on the disk, and see what the recorder said")
+    assert "triggers" in out and len(Trial(tmp_path / "full").samples()) > 100
