@@ -3,7 +3,7 @@
 ros2 launch socket_testbed replay.launch.py trial:=/path/of/trial rate:=2.0
 """
 
-import tempfile
+import os
 from pathlib import Path
 
 import yaml
@@ -20,34 +20,38 @@ from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
 from launch import LaunchContext, LaunchDescription
-from socket_testbed.files import local_graph
+from socket_testbed.files import TemporaryFolder, local_graph
 from socket_testbed.live.bringup import replay_nodes
-from socket_testbed.live.processes import launched
+from socket_testbed.live.processes import PARENT, launched
 from socket_testbed.settings.testbed import ReplaySettings, read_testbed
 from socket_testbed.trials.trial import Trial
 
-TEMPORARY = tempfile.TemporaryDirectory(prefix="socket_testbed_")  # until this program ends
+TEMPORARY = TemporaryFolder()  # until this program ends
 
 ARGUMENTS = {
     "rate": ("1.0", "speed against the recording"),
     "loop": ("false", "start again at the end"),
     "namespace": ("", "of nodes and topics, such as left; empty: as recorded"),
-    "params": ("", "node parameters; empty: the trial's own"),
+    "geometry": ("", "the socket, a socket.yaml; empty: the trial's own"),
+    "calibration": ("", "a calibration.yaml; empty: the trial's own"),
+    "params": ("", "node parameters, a testbed.yaml; empty: the trial's own"),
 }
 
 
 def bring_up(context: LaunchContext) -> list[Node | RegisterEventHandler]:
     given = {n: LaunchConfiguration(n).perform(context) for n in ("trial", *ARGUMENTS)}
-    trial = Trial(Path(given["trial"]).resolve())
+    geometry, calibration, params = (
+        Path(given[name]).resolve() if given[name] else None
+        for name in ("geometry", "calibration", "params")
+    )
+    trial = Trial(Path(given["trial"]).resolve(), geometry, calibration)
     replay = ReplaySettings(
         trial=str(trial.path),
         namespace=given["namespace"],
         rate=yaml.safe_load(given["rate"]),
         loop=yaml.safe_load(given["loop"]),
     )
-    estimator = trial.estimator
-    if given["params"]:
-        estimator = read_testbed(Path(given["params"])).estimator_node
+    estimator = read_testbed(params).estimator_node if params else trial.estimator
     nodes = [
         Node(**launched(node, Path(TEMPORARY.name)))
         for node in replay_nodes(trial, replay, estimator)
@@ -61,6 +65,7 @@ def generate_launch_description() -> LaunchDescription:
         [
             # It stays on this machine unless the user's own environment says otherwise.
             *(SetEnvironmentVariable(*item) for item in local_graph().items()),
+            SetEnvironmentVariable(PARENT, str(os.getpid())),  # the nodes end with it
             DeclareLaunchArgument("trial", description="folder of the trial"),
             *(
                 DeclareLaunchArgument(name, default_value=default, description=description)

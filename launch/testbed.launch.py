@@ -4,15 +4,20 @@ ros2 launch socket_testbed testbed.launch.py params:=/path/of/testbed.yaml recor
 ros2 launch socket_testbed testbed.launch.py simulated:=true namespace:=left
 """
 
+import os
+from functools import partial
 from pathlib import Path
 
+import yaml
 from launch.actions import (
     DeclareLaunchArgument,
     OpaqueFunction,
     RegisterEventHandler,
     SetEnvironmentVariable,
+    TimerAction,
 )
 from launch.event_handlers import OnShutdown
+from launch.events.process import ProcessExited
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
@@ -25,7 +30,7 @@ from socket_testbed.live.bringup import (
     simulate_hardware,
     testbed_settings,
 )
-from socket_testbed.live.processes import Graph, launched
+from socket_testbed.live.processes import PARENT, Graph, GraphNode, launched
 
 # The simulated world, and a folder for parameters and the tare, until this program ends: a node
 # that is started again finds them.
@@ -37,12 +42,15 @@ ARGUMENTS = {
     "calibration": (str(packaged("config", "calibration.yaml")), "a calibration.yaml"),
     "record": ("", "folder of a new trial; empty: no recording"),
     "namespace": ("", "of nodes and topics, such as left; empty: none"),
+    "time_scale": ("1.0", "speed of the simulated testbed against real time, 1 at most"),
 }
 
 
-def bring_up(context: LaunchContext) -> list[Node | RegisterEventHandler]:
+def bring_up(context: LaunchContext) -> list[Node | RegisterEventHandler | SetEnvironmentVariable]:
     given = {n: LaunchConfiguration(n).perform(context) for n in ("simulated", *ARGUMENTS)}
-    simulation = Simulation() if given["simulated"] == "true" else None
+    simulation = None
+    if given["simulated"] == "true":
+        simulation = Simulation(time_scale=yaml.safe_load(given["time_scale"]))
     params = Path(given["params"]) if given["params"] else None
     testbed = Testbed(
         testbed_settings(params, simulation),
@@ -56,12 +64,23 @@ def bring_up(context: LaunchContext) -> list[Node | RegisterEventHandler]:
     if simulation is not None:
         testbed, _ = simulate_hardware(GRAPH, testbed, simulation)
     end = OnShutdown(on_shutdown=lambda event, context: GRAPH.stop())
-    # What is killed comes back; the others go on meanwhile.
-    nodes = [
-        Node(**launched(node, GRAPH.folder), respawn=True, respawn_delay=0.5)
-        for node in testbed.nodes(GRAPH.folder)
+    return [
+        # A node that is started again has the same clock as the others.
+        *(SetEnvironmentVariable(*item) for item in shared_environment(testbed.time_scale).items()),
+        *(started(node) for node in testbed.nodes(GRAPH.folder)),
+        RegisterEventHandler(end),
     ]
-    return [*nodes, RegisterEventHandler(end)]
+
+
+def started(node: GraphNode) -> Node:
+    return Node(**launched(node, GRAPH.folder), on_exit=partial(start_again, node))
+
+
+def start_again(node: GraphNode, event: ProcessExited, context: LaunchContext) -> list[TimerAction]:
+    """A node that was killed or failed comes back; one that was asked to end does not."""
+    if event.returncode == 0 or context.is_shutdown:
+        return []
+    return [TimerAction(period=0.5, actions=[started(node)])]
 
 
 def generate_launch_description() -> LaunchDescription:
@@ -69,8 +88,7 @@ def generate_launch_description() -> LaunchDescription:
         [
             # It stays on this machine unless the user's own environment says otherwise.
             *(SetEnvironmentVariable(*item) for item in local_graph().items()),
-            # A node that is started again has the same clock as the others.
-            *(SetEnvironmentVariable(*item) for item in shared_environment().items()),
+            SetEnvironmentVariable(PARENT, str(os.getpid())),  # the nodes end with it
             DeclareLaunchArgument(
                 "simulated",
                 default_value="false",

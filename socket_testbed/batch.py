@@ -18,7 +18,13 @@ from threadpoolctl import threadpool_limits
 
 from socket_testbed.documents import load_json
 from socket_testbed.errors import ConfigurationError, TestbedError, TrialError
-from socket_testbed.files import atomic_output, check_new_folder, check_outputs, make_folder
+from socket_testbed.files import (
+    atomic_output,
+    check_new_folder,
+    check_outputs,
+    end_with_parent,
+    make_folder,
+)
 from socket_testbed.tables import split_unit, write_table
 from socket_testbed.trials.bag import is_storage
 from socket_testbed.trials.metadata import METADATA_FILE
@@ -315,7 +321,7 @@ def _executor(processes: int, dask: str | None) -> Iterator[Executor]:
     if dask is None:
         from joblib.externals.loky import ProcessPoolExecutor
 
-        here = ProcessPoolExecutor(processes, initializer=_leave_interrupts_to_the_caller)
+        here = ProcessPoolExecutor(processes, initializer=_belong_to_the_caller)
         try:
             yield here
         finally:
@@ -340,6 +346,7 @@ def _executor(processes: int, dask: str | None) -> Iterator[Executor]:
         yield client.get_executor(pure=False)
 
 
-def _leave_interrupts_to_the_caller() -> None:
+def _belong_to_the_caller() -> None:
     """In a worker: Ctrl-C reaches the whole process group, and the caller ends its workers."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    end_with_parent(signal.SIGKILL)  # even if it is killed

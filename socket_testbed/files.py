@@ -1,19 +1,29 @@
-"""Files of the package, and outputs that are complete or not there."""
+"""Files of the package, outputs that are complete or not there, and requests to the system."""
 
 from __future__ import annotations
 
+import ctypes
 import errno
+import fcntl
 import os
+import shutil
+import signal
+import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
-from tempfile import TemporaryDirectory
+from tempfile import TemporaryDirectory, gettempdir
 
 from socket_testbed.errors import ConfigurationError
 
 RANGE, _LOCAL = "ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST"
 # Of Fast DDS, whose newer versions read another name.
 _PROFILES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
+_PR_SET_PDEATHSIG = 1
+_TEMPORARY = "socket_testbed_"
+_NEW = 60.0  # [s]; a folder as new as this may not be held yet
+
+_free: set[Path] = set()  # outputs that were not there before the work
 
 
 def packaged(folder: str, name: str) -> Path:
@@ -51,6 +61,50 @@ def local_graph() -> dict[str, str]:
     return found
 
 
+def end_with_parent(number: signal.Signals) -> None:
+    """Ask the kernel to send this process a signal when its parent ends (Linux)."""
+    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, number)
+
+
+def hold(folder: Path) -> int:
+    """Hold a folder until the descriptor that it returns is closed, or the process ends."""
+    descriptor = os.open(folder, os.O_RDONLY)
+    with suppress(OSError):  # network drives cannot
+        fcntl.flock(descriptor, fcntl.LOCK_EX)
+    return descriptor
+
+
+def is_held(folder: Path) -> bool:
+    """Whether a process of this machine holds a folder."""
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return True
+    except OSError:  # network drives cannot
+        return False
+    finally:
+        os.close(descriptor)
+    return False
+
+
+class TemporaryFolder(TemporaryDirectory[str]):
+    """A folder until it is cleaned up; those that killed processes have left are removed."""
+
+    def __init__(self) -> None:
+        for left in Path(gettempdir()).glob(f"{_TEMPORARY}*"):
+            with suppress(OSError):  # another's
+                if time.time() - left.stat().st_mtime > _NEW and not is_held(left):
+                    shutil.rmtree(left)
+        super().__init__(prefix=_TEMPORARY)
+        self._held = hold(Path(self.name))
+
+    def cleanup(self) -> None:
+        """Remove it."""
+        super().cleanup()
+        os.close(self._held)
+
+
 def check_outputs(*paths: Path | None, replace: bool) -> None:
     """Refuse output files before any work: none replaces a file unless that is asked for.
 
@@ -68,6 +122,8 @@ def check_outputs(*paths: Path | None, replace: bool) -> None:
                 f"{path} exists already", "name another output, or replace it with --replace"
             )
         _require_parent(path)
+        if not replace:
+            _free.add(path.resolve())
 
 
 def check_new_folder(path: Path) -> None:
@@ -88,12 +144,16 @@ def make_folder(path: Path) -> None:
 
 
 def _require_parent(path: Path) -> None:
-    """Refuse a path in a folder that does not exist: it may be mistyped."""
+    """Refuse a path in a folder that does not exist, as mistyped, or that cannot be written."""
     parent = path.parent
     if not parent.is_dir():
         why = f"{parent} is not a folder" if parent.exists() else f"no such folder as {parent}"
         raise ConfigurationError(
             f"{path}: cannot be written ({why})", "correct the path, or make the folder first"
+        )
+    if not os.access(parent, os.W_OK):
+        raise ConfigurationError(
+            f"{path}: cannot be written (no right to write in {parent})", "name another folder"
         )
 
 
@@ -109,9 +169,9 @@ def check_picture(path: Path) -> None:
 def atomic_output(path: Path, replace: bool = False) -> Iterator[Path]:
     """Write an output in a folder beside it; it gets its name only when it is complete.
 
-    A file replaces an older one; a folder must not exist yet, unless it is to be replaced. Several
-    processes may write the same output: each writes in a folder of its own, and the last one to
-    finish wins, of folders the first unless they are replaced.
+    A file replaces an older one, but for one that was not there at `check_outputs`; a folder must
+    not exist yet, unless it is to be replaced. Of several processes that write the same new output
+    the first to finish wins.
 
     Args:
         path: The output, a file or a folder.
@@ -130,6 +190,9 @@ def atomic_output(path: Path, replace: bool = False) -> Iterator[Path]:
         ) as staging:
             new = Path(staging) / path.name
             yield new
+            if path in _free and path.exists():
+                raise FileExistsError(errno.EEXIST, "")
+            _free.discard(path)
             if replace and new.is_dir() and path.is_dir():
                 path.replace(Path(staging) / f"older {path.name}")
             new.replace(path)

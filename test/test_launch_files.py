@@ -4,7 +4,7 @@ import runpy
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from types import ModuleType
+from types import ModuleType, SimpleNamespace
 from typing import Any
 
 import pytest
@@ -32,6 +32,7 @@ class Stub:
 
 Launch = Callable[..., list[Stub]]
 LEFT = {"namespace": "left"}
+RUNNING = SimpleNamespace(is_shutdown=False)
 
 
 @pytest.fixture
@@ -42,7 +43,7 @@ def launch(monkeypatch: pytest.MonkeyPatch) -> Launch:
         def __getattr__(self, attribute: str) -> type[Stub]:
             return Stub
 
-    parts = ("actions", "event_handlers", "events", "substitutions")
+    parts = ("actions", "event_handlers", "events", "events.process", "substitutions")
     for module in ("launch", "launch_ros", "launch_ros.actions", *(f"launch.{p}" for p in parts)):
         monkeypatch.setitem(sys.modules, module, Anything(module))
     kept = []
@@ -99,7 +100,9 @@ def test_the_testbed_is_launched_as_run_starts_it(launch, params, tmp_path) -> N
         action, found = launched[node.name], parameters(launched[node.name])
         assert action.given["package"] == "socket_testbed"
         assert action.given["executable"] == node.name
-        assert action.given["respawn"]
+        (again,) = action.given["on_exit"](SimpleNamespace(returncode=-9), RUNNING)
+        assert again.given["actions"][0].given["executable"] == node.name
+        assert not action.given["on_exit"](SimpleNamespace(returncode=0), RUNNING)
         assert not found.pop("use_sim_time")
         expected = node.settings.to_flat()
         assert set(found) == set(expected) == set(kinds[node.name].flat())
@@ -113,14 +116,15 @@ def test_the_testbed_is_launched_as_run_starts_it(launch, params, tmp_path) -> N
 
 
 def handlers(actions: list[Stub]) -> list[Stub]:
-    return [a.positional[0] for a in actions if "executable" not in a.given]
+    return [a.positional[0] for a in actions if a.positional and isinstance(a.positional[0], Stub)]
 
 
 @pytest.mark.graph
 def test_a_simulated_testbed_is_launched_with_its_world(launch, capsys) -> None:
-    actions = launch("testbed", simulated="true", namespace="left")
+    actions = launch("testbed", simulated="true", namespace="left", time_scale="0.5")
     launched = nodes(actions)
     try:
+        assert ("SOCKET_TESTBED_TIME_SCALE", "0.5") in [a.positional for a in actions]
         assert {action.given["namespace"] for action in launched.values()} == {"/left"}
         assert {str(action.given["remappings"]) for action in launched.values()} == {
             "(('/tf', 'tf'), ('/tf_static', 'tf_static'))"
@@ -163,6 +167,9 @@ def test_a_trial_is_replayed_through_calibration_and_estimator_in_its_namespace(
     replay = parameters(launched["replay_node"])
     assert (replay["trial"], replay["rate"], replay["loop"]) == (str(hold), 2.0, True)
     assert replay["measured_only"]
+    other = launch("replay", trial=hold, calibration=packaged("config", "calibration.yaml"))
+    given = parameters(nodes(other)["calibration_node"])["calibration"]
+    assert given == str(packaged("config", "calibration.yaml"))
     for name, key in (("calibration_node", "calibration"), ("estimator_node", "geometry")):
         found = parameters(launched[name])
         assert found["use_sim_time"] and Path(found[key]).parent == hold

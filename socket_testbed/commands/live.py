@@ -206,6 +206,7 @@ def run(
         check_number(duration, "--duration", 0.1, 1e6)
     if record is not None:
         _check_writable(record)
+        older = {*record.resolve().parent.iterdir()}
     simulation, faults = simulated(**options)
     if simulation is not None:
         simulation = dataclasses.replace(simulation, time_scale=_time_scale(time_scale))
@@ -233,8 +234,12 @@ def run(
             status.say("ending")
         end(graph, testbed)
     if record is not None:
-        print(summary(record))
-        _require_end(record)
+        # A recorder that was killed or asked for another trial went on beside the first.
+        trials = sorted({*record.resolve().parent.glob(f"{record.resolve().name}*")} - older)
+        for trial in trials:
+            print(summary(trial))
+        for trial in trials:
+            _require_end(trial)
 
 
 def _require_end(trial: Path) -> None:

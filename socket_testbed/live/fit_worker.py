@@ -16,6 +16,7 @@ import numpy as np
 
 from socket_testbed.arrays import rms
 from socket_testbed.errors import IdentificationError
+from socket_testbed.files import end_with_parent
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification.contact import ContactModel
 from socket_testbed.identification.data_check import LEAST_SAMPLES as LEAST_CHECKED
@@ -32,7 +33,6 @@ from socket_testbed.identification.plausibility import (
     without_outliers,
 )
 from socket_testbed.live.machine import schedule_ordinarily
-from socket_testbed.live.processes import end_with_parent
 from socket_testbed.samples import Samples
 from socket_testbed.settings.identification import IdentificationSettings, PlateauSettings
 from socket_testbed.trials.segment import find_newest_plateaus

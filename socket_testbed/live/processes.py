@@ -5,14 +5,12 @@ They end with the command that started them, even if that is killed.
 
 from __future__ import annotations
 
-import ctypes
 import importlib.util
 import json
 import os
 import signal
 import subprocess
 import sys
-import tempfile
 import time
 from collections.abc import Callable, Iterable
 from contextlib import suppress
@@ -24,6 +22,7 @@ import yaml
 
 from socket_testbed.clocks import Backoff, shared_environment
 from socket_testbed.errors import ConfigurationError, TestbedError
+from socket_testbed.files import TemporaryFolder, end_with_parent
 from socket_testbed.settings.fields import Settings, parameter_values
 
 # Each testbed has transforms of its own: in a namespace they are beside its other topics.
@@ -36,17 +35,11 @@ RESTARTED = "SOCKET_TESTBED_RESTARTED"  # set where another did this one's work 
 SPARE = "spare"  # name of the process that takes the place of a node that was killed
 
 _NODES = "socket_testbed.nodes"
-_PR_SET_PDEATHSIG = 1
 _GRACE = 60.0  # [s]; for a node to end by itself
 _LOOK = 0.05  # [s]
 _EARLY = 10.0  # [s]; a process that fails within this time was given something wrong
 _LONGEST_WAIT = 10.0  # [s]; before a process that ends again and again is started again
 _CALM = 3.0  # [s]; how long all processes have run before a spare one takes processor time
-
-
-def end_with_parent(number: signal.Signals) -> None:
-    """Ask the kernel to send this process a signal when its parent ends (Linux)."""
-    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, number)
 
 
 def end_with_starter() -> None:
@@ -151,7 +144,7 @@ class Graph:
         self._meanwhile = meanwhile
         self._members: dict[str, _Member] = {}
         self._spare: list[str] = []  # its arguments; empty for none
-        self._temporary = tempfile.TemporaryDirectory(prefix="socket_testbed_")
+        self._temporary = TemporaryFolder()
         self.folder = Path(self._temporary.name)
         self._environment = {**os.environ, PARENT: str(os.getpid()), **shared_environment()}
 

@@ -399,7 +399,7 @@ class TestbedNode(Node, Generic[S]):
             values=[KeyValue(key=key, value=str(value)) for key, value in values.items()],
         )
         message = DiagnosticArray(status=[status])
-        message.header = header_to_ros(self.get_clock().now().nanoseconds)
+        message.header = header_to_ros(self.get_clock().now().nanoseconds, "")
         self._diagnostics.publish(message)
 
 

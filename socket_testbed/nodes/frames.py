@@ -28,18 +28,26 @@ Send = Callable[[list[TransformStamped]], None]
 
 
 class FrameBroadcaster:
-    """Publishes the transforms of a testbed; nothing where tf2_msgs is missing."""
+    """Publishes the transforms of a testbed; nothing where tf2_msgs is missing.
 
-    def __init__(self, node: TestbedNode[Any], geometry: SocketGeometry) -> None:
+    Args:
+        node: What publishes them.
+        geometry: The socket.
+        namespace: Namespace of their topics; empty: as the node's are remapped.
+    """
+
+    def __init__(
+        self, node: TestbedNode[Any], geometry: SocketGeometry, namespace: str = ""
+    ) -> None:
         self._bodies = {
             SOCKET_POSE: (SOCKET_FRAME, Pose(np.eye(3), np.zeros(3))),
             PYLON_POSE: (LIMB_FRAME, geometry.limb),
         }
         self._send: Send | None = None
-        self._node, self._topic = node, node.resolve_topic_name(TF.name)
+        self._node, self._topic = node, node.resolve_topic_name(namespace + TF.name)
         try:
-            send_static = _sender(node, TF_STATIC)
-            self._send = _sender(node, TF)
+            send_static = _sender(node, TF_STATIC, namespace)
+            self._send = _sender(node, TF, namespace)
         except ImportError:
             node.get_logger().warning(
                 "tf2_msgs cannot be imported: transforms are left out: install ros-jazzy-tf2-msgs"
@@ -100,8 +108,8 @@ def _transform(stamp: int, parent: str, name: str, pose: Pose) -> TransformStamp
     )
 
 
-def _sender(node: TestbedNode[Any], topic: Topic) -> Send:
+def _sender(node: TestbedNode[Any], topic: Topic, namespace: str) -> Send:
     """What sends transforms; an ImportError without tf2_msgs."""
     kind = message_type(topic)
-    publisher = node.create_publisher(kind, topic.name, publisher_qos(topic))
+    publisher = node.create_publisher(kind, namespace + topic.name, publisher_qos(topic))
     return lambda transforms: publisher.publish(kind(transforms=transforms))

@@ -49,7 +49,7 @@ _WATCHED = (TRIGGER, CAPACITANCE, SOCKET_POSE, PYLON_POSE, WRENCH, ESTIMATED_WRE
 
 
 class ListenerNode(TestbedNode[Settings]):
-    """Reports the newest stamp that has come [ns], until which a replay waits; None before any."""
+    """Reports the newest stamp that has come [ns], until which a replay waits; None for no wait."""
 
     def __init__(self, name: str, newest: Callable[[], int | None]) -> None:
         self._newest = newest
@@ -107,8 +107,9 @@ class EstimateListener:
         none = np.full_like(next(iter(found.values())), np.nan)
         return np.array([found.get(stamp, none) for stamp in stamps])
 
-    def _newest_stamp(self) -> int | None:
-        return min((max(kind) for kind in self.estimates.values() if kind), default=None)
+    def _newest_stamp(self) -> int:
+        # 0 before any: a replay that ends meanwhile waits for this node, too.
+        return min((max(kind) for kind in self.estimates.values() if kind), default=0)
 
     def _on_estimate(self, topic: Topic, reader: Reader, data: bytes) -> None:
         stamp, values = reader.read(data)

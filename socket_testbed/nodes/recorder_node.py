@@ -7,8 +7,9 @@ trial being recorded, empty while there is none.
 The recording times are the system clock's at the start of the recording, advanced steadily: a step
 of the system clock reorders no messages. With use_sim_time they are those of /clock.
 
-A recorder that is started again after it was killed leaves the trial that was cut short as it is,
-and records beside it into DIRECTORY_2, DIRECTORY_3, ...
+A recorder that finds a trial in its folder, such as one that is started again after it was killed,
+leaves it as it is and records beside it into DIRECTORY_2, DIRECTORY_3, ... While another recorder
+writes that trial, it refuses.
 
 What goes into a trial beside the messages is read at the start and cannot be changed afterwards;
 the parameters `next.*` give the trial that is asked for next its name and metadata.
@@ -31,7 +32,7 @@ from std_srvs.srv import SetBool
 from socket_testbed import clocks
 from socket_testbed.clocks import SteadyClock
 from socket_testbed.errors import ConfigurationError
-from socket_testbed.files import refuse_existing
+from socket_testbed.files import is_held, refuse_existing
 from socket_testbed.nodes.base import ELAPSED, ERROR, FREE, OK, WARN, TestbedNode
 from socket_testbed.settings.testbed import (
     NextTrialSettings,
@@ -49,7 +50,6 @@ from socket_testbed.trials.metadata import (
 from socket_testbed.trials.topics import RECORDED_TRIAL, TOPICS
 from socket_testbed.trials.trial import (
     beside,
-    beside_cut_short,
     read_configuration,
     store_configuration,
 )
@@ -169,11 +169,17 @@ class RecorderNode(TestbedNode[RecorderSettings]):
         return beside(path) if path.exists() else path
 
     def _start_over(self, directory: Path) -> None:
-        """Record into a folder, or beside it where an earlier recorder was cut short."""
-        path = beside_cut_short(directory)
+        """Record into a folder, or beside it where there is a trial."""
+        if not any(directory.glob("*.mcap")):
+            self._start(directory, self._stated)
+            return
+        if is_held(directory):
+            raise ConfigurationError(
+                f"{directory} is being written by another recorder", "end it, or name a new folder"
+            )
+        path = beside(directory)
         self._start(path, self._stated)
-        if path != directory:
-            self.report(WARN, f"recording {path}: {directory} was cut short and stays as it is")
+        self.report(WARN, f"recording {path}: {directory} holds a trial and stays as it is")
 
     def _start(self, path: Path, metadata: TrialMetadata) -> None:
         check_take_name(path.name)

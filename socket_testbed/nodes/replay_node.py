@@ -201,7 +201,9 @@ class ReplayNode(TestbedNode[ReplaySettings]):
         except TestbedError as error:
             self.get_logger().warning(f"transforms are left out: {error}")
             return None
-        return FrameBroadcaster(self, geometry)
+        name, topic = next(iter(self._topics.items()))
+        recorded = name.removesuffix(topic.name).rstrip("/")
+        return FrameBroadcaster(self, geometry, "" if self.settings.namespace else recorded)
 
     def _published_name(self, name: str, topic: Topic) -> str:
         """Where a topic goes that was recorded under a name."""

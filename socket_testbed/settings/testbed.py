@@ -65,18 +65,23 @@ _FORBIDDEN = ',<>:"/\\|?*'  # Motive's commands end at a comma, Windows refuses 
 _LONGEST_NAME = 200  # [bytes]
 
 
-def check_take_name(name: str) -> str:
-    """Refuse the name of a trial that cannot be that of a take in Motive; returns it."""
+def check_take_name(name: str, what: str = "the trial's name") -> str:
+    """Refuse the name of a trial that cannot be that of a take in Motive; returns it.
+
+    Args:
+        name: The name.
+        what: How an error calls it.
+    """
     hint = f"give letters, digits, blanks, '-', '_' and '.', {_LONGEST_NAME} bytes at most"
     shown = ascii(name if len(name) <= 40 else f"{name[:40]}...")
     if not name.isprintable() or set(name) & set(_FORBIDDEN):
-        raise ConfigurationError(f"the trial's name {shown} cannot be that of a take", hint)
+        raise ConfigurationError(f"{what} {shown} cannot be that of a take", hint)
     if not name.strip(". ") or name[0] in ". " or name[-1] in ". ":
         raise ConfigurationError(
-            f"the trial's name {shown} begins or ends with a '.' or a blank, or is empty", hint
+            f"{what} {shown} begins or ends with a '.' or a blank, or is empty", hint
         )
     if len(name.encode()) > _LONGEST_NAME:
-        raise ConfigurationError(f"the trial's name {shown} has {len(name.encode())} bytes", hint)
+        raise ConfigurationError(f"{what} {shown} has {len(name.encode())} bytes", hint)
     return name
 
 
@@ -97,7 +102,7 @@ class NextTrialSettings(Settings):
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.name:
-            check_take_name(self.name)
+            check_take_name(self.name, "name")
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,6 @@ from collections.abc import Collection, Iterator, Mapping
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any, Self
 
 from backports import zstd
@@ -31,6 +30,7 @@ from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 
 from socket_testbed.documents import load_yaml
 from socket_testbed.errors import TrialError
+from socket_testbed.files import TemporaryFolder, hold
 from socket_testbed.trials.layout import typestore
 from socket_testbed.trials.salvage import SalvagedRecording, check_sums
 from socket_testbed.trials.topics import PUBLISHER_DEPTH, REQUIRED, TOPICS, Topic, match_topics
@@ -239,7 +239,7 @@ class BagReader:
 
     def _unpack(self, file: Path) -> Path:
         """A storage file unpacked into a folder that goes with this reader."""
-        folder = self._stack.enter_context(TemporaryDirectory(prefix="socket_testbed-"))
+        folder = self._stack.enter_context(TemporaryFolder())
         unpacked = Path(folder) / file.stem
         left = max(_LARGEST, _LARGEST_RATIO * file.stat().st_size)
         try:
@@ -362,9 +362,11 @@ class BagWriter:
         self._writer = Writer(path, version=9, storage_plugin=StoragePlugin.MCAP)
         self._connections: dict[str, Connection] = {}
         self._chunk_time: int | None = None  # [ns]; of its first message
+        self._lock = -1  # of the folder, as long as it is written
 
     def __enter__(self) -> Self:
         self._writer.open()
+        self._lock = hold(self.path)
         for folder in (self.path, self.path.parent):
             with suppress(OSError):  # network drives cannot
                 sync(folder)
@@ -377,6 +379,7 @@ class BagWriter:
         self._sign()
         for file in (self.path / f"{self.path.name}.mcap", self._writer.metapath):
             sync(file)
+        os.close(self._lock)
 
     def _sign(self) -> None:
         """Write the checksum of the index, for which the library writes zero: unchecked."""
@@ -392,6 +395,7 @@ class BagWriter:
         """Leave the bag without an end after its storage failed; a reader salvages its content."""
         with suppress(OSError):
             self._writer.abort()
+            os.close(self._lock)
 
     def add_topic(self, name: str, topic: Topic) -> None:
         """Declare a topic under the name it has in the graph."""

@@ -248,20 +248,30 @@ class Trial:
     @property
     def geometry_path(self) -> Path:
         """Path of the `socket.yaml` in use; a TrialError if there is none."""
-        return self.socket_file or self._stored(SOCKET_FILE, "--geometry")
+        return self.socket_file or self._stored(SOCKET_FILE)
 
     @property
     def calibration_path(self) -> Path:
         """Path of the `calibration.yaml` in use; a TrialError if there is none."""
-        return self.calibration_file or self._stored(CALIBRATION_FILE, "--calibration")
+        return self.calibration_file or self._stored(CALIBRATION_FILE)
 
-    def _stored(self, name: str, option: str) -> Path:
+    def _stored(self, name: str) -> Path:
         stored = self.path / name
         if not stored.is_file():
             with self.open():
                 pass  # says what is wrong if it is not a trial
+            files = {
+                "--geometry": (SOCKET_FILE, self.socket_file),
+                "--calibration": (CALIBRATION_FILE, self.calibration_file),
+            }
+            lacking = [
+                option
+                for option, (file, given) in files.items()
+                if given is None and not (self.path / file).is_file()
+            ]
             raise TrialError(
-                f"{self.path}: no {name} is stored in this trial", f"give one with {option}"
+                f"{self.path}: no {name} is stored in this trial",
+                f"give one with {' and '.join(lacking)}",
             )
         return stored
 
@@ -291,12 +301,6 @@ def recorded_namespace(trial: Trial) -> str:
     with trial.open() as bag:
         name = required_topics(bag)[TRIGGER]
     return name.removesuffix(TRIGGER.name).rstrip("/") or "/"
-
-
-def beside_cut_short(path: Path) -> Path:
-    """Where to go on if a recording into this folder was cut short: beside it; else the folder."""
-    cut_short = any(path.glob("*.mcap")) and not (path / "metadata.yaml").exists()
-    return beside(path) if cut_short else path
 
 
 def beside(path: Path) -> Path:

@@ -174,6 +174,15 @@ def test_ctrl_c_leaves_what_is_finished_and_a_re_run_goes_on(study, tmp_path, ca
     assert out.count(": skipped") + out.count(": ok") == 7
 
 
+def test_a_killed_batch_leaves_no_worker(study: Path, tmp_path: Path) -> None:
+    words = ["fit", study, "-o", tmp_path / "models", "--jobs", "2"]
+    with subprocess.Popen([*COMMAND, *words], stdout=subprocess.PIPE) as process:
+        assert process.stdout is not None and process.stdout.readline()
+        process.kill()
+        # The pipe closes when the last process that holds it has ended.
+        process.communicate(timeout=HANGS)
+
+
 def test_a_dask_cluster_of_two_workers_takes_over(
     whole_study, one_by_one, tmp_path, capsys
 ) -> None:

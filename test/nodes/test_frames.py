@@ -84,7 +84,7 @@ def test_without_tf2_msgs_a_node_goes_on_and_warns_once(monkeypatch: pytest.Monk
 def test_the_transforms_of_a_replay_compose_to_the_recorded_poses(
     hold: Path, hold_model: Path, tmp_path: Path
 ) -> None:
-    """A trial of the namespace /lab, replayed with the estimator into /left."""
+    """A trial of the namespace /lab, replayed with the estimator."""
 
     def hide_pylon(topic: str, message: Any) -> Any:
         """In the second half of every second."""
@@ -96,10 +96,10 @@ def test_the_transforms_of_a_replay_compose_to_the_recorded_poses(
     target = move_to_namespace(hidden, tmp_path / "lab", "/lab")
     trial = Trial(target)
     estimator = EstimatorSettings(auto_fit=False, model=str(hold_model))
-    replay = ReplaySettings(trial=str(target), rate=20.0, namespace="left")
+    replay = ReplaySettings(trial=str(target), rate=20.0)
     with Probe() as probe, Graph() as graph:
         heard = {
-            topic: probe.listen(topic, "/left/" + topic.name.lstrip("/"))
+            topic: probe.listen(topic, "/lab/" + topic.name.lstrip("/"))
             for topic in (TF, TF_STATIC, ESTIMATED_WRENCH, FORCE_MAP)
         }
         graph.start_nodes(replay_nodes(trial, replay, estimator))

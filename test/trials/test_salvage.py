@@ -20,7 +20,7 @@ from socket_testbed.errors import TrialError
 from socket_testbed.trials.bag import BagReader, BagWriter, RawMessage
 from socket_testbed.trials.salvage import holds_nothing
 from socket_testbed.trials.topics import CAPACITANCE, WRENCH
-from socket_testbed.trials.trial import Trial, beside_cut_short
+from socket_testbed.trials.trial import Trial
 
 START = 1_760_000_000_000_000_000  # [ns]
 CHUNKS = 6
@@ -271,19 +271,6 @@ def test_a_trial_cut_short_gives_the_samples_of_the_whole_one(hold, tmp_path, ca
     code, _, err = call(capsys, "fit", trial, "-o", tmp_path / "model.json")
     assert code == 0
     assert err.count("note: the recording trial.mcap was cut short (no end): ") == 1
-
-
-def test_a_recorder_goes_on_beside_what_was_cut_short_and_nothing_else(tmp_path: Path) -> None:
-    path = tmp_path / "trial"
-    assert beside_cut_short(path) == path
-    path.mkdir()
-    assert beside_cut_short(path) == path  # an empty folder is none of a recorder's
-    (path / "trial.mcap").touch()
-    assert beside_cut_short(path) == tmp_path / "trial_2"
-    (tmp_path / "trial_2").mkdir()
-    assert beside_cut_short(path) == tmp_path / "trial_3"
-    (path / "metadata.yaml").touch()
-    assert beside_cut_short(path) == path
 
 
 def test_a_recording_killed_while_it_started_holds_nothing(
