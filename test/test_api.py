@@ -123,7 +123,8 @@ def test_every_result_has_a_table_a_document_files_and_a_figure(folder, tmp_path
         assert repr(found).startswith(f"{name}(") and len(found.to_dataframe())
         assert json.loads(found.to_json()) == found.document()
         found.save(tmp_path / f"{name}.csv")
-        assert (tmp_path / f"{name}.csv").stat().st_size > 100
+        written = (tmp_path / f"{name}.csv").read_text()
+        assert len(written) > 100 and (written[0] == "{") is (name == "TrialFit")
         if name == "PaperTable":
             with pytest.raises(st.TestbedError, match="PaperTable has no figure"):
                 found.figure()

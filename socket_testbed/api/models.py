@@ -54,8 +54,8 @@ from socket_testbed.identification.validation import judge_unseen_half
 from socket_testbed.samples import Samples, channel_unit
 from socket_testbed.settings.identification import Variant, Weights
 from socket_testbed.settings.testbed import estimator_settings
-from socket_testbed.tables import check_format, write_table
-from socket_testbed.trials.gait_files import GAIT_FORMATS, write_gait_file
+from socket_testbed.tables import FORMATS, check_format, write_table
+from socket_testbed.trials.exchange import GAIT_FORMATS, write_gait_file, write_standard_bag
 from socket_testbed.trials.segment import Segment
 from socket_testbed.trials.synchronise import sample_table
 from socket_testbed.trials.trial import Trial
@@ -226,7 +226,7 @@ class Evaluation(Result):
             path: The file; JSON unless it ends in `.csv`, `.parquet` or `.mat`.
         """
         path = Path(path)
-        if path.suffix.lower() in GAIT_FORMATS:
+        if path.suffix.lower() in FORMATS:
             super().save(path)
         else:
             self._write_json(path)
@@ -466,8 +466,9 @@ def export(
     Args:
         trial: The trial.
         path: The file; its suffix, `.csv`, `.parquet` or `.mat`, selects the format. OpenSim's
-            external loads are `.mot` or `.sto`, its markers `.trc`, both together `.c3d`: see
-            `socket_testbed.trials.gait_files`.
+            external loads are `.mot` or `.sto`, its markers `.trc`, both together `.c3d`; `.mcap`
+            holds standard ROS messages with the columns by their names: see
+            `socket_testbed.trials.exchange`.
         segment: As `specification` in `st.select_segment`, or a `Segment`.
         model: A model whose predictions are added as `predicted.*`, and its engaged springs as
             `springs.*`, see `Evaluation.engagement`.
@@ -498,7 +499,11 @@ def export(
         table = write_gait_file(trial, chosen.rows, path)
         table.attrs |= {"segment": str(chosen), "rows": f"{len(table)} samples"}
         return table
-    check_format(path)
+    as_bag = path.suffix.lower() == ".mcap"
+    if not as_bag:
+        check_format(path)
+    elif cycles:
+        raise ConfigurationError(f"{path}: a bag holds samples", "give .csv for cycles")
     stored = None if model is None else model_for(trial, model)
     measured, samples = trial.measurements_and_samples()
     chosen = select(trial, segment, trial.estimator)
@@ -523,6 +528,9 @@ def export(
     if cycles is not None:
         found = cycles_of(trial, table, by=cycles, segment=chosen)
         table, rows = found.to_dataframe(), str(found)
-    write_table(table, path)
+    if as_bag:
+        write_standard_bag(measured, chosen.rows, table, path)
+    else:
+        write_table(table, path)
     table.attrs |= {"segment": str(chosen), "rows": rows}
     return table

@@ -199,14 +199,8 @@ class OnlineMap:
         return self._map.update(sample.wrench[0], sample.local_forces[0], sample.status[0])
 
     def newest_outputs(self) -> PressureOutputs | None:
-        """The outputs of the sample that was mapped last."""
-        return self.outputs(*self._newest)
-
-    def outputs(
-        self, wrench: FloatArray, stresses: Mapping[str, tuple[FloatArray, int]]
-    ) -> PressureOutputs | None:
-        """The outputs of one sample, from joint draws; None if no channel counts."""
-        sample = self._sample(wrench, stresses)
+        """The outputs of the sample that was mapped last, from joint draws; None if it is empty."""
+        sample = self._sample(*self._newest)
         if not measured_rows(sample)[0]:
             return None
         return pressure_outputs(self._map, sample, self._geometry, self.places, THRESHOLD)

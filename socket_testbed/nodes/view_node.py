@@ -1,7 +1,7 @@
 """View node: serves the page on which the running testbed is seen in a browser.
 
-Subscribes, while a browser asks: estimate/force_map, load_cell/wrench, estimate/wrench,
-clusters/stress. Always: /diagnostics, recorder/trial. Publishes: /diagnostics.
+Subscribes, while a browser asks: estimate/force_map, estimate/regions, load_cell/wrench,
+estimate/wrench, clusters/stress. Always: /diagnostics, recorder/trial. Publishes: /diagnostics.
 
 No executor serves the subscriptions of the page: whoever asks takes the newest messages. At 100 Hz
 most of them are never decoded.
@@ -9,6 +9,7 @@ most of them are never decoded.
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections import deque
 from pathlib import Path
@@ -16,11 +17,8 @@ from typing import Any
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
-from rcl_interfaces.srv import GetParameters
 from rclpy.node import Node
-from rclpy.parameter import parameter_value_to_python
 from rclpy.qos import QoSProfile, ReliabilityPolicy
-from rclpy.task import Future
 from std_msgs.msg import String
 
 from socket_testbed import clocks
@@ -28,10 +26,11 @@ from socket_testbed.arrays import FloatArray
 from socket_testbed.errors import ConfigurationError
 from socket_testbed.files import packaged
 from socket_testbed.geometry.axis import proximal_direction
+from socket_testbed.geometry.regions import all_regions
 from socket_testbed.geometry.socket import SocketGeometry, read_socket
 from socket_testbed.identification.force_map import MapEstimate
-from socket_testbed.identification.pressure import Quantity
-from socket_testbed.live.estimator import OnlineMap, cluster_forces
+from socket_testbed.identification.pressure import Quantity, RegionOutputs
+from socket_testbed.live.estimator import cluster_forces
 from socket_testbed.nodes.base import ELAPSED, FREE, OK, PolledSubscription, TestbedNode
 from socket_testbed.nodes.controls import ServiceControls
 from socket_testbed.pages.document import (
@@ -45,14 +44,15 @@ from socket_testbed.pages.document import (
 )
 from socket_testbed.pages.server import PageServer, is_local
 from socket_testbed.samples import Status
-from socket_testbed.settings.testbed import EstimatorSettings, ViewSettings
-from socket_testbed.trials.messages import Reader
+from socket_testbed.settings.testbed import ViewSettings
+from socket_testbed.trials.messages import REGION_FIELDS, Reader
 from socket_testbed.trials.metadata import FIELDS
 from socket_testbed.trials.topics import (
     DIAGNOSTICS,
     ESTIMATED_WRENCH,
     FORCE_MAP,
     RECORDED_TRIAL,
+    REGIONS,
     STRESS,
     WRENCH,
     Topic,
@@ -61,11 +61,9 @@ from socket_testbed.trials.topics import (
 _OLD = 2.0  # [s]; what came longer ago is not shown as if it were now
 _SILENT = 3.0  # [s]; a node that reported longer ago is silent
 _IDLE = 3.0  # [s] without a question: no browser is open
-_DEPTHS = {FORCE_MAP: 1, WRENCH: 50, ESTIMATED_WRENCH: 50, STRESS: 1}
-_MOST_WRENCHES = 200  # kept to find that of a stress
+_DEPTHS = {FORCE_MAP: 1, WRENCH: 50, ESTIMATED_WRENCH: 50, STRESS: 1, REGIONS: 5}
+_MOST_WRENCHES = 200  # kept to find that of the regions
 _HISTORY = 30.0  # [s]; of the course
-_OUTPUTS_EVERY = 1.0  # [s] at least between joint draws
-_ESTIMATOR = "estimator_node/get_parameters"
 _COUNTS = ("samples", "triggers", "messages", "maps")  # among the figures of a node
 _SIGNS = ("\N{BLACK CIRCLE}", "\N{BLACK UP-POINTING TRIANGLE}", "\N{BLACK SQUARE}")
 
@@ -116,14 +114,11 @@ class LiveSource:
         self._sensors: dict[str, tuple[DiagnosticArray, float]] = {}
         self._rates: dict[str, tuple[float, float, float]] = {}  # count, time [s], rate [Hz]
         self._trial = ("", 0.0)
-        self._settings = EstimatorSettings()  # those of the estimator that runs
-        self._outputs = OnlineMap(geometry, lambda: self._settings)
+        self._places = all_regions(geometry)
+        self._measured: list[Any] = []  # pressure by cluster [kPa]
         self._shown: Document = {}  # cards but for the data, bars, course
         self._shown_at = -math.inf  # [s]
         self._course: deque[tuple[float, ...]] = deque()  # time [s], force [N], peak and ends [Pa]
-        self._next_outputs = -math.inf  # [s]
-        self._knows_settings = False
-        self._estimator = node.create_client(GetParameters, _ESTIMATOR)
         node.listen(DIAGNOSTICS, self._on_diagnostics, needed=False)
         node.listen(RECORDED_TRIAL, self._on_trial, needed=False)
 
@@ -139,12 +134,11 @@ class LiveSource:
         }
 
     def now(self, time: float | None) -> Document:
-        """The newest sample; the cards, bars and course are renewed once a second."""
+        """The newest sample; cards, bars and course are renewed as the regions come."""
         del time
         self._asked_at = clocks.monotonic()
         if self._inbox is None:
             self._inbox = _Inbox(self._node)
-            self._knows_settings = False
         self._take(self._inbox)
         self._renew(self._inbox)
         measured, predicted = self._recent(WRENCH), self._recent(ESTIMATED_WRENCH)
@@ -182,7 +176,7 @@ class LiveSource:
             self._newest.clear()
 
     def _take(self, inbox: _Inbox) -> None:
-        """Take what has come, but for the stresses."""
+        """Take maps and wrenches."""
         now = clocks.monotonic()
         for topic in (FORCE_MAP, WRENCH, ESTIMATED_WRENCH):
             for stamp, values in inbox.take(topic):
@@ -198,39 +192,33 @@ class LiveSource:
             del self._wrenches[next(iter(self._wrenches))]
 
     def _renew(self, inbox: _Inbox) -> None:
-        """Compute the outputs by region of the newest sample, once a second."""
-        now = clocks.monotonic()
-        if now < self._next_outputs:
-            return
-        self._next_outputs = now + _OUTPUTS_EVERY
-        self._ask_settings()
+        """Take what the clusters measure, and the outputs by region with their map."""
+        now, geometry, places = clocks.monotonic(), self._geometry, self._places
         if now - self._shown_at > _OLD:
             self._shown = {}
-        for stamp, stresses in inbox.take(STRESS):
-            wrench = self._wrenches.get(stamp, np.full(6, np.nan))
-            found = self._outputs.outputs(wrench, stresses)
-            if found is None:
+        for _, stresses in inbox.take(STRESS):
+            forces, status = cluster_forces(geometry, stresses)
+            tiles = [*geometry.clusters.values()]
+            measured = np.where(status == Status.OK, -forces[:, 2] / geometry.areas[tiles], np.nan)
+            self._measured = numbers(1e-3 * measured, 1)
+        for stamp, (names, outputs) in inbox.take(REGIONS):
+            _, mapped, _ = self._newest.get(FORCE_MAP, (0, None, 0.0))
+            known = tuple(place.name for place in places) == names
+            if mapped is None or mapped[0] != geometry.names or not known:
                 continue
-            forces, status = cluster_forces(self._geometry, stresses)
-            tiles = [*self._geometry.clusters.values()]
-            measured = np.where(
-                status == Status.OK, -forces[:, 2] / self._geometry.areas[tiles], np.nan
-            )
-            pressure = found.estimate.normal_pressure[0]
-            places, of = self._outputs.places, found.regions
-            peak = of.peak
-            force = -wrench[3:] @ proximal_direction(self._geometry)
-            row = (peak.value[-1], peak.low[-1], peak.high[-1])
-            self._course.append((1e-9 * (stamp - self._first), float(force), *map(float, row)))
+            of = _region_outputs(outputs)
+            wrench = self._wrenches.get(stamp, np.full(6, np.nan))
+            force = -wrench[3:] @ proximal_direction(geometry)
+            row = (force, of.peak.value[-1], of.peak.low[-1], of.peak.high[-1])
+            self._course.append((1e-9 * (stamp - self._first), *map(float, row)))
             while self._course[-1][0] - self._course[0][0] > _HISTORY:
                 self._course.popleft()
             time, load, value, low, high = np.array(self._course).T
             self._shown_at = now
             self._shown = {
-                "cards": cards(self._geometry, places, of, pressure, {})[:-1],
+                "cards": cards(geometry, places, of, mapped[1]["normal_pressure"][0], {})[:-1],
                 "bars": bars(places, of),
                 "course": course(time, load, Quantity(value, low, high, value), []),
-                "measured": numbers(1e-3 * measured, 1),
             }
 
     def _moment(self) -> Document:
@@ -246,7 +234,7 @@ class LiveSource:
             estimate.shear[0],
             np.full(0, np.nan),
         )
-        return shown | {"measured": self._shown.get("measured", [])}
+        return shown | {"measured": self._measured}
 
     def _recent(self, topic: Topic) -> Any:
         """The newest values; None where they came long ago."""
@@ -269,7 +257,8 @@ class LiveSource:
         if found is not None and found[0] != self._geometry.names:
             bad.append((3, "the force map is of another socket: give 'view' its --geometry"))
         if bad:
-            words = max(bad)[1] + f" (and {len(bad) - 1} more)" * (len(bad) > 1)
+            words = max(bad)[1].removeprefix("estimator: data: look at ")
+            words += f" (and {len(bad) - 1} more)" * (len(bad) > 1)
             return {"title": "Data", "value": "look", "words": words, "bad": True}, rows
         if not rows:
             words = "no data from the testbed"
@@ -291,23 +280,6 @@ class LiveSource:
             words += f", {1e-9 * float(figures[FREE]):.1f} GB free"
         return {"on": bool(trial), "words": words}
 
-    def _ask_settings(self) -> None:
-        """Ask for the prior of the estimator, and for what it leaves out, once per browser."""
-        if self._knows_settings or not self._estimator.service_is_ready():
-            return
-        self._knows_settings = True
-        names = [n for n in EstimatorSettings.flat() if n.startswith("force_map.")]
-        names.append("identification.leave_out")
-
-        def take(answer: Future) -> None:
-            values = [parameter_value_to_python(value) for value in answer.result().values]
-            given = dict(zip(names, values, strict=True))
-            given["identification.leave_out"] = [n for n in given[names[-1]] or () if n]
-            self._settings = EstimatorSettings.from_flat(given, _ESTIMATOR)
-
-        request = GetParameters.Request(names=names)
-        self._estimator.call_async(request).add_done_callback(take)
-
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         now = clocks.monotonic()
         for status in message.status:
@@ -327,6 +299,16 @@ class LiveSource:
 
     def _on_trial(self, message: String) -> None:
         self._trial = message.data, clocks.monotonic()
+
+
+def _region_outputs(fields: dict[str, FloatArray]) -> RegionOutputs:
+    """The outputs of R regions of a RegionPressures; what it does not hold is NaN."""
+    unknown = dict.fromkeys((field.name for field in dataclasses.fields(RegionOutputs)), np.nan)
+    found = {
+        name: Quantity(*(fields[field + end] for end in ("", "_low", "_high", "")))
+        for name, field in REGION_FIELDS.items()
+    }
+    return RegionOutputs(**(unknown | found))  # type: ignore[arg-type]
 
 
 class _Inbox:

@@ -102,7 +102,7 @@ class NextTrialSettings(Settings):
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.name:
-            check_take_name(self.name, "name")
+            check_take_name(self.name, "name: the trial's name")
 
 
 @dataclass(frozen=True)

@@ -369,16 +369,26 @@ def force_map_packer(names: Sequence[str]) -> Callable[[int, MapEstimate], bytes
     return pack
 
 
+REGION_FIELDS = {"mean": "mean", "peak": "peak", "shear": "shear", "share": "load_share"}
+"""Outputs of regions, and the fields of RegionPressures that hold them."""
+_REGION_COLUMNS = [
+    f"{name}{end}" for name in REGION_FIELDS.values() for end in ("", "_low", "_high")
+]
+
+
+def _regions(records: Record, sample: Any) -> tuple[tuple[str, ...], dict[str, FloatArray]]:
+    """Names of the R regions, and the fields."""
+    return tuple(sample.names), {n: records[n].astype(np.float64) for n in _REGION_COLUMNS}
+
+
 def regions_packer(names: Sequence[str]) -> Callable[[int, RegionOutputs], bytes]:
     """Packs a RegionPressures of R regions from its stamp [ns] and outputs with N = 1."""
-    fields = {"mean": "mean", "peak": "peak", "shear": "shear", "share": "load_share"}
-    columns = [f"{field}{end}" for field in fields.values() for end in ("", "_low", "_high")]
     blanks: list[Any] = [None] * len(names)
-    numbers = dict.fromkeys(columns, blanks)
+    numbers = dict.fromkeys(_REGION_COLUMNS, blanks)
     template = Template(REGIONS.type, LOAD_CELL_FRAME, names=names, **numbers)
 
     def pack(stamp: int, outputs: RegionOutputs) -> bytes:
-        for output, field in fields.items():
+        for output, field in REGION_FIELDS.items():
             quantity = getattr(outputs, output)
             ends = (quantity.value, quantity.low, quantity.high)
             for end, values in zip(("", "_low", "_high"), ends, strict=True):
@@ -402,5 +412,6 @@ VALUES: dict[str, Values] = {
     MARKERS.type: _markers,
     LOCAL_FORCES.type: _local_forces,
     FORCE_MAP.type: _force_map,
+    REGIONS.type: _regions,
     EVENT.type: _label,
 }

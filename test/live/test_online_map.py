@@ -9,7 +9,7 @@ import pytest
 from socket_testbed.files import packaged
 from socket_testbed.geometry.socket import read_socket
 from socket_testbed.identification.force_map import ForceMap, MapEstimate
-from socket_testbed.identification.pressure import THRESHOLD, PressureOutputs, pressure_outputs
+from socket_testbed.identification.pressure import THRESHOLD, pressure_outputs
 from socket_testbed.live.estimator import OnlineMap
 from socket_testbed.settings.identification import ForceMapSettings, IdentificationSettings
 from socket_testbed.settings.testbed import EstimatorSettings
@@ -33,8 +33,10 @@ class Bench:
         self.settings = EstimatorSettings(identification=chosen, force_map=PRIOR)
         self.map = OnlineMap(GEOMETRY, lambda: self.settings)
 
-    def send(self, stamp: int = 1, wrench: np.ndarray = MEASURED) -> MapEstimate:
-        assert self.map.add(STRESS, stamp, STRESSES) is None
+    def send(
+        self, stamp: int = 1, wrench: np.ndarray = MEASURED, stresses: dict = STRESSES
+    ) -> MapEstimate:
+        assert self.map.add(STRESS, stamp, stresses) is None
         found = self.map.add(WRENCH, stamp, wrench)
         assert found is not None
         return found
@@ -109,8 +111,11 @@ def test_outputs_of_a_sample_are_those_of_pressure(hold: Path) -> None:
         for k, name in enumerate(one.clusters)
     }
     live = OnlineMap(geometry, EstimatorSettings)
-    found = live.outputs(one.wrench[0], stresses)
+    live.add(STRESS, 1, stresses)
+    live.add(WRENCH, 1, one.wrench[0])
+    found = live.newest_outputs()
     whole = ForceMap(geometry, one.clusters)
+    whole.update(one.wrench[0], one.local_forces[0], one.status[0])
     theirs = pressure_outputs(whole, one, geometry, live.places, THRESHOLD).regions
     assert found is not None
     for name in ("mean", "peak", "area", "share"):
@@ -120,16 +125,19 @@ def test_outputs_of_a_sample_are_those_of_pressure(hold: Path) -> None:
 
 
 def test_outputs_follow_the_estimator_and_leave_out_what_cannot_be() -> None:
-    def peak(found: PressureOutputs | None) -> float:
+    def peak(stresses: dict, bench: Bench) -> float:
+        bench.send(stresses=stresses)
+        found = bench.map.newest_outputs()
         assert found is not None
         return float(found.regions.peak.high[-1])
 
-    bench, name = Bench(), CLUSTERS[0]
-    usual = peak(bench.map.outputs(MEASURED, STRESSES))
-    without = peak(bench.map.outputs(MEASURED, STRESSES | {name: NOTHING[name]}))
-    assert without != usual
+    name = CLUSTERS[0]
+    without = peak(STRESSES | {name: NOTHING[name]}, Bench())
+    assert without != peak(STRESSES, Bench())
     absurd = STRESSES | {name: (np.full(3, 1e9), 0)}
-    assert peak(bench.map.outputs(MEASURED, absurd)) == pytest.approx(without)
+    assert peak(absurd, Bench()) == pytest.approx(without)
     left_out = Bench(leave_out=tuple(f"{name}.{axis}" for axis in ("Fx", "Fy", "Fz")))
-    assert peak(left_out.map.outputs(MEASURED, STRESSES)) == pytest.approx(without)
-    assert bench.map.outputs(np.full(6, np.nan), NOTHING) is None
+    assert peak(STRESSES, left_out) == pytest.approx(without)
+    nothing = Bench()
+    nothing.send(wrench=np.full(6, np.nan), stresses=NOTHING)
+    assert nothing.map.newest_outputs() is None

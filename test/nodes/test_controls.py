@@ -187,6 +187,7 @@ def test_a_trial_is_recorded_with_a_name_and_metadata_and_an_event(
 def test_the_trigger_is_switched_and_a_tare_outlives_its_node(
     live: LiveTestbed, controls: ServiceControls
 ) -> None:
+    controls.stop_recording()  # a tare would be refused
     controls.trigger(False)
     live.wait_for("trigger_node", "WARN", "not enabled: call trigger/enable")
     # While it rests, faults are seen all the same.

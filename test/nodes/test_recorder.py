@@ -261,7 +261,7 @@ def test_no_other_program_chooses_what_is_stored_or_where(tmp_path: Path) -> Non
         for name in ("geometry", "calibration", "parameters", "metadata", "directory"):
             assert set_parameters(probe, **{name: str(secret)}), name
         (reason,) = set_parameters(probe, next__name="../up")
-        assert "next.name '../up' cannot be" in reason
+        assert "next.name: the trial's name '../up' cannot be" in reason
         record(probe, True)
         record(probe, False)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["secret", "trials"]

@@ -1,12 +1,15 @@
 """Exported samples, read back by the programs they are for."""
 
 from pathlib import Path
+from typing import Any
 
 import ezc3d
 import numpy as np
 import pandas as pd
 import pyarrow.parquet as pq
 import pytest
+from mcap.reader import make_reader
+from rosbags.typesys import Stores, get_typestore
 from scipy.io import loadmat
 from support.bags import rewrite
 
@@ -181,3 +184,27 @@ def test_gait_laboratories_read_loads_and_markers(hold: Path, tmp_path: Path) ->
     np.testing.assert_allclose(*apart, atol=1.0)
     with pytest.raises(TestbedError, match="measured forces and markers alone"):
         st.export(hold, tmp_path / "x.trc", force_map=True)
+
+
+def test_plotting_tools_read_standard_messages_by_their_names(hold: Path, tmp_path: Path) -> None:
+    path = tmp_path / "hold.mcap"
+    table = st.export(hold, path, segment="10:20", pressure=True)
+    samples = Trial(hold).samples()[40:81]
+    types = get_typestore(Stores.ROS2_JAZZY)
+    found: dict[str, list[tuple[int, Any]]] = {}
+    with path.open("rb") as file:
+        for schema, channel, message in make_reader(file).iter_messages():
+            assert schema is not None and "socket_testbed" not in schema.name
+            read = types.deserialize_cdr(message.data, schema.name)
+            found.setdefault(channel.topic, []).append((message.log_time, read))
+    columns = {
+        "/distal/normal_Pa": "distal.normal [Pa]",
+        "/pressure/socket/peak_pressure_kPa": "pressure.socket.peak pressure [kPa]",
+    }
+    for topic, title in columns.items():
+        stamps, values = zip(*((time, message.data) for time, message in found[topic]), strict=True)
+        assert list(stamps) == samples.stamps.tolist(), topic
+        np.testing.assert_array_equal(values, table[title])
+    forces = [(m.wrench.force.x, m.wrench.force.z) for _, m in found["/load_cell/wrench"]]
+    np.testing.assert_array_equal(forces, samples.wrench[:, [3, 5]])
+    assert found["/mocap/socket/pose"][0][1].header.frame_id == "world"

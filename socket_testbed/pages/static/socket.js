@@ -242,7 +242,7 @@ class SocketMap {
       uirevision: "kept", margin: {l: 0, r: 0, t: 0, b: 0}, showlegend: false,
       paper_bgcolor: "rgba(0,0,0,0)", font: {color: ink},
       scene: {xaxis: none, yaxis: none, zaxis: none, aspectmode: "data", dragmode: "orbit",
-        camera: {eye: {x: 1.7, y: 1.0, z: 0.5}, up: {x: px, y: py, z: pz}}},
+        camera: {eye: {x: 2.2, y: 1.3, z: 0.65}, up: {x: px, y: py, z: pz}}},
     }, PLAIN);
   }
 }

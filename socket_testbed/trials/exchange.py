@@ -1,31 +1,42 @@
-"""Files that gait laboratories read: external loads and markers for OpenSim, and C3D.
+"""Files for other programs: OpenSim, C3D, and an MCAP of standard messages.
 
 - `.mot`, `.sto`: the wrench of the limb on the socket as OpenSim's external load, in the frame of
   the load cell and about its origin: `socket_force_v*` [N], `socket_force_p*` [m], zero, and
   `socket_torque_*` [N m]. In OpenSim, it is expressed in the body that carries the load cell.
 - `.trc`: the markers of the bodies in the motion capture's frame [mm].
 - `.c3d`: both; the wrench as six analog channels. It needs the library ezc3d.
+- `.mcap`: `load_cell/wrench` (geometry_msgs/WrenchStamped), `mocap/*/pose` (PoseStamped), and a
+  std_msgs/Float64 for every column of the table that `export` writes, such as
+  `/distal/normal_Pa`: plotting tools show them by their names, without our messages.
 """
 
 from __future__ import annotations
 
+import re
+import struct
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+from mcap.writer import Writer
 
 from socket_testbed.arrays import FloatArray
 from socket_testbed.errors import ConfigurationError, TrialError
 from socket_testbed.files import atomic_output
 from socket_testbed.samples import WRENCH_CHANNELS, Samples
+from socket_testbed.tables import split_unit
 from socket_testbed.trials.bag import required_topics
-from socket_testbed.trials.messages import Reader
-from socket_testbed.trials.topics import MARKERS
+from socket_testbed.trials.layout import typestore
+from socket_testbed.trials.messages import Reader, pose_packer, wrench_packer
+from socket_testbed.trials.synchronise import Measurements
+from socket_testbed.trials.topics import MARKERS, PYLON_POSE, SOCKET_POSE, WRENCH
 from socket_testbed.trials.trial import Trial
 
 if TYPE_CHECKING:
     import pandas as pd
 
+_CDR = b"\x00\x01\x00\x00"  # before a message, least significant byte first
 GAIT_FORMATS = (".mot", ".sto", ".trc", ".c3d")
 _LOADS = [f"socket_{part}{axis}" for part in ("force_v", "force_p", "torque_") for axis in "xyz"]
 
@@ -57,6 +68,58 @@ def write_gait_file(trial: Trial, rows: slice, path: Path) -> pd.DataFrame:
     table[list(WRENCH_CHANNELS)] = samples.wrench[rows]
     _write_c3d(path, table, labels)
     return table
+
+
+def write_standard_bag(
+    measured: Measurements, rows: slice, table: pd.DataFrame, path: Path
+) -> None:
+    """Write some samples as one MCAP file of standard messages; what is missing is left out.
+
+    Args:
+        measured: All measurements of the trial, of which `rows` are written.
+        rows: The samples of the table.
+        table: The table, a row per sample.
+        path: The file.
+    """
+    import pandas as pd
+
+    stamps = measured.stamps[rows].tolist()
+    standard = (
+        (WRENCH, wrench_packer(), measured.wrench[rows]),
+        (SOCKET_POSE, pose_packer(), measured.socket[rows]),
+        (PYLON_POSE, pose_packer(), measured.pylon[rows]),
+    )
+    series = {
+        _topic_name(title): values.to_numpy()
+        for title, values in table.items()
+        if pd.api.types.is_float_dtype(values)
+    }
+    with atomic_output(path) as staging, staging.open("wb") as file:
+        writer = Writer(file)
+        writer.start(profile="ros2")
+
+        def add_channels(message_type: str, topics: Iterable[str]) -> list[int]:
+            text, _ = typestore().generate_msgdef(message_type, ros_version=2)
+            schema = writer.register_schema(message_type, "ros2msg", text.encode())
+            return [writer.register_channel(topic, "cdr", schema) for topic in topics]
+
+        channels = [add_channels(topic.type, [f"/{topic.name}"])[0] for topic, _, _ in standard]
+        numbered = add_channels("std_msgs/msg/Float64", series)
+        columns = list(zip(numbered, series.values(), strict=True))
+        for row, stamp in enumerate(stamps):
+            for channel, (_, pack, vectors) in zip(channels, standard, strict=True):
+                if np.isfinite(vectors[row]).all():
+                    writer.add_message(channel, stamp, pack(stamp, vectors[row]), stamp)
+            for channel, values in columns:
+                if np.isfinite(values[row]):
+                    writer.add_message(channel, stamp, _CDR + struct.pack("<d", values[row]), stamp)
+        writer.finish()  # type: ignore[no-untyped-call]
+
+
+def _topic_name(title: str) -> str:
+    """Name of a topic by the title of a column: /distal/normal_Pa of distal.normal [Pa]."""
+    name, unit = (re.sub(r"[^\w.]+", "_", part) for part in split_unit(title))
+    return "/" + f"{name.replace('.', '/')}_{unit}".strip("_")
 
 
 def _markers(trial: Trial, samples: Samples) -> tuple[list[str], FloatArray]:
