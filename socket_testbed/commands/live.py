@@ -17,7 +17,7 @@ from socket_testbed.commands.options import check_metadata, given, open_given, p
 from socket_testbed.commands.terminal import StatusLine, say, table
 from socket_testbed.documents import check_number
 from socket_testbed.errors import ConfigurationError, DeviceError, TrialError, closest
-from socket_testbed.files import check_new_folder, make_folder, packaged
+from socket_testbed.files import check_new_folder, is_held, make_folder, packaged
 from socket_testbed.geometry.socket import read_socket
 from socket_testbed.identification.fit import check_names
 from socket_testbed.live.bringup import (
@@ -49,6 +49,8 @@ from socket_testbed.trials.metadata import METADATA_FILE, write_metadata
 from socket_testbed.trials.reprocess import RECORDED
 from socket_testbed.trials.topics import full_namespace
 from socket_testbed.trials.trial import Trial, recorded_namespace
+
+_TRIALS = Path("trials")  # where the page's button records without --record
 
 
 def simulated(
@@ -191,7 +193,7 @@ def run(
     """Bring up the testbed, on hardware or simulated, and record it.
 
     Args:
-        record: Record a trial into this folder.
+        record: Record a trial into this folder; without it, the page's button records into trials/.
         model: Predict with this model and fit none.
         rate: Rate of the trigger [Hz].
         duration: End by itself after this time of the testbed, start included [s].
@@ -206,7 +208,6 @@ def run(
         check_number(duration, "--duration", 0.1, 1e6)
     if record is not None:
         _check_writable(record)
-        older = {*record.resolve().parent.iterdir()}
     simulation, faults = simulated(**options)
     if simulation is not None:
         simulation = dataclasses.replace(simulation, time_scale=_time_scale(time_scale))
@@ -214,6 +215,10 @@ def run(
         raise ConfigurationError("--time-scale is for simulated hardware", "add --simulated")
     testbed = _testbed(simulation, record, model, rate, options)
     testbed = dataclasses.replace(testbed, one_process=one_process)
+    folder, name = (_TRIALS, "") if record is None else (record.parent, record.resolve().name)
+    older = _trials(folder, name)
+    if record is None and view:  # its button records
+        testbed = dataclasses.replace(testbed, record=folder, at_once=False)
     page = _page(testbed, view, {"host": view_host, "port": view_port})
     with (
         StatusLine(record.parent if record else None) as status,
@@ -233,13 +238,16 @@ def run(
         except KeyboardInterrupt:
             status.say("ending")
         end(graph, testbed)
-    if record is not None:
-        # A recorder that was killed or asked for another trial went on beside the first.
-        trials = sorted({*record.resolve().parent.glob(f"{record.resolve().name}*")} - older)
-        for trial in trials:
-            print(summary(trial))
-        for trial in trials:
-            _require_end(trial)
+    # A recorder that was killed or asked for another trial went on beside the first.
+    for trial in sorted(_trials(folder, name) - older):
+        print(summary(trial))
+        _require_end(trial)
+
+
+def _trials(folder: Path, name: str) -> set[Path]:
+    """The trials in a folder that nobody writes now, whose names begin so."""
+    found = {file.parent for file in folder.glob(f"{name}*/*.mcap")}
+    return {trial for trial in found if not is_held(trial)}
 
 
 def _require_end(trial: Path) -> None:

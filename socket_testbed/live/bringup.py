@@ -63,6 +63,7 @@ class Testbed:
     calibration: Path = field(default_factory=lambda: packaged("config", "calibration.yaml"))
     simulation: Simulation | None = None  # None on hardware
     record: Path | None = None  # folder of the new trial; None to record nothing
+    at_once: bool = True  # whether it is recorded from the start; else trials in it, when asked
     one_process: bool = False  # for all nodes but the trigger's and the recorder's
     # Metadata of the new trial, over those of the recorder's settings
     metadata: TrialMetadata = field(default_factory=TrialMetadata)
@@ -123,7 +124,7 @@ class Testbed:
         write_testbed({node.name: node.settings for node in nodes}, stored)
         recorder = RecorderSettings(
             directory=str(self.record.resolve()),
-            record=True,
+            record=self.at_once,
             geometry=geometry,
             calibration=calibration,
             parameters=str(stored),

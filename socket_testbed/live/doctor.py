@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import platform
+import re
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
 from socket_testbed import clocks
 from socket_testbed.arrays import FloatArray
+from socket_testbed.drivers.load_cell.ads131m0x import CHECK_WIRING
 from socket_testbed.drivers.natnet.client import NatNetClient
 from socket_testbed.drivers.natnet.tracker import BodyTracker
 from socket_testbed.errors import DeviceError, TestbedError
@@ -25,6 +29,8 @@ _READINGS, _MOST_READINGS = 6, 18
 _WATCHED = 1.0  # [s]; of the load cell's conversions
 _LOOK = 0.05  # [s]
 _PRIORITY = 10  # that is tried where none is set
+_MODEL = Path("/proc/device-tree/model")  # of the computer
+_SOUND_I2C = [6, 6, 28]  # the first packaged kernel with raspberrypi/linux#6071 (March 2024)
 _OF_A_PERIOD = 0.25  # [-]; part of the trigger's period that a reading may be late
 
 
@@ -53,6 +59,24 @@ def _failure(what: str, message: str) -> Finding:
     """A failing finding from a fact and its hint in one line."""
     fact, _, hint = message.rpartition(": ")
     return Finding(what, fact or message, hint if fact else "see docs/faults.md")
+
+
+def check_kernel(testbed: Testbed) -> Iterator[Finding]:
+    """Name the kernel of a Raspberry Pi."""
+    if testbed.simulation is None and _MODEL.is_file():
+        yield kernel_finding(_MODEL.read_text().rstrip("\0"), platform.release())
+
+
+def kernel_finding(model: str, release: str) -> Finding:
+    """Whether a kernel is one whose buses are known to fail on its Raspberry Pi."""
+    found, version = f"{release} on {model}", re.findall(r"\d+", release)[:3]
+    if "Raspberry Pi 5" in model and [*map(int, version)] < _SOUND_I2C:
+        return Finding(
+            "kernel",
+            f"{found}: its I2C bus can lock up (raspberrypi/linux#5784)",
+            f"update it to {'.'.join(map(str, _SOUND_I2C))} or newer",
+        )
+    return Finding("kernel", found)
 
 
 def check_trigger(testbed: Testbed) -> Iterator[Finding]:
@@ -131,7 +155,7 @@ def check_load_cell(testbed: Testbed) -> Iterator[Finding]:
     try:
         yield Finding("load cell", cell.identify())
         corrupted = cell.check_frames(_FRAMES)
-        hint = "check the wiring, or lower load_cell_node's spi_clock" if corrupted else ""
+        hint = CHECK_WIRING if corrupted else ""
         yield Finding("load cell CRC", f"{corrupted} of {_FRAMES} frames corrupted", hint)
         ends = clocks.monotonic() + _WATCHED
         while clocks.monotonic() < ends:
@@ -181,5 +205,10 @@ def check_motion_capture(testbed: Testbed) -> Iterator[Finding]:
 
 
 CHECKS: tuple[Callable[[Testbed], Iterator[Finding]], ...] = (
-    *(check_trigger, check_scheduling, check_clusters, check_load_cell, check_motion_capture),
+    check_kernel,
+    check_trigger,
+    check_scheduling,
+    check_clusters,
+    check_load_cell,
+    check_motion_capture,
 )

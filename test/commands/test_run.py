@@ -1,8 +1,11 @@
 """`run` and `doctor` as a user calls them, on simulated hardware and on a machine without any."""
 
+import json
 import re
 import signal
+import socket
 import subprocess
+import urllib.request
 from dataclasses import dataclass
 from pathlib import Path
 from types import SimpleNamespace
@@ -26,7 +29,14 @@ from socket_testbed.samples import Status
 from socket_testbed.settings.testbed import read_testbed
 from socket_testbed.trials.layout import stamp_of
 from socket_testbed.trials.metadata import TrialMetadata
-from socket_testbed.trials.topics import CAPACITANCE, EVENT, PYLON_POSE, TRIGGER, WRENCH
+from socket_testbed.trials.topics import (
+    CAPACITANCE,
+    EVENT,
+    PYLON_POSE,
+    RECORDED_TRIAL,
+    TRIGGER,
+    WRENCH,
+)
 from socket_testbed.trials.trial import Trial
 
 pytestmark = pytest.mark.graph
@@ -143,6 +153,33 @@ def test_run_ends_by_itself_and_a_fault_is_seen(
     assert "no answer at 0x50 behind channel 2 of 0x70 on i2c-1: check" in err
     assert "posterior_distal missing" in out
     assert call(capfd, "info", path)[0] == 0  # with the parameters that are stored in it
+
+
+def test_the_page_s_button_records_without_record_too(tmp_path: Path) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        port = free.getsockname()[1]
+    words = ["run", *SIMULATED, "--rate", "20", "--view", "--view-port", str(port)]
+    with (
+        Probe() as probe,
+        subprocess.Popen([*COMMAND, *words], cwd=tmp_path, stdout=subprocess.PIPE) as process,
+    ):
+        announced = probe.listen(RECORDED_TRIAL)
+        wrenches = probe.listen(WRENCH)
+        probe.wait(lambda: len(wrenches) > 2 and len(announced) > 0, "measurements")
+        assert announced[-1].data == "", "nothing is recorded yet"
+        page = f"http://127.0.0.1:{port}"
+
+        probe.wait(lambda: bool(probe.said("view_node")), "the page")
+        body = json.dumps({"do": "record", "trial": "s07"}).encode()
+        request = urllib.request.Request(f"{page}/act", body, {"Origin": page})
+        with urllib.request.urlopen(request, timeout=HANGS) as answer:
+            assert "recording" in json.load(answer)["said"]
+        goal = len(wrenches) + 10
+        probe.wait(lambda: len(wrenches) > goal, "a trial")
+        process.send_signal(signal.SIGINT)
+        out, _ = process.communicate(timeout=HANGS)
+    assert process.returncode == 0 and out.startswith(b"trials/s07: ")
+    assert len(Trial(tmp_path / "trials" / "s07").samples()) > 5
 
 
 @pytest.fixture

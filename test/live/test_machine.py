@@ -129,3 +129,11 @@ def test_doctor_reads_again_what_a_busy_machine_read_late(monkeypatch: pytest.Mo
         monkeypatch.setattr(doctor, "make_clusters", lambda *_, reader=reader: reader)
         (finding,) = doctor.check_clusters(simulated_testbed())
         assert (finding.hint != "") == (late == 1000)
+
+
+def test_kernels_that_lock_up_the_i2c_bus_are_named() -> None:
+    pi = "Raspberry Pi 5 Model B Rev 1.0"
+    found = doctor.kernel_finding(pi, "6.6.20+rpt-rpi-2712")
+    assert "5784" in found.found and found.hint == "update it to 6.6.28 or newer"
+    for model, release in ((pi, "6.8.0-1013-raspi"), (pi, "6.6.28"), ("a laptop", "5.15.0")):
+        assert not doctor.kernel_finding(model, release).hint

@@ -122,7 +122,7 @@ class I2cPort:
             hint = f"check the {self._part}'s plug and its supply"
         elif error.errno == errno.ETIMEDOUT:
             kind, fact = BusTimeoutError, f"the bus hangs at {self.where}"
-            hint = "check SDA and SCL for a short, and their pull-ups"
+            hint = "check SDA and SCL for a short, their pull-ups, and doctor's kernel row"
         elif error.errno in {errno.ENODEV, errno.ENOENT, errno.EBADF, errno.EIO}:
             kind = BusGoneError
             fact = f"the bus is gone at {self.where} ({device_files.reason(error)})"

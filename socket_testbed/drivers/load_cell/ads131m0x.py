@@ -30,7 +30,9 @@ _RESET_BIT = 0x0400
 _WORDS_OF_24_BITS, _TIMEOUT, _ANSI = 0x0100, 0x0010, 0x0800
 _HIGH_RESOLUTION = 0x0002
 
-CHECK_WIRING = "check the wiring, or lower load_cell_node's spi_clock"
+CHECK_WIRING = (
+    "check the wiring and the chip select (docs/faults.md), or lower load_cell_node's spi_clock"
+)
 
 
 class SpiDevice(Protocol):
