@@ -13,7 +13,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from socket_testbed.api.result import Result
-from socket_testbed.api.trials import PathLike, Progress, as_path, as_trial, started
+from socket_testbed.api.trials import PathLike, Progress, as_path, as_trial, select, started
 from socket_testbed.errors import ConfigurationError, IdentificationError, TrialError
 from socket_testbed.identification.model_file import finite_or_null
 from socket_testbed.identification.noise import smooth_poses
@@ -117,6 +117,7 @@ class Validation(Result):
 
 def validate(
     *trials: Trial | PathLike,
+    segment: str = "all",
     params: PathLike | None = None,
     progress: Progress | None = None,
     **choices: Any,
@@ -136,6 +137,7 @@ def validate(
 
     Args:
         trials: Trials of one socket.
+        segment: As `specification` in `st.select_segment`.
         params: A `testbed.yaml` to use instead of each trial's own.
         progress: See `Progress`.
         choices: `theta`, `smoothness`, `leave_out`, `pose_smoothing` and `solver` as in `fit`.
@@ -147,7 +149,7 @@ def validate(
     >>> bool((left_out["error [-]"] > 0.0).all())
     True
     """
-    recordings = _recordings([*map(as_trial, trials)], as_path(params), choices)
+    recordings = _recordings([*map(as_trial, trials)], segment, as_path(params), choices)
     several = len(trials) > 1
     chosen = _spread(recordings, _MOST_FITTED)
     report = started(progress, "validating") or (lambda done, total: None)
@@ -239,7 +241,7 @@ class _Recording:
 
 
 def _recordings(
-    trials: Sequence[Trial], params: Path | None, choices: dict[str, Any]
+    trials: Sequence[Trial], segment: str, params: Path | None, choices: dict[str, Any]
 ) -> list[_Recording]:
     """Read the trials; refuse what cannot be compared."""
     if not trials:
@@ -253,7 +255,7 @@ def _recordings(
         name = trial.name if names.count(trial.name) == 1 else str(trial.path)
         with _passed_over(name, trial, len(trials) > 1):
             settings = estimator_settings(trial.estimator, params, **choices)
-            samples = trial.samples()
+            samples = trial.samples()[select(trial, segment, settings).rows]
             require_position(samples, trial.geometry)
             leave_out = settings.identification.leave_out
             samples = without_outliers(samples, find_outliers(samples, trial.geometry, leave_out))

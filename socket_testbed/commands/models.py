@@ -207,7 +207,7 @@ def _evaluation_row(found: Evaluation) -> Row:
     "fit",
     "commands.options.draw",
     "files.check_outputs",
-    without="unloaded segment variant frames initial_stiffness",
+    without="unloaded variant frames initial_stiffness",
 )
 def validate(
     trial: list[Path],

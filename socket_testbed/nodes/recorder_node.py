@@ -17,6 +17,7 @@ the parameters `next.*` give the trial that is asked for next its name and metad
 
 from __future__ import annotations
 
+import os
 import shutil
 from collections.abc import Callable
 from datetime import datetime
@@ -62,6 +63,7 @@ class RecorderNode(TestbedNode[RecorderSettings]):
 
     def __init__(self) -> None:
         super().__init__("recorder_node", RecorderSettings)
+        os.umask(os.umask(0) | 0o007)  # a trial is of a person: for its owner and group only
         settings = self.settings
         self._directory = Path(settings.directory).absolute()
         self._configuration = read_configuration(

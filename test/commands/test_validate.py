@@ -109,6 +109,8 @@ def test_a_trial_that_is_too_short_is_refused_alone_and_passed_over_among_others
     short = tmp_path / "short"
     st.simulate(short, "multi_direction", duration=5, seed=7)
     refused(capsys, "validate", short, named=["only 20 of 20 samples", "longer"])
+    words = [folder / "s0", "--segment", "5:7"]
+    refused(capsys, "validate", *words, named=["only 9 of 9 samples", "longer"])
     broken = tmp_path / "broken"
     broken.mkdir()
     recorded = shutil.copytree(folder / "s1", tmp_path / "s1")

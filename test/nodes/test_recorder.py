@@ -112,6 +112,7 @@ def test_a_replay_is_the_recording_in_its_order(hold: Path, tmp_path: Path) -> N
         assert after.counts["/diagnostics"] > 0
     assert clocks and clocks == sorted(clocks)  # the first may precede its discovery
     assert (recorded / "metadata.yaml").is_file() and (recorded / "socket.yaml").is_file()
+    assert not any(path.stat().st_mode & 0o007 for path in (recorded, *recorded.iterdir()))
     np.testing.assert_array_equal(Trial(recorded).samples().values, Trial(hold).samples().values)
 
 
