@@ -17,7 +17,7 @@ from socket_testbed.commands.options import check_metadata, given, open_given, p
 from socket_testbed.commands.terminal import StatusLine, say, table
 from socket_testbed.documents import check_number
 from socket_testbed.errors import ConfigurationError, DeviceError, TrialError, closest
-from socket_testbed.files import check_new_folder, is_held, make_folder, packaged
+from socket_testbed.files import check_new_folder, check_outputs, is_held, make_folder, packaged
 from socket_testbed.geometry.socket import read_socket
 from socket_testbed.identification.fit import check_names
 from socket_testbed.live.bringup import (
@@ -264,13 +264,7 @@ def _check_writable(path: Path) -> None:
     check_new_folder(path)
     check_take_name(path.resolve().name)
     make_folder(path.parent)
-    try:
-        path.mkdir()
-        path.rmdir()
-    except OSError as error:
-        raise ConfigurationError(
-            f"{path}: cannot be written ({error.strerror})", "name another folder with --record"
-        ) from None
+    check_outputs(path, replace=False)
 
 
 def _time_scale(text: str) -> float:

@@ -97,11 +97,6 @@ class Trial:
             yield bag
 
     @property
-    def needs_all(self) -> bool:
-        """Whether a part of the trial cannot be read without the rest."""
-        return bool(self.unloaded or parse_tare(self.tare))
-
-    @property
     def remade(self) -> tuple[Topic, ...]:
         """The raw topics that measurements are made anew from, as the files or the tare differ."""
         other_wrenches = self.load_cell_file is not None or self.tare != RECORDED

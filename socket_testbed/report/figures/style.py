@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import textwrap
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,15 +18,12 @@ from socket_testbed.arrays import FloatArray
 from socket_testbed.errors import ConfigurationError
 from socket_testbed.files import WIDTHS, atomic_output, check_picture
 
-FONT = "system-ui, -apple-system, 'Segoe UI', Roboto, sans-serif"  # of the pages
 SURFACE = "#D9D9D9"
-VEIL = "#A8A8A8"  # the surface where one sees through it
 TILE = "#A6CBE3"
 CLUSTER = "#D55E00"  # Okabe & Ito's vermilion
 EDGE = "#2B5C7D"
 NO_VALUE = "#FFFFFF"
 HATCH = "/////"  # of what has no value
-PROXIMAL = "#333333"
 AXES = ("#B2182B", "#1B7837", "#2166AC")  # x, y, z
 SCALE = "viridis"  # even in lightness, told apart by the colour-blind; as on the pages
 
@@ -71,8 +67,6 @@ _STYLE: dict[str, Any] = {
     "figure.constrained_layout.w_pad": 0.02,
     "figure.constrained_layout.h_pad": 0.02,
     "pdf.fonttype": 42,  # TrueType: text stays text
-    "svg.fonttype": "path",
-    "svg.hashsalt": "figure",
     "savefig.bbox": "standard",  # a tight box would change the width
     "text.usetex": False,
 }
@@ -167,14 +161,6 @@ def save_figure(figure: Figure, path: Path, dpi: int = 300) -> None:
     check_picture(path)
     with atomic_output(path) as staging:
         figure.savefig(staging, dpi=dpi)
-
-
-@in_style
-def svg_of(figure: Figure) -> str:
-    """A figure as a stand-alone SVG that needs no fonts, on whatever paper is below it."""
-    buffer = io.StringIO()
-    figure.savefig(buffer, format="svg", metadata={"Date": None}, transparent=True)
-    return buffer.getvalue()
 
 
 def thin(x: FloatArray, y: FloatArray, most: int = MOST_POINTS) -> tuple[FloatArray, FloatArray]:
