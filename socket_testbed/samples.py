@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import TYPE_CHECKING
@@ -34,6 +35,13 @@ def channel_names(clusters: tuple[str, ...]) -> tuple[str, ...]:
 def channel_unit(name: str) -> str:
     """Unit of a channel by its name."""
     return "N m" if name.rpartition(".")[2].startswith("M") else "N"
+
+
+def moments_about(wrench: FloatArray, point: Sequence[float] | None) -> FloatArray:
+    """Wrenches [M; F], shape (N, 6), about a point of their frame, shape (3,) [m]; None: as is."""
+    if point is None:
+        return wrench
+    return np.hstack([wrench[:, :3] - np.cross(point, wrench[:, 3:]), wrench[:, 3:]])
 
 
 @dataclass(frozen=True)

@@ -51,7 +51,7 @@ from socket_testbed.identification.plausibility import (
     without_outliers,
 )
 from socket_testbed.identification.validation import judge_unseen_half
-from socket_testbed.samples import Samples, channel_unit
+from socket_testbed.samples import Samples, channel_unit, moments_about
 from socket_testbed.settings.identification import Variant, Weights
 from socket_testbed.settings.testbed import estimator_settings
 from socket_testbed.tables import FORMATS, check_format, write_table
@@ -460,6 +460,7 @@ def export(
     force_map: bool = False,
     pressure: bool = False,
     cycles: str | None = None,
+    about: tuple[float, float, float] | None = None,
 ) -> pd.DataFrame:
     """Write the synchronised samples of a trial, with what they were computed from, as a table.
 
@@ -477,6 +478,8 @@ def export(
             see `TrialPressure.over_time`.
         cycles: Events that delimit cycles: the table is then mean and standard deviation of all
             columns over 0 to 100 % of a cycle, see `st.cycles`.
+        about: Point in {S} about which moments are given, such as the knee's centre [m] (default:
+            the load cell's origin).
 
     Returns:
         The table, with a unit in the name of every column; its `attrs` name the segment and rows.
@@ -496,7 +499,7 @@ def export(
                 "give .csv, .parquet or .mat for what is computed",
             )
         chosen = select(trial, segment, trial.estimator)
-        table = write_gait_file(trial, chosen.rows, path)
+        table = write_gait_file(trial, chosen.rows, path, about)
         table.attrs |= {"segment": str(chosen), "rows": f"{len(table)} samples"}
         return table
     as_bag = path.suffix.lower() == ".mcap"
@@ -507,8 +510,12 @@ def export(
     stored = None if model is None else model_for(trial, model)
     measured, samples = trial.measurements_and_samples()
     chosen = select(trial, segment, trial.estimator)
-    predicted = None if stored is None else _predictions(samples, stored)
-    table = sample_table(measured, samples, trial.calibration, chosen, predicted)
+    predicted = None
+    if stored is not None:
+        predicted = _predictions(samples, stored)
+        predicted[:, :6] = moments_about(predicted[:, :6], about)
+    moved = dataclasses.replace(samples, wrench=moments_about(samples.wrench, about))
+    table = sample_table(measured, moved, trial.calibration, chosen, predicted)
     if stored is not None:
         engaged = engagement(samples, stored.model, stored.settings.pose_smoothing)
         springs = pd.DataFrame(engaged.columns("springs."))[chosen.rows]

@@ -1,8 +1,9 @@
 """Files for other programs: OpenSim, C3D, and an MCAP of standard messages.
 
 - `.mot`, `.sto`: the wrench of the limb on the socket as OpenSim's external load, in the frame of
-  the load cell and about its origin: `socket_force_v*` [N], `socket_force_p*` [m], zero, and
-  `socket_torque_*` [N m]. In OpenSim, it is expressed in the body that carries the load cell.
+  the load cell and about its origin, or a given point: `socket_force_v*` [N], the point
+  `socket_force_p*` [m], and `socket_torque_*` [N m]. In OpenSim, it is expressed in the body that
+  carries the load cell.
 - `.trc`: the markers of the bodies in the motion capture's frame [mm].
 - `.c3d`: both; the wrench as six analog channels. It needs the library ezc3d.
 - `.mcap`: `load_cell/wrench` (geometry_msgs/WrenchStamped), `mocap/*/pose` (PoseStamped), and a
@@ -14,7 +15,7 @@ from __future__ import annotations
 
 import re
 import struct
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -24,7 +25,7 @@ from mcap.writer import Writer
 from socket_testbed.arrays import FloatArray
 from socket_testbed.errors import ConfigurationError, TrialError
 from socket_testbed.files import atomic_output
-from socket_testbed.samples import WRENCH_CHANNELS, Samples
+from socket_testbed.samples import WRENCH_CHANNELS, Samples, moments_about
 from socket_testbed.tables import split_unit
 from socket_testbed.trials.bag import required_topics
 from socket_testbed.trials.layout import typestore
@@ -41,8 +42,10 @@ GAIT_FORMATS = (".mot", ".sto", ".trc", ".c3d")
 _LOADS = [f"socket_{part}{axis}" for part in ("force_v", "force_p", "torque_") for axis in "xyz"]
 
 
-def write_gait_file(trial: Trial, rows: slice, path: Path) -> pd.DataFrame:
-    """Write some samples of a trial in the format of the file's suffix.
+def write_gait_file(
+    trial: Trial, rows: slice, path: Path, about: Sequence[float] | None = None
+) -> pd.DataFrame:
+    """Write some samples of a trial, moments about a point [m], in the format of the suffix.
 
     Returns:
         What was written, a row per sample, indexed by `time [s]`: loads [N, m, N m], markers [mm],
@@ -52,10 +55,11 @@ def write_gait_file(trial: Trial, rows: slice, path: Path) -> pd.DataFrame:
 
     samples = trial.samples()
     time = pd.Index(samples.time[rows], name="time [s]")
+    wrench = moments_about(samples.wrench[rows], about)
     suffix = path.suffix.lower()
     if suffix in {".mot", ".sto"}:
-        wrench = samples.wrench[rows]
-        loads = np.hstack([wrench[:, 3:], np.zeros((len(wrench), 3)), wrench[:, :3]])
+        places = np.broadcast_to(np.zeros(3) if about is None else about, (len(wrench), 3))
+        loads = np.hstack([wrench[:, 3:], places, wrench[:, :3]])
         table = pd.DataFrame(loads, columns=_LOADS, index=time)
         _write_text(path, _storage(table))
         return table
@@ -65,7 +69,7 @@ def write_gait_file(trial: Trial, rows: slice, path: Path) -> pd.DataFrame:
     if suffix == ".trc":
         _write_text(path, _markers_text(table, labels, path.name))
         return table
-    table[list(WRENCH_CHANNELS)] = samples.wrench[rows]
+    table[list(WRENCH_CHANNELS)] = wrench
     _write_c3d(path, table, labels)
     return table
 

@@ -171,6 +171,17 @@ def test_gait_laboratories_read_loads_and_markers(hold: Path, tmp_path: Path) ->
     torques = loads[[f"socket_torque_{axis}" for axis in "xyz"]]
     np.testing.assert_allclose(np.hstack([torques, forces]), samples.wrench, atol=1e-6)
 
+    # The same loads with moments about a point, at which OpenSim applies the force.
+    knee = (0.02, -0.01, 0.4)
+    call(hold, "-o", tmp_path / "knee.sto", "--segment", "10:20", "--about", *knee)
+    moved = pd.read_csv(tmp_path / "knee.sto", sep="\t", skiprows=6)
+    assert moved[[f"socket_force_p{axis}" for axis in "xyz"]].drop_duplicates().shape == (1, 3)
+    lever = moved[[f"socket_force_p{axis}" for axis in "xyz"]].to_numpy()
+    about = moved[[f"socket_torque_{axis}" for axis in "xyz"]] + np.cross(lever, forces)
+    np.testing.assert_allclose(about, torques, atol=1e-5)
+    table = st.export(hold, tmp_path / "knee.csv", segment="10:20", about=knee)
+    np.testing.assert_allclose(table["My [N m]"], moved["socket_torque_y"], atol=1e-6)
+
     markers = pd.read_csv(tmp_path / "markers.trc", sep="\t", skiprows=5, header=None)
     assert (tmp_path / "markers.trc").read_text().splitlines()[3].split("\t")[2] == "socket_1"
     c3d = ezc3d.c3d(str(tmp_path / "trial.c3d"))
