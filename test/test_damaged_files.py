@@ -259,3 +259,6 @@ def test_a_socket_of_thousands_of_tiles_takes_no_memory_of_their_square() -> Non
     with refused(ConfigurationError, "is at the same place as t"):
         socket_from_document(document, "socket.yaml")
     assert memory() - before < MEMORY
+    tiles["t2999"]["anchor"] = [0.03, 0.02, 0.1]
+    with refused(ConfigurationError, "t2999: is 100 mm from all others"):
+        socket_from_document(document, "socket.yaml")

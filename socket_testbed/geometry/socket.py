@@ -40,6 +40,7 @@ _STANDARD_REGIONS = {
     *PARTS_OF_SECTORS,
 }
 _SAME_PLACE = 1e-4  # [m]
+_FAR, _LEAST_FAR = 4.0, 0.06  # times the usual distance of neighbours, and [m]: off the wall
 _FromScan = Annotated[float, Meta(ge=-100.0, le=100.0)]  # [m]; a scanner's origin may be anywhere
 _InBody = Annotated[float, Meta(ge=-1.0, le=1.0)]  # [m]; what is farther is in another unit
 
@@ -277,7 +278,7 @@ def socket_from_document(data: Any, where: str) -> SocketGeometry:
             f"{where}: clusters: two clusters are on '{names[shared]}'", "give each its own tile"
         )
     anchors = np.array([tile.anchor for tile in tiles.values()])
-    _refuse_same_place(anchors, names, where)
+    _refuse_odd_places(anchors, names, where)
     scan = document.scan
     return SocketGeometry(
         names=names,
@@ -305,13 +306,19 @@ def _index(tile: Text, names: tuple[str, ...], where: str) -> int:
     return names.index(str(tile))
 
 
-def _refuse_same_place(anchors: FloatArray, names: tuple[str, ...], where: str) -> None:
+def _refuse_odd_places(anchors: FloatArray, names: tuple[str, ...], where: str) -> None:
     apart, nearest = cKDTree(anchors).query(anchors, k=2)
     if apart[:, 1].min() < _SAME_PLACE:
         a = int(apart[:, 1].argmin())
         b = next(int(i) for i in nearest[a] if i != a)
         raise ConfigurationError(
             f"{where}: tiles: {names[a]}: is at the same place as {names[b]}", "remove one of them"
+        )
+    far = int(apart[:, 1].argmax())
+    if apart[far, 1] > max(_FAR * np.median(apart[:, 1]), _LEAST_FAR):
+        raise ConfigurationError(
+            f"{where}: tiles: {names[far]}: is {1e3 * apart[far, 1]:.0f} mm from all others",
+            "correct its anchor, in m",
         )
 
 
