@@ -63,11 +63,11 @@ $(VENV)/.packages: $(REQUIREMENTS) requirements/dask.txt scripts/fix_ros_wheels.
 	@test -n "$(PYTHON)" || { echo "error: no Python 3.11, 3.12 or 3.13 with venv: install one, or give PYTHON=..."; exit 1; }
 	@test "$$(uname -m)" = x86_64 || { echo "error: the ROS wheels are for x86-64: on $$(uname -m) use a ROS installation (README)"; exit 1; }
 	@echo "setting up $(VENV) with $(PYTHON) (about two minutes, once)"
-	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
-	$(PIP) install "setuptools>=65,<80" wheel
-	$(PIP) install $(addprefix -r ,$(REQUIREMENTS))
-	$(BIN)/python scripts/fix_ros_wheels.py
-	touch $@
+	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
+	@( $(PIP) install "setuptools>=65,<80" wheel && $(PIP) install $(addprefix -r ,$(REQUIREMENTS)) ) \
+		> $(VENV)/pip.log 2>&1 || { tail -n 30 $(VENV)/pip.log; exit 1; }
+	@$(BIN)/python scripts/fix_ros_wheels.py
+	@touch $@
 
 # The message packages, built by CMake as colcon would, into the environment as a ROS prefix: our
 # own, and tf2_msgs, which no index of wheels has.
@@ -83,11 +83,12 @@ $(VENV)/.messages: $(VENV)/.packages $(foreach m,$(MESSAGES),$(m)/CMakeLists.txt
 			-DCMAKE_INSTALL_PREFIX=$(CURDIR)/$(VENV) -DPython3_EXECUTABLE=$(CURDIR)/$(BIN)/python \
 		&& cmake --build $$build -j 2 && cmake --install $$build || exit 1; \
 	done ) > $(VENV)/messages.log 2>&1 || { tail -n 30 $(VENV)/messages.log; exit 1; }
-	touch $@
+	@touch $@
 
 $(VENV)/.package: $(VENV)/.packages setup.py setup.cfg
-	$(PIP) install --no-build-isolation --no-deps --editable .
-	touch $@
+	@$(PIP) install --no-build-isolation --no-deps --editable . > $(VENV)/pip.log 2>&1 \
+		|| { tail -n 30 $(VENV)/pip.log; exit 1; }
+	@touch $@
 
 clean:
 	rm -rf $(VENV) build install log demo

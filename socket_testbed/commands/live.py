@@ -215,10 +215,10 @@ def run(
         raise ConfigurationError("--time-scale is for simulated hardware", "add --simulated")
     testbed = _testbed(simulation, record, model, rate, options)
     testbed = dataclasses.replace(testbed, one_process=one_process)
-    folder, name = (_TRIALS, "") if record is None else (record.parent, record.resolve().name)
-    older = _trials(folder, name)
+    place = (_TRIALS, "") if record is None else (record.parent, record.resolve().name)
+    older = _trials(*place)
     if record is None and view:  # its button records
-        testbed = dataclasses.replace(testbed, record=folder, at_once=False)
+        testbed = dataclasses.replace(testbed, record=_TRIALS, at_once=False)
     page = _page(testbed, view, {"host": view_host, "port": view_port})
     with (
         StatusLine(record.parent if record else None) as status,
@@ -239,7 +239,7 @@ def run(
             status.say("ending")
         end(graph, testbed)
     # A recorder that was killed or asked for another trial went on beside the first.
-    for trial in sorted(_trials(folder, name) - older):
+    for trial in sorted(_trials(*place) - older):
         print(summary(trial))
         _require_end(trial)
 
