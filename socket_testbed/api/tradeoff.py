@@ -274,7 +274,7 @@ def write_report(
             settings,
             _values(thetas),
             stored,
-            started(progress, "solving for every theta"),
+            started(progress, "fitting, judging, mapping"),
         )
     leave_out = settings.identification.leave_out
     note_implausible(trial, results.samples, results.segment, leave_out)

@@ -204,7 +204,8 @@ def simulate_hardware(
     graph.set_time_scale(simulation.time_scale)
     folder = graph.folder
     world = World(folder, create=True)
-    truth = "" if testbed.record is None else str(testbed.record.resolve() / TRUTH_FILE)
+    recorded = testbed.record if testbed.at_once else None
+    truth = str(recorded.resolve() / TRUTH_FILE) if recorded else ""
     described = json.dumps(asdict(simulation))
     arguments = [str(folder), described, str(testbed.geometry), str(testbed.calibration), truth]
     graph.start_program("simulation", "socket_testbed.live.simulated_world", arguments)

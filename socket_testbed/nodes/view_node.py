@@ -195,7 +195,7 @@ class LiveSource:
         """Take what the clusters measure, and the outputs by region with their map."""
         now, geometry, places = clocks.monotonic(), self._geometry, self._places
         if now - self._shown_at > _OLD:
-            self._shown = {}
+            self._shown, self._measured = {}, []
         for _, stresses in inbox.take(STRESS):
             forces, status = cluster_forces(geometry, stresses)
             tiles = [*geometry.clusters.values()]

@@ -59,6 +59,7 @@ from socket_testbed.trials.trial import Trial
 
 GIVEN = "given"
 _LEAST_HELD_OUT = 10  # samples
+_STAGES = 5  # reading, fits, front, validation, pressure
 _INSTANTS = 150  # of the trial, at which the pressure is shown
 
 
@@ -167,6 +168,11 @@ def compute_results(
     progress: Callable[[int, int], None] | None = None,
 ) -> Results:
     """Fit the variants on a segment of a trial, walk along theta, and judge all of it."""
+
+    def reach(stage: int) -> None:
+        if progress is not None:
+            progress(stage, _STAGES)
+
     if given is not None:
         given.require_socket(trial.geometry)
     samples = measured = trial.samples()
@@ -179,21 +185,25 @@ def compute_results(
     outliers = find_outliers(samples, trial.geometry, leave_out)
     notes += [*outlier_notes(samples, outliers), *([sign] if sign else [])]
     samples = without_outliers(samples, outliers)
+    reach(1)
     chosen = samples[segment.rows]
     chosen_variant = settings.identification.variant
     variants = [v for v in VARIANTS if v in PAPER_VARIANTS or v == chosen_variant]
     candidates = [_fit(samples, segment, trial, settings, variant) for variant in variants]
     if given is not None:
         candidates.append(_judge(samples, segment, GIVEN, given))
+    reach(2)
     fronts: dict[Variant, Front] = {}
     no_fronts = ""
     try:
-        fronts = pareto_front(
-            chosen, trial.geometry, settings.identification, thetas, progress=progress
-        )
+        fronts = pareto_front(chosen, trial.geometry, settings.identification, thetas)
     except IdentificationError as error:  # the rest of the report stands without it
         no_fronts = str(error)
+    reach(3)
     validation, no_validation = _validate(trial, samples, settings, notes.append)
+    reach(4)
+    pressure = _read_pressure(trial, measured, segment, settings)
+    reach(_STAGES)
     return Results(
         trial=trial,
         samples=samples,
@@ -211,7 +221,7 @@ def compute_results(
         motion=measure_motion(chosen, trial.geometry, settings.identification.pose_smoothing),
         validation=validation,
         no_validation=no_validation,
-        pressure=_read_pressure(trial, measured, segment, settings),
+        pressure=pressure,
     )
 
 

@@ -146,6 +146,7 @@ def test_what_is_wrong_for_all_is_one_line(whole_study, models, tmp_path, capsys
         assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.slow
 def test_ctrl_c_leaves_what_is_finished_and_a_re_run_goes_on(study, tmp_path, capsys) -> None:
     shutil.rmtree(study / BROKEN)
     for number in range(4):  # enough to be in their midst for sure

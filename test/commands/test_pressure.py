@@ -128,6 +128,7 @@ def test_a_figure_is_that_of_the_api(hold: Path, tmp_path, capsys) -> None:
         st.pressure(st.open_trial(hold), "10:11").draw(tmp_path / "other.png", width=120)
 
 
+@pytest.mark.slow
 def test_cycles_are_written_and_drawn(tmp_path: Path, capsys) -> None:
     trial = st.simulate(tmp_path / "ramp", "ramp", duration=130, seed=1)
     words = ("--segment", "all", "--cycles", "placed", "--figure", tmp_path / "c.png")

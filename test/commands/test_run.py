@@ -155,6 +155,7 @@ def test_run_ends_by_itself_and_a_fault_is_seen(
     assert call(capfd, "info", path)[0] == 0  # with the parameters that are stored in it
 
 
+@pytest.mark.slow
 def test_the_page_s_button_records_without_record_too(tmp_path: Path) -> None:
     with socket.create_server(("127.0.0.1", 0)) as free:
         port = free.getsockname()[1]
@@ -180,6 +181,7 @@ def test_the_page_s_button_records_without_record_too(tmp_path: Path) -> None:
         out, _ = process.communicate(timeout=HANGS)
     assert process.returncode == 0 and out.startswith(b"trials/s07: ")
     assert len(Trial(tmp_path / "trials" / "s07").samples()) > 5
+    assert [path.name for path in (tmp_path / "trials").iterdir()] == ["s07"]
 
 
 @pytest.fixture

@@ -77,6 +77,7 @@ def test_every_sample_is_predicted_as_the_model_does_offline(hold: Path, hold_mo
         np.testing.assert_allclose(values[:, 3], expected.normal_pressure[0])
 
 
+@pytest.mark.slow
 def test_another_process_subscribes_while_the_command_replays_and_estimates(hold: Path) -> None:
     """As the README says: `replay --estimate` in one terminal, a subscriber in another."""
     # The first fit takes a busy machine many seconds: the replay takes 15 to 60 s.

@@ -199,6 +199,7 @@ def test_a_second_recording_lies_beside_the_first_where_a_batch_finds_it(tmp_pat
     assert not [path for path in trial.iterdir() if path.is_dir()]
 
 
+@pytest.mark.slow
 def test_a_recording_to_which_nothing_comes_is_reported_and_ctrl_c_ends_it_whole(
     tmp_path: Path,
 ) -> None:
