@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 import time
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import ExitStack
@@ -50,6 +51,7 @@ from socket_testbed.trials.reprocess import RECORDED
 from socket_testbed.trials.topics import full_namespace
 from socket_testbed.trials.trial import Trial, recorded_namespace
 
+_BEGINS_WITHIN = 60.0  # [s]; --duration counts from then at the latest
 _TRIALS = Path("trials")  # where the page's button records without --record
 
 
@@ -196,7 +198,7 @@ def run(
         record: Record a trial into this folder; without it, the page's button records into trials/.
         model: Predict with this model and fit none.
         rate: Rate of the trigger [Hz].
-        duration: End by itself after this time of the testbed, start included [s].
+        duration: End by itself after this time of the testbed, from its first trigger on [s].
         one_process: Run all nodes but trigger and recorder in one process.
         view: Serve the page in a browser, see 'socket-testbed view'.
         view_host: Serve the page on this address of the machine.
@@ -231,10 +233,18 @@ def run(
             assert world is not None
             world.faults.switch(name, value)
         status.say("the testbed starts; Ctrl-C ends it")
-        ends = time.monotonic() + (duration or float("inf")) / testbed.time_scale
+        begins = time.monotonic() + _BEGINS_WITHIN
+
+        def over() -> bool:
+            nonlocal begins
+            now = time.monotonic()
+            if status.triggered:
+                begins = min(begins, now)
+            return now >= begins + (duration or math.inf) / testbed.time_scale
+
         try:
             status.follow(testbed.namespace)
-            graph.watch(lambda: time.monotonic() >= ends, status.say)
+            graph.watch(over, status.say)
         except KeyboardInterrupt:
             status.say("ending")
         end(graph, testbed)

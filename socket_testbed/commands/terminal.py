@@ -177,6 +177,11 @@ class StatusLine:
         else:
             say(line)
 
+    @property
+    def triggered(self) -> bool:
+        """Whether a trigger has come."""
+        return self._status.triggers > 0
+
     def renew(self) -> None:
         """Print what the nodes have said meanwhile, and the status when it is due."""
         if self._space.pressed():
