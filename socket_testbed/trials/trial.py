@@ -255,18 +255,9 @@ class Trial:
         if not stored.is_file():
             with self.open():
                 pass  # says what is wrong if it is not a trial
-            files = {
-                "--geometry": (SOCKET_FILE, self.socket_file),
-                "--calibration": (CALIBRATION_FILE, self.calibration_file),
-            }
-            lacking = [
-                option
-                for option, (file, given) in files.items()
-                if given is None and not (self.path / file).is_file()
-            ]
             raise TrialError(
                 f"{self.path}: no {name} is stored in this trial",
-                f"give one with {' and '.join(lacking)}",
+                "give the files that it lacks with --geometry and --calibration",
             )
         return stored
 
