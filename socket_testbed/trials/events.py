@@ -27,11 +27,10 @@ from socket_testbed.samples import Samples
 from socket_testbed.settings.identification import PlateauSettings
 from socket_testbed.trials.bag import BagReader
 from socket_testbed.trials.messages import Reader
-from socket_testbed.trials.topics import EVENT, TRIGGER, match_topics
+from socket_testbed.trials.topics import EVENT, TARE, TRIGGER, match_topics
 
 PLACED, REMOVED = "placed", "removed"
 STANCE, SWING = "stance", "swing"
-TARE = "tare"
 Source = Literal["recorded", "found"]
 
 _RISEN, _FALLEN = 0.6, 0.4  # [-]; of the way from the lower level of load to the upper

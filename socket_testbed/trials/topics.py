@@ -31,6 +31,7 @@ SOCKET_POSE = Topic("mocap/socket/pose", "geometry_msgs/msg/PoseStamped", requir
 PYLON_POSE = Topic("mocap/pylon/pose", "geometry_msgs/msg/PoseStamped", required=True)
 MARKERS = Topic("mocap/markers", "socket_testbed_msgs/msg/RigidBodyMarkersArray")
 EVENT = Topic("event", "socket_testbed_msgs/msg/Event")
+TARE = "tare"  # first word of the label of a tare's event
 STRESS = Topic("clusters/stress", "socket_testbed_msgs/msg/ClusterStressArray", computed=True)
 ESTIMATED_WRENCH = Topic("estimate/wrench", "geometry_msgs/msg/WrenchStamped", computed=True)
 LOCAL_FORCES = Topic(
