@@ -25,8 +25,8 @@ _GROUPS = {
         "doctor": ("live", "--press"),
     },
     "in the lab": {
-        "run": ("live", "--record trials --view"),
-        "record": ("live", "trials"),
+        "run": ("live", "--record trials/s01 --view"),
+        "record": ("live", "trials/s01"),
         "mark": ("mark", "push"),
         "view": ("view", "trials/s01"),
         "simulate": ("trials", "-o trials/walk --scenario protocol --duration 60"),

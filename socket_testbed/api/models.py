@@ -503,10 +503,10 @@ def export(
         table.attrs |= {"segment": str(chosen), "rows": f"{len(table)} samples"}
         return table
     as_bag = path.suffix.lower() == ".mcap"
+    if as_bag and cycles:
+        raise ConfigurationError(f"{path}: a bag holds samples", "give .csv for cycles")
     if not as_bag:
         check_format(path)
-    elif cycles:
-        raise ConfigurationError(f"{path}: a bag holds samples", "give .csv for cycles")
     stored = None if model is None else model_for(trial, model)
     measured, samples = trial.measurements_and_samples()
     chosen = select(trial, segment, trial.estimator)

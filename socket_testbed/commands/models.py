@@ -28,6 +28,7 @@ from socket_testbed.identification.information import LEAST_RATIO, share_warning
 from socket_testbed.identification.model_file import finite_or_null, quoted_figures
 from socket_testbed.identification.pareto import KNEE, SENSOR_ONLY, WRENCH_ONLY, Front
 from socket_testbed.settings.identification import PAPER_VARIANTS
+from socket_testbed.tables import FORMATS
 from socket_testbed.trials.trial import Trial
 
 if TYPE_CHECKING:
@@ -70,7 +71,7 @@ def fit(trial: Path, *, output: Path, **options: Any) -> None:
     Args:
         output: File of the model, or the folder of the models of a folder of trials.
     """
-    if output.suffix.lower() in (".csv", ".parquet", ".mat", ".html", ".png", ".pdf"):
+    if output.suffix.lower() in (*FORMATS, ".html", ".png", ".pdf"):
         raise ConfigurationError(f"{output}: a model is no {output.suffix}", "name a .json")
     on_trials(TrialVerb("fit", ".json", _fit, _fit_row, _show_fit), trial, output=output, **options)
 

@@ -41,7 +41,7 @@ from socket_testbed.identification.validation import (
 from socket_testbed.samples import Samples, Status, channel_unit
 from socket_testbed.settings.identification import ForceMapSettings
 
-GOOD = "data: good"
+GOOD, LOOK = "data: good", "data: look at "
 LEAST_SAMPLES = 30
 LEAST_CHANGE = 15.0  # [N]; standard deviation of the load, to judge what follows it
 OPPOSITE = -0.2  # correlation with the load from which a sign is reversed; sound 0 and more [-]
@@ -76,7 +76,7 @@ class Finding:
     hint: str  # what to check
 
     def __str__(self) -> str:
-        return f"data: look at {self.source}: {self.fact}; {self.hint}"
+        return f"{LOOK}{self.source}: {self.fact}; {self.hint}"
 
 
 def check_data(

@@ -28,9 +28,9 @@ from socket_testbed.files import packaged
 from socket_testbed.geometry.axis import proximal_direction
 from socket_testbed.geometry.regions import all_regions
 from socket_testbed.geometry.socket import SocketGeometry, read_socket
+from socket_testbed.identification.data_check import LOOK
 from socket_testbed.identification.force_map import MapEstimate
 from socket_testbed.identification.pressure import Quantity, RegionOutputs
-from socket_testbed.live.estimator import cluster_forces
 from socket_testbed.nodes.base import ELAPSED, FREE, OK, PolledSubscription, TestbedNode
 from socket_testbed.nodes.controls import ServiceControls
 from socket_testbed.pages.document import (
@@ -64,6 +64,7 @@ _IDLE = 3.0  # [s] without a question: no browser is open
 _DEPTHS = {FORCE_MAP: 1, WRENCH: 50, ESTIMATED_WRENCH: 50, STRESS: 1, REGIONS: 5}
 _MOST_WRENCHES = 200  # kept to find that of the regions
 _HISTORY = 30.0  # [s]; of the course
+_NOTHING = (np.full(3, np.nan), Status.MISSING)  # stress and status of no cluster
 _COUNTS = ("samples", "triggers", "messages", "maps")  # among the figures of a node
 _SIGNS = ("\N{BLACK CIRCLE}", "\N{BLACK UP-POINTING TRIANGLE}", "\N{BLACK SQUARE}")
 
@@ -197,10 +198,9 @@ class LiveSource:
         if now - self._shown_at > _OLD:
             self._shown, self._measured = {}, []
         for _, stresses in inbox.take(STRESS):
-            forces, status = cluster_forces(geometry, stresses)
-            tiles = [*geometry.clusters.values()]
-            measured = np.where(status == Status.OK, -forces[:, 2] / geometry.areas[tiles], np.nan)
-            self._measured = numbers(1e-3 * measured, 1)
+            of_clusters = [stresses.get(name, _NOTHING) for name in geometry.clusters]
+            normal = [s[0] if status == Status.OK else np.nan for s, status in of_clusters]
+            self._measured = numbers(1e-3 * np.array(normal), 1)
         for stamp, (names, outputs) in inbox.take(REGIONS):
             _, mapped, _ = self._newest.get(FORCE_MAP, (0, None, 0.0))
             known = tuple(place.name for place in places) == names
@@ -257,7 +257,7 @@ class LiveSource:
         if found is not None and found[0] != self._geometry.names:
             bad.append((3, "the force map is of another socket: give 'view' its --geometry"))
         if bad:
-            words = max(bad)[1].removeprefix("estimator: data: look at ")
+            words = max(bad)[1].removeprefix(f"estimator: {LOOK}")
             words += f" (and {len(bad) - 1} more)" * (len(bad) > 1)
             return {"title": "Data", "value": "look", "words": words, "bad": True}, rows
         if not rows:

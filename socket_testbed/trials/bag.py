@@ -13,6 +13,7 @@ import zlib
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, Self
 
@@ -393,9 +394,9 @@ class BagWriter:
 
     def abandon(self) -> None:
         """Leave the bag without an end after its storage failed; a reader salvages its content."""
-        with suppress(OSError):
-            self._writer.abort()
-            os.close(self._lock)
+        for end in (self._writer.abort, partial(os.close, self._lock)):
+            with suppress(OSError):
+                end()
 
     def add_topic(self, name: str, topic: Topic) -> None:
         """Declare a topic under the name it has in the graph."""
