@@ -328,7 +328,7 @@ def _page(testbed: Testbed, view: bool, wanted: Mapping[str, Any]) -> GraphNode 
         if changes:
             raise ConfigurationError(f"--view-{next(iter(changes))} is for a page", "add --view")
         return None
-    from socket_testbed.commands.view import check_page
+    from socket_testbed.commands.pages import check_page
 
     geometry = str(testbed.geometry)
     settings = dataclasses.replace(testbed.settings.view_node, geometry=geometry, **changes)

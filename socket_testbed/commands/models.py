@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from socket_testbed import api
-from socket_testbed.api import Evaluation, TrialFit
+from socket_testbed.api import Evaluation, PaperTable, TrialFit
 from socket_testbed.batch import Row, find_trials
 from socket_testbed.commands.arguments import takes
 from socket_testbed.commands.options import (
     TrialVerb,
     check_files,
-    draw,
+    deliver,
     given,
     on_trials,
     open_all,
@@ -231,12 +232,11 @@ def validate(
     found = api.validate(
         *open_all(trial, options), **given(options, api.validate, api.fit), progress=Progress
     )
-    if output is not None:
-        found.save(output)
-    draw(found, figure, **options)
-    if json:
-        print(found.to_json())
-        return
+    show = partial(_show_validation, found)
+    deliver(found, show, output=output, figure=figure, json=json, **options)
+
+
+def _show_validation(found: api.Validation) -> None:
     if len(found.trials) == 1:
         print(f"{found.trials[0]}: the part under load, in two halves")
     else:
@@ -250,8 +250,6 @@ def validate(
             rows = tables[question, test].droplevel([0, 1])
             print(f"\n{heading}\n\n{_judged_table(rows, question)}")
     print(f"\n{_JUDGED_LEGEND}")
-    for path in filter(None, (output, figure)):
-        print(f"\nwritten: {path}")
 
 
 def _judged_table(rows: pd.DataFrame, question: str) -> str:
@@ -299,19 +297,15 @@ def pareto(
     check_files(output, figure, replace=replace)
     opened = open_checked(trial, **options)
     found = api.pareto(opened, **given(options, api.pareto, api.fit), progress=Progress)
-    if output is not None:
-        found.save(output)
-    draw(found, figure, **options)
-    if json:
-        print(found.to_json())
-        return
-    print(f"{opened.name}: {found.segment}, theta from 0 to 1 in {options['thetas']} values\n")
-    fronts = [*found.fronts.values()]
+    show = partial(_show_fronts, f"{opened.name}: {found.segment}", [*found.fronts.values()])
+    deliver(found, show, output=output, figure=figure, json=json, **options)
+
+
+def _show_fronts(of: str, fronts: Sequence[Front]) -> None:
+    print(f"{of}, theta from 0 to 1 in {len(fronts[0].theta)} values\n")
     print(f"{_front_table(fronts)}\n\n{_FRONT_LEGEND}\n")
     for front in fronts:
         print(_describe_front(front))
-    for path in filter(None, (output, figure)):
-        print(f"written: {path}")
 
 
 def _front_table(fronts: Sequence[Front]) -> str:
@@ -357,11 +351,12 @@ def paper(trial: Path, *, json: bool = False, **options: Any) -> None:
     """
     opened = open_checked(trial, **options)
     found = api.paper(opened, **given(options, api.paper, api.fit), progress=Progress)
-    if json:
-        print(found.to_json())
-        return
+    deliver(found, partial(_show_paper, opened.name, found), json=json)
+
+
+def _show_paper(name: str, found: PaperTable) -> None:
     settings = found.settings.to_flat()
-    print(f"{opened.name}: {found.segment}, {found.samples} samples")
+    print(f"{name}: {found.segment}, {found.samples} samples")
     print(
         f"theta {settings['theta']:g}, weights {settings['weights']}; rest positions within"
         f" {1e3 * settings['rest_position_limit']:g} mm of"

@@ -133,6 +133,27 @@ def draw(
         found.draw(figure, width=width, title=title)
 
 
+def deliver(
+    found: Any,
+    show: Callable[[], None],
+    *,
+    output: Path | None = None,
+    figure: Path | None = None,
+    json: bool = False,
+    **options: Any,
+) -> None:
+    """Write and draw a result as far as that is wanted, then print it as JSON, or `show` it."""
+    if output is not None:
+        found.save(output)
+    draw(found, figure, **options)
+    if json:
+        print(found.to_json())
+        return
+    show()
+    for path in filter(None, (output, figure)):
+        print(f"\nwritten: {path}")
+
+
 def segment_columns(segment: Segment) -> Row:
     """The segment of a trial, for a summary."""
     return {

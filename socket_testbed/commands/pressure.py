@@ -14,6 +14,7 @@ from socket_testbed.commands.arguments import takes
 from socket_testbed.commands.options import (
     TrialVerb,
     check_files,
+    deliver,
     draw,
     given,
     on_trials,
@@ -186,16 +187,16 @@ def map(
     check_files(output, figure, replace=replace)
     opened = open_checked(trial, **options)
     found = api.force_map(opened, **given(options, api.force_map))
-    found.save(output)
-    draw(found, figure, **options)
+    deliver(found, partial(_show_map, found), output=output, figure=figure, **options)
+
+
+def _show_map(found: api.TrialMap) -> None:
     summary = found.summary()
     rows = [
         [str(tile), str(row["cluster"]), *(number(value) for value in row[1:])]
         for tile, row in summary.head(_SHOWN).iterrows()
     ]
-    print(f"{opened.name}: {found.segment}, {len(found.time)} samples, {len(summary)} tiles")
+    print(f"{found.trial.name}: {found.segment}, {len(found.time)} samples, {len(summary)} tiles")
     print(f"{found.estimate.source}\n")
     print(table(["tile", *summary.columns], rows))
     print(f"\nmeans over the segment, the {len(rows)} highest; sd: standard deviation")
-    for path in filter(None, (output, figure)):
-        print(f"written: {path}")

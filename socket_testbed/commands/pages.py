@@ -1,0 +1,241 @@
+"""`report`, `compare` and `view`: pages, written or served."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import time
+from collections.abc import Iterable, Mapping
+from contextlib import suppress
+from functools import cache, partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from socket_testbed import api
+from socket_testbed.api.comparison import LEGEND, PAGES
+from socket_testbed.api.tradeoff import check_thetas
+from socket_testbed.batch import Row
+from socket_testbed.commands.arguments import takes
+from socket_testbed.commands.models import error_columns
+from socket_testbed.commands.options import (
+    TrialVerb,
+    deliver,
+    given,
+    on_trials,
+    open_all,
+    open_given,
+    print_note,
+    segment_columns,
+    typed_command,
+)
+from socket_testbed.commands.terminal import Progress, say, table
+from socket_testbed.documents import check_number
+from socket_testbed.errors import ConfigurationError
+from socket_testbed.files import check_outputs
+from socket_testbed.live.processes import Graph
+from socket_testbed.settings.testbed import ViewSettings
+from socket_testbed.tables import check_format
+from socket_testbed.trials.metadata import FIELDS
+from socket_testbed.trials.reprocess import RECORDED
+from socket_testbed.trials.trial import Trial
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from socket_testbed.report.results import Results  # it imports matplotlib, which takes its time
+
+_BY_REGION = ("mean pressure", "peak pressure", "share of load")
+_LOOK = 0.2  # [s]; between looks at the time
+
+
+@takes(
+    "commands.options.on_trials",
+    "commands.options.open_given",
+    "commands.options.draw",
+    "write_report",
+    "fit",
+    without="figure page command variant",  # the paper's variants and the default
+)
+def report(trial: Path, *, output: Path, thetas: int = 31, **options: Any) -> None:
+    """Write a page with a trial's results: figures, errors, data quality.
+
+    Args:
+        output: The page, or the folder of the pages of a folder of trials.
+    """
+    check_thetas(thetas)
+    options["command"] = typed_command()
+    verb = TrialVerb("report", ".html", _report, _report_row, _show_report, FIELDS)
+    on_trials(verb, trial, output=output, thetas=thetas, **options)
+
+
+def _report(trial: Trial, options: Mapping[str, Any]) -> Results:
+    alone = options["alone"]
+    chosen = given(options, api.write_report, api.fit) | {
+        "replace": options["replace"] or not alone,
+        "progress": Progress if alone else None,
+    }
+    return api.write_report(trial, options["output"], **chosen)
+
+
+def _show_report(results: Results, options: Mapping[str, Any]) -> None:
+    from socket_testbed.report.sections.summary import summarise
+    from socket_testbed.report.write import files_folder
+
+    page = options["output"]
+    for line in summarise(results):
+        print(f"- {line}")
+    print(f"\nreport in {page}, its figures and data in {files_folder(page)}")
+
+
+def _report_row(results: Results) -> Row:
+    row: Row = {
+        "samples": int(results.samples[results.segment.rows].complete.sum()),
+        **segment_columns(results.segment),
+    }
+    for label, candidate in results.fitted.items():
+        judged = {"_in_sample": candidate.errors, "_held_out": candidate.held_out}
+        columns = error_columns(candidate.errors, judged)
+        row |= {f"{label} {name}": value for name, value in columns.items()}
+    return row
+
+
+@takes("compare", "commands.options.open_given", "files.check_outputs")
+def compare(
+    trial: list[Path] | None = None,
+    *,
+    condition: Iterable[str] = (),
+    output: Path | None = None,
+    json: bool = False,
+    replace: bool = False,
+    **options: Any,
+) -> None:
+    """Lay trials side by side, with their differences.
+
+    Args:
+        trial: Two or more trials; a folder of trials stands for all of them.
+        condition: Instead, the repeated trials of a condition, such as gel=trials/gel1,trials/gel2.
+        output: A page (.html), or a table (.csv, .parquet) of every value and difference.
+        json: Print JSON on standard output.
+    """
+    page = output if output and output.suffix.lower() in PAGES else None
+    if output is not None and page is None:
+        check_format(output)
+    check_outputs(output, replace=replace)
+    notify = cache(print_note)
+    trials = open_all(trial or [], options, notify)
+    conditions = {
+        name: open_all(paths, options, notify) for name, paths in _conditions(condition).items()
+    }
+    found = api.compare(
+        *trials, conditions=conditions, **given(options, api.compare), progress=Progress
+    )
+    if page is not None:
+        api.write_comparison(found, page, typed_command())
+        output = None
+    deliver(found, partial(_show_comparison, found), output=output, json=json)
+    if page is not None and not json:
+        print(f"\nwritten: {page}")
+
+
+def _conditions(words: Iterable[str]) -> dict[str, list[Path]]:
+    """Paths by the names of conditions."""
+    found: dict[str, list[Path]] = {}
+    for word in words:
+        name, _, paths = word.partition("=")
+        if not name or not paths:
+            raise ConfigurationError(
+                f"--condition {word}: no NAME=TRIAL", "write it such as gel=trials/gel1,trials/gel2"
+            )
+        found.setdefault(name, []).extend(map(Path, filter(None, paths.split(","))))
+    return found
+
+
+def _show_comparison(found: api.Comparison) -> None:
+    print(f"{found.kind} {', '.join(found.items)}: {found.title}")
+    for note in found.notes:
+        print(f"note: {note}")
+    print()
+    texts = found.table[found.table["text"].notna()]
+    for (_, name), of_items in texts.groupby(["part", "name"], sort=False):
+        several = of_items["item"] + ": " + of_items["text"]
+        alike = of_items["text"].nunique() == 1
+        print(f"{name}: " + (of_items["text"].iloc[0] if alike else "; ".join(several)))
+    _print("whole socket", found.cells("regions").loc[["socket"]].droplevel("name"))
+    for quantity in _BY_REGION:
+        _print(f"{quantity} by region", found.cells("regions", quantity).drop("socket"))
+    if "limb" in set(found.table["part"]):
+        _print("limb in the socket", found.cells("limb").droplevel("name"))
+    _print("wrench", found.cells("wrench"))
+    print("\n" + "\n  ".join(found.differing()))
+    print(f"\n{LEGEND}")
+
+
+def _print(title: str, cells: pd.DataFrame) -> None:
+    header = [*(name or "" for name in cells.index.names), *cells.columns]
+    rows = cells.reset_index().astype(str).to_numpy().tolist()
+    print(f"\n{title}\n\n{table(list(map(str, header)), rows)}")
+
+
+@takes("commands.options.open_given", "view", without="unloaded names")
+def view(
+    trial: Path | None = None,
+    *,
+    namespace: str | None = None,
+    duration: float | None = None,
+    host: str = ViewSettings.host,
+    port: int = ViewSettings.port,
+    allow_host: Iterable[str] = (),
+    buttons: bool = False,
+    model: Path | None = None,
+    **options: Any,
+) -> None:
+    """See the running testbed, or play a trial, in a browser: pressure map, wrench, sensors.
+
+    Args:
+        trial: Folder of a trial to play; without one the running testbed is seen.
+        namespace: Namespace of the running testbed (default: /).
+        duration: End by itself after so many seconds [s].
+        allow_host: As `names` in `view`.
+        model: A model that 'fit' wrote, to show the wrench that it predicts.
+        buttons: Allow the buttons (tare, record, ...) even where other machines see the page.
+    """
+    if duration is not None:
+        check_number(duration, "--duration", 0.1, 1e6)
+    ends = time.monotonic() + (duration or math.inf)
+    served: dict[str, Any] = {"host": host, "port": port, "names": tuple(allow_host)}
+    if trial is None:
+        options["model"] = model
+        _follow(ViewSettings(**served, buttons=buttons), namespace, ends, options)
+        return
+    if namespace is not None:
+        raise ConfigurationError("--namespace is for the running testbed", "leave out the trial")
+    with api.view(open_given(trial, **options), model, **served) as page:
+        say(f"the trial is seen at {page.url}; Ctrl-C ends it")
+        with suppress(KeyboardInterrupt):
+            while time.monotonic() < ends:
+                time.sleep(_LOOK)
+
+
+def check_page(settings: ViewSettings) -> None:
+    """Refuse a page that cannot be served, before any node starts."""
+    from socket_testbed.pages.server import listen
+
+    listen(settings.host, settings.port).close()
+
+
+def _follow(
+    settings: ViewSettings, namespace: str | None, ends: float, options: Mapping[str, Any]
+) -> None:
+    """Serve the page of the running testbed until a time [s]."""
+    for name in ("model", "calibration", "load_cell", "tare"):
+        if options[name] not in (None, RECORDED):
+            option = name.replace("_", "-")
+            raise ConfigurationError(f"--{option} is for a trial", "give the folder of the trial")
+    if options["geometry"] is not None:
+        settings = dataclasses.replace(settings, geometry=str(options["geometry"].resolve()))
+    check_page(settings)
+    with Graph() as graph:
+        graph.start("view_node", settings, namespace=f"/{(namespace or '').strip('/')}")
+        say("Ctrl-C ends it")
+        with suppress(KeyboardInterrupt):
+            graph.watch(lambda: time.monotonic() >= ends, say)
