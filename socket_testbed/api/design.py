@@ -430,11 +430,11 @@ def _write_design(design: SocketDesign, output: Path) -> None:
     """Write the geometry, and a picture and a page beside it."""
     from socket_testbed.report.figures.style import save_figure
     from socket_testbed.report.figures.tiles import socket_figure
-    from socket_testbed.report.socket_page import simplify, write_socket_page
+    from socket_testbed.report.socket_page import write_socket_page
 
     title = f"{design.name}: {len(design.geometry)} tiles"
     write_socket(design.geometry, output)
-    picture = socket_figure(design.geometry, simplify(design.mesh), title)
+    picture = socket_figure(design.geometry, title)
     save_figure(picture, output.with_suffix(".png"), dpi=200)
     page = output.with_suffix(".html")
     write_socket_page(design.mesh, design.geometry, page, title, design.facts())

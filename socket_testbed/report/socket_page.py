@@ -14,8 +14,7 @@ from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.pages.document import numbers, socket_document
 from socket_testbed.report.page import Pictures, Section, pairs_table, render
 
-_MOST_FACES = 60_000  # of an interior surface in a picture
-_MOST_ON_PAGE = 20_000
+_MOST_FACES = 20_000  # of the surface on a page
 _GROWTH = 1.1  # [-]; of the cells in which vertices are merged, from one attempt to the next
 
 
@@ -28,7 +27,7 @@ def write_socket_page(
 ) -> None:
     """Write a page with the interior surface of a socket in {S} [m] and its tiles, in one file."""
     heights = 1e3 * socket_axis(geometry).heights(geometry.anchors)
-    seen = simplify(surface, _MOST_ON_PAGE)
+    seen = simplify(surface)
     data = {
         "socket": socket_document(geometry)
         | {"surface": {"points": numbers(1e3 * seen.vertices, 1), "faces": seen.faces.tolist()}},

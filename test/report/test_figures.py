@@ -122,8 +122,8 @@ def test_the_validation_shows_every_error_and_the_coverage():
 
 
 def squares_of(axis) -> PolyCollection:
-    """The tiles on an unrolled wall, behind which the surface is drawn."""
-    return [c for c in axis.collections if isinstance(c, PolyCollection)][1]
+    """The tiles on an unrolled wall."""
+    return next(c for c in axis.collections if isinstance(c, PolyCollection))
 
 
 def scales_of(figure, unit: str) -> list[tuple[float, float]]:

@@ -18,13 +18,11 @@ from socket_testbed.arrays import FloatArray
 from socket_testbed.errors import ConfigurationError
 from socket_testbed.files import WIDTHS, atomic_output, check_picture
 
-SURFACE = "#D9D9D9"
 TILE = "#A6CBE3"
 CLUSTER = "#D55E00"  # Okabe & Ito's vermilion
 EDGE = "#2B5C7D"
 NO_VALUE = "#FFFFFF"
 HATCH = "/////"  # of what has no value
-AXES = ("#B2182B", "#1B7837", "#2166AC")  # x, y, z
 SCALE = "viridis"  # even in lightness, told apart by the colour-blind; as on the pages
 
 

@@ -8,14 +8,12 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-import trimesh
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.collections import PolyCollection
 from matplotlib.colors import Normalize, to_rgba
 from matplotlib.figure import Figure, SubFigure
 from matplotlib.patches import Patch as Swatch
-from matplotlib.patches import Rectangle
 from matplotlib.patheffects import withStroke
 
 from socket_testbed.arrays import BoolArray, FloatArray, IntArray
@@ -33,7 +31,6 @@ from socket_testbed.report.figures.style import (
     NO_VALUE,
     SCALE,
     SMALL,
-    SURFACE,
     TILE,
     FigureStyle,
     in_style,
@@ -41,7 +38,6 @@ from socket_testbed.report.figures.style import (
     wrap,
 )
 
-_WIDEST_FACE = 60.0  # [deg]; a wider one is at the axis, where there is no angle
 _BESIDE = 3.0  # [deg]; free on both sides of the unrolled wall
 _ABOVE = 0.03  # [-]; of its height, free above and below
 _AROUND = 0.06  # [-]; of the socket's size, free around its distal end
@@ -157,7 +153,8 @@ def _images(
 def _draw_image(
     axis: Axes, geometry: SocketGeometry, paint: TilePaint, name: str, around: SocketAxis
 ) -> None:
-    """Draw the image of a part of the surface, if there is one."""
+    """Draw the image of a part of the surface, if there is one; the panel stays as it is."""
+    limits = axis.get_xlim(), axis.get_ylim()
     for patch in patches(geometry, _IMAGE_STEP) if name in paint.images else []:
         if patch.name != name:
             continue
@@ -173,6 +170,7 @@ def _draw_image(
             zorder=0.5,
             interpolation="bilinear",
         )
+    axis.set(xlim=limits[0], ylim=limits[1])
 
 
 def _draw_unrolled(
@@ -180,7 +178,6 @@ def _draw_unrolled(
     geometry: SocketGeometry,
     paint: TilePaint,
     labels: Sequence[str],
-    surface: trimesh.Trimesh | None = None,
     side: str = "",
 ) -> None:
     """The wall as one sees it walking around it outside: anterior, left, posterior, right.
@@ -192,8 +189,7 @@ def _draw_unrolled(
     tiles = np.flatnonzero(wall_tiles(geometry, around))
     corners = tile_squares(geometry)
     squares = _unroll(corners[tiles], geometry.anchors[tiles], around)
-    faces = np.zeros((0, 3, 2)) if surface is None else _faces_around(surface, around)
-    heights = np.concatenate([faces[..., 1].ravel(), 1e3 * around.heights(corners).ravel()])
+    heights = 1e3 * around.heights(corners)
     angles = squares[..., 0]
     margin = _ABOVE * np.ptp(heights)
     left, right = min(-180.0, angles.min(initial=0.0)), max(180.0, angles.max(initial=0.0))
@@ -202,37 +198,22 @@ def _draw_unrolled(
     axis.set_aspect(1.0 / (1e3 * np.radians(1.0) * max(_radius(geometry, around), 1e-3)))
     axis.set_ylabel("height [mm]")
     _name_sides(axis, side)
-    limits = axis.get_xlim(), axis.get_ylim()
     _draw_image(axis, geometry, paint, "wall", around)
-    axis.set(xlim=limits[0], ylim=limits[1])
-    wall = _polygons(faces, facecolors=SURFACE, edgecolors=SURFACE, linewidths=0.3, rasterized=True)
-    axis.add_collection(wall, autolim=False)
-    wall.set_clip_path(Rectangle((-180.0, 0.0), 360.0, 1.0, transform=axis.get_xaxis_transform()))
     _draw_tiles(axis, geometry, paint, labels, tiles, squares)
 
 
 def _draw_end(
-    axis: Axes,
-    geometry: SocketGeometry,
-    paint: TilePaint,
-    labels: Sequence[str],
-    surface: trimesh.Trimesh | None = None,
+    axis: Axes, geometry: SocketGeometry, paint: TilePaint, labels: Sequence[str]
 ) -> None:
     """The distal end from inside, along z of {S}: anterior is up, and left on the left."""
     squares = tile_squares(geometry)
-    points = squares.reshape(-1, 3) if surface is None else surface.vertices
+    points = squares.reshape(-1, 3)
     low, high = 1e3 * points.min(axis=0), 1e3 * points.max(axis=0)
     margin = _AROUND * (high - low)
     axis.set_xlim(high[1] + margin[1], low[1] - margin[1])
     axis.set_ylim(low[0] - margin[0], high[0] + margin[0])
     axis.set_aspect("equal")
-    if surface is not None:
-        faces = 1e3 * surface.triangles[..., [1, 0]]
-        grey: dict[str, Any] = {"facecolors": SURFACE, "edgecolors": SURFACE, "linewidths": 0.3}
-        axis.add_collection(_polygons(faces, rasterized=True, **grey), autolim=False)
-    limits = axis.get_xlim(), axis.get_ylim()
     _draw_image(axis, geometry, paint, "end", socket_axis(geometry))
-    axis.set(xlim=limits[0], ylim=limits[1])
     facing = geometry.rotations[:, 2, 2] > _LEAST_FACING
     tiles = np.flatnonzero(~wall_tiles(geometry, socket_axis(geometry)) & facing)
     tiles = tiles[np.argsort(geometry.anchors[tiles, 2])]
@@ -313,15 +294,6 @@ def _name_sides(axis: Axes, side: str) -> None:
         names = [_SHORT.get(name, name) for name in names]
     ticks = [f"{degrees}\n{name}" for degrees, name in zip(_DEGREES.values(), names, strict=True)]
     axis.set_xticks([*_DEGREES], ticks)
-
-
-def _faces_around(surface: trimesh.Trimesh, around: SocketAxis) -> FloatArray:
-    """Faces around the axis, those beyond an end of the turn at both ends, shape (f, 3, 2)."""
-    faces = _unroll(surface.triangles, surface.triangles[:, 0], around)
-    faces = faces[np.ptp(faces[..., 0], axis=1) < _WIDEST_FACE]
-    over = faces[(np.abs(faces[..., 0]) > 180.0).any(axis=1)]
-    turn = np.where(over[:, :1, :1] > 0.0, -360.0, 360.0)
-    return np.concatenate([faces, over + turn * [1.0, 0.0]])
 
 
 def _unroll(points: FloatArray, near: FloatArray, around: SocketAxis) -> FloatArray:
@@ -483,25 +455,21 @@ def tile_map_figure(
 
 
 @in_style
-def socket_figure(
-    geometry: SocketGeometry, surface: trimesh.Trimesh | None = None, title: str = ""
-) -> Figure:
-    """The tiles of a socket with their names, on its interior surface in {S} [m] if known."""
+def socket_figure(geometry: SocketGeometry, title: str = "") -> Figure:
+    """The tiles of a socket with their names."""
     figure = FigureStyle(300.0).figure(140.0)
     FigureStyle(300.0).add_title(figure, title)
     wall, end = figure.subplots(1, 2, width_ratios=(_WALL_SHARE, 1.0))
     covered, labels = covered_tiles(geometry), tile_labels(geometry)
     fills = np.where(covered[:, None], to_rgba(CLUSTER), to_rgba(TILE))
     paint = TilePaint(fills, np.zeros_like(covered), ScalarMappable())
-    _draw_unrolled(wall, geometry, paint, labels, surface)
+    _draw_unrolled(wall, geometry, paint, labels)
     wall.set_title("the wall unrolled, seen from outside")
-    _draw_end(end, geometry, paint, labels, surface)
+    _draw_end(end, geometry, paint, labels)
     end.set_title("distal end, seen from +z,\nthrough the opening")
     end.set_xlabel("y of {S} [mm]")
     end.set_ylabel("x of {S} [mm]")
     kinds = {"tile": TILE, "tile with a cluster": CLUSTER}
-    if surface is not None:
-        kinds["interior surface"] = SURFACE
     handles = [Swatch(facecolor=colour, label=name) for name, colour in kinds.items()]
-    figure.legend(handles=handles, loc="outside lower center", ncols=3)
+    figure.legend(handles=handles, loc="outside lower center", ncols=2)
     return lay_out(figure)
