@@ -47,6 +47,5 @@ from socket_testbed.api.trials import select_segment as select_segment
 from socket_testbed.api.trials import simulate as simulate
 from socket_testbed.api.validation import Validation as Validation
 from socket_testbed.api.validation import validate as validate
-from socket_testbed.api.view import TrialPage as TrialPage
 from socket_testbed.api.view import view as view
 from socket_testbed.errors import TestbedError as TestbedError

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING
 
 from socket_testbed.api.models import Model, model_for
 from socket_testbed.api.trials import PathLike, as_trial
@@ -12,27 +12,6 @@ if TYPE_CHECKING:
     from socket_testbed.pages.server import PageServer
 
 
-class TrialPage:
-    """The page of a trial, which a browser finds at its `url`; a context manager."""
-
-    def __init__(self, name: str, server: PageServer) -> None:
-        self.url = server.url
-        self._name, self._server = name, server
-
-    def __repr__(self) -> str:
-        return f"TrialPage({self._name} at {self.url})"
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
-
-    def close(self) -> None:
-        """Stop serving the page."""
-        self._server.close()
-
-
 def view(
     trial: Trial | PathLike,
     model: Model | None = None,
@@ -40,7 +19,7 @@ def view(
     port: int = 0,
     host: str = "127.0.0.1",
     names: tuple[str, ...] = (),
-) -> TrialPage:
+) -> PageServer:
     """Show a trial in a browser: play, pause, seek; the pressure on the socket at every instant.
 
     It opens at the peak. The map and the outputs by region are computed for the instant that is
@@ -56,7 +35,7 @@ def view(
         names: Further names of this machine by which browsers may call the page.
 
     Returns:
-        The page, with its `url`, served until it is closed, or until the program ends.
+        The page: a context manager with its `url`, served until `close`, or until the program ends.
 
     Raises:
         ConfigurationError: If the port is taken, or the model was fitted on another socket.
@@ -72,4 +51,4 @@ def view(
     from socket_testbed.pages.server import PageServer
 
     player = Player(trial, None if model is None else model_for(trial, model))
-    return TrialPage(trial.name, PageServer(player, host, port, names))
+    return PageServer(player, host, port, names)

@@ -12,7 +12,7 @@ from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from importlib.resources import files
 from ipaddress import IPv4Address, IPv6Address, ip_address
-from typing import Any, Protocol
+from typing import Any, Protocol, Self
 from urllib.parse import parse_qs, urlsplit
 
 from plotly.offline import get_plotlyjs
@@ -44,7 +44,7 @@ class Source(Protocol):
 
 
 class PageServer:
-    """Serves a source until it is closed.
+    """Serves a source until it is closed; a context manager.
 
     Args:
         source: What is shown.
@@ -74,6 +74,15 @@ class PageServer:
         self._server.guard = Guard(names, port)  # type: ignore[attr-defined]
         self._thread = threading.Thread(target=self._server.serve_forever, args=(0.1,), daemon=True)
         self._thread.start()
+
+    def __repr__(self) -> str:
+        return f"PageServer({self.url})"
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
 
     def close(self) -> None:
         """Stop serving, also on connections that are open."""
