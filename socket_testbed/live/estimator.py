@@ -281,7 +281,7 @@ class OnlineEstimator:
         self._last_check = 0  # [ns]
         self._findings: tuple[str, ...] = ()  # on the data of the window
         self._counts = {"triggers": 0, "samples": 0, "predictions": 0, "fits": 0, "refused": 0}
-        self._state = (1, "no model yet: waiting for steady data or estimator/fit")
+        self._state = (0, "no model yet: waiting for steady data or estimator/fit")
         self.newest = 0
 
     @property
