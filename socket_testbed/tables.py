@@ -1,12 +1,14 @@
-"""Tables in files: data frames whose names hold the units, as CSV, Parquet and MAT."""
+"""Tables: data frames whose names hold the units, shown to a reader, and as CSV, Parquet, MAT."""
 
 from __future__ import annotations
 
+import math
 import re
-from collections.abc import Callable, Sequence
-from itertools import chain, count
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import chain, count, groupby
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from socket_testbed.errors import ConfigurationError, closest
 from socket_testbed.files import atomic_output
@@ -15,6 +17,61 @@ if TYPE_CHECKING:
     import pandas as pd
 
 _LONGEST_NAME = 63  # of a variable in MATLAB
+NOTHING = "\N{EN DASH}"  # in a cell without a value
+UNCERTAIN = ", uncertain"  # beside an interval that reaches far
+
+
+def number(value: float, spec: str = ".3g") -> str:
+    """A number for a reader, by a format specification; a dash if it is not finite."""
+    return f"{value:{spec}}" if math.isfinite(value) else NOTHING
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table of a page.
+
+    The index of its frame heads the rows; columns have one level, or two of which the first names
+    groups of columns.
+    """
+
+    kind: ClassVar = "table"
+    name: str  # its identifier on the page
+    caption: str
+    frame: pd.DataFrame
+    formats: Mapping[str, str] = field(default_factory=dict)  # by title or group of numbers
+    is_text: bool = False  # its cells hold running text, which wraps
+
+    @property
+    def columns(self) -> list[tuple[str, str, bool]]:
+        """Group, title, and whether it holds numbers, of each of the other columns."""
+        labels = [label if isinstance(label, tuple) else ("", label) for label in self.frame]
+        numeric = (kind.kind in "iuf" for kind in self.frame.dtypes)
+        return [(*label, is_number) for label, is_number in zip(labels, numeric, strict=True)]
+
+    @property
+    def groups(self) -> list[tuple[str, int]]:
+        """Names of neighbouring columns' groups, each with its width; nothing for no group."""
+        names = [group for group, *_ in self.columns]
+        return [(name, len([*run])) for name, run in groupby(names)] if any(names) else []
+
+    @property
+    def rows(self) -> Iterator[tuple[str, tuple[str, ...]]]:
+        """The heading and the cells of each row."""
+        columns = []
+        for (group, title, is_number), (_, cells) in zip(
+            self.columns, self.frame.items(), strict=True
+        ):
+            spec = self.formats.get(title) or self.formats.get(group, "z.3f")
+            columns.append([number(cell, spec) for cell in cells] if is_number else cells)
+        return zip(self.frame.index, zip(*columns, strict=True), strict=True)
+
+
+def pairs_table(name: str, caption: str, pairs: Sequence[tuple[str, str]]) -> Table:
+    """A table of names and what they stand for, in words."""
+    import pandas as pd
+
+    frame = pd.DataFrame([*pairs], columns=["name", "value"]).set_index("name")
+    return Table(name, caption, frame, is_text=True)
 
 
 def check_format(path: Path) -> None:

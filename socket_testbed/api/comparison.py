@@ -443,7 +443,8 @@ def write_comparison(
     >>> st.write_comparison(found, "liners.html")
     """
     # matplotlib takes its time to import.
-    from socket_testbed.report.page import Bullets, Cards, Maps, Section, Table, pairs_table, render
+    from socket_testbed.report.page import Bullets, Cards, Maps, Section, render
+    from socket_testbed.tables import Table, pairs_table
 
     path = Path(page)
     if path.suffix.lower() not in PAGES:
@@ -533,7 +534,7 @@ def _map_data(found: Comparison) -> tuple[dict[str, Any], dict[str, str]]:
 
 def _tables(found: Comparison, part: str) -> list[Any]:
     """The tables of a part."""
-    from socket_testbed.report.page import Table
+    from socket_testbed.tables import Table
 
     rows = found.table[found.table["part"] == part]
     if part in {"regions", "tiles"}:

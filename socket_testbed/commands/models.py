@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
@@ -22,42 +23,19 @@ from socket_testbed.commands.options import (
     segment_columns,
 )
 from socket_testbed.commands.pressure import pressure_columns, pressure_tables
-from socket_testbed.commands.terminal import Progress, number, table
+from socket_testbed.commands.terminal import Progress, number, table, text_of
 from socket_testbed.errors import ConfigurationError, IdentificationError
 from socket_testbed.identification.evaluation import ChannelErrors, summarise_errors
 from socket_testbed.identification.information import LEAST_RATIO, share_warning
 from socket_testbed.identification.model_file import finite_or_null, quoted_figures
-from socket_testbed.identification.pareto import KNEE, SENSOR_ONLY, WRENCH_ONLY, Front
+from socket_testbed.identification.pareto import Front
 from socket_testbed.settings.identification import PAPER_VARIANTS
 from socket_testbed.tables import FORMATS
 from socket_testbed.trials.trial import Trial
 
 if TYPE_CHECKING:
-    import pandas as pd
+    pass
 
-_ERRORS = {"error [-]": 2}
-_SEVERAL_ERRORS = _ERRORS | {"worst error [-]": 2}
-_COVERAGE = {"50 %": "within 50 % [-]", "80 %": "within 80 % [-]", "95 %": "within 95 % [-]"}
-_RMSE = {"moment RMSE [N m]": 3, "force RMSE [N]": 2}
-_SKILL = {"moment skill [-]": 2, "force skill [-]": 2}
-_MEDIANS = {f"median {title}": digits for title, digits in _SKILL.items()}  # of several trials
-_HEADINGS = (
-    ("cluster", "left out", "Force on a cluster that was left out, from the others and the wrench"),
-    ("tiles", "second half", "Force on the tiles without a sensor, against the simulated truth"),
-    ("wrench", "second half", "Wrench from the pose alone, fitted on the other half of the trial"),
-    ("wrench", "other trial", "Wrench from the pose alone, fitted on another trial"),
-    ("wrench", "in-sample", "Wrench from the pose alone, IN-SAMPLE: on the half that was fitted"),
-)
-_JUDGED_LEGEND = (
-    "error: rms error over the rms of the forces, 1 is predicting zero; 50, 80, 95 %: share of the"
-    "\nvalues within these intervals of the estimate; RMSE: mean of three channels; skill: 1 - RMSE"
-    "\nover that of the constants that fit these samples best, below 0 worse than a constant"
-)
-
-_FRONT_HEADER = (
-    *("variant", "solution", "theta", "wrench error", "local error"),
-    *("moment [N m]", "force [N]", "local [N]", ""),
-)
 _FRONT_LEGEND = (
     "wrench error, local error: roots of the weighted squares of the objective, J_w and J_f;"
     "\nmoment, force, local: mean, mean and median RMSE of the channels in the objective;"
@@ -237,6 +215,8 @@ def validate(
 
 
 def _show_validation(found: api.Validation) -> None:
+    from socket_testbed.report.sections.validation import LEGEND, judged_tables
+
     if len(found.trials) == 1:
         print(f"{found.trials[0]}: the part under load, in two halves")
     else:
@@ -244,28 +224,9 @@ def _show_validation(found: api.Validation) -> None:
             f"{len(found.trials)} trials, means over them; models fitted on {len(found.fitted)}:"
             f" {', '.join(found.fitted)}"
         )
-    tables = dict([*found.summary().groupby(level=["question", "test"])])
-    for question, test, heading in _HEADINGS:
-        if (question, test) in tables:
-            rows = tables[question, test].droplevel([0, 1])
-            print(f"\n{heading}\n\n{_judged_table(rows, question)}")
-    print(f"\n{_JUDGED_LEGEND}")
-
-
-def _judged_table(rows: pd.DataFrame, question: str) -> str:
-    counts = rows["judged [1]"]
-    several = bool((counts > 1).any())
-    if question == "wrench":
-        digits, shares = _RMSE | (_MEDIANS if several else _SKILL), {}
-    else:
-        digits, shares = _SEVERAL_ERRORS if several else _ERRORS, _COVERAGE
-    columns = {title: [number(v, n) for v in rows[title]] for title, n in digits.items()}
-    for title, share in shares.items():
-        columns[title] = [number(100.0 * value, 0) for value in rows[share]]
-    if counts.nunique() > 1:  # a variant could not be fitted everywhere
-        columns["judged"] = [f"{count:.0f}" for count in counts]
-    cells = [[str(name), *row] for name, *row in zip(rows.index, *columns.values(), strict=True)]
-    return table(["predictor", *columns], cells)
+    for judged in judged_tables(found.judgements):
+        print(f"\n{judged.caption}\n\n{text_of(judged)}")
+    print(f"\n{textwrap.fill(LEGEND, 100)}")
 
 
 @takes(
@@ -302,29 +263,12 @@ def pareto(
 
 
 def _show_fronts(of: str, fronts: Sequence[Front]) -> None:
+    from socket_testbed.report.sections.fronts import marks_table
+
     print(f"{of}, theta from 0 to 1 in {len(fronts[0].theta)} values\n")
-    print(f"{_front_table(fronts)}\n\n{_FRONT_LEGEND}\n")
+    print(f"{text_of(marks_table(fronts))}\n\n{_FRONT_LEGEND}\n")
     for front in fronts:
         print(_describe_front(front))
-
-
-def _front_table(fronts: Sequence[Front]) -> str:
-    rows = []
-    for front in fronts:
-        for name in (SENSOR_ONLY, KNEE, WRENCH_ONLY):
-            index = front.marks.get(name)
-            if index is None:
-                flaw = front.flaws[0 if name == SENSOR_ONLY else -1]
-                absence = "none: see below" if name == KNEE else flaw
-                rows.append([front.variant, name, *["-"] * 6, absence])
-                continue
-            errors = (front.wrench_error, front.local_error)
-            sizes = (front.moment_rmse, front.force_rmse, front.local_rmse)
-            cells = [f"{front.theta[index]:.3g}", *(number(e[index], 4) for e in errors)]
-            cells += [number(size[index]) for size in sizes]
-            remark = "" if front.non_dominated[index] else "dominated"
-            rows.append([front.variant, name, *cells, remark])
-    return table(_FRONT_HEADER, rows)
 
 
 def _describe_front(front: Front) -> str:

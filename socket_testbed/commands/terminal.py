@@ -23,6 +23,7 @@ from pathlib import Path
 from typing import IO, TYPE_CHECKING, Self
 
 from socket_testbed.live.graph_status import GraphStatus
+from socket_testbed.tables import NOTHING, Table
 from socket_testbed.trials.topics import full_namespace
 
 if TYPE_CHECKING:
@@ -51,6 +52,13 @@ def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
         ]
         lines.append("  ".join(cells).rstrip())
     return "\n".join(lines)
+
+
+def text_of(found: Table) -> str:
+    """A table of a page as a table on the terminal."""
+    header = [found.frame.index.name or "", *(title for _, title, _ in found.columns)]
+    rows = [[str(name), *("-" if c == NOTHING else c for c in cells)] for name, cells in found.rows]
+    return table(header, rows)
 
 
 def _is_number(cell: str) -> bool:

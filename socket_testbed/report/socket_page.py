@@ -12,7 +12,8 @@ from socket_testbed.files import atomic_output
 from socket_testbed.geometry.axis import socket_axis
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.pages.document import numbers, socket_document
-from socket_testbed.report.page import Pictures, Section, pairs_table, render
+from socket_testbed.report.page import Pictures, Section, render
+from socket_testbed.tables import pairs_table
 
 _MOST_FACES = 20_000  # of the surface on a page
 _GROWTH = 1.1  # [-]; of the cells in which vertices are merged, from one attempt to the next

@@ -24,10 +24,10 @@ from socket_testbed.identification.evaluation import evaluate, summarise_errors,
 from socket_testbed.identification.pareto import KNEE, SENSOR_ONLY, WRENCH_ONLY
 from socket_testbed.identification.pressure import TITLES, interval_end
 from socket_testbed.report.figures import style
-from socket_testbed.report.page import UNCERTAIN
 from socket_testbed.report.results import Results
 from socket_testbed.report.write import files_folder, write_report
 from socket_testbed.settings.identification import PAPER_VARIANTS
+from socket_testbed.tables import UNCERTAIN
 
 PLAIN, BIAS = PAPER_VARIANTS
 MOST_BYTES = 5e6

@@ -30,10 +30,11 @@ from socket_testbed.report.figures.style import (
     thin,
     wrap,
 )
-from socket_testbed.report.page import Heading, ReportFigure, Section, Table, line_chart
+from socket_testbed.report.page import Heading, ReportFigure, Section, line_chart
 from socket_testbed.report.results import Results
 from socket_testbed.samples import WRENCH_CHANNELS, Samples, channel_unit
 from socket_testbed.settings.identification import PAPER_VARIANTS
+from socket_testbed.tables import Table
 from socket_testbed.trials.segment import Segment
 
 _PANEL, _KEY_LINE = 34.0, 3.1  # [mm]; height of a panel without its key; of a line of the key

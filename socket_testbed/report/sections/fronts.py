@@ -28,8 +28,9 @@ from socket_testbed.report.figures.style import (
     lay_out,
     style_axes,
 )
-from socket_testbed.report.page import Bullets, ReportFigure, Section, Table
+from socket_testbed.report.page import Bullets, ReportFigure, Section
 from socket_testbed.report.results import Results
+from socket_testbed.tables import Table
 
 _MARKS: dict[str, dict[str, Any]] = {
     SENSOR_ONLY: {"marker": "s", "markersize": 6},
@@ -73,7 +74,7 @@ def section(results: Results) -> Section:
         },
     )
     verdicts = [f"{front.variant}: {front.knee.verdict}." for front in fronts]
-    return Section("fronts", "Pareto fronts", [Bullets(verdicts), figure, _marks(fronts)])
+    return Section("fronts", "Pareto fronts", [Bullets(verdicts), figure, marks_table(fronts)])
 
 
 def _points(front: Front) -> tuple[str, dict[str, Any]]:
@@ -84,27 +85,32 @@ def _points(front: Front) -> tuple[str, dict[str, Any]]:
     return _describe(front), dict(zip("xy", numbers(errors, 6), strict=True))
 
 
-def _marks(fronts: Iterable[Front]) -> Table:
+def marks_table(fronts: Iterable[Front]) -> Table:
+    """The solutions that stand out on each front."""
     rows = []
     for front in fronts:
         for name in (SENSOR_ONLY, KNEE, WRENCH_ONLY):
-            row: dict[str, Any] = {"variant": front.variant, "solution": name, "remark": "none"}
+            row: dict[str, Any] = {"variant": front.variant, "solution": name}
             index = front.marks.get(name)
-            if index is not None:
+            if index is None:
+                flaw = front.flaws[0 if name == SENSOR_ONLY else -1]
+                row["remark"] = "none" if name == KNEE else flaw
+            else:
                 row |= {
                     "theta [-]": front.theta[index],
                     "wrench error [-]": front.wrench_error[index],
                     "local error [-]": front.local_error[index],
-                    "mean moment RMSE [N m]": front.moment_rmse[index],
-                    "mean force RMSE [N]": front.force_rmse[index],
-                    "median local RMSE [N]": front.local_rmse[index],
+                    "moment RMSE [N m]": front.moment_rmse[index],
+                    "force RMSE [N]": front.force_rmse[index],
+                    "local RMSE [N]": front.local_rmse[index],
                     "remark": "" if front.non_dominated[index] else "dominated",
                 }
             rows.append(row)
     frame = pd.DataFrame(rows).set_index("variant")
     frame["remark"] = frame.pop("remark")  # the last column
-    formats = {"theta [-]": ".3g", "wrench error [-]": ".4g", "local error [-]": ".4g"}
-    return Table("marks", "The solutions that stand out on each front", frame, formats)
+    formats = {"theta [-]": ".3g", "wrench error [-]": ".4f", "local error [-]": ".4f"}
+    caption = "The solutions that stand out on each front, with mean, mean and median RMSE"
+    return Table("marks", caption, frame, formats)
 
 
 @in_style

@@ -50,17 +50,10 @@ from socket_testbed.report.figures.tiles import (
     add_key,
     tile_map_figure,
 )
-from socket_testbed.report.page import (
-    NOTHING,
-    UNCERTAIN,
-    Heading,
-    Pictures,
-    ReportFigure,
-    Section,
-    Table,
-)
+from socket_testbed.report.page import Heading, Pictures, ReportFigure, Section
 from socket_testbed.report.results import PressureResults, Results
 from socket_testbed.report.sections.surface import model_values
+from socket_testbed.tables import NOTHING, UNCERTAIN, Table
 from socket_testbed.trials.segment import Segment
 
 _DECIMALS = {

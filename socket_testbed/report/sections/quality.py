@@ -18,17 +18,10 @@ from socket_testbed.report.figures.style import (
     style_axes,
     thin,
 )
-from socket_testbed.report.page import (
-    Bullets,
-    Heading,
-    ReportFigure,
-    Section,
-    Table,
-    line_chart,
-    number,
-)
+from socket_testbed.report.page import Bullets, Heading, ReportFigure, Section, line_chart
 from socket_testbed.report.results import Results
 from socket_testbed.samples import LOCAL_CHANNELS, WRENCH_CHANNELS, Samples, Status
+from socket_testbed.tables import Table, number
 from socket_testbed.trials.segment import Segment
 
 _GAP = 1.5  # [-]; of the usual period

@@ -13,18 +13,11 @@ import pandas as pd
 
 from socket_testbed.identification.evaluation import summarise_errors
 from socket_testbed.identification.information import share_warning
-from socket_testbed.report.page import (
-    Bullets,
-    Folded,
-    Heading,
-    Section,
-    Table,
-    number,
-    pairs_table,
-)
+from socket_testbed.report.page import Bullets, Folded, Heading, Section
 from socket_testbed.report.results import Candidate, Results
 from socket_testbed.report.sections.pressure import describe_pressure
 from socket_testbed.report.sections.quality import find_gaps, mean_and_sigma
+from socket_testbed.tables import Table, number, pairs_table
 from socket_testbed.trials.trial import PARAMETERS_FILE
 
 _LIBRARIES = ("socket_testbed", "numpy", "scipy", "osqp", "qpsolvers", "matplotlib", "plotly")

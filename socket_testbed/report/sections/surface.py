@@ -21,11 +21,11 @@ from socket_testbed.report.figures.style import (
     thin,
 )
 from socket_testbed.report.figures.tiles import tile_map_figure
-from socket_testbed.report.page import ReportFigure, Section, Table
+from socket_testbed.report.page import ReportFigure, Section
 from socket_testbed.report.results import Candidate, Results
 from socket_testbed.samples import channel_unit
 from socket_testbed.settings.identification import BIAS_VARIANTS
-from socket_testbed.tables import split_unit
+from socket_testbed.tables import Table, split_unit
 
 _LINES = 68.0  # [mm]; height of two panels over time with their key
 _STIFFNESS = ("k", "stiffness [N/m]")

@@ -28,25 +28,31 @@ from socket_testbed.report.figures.style import (
     lay_out,
     style_axes,
 )
-from socket_testbed.report.page import Bullets, Heading, ReportFigure, Section, Table, number
+from socket_testbed.report.page import Bullets, Heading, ReportFigure, Section
 from socket_testbed.report.results import Results
+from socket_testbed.tables import Table, number
 
 _COLOURS = {INVERSE_DISTANCE: "0.75", CLOSED: "0.5", FORCE_MAP: LINE_STYLES[1]["color"]}
 _QUESTIONS = {"cluster": "all clusters", "tiles": "tiles without a sensor"}
 _MARKERS = {"cluster": "o", "tiles": "s"}
-_TESTS = {
-    ("cluster", "left out"): "a cluster left out",
-    ("tiles", "second half"): "tiles without a sensor (simulated truth)",
-    ("wrench", "second half"): "the other half",
-    ("wrench", "in-sample"): "the half that was fitted (in-sample)",
+_CAPTIONS = {
+    ("cluster", "left out"): "Force on a cluster that was left out, from the others and the wrench",
+    ("tiles", "second half"): "Force on the tiles without a sensor, against the simulated truth",
+    ("wrench", "second half"): "Wrench from the pose alone, fitted on the other half of the trial",
+    ("wrench", "other trial"): "Wrench from the pose alone, fitted on another trial",
+    ("wrench", "in-sample"): "Wrench from the pose alone, IN-SAMPLE: on the fitted half",
 }
+LEGEND = (
+    "error: rms error over the rms of the forces, 1 is predicting zero; in 50, 80, 95 %: share of"
+    " the values within these intervals of the estimate; RMSE: mean of three channels; skill: 1 -"
+    " RMSE over that of the constants that fit these samples best, below 0 worse than a constant"
+)
 
 
 def section(results: Results) -> Section:
     """The section on what the estimates are worth."""
     judged: list[Any] = [f"None: {results.no_validation}."]
     if results.validation:
-        forces, wrench = _tables(results.validation)
         figure = ReportFigure(
             "validation",
             "Left: error of the forces on each cluster that was left out, over the root mean square"
@@ -61,14 +67,10 @@ def section(results: Results) -> Section:
             judgements_table(results.validation),
         )
         judged = [
-            "Estimates judged on what they have not seen, beside rivals that need no model. The"
-            " error is the root mean square error over the root mean square of the forces:"
-            " predicting zero has 1. The columns after it hold the share of the values within the"
-            " estimate's intervals of that probability. The skill compares with the constants that"
-            " fit the judged samples best; negative, such a constant would have been better.",
-            forces,
+            "Estimates judged on what they have not seen, beside rivals that need no model.",
+            f"{LEGEND[0].upper()}{LEGEND[1:]}.",
             figure,
-            wrench,
+            *judged_tables(results.validation),
         ]
     difference = results.settings.identification.stiffness_difference
     known = [
@@ -100,24 +102,31 @@ def section(results: Results) -> Section:
     )
 
 
-def _tables(judgements: Sequence[Judgement]) -> list[Table]:
-    """Forces on left-out clusters and bare tiles, and the wrench from the pose alone."""
+def judged_tables(judgements: Sequence[Judgement]) -> list[Table]:
+    """A table per question and test, a row per predictor: means over the trials.
+
+    Of several trials it has the median of the skills: one trial may spoil a mean.
+    """
     summary = summarise_judgements(judgements)
-    questions = summary.index.get_level_values("question")
-    tests = summary.index.get_level_values("test")
-    summary.index = [f"{_TESTS.get(key[:2], key[1])}: {key[2]}" for key in summary.index]
-    percent = {f"within {100 * level:g} % [-]": f"in {100 * level:g} % [%]" for level in LEVELS}
-    forces = summary[["error [-]", *percent]].rename(columns=percent)[questions != "wrench"]
-    forces[[*percent.values()]] *= 100.0
-    figures = [title for title in summary if title.startswith(("moment", "force"))]
-    wrench = summary[figures][(questions == "wrench") & (tests != "other trial")]
-    skills = {title: "z.2f" for title in figures if "skill" in title}
-    formats = {"error [-]": ".2f", **dict.fromkeys(percent.values(), ".0f")}
-    caption = "The wrench predicted from the pose alone, fitted on the first half under load"
-    return [
-        Table("validation-forces", "Forces estimated without having seen them", forces, formats),
-        Table("validation-wrench", caption, wrench, skills),
-    ]
+    counts = summary["judged [1]"]
+    several = bool((counts > 1).any())
+    of_wrench = {"moment RMSE [N m]": ".3f", "force RMSE [N]": ".2f"}
+    of_wrench |= {f"{'median ' * several}{kind} skill [-]": "z.2f" for kind in ("moment", "force")}
+    of_forces = dict.fromkeys(["error [-]", *["worst error [-]"] * several], ".2f")
+    for level in LEVELS:
+        title = f"in {100 * level:g} % [%]"
+        summary[title] = 100.0 * summary[f"within {100 * level:g} % [-]"]
+        of_forces[title] = ".0f"
+    tables = []
+    rows = dict([*summary.groupby(level=["question", "test"])])
+    for (question, test), caption in _CAPTIONS.items():
+        if (question, test) in rows:
+            formats = of_wrench if question == "wrench" else of_forces
+            if counts.nunique() > 1:  # a variant could not be fitted everywhere
+                formats = formats | {"judged [1]": ".0f"}
+            frame = rows[question, test].droplevel([0, 1])[[*formats]]
+            tables.append(Table(f"{question}-{test}".replace(" ", "-"), caption, frame, formats))
+    return tables
 
 
 def _shares(results: Results) -> Table:
