@@ -13,7 +13,7 @@ the smallest change that meets the wrench, the best constant, and linear regress
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache, partial
 from typing import TYPE_CHECKING, Literal
@@ -213,6 +213,19 @@ def without_cluster(samples: Samples, cluster: str) -> Samples:
     forces[:, column] = np.nan
     status[:, column] = Status.MISSING
     return dataclasses.replace(samples, local_forces=forces, status=status)
+
+
+def left_out_pressures(
+    samples: Samples, geometry: SocketGeometry
+) -> Iterator[tuple[str, FloatArray, FloatArray, FloatArray]]:
+    """Each cluster's pressure, what the map says without it, its deviation, (N,) each [Pa]."""
+    force_map = ForceMap(geometry, samples.clusters)
+    for column, name in enumerate(samples.clusters):
+        tile = geometry.clusters[name]
+        measured = -samples.trusted_forces[:, column, 2] / geometry.areas[tile]
+        others = force_map.estimate(without_cluster(samples, name))
+        deviation = others.normal_pressure_standard_deviation[:, tile]
+        yield name, measured, others.normal_pressure[:, tile], deviation
 
 
 FieldEstimator = Callable[[Samples], tuple[FloatArray, FloatArray | None]]
