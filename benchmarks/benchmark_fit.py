@@ -164,12 +164,12 @@ def solve(stage: StageTwoInput) -> FloatArray:
 def stack(stage: StageTwoInput) -> Rows:
     """The rows of Stage 2, weighted so that its objective is |A z - y|^2, in SI units."""
     objective, s, pairs = stage.objective, columns_of(stage), stage.geometry.neighbours
-    count, springs = s.shape
+    (count, springs), theta = s.shape, stage.settings.theta
     measured = sum(len(channel.force) for channel in objective.channels)
     A = np.zeros((6 * count + measured + 3 * len(pairs), springs + 6 + len(objective.channels)))
     y, start = np.zeros(len(A)), 0
     mapping = wrench_map(stage.geometry.anchors)
-    for k, weight in enumerate(objective.wrench_weights):
+    for k, weight in enumerate(theta * objective.wrench_shares):
         rows, root = slice(start, start + count), np.sqrt(weight / count)
         A[rows, :springs], A[rows, springs + k] = root * s * mapping[k], root
         y[rows] = root * objective.wrench[:, k]
@@ -177,7 +177,7 @@ def stack(stage: StageTwoInput) -> Rows:
     for k, channel in enumerate(objective.channels):
         own = slice(3 * channel.point, 3 * channel.point + 3)
         rows = slice(start, start + len(channel.force))
-        root = np.sqrt(objective.channel_weights[k] / len(channel.force))
+        root = np.sqrt((1.0 - theta) * objective.channel_shares[k] / len(channel.force))
         A[rows, own] = root * s[channel.rows, own] * channel.direction
         A[rows, springs + 6 + k], y[rows] = root, root * channel.force
         start += len(channel.force)

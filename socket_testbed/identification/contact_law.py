@@ -106,6 +106,8 @@ class ContactLaw(ABC):
     """Samples of a fit; of more, means over equal blocks are fitted."""
     GATES: ClassVar[tuple[int, ...]]
     """The axes of the frames whose displacement a gate reads."""
+    SHARPNESS: ClassVar[str]
+    """The setting that gives the sharpness of the gate in a fit."""
 
     def __init__(
         self,
@@ -157,11 +159,6 @@ class ContactLaw(ABC):
     def bends(self, moved: FloatArray) -> dict[tuple[int, int, int], FloatArray]:
         """Second derivatives of s, by its axis and two axes of v in order [1/m]."""
         raise NotImplementedError
-
-    @classmethod
-    @abstractmethod
-    def sharpness_of(cls, settings: IdentificationSettings) -> float:
-        """Sharpness of the gate in a fit [1/m]."""
 
     @classmethod
     @abstractmethod
@@ -232,6 +229,7 @@ class PaperLaw(ContactLaw):
     OFFSETS_THROUGHOUT = False
     MOST_ROWS = None
     GATES = (0, 1, 2)
+    SHARPNESS = "gate_sharpness"
 
     @property
     def frames(self) -> FloatArray:
@@ -249,11 +247,6 @@ class PaperLaw(ContactLaw):
     def columns(self, moved: FloatArray) -> FloatArray:
         """Gated displacements, axis by axis."""
         return moved * gate(moved, self.sharpness)
-
-    @classmethod
-    def sharpness_of(cls, settings: IdentificationSettings) -> float:
-        """That of `gate_sharpness`."""
-        return settings.gate_sharpness
 
     @classmethod
     def reference_of(cls, pose: FloatArray, settings: IdentificationSettings) -> FloatArray:
@@ -353,6 +346,7 @@ class RigidLaw(ContactLaw):
     OFFSETS_THROUGHOUT = True
     MOST_ROWS = 500
     GATES = (2,)
+    SHARPNESS = "contact_sharpness"
 
     @property
     def frames(self) -> FloatArray:
@@ -403,11 +397,6 @@ class RigidLaw(ContactLaw):
     def _gate_slope(self, opened: FloatArray) -> FloatArray:
         """Derivative of gates by the displacement along the normal, of the same shape [1/m]."""
         return -2.0 * self.sharpness * opened * (1.0 - opened)
-
-    @classmethod
-    def sharpness_of(cls, settings: IdentificationSettings) -> float:
-        """That of `contact_sharpness`."""
-        return settings.contact_sharpness
 
     @classmethod
     def reference_of(cls, pose: FloatArray, settings: IdentificationSettings) -> FloatArray:

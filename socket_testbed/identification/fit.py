@@ -211,11 +211,16 @@ def _refine(
     damping, growth, terms = _DAMPING, 2.0, problem.evaluate(x)
     first: BoxSolution | None = None
     exchanges = 0
+
+    def quadratic(hessian: FloatArray, gradient: FloatArray, at: FloatArray) -> BoxQP:
+        q = factor * (gradient - hessian @ at)
+        return BoxQP(factor * hessian, q, lower, upper, "joint refinement")
+
     for done in range(_STEPS + 1):
         here = x.reshape(-1)
         hessian = terms.gauss_newton + prior
         factor = len(hessian) / float(np.trace(hessian))
-        local = _quadratic(hessian, terms.gradient, here, lower, upper, factor)
+        local = quadratic(hessian, terms.gradient, here)
         certificate = local.certificate(here)
         if certificate.worst <= tolerance or done == _STEPS:
             break
@@ -225,7 +230,7 @@ def _refine(
         exact = hessian + np.where(np.outer(free, free), terms.curvature, 0.0)
         if is_definite(factor * (exact + ridge), _FLAT):
             hessian = exact
-        program = _quadratic(hessian + ridge, terms.gradient, here, lower, upper, factor)
+        program = quadratic(hessian + ridge, terms.gradient, here)
         found = pivot(program, here) if first else solve_cold(program, solver)
         first, exchanges = first or found, exchanges + found.exchanges
         step = found.x - here
@@ -245,15 +250,3 @@ def _refine(
     return x, replace(
         solved, x=here, certificate=certificate, determined=True, exchanges=exchanges, course=course
     )
-
-
-def _quadratic(
-    hessian: FloatArray,
-    gradient: FloatArray,
-    x: FloatArray,
-    lower: FloatArray,
-    upper: FloatArray,
-    factor: float,
-) -> BoxQP:
-    q = factor * (gradient - hessian @ x)
-    return BoxQP(factor * hessian, q, lower, upper, "joint refinement")

@@ -81,16 +81,6 @@ class Objective:
     channels: tuple[ClusterChannel, ...]  # channels of the clusters in the objective
     channel_shares: FloatArray  # weight of each channel's squared error in J_f, shape (m,) [1/N^2]
 
-    @property
-    def wrench_weights(self) -> FloatArray:
-        """Weight of each squared wrench error, shape (6,) [1/(N m)^2, 1/N^2]."""
-        return self.settings.theta * self.wrench_shares
-
-    @property
-    def channel_weights(self) -> FloatArray:
-        """Weight of each cluster channel's squared error, shape (m,) [1/N^2]."""
-        return (1.0 - self.settings.theta) * self.channel_shares
-
     def with_settings(self, **changes: Any) -> Objective:
         """The same samples with another theta, smoothness or variant."""
         return replace(self, settings=replace(self.settings, **changes))
@@ -135,20 +125,6 @@ def _usable_rows(samples: Samples, wrench_counts: BoolArray) -> BoolArray:
     return rows
 
 
-def _without_outliers(
-    samples: Samples, geometry: SocketGeometry, leave_out: tuple[str, ...]
-) -> Samples:
-    outliers = find_outliers(samples, geometry, leave_out)
-    count = int(outliers.rows.sum())
-    if count > MOST_OUTLIERS * len(samples):
-        raise IdentificationError(
-            f"{count} of {len(samples)} samples are outliers:"
-            f" {'; '.join(outlier_notes(samples, outliers))}",
-            "check these channels, leave them out (--leave-out), or give another segment",
-        )
-    return without_outliers(samples, outliers)
-
-
 def build_objective(
     samples: Samples, geometry: SocketGeometry, settings: IdentificationSettings
 ) -> Objective:
@@ -165,7 +141,15 @@ def build_objective(
     wrench_counts, cluster_counts = counts[:6], counts[6:].reshape(-1, 3)
     _usable_rows(samples, wrench_counts)
     require_units(samples, geometry, settings.leave_out)
-    samples = _without_outliers(samples, geometry, settings.leave_out)
+    outliers = find_outliers(samples, geometry, settings.leave_out)
+    count = int(outliers.rows.sum())
+    if count > MOST_OUTLIERS * len(samples):
+        raise IdentificationError(
+            f"{count} of {len(samples)} samples are outliers:"
+            f" {'; '.join(outlier_notes(samples, outliers))}",
+            "check these channels, leave them out (--leave-out), or give another segment",
+        )
+    samples = without_outliers(samples, outliers)
     noise = channel_noise(samples) if settings.weights == "noise" else None
     samples = smooth_poses(samples, settings.pose_smoothing)
     samples = samples[_usable_rows(samples, wrench_counts)]

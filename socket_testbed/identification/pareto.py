@@ -42,7 +42,7 @@ from socket_testbed.identification.evaluation import ChannelErrors, evaluate, su
 from socket_testbed.identification.model_file import finite_or_null
 from socket_testbed.identification.objective import Objective, build_objective
 from socket_testbed.identification.problem import Problem
-from socket_testbed.samples import LOCAL_CHANNELS, WRENCH_CHANNELS, Samples, channel_unit
+from socket_testbed.samples import WRENCH_CHANNELS, Samples, channel_unit
 from socket_testbed.settings.identification import (
     PAPER_VARIANTS,
     IdentificationSettings,
@@ -276,9 +276,8 @@ def _undetermined(program: BoxQP, solution: BoxSolution) -> str:
 
 
 def _channels(objective: Objective) -> tuple[str, ...]:
-    wrench = np.array(WRENCH_CHANNELS)[objective.wrench_counts].tolist()
-    local = [f"{channel.cluster}.{LOCAL_CHANNELS[channel.axis]}" for channel in objective.channels]
-    return (*wrench, *local)
+    left_out = objective.settings.leave_out
+    return tuple(name for name in objective.samples.channels if name not in left_out)
 
 
 def _require_both_groups(objective: Objective) -> None:

@@ -183,15 +183,11 @@ def judge_wrench(
                 samples=len(samples),
                 moment_rmse=moment,
                 force_rmse=force,
-                moment_skill=_skill(moment, finite_mean(constant[:3])),
-                force_skill=_skill(force, finite_mean(constant[3:])),
+                moment_skill=1.0 - moment / (finite_mean(constant[:3]) or np.nan),
+                force_skill=1.0 - force / (finite_mean(constant[3:]) or np.nan),
             )
         )
     return found
-
-
-def _skill(error: float, constant: float) -> float:
-    return 1.0 - error / constant if constant > 0.0 else float("nan")
 
 
 def loaded_rows(samples: Samples, least_force: float) -> BoolArray:
