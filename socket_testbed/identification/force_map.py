@@ -43,7 +43,6 @@ from socket_testbed.identification.contact_law import wrench_map
 from socket_testbed.identification.plausibility import (
     Outliers,
     find_outliers,
-    without_outliers,
 )
 from socket_testbed.samples import LOCAL_CHANNELS, WRENCH_CHANNELS, Samples, Status
 from socket_testbed.settings.identification import ForceMapSettings
@@ -492,7 +491,7 @@ def map_trial(
     """The map of a trial, and its samples without single outliers and channels left out."""
     ignored = find_outliers(samples, geometry, leave_out).values
     ignored[:, [name in leave_out for name in samples.channels]] = True
-    trusted = without_outliers(samples, Outliers(np.zeros(len(samples), bool), ignored))
+    trusted = Outliers(np.zeros(len(samples), bool), ignored).taken_from(samples)
     return ForceMap(geometry, samples.clusters, settings, trusted), trusted
 
 

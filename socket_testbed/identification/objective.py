@@ -42,7 +42,6 @@ from socket_testbed.identification.plausibility import (
     outlier_notes,
     require_load,
     require_units,
-    without_outliers,
 )
 from socket_testbed.samples import LOCAL_CHANNELS, WRENCH_CHANNELS, Samples
 from socket_testbed.settings.identification import IdentificationSettings
@@ -149,7 +148,7 @@ def build_objective(
             f" {'; '.join(outlier_notes(samples, outliers))}",
             "check these channels, leave them out (--leave-out), or give another segment",
         )
-    samples = without_outliers(samples, outliers)
+    samples = outliers.taken_from(samples)
     noise = channel_noise(samples) if settings.weights == "noise" else None
     samples = smooth_poses(samples, settings.pose_smoothing)
     samples = samples[_usable_rows(samples, wrench_counts)]
