@@ -178,12 +178,8 @@ class ContactLaw(ABC):
     def bed_stiffness(self, loading: Loading, along: FloatArray) -> tuple[float, float]:
         """Stiffness of the uniform bed that best explains how the wrench changes with the motion.
 
-        Args:
-            loading: The samples.
-            along: Ratios of the bed's stiffnesses along the axes to it, shape (3,) [-].
-
-        Returns:
-            The stiffness, zero at least [N/m], and the weighted squares that it leaves [-].
+        It is zero at least [N/m]; the stiffnesses along the axes have the ratios `along` to it,
+        shape (3,) [-]. The second number is the weighted squares that it leaves [-].
         """
         slope = np.einsum(
             "can,a,anm->cm", self.onto, along, self.jacobian.reshape(*self.onto.shape[1:], -1)
@@ -295,14 +291,10 @@ _LEAST_MOTION = 1e-9  # [m, rad]; less is rounding of a pose that stands still
 
 
 def relative_pose(pose: FloatArray, reference: FloatArray) -> FloatArray:
-    """Displacement and rotation vector since a reference pose, both in {S}.
+    """Displacement and rotation vector since a reference pose (6,), both in {S}.
 
-    Args:
-        pose: Position and rotation vector, shape (N, 6) [m, rad].
-        reference: The same of the reference, shape (6,) [m, rad].
-
-    Returns:
-        ``[q - c, phi]`` with ``R = exp(phi) R_ref``, shape (N, 6) [m, rad]; NaN where the pose is.
+    A pose holds position and rotation vector, shape (N, 6) [m, rad]; what is found is
+    ``[q - c, phi]`` with ``R = exp(phi) R_ref``, of the same shape, NaN where the pose is.
     """
     relative = pose - reference
     known = np.isfinite(relative).all(axis=1)

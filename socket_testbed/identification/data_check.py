@@ -87,13 +87,9 @@ def check_data(
 ) -> tuple[Finding, ...]:
     """What to look at in the data of a trial, the worst first; empty if it is good.
 
-    Args:
-        samples: All samples of the trial.
-        geometry: Geometry of the socket.
-        mass: Of the person [kg], if it is stated.
-        leave_out: Channels that are not looked at one by one.
-        whole: Whether it is a whole trial. In a window of one, in which the limb may just be
-            pushed, no course is compared with another.
+    The mass is that of the person [kg], if it is stated. Channels that are left out are not looked
+    at one by one. In a window instead of a `whole` trial the limb may just be pushed: no course is
+    compared with another.
     """
     if len(samples) < LEAST_SAMPLES:
         fact = f"{len(samples)} samples are too few to judge it by"

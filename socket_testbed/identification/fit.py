@@ -78,11 +78,7 @@ def fit_contact_model(
 ) -> Fit:
     """Identify the contact model: rest positions, then stiffnesses and offsets.
 
-    Args:
-        samples: Samples of the segment; outliers and those without a wrench or a limb position are
-            skipped.
-        geometry: Geometry of the socket.
-        settings: Settings of the identification.
+    Outliers among the samples and those without a wrench or a limb position are skipped.
     """
     problem = Problem(build_objective(samples, geometry, settings))
     solver, tolerance = settings.solver, settings.solver_tolerance
@@ -188,7 +184,7 @@ def _wrench_error(model: ContactModel, samples: Samples) -> float:
 def _refine(
     problem: Problem, x: FloatArray, solver: str, tolerance: float
 ) -> tuple[FloatArray, BoxSolution]:
-    """Minimise the joint objective over all parameters, from a start on.
+    """Minimise the joint objective over all parameters, from a start x on, shape (6, n) [-].
 
     Each step minimises a quadratic model of the objective in the bounds: its gradient with the
     Hessian where that is definite, else with the Gauss-Newton matrix, damped after Levenberg and
@@ -196,15 +192,8 @@ def _refine(
     Problems, 3.2). A step that does not lower the objective is taken back and damped more. The
     solver gives the first step; the next ones start from the active set of the last.
 
-    Args:
-        problem: The objective.
-        x: Start, shape (6, n) [-].
-        solver: Any solver that qpsolvers finds.
-        tolerance: Largest residual of the certificate [-].
-
-    Returns:
-        The minimum with its certificate. Where the noise of the poses leaves a long flat valley,
-        the last and best point after `_STEPS` steps, which says so.
+    The minimum comes with its certificate. Where the noise of the poses leaves a long flat valley,
+    it is the last and best point after `_STEPS` steps, which says so.
     """
     shape, prior = x.shape, problem.prior
     lower, upper = problem.lower.reshape(-1), problem.upper.reshape(-1)

@@ -129,17 +129,11 @@ class _Conditioned:
         return replace(self, **{name: getattr(self, name)[kept] for name in parts})
 
     def average(self, measured: FloatArray, weights: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Mean and variances of the forces over the hypotheses.
+        """Mean and variances of the forces over the hypotheses, shape (N, n, 4) each [N, N^2].
 
-        With the amplitude's prior, the square of the amplitude has under each hypothesis the
-        posterior mean (f + y' S^-1 y) / (f + d - 2).
-
-        Args:
-            measured: The channels that are present, shape (N, d).
-            weights: Probabilities of the hypotheses, shape (M,) [-].
-
-        Returns:
-            Forces, shape (N, n, 4) [N], and their variances, shape (N, n, 4) [N^2].
+        They follow from the channels that are present, shape (N, d), and the probabilities of the
+        hypotheses, shape (M,). With the amplitude's prior, the square of the amplitude has under
+        each hypothesis the posterior mean (f + y' S^-1 y) / (f + d - 2).
         """
         count, channels = measured.shape
         hypotheses, tiles = self.variances.shape[:2]
@@ -340,11 +334,7 @@ class ForceMap:
         have the posterior distribution (Matheron's rule: Journel & Huijbregts, Mining
         Geostatistics, 1978, section VII.A). The random numbers are the same in all samples: what
         the channels leave open stays the same over a trial, so a mean over time is no more certain
-        than its samples. They are seeded, and come in pairs of opposite errors.
-
-        Args:
-            samples: N samples.
-            count: Number D of draws, even.
+        than its samples. They are seeded, and come in pairs of opposite errors: `count` is even.
 
         Yields:
             The draws of some of the samples, until every sample has come once, in whatever order.

@@ -129,11 +129,7 @@ def build_objective(
 ) -> Objective:
     """Choose, check and normalise the channels of a fit.
 
-    Args:
-        samples: Samples; outliers (see `plausibility`) and those without a wrench or a limb
-            position are skipped.
-        geometry: Geometry of the socket.
-        settings: Settings of the identification.
+    Outliers (see `plausibility`) and samples without a wrench or a limb position are skipped.
     """
     check_channels(settings.leave_out, samples.channels)
     counts = np.array([name not in settings.leave_out for name in samples.channels])

@@ -183,15 +183,9 @@ def pareto_front(
 
     At theta 0 the wrench has no weight, at theta 1 the clusters have none: the smoothness
     alone then determines what the other group leaves open. A solution that is not certified,
-    or not determined, carries its flaw and is not on the front.
-
-    Args:
-        samples: Samples of the segment; those without a wrench or a limb position are skipped. Of
-            more than 4000, as many are used, evenly spread.
-        geometry: Geometry of the socket.
-        settings: Settings of the identification; its theta and variant do not matter.
-        thetas: Weights of the wrench against the clusters, in [0, 1] and rising [-].
-        progress: Called with the number of thetas done and of all.
+    or not determined, carries its flaw and is not on the front. Of more than 4000 samples, as many
+    are used, evenly spread; theta and variant of the settings do not matter. The thetas are in
+    [0, 1] and rise; `progress` is called with the number of those done and of all.
     """
     settings = replace(settings, variant=PAPER_VARIANTS[0])
     objective = build_objective(samples, geometry, settings)
@@ -435,11 +429,8 @@ def beside_published(
 ) -> pd.DataFrame:
     """The figures of the paper for a trial, beside the printed ones.
 
-    Args:
-        errors: Errors of the paper's two variants on every channel.
-        fronts: Their fronts over theta; none where there are no thetas to state.
-        samples: The samples of the fits.
-        settings: Settings of the fits.
+    The errors are those of the paper's two variants on every channel, the fronts theirs over theta
+    (none where there are no thetas to state), samples and settings those of the fits.
 
     Returns:
         A row per figure, indexed by its name and unit: for this trial and for the paper the values

@@ -140,9 +140,7 @@ def outlier_notes(samples: Samples, outliers: Outliers, start: int | None = None
 def sign_note(samples: Samples, geometry: SocketGeometry) -> str | None:
     """A note where the wrench looks negated; None without clear evidence.
 
-    Args:
-        samples: Samples of the segment.
-        geometry: Geometry of the socket; the x axes of its tiles point to the proximal end.
+    The x axes of the socket's tiles point to the proximal end.
     """
     proximal = geometry.rotations[:, :, 0].mean(axis=0)
     opening = geometry.rotations[:, :, 2].mean(axis=0) @ proximal

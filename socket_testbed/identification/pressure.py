@@ -397,15 +397,9 @@ def outputs_of(
 ) -> dict[str, FloatArray]:
     """The outputs of forces that are known, such as those of a simulation or of a model.
 
-    Args:
-        forces: Forces on the tiles in {S}, shape (N, n, 3) [N].
-        time: Times of the samples, shape (N,) [s].
-        geometry: Geometry of the socket.
-        regions: The R regions.
-        threshold: Pressure above which a tile is in contact [Pa].
-
-    Returns:
-        The outputs over the span by the names of `RegionOutputs`, shape (R,), the centre (R, 3).
+    The forces act on the tiles in {S}, shape (N, n, 3) [N], at times (N,) [s]; a tile is in contact
+    above the threshold [Pa]. The outputs over the span have the names of `RegionOutputs` and the
+    shape (R,), the centre (R, 3).
     """
     local = np.einsum("nij,kni->knj", geometry.rotations, forces)
     span = _Span(1, geometry.areas)
@@ -455,12 +449,9 @@ def measured_rows(samples: Samples) -> BoolArray:
 
 
 def integration_weights(time: FloatArray) -> FloatArray:
-    """Weights of the trapezoidal rule, without gaps, shape (N,) [s].
+    """Weights of the trapezoidal rule, without gaps, by ascending times, shape (N,) each [s].
 
     A step longer than three times the usual one is a gap: what happened in it is not known.
-
-    Args:
-        time: Times of the samples, ascending, shape (N,) [s].
     """
     steps = np.diff(time)
     if not len(steps):

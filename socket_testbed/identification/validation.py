@@ -93,15 +93,9 @@ def inverse_distance(
               w_{ic} = \lVert a_i - a_c \rVert^{-2}
 
     with f_c in the cluster's frame, so that a pressure stays a pressure around the socket
-    (Shepard, Proc. 23rd ACM National Conference, 1968). A cluster's own tile has its force.
-
-    Args:
-        geometry: Geometry of the socket.
-        clusters: Names of the c clusters.
-        local_forces: Force on each in its frame, shape (N, c, 3) [N]; NaN if missing.
-
-    Returns:
-        Forces in {S}, shape (N, n, 3) [N]; NaN in samples without any cluster.
+    (Shepard, Proc. 23rd ACM National Conference, 1968). A cluster's own tile has its force. The
+    given forces are in the clusters' frames, shape (N, c, 3) [N], NaN if missing; those found are
+    in {S}, shape (N, n, 3) [N], NaN in samples without any cluster.
     """
     tiles = [geometry.clusters[name] for name in clusters]
     apart = np.linalg.norm(geometry.anchors[:, None] - geometry.anchors[tiles], axis=2)
@@ -123,17 +117,9 @@ def close_wrench(
               C (F + \Delta F) = w
 
     so that a large tile changes more than a small one, as under an added stress:
-    :math:`\Delta F = A C^T (C A C^T)^{-1} (w - C F)`.
-
-    Args:
-        geometry: Geometry of the socket.
-        forces: Forces in {S}, shape (N, n, 3) [N].
-        wrench: Wrenches [M; F], shape (N, 6) [N m, N].
-        held: Tiles whose force stays, such as those with a sensor.
-
-    Returns:
-        Forces in {S}, shape (N, n, 3) [N]; if the other tiles are too few to meet every wrench,
-        those that come nearest.
+    :math:`\Delta F = A C^T (C A C^T)^{-1} (w - C F)`. The force on `held` tiles stays, such as on
+    those with a sensor. Forces are in {S}, shape (N, n, 3) [N], wrenches [M; F], shape (N, 6)
+    [N m, N]; if the other tiles are too few to meet every wrench, the forces come nearest.
     """
     mapping = wrench_map(geometry.anchors)
     areas = geometry.areas.copy()
@@ -403,16 +389,10 @@ def judge_samples(
 ) -> list[Judgement]:
     """Answer all three questions on the loaded part of one trial.
 
-    The variants and their rivals are fitted on its first half and judged on its second. The tiles
-    without a sensor are judged on the second half for every estimate.
-
-    Args:
-        samples: Samples of the trial.
-        geometry: Geometry of the socket.
-        settings: Settings of the estimator; the variant does not matter.
-        truth: Simulated force on every tile in {S}, shape (N, n, 3) [N]; None if unknown.
-        name: Name of the trial.
-        notify: Called with a note per variant that cannot be fitted.
+    The variants and their rivals are fitted on its first half and judged on its second; the variant
+    of the settings does not matter. The tiles without a sensor are judged on the second half for
+    every estimate, by their true forces in {S}, shape (N, n, 3) [N], if those are known. A variant
+    that cannot be fitted is noted.
     """
     first, second = split(samples, settings.plateau.least_force)
     found = judge_map(samples, geometry, settings, name)
