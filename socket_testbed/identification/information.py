@@ -332,19 +332,15 @@ class Suspension:
 
     def outputs(self) -> dict[str, Quantity]:
         """What a lab reads, in the unit of its title, such as `stiffness Fz [N/mm]`; shapes ()."""
-        found = {"pistoning [mm]": _scaled(self.pistoning, (), 1e3)}
+        found = {"pistoning [mm]": self.pistoning.part((), 1e3)}
         degrees = 180.0 / np.pi
         for axis, name in enumerate("xyz"):
             title = f"range of rotation about {name} [deg]"
-            found[title] = _scaled(self.rotation, (axis,), degrees)
+            found[title] = self.rotation.part((axis,), degrees)
         for axis, name in enumerate(AXES):
             unit, factor = ("N/mm", 1e-3) if axis < 3 else ("N m/deg", 1.0 / degrees)
-            found[f"stiffness {name} [{unit}]"] = _scaled(self.stiffness, (axis, axis), factor)
+            found[f"stiffness {name} [{unit}]"] = self.stiffness.part((axis, axis), factor)
         return found
-
-
-def _scaled(quantity: Quantity, at: tuple[int, ...], factor: float) -> Quantity:
-    return Quantity(*(np.asarray(factor * part[at]) for part in vars(quantity).values()))
 
 
 def find_suspension(samples: Samples, geometry: SocketGeometry) -> Suspension | None:

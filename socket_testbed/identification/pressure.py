@@ -29,6 +29,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -84,11 +85,9 @@ class Quantity:
         reach = np.maximum(self.high - self.value, self.value - self.low)
         return np.asarray(reach <= share * self.scale)  # never where one is NaN
 
-
-def column_of(quantity: Quantity, column: int) -> Quantity:
-    """One of the last axis."""
-    parts = (getattr(quantity, part.name)[..., column] for part in fields(Quantity))
-    return Quantity(*parts)
+    def part(self, place: Any, factor: float = 1.0) -> Quantity:
+        """Those at a place of the arrays, such as `(..., 2)`, in another unit."""
+        return Quantity(*(np.asarray(factor * values[place]) for values in vars(self).values()))
 
 
 def normal_quantity(value: FloatArray, deviation: FloatArray) -> Quantity:
@@ -117,8 +116,15 @@ def read_column(found: RegionOutputs, title: str) -> Quantity:
     """The output of a column of `TITLES`, in the unit of the title."""
     name, axis, factor = _COLUMNS[title]
     quantity: Quantity = getattr(found, name)
-    parts = (quantity.value, quantity.low, quantity.high, quantity.scale)
-    return Quantity(*(factor * (part if axis is None else part[..., axis]) for part in parts))
+    return quantity.part(... if axis is None else (..., axis), factor)
+
+
+def columns_of(found: RegionOutputs, titles: Sequence[str]) -> dict[str, FloatArray]:
+    """Columns by their titles, each with the ends of its interval."""
+    columns: dict[str, FloatArray] = {}
+    for title in titles:
+        columns |= with_interval(title, read_column(found, title))
+    return columns
 
 
 def with_interval(title: str, quantity: Quantity) -> dict[str, FloatArray]:
